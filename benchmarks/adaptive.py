@@ -22,7 +22,11 @@ def _ladder(calls, reference, rounds):
 def _at_error(points, error, column):
     """Time at an error, log-log between the points, which must bracket it; `None` where they do not."""
     e, t = np.array(sorted((p[0], p[column]) for p in points)).T
-    return None if not e[0] <= error <= e[-1] else float(np.exp(np.interp(np.log(error), np.log(e), np.log(t))))
+    return (
+        None
+        if not e[0] <= error <= e[-1]
+        else float(np.exp(np.interp(np.log(error), np.log(e), np.log(t))))
+    )
 
 
 def impact(rounds, quick=False):
@@ -32,7 +36,9 @@ def impact(rounds, quick=False):
     u0, v0 = np.asarray(state.u), np.asarray(state.v)
 
     def pair(tolerance, solver=None):
-        return np.asarray(gx.simulate(chain, state, END, tolerance=tolerance, solver=solver).final.u)
+        return np.asarray(
+            gx.simulate(chain, state, END, tolerance=tolerance, solver=solver).final.u
+        )
 
     def fixed(steps):
         u, v = u0.copy(), v0.copy()
@@ -41,15 +47,25 @@ def impact(rounds, quick=False):
 
     def scipys(tolerance):
         return solve_ivp(
-            lambda t, y: peers.hertz_rates(y, 1.0, 1.0), (0.0, END), np.concatenate([u0, v0]), method="DOP853",
-            rtol=0.0, atol=tolerance,
+            lambda t, y: peers.hertz_rates(y, 1.0, 1.0),
+            (0.0, END),
+            np.concatenate([u0, v0]),
+            method="DOP853",
+            rtol=0.0,
+            atol=tolerance,
         ).y[:SITES, -1]
 
     reference, other = pair(REFERENCE), pair(REFERENCE, gx.RKN1210())
     uncertain = float(np.abs(reference - other).max())
     calls = {("RKN86", x): lambda x=x: pair(x) for x in TOLERANCES[: 1 if quick else None]}
-    calls |= {("numba SRKN11b", x): lambda x=x: fixed(x) for x in [400 * 2**k for k in range(3 if quick else 8)]}
-    calls |= {("scipy DOP853", x): lambda x=x: scipys(x) for x in [10.0**-k for k in range(5, 6 if quick else 14)]}
+    calls |= {
+        ("numba SRKN11b", x): lambda x=x: fixed(x)
+        for x in [400 * 2**k for k in range(3 if quick else 8)]
+    }
+    calls |= {
+        ("scipy DOP853", x): lambda x=x: scipys(x)
+        for x in [10.0**-k for k in range(5, 6 if quick else 14)]
+    }
     ladder = _ladder(calls, reference, rounds)
     # an error that the reference itself may have says nothing
     known = {key: point for key, point in ladder.items() if point[0] > 4 * uncertain}
@@ -66,7 +82,10 @@ def impact(rounds, quick=False):
         rows.append(row)
     ratios = {clock: _ratio(rows[-1][clock]) if rows else None for clock in ("wall", "cpu")}
     return {
-        "ratio": ratios["wall"], "cpu_ratio": ratios["cpu"], "rows": rows, "reference_uncertainty": uncertain,
+        "ratio": ratios["wall"],
+        "cpu_ratio": ratios["cpu"],
+        "rows": rows,
+        "reference_uncertainty": uncertain,
         "ladder": [[*key, *point] for key, point in ladder.items()],
     }
 

@@ -39,7 +39,8 @@ def alternate(calls, rounds):
     last = list(calls)[-1]
     return {
         name: {
-            "wall": float(np.median(wall[name])), "cpu": float(np.median(cpu[name])),
+            "wall": float(np.median(wall[name])),
+            "cpu": float(np.median(cpu[name])),
             "ratio": float(np.median(np.divide(wall[name], wall[last]))),
             "cpu_ratio": float(np.median(np.divide(cpu[name], cpu[last]))),
         }
@@ -49,13 +50,22 @@ def alternate(calls, rounds):
 
 def run(lattice, state, steps, step=STEP):
     """`gx.simulate`, complete: it reads the outcome, so that it returns when the run has ended."""
-    return jax.block_until_ready(gx.simulate(lattice, state, steps * step, solver=gx.SRKN11b(), step=step))
+    return jax.block_until_ready(
+        gx.simulate(lattice, state, steps * step, solver=gx.SRKN11b(), step=step)
+    )
 
 
 @jax.jit
 def _bare(lattice, state, t1, step):
     return diffrax.diffeqsolve(
-        diffrax.ODETerm(gx.vector_field), gx.SRKN11b(), 0.0, t1, step, state, args=lattice, max_steps=None,
+        diffrax.ODETerm(gx.vector_field),
+        gx.SRKN11b(),
+        0.0,
+        t1,
+        step,
+        state,
+        args=lattice,
+        max_steps=None,
         adjoint=diffrax.ForwardMode(),
     ).ys
 
@@ -65,7 +75,17 @@ def _start(shape, dtype=float):
     return u, gx.State(jnp.asarray(u), jnp.zeros_like(u))
 
 
-def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x: x, step=STEP, checked=CHECKED_STEPS):
+def _compared(
+    lattice,
+    state,
+    steps,
+    rounds,
+    peer,
+    evaluations,
+    arrange=lambda x: x,
+    step=STEP,
+    checked=CHECKED_STEPS,
+):
     """granjax through `simulate` and through diffrax alone, against `peer(steps)`, which returns its final u."""
     end = run(lattice, state, checked, step)
     if end.final.u.dtype != state.u.dtype:
@@ -83,11 +103,18 @@ def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x
     ns = {name: 1e9 * x["wall"] / (steps * evaluations) for name, x in times.items()}
     cpu_ns = {name: 1e9 * x["cpu"] / (steps * evaluations) for name, x in times.items()}
     return {
-        "ratio": times["simulate"]["ratio"], "cpu_ratio": times["simulate"]["cpu_ratio"],
-        "without_record": times["diffeqsolve"]["ratio"], "without_record_cpu": times["diffeqsolve"]["cpu_ratio"],
-        "ns_per_bead_force": ns, "cpu_ns_per_bead_force": cpu_ns, "seconds": times["numba"]["wall"], "steps": steps,
-        "steps_taken": int(run(lattice, state, steps, step).stats["steps"]), "difference": float(difference),
-        "checked_steps": checked, "busy": times["numba"]["wall"] / times["numba"]["cpu"],
+        "ratio": times["simulate"]["ratio"],
+        "cpu_ratio": times["simulate"]["cpu_ratio"],
+        "without_record": times["diffeqsolve"]["ratio"],
+        "without_record_cpu": times["diffeqsolve"]["cpu_ratio"],
+        "ns_per_bead_force": ns,
+        "cpu_ns_per_bead_force": cpu_ns,
+        "seconds": times["numba"]["wall"],
+        "steps": steps,
+        "steps_taken": int(run(lattice, state, steps, step).stats["steps"]),
+        "difference": float(difference),
+        "checked_steps": checked,
+        "busy": times["numba"]["wall"] / times["numba"]["cpu"],
     }
 
 
@@ -110,7 +137,9 @@ def chain(rounds, sites, steps, dtype=float, exponent=1.5, traced=False):
 
 def shock(rounds, sites, steps, step=0.5, c=0.1):
     """A velocity shock in a precompressed chain, A = m = d0 = 1, free ends."""
-    lattice, state = gx.shocks.velocity_shock(gx.scenes.monomer(sites, precompression=1.0, boundary="free"), c)
+    lattice, state = gx.shocks.velocity_shock(
+        gx.scenes.monomer(sites, precompression=1.0, boundary="free"), c
+    )
     one, start = np.float64(1), np.asarray(state.v)
 
     def peer(steps):
@@ -123,7 +152,10 @@ def shock(rounds, sites, steps, step=0.5, c=0.1):
 
 def packing(rounds, name, cells, steps, step=0.2, d0=0.0, checked=30):
     """Beads of diameter 10 in the plane, A = m = 1, in a square or triangular packing within beads at rest."""
-    vectors = {"square": [(1, 0), (0, 1)], "triangular": [(1, 0), (0.5, 0.75**0.5), (-0.5, 0.75**0.5)]}[name]
+    vectors = {
+        "square": [(1, 0), (0, 1)],
+        "triangular": [(1, 0), (0.5, 0.75**0.5), (-0.5, 0.75**0.5)],
+    }[name]
     offsets = np.array([(1, 0), (0, 1), (-1, 1)][: len(vectors)])
     lattice = getattr(gx.scenes, name)(*cells, exponent=1.5, precompression=d0**1.5, spacing=10.0)
     u, state = _start((*cells, 2))
@@ -136,13 +168,18 @@ def packing(rounds, name, cells, steps, step=0.2, d0=0.0, checked=30):
         peers.packing(end, v, steps, step, 1.0, d0, offsets, spans, TABLE.a, TABLE.b)
         return end
 
-    return _compared(lattice, state, steps, rounds, peer, cells[0] * cells[1] * 11, step=step, checked=checked)
+    return _compared(
+        lattice, state, steps, rounds, peer, cells[0] * cells[1] * 11, step=step, checked=checked
+    )
 
 
 def lengths(rounds, lengths, steps):
     """The mean over chains of several lengths: one past a whole number of vectors is the worst."""
     found = [chain(rounds, sites, steps) for sites in lengths]
-    mean = {key: float(np.mean([x[key] for x in found])) for key in ("ratio", "cpu_ratio", "without_record")}
+    mean = {
+        key: float(np.mean([x[key] for x in found]))
+        for key in ("ratio", "cpu_ratio", "without_record")
+    }
     worst = {key: max(x[key] for x in found) for key in ("difference", "busy")}
     return {**mean, **worst, "ratios": {n: x["ratio"] for n, x in zip(lengths, found)}}
 
@@ -154,16 +191,23 @@ def single(rounds, sites, steps):
 
 def precisions(rounds, sites, steps):
     """A run in float32 over the same run in float64."""
-    chains = {dtype: gx.scenes.monomer(sites, precompression=1.0).astype(dtype) for dtype in ("float32", "float64")}
+    chains = {
+        dtype: gx.scenes.monomer(sites, precompression=1.0).astype(dtype)
+        for dtype in ("float32", "float64")
+    }
     states = {dtype: _start(sites, dtype)[1] for dtype in chains}
-    times = alternate({dtype: lambda d=dtype: run(chains[d], states[d], steps) for dtype in chains}, rounds)
+    times = alternate(
+        {dtype: lambda d=dtype: run(chains[d], states[d], steps) for dtype in chains}, rounds
+    )
     return {"ratio": times["float32"]["ratio"], "cpu_ratio": times["float32"]["cpu_ratio"]}
 
 
 def _dimers(lanes):
     """The dimers of a slice of the lanes."""
     ratios = jnp.linspace(0.2, 1.0, LANES)[lanes]
-    return jax.vmap(lambda r: gx.scenes.dimer(BEADS, ratio=r, precompression=1.0), out_axes=-1)(ratios)
+    return jax.vmap(lambda r: gx.scenes.dimer(BEADS, ratio=r, precompression=1.0), out_axes=-1)(
+        ratios
+    )
 
 
 def batch(rounds, steps):
@@ -174,7 +218,9 @@ def batch(rounds, steps):
 
     def peer(steps):
         end = us.copy()
-        peers.hertz_batch(end, np.zeros_like(us), steps, STEP, 1.0, 1.0, 1.0, inverse, TABLE.a, TABLE.b)
+        peers.hertz_batch(
+            end, np.zeros_like(us), steps, STEP, 1.0, 1.0, 1.0, inverse, TABLE.a, TABLE.b
+        )
         return end
 
     return _compared(lattice, state, steps, rounds, peer, u.size * 11, np.transpose)
@@ -184,7 +230,10 @@ def lanes_apart(rounds, lanes, beads, end, tolerance=1e-8):
     """An adaptive run of dimers as lanes, against a Python loop of single calls."""
     scene = lambda r: gx.scenes.dimer(beads, ratio=r, precompression=1.0)
     ratios = np.linspace(0.2, 1.0, lanes)
-    lattice, singles = jax.vmap(scene, out_axes=-1)(jnp.asarray(ratios)), [scene(jnp.asarray(r)) for r in ratios]
+    lattice, singles = (
+        jax.vmap(scene, out_axes=-1)(jnp.asarray(ratios)),
+        [scene(jnp.asarray(r)) for r in ratios],
+    )
     states = [gx.states.impact(x, velocity=0.1) for x in (lattice, *singles)]
 
     def all_lanes():
@@ -197,8 +246,11 @@ def lanes_apart(rounds, lanes, beads, end, tolerance=1e-8):
     difference = np.abs(all_lanes() - loop()).max()
     times = alternate({"lanes": all_lanes, "loop": loop}, rounds)
     return {
-        "ratio": times["lanes"]["ratio"], "cpu_ratio": times["lanes"]["cpu_ratio"], "difference": float(difference),
-        "seconds": {name: x["wall"] for name, x in times.items()}, "busy": times["loop"]["wall"] / times["loop"]["cpu"],
+        "ratio": times["lanes"]["ratio"],
+        "cpu_ratio": times["lanes"]["cpu_ratio"],
+        "difference": float(difference),
+        "seconds": {name: x["wall"] for name, x in times.items()},
+        "busy": times["loop"]["wall"] / times["loop"]["cpu"],
     }
 
 
@@ -211,7 +263,10 @@ def two_devices(rounds, steps):
     first, second = jax.devices("cpu")[:2]
     halves = [slice(0, LANES // 2), slice(LANES // 2, LANES)]
     places = [(slice(0, LANES), first), (halves[0], first), (halves[1], second)]
-    work = [(jax.device_put((_dimers(s), gx.State(u[:, s], np.zeros_like(u[:, s]))), d), d) for s, d in places]
+    work = [
+        (jax.device_put((_dimers(s), gx.State(u[:, s], np.zeros_like(u[:, s]))), d), d)
+        for s, d in places
+    ]
 
     def one(item):
         (lattice, state), device = item
@@ -244,9 +299,13 @@ def two_devices(rounds, steps):
         "ratio": times["one"]["ratio"],
         "cpu_ratio": 2 * times["one"]["cpu"] / times["two"]["cpu"],
         "seconds": {name: x["wall"] for name, x in times.items()},
-        "cores_used": {name: x["cpu"] / x["wall"] for name, x in times.items()}, "difference": float(difference),
+        "cores_used": {name: x["cpu"] / x["wall"] for name, x in times.items()},
+        "difference": float(difference),
         # threads that wait for one another sleep; only those that lack a core count as waiting
-        "busy": max(times["one"]["wall"] / times["one"]["cpu"], 1 + float(np.median(waited) / np.median(ran))),
+        "busy": max(
+            times["one"]["wall"] / times["one"]["cpu"],
+            1 + float(np.median(waited) / np.median(ran)),
+        ),
     }
 
 
@@ -259,19 +318,27 @@ def overhead(rounds, options, calls=50, further=1000):
     lattice = gx.scenes.monomer(4, precompression=1.0)
 
     def repeated(t1, calls):
-        return lambda: [jax.block_until_ready(gx.simulate(lattice, state, t1, **options)) for _ in range(calls)]
+        return lambda: [
+            jax.block_until_ready(gx.simulate(lattice, state, t1, **options)) for _ in range(calls)
+        ]
 
     times = alternate({"long": repeated(further * STEP, 1), "short": repeated(STEP, calls)}, rounds)
     beyond = {}
     for clock in ("wall", "cpu"):
         short, long = times["short"][clock] / calls, times["long"][clock]
         beyond[clock] = 1e6 * (short - (long - short) / (further - 1))
-    return {"ratio": beyond["wall"], "cpu_ratio": beyond["cpu"], "call": 1e6 * times["short"]["wall"] / calls}
+    return {
+        "ratio": beyond["wall"],
+        "cpu_ratio": beyond["cpu"],
+        "call": 1e6 * times["short"]["wall"] / calls,
+    }
 
 
 def scheduled():
     """Seconds that the threads of this process have run, and waited for a core while ready to run."""
-    times = [Path(f"/proc/self/task/{thread}/schedstat") for thread in os.listdir("/proc/self/task")]
+    times = [
+        Path(f"/proc/self/task/{thread}/schedstat") for thread in os.listdir("/proc/self/task")
+    ]
     return np.sum([[int(x) for x in path.read_text().split()[:2]] for path in times], axis=0) * 1e-9
 
 

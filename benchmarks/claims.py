@@ -27,7 +27,9 @@ def speed(case, key="value"):
 def seconds(scene, error, method):
     """Time of a method, or of the best of a family, at an error on a scene of precision.json."""
     row = data("precision")["scenes"][scene]["figures"][error]
-    return row["families"][method]["seconds"] if method in row["families"] else row["seconds"][method]
+    return (
+        row["families"][method]["seconds"] if method in row["families"] else row["seconds"][method]
+    )
 
 
 def over(scene, error, peer):
@@ -48,43 +50,56 @@ def claims():
     """(file, sentence, figures, source) of everything that is said."""
     loops = [over("impact", e, "numba, splitting") for e in ("1e-06", "1e-07")]
     peers = [over("impact", "1e-06", x) for x in ("scipy DOP853", "numbalsoda")]
-    smooth = [over("smooth", e, x) for e in ("1e-06", "1e-10") for x in ("numba, splitting", "heyoka")]
+    smooth = [
+        over("smooth", e, x) for e in ("1e-06", "1e-10") for x in ("numba, splitting", "heyoka")
+    ]
     yield (
         "README.md",
         f"On the impact granjax (RKN 8(6)) needs 1/{loops[0]:.1f} of the time of the best numba loop of a splitting "
         f"method at 1e-6 and 1/{loops[1]:.1f} at 1e-7, 1/{peers[0]:.0f} of that of SciPy's DOP853 and 1/{peers[1]:.1f} "
         "of numbalsoda's at 1e-6.",
-        {"numba": loops, "others": peers}, "precision.json: scenes.impact.figures",
+        {"numba": loops, "others": peers},
+        "precision.json: scenes.impact.figures",
     )
     yield (
         "README.md",
         f"On the smooth chain (RKN 12(10)) it needs 1/{smooth[0]:.1f} of the best such loop's time at 1e-6 and "
         f"1/{smooth[2]:.1f} at 1e-10, and 1/{smooth[1]:.0f} and 1/{smooth[3]:.0f} of heyoka's.",
-        {"figures": smooth}, "precision.json: scenes.smooth.figures",
+        {"figures": smooth},
+        "precision.json: scenes.smooth.figures",
     )
     maps, family = data("monodromy")["monodromy"], data("monodromy")["family"]
     row = maps["figures"]["1e-09"]
-    whole = min(t for name, t in row["seconds"].items() if name.startswith("granjax") and "half" not in name)
+    whole = min(
+        t for name, t in row["seconds"].items() if name.startswith("granjax") and "half" not in name
+    )
     ratios = [row["ratio"] for row in maps["like_with_like"].values()]
     others = [row["families"][x]["seconds"] / whole for x in ("heyoka", "scipy")]
     yield (
         "README.md",
         f"Known to 1e-9, it takes {min(ratios):.1f} to {max(ratios):.1f} times what a numba loop of the same method "
         f"with tangents takes, 1/{others[0]:.0f} of heyoka's time and 1/{others[1]:.0f} of that of SciPy's DOP853.",
-        {"numba": ratios, "others": others}, "monodromy.json: monodromy",
+        {"numba": ratios, "others": others},
+        "monodromy.json: monodromy",
     )
     yield (
         "README.md",
         f"A family of {family['points']} breathers with all multipliers takes {family['fresh']['median']:.1f} s from a "
         f"cold shell, import and compiling included.",
-        {"seconds": family["fresh"]["median"]}, "monodromy.json: family",
+        {"seconds": family["fresh"]["median"]},
+        "monodromy.json: family",
     )
-    numba = [over(scene, e, "numba, Nyström") for scene in ("impact", "smooth") for e in ("1e-06", "1e-08", "1e-10")]
+    numba = [
+        over(scene, e, "numba, Nyström")
+        for scene in ("impact", "smooth")
+        for e in ("1e-06", "1e-08", "1e-10")
+    ]
     yield (
         "README.md",
         f"Numba loops of the same Nyström pairs, written for this chain alone, need {min(numba):.2f} to "
         f"{max(numba):.2f} times granjax's time at 1e-6 to 1e-10.",
-        {"figures": numba}, "precision.json: scenes.*.figures",
+        {"figures": numba},
+        "precision.json: scenes.*.figures",
     )
     ratios = [speed(x) for x in ("N = 100", "N = 1000", "N = 100 000", "256 dimers of 60")]
     yield (
@@ -93,21 +108,24 @@ def claims():
         f"{ratios[3]:.2f} for a batch; a second core makes the batch {speed('two cores'):.2f} times as fast; float32 "
         f"takes {speed('float32 / float64'):.2f} of the time of float64; a general exponent takes "
         f"{speed('p = 1.4, N = 1000'):.2f} of the time of a loop with `x**p`.",
-        {"ratios": ratios}, "speed.json: figures",
+        {"ratios": ratios},
+        "speed.json: figures",
     )
     calls = [speed(x) for x in ("call, step", "call, tolerance", "call, default")]
     yield (
         "README.md",
         f"A call costs {calls[0]:.0f} microseconds beyond its steps (with a tolerance {calls[1]:.0f}, with the default "
         f"step {calls[2]:.0f}).",
-        {"microseconds": calls}, "speed.json: figures",
+        {"microseconds": calls},
+        "speed.json: figures",
     )
     found = orders("impact", SPLITTING)
     yield (
         "README.md",
         "Where a contact opens, the force is only once differentiable: every method at a fixed step is then of order "
         "about 5/2, whatever its name.",
-        {"orders": found, "mean": sum(found) / len(found)}, "precision.json: scenes.impact.methods",
+        {"orders": found, "mean": sum(found) / len(found)},
+        "precision.json: scenes.impact.methods",
     )
     tasks = {row["name"]: row["ratio"] for row in data("flags")["tasks"]}
     worst = max(tasks, key=tasks.get)
@@ -117,29 +135,42 @@ def claims():
         f"Of nine other tasks in the process (`benchmarks/flags.py`) eight take {min(tasks.values()):.2f} to "
         f"{others:.2f} of the time they take without them; a loop over an array of 1e6 numbers, which then has one "
         f"thread, takes {tasks[worst]:.1f}.",
-        {"ratios": tasks, "slowest": worst}, "flags.json: tasks",
+        {"ratios": tasks, "slowest": worst},
+        "flags.json: tasks",
     )
-    undone = [r for r in data("gradient")["rows"] if r["scene"] == "precompressed" and r["adjoint"] == "Reversible"]
-    longest, slowest = max(undone, key=lambda r: r["steps"])["steps"], max(r["ratio"] for r in undone)
+    undone = [
+        r
+        for r in data("gradient")["rows"]
+        if r["scene"] == "precompressed" and r["adjoint"] == "Reversible"
+    ]
+    longest, slowest = (
+        max(undone, key=lambda r: r["steps"])["steps"],
+        max(r["ratio"] for r in undone),
+    )
     kept = {r["bytes"] for r in undone if r["parameters"] == "one stiffness"}
     yield (
         "README.md",
         f"a gradient of 100 to {longest} steps of 100 beads takes {min(r['ratio'] for r in undone):.1f} to "
         f"{slowest:.1f} times the run and {max(kept) / 1000:.0f} kB, however many the steps",
-        {"ratio": [r["ratio"] for r in undone], "bytes": sorted(kept)}, "gradient.json: rows",
+        {"ratio": [r["ratio"] for r in undone], "bytes": sorted(kept)},
+        "gradient.json: rows",
     )
     fitting = data("gradient")["fit"]["seconds"]
     yield (
-        "README.md", f"a fit of four parameters to 1600 samples {fitting:.1f} s once compiled", {"seconds": fitting},
+        "README.md",
+        f"a fit of four parameters to 1600 samples {fitting:.1f} s once compiled",
+        {"seconds": fitting},
         "gradient.json: fit",
     )
     yield (
-        "granjax/solvers/nystrom.py", "Contact loss below 1e-5",
+        "granjax/solvers/nystrom.py",
+        "Contact loss below 1e-5",
         {"RKN86 over the best splitting method at 1e-5": _own("impact", "1e-05", "RKN86")},
         "precision.json: scenes.impact.figures",
     )
     yield (
-        "granjax/solvers/nystrom.py", "for smooth scenes below 1e-8",
+        "granjax/solvers/nystrom.py",
+        "for smooth scenes below 1e-8",
         {"RKN1210 over the best other at 1e-8": _own("smooth", "1e-08", "RKN1210")},
         "precision.json: scenes.smooth.figures",
     )
@@ -161,7 +192,10 @@ def rows():
     """The lines of claims.json."""
     return [
         {
-            "file": file, "sentence": sentence, "figures": figures, "source": source,
+            "file": file,
+            "sentence": sentence,
+            "figures": figures,
+            "source": source,
             "stands": flat(sentence) in flat((ROOT / file).read_text()),
         }
         for file, sentence, figures, source in claims()
@@ -171,7 +205,9 @@ def rows():
 def main():
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 where something is not so")
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; exit code 1 where something is not so"
+    )
     options = parser.parse_args()
     found = rows()
     for row in found:

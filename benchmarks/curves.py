@@ -33,7 +33,9 @@ def curve(points, column):
     _, error, time = np.log(np.abs(use)).T
     blocks = isotonic_regression(error, increasing=False).blocks
     time = isotonic_regression(time).x
-    return np.exp([[x[i:j].mean() for i, j in zip(blocks, blocks[1:])] for x in (error, time)])[:, ::-1]
+    return np.exp([[x[i:j].mean() for i, j in zip(blocks, blocks[1:])] for x in (error, time)])[
+        :, ::-1
+    ]
 
 
 def time_at(points, error, column):
@@ -71,7 +73,11 @@ def figures(table, column):
                 best[family] = {"method": name, "seconds": times[name]}
         if not times:
             continue
-        out[f"{error:.0e}"] = row = {"first": min(times, key=times.get), "families": best, "seconds": times}
+        out[f"{error:.0e}"] = row = {
+            "first": min(times, key=times.get),
+            "families": best,
+            "seconds": times,
+        }
         if "granjax" in best:
             ours = best["granjax"]["seconds"]
             row["granjax_over_family"] = {family: ours / x["seconds"] for family, x in best.items()}
@@ -98,14 +104,29 @@ def chart(scene, path, of="the final state"):
         made = figure(6.4, 4.0)
         ax = made.subplots()
         for family, (_, shade, dashes) in FAMILIES.items():
-            best = envelope([curve(methods[name], "seconds") for name in members(methods, family)], errors)
+            best = envelope(
+                [curve(methods[name], "seconds") for name in members(methods, family)], errors
+            )
             if np.isnan(best).all():
                 continue
             ours = family == "granjax"
-            ax.plot(best, errors, color=shade, ls=dashes, lw=3.0 if ours else 1.4, alpha=1.0 if ours else MUTED,
-                    label=family, zorder=4 if ours else 3)
-        ax.set(xscale="log", yscale="log", xlabel="time of one run on one core (s)",
-               ylabel=f"relative error of {of}", title=scene["title"])
+            ax.plot(
+                best,
+                errors,
+                color=shade,
+                ls=dashes,
+                lw=3.0 if ours else 1.4,
+                alpha=1.0 if ours else MUTED,
+                label=family,
+                zorder=4 if ours else 3,
+            )
+        ax.set(
+            xscale="log",
+            yscale="log",
+            xlabel="time of one run on one core (s)",
+            ylabel=f"relative error of {of}",
+            title=scene["title"],
+        )
         ax.grid(True, which="major", color=FAINT, alpha=0.25, lw=0.6)
         made.legend(loc="outside right center")
     save(made, path)

@@ -59,7 +59,9 @@ def training():
     import jax.numpy as jnp
 
     sizes = (256, 512, 512, 10)
-    weights = [jax.random.normal(jax.random.key(i), s) / 16 for i, s in enumerate(zip(sizes, sizes[1:]))]
+    weights = [
+        jax.random.normal(jax.random.key(i), s) / 16 for i, s in enumerate(zip(sizes, sizes[1:]))
+    ]
     x = jax.random.normal(jax.random.key(9), (1024, 256))
 
     def loss(weights):
@@ -85,7 +87,9 @@ def recurrent():
 
     w = _matrix(64) / 8
     x = jax.random.normal(jax.random.key(3), (1000, 32, 64))
-    return lambda x: jax.lax.scan(lambda h, x: (jnp.tanh(h @ w + x), None), jnp.zeros((32, 64)), x)[0], (x,)
+    return lambda x: jax.lax.scan(lambda h, x: (jnp.tanh(h @ w + x), None), jnp.zeros((32, 64)), x)[
+        0
+    ], (x,)
 
 
 def small_loop():
@@ -93,7 +97,9 @@ def small_loop():
     import jax
     import jax.numpy as jnp
 
-    return lambda x: jax.lax.fori_loop(0, 100_000, lambda _, x: x + 1e-3 * jnp.cos(x), x), (jnp.float32(0.3),)
+    return lambda x: jax.lax.fori_loop(0, 100_000, lambda _, x: x + 1e-3 * jnp.cos(x), x), (
+        jnp.float32(0.3),
+    )
 
 
 def wide_loop():
@@ -105,7 +111,17 @@ def wide_loop():
     return lambda x: jax.lax.fori_loop(0, 50, lambda _, x: x + 1e-3 * jnp.cos(x), x), (x,)
 
 
-TASKS = (matmul, solve, fft, elementwise, training, loop_of_products, recurrent, small_loop, wide_loop)
+TASKS = (
+    matmul,
+    solve,
+    fft,
+    elementwise,
+    training,
+    loop_of_products,
+    recurrent,
+    small_loop,
+    wide_loop,
+)
 
 
 def child(name):
@@ -133,16 +149,28 @@ def measured(task, rounds):
     seconds = {"1": [], "0": []}
     for _ in range(rounds):
         for flags in seconds:
-            environment = {**os.environ, "TASK_FLAGS": flags, "PYTHONPATH": f"{HERE.parent}{os.pathsep}{HERE}"}
+            environment = {
+                **os.environ,
+                "TASK_FLAGS": flags,
+                "PYTHONPATH": f"{HERE.parent}{os.pathsep}{HERE}",
+            }
             environment.pop("XLA_FLAGS", None)
             command = [sys.executable, __file__, "--child", task.__name__]
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+            done = subprocess.run(
+                command, env=environment, capture_output=True, text=True, check=True
+            )
             seconds[flags].append(float(done.stdout.splitlines()[-1]))
     ratios = np.divide(seconds["1"], seconds["0"])
     return {
-        "name": task.__name__, "task": task.__doc__, "ratio": float(np.median(ratios)),
-        "lowest": float(ratios.min()), "highest": float(ratios.max()),
-        "seconds": {"with flags": float(np.median(seconds["1"])), "without": float(np.median(seconds["0"]))},
+        "name": task.__name__,
+        "task": task.__doc__,
+        "ratio": float(np.median(ratios)),
+        "lowest": float(ratios.min()),
+        "highest": float(ratios.max()),
+        "seconds": {
+            "with flags": float(np.median(seconds["1"])),
+            "without": float(np.median(seconds["0"])),
+        },
     }
 
 
@@ -157,7 +185,13 @@ def chart(rows, path):
         axes.barh(places, [row["ratio"] for row in rows], 0.6, color=COLOURS[0])
         for place, row in zip(places, rows):
             axes.plot([row["lowest"], row["highest"]], [place, place], color="black", lw=1)
-            axes.text(max(row["ratio"], row["highest"]) + 0.03, place, f"{row['ratio']:.2f}", va="center", fontsize=9)
+            axes.text(
+                max(row["ratio"], row["highest"]) + 0.03,
+                place,
+                f"{row['ratio']:.2f}",
+                va="center",
+                fontsize=9,
+            )
         axes.axvline(1, color="black", lw=0.8, ls=":")
         axes.set_yticks(places, [row["task"].rstrip(".") for row in rows], fontsize=8)
         axes.set_xlabel("time with the flags over time without")
@@ -168,13 +202,18 @@ def chart(rows, path):
 def main():
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one round of one task; writes nothing")
+    parser.add_argument(
+        "--quick", action="store_true", help="one round of one task; writes nothing"
+    )
     parser.add_argument("--child", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.child:
         print(child(options.child))
         return
-    rows = [measured(task, 1 if options.quick else ROUNDS) for task in (TASKS[:1] if options.quick else TASKS)]
+    rows = [
+        measured(task, 1 if options.quick else ROUNDS)
+        for task in (TASKS[:1] if options.quick else TASKS)
+    ]
     for row in rows:
         print(f"{row['ratio']:6.2f}  ({row['lowest']:.2f} ... {row['highest']:.2f})  {row['task']}")
     if not options.quick:

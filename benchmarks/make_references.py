@@ -51,12 +51,17 @@ class Problem(NamedTuple):
         """(u, v) at t1, from 0; many lanes in blocks that fit the cache."""
         lanes = np.arange(self.u.shape[-1])
         if self.together or len(lanes) <= BLOCK:
-            return method(self.equation, 0, t1, self.u, self.v, self.scale * tolerance, together=self.together)
+            return method(
+                self.equation, 0, t1, self.u, self.v, self.scale * tolerance, together=self.together
+            )
         blocks = [
             Problem(self.equation.of_lanes(b), self.u[:, b], self.v[:, b], scale=self.scale)
             for b in np.split(lanes, range(BLOCK, len(lanes), BLOCK))
         ]
-        return tuple(np.concatenate(x, 1) for x in zip(*(block.run(method, t1, tolerance) for block in blocks)))
+        return tuple(
+            np.concatenate(x, 1)
+            for x in zip(*(block.run(method, t1, tolerance) for block in blocks))
+        )
 
 
 def make(name):
@@ -86,10 +91,17 @@ def _sampled(problem, t1):
     """What is stored of a batch whose lanes would take hours twice."""
     u, v = problem.run(extrapolation, t1, CHECK)
     lanes = np.arange(0, u.shape[-1], EVERY)
-    own = problem._replace(equation=problem.equation.of_lanes(lanes), u=problem.u[:, lanes], v=problem.v[:, lanes])
+    own = problem._replace(
+        equation=problem.equation.of_lanes(lanes), u=problem.u[:, lanes], v=problem.v[:, lanes]
+    )
     exact = own.run(collocation, t1, REFERENCE)
     uncertainty = max(measure((u[:, lanes], v[:, lanes]), exact), ROUNDED)
-    return {"u": u.astype(float), "v": v.astype(float), "growth": _growth(own, t1, exact), "uncertainty": uncertainty}
+    return {
+        "u": u.astype(float),
+        "v": v.astype(float),
+        "growth": _growth(own, t1, exact),
+        "uncertainty": uncertainty,
+    }
 
 
 def _problem(name, lattice, state, t1):
@@ -100,8 +112,12 @@ def _problem(name, lattice, state, t1):
         return _tangents(mass, u, v)
     if name.startswith("toda_shock"):
         rest = np.zeros((int(FRONT * t1) + MARGIN, 1), EXTENDED)
-        return Problem(equations.Chain(equations.toda, np.ones_like(rest), equations.mirror(2 * SHOCK)), rest, rest,
-                       scale=2 * SHOCK * t1)
+        return Problem(
+            equations.Chain(equations.toda, np.ones_like(rest), equations.mirror(2 * SHOCK)),
+            rest,
+            rest,
+            scale=2 * SHOCK * t1,
+        )
     if u.ndim == 1:
         u, v = u[:, None], v[:, None]
     return Problem(_EQUATIONS[name](mass), u, v, scale=_SCALES.get(name, 1.0))
@@ -123,11 +139,14 @@ _EQUATIONS = {
     "toda_soliton": lambda mass: equations.Chain(equations.toda, mass),
     "fput": lambda mass: equations.Chain(equations.fput, mass, equations.walls),
     "driven": lambda mass: equations.Damped(
-        equations.loaded_hertz, mass, equations.driven_wall(0.1, 1.0, -np.pi / 2), 0.02, 0.05),
+        equations.loaded_hertz, mass, equations.driven_wall(0.1, 1.0, -np.pi / 2), 0.02, 0.05
+    ),
     "light_dimer": lambda mass: equations.Chain(equations.loaded_hertz, mass, equations.walls),
     "softening": lambda mass: equations.Chain(equations.softening, mass),
     "magnets": lambda mass: equations.Chain(equations.magnets, mass),
-    "modulated": lambda mass: equations.Modulated(equations.loaded_hertz, mass, equations.walls, 0.1, 1.875),
+    "modulated": lambda mass: equations.Modulated(
+        equations.loaded_hertz, mass, equations.walls, 0.1, 1.875
+    ),
 }
 
 # light beads have accelerations a hundred times those of the others; many lanes take long
@@ -164,7 +183,9 @@ def write(folder, name, data):
 def main(argv=None):
     """Make the files of all scenes, or of some."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", action="append", choices=names(), metavar="NAME", help="a scene; may be repeated")
+    parser.add_argument(
+        "--only", action="append", choices=names(), metavar="NAME", help="a scene; may be repeated"
+    )
     parser.add_argument("--out", type=Path, default=DATA, help="folder for the files")
     arguments = parser.parse_args(argv)
     log.addHandler(logging.StreamHandler())
@@ -174,8 +195,14 @@ def main(argv=None):
         began = time.perf_counter()
         data = make(name)
         path = write(arguments.out, name, data)
-        log.info("%-15s uncertainty %.1e  growth %.1e  %6.1f kB  %6.1f s", name, data.uncertainty, data.growth,
-                 path.stat().st_size / 1e3, time.perf_counter() - began)
+        log.info(
+            "%-15s uncertainty %.1e  growth %.1e  %6.1f kB  %6.1f s",
+            name,
+            data.uncertainty,
+            data.growth,
+            path.stat().st_size / 1e3,
+            time.perf_counter() - began,
+        )
 
 
 if __name__ == "__main__":

@@ -54,13 +54,20 @@ def main():
     parser.add_argument("--quick", action="store_true", help="few points; numbers mean nothing")
     parser.add_argument("--out", type=Path, help="folder for monodromy.json and the chart")
     parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--draw", action="store_true", help="only the chart, from the JSON that is there")
+    parser.add_argument(
+        "--draw", action="store_true", help="only the chart, from the JSON that is there"
+    )
     options = parser.parse_args()
     folder = options.out or (None if options.quick else HERE)
     if options.draw:
         drawn(json.loads((folder / "monodromy.json").read_text()), folder)
         return
-    result = {**machine(), "peers": versions(), "load": os.getloadavg(), "monodromy": monodromy(options)}
+    result = {
+        **machine(),
+        "peers": versions(),
+        "load": os.getloadavg(),
+        "monodromy": monodromy(options),
+    }
     if not options.quick:
         result["family"] = family()
     print(words(result))
@@ -69,7 +76,9 @@ def main():
         (folder / "monodromy.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
         drawn(result, folder)
     if result["monodromy"]["disagreeing"]:
-        sys.exit(f"Never within {AGREEMENT:g} of the reference: {', '.join(result['monodromy']['disagreeing'])}.")
+        sys.exit(
+            f"Never within {AGREEMENT:g} of the reference: {', '.join(result['monodromy']['disagreeing'])}."
+        )
 
 
 def drawn(result, folder):
@@ -84,8 +93,18 @@ def monodromy(options):
     counts = counts[counts <= MOST][slice(10, 12) if options.quick else slice(None)]
     for name in METHODS:
         solver = getattr(gx, name)()
-        ladders.append(Ladder(f"granjax {name}", "step", scene.t1 / counts, own(scene, solver), True))
-        ladders.append(Ladder(f"granjax {name}, half a period", "step", scene.t1 / counts, halved(scene, solver), True))
+        ladders.append(
+            Ladder(f"granjax {name}", "step", scene.t1 / counts, own(scene, solver), True)
+        )
+        ladders.append(
+            Ladder(
+                f"granjax {name}, half a period",
+                "step",
+                scene.t1 / counts,
+                halved(scene, solver),
+                True,
+            )
+        )
     for module in MODULES:
         try:
             found = import_module(f"peers.{module}").calls(orbit)
@@ -94,13 +113,24 @@ def monodromy(options):
             continue
         ladders += [peer(scene, name, *x, counts, options.quick) for name, x in found.items()]
     reference = parts(np.asarray(scene.reference))
-    table = measure(ladders, reference, scene.uncertainty, 1 if options.quick else options.repeats, longest=2.0,
-                    note=scene.note).to_dict()
+    table = measure(
+        ladders,
+        reference,
+        scene.uncertainty,
+        1 if options.quick else options.repeats,
+        longest=2.0,
+        note=scene.note,
+    ).to_dict()
     del table["machine"]
     return {
-        "title": scene.title, "t1": scene.t1, "left_out": left_out, "disagreeing": disagreeing(table, ladders),
-        "figures": figures(table, "seconds"), "figures_of_fastest": figures(table, "fastest"),
-        "like_with_like": like_with_like(table), **table,
+        "title": scene.title,
+        "t1": scene.t1,
+        "left_out": left_out,
+        "disagreeing": disagreeing(table, ladders),
+        "figures": figures(table, "seconds"),
+        "figures_of_fastest": figures(table, "fastest"),
+        "like_with_like": like_with_like(table),
+        **table,
     }
 
 
@@ -115,6 +145,7 @@ def steps_of(scene, h):
 
 def own(scene, solver):
     """`Flow.derivative` over the period, the number of steps an input of one compiled function."""
+
     @eqx.filter_jit
     def map_of(steps, lattice, state):
         return gx.Flow(steps, solver).derivative(state, 0.0, scene.t1, lattice)[1]
@@ -138,7 +169,9 @@ def halved(scene, solver):
         return gx.Flow(steps, solver).derivative(state, 0.0, scene.t1 / 2, lattice)[1]
 
     def call(h):
-        half = np.asarray(map_of(jnp.asarray(-(-steps_of(scene, h) // 2)), scene.lattice, scene.state))
+        half = np.asarray(
+            map_of(jnp.asarray(-(-steps_of(scene, h) // 2)), scene.lattice, scene.state)
+        )
         n = len(mass)
         a, b, c, d = half[:n, :n], half[:n, n:], half[n:, :n], half[n:, n:]
         # of (u, v): the inverse of [[a, b], [c, d]] is [[D, -B], [-C, A]] with A = m^{-1} a^T m and so on
@@ -152,7 +185,9 @@ def halved(scene, solver):
 def peer(scene, name, parameter, call, counts, quick):
     """A peer with the same steps, or with tolerances."""
     if parameter == "step":
-        return Ladder(name, "step", scene.t1 / counts, lambda h: (parts(call(steps_of(scene, h))), None), True)
+        return Ladder(
+            name, "step", scene.t1 / counts, lambda h: (parts(call(steps_of(scene, h))), None), True
+        )
     values = [1e-10] if quick else FEW if name.startswith("heyoka") else TOLERANCES
     return Ladder(name, "tolerance", values, lambda x: (parts(call(x)), None), True)
 
@@ -163,14 +198,20 @@ def like_with_like(table):
     for name in METHODS:
         rows = []
         for who in ("granjax", "numba"):
-            good = [p for p in table["points"] if p["method"] == f"{who} {name}" and p["drawn"] and p["error"] <= ERROR]
+            good = [
+                p
+                for p in table["points"]
+                if p["method"] == f"{who} {name}" and p["drawn"] and p["error"] <= ERROR
+            ]
             rows.append(max(good, key=lambda p: p["value"], default=None))
         if None not in rows:
             ours, theirs = rows
             found[name] = {
-                "seconds": ours["seconds"], "numba": theirs["seconds"],
+                "seconds": ours["seconds"],
+                "numba": theirs["seconds"],
                 "ratio": ours["seconds"] / theirs["seconds"],
-                "ratio_of_fastest": ours["fastest"] / theirs["fastest"], "errors": [ours["error"], theirs["error"]],
+                "ratio_of_fastest": ours["fastest"] / theirs["fastest"],
+                "errors": [ours["error"], theirs["error"]],
             }
     return found
 
@@ -192,25 +233,39 @@ def processes(code, environment):
     free = lambda: os.sched_setaffinity(0, cores) if hasattr(os, "sched_setaffinity") else None
     for _ in range(PROCESSES):
         start = time.perf_counter()
-        done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **environment}, preexec_fn=free,
-                              capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, **environment},
+            preexec_fn=free,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         seconds.append(time.perf_counter() - start)
-    return {"seconds": seconds, "median": statistics.median(seconds), "least": min(seconds)}, int(done.stdout)
+    return {"seconds": seconds, "median": statistics.median(seconds), "least": min(seconds)}, int(
+        done.stdout
+    )
 
 
 def words(result):
     """For the terminal."""
     lines = []
     for error, row in result["monodromy"]["figures"].items():
-        times = ", ".join(f"{family} {1e3 * x['seconds']:.3g} ms" for family, x in row["families"].items())
+        times = ", ".join(
+            f"{family} {1e3 * x['seconds']:.3g} ms" for family, x in row["families"].items()
+        )
         lines.append(f"  {error}: first {row['first']}; {times}")
-    lines += [f"  {name}: {x['ratio']:.2f} of numba ({x['ratio_of_fastest']:.2f} by the fastest)"
-              for name, x in result["monodromy"]["like_with_like"].items()]
+    lines += [
+        f"  {name}: {x['ratio']:.2f} of numba ({x['ratio_of_fastest']:.2f} by the fastest)"
+        for name, x in result["monodromy"]["like_with_like"].items()
+    ]
     lines += [f"  left out: {kind}: {why}" for kind, why in result["monodromy"]["left_out"].items()]
     if "family" in result:
         x = result["family"]
-        lines.append(f"  {x['points']} breathers: {x['fresh']['median']:.1f} s, "
-                     f"with the cache {x['with_cache']['median']:.1f} s")
+        lines.append(
+            f"  {x['points']} breathers: {x['fresh']['median']:.1f} s, "
+            f"with the cache {x['with_cache']['median']:.1f} s"
+        )
     return "\n".join([f"{result['monodromy']['title']} ({', '.join(PACKAGES)})", *lines])
 
 

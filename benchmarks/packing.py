@@ -24,9 +24,9 @@ SPACING, OVERLAP, STEP, SPEED = 15.0, 1.0, 0.125, 0.05
 CODES = ("granjax", "granjax SRKN11b", "numba", "LAMMPS", "JAX-MD")
 CANNOT = {
     "LAMMPS": "one chain or packing a process; no derivatives, orbits or bands; contacts only as its pair styles have "
-              "them; neighbour lists let beads leave their places",
+    "them; neighbour lists let beads leave their places",
     "JAX-MD": "derivatives in both modes; no orbits or bands; one exponent and size for all pairs or one for each kind "
-              "of bead; neighbour lists let beads leave their places",
+    "of bead; neighbour lists let beads leave their places",
 }
 
 
@@ -59,7 +59,9 @@ def with_granjax(cells, steps, rounds, solver="VelocityVerlet"):
 
     import granjax as gx
 
-    crystal = gx.scenes.triangular(cells, exponent=1.5, precompression=OVERLAP**1.5, spacing=SPACING)
+    crystal = gx.scenes.triangular(
+        cells, exponent=1.5, precompression=OVERLAP**1.5, spacing=SPACING
+    )
     state = gx.State(crystal.zeros(), start(cells)[1][1:-1, 1:-1])
     method = getattr(gx, solver)()
     forces, step = (1, STEP) if solver == "VelocityVerlet" else (11, 5 * STEP)
@@ -103,20 +105,36 @@ def with_lammps(cells, steps, rounds):
     density = 1 / (4 / 3 * np.pi * radius**3)
     high = x.max(0) + 2 * radius
     code = lammps.lammps(cmdargs=["-log", "none", "-screen", "none"])
-    code.commands_list([
-        "units lj", "dimension 2", "atom_style sphere", "boundary f f p", "newton on", "comm_modify vel yes",
-        "atom_modify map array",
-        f"region box block {-2 * radius} {high[0]} {-2 * radius} {high[1]} -0.5 0.5", "create_box 2 box",
-    ])
-    code.create_atoms(len(x), None, np.where(inner.ravel(), 1, 2).tolist(), x.ravel().tolist(), w.ravel().tolist())
-    code.commands_list([
-        f"set group all diameter {2 * radius} density {density}", "group inner type 1",
-        # F = k_n R_eff^{1/2} d^{3/2} with R_eff = R/2
-        "pair_style granular",
-        f"pair_coeff * * hertz {(radius / 2) ** -0.5} 0.0 tangential linear_nohistory 0.0 0.0 damping velocity",
-        f"timestep {STEP}", "fix move inner nve", "neighbor 1.0 bin", "neigh_modify delay 0 every 10 check yes",
-        "thermo 1000000",
-    ])
+    code.commands_list(
+        [
+            "units lj",
+            "dimension 2",
+            "atom_style sphere",
+            "boundary f f p",
+            "newton on",
+            "comm_modify vel yes",
+            "atom_modify map array",
+            f"region box block {-2 * radius} {high[0]} {-2 * radius} {high[1]} -0.5 0.5",
+            "create_box 2 box",
+        ]
+    )
+    code.create_atoms(
+        len(x), None, np.where(inner.ravel(), 1, 2).tolist(), x.ravel().tolist(), w.ravel().tolist()
+    )
+    code.commands_list(
+        [
+            f"set group all diameter {2 * radius} density {density}",
+            "group inner type 1",
+            # F = k_n R_eff^{1/2} d^{3/2} with R_eff = R/2
+            "pair_style granular",
+            f"pair_coeff * * hertz {(radius / 2) ** -0.5} 0.0 tangential linear_nohistory 0.0 0.0 damping velocity",
+            f"timestep {STEP}",
+            "fix move inner nve",
+            "neighbor 1.0 bin",
+            "neigh_modify delay 0 every 10 check yes",
+            "thermo 1000000",
+        ]
+    )
     n = len(x)
 
     def run(count):
@@ -147,8 +165,14 @@ def with_jax_md(cells, steps, rounds):
     sigma = SPACING + OVERLAP
     displacement, shift = space.free()
     neighbours, potential = energy.soft_sphere_neighbor_list(
-        displacement, float(x.max()) + 2 * SPACING, sigma=sigma, epsilon=sigma**2.5, alpha=2.5,
-        dr_threshold=1.0, format=partition.OrderedSparse)
+        displacement,
+        float(x.max()) + 2 * SPACING,
+        sigma=sigma,
+        epsilon=sigma**2.5,
+        alpha=2.5,
+        dr_threshold=1.0,
+        format=partition.OrderedSparse,
+    )
     list_of = neighbours.allocate(x)
     begin, apply = simulate.nve(potential, shift, dt=STEP)
 
@@ -165,8 +189,11 @@ def with_jax_md(cells, steps, rounds):
 
 
 RUN = {
-    "granjax": with_granjax, "granjax SRKN11b": lambda *a: with_granjax(*a, solver="SRKN11b"), "numba": with_numba,
-    "LAMMPS": with_lammps, "JAX-MD": with_jax_md,
+    "granjax": with_granjax,
+    "granjax SRKN11b": lambda *a: with_granjax(*a, solver="SRKN11b"),
+    "numba": with_numba,
+    "LAMMPS": with_lammps,
+    "JAX-MD": with_jax_md,
 }
 
 
@@ -185,7 +212,9 @@ def child(name, cells, steps, rounds, out):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a small packing, one round; nothing is written")
+    parser.add_argument(
+        "--quick", action="store_true", help="a small packing, one round; nothing is written"
+    )
     parser.add_argument("--child", help=argparse.SUPPRESS)
     parser.add_argument("--out", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -195,7 +224,15 @@ def main():
     table, ends = {}, {}
     for name in CODES:
         path = HERE / f".{name.replace(' ', '_')}.npy"
-        command = [sys.executable, __file__, "--child", name, "--out", str(path), *["--quick"] * options.quick]
+        command = [
+            sys.executable,
+            __file__,
+            "--child",
+            name,
+            "--out",
+            str(path),
+            *["--quick"] * options.quick,
+        ]
         environment = {**os.environ, "PYTHONPATH": f"{HERE.parent}{os.pathsep}{HERE}"}
         done = subprocess.run(command, env=environment, capture_output=True, text=True)
         if done.returncode:
@@ -211,17 +248,27 @@ def main():
         row["ns_per_bead_and_force"] = 1e9 * row["seconds"] / cells**2
         row["over_granjax"] = row["seconds"] / table["granjax"]["seconds"]
         if name != "granjax SRKN11b":
-            row["difference"] = float(np.abs(ends[name] - ends["granjax"]).max() / np.abs(ends["granjax"]).max())
+            row["difference"] = float(
+                np.abs(ends[name] - ends["granjax"]).max() / np.abs(ends["granjax"]).max()
+            )
         if name in CANNOT:
             row["beside"] = CANNOT[name]
-        print(f"{name}: {row['ns_per_bead_and_force']:.1f} ns per bead and force, {row['over_granjax']:.2f} of "
-              f"granjax's Verlet; differs by {row.get('difference', float('nan')):.1e}")
+        print(
+            f"{name}: {row['ns_per_bead_and_force']:.1f} ns per bead and force, {row['over_granjax']:.2f} of "
+            f"granjax's Verlet; differs by {row.get('difference', float('nan')):.1e}"
+        )
     if any(row.get("difference", 0) > AGREEMENT for row in table.values()):
         sys.exit("Some code ends elsewhere.")
     if not options.quick:
         from speed import circumstances
 
-        record = {**circumstances(), "beads": cells**2, "steps": steps, "step": STEP, "codes": table}
+        record = {
+            **circumstances(),
+            "beads": cells**2,
+            "steps": steps,
+            "step": STEP,
+            "codes": table,
+        }
         (HERE / "packing.json").write_text(json.dumps(record, indent=1) + "\n")
         chart(table)
 
@@ -230,12 +277,17 @@ def chart(table):
     """Nanoseconds per bead and force of every code."""
     from granjax.plots.style import figure, save, style
 
-    rows = {name: row["ns_per_bead_and_force"] for name, row in table.items() if "missing" not in row}
+    rows = {
+        name: row["ns_per_bead_and_force"] for name, row in table.items() if "missing" not in row
+    }
     with style():
         made = figure(5.4, 2.6)
         ax = made.subplots()
-        bars = ax.barh(list(rows)[::-1], list(rows.values())[::-1],
-                       color=["#0072B2" if name.startswith("granjax") else "0.6" for name in rows][::-1])
+        bars = ax.barh(
+            list(rows)[::-1],
+            list(rows.values())[::-1],
+            color=["#0072B2" if name.startswith("granjax") else "0.6" for name in rows][::-1],
+        )
         ax.bar_label(bars, fmt="%.1f", padding=3)
         ax.set_xlabel("ns per bead and force, one core")
         ax.margins(x=0.12)

@@ -48,25 +48,41 @@ AGREEMENT = 1e-2
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="shorter scenes, few points; numbers mean nothing")
-    parser.add_argument("--only", nargs="*", choices=list(SCENES), default=list(SCENES), help="these scenes alone")
-    parser.add_argument("--kinds", nargs="*", choices=peers.KINDS, default=peers.KINDS, help="these peers alone")
+    parser.add_argument(
+        "--quick", action="store_true", help="shorter scenes, few points; numbers mean nothing"
+    )
+    parser.add_argument(
+        "--only", nargs="*", choices=list(SCENES), default=list(SCENES), help="these scenes alone"
+    )
+    parser.add_argument(
+        "--kinds", nargs="*", choices=peers.KINDS, default=peers.KINDS, help="these peers alone"
+    )
     parser.add_argument("--out", type=Path, help="folder for precision.json and the charts")
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--draw", action="store_true", help="only the charts, from the JSON that is there")
+    parser.add_argument(
+        "--draw", action="store_true", help="only the charts, from the JSON that is there"
+    )
     options = parser.parse_args()
     folder = options.out or (None if options.quick else HERE)
     if options.draw:
         for name, scene in json.loads((folder / "precision.json").read_text())["scenes"].items():
             chart(scene, folder / f"precision_{name}.png")
         return
-    result = {**machine(), "peers": versions(), "quick": options.quick, "load": os.getloadavg(), "scenes": {}}
+    result = {
+        **machine(),
+        "peers": versions(),
+        "quick": options.quick,
+        "load": os.getloadavg(),
+        "scenes": {},
+    }
     for name in options.only:
         result["scenes"][name] = measured(name, options)
         print(words(name, result["scenes"][name]), flush=True)
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-            (folder / "precision.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+            (folder / "precision.json").write_text(
+                json.dumps(result, indent=1, allow_nan=False) + "\n"
+            )
             chart(result["scenes"][name], folder / f"precision_{name}.png")
     away = [x for scene in result["scenes"].values() for x in scene["disagreeing"]]
     if away:
@@ -76,19 +92,34 @@ def main():
 def measured(name, options):
     """All points of a scene, and what follows from them."""
     scene = problem(SCENES[name], options.quick)
-    found, left_out = peers.gather(peers.Chain.of(scene.lattice, scene.state, scene.t1, scene.smooth), options.kinds)
-    ladders = [*own(scene, options.quick), *(others(scene, *x, options.quick) for x in found.items())]
+    found, left_out = peers.gather(
+        peers.Chain.of(scene.lattice, scene.state, scene.t1, scene.smooth), options.kinds
+    )
+    ladders = [
+        *own(scene, options.quick),
+        *(others(scene, *x, options.quick) for x in found.items()),
+    ]
     repeats = 1 if options.quick else options.repeats
     table = measure(
-        ladders, tuple(scene.reference), scene.uncertainty, repeats, longest=LONGEST[name], note=scene.note,
+        ladders,
+        tuple(scene.reference),
+        scene.uncertainty,
+        repeats,
+        longest=LONGEST[name],
+        note=scene.note,
     ).to_dict()
     # `machine` says it once for all scenes
     del table["machine"]
     ratios = [p["seconds"] / p["fastest"] for p in table["points"] if p["drawn"]]
     return {
-        "title": scene.title, "t1": scene.t1, "left_out": left_out, "disagreeing": disagreeing(table, ladders),
-        "median_over_fastest": float(np.median(ratios)), "figures": figures(table, "seconds"),
-        "figures_of_fastest": figures(table, "fastest"), **table,
+        "title": scene.title,
+        "t1": scene.t1,
+        "left_out": left_out,
+        "disagreeing": disagreeing(table, ladders),
+        "median_over_fastest": float(np.median(ratios)),
+        "figures": figures(table, "seconds"),
+        "figures_of_fastest": figures(table, "fastest"),
+        **table,
     }
 
 
@@ -96,7 +127,11 @@ def disagreeing(table, ladders):
     """The methods that never come near the reference, though no time was short."""
     methods, tried = by_method(table), {ladder.name: len(ladder.values) for ladder in ladders}
     nearest = {name: min(p["error"] or np.inf for p in points) for name, points in methods.items()}
-    return [name for name, error in nearest.items() if not error < AGREEMENT and len(methods[name]) == tried[name]]
+    return [
+        name
+        for name, error in nearest.items()
+        if not error < AGREEMENT and len(methods[name]) == tried[name]
+    ]
 
 
 def problem(name, quick):
@@ -111,27 +146,41 @@ def problem(name, quick):
 
 def own(scene, quick):
     """granjax through `simulate`: splitting methods at fixed steps, Nystrom pairs with step control."""
+
     def of(solver, parameter):
         def call(value):
-            run = gx.simulate(scene.lattice, scene.state, scene.t1, solver=solver, **{parameter: value})
+            run = gx.simulate(
+                scene.lattice, scene.state, scene.t1, solver=solver, **{parameter: value}
+            )
             return run.final, run.stats["force_evaluations"], run.stats["steps"]
 
         return call
 
     for name in SPLITTING:
-        yield Ladder(f"granjax {name}", "step", steps(scene, name, quick), of(getattr(gx, name)(), "step"), True)
+        yield Ladder(
+            f"granjax {name}",
+            "step",
+            steps(scene, name, quick),
+            of(getattr(gx, name)(), "step"),
+            True,
+        )
     for name in ("RKN86", "RKN1210"):
         solver, values = getattr(gx, name)(), [QUICK_TOLERANCE] if quick else TOLERANCES
         yield Ladder(f"granjax {name}", "tolerance", values, of(solver, "tolerance"), True)
         if scene.smooth:
             fixed = of(solver, "step")
-            yield Ladder(f"granjax {name}, fixed step", "step", steps(scene, name, quick), fixed, True)
+            yield Ladder(
+                f"granjax {name}, fixed step", "step", steps(scene, name, quick), fixed, True
+            )
         if scene.lattice.lanes:
-            yield Ladder(f"granjax {name}, vmap", "tolerance", values, lane_by_lane(scene, solver), True)
+            yield Ladder(
+                f"granjax {name}, vmap", "tolerance", values, lane_by_lane(scene, solver), True
+            )
 
 
 def lane_by_lane(scene, solver):
     """A step of its own for every lane, by `jax.vmap` over `simulate`."""
+
     def one(lattice, state, tolerance):
         return gx.simulate(lattice, state, scene.t1, solver=solver, tolerance=tolerance).final
 
@@ -151,7 +200,9 @@ def others(scene, name, peer, quick):
 
 def steps(scene, name, quick):
     """Steps that divide the time, from the stability limit down."""
-    limit = stable_step(getattr(gx, name)(), highest_frequency(scene.lattice, scene.state, 0.0, scene.t1))
+    limit = stable_step(
+        getattr(gx, name)(), highest_frequency(scene.lattice, scene.state, 0.0, scene.t1)
+    )
     order = getattr(gx, name).table().order
     order = order if scene.smooth else min(OPENING, order)
     ladder = FIRST_STEP * limit * 10.0 ** (-RUNG * np.arange(MOST_STEPS) / order)
@@ -173,9 +224,13 @@ def words(name, scene):
     """Who is first, for the terminal."""
     lines = [f"{name}: {scene['title']}, t = {scene['t1']:g}"]
     for error, row in scene["figures"].items():
-        times = ", ".join(f"{family} {1e3 * x['seconds']:.3g} ms" for family, x in row["families"].items())
+        times = ", ".join(
+            f"{family} {1e3 * x['seconds']:.3g} ms" for family, x in row["families"].items()
+        )
         lines.append(f"  {error}: first {row['first']}; {times}")
-    return "\n".join(lines + [f"  left out: {kind}: {why}" for kind, why in scene["left_out"].items()])
+    return "\n".join(
+        lines + [f"  left out: {kind}: {why}" for kind, why in scene["left_out"].items()]
+    )
 
 
 if __name__ == "__main__":

@@ -135,8 +135,20 @@ def scene(name: str) -> Scene:
     lattice, state = recipe.build(data)
     reference = data.matrix if recipe.tangents else gx.State(*unfolded(data, lattice.shape[0]))
     horizon = f"Horizon: t = {recipe.t1:g}, where a disturbance of the start is {data.growth:.2g} times what it was."
-    return Scene(name, recipe.title, f"{recipe.note} {horizon}", lattice, state, 0.0, recipe.t1, reference,
-                 data.uncertainty, data.growth, recipe.smooth, recipe.tangents)
+    return Scene(
+        name,
+        recipe.title,
+        f"{recipe.note} {horizon}",
+        lattice,
+        state,
+        0.0,
+        recipe.t1,
+        reference,
+        data.uncertainty,
+        data.growth,
+        recipe.smooth,
+        recipe.tangents,
+    )
 
 
 def _struck(lattice, velocity=1.0):
@@ -163,15 +175,20 @@ def _driven():
     # a cosine a quarter of a period late: the wall starts from rest position
     motion = gx.Harmonic(0.1, 1.0, -np.pi / 2)
     terms = (
-        gx.Bond(gx.Shift(1, "free"), contact), gx.Wall(contact, "left", motion=motion), gx.Wall(contact, "right"),
-        gx.Damping(0.02), gx.Dashpot(gx.Shift(1, "free"), 0.05),
+        gx.Bond(gx.Shift(1, "free"), contact),
+        gx.Wall(contact, "left", motion=motion),
+        gx.Wall(contact, "right"),
+        gx.Damping(0.02),
+        gx.Dashpot(gx.Shift(1, "free"), 0.05),
     )
     lattice = gx.Lattice(mass, terms)
     return lattice, gx.states.rest(lattice)
 
 
 def _modulated(data):
-    bond = gx.Modulated(gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), gx.Harmonic(0.1, 1.875, mean=1.0))
+    bond = gx.Modulated(
+        gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), gx.Harmonic(0.1, 1.875, mean=1.0)
+    )
     return _started(gx.Lattice(1.0, (bond,), sites=63), data)
 
 
@@ -186,67 +203,107 @@ _SHOCK_NOTE = (
 
 RECIPES = {
     "impact": Recipe(
-        "Impact on 100 beads between walls, no precompression", "Bead 0 is struck with v = 1. " + _IMPACT,
-        lambda data: _struck(gx.scenes.monomer(100)), 120.0, smooth=False),
+        "Impact on 100 beads between walls, no precompression",
+        "Bead 0 is struck with v = 1. " + _IMPACT,
+        lambda data: _struck(gx.scenes.monomer(100)),
+        120.0,
+        smooth=False,
+    ),
     "impact_free": Recipe(
         "Impact on 100 beads with free ends, no precompression",
         "Bead 0 is struck with v = 1; at the far end beads fly off. " + _IMPACT,
-        lambda data: _struck(gx.scenes.monomer(100, boundary="free")), 120.0, smooth=False),
+        lambda data: _struck(gx.scenes.monomer(100, boundary="free")),
+        120.0,
+        smooth=False,
+    ),
     "smooth": Recipe(
         "Precompressed random chain, 128 beads",
         "Displacements uniform in +-0.1 of the static overlap, at rest, rigid walls: no contact opens, so that every "
         "method has its full order, and a long run shows what rounding leaves.",
-        lambda data: _started(gx.scenes.monomer(128, precompression=1.0), data), 2000.0),
+        lambda data: _started(gx.scenes.monomer(128, precompression=1.0), data),
+        2000.0,
+    ),
     "dimer_sweep": Recipe(
         "Impact on 256 dimers of 60 beads as lanes, mass ratios 0.2 ... 1",
         "Heavy bead 0 struck with v = 1, no precompression, rigid walls: the sweep for resonances and anti-resonances, "
         "until the pulse is about two thirds down the chain. Light beads rattle, each lane at its own times. Source: "
         "Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).",
-        lambda data: _sweep(), 40.0, smooth=False),
+        lambda data: _sweep(),
+        40.0,
+        smooth=False,
+    ),
     "monodromy": Recipe(
         "Monodromy of a gap breather in a dimer of 81 beads",
         "One period of the breather of frequency 0.985 sqrt(3) centred on the light bead 40, unstable with a real "
         "multiplier 1.1266; masses 1 and 2.957949, precompressed, constant force at both ends. Source: Theocharis et "
         "al., Phys. Rev. E 82, 056604 (2010).",
-        lambda data: _started(gx.scenes.pattern(81, (LIGHT, HEAVY), precompression=1.0, boundary="free"), data),
-        float(2 * np.pi / BREATHER_FREQUENCY), tangents=True),
+        lambda data: _started(
+            gx.scenes.pattern(81, (LIGHT, HEAVY), precompression=1.0, boundary="free"), data
+        ),
+        float(2 * np.pi / BREATHER_FREQUENCY),
+        tangents=True,
+    ),
     "toda_soliton": Recipe(
         "One Toda soliton, 100 sites",
         "k = 1, from site 27 to 74; the reference is the closed form. Source: Toda, J. Phys. Soc. Japan 22, 431 "
         "(1967).",
-        lambda data: _started(gx.scenes.toda(100), data), 40.0),
-    "toda_shock_1e4": Recipe("Toda velocity shock, ten thousand sites", _SHOCK_NOTE, lambda data: _shock(10000), 200.0),
-    "toda_shock_1e5": Recipe("Toda velocity shock, a hundred thousand sites", _SHOCK_NOTE, lambda data: _shock(100000),
-                             50.0),
+        lambda data: _started(gx.scenes.toda(100), data),
+        40.0,
+    ),
+    "toda_shock_1e4": Recipe(
+        "Toda velocity shock, ten thousand sites", _SHOCK_NOTE, lambda data: _shock(10000), 200.0
+    ),
+    "toda_shock_1e5": Recipe(
+        "Toda velocity shock, a hundred thousand sites",
+        _SHOCK_NOTE,
+        lambda data: _shock(100000),
+        50.0,
+    ),
     "fput": Recipe(
         "Recurrence of Fermi, Pasta, Ulam and Tsingou",
         "31 moving masses, alpha = 1/4, first mode with a = 1, until 98.13 % of the energy is back in it. Long and "
         "nearly regular: phase errors show. Source: Los Alamos report LA-1940 (1955).",
-        lambda data: _started(gx.scenes.fput(31), data), 9376.5),
+        lambda data: _started(gx.scenes.fput(31), data),
+        9376.5,
+    ),
     "driven": Recipe(
         "Damped chain driven by a wall, 41 beads",
         "Dimer of mass ratio 0.338, precompressed, left wall at 0.1 sin t, damping 0.02 of each bead and dashpots "
         "0.05 between them, from rest: forces that read the velocity, which splitting methods do not take. Source: "
         "Hoogeboom et al., EPL 101, 44003 (2013), for the setting.",
-        lambda data: _driven(), 100.0),
+        lambda data: _driven(),
+        100.0,
+    ),
     "light_dimer": Recipe(
         "Dimer of mass ratio 0.01, 61 beads",
         "Precompressed, rigid walls, a long wave of three half waves and amplitude 1/2: the light beads follow, their "
         "own frequency 17.4 paces the step, ten times that of all that moves much.",
-        lambda data: _started(gx.scenes.dimer(61, ratio=0.01, precompression=1.0), data), 100.0),
+        lambda data: _started(gx.scenes.dimer(61, ratio=0.01, precompression=1.0), data),
+        100.0,
+    ),
     "softening": Recipe(
         "Impact on a softening chain, exponent 1/2, 100 beads",
         "Precompressed, free ends, bead 0 struck with v = 0.5. Contacts stay closed; where one opened it would be "
         "infinitely stiff. Source: Herbold, Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).",
-        lambda data: _struck(gx.scenes.monomer(100, exponent=0.5, precompression=1.0, boundary="free"), 0.5), 100.0),
+        lambda data: _struck(
+            gx.scenes.monomer(100, exponent=0.5, precompression=1.0, boundary="free"), 0.5
+        ),
+        100.0,
+    ),
     "magnets": Recipe(
         "Impact on a chain of repelling magnets, exponent -3, 100 sites",
         "Static force 1, free ends, site 0 struck with v = 1. Source: Mehrem, Jimenez, Salmeron-Contreras et al., "
         "Phys. Rev. E 96, 012208 (2017), for the setting.",
-        lambda data: _struck(gx.scenes.monomer(100, exponent=-3, precompression=1.0, boundary="free"), 1.0), 50.0),
+        lambda data: _struck(
+            gx.scenes.monomer(100, exponent=-3, precompression=1.0, boundary="free"), 1.0
+        ),
+        50.0,
+    ),
     "modulated": Recipe(
         "Chain with contacts modulated in time, 63 beads",
         "Precompressed, rigid walls; all stiffnesses times 1 + 0.1 cos(1.875 t), twice the frequency of the sixteenth "
         "sine, from which it starts with amplitude 0.02 and which grows.",
-        _modulated, 100.0),
+        _modulated,
+        100.0,
+    ),
 }

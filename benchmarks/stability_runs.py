@@ -11,10 +11,23 @@ import numpy as np
 import granjax as gx
 from granjax.solvers import stability
 
-SYMPLECTIC = (gx.VelocityVerlet, gx.SRKN6b, gx.SRKN11b, gx.SRKN14a, gx.KahanLi8, gx.SofroniouSpaletta10)
+SYMPLECTIC = (
+    gx.VelocityVerlet,
+    gx.SRKN6b,
+    gx.SRKN11b,
+    gx.SRKN14a,
+    gx.KahanLi8,
+    gx.SofroniouSpaletta10,
+)
 PAIRS = (gx.RKN86, gx.RKN1210)
 RUNGE_KUTTA = (diffrax.Heun, diffrax.Bosh3, diffrax.Tsit5, diffrax.Dopri5, diffrax.Dopri8)
-OTHERS = (diffrax.Euler, diffrax.Midpoint, diffrax.Ralston, diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)
+OTHERS = (
+    diffrax.Euler,
+    diffrax.Midpoint,
+    diffrax.Ralston,
+    diffrax.LeapfrogMidpoint,
+    diffrax.ReversibleHeun,
+)
 EVERY = SYMPLECTIC + PAIRS + RUNGE_KUTTA + OTHERS
 
 
@@ -33,8 +46,17 @@ def states(lattice, state, solver, t1, step, times):
 
 def _solve(lattice, state, solver, t1, step, saveat):
     return diffrax.diffeqsolve(
-        diffrax.ODETerm(gx.vector_field), solver, 0.0, t1, step, state, args=lattice, saveat=saveat, max_steps=None,
-        adjoint=diffrax.ForwardMode(), throw=False,
+        diffrax.ODETerm(gx.vector_field),
+        solver,
+        0.0,
+        t1,
+        step,
+        state,
+        args=lattice,
+        saveat=saveat,
+        max_steps=None,
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
     ).ys
 
 
@@ -64,7 +86,9 @@ def table(solvers, phase=1e5, sites=16, max_steps=400_000):
         row = {**line._asdict(), "windows": [w._asdict() for w in line.windows[:4]]}
         for name, z in (("inside", 0.99 * line.limit), ("outside", outside)):
             row[name] = _confirmed(chain, top, omega, solver, z, phase, max_steps)
-        row["refused"] = [_refusal(chain, omega, solver, part * line.refused_from) for part in (0.999, 1.001)]
+        row["refused"] = [
+            _refusal(chain, omega, solver, part * line.refused_from) for part in (0.999, 1.001)
+        ]
         rows.append(row)
     return rows
 
@@ -83,7 +107,10 @@ def _confirmed(chain, top, omega, solver, z, phase, max_steps):
     ends = [(chosen[k][np.argmax(amplitude[k])], amplitude[k].max()) for k in (early, late)]
     measured = np.log(ends[1][1] / ends[0][1]) / ((ends[1][0] - ends[0][0]) * z)
     return {
-        "h_omega": z, "steps": steps, "growth": rate, "measured_growth": float(measured),
+        "h_omega": z,
+        "steps": steps,
+        "growth": rate,
+        "measured_growth": float(measured),
         "largest_ratio": float(amplitude.max() / amplitude[:1].max()),
     }
 
@@ -91,7 +118,9 @@ def _confirmed(chain, top, omega, solver, z, phase, max_steps):
 def _refusal(chain, omega, solver, z):
     step = z / omega
     try:
-        gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 2 * step, solver=solver(), step=step)
+        gx.simulate(
+            chain, gx.State(chain.zeros(), chain.zeros()), 2 * step, solver=solver(), step=step
+        )
     except ValueError as error:
         return str(error)
 
@@ -99,7 +128,9 @@ def _refusal(chain, omega, solver, z):
 # finite amplitude ------------------------------------------------------------------------------------------------
 
 FRACTIONS = (
-    (0.6, 0.65, 0.7, 0.725, 0.75), (0.8, 0.85, 0.9, 0.94, 0.97), (0.99, 1.01, 1.03, 1.1, 1.2),
+    (0.6, 0.65, 0.7, 0.725, 0.75),
+    (0.8, 0.85, 0.9, 0.94, 0.97),
+    (0.99, 1.01, 1.03, 1.1, 1.2),
     (1.4, 1.6, 1.8, 2.2, 3.0),
 )
 AMPLITUDES = (0.01, 0.03, 0.1, 0.2)
@@ -130,7 +161,9 @@ def finite_amplitude(make, solver, sites, t1, groups=FRACTIONS, amplitudes=AMPLI
         state = gx.State(jnp.asarray(shape[:, None] * size.ravel()), jnp.zeros((sites, size.size)))
         steps = float(np.ceil(t1 / ratios.min()))
         times = np.linspace(0, steps, 301)
-        E = np.asarray(energies(in_lanes(make, ratios), state, solver(), steps, 1.0, jnp.asarray(times)))
+        E = np.asarray(
+            energies(in_lanes(make, ratios), state, solver(), steps, 1.0, jnp.asarray(times))
+        )
         error = np.abs(E / E[0] - 1)
         error = np.where(np.isfinite(error), error, np.inf)
         counted = times[:, None] * ratios <= t1 * (1 + 1e-12)
@@ -138,8 +171,13 @@ def finite_amplitude(make, solver, sites, t1, groups=FRACTIONS, amplitudes=AMPLI
     errors, fractions = np.concatenate(errors, 1), np.concatenate(groups)
     lost = [[float(f) for f in fractions[row >= LOST]] for row in errors]
     return {
-        "solver": solver.__name__, "limit": limit, "fractions": fractions.tolist(), "amplitudes": list(amplitudes),
-        "error": errors.tolist(), "lost": lost, "lost_at": [min(row) if row else None for row in lost],
+        "solver": solver.__name__,
+        "limit": limit,
+        "fractions": fractions.tolist(),
+        "amplitudes": list(amplitudes),
+        "error": errors.tolist(),
+        "lost": lost,
+        "lost_at": [min(row) if row else None for row in lost],
     }
 
 
@@ -164,8 +202,15 @@ def long_energy(solver, amplitude, sites, t1, costs=COSTS, starts=3, frames=1001
         row = {"solver": solver.__name__, "cost": cost, "step": step}
         try:
             runs = [
-                gx.simulate(lattice, gx.State(jnp.asarray(u), jnp.zeros(sites)), t1, solver=solver(), step=step,
-                            save_at=frames, throw=True)
+                gx.simulate(
+                    lattice,
+                    gx.State(jnp.asarray(u), jnp.zeros(sites)),
+                    t1,
+                    solver=solver(),
+                    step=step,
+                    save_at=frames,
+                    throw=True,
+                )
                 for u in shapes
             ]
             E = np.stack([_total_energy(lattice, gx.State(run.us, run.vs)) for run in runs], 1)
@@ -193,9 +238,11 @@ def trend(ts, error, blocks=BLOCKS):
     rest = error - e.mean(0) - (ts - t.mean())[:, None] * slope
     errors = slope.std(ddof=1), np.sqrt((fit**2).mean())
     return {
-        "drift": float(slope.mean() * span), "drift_error": float(max(errors) * span / np.sqrt(error.shape[1])),
+        "drift": float(slope.mean() * span),
+        "drift_error": float(max(errors) * span / np.sqrt(error.shape[1])),
         "drifts": (slope * span).tolist(),
-        "band": float(np.sqrt((rest**2).mean())), "largest": float(np.abs(error).max()),
+        "band": float(np.sqrt((rest**2).mean())),
+        "largest": float(np.abs(error).max()),
     }
 
 
@@ -227,8 +274,12 @@ def resonances(solver, low, count, steps, blocks=24, per=256):
     largest, slow = np.abs(e).max(0), np.ptp(means, axis=0)
     found = expected(solver, z, omega / omega[-1])
     return {
-        "solver": solver.__name__, "h_omega": z.tolist(), "largest": _listed(largest), "slow": _listed(slow),
-        "expected": found, "peaks": peaks(z, slow, found),
+        "solver": solver.__name__,
+        "h_omega": z.tolist(),
+        "largest": _listed(largest),
+        "slow": _listed(slow),
+        "expected": found,
+        "peaks": peaks(z, slow, found),
     }
 
 
@@ -245,7 +296,9 @@ def expected(solver, z, ratios):
         total = theta @ np.array(c) / (2 * np.pi)
         for n in range(1, HIGHEST_ORDER):
             past = total - n
-            for k in np.flatnonzero(past[:-1] * past[1:] < 0) if np.gcd.reduce([*c, n]) == 1 else ():
+            for k in (
+                np.flatnonzero(past[:-1] * past[1:] < 0) if np.gcd.reduce([*c, n]) == 1 else ()
+            ):
                 place = z[k] + (z[k + 1] - z[k]) * past[k] / (past[k] - past[k + 1])
                 rows.append({"order": order, "c": list(c), "n": n, "h_omega": float(place)})
     return sorted(rows, key=lambda row: row["h_omega"])
@@ -260,18 +313,28 @@ def peaks(z, slow, found, half=0.06, factor=5.0, apart=0.006, near=0.002):
     values = np.where(lost, 0, slow)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
     rows = [
-        {"h_omega": float((z[i] + z[j - 1]) / 2), "height": None, "gap": [float(z[i]), float(z[j - 1])]}
+        {
+            "h_omega": float((z[i] + z[j - 1]) / 2),
+            "height": None,
+            "gap": [float(z[i]), float(z[j - 1])],
+        }
         for i, j in zip(edges[::2], edges[1::2])
     ]
     for k in np.flatnonzero(~lost):
         beside = np.abs(z - z[k]) <= apart
         base = np.median(values[np.abs(z - z[k]) <= half])
-        if values[k] == values[beside].max() and values[k] > factor * base and not lost[beside].any():
+        if (
+            values[k] == values[beside].max()
+            and values[k] > factor * base
+            and not lost[beside].any()
+        ):
             rows.append({"h_omega": float(z[k]), "height": float(values[k] / base)})
     for row in rows:
         low, high = row.get("gap", [row["h_omega"]] * 2)
         next_to = [e for e in found if low - near <= e["h_omega"] <= high + near]
-        row["expected"] = min(next_to, key=lambda e: (e["order"], abs(e["h_omega"] - row["h_omega"])), default=None)
+        row["expected"] = min(
+            next_to, key=lambda e: (e["order"], abs(e["h_omega"] - row["h_omega"])), default=None
+        )
     return sorted(rows, key=lambda row: row["h_omega"])
 
 

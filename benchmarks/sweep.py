@@ -46,8 +46,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few lanes; numbers mean nothing")
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--draw", action="store_true", help="only the chart, from the JSON that is there")
-    parser.add_argument("--only", choices=("lanes", "workers"), help="one half; the other stays as it is in the JSON")
+    parser.add_argument(
+        "--draw", action="store_true", help="only the chart, from the JSON that is there"
+    )
+    parser.add_argument(
+        "--only",
+        choices=("lanes", "workers"),
+        help="one half; the other stays as it is in the JSON",
+    )
     parser.add_argument("--lanes", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.lanes:
@@ -63,12 +69,16 @@ def main():
         result[f"load_at_{name}"] = os.getloadavg()
         result[name] = halves[name]()
     for row in result["lanes"]:
-        print("{lanes:5d} lanes  {seconds:7.1f} s  {nanoseconds:.2f} ns, small batch {batch:.2f}: {ratio:.2f}  "
-              "{megabytes:.0f} MB".format(**row))
+        print(
+            "{lanes:5d} lanes  {seconds:7.1f} s  {nanoseconds:.2f} ns, small batch {batch:.2f}: {ratio:.2f}  "
+            "{megabytes:.0f} MB".format(**row)
+        )
     for name, row in result["workers"].items():
         free, own = max(row["busy_loops"]), row["processor"]
-        print(f"{name}: two workers {row['gain']:.2f} times one (two busy loops {free:.2f}), processor time of a chunk "
-              f"{own:.2f} times one's, {row['overhead']:.1%} beside the chunks")
+        print(
+            f"{name}: two workers {row['gain']:.2f} times one (two busy loops {free:.2f}), processor time of a chunk "
+            f"{own:.2f} times one's, {row['overhead']:.1%} beside the chunks"
+        )
     if not options.quick:
         (HERE / "sweep.json").write_text(json.dumps(result, indent=1) + "\n")
         drawn(result)
@@ -77,7 +87,10 @@ def main():
 def pulse(ratio, t1):
     chain = gx.scenes.dimer(BEADS, ratio=ratio)
     run = gx.simulate(chain, gx.states.impact(chain), t1)
-    return {"energy": gx.measures.site_energy(chain, run.final)[-1], "forces": run.stats["force_evaluations"]}
+    return {
+        "energy": gx.measures.site_energy(chain, run.final)[-1],
+        "forces": run.stats["force_evaluations"],
+    }
 
 
 def costs(options):
@@ -91,7 +104,9 @@ def costs(options):
 def cost(lanes, t1):
     """Seconds of processor time per bead, lane and force, of a sweep and of a small batch; peak memory."""
     ratios = np.linspace(LOW, HIGH, lanes)
-    batch = jax.vmap(lambda x: gx.scenes.dimer(BEADS, ratio=x), out_axes=-1)(ratios[:: max(lanes // BATCH, 1)][:BATCH])
+    batch = jax.vmap(lambda x: gx.scenes.dimer(BEADS, ratio=x), out_axes=-1)(
+        ratios[:: max(lanes // BATCH, 1)][:BATCH]
+    )
     state = gx.states.impact(batch)
     function = partial(pulse, t1=t1)
     small = []
@@ -103,7 +118,9 @@ def cost(lanes, t1):
         small.append((time.process_time() - begin) / (BEADS * batch.lanes[0] * forces) * 1e9)
 
     small_batch()
-    gx.sweep(function, {"ratio": ratios[:SIZE]}, progress=False, chunk=SIZE)  # compiles, as the batch before
+    gx.sweep(
+        function, {"ratio": ratios[:SIZE]}, progress=False, chunk=SIZE
+    )  # compiles, as the batch before
     for _ in range(3):
         small_batch()
     begin, cpu = time.perf_counter(), time.process_time()
@@ -113,9 +130,18 @@ def cost(lanes, t1):
         small_batch()
     own = times[1] / (BEADS * float(data.forces.sum())) * 1e9
     wanted = statistics.median(small[1:])
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
-    return {"lanes": lanes, "seconds": times[0], "processor_seconds": times[1], "nanoseconds": own, "batch": wanted,
-            "ratio": own / wanted, "megabytes": peak}
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
+        1e6 if sys.platform == "darwin" else 1e3
+    )
+    return {
+        "lanes": lanes,
+        "seconds": times[0],
+        "processor_seconds": times[1],
+        "nanoseconds": own,
+        "batch": wanted,
+        "ratio": own / wanted,
+        "megabytes": peak,
+    }
 
 
 def busy(_):
@@ -165,14 +191,18 @@ def workers(options):
             walled(function, points, executor)
         turns, free = [], []
         for _ in range(rounds):
-            turns.append({name: [walled(function, points, x) for x in pair] for name, pair in pairs.items()})
+            turns.append(
+                {name: [walled(function, points, x) for x in pair] for name, pair in pairs.items()}
+            )
             free.append(gain_of_busy(one, two))
     for name in pairs:
         own = [turn[name] for turn in turns]
         found[name] = {
-            "gain": statistics.median(one[0] / two[0] for one, two in own), "gains": [o[0] / t[0] for o, t in own],
+            "gain": statistics.median(one[0] / two[0] for one, two in own),
+            "gains": [o[0] / t[0] for o, t in own],
             "overhead": statistics.median(one[0] / one[1] - 1 for one, _ in own),
-            "chunk_seconds": min(one[1] for one, _ in own) / CHUNKS, "busy_loops": free,
+            "chunk_seconds": min(one[1] for one, _ in own) / CHUNKS,
+            "busy_loops": free,
             # of a chunk beside another one, over that of one by itself: 1 where workers share nothing but the cores
             "processor": statistics.median(two[2] / one[2] for one, two in own),
         }
@@ -197,7 +227,9 @@ def drawn(result):
         rows, few = result["lanes"], result["workers"]
         lanes = [row["lanes"] for row in rows]
         axes[0].plot(lanes, [row["nanoseconds"] for row in rows], "o-", label="sweep, all cores")
-        axes[0].plot(lanes, [row["batch"] for row in rows], "s--", label=f"batch of {BATCH}, one core")
+        axes[0].plot(
+            lanes, [row["batch"] for row in rows], "s--", label=f"batch of {BATCH}, one core"
+        )
         axes[0].set_ylabel("processor time [ns]")
         axes[0].set_title("per bead, lane and force")
         axes[1].plot(lanes, [row["megabytes"] for row in rows], "o-")
@@ -214,8 +246,13 @@ def drawn(result):
         free = few["processes"]["busy_loops"]
         axes[2].plot([len(few)] * len(free), free, "s", color="0.5")
         for k, row in enumerate(few.values()):
-            axes[2].text(k, 0.15, f"{max(row['overhead'], 0):.1%} beside\nchunks of {row['chunk_seconds']:.0f} s",
-                         ha="center", fontsize=8)
+            axes[2].text(
+                k,
+                0.15,
+                f"{max(row['overhead'], 0):.1%} beside\nchunks of {row['chunk_seconds']:.0f} s",
+                ha="center",
+                fontsize=8,
+            )
         axes[2].axhline(2.0, color="0.7", linewidth=1)
         axes[2].set_xticks(range(len(few) + 1), [*few, "busy loops"])
         axes[2].set_xlim(-0.6, len(few) + 0.4)

@@ -39,13 +39,21 @@ class Page(HTMLParser):
         for key in ("href", "src"):
             if found.get(key):
                 self.links.append(found[key])
-                if (tag, key) in LOADED and found.get("rel") not in ("search", "next", "prev", "index", "author"):
+                if (tag, key) in LOADED and found.get("rel") not in (
+                    "search",
+                    "next",
+                    "prev",
+                    "index",
+                    "author",
+                ):
                     self.loaded.append(found[key])
 
 
 def problems(site: Path) -> list[str]:
     """What is wrong with a built site, a line each."""
-    pages = {path.resolve(): Page(path) for path in site.rglob("*.html") if "_static" not in path.parts}
+    pages = {
+        path.resolve(): Page(path) for path in site.rglob("*.html") if "_static" not in path.parts
+    }
     wrong = []
     for path, page in pages.items():
         where = path.relative_to(site.resolve())
@@ -56,7 +64,11 @@ def problems(site: Path) -> list[str]:
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if not target.exists():
                 wrong.append(f"{where}: no file for {link}")
-            elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].names:
+            elif (
+                parts.fragment
+                and target in pages
+                and unquote(parts.fragment) not in pages[target].names
+            ):
                 wrong.append(f"{where}: nothing is called {link}")
         own = path.stat().st_size
         for link in dict.fromkeys(page.loaded):
@@ -71,13 +83,22 @@ def problems(site: Path) -> list[str]:
     with (site / "objects.inv").open("rb") as f:
         known = InventoryFile.load(f, "", lambda base, uri: uri)
     listed = {name for kind, names in known.items() if kind.startswith("py:") for name in names}
-    wrong += [f"{page}.{name} is not in the reference" for page, name, _ in public.objects(gx)
-              if f"{page}.{name}" not in listed]
+    wrong += [
+        f"{page}.{name} is not in the reference"
+        for page, name, _ in public.objects(gx)
+        if f"{page}.{name}" not in listed
+    ]
     made = json.loads(examples.MADE.read_text())
-    wrong += [f"{name} of the gallery has no page" for name in made if not (site / "gallery" / f"{name}.html").exists()]
+    wrong += [
+        f"{name} of the gallery has no page"
+        for name in made
+        if not (site / "gallery" / f"{name}.html").exists()
+    ]
     shown = " ".join((site / "gallery" / f"{name}.html").read_text() for name in made)
     words = re.sub(r"&#x27;|’", "'", shown)
-    return wrong + [f"{system} is not in the gallery" for system in examples.systems() if system not in words]
+    return wrong + [
+        f"{system} is not in the gallery" for system in examples.systems() if system not in words
+    ]
 
 
 if __name__ == "__main__":

@@ -42,9 +42,16 @@ html_copy_source = False
 # excerpts are cut from the pages that are found, all of which are loaded for it: 5 MB
 html_show_search_summary = False
 html_theme_options = {
-    "show_prev_next": False, "navigation_with_keys": False, "show_nav_level": 1, "navigation_depth": 2,
-    "header_links_before_dropdown": 6, "secondary_sidebar_items": ["page-toc"], "footer_start": ["copyright"],
-    "footer_end": [], "navbar_persistent": ["search-button"], "navbar_end": ["theme-switcher"],
+    "show_prev_next": False,
+    "navigation_with_keys": False,
+    "show_nav_level": 1,
+    "navigation_depth": 2,
+    "header_links_before_dropdown": 6,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "navbar_persistent": ["search-button"],
+    "navbar_end": ["theme-switcher"],
     "pygments_light_style": "tango",
 }
 html_sidebars = {"index": [], "gallery/index": [], "start": []}

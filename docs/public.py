@@ -12,11 +12,19 @@ def names_of(module: ModuleType) -> list[str]:
         return list(module.__all__)
     package = hasattr(module, "__path__")
     own = {name: x for name, x in vars(module).items() if not name.startswith("_")}
-    return [name for name, x in own.items() if (inspect.isclass(x) or inspect.isfunction(x))
-            and (x.__module__.startswith(module.__name__) if package else x.__module__ == module.__name__)]
+    return [
+        name
+        for name, x in own.items()
+        if (inspect.isclass(x) or inspect.isfunction(x))
+        and (
+            x.__module__.startswith(module.__name__) if package else x.__module__ == module.__name__
+        )
+    ]
 
 
-def modules(module: ModuleType, name: str = "gx", known: set | None = None) -> Iterator[tuple[str, ModuleType]]:
+def modules(
+    module: ModuleType, name: str = "gx", known: set | None = None
+) -> Iterator[tuple[str, ModuleType]]:
     """(name, module) of a public module and of all public ones within it, each once."""
     known = set() if known is None else known
     known.add(module.__name__)
@@ -33,7 +41,11 @@ def objects(module: ModuleType) -> list[tuple[str, str, Any]]:
     for page, where in modules(module):
         for name in names_of(where):
             x = getattr(where, name)
-            if callable(x) and getattr(x, "__module__", "").startswith("granjax") and id(x) not in seen:
+            if (
+                callable(x)
+                and getattr(x, "__module__", "").startswith("granjax")
+                and id(x) not in seen
+            ):
                 seen.add(id(x))
                 found.append((page, name, x))
     return found

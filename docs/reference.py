@@ -42,8 +42,12 @@ class Names:
         self.known = {f"{page}.{name}" for page, name, _ in self.objects}
         # where else a name can be reached: `gx.breathers.Orbit` and `gx.orbits.Orbit` are one
         self.first = {id(value): f"{page}.{name}" for page, name, value in self.objects}
-        self.same = {f"{page}.{name}": self.first[id(getattr(module, name))] for page, module in self.modules.items()
-                     for name in public.names_of(module) if id(getattr(module, name)) in self.first}
+        self.same = {
+            f"{page}.{name}": self.first[id(getattr(module, name))]
+            for page, module in self.modules.items()
+            for name in public.names_of(module)
+            if id(getattr(module, name)) in self.first
+        }
 
     def link(self, text: str, page: str, own: set[str]) -> str:
         """A word of code, as a link where it names something public that is not an argument of its own."""
@@ -105,8 +109,17 @@ def _arguments(value, names):
         if group and group[0].arg in ("self", "cls"):
             del group[0]
     # defaults of what was left stay at the end
-    result = f" -> {ast.unparse(tree.returns)}" if tree.returns is not None and tree.name != "__init__" else ""
-    every = [*args.posonlyargs, *args.args, *args.kwonlyargs, *filter(None, (args.vararg, args.kwarg))]
+    result = (
+        f" -> {ast.unparse(tree.returns)}"
+        if tree.returns is not None and tree.name != "__init__"
+        else ""
+    )
+    every = [
+        *args.posonlyargs,
+        *args.args,
+        *args.kwonlyargs,
+        *filter(None, (args.vararg, args.kwarg)),
+    ]
     return f"({ast.unparse(args)}){result}", {a.arg for a in every}
 
 
@@ -114,7 +127,12 @@ def signature(value: Any, names: Names) -> tuple[str, set[str]]:
     """Arguments with their types, as they are written in the source, and their names; of records no arguments."""
     if not inspect.isclass(value):
         return _arguments(value, names)
-    own = {k for c in value.__mro__ if c.__module__.startswith("granjax") for k in vars(c).get("__annotations__", {})}
+    own = {
+        k
+        for c in value.__mro__
+        if c.__module__.startswith("granjax")
+        for k in vars(c).get("__annotations__", {})
+    }
     if issubclass(value, gx.Result) and "__init__" not in vars(value):
         return "", own
     for kind in value.__mro__:
@@ -124,9 +142,14 @@ def signature(value: Any, names: Names) -> tuple[str, set[str]]:
             return text, own | more
     if dataclasses.is_dataclass(value) or hasattr(value, "_fields"):
         qualified = Qualified(value.__module__, names.first)
-        rows = [f"{n.target.id}: {ast.unparse(qualified.visit(n.annotation))}" for n in _tree(value).body
-                if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)
-                and not n.target.id.startswith("_") and "ClassVar" not in ast.unparse(n.annotation)]
+        rows = [
+            f"{n.target.id}: {ast.unparse(qualified.visit(n.annotation))}"
+            for n in _tree(value).body
+            if isinstance(n, ast.AnnAssign)
+            and isinstance(n.target, ast.Name)
+            and not n.target.id.startswith("_")
+            and "ClassVar" not in ast.unparse(n.annotation)
+        ]
         return f"({', '.join(rows)})", own
     return "", own
 
@@ -149,7 +172,9 @@ def members(value: type) -> list[tuple[str, str, Any]]:
 def _entry(page, name, value, names):
     text, own = signature(value, names)
     kind = "class" if inspect.isclass(value) else "function"
-    body = inspect.cleandoc((vars(value).get("__doc__") if kind == "class" else value.__doc__) or "")
+    body = inspect.cleandoc(
+        (vars(value).get("__doc__") if kind == "class" else value.__doc__) or ""
+    )
     lines = [f"::::{{py:{kind}}} {page}.{name}{text}", "", prose(body, page, own | {name}, names)]
     for sort, inner, function in members(value) if kind == "class" else ():
         if sort == "property":
@@ -164,7 +189,9 @@ def _entry(page, name, value, names):
 
 def summary(value: Any, page: str, names: Names) -> str:
     """The first sentence of a docstring, on one line."""
-    text = inspect.cleandoc((vars(value).get("__doc__") if inspect.isclass(value) else value.__doc__) or "")
+    text = inspect.cleandoc(
+        (vars(value).get("__doc__") if inspect.isclass(value) else value.__doc__) or ""
+    )
     first = " ".join(text.partition("\n\n")[0].split())
     return _line(first, page, set(), names).replace("|", r"\|")
 
@@ -180,27 +207,45 @@ def page(name: str, module: ModuleType, names: Names) -> str:
     lines = [f"# {name}", "", prose(intro, name, set(), names)]
     inner = [other for other in names.modules if other.rpartition(".")[0] == name and name != "gx"]
     if inner:
-        lines += ["Modules: " + ", ".join(f"{{doc}}`{m} </reference/{m}>`" for m in inner) + ".", ""]
-    elsewhere = [(n, names.same[f"{name}.{n}"]) for n in public.names_of(module) if f"{name}.{n}" in names.same
-                 and names.same[f"{name}.{n}"] != f"{name}.{n}"]
+        lines += [
+            "Modules: " + ", ".join(f"{{doc}}`{m} </reference/{m}>`" for m in inner) + ".",
+            "",
+        ]
+    elsewhere = [
+        (n, names.same[f"{name}.{n}"])
+        for n in public.names_of(module)
+        if f"{name}.{n}" in names.same and names.same[f"{name}.{n}"] != f"{name}.{n}"
+    ]
     if own:
         lines += ["| name | what |", "|---|---|"]
-        lines += [f"| {{py:obj}}`{n} <{name}.{n}>` | {summary(value, name, names)} |" for n, value in own]
+        lines += [
+            f"| {{py:obj}}`{n} <{name}.{n}>` | {summary(value, name, names)} |" for n, value in own
+        ]
         lines += [""]
     if elsewhere:
-        lines += ["Also here: " + ", ".join(f"{{py:obj}}`{n} <{full}>`" for n, full in elsewhere) + ".", ""]
+        lines += [
+            "Also here: " + ", ".join(f"{{py:obj}}`{n} <{full}>`" for n, full in elsewhere) + ".",
+            "",
+        ]
     return "\n".join(lines + [_entry(name, n, value, names) for n, value in own])
 
 
 def overview(names: Names) -> str:
     """All names by what they are for: the table in the docstring of granjax."""
-    lines = ["# Reference", "", "Every public name, its types and an example. In the examples `gx` is granjax,",
-             "`np` NumPy, `jnp` `jax.numpy`, `plt` `matplotlib.pyplot`. What the words of the types mean is [on a page",
-             "of its own](types).", ""]
+    lines = [
+        "# Reference",
+        "",
+        "Every public name, its types and an example. In the examples `gx` is granjax,",
+        "`np` NumPy, `jnp` `jax.numpy`, `plt` `matplotlib.pyplot`. What the words of the types mean is [on a page",
+        "of its own](types).",
+        "",
+    ]
     for line in gx.__doc__.partition("`help(gx.simulate)`")[2].splitlines()[1:]:
         row = re.match(r"    (\w+)\s+(.*)", line)
         if row:
-            lines.append(f"| {names.link(f'gx.{row[1]}', 'gx', set())} | {_line(row[2], 'gx', set(), names)} |")
+            lines.append(
+                f"| {names.link(f'gx.{row[1]}', 'gx', set())} | {_line(row[2], 'gx', set(), names)} |"
+            )
         elif line.strip():
             lines += ["", f"## {line.strip()}", "", "| name | what |", "|---|---|"]
     listed = "\n".join(["types", *names.modules])
@@ -212,9 +257,19 @@ def type_words() -> str:
     source = ast.parse(inspect.getsource(words)).body
     lines = ["# Types", "", inspect.getdoc(words), ""]
     for node, said in zip(source, source[1:]):
-        if isinstance(node, ast.AnnAssign) and isinstance(said, ast.Expr) and isinstance(said.value, ast.Constant):
-            lines += [f":::{{py:type}} gx.types.{node.target.id}", f":canonical: {ast.unparse(node.value)}", "",
-                      said.value.value, ":::", ""]
+        if (
+            isinstance(node, ast.AnnAssign)
+            and isinstance(said, ast.Expr)
+            and isinstance(said.value, ast.Constant)
+        ):
+            lines += [
+                f":::{{py:type}} gx.types.{node.target.id}",
+                f":canonical: {ast.unparse(node.value)}",
+                "",
+                said.value.value,
+                ":::",
+                "",
+            ]
     return "\n".join(lines)
 
 

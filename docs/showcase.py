@@ -15,8 +15,16 @@ sys.path.insert(0, str(HERE / "gallery"))
 import examples  # noqa: E402
 
 PARTS = (
-    "Lattices", "Travelling waves", "Breathers", "Shocks", "Beyond the granular chain", "Disorder and losses",
-    "Topology and flat bands", "The plane", "Data", "Devices",
+    "Lattices",
+    "Travelling waves",
+    "Breathers",
+    "Shocks",
+    "Beyond the granular chain",
+    "Disorder and losses",
+    "Topology and flat bands",
+    "The plane",
+    "Data",
+    "Devices",
 )
 # a card is at most 260 wide, and screens have more points than that
 THUMB = (420, 290)
@@ -34,7 +42,9 @@ def write(docs: Path) -> None:
     pages = {f"{name}.md": _page(one, made[name]) for name, one in known.items()}
     keep(docs / "gallery", {"index.md": _sheet(known), **pages})
     (docs / "gallery" / "sheet.txt").write_text("\n".join(sheet(known, "/gallery/", "###")))
-    (docs / "review" / "index.md").write_text(_review(json.loads((docs / "review" / "made.json").read_text())))
+    (docs / "review" / "index.md").write_text(
+        _review(json.loads((docs / "review" / "made.json").read_text()))
+    )
     _notebooks(docs)
 
 
@@ -54,31 +64,68 @@ def sheet(known: dict, root: str = "", mark: str = "##") -> list[str]:
             continue
         lines += [f"{mark} {part}", "", "::::{grid} 2 3 4 4", ":gutter: 2", ""]
         for one in inside:
-            lines += [f":::{{grid-item-card}} {one.title}", f":link: {root}{one.name}", ":link-type: doc",
-                      f":img-top: {root}thumbs/{one.name}.webp", f":img-alt: {one.title}", ":class-card: thumb", ":::",
-                      ""]
+            lines += [
+                f":::{{grid-item-card}} {one.title}",
+                f":link: {root}{one.name}",
+                ":link-type: doc",
+                f":img-top: {root}thumbs/{one.name}.webp",
+                f":img-alt: {one.title}",
+                ":class-card: thumb",
+                ":::",
+                "",
+            ]
         lines += ["::::", ""]
     return lines
 
 
 def _sheet(known):
     head = [
-        "# Gallery", "", f"Every system that the review *Dynamics of Nonlinear Lattices* names, each in at most "
-        f"{examples.MOST_LINES} lines: {len(known)} scripts,", "each with a picture and one number beside its source.",
-        "", "```{toctree}", ":hidden:", *known, "```", "",
+        "# Gallery",
+        "",
+        f"Every system that the review *Dynamics of Nonlinear Lattices* names, each in at most "
+        f"{examples.MOST_LINES} lines: {len(known)} scripts,",
+        "each with a picture and one number beside its source.",
+        "",
+        "```{toctree}",
+        ":hidden:",
+        *known,
+        "```",
+        "",
     ]
     return "\n".join(head + sheet(known))
 
 
 def _page(one, made):
-    return "\n".join([
-        f"# {one.title}", "", one.words, "", f"```{{image}} pictures/{one.name}.png", f":alt: {one.title}", "```", "",
-        "```{list-table}", f"* - {one.number}", f"  - {made['number']:.10g}", "* - expected",
-        f"  - {one.expected:.10g}, within {one.within:.2g}", "* - source", f"  - {one.source}", "* - time",
-        f"  - {made['seconds']:.0f} s on one core, compiling included", "* - systems",
-        f"  - {', '.join(one.systems)}", "```", "", f"```{{literalinclude}} {one.name}.py", ":language: python",
-        f":lines: {_begin(one)}-", "```", "",
-    ])
+    return "\n".join(
+        [
+            f"# {one.title}",
+            "",
+            one.words,
+            "",
+            f"```{{image}} pictures/{one.name}.png",
+            f":alt: {one.title}",
+            "```",
+            "",
+            "```{list-table}",
+            f"* - {one.number}",
+            f"  - {made['number']:.10g}",
+            "* - expected",
+            f"  - {one.expected:.10g}, within {one.within:.2g}",
+            "* - source",
+            f"  - {one.source}",
+            "* - time",
+            f"  - {made['seconds']:.0f} s on one core, compiling included",
+            "* - systems",
+            f"  - {', '.join(one.systems)}",
+            "```",
+            "",
+            f"```{{literalinclude}} {one.name}.py",
+            ":language: python",
+            f":lines: {_begin(one)}-",
+            "```",
+            "",
+        ]
+    )
 
 
 def _begin(one):
@@ -91,19 +138,42 @@ def _begin(one):
 def _review(made):
     """The scripts of the review's figures, with their pictures and numbers."""
     lines = [
-        "# The review's figures", "",
+        "# The review's figures",
+        "",
         "The sixteen figures of *Dynamics of Nonlinear Lattices* (C. Chong and P. G. Kevrekidis), each",
         "computed anew by a script of its own, with its numbers beside what is expected of them.",
         "`python docs/review/fig2_2.py` makes one, `python docs/review/all.py` all of them, and with",
-        "`--check` it only compares the numbers.", "", "```{contents}", ":local:", ":depth: 1", "```", "",
+        "`--check` it only compares the numbers.",
+        "",
+        "```{contents}",
+        ":local:",
+        ":depth: 1",
+        "```",
+        "",
     ]
     for name, rows in made.items():
         code = (HERE / "review" / f"{name}.py").read_text()
         title, _, words = ast.get_docstring(ast.parse(code)).partition(".\n\n")
-        lines += [f"## {title}", "", words, "", f"```{{image}} {name}.webp", f":alt: {title}", "```", ""]
+        lines += [
+            f"## {title}",
+            "",
+            words,
+            "",
+            f"```{{image}} {name}.webp",
+            f":alt: {title}",
+            "```",
+            "",
+        ]
         lines += ["| | computed | expected | within |", "|---|---|---|---|"]
         lines += ["| {} | {:.10g} | {:.10g} | {:.2g} |".format(*row) for row in rows]
-        lines += ["", f":::{{dropdown}} {name}.py", f"```{{literalinclude}} {name}.py", "```", ":::", ""]
+        lines += [
+            "",
+            f":::{{dropdown}} {name}.py",
+            f"```{{literalinclude}} {name}.py",
+            "```",
+            ":::",
+            "",
+        ]
     return "\n".join(lines)
 
 
@@ -121,6 +191,15 @@ def _notebooks(docs):
     for old in folder.glob("*.ipynb"):
         if old.stem not in names:
             old.unlink()
-    page = ["# Notebooks", "", "One published result each, with its number; shown as they ran.", "", "```{toctree}",
-            ":maxdepth: 1", *names, "```", ""]
+    page = [
+        "# Notebooks",
+        "",
+        "One published result each, with its number; shown as they ran.",
+        "",
+        "```{toctree}",
+        ":maxdepth: 1",
+        *names,
+        "```",
+        "",
+    ]
     (folder / "index.md").write_text("\n".join(page))

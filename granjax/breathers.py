@@ -11,8 +11,22 @@ from .orbits.guesses import bright_guess, dark_guess
 from .orbits.localised import Localisation, localisation
 
 __all__ = [
-    "Backbone", "Bifurcation", "Branch", "GapBreather", "Localisation", "Orbit", "anticontinuous",
-    "backbone", "bands_of", "bifurcations",
-    "breather", "bright_guess", "dark_guess", "family", "guesses", "k_gap_breather", "localisation",
+    "Backbone",
+    "Bifurcation",
+    "Branch",
+    "GapBreather",
+    "Localisation",
+    "Orbit",
+    "anticontinuous",
+    "backbone",
+    "bands_of",
+    "bifurcations",
+    "breather",
+    "bright_guess",
+    "dark_guess",
+    "family",
+    "guesses",
+    "k_gap_breather",
+    "localisation",
     "resonant_harmonic",
 ]

@@ -23,7 +23,9 @@ def refuse(argument: str, expected: str, got: str, remedy: str = "") -> NoReturn
 
     ValueError: `argument: expected ..., got .... remedy`
     """
-    raise ValueError(f"{argument}: expected {expected}, got {got}." + (f" {remedy}" if remedy else "")) from None
+    raise ValueError(
+        f"{argument}: expected {expected}, got {got}." + (f" {remedy}" if remedy else "")
+    ) from None
 
 
 def concrete(x: Any) -> np.ndarray | None:
@@ -68,7 +70,12 @@ def unmasked(argument: str, x: Any) -> Any:
     """`x`, with nothing hidden under a mask that would be read all the same."""
     if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x):
         missing = f"{np.ma.count_masked(x)} of {x.size} masked"
-        refuse(argument, "numbers without a mask", missing, "Where NaN may stand for what is missing: .filled(np.nan).")
+        refuse(
+            argument,
+            "numbers without a mask",
+            missing,
+            "Where NaN may stand for what is missing: .filled(np.nan).",
+        )
     return x
 
 
@@ -89,7 +96,12 @@ def _real(argument, x, expected="real numbers"):
         kind = ""
     unmasked(argument, x)
     if kind == "c":
-        refuse(argument, "real numbers", f"{array.dtype}", "Take .real or abs() of them, whichever is meant.")
+        refuse(
+            argument,
+            "real numbers",
+            f"{array.dtype}",
+            "Take .real or abs() of them, whichever is meant.",
+        )
     if kind not in "fiu" or not kind:
         refuse(argument, expected, described(x), "Give a number or an array of numbers.")
     return array
@@ -109,7 +121,9 @@ def parameter(argument: str, x: Any) -> jax.Array:
             array = jnp.asarray(raw, dtype=float)
     value = concrete(array)
     if value is not None and not np.all(np.isfinite(value)):
-        refuse(argument, "finite numbers", show(value), "Look for NaN or infinity in what you pass.")
+        refuse(
+            argument, "finite numbers", show(value), "Look for NaN or infinity in what you pass."
+        )
     return array
 
 
@@ -132,7 +146,13 @@ def non_negative(argument: str, x: Any, remedy: str = "") -> jax.Array:
 
 
 def within(
-    argument: str, x: Any, low: float, high: float, *, open_low: bool = False, open_high: bool = False,
+    argument: str,
+    x: Any,
+    low: float,
+    high: float,
+    *,
+    open_low: bool = False,
+    open_high: bool = False,
     remedy: str = "",
 ) -> jax.Array:
     """A parameter inside an interval; a bracket that is open excludes its end."""
@@ -153,16 +173,22 @@ def broadcast(**arrays: Any) -> None:
     try:
         np.broadcast_shapes(*shapes.values())
     except ValueError:
-        refuse(" and ".join(shapes), "shapes that broadcast", " and ".join(map(str, shapes.values())))
+        refuse(
+            " and ".join(shapes), "shapes that broadcast", " and ".join(map(str, shapes.values()))
+        )
 
 
-def per_lane(argument: str, x: Any, lanes: tuple[int, ...], check: Callable = parameter) -> jax.Array:
+def per_lane(
+    argument: str, x: Any, lanes: tuple[int, ...], check: Callable = parameter
+) -> jax.Array:
     """A parameter of a whole lattice: one number, or one per lane; `check`: what else each must be."""
     array = check(argument, x)
     if array.shape not in ((), lanes):
         wanted = "one number" + (f", or one per lane, shape {lanes}" if lanes else "")
-        remedy = ("For many at once: jax.vmap(lambda x: ..., out_axes=-1)(values), or a batch of lattices. What "
-                  "differs from site to site is written into the state.")
+        remedy = (
+            "For many at once: jax.vmap(lambda x: ..., out_axes=-1)(values), or a batch of lattices. What "
+            "differs from site to site is written into the state."
+        )
         refuse(argument, wanted, f"shape {array.shape}", remedy)
     return array
 
@@ -173,14 +199,21 @@ def tolerance(argument: str, x: Any, most: float = 0.1, typical: float = 1e-8) -
         return x
     value = _real(argument, x)
     if value.ndim or not 0 < value < most:
-        refuse(argument, f"one number above 0 and below {most:g}", show(value), f"Typical: {typical:g}.")
+        refuse(
+            argument,
+            f"one number above 0 and below {most:g}",
+            show(value),
+            f"Typical: {typical:g}.",
+        )
     return float(value)
 
 
 def nearest(name: str, options: Iterable, most: int = 1) -> str:
     """A question for the options whose names are nearest to a misspelt one; empty where none is near."""
     lowered = {str(option).lower(): option for option in options}
-    near = [lowered[n] for n in difflib.get_close_matches(name.lower(), lowered, n=most, cutoff=0.6)]
+    near = [
+        lowered[n] for n in difflib.get_close_matches(name.lower(), lowered, n=most, cutoff=0.6)
+    ]
     return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
@@ -227,7 +260,14 @@ def random_key(seed: Any, remedy: str = "") -> jax.Array:
             return jax.random.wrap_key_data(seed)
         if jnp.issubdtype(seed.dtype, jnp.integer) and seed.ndim == 0:
             return jax.random.key(seed)
-        refuse("seed", "one whole number or one JAX key", f"an array of {seed.dtype}, shape {seed.shape}", remedy)
+        refuse(
+            "seed",
+            "one whole number or one JAX key",
+            f"an array of {seed.dtype}, shape {seed.shape}",
+            remedy,
+        )
     if not is_whole(seed):
-        refuse("seed", "a whole number or a JAX key", described(seed), "Equal seeds give equal draws.")
+        refuse(
+            "seed", "a whole number or a JAX key", described(seed), "Equal seeds give equal draws."
+        )
     return jax.random.key(int(seed))

@@ -45,7 +45,12 @@ class _Place(eqx.Module):
 
 
 def descend(
-    cost: Callable, both: Callable, size: int, optimiser: object, max_steps: int, tolerance: Scalar,
+    cost: Callable,
+    both: Callable,
+    size: int,
+    optimiser: object,
+    max_steps: int,
+    tolerance: Scalar,
 ) -> Descent:
     """Steps of an optimiser from x = 0 (size,) until one of the reasons to end.
 
@@ -67,10 +72,16 @@ def descend(
         step, state = optimiser.update(gradient, old.state, x, **extra)
         if search:
             # memory is of no use where the curvature is not positive: there, as at the start, a short step downhill
-            uphill = (jnp.vdot(x - old.x, gradient - old.gradient) <= 0) | (jnp.vdot(step, gradient) >= 0)
-            down = -SHORT * gradient / jnp.maximum(jnp.linalg.norm(gradient), jnp.finfo(x.dtype).tiny)
+            uphill = (jnp.vdot(x - old.x, gradient - old.gradient) <= 0) | (
+                jnp.vdot(step, gradient) >= 0
+            )
+            down = (
+                -SHORT * gradient / jnp.maximum(jnp.linalg.norm(gradient), jnp.finfo(x.dtype).tiny)
+            )
             again = optimiser.update(gradient, optimiser.init(x), x)[1]
-            step, state = jax.tree.map(lambda new, old: jnp.where(uphill, new, old), (down, again), (step, state))
+            step, state = jax.tree.map(
+                lambda new, old: jnp.where(uphill, new, old), (down, again), (step, state)
+            )
         return _Place(x, value, gradient, step, state)
 
     def visit(carry):
@@ -87,12 +98,22 @@ def descend(
         better = accepted & finite & ((value < best[0]) | first)
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), (value, x), best)
         # the parabola through both values and the slope, within limits
-        shorter = part * jnp.clip(jnp.nan_to_num(-slope / (2 * (value - place.value - slope))), 0.1, 0.5)
+        shorter = part * jnp.clip(
+            jnp.nan_to_num(-slope / (2 * (value - place.value - slope))), 0.1, 0.5
+        )
         part = jnp.where(accepted, 1.0, shorter)
         code = jnp.select(
-            [first & ~finite, first & (norm == 0), accepted & ~finite,
-             accepted & (norm <= tolerance * largest) & ~first, part < SHORTEST, accepted & (i >= max_steps)],
-            [NO_START, NO_GRADIENT, NOT_FINITE, CONVERGED, STALLED, SPENT], -1)
+            [
+                first & ~finite,
+                first & (norm == 0),
+                accepted & ~finite,
+                accepted & (norm <= tolerance * largest) & ~first,
+                part < SHORTEST,
+                accepted & (i >= max_steps),
+            ],
+            [NO_START, NO_GRADIENT, NOT_FINITE, CONVERGED, STALLED, SPENT],
+            -1,
+        )
         onward = leave(place, x, value, gradient)
         place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), onward, place)
         return place, part, tried + 1, i + accepted, best, largest, start, code, values, norms
@@ -101,5 +122,7 @@ def descend(
     place = _Place(zero, jnp.inf, zero, zero, optimiser.init(zero))
     carry = (place, 1.0, 0, 0, (jnp.inf, zero), 0.0, zero, -1, none, none)
     carry = jax.tree.map(jnp.asarray, carry)
-    _, _, _, i, (least, x), _, start, code, values, norms = jax.lax.while_loop(lambda c: c[7] < 0, visit, carry)
+    _, _, _, i, (least, x), _, start, code, values, norms = jax.lax.while_loop(
+        lambda c: c[7] < 0, visit, carry
+    )
     return Descent(x, least, values, norms, start, i - 1, code)

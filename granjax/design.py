@@ -39,8 +39,11 @@ class Design(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "history": Held("point"), "gradient_norm": Held("point"), "start_gradient": Held("parameter"),
-        "every": Held("start"), "names": Held("parameter", "", "parameter"),
+        "history": Held("point"),
+        "gradient_norm": Held("point"),
+        "start_gradient": Held("parameter"),
+        "every": Held("start"),
+        "names": Held("parameter", "", "parameter"),
     }
     parameters: dict[str, Numbers]
     value: Float[AnyArray, ""]
@@ -58,22 +61,26 @@ class Design(Result):
         """What became of it, in a sentence or two."""
         code, slopes = int(self.code), np.asarray(self.start_gradient)
         if code == NO_GRADIENT:
-            return ("The gradient is exactly zero at the start: the objective does not feel the parameters there. Look "
-                    "for a contact that never closes, a run that ends too early or a measure that is a step, and start "
-                    "elsewhere.")
+            return (
+                "The gradient is exactly zero at the start: the objective does not feel the parameters there. Look "
+                "for a contact that never closes, a run that ends too early or a measure that is a step, and start "
+                "elsewhere."
+            )
         if code == NO_START:
             which = _listed(self.names, ~np.isfinite(slopes)) or "no parameter"
-            return (f"The start is not finite: the objective is {float(self.start_value):.6g}, its gradient is not "
-                    f"finite in {which}.")
+            return (
+                f"The start is not finite: the objective is {float(self.start_value):.6g}, its gradient is not "
+                f"finite in {which}."
+            )
         went = f"the objective went from {float(self.start_value):.6g} to {float(self.value):.6g}"
         left = np.asarray(self.gradient_norm)[int(self.iterations)] / np.abs(slopes).max()
         sentence = {
             CONVERGED: f"Converged: {went} in {int(self.iterations)} steps, the gradient is {left:.0e} of the start's.",
             STALLED: f"No step is better: {went} in {int(self.iterations)} steps, the gradient is {left:.0e} of the "
-                     "start's (a kink or the floor of rounding).",
+            "start's (a kink or the floor of rounding).",
             SPENT: f"The {int(self.iterations)} steps are spent: {went}, the gradient is {left:.0e} of the start's.",
             NOT_FINITE: f"Stopped where the objective is not finite: {went} in {int(self.iterations)} steps. "
-                        "Give bounds.",
+            "Give bounds.",
         }[code]
         still = _listed(self.names, slopes == 0)
         return sentence + (f" At the start it does not feel {still}." if still else "")
@@ -85,9 +92,18 @@ class Design(Result):
 
 
 def design(
-    objective: Callable[[Any], Any], start: dict[str, Parameter], *, bounds: Bounds = None, maximise: bool = False,
-    optimiser: object = None, max_steps: Count = 200, tolerance: Scalar = 1e-6, mode: str | None = None,
-    starts: Count | Sequence[dict[str, Parameter]] | None = None, seed: Count = 0, throw: bool = True,
+    objective: Callable[[Any], Any],
+    start: dict[str, Parameter],
+    *,
+    bounds: Bounds = None,
+    maximise: bool = False,
+    optimiser: object = None,
+    max_steps: Count = 200,
+    tolerance: Scalar = 1e-6,
+    mode: str | None = None,
+    starts: Count | Sequence[dict[str, Parameter]] | None = None,
+    seed: Count = 0,
+    throw: bool = True,
 ) -> Design:
     r"""Parameters that minimise (maximise) an objective, by its gradient.
 
@@ -131,8 +147,10 @@ def design(
     tolerance = jnp.asarray(checked_tolerance("tolerance", tolerance))
     if coordinates.sizeless:
         coordinates = coordinates.sized(*_first(objective, coordinates, mode))
-    ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
-            for start in (coordinates, *_others(coordinates, bounds, starts, seed))]
+    ends = [
+        _solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
+        for start in (coordinates, *_others(coordinates, bounds, starts, seed))
+    ]
     every = np.array([end.value if end.code < NO_GRADIENT else np.nan for end in ends])
     best = ends[int(np.argmin(np.nan_to_num(-every if maximise else every, nan=np.inf)))]
     found = eqx.tree_at(lambda d: d.every, best, jnp.asarray(every, best.value.dtype))
@@ -141,7 +159,9 @@ def design(
     return found
 
 
-def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ...] | None = None) -> Numbers:
+def smooth_peak(
+    values: Parameter, power: Scalar = 40, axis: int | tuple[int, ...] | None = None
+) -> Numbers:
     r"""Smooth largest value of positive quantities, such as forces: the p-norm (mean [v]_+^p)^{1/p}.
 
     Between the mean and the largest value. Where two peaks change places the largest has a kink, which this rounds
@@ -175,8 +195,16 @@ def _others(coordinates, bounds, starts, seed):
     if starts is None:
         return []
     if isinstance(starts, (list, tuple)):
-        return [Coordinates({name: jnp.broadcast_to(start[name], x.shape) for name, x in coordinates.start.items()},
-                            bounds) for start in starts]
+        return [
+            Coordinates(
+                {
+                    name: jnp.broadcast_to(start[name], x.shape)
+                    for name, x in coordinates.start.items()
+                },
+                bounds,
+            )
+            for start in starts
+        ]
     draws = np.random.default_rng(seed).normal(size=(starts, coordinates.size))
     return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]
 
@@ -188,11 +216,17 @@ def _listed(names, which):
 
 def _with_gradient(objective, coordinates, maximise, mode):
     """The cost of free coordinates, less is better, and its value with the gradient by the mode."""
+
     def cost(x):
         value = jnp.asarray(objective(coordinates.parameters(x)))
         if value.ndim or not jnp.issubdtype(value.dtype, jnp.floating):
             remedy = "Reduce it, such as by .sum() or smooth_peak."
-            refuse("objective", "a function that gives one real number", f"one that gives {described(value)}", remedy)
+            refuse(
+                "objective",
+                "a function that gives one real number",
+                f"one that gives {described(value)}",
+                remedy,
+            )
         return -value if maximise else value
 
     def forward(x):
@@ -213,5 +247,15 @@ def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mo
     cost, both = _with_gradient(objective, coordinates, maximise, mode)
     found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
     sign = -1.0 if maximise else 1.0
-    return Design(coordinates.parameters(found.x), sign * found.least, sign * found.values[0], sign * found.values,
-                  found.norms, found.start, found.iterations, found.least, found.code, tuple(coordinates.names))
+    return Design(
+        coordinates.parameters(found.x),
+        sign * found.least,
+        sign * found.values[0],
+        sign * found.values,
+        found.norms,
+        found.start,
+        found.iterations,
+        found.least,
+        found.code,
+        tuple(coordinates.names),
+    )

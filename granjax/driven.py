@@ -7,5 +7,14 @@ from .orbits.lyapunov import Lyapunov, lyapunov
 from .orbits.sweep import Jump, Sweep, Way, sweep
 
 __all__ = [
-    "Attractor", "Bifurcation", "Jump", "Lyapunov", "Sweep", "Way", "driven_chain", "lyapunov", "settle", "sweep",
+    "Attractor",
+    "Bifurcation",
+    "Jump",
+    "Lyapunov",
+    "Sweep",
+    "Way",
+    "driven_chain",
+    "lyapunov",
+    "settle",
+    "sweep",
 ]

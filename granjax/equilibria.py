@@ -42,9 +42,14 @@ class Equilibrium(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "state": Held("site ...", STATE), "loads": Held("site ...", "N"), "ends": Held("end", "N"),
-        "residual": Held("", "N"), "largest": Held("", "N"), "stiffness": Held("", "N/m"),
-        "error": Held("", "N/m"), "lattice": Held(None),
+        "state": Held("site ...", STATE),
+        "loads": Held("site ...", "N"),
+        "ends": Held("end", "N"),
+        "residual": Held("", "N"),
+        "largest": Held("", "N"),
+        "stiffness": Held("", "N/m"),
+        "error": Held("", "N/m"),
+        "lattice": Held(None),
     }
     state: State
     loads: Displacements
@@ -80,8 +85,10 @@ class Equilibrium(Result):
         if not self.found:
             return f"No state of rest was found: {left}. {self._code}"
         kind = {
-            "stable": "A stable state of rest", "unstable": "A saddle, no stable state of rest (start from another "
-            "`guess`, moved along the mode that grows)", "undecided": "A state of rest; whether it is stable is not "
+            "stable": "A stable state of rest",
+            "unstable": "A saddle, no stable state of rest (start from another "
+            "`guess`, moved along the mode that grows)",
+            "undecided": "A state of rest; whether it is stable is not "
             "known, as its least stiffness is zero to rounding",
         }[self.verdict]
         if self.stiffness is None:
@@ -139,8 +146,13 @@ def _shaped(lattice, x):
 
 
 def equilibrium(
-    lattice: Lattice, *, hold: str | Sequence = "ends", loads: Displacements | None = None,
-    guess: Displacements | State | None = None, max_steps: Count = 50, throw: bool | None = None,
+    lattice: Lattice,
+    *,
+    hold: str | Sequence = "ends",
+    loads: Displacements | None = None,
+    guess: Displacements | State | None = None,
+    max_steps: Count = 50,
+    throw: bool | None = None,
 ) -> Equilibrium:
     r"""The state of rest of any lattice: displacements where all forces vanish, and the loads that hold it.
 
@@ -175,14 +187,26 @@ def equilibrium(
     """
     problem = _posed(_still(lattice), hold, loads, guess)
     if problem.guess.size > DENSE:
-        return _result(problem, problem.guess, None, f"More than {DENSE} displacements are not solved for.", throw)
+        return _result(
+            problem,
+            problem.guess,
+            None,
+            f"More than {DENSE} displacements are not solved for.",
+            throw,
+        )
     x = problem.guess
     for _ in range(2):
         # forces at the guess may be far above those at rest: the second time counts
         largest, scale = jax.lax.stop_gradient(_sizes(problem, x))
         problem = eqx.tree_at(lambda p: p.scale, problem, scale)
-        root = newton(_residual, jax.lax.stop_gradient(x), problem, tolerance=TIGHT / 4 * largest,
-                      max_steps=max_steps, throw=False)
+        root = newton(
+            _residual,
+            jax.lax.stop_gradient(x),
+            problem,
+            tolerance=TIGHT / 4 * largest,
+            max_steps=max_steps,
+            throw=False,
+        )
         x = root.x
     code = "" if traced(root) or root.converged else root.outcome
     return _result(problem, x, root.jacobian, code, throw)
@@ -190,8 +214,12 @@ def equilibrium(
 
 def _still(lattice):
     if lattice.lanes:
-        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}",
-               "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).")
+        refuse(
+            "lattice",
+            "one lattice",
+            f"a batch with lanes {lattice.lanes}",
+            "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).",
+        )
     return eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
 
 
@@ -200,13 +228,20 @@ def _posed(lattice, hold, loads, guess):
     loads = lattice.zeros() if loads is None else loads
     _check_shape(lattice, "guess", start)
     _check_shape(lattice, "loads", loads)
-    start, own = (ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), x))[0] for x in (start, loads))
+    start, own = (
+        ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), x))[0]
+        for x in (start, loads)
+    )
     # what is known before tracing stays NumPy's
     none, nothing = np.zeros(start.size, bool), np.zeros((start.size, 0), start.dtype)
     problem = _Problem(lattice, own, own, none, start, nothing, jnp.ones((), start.dtype))
     if not traced(problem) and not np.all(np.isfinite(_total_of(problem, start))):
-        refuse("guess", "displacements at which every force is finite", "others",
-               "Magnets that touch have no force: start where all of them are apart.")
+        refuse(
+            "guess",
+            "displacements at which every force is finite",
+            "others",
+            "Magnets that touch have no force: start where all of them are apart.",
+        )
     moves, edges, acts = _free_moves(problem), _edges(problem), np.False_
     if isinstance(hold, str):
         one_of("hold", hold, HOLDS)
@@ -218,7 +253,9 @@ def _posed(lattice, hold, loads, guess):
     if np.any(holds):
         moves, holds = moves * acts, holds & ~acts
     dead = none if hold == "nothing" else edges & ~holds
-    return eqx.tree_at(lambda p: (p.loads, p.holds, p.free), problem, (_loaded(lattice, own, dead), holds, moves))
+    return eqx.tree_at(
+        lambda p: (p.loads, p.holds, p.free), problem, (_loaded(lattice, own, dead), holds, moves)
+    )
 
 
 def _balanced(loads, holds, moves):
@@ -266,7 +303,9 @@ def _ones(s, at):
 def _edges(problem):
     """The outermost sites of all axes that do not go around, but those at a wall of a chain, as one row."""
     lattice = problem.lattice
-    walls = {side for term in lattice.terms for side in term.walls()} if lattice.axes == 1 else set()
+    walls = (
+        {side for term in lattice.terms for side in term.walls()} if lattice.axes == 1 else set()
+    )
     edges = np.zeros(problem.guess.size, bool)
     for axis in range(lattice.axes):
         sides = [name for name, end in (("left", 0), ("right", -1)) if name not in walls]
@@ -287,7 +326,9 @@ def _goes_around(problem, axis):
     lattice = problem.lattice
     size = min(s.shape[axis] for s in jax.tree.leaves(lattice.template()))
     first, middle, last = (_slab(lattice, axis, end) for end in (0, size // 2, -1))
-    push = np.where(first, np.random.default_rng(0).uniform(1, 2, first.size), 0).astype(lattice.dtype)
+    push = np.where(first, np.random.default_rng(0).uniform(1, 2, first.size), 0).astype(
+        lattice.dtype
+    )
     numbers, flags = eqx.partition(problem, eqx.is_inexact_array)
     with jax.ensure_compile_time_eval():
         plain = eqx.combine(jax.tree.map(_stand_in, numbers), flags)
@@ -297,6 +338,7 @@ def _goes_around(problem, axis):
 
 def _slab(lattice, axis, end):
     """The displacements of all sites at one place along an axis, as flags in one row."""
+
     def of(s):
         flags = np.zeros(s.shape, bool)
         flags[(slice(None),) * axis + (end,)] = True
@@ -321,7 +363,9 @@ def _chosen(lattice, hold):
     flags = np.zeros(sum(s.size for s in jax.tree.leaves(lattice.template())), bool)
     for site in hold:
         if not -sites <= site < sites:
-            refuse("hold", f"{', '.join(map(repr, HOLDS))}, or sites from 0 to {sites - 1}", repr(hold))
+            refuse(
+                "hold", f"{', '.join(map(repr, HOLDS))}, or sites from 0 to {sites - 1}", repr(hold)
+            )
         flags |= _slab(lattice, 0, site)
     return flags
 
@@ -333,8 +377,12 @@ def _sizes(problem, x):
     u, time = _shaped(lattice, x), jnp.zeros((), lattice.dtype)
     zeros = jax.tree.map(jnp.zeros_like, u)
     forces = [term.force(time, u, zeros, lattice.mass) for term in lattice.terms]
-    forces += [c.force for term in lattice.terms for c in term.compressions(time, u)] + [lattice.unbalanced()]
-    forces = [jnp.max(jnp.abs(f)) for f in jax.tree.leaves(forces)] + [jnp.max(jnp.abs(problem.loads))]
+    forces += [c.force for term in lattice.terms for c in term.compressions(time, u)] + [
+        lattice.unbalanced()
+    ]
+    forces = [jnp.max(jnp.abs(f)) for f in jax.tree.leaves(forces)] + [
+        jnp.max(jnp.abs(problem.loads))
+    ]
     slope = jax.jvp(problem.total, (x,), (jnp.cos(jnp.arange(x.size) ** 2.0).astype(x.dtype),))[1]
     scale = jnp.max(jnp.abs(slope))
     return jnp.max(jnp.stack(forces)), jnp.where(scale > 0, scale, 1)
@@ -360,8 +408,9 @@ def _finished(problem, x, jacobian):
     force = problem.total(x)
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
-    measured = eqx.tree_at(lambda x: x.terms, lattice, tuple(
-        term.measured_from(lattice, u) for term in lattice.terms))
+    measured = eqx.tree_at(
+        lambda x: x.terms, lattice, tuple(term.measured_from(lattice, u) for term in lattice.terms)
+    )
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
     inner = jnp.max(jnp.where(problem.holds, 0, inner))
@@ -379,8 +428,19 @@ def _result(problem, x, jacobian, code, throw):
     if not traced((inner, largest, borne)):
         remark = _MOVED * bool(inner > TIGHT * largest) + _BORNE * bool(borne)
     least, error = (None, None) if least is None else least
-    found = Equilibrium(state, loads, ends, residual, largest, least, error, measured, code, remark,
-                        **problem.lattice.origin)
+    found = Equilibrium(
+        state,
+        loads,
+        ends,
+        residual,
+        largest,
+        least,
+        error,
+        measured,
+        code,
+        remark,
+        **problem.lattice.origin,
+    )
     if not traced(found) and (throw is None or throw) and not found.found:
         raise RuntimeError(found.outcome)
     return found

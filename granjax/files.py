@@ -33,7 +33,12 @@ def target(argument: str, path: str | Path) -> Path:
     if path.is_dir():
         refuse(argument, "a file's path", f"{str(path)!r}, which is a folder", "Add a name.")
     if not path.parent.is_dir():
-        refuse(argument, "a file's path", f"{str(path)!r}", f"Make the folder {str(path.parent)!r} first.")
+        refuse(
+            argument,
+            "a file's path",
+            f"{str(path)!r}",
+            f"Make the folder {str(path.parent)!r} first.",
+        )
     return path
 
 
@@ -70,10 +75,15 @@ def netcdf(data: "xarray.Dataset") -> bytes:
     from xarray.backends import H5NetCDFStore
 
     data, buffer = real_parts(data).drop_encoding(), io.BytesIO()
-    sums = {name: {"fletcher32": True} for name, x in data.variables.items()
-            if x.dtype.kind in "biuf" and x.ndim and x.size}
+    sums = {
+        name: {"fletcher32": True}
+        for name, x in data.variables.items()
+        if x.dtype.kind in "biuf" and x.ndim and x.size
+    }
     # netCDF has no truth values among its attributes
-    data.attrs = {name: int(x) if isinstance(x, (bool, np.bool_)) else x for name, x in data.attrs.items()}
+    data.attrs = {
+        name: int(x) if isinstance(x, (bool, np.bool_)) else x for name, x in data.attrs.items()
+    }
     with h5netcdf.File(buffer, "w") as file:
         data.dump_to_store(H5NetCDFStore(file), encoding=sums)
     return buffer.getvalue()
@@ -89,8 +99,10 @@ def matlab(data: "xarray.Dataset") -> bytes:
         return name if name[:1].isalpha() else f"x_{name}"
 
     data, buffer = real_parts(data), io.BytesIO()
-    arrays = {called(name): x.values.astype(object) if x.dtype.kind == "U" else x.values
-              for name, x in data.variables.items()}
+    arrays = {
+        called(name): x.values.astype(object) if x.dtype.kind == "U" else x.values
+        for name, x in data.variables.items()
+    }
     arrays["attributes"] = {called(name): x for name, x in data.attrs.items()}
     savemat(buffer, arrays, long_field_names=True)
     return buffer.getvalue()
@@ -102,17 +114,33 @@ def real_parts(data: "xarray.Dataset") -> "xarray.Dataset":
     **Raises** ValueError where something else is called so.
     """
     variables = {name: x for name, x in data.variables.items() if x.dtype.kind == "c"}
-    attributes = {name: np.asarray(x) for name, x in data.attrs.items() if np.asarray(x).dtype.kind == "c"}
+    attributes = {
+        name: np.asarray(x) for name, x in data.attrs.items() if np.asarray(x).dtype.kind == "c"
+    }
     for name in (*variables, *attributes):
         taken = {f"{name}_real", f"{name}_imag"} & {*data.variables, *data.attrs}
         if taken:
-            refuse("data", f"no other {min(taken)!r} beside the complex {name!r}", "one", "Call it otherwise.")
+            refuse(
+                "data",
+                f"no other {min(taken)!r} beside the complex {name!r}",
+                "one",
+                "Call it otherwise.",
+            )
     if not variables and not attributes:
         return data
     coordinates = {*data.coords}
-    made = data.drop_vars([*variables]).assign({
-        f"{name}_{part}": (x.dims, getattr(x.values, part), x.attrs) for name, x in variables.items()
-        for part in ("real", "imag")})
+    made = data.drop_vars([*variables]).assign(
+        {
+            f"{name}_{part}": (x.dims, getattr(x.values, part), x.attrs)
+            for name, x in variables.items()
+            for part in ("real", "imag")
+        }
+    )
     made.attrs = {key: x for key, x in data.attrs.items() if key not in attributes} | {
-        f"{key}_{part}": getattr(x, part).tolist() for key, x in attributes.items() for part in ("real", "imag")}
-    return made.set_coords([f"{name}_{part}" for name in variables if name in coordinates for part in ("real", "imag")])
+        f"{key}_{part}": getattr(x, part).tolist()
+        for key, x in attributes.items()
+        for part in ("real", "imag")
+    }
+    return made.set_coords(
+        [f"{name}_{part}" for name in variables if name in coordinates for part in ("real", "imag")]
+    )

@@ -6,6 +6,13 @@ from .orbits.spectrum import product_multipliers, reversible_multipliers, spectr
 from .orbits.structure import structure
 
 __all__ = [
-    "Floquet", "decide", "floquet", "leading", "multipliers", "product_multipliers", "reversible_multipliers",
-    "spectrum", "structure",
+    "Floquet",
+    "decide",
+    "floquet",
+    "leading",
+    "multipliers",
+    "product_multipliers",
+    "reversible_multipliers",
+    "spectrum",
+    "structure",
 ]

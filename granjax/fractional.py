@@ -18,8 +18,14 @@ def checked_order(order: Parameter) -> jax.Array:
     >>> float(gx.fractional.checked_order(0.5))
     0.5
     """
-    return within("order", order, 0, 1, open_low=True,
-                  remedy="s = 1 is next neighbours; beyond it the weights change sign, below it nothing is coupled.")
+    return within(
+        "order",
+        order,
+        0,
+        1,
+        open_low=True,
+        remedy="s = 1 is next neighbours; beyond it the weights change sign, below it nothing is coupled.",
+    )
 
 
 def kernel(order: Parameter, offsets: Count) -> Numbers:
@@ -136,7 +142,13 @@ def _beyond(s, z, spacing):
 
     def tail(q):  # over z^{-q}
         rising = q * (q + 1) * (q + 2)
-        return 1 / (x * (q - 1)) + 0.5 + q * x / 12 - rising * x**3 / 720 + rising * (q + 3) * (q + 4) * x**5 / 30240
+        return (
+            1 / (x * (q - 1))
+            + 0.5
+            + q * x / 12
+            - rising * x**3 / 720
+            + rising * (q + 3) * (q + 4) * x**5 / 30240
+        )
 
     scale = jnp.exp(gammaln(1 + 2 * s)) * jnp.sin(jnp.pi * s) / jnp.pi
     return scale * sum(weight * z**-q * tail(q) for weight, q in parts)

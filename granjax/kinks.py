@@ -45,8 +45,12 @@ class Kink(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "state": Held("site", STATE), "energy": Held(unit="J"), "error": Held("site", "m"),
-        "energy_error": Held(unit="J"), "omega": Held("mode", "rad/s"), "growth": Held(unit="1/s"),
+        "state": Held("site", STATE),
+        "energy": Held(unit="J"),
+        "error": Held("site", "m"),
+        "energy_error": Held(unit="J"),
+        "omega": Held("mode", "rad/s"),
+        "growth": Held(unit="1/s"),
         "residual": Held(unit="1"),
     }
     state: State
@@ -75,7 +79,10 @@ class PeierlsNabarro(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "barrier": Held(unit="J"), "error": Held(unit="J"), "site": Held(unit="J"), "bond": Held(unit="J"),
+        "barrier": Held(unit="J"),
+        "error": Held(unit="J"),
+        "site": Held(unit="J"),
+        "bond": Held(unit="J"),
         "omega": Held(unit="rad/s"),
     }
     barrier: Number
@@ -86,7 +93,9 @@ class PeierlsNabarro(Result):
     outcome: str = eqx.field(static=True)
 
 
-def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar | None = None) -> Kink:
+def kink(
+    lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar | None = None
+) -> Kink:
     r"""A kink at rest, u -> left and u -> right at the two ends, by Newton's method.
 
     **Arguments:**
@@ -116,13 +125,25 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
     if not 0 < middle < len(n) - 1:
         refuse("centre", f"a place between the first and the last of {len(n)} sites", f"{middle:g}")
     middle = round(2 * middle) / 2
-    guess = left + (right - left) * 2 / np.pi * np.arctan(np.exp((n - middle) / _width(lattice, left)))
+    guess = left + (right - left) * 2 / np.pi * np.arctan(
+        np.exp((n - middle) / _width(lattice, left))
+    )
     size = jnp.asarray(abs(right - left), lattice.dtype)
     problem = _Rest(size, jnp.asarray(scale, lattice.dtype))
-    wanted = max(LEFT, 50 * float(jnp.finfo(lattice.dtype).eps) * float(_stiffest(lattice, left) * size / scale))
+    wanted = max(
+        LEFT,
+        50 * float(jnp.finfo(lattice.dtype).eps) * float(_stiffest(lattice, left) * size / scale),
+    )
     begin = jnp.asarray(guess, lattice.dtype) / size
     # held at its place, along which a wide kink is pushed by next to nothing, and then let go
-    held = newton(_Held(problem, begin), jnp.append(begin, 0.0), lattice, tolerance=wanted, max_steps=60, throw=False)
+    held = newton(
+        _Held(problem, begin),
+        jnp.append(begin, 0.0),
+        lattice,
+        tolerance=wanted,
+        max_steps=60,
+        throw=False,
+    )
     free = newton(problem, held.x[:-1], lattice, tolerance=wanted, max_steps=10, throw=False)
     let_go = free.converged and float(jnp.max(jnp.abs(free.x - held.x[:-1]))) <= NEAR
     pushed = float(jnp.max(jnp.abs(problem(held.x[:-1], lattice))))
@@ -139,8 +160,10 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
 
 def _refuse_ends(why, middle, sites):
     elsewhere = "" if middle == (sites - 1) / 2 else f", or the kink the centre {(sites - 1) / 2:g}"
-    raise RuntimeError(f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites "
-                       f"and free ends{elsewhere}.")
+    raise RuntimeError(
+        f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites "
+        f"and free ends{elsewhere}."
+    )
 
 
 def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> PeierlsNabarro:
@@ -165,12 +188,21 @@ def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> Peie
     if barrier <= error:
         outcome = "The barrier is below its error: the kink moves as in the continuum."
     else:
-        outcome = f"The kink rests on {said}; the other one is {(site if low is bond else bond).verdict}."
-    return PeierlsNabarro(barrier, error, site.energy, bond.energy, low.omega[0], outcome, **lattice.origin)
+        outcome = (
+            f"The kink rests on {said}; the other one is {(site if low is bond else bond).verdict}."
+        )
+    return PeierlsNabarro(
+        barrier, error, site.energy, bond.energy, low.omega[0], outcome, **lattice.origin
+    )
 
 
 def moving(
-    lattice: Lattice, velocity: Scalar, right: Scalar, left: Scalar = 0.0, *, centre: Scalar | None = None,
+    lattice: Lattice,
+    velocity: Scalar,
+    right: Scalar,
+    left: Scalar = 0.0,
+    *,
+    centre: Scalar | None = None,
 ) -> State:
     r"""A state that moves as a kink: the one at rest, contracted, u_n = U(g (n - c)), v_n = -V g U'(g (n - c)).
 
@@ -195,8 +227,12 @@ def moving(
     middle = (len(n) - 1) // 2 + 0.5
     begin = middle if centre is None else centre
     stretch = 1 / np.sqrt(1 - (speed / top) ** 2)
-    profile, slope = _profile(np.asarray(rest.state.u), stretch * (n - begin) + middle, float(left), float(right))
-    return State(jnp.asarray(profile, lattice.dtype), jnp.asarray(-speed * stretch * slope, lattice.dtype))
+    profile, slope = _profile(
+        np.asarray(rest.state.u), stretch * (n - begin) + middle, float(left), float(right)
+    )
+    return State(
+        jnp.asarray(profile, lattice.dtype), jnp.asarray(-speed * stretch * slope, lattice.dtype)
+    )
 
 
 def _profile(u, x, left, right):
@@ -285,27 +321,45 @@ def _known(problem, lattice, x, left):
     energy = lattice.energy(0.0, u, zero) - lattice.energy(0.0, rest, zero)
     # what is at rest has an energy of second order in the error, beside rounding
     energy_error = jnp.sum(jnp.abs(force) * error) + ROUNDING * eps * (
-        jnp.abs(lattice.energy(0.0, u, zero)) + jnp.abs(lattice.energy(0.0, rest, zero)))
+        jnp.abs(lattice.energy(0.0, u, zero)) + jnp.abs(lattice.energy(0.0, rest, zero))
+    )
     root = jnp.sqrt(spread_mass(lattice))
     squares = jnp.linalg.eigvalsh((stiffness + stiffness.T) / 2 / root[:, None] / root)
     return u, energy, error, energy_error, squares
 
 
 def _told(lattice, problem, x, left):
-    u, energy, error, energy_error, squares = _known(problem, lattice, x, jnp.asarray(left, lattice.dtype))
+    u, energy, error, energy_error, squares = _known(
+        problem, lattice, x, jnp.asarray(left, lattice.dtype)
+    )
     least = float(squares[0])
     known = abs(least) > FLAT * float(jnp.max(jnp.abs(squares)))
     verdict = ("stable" if least > 0 else "unstable") if known else "undecided"
     growth = jnp.sqrt(jnp.maximum(-squares[0], 0))
     outcome = f"A kink at rest, {verdict}: its energy is {float(energy):.6g}."
-    return Kink(State(u, jnp.zeros_like(u)), energy, error, energy_error, jnp.sqrt(jnp.maximum(squares, 0)), growth,
-                jnp.max(jnp.abs(problem(x, lattice))), verdict, outcome, **lattice.origin)
+    return Kink(
+        State(u, jnp.zeros_like(u)),
+        energy,
+        error,
+        energy_error,
+        jnp.sqrt(jnp.maximum(squares, 0)),
+        growth,
+        jnp.max(jnp.abs(problem(x, lattice))),
+        verdict,
+        outcome,
+        **lattice.origin,
+    )
 
 
 def _checked_wells(lattice, right, left):
     """(left, right, the largest force between them), of a chain in which both are wells."""
     if lattice.lanes:
-        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", "Ask for one lane at a time.")
+        refuse(
+            "lattice",
+            "one lattice",
+            f"a batch with lanes {lattice.lanes}",
+            "Ask for one lane at a time.",
+        )
     if isinstance(lattice.template(), dict) or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "one chain of scalar displacements", f"one of shape {lattice.shape}")
     if not lattice.conserves:
@@ -319,8 +373,12 @@ def _checked_wells(lattice, right, left):
         refuse("lattice", "a force on the sites between the wells", "none")
     for name, x, force in (("left", left, forces[0]), ("right", right, forces[-1])):
         if not force <= WELL * scale:
-            refuse(name, "a well, in which nothing is pushed", f"{x:g}, with {force / scale:.2g} of the largest force "
-                   "on the way", "Ends must be free: walls at u = 0 hold no other well.")
+            refuse(
+                name,
+                "a well, in which nothing is pushed",
+                f"{x:g}, with {force / scale:.2g} of the largest force on the way",
+                "Ends must be free: walls at u = 0 hold no other well.",
+            )
     for name, x in (("left", left), ("right", right)):
         if not _at_middle(lattice, x)[1] > 0:
             refuse(name, "a well, to which sites come back", f"{x:g}, the top of a barrier")

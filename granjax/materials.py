@@ -27,19 +27,41 @@ _CALLISTER = "Callister, Materials Science and Engineering, appendix B"
 _TABLE = {
     "steel 316": (193e9, 0.30, 8000.0, f"{_BOECHLER}; density: {_CALLISTER}"),
     "steel 440C": (200e9, 0.28, 7650.0, "manufacturers' data sheets of AISI 440C, hardened"),
-    "chrome steel": (203e9, 0.30, 7780.0, "AISI 52100, as used by Job et al., Phys. Rev. Lett. 94, 178002 (2005)"),
+    "chrome steel": (
+        203e9,
+        0.30,
+        7780.0,
+        "AISI 52100, as used by Job et al., Phys. Rev. Lett. 94, 178002 (2005)",
+    ),
     "aluminium 6061-T6": (73.5e9, 0.33, 2690.0, f"{_BOECHLER}; density from the beads' mass there"),
     "brass": (97e9, 0.34, 8500.0, f"free-cutting brass C36000, {_CALLISTER}"),
-    "bronze": (76e9, 0.414, 8500.0, "as used by Porter et al., Phys. Rev. E 77, 015601 (2008); density from mass"),
+    "bronze": (
+        76e9,
+        0.414,
+        8500.0,
+        "as used by Porter et al., Phys. Rev. E 77, 015601 (2008); density from mass",
+    ),
     "PTFE": (1.46e9, 0.46, 2200.0, "as used by Daraio et al., Phys. Rev. E 72, 016603 (2005)"),
     "tungsten carbide": (630e9, 0.22, 14900.0, "with 6 % cobalt, manufacturers' data sheets"),
     "Delrin": (3.1e9, 0.35, 1420.0, "acetal homopolymer Delrin 500, manufacturer's data sheet"),
-    "nylon": (2.7e9, 0.39, 1140.0, f"nylon 6,6, dry, middle of the range 1.6 to 3.8 GPa, {_CALLISTER}"),
+    "nylon": (
+        2.7e9,
+        0.39,
+        1140.0,
+        f"nylon 6,6, dry, middle of the range 1.6 to 3.8 GPa, {_CALLISTER}",
+    ),
 }
 _ALIASES = {
-    "aluminium": "aluminium 6061-T6", "aluminum": "aluminium 6061-T6", "aluminum 6061-T6": "aluminium 6061-T6",
-    "stainless steel 316": "steel 316", "stainless steel 440C": "steel 440C", "steel 52100": "chrome steel",
-    "Teflon": "PTFE", "acetal": "Delrin", "POM": "Delrin", "nylon 6,6": "nylon",
+    "aluminium": "aluminium 6061-T6",
+    "aluminum": "aluminium 6061-T6",
+    "aluminum 6061-T6": "aluminium 6061-T6",
+    "stainless steel 316": "steel 316",
+    "stainless steel 440C": "steel 440C",
+    "steel 52100": "chrome steel",
+    "Teflon": "PTFE",
+    "acetal": "Delrin",
+    "POM": "Delrin",
+    "nylon 6,6": "nylon",
 }
 
 NAMES = (*_TABLE, "rigid")
@@ -67,15 +89,28 @@ class Material(eqx.Module):
     density: jax.Array
     source: str = eqx.field(static=True)
 
-    def __init__(self, name: str, young: Parameter, poisson: Parameter, density: Parameter, source: str = ""):
+    def __init__(
+        self, name: str, young: Parameter, poisson: Parameter, density: Parameter, source: str = ""
+    ):
         self.name, self.source = str(name), str(source)
-        self.young = positive("young", young, "Young's modulus is in pascal: 193e9 for steel, 1.46e9 for PTFE.")
-        self.poisson = within("poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for steel.")
-        self.density = positive("density", density, "The density is in kg/m^3: 8000 for steel, 2200 for PTFE.")
+        self.young = positive(
+            "young", young, "Young's modulus is in pascal: 193e9 for steel, 1.46e9 for PTFE."
+        )
+        self.poisson = within(
+            "poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for steel."
+        )
+        self.density = positive(
+            "density", density, "The density is in kg/m^3: 8000 for steel, 2200 for PTFE."
+        )
 
     def __repr__(self) -> str:
         giga = self.young / 1e9 if eqx.is_array_like(self.young) else self.young
-        values = {"name": self.name, "young": giga, "poisson": self.poisson, "density": self.density}
+        values = {
+            "name": self.name,
+            "young": giga,
+            "poisson": self.poisson,
+            "density": self.density,
+        }
         return called("Material", values, {"young": "GPa", "density": "kg/m^3"})
 
     @property
@@ -123,7 +158,11 @@ def named(argument: str, name: str | Material) -> Material:
     if known is None:
         near = [_PLAIN[n] for n in difflib.get_close_matches(_plain(name), _PLAIN, n=3, cutoff=0.5)]
         near = dict.fromkeys(_ALIASES.get(n, n) for n in near)
-        remedy = f"Did you mean {' or '.join(map(repr, near))}?" if near else "Or give Material(name, E, nu, rho)."
+        remedy = (
+            f"Did you mean {' or '.join(map(repr, near))}?"
+            if near
+            else "Or give Material(name, E, nu, rho)."
+        )
         refuse(argument, "one of " + ", ".join(map(repr, NAMES)), repr(name), remedy)
     known = _ALIASES.get(known, known)
     return Material(known, *_TABLE[known])
@@ -138,8 +177,12 @@ def stack(materials: Sequence[str | Material]) -> Material:
     [8000.0, 2200.0, 8000.0, 2200.0]
     """
     bodies = [named(f"materials[{i}]", m) for i, m in enumerate(materials)]
-    young, poisson, density = (jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density"))
-    placed = Material("mixed", jnp.ones(len(bodies)), 0.0, 1.0, "; ".join(dict.fromkeys(b.source for b in bodies)))
+    young, poisson, density = (
+        jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density")
+    )
+    placed = Material(
+        "mixed", jnp.ones(len(bodies)), 0.0, 1.0, "; ".join(dict.fromkeys(b.source for b in bodies))
+    )
     return eqx.tree_at(lambda m: (m.young, m.poisson, m.density), placed, (young, poisson, density))
 
 
@@ -151,7 +194,9 @@ def _radius_or_plane(argument, radius):
     """A radius, infinite where the body is a plane."""
     value = None if isinstance(radius, jax.core.Tracer) else real(argument, radius)
     if value is None or not np.isposinf(value).any():
-        return positive(argument, radius, "A radius is in metres, above zero, or infinite for a plane.")
+        return positive(
+            argument, radius, "A radius is in metres, above zero, or infinite for a plane."
+        )
     _radius(argument, np.where(np.isposinf(value), 1.0, value))
     return radius if isinstance(radius, jax.Array) else jnp.asarray(value)
 
@@ -161,12 +206,16 @@ def _effective_modulus(first, second):
     compliance = first.compliance + second.compliance
     value = concrete(compliance)
     if value is not None and not np.all(value > 0):
-        refuse("material_2", "at most one rigid body", "two", "Two rigid bodies have no contact law.")
+        refuse(
+            "material_2", "at most one rigid body", "two", "Two rigid bodies have no contact law."
+        )
     return 1 / compliance
 
 
 def hertz_coefficient(
-    material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
+    material_1: str | Material,
+    radius_1: Parameter,
+    material_2: str | Material | None = None,
     radius_2: Parameter | None = None,
 ) -> Number:
     r"""Coefficient A of the contact F = A d^{3/2} of two elastic spheres.
@@ -198,12 +247,17 @@ def hertz_coefficient(
     curvature = 1 / R1 + 1 / R2
     value = concrete(curvature)
     if value is not None and not np.all(value > 0):
-        refuse("radius_1 and radius_2", "at most one plane", "two", "Two planes have no Hertz contact.")
+        refuse(
+            "radius_1 and radius_2", "at most one plane", "two", "Two planes have no Hertz contact."
+        )
     return 4 / 3 * _effective_modulus(first, second) / jnp.sqrt(curvature)
 
 
 def yield_overlap(
-    pressure: Parameter, material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
+    pressure: Parameter,
+    material_1: str | Material,
+    radius_1: Parameter,
+    material_2: str | Material | None = None,
     radius_2: Parameter | None = None,
 ) -> Number:
     r"""Overlap at which the pressure at a contact's centre reaches a limit, s_y = (pi p_y/(2 E*))^2 R* [m].
@@ -241,19 +295,30 @@ def bead_mass(material: str | Material, radius: Parameter) -> Number:
     body = named("material", material)
     density = concrete(body.density)
     if density is not None and not np.all(np.isfinite(density)):
-        refuse("material", "a material with a density", "'rigid'", "A rigid body stands for a wall, not for a bead.")
+        refuse(
+            "material",
+            "a material with a density",
+            "'rigid'",
+            "A rigid body stands for a wall, not for a bead.",
+        )
     R = _radius("radius", radius)
     broadcast(radius=R, density=body.density)
     known = concrete(R)
     if known is not None and np.any(known > LARGEST):
-        warnings.warn(f"A bead has a radius of {known.max():g} m, more than a metre across. Radii are in metres: "
-                      "9.5 mm is 9.5e-3.", stacklevel=2)
+        warnings.warn(
+            f"A bead has a radius of {known.max():g} m, more than a metre across. Radii are in metres: "
+            "9.5 mm is 9.5e-3.",
+            stacklevel=2,
+        )
     return 4 / 3 * math.pi * R**3 * body.density
 
 
 def crossed_cylinders(
-    material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
-    radius_2: Parameter | None = None, angle: Parameter = math.pi / 2,
+    material_1: str | Material,
+    radius_1: Parameter,
+    material_2: str | Material | None = None,
+    radius_2: Parameter | None = None,
+    angle: Parameter = math.pi / 2,
 ) -> Number:
     r"""Coefficient A of the contact F = A d^{3/2} of two cylinders whose axes cross at an angle.
 
@@ -285,7 +350,13 @@ def crossed_cylinders(
     R2 = R1 if radius_2 is None else _radius("radius_2", radius_2)
     remedy = "The angle is in radians; parallel cylinders touch along a line, which is another law."
     angle = within("angle", angle, 0, math.pi / 2, open_low=True, remedy=remedy)
-    broadcast(radius_1=R1, radius_2=R2, angle=angle, material_1=first.compliance, material_2=second.compliance)
+    broadcast(
+        radius_1=R1,
+        radius_2=R2,
+        angle=angle,
+        material_1=first.compliance,
+        material_2=second.compliance,
+    )
     return _effective_modulus(first, second) * _ellipse(R1, R2, angle)
 
 
@@ -335,6 +406,7 @@ def _with_slope(x):
 @jax.custom_jvp
 def _log_axis_ratio(target):
     """x = log k with log(Q_2/Q_1) = target, by Newton's method: the slope lies between -3/2 and -2."""
+
     def newton(_, x):
         value, slope = _with_slope(x)
         return x - (value - target) / slope

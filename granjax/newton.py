@@ -53,22 +53,34 @@ class Root(Result):
             return "traced"
         worst = int(np.argmax(np.asarray(self.code))) if np.ndim(self.code) else ()
         code, iterations, first, last, tolerance = (
-            np.ravel(x)[worst if np.size(x) > 1 else 0].item() if np.ndim(x) else np.asarray(x).item()
-            for x in (self.code, self.iterations, self.first, self.residual, self.tolerance))
+            np.ravel(x)[worst if np.size(x) > 1 else 0].item()
+            if np.ndim(x)
+            else np.asarray(x).item()
+            for x in (self.code, self.iterations, self.first, self.residual, self.tolerance)
+        )
         went = f"the residual went from {first:.1e} to {last:.1e} in {int(iterations)} steps"
         if code == CONVERGED:
             return f"Converged: {went}."
         wanted = f"{tolerance:.1e} was asked for"
         why = {
             STALLED: "no fraction of the step lowered it further (a poor guess, a fold, or the floor of rounding)",
-            SPENT: "the steps were spent", NOT_FINITE: "the next residual was not finite",
+            SPENT: "the steps were spent",
+            NOT_FINITE: "the next residual was not finite",
         }[code]
         return f"Newton did not converge: {went}, {wanted}; {why}."
 
 
-def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = None, *, tolerance: Scalar = 1e-10,
-           max_steps: Count = 20, linearise: Callable[[Any, Any], Any] | None = None, throw: bool | None = None,
-           finish: bool = True) -> Root:
+def newton(
+    residual: Callable[[Any, Any], Any],
+    guess: Parameter,
+    args: Any = None,
+    *,
+    tolerance: Scalar = 1e-10,
+    max_steps: Count = 20,
+    linearise: Callable[[Any, Any], Any] | None = None,
+    throw: bool | None = None,
+    finish: bool = True,
+) -> Root:
     r"""A root of F(x, args) = 0 by Newton's method with halved steps.
 
     x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. Where the full step fails, J^{-1} is that of
@@ -101,7 +113,15 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
     # a plain number is an input of what is compiled, not a part of it
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)
-    inputs = residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps), finish
+    inputs = (
+        residual,
+        linearise,
+        x0,
+        args,
+        jnp.asarray(tolerance, x0.dtype),
+        jnp.asarray(max_steps),
+        finish,
+    )
     # without tracers nobody differentiates; a function may hide some, which the result then shows
     root = None if traced(inputs) else _plain(*inputs)
     if root is None or traced(root):
@@ -131,7 +151,9 @@ def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish)
     def tangent_solve(g, y):
         return jnp.linalg.solve(jax.jacfwd(g)(jnp.zeros_like(y)), y)
 
-    x, rest = jax.lax.custom_root(lambda x: evaluated(residual, x, args), x0, solve, tangent_solve, has_aux=True)
+    x, rest = jax.lax.custom_root(
+        lambda x: evaluated(residual, x, args), x0, solve, tangent_solve, has_aux=True
+    )
     jacobian, size, first, steps, code = rest
     return Root(x, jacobian, size, first, steps.astype(int), code.astype(int), tolerance)
 
@@ -155,7 +177,11 @@ def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
     """
     found = residual(x, *others)
     if not isinstance(found, (jax.Array, np.ndarray)) or found.shape != x.shape:
-        refuse("residual", f"a function that gives an array of shape {x.shape}", f"one that gives {described(found)}")
+        refuse(
+            "residual",
+            f"a function that gives an array of shape {x.shape}",
+            f"one that gives {described(found)}",
+        )
     return found
 
 
@@ -171,6 +197,7 @@ def _gentle(jacobian, f):
 
 def _iterate(both, x0, args, tolerance, max_steps, finish):
     """(x, (jacobian, residual, first, steps, code)) after the loop, whose first turn looks at the guess."""
+
     def going(carry):
         size, steps = carry["size"], carry["steps"]
         unfinished = (size > tolerance) & jnp.isfinite(size) & (carry["fraction"] >= LEAST_FRACTION)
@@ -186,18 +213,38 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
         # Newton's step, or the gentle one where the first has failed, or half of that
         again = ~better & ~c["gentle"]
         step = jax.lax.cond(
-            better | again, lambda: jax.lax.cond(
-                better, lambda: -jnp.linalg.solve(jacobian, f), lambda: _gentle(best["jacobian"], best["f"])),
-            lambda: c["step"])
+            better | again,
+            lambda: jax.lax.cond(
+                better,
+                lambda: -jnp.linalg.solve(jacobian, f),
+                lambda: _gentle(best["jacobian"], best["f"]),
+            ),
+            lambda: c["step"],
+        )
         fraction = jnp.where(better | again, 1.0, c["fraction"] / 2).astype(x0.dtype)
         first = jnp.where(c["steps"] == 0, new, c["first"])
-        return {**best, "step": step, "gentle": ~better, "fraction": fraction, "first": first, "last": new,
-                "steps": c["steps"] + 1}
+        return {
+            **best,
+            "step": step,
+            "gentle": ~better,
+            "fraction": fraction,
+            "first": first,
+            "last": new,
+            "steps": c["steps"] + 1,
+        }
 
     one, n = jnp.ones((), x0.dtype), x0.size
     start = {
-        "x": x0, "f": 0 * x0, "jacobian": jnp.full((n, n), jnp.nan, x0.dtype), "size": jnp.inf * one, "step": 0 * x0,
-        "gentle": jnp.zeros((), bool), "fraction": one, "first": one, "last": one, "steps": jnp.zeros((), int),
+        "x": x0,
+        "f": 0 * x0,
+        "jacobian": jnp.full((n, n), jnp.nan, x0.dtype),
+        "size": jnp.inf * one,
+        "step": 0 * x0,
+        "gentle": jnp.zeros((), bool),
+        "fraction": one,
+        "first": one,
+        "last": one,
+        "steps": jnp.zeros((), int),
     }
     end = jax.lax.while_loop(going, body, start)
     code = jnp.where(end["fraction"] < LEAST_FRACTION, STALLED, SPENT)

@@ -44,7 +44,9 @@ class Coordinates(eqx.Module):
         for name in bounds:
             one_of("bounds", name, tuple(start))
         # of no weak type, which would be another program
-        self.start = {k: jnp.asarray(x, x.dtype) for k, x in ((k, parameter(k, x)) for k, x in start.items())}
+        self.start = {
+            k: jnp.asarray(x, x.dtype) for k, x in ((k, parameter(k, x)) for k, x in start.items())
+        }
         self.order = tuple(start)
         self.low, self.high = {}, {}
         for name, value in self.start.items():
@@ -61,14 +63,22 @@ class Coordinates(eqx.Module):
             if value.ndim == 0:
                 names.append(name)
             else:
-                names += [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(value.shape)]
+                names += [
+                    f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(value.shape)
+                ]
         return names
 
     @property
     def sizeless(self) -> list[str]:
         """Names of the parameters that start at zero without a bound, which says nothing of how far they may move."""
-        return [name for name, x in self.start.items() if self.low[name] is None and self.high[name] is None
-                and concrete(x) is not None and not np.any(x)]
+        return [
+            name
+            for name, x in self.start.items()
+            if self.low[name] is None
+            and self.high[name] is None
+            and concrete(x) is not None
+            and not np.any(x)
+        ]
 
     def sized(self, value: Scalar, slopes: Float[AnyArray, " P"]) -> "Coordinates":
         """The same with a scale for what is `sizeless`: the change that moves a value by its own size.
@@ -112,20 +122,28 @@ class Coordinates(eqx.Module):
         for name in self.order:
             start = self.start[name]
             for bound in (self.low[name], self.high[name]):
-                if bound is not None and np.any(np.abs(parameters[name] - bound) < NEAR * np.abs(start - bound)):
+                if bound is not None and np.any(
+                    np.abs(parameters[name] - bound) < NEAR * np.abs(start - bound)
+                ):
                     found.append(name)
         return found
 
     def flat(self, parameters: dict[str, Parameter]) -> Float[AnyArray, " P"]:
         """A dict of parameters as one vector (P,), in the order of `names`."""
-        parts = [jnp.broadcast_to(parameters[name], self.start[name].shape).ravel() for name in self.order]
+        parts = [
+            jnp.broadcast_to(parameters[name], self.start[name].shape).ravel()
+            for name in self.order
+        ]
         return jnp.concatenate(parts)
 
     def unflat(self, vector: Float[AnyArray, " P"]) -> dict[str, Numbers]:
         """The inverse of `flat`: a vector (P,) as a dict of the parameters' shapes."""
         ends = np.cumsum([self.start[name].size for name in self.order])[:-1]
         shapes = [self.start[name].shape for name in self.order]
-        return {name: part.reshape(shape) for name, part, shape in zip(self.order, jnp.split(vector, ends), shapes)}
+        return {
+            name: part.reshape(shape)
+            for name, part, shape in zip(self.order, jnp.split(vector, ends), shapes)
+        }
 
     @eqx.filter_jit
     def slopes(self, x: Float[AnyArray, " P"]) -> Float[AnyArray, " P"]:
@@ -143,9 +161,21 @@ def _scale(value):
 def _interval(name, value, bounds):
     if bounds is None:
         return None, None
-    low, high = (None if bound is None else parameter(f"bounds[{name!r}]", bound) for bound in bounds)
+    low, high = (
+        None if bound is None else parameter(f"bounds[{name!r}]", bound) for bound in bounds
+    )
     at = concrete(value)
     for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):
-        if bound is not None and at is not None and concrete(bound) is not None and not inside(at, bound).all():
-            refuse(name, f"a start {side} its bound {show(bound)}", show(at), "A bound is no place to start from.")
+        if (
+            bound is not None
+            and at is not None
+            and concrete(bound) is not None
+            and not inside(at, bound).all()
+        ):
+            refuse(
+                name,
+                f"a start {side} its bound {show(bound)}",
+                show(at),
+                "A bound is no place to start from.",
+            )
     return low, high

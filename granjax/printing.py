@@ -88,10 +88,17 @@ def told(x: Any) -> str:
 def called(name: str, arguments: dict[str, Any], units: dict[str, str] | None = None) -> str:
     """The text of a call, without what is `None`: on one line where it fits, else with an argument a line."""
     units = units or {}
-    parts = [f"{key}={_argument(value)} {units.get(key, '')}".rstrip() for key, value in arguments.items()
-             if value is not None]
+    parts = [
+        f"{key}={_argument(value)} {units.get(key, '')}".rstrip()
+        for key, value in arguments.items()
+        if value is not None
+    ]
     line = f"{name}({', '.join(parts)})"
-    return line if len(line) <= WIDTH and "\n" not in line else f"{name}(\n" + "".join(f"  {x},\n" for x in parts) + ")"
+    return (
+        line
+        if len(line) <= WIDTH and "\n" not in line
+        else f"{name}(\n" + "".join(f"  {x},\n" for x in parts) + ")"
+    )
 
 
 def _argument(value):

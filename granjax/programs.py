@@ -46,6 +46,7 @@ def by_rows(transform: Callable, x: Any, *length: int, axis: int = -1) -> jax.Ar
     XLA's transforms on the CPU work row by row in memory. What follows in the same program, such as LAPACK on the
     Jacobian of a force, may ask for columns, and XLA then fails. So the layout is fixed on both sides.
     """
+
     def kept(x):
         return with_layout_constraint(x, Layout(tuple(range(x.ndim))))
 
@@ -120,7 +121,9 @@ def joined(static: tuple, arrays: list) -> Pytree:
     """The pytree that `parted` took apart."""
     first, rest = static
     arrays = iter(arrays)
-    return _joined(rest, arrays) if first is None else (_joined(first, arrays), *_joined(rest, arrays))
+    return (
+        _joined(rest, arrays) if first is None else (_joined(first, arrays), *_joined(rest, arrays))
+    )
 
 
 def _joined(static, arrays):
@@ -152,4 +155,6 @@ def bar(total: int, unit: str, name: str, shown: bool = True, done: int = 0) -> 
     from tqdm import tqdm
 
     shown = shown and (getattr(sys.stderr, "isatty", bool)() or "ipykernel" in sys.modules)
-    return tqdm(total=total, initial=done, unit=unit, desc=name, delay=2, leave=False, disable=not shown)
+    return tqdm(
+        total=total, initial=done, unit=unit, desc=name, delay=2, leave=False, disable=not shown
+    )

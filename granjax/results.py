@@ -62,7 +62,11 @@ class Result(eqx.Module):
 
     @property
     def _known_mark(self):
-        return getattr(getattr(self, "lattice", None), "_mark", None) if self._mark is None else self._mark
+        return (
+            getattr(getattr(self, "lattice", None), "_mark", None)
+            if self._mark is None
+            else self._mark
+        )
 
     def __repr__(self) -> str:
         if traced(self):
@@ -103,9 +107,16 @@ class Result(eqx.Module):
         marked = lanes_of(self._known_mark, space)
         if marked is not None:
             return Layout(*space, *marked)
-        arrays = {name: (np.shape(fields[name]), axes) for name, (axes, *_) in self.held.items()
-                  if axes is not None and _is_array(fields.get(name))}
-        plain = [(shape, axes.split()) for shape, axes in arrays.values() if "site" not in axes and "..." not in axes]
+        arrays = {
+            name: (np.shape(fields[name]), axes)
+            for name, (axes, *_) in self.held.items()
+            if axes is not None and _is_array(fields.get(name))
+        }
+        plain = [
+            (shape, axes.split())
+            for shape, axes in arrays.values()
+            if "site" not in axes and "..." not in axes
+        ]
         more = {len(shape) - len(own) for shape, own in plain}
         count = max(more.pop(), 0) if len(more) == 1 else 0
         first = {shape[:count] for shape, _ in plain}
@@ -147,7 +158,11 @@ class Result(eqx.Module):
             name, records = held.name or field, _records(types.get(field), value)
             if isinstance(value, Result):
                 within |= {} if held.axes is None else {name: value}
-            elif isinstance(value, dict) and value and all(isinstance(x, Result) for x in value.values()):
+            elif (
+                isinstance(value, dict)
+                and value
+                and all(isinstance(x, Result) for x in value.values())
+            ):
                 within |= {f"{name}_{key}".replace("/", "_"): x for key, x in value.items()}
             elif records is not None:
                 table.add(name, records, held._replace(axes=held.axes or name))
@@ -161,7 +176,11 @@ class Result(eqx.Module):
         for name, result in within.items():
             space = result._space or layout.space
             alike = result._layout(dict(result._fields()), space).lanes == layout.lanes
-            own = result if result._known_mark is not None else dataclasses.replace(result, _mark=self._known_mark)
+            own = (
+                result
+                if result._known_mark is not None
+                else dataclasses.replace(result, _mark=self._known_mark)
+            )
             data = _joined(data, name, own._dataset(lanes if alike else None, space))
         return data
 
@@ -170,8 +189,11 @@ class Result(eqx.Module):
         if layout.lanes or layout.sites is not None:
             return layout
         sizes = tuple(np.size(x) for x in lanes.values())
-        over = [np.shape(fields[name]) for name, (axes, *_) in self.held.items()
-                if axes is not None and _is_array(fields.get(name)) and _more(fields[name], axes)]
+        over = [
+            np.shape(fields[name])
+            for name, (axes, *_) in self.held.items()
+            if axes is not None and _is_array(fields.get(name)) and _more(fields[name], axes)
+        ]
         fits = over and all(len(x) > len(sizes) and x[len(x) - len(sizes) :] == sizes for x in over)
         return Layout(lanes=sizes) if fits else layout
 
@@ -201,16 +223,34 @@ class Result(eqx.Module):
             return x * factor if factor != 1 else x, _attributes(counted, unit) if unit else stays
 
         for name, x in data.variables.items():
-            values, told = converted(x.values, x.attrs) if x.dtype.kind in "fc" else (x.values, x.attrs)
-            data[name] = (x.dims, values, {k: v for k, v in x.attrs.items() if k not in ("units", "si_units")} | told)
+            values, told = (
+                converted(x.values, x.attrs) if x.dtype.kind in "fc" else (x.values, x.attrs)
+            )
+            data[name] = (
+                x.dims,
+                values,
+                {k: v for k, v in x.attrs.items() if k not in ("units", "si_units")} | told,
+            )
         for key in [key for key in data.attrs if f"{key}_units" in data.attrs]:
-            told = {k: data.attrs.pop(f"{key}_{k}") for k in ("units", "si_units") if f"{key}_{k}" in data.attrs}
+            told = {
+                k: data.attrs.pop(f"{key}_{k}")
+                for k in ("units", "si_units")
+                if f"{key}_{k}" in data.attrs
+            }
             values, told = converted(np.asarray(data.attrs[key]), told)
             data.attrs |= {key: values.tolist()} | {f"{key}_{k}": x for k, x in told.items()}
         left = [word.name for word in counted.words if word.name not in taken]
         if left:
-            there = sorted({x.attrs.get("si_units", x.attrs.get("units", "")) for x in data.variables.values()} - {""})
-            refuse("units", f"units of {', '.join(there)}", ", ".join(map(repr, left)), "Nothing here has such.")
+            there = sorted(
+                {x.attrs.get("si_units", x.attrs.get("units", "")) for x in data.variables.values()}
+                - {""}
+            )
+            refuse(
+                "units",
+                f"units of {', '.join(there)}",
+                ", ".join(map(repr, left)),
+                "Nothing here has such.",
+            )
         said = SCALED if counted.sizes is not None and counted.said == SI else SI
         return data.assign_attrs(units=said) if counted.sizes is not None or counted.words else data
 
@@ -218,10 +258,16 @@ class Result(eqx.Module):
         """The same, counted in what somebody says by "SI" or "scaled" who asks for units."""
         kind = by_name.asked_for(units)[0]
         if kind is None:
-            refuse("units", "units of a result that says what it is in", f"a {type(self).__name__}, which does not",
-                   "Say it where it is made, as in spectrum(..., units=run.units), or here, in_units('SI', 'us').")
+            refuse(
+                "units",
+                "units of a result that says what it is in",
+                f"a {type(self).__name__}, which does not",
+                "Say it where it is made, as in spectrum(..., units=run.units), or here, in_units('SI', 'us').",
+            )
         mark = self._known_mark
-        return dataclasses.replace(self, _mark=np.full(np.shape(0.0 if mark is None else mark), by_name.mark_of(kind)))
+        return dataclasses.replace(
+            self, _mark=np.full(np.shape(0.0 if mark is None else mark), by_name.mark_of(kind))
+        )
 
     def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:
         """Write `to_xarray(lanes=lanes)` to a file: netCDF (`.nc`) or MATLAB (`.mat`, version 5).
@@ -258,8 +304,12 @@ def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:
         return None
     if not (issubclass(kind, Result) or hasattr(kind, "_asdict")):
         return None
-    hints = {name: type_ for name, type_ in kind.__annotations__.items() if type_ in (str, int, float)}
-    return {name: np.array([getattr(x, name) for x in value], type_) for name, type_ in hints.items()}
+    hints = {
+        name: type_ for name, type_ in kind.__annotations__.items() if type_ in (str, int, float)
+    }
+    return {
+        name: np.array([getattr(x, name) for x in value], type_) for name, type_ in hints.items()
+    }
 
 
 def _joined(data: "xarray.Dataset", name: str, inner: "xarray.Dataset") -> "xarray.Dataset":
@@ -268,10 +318,16 @@ def _joined(data: "xarray.Dataset", name: str, inner: "xarray.Dataset") -> "xarr
     Axes that both have are shared where they are as long and have the same coordinates.
     """
     shared = [
-        x for x in inner.dims if inner.sizes[x] == data.sizes.get(x, inner.sizes[x])
+        x
+        for x in inner.dims
+        if inner.sizes[x] == data.sizes.get(x, inner.sizes[x])
         and (x in data.dims or x.startswith("site"))
         and (x not in inner.coords or x not in data.coords or inner[x].equals(data[x]))
     ]
     inner = inner.rename({x: f"{name}_{x}" for x in {*inner.variables, *inner.dims} - {*shared}})
-    told = {f"{name}_{key}": x for key, x in inner.attrs.items() if key not in ("granjax", "jax", "units")}
+    told = {
+        f"{name}_{key}": x
+        for key, x in inner.attrs.items()
+        if key not in ("granjax", "jax", "units")
+    }
     return data.merge(inner, combine_attrs="override").assign_attrs(told)

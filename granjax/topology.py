@@ -45,8 +45,16 @@ POINTS = 2**12
 ALONG = 0.7
 
 __all__ = [
-    "BerryCurvature", "Polarisation", "Zak", "berry_curvature", "chern", "polarisation", "quadrupole", "valley_chern",
-    "winding", "zak",
+    "BerryCurvature",
+    "Polarisation",
+    "Zak",
+    "berry_curvature",
+    "chern",
+    "polarisation",
+    "quadrupole",
+    "valley_chern",
+    "winding",
+    "zak",
 ]
 
 
@@ -87,7 +95,9 @@ def _waves_of(lattice, cell, axes=None):
         if axes is not None and len(found.cell) != axes:
             kinds = {1: "a chain", 2: "a lattice of the plane"}
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
-        return _Waves(found.dynamical_matrix, len(found.cell), found.mass.size, _closed(found.mass.dtype))
+        return _Waves(
+            found.dynamical_matrix, len(found.cell), found.mass.size, _closed(found.mass.dtype)
+        )
     shape = jax.eval_shape(lattice, jnp.zeros(axes or 1))
     return _Waves(lattice, axes or 1, shape.shape[0], _closed(shape.dtype))
 
@@ -101,9 +111,16 @@ def _chosen(bands, waves):
     """The bands that are asked for, as a sorted list."""
     size = waves.size
     given = [bands] if np.ndim(bands) == 0 else list(bands)
-    numbers = sorted({whole("band", b, -size) % size for b in given if whole("band", b, -size) < size})
+    numbers = sorted(
+        {whole("band", b, -size) % size for b in given if whole("band", b, -size) < size}
+    )
     if len(numbers) != len(given):
-        refuse("band", f"numbers from 0 to {size - 1}, each once", repr(bands), "Bands are counted from the lowest.")
+        refuse(
+            "band",
+            f"numbers from 0 to {size - 1}, each once",
+            repr(bands),
+            "Bands are counted from the lowest.",
+        )
     return numbers
 
 
@@ -132,7 +149,10 @@ def _cut(waves, count, numbers):
     gap, nearest, lost, cuts, largest = np.inf, np.full(axes, np.nan), False, [], None
     rim, corners = (np.array(list(product(way, repeat=axes))) for way in ((0, -1, 1), (-1, 1)))
     # in units of the mesh, so that halves of halves are exact
-    half, middle = 0.5, np.stack(np.meshgrid(*[plain + 0.5] * axes, indexing="ij"), -1).reshape(-1, axes)
+    half, middle = (
+        0.5,
+        np.stack(np.meshgrid(*[plain + 0.5] * axes, indexing="ij"), -1).reshape(-1, axes),
+    )
     for _ in range(HALVINGS if len(others) else 0):
         parts = np.array_split(middle, -(-len(middle) * len(rim) * waves.size**2 // TOGETHER))
         found = [_judged(waves, unit * (x[:, None] + half * rim), numbers, others) for x in parts]
@@ -150,15 +170,20 @@ def _cut(waves, count, numbers):
         middle = (middle[:, None] + half * corners).reshape(-1, axes)
     else:
         lost = len(others) > 0
-    lines = [unit * np.unique(np.concatenate([plain, *(x[:, axis] for x in cuts)])) for axis in range(axes)]
+    lines = [
+        unit * np.unique(np.concatenate([plain, *(x[:, axis] for x in cuts)]))
+        for axis in range(axes)
+    ]
     lost = lost or np.prod([len(x) for x in lines]) * waves.size * len(numbers) > LARGEST
     where = f"at k = {', '.join(f'{x:.6g}' for x in nearest)}"
     fault = ""
     if gap <= waves.closed:
         fault = f"{_told(numbers)} touch{'es' * (len(numbers) == 1)} others {where}."
     elif lost:
-        fault = (f"{_told(numbers)} and others are too close over too much of the zone for a mesh to follow: "
-                 f"the least gap that was met, {where}, is {gap:.1e} of the largest omega^2.")
+        fault = (
+            f"{_told(numbers)} and others are too close over too much of the zone for a mesh to follow: "
+            f"the least gap that was met, {where}, is {gap:.1e} of the largest omega^2."
+        )
     return _Mesh(lines, gap, nearest, fault)
 
 
@@ -175,8 +200,12 @@ def _judged(waves, points, numbers, others):
     D = D.reshape(*points.shape[:2], *D.shape[1:])
     squared, q = np.linalg.eigh(D[:, 0])
     corner = points.shape[1] // 2
-    gaps = np.stack([np.abs(x[:, numbers][:, :, None] - x[:, others][:, None, :]).min((1, 2))
-                     for x in (squared, np.linalg.eigvalsh(D[:, corner]))])
+    gaps = np.stack(
+        [
+            np.abs(x[:, numbers][:, :, None] - x[:, others][:, None, :]).min((1, 2))
+            for x in (squared, np.linalg.eigvalsh(D[:, corner]))
+        ]
+    )
     place = np.where((gaps[0] <= gaps[1])[:, None], points[:, 0], points[:, corner])
     E = q.conj().swapaxes(-1, -2)[:, None] @ (D[:, 1:] - D[:, :1]) @ q[:, None]
     own = np.einsum("nrpp->nrp", E).real
@@ -213,8 +242,11 @@ class Zak(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "phase": Held("band ...", "rad"), "below": Held("gap ...", "rad"), "error": Held(unit="rad"),
-        "k": Held("wave", "rad"), "faults": Held(None),
+        "phase": Held("band ...", "rad"),
+        "below": Held("gap ...", "rad"),
+        "error": Held(unit="rad"),
+        "k": Held("wave", "rad"),
+        "faults": Held(None),
     }
     phase: Numbers
     below: Numbers
@@ -233,7 +265,12 @@ class Zak(Result):
 
 
 def zak(
-    lattice: Any, *, points: Count = 64, axis: Count = 0, k: Parameter | None = None, cell: Cell | None = None,
+    lattice: Any,
+    *,
+    points: Count = 64,
+    axis: Count = 0,
+    k: Parameter | None = None,
+    cell: Cell | None = None,
 ) -> Zak:
     r"""Zak phases: gamma = -Im log prod_j <q(k_j)|q(k_{j+1})> over the zone, closed by D(k + 2 pi) = D(k).
 
@@ -253,22 +290,34 @@ def zak(
     """
     waves = _waves_of(lattice, cell, None if isinstance(lattice, Lattice) or k is None else 2)
     if waves.axes > 2 or (waves.axes == 2) != (k is not None):
-        refuse("k", "None of a chain; of a plane the wave numbers along the other axis", f"{k} with {waves.axes} axes")
+        refuse(
+            "k",
+            "None of a chain; of a plane the wave numbers along the other axis",
+            f"{k} with {waves.axes} axes",
+        )
     n = whole("points", points, 4)
     other, rows = None, [waves]
     if waves.axes == 2:
         if axis not in (0, 1):
             refuse("axis", "0 or 1", repr(axis))
         other = np.atleast_1d(np.asarray(parameter("k", k), float))
-        rows = [_Waves(jax.tree_util.Partial(_on_line, waves.matrix, axis, x), 1, waves.size, waves.closed)
-                for x in other]
+        rows = [
+            _Waves(
+                jax.tree_util.Partial(_on_line, waves.matrix, axis, x), 1, waves.size, waves.closed
+            )
+            for x in other
+        ]
     phase, below, error, faults = zip(*(_phases(row, n) for row in rows))
     phase, below = np.stack(phase, -1), np.stack(below, -1)
     if other is None:
         phase, below = phase[:, 0], below[:, 0]
         told = faults[0]
     else:
-        told = [f"At k = {x:.6g} along the other axis: {said}" for x, some in zip(other, faults) for said in some]
+        told = [
+            f"At k = {x:.6g} along the other axis: {said}"
+            for x, some in zip(other, faults)
+            for said in some
+        ]
     marks = lattice.origin if isinstance(lattice, Lattice) else {}
     return Zak(phase, below, max(error), other, tuple(told), **marks)
 
@@ -292,14 +341,19 @@ def _phases(waves, count):
     q = waves.vectors([np.unique(np.concatenate(lines))])
 
     def loop(q, bands):
-        link = np.linalg.det(np.swapaxes(q[..., bands].conj(), -1, -2) @ np.roll(q, -1, 0)[..., bands])
+        link = np.linalg.det(
+            np.swapaxes(q[..., bands].conj(), -1, -2) @ np.roll(q, -1, 0)[..., bands]
+        )
         # one product of numbers of modulus one: no logarithm is summed
         angle = -np.angle(np.prod(link / np.abs(link)))
         return np.pi if np.isclose(angle, -np.pi, atol=1e-12) else angle
 
     wanted = [([n], is_open[n] and is_open[n + 1]) for n in range(size)]
     wanted += [(list(range(n + 1)), is_open[n + 1]) for n in range(size - 1)]
-    fine, coarse = (np.array([loop(x, bands) if there else np.nan for bands, there in wanted]) for x in (q, q[::2]))
+    fine, coarse = (
+        np.array([loop(x, bands) if there else np.nan for bands, there in wanted])
+        for x in (q, q[::2])
+    )
     error = np.nanmax(np.abs(_turned(fine - coarse)), initial=0.0)
     return fine[:size], fine[size:], error, [x.fault for x in cuts if x.fault]
 
@@ -324,20 +378,35 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
     own = np.einsum("kaa->ka", D)
     scale = np.abs(D).max()
     if np.ptp(own.real) > CLOSED * scale:
-        refuse("lattice", "one stiffness over mass at all sites", f"{own.real.min():.6g} ... {own.real.max():.6g}",
-               "Walls and grounding springs count: ground= of the scenes makes them equal.")
+        refuse(
+            "lattice",
+            "one stiffness over mass at all sites",
+            f"{own.real.min():.6g} ... {own.real.max():.6g}",
+            "Walls and grounding springs count: ground= of the scenes makes them equal.",
+        )
     kinds = _two_kinds(np.abs(D - own[..., None] * np.eye(D.shape[-1])).max(0) > CLOSED * scale)
     first, second = (np.flatnonzero(kinds == kind) for kind in (0, 1))
     if len(first) != len(second):
-        refuse("lattice", "as many sites of one kind as of the other", f"{len(first)} and {len(second)}",
-               "Such a cell has flat bands instead: gx.linear.flat_bands.")
+        refuse(
+            "lattice",
+            "as many sites of one kind as of the other",
+            f"{len(first)} and {len(second)}",
+            "Such a cell has flat bands instead: gx.linear.flat_bands.",
+        )
     mesh = _cut(waves, points, range(len(first)))
     if mesh.fault:
-        refuse("lattice", "a gap around the middle of the bands", "det h(k) = 0 somewhere", mesh.fault)
+        refuse(
+            "lattice", "a gap around the middle of the bands", "det h(k) = 0 somewhere", mesh.fault
+        )
     h = np.linalg.det(waves.matrices(mesh.lines[0][:, None])[:, second][:, :, first])
     turns = np.angle(np.roll(h, -1) / h)
     if np.abs(turns).max() > 0.9 * np.pi:
-        refuse("points", "a mesh on which det h(k) turns smoothly", f"{points}", f"Give points={8 * points}.")
+        refuse(
+            "points",
+            "a mesh on which det h(k) turns smoothly",
+            f"{points}",
+            f"Give points={8 * points}.",
+        )
     return int(np.round(turns.sum() / (2 * np.pi)))
 
 
@@ -355,8 +424,12 @@ def _two_kinds(bound):
                     kinds[b] = 1 - kinds[a]
                     waiting.append(b)
                 elif kinds[b] == kinds[a]:
-                    refuse("lattice", "sites of two kinds, each bound to the other alone", "a ring of odd length",
-                           "Bands without that symmetry have a Zak phase: gx.topology.zak.")
+                    refuse(
+                        "lattice",
+                        "sites of two kinds, each bound to the other alone",
+                        "a ring of odd length",
+                        "Bands without that symmetry have a Zak phase: gx.topology.zak.",
+                    )
     return kinds
 
 
@@ -377,8 +450,12 @@ class BerryCurvature(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "k": Held("first second axis", "rad"), "flux": Held("first second", "rad"),
-        "curvature": Held("first second"), "band": Held(None), "gap": Held(unit="1"), "nearest": Held("axis", "rad"),
+        "k": Held("first second axis", "rad"),
+        "flux": Held("first second", "rad"),
+        "curvature": Held("first second"),
+        "band": Held(None),
+        "gap": Held(unit="1"),
+        "nearest": Held("axis", "rad"),
         "fault": Held(None),
     }
     k: Numbers
@@ -409,7 +486,11 @@ class BerryCurvature(Result):
 
 
 def berry_curvature(
-    lattice: Any, band: Count | Sequence[Count] = 0, *, points: Count = 24, cell: Cell | None = None,
+    lattice: Any,
+    band: Count | Sequence[Count] = 0,
+    *,
+    points: Count = 24,
+    cell: Cell | None = None,
 ) -> BerryCurvature:
     r"""Berry curvature of a band, or of several together, of a lattice of the plane.
 
@@ -464,7 +545,11 @@ def _flux(q):
 
 
 def chern(
-    lattice: Any, band: Count | Sequence[Count] = 0, *, points: Count = 24, cell: Cell | None = None,
+    lattice: Any,
+    band: Count | Sequence[Count] = 0,
+    *,
+    points: Count = 24,
+    cell: Cell | None = None,
 ) -> int:
     """Chern number of a band, or of several together: the flux of `berry_curvature` over 2 pi.
 
@@ -484,12 +569,20 @@ def chern(
 
 
 def _refuse_touching(numbers, fault):
-    refuse("band", "bands apart from all others", _told(numbers),
-           f"{fault} Take the bands that touch together, as band=(0, 1), or open the gap.")
+    refuse(
+        "band",
+        "bands apart from all others",
+        _told(numbers),
+        f"{fault} Take the bands that touch together, as band=(0, 1), or open the gap.",
+    )
 
 
 def valley_chern(
-    lattice: Any, band: Count | Sequence[Count] = 0, *, valley: str | Parameter = "K", points: Count = 96,
+    lattice: Any,
+    band: Count | Sequence[Count] = 0,
+    *,
+    valley: str | Parameter = "K",
+    points: Count = 96,
     cell: Cell | None = None,
 ) -> float:
     r"""Valley Chern number: the Berry flux over 2 pi through the half of the zone that is nearer to one valley.
@@ -512,7 +605,11 @@ def valley_chern(
     mesh, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
     if isinstance(valley, str):
         cells = unit_cell(lattice, cell).cell if isinstance(lattice, Lattice) else (1, 1)
-        vectors = _vectors(lattice, cells) if isinstance(lattice, Lattice) else np.array([[1.0, 0], [0.5, 0.75**0.5]])
+        vectors = (
+            _vectors(lattice, cells)
+            if isinstance(lattice, Lattice)
+            else np.array([[1.0, 0], [0.5, 0.75**0.5]])
+        )
         known = _named_points(vectors, 2)
         if valley not in known:
             refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))
@@ -520,7 +617,9 @@ def valley_chern(
     place = np.asarray(parameter("valley", valley), float)
     if np.allclose(_turned(2 * place), 0):
         refuse("valley", "a point of the zone that is not its own minus", f"{place}")
-    middle = np.stack(np.meshgrid(*((x + np.append(x[1:], 2 * np.pi)) / 2 for x in mesh.lines), indexing="ij"), -1)
+    middle = np.stack(
+        np.meshgrid(*((x + np.append(x[1:], 2 * np.pi)) / 2 for x in mesh.lines), indexing="ij"), -1
+    )
     near, far = (_distance(middle, sign * place) for sign in (1, -1))
     return float((flux * np.where(near < far, 1, np.where(near > far, 0, 0.5))).sum() / (2 * np.pi))
 
@@ -528,7 +627,12 @@ def valley_chern(
 def _distance(k, place):
     """How far points of the zone are from one, around the zone: 2 - cos - cos of hexagonal or square axes alike."""
     difference = k - place
-    return 3 - np.cos(difference[..., 0]) - np.cos(difference[..., 1]) - np.cos(difference[..., 0] - difference[..., 1])
+    return (
+        3
+        - np.cos(difference[..., 0])
+        - np.cos(difference[..., 1])
+        - np.cos(difference[..., 0] - difference[..., 1])
+    )
 
 
 class Polarisation(Result):
@@ -547,8 +651,11 @@ class Polarisation(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "polarisation": Held("axis"), "centres": Held("axis wave band"), "k": Held("wave", "rad"),
-        "error": Held(""), "band": Held(None),
+        "polarisation": Held("axis"),
+        "centres": Held("axis wave band"),
+        "k": Held("wave", "rad"),
+        "error": Held(""),
+        "band": Held(None),
     }
     polarisation: Numbers
     centres: Numbers
@@ -564,7 +671,11 @@ class Polarisation(Result):
 
 
 def polarisation(
-    lattice: Any, bands: Count | Sequence[Count] = 0, *, points: Count = 48, cell: Cell | None = None,
+    lattice: Any,
+    bands: Count | Sequence[Count] = 0,
+    *,
+    points: Count = 48,
+    cell: Cell | None = None,
 ) -> Polarisation:
     r"""Bulk polarisation p = (p_1, p_2) of a band of the plane, or of several together, by Wilson loops.
 
@@ -600,12 +711,22 @@ def polarisation(
         _refuse_touching(numbers, found.fault)
     q = waves.vectors([mesh, mesh], numbers)
     if round(_flux(q).sum() / (2 * np.pi)):
-        refuse("bands", "bands whose Chern number is zero", f"{numbers}, whose is {round(_flux(q).sum() / 2 / np.pi)}",
-               "Their Wannier centres wind around the cell: gx.topology.chern.")
+        refuse(
+            "bands",
+            "bands whose Chern number is zero",
+            f"{numbers}, whose is {round(_flux(q).sum() / 2 / np.pi)}",
+            "Their Wannier centres wind around the cell: gx.topology.chern.",
+        )
     (centres, fine), (_, coarse) = (
-        map(np.array, zip(_wannier(x), _wannier(x.swapaxes(0, 1)))) for x in (q, q[::2, ::2]))
+        map(np.array, zip(_wannier(x), _wannier(x.swapaxes(0, 1)))) for x in (q, q[::2, ::2])
+    )
     if np.isnan(fine).any():
-        refuse("points", "a mesh on which Wannier centres move smoothly", f"{n}", f"Give points={4 * n}.")
+        refuse(
+            "points",
+            "a mesh on which Wannier centres move smoothly",
+            f"{n}",
+            f"Give points={4 * n}.",
+        )
     off = np.abs(_turned(2 * np.pi * (fine - coarse))).max() / (2 * np.pi)
     error = 0.5 if np.isnan(off) else max(float(off), ROUNDED)
     marks = lattice.origin if isinstance(lattice, Lattice) else {}
@@ -632,7 +753,11 @@ def _wannier(q):
     values, vectors = np.linalg.eig(_overlap(frame[-1], frame[0]))
     basis, _ = np.linalg.qr(vectors)
     phase = -np.angle(values)
-    smooth = np.stack(frame) @ basis * np.exp(-1j * phase[:, None, :] * (np.arange(n) / n)[:, None, None, None])
+    smooth = (
+        np.stack(frame)
+        @ basis
+        * np.exp(-1j * phase[:, None, :] * (np.arange(n) / n)[:, None, None, None])
+    )
     order = np.fft.fftfreq(n, 1 / n)
     order[n // 2] = 0
     slope = np.fft.ifft(1j * order[:, None, None, None] * np.fft.fft(smooth, axis=0), axis=0)
@@ -651,7 +776,11 @@ def _in_cell(x):
 
 
 def quadrupole(
-    lattice: Any, bands: Sequence[Count] | None = None, *, points: Count = 24, cell: Cell | None = None,
+    lattice: Any,
+    bands: Sequence[Count] | None = None,
+    *,
+    points: Count = 24,
+    cell: Cell | None = None,
 ) -> tuple[float, float]:
     r"""Nested Zak phases of the lower bands, p_x and p_y over 2 pi: (1/2, 1/2) is a quadrupole, with corner states.
 

@@ -121,13 +121,15 @@ def tune(*, cache: bool = False) -> Tuning:
         return Tuning(flags, True, "In XLA_FLAGS.")
     if jax.__version_info__ >= UNTRIED:
         return Tuning(
-            flags, False,
+            flags,
+            False,
             f"Not set: JAX {jax.__version__} is newer than those granjax was tried with, and XLA ends a process for a "
             f"flag that it does not know. Put {LOOPS} into XLA_FLAGS yourself to have it.",
         )
     if _has_started():
         return Tuning(
-            flags, False,
+            flags,
+            False,
             f"Too late: JAX has started, and XLA reads {LOOPS} only before its first computation. "
             "Import granjax, or call granjax.tune(), before computing with JAX.",
         )
@@ -155,7 +157,11 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
     chosen = folder or os.environ.get("GRANJAX_CACHE") or _user_cache() / "granjax"
     if str(chosen) == "0":
         return None
-    lines = [line for line in _processor().splitlines() if line.split(":")[0].strip() in ("model name", "flags")]
+    lines = [
+        line
+        for line in _processor().splitlines()
+        if line.split(":")[0].strip() in ("model name", "flags")
+    ]
     own = hashlib.sha256("".join(lines or [_processor()]).encode()).hexdigest()[:12]
     place = Path(chosen) / f"{platform.machine()}-{own}"
     try:

@@ -56,8 +56,14 @@ class Layout(NamedTuple):
         known = self.sites is not None if "site" in before.split() else not dots
         if not known:
             return None
-        sites = ["site", *(f"site_{k}" for k in range(1, self.sites or 1)), *[COMPONENT] * (self.components > 0)]
-        return [word for own in (before + after).split() for word in (sites if own == "site" else [own])]
+        sites = [
+            "site",
+            *(f"site_{k}" for k in range(1, self.sites or 1)),
+            *[COMPONENT] * (self.components > 0),
+        ]
+        return [
+            word for own in (before + after).split() for word in (sites if own == "site" else [own])
+        ]
 
     def batched(self, shape: tuple[int, ...], own: int | None) -> bool:
         """Whether an array of so many axes of its own has the lanes beside them."""
@@ -73,18 +79,25 @@ def lanes_of(mark: Any, space: tuple[int, int] | None) -> tuple[tuple[int, ...],
     shape = np.shape(mark)
     if own is None or len(shape) < own:
         return None
-    places = [first for first in range(len(shape) - own, -1, -1) if set(shape[first : first + own]) <= {1}]
+    places = [
+        first for first in range(len(shape) - own, -1, -1) if set(shape[first : first + own]) <= {1}
+    ]
     return ((*shape[: places[0]], *shape[places[0] + own :]), places[0]) if places else None
 
 
-def axes_of(axes: str, name: str, shape: tuple[int, ...], layout: Layout, lanes: tuple[str, ...], site: str) -> list:
+def axes_of(
+    axes: str, name: str, shape: tuple[int, ...], layout: Layout, lanes: tuple[str, ...], site: str
+) -> list:
     """Names of an array's axes: those of the table of its result, lanes, and `NAME_k` where none is known."""
     words = layout.words(axes)
     own = None if words is None else len(words)
     batched = layout.batched(shape, own)
     count = len(shape) - batched * len(lanes)
     named = words if count == own else _counted(axes, name, count)
-    named = [word.replace("site", site, 1) if word.partition("_")[0] == "site" else word for word in named]
+    named = [
+        word.replace("site", site, 1) if word.partition("_")[0] == "site" else word
+        for word in named
+    ]
     return [*lanes[: layout.first], *named, *lanes[layout.first :]] if batched else named
 
 
@@ -93,7 +106,9 @@ def _counted(axes, name, count):
     first, _, last = (part.split() for part in axes.partition("..."))
     first = first[: max(count - len(last), 0)]
     between = range(len(first), count - len(last))
-    more = [f"site_{k - len(first) + 1}" if first[-1:] == ["site"] else f"{name}_{k}" for k in between]
+    more = [
+        f"site_{k - len(first) + 1}" if first[-1:] == ["site"] else f"{name}_{k}" for k in between
+    ]
     return first + more + last[len(last) - min(len(last), count) :]
 
 
@@ -115,19 +130,34 @@ def lanes_named(lanes: Mapping | None, shape: tuple[int, ...]) -> tuple[tuple[st
         return names, {name: ((name,), x) for name, x in values.items()}
     if values and all(size == shape for size in sizes):
         return plain, {name: (plain, x) for name, x in values.items()}
-    axes = f"{len(shape)} axes of {' x '.join(map(str, shape))} lanes" if len(shape) > 1 else f"{shape[0]} lanes"
+    axes = (
+        f"{len(shape)} axes of {' x '.join(map(str, shape))} lanes"
+        if len(shape) > 1
+        else f"{shape[0]} lanes"
+    )
     got = ", ".join(f"{name} of shape {size}" for name, size in zip(values, sizes)) or "none"
-    refuse("lanes", f"names and values of {axes}", got, "One value for each lane: lanes={'ratio': ratios}.")
+    refuse(
+        "lanes",
+        f"names and values of {axes}",
+        got,
+        "One value for each lane: lanes={'ratio': ratios}.",
+    )
 
 
 def _values(name, x):
     if isinstance(name, str) and name and "/" not in name:
         array = np.asarray(x)
-        if array.dtype == object and all(isinstance(word, str) for word in array.flat):  # a column of a table
+        if array.dtype == object and all(
+            isinstance(word, str) for word in array.flat
+        ):  # a column of a table
             array = array.astype(str)
         if array.ndim and array.dtype.kind in "biufU" and math.prod(array.shape):
             return array
-        refuse(f"lanes[{name!r}]", "numbers or words, one for each lane", f"{array.dtype} of shape {array.shape}")
+        refuse(
+            f"lanes[{name!r}]",
+            "numbers or words, one for each lane",
+            f"{array.dtype} of shape {array.shape}",
+        )
     refuse("lanes", "names of parameters, without a slash", repr(name))
 
 
@@ -137,42 +167,68 @@ class Table:
     `units` gives the attributes of a unit.
     """
 
-    def __init__(self, layout: Layout, lanes: tuple[str, ...], units: Callable[[str], dict[str, str]]):
+    def __init__(
+        self, layout: Layout, lanes: tuple[str, ...], units: Callable[[str], dict[str, str]]
+    ):
         self.layout, self.lanes, self.units, self.fields = layout, lanes, units, []
         self.variables, self.attributes = {}, {}
         self.axes, self.own = dict(zip(lanes, layout.lanes)), set()
 
-    def add(self, name: str, value: Any, held: Held, more: Mapping[str, Held] = MappingProxyType({})) -> None:
+    def add(
+        self, name: str, value: Any, held: Held, more: Mapping[str, Held] = MappingProxyType({})
+    ) -> None:
         """What a field of a result holds: an array, or a dict or named tuple of such, `more` of whose parts."""
         for key, x in _arrays(name, value, "site" in (held.axes or "").split()):
             self.own |= {word for word in (held.axes or "").split() if word != "..."}
-            unit = MOTION.get(key[len(name) + 1 :][:1], "") if held.unit == STATE else more.get(key, held).unit
+            unit = (
+                MOTION.get(key[len(name) + 1 :][:1], "")
+                if held.unit == STATE
+                else more.get(key, held).unit
+            )
             if isinstance(x, dict):
                 self._over_fields(key, x, held.axes, unit)
             elif held.axes is not None and x.ndim or self.lanes and x.shape == self.layout.lanes:
-                self._put(key, axes_of(held.axes or "", key, x.shape, self.layout, self.lanes, "site"), x, unit)
+                self._put(
+                    key,
+                    axes_of(held.axes or "", key, x.shape, self.layout, self.lanes, "site"),
+                    x,
+                    unit,
+                )
             else:
                 parts = _parts(key, x.astype(int) if x.dtype == bool else x)
                 # a list of one is one in netCDF
-                self.attributes |= {part: y.item() if y.size == 1 else y.tolist() for part, y in parts.items()}
-                self.attributes |= {f"{key}_{name}": told for name, told in self.units(unit).items()}
+                self.attributes |= {
+                    part: y.item() if y.size == 1 else y.tolist() for part, y in parts.items()
+                }
+                self.attributes |= {
+                    f"{key}_{name}": told for name, told in self.units(unit).items()
+                }
 
     def _over_fields(self, key, fields, over, unit):
         """Fields of one shape along an axis, others as variables of their own."""
-        named = [axes_of(over, f"{key}_{field}", x.shape, self.layout, self.lanes, f"site_{field}")
-                 for field, x in fields.items()]
+        named = [
+            axes_of(over, f"{key}_{field}", x.shape, self.layout, self.lanes, f"site_{field}")
+            for field, x in fields.items()
+        ]
         alike = len({x.shape for x in fields.values()}) == 1 and self.fields in ([], [*fields])
         if not alike:
             for (field, x), axes in zip(fields.items(), named):
                 self._put(f"{key}_{field}", axes, x, unit)
             return
         self.fields = [*fields]
-        axes = axes_of(over, key, next(iter(fields.values())).shape, self.layout, self.lanes, "site")
+        axes = axes_of(
+            over, key, next(iter(fields.values())).shape, self.layout, self.lanes, "site"
+        )
         place = axes.index("site") if "site" in axes else 0
-        self._put(key, [*axes[:place], FIELD, *axes[place:]], np.stack([*fields.values()], place), unit)
+        self._put(
+            key, [*axes[:place], FIELD, *axes[place:]], np.stack([*fields.values()], place), unit
+        )
 
     def _put(self, key, axes, x, unit):
-        axes = [axis if self.axes.setdefault(axis, n) == n else f"{key}_{axis}" for axis, n in zip(axes, x.shape)]
+        axes = [
+            axis if self.axes.setdefault(axis, n) == n else f"{key}_{axis}"
+            for axis, n in zip(axes, x.shape)
+        ]
         self.axes |= dict(zip(axes, x.shape))
         for part, y in _parts(key, x).items():
             self.variables[part] = axes, y, self.units(unit)
@@ -181,13 +237,22 @@ class Table:
         """Variables and coordinates, those of the lanes among them."""
         taken = {*swept} & ({*self.variables, *self.attributes, FIELD, COMPONENT} | self.own)
         if taken:
-            refuse("lanes", "names that nothing else in the result has", repr(min(taken)), "Call it otherwise.")
+            refuse(
+                "lanes",
+                "names that nothing else in the result has",
+                repr(min(taken)),
+                "Call it otherwise.",
+            )
         variables = {}
         for key, (axes, x, told) in self.variables.items():
             if key in self.axes and axes != [key]:
                 key, axes, x = self._beside(key, axes, x)
             variables[key] = axes, x, told
-        found = {axis: (axis, np.arange(n)) for axis, n in self.axes.items() if axis.partition("_")[0] == "site"}
+        found = {
+            axis: (axis, np.arange(n))
+            for axis, n in self.axes.items()
+            if axis.partition("_")[0] == "site"
+        }
         found |= {FIELD: (FIELD, self.fields)} if self.fields else {}
         if COMPONENT in self.axes:
             found[COMPONENT] = COMPONENT, [*COMPONENTS[: self.axes[COMPONENT]]]
@@ -197,7 +262,9 @@ class Table:
         """A variable that has the name of an axis and other axes too: without the lanes where it is alike in them."""
         if [axis for axis in axes if axis not in self.lanes] == [key]:
             rows = np.moveaxis(x, axes.index(key), -1).reshape(-1, x.shape[axes.index(key)])
-            if rows.size and np.array_equal(rows, np.broadcast_to(rows[0], rows.shape), equal_nan=x.dtype.kind == "f"):
+            if rows.size and np.array_equal(
+                rows, np.broadcast_to(rows[0], rows.shape), equal_nan=x.dtype.kind == "f"
+            ):
                 return key, [key], rows[0]
         return f"{key}s", axes, x
 
@@ -213,15 +280,24 @@ def _arrays(name: str, value: Any, over_sites: bool) -> Iterator[tuple[str, Any]
             yield from _arrays(f"{name}_{key}", x, over_sites)
     elif isinstance(value, dict):
         entries = {str(key): x for key, x in value.items()}
-        found = {key: x for key, inner in entries.items() for _, x in _arrays(key, inner, over_sites)}
+        found = {
+            key: x for key, inner in entries.items() for _, x in _arrays(key, inner, over_sites)
+        }
         if over_sites and found and found.keys() == entries.keys():
             yield name, found
         else:
             for key, x in entries.items():
                 yield from _arrays(f"{name}_{key}", x, over_sites)
     elif isinstance(value, jax.core.Tracer):
-        refuse("result", "numbers", f"{name}, which is traced", "Call to_xarray outside of jit and vmap.")
-    elif isinstance(value, (jax.Array, np.ndarray, np.generic, int, float, complex, str, list, tuple)):
+        refuse(
+            "result",
+            "numbers",
+            f"{name}, which is traced",
+            "Call to_xarray outside of jit and vmap.",
+        )
+    elif isinstance(
+        value, (jax.Array, np.ndarray, np.generic, int, float, complex, str, list, tuple)
+    ):
         try:
             x = np.asarray(value)
         except ValueError:

@@ -13,7 +13,14 @@ from granjax.strains import BOUNDARIES, StrainMap
 
 EPS = float(np.finfo(float).eps)
 
-SPLITTING = (gx.VelocityVerlet, gx.SRKN6b, gx.SRKN11b, gx.SRKN14a, gx.KahanLi8, gx.SofroniouSpaletta10)
+SPLITTING = (
+    gx.VelocityVerlet,
+    gx.SRKN6b,
+    gx.SRKN11b,
+    gx.SRKN14a,
+    gx.KahanLi8,
+    gx.SofroniouSpaletta10,
+)
 NYSTROM = (gx.RKN86, gx.RKN1210)
 ALL_SOLVERS = SPLITTING + NYSTROM
 
@@ -21,13 +28,20 @@ ALL_SOLVERS = SPLITTING + NYSTROM
 def few(values, *kept):
     """Values of a parameter of slow tests: those in `kept`, by their place, run in every CI, all of them in a study."""
     chosen = {i % len(values) for i in kept}
-    return [v if i in chosen else pytest.param(*v if type(v) is tuple else (v,), marks=pytest.mark.study)
-            for i, v in enumerate(values)]
+    return [
+        v
+        if i in chosen
+        else pytest.param(*v if type(v) is tuple else (v,), marks=pytest.mark.study)
+        for i, v in enumerate(values)
+    ]
 
 
 def over(cases, repeated=()):
     """Parametrise a test over cases, each under its name; those that `repeated` names are a study."""
-    marked = [pytest.param(case, id=case.name, marks=[pytest.mark.study] * (case.name in repeated)) for case in cases]
+    marked = [
+        pytest.param(case, id=case.name, marks=[pytest.mark.study] * (case.name in repeated))
+        for case in cases
+    ]
     return pytest.mark.parametrize("case", marked)
 
 
@@ -50,7 +64,11 @@ def scaled_leaves(tree, factor):
 def random_like(tree, seed, size=0.1):
     """Random arrays of the shapes of a tree of shapes, arrays or `ShapeDtypeStruct`s."""
     rng = np.random.default_rng(seed)
-    return jax.tree.map(lambda x: jnp.asarray(size * rng.normal(size=getattr(x, "shape", x))), tree, is_leaf=_is_shape)
+    return jax.tree.map(
+        lambda x: jnp.asarray(size * rng.normal(size=getattr(x, "shape", x))),
+        tree,
+        is_leaf=_is_shape,
+    )
 
 
 def _is_shape(x):
@@ -91,7 +109,9 @@ ALL_LAWS = (
     LawCase("toda", gx.Toda(0.8, 1.3), _SMOOTH),
     LawCase("linear", gx.Linear(1.3), _SMOOTH),
     LawCase("sine", gx.Sine(0.9, 1.7), _SMOOTH),
-    LawCase("spline", gx.laws.Spline([-1.0, -0.3, 0.2, 1.0], [0.0, 0.7, 1.3, 1.1, 2.0], 0.4), _SMOOTH),
+    LawCase(
+        "spline", gx.laws.Spline([-1.0, -0.3, 0.2, 1.0], [0.0, 0.7, 1.3, 1.1, 2.0], 0.4), _SMOOTH
+    ),
     LawCase("network", gx.laws.Network(3, 1.2, 0.8), _SMOOTH),
     LawCase("network_any_sign", gx.laws.Network(2, monotone=False, preload=0.3), _SMOOTH),
     LawCase("sum_hertz_power", gx.Hertz(1.0, 0.3) + gx.PowerLaw(0.2, 2.5)),
@@ -106,8 +126,14 @@ ALL_LAWS = (
 
 # those whose code another case runs with other numbers
 SAME_LAWS = {
-    *(f"power_{p}" for p in (1.0, 2.5, 3.0, 1.37)), *(f"power_{p}_F0" for p in (1.0, 1.5, 2.0, 2.5, 3.0, 0.5)),
-    "magnets_-1", "magnets_array_-1", "polynomial_alpha", "polynomial_beta", "strained_alike", "yielding_stiff",
+    *(f"power_{p}" for p in (1.0, 2.5, 3.0, 1.37)),
+    *(f"power_{p}_F0" for p in (1.0, 1.5, 2.0, 2.5, 3.0, 0.5)),
+    "magnets_-1",
+    "magnets_array_-1",
+    "polynomial_alpha",
+    "polynomial_beta",
+    "strained_alike",
+    "yielding_stiff",
 }
 
 # --------------------------------------------------------------------------------------------------------- strain maps
@@ -152,18 +178,38 @@ ALL_STRAIN_MAPS = (
     MapCase("pairs_graph", gx.Pairs([0, 0, 3, 2], [1, 3, 2, 1]), (4,)),
     MapCase("pairs_walls", gx.Pairs([-1, 0, 1, 2, 0], [0, 1, 2, -1, 2]), (3,)),
     MapCase("pairs_isolated_last_sites", gx.Pairs([0, 1], [1, 2], sites=6), (6, 2)),
-    MapCase("pairs_fields", gx.Pairs([0, 2, -1], [1, 3, 0], sites=(6, 6), fields=("bead", "resonator")), _TWO),
+    MapCase(
+        "pairs_fields",
+        gx.Pairs([0, 2, -1], [1, 3, 0], sites=(6, 6), fields=("bead", "resonator")),
+        _TWO,
+    ),
     MapCase("stretch_shift_free", gx.Stretch(gx.Shift(1, "free"), [0.8, 0.6]), (6, 2)),
     MapCase("stretch_shift_fixed_lanes", gx.Stretch(gx.Shift(1, "fixed"), [1.0, 0.0]), (6, 2, 3)),
-    MapCase("stretch_shift_periodic_space", gx.Stretch(gx.Shift(1, "periodic"), [0.2, 1.0, -0.4]), (5, 3)),
-    MapCase("stretch_grid", gx.Stretch(gx.Shift((1, 1), ("periodic", "free")), [-0.5, 0.8]), (4, 5, 2)),
-    MapCase("stretch_pairs_own_vectors", gx.Stretch(gx.Pairs([0, 1, 2, 3, 4], [1, 2, 3, 4, 5]), _VECTORS), (6, 2)),
+    MapCase(
+        "stretch_shift_periodic_space",
+        gx.Stretch(gx.Shift(1, "periodic"), [0.2, 1.0, -0.4]),
+        (5, 3),
+    ),
+    MapCase(
+        "stretch_grid", gx.Stretch(gx.Shift((1, 1), ("periodic", "free")), [-0.5, 0.8]), (4, 5, 2)
+    ),
+    MapCase(
+        "stretch_pairs_own_vectors",
+        gx.Stretch(gx.Pairs([0, 1, 2, 3, 4], [1, 2, 3, 4, 5]), _VECTORS),
+        (6, 2),
+    ),
     MapCase("stretch_pairs_space_lanes", gx.Stretch(gx.Pairs(*_RING), [0.0, 0.6, 0.8]), (6, 3, 2)),
     MapCase("stretch_of_beads_that_turn", gx.Stretch(gx.Shift(1, "fixed"), [0.8, 0.6]), (6, 3)),
-    MapCase("slip", gx.strains.Slip(gx.Shift((1, -1), ("free", "periodic")), [0.8, 0.6]), (4, 5, 3)),
+    MapCase(
+        "slip", gx.strains.Slip(gx.Shift((1, -1), ("free", "periodic")), [0.8, 0.6]), (4, 5, 3)
+    ),
     MapCase("along", gx.strains.Along(gx.Shift(1, "fixed"), [0.8, -0.6]), (6, 2)),
     MapCase("along_lanes", gx.strains.Along(gx.Pairs(*_RING), [0.0, 0.0, 1.0]), (6, 3, 2)),
-    MapCase("pairs_weights", gx.Pairs([0, 1, 1], [1, 2, 3], sites=5, weights=([0.5, 1.0, 2.0], 1.5)), (5, 2)),
+    MapCase(
+        "pairs_weights",
+        gx.Pairs([0, 1, 1], [1, 2, 3], sites=5, weights=([0.5, 1.0, 2.0], 1.5)),
+        (5, 2),
+    ),
     MapCase("own_map", OwnMap(), (6,)),
 )
 
@@ -198,69 +244,147 @@ def _chain(*terms, mass=_MASSES, **how):
 
 
 ALL_TERMS = (
-    *(LatticeCase(f"bond_hertz_{b}", _chain(gx.Bond(gx.Shift(1, b), gx.Hertz())), b != "fixed") for b in BOUNDARIES),
-    *(LatticeCase(f"bond_F0_{b}", _chain(gx.Bond(gx.Shift(1, b), gx.Hertz(1.2, 0.8))), b != "fixed")
-      for b in BOUNDARIES),
-    *(LatticeCase(f"bond_second_neighbour_{b}", _chain(gx.Bond(gx.Shift(2, b), gx.Toda())), b != "fixed")
-      for b in BOUNDARIES),
-    LatticeCase("bond_disorder", _chain(gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.linspace(1, 2, 7), 0.5)))),
+    *(
+        LatticeCase(f"bond_hertz_{b}", _chain(gx.Bond(gx.Shift(1, b), gx.Hertz())), b != "fixed")
+        for b in BOUNDARIES
+    ),
+    *(
+        LatticeCase(
+            f"bond_F0_{b}", _chain(gx.Bond(gx.Shift(1, b), gx.Hertz(1.2, 0.8))), b != "fixed"
+        )
+        for b in BOUNDARIES
+    ),
+    *(
+        LatticeCase(
+            f"bond_second_neighbour_{b}", _chain(gx.Bond(gx.Shift(2, b), gx.Toda())), b != "fixed"
+        )
+        for b in BOUNDARIES
+    ),
+    LatticeCase(
+        "bond_disorder", _chain(gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.linspace(1, 2, 7), 0.5)))
+    ),
     LatticeCase("bond_own_map", _chain(gx.Bond(OwnMap(), gx.Hertz(1.2, 0.8))), True),
-    LatticeCase("grip", _chain(gx.Bond(_TURNING, gx.Hertz(1.0, 0.2)), gx.terms.Grip(
-        gx.strains.Slip(_TURNING.pairs, _TURNING.vector), gx.Linear(0.7), gx.Bond(_TURNING, gx.Hertz(1.0, 0.2))),
-        dimension=3)),
+    LatticeCase(
+        "grip",
+        _chain(
+            gx.Bond(_TURNING, gx.Hertz(1.0, 0.2)),
+            gx.terms.Grip(
+                gx.strains.Slip(_TURNING.pairs, _TURNING.vector),
+                gx.Linear(0.7),
+                gx.Bond(_TURNING, gx.Hertz(1.0, 0.2)),
+            ),
+            dimension=3,
+        ),
+    ),
     LatticeCase("bond_magnets", _chain(gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3.0, 1.0)))),
-    LatticeCase("bond_exponents", _chain(gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(1.0, np.linspace(1.2, 3, 5), 1.0))),
-                True),
-    LatticeCase("long_range_ring", _chain(gx.LongRange(_ALGEBRAIC, gx.Polynomial(1.0, 0.3, 0.2), "periodic")), True),
-    LatticeCase("long_range_magnets", _chain(
-        gx.LongRange(_ALGEBRAIC, gx.PowerLaw(1.0, -3.0, 1.0), "fixed", takes="strain"))),
+    LatticeCase(
+        "bond_exponents",
+        _chain(gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(1.0, np.linspace(1.2, 3, 5), 1.0))),
+        True,
+    ),
+    LatticeCase(
+        "long_range_ring",
+        _chain(gx.LongRange(_ALGEBRAIC, gx.Polynomial(1.0, 0.3, 0.2), "periodic")),
+        True,
+    ),
+    LatticeCase(
+        "long_range_magnets",
+        _chain(gx.LongRange(_ALGEBRAIC, gx.PowerLaw(1.0, -3.0, 1.0), "fixed", takes="strain")),
+    ),
     LatticeCase("onsite_linear", _chain(gx.OnSite(gx.Linear(np.linspace(1, 2, 6))))),
     LatticeCase("onsite_sine", _chain(gx.OnSite(gx.Sine(1.0, 2.0)))),
     LatticeCase("damping", _chain(gx.Damping(0.1))),
     LatticeCase("damping_per_site", _chain(gx.Damping(np.linspace(0, 1, 6)))),
     LatticeCase("dashpot", _chain(gx.Dashpot(gx.Shift(1, "free"), 0.3)), True),
     LatticeCase("dashpot_fixed", _chain(gx.Dashpot(gx.Shift(1, "fixed"), np.linspace(0, 1, 7)))),
-    LatticeCase("dashpot_plane", _chain(gx.Dashpot(gx.Stretch(gx.Shift(1, "free"), [0.8, 0.6]), 0.3), dimension=2),
-                True),
-    LatticeCase("viscous_contact", _chain(gx.ViscousContact(gx.Shift(1, "free"), 0.3, overlap=0.2)), True),
+    LatticeCase(
+        "dashpot_plane",
+        _chain(gx.Dashpot(gx.Stretch(gx.Shift(1, "free"), [0.8, 0.6]), 0.3), dimension=2),
+        True,
+    ),
+    LatticeCase(
+        "viscous_contact", _chain(gx.ViscousContact(gx.Shift(1, "free"), 0.3, overlap=0.2)), True
+    ),
     LatticeCase("drag", _chain(gx.Drag(np.linspace(0.1, 1, 6)))),
     LatticeCase("drive", _chain(gx.Drive(_WAVE, 2))),
     LatticeCase("drive_last", _chain(gx.Drive(_at_rest, -1))),
-    *(LatticeCase(f"wall_{side}", _chain(gx.Wall(gx.Hertz(1.2, 0.8), side))) for side in ("left", "right")),
-    *(LatticeCase(f"wall_driven_{side}", _chain(gx.Wall(gx.Hertz(1.2), side, motion=_WAVE)))
-      for side in ("left", "right")),
+    *(
+        LatticeCase(f"wall_{side}", _chain(gx.Wall(gx.Hertz(1.2, 0.8), side)))
+        for side in ("left", "right")
+    ),
+    *(
+        LatticeCase(f"wall_driven_{side}", _chain(gx.Wall(gx.Hertz(1.2), side, motion=_WAVE)))
+        for side in ("left", "right")
+    ),
     LatticeCase("wall_yielding", _chain(gx.Wall(gx.Hertz(1.2, 0.8), "right", support=3.0))),
-    LatticeCase("modulated_bond", _chain(gx.Modulated(
-        gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1.0, 0.5)), gx.Harmonic(0.1, 2.0, np.linspace(0, 3, 6), mean=1.0))),
-        True),
+    LatticeCase(
+        "modulated_bond",
+        _chain(
+            gx.Modulated(
+                gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1.0, 0.5)),
+                gx.Harmonic(0.1, 2.0, np.linspace(0, 3, 6), mean=1.0),
+            )
+        ),
+        True,
+    ),
     LatticeCase("modulated_onsite", _chain(gx.Modulated(gx.OnSite(gx.Linear()), _at_rest))),
 )
 
 _TRIANGULAR = tuple(
-    gx.Bond(gx.Stretch(gx.Shift(offset, "periodic"), vector), gx.Polynomial(1.0, 0.3) + gx.Hertz(0.5, 0.2))
-    for offset, vector in (((1, 0), [1.0, 0.0]), ((0, 1), [0.5, 0.75**0.5]), ((-1, 1), [-0.5, 0.75**0.5]))
+    gx.Bond(
+        gx.Stretch(gx.Shift(offset, "periodic"), vector),
+        gx.Polynomial(1.0, 0.3) + gx.Hertz(0.5, 0.2),
+    )
+    for offset, vector in (
+        ((1, 0), [1.0, 0.0]),
+        ((0, 1), [0.5, 0.75**0.5]),
+        ((-1, 1), [-0.5, 0.75**0.5]),
+    )
 )
 
 MASS_IN_MASS = _chain(
     gx.Bond(gx.Shift(1, "fixed", "bead"), gx.Hertz(1.0, 0.4)),
     gx.Bond(gx.Shift(0, "free", ("bead", "resonator")), gx.Linear(0.7)),
-    gx.Damping(0.05, "resonator"), gx.Drive(_WAVE, 0, "bead"), gx.OnSite(gx.Linear(0.2), "resonator"), mass=_CELL,
+    gx.Damping(0.05, "resonator"),
+    gx.Drive(_WAVE, 0, "bead"),
+    gx.OnSite(gx.Linear(0.2), "resonator"),
+    mass=_CELL,
 )
 
 SCENES = (
     LatticeCase("monomer", _chain(gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), mass=1.0, sites=6)),
-    LatticeCase("composed", _chain(
-        gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 0.4)), gx.Bond(gx.Shift(2, "free"), gx.Linear(0.1)),
-        gx.Wall(gx.Hertz(1.4, 0.4), "left", motion=_WAVE), gx.Wall(gx.Hertz(1.4, 0.4), "right", support=5.0),
-        gx.OnSite(gx.Sine(0.1)), gx.Damping(0.02), gx.Dashpot(gx.Shift(1, "free"), 0.01), gx.Drive(_WAVE, 3),
-    )),
+    LatticeCase(
+        "composed",
+        _chain(
+            gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 0.4)),
+            gx.Bond(gx.Shift(2, "free"), gx.Linear(0.1)),
+            gx.Wall(gx.Hertz(1.4, 0.4), "left", motion=_WAVE),
+            gx.Wall(gx.Hertz(1.4, 0.4), "right", support=5.0),
+            gx.OnSite(gx.Sine(0.1)),
+            gx.Damping(0.02),
+            gx.Dashpot(gx.Shift(1, "free"), 0.01),
+            gx.Drive(_WAVE, 3),
+        ),
+    ),
     LatticeCase("triangular", _chain(*_TRIANGULAR, mass=_GRID, dimension=2), True),
-    LatticeCase("grid_scalar", _chain(
-        gx.Bond(gx.Shift((1, 0), "free"), gx.Hertz()), gx.Bond(gx.Shift((0, 1), "periodic"), gx.Toda()), mass=_GRID,
-    ), True),
-    LatticeCase("helix_in_space", _chain(
-        gx.Bond(gx.Stretch(gx.Shift(1, "fixed"), [1.0, 0.0, 0.0]), gx.Hertz(1.0, 0.4)), mass=1.0, sites=6, dimension=3,
-    )),
+    LatticeCase(
+        "grid_scalar",
+        _chain(
+            gx.Bond(gx.Shift((1, 0), "free"), gx.Hertz()),
+            gx.Bond(gx.Shift((0, 1), "periodic"), gx.Toda()),
+            mass=_GRID,
+        ),
+        True,
+    ),
+    LatticeCase(
+        "helix_in_space",
+        _chain(
+            gx.Bond(gx.Stretch(gx.Shift(1, "fixed"), [1.0, 0.0, 0.0]), gx.Hertz(1.0, 0.4)),
+            mass=1.0,
+            sites=6,
+            dimension=3,
+        ),
+    ),
     LatticeCase("mass_in_mass", MASS_IN_MASS),
 )
 
@@ -268,8 +392,18 @@ ALL_LATTICES = ALL_TERMS + SCENES
 
 # of lattices that differ in their ends, or in one number for several, all but the one whose program does most
 SAME_LATTICES = {
-    "bond_hertz_free", "bond_hertz_periodic", "bond_F0_free", "bond_F0_fixed", "bond_second_neighbour_free",
-    "bond_second_neighbour_fixed", "onsite_linear", "damping", "dashpot", "drive_last", "wall_left",
-    "wall_driven_left", "monomer",
+    "bond_hertz_free",
+    "bond_hertz_periodic",
+    "bond_F0_free",
+    "bond_F0_fixed",
+    "bond_second_neighbour_free",
+    "bond_second_neighbour_fixed",
+    "onsite_linear",
+    "damping",
+    "dashpot",
+    "drive_last",
+    "wall_left",
+    "wall_driven_left",
+    "monomer",
 }
 DISTINCT = tuple(case for case in ALL_LATTICES if case.name not in SAME_LATTICES)

@@ -44,12 +44,17 @@ class Reference(NamedTuple):
 def dimer(sites):
     """The review's: light mass 1 in the middle, heavy 2.957949; Theocharis et al., Phys. Rev. E 82, 056604 (2010)."""
     light = (np.arange(sites) - sites // 2) % 2 == 0
-    return gx.Lattice(np.where(light, 1.0, HEAVY), (gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 1.0)),))
+    return gx.Lattice(
+        np.where(light, 1.0, HEAVY), (gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 1.0)),)
+    )
 
 
 def hard(sites=7, coupling=0.02):
     """u'' = -u - u^3 + C D2 u with free ends."""
-    terms = gx.Bond(gx.Shift(1, "free"), gx.Linear(coupling)), gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0))
+    terms = (
+        gx.Bond(gx.Shift(1, "free"), gx.Linear(coupling)),
+        gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0)),
+    )
     return gx.Lattice(np.ones(sites), terms)
 
 

@@ -20,8 +20,13 @@ def curved(k1=1.0, k2=2.0):
 def test_an_edge_mode_bends_as_its_breathers_do(mode):
     chain = curved()
     found = backbone(chain, mode)
-    shape, corrections = (np.concatenate(list(map(np.asarray, x))) for x in (
-        found.shape.values(), [found.constant[name] + found.second[name] for name in "ab"]))
+    shape, corrections = (
+        np.concatenate(list(map(np.asarray, x)))
+        for x in (
+            found.shape.values(),
+            [found.constant[name] + found.second[name] for name in "ab"],
+        )
+    )
     slopes = []
     for a in (0.05, 0.025):
         orbit = breather(chain, float(found.omega_at(a)), found.state(a), check=False)
@@ -60,15 +65,25 @@ def test_a_curve_differentiates_and_its_second_harmonic_may_be_no_mode():
     assert abs(jax.grad(curvature)(2.0) / want - 1) < 1e-6
     # two oscillators, the second of twice the frequency
     springs = gx.Polynomial(jnp.array([1.0, 4.0]), jnp.array([1.0, 0.0]), 0.0)
-    pair = gx.Lattice(1.0, (gx.OnSite(springs), gx.Bond(gx.Shift(1, "free"), gx.Polynomial(0.0, 0.5, 0.0))), sites=2)
+    pair = gx.Lattice(
+        1.0,
+        (gx.OnSite(springs), gx.Bond(gx.Shift(1, "free"), gx.Polynomial(0.0, 0.5, 0.0))),
+        sites=2,
+    )
     with pytest.raises(ValueError, match="second harmonic"):
         backbone(pair, 0)
 
 
 @pytest.mark.slow
 def test_a_breather_of_a_klein_gordon_square():
-    scene = lambda c: scenes.square(7, law=gx.Linear(c), out_of_plane=True, boundary="free", ground=1.0,
-                                    on_site=gx.Polynomial(0.0, 0.0, 1.0))
+    scene = lambda c: scenes.square(
+        7,
+        law=gx.Linear(c),
+        out_of_plane=True,
+        boundary="free",
+        ground=1.0,
+        on_site=gx.Polynomial(0.0, 0.0, 1.0),
+    )
     branch = gx.breathers.anticontinuous(scene, 0.05, 1.6, (3, 3), points=12)
     orbit = branch.orbit(-1)
     crystal = scene(0.05)
@@ -112,4 +127,6 @@ def test_a_wave_between_the_walls_of_a_plane_is_no_breather():
     assert not gx.breathers.localisation(chain, gx.State(jnp.asarray(wave), chain.zeros())).bright
     hexagon = scenes.hexagon(3)
     wave = np.asarray(gx.linear.normal_modes(hexagon).modes)[..., 0]
-    assert not gx.breathers.localisation(hexagon, gx.State(jnp.asarray(wave), hexagon.zeros())).bright
+    assert not gx.breathers.localisation(
+        hexagon, gx.State(jnp.asarray(wave), hexagon.zeros())
+    ).bright

@@ -37,8 +37,17 @@ def state(sites):
 
 def steps(lattice, y, solver, field=gx.vector_field):
     """Three steps, through diffrax as in any run."""
-    return diffrax.diffeqsolve(diffrax.ODETerm(field), solver, 0.0, 0.6, 0.2, y, args=lattice, max_steps=4,
-                               adjoint=diffrax.DirectAdjoint()).ys
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        solver,
+        0.0,
+        0.6,
+        0.2,
+        y,
+        args=lattice,
+        max_steps=4,
+        adjoint=diffrax.DirectAdjoint(),
+    ).ys
 
 
 def by_stages(t, y, lattice):
@@ -49,8 +58,10 @@ by_stages.split_system = split_system
 
 FIRST = [(143, "fixed", False, True, gx.SRKN14a()), (191, "periodic", True, True, gx.SRKN6b())]
 MORE = [
-    (130, "fixed", True, False, gx.SRKN6b()), (144, "free", True, True, gx.VelocityVerlet()),
-    (145, "free", False, False, gx.SRKN6b()), (192, "periodic", False, True, gx.SRKN14a()),
+    (130, "fixed", True, False, gx.SRKN6b()),
+    (144, "free", True, True, gx.VelocityVerlet()),
+    (145, "free", False, False, gx.SRKN6b()),
+    (192, "periodic", False, True, gx.SRKN14a()),
 ]
 CASES = [FIRST[0], *(pytest.param(*case, marks=pytest.mark.slow) for case in (FIRST[1], *MORE))]
 
@@ -74,14 +85,18 @@ def test_derivatives_through_blocks_are_those_without(short):
         def of(stiffness, y):
             bond = gx.Bond(lattice.terms[0].strain_map, gx.Hertz(stiffness, 1.0))
             made = gx.Lattice(lattice.mass, (bond, *lattice.terms[1:]), sites=130)
-            return sum(jnp.vdot(w, x) for w, x in zip(weights, steps(made, y, gx.VelocityVerlet(), field)))
+            return sum(
+                jnp.vdot(w, x) for w, x in zip(weights, steps(made, y, gx.VelocityVerlet(), field))
+            )
 
         return of
 
     at, direction = (lattice.terms[0].law.stiffness, y), (jnp.ones(130), state(130))
     forward = [jax.jvp(value(field), at, direction)[1] for field in (gx.vector_field, by_stages)]
     np.testing.assert_allclose(*forward, rtol=1e-12)
-    reverse = [jax.grad(value(field), argnums=(0, 1))(*at) for field in (gx.vector_field, by_stages)]
+    reverse = [
+        jax.grad(value(field), argnums=(0, 1))(*at) for field in (gx.vector_field, by_stages)
+    ]
     for a, b in zip(*map(jax.tree.leaves, reverse)):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max())
 
@@ -112,9 +127,18 @@ class Softened(gx.Law):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("law", few([
-    gx.Linear(1.3), gx.Hertz(1.0, 1.0) + gx.Linear(0.2), Softened(jnp.linspace(0.5, 1.5, 131), jnp.ones(1)),
-], -1), ids=["linear", "sum", "own"])
+@pytest.mark.parametrize(
+    "law",
+    few(
+        [
+            gx.Linear(1.3),
+            gx.Hertz(1.0, 1.0) + gx.Linear(0.2),
+            Softened(jnp.linspace(0.5, 1.5, 131), jnp.ones(1)),
+        ],
+        -1,
+    ),
+    ids=["linear", "sum", "own"],
+)
 def test_any_law_in_blocks_through_a_whole_run(monkeypatch, law):
     """Frames, records, energy and openings of `simulate` are those without blocks."""
     lattice, y = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), law),), sites=130), state(130)
@@ -125,7 +149,9 @@ def test_any_law_in_blocks_through_a_whole_run(monkeypatch, law):
         monkeypatch.setattr(blocks, "LONG", long)
         assert (blocks.in_blocks(lattice, y) is None) == (long == 1000)
         gx.clear()
-        runs.append(gx.simulate(lattice, y, 2.0, solver=gx.SRKN6b(), step=0.2, save_at=4, record=record))
+        runs.append(
+            gx.simulate(lattice, y, 2.0, solver=gx.SRKN6b(), step=0.2, save_at=4, record=record)
+        )
     for a, b in zip(*[jax.tree.leaves((r.us, r.vs, r.recorded, r.energy_error)) for r in runs]):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
     assert runs[0].opening == runs[1].opening
@@ -134,9 +160,13 @@ def test_any_law_in_blocks_through_a_whole_run(monkeypatch, law):
 def test_what_is_no_long_chain_goes_by_stages(short):
     y = state(130)
     for lattice in (
-        gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), Tabulated(jnp.linspace(-1, 1, 61))),), sites=130),
+        gx.Lattice(
+            1.0, (gx.Bond(gx.Shift(1, "fixed"), Tabulated(jnp.linspace(-1, 1, 61))),), sites=130
+        ),
         gx.Lattice(1.0, (gx.Bond(gx.Shift(2, "fixed"), gx.Hertz()),), sites=130),
-        gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), gx.OnSite(gx.Linear(1.0))), sites=130),
+        gx.Lattice(
+            1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), gx.OnSite(gx.Linear(1.0))), sites=130
+        ),
         gx.Lattice(jnp.ones((130, 2)), (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()),)),
     ):
         assert blocks.in_blocks(lattice, y) is None

@@ -33,11 +33,20 @@ def make(told=True, period=T):
     period = jnp.asarray(period)
     stiff = gx.Breaks(jnp.stack([0 * period, 0.4 * period]), period=period)
     once = [PUSH] if told else None
-    return gx.Lattice(1.0, (
-        gx.Modulated(gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0)), Square(period), stiff if told else None),
-        gx.Wall(gx.Linear(0.7), "left", motion=push, breaks=once), gx.OnSite(gx.Linear(0.3)),
-        gx.Drive(push, 2, breaks=once),
-    ), sites=N)
+    return gx.Lattice(
+        1.0,
+        (
+            gx.Modulated(
+                gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0)),
+                Square(period),
+                stiff if told else None,
+            ),
+            gx.Wall(gx.Linear(0.7), "left", motion=push, breaks=once),
+            gx.OnSite(gx.Linear(0.3)),
+            gx.Drive(push, 2, breaks=once),
+        ),
+        sites=N,
+    )
 
 
 def matrix(factor, pushed):
@@ -74,8 +83,13 @@ def orders(errors):
 def test_a_splitting_method_keeps_its_order():
     """SRKN11b, order 6: errors 1e-4 of those without breaks and less."""
     steps = (0.22, 0.11, 0.055)
-    without, found = ([error(gx.simulate(make(told), START, 4.0, step=h, solver=gx.SRKN11b()).final) for h in steps]
-                      for told in (False, True))
+    without, found = (
+        [
+            error(gx.simulate(make(told), START, 4.0, step=h, solver=gx.SRKN11b()).final)
+            for h in steps
+        ]
+        for told in (False, True)
+    )
     assert orders(without).mean() < 2.2 and min(without) > 1e-4
     assert orders(found).mean() > 5 and found[0] < 1e-8
 
@@ -88,8 +102,11 @@ def test_a_flow_keeps_its_order_and_runs_back():
     np.testing.assert_allclose(back.u, START.u, atol=1e-14)
 
 
-@pytest.mark.parametrize("solver", [
-    pytest.param(gx.RKN86(), marks=pytest.mark.slow), diffrax.Tsit5()], ids=["RKN86", "Tsit5"])
+@pytest.mark.parametrize(
+    "solver",
+    [pytest.param(gx.RKN86(), marks=pytest.mark.slow), diffrax.Tsit5()],
+    ids=["RKN86", "Tsit5"],
+)
 def test_adaptive_steps_land_on_breaks(solver):
     run = gx.simulate(make(), START, 4.0, tolerance=1e-8, solver=solver, save_at="steps")
     assert error(run.final) < 1e-7 and int(run.stats["rejected"]) < 6
@@ -102,8 +119,14 @@ def test_adaptive_steps_land_on_breaks(solver):
 
 @pytest.mark.slow
 def test_frames_and_records_between_breaks():
-    run = gx.simulate(make(), START, 4.0, step=0.11, save_at=[0.7, 2.3, 4.0],
-                      record={"way": gx.Integral(lambda t, y, lattice: y.v)})
+    run = gx.simulate(
+        make(),
+        START,
+        4.0,
+        step=0.11,
+        save_at=[0.7, 2.3, 4.0],
+        record={"way": gx.Integral(lambda t, y, lattice: y.v)},
+    )
     for t, u, v in zip((0.7, 2.3, 4.0), run.us, run.vs):
         assert error((u, v), t) < 1e-7
     np.testing.assert_allclose(run.recorded["way"], run.final.u - START.u, atol=1e-9)
@@ -112,6 +135,7 @@ def test_frames_and_records_between_breaks():
 @pytest.mark.slow
 def test_the_derivative_with_respect_to_the_period():
     """The breaks move, and the steps with them."""
+
     def last(period):
         return gx.simulate(make(period=period), START, 4.0, step=0.1).final.u[2]
 
@@ -143,7 +167,10 @@ def test_breaks_in_lanes():
 
 def test_what_no_break_can_be():
     bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0))
-    for breaks, said in (([np.nan], "breaks: expected finite"), ("a", "breaks: expected real numbers")):
+    for breaks, said in (
+        ([np.nan], "breaks: expected finite"),
+        ("a", "breaks: expected real numbers"),
+    ):
         with pytest.raises(ValueError, match=said):
             gx.Modulated(bond, push, breaks=breaks)
     with pytest.raises(ValueError, match="period: expected numbers above zero"):
@@ -168,11 +195,18 @@ def doubled(t):
     return 1.0 + 0.02 * pulse(t)
 
 
-RING, FREE = gx.Bond(gx.Shift(1, "periodic"), gx.Linear()), gx.Bond(gx.Shift(1, "free"), gx.Linear())
+RING, FREE = (
+    gx.Bond(gx.Shift(1, "periodic"), gx.Linear()),
+    gx.Bond(gx.Shift(1, "free"), gx.Linear()),
+)
 # (terms of a chain, the one that has a pulse shorter than a step)
 PULSES = {
     "drive": (lambda f: (RING, gx.Drive(f, 1)), pulse, "Drive"),
-    "on a swing": (lambda f: (RING, gx.Drive(f, 1)), lambda t: swinging(t) + pulse(t) / 50, "Drive"),
+    "on a swing": (
+        lambda f: (RING, gx.Drive(f, 1)),
+        lambda t: swinging(t) + pulse(t) / 50,
+        "Drive",
+    ),
     "wall": (lambda f: (FREE, gx.Wall(gx.Linear(), "left", motion=f)), pulse, "Wall"),
     "stiffness": (lambda f: (gx.Modulated(RING, f),), doubled, "Modulated"),
     "a swing alone": (lambda f: (RING, gx.Drive(f, 1)), swinging, None),
@@ -185,15 +219,21 @@ PULSES = {
 def test_a_pulse_between_the_ends_of_steps_is_named(case):
     make, function, name = PULSES[case]
     run = gx.simulate(gx.Lattice(1.0, make(function), sites=N), START, 4.0, step=0.2)
-    assert (f"({name}) has a pulse that is shorter than the steps" in run.outcome) == (name is not None)
+    assert (f"({name}) has a pulse that is shorter than the steps" in run.outcome) == (
+        name is not None
+    )
     assert ("has a pulse" in run.outcome) == (name is not None)
 
 
 @pytest.mark.slow
 def test_records_of_a_run_that_may_have_missed_a_pulse_are_not_known_and_breaks_cure_it():
     """Against the response to a blow, a matrix exponential: none is seen without breaks, at rest by adaptive steps."""
+
     def run(breaks, **how):
-        spring, drive = gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(pulse, 1, breaks=breaks)
+        spring, drive = (
+            gx.Bond(gx.Shift(1, "fixed"), gx.Linear()),
+            gx.Drive(pulse, 1, breaks=breaks),
+        )
         chain = gx.Lattice(1.0, (spring, drive), sites=N)
         record = {"peak": gx.Peak(lambda t, y, lattice: y.u[2])}
         return gx.simulate(chain, gx.states.rest(chain), 8.0, record=record, **how)
@@ -221,11 +261,19 @@ def test_what_is_at_rest_does_not_step_over_what_is_to_come():
     """An adaptive step is never long against the lattice's own period where something drives it."""
     width = 0.15
     late = lambda t: jnp.exp(-(((t - 50.1) / width) ** 2))
-    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(late, 1)), sites=N)
+    chain = gx.Lattice(
+        1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(late, 1)), sites=N
+    )
     run = gx.simulate(chain, gx.states.rest(chain), 100.0, tolerance=1e-8)
     K = 2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
     squared, modes = np.linalg.eigh(K)
     # u(t) = sum of modes sin(omega (t - s))/omega over the pulse, whose transform is a Gaussian
     omega = np.sqrt(squared)
-    swings = width * np.sqrt(np.pi) * np.exp(-squared * width**2 / 4) * np.sin(omega * (100.0 - 50.1)) / omega
+    swings = (
+        width
+        * np.sqrt(np.pi)
+        * np.exp(-squared * width**2 / 4)
+        * np.sin(omega * (100.0 - 50.1))
+        / omega
+    )
     assert np.abs(run.final.u - modes @ (modes[1] * swings)).max() < 1e-7

@@ -35,8 +35,11 @@ def test_a_family_from_the_linear_mode(short):
     assert short.omega[0] == pytest.approx(start, rel=1e-5) and short.omega[-1] == 0.985 * OMEGA2
     assert "reached" in short.outcome and len(short) < 120
     # E = omega^2 a^2 (half the mass) for small amplitudes
-    np.testing.assert_allclose(short.energy[:2] / short.amplitude[:2] ** 2, short.energy[2] / short.amplitude[2] ** 2,
-                               rtol=1e-3)
+    np.testing.assert_allclose(
+        short.energy[:2] / short.amplitude[:2] ** 2,
+        short.energy[2] / short.amplitude[2] ** 2,
+        rtol=1e-3,
+    )
     assert short.multipliers.shape == (len(short), 50) and short.u.shape == (len(short), 25)
     assert short.verdict[0] == "stable" and short.step_error.max() < 1e-6
 
@@ -56,15 +59,20 @@ def test_multipliers_of_the_family_are_those_of_floquet(short):
     fl = short.orbit(i).floquet()
     assert fl.verdict == short.verdict[i]
     outside = np.abs(fl.multipliers) > 1 + 1e-3
-    np.testing.assert_allclose(np.sort(np.abs(short.multipliers[i]))[::-1][: outside.sum()],
-                               np.abs(fl.multipliers[outside]), rtol=1e-6)
+    np.testing.assert_allclose(
+        np.sort(np.abs(short.multipliers[i]))[::-1][: outside.sum()],
+        np.abs(fl.multipliers[outside]),
+        rtol=1e-6,
+    )
 
 
 @pytest.mark.slow
 def test_another_breather_or_a_pair_is_a_guess(short):
     orbit = short.orbit(-1)
-    by_orbit, by_pair = (gx.breathers.breather(dimer(25), 0.985 * OMEGA2, guess, steps=int(short._flow.steps))
-                         for guess in (orbit, list(orbit.state)))
+    by_orbit, by_pair = (
+        gx.breathers.breather(dimer(25), 0.985 * OMEGA2, guess, steps=int(short._flow.steps))
+        for guess in (orbit, list(orbit.state))
+    )
     assert np.array_equal(by_orbit.state.u, by_pair.state.u)
     assert float(by_orbit.energy) == pytest.approx(float(orbit.energy), rel=1e-9)
 
@@ -72,7 +80,9 @@ def test_another_breather_or_a_pair_is_a_guess(short):
 def test_a_family_exports(short):
     table = short.to_xarray()
     assert table.sizes["multiplier"] == 50 and table.attrs["outcome"] == short.outcome
-    assert np.array_equal(table.omega, short.omega) and np.array_equal(table.amplitude, short.amplitude)
+    assert np.array_equal(table.omega, short.omega) and np.array_equal(
+        table.amplitude, short.amplitude
+    )
     assert table.bifurcations_p.values.tolist() == [b.p for b in short.bifurcations]
     assert table.attrs["folds"] == short.folds.tolist()
 
@@ -88,7 +98,9 @@ def test_a_breather_by_the_family_and_by_a_state_is_the_same(short):
 
 @pytest.mark.study
 def test_a_breather_by_the_envelope_is_the_family_s():
-    by_family, by_envelope = (gx.breathers.breather(dimer(121), 0.985 * OMEGA2, seed) for seed in (None, "bright"))
+    by_family, by_envelope = (
+        gx.breathers.breather(dimer(121), 0.985 * OMEGA2, seed) for seed in (None, "bright")
+    )
     assert float(by_envelope.energy) == pytest.approx(float(by_family.energy), rel=1e-9)
 
 
@@ -102,19 +114,43 @@ def test_newton_that_fails_says_how_far_it_came():
     assert not b.converged and np.isfinite(b.state.u).all() and "did not converge" in b.outcome
 
 
-@pytest.mark.parametrize("ask, words", [
-    (lambda: gx.breathers.breather(monomer(24), 1.01 * 6**0.5), r"B = -0\.459279 < 0 .* only dark"),
-    (lambda: gx.breathers.breather(monomer(24), 0.9 * 6**0.5), r"n = 1: .* lies in the band 0 \.\.\. 2\.449.* finite"),
-    (lambda: gx.breathers.breather(dimer(25), 0.99), r"n = 1: "),
-    (lambda: gx.breathers.breather(gx.scenes.pattern(24, (1.0, 3.2), precompression=1.0), 0.985), r"n = 2: .* 1\.97 "),
-    (lambda: gx.breathers.breather(monomer(24), 1.0, "dark"), r"dark.*n = 2"),
-    (lambda: gx.breathers.breather(monomer(24), 2.5, "brigth"), "bright"),
-    (lambda: gx.breathers.family(gx.scenes.monomer(8), until=1.0), "sonic vacuum"),
-    (lambda: gx.floquet.leading(gx.scenes.monomer(8), [np.ones(8), np.zeros(8)], 1.0), "sonic vacuum"),
-    (lambda: gx.breathers.breather(dimer(25), 0.985 * OMEGA2, (np.ones(24), np.zeros(24))), r"guess.u: .*\(25,\)"),
-    (lambda: gx.breathers.family(gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Linear()), gx.Damping(0.1)))),
-     "positions alone, got Damping"),
-])
+@pytest.mark.parametrize(
+    "ask, words",
+    [
+        (
+            lambda: gx.breathers.breather(monomer(24), 1.01 * 6**0.5),
+            r"B = -0\.459279 < 0 .* only dark",
+        ),
+        (
+            lambda: gx.breathers.breather(monomer(24), 0.9 * 6**0.5),
+            r"n = 1: .* lies in the band 0 \.\.\. 2\.449.* finite",
+        ),
+        (lambda: gx.breathers.breather(dimer(25), 0.99), r"n = 1: "),
+        (
+            lambda: gx.breathers.breather(
+                gx.scenes.pattern(24, (1.0, 3.2), precompression=1.0), 0.985
+            ),
+            r"n = 2: .* 1\.97 ",
+        ),
+        (lambda: gx.breathers.breather(monomer(24), 1.0, "dark"), r"dark.*n = 2"),
+        (lambda: gx.breathers.breather(monomer(24), 2.5, "brigth"), "bright"),
+        (lambda: gx.breathers.family(gx.scenes.monomer(8), until=1.0), "sonic vacuum"),
+        (
+            lambda: gx.floquet.leading(gx.scenes.monomer(8), [np.ones(8), np.zeros(8)], 1.0),
+            "sonic vacuum",
+        ),
+        (
+            lambda: gx.breathers.breather(dimer(25), 0.985 * OMEGA2, (np.ones(24), np.zeros(24))),
+            r"guess.u: .*\(25,\)",
+        ),
+        (
+            lambda: gx.breathers.family(
+                gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Linear()), gx.Damping(0.1)))
+            ),
+            "positions alone, got Damping",
+        ),
+    ],
+)
 def test_what_does_not_exist_is_refused_with_the_reason(ask, words):
     with pytest.raises(ValueError, match=words):
         ask()
@@ -144,12 +180,22 @@ def test_one_site_at_the_anticontinuous_limit():
     chain = gx.Lattice(np.ones(7), terms)
     seed = gx.breathers.guesses.single_site(chain, 1.4, 3)
     a = float(seed.u[3])
-    alone = solve_ivp(lambda t, y: (y[1], -1.04 * y[0] - y[0] ** 3), (0, np.pi / 1.4), (a, 0), rtol=1e-12, atol=1e-13)
+    alone = solve_ivp(
+        lambda t, y: (y[1], -1.04 * y[0] - y[0] ** 3),
+        (0, np.pi / 1.4),
+        (a, 0),
+        rtol=1e-12,
+        atol=1e-13,
+    )
     assert alone.y[1, -1] == pytest.approx(0, abs=1e-9)
-    np.testing.assert_allclose(np.delete(seed.u, 3), 0, atol=1e-12)  # the mean of the linear bond's force is zero
+    np.testing.assert_allclose(
+        np.delete(seed.u, 3), 0, atol=1e-12
+    )  # the mean of the linear bond's force is zero
     b = gx.breathers.breather(chain, 1.4, seed)
     assert b.converged and 0.9 < float(b.state.u[3]) / a < 1.1
-    pair = gx.breathers.breather(chain, 1.4, gx.breathers.guesses.single_site(chain, 1.4, [2, 4], amplitudes=[1, -1]))
+    pair = gx.breathers.breather(
+        chain, 1.4, gx.breathers.guesses.single_site(chain, 1.4, [2, 4], amplitudes=[1, -1])
+    )
     np.testing.assert_allclose(pair.state.u, -np.asarray(pair.state.u)[::-1], atol=1e-9)
     assert pair.floquet().expected == 2
     with pytest.raises(ValueError, match="wrong side"):
@@ -161,9 +207,13 @@ def test_light_beads_between_heavy_ones_tend_to_their_own_limit():
     omega = 0.995 * 3**0.5
 
     def limit_and_orbit(heavy):
-        chain = gx.Lattice(np.where(np.arange(9) == 4, 1.0, heavy), (gx.Bond(gx.Shift(1), gx.Hertz(1.0, 1.0)),))
+        chain = gx.Lattice(
+            np.where(np.arange(9) == 4, 1.0, heavy), (gx.Bond(gx.Shift(1), gx.Hertz(1.0, 1.0)),)
+        )
         seed = gx.breathers.guesses.single_site(chain, omega, 4)
-        return np.asarray(seed.u), np.asarray(gx.breathers.breather(chain, omega, seed, check=False).state.u)
+        return np.asarray(seed.u), np.asarray(
+            gx.breathers.breather(chain, omega, seed, check=False).state.u
+        )
 
     (limit, near), (same, nearer) = limit_and_orbit(400.0), limit_and_orbit(1600.0)
     np.testing.assert_allclose(limit, same, atol=1e-9)
@@ -185,8 +235,12 @@ def test_a_defect_carries_a_family_from_its_mode():
 def test_frequencies_and_amplitudes_end_a_family():
     br = gx.breathers.family(dimer(25), amplitude=0.3, mode=13, points=60, stability=False)
     assert "amplitude" in br.outcome and 0.3 <= br.amplitude[-1] < 0.5
-    again = gx.breathers.family(dimer(25), guess=br.orbit(4), until=float(br.omega[8]), stability=False)
-    assert again.omega[-1] == br.omega[8] and again.energy[-1] == pytest.approx(br.energy[8], rel=1e-8)
+    again = gx.breathers.family(
+        dimer(25), guess=br.orbit(4), until=float(br.omega[8]), stability=False
+    )
+    assert again.omega[-1] == br.omega[8] and again.energy[-1] == pytest.approx(
+        br.energy[8], rel=1e-8
+    )
 
 
 @pytest.fixture(scope="module")
@@ -199,15 +253,21 @@ def test_energy_is_differentiable_in_the_chain_and_in_omega(seed15):
     omega = 0.985 * OMEGA2
 
     def energy(ratio, omega):
-        chain = gx.Lattice(dimer(15).mass * jnp.where(dimer(15).mass > 1, ratio, 1.0), dimer(15).terms)
-        b = gx.breathers.breather(chain, omega, seed15.state, steps=48, throw=False, tolerance=1e-12)
+        chain = gx.Lattice(
+            dimer(15).mass * jnp.where(dimer(15).mass > 1, ratio, 1.0), dimer(15).terms
+        )
+        b = gx.breathers.breather(
+            chain, omega, seed15.state, steps=48, throw=False, tolerance=1e-12
+        )
         return b.energy
 
     f = jax.jit(energy)
     for argument, h in ((0, 1e-4), (1, 1e-4)):
         at = lambda d: float(f(*(x + d * (i == argument) for i, x in enumerate((1.0, omega)))))
         finite = (8 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12 * h)
-        exact = [float(jax.jit(mode(energy, argument))(1.0, omega)) for mode in (jax.jacfwd, jax.jacrev)]
+        exact = [
+            float(jax.jit(mode(energy, argument))(1.0, omega)) for mode in (jax.jacfwd, jax.jacrev)
+        ]
         np.testing.assert_allclose(exact, finite, rtol=1e-6)
 
 
@@ -221,14 +281,17 @@ def five_points(f, h):
 
 @pytest.mark.study
 def test_the_frequency_at_constant_energy_is_differentiable(seed15):
-    near = gx.breathers.breather(dimer(15), 0.986 * OMEGA2, seed15.state, energy=float(seed15.energy), steps=48)
+    near = gx.breathers.breather(
+        dimer(15), 0.986 * OMEGA2, seed15.state, energy=float(seed15.energy), steps=48
+    )
     assert float(near.omega) == pytest.approx(float(seed15.omega), rel=1e-9)
 
     @jax.jit
     def omega(ratio):
         chain, energy = of_ratio(ratio), seed15.energy
         return gx.breathers.breather(
-            chain, seed15.omega, seed15.state, energy=energy, steps=48, throw=False, tolerance=1e-12).omega
+            chain, seed15.omega, seed15.state, energy=energy, steps=48, throw=False, tolerance=1e-12
+        ).omega
 
     slope = float(jax.jacfwd(omega)(1.0))
     assert slope == pytest.approx(float(five_points(omega, 1e-4)), rel=1e-6) and abs(slope) > 1e-3
@@ -244,7 +307,9 @@ def test_the_largest_multiplier_is_differentiable_in_the_mass_ratio():
 
     def largest(heavy):
         b = gx.breathers.breather(chain(heavy), omega, seed, steps=48, throw=False, tolerance=1e-13)
-        return jnp.abs(gx.floquet.multipliers(gx.Flow(48), b.state, 0.0, 2 * jnp.pi / omega, chain(heavy))).max()
+        return jnp.abs(
+            gx.floquet.multipliers(gx.Flow(48), b.state, 0.0, 2 * jnp.pi / omega, chain(heavy))
+        ).max()
 
     assert float(largest(ratio)) == pytest.approx(1.1265, abs=1e-3)
     h = 1e-4
@@ -260,22 +325,36 @@ def test_mass_ratios_in_a_batch(seed15):
     @jax.vmap
     def energies(heavy):
         chain = gx.Lattice(jnp.where(dimer(15).mass > 1, heavy, 1.0), dimer(15).terms)
-        return gx.breathers.breather(chain, 0.985 * OMEGA2, seed15.state, steps=48, throw=False).energy
+        return gx.breathers.breather(
+            chain, 0.985 * OMEGA2, seed15.state, steps=48, throw=False
+        ).energy
 
     found = energies(ratios)
-    assert float(found[1]) == pytest.approx(float(seed15.energy), rel=1e-9) and np.all(np.diff(found) != 0)
+    assert float(found[1]) == pytest.approx(float(seed15.energy), rel=1e-9) and np.all(
+        np.diff(found) != 0
+    )
 
 
 # ------------------------------------------------------------------------------------------------ the envelope equation
 
 
 # sites, which go with the inverse root of the smallest shift, and that shift
-ENVELOPES = {"dark Hertz": (184, 0.004), "bright p = 1/2": (141, 0.002), "dimer's optical edge": (169, 0.002)}
-NEARER = {"dark Hertz": (260, 0.002), "bright p = 1/2": (201, 0.001), "dimer's optical edge": (241, 0.001)}
+ENVELOPES = {
+    "dark Hertz": (184, 0.004),
+    "bright p = 1/2": (141, 0.002),
+    "dimer's optical edge": (169, 0.002),
+}
+NEARER = {
+    "dark Hertz": (260, 0.002),
+    "bright p = 1/2": (201, 0.001),
+    "dimer's optical edge": (241, 0.001),
+}
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("scenes", [ENVELOPES, pytest.param(NEARER, marks=pytest.mark.study)], ids=["", "nearer"])
+@pytest.mark.parametrize(
+    "scenes", [ENVELOPES, pytest.param(NEARER, marks=pytest.mark.study)], ids=["", "nearer"]
+)
 @pytest.mark.parametrize("case", ENVELOPES)
 def test_the_error_of_the_envelope_is_proportional_to_the_shift(case, scenes):
     # nearer to the band a dark soliton of a chain this long may stand anywhere: its place is held by less than 1e-10
@@ -283,11 +362,26 @@ def test_the_error_of_the_envelope_is_proportional_to_the_shift(case, scenes):
     shifts, errors = least * np.array([1, 1.5, 2]), []
     for shift in shifts:
         if case == "dark Hertz":
-            chain, omega, seed, i = monomer(sites), 6**0.5 * (1 - shift), gx.breathers.dark_guess, sites // 4
+            chain, omega, seed, i = (
+                monomer(sites),
+                6**0.5 * (1 - shift),
+                gx.breathers.dark_guess,
+                sites // 4,
+            )
         elif case == "bright p = 1/2":
-            chain, omega, seed, i = monomer(sites, 0.5), 2**0.5 * (1 + shift), gx.breathers.bright_guess, sites // 2
+            chain, omega, seed, i = (
+                monomer(sites, 0.5),
+                2**0.5 * (1 + shift),
+                gx.breathers.bright_guess,
+                sites // 2,
+            )
         else:
-            chain, omega, seed, i = dimer(sites), OMEGA2 * (1 - shift), gx.breathers.bright_guess, sites // 2
+            chain, omega, seed, i = (
+                dimer(sites),
+                OMEGA2 * (1 - shift),
+                gx.breathers.bright_guess,
+                sites // 2,
+            )
         b = gx.breathers.breather(chain, omega, seed(chain, omega), steps=128, check=False)
         half = gx.Flow(64)(b.state, 0.0, float(b.period) / 2, chain)
         odd = np.asarray(b.state.u - half.u) / 2
@@ -295,7 +389,9 @@ def test_the_error_of_the_envelope_is_proportional_to_the_shift(case, scenes):
             found, expected = abs(odd[i] - odd[i + 1]), 2 * (shift * 6**0.5 / 0.459279327) ** 0.5
         else:
             edge = min(edges_beside(chain, omega), key=lambda edge: abs(edge.omega - omega))
-            profile = nls.bright_profile(edge.coefficients, omega, sites // len(cell_of(chain)[0]) | 1)
+            profile = nls.bright_profile(
+                edge.coefficients, omega, sites // len(cell_of(chain)[0]) | 1
+            )
             expected = 2 * float(profile.amplitude) * float(np.abs(edge.coefficients.mode).max())
             found = abs(odd[i])
         errors.append(abs(expected / found - 1))
@@ -319,7 +415,9 @@ def test_modulational_instability_grows_at_the_envelopes_rate(case):
     amplitude = a / (2 * float(np.abs(c.mode).max()))
     omega = omega0 + float(uniform.nu3) * amplitude**2
     wave = gx.breathers.breather(chain, omega, gx.State(a * shape, np.zeros(len(n))), check=False)
-    found = np.sort(np.log(np.abs(wave.floquet(tolerance=1e-11).multipliers)) / float(wave.period))[::-1]
+    found = np.sort(np.log(np.abs(wave.floquet(tolerance=1e-11).multipliers)) / float(wave.period))[
+        ::-1
+    ]
     Q = 2 * np.pi / cells * np.arange(1, cells // 2)
     y = float(np.abs(np.asarray(wave.state.u)).max()) / (2 * float(np.abs(c.mode).max()))
     expected = np.sort(np.asarray(nls.growth_rate(Q, y, float(c.nu2), float(c.nu3_force))))[::-1]
@@ -342,11 +440,14 @@ def test_no_modulational_instability_in_the_hertz_monomer():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("fraction, E, u, largest", [
-    (0.9900, 2.6192908, (0.6377287, 0.0398740, -0.4638610), 1.0),
-    (0.9875, 2.7263022, (0.7122202, 0.0471627, -0.4697628), 1.0),
-    (0.9850, 2.7015770, (0.7784533, 0.0526330, -0.4492773), 1.126536),
-])
+@pytest.mark.parametrize(
+    "fraction, E, u, largest",
+    [
+        (0.9900, 2.6192908, (0.6377287, 0.0398740, -0.4638610), 1.0),
+        (0.9875, 2.7263022, (0.7122202, 0.0471627, -0.4697628), 1.0),
+        (0.9850, 2.7015770, (0.7784533, 0.0526330, -0.4492773), 1.126536),
+    ],
+)
 def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest):
     b = gx.breathers.breather(dimer(121), fraction * OMEGA2)
     assert float(b.energy) == pytest.approx(E, abs=1e-6)
@@ -355,7 +456,9 @@ def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest):
     if largest == 1.0:
         assert fl.verdict == "stable" and fl.expected == 4
     else:
-        assert fl.verdict == "unstable" and abs(fl.multipliers[0]) == pytest.approx(largest, abs=1e-5)
+        assert fl.verdict == "unstable" and abs(fl.multipliers[0]) == pytest.approx(
+            largest, abs=1e-5
+        )
     assert fl.defect < 1e-12
 
 
@@ -375,7 +478,11 @@ def test_the_heavy_centred_family_is_real_unstable():
     assert "reached" in br.outcome
     below = br.omega < 0.993 * OMEGA2
     largest = br.multipliers[below, 0]
-    assert np.all(br.verdict[below] == "unstable") and np.all(np.abs(largest.imag) < 1e-6) and np.all(largest.real > 1)
+    assert (
+        np.all(br.verdict[below] == "unstable")
+        and np.all(np.abs(largest.imag) < 1e-6)
+        and np.all(largest.real > 1)
+    )
 
 
 @pytest.mark.study
@@ -393,7 +500,9 @@ def test_the_dark_breather_of_the_monomer():
         return np.concatenate([y[82:], np.diff(force, prepend=0, append=0) * -1])
 
     start = np.concatenate([b.state.u, np.zeros(82)])
-    end = solve_ivp(field, (0, float(b.period) / 2), start, method="DOP853", rtol=1e-13, atol=1e-14).y[82:, -1]
+    end = solve_ivp(
+        field, (0, float(b.period) / 2), start, method="DOP853", rtol=1e-13, atol=1e-14
+    ).y[82:, -1]
     assert np.abs(end).max() < 1e-11
 
 
@@ -412,7 +521,7 @@ def test_trimers_have_breathers_in_each_gap(gap):
 def test_alternating_softening_and_hardening_contacts():
     chain = dimer(41, law=gx.PowerLaw(1.0, np.where(np.arange(40) % 2, 1.5, 0.5), 1.0))
     found = gx.linear.bands(chain)
-    (low, high), = [g for g in found.gaps if g[0] > 0][-1:]
+    ((low, high),) = [g for g in found.gaps if g[0] > 0][-1:]
     br = gx.breathers.family(chain, until=high - 0.02 * (high - low), points=300)
     assert len(br) > 3 and np.isfinite(br.multipliers).all()
 
@@ -429,7 +538,11 @@ def test_defects_lead_from_their_modes_to_the_dimers_optical_band():
         assert len(modes) == n and omega[-1] < 3
         lowest, highest = [*lowest, omega[modes[0]]], [*highest, omega[-1]]
         br = gx.breathers.family(chain, mode=int(modes[0]), amplitude=0.3, points=40)
-        assert "amplitude" in br.outcome and np.all(np.diff(br.omega) < 0) and np.all(np.diff(br.energy) > 0)
+        assert (
+            "amplitude" in br.outcome
+            and np.all(np.diff(br.omega) < 0)
+            and np.all(np.diff(br.energy) > 0)
+        )
         energy = np.asarray(gx.measures.site_energy(chain, br.orbit(-1).state))
         assert energy[32 - n - 2 : 32 + n + 2].sum() > 0.95 * energy.sum()
     assert np.all(np.diff(lowest) < 0) and np.all(np.diff(highest) > 0) and 3 - highest[-1] < 0.02
@@ -474,7 +587,9 @@ class Bent(Tanh):
         return super().force(e) + 1e-3 * self.stiffness * jnp.maximum(e - self.length / 3, 0.0)
 
     def energy(self, e):
-        return super().energy(e) + 5e-4 * self.stiffness * jnp.maximum(e - self.length / 3, 0.0) ** 2
+        return (
+            super().energy(e) + 5e-4 * self.stiffness * jnp.maximum(e - self.length / 3, 0.0) ** 2
+        )
 
 
 def on_sites(own, bonds=gx.Linear(0.5), sites=12):
@@ -484,8 +599,10 @@ def on_sites(own, bonds=gx.Linear(0.5), sites=12):
 
 def two_fields(own):
     """Bands 1 ... sqrt(3) of each field, whose sites are joined by a spring of a hundredth."""
-    fields = [(gx.Bond(gx.Shift(1, "periodic", fields=name), gx.Linear(0.5)), gx.OnSite(law, field=name))
-              for name, law in (("a", gx.Sine(1.0)), ("b", own))]
+    fields = [
+        (gx.Bond(gx.Shift(1, "periodic", fields=name), gx.Linear(0.5)), gx.OnSite(law, field=name))
+        for name, law in (("a", gx.Sine(1.0)), ("b", own))
+    ]
     joined = gx.Bond(gx.Shift(0, "periodic", fields=("a", "b")), gx.Polynomial(0.01, 0.0, 0.1))
     return gx.Lattice({"a": np.ones(12), "b": np.ones(12)}, (*fields[0], *fields[1], joined))
 
@@ -505,8 +622,13 @@ HARMONICS = {
 }
 
 
-@pytest.mark.parametrize("name", [name if name in ("sine-Gordon", "staggered") else
-                                  pytest.param(name, marks=pytest.mark.slow) for name in HARMONICS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("sine-Gordon", "staggered") else pytest.param(name, marks=pytest.mark.slow)
+        for name in HARMONICS
+    ],
+)
 def test_harmonics_that_the_symmetry_forbids_do_not_count(name):
     make, omega, expected = HARMONICS[name]
     found = gx.breathers.resonant_harmonic(make(), omega)

@@ -17,8 +17,20 @@ sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import scenes  # noqa: E402
 
 NAMES = (
-    "impact", "impact_free", "smooth", "dimer_sweep", "monodromy", "toda_soliton", "toda_shock_1e4", "toda_shock_1e5",
-    "fput", "driven", "light_dimer", "softening", "magnets", "modulated",
+    "impact",
+    "impact_free",
+    "smooth",
+    "dimer_sweep",
+    "monodromy",
+    "toda_soliton",
+    "toda_shock_1e4",
+    "toda_shock_1e5",
+    "fput",
+    "driven",
+    "light_dimer",
+    "softening",
+    "magnets",
+    "modulated",
 )
 CONSERVED = tuple(name for name in NAMES if name not in ("driven", "modulated", "monodromy"))
 
@@ -59,8 +71,10 @@ def test_the_files_are_small():
 @pytest.mark.parametrize("name", CONSERVED)
 def test_references_keep_the_energy(name):
     scene = scenes.scene(name)
-    before, after = (gx.measures.energy(scene.lattice, gx.State(*map(jnp.asarray, y)))
-                     for y in (scene.state, scene.reference))
+    before, after = (
+        gx.measures.energy(scene.lattice, gx.State(*map(jnp.asarray, y)))
+        for y in (scene.state, scene.reference)
+    )
     assert np.max(np.abs(after - before) / before) < 1e-14 * np.sqrt(scene.lattice.shape[0])
 
 
@@ -175,7 +189,9 @@ def test_an_accurate_run_agrees(name):
     run = gx.simulate(scene.lattice, scene.state, scene.t1, t0=scene.t0, **how)
     assert scene.error(run.final) < error
     assert bool(run.contact_opened) == (not scene.smooth)
-    assert np.isnan(run.energy_error) if name in ("driven", "modulated") else run.energy_error < 1e-10
+    assert (
+        np.isnan(run.energy_error) if name in ("driven", "modulated") else run.energy_error < 1e-10
+    )
 
 
 @pytest.mark.slow
@@ -183,7 +199,9 @@ def test_some_lanes_of_the_sweep_agree_one_by_one():
     scene = scenes.scene("dimer_sweep")
     for lane in (0, 100, 255):
         chain = gx.scenes.dimer(60, ratio=float(np.asarray(scene.lattice.mass)[1, lane]))
-        run = gx.simulate(chain, gx.states.impact(chain), scene.t1, solver=gx.RKN86(), tolerance=1e-13)
+        run = gx.simulate(
+            chain, gx.states.impact(chain), scene.t1, solver=gx.RKN86(), tolerance=1e-13
+        )
         for found, reference in zip(run.final, scene.reference):
             assert np.abs(found - reference[:, lane]).max() < 1e-9
         assert bool(run.contact_opened)
@@ -193,7 +211,9 @@ def test_some_lanes_of_the_sweep_agree_one_by_one():
 def test_all_lanes_of_the_sweep_agree_at_a_fixed_step():
     scene = scenes.scene("dimer_sweep")
     coarse, fine = (
-        scene.error(gx.simulate(scene.lattice, scene.state, scene.t1, solver=gx.SRKN11b(), step=h).final)
+        scene.error(
+            gx.simulate(scene.lattice, scene.state, scene.t1, solver=gx.SRKN11b(), step=h).final
+        )
         for h in (0.04, 0.01)
     )
     assert fine < 1e-5 and fine < coarse / 8
@@ -206,7 +226,11 @@ def test_tangents_of_the_tenth_order_method_agree():
 
     def flow(y):
         run = gx.simulate(
-            scene.lattice, gx.State(y[:size], y[size:]), scene.t1, solver=gx.SofroniouSpaletta10(), step=scene.t1 / 40
+            scene.lattice,
+            gx.State(y[:size], y[size:]),
+            scene.t1,
+            solver=gx.SofroniouSpaletta10(),
+            step=scene.t1 / 40,
         )
         return jnp.concatenate(run.final), run
 
@@ -214,5 +238,7 @@ def test_tangents_of_the_tenth_order_method_agree():
     matrix, run = jax.jacfwd(flow, has_aux=True)(start)
     assert scene.error(np.asarray(matrix)) < 5e-14
     assert np.abs(jnp.concatenate(run.final) - start).max() < 2e-14
-    plain = gx.simulate(scene.lattice, scene.state, scene.t1, solver=gx.SofroniouSpaletta10(), step=scene.t1 / 40)
+    plain = gx.simulate(
+        scene.lattice, scene.state, scene.t1, solver=gx.SofroniouSpaletta10(), step=scene.t1 / 40
+    )
     assert not bool(plain.contact_opened)

@@ -25,16 +25,22 @@ MASKED = np.ma.array(np.ones(6), mask=[False] * 5 + [True])
 CELL = {"bead": np.ones(6), "resonator": np.ones(6)}
 
 
-
 def driven(omega):
     return gx.driven.driven_chain(LOADED, 0.01, omega, damping=0.1)
 
 
 # what is wrong, who refuses it, and what the sentence must name
 BAD = (
-    *((f"mass {m}", lambda m=m: chain(BOND, mass=m, sites=6), "mass") for m in (0.0, -1.0, NAN, INF)),
+    *(
+        (f"mass {m}", lambda m=m: chain(BOND, mass=m, sites=6), "mass")
+        for m in (0.0, -1.0, NAN, INF)
+    ),
     ("one mass of many", lambda: chain(BOND, mass=np.array([1, 1, 0, 1.0])), "mass"),
-    ("mass of a field", lambda: chain(mass={"bead": np.ones(3), "resonator": -np.ones(3)}), "mass['resonator']"),
+    (
+        "mass of a field",
+        lambda: chain(mass={"bead": np.ones(3), "resonator": -np.ones(3)}),
+        "mass['resonator']",
+    ),
     ("mass complex", lambda: chain(BOND, mass=np.ones(6) * 1j), "mass"),
     ("mass complex jax", lambda: chain(BOND, mass=jnp.ones(6) * 1j), "mass"),
     ("mass string", lambda: chain(BOND, mass="heavy"), "mass"),
@@ -50,13 +56,29 @@ BAD = (
     ("sites and masses", lambda: chain(mass=np.ones(5), sites=6), "mass"),
     ("dimension 0", lambda: chain(BOND, dimension=0), "dimension"),
     ("dimension 1.5", lambda: chain(BOND, dimension=1.5), "dimension"),
-    *((f"hertz {a}", lambda a=a: gx.Hertz(a), "stiffness") for a in (0, -1.0, NAN, -INF, 1j, "stiff", None)),
-    *((f"power {a}", lambda a=a: gx.PowerLaw(a, 2.0), "stiffness") for a in (0, -1.0, NAN, [1, -1])),
-    *((f"F0 {f}", lambda f=f: gx.Hertz(1.0, f), "precompression") for f in (-1.0, NAN, INF, [1, -1], "all", None)),
-    *((f"p {p}", lambda p=p: gx.PowerLaw(1.0, p, 1.0), "exponent") for p in (0, 0.0, NAN, INF, 1j, "3/2", [0.5, 0.0])),
+    *(
+        (f"hertz {a}", lambda a=a: gx.Hertz(a), "stiffness")
+        for a in (0, -1.0, NAN, -INF, 1j, "stiff", None)
+    ),
+    *(
+        (f"power {a}", lambda a=a: gx.PowerLaw(a, 2.0), "stiffness")
+        for a in (0, -1.0, NAN, [1, -1])
+    ),
+    *(
+        (f"F0 {f}", lambda f=f: gx.Hertz(1.0, f), "precompression")
+        for f in (-1.0, NAN, INF, [1, -1], "all", None)
+    ),
+    *(
+        (f"p {p}", lambda p=p: gx.PowerLaw(1.0, p, 1.0), "exponent")
+        for p in (0, 0.0, NAN, INF, 1j, "3/2", [0.5, 0.0])
+    ),
     ("p of two signs", lambda: gx.PowerLaw(1.0, np.array([1.5, -3]), 1.0), "exponent"),
     ("magnets without load", lambda: gx.PowerLaw(1.0, -3.0), "precompression"),
-    ("magnets without load 2", lambda: gx.PowerLaw(1.0, -3.0, np.array([1.0, 0.0])), "precompression"),
+    (
+        "magnets without load 2",
+        lambda: gx.PowerLaw(1.0, -3.0, np.array([1.0, 0.0])),
+        "precompression",
+    ),
     ("polynomial of nothing", lambda: gx.Polynomial(0.0), "K2, K3, K4"),
     ("polynomial nan", lambda: gx.Polynomial(1.0, NAN), "K3"),
     ("toda", lambda: gx.Toda(-1.0), "strength"),
@@ -67,7 +89,10 @@ BAD = (
     ("boundary", lambda: gx.Shift(1, "fixd"), "Did you mean 'fixed'?"),
     ("boundary None", lambda: gx.Shift(1, None), "boundary"),
     ("boundaries", lambda: gx.Shift((1, 0), ("fixed",)), "boundary"),
-    *((f"offset {k}", lambda k=k: gx.Shift(k), "offset") for k in (0, (0, 0), 1.0, "1", True, (), None)),
+    *(
+        (f"offset {k}", lambda k=k: gx.Shift(k), "offset")
+        for k in (0, (0, 0), 1.0, "1", True, (), None)
+    ),
     ("offset 0 in a field", lambda: gx.Shift(0, "free", "bead"), "offset"),
     ("fields of three", lambda: gx.Shift(1, fields=("a", "b", "c")), "fields"),
     ("pairs float", lambda: gx.Pairs([0.0], [1]), "tail"),
@@ -78,102 +103,275 @@ BAD = (
     ("pairs self", lambda: gx.Pairs([0, 1], [1, 1]), "head"),
     ("pairs sites", lambda: gx.Pairs([0, 1], [1, 2], sites=2), "sites"),
     ("pairs sites string", lambda: gx.Pairs([0, 1], [1, 2], sites="many"), "sites"),
-    ("pairs of another lattice", lambda: chain(gx.Bond(gx.Pairs([0], [1]), HERTZ)), "terms[0] (Bond)"),
+    (
+        "pairs of another lattice",
+        lambda: chain(gx.Bond(gx.Pairs([0], [1]), HERTZ)),
+        "terms[0] (Bond)",
+    ),
     ("vector zero", lambda: gx.Stretch(gx.Shift(1), [0.0, 0.0]), "vector"),
     ("vector number", lambda: gx.Stretch(gx.Shift(1), 1.0), "vector"),
     ("vector nan", lambda: gx.Stretch(gx.Shift(1), [NAN, 0.0]), "vector"),
     ("damping", lambda: gx.Damping(-0.1), "rate"),
     ("dashpot", lambda: gx.Dashpot(gx.Shift(1), -0.1), "coefficient"),
-    *((f"drive of site {k}", lambda k=k: chain(gx.Drive(gx.Harmonic(1.0, 1.0), k)), "terms[0] (Drive)")
-      for k in (6, -7, 100, (0, 1))),
-    ("no material", lambda: gx.materials.stack([]), "materials: expected at least one, none of them stacked"),
-    ("materials of materials", lambda: gx.materials.stack([gx.materials.stack(["brass"])]), "materials"),
+    *(
+        (
+            f"drive of site {k}",
+            lambda k=k: chain(gx.Drive(gx.Harmonic(1.0, 1.0), k)),
+            "terms[0] (Drive)",
+        )
+        for k in (6, -7, 100, (0, 1))
+    ),
+    (
+        "no material",
+        lambda: gx.materials.stack([]),
+        "materials: expected at least one, none of them stacked",
+    ),
+    (
+        "materials of materials",
+        lambda: gx.materials.stack([gx.materials.stack(["brass"])]),
+        "materials",
+    ),
     ("terms of none", lambda: chain(BOND, None), "terms[1]"),
     ("a lattice beyond memory", lambda: chain(BOND, mass=1.0, sites=10**14), "GB of memory"),
     ("a grid beyond memory", lambda: gx.Lattice(1.0, BOND, sites=(10**7, 10**7)), "GB of memory"),
-    ("linearised about another shape", lambda: gx.lattice.linearised(LINEAR, 0.0, np.zeros(5)), "u"),
+    (
+        "linearised about another shape",
+        lambda: gx.lattice.linearised(LINEAR, 0.0, np.zeros(5)),
+        "u",
+    ),
     ("harmonic", lambda: gx.Harmonic(NAN, 1.0), "amplitude"),
     ("wall side", lambda: gx.Wall(HERTZ, "rigth"), "Did you mean 'right'?"),
     ("wall support", lambda: gx.Wall(HERTZ, support=-1.0), "support"),
     ("no term", lambda: chain(BOND, HERTZ), "terms[1]"),
-    ("parameters per bond", lambda: chain(gx.Damping(0.1), gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.ones(6)))),
-     "terms[1] (Bond)"),
-    ("parameters per free bond", lambda: chain(gx.Bond(gx.Shift(1, "free"), gx.Hertz(np.ones(6)))), "terms[0] (Bond)"),
-    ("loads per bond", lambda: chain(gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, np.ones(4)))), "terms[0] (Bond)"),
+    (
+        "parameters per bond",
+        lambda: chain(gx.Damping(0.1), gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.ones(6)))),
+        "terms[1] (Bond)",
+    ),
+    (
+        "parameters per free bond",
+        lambda: chain(gx.Bond(gx.Shift(1, "free"), gx.Hertz(np.ones(6)))),
+        "terms[0] (Bond)",
+    ),
+    (
+        "loads per bond",
+        lambda: chain(gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, np.ones(4)))),
+        "terms[0] (Bond)",
+    ),
     ("rates per site", lambda: chain(gx.Damping(np.ones(5))), "terms[0] (Damping)"),
     ("onsite per site", lambda: chain(gx.OnSite(gx.Linear(np.ones(7)))), "terms[0] (OnSite)"),
-    ("dashpots per bond", lambda: chain(gx.Dashpot(gx.Shift(1, "free"), np.ones(6))), "terms[0] (Dashpot)"),
+    (
+        "dashpots per bond",
+        lambda: chain(gx.Dashpot(gx.Shift(1, "free"), np.ones(6))),
+        "terms[0] (Dashpot)",
+    ),
     ("parameters per wall", lambda: chain(gx.Wall(gx.Hertz(np.ones(2)))), "terms[0] (Wall)"),
-    ("modulation per bond", lambda: chain(gx.Modulated(BOND, lambda t: jnp.ones(4))), "terms[0] (Modulated)"),
-    ("offset beyond the chain", lambda: chain(gx.Bond(gx.Shift(9, "free"), HERTZ)), "terms[0] (Bond)"),
-    ("vector in another space", lambda: chain(gx.Bond(gx.Stretch(gx.Shift(1), [1.0, 0, 0]), HERTZ), dimension=2),
-     "terms[0] (Bond)"),
-    ("stretch on a line", lambda: chain(gx.Bond(gx.Stretch(gx.Shift(1), [1.0, 0.0]), HERTZ)), "terms[0] (Bond)"),
+    (
+        "modulation per bond",
+        lambda: chain(gx.Modulated(BOND, lambda t: jnp.ones(4))),
+        "terms[0] (Modulated)",
+    ),
+    (
+        "offset beyond the chain",
+        lambda: chain(gx.Bond(gx.Shift(9, "free"), HERTZ)),
+        "terms[0] (Bond)",
+    ),
+    (
+        "vector in another space",
+        lambda: chain(gx.Bond(gx.Stretch(gx.Shift(1), [1.0, 0, 0]), HERTZ), dimension=2),
+        "terms[0] (Bond)",
+    ),
+    (
+        "stretch on a line",
+        lambda: chain(gx.Bond(gx.Stretch(gx.Shift(1), [1.0, 0.0]), HERTZ)),
+        "terms[0] (Bond)",
+    ),
     ("unknown field", lambda: chain(gx.OnSite(HERTZ, "beed"), mass=CELL), "bead"),
-    ("unknown field of a bond", lambda: chain(gx.Bond(gx.Shift(1, "free", "beed"), HERTZ), mass=CELL), "bead"),
+    (
+        "unknown field of a bond",
+        lambda: chain(gx.Bond(gx.Shift(1, "free", "beed"), HERTZ), mass=CELL),
+        "bead",
+    ),
     ("unknown field of a damping", lambda: chain(gx.Damping(0.1, "beed"), mass=CELL), "bead"),
     ("field of a plain array", lambda: chain(gx.OnSite(HERTZ, "bead")), "terms[0] (OnSite)"),
     ("no field in a cell", lambda: chain(BOND, mass=CELL), "terms[0] (Bond)"),
     ("mass masked", lambda: chain(BOND, mass=MASKED), "1 of 6 masked"),
     ("data masked", lambda: gx.Traces(np.arange(6.0), velocity=MASKED, sites=0), ".filled(np.nan)"),
-    ("data complex", lambda: gx.Traces(np.arange(6.0), velocity=np.ones(6) * 1j, sites=0), "complex128"),
-    ("times complex", lambda: gx.simulate(chain(BOND), gx.states.impact(chain(BOND)), 1.0,
-                                          save_at=np.linspace(0, 1, 3) * (1 + 0j)), "save_at"),
+    (
+        "data complex",
+        lambda: gx.Traces(np.arange(6.0), velocity=np.ones(6) * 1j, sites=0),
+        "complex128",
+    ),
+    (
+        "times complex",
+        lambda: gx.simulate(
+            chain(BOND), gx.states.impact(chain(BOND)), 1.0, save_at=np.linspace(0, 1, 3) * (1 + 0j)
+        ),
+        "save_at",
+    ),
     ("snapshots masked", lambda: gx.identify.dmd(np.ma.stack([MASKED, MASKED]), 1.0), "snapshots"),
     ("radius complex", lambda: gx.materials.hertz_coefficient("steel 316", 1j), "radius"),
-    ("a displacement per site", lambda: gx.states.random(chain(BOND), 0, np.ones(6)), "displacement"),
+    (
+        "a displacement per site",
+        lambda: gx.states.random(chain(BOND), 0, np.ones(6)),
+        "displacement",
+    ),
     ("a velocity per site", lambda: gx.states.random(chain(BOND), 0, 0.1, np.ones(6)), "velocity"),
     ("a temperature per site", lambda: gx.states.thermal(chain(BOND), np.ones(6)), "temperature"),
     ("a strain per site", lambda: gx.states.strain_step(chain(BOND), np.ones(6)), "left"),
-    ("a speed per site", lambda: gx.states.velocity_step(chain(BOND), np.ones(6)), "c: expected one number"),
-    ("an amplitude per site", lambda: gx.states.wave_packet(chain(BOND), 1.0, amplitude=np.ones(6), omega=1.0),
-     "amplitude"),
+    (
+        "a speed per site",
+        lambda: gx.states.velocity_step(chain(BOND), np.ones(6)),
+        "c: expected one number",
+    ),
+    (
+        "an amplitude per site",
+        lambda: gx.states.wave_packet(chain(BOND), 1.0, amplitude=np.ones(6), omega=1.0),
+        "amplitude",
+    ),
     ("a mode's phase per site", lambda: gx.states.normal_mode(LINEAR, phase=np.ones(6)), "phase"),
-    *((f"{what} of another length", lambda f=f: f(LINEAR, np.zeros(7)), "shape (6,), that of the lattice")
-      for what, f in (("force", lambda l, x: l.force(0.0, x, x)), ("energy", lambda l, x: l.energy(0.0, x, x)),
-                      ("acceleration", lambda l, x: l.acceleration(0.0, x, x)),
-                      ("flow", lambda l, x: gx.Flow(2)((x, x), 0.0, 1.0, l)))),
-    ("force of an array for fields", lambda: chain(mass=CELL).force(0.0, np.zeros(6), np.zeros(6)), "fields"),
-    *((f"tolerance {x}", lambda x=x: checks.tolerance("tolerance", x), "tolerance")
-      for x in (-1, True, INF, 1e308, NAN, 1.0, 0, "fine", 1j, np.ones(2))),
-    *((f"{name} of a growth rate", lambda i=i: gx.theory.nls.growth_rate(*(NAN if j == i else 1.0 for j in range(4))),
-       name) for i, name in enumerate(("Q", "amplitude", "nu2", "nu3"))),
-    *((f"{name} of a sweep {x}", lambda name=name, x=x: gx.driven.sweep(driven, [0.8, 0.9], 6.0, **{name: x}), name)
-      for name in ("accuracy", "tolerance", "jump") for x in (2.0, 0.0)),
-    *((f"resolution {x}", lambda x=x: gx.floquet.decide(np.ones(2), np.zeros(2), 0, True, x), "resolution")
-      for x in (-1e-3, 1.0)),
-    *((f"adjoint of tolerance {x}", lambda x=x: gx.Reversible(x), "tolerance") for x in (0.0, -1.0)),
-    ("a run of tolerance 1", lambda: gx.simulate(LINEAR, gx.states.impact(LINEAR), 1.0, tolerance=1.0), "tolerance"),
-    ("threshold of a regression", lambda: gx.identify.regression(
-        np.ones(2), {"a": gx.Damping}, np.arange(3.0), np.ones((3, 2)), np.ones((3, 2)), threshold=1.0), "threshold"),
-    ("masses of other sites", lambda: gx.identify.regression(
-        np.ones(3), {"a": gx.Damping}, np.arange(3.0), np.ones((3, 2)), np.ones((3, 2))), "mass and us"),
+    *(
+        (
+            f"{what} of another length",
+            lambda f=f: f(LINEAR, np.zeros(7)),
+            "shape (6,), that of the lattice",
+        )
+        for what, f in (
+            ("force", lambda l, x: l.force(0.0, x, x)),
+            ("energy", lambda l, x: l.energy(0.0, x, x)),
+            ("acceleration", lambda l, x: l.acceleration(0.0, x, x)),
+            ("flow", lambda l, x: gx.Flow(2)((x, x), 0.0, 1.0, l)),
+        )
+    ),
+    (
+        "force of an array for fields",
+        lambda: chain(mass=CELL).force(0.0, np.zeros(6), np.zeros(6)),
+        "fields",
+    ),
+    *(
+        (f"tolerance {x}", lambda x=x: checks.tolerance("tolerance", x), "tolerance")
+        for x in (-1, True, INF, 1e308, NAN, 1.0, 0, "fine", 1j, np.ones(2))
+    ),
+    *(
+        (
+            f"{name} of a growth rate",
+            lambda i=i: gx.theory.nls.growth_rate(*(NAN if j == i else 1.0 for j in range(4))),
+            name,
+        )
+        for i, name in enumerate(("Q", "amplitude", "nu2", "nu3"))
+    ),
+    *(
+        (
+            f"{name} of a sweep {x}",
+            lambda name=name, x=x: gx.driven.sweep(driven, [0.8, 0.9], 6.0, **{name: x}),
+            name,
+        )
+        for name in ("accuracy", "tolerance", "jump")
+        for x in (2.0, 0.0)
+    ),
+    *(
+        (
+            f"resolution {x}",
+            lambda x=x: gx.floquet.decide(np.ones(2), np.zeros(2), 0, True, x),
+            "resolution",
+        )
+        for x in (-1e-3, 1.0)
+    ),
+    *(
+        (f"adjoint of tolerance {x}", lambda x=x: gx.Reversible(x), "tolerance")
+        for x in (0.0, -1.0)
+    ),
+    (
+        "a run of tolerance 1",
+        lambda: gx.simulate(LINEAR, gx.states.impact(LINEAR), 1.0, tolerance=1.0),
+        "tolerance",
+    ),
+    (
+        "threshold of a regression",
+        lambda: gx.identify.regression(
+            np.ones(2),
+            {"a": gx.Damping},
+            np.arange(3.0),
+            np.ones((3, 2)),
+            np.ones((3, 2)),
+            threshold=1.0,
+        ),
+        "threshold",
+    ),
+    (
+        "masses of other sites",
+        lambda: gx.identify.regression(
+            np.ones(3), {"a": gx.Damping}, np.arange(3.0), np.ones((3, 2)), np.ones((3, 2))
+        ),
+        "mass and us",
+    ),
     ("magnets without a load", lambda: gx.PowerLaw(1.0, -3), "exponent and precompression"),
-    ("damping of other sites", lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, damping=np.ones(5)), "(Damping)"),
-    ("walls at an unknown field", lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, field="bead"), "field"),
-    ("complex displacements", lambda: LINEAR.force(0.0, np.ones(6) * 1j, np.zeros(6)), "u: expected real numbers"),
-    ("a state of other sites", lambda: gx.floquet.multipliers(
-        gx.Flow(2), gx.State(np.zeros(7), np.zeros(7)), 0.0, 1.0, LINEAR), "y.u: expected shape (6,)"),
-    ("a frequency on the wrong side", lambda: gx.theory.nls.bright_profile(
-        gx.theory.nls.coefficients(1.0, 1.5, 0.375, 1.0, np.pi), 2.0, 9), "omega: expected a frequency above"),
-    ("a dip of the wrong sign", lambda: gx.theory.nls.dark(0.0, 0.0, 1.0, -1.0, 1.0, nu3_force=-1.0), "nu3_force"),
-    ("more windows than periods", lambda: gx.driven.lyapunov(LINEAR, gx.states.impact(LINEAR), 1.0, windows=2000),
-     "periods and windows"),
-    ("run_time before the pulse arrives", lambda: gx.resonance.transmission([0.5], 21, run_time=1.0), "run_time"),
+    (
+        "damping of other sites",
+        lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, damping=np.ones(5)),
+        "(Damping)",
+    ),
+    (
+        "walls at an unknown field",
+        lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, field="bead"),
+        "field",
+    ),
+    (
+        "complex displacements",
+        lambda: LINEAR.force(0.0, np.ones(6) * 1j, np.zeros(6)),
+        "u: expected real numbers",
+    ),
+    (
+        "a state of other sites",
+        lambda: gx.floquet.multipliers(
+            gx.Flow(2), gx.State(np.zeros(7), np.zeros(7)), 0.0, 1.0, LINEAR
+        ),
+        "y.u: expected shape (6,)",
+    ),
+    (
+        "a frequency on the wrong side",
+        lambda: gx.theory.nls.bright_profile(
+            gx.theory.nls.coefficients(1.0, 1.5, 0.375, 1.0, np.pi), 2.0, 9
+        ),
+        "omega: expected a frequency above",
+    ),
+    (
+        "a dip of the wrong sign",
+        lambda: gx.theory.nls.dark(0.0, 0.0, 1.0, -1.0, 1.0, nu3_force=-1.0),
+        "nu3_force",
+    ),
+    (
+        "more windows than periods",
+        lambda: gx.driven.lyapunov(LINEAR, gx.states.impact(LINEAR), 1.0, windows=2000),
+        "periods and windows",
+    ),
+    (
+        "run_time before the pulse arrives",
+        lambda: gx.resonance.transmission([0.5], 21, run_time=1.0),
+        "run_time",
+    ),
 )
 
 
-@pytest.mark.parametrize("make, named", [
-    (lambda y: gx.simulate(LINEAR, y, 1.0, save_at=9000), "save_at"),
-    (lambda y: gx.simulate(LINEAR, y, 1.0, save_at=np.linspace(0, 1, 10**4)), "save_at"),
-    (lambda y: gx.simulate(LINEAR, y, 1.0, step=1e-4, save_at="steps"), "save_at"),
-    (lambda y: gx.simulate(LINEAR, y, 1.0, tolerance=1e-6, save_at="steps", max_steps=10**4), "max_steps"),
-])
+@pytest.mark.parametrize(
+    "make, named",
+    [
+        (lambda y: gx.simulate(LINEAR, y, 1.0, save_at=9000), "save_at"),
+        (lambda y: gx.simulate(LINEAR, y, 1.0, save_at=np.linspace(0, 1, 10**4)), "save_at"),
+        (lambda y: gx.simulate(LINEAR, y, 1.0, step=1e-4, save_at="steps"), "save_at"),
+        (
+            lambda y: gx.simulate(LINEAR, y, 1.0, tolerance=1e-6, save_at="steps", max_steps=10**4),
+            "max_steps",
+        ),
+    ],
+)
 def test_frames_are_counted_with_the_size_of_the_state(make, named, monkeypatch):
     """Six sites, 104 bytes a frame, in a computer of 900 kB."""
     state = gx.State(jnp.zeros(6), jnp.zeros(6))
     monkeypatch.setattr(checks.os, "sysconf", lambda name: 900)
-    with pytest.raises(ValueError, match=f"^{named}: expected at most .* of such a state, which .* of memory hold"):
+    with pytest.raises(
+        ValueError, match=f"^{named}: expected at most .* of such a state, which .* of memory hold"
+    ):
         make(state)
 
 
@@ -190,11 +388,15 @@ def test_bad_input_is_refused_in_our_words(make, named):
     assert Path(frame.tb_frame.f_code.co_filename).is_relative_to(ROOT)
 
 
-@pytest.mark.parametrize("make", [
-    lambda: gx.Hertz("stiff"),
-    lambda: chain(gx.Damping(np.ones(5))),
-    lambda: chain(gx.OnSite(HERTZ, "beed"), mass=CELL),
-], ids=["string", "lengths", "field"])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: gx.Hertz("stiff"),
+        lambda: chain(gx.Damping(np.ones(5))),
+        lambda: chain(gx.OnSite(HERTZ, "beed"), mass=CELL),
+    ],
+    ids=["string", "lengths", "field"],
+)
 def test_no_other_traceback_is_printed_above_a_refusal(make):
     with pytest.raises(ValueError) as caught:
         make()
@@ -202,9 +404,13 @@ def test_no_other_traceback_is_printed_above_a_refusal(make):
 
 
 def test_sentences():
-    with pytest.raises(ValueError, match=r"^stiffness: expected numbers above zero, got -1\.0\. The contact"):
+    with pytest.raises(
+        ValueError, match=r"^stiffness: expected numbers above zero, got -1\.0\. The contact"
+    ):
         gx.Hertz(-1.0)
-    with pytest.raises(ValueError, match=r"^boundary: expected one of 'fixed', 'free', .*, got 'fre'\. Did you"):
+    with pytest.raises(
+        ValueError, match=r"^boundary: expected one of 'fixed', 'free', .*, got 'fre'\. Did you"
+    ):
         gx.Shift(1, "fre")
     with pytest.raises(ValueError, match=r"^x: expected numbers in \(0, 1\], got 0\.0\. Why$"):
         checks.within("x", 0.0, 0, 1, open_low=True, remedy="Why")
@@ -234,9 +440,14 @@ def test_what_is_legal_passes():
     assert np.isnan(checks.real("x", [1, NAN])).tolist() == [False, True]
     assert checks.real("x", jnp.arange(2)).dtype == np.float64
     assert checks.tolerance("tolerance", np.float32(1e-6)) == pytest.approx(1e-6)
-    assert checks.per_lane("x", [1.0, 2.0], (2,)).shape == (2,) and checks.per_lane("x", 1, (2,)).shape == ()
+    assert (
+        checks.per_lane("x", [1.0, 2.0], (2,)).shape == (2,)
+        and checks.per_lane("x", 1, (2,)).shape == ()
+    )
     assert LINEAR.force(0.0, np.zeros((6, 3)), np.zeros((6, 3))).shape == (6, 3)
-    lanes = jax.vmap(lambda k: gx.Lattice(np.ones(6), (gx.Bond(gx.Shift(1), gx.Linear(k)),)), out_axes=-1)(jnp.ones(2))
+    lanes = jax.vmap(
+        lambda k: gx.Lattice(np.ones(6), (gx.Bond(gx.Shift(1), gx.Linear(k)),)), out_axes=-1
+    )(jnp.ones(2))
     assert gx.states.random(lanes, 0, np.array([0.0, 1.0])).u[:, 0].tolist() == [0.0] * 6
     assert np.isnan(jax.jit(gx.theory.nls.growth_rate)(1.0, 1.0, NAN, 1.0))
 

@@ -10,7 +10,10 @@ ROOT = Path(__file__).parents[1]
 
 def test_every_claim_stands_where_it_should_and_follows_from_the_jsons():
     done = subprocess.run(
-        [sys.executable, str(ROOT / "benchmarks" / "claims.py"), "--check"], capture_output=True, text=True, check=False
+        [sys.executable, str(ROOT / "benchmarks" / "claims.py"), "--check"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
 

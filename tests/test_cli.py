@@ -25,8 +25,12 @@ SMALL = ["resonance", "--beads", "11", "--ratios", "12"]
 def command(*arguments, cwd, **environment):
     """`python -m granjax` in a fresh process."""
     return subprocess.run(
-        [sys.executable, "-m", "granjax", *arguments], capture_output=True, text=True, cwd=cwd,
-        env={**os.environ, **environment}, check=False,
+        [sys.executable, "-m", "granjax", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, **environment},
+        check=False,
     )
 
 
@@ -59,7 +63,12 @@ def test_the_command_makes_a_device_of_every_core(tmp_path):
     )
     environment = {k: v for k, v in os.environ.items() if k != "JAX_NUM_CPU_DEVICES"}
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment, check=False
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+        check=False,
     )
     assert done.stdout.strip() == "True", done.stderr
 
@@ -71,7 +80,9 @@ def test_compiled_programs_are_kept_unless_asked_not_to(tmp_path):
         done = command(*switch, *SMALL, cwd=tmp_path, GRANJAX_CACHE=str(place))
         assert done.returncode == 0 and done.stderr == "", done.stderr
     assert any(path.is_file() for path in kept.rglob("*")) and not none.exists()
-    assert command(*SMALL, cwd=tmp_path, GRANJAX_CACHE=str(kept)).stderr == "", "what is read back brings no warning"
+    assert command(*SMALL, cwd=tmp_path, GRANJAX_CACHE=str(kept)).stderr == "", (
+        "what is read back brings no warning"
+    )
 
 
 @pytest.mark.study
@@ -167,7 +178,9 @@ def help_of(monkeypatch, capsys, *command):
 def test_help_is_one_screenful_with_an_example_of_every_command(monkeypatch, capsys):
     lines = help_of(monkeypatch, capsys)
     assert len(lines) <= 40
-    examples = [shlex.split(line) for line in lines if line.startswith(" " * 10 + "        granjax ")]
+    examples = [
+        shlex.split(line) for line in lines if line.startswith(" " * 10 + "        granjax ")
+    ]
     assert [example[1] for example in examples] == ["resonance"]
     assert page_named_in("\n".join(lines)) == output.START
 
@@ -197,13 +210,20 @@ gx.simulate(chain, gx.states.impact(chain), 1e5, step=0.001)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script, code", [(COMMAND, 130), (LONG_RUN, -signal.SIGINT)], ids=["command", "python"])
+@pytest.mark.parametrize(
+    "script, code", [(COMMAND, 130), (LONG_RUN, -signal.SIGINT)], ids=["command", "python"]
+)
 def test_an_interrupt_ends_what_takes_long(script, code, tmp_path):
     # whatever started the tests may ignore the signal
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        process = subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path, text=True, stdout=subprocess.PIPE,
-                                   stderr=subprocess.PIPE)
+        process = subprocess.Popen(
+            [sys.executable, "-c", script],
+            cwd=tmp_path,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
     finally:
         signal.signal(signal.SIGINT, before)
     assert process.stdout.readline() == "ready\n"

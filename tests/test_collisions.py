@@ -23,15 +23,21 @@ def fast():
     return toda(1.0)
 
 
-@pytest.mark.parametrize(("way", "shifts"), [
-    pytest.param(1, (1.180269670641735, -2.360539341283469), marks=pytest.mark.study),
-    pytest.param(-1, (0.2273362938026457, -0.4546725876052915), marks=pytest.mark.study)],
-    ids=["overtaking", "head-on"])
+@pytest.mark.parametrize(
+    ("way", "shifts"),
+    [
+        pytest.param(1, (1.180269670641735, -2.360539341283469), marks=pytest.mark.study),
+        pytest.param(-1, (0.2273362938026457, -0.4546725876052915), marks=pytest.mark.study),
+    ],
+    ids=["overtaking", "head-on"],
+)
 def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, shifts):
     slow = toda(0.5, way)
     found = collide(fast, slow)
     np.testing.assert_allclose(found.shifts, shifts, atol=1e-8, rtol=0)
-    assert (np.abs(found.shifts - shifts) <= found.shift_errors).all() and found.shift_errors.max() < 1e-7
+    assert (
+        np.abs(found.shifts - shifts) <= found.shift_errors
+    ).all() and found.shift_errors.max() < 1e-7
     np.testing.assert_allclose(found.toda_shifts, shifts, rtol=1e-12)
     # integrable: nothing is lost
     np.testing.assert_allclose(found.speeds_after, found.speeds, rtol=1e-9)
@@ -41,7 +47,9 @@ def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, shi
         # of the same speeds, which are 18 % and 4 % above that of sound
         np.testing.assert_allclose(found.kdv_shifts, shifts, rtol=0.15)
     else:
-        assert np.isnan(found.kdv_shifts).all() and "KdV knows waves of one way alone" in found.outcome
+        assert (
+            np.isnan(found.kdv_shifts).all() and "KdV knows waves of one way alone" in found.outcome
+        )
     assert plots.space_time(found.run) is not None
 
 
@@ -71,13 +79,18 @@ class Sinh(gx.Law):
 
 
 MET = [
-    pytest.param(gx.Polynomial(1.0, 0.25, 0.0), lambda e: e + 0.25 * e**2, (1.2, -1.3), 0.3, id="fput-alpha"),
-    *(pytest.param(*case, marks=pytest.mark.study) for case in (
-        (gx.Hertz(), lambda e: np.maximum(e, 0) ** 1.5, (1.0, -1.1), 0.0),
-        (gx.Hertz(), lambda e: np.maximum(e, 0) ** 1.5, (1.0, -1.1), 0.5),
-        (Sinh(), lambda e: np.sinh(e) + e**2 / 2, (1.3, -1.2), 0.75),
-        (gx.Polynomial(1.0, 0.0, 1.0), lambda e: e + e**3, (1.3, -1.2), 1.25),
-    )),
+    pytest.param(
+        gx.Polynomial(1.0, 0.25, 0.0), lambda e: e + 0.25 * e**2, (1.2, -1.3), 0.3, id="fput-alpha"
+    ),
+    *(
+        pytest.param(*case, marks=pytest.mark.study)
+        for case in (
+            (gx.Hertz(), lambda e: np.maximum(e, 0) ** 1.5, (1.0, -1.1), 0.0),
+            (gx.Hertz(), lambda e: np.maximum(e, 0) ** 1.5, (1.0, -1.1), 0.5),
+            (Sinh(), lambda e: np.sinh(e) + e**2 / 2, (1.3, -1.2), 0.75),
+            (gx.Polynomial(1.0, 0.0, 1.0), lambda e: e + e**3, (1.3, -1.2), 1.25),
+        )
+    ),
 ]
 
 
@@ -87,7 +100,9 @@ def test_waves_meet_at_the_phase_that_is_asked_for(law, force, speeds, phase):
     """Where they leave, by DOP853, of waves that begin farther apart than those of `collide`."""
     waves = [solitary_wave(law, speed=c) for c in speeds]
     found = collide(*waves, phase=phase, tolerance=2e-2)
-    assert found.phase == phase % 1 and found.meeting_place % 1 == pytest.approx(phase % 1, abs=1e-12)
+    assert found.phase == phase % 1 and found.meeting_place % 1 == pytest.approx(
+        phase % 1, abs=1e-12
+    )
     before, after, sites = 14.0, 26.0, 90
     places = [45 + phase % 1 - c * before for c in speeds]
     ts, strains = met(force, waves, places, before + after, sites)
@@ -97,7 +112,12 @@ def test_waves_meet_at_the_phase_that_is_asked_for(law, force, speeds, phase):
         window = middle + np.arange(-3, 4)[:, None]
         around = strains[window, np.arange(len(ts))]
         own = solitary_wave(law, speed=float(found.speeds_after[k]))
-        off = np.array([np.abs(around - np.asarray(own.strain(window - line - d))).max() for d in (0, -0.1, 0.1)])
+        off = np.array(
+            [
+                np.abs(around - np.asarray(own.strain(window - line - d))).max()
+                for d in (0, -0.1, 0.1)
+            ]
+        )
         assert off[0] < 0.03 * float(wave.amplitude) and off[0] < off[1:].min() / 2
 
 
@@ -108,10 +128,16 @@ def test_calls_with_other_numerical_options_agree_within_their_errors():
     first, *others = (collide(one, two, **keywords) for keywords in calls)
     for other in others:
         assert other.phase == first.phase == 0.0
-        assert (np.abs(other.shifts - first.shifts) <= first.shift_errors + other.shift_errors).all()
+        assert (
+            np.abs(other.shifts - first.shifts) <= first.shift_errors + other.shift_errors
+        ).all()
     # the range over phases, as lanes, and one of them by itself
     several = collide(one, two, phase=np.array([0.0, 0.5]), tolerance=1e-2)
-    assert several.shifts.shape == (2, 2) and several.run.us.shape[2:] == (2,) and "At 2 of 2 phases" in several.outcome
+    assert (
+        several.shifts.shape == (2, 2)
+        and several.run.us.shape[2:] == (2,)
+        and "At 2 of 2 phases" in several.outcome
+    )
     np.testing.assert_allclose(several.shifts[:, 0], first.shifts, atol=1e-9)
     np.testing.assert_allclose(several.radiated[0], first.radiated, atol=1e-9)
     data = several.to_xarray()
@@ -121,18 +147,28 @@ def test_calls_with_other_numerical_options_agree_within_their_errors():
 
 @pytest.mark.study
 def test_waves_to_the_left_are_mirror_images():
-    for second, shifts in ((toda(0.5, -1), (-1.180269670641735, 2.360539341283469)),
-                           (toda(0.5), (-0.2273362938026457, 0.4546725876052915))):
-        np.testing.assert_allclose(collide(toda(1.0, -1), second, tolerance=1e-3).shifts, shifts, atol=1e-4)
+    for second, shifts in (
+        (toda(0.5, -1), (-1.180269670641735, 2.360539341283469)),
+        (toda(0.5), (-0.2273362938026457, 0.4546725876052915)),
+    ):
+        np.testing.assert_allclose(
+            collide(toda(1.0, -1), second, tolerance=1e-3).shifts, shifts, atol=1e-4
+        )
 
 
 @pytest.mark.study
 def test_a_stiffer_wall_sends_a_wave_back_earlier_towards_the_rigid_limit(fast):
     stiffness = np.array([50.0, 500.0])
-    found, rigid = reflect(fast, gx.Linear(jnp.asarray(stiffness)), distance=58), reflect(fast, distance=58)
+    found, rigid = (
+        reflect(fast, gx.Linear(jnp.asarray(stiffness)), distance=58),
+        reflect(fast, distance=58),
+    )
     # at a rigid end Toda's soliton meets its mirror image
     mirror = -np.log(np.cosh(1.0)) / np.sinh(1.0)
-    assert float(rigid.delay) == pytest.approx(mirror, abs=1e-8) and abs(rigid.delay - mirror) <= rigid.delay_error
+    assert (
+        float(rigid.delay) == pytest.approx(mirror, abs=1e-8)
+        and abs(rigid.delay - mirror) <= rigid.delay_error
+    )
     assert float(rigid.amplitudes) == pytest.approx(rigid.amplitude, rel=1e-8)
     assert found.delay.shape == (2,) and (np.diff(found.delay) < -10 * found.delay_error[1:]).all()
     # as far from it as the wall gives way
@@ -189,7 +225,10 @@ def test_what_has_not_parted_has_no_shift():
 def test_refused_with_the_reason(fast):
     calls = [
         (lambda: collide(fast, fast), "second: expected a speed other than the first's"),
-        (lambda: collide(fast, solitary_wave(gx.Toda(2.0), speed=2.0)), "second: expected a wave of the same law"),
+        (
+            lambda: collide(fast, solitary_wave(gx.Toda(2.0), speed=2.0)),
+            "second: expected a wave of the same law",
+        ),
         (lambda: reflect(toda(1.0, -1)), "wave: expected one to the right"),
     ]
     for call, why in calls:

@@ -23,22 +23,34 @@ def dashpot(parameters):
     return gx.Lattice(1.0, (contacts, gx.Dashpot(CONTACTS, parameters["coefficient"])), sites=N)
 
 
-MODELS = {"on-site": (on_site, {"stiffness": 1.1, "damping": 0.02}),
-          "dashpot": (dashpot, {"stiffness": 1.1, "coefficient": 0.02})}
+MODELS = {
+    "on-site": (on_site, {"stiffness": 1.1, "damping": 0.02}),
+    "dashpot": (dashpot, {"stiffness": 1.1, "coefficient": 0.02}),
+}
 
 
 def measured(kind, rate):
     """Velocities (T, sensors) by SciPy's DOP853."""
+
     def strains(u):
         return np.concatenate([-u[:1], u[:-1] - u[1:], u[-1:]])
 
     def motion(t, y):
-        f = np.maximum(1 + strains(y[:N]), 0) ** 1.5 - 1 + (kind == "dashpot") * rate * strains(y[N:])
+        f = (
+            np.maximum(1 + strains(y[:N]), 0) ** 1.5
+            - 1
+            + (kind == "dashpot") * rate * strains(y[N:])
+        )
         return np.concatenate([y[N:], f[:-1] - f[1:] - (kind == "on-site") * rate * y[N:]])
 
     start = np.r_[np.zeros(N), SPEED, np.zeros(N - 1)]
-    return solve_ivp(motion, (0, TIMES[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, t_eval=TIMES
-                     ).y[N:][SENSORS].T
+    return (
+        solve_ivp(
+            motion, (0, TIMES[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, t_eval=TIMES
+        )
+        .y[N:][SENSORS]
+        .T
+    )
 
 
 def traces(velocity, seed, share=0.01, known=True):
@@ -57,8 +69,10 @@ def test_dissipation_is_told_apart():
         assert found.best == truth and found.decided and found.weights[0] > 0.99
         assert found.outcome.startswith(f"The data speak for '{truth}'")
         parameters, deviations = found.fits[truth].parameters, found.fits[truth].deviations
-        assert all(abs(parameters[name] - dict(stiffness=1.0).get(name, 0.005)) < 4 * deviations[name]
-                   for name in parameters)
+        assert all(
+            abs(parameters[name] - dict(stiffness=1.0).get(name, 0.005)) < 4 * deviations[name]
+            for name in parameters
+        )
 
 
 @pytest.mark.study
@@ -68,25 +82,43 @@ def test_where_the_data_do_not_decide_and_where_no_model_describes_them():
     # neither kind alone describes both together; without sigma that cannot be seen
     both = measured("on-site", 0.05) + measured("dashpot", 0.05) - measured("on-site", 0.0)
     found = compare(MODELS, traces(both, 0), state=STATE)
-    assert found.probability < 0.01 and f"Even '{found.best}' does not describe the data" in found.outcome
+    assert (
+        found.probability < 0.01
+        and f"Even '{found.best}' does not describe the data" in found.outcome
+    )
     unknown = compare(MODELS, traces(both, 0, known=False), state=STATE)
-    assert np.isnan(unknown.probability) and "Even" not in unknown.outcome and unknown.best == found.best
+    assert (
+        np.isnan(unknown.probability)
+        and "Even" not in unknown.outcome
+        and unknown.best == found.best
+    )
     kept = found.to_xarray()
     assert kept.model.values.tolist() == list(found.names) and kept.bic.dims == ("model",)
     # AIC and BIC by hand
     n = TIMES.size * len(SENSORS)
     for name, chi_square, aic, bic in zip(found.names, found.chi_square, found.aic, found.bic):
-        np.testing.assert_allclose([chi_square, aic - chi_square, bic - chi_square],
-                                   [found.fits[name].chi_square, 4.0, 2 * np.log(n)], rtol=1e-10)
-    squares = [np.sum((np.asarray(unknown.fits[k].signals[0]) - np.asarray(unknown.fits[k].traces[0].data)) ** 2)
-               for k in unknown.names]
+        np.testing.assert_allclose(
+            [chi_square, aic - chi_square, bic - chi_square],
+            [found.fits[name].chi_square, 4.0, 2 * np.log(n)],
+            rtol=1e-10,
+        )
+    squares = [
+        np.sum(
+            (np.asarray(unknown.fits[k].signals[0]) - np.asarray(unknown.fits[k].traces[0].data))
+            ** 2
+        )
+        for k in unknown.names
+    ]
     np.testing.assert_allclose(unknown.margin, n * np.log(squares[1] / squares[0]), rtol=1e-8)
 
 
-@pytest.mark.parametrize("bad, word", [
-    (dict(options={"c": {}}), "options"),
-    (dict(level=0.0), "level"),
-])
+@pytest.mark.parametrize(
+    "bad, word",
+    [
+        (dict(options={"c": {}}), "options"),
+        (dict(level=0.0), "level"),
+    ],
+)
 def test_bad_input_is_refused(bad, word):
     good = dict(models=MODELS, traces=traces(np.ones((400, 4)), 0), state=STATE)
     with pytest.raises(ValueError, match=word):

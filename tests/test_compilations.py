@@ -66,7 +66,9 @@ def velocities(t, y, lattice):
 def with_a_step(seed):
     record = {"peak": gx.Peak(velocities)}
     for step in (0.1, 0.037 * factor(seed)):
-        run = gx.simulate(chain(seed), moving(seed), 2.0 + seed, step=step, save_at=7, record=record)
+        run = gx.simulate(
+            chain(seed), moving(seed), 2.0 + seed, step=step, save_at=7, record=record
+        )
         assert run.completed and repr(run)
 
 
@@ -144,19 +146,29 @@ def attractors(seed):
 
 def wall_force(ratio, site):
     lattice = gx.scenes.dimer(5, ratio=ratio)
-    run = gx.simulate(lattice, gx.states.impact(lattice), 4.0, record={"force": gx.Peak(gx.measures.contact_force)})
+    run = gx.simulate(
+        lattice,
+        gx.states.impact(lattice),
+        4.0,
+        record={"force": gx.Peak(gx.measures.contact_force)},
+    )
     return {"force": run.recorded["force"][site], "error": run.record_error["force"][site]}
 
 
 def sweep(seed):
-    gx.sweep(wall_force, {"ratio": [0.3, 0.5 + 0.1 * seed, 0.9], "site": [2, 4 - seed]}, progress=False)
+    gx.sweep(
+        wall_force, {"ratio": [0.3, 0.5 + 0.1 * seed, 0.9], "site": [2, 4 - seed]}, progress=False
+    )
 
 
 FAST = with_a_step, normal_modes, floquet
 SLOW = with_the_default_step, with_a_tolerance, breather, fit, forced_orbit
 STUDY = solitary_wave, attractors, sweep
-CALLS = [*FAST, *(pytest.param(call, marks=pytest.mark.slow) for call in SLOW),
-         *(pytest.param(call, marks=pytest.mark.study) for call in STUDY)]
+CALLS = [
+    *FAST,
+    *(pytest.param(call, marks=pytest.mark.slow) for call in SLOW),
+    *(pytest.param(call, marks=pytest.mark.study) for call in STUDY),
+]
 # where a contact comes near opening, two more runs look between the steps; a wave's own numbers say how finely it is
 # resolved
 OTHERWISE = {with_a_tolerance, solitary_wave}

@@ -26,7 +26,11 @@ def check(f, curve, tolerance=1e-10, args=None):
     """Every point is a solution, with a unit tangent that points along the branch."""
     for x, p, tangent in zip(curve.x, curve.p, curve.tangents):
         assert np.abs(f(jnp.asarray(x), p, args)).max() <= tolerance
-        slope = jax.jvp(lambda x, p: f(x, p, args), (jnp.asarray(x), p), (jnp.asarray(tangent[:-1]), tangent[-1]))[1]
+        slope = jax.jvp(
+            lambda x, p: f(x, p, args),
+            (jnp.asarray(x), p),
+            (jnp.asarray(tangent[:-1]), tangent[-1]),
+        )[1]
         assert np.abs(slope).max() < 1e-11 and abs(np.linalg.norm(tangent) - 1) < 1e-14
     steps = np.diff(np.column_stack([curve.x, curve.p]), axis=0)
     assert np.all(np.sum(steps * curve.tangents[:-1], axis=1) > 0)
@@ -45,7 +49,9 @@ def test_a_circle_closes_upon_itself():
         assert abs(fold.x[0]) < 1e-8 and (curve.x[fold.after, 0]) * curve.x[fold.after + 1, 0] < 0
         assert abs(fold.directions[0, 1]) < 1e-8
     # backwards, the other fold first
-    np.testing.assert_allclose(continuation(circle, [1.0], 0.0, arclength=0.1, direction=-1).folds, [-1, 1], atol=1e-10)
+    np.testing.assert_allclose(
+        continuation(circle, [1.0], 0.0, arclength=0.1, direction=-1).folds, [-1, 1], atol=1e-10
+    )
 
 
 def test_folds_of_a_cubic():
@@ -53,7 +59,9 @@ def test_folds_of_a_cubic():
     check(cubic, curve)
     fold = 2 / (3 * np.sqrt(3))
     np.testing.assert_allclose(curve.folds, [-fold, fold], rtol=0, atol=1e-12)
-    np.testing.assert_allclose([s.x[0] for s in curve.special], [3**-0.5, -(3**-0.5)], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(
+        [s.x[0] for s in curve.special], [3**-0.5, -(3**-0.5)], rtol=0, atol=1e-7
+    )
     # few Jacobians for each point: the tangent predicts, steps adapt
     assert curve.newton < 5 * len(curve.p)
 
@@ -77,16 +85,26 @@ def test_bratu():
     assert exact == pytest.approx(3.513830719, abs=1e-9)
     x, second = chebyshev(32)
     bratu = lambda u, p, second: second @ u + p * jnp.exp(u)
-    curve = continuation(bratu, np.zeros(len(x)), 0.0, args=second, arclength=0.2, until=-1.0, points=25,
-                         tolerance=1e-9,
-                         stop=lambda u, p: "far beyond the fold" if u.max() > 4 else None)
+    curve = continuation(
+        bratu,
+        np.zeros(len(x)),
+        0.0,
+        args=second,
+        arclength=0.2,
+        until=-1.0,
+        points=25,
+        tolerance=1e-9,
+        stop=lambda u, p: "far beyond the fold" if u.max() > 4 else None,
+    )
     check(bratu, curve, 1e-9, second)
     assert len(curve.folds) == 1 and abs(curve.folds[0] - exact) < 1e-8
     assert "far beyond" in curve.outcome and curve.p[-1] < 1.5 and curve.x[-1].max() > 4
     # u = 2 log(cosh(theta/4)/cosh(theta (x - 1/2)/2)) with theta^2 = 2 p cosh(theta/4)^2, on both sides of the fold
     middle = np.maximum(curve.x[:, len(x) // 2], 0)
     assert abs(x[len(x) // 2] - 0.5) < 1e-15 and len(curve.p) > 8
-    np.testing.assert_allclose(8 * np.arccosh(np.exp(middle / 2)) ** 2 / np.exp(middle), curve.p, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(
+        8 * np.arccosh(np.exp(middle / 2)) ** 2 / np.exp(middle), curve.p, rtol=0, atol=1e-7
+    )
 
 
 # branch points ------------------------------------------------------------------------------------------------------
@@ -95,16 +113,28 @@ def test_bratu():
 def test_a_pitchfork_and_its_other_branch():
     curve = continuation(pitchfork, [0.0], -1.0, until=1.0, arclength=0.11)
     check(pitchfork, curve)
-    assert [s.kind for s in curve.special] == ["branch point"] and abs(curve.branch_points[0]) < 1e-10
+    assert [s.kind for s in curve.special] == ["branch point"] and abs(
+        curve.branch_points[0]
+    ) < 1e-10
     point = curve.special[0]
     assert curve.p[point.after] < 0 < curve.p[point.after + 1]
-    np.testing.assert_allclose(point.directions, [[0, 1], [np.sign(point.directions[1, 0]), 0]], atol=1e-8)
+    np.testing.assert_allclose(
+        point.directions, [[0, 1], [np.sign(point.directions[1, 0]), 0]], atol=1e-8
+    )
     for sign in (1, -1):
-        other = continuation(pitchfork, point.x, point.p, direction=sign * point.directions[1], until=1.0,
-                             arclength=0.1)
+        other = continuation(
+            pitchfork,
+            point.x,
+            point.p,
+            direction=sign * point.directions[1],
+            until=1.0,
+            arclength=0.1,
+        )
         check(pitchfork, other)
         np.testing.assert_allclose(other.x[:, 0] ** 2, other.p, rtol=0, atol=1e-9)
-        assert other.p[-1] == 1.0 and np.sign(other.x[-1, 0]) == sign * np.sign(point.directions[1, 0])
+        assert other.p[-1] == 1.0 and np.sign(other.x[-1, 0]) == sign * np.sign(
+            point.directions[1, 0]
+        )
     # through the pitchfork along the parabola: it turns there (a fold), and the line crosses
     whole = continuation(pitchfork, [1.0], 1.0, direction=-1, until=(1.5,), arclength=0.07)
     assert whole.x[-1, 0] == pytest.approx(-(1.5**0.5), abs=1e-9)
@@ -120,8 +150,14 @@ def test_a_transcritical_crossing():
     assert abs(curve.branch_points[0]) < 1e-10 and len(curve.special) == 1
     point = curve.special[0]
     np.testing.assert_allclose(point.directions, [[0, 1], [0.5**0.5, 0.5**0.5]], rtol=0, atol=1e-9)
-    other = continuation(transcritical, point.x, point.p, direction=point.directions[1], arclength=0.1,
-                         until=(-1.0, 1.0))
+    other = continuation(
+        transcritical,
+        point.x,
+        point.p,
+        direction=point.directions[1],
+        arclength=0.1,
+        until=(-1.0, 1.0),
+    )
     check(transcritical, other)
     np.testing.assert_allclose(other.x[:, 0], other.p, rtol=0, atol=1e-9)
 
@@ -137,7 +173,9 @@ def test_a_step_that_lands_on_a_branch_point_itself(step):
 
 def test_kinds_that_are_not_asked_for_are_not_sought():
     assert not continuation(circle, [1.0], 0.0, arclength=0.1, find=("branch point",)).special
-    assert not continuation(pitchfork, [0.0], -1.0, until=1.0, arclength=0.11, find=("fold",)).special
+    assert not continuation(
+        pitchfork, [0.0], -1.0, until=1.0, arclength=0.11, find=("fold",)
+    ).special
 
 
 # ends ---------------------------------------------------------------------------------------------------------------
@@ -161,37 +199,58 @@ def test_until_beyond_a_fold():
 
 def test_either_of_two_values():
     for direction, end in ((1, 0.4), (-1, -0.3)):
-        curve = continuation(pitchfork, [0.0], 0.1, direction=direction, until=(-0.3, 0.4), arclength=0.03)
+        curve = continuation(
+            pitchfork, [0.0], 0.1, direction=direction, until=(-0.3, 0.4), arclength=0.03
+        )
         assert curve.p[-1] == end
 
 
 def test_a_veto_shortens_the_steps_and_says_why_where_none_is_short_enough():
     far = lambda x, p, x0, p0: "too far" if abs(x - x0)[0] > 0.02 else None
-    curve = continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, arclength=0.1, veto=far, points=400)
+    curve = continuation(
+        cubic, [1.5], 1.875, direction=-1, until=-2.0, arclength=0.1, veto=far, points=400
+    )
     check(cubic, curve)
-    assert np.abs(np.diff(curve.x[:, 0])).max() <= 0.02 and curve.p[-1] == -2.0 and len(curve.folds) == 2
+    assert (
+        np.abs(np.diff(curve.x[:, 0])).max() <= 0.02
+        and curve.p[-1] == -2.0
+        and len(curve.folds) == 2
+    )
     free = continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, arclength=0.1)
     assert np.abs(np.diff(free.x[:, 0])).max() > 0.1
-    curve = continuation(cubic, [1.5], 1.875, arclength=0.1, veto=lambda x, p, *_: "a wall" if p > 2 else None)
+    curve = continuation(
+        cubic, [1.5], 1.875, arclength=0.1, veto=lambda x, p, *_: "a wall" if p > 2 else None
+    )
     assert curve.outcome == "The step along the branch fell below 1.0e-05: vetoed, a wall."
     assert 2 - 1e-4 < curve.p[-1] <= 2
 
 
 def test_stop_ends_the_branch_with_its_reason():
-    curve = continuation(cubic, [1.5], 1.875, arclength=0.1, stop=lambda x, p: f"x is {x[0]:.0f}" if x[0] > 3 else None)
+    curve = continuation(
+        cubic,
+        [1.5],
+        1.875,
+        arclength=0.1,
+        stop=lambda x, p: f"x is {x[0]:.0f}" if x[0] > 3 else None,
+    )
     assert curve.outcome == "Stopped: x is 3." and curve.x[-2, 0] <= 3 < curve.x[-1, 0]
 
 
 def test_a_branch_that_ends():
     # x = (1 - p)^{3/2} ends at p = 1
-    curve = continuation(lambda x, p, a: x - (1 - p) ** 1.5, [1.0], 0.0, arclength=0.1, longest_arclength=0.1)
+    curve = continuation(
+        lambda x, p, a: x - (1 - p) ** 1.5, [1.0], 0.0, arclength=0.1, longest_arclength=0.1
+    )
     assert curve.outcome.startswith(
-        "The step along the branch fell below 1.0e-05: Newton did not converge: the residual went from")
+        "The step along the branch fell below 1.0e-05: Newton did not converge: the residual went from"
+    )
     assert 0.999 < curve.p[-1] <= 1
 
 
 def test_points_and_steps_are_limited():
-    curve = continuation(lambda x, p, a: x - p, [0.0], 0.0, arclength=0.1, longest_arclength=0.3, points=7)
+    curve = continuation(
+        lambda x, p, a: x - p, [0.0], 0.0, arclength=0.1, longest_arclength=0.3, points=7
+    )
     assert curve.outcome == "The 7 points that were asked for." and len(curve.p) == 7
     lengths = np.linalg.norm(np.diff(np.column_stack([curve.x, curve.p]), axis=0), axis=1)
     assert lengths[0] == pytest.approx(0.1) and lengths.max() == pytest.approx(0.3)
@@ -199,8 +258,11 @@ def test_points_and_steps_are_limited():
 
 def test_refusals():
     nan = float("nan")
-    for keywords, name in (({"arclength": 0.0}, "arclength"), ({"arclength": nan}, "arclength"),
-                           ({"find": ("hopf",)}, "find")):
+    for keywords, name in (
+        ({"arclength": 0.0}, "arclength"),
+        ({"arclength": nan}, "arclength"),
+        ({"find": ("hopf",)}, "find"),
+    ):
         with pytest.raises(ValueError, match=f"^{name}: expected"):
             continuation(circle, [1.0], 0.0, **keywords)
     with pytest.raises(RuntimeError, match="The first point: Newton did not converge"):

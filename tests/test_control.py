@@ -13,14 +13,21 @@ from granjax.flow.control import Scales, StepControl
 def test_the_norm_takes_each_by_its_scale_and_sees_what_is_not_finite():
     norm = Scales(jnp.asarray(2.0), jnp.asarray(0.5))
     assert float(norm((jnp.asarray([1.0, -4.0]), jnp.asarray([0.1])))) == 2.0
-    assert float(norm(({"a": jnp.ones(2), "b": 8 * jnp.ones(3)}, {"a": jnp.zeros(2), "b": jnp.zeros(3)}))) == 4.0
+    assert (
+        float(
+            norm(({"a": jnp.ones(2), "b": 8 * jnp.ones(3)}, {"a": jnp.zeros(2), "b": jnp.zeros(3)}))
+        )
+        == 4.0
+    )
     # XLA's maximum loses a NaN in an array as long as this
     long = jnp.zeros(10_000).at[5_001].set(jnp.nan)
     assert float(jax.jit(lambda y: norm(y))((long, jnp.zeros(3)))) == np.inf
 
 
 def _after(error, refused, h=0.1):
-    control = StepControl(jnp.asarray(1e-6), Scales(jnp.asarray(1.0), jnp.asarray(1.0)), jnp.asarray(1.0))
+    control = StepControl(
+        jnp.asarray(1e-6), Scales(jnp.asarray(1.0), jnp.asarray(1.0)), jnp.asarray(1.0)
+    )
     errors = (jnp.asarray([error]), jnp.zeros(1))
     t0 = jnp.asarray(2.0)
     keep, start, end, _, now_refused, _ = control.adapt_step_size(
@@ -33,16 +40,19 @@ def _rounded(factor):
     return 2 ** (round(8 * np.log2(factor)) / 8)
 
 
-@pytest.mark.parametrize("error, refused, factor", [
-    (1e-6 * 0.9, False, _rounded(0.8 * 0.9 ** (-1 / 7))),
-    (1e-12, False, 3.0),
-    (0.0, False, 3.0),
-    (1e-12, True, 1.0),
-    (5e-6, False, _rounded(0.8 * 5 ** (-1 / 7))),
-    (1e6, False, 0.2),
-    (np.nan, False, 0.2),
-    (np.inf, True, 0.2),
-])
+@pytest.mark.parametrize(
+    "error, refused, factor",
+    [
+        (1e-6 * 0.9, False, _rounded(0.8 * 0.9 ** (-1 / 7))),
+        (1e-12, False, 3.0),
+        (0.0, False, 3.0),
+        (1e-12, True, 1.0),
+        (5e-6, False, _rounded(0.8 * 5 ** (-1 / 7))),
+        (1e6, False, 0.2),
+        (np.nan, False, 0.2),
+        (np.inf, True, 0.2),
+    ],
+)
 def test_the_next_step(error, refused, factor):
     keep, start, got, now_refused = _after(error, refused)
     assert keep == (error < 1e-6) and now_refused != keep
@@ -64,7 +74,9 @@ def test_the_last_digit_does_not_decide_how_contacts_that_open_are_met(seed):
 
 
 def test_a_step_that_time_does_not_resolve_ends_the_run():
-    control = StepControl(jnp.asarray(1e-6), Scales(jnp.asarray(1.0), jnp.asarray(1.0)), jnp.asarray(1.0))
+    control = StepControl(
+        jnp.asarray(1e-6), Scales(jnp.asarray(1.0), jnp.asarray(1.0)), jnp.asarray(1.0)
+    )
     t0 = jnp.asarray(1e6)
     *_, result = control.adapt_step_size(
         t0, t0 + 1e-10, None, None, None, (jnp.ones(1), jnp.ones(1)), 7, jnp.asarray(False)
@@ -76,7 +88,8 @@ def test_a_step_that_time_does_not_resolve_ends_the_run():
 @pytest.mark.parametrize("scene", ["wall to wall", "free", "dimer"])
 def test_contact_loss_is_resolved_and_few_steps_are_refused(scene):
     chain = {
-        "wall to wall": gx.scenes.monomer(30), "free": gx.scenes.monomer(30, boundary="free"),
+        "wall to wall": gx.scenes.monomer(30),
+        "free": gx.scenes.monomer(30, boundary="free"),
         "dimer": gx.scenes.dimer(31, ratio=0.5),
     }[scene]
     state = gx.states.impact(chain)

@@ -42,7 +42,9 @@ SLOW = ("granular 0.5", "granular 3", "granular strain", "Toda rarefaction", "FP
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("case", [pytest.param(x, marks=pytest.mark.slow) if x in SLOW else x for x in SHOCKS])
+@pytest.mark.parametrize(
+    "case", [pytest.param(x, marks=pytest.mark.slow) if x in SLOW else x for x in SHOCKS]
+)
 def test_a_shock_takes_at_most_three_times_the_steps_of_what_it_reaches(case):
     """h omega between 1/6 and 1/2 (and a tenth) with the frequencies of 41 frames; energy kept to 1e-8."""
     lattice, state = SHOCKS[case]
@@ -56,7 +58,9 @@ def test_a_shock_takes_at_most_three_times_the_steps_of_what_it_reaches(case):
 @pytest.mark.slow
 def test_energy_that_a_drive_brings_is_noticed_and_the_run_taken_again():
     """A hard chain driven in its band takes up far more than a slow push of that force would store."""
-    lattice = gx.Lattice(1.0, (*gx.scenes.fput(20, 0.0, 1.0).terms, gx.Drive(gx.Harmonic(2.0, 1.5), 10)), sites=20)
+    lattice = gx.Lattice(
+        1.0, (*gx.scenes.fput(20, 0.0, 1.0).terms, gx.Drive(gx.Harmonic(2.0, 1.5), 10)), sites=20
+    )
     run = gx.simulate(lattice, gx.states.rest(lattice), 60.0, save_at=121)
     h_omega = float(run.stats["step"]) * highest_frequency(lattice, np.asarray(run.us))
     assert "taken again" in run.choice and h_omega <= 1.1 * STEP_FRACTION
@@ -77,9 +81,20 @@ PROBLEMS = {
 }
 
 
-@pytest.mark.parametrize("case", [
-    x if x == "Toda parts" else pytest.param(x, marks=pytest.mark.study if x in ("magnets part", "vacuum piston")
-                                             else pytest.mark.study) for x in PROBLEMS])
+@pytest.mark.parametrize(
+    "case",
+    [
+        x
+        if x == "Toda parts"
+        else pytest.param(
+            x,
+            marks=pytest.mark.study
+            if x in ("magnets part", "vacuum piston")
+            else pytest.mark.study,
+        )
+        for x in PROBLEMS
+    ],
+)
 def test_what_extends_only_is_not_taken_to_be_pressed_together(case):
     """Rarefactions, pistons and held steps: the same, until their waves come to an end of the chain."""
     lattice, make = PROBLEMS[case]

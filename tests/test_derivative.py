@@ -50,8 +50,6 @@ def test_what_has_no_derivative_is_refused():
         gx.derivative(shaken, 1.0, 0.0)
 
 
-
-
 # ------------------------------------------------------------------------------- gradients of runs, scene by scene
 # a scene: (its lattice from a parameter p and a number of sites, m a = F in plain NumPy); p = 1, some sites are kicked
 
@@ -62,8 +60,11 @@ WAYS = {"default": {}, "step": {"step": 0.05}, "tolerance": {"tolerance": 1e-8}}
 
 def joined(force, boundary="fixed"):
     """Forces on the sites of a chain from those of its bonds."""
+
     def of(u, p):
-        wide = {"fixed": np.pad(u, 1), "free": u, "periodic": np.append(u[-1], np.append(u, u[0]))}[boundary]
+        wide = {"fixed": np.pad(u, 1), "free": u, "periodic": np.append(u[-1], np.append(u, u[0]))}[
+            boundary
+        ]
         f = force(wide[:-1] - wide[1:], p)
         return np.diff(-f) if boundary != "free" else np.diff(-np.pad(f, 1))
 
@@ -75,8 +76,10 @@ def hertz(A=1.0, F0=1.0):
 
 
 def grid(p, n):
-    bonds = (gx.Bond(gx.Stretch(gx.Shift((i, 1 - i), "periodic"), [float(i), 1.0 - i]), gx.Linear(k))
-             for i, k in ((1, p), (0, 0.7)))
+    bonds = (
+        gx.Bond(gx.Stretch(gx.Shift((i, 1 - i), "periodic"), [float(i), 1.0 - i]), gx.Linear(k))
+        for i, k in ((1, p), (0, 0.7))
+    )
     return gx.Lattice(1.0, tuple(bonds), sites=(n // 4, 4), dimension=2)
 
 
@@ -105,8 +108,10 @@ def three_fields_force(t, u, v, p):
 
 
 def shaken_wall(p, n):
-    ends = (gx.Wall(gx.Hertz(1.0, 1.0), side, motion=motion) for side, motion in (
-        ("left", gx.Harmonic(0.1 * p, *SHAKE)), ("right", None)))
+    ends = (
+        gx.Wall(gx.Hertz(1.0, 1.0), side, motion=motion)
+        for side, motion in (("left", gx.Harmonic(0.1 * p, *SHAKE)), ("right", None))
+    )
     return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 1.0)), *ends), sites=n)
 
 
@@ -116,7 +121,11 @@ def shaken_wall_force(t, u, v, p):
 
 
 def ring(p, n):
-    return gx.Lattice(1.0, gx.LongRange(np.arange(1.0, n // 2) ** -3, gx.Polynomial(p, 0.3, 0.2), "periodic"), sites=n)
+    return gx.Lattice(
+        1.0,
+        gx.LongRange(np.arange(1.0, n // 2) ** -3, gx.Polynomial(p, 0.3, 0.2), "periodic"),
+        sites=n,
+    )
 
 
 def ring_force(t, u, v, p):
@@ -145,30 +154,70 @@ class Stiffening(gx.laws.Law):
 
 
 def of_bonds(law, boundary="fixed", *terms):
-    return lambda p, n: gx.Lattice(1.0, (gx.Bond(gx.Shift(1, boundary), law(p)), *(term(p) for term in terms)), sites=n)
+    return lambda p, n: gx.Lattice(
+        1.0, (gx.Bond(gx.Shift(1, boundary), law(p)), *(term(p) for term in terms)), sites=n
+    )
 
 
 SCENES = {
-    "loaded beads": (of_bonds(lambda p: gx.Hertz(1.0, p)), lambda t, u, v, p: joined(hertz(F0=p))(u, p)),
-    "sonic vacuum": (of_bonds(lambda p: gx.Hertz(p), "free"),
-                     lambda t, u, v, p: joined(lambda e, p: p * np.maximum(e, 0) ** 1.5, "free")(u, p)),
-    "FPUT ring": (of_bonds(lambda p: gx.Polynomial(1.0, 0.25 * p, 0.1), "periodic"),
-                  lambda t, u, v, p: joined(lambda e, p: e + 0.25 * p * e**2 + 0.1 * e**3, "periodic")(u, p)),
-    "magnets": (of_bonds(lambda p: gx.PowerLaw(1.0, -3.0, p)),
-                lambda t, u, v, p: joined(lambda e, p: (p ** (-1 / 3) - e) ** -3 - p)(u, p)),
-    "own law": (of_bonds(Stiffening), lambda t, u, v, p: joined(lambda e, p: p * e * (1 + np.tanh(e) ** 2))(u, p)),
-    "pendula": (of_bonds(lambda p: gx.Linear(0.3 * p), "fixed", lambda p: gx.OnSite(gx.Sine())),
-                lambda t, u, v, p: joined(lambda e, p: 0.3 * p * e)(u, p) - np.sin(u)),
-    "driven": (of_bonds(lambda p: gx.Hertz(1.0, 1.0), "fixed", lambda p: gx.Damping(0.05),
-                        lambda p: gx.Drive(gx.Harmonic(0.1 * p, *SHAKE), 4)),
-               lambda t, u, v, p: joined(hertz())(u, p) - 0.05 * v
-               + site(len(u), 4, 0.1 * p * np.cos(SHAKE[0] * t + SHAKE[1]))),
-    "dashpots": (of_bonds(lambda p: gx.Hertz(1.0, 1.0), "fixed", lambda p: gx.Dashpot(gx.Shift(1, "fixed"), 0.1 * p)),
-                 lambda t, u, v, p: joined(hertz())(u, p) + joined(lambda e, p: 0.1 * p * e)(v, p)),
-    "modulated": (lambda p, n: gx.Lattice(1.0, gx.Modulated(
-        gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1.0, 1.0)), gx.Harmonic(0.3 * p, *SHAKE, mean=1.0)), sites=n),
-                  lambda t, u, v, p: (1 + 0.3 * p * np.cos(SHAKE[0] * t + SHAKE[1]))
-                  * joined(hertz(), "periodic")(u, p)),
+    "loaded beads": (
+        of_bonds(lambda p: gx.Hertz(1.0, p)),
+        lambda t, u, v, p: joined(hertz(F0=p))(u, p),
+    ),
+    "sonic vacuum": (
+        of_bonds(lambda p: gx.Hertz(p), "free"),
+        lambda t, u, v, p: joined(lambda e, p: p * np.maximum(e, 0) ** 1.5, "free")(u, p),
+    ),
+    "FPUT ring": (
+        of_bonds(lambda p: gx.Polynomial(1.0, 0.25 * p, 0.1), "periodic"),
+        lambda t, u, v, p: joined(lambda e, p: e + 0.25 * p * e**2 + 0.1 * e**3, "periodic")(u, p),
+    ),
+    "magnets": (
+        of_bonds(lambda p: gx.PowerLaw(1.0, -3.0, p)),
+        lambda t, u, v, p: joined(lambda e, p: (p ** (-1 / 3) - e) ** -3 - p)(u, p),
+    ),
+    "own law": (
+        of_bonds(Stiffening),
+        lambda t, u, v, p: joined(lambda e, p: p * e * (1 + np.tanh(e) ** 2))(u, p),
+    ),
+    "pendula": (
+        of_bonds(lambda p: gx.Linear(0.3 * p), "fixed", lambda p: gx.OnSite(gx.Sine())),
+        lambda t, u, v, p: joined(lambda e, p: 0.3 * p * e)(u, p) - np.sin(u),
+    ),
+    "driven": (
+        of_bonds(
+            lambda p: gx.Hertz(1.0, 1.0),
+            "fixed",
+            lambda p: gx.Damping(0.05),
+            lambda p: gx.Drive(gx.Harmonic(0.1 * p, *SHAKE), 4),
+        ),
+        lambda t, u, v, p: (
+            joined(hertz())(u, p)
+            - 0.05 * v
+            + site(len(u), 4, 0.1 * p * np.cos(SHAKE[0] * t + SHAKE[1]))
+        ),
+    ),
+    "dashpots": (
+        of_bonds(
+            lambda p: gx.Hertz(1.0, 1.0),
+            "fixed",
+            lambda p: gx.Dashpot(gx.Shift(1, "fixed"), 0.1 * p),
+        ),
+        lambda t, u, v, p: joined(hertz())(u, p) + joined(lambda e, p: 0.1 * p * e)(v, p),
+    ),
+    "modulated": (
+        lambda p, n: gx.Lattice(
+            1.0,
+            gx.Modulated(
+                gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1.0, 1.0)),
+                gx.Harmonic(0.3 * p, *SHAKE, mean=1.0),
+            ),
+            sites=n,
+        ),
+        lambda t, u, v, p: (
+            (1 + 0.3 * p * np.cos(SHAKE[0] * t + SHAKE[1])) * joined(hertz(), "periodic")(u, p)
+        ),
+    ),
     "shaken wall": (shaken_wall, shaken_wall_force),
     "three fields": (three_fields, three_fields_force),
     "long range": (ring, ring_force),
@@ -195,9 +244,13 @@ def by_differences(case, n):
     size = cuts[-1]
 
     def end(p, speed):
-        v = np.concatenate([speed * np.exp(-0.5 * (np.arange(np.prod(shape)) - 2.0) ** 2) for shape in shapes])
+        v = np.concatenate(
+            [speed * np.exp(-0.5 * (np.arange(np.prod(shape)) - 2.0) ** 2) for shape in shapes]
+        )
         field = lambda t, y: np.concatenate([y[size:], force(t, y[:size], y[size:], p)])
-        y = solve_ivp(field, (0, T1), np.concatenate([0 * v, v]), method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        y = solve_ivp(
+            field, (0, T1), np.concatenate([0 * v, v]), method="DOP853", rtol=1e-12, atol=1e-13
+        ).y[:, -1]
         return weighed(np.split(y[:size], cuts[:-1]) + np.split(y[size:], cuts[:-1]))
 
     x = np.array([1.0, KICK])
@@ -206,6 +259,7 @@ def by_differences(case, n):
 
 def test_the_bound_on_the_frequency_has_both_modes():
     """Alike, where a neighbourhood does not hold the whole chain; runs take it as a choice, without a derivative."""
+
     def bound(F0):
         chain = gx.scenes.monomer(17, precompression=F0)
         return gx.flow.frequency_bound(chain, gx.states.impact(chain, velocity=0.1), 0.0, 1.0)
@@ -215,7 +269,10 @@ def test_the_bound_on_the_frequency_has_both_modes():
 
 def rows():
     """One runs always, three kinds of scenes with more sites than a neighbourhood after it; all the rest is a study."""
-    often = {("loaded beads", how) for how in WAYS} | {("three fields", "default"), ("plane", "default")}
+    often = {("loaded beads", how) for how in WAYS} | {
+        ("three fields", "default"),
+        ("plane", "default"),
+    }
     for case, how, n in itertools.product(SCENES, WAYS, (8, 40)):
         mark = pytest.mark.slow if n == 40 and (case, how) in often else pytest.mark.study
         marks = () if (case, how, n) == ("FPUT ring", "default", 40) else mark
@@ -225,6 +282,7 @@ def rows():
 @pytest.mark.parametrize(("case", "how", "n"), list(rows()))
 def test_gradients_of_runs_are_those_of_differences(case, how, n):
     """Forward and in reverse, to the error of the runs, which is largest where contacts open."""
+
     def end(x):
         lattice = SCENES[case][0](x[0], n)
         return weighed(gx.simulate(lattice, kicked(lattice, x[1]), T1, **WAYS[how]).final)

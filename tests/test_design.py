@@ -8,7 +8,16 @@ import optax
 import pytest
 
 import granjax as gx
-from granjax.design import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, design, smooth_peak
+from granjax.design import (
+    CONVERGED,
+    NO_GRADIENT,
+    NO_START,
+    NOT_FINITE,
+    SPENT,
+    STALLED,
+    design,
+    smooth_peak,
+)
 
 K2 = 1.5  # of Hertz contacts with A = F0 = 1
 
@@ -23,12 +32,16 @@ def test_masses_that_put_the_edges_of_a_gap_where_they_are_wanted(mode):
     low, high = 0.9, 1.6
 
     def misfit(p):
-        chain = gx.scenes.pattern(8, (p["heavy"], p["light"]), precompression=1.0, boundary="periodic")
+        chain = gx.scenes.pattern(
+            8, (p["heavy"], p["light"]), precompression=1.0, boundary="periodic"
+        )
         bands = gx.linear.bands(chain, cell=2)
         return (bands.upper[0] - low) ** 2 + (bands.lower[1] - high) ** 2
 
     positive = {"heavy": (0, None), "light": (0, None)}
-    found = design(misfit, {"heavy": 2.0, "light": 1.0}, bounds=positive, tolerance=1e-10, mode=mode)
+    found = design(
+        misfit, {"heavy": 2.0, "light": 1.0}, bounds=positive, tolerance=1e-10, mode=mode
+    )
     assert found.code == CONVERGED
     assert found.parameters["heavy"] == pytest.approx(2 * K2 / low**2, rel=1e-8)
     assert found.parameters["light"] == pytest.approx(2 * K2 / high**2, rel=1e-8)
@@ -50,7 +63,9 @@ def test_the_place_of_a_bump_is_a_continuous_parameter():
     sites = jnp.arange(10.0)
 
     def lowest(p):
-        chain = gx.scenes.monomer(10, mass=1 + jnp.exp(-((sites - p["place"]) ** 2) / 2), precompression=1.0)
+        chain = gx.scenes.monomer(
+            10, mass=1 + jnp.exp(-((sites - p["place"]) ** 2) / 2), precompression=1.0
+        )
         return gx.linear.normal_modes(chain).omega[0]
 
     found = design(lowest, {"place": 3.2}, tolerance=1e-9)
@@ -61,11 +76,23 @@ def test_the_place_of_a_bump_is_a_continuous_parameter():
 def test_a_simulation_is_maximised():
     # harmonic chain of two beads between walls, first bead struck: energy goes to and fro
     def second(p):
-        chain = gx.Lattice(jnp.stack([jnp.ones(()), p["mass"]]), (gx.Bond(gx.Shift(1, "free"), gx.Linear()),))
-        return gx.simulate(chain, gx.states.impact(chain), np.pi / np.sqrt(2), step=0.05,
-                           adjoint=diffrax.ForwardMode()).final.v[1]
+        chain = gx.Lattice(
+            jnp.stack([jnp.ones(()), p["mass"]]), (gx.Bond(gx.Shift(1, "free"), gx.Linear()),)
+        )
+        return gx.simulate(
+            chain,
+            gx.states.impact(chain),
+            np.pi / np.sqrt(2),
+            step=0.05,
+            adjoint=diffrax.ForwardMode(),
+        ).final.v[1]
 
-    found = design(lambda p: second(p) ** 2 * p["mass"], {"mass": 1.6}, bounds={"mass": (0.2, 5)}, maximise=True)
+    found = design(
+        lambda p: second(p) ** 2 * p["mass"],
+        {"mass": 1.6},
+        bounds={"mass": (0.2, 5)},
+        maximise=True,
+    )
     # equal masses pass all of the energy on after half a period
     assert found.parameters["mass"] == pytest.approx(1, abs=1e-4)
     assert found.value == pytest.approx(1, abs=1e-7) and found.value > found.start_value
@@ -93,8 +120,12 @@ def test_any_optimiser_of_optax():
         found = design(bowl, {"x": 1.0}, optimiser=optimiser, tolerance=1e-12)
         assert found.parameters["x"] == pytest.approx(1.5, abs=1e-4)
         kept = found.to_xarray()
-        assert kept.history.dims == ("point",) and kept.attrs["parameters_x"] == found.parameters["x"]
-        assert found.history[0] == 0.25 and found.history.shape == found.gradient_norm.shape == (201,)
+        assert (
+            kept.history.dims == ("point",) and kept.attrs["parameters_x"] == found.parameters["x"]
+        )
+        assert found.history[0] == 0.25 and found.history.shape == found.gradient_norm.shape == (
+            201,
+        )
 
 
 def test_a_gradient_that_is_zero_is_said():
@@ -120,6 +151,7 @@ def test_what_is_not_finite_is_said():
     with pytest.raises(RuntimeError, match="start is not finite.*in x"):
         design(lambda p: jnp.sqrt(p["x"] - 2), {"x": 1.0})
     assert design(lambda p: jnp.sqrt(p["x"] - 2), {"x": 1.0}, throw=False).code == NO_START
+
     # at a fixed rate over the edge of the domain; the default shortens the step there
     def edge(p):
         return jnp.sqrt(p["x"]) + p["x"]
@@ -154,8 +186,12 @@ def test_smooth_peak():
     for power in (20, 100):
         peak = smooth_peak(frames, power, axis=0)
         top = frames.max(0)
-        assert peak.shape == (4,) and (peak <= top).all() and (peak > top / 200 ** (1 / power)).all()
-        np.testing.assert_allclose(peak, (np.maximum(frames, 0) ** power).mean(0) ** (1 / power), rtol=1e-12)
+        assert (
+            peak.shape == (4,) and (peak <= top).all() and (peak > top / 200 ** (1 / power)).all()
+        )
+        np.testing.assert_allclose(
+            peak, (np.maximum(frames, 0) ** power).mean(0) ** (1 / power), rtol=1e-12
+        )
     assert smooth_peak(frames).shape == ()
     np.testing.assert_allclose(smooth_peak(7e9 * frames), 7e9 * smooth_peak(frames), rtol=1e-12)
     # its derivative is that of its values, and zero where nothing happens
@@ -167,7 +203,9 @@ def test_smooth_peak():
 
 
 def test_refusals():
-    with pytest.raises(ValueError, match="objective: expected a function that gives one real number"):
+    with pytest.raises(
+        ValueError, match="objective: expected a function that gives one real number"
+    ):
         design(lambda p: p["x"], {"x": np.ones(2)})
     with pytest.raises(ValueError, match="x: expected a start below its bound"):
         design(bowl, {"x": 1.0}, bounds={"x": (0, 1)})
@@ -181,10 +219,18 @@ def test_the_mass_ratio_that_lets_a_pulse_through():
 
     def kept(p):
         chain = gx.scenes.dimer(92, p["ratio"], boundary="free")
-        run = gx.simulate(chain, gx.states.impact(chain), 140.0, step=0.05, record={"peak": gx.Peak(force)},
-                          adjoint=diffrax.ForwardMode())
+        run = gx.simulate(
+            chain,
+            gx.states.impact(chain),
+            140.0,
+            step=0.05,
+            record={"peak": gx.Peak(force)},
+            adjoint=diffrax.ForwardMode(),
+        )
         return jnp.log(run.recorded["peak"][1] / run.recorded["peak"][0])
 
-    found = design(kept, {"ratio": 0.36}, bounds={"ratio": (0.05, 1.0)}, maximise=True, tolerance=1e-4)
+    found = design(
+        kept, {"ratio": 0.36}, bounds={"ratio": (0.05, 1.0)}, maximise=True, tolerance=1e-4
+    )
     assert found.parameters["ratio"] == pytest.approx(0.342846, abs=2e-5)
     assert abs(found.value) < 1e-5

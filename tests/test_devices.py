@@ -45,7 +45,9 @@ def test_a_defect_beside_the_driver_rectifies():
     device = left_by("rectifier")
     # from the defect's side the motion ceases to be periodic at 0.177 um (at 0.175 it settles after 7165 periods, and
     # from their numbers at 0.155 ... 0.17 the rate vanishes at 0.178)
-    assert device.ceased == pytest.approx(0.177e-6, rel=0.02) and device.branch.verdict[0] == "stable"
+    assert (
+        device.ceased == pytest.approx(0.177e-6, rel=0.02) and device.branch.verdict[0] == "stable"
+    )
     # of a motion that does not repeat the mean over 60 periods changes by a part of it, which leaves a bound below
     last = jax.tree.map(lambda x: jnp.asarray(x[-1]), device.near.states)
     lattice = device.from_left(device.drives[-1])
@@ -53,20 +55,31 @@ def test_a_defect_beside_the_driver_rectifies():
     later, start = [], last
     for i in range(3):
         span = 60 * device.period
-        run = gx.simulate(lattice, start, (i + 1) * span, t0=i * span, solver=gx.SRKN11b(), step=device.period / 64,
-                          record={"work": dissipated})
+        run = gx.simulate(
+            lattice,
+            start,
+            (i + 1) * span,
+            t0=i * span,
+            solver=gx.SRKN11b(),
+            step=device.period / 64,
+            record={"work": dissipated},
+        )
         later.append(float(run.recorded["work"]) / span)
         start = run.final
     error = max(abs(x - device.near.response[-1]) for x in later)
     assert 0 < error < np.inf
-    assert (device.near.response[-1] - error) / (device.far.response[-1] + device.far.response_error[-1]) > 1e11
+    assert (device.near.response[-1] - error) / (
+        device.far.response[-1] + device.far.response_error[-1]
+    ) > 1e11
     assert gx.driven.lyapunov(lattice, last, device.period, periods=1000).chaotic
 
 
 @pytest.mark.slow
 def test_gates():
     device = left_by("gates")
-    assert device.output[3] == pytest.approx(by_scipy(device.steel, [0.1e-6, 0.1e-6], device.gap), abs=device.error[3])
+    assert device.output[3] == pytest.approx(
+        by_scipy(device.steel, [0.1e-6, 0.1e-6], device.gap), abs=device.error[3]
+    )
     assert device.error[3] < 0.01 * device.output[3]
     # what the difference carries is proportional to either
     _, output, _ = device.outputs(device.steel, np.array([[0.05e-6, 0.1e-6]]), device.gap[None])
@@ -90,8 +103,15 @@ def by_scipy(chain, amplitudes, omegas):
         force = A * np.maximum(overlap - np.diff(u, prepend=wall, append=0.0), 0) ** 1.5
         return np.append(v, -np.diff(force) / m - DAMPING * v)
 
-    run = solve_ivp(rate, (0, 40e-3), np.zeros(2 * len(m)), method="DOP853", rtol=1e-9, atol=1e-13,
-                    t_eval=np.linspace(20e-3, 40e-3, 8193))
+    run = solve_ivp(
+        rate,
+        (0, 40e-3),
+        np.zeros(2 * len(m)),
+        method="DOP853",
+        rtol=1e-9,
+        atol=1e-13,
+        t_eval=np.linspace(20e-3, 40e-3, 8193),
+    )
     return np.sqrt(np.mean(run.y[-1, :-1] ** 2))
 
 
@@ -114,7 +134,9 @@ def test_gates_of_a_law_of_ones_own():
     """The contact's Taylor series carries the difference too, and is at work where the law is no contact."""
     device = left_by("gates")
     k2, k3, k4 = (jnp.asarray(x) for x in gx.laws.taylor(device.steel.terms[0].law))
-    own = gx.Lattice(device.steel.mass, gx.Bond(gx.Shift(1, "fixed"), Cubic(k2, k3, k4)), units="SI")
+    own = gx.Lattice(
+        device.steel.mass, gx.Bond(gx.Shift(1, "fixed"), Cubic(k2, k3, k4)), units="SI"
+    )
     omegas = np.tile(device.gap, (4, 1))
     (_, found, error), (_, hertz, _) = (
         device.outputs(chain, 2e-8 * device.rows, omegas) for chain in (own, device.steel)

@@ -95,11 +95,15 @@ def test_netcdf_from_memory_is_what_xarray_writes(tmp_path):
     data = SMALL.to_xarray().assign_attrs(words=["a", "é"], n=3).assign(name=("x", ["a", "bé", ""]))
     data.to_netcdf(tmp_path / "theirs.nc", engine="h5netcdf")
     files.write(tmp_path / "ours.nc", files.netcdf(data))
-    theirs, ours = (xr.load_dataset(tmp_path / f"{name}.nc", engine="h5netcdf") for name in ("theirs", "ours"))
+    theirs, ours = (
+        xr.load_dataset(tmp_path / f"{name}.nc", engine="h5netcdf") for name in ("theirs", "ours")
+    )
     xr.testing.assert_identical(theirs, ours)
 
 
-@pytest.mark.parametrize("path, said", [(".", "which is a folder"), ("none/a.nc", "Make the folder 'none' first")])
+@pytest.mark.parametrize(
+    "path, said", [(".", "which is a folder"), ("none/a.nc", "Make the folder 'none' first")]
+)
 def test_what_cannot_be_written_is_refused(path, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match=said):
@@ -130,11 +134,17 @@ def test_the_place_is_looked_at_before_anything_is_computed(out, tmp_path, capsy
     assert line.startswith("granjax: --out: expected")
 
 
-@pytest.mark.parametrize("error, code, said", [
-    (BrokenPipeError(32, "Broken pipe"), UNREAD, []),
-    (OSError(28, "No space left on device"), 1,
-     ["granjax: standard output could not be written (No space left on device)"]),
-])
+@pytest.mark.parametrize(
+    "error, code, said",
+    [
+        (BrokenPipeError(32, "Broken pipe"), UNREAD, []),
+        (
+            OSError(28, "No space left on device"),
+            1,
+            ["granjax: standard output could not be written (No space left on device)"],
+        ),
+    ],
+)
 def test_standard_output_that_takes_nothing(error, code, said, tmp_path, capsys, computed):
     class Closed:
         def write(self, text):

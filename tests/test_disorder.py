@@ -22,7 +22,9 @@ def noise(**keywords):
     return np.asarray(disordered(4000, 0.5, 1, **keywords).mass) - 1
 
 
-@pytest.mark.parametrize("correlation, neighbours", [("none", 0.0), ("alike", 0.5), ("opposite", -0.5)])
+@pytest.mark.parametrize(
+    "correlation, neighbours", [("none", 0.0), ("alike", 0.5), ("opposite", -0.5)]
+)
 def test_dimers_are_correlated_as_they_say(correlation, neighbours):
     x = noise(correlation=correlation)
     assert np.abs(x).max() <= 0.5 and abs(x.mean()) < 0.02
@@ -55,11 +57,15 @@ def test_what_is_random(boundary):
     np.testing.assert_allclose(A[first], np.sqrt(2 / (1 / R[0] + 1 / R[1])))
     assert len(A) == N + {"fixed": 1, "free": -1, "periodic": 0}[boundary]
     soft = disordered(N, 0.4, of="stiffness", **common)
-    assert np.ptp(soft.terms[0].law.stiffness) > 0.1 and soft.terms[0].law.stiffness.shape == A.shape
+    assert (
+        np.ptp(soft.terms[0].law.stiffness) > 0.1 and soft.terms[0].law.stiffness.shape == A.shape
+    )
     # overlaps follow from where the beads lie; between walls they add up to that of the regular chain
     moved = disordered(N, 0.4, of="position", **common).terms[0].law
     d0 = 2 ** (2 / 3)
-    np.testing.assert_allclose(np.diff(moved.rest_overlap)[first], 0.5 * d0 * (2 * R[1] - R[0] - R[2]), rtol=1e-10)
+    np.testing.assert_allclose(
+        np.diff(moved.rest_overlap)[first], 0.5 * d0 * (2 * R[1] - R[0] - R[2]), rtol=1e-10
+    )
     if boundary != "free":
         assert moved.rest_overlap.mean() == pytest.approx(d0, rel=1e-12)
 
@@ -71,12 +77,15 @@ def test_a_law_of_ones_own_and_units():
     assert (magnets.rest_overlap > 0).all() and np.ptp(magnets.rest_overlap) > 0.1
 
 
-@pytest.mark.parametrize("keywords, sentence", [
-    (dict(of="position"), "precompression: expected a static force above zero"),
-    (dict(of="position", law=gx.Linear), "law: expected None with of='position'"),
-    (dict(of="radius", exponent=2.0), "exponent: expected 3/2"),
-    (dict(law=gx.Linear, precompression=1.0), "precompression: expected 0 with a law"),
-])
+@pytest.mark.parametrize(
+    "keywords, sentence",
+    [
+        (dict(of="position"), "precompression: expected a static force above zero"),
+        (dict(of="position", law=gx.Linear), "law: expected None with of='position'"),
+        (dict(of="radius", exponent=2.0), "exponent: expected 3/2"),
+        (dict(law=gx.Linear, precompression=1.0), "precompression: expected 0 with a law"),
+    ],
+)
 def test_scenes_refused(keywords, sentence):
     with pytest.raises(ValueError, match=sentence):
         disordered(N, 0.3, **keywords)
@@ -101,11 +110,17 @@ def realisations(samples, sites, spread, first=0, **keywords):
 
 def test_the_closed_form():
     assert float(closed_form(0.5, mass_deviation=0.2)) == pytest.approx(1 / 750, rel=1e-12)
-    assert float(closed_form(0.5, mass_deviation=0.2)) == pytest.approx(0.04 * 0.5**2 / 8 / (1 - 0.5**2 / 4), rel=1e-12)
+    assert float(closed_form(0.5, mass_deviation=0.2)) == pytest.approx(
+        0.04 * 0.5**2 / 8 / (1 - 0.5**2 / 4), rel=1e-12
+    )
     # heavier and stiffer chains; what turns a wave back is the disorder at twice its wavenumber
-    assert float(closed_form(1.0, mass=3.0, stiffness=12.0, compliance_deviation=0.2)) == pytest.approx(1 / 750)
+    assert float(
+        closed_form(1.0, mass=3.0, stiffness=12.0, compliance_deviation=0.2)
+    ) == pytest.approx(1 / 750)
     k = np.pi / 3
-    alone, opposite = (closed_form(2 * np.sin(k / 2), mass_deviation=0.1, correlations=c) for c in ([], [-0.5]))
+    alone, opposite = (
+        closed_form(2 * np.sin(k / 2), mass_deviation=0.1, correlations=c) for c in ([], [-0.5])
+    )
     assert float(opposite / alone) == pytest.approx(1 - np.cos(2 * k))
     with pytest.raises(ValueError, match="omega: expected frequencies within the band"):
         closed_form([0.5, 2.0])
@@ -116,7 +131,9 @@ def test_the_closed_form():
 @pytest.mark.parametrize("first, errors", [(0, 1), (1000, 2)])
 def test_waves_localise_as_theory_says(first, errors):
     """Masses of deviation 0.2 at omega = 0.5: 1.3333e-3, within the standard error (two of other seeds), below 3 %."""
-    found = gx.linear.localisation_length(realisations(200, 8000, 0.2, first, distribution="binary"), 0.5)
+    found = gx.linear.localisation_length(
+        realisations(200, 8000, 0.2, first, distribution="binary"), 0.5
+    )
     assert abs(float(found.gamma) - 1 / 750) < errors * float(found.error) < errors * 0.03 / 750
     assert found.samples == 200 and found.sites == 8000 and bool(found.resolved)
     assert "gamma = 0.0013" in found.outcome and "200 chains of 8000 sites" in found.outcome
@@ -125,8 +142,10 @@ def test_waves_localise_as_theory_says(first, errors):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("keywords, correlations", [
-    ({}, []), ({"correlation": "alike"}, [0.5]), ({"correlation": "opposite"}, [-0.5])])
+@pytest.mark.parametrize(
+    "keywords, correlations",
+    [({}, []), ({"correlation": "alike"}, [0.5]), ({"correlation": "opposite"}, [-0.5])],
+)
 def test_random_dimers_let_waves_pass_where_their_spectrum_is_zero(keywords, correlations):
     omega = jnp.array([0.5, 1.0, 1.6])
     found = gx.linear.localisation_length(realisations(200, 4000, 0.1, **keywords), omega)
@@ -150,39 +169,61 @@ def test_contacts_localise_as_their_linearisation_says(of, correlations):
     # d0^(p-1) of a Hertz contact
     softer = {"stiffness": (1 + x) ** (-2 / 3), "position": (1 + (x[:-1] - x[1:]) / 2) ** -0.5}[of]
     omega = jnp.array([0.6, 1.1])
-    theory = closed_form(omega, stiffness=1.5 / softer.mean(), correlations=correlations,
-                         compliance_deviation=softer.std() / softer.mean())
-    found = gx.linear.localisation_length(realisations(200, 4000, 0.3, of=of, law=None, precompression=1.0), omega)
+    theory = closed_form(
+        omega,
+        stiffness=1.5 / softer.mean(),
+        correlations=correlations,
+        compliance_deviation=softer.std() / softer.mean(),
+    )
+    found = gx.linear.localisation_length(
+        realisations(200, 4000, 0.3, of=of, law=None, precompression=1.0), omega
+    )
     assert (np.abs(found.gamma - theory) < 3 * found.error).all()
 
 
 @pytest.mark.slow
 def test_one_chain_tells_its_error_by_pieces_and_is_differentiable():
     def gamma(spread):
-        found = gx.linear.localisation_length(disordered(600, spread, 3, law=gx.Linear, boundary="periodic"), 1.5)
+        found = gx.linear.localisation_length(
+            disordered(600, spread, 3, law=gx.Linear, boundary="periodic"), 1.5
+        )
         return found.gamma, found
 
     (value, found), slope = jax.value_and_grad(gamma, has_aux=True)(0.4)
-    assert abs(float(value) - float(closed_form(1.5, mass_deviation=0.4 / 3**0.5))) < 3 * float(found.error)
+    assert abs(float(value) - float(closed_form(1.5, mass_deviation=0.4 / 3**0.5))) < 3 * float(
+        found.error
+    )
     difference = (gamma(0.4 + 1e-5)[0] - gamma(0.4 - 1e-5)[0]) / 2e-5
     assert float(slope) == pytest.approx(float(difference), rel=1e-5)
 
 
 def test_a_wave_that_does_not_travel_decays_as_in_the_ordered_chain():
     """Above the band, and below that of sites tied to their places: cosh(gamma) = |1 - (m omega^2 - s)/(2 K)|."""
-    tied = gx.Lattice(2.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(3.0)), gx.OnSite(gx.Linear(0.5))), sites=200)
+    tied = gx.Lattice(
+        2.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(3.0)), gx.OnSite(gx.Linear(0.5))), sites=200
+    )
     omega = np.array([0.3, 2.9])
     found = gx.linear.localisation_length(tied, omega)
-    np.testing.assert_allclose(found.gamma, np.arccosh(np.abs(1 - (2 * omega**2 - 0.5) / 6)), rtol=1e-7)
+    np.testing.assert_allclose(
+        found.gamma, np.arccosh(np.abs(1 - (2 * omega**2 - 0.5) / 6)), rtol=1e-7
+    )
     still = gx.linear.localisation_length(tied, 1.0)
     assert not bool(still.resolved) and "No decay is seen" in still.outcome
 
 
-@pytest.mark.parametrize("lattice, sentence", [
-    (lambda: disordered(N, 0.3), "bonds with a stiffness at rest"),
-    (lambda: gx.scenes.mass_in_mass(N, 0.3, 1.0), "a chain of scalar displacements"),
-    (lambda: gx.Lattice(1.0, tuple(gx.Bond(gx.Shift(n, "fixed"), gx.Linear()) for n in (1, 2)), sites=N), "further"),
-])
+@pytest.mark.parametrize(
+    "lattice, sentence",
+    [
+        (lambda: disordered(N, 0.3), "bonds with a stiffness at rest"),
+        (lambda: gx.scenes.mass_in_mass(N, 0.3, 1.0), "a chain of scalar displacements"),
+        (
+            lambda: gx.Lattice(
+                1.0, tuple(gx.Bond(gx.Shift(n, "fixed"), gx.Linear()) for n in (1, 2)), sites=N
+            ),
+            "further",
+        ),
+    ],
+)
 def test_lattices_without_such_waves_are_refused(lattice, sentence):
     with pytest.raises(ValueError, match=sentence):
         gx.linear.localisation_length(lattice(), 0.5)
@@ -194,13 +235,17 @@ TIMES = T1 * np.geomspace(1 / 64, 1, 24)
 
 
 def ordered_or_not(seed):
-    return disordered(260, jnp.where(seed < 1000, 0.0, SPREAD), seed, law=gx.Linear, distribution="binary")
+    return disordered(
+        260, jnp.where(seed < 1000, 0.0, SPREAD), seed, law=gx.Linear, distribution="binary"
+    )
 
 
 @functools.cache
 def spread(seed=1000, samples=64, **keywords):
     seeds = seed + np.arange(samples)
-    return left_by("superdiffusion").moments(ordered_or_not, seeds, TIMES, 0.3, chunk=32, **keywords)
+    return left_by("superdiffusion").moments(
+        ordered_or_not, seeds, TIMES, 0.3, chunk=32, **keywords
+    )
 
 
 def told(of, samples, window=(T1 / 8, T1), times=TIMES):
@@ -231,7 +276,10 @@ def test_disorder_slows_it_down_to_three_halves():
     exponent, error = told("slope", found)
     assert len(found) == 64 and exponent < 1.75 and told("slope", found, (TIMES[-4], T1))[0] < 1.65
     # the bootstrap says what the scatter between halves of the samples says
-    one, two = (np.polyfit(np.log(TIMES[12:]), np.log(half.mean(0)[12:]), 1)[0] for half in (found[:32], found[32:]))
+    one, two = (
+        np.polyfit(np.log(TIMES[12:]), np.log(half.mean(0)[12:]), 1)[0]
+        for half in (found[:32], found[32:])
+    )
     assert abs(one - two) < 4 * 2 * error
     assert told("slope", found, (20.0, T1))[0] < exponent
 
@@ -247,7 +295,10 @@ def beside_constant(x, y):
     grid = np.linspace(0.02, 3.0, 597)
     rows = np.atleast_2d(y)
     weight = 1 / rows[0]
-    basis = np.stack([np.exp(grid[:, None] * (x - x[-1])), np.ones((len(grid), len(x)))], -1) * weight[:, None]
+    basis = (
+        np.stack([np.exp(grid[:, None] * (x - x[-1])), np.ones((len(grid), len(x)))], -1)
+        * weight[:, None]
+    )
     basis = np.linalg.qr(basis)[0]
     seen = np.einsum("gka,dk->gda", basis, rows * weight)
     left = ((rows * weight) ** 2).sum(1) - (seen**2).sum(-1)
@@ -260,18 +311,22 @@ def beside_constant(x, y):
 @pytest.mark.study
 def test_a_thousand_samples():
     """After a kick of momentum 3/2; after a displacement 1/2 beside a constant, while the plain slope still falls."""
+
     def many(sites, spread, displaced, t1, step):
         def chain(seed):
             return disordered(sites, spread, seed, law=gx.Linear, distribution="binary")
 
         times = t1 * np.geomspace(1 / 64, 1, 40)
         found = left_by("superdiffusion").moments(
-            chain, np.arange(1000), times, step, displaced=displaced, chunk=100)
+            chain, np.arange(1000), times, step, displaced=displaced, chunk=100
+        )
         return found, times
 
     found, times = many(2300, 0.7, False, 1000.0, 0.5)
     window = (1000 / 8, 1000.0)
-    (exponent, error), (change, uncertain) = (told(of, found, window, times) for of in ("slope", "drift"))
+    (exponent, error), (change, uncertain) = (
+        told(of, found, window, times) for of in ("slope", "drift")
+    )
     assert abs(change) + 2 * uncertain <= 0.075 and abs(exponent - 1.5) < 0.04 and error < 0.005
     found, times = many(2740, 0.9, True, 1200.0, 0.3)
     change, uncertain = told("drift", found, (150.0, 1200.0), times)
@@ -297,21 +352,37 @@ N_LOSSY = 400
 FIXED = gx.Shift(1, "fixed")
 
 
-@pytest.mark.parametrize("terms, omega, parts", [
-    # K_n, c_n, S_n, g_n
-    ((gx.Bond(FIXED, gx.Linear(1.0)), gx.Damping(0.1)), 1.0, (1.0, 0.0, 0.0, 0.1)),
-    ((gx.Bond(FIXED, gx.Linear(1.0)), gx.Dashpot(FIXED, 0.2)), 1.3, (1.0, 0.2, 0.0, 0.0)),
-    ((gx.Bond(FIXED, gx.Hertz(1.0, 1.0)), gx.OnSite(gx.Sine(0.4)), gx.Damping(0.05), gx.Dashpot(FIXED, 0.1)), 1.7,
-     (1.5, 0.1, 0.4, 0.05)),
-])
+@pytest.mark.parametrize(
+    "terms, omega, parts",
+    [
+        # K_n, c_n, S_n, g_n
+        ((gx.Bond(FIXED, gx.Linear(1.0)), gx.Damping(0.1)), 1.0, (1.0, 0.0, 0.0, 0.1)),
+        ((gx.Bond(FIXED, gx.Linear(1.0)), gx.Dashpot(FIXED, 0.2)), 1.3, (1.0, 0.2, 0.0, 0.0)),
+        (
+            (
+                gx.Bond(FIXED, gx.Hertz(1.0, 1.0)),
+                gx.OnSite(gx.Sine(0.4)),
+                gx.Damping(0.05),
+                gx.Dashpot(FIXED, 0.1),
+            ),
+            1.7,
+            (1.5, 0.1, 0.4, 0.05),
+        ),
+    ],
+)
 def test_damping_decays_as_a_driven_chain_does(terms, omega, parts):
     chain = gx.Lattice(1.0, terms, sites=N_LOSSY)
     found = gx.linear.localisation_length(chain, omega)
     k, c, s, g = (np.full(N_LOSSY + 1, x) for x in parts)
     expected = decay(np.ones(N_LOSSY), k, c, s, g, omega)
-    assert bool(found.resolved) and abs(float(found.gamma) - expected) < 3 * float(found.error) + 1e-6 * expected
+    assert (
+        bool(found.resolved)
+        and abs(float(found.gamma) - expected) < 3 * float(found.error) + 1e-6 * expected
+    )
     # cos(kappa) = 1 - (omega^2 - s)/(2 k), all of them complex
-    kappa = np.arccos(1 - (omega**2 - parts[2] + 1j * omega * parts[3]) / (2 * (parts[0] - 1j * omega * parts[1])))
+    kappa = np.arccos(
+        1 - (omega**2 - parts[2] + 1j * omega * parts[3]) / (2 * (parts[0] - 1j * omega * parts[1]))
+    )
     assert expected == pytest.approx(abs(kappa.imag), rel=1e-6)
     assert float(found.gamma) == pytest.approx(expected, rel=2e-4)
 
@@ -334,10 +405,16 @@ class Gyroscopic(gx.Term):
         return 0.2 * (jnp.pad(v[1:], (0, 1)) - jnp.pad(v[:-1], (1, 0)))
 
 
-@pytest.mark.parametrize("term, sentence", [
-    (Gyroscopic(), "gyroscopic"), (gx.CaputoDamping(0.5, 0.1), "remembers"),
-    (gx.Dashpot(gx.Shift(2, "fixed"), 0.1), "further"),
-])
+@pytest.mark.parametrize(
+    "term, sentence",
+    [
+        (Gyroscopic(), "gyroscopic"),
+        (gx.CaputoDamping(0.5, 0.1), "remembers"),
+        (gx.Dashpot(gx.Shift(2, "fixed"), 0.1), "further"),
+    ],
+)
 def test_other_forces_by_velocity_are_refused(term, sentence):
     with pytest.raises(ValueError, match=sentence):
-        gx.linear.localisation_length(gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear()), term), sites=N), 0.5)
+        gx.linear.localisation_length(
+            gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear()), term), sites=N), 0.5
+        )

@@ -25,7 +25,9 @@ def test_compiled_takes_any_pytree_and_traces_once():
 
     x = np.arange(3.0)
     for value in (x, jnp.asarray(x) + 1):
-        np.testing.assert_array_equal(scaled({"x": value}, np.float64(2.0), "y")["y"], 2 * np.asarray(value))
+        np.testing.assert_array_equal(
+            scaled({"x": value}, np.float64(2.0), "y")["y"], 2 * np.asarray(value)
+        )
     scaled({"x": x}, np.float64(3.0), "z")
     assert traces == ["y", "z"], "what is no array is static, and nothing else"
 

@@ -12,13 +12,22 @@ def power(t, y, lattice):
     return gx.measures.power(lattice, y, t)
 
 
-@pytest.mark.parametrize("whole", [
-    pytest.param(False, marks=pytest.mark.study), pytest.param(True, marks=pytest.mark.slow)], ids=["some", "all"])
+@pytest.mark.parametrize(
+    "whole",
+    [pytest.param(False, marks=pytest.mark.study), pytest.param(True, marks=pytest.mark.slow)],
+    ids=["some", "all"],
+)
 def test_the_energy_of_every_loss_and_drive_balances(whole):
-    some = (gx.BrilliantovContact(WALLS, 1.0, 0.1, 0.2), gx.Damping(0.05), gx.Drive(gx.Harmonic(0.1, 0.8), 1))
+    some = (
+        gx.BrilliantovContact(WALLS, 1.0, 0.1, 0.2),
+        gx.Damping(0.05),
+        gx.Drive(gx.Harmonic(0.1, 0.8), 1),
+    )
     more = (
-        gx.Modulated(gx.OnSite(gx.Linear(0.3)), gx.Harmonic(0.2, 1.1, mean=1.0)), gx.Dashpot(WALLS, 0.02),
-        gx.ViscousContact(WALLS, 0.1, overlap=0.1), gx.Drag(0.1),
+        gx.Modulated(gx.OnSite(gx.Linear(0.3)), gx.Harmonic(0.2, 1.1, mean=1.0)),
+        gx.Dashpot(WALLS, 0.02),
+        gx.ViscousContact(WALLS, 0.1, overlap=0.1),
+        gx.Drag(0.1),
         gx.Wall(gx.Hertz(1.2, 0.2), "left", motion=gx.Harmonic(0.05, 1.7)),
     )
     lattice = gx.Lattice(1.0, some + more if whole else some, sites=5)
@@ -39,7 +48,9 @@ def test_restitution_of_viscoelastic_spheres():
     for time, speed in ((0.01, 0.7), (0.03, 0.5)):
         wanted = float(gx.theory.restitution.viscoelastic(speed, 1.3, time))
         x = 1.5 * time * (1.3 / 0.5) ** 0.4 * speed**0.2
-        kono = restitution((gx.Bond(FREE, gx.Hertz(1.3)), gx.ViscousContact(FREE, 1.95 * time)), speed)
+        kono = restitution(
+            (gx.Bond(FREE, gx.Hertz(1.3)), gx.ViscousContact(FREE, 1.95 * time)), speed
+        )
         assert 0.4 < (wanted - kono) / x**3 < 0.6
         brilliantov = restitution((gx.BrilliantovContact(FREE, 1.3, time),), speed)
         # what does not pull gives a little more back
@@ -49,8 +60,9 @@ def test_restitution_of_viscoelastic_spheres():
 def test_a_viscoelastic_contact_never_pulls_and_rests_under_its_load():
     lattice = gx.Lattice(1.0, gx.BrilliantovContact(FREE, 1.0, 0.5), sites=2)
     u, v = np.array([0.01, 0.0]), np.array([-1.0, 1.0])
-    assert np.all(lattice.force(0.0, u, v) == 0) and np.all(lattice.force(0.0, u, -v) == [-1, 1] * np.abs(
-        lattice.force(0.0, u, -v)))
+    assert np.all(lattice.force(0.0, u, v) == 0) and np.all(
+        lattice.force(0.0, u, -v) == [-1, 1] * np.abs(lattice.force(0.0, u, -v))
+    )
     held = gx.Lattice(1.0, gx.BrilliantovContact(WALLS, 1.0, 0.5, 0.3), sites=3)
     assert np.abs(held.force(0.0, held.zeros(), held.zeros())).max() < 1e-16
     dashpot = gx.ViscousContact(WALLS, 0.75, overlap=0.3 ** (2 / 3))
@@ -68,7 +80,11 @@ def test_a_viscoelastic_front_oscillates_below_the_critical_dashpot_of_its_linea
     piston = gx.Wall(gx.Hertz(), "left", motion=gx.terms.Function(lambda t: t))
     highest = []
     for part in (0.4, 2.0):
-        chain = gx.Lattice(1.0, (gx.Bond(FREE, gx.Hertz()), gx.ViscousContact(FREE, part * critical), piston), sites=70)
+        chain = gx.Lattice(
+            1.0,
+            (gx.Bond(FREE, gx.Hertz()), gx.ViscousContact(FREE, part * critical), piston),
+            sites=70,
+        )
         run = gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 50.0, tolerance=1e-8)
         strain = np.asarray(gx.measures.strain(chain, run.final, 50.0))
         behind = strain[25:]
@@ -86,7 +102,10 @@ def test_a_chain_that_yields_by_its_materials():
     for F0 in (0.0, 1e-3, 0.1):
         chain = gx.scenes.plastic(4, precompression=F0)
         law = chain.terms[0].law
-        assert abs(law.preload - F0) < 1e-15 and np.abs(gx.Lattice.unbalanced(chain)[1:-1]).max() < 1e-15
+        assert (
+            abs(law.preload - F0) < 1e-15
+            and np.abs(gx.Lattice.unbalanced(chain)[1:-1]).max() < 1e-15
+        )
         # as pressed, not as overlapping: the tangent goes on from Hertz
         assert (law.rest > 0.02) == (F0 > 0.02**1.5)
     with pytest.raises(ValueError, match="yield_overlap"):

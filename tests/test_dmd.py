@@ -16,7 +16,9 @@ def _ssh():
 def _run(u, v):
     chain = _ssh()
     state = gx.State(jnp.asarray(u), jnp.asarray(v))
-    return gx.simulate(chain, state, DT * (FRAMES - 1), save_at=FRAMES, solver=gx.SRKN14a(), step=0.05)
+    return gx.simulate(
+        chain, state, DT * (FRAMES - 1), save_at=FRAMES, solver=gx.SRKN14a(), step=0.05
+    )
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +47,12 @@ def test_edge_states_of_the_ssh_chain(edge, modes):
     """Two states in the gap, one part in a thousand apart: their frequencies without a model."""
     found = dmd(edge, DT)
     assert found.rank == 4
-    np.testing.assert_allclose(positive(found.omega), np.asarray(modes.omega)[9:11], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(positive(found.omega) ** 2, [2.99853515, 3.00146485], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        positive(found.omega), np.asarray(modes.omega)[9:11], rtol=0, atol=1e-11
+    )
+    np.testing.assert_allclose(
+        positive(found.omega) ** 2, [2.99853515, 3.00146485], rtol=0, atol=1e-8
+    )
     np.testing.assert_allclose(found.omega.real, 0, atol=1e-11)
     assert found.residual < 1e-12 and found.misfit < 1e-11
 
@@ -54,7 +60,9 @@ def test_edge_states_of_the_ssh_chain(edge, modes):
 def test_all_modes_and_the_reconstruction(every, modes):
     found = dmd(every, DT)
     assert found.rank == 40
-    assert found.to_xarray().shapes_real.dims == ("sensor", "mode") and "of their norm" in repr(found)
+    assert found.to_xarray().shapes_real.dims == ("sensor", "mode") and "of their norm" in repr(
+        found
+    )
     np.testing.assert_allclose(positive(found.omega), modes.omega, rtol=0, atol=1e-10)
     t = DT * np.arange(FRAMES)
     np.testing.assert_allclose(found.reconstruction(t), every, rtol=0, atol=1e-9)
@@ -67,7 +75,9 @@ def test_delays_see_every_mode_with_two_sensors(every, modes):
     found = dmd(every[:, :2], DT, delays=150)
     assert found.rank == 40 and found.modes.shape == (2, 40)
     np.testing.assert_allclose(positive(found.omega), modes.omega, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.reconstruction(DT * np.arange(FRAMES)), every[:, :2], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        found.reconstruction(DT * np.arange(FRAMES)), every[:, :2], rtol=0, atol=1e-8
+    )
     # one sensor without delays has room for one real number
     assert dmd(every[:, :1], DT).rank == 1
 
@@ -77,7 +87,9 @@ def test_decay_rate_and_frequency_of_a_damped_mode():
     shape = np.array([1.0, 0.5j, 2.0])
     y = (np.exp((-0.03 + 1.7j) * t)[:, None] * shape).real
     found = dmd(y, 0.1)
-    np.testing.assert_allclose(np.sort_complex(found.omega), [-0.03 - 1.7j, -0.03 + 1.7j], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        np.sort_complex(found.omega), [-0.03 - 1.7j, -0.03 + 1.7j], rtol=0, atol=1e-11
+    )
     later = (np.exp((-0.03 + 1.7j) * 7.3) * shape).real
     np.testing.assert_allclose(found.reconstruction(7.3), later, rtol=0, atol=1e-10)
     complex_found = dmd(np.exp((-0.03 + 1.7j) * t)[:, None], 0.1)
@@ -112,9 +124,13 @@ def test_agrees_with_pydmd(every):
     np.testing.assert_allclose(weighted, theirs.modes * theirs.amplitudes, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("bad, word", [
-    (dict(snapshots=np.ones(5)), "numbers .T, n."), (dict(delays=5), "delays"),
-])
+@pytest.mark.parametrize(
+    "bad, word",
+    [
+        (dict(snapshots=np.ones(5)), "numbers .T, n."),
+        (dict(delays=5), "delays"),
+    ],
+)
 def test_bad_input_is_refused(bad, word):
     t = np.arange(5.0)
     good = dict(snapshots=np.stack([np.cos(t), np.sin(t)], -1), dt=1.0)

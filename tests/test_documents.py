@@ -92,7 +92,9 @@ def fit_is_that_of_the_file(fit, printed):
     """The README's fit of the traces that are shipped finds what they were made with."""
     assert fit.converged and not fit.undetermined and 0.8 < fit.reduced_chi_square < 1.2
     truth = {"stiffness": 9.1e9, "precompression": 8.4, "damping_time": 1.8e-3, "velocity": 0.05}
-    assert all(abs(fit.parameters[name] - x) < 4 * fit.deviations[name] for name, x in truth.items())
+    assert all(
+        abs(fit.parameters[name] - x) < 4 * fit.deviations[name] for name, x in truth.items()
+    )
     assert "stiffness" in printed and "+-" in printed
 
 
@@ -105,10 +107,15 @@ def test_the_readme_runs_from_top_to_bottom(elsewhere):
     assert "For 1e-06" in printed
 
 
-@pytest.mark.parametrize("where, block", [
-    # the face's is in the fast set
-    pytest.param(*found, marks=[pytest.mark.slow] * ("granjax/__init__" not in found[0])) for found in DOCSTRINGS
-], ids=lambda x: x if ": " in x and "\n" not in x else "")
+@pytest.mark.parametrize(
+    "where, block",
+    [
+        # the face's is in the fast set
+        pytest.param(*found, marks=[pytest.mark.slow] * ("granjax/__init__" not in found[0]))
+        for found in DOCSTRINGS
+    ],
+    ids=lambda x: x if ": " in x and "\n" not in x else "",
+)
 def test_a_docstring_s_block_runs(where, block, elsewhere):
     space, printed = run([block], gx=gx)
     assert len(space) > 2 or printed

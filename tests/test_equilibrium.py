@@ -18,8 +18,9 @@ def pair_forces(x):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("boundary, length", [
-    ("fixed", N + 1), pytest.param("free", N - 1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "boundary, length", [("fixed", N + 1), pytest.param("free", N - 1, marks=pytest.mark.slow)]
+)
 def test_magnets_between_ends_rest(boundary, length):
     lattice = gx.scenes.magnets(N, P, boundary=boundary)
     x = np.arange(N) + np.asarray(lattice.terms[0].rest)
@@ -39,12 +40,16 @@ def test_equal_spacings_are_no_rest_and_the_outcome_says_so():
     magnets = gx.LongRange(np.arange(1.0, N) ** P, gx.PowerLaw(1.0, P, 1.0), "free", takes="strain")
     lattice = gx.Lattice(np.linspace(1, 2, N), magnets, sites=N)
     found = gx.equilibrium(lattice)
-    np.testing.assert_allclose(found.state.u, gx.scenes.magnets(N, P, boundary="free").terms[0].rest, atol=1e-14)
+    np.testing.assert_allclose(
+        found.state.u, gx.scenes.magnets(N, P, boundary="free").terms[0].rest, atol=1e-14
+    )
     assert "only loads on inner sites hold" in found.outcome
     there = found.lattice
     u = jnp.asarray(0.01 * np.random.default_rng(2).normal(size=N))
     x = np.arange(N) + np.asarray(found.state.u)
-    np.testing.assert_allclose(there.force(0.0, u, u), pair_forces(x + np.asarray(u)) - pair_forces(x), atol=1e-14)
+    np.testing.assert_allclose(
+        there.force(0.0, u, u), pair_forces(x + np.asarray(u)) - pair_forces(x), atol=1e-14
+    )
     slope = jax.grad(lambda u: there.potential_energy(0.0, u))(u)
     np.testing.assert_allclose(slope, -there.force(0.0, u, u), rtol=0, atol=1e-13)
 
@@ -87,7 +92,9 @@ def test_loads_and_their_derivative():
     np.testing.assert_allclose(np.diff(forces), 0.02, rtol=1e-12)
     np.testing.assert_allclose(found.ends, forces[jnp.asarray([0, -1])], rtol=1e-14)
     h = 1e-4
-    np.testing.assert_allclose(jax.grad(lowest)(1.0), (lowest(1 + h) - lowest(1 - h)) / (2 * h), rtol=1e-6)
+    np.testing.assert_allclose(
+        jax.grad(lowest)(1.0), (lowest(1 + h) - lowest(1 - h)) / (2 * h), rtol=1e-6
+    )
 
 
 def test_loads_that_stay_are_those_of_the_preloads_and_without_any_it_falls_apart():
@@ -115,16 +122,24 @@ def test_a_lattice_with_fields_and_its_gradient():
     swing = found.state.u["resonator"] - found.state.u["bead"]
     np.testing.assert_allclose(swing, 0.01 / 2.0, rtol=1e-12)
     assert found.ends is None and found.verdict == "stable"
-    slope = jax.grad(lambda k: gx.equilibrium(gx.scenes.mass_in_mass(4, 0.5, k, precompression=1.0),
-                                              loads=load).state.u["resonator"][1])(2.0)
+    slope = jax.grad(
+        lambda k: gx.equilibrium(
+            gx.scenes.mass_in_mass(4, 0.5, k, precompression=1.0), loads=load
+        ).state.u["resonator"][1]
+    )(2.0)
     np.testing.assert_allclose(slope, -0.01 / 2.0**2, rtol=1e-10)
 
 
 @pytest.mark.slow
 def test_the_plane():
     h = 0.75**0.5
-    bonds = [gx.Bond(gx.Stretch(gx.Shift(offset, "free"), vector), gx.Polynomial(1.0, 0.3) + gx.Hertz(0.5, 0.2))
-             for offset, vector in (((1, 0), [1.0, 0.0]), ((0, 1), [0.5, h]), ((-1, 1), [-0.5, h]))]
+    bonds = [
+        gx.Bond(
+            gx.Stretch(gx.Shift(offset, "free"), vector),
+            gx.Polynomial(1.0, 0.3) + gx.Hertz(0.5, 0.2),
+        )
+        for offset, vector in (((1, 0), [1.0, 0.0]), ((0, 1), [0.5, h]), ((-1, 1), [-0.5, h]))
+    ]
     lattice = gx.Lattice(1.0, bonds, sites=(4, 4), dimension=2)
     loads = 0.02 * jnp.asarray(np.random.default_rng(7).normal(size=(4, 4, 2)))
     found = gx.equilibrium(lattice, loads=loads)
@@ -184,7 +199,9 @@ def test_magnets_of_a_traced_exponent_rest_where_they_do(sites, boundary):
         np.testing.assert_allclose(rest_of(p, sites, boundary), expected(float(p)), atol=1e-13)
     slope = (expected(-2.7 + 1e-4) - expected(-2.7 - 1e-4)) / 2e-4
     for mode in (jax.jacfwd, jax.jacrev):
-        np.testing.assert_allclose(mode(lambda p: rest_of(p, sites, boundary))(-2.7), slope, atol=1e-7)
+        np.testing.assert_allclose(
+            mode(lambda p: rest_of(p, sites, boundary))(-2.7), slope, atol=1e-7
+        )
     bend = (expected(-2.7 + 1e-3) - 2 * expected(-2.7) + expected(-2.7 - 1e-3)) / 1e-6
     found = jax.jacfwd(jax.jacrev(lambda p: rest_of(p, sites, boundary)))(-2.7)
     np.testing.assert_allclose(found, bend, atol=1e-6)
@@ -193,7 +210,9 @@ def test_magnets_of_a_traced_exponent_rest_where_they_do(sites, boundary):
 def test_magnets_that_are_felt_far_away_rest_or_are_refused():
     """Plain steps of Newton's method pass one magnet through the next where p is about -1 and above."""
     for p, sites in ((-1.0, 10), (-0.5, 6)):
-        x = np.concatenate([[-1.0], np.arange(sites) + np.asarray(rest_of(p, sites, "fixed")), [sites]])
+        x = np.concatenate(
+            [[-1.0], np.arange(sites) + np.asarray(rest_of(p, sites, "fixed")), [sites]]
+        )
         away = x[:, None] - x
         np.fill_diagonal(away, np.inf)
         assert (np.diff(x) > 0).all()
@@ -206,7 +225,9 @@ def test_magnets_that_are_felt_far_away_rest_or_are_refused():
 def test_eight_magnets_of_swept_exponents_run_as_alone_and_are_differentiated():
     def final(p, **keywords):
         chain = gx.scenes.magnets(4, p)
-        return gx.simulate(chain, gx.states.impact(chain, velocity=0.1), 2.0, step=0.05, **keywords).final.u
+        return gx.simulate(
+            chain, gx.states.impact(chain, velocity=0.1), 2.0, step=0.05, **keywords
+        ).final.u
 
     exponents = jnp.linspace(-4.5, -2.7, 8)
     chains = jax.vmap(lambda p: gx.scenes.magnets(4, p), out_axes=-1)(exponents)
@@ -223,20 +244,42 @@ def test_the_exponent_of_magnets_is_fitted():
     chain = gx.scenes.magnets(4, -3.3)
     state, ts = gx.states.impact(chain, velocity=0.2), np.linspace(0.2, 3.0, 15)
     data = gx.simulate(chain, state, 3.0, step=0.05, save_at=ts).vs
-    found = gx.fit(lambda q: gx.scenes.magnets(4, q["exponent"]), {"exponent": -4.0},
-                   gx.Traces(times=ts, velocity=data, sites=[0, 1, 2, 3], sigma=1e-4), state=state)
+    found = gx.fit(
+        lambda q: gx.scenes.magnets(4, q["exponent"]),
+        {"exponent": -4.0},
+        gx.Traces(times=ts, velocity=data, sites=[0, 1, 2, 3], sigma=1e-4),
+        state=state,
+    )
     assert float(found.parameters["exponent"]) == pytest.approx(-3.3, abs=1e-4)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make, loads", [
-    # u by hand: a chain between walls, springs in a row
-    (lambda k: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(k, 0.3 * k, 0.2 * k)), sites=4), None),
-    (lambda k: gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Toda(k, 1.0)), gx.OnSite(gx.Linear(1.0))), sites=4),
-     None),
-    (lambda k: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Polynomial(k, 0.0, k)), sites=4),
-     jnp.array([0.4, 0.1, -0.3, -0.2])),
-])
+@pytest.mark.parametrize(
+    "make, loads",
+    [
+        # u by hand: a chain between walls, springs in a row
+        (
+            lambda k: gx.Lattice(
+                1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(k, 0.3 * k, 0.2 * k)), sites=4
+            ),
+            None,
+        ),
+        (
+            lambda k: gx.Lattice(
+                1.0,
+                (gx.Bond(gx.Shift(1, "free"), gx.Toda(k, 1.0)), gx.OnSite(gx.Linear(1.0))),
+                sites=4,
+            ),
+            None,
+        ),
+        (
+            lambda k: gx.Lattice(
+                1.0, gx.Bond(gx.Shift(1, "free"), gx.Polynomial(k, 0.0, k)), sites=4
+            ),
+            jnp.array([0.4, 0.1, -0.3, -0.2]),
+        ),
+    ],
+)
 def test_rest_under_transformations(make, loads):
     """jit, vmap, both modes and curvature, against SciPy on the forces written out."""
     from scipy.optimize import fsolve
@@ -273,7 +316,9 @@ def test_loads_on_the_ends_of_a_free_chain_act_where_they_balance():
     np.testing.assert_allclose(found.loads, [1.0, 0, 0, 0, -1.0])
     np.testing.assert_allclose(found.ends, 1.0)
     assert found.verdict == "stable" and abs(float(np.mean(found.state.u))) < 1e-15
-    traced = jax.jit(lambda f: gx.equilibrium(chain, loads=f * jnp.array([1.0, 0, 0, 0, -1.0])).state.u)
+    traced = jax.jit(
+        lambda f: gx.equilibrium(chain, loads=f * jnp.array([1.0, 0, 0, 0, -1.0])).state.u
+    )
     np.testing.assert_allclose(traced(1.0), found.state.u, atol=1e-14)
 
 

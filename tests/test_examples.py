@@ -18,7 +18,9 @@ import numpy as np  # noqa: E402
 
 import granjax as gx  # noqa: E402
 
-spec = importlib.util.spec_from_file_location("public", Path(__file__).parents[1] / "docs" / "public.py")
+spec = importlib.util.spec_from_file_location(
+    "public", Path(__file__).parents[1] / "docs" / "public.py"
+)
 public = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(public)
 
@@ -31,7 +33,9 @@ PARSER = doctest.DocTestParser()
 def example(page, name, value):
     """The example of a public name, or `None`. A class may have its own in the docstring of `__init__`."""
     words = vars(value).get("__doc__") if inspect.isclass(value) else value.__doc__
-    found = PARSER.get_doctest(inspect.cleandoc(words or ""), dict(KNOWN), f"{page}.{name}", None, 0)
+    found = PARSER.get_doctest(
+        inspect.cleandoc(words or ""), dict(KNOWN), f"{page}.{name}", None, 0
+    )
     return found if found.examples else None
 
 

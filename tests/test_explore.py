@@ -55,7 +55,11 @@ def test_the_map_follows_and_nothing_compiles(explorer):
     assert explorer.values == {"ratio": 0.5, "precompression": 0.0, "amplitude": 1.0}
     np.testing.assert_allclose(shown(explorer), explorer.run.vs)
     image, before, heard = explorer.image, picture(explorer), len(_heard)
-    for values in ({"ratio": 0.3}, {"precompression": 0.5, "amplitude": 0.1}, {"precompression": 0.0, "ratio": 1.0}):
+    for values in (
+        {"ratio": 0.3},
+        {"precompression": 0.5, "amplitude": 0.1},
+        {"precompression": 0.0, "ratio": 1.0},
+    ):
         explorer.move(**values)
         now = explorer.values
         assert values.items() <= now.items() and len(_heard) == heard and explorer.image is image
@@ -78,7 +82,10 @@ def test_it_reads_well(explorer):
     bundle = explorer._repr_mimebundle_()
     assert {"application/vnd.jupyter.widget-view+json", "image/png", "text/plain"} <= bundle.keys()
     assert [slider.description for slider in explorer.sliders.values()] == [
-        "mass ratio", "precompression", "impact velocity"]
+        "mass ratio",
+        "precompression",
+        "impact velocity",
+    ]
 
 
 @pytest.mark.slow
@@ -91,10 +98,15 @@ def test_what_is_refused_is_said_below_the_map(notebook):
     explorer = gx.explore(scene, 6.0, ratio=(0.5, 1.4), frames=12)
     explorer.move(ratio=0.9)
     last = shown(explorer)
-    for values, sentence in (({"ratio": 1.2}, "ratio: expected numbers in (0, 1], got 1.2."),
-                             ({"ratio": 0.9, "share": 3.0}, "ZeroDivisionError: no share")):
+    for values, sentence in (
+        ({"ratio": 1.2}, "ratio: expected numbers in (0, 1], got 1.2."),
+        ({"ratio": 0.9, "share": 3.0}, "ZeroDivisionError: no share"),
+    ):
         explorer.move(**values)
-        assert explorer.said.startswith(sentence) and sentence.split(",")[0] in explorer.widget.children[-1].value
+        assert (
+            explorer.said.startswith(sentence)
+            and sentence.split(",")[0] in explorer.widget.children[-1].value
+        )
         assert explorer.image.get_alpha() < 0.5
         np.testing.assert_array_equal(shown(explorer), last)
         with pytest.raises(RuntimeError, match="The present values have no run"):
@@ -108,7 +120,9 @@ def test_runs_that_stop_are_said(notebook, monkeypatch):
     explorer = gx.explore(dimer, 6.0, frames=12)
     monkeypatch.setattr(explorer._scenery, "_most", 20)
     explorer.move(precompression=0.8, amplitude=10.0, ratio=0.05)
-    assert explorer.said.startswith("Stopped before t1 = 6:") and np.isnan(shown(explorer)[-1]).all()
+    assert (
+        explorer.said.startswith("Stopped before t1 = 6:") and np.isnan(shown(explorer)[-1]).all()
+    )
 
 
 @pytest.mark.study
@@ -126,13 +140,22 @@ def test_a_lattice_in_si(notebook):
     np.testing.assert_allclose(shown(explorer)[0], 40.0)
     assert explorer.image.colorbar.ax.get_ylabel() == "contact force (N)"
     np.testing.assert_allclose(explorer.lattice.mass.min() / explorer.lattice.mass.max(), 0.5)
-    np.testing.assert_allclose(chain.mass, gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4).mass)
+    np.testing.assert_allclose(
+        chain.mass, gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4).mass
+    )
 
 
 @pytest.mark.study
 def test_states_whole_numbers_and_fixed_arguments(notebook):
-    explorer = gx.explore(gx.scenes.monomer, 3.0, sites=(4, 9), precompression=1.0, frames=8, quantity="u",
-                          state=lambda lattice: gx.states.rest(lattice)._replace(u=0.1 * np.arange(lattice.sites[0])))
+    explorer = gx.explore(
+        gx.scenes.monomer,
+        3.0,
+        sites=(4, 9),
+        precompression=1.0,
+        frames=8,
+        quantity="u",
+        state=lambda lattice: gx.states.rest(lattice)._replace(u=0.1 * np.arange(lattice.sites[0])),
+    )
     assert explorer.values == {"sites": 4, "amplitude": 1.0}
     explorer.move(sites=7, amplitude=2.0)
     assert shown(explorer).shape == (8, 7) and explorer.image.get_extent()[:2] == [-0.5, 6.5]
@@ -143,22 +166,38 @@ def test_states_whole_numbers_and_fixed_arguments(notebook):
         chain = gx.scenes.monomer(4, precompression=p["load"])
         return chain, gx.states.impact(chain, 0.5)
 
-    explorer = gx.explore(pair, 3.0, load=(0.01, 100), frames=8, quantity=lambda t, y, lattice: y.v**2)
+    explorer = gx.explore(
+        pair, 3.0, load=(0.01, 100), frames=8, quantity=lambda t, y, lattice: y.v**2
+    )
     assert explorer.values == {"load": pytest.approx(1.0)}
     assert shown(explorer)[0].max() == pytest.approx(0.25) and np.shape(explorer.run.vs) == (8, 4)
 
 
-
 BAD = [
     (lambda: gx.explore(gx.scenes.dimer), "sites: expected a range or a value"),
-    (lambda: gx.explore(dimer, ration=(0.1, 1)), "parameter: expected one of .* Did you mean 'ratio'"),
+    (
+        lambda: gx.explore(dimer, ration=(0.1, 1)),
+        "parameter: expected one of .* Did you mean 'ratio'",
+    ),
     (lambda: gx.explore(dimer, ratio=(1.0, 0.1)), "ratio: expected two finite numbers"),
     (lambda: gx.explore(dimer, quantity="w"), "quantity: expected one of"),
-    (lambda: gx.explore(dimer, quantity=lambda t, y, lattice: y.v[0], frames=8), "quantity: expected a number for"),
-    (lambda: gx.explore(lambda load=1.0: load), "scene: expected a function that returns a Lattice"),
+    (
+        lambda: gx.explore(dimer, quantity=lambda t, y, lattice: y.v[0], frames=8),
+        "quantity: expected a number for",
+    ),
+    (
+        lambda: gx.explore(lambda load=1.0: load),
+        "scene: expected a function that returns a Lattice",
+    ),
     (lambda: gx.explore(dimer, ratio=1.5, frames=8), "ratio: expected numbers in"),
-    (lambda: gx.explore(jax.vmap(lambda r: dimer(r, 0.0), out_axes=-1)(np.array([0.1, 0.2]))), "one lattice at a time"),
-    (lambda: gx.explore(gx.scenes.monomer(4), 1.0, state=gx.states.rest), "step: expected a time step"),
+    (
+        lambda: gx.explore(jax.vmap(lambda r: dimer(r, 0.0), out_axes=-1)(np.array([0.1, 0.2]))),
+        "one lattice at a time",
+    ),
+    (
+        lambda: gx.explore(gx.scenes.monomer(4), 1.0, state=gx.states.rest),
+        "step: expected a time step",
+    ),
 ]
 
 
@@ -176,8 +215,12 @@ def test_a_value_beyond_a_slider_is_refused(explorer):
 
 
 def test_without_a_notebook_it_says_what_to_install(monkeypatch):
-    with pytest.raises(ImportError, match=r"expected a notebook.*pip install 'granjax\[notebook\]'"):
+    with pytest.raises(
+        ImportError, match=r"expected a notebook.*pip install 'granjax\[notebook\]'"
+    ):
         gx.explore(dimer)
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
-    with pytest.raises(ImportError, match=r"expected ipywidgets, got none.*pip install 'granjax\[notebook\]'"):
+    with pytest.raises(
+        ImportError, match=r"expected ipywidgets, got none.*pip install 'granjax\[notebook\]'"
+    ):
         gx.explore(dimer)

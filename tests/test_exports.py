@@ -32,8 +32,13 @@ def ring():
 
 @functools.cache
 def run():
-    record = {"peak": gx.Peak(measures.contact_force), "ends": gx.Integral(lambda t, y, lattice: {"left": y.v[0]})}
-    return gx.simulate(chain(), gx.states.impact(chain(), velocity=0.1), 2.0, step=0.1, save_at=33, record=record)
+    record = {
+        "peak": gx.Peak(measures.contact_force),
+        "ends": gx.Integral(lambda t, y, lattice: {"left": y.v[0]}),
+    }
+    return gx.simulate(
+        chain(), gx.states.impact(chain(), velocity=0.1), 2.0, step=0.1, save_at=33, record=record
+    )
 
 
 @functools.cache
@@ -42,8 +47,15 @@ def fitted():
         return gx.scenes.monomer(N, stiffness=p["stiffness/A"], precompression=1.0)
 
     traces = gx.Traces(T, velocity=np.outer(np.sin(T), [1.0, 2.0]), sites=[1, 3], sigma=0.1)
-    return gx.fit(scene, {"stiffness/A": 1.0}, traces, state=lambda p, chain: gx.states.impact(chain), step=0.1,
-                  max_steps=2, throw=False)
+    return gx.fit(
+        scene,
+        {"stiffness/A": 1.0},
+        traces,
+        state=lambda p, chain: gx.states.impact(chain),
+        step=0.1,
+        max_steps=2,
+        throw=False,
+    )
 
 
 @functools.cache
@@ -55,19 +67,26 @@ def table():
     def call(step):
         return (np.array([1 + step**2]), np.ones(1)), 1 / step, 1 / step
 
-    return measure([Ladder("method", "step", [0.08, 0.01, 0.001], call)], (np.ones(1), np.ones(1)), 1e-12, 1)
+    return measure(
+        [Ladder("method", "step", [0.08, 0.01, 0.001], call)], (np.ones(1), np.ones(1)), 1e-12, 1
+    )
 
 
 # of different shapes, made in less than a second, or once for several
 MAKERS = {
-    "Run": run, "Fit": fitted, "Orbit": orbit, "WorkPrecision": table,
+    "Run": run,
+    "Fit": fitted,
+    "Orbit": orbit,
+    "WorkPrecision": table,
     "Floquet": lambda: orbit().floquet(steps=64),
     "NormalModes": lambda: linear.normal_modes(chain()),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
     "ZoneMap": lambda: linear.zone_map(gx.scenes.square(5, boundary="periodic"), 8),
     "ComplexBands": lambda: linear.complex_bands(ring(), [0.4, 9.0]),
     "Spectrum": lambda: measures.spectrum(np.ones((33, N)), 0.1),
-    "Derivative": lambda: gx.derivative(lambda x, step: {"a": x["a"] ** 2, "b": x["a"].sum()}, {"a": jnp.ones(2)}, 0.1),
+    "Derivative": lambda: gx.derivative(
+        lambda x, step: {"a": x["a"] ** 2, "b": x["a"].sum()}, {"a": jnp.ones(2)}, 0.1
+    ),
     "Root": lambda: newton(lambda x, _: x**2 - 2, np.ones(1)),
 }
 made = functools.cache(lambda name: MAKERS[name]())
@@ -84,25 +103,39 @@ def comes_back(path, data):
     """That a netCDF file holds a dataset, and a file of MATLAB its arrays."""
     if path.suffix == ".nc":
         again = xr.load_dataset(path)
-        kinds = [{key: x.dtype.kind.replace("U", "O") for key, x in d.variables.items()} for d in (again, data)]
+        kinds = [
+            {key: x.dtype.kind.replace("U", "O") for key, x in d.variables.items()}
+            for d in (again, data)
+        ]
         return again.identical(data) and kinds[0] == kinds[1]
     found = loadmat(path)
-    numbers = {name: x.values for name, x in data.variables.items() if x.dtype.kind in "biufc" and name in found}
-    return all(np.array_equal(np.ravel(found[name]), np.ravel(x), equal_nan=True) for name, x in numbers.items())
+    numbers = {
+        name: x.values
+        for name, x in data.variables.items()
+        if x.dtype.kind in "biufc" and name in found
+    }
+    return all(
+        np.array_equal(np.ravel(found[name]), np.ravel(x), equal_nan=True)
+        for name, x in numbers.items()
+    )
 
 
 # those that take a solved problem to make
 LONG = {"Run", "Fit", "Orbit", "Floquet"}
 
 
-@pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in MAKERS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in MAKERS]
+)
 def test_a_result_goes_out_and_comes_back(name, tmp_path):
     result = made(name)
     assert isinstance(result, Result) and type(result).__name__ == name
     legible(repr(result))
     data = result.to_xarray()
     for axis in data.dims:
-        assert axis.partition("_")[0] != "site" or data[axis].values.tolist() == list(range(data.sizes[axis]))
+        assert axis.partition("_")[0] != "site" or data[axis].values.tolist() == list(
+            range(data.sizes[axis])
+        )
     for ending in ("nc", "mat"):
         assert comes_back(result.save(tmp_path / f"{name}.{ending}"), data), ending
 
@@ -110,25 +143,51 @@ def test_a_result_goes_out_and_comes_back(name, tmp_path):
 def batch(ts, us, lanes, space=(1, 0), **recorded):
     """A run of such arrays, as `simulate` returns it."""
     known = dict(
-        ts=ts, us=us, vs=us, final=None, recorded=recorded, energy_error=np.full(lanes, 0.5), _margin=np.ones(lanes),
-        _short={}, code=np.zeros((), int), stats={"steps": np.full(lanes, 9), "rejected": np.zeros((), int)},
-        failed_at=None, solver="SRKN6b", choice="", remark="", unseen="", _zone=0.0, _space=space, _mark=1.0)
+        ts=ts,
+        us=us,
+        vs=us,
+        final=None,
+        recorded=recorded,
+        energy_error=np.full(lanes, 0.5),
+        _margin=np.ones(lanes),
+        _short={},
+        code=np.zeros((), int),
+        stats={"steps": np.full(lanes, 9), "rejected": np.zeros((), int)},
+        failed_at=None,
+        solver="SRKN6b",
+        choice="",
+        remark="",
+        unseen="",
+        _zone=0.0,
+        _space=space,
+        _mark=1.0,
+    )
     made = object.__new__(gx.Run)
     for name, x in (known | {"_confirmation": None}).items():
         object.__setattr__(made, name, x)
     return made
 
 
-RATIOS, LOADS, NAMES_ = np.array([0.2, 0.5, 1.0]), np.array([1.0, 2.0, 4.0]), ["PTFE", "brass", "steel 316"]
+RATIOS, LOADS, NAMES_ = (
+    np.array([0.2, 0.5, 1.0]),
+    np.array([1.0, 2.0, 4.0]),
+    ["PTFE", "brass", "steel 316"],
+)
 F = 4
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lanes, named, wanted", [
-    ((3,), None, ("lane",)), ((3,), {"bead": NAMES_}, ("bead",)), ((3,), {"ratio": RATIOS, "load": LOADS}, ("lane",)),
-    ((3, 2), {"ratio": RATIOS, "load": [1, 2]}, ("ratio", "load")),
-    ((3, 2), {"ratio": RATIOS[:, None] * [1, 2]}, ("lane", "lane_1")),
-], ids=str)
+@pytest.mark.parametrize(
+    "lanes, named, wanted",
+    [
+        ((3,), None, ("lane",)),
+        ((3,), {"bead": NAMES_}, ("bead",)),
+        ((3,), {"ratio": RATIOS, "load": LOADS}, ("lane",)),
+        ((3, 2), {"ratio": RATIOS, "load": [1, 2]}, ("ratio", "load")),
+        ((3, 2), {"ratio": RATIOS[:, None] * [1, 2]}, ("lane", "lane_1")),
+    ],
+    ids=str,
+)
 @pytest.mark.parametrize("first", [False, True])
 def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_path):
     shape, own = (N, *lanes), np.arange(float(F))
@@ -138,11 +197,19 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         us, ts = np.ones((F, *shape)), own
     peak = np.ones((*lanes, N + 1) if first else (N + 1, *lanes))
     run = batch(ts, us, lanes, peak=peak, last=np.ones(lanes), site=np.ones(lanes))
-    object.__setattr__(run, "_known_error", {"site": np.ones(lanes), "last": np.ones(lanes), "peak": peak})
+    object.__setattr__(
+        run, "_known_error", {"site": np.ones(lanes), "last": np.ones(lanes), "peak": peak}
+    )
     data = run.to_xarray(lanes=named)
     assert data.peak.dims == data.peak_error.dims
     assert data.u.dims == ((*wanted, "time", "site") if first else ("time", "site", *wanted))
-    assert data.energy_error.dims == data["last"].dims == data.sites.dims == data.stats_steps.dims == wanted
+    assert (
+        data.energy_error.dims
+        == data["last"].dims
+        == data.sites.dims
+        == data.stats_steps.dims
+        == wanted
+    )
     assert data.time.dims == ("time",) and data.attrs["stats_rejected"] == 0
     assert data.peak.dims == ((*wanted, "peak_0") if first else ("peak_0", *wanted))
     for name, values in (named or {}).items():
@@ -160,12 +227,17 @@ def test_times_of_their_own_of_each_lane_are_kept():
     assert behind.times.dims == ("time", "lane") and behind.u.dims == ("time", "site", "lane")
 
 
-@pytest.mark.parametrize("lanes, said", [
-    ({"ratio": [1.0]}, "lanes: expected names and values of 3 lanes, got ratio of shape (1,)"),
-    ({}, "got none"),
-    ({"ratio": RATIOS, "load": [1.0]}, "load of shape (1,)"), ({"u": RATIOS}, "lanes: expected names that nothing"),
-    ({"time": RATIOS}, "expected names that nothing"), ({"a": 1.0}, "lanes"),
-])
+@pytest.mark.parametrize(
+    "lanes, said",
+    [
+        ({"ratio": [1.0]}, "lanes: expected names and values of 3 lanes, got ratio of shape (1,)"),
+        ({}, "got none"),
+        ({"ratio": RATIOS, "load": [1.0]}, "load of shape (1,)"),
+        ({"u": RATIOS}, "lanes: expected names that nothing"),
+        ({"time": RATIOS}, "expected names that nothing"),
+        ({"a": 1.0}, "lanes"),
+    ],
+)
 def test_lanes_that_do_not_fit_are_refused(lanes, said, tmp_path):
     run = batch(np.arange(float(F)), np.ones((F, N, 3)), (3,))
     with pytest.raises(ValueError, match=re.escape(said)):
@@ -183,32 +255,54 @@ def test_what_is_no_batch_has_no_lanes():
 
 
 def test_batches_of_other_results_are_named_too():
-    modes = jax.tree.map(lambda *x: np.stack(x), *[made("NormalModes")] * 3).to_xarray(lanes={"ratio": RATIOS})
+    modes = jax.tree.map(lambda *x: np.stack(x), *[made("NormalModes")] * 3).to_xarray(
+        lanes={"ratio": RATIOS}
+    )
     assert modes.omega.dims == ("ratio", "mode") and modes.modes.dims == ("ratio", "site", "mode")
-    chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(RATIOS)
+    chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(
+        RATIOS
+    )
     for last, dims in ((0, ("ratio", "site", "mode")), (-1, ("site", "mode", "ratio"))):
         modes = jax.vmap(linear.normal_modes, in_axes=-1, out_axes=last)(chains)
         assert modes.to_xarray(lanes={"ratio": RATIOS}).modes.dims == dims
-    waves = jax.tree.map(lambda *x: np.stack(x), *[made("Dispersion")] * 3).to_xarray(lanes={"ratio": RATIOS})
+    waves = jax.tree.map(lambda *x: np.stack(x), *[made("Dispersion")] * 3).to_xarray(
+        lanes={"ratio": RATIOS}
+    )
     assert waves.omega.dims == ("ratio", "wave", "band") and waves.k.dims == ("ratio", "wave")
     peaks = measures.Peaks(np.ones((N, 3)), np.ones((N, 3)))
     assert peaks.to_xarray(lanes={"ratio": RATIOS}).heights.dims == ("site", "ratio")
-    front = measures.Front(np.ones(3), np.ones(3), np.ones((N, 3))).to_xarray(lanes={"ratio": RATIOS})
+    front = measures.Front(np.ones(3), np.ones(3), np.ones((N, 3))).to_xarray(
+        lanes={"ratio": RATIOS}
+    )
     assert front.arrivals.dims == ("site", "ratio") and front.speed.dims == ("ratio",)
-    orbit = jax.tree.map(lambda *x: np.stack(x), *[made("Orbit")] * 2).to_xarray(lanes={"load": [1.0, 2.0]})
-    assert orbit.state_u.dims == orbit.error_state_u.dims == ("load", "site") and orbit.omega.dims == ("load",)
+    orbit = jax.tree.map(lambda *x: np.stack(x), *[made("Orbit")] * 2).to_xarray(
+        lanes={"load": [1.0, 2.0]}
+    )
+    assert orbit.state_u.dims == orbit.error_state_u.dims == (
+        "load",
+        "site",
+    ) and orbit.omega.dims == ("load",)
 
 
 def test_vectors_of_the_plane_and_fields_of_a_cell_are_named(tmp_path):
     plane = batch(np.arange(float(F)), np.ones((F, 3, 4, 2, 3)), (3,), (2, 2))
     data = plane.to_xarray(lanes={"ratio": RATIOS})
     assert data.u.dims == ("time", "site", "site_1", "component", "ratio")
-    assert data.component.values.tolist() == ["x", "y"] and data.u.sel(component="y", site=1).shape == (F, 4, 3)
+    assert data.component.values.tolist() == ["x", "y"] and data.u.sel(
+        component="y", site=1
+    ).shape == (F, 4, 3)
     space = batch(np.arange(float(F)), np.ones((F, N, 3)), (), (1, 3)).to_xarray()
-    assert space.u.dims == ("time", "site", "component") and space.component.values.tolist() == ["x", "y", "z"]
+    assert space.u.dims == ("time", "site", "component") and space.component.values.tolist() == [
+        "x",
+        "y",
+        "z",
+    ]
     cell = {"bead": np.ones((F, N, 2)), "core": np.zeros((F, N, 2))}
     data = batch(np.arange(float(F)), cell, (2,)).to_xarray()
-    assert data.u.dims == ("time", "field", "site", "lane") and float(data.u.sel(field="core").max()) == 0
+    assert (
+        data.u.dims == ("time", "field", "site", "lane")
+        and float(data.u.sel(field="core").max()) == 0
+    )
     uneven = batch(np.arange(float(F)), {"bead": np.ones((F, N)), "core": np.ones((F, N - 1))}, ())
     data = uneven.to_xarray()
     assert data.u_core.dims == ("time", "site_core") and data.site_core.size == N - 1
@@ -229,7 +323,11 @@ def test_names_that_files_do_not_have(tmp_path):
     odd = {"a/b": 1.0, "2nd": np.ones(2), "\u00b5 [m]": 4.0, "outcome": "none"}
     result = Named(np.zeros(0), ["a", "", "\u00e9\u00df"], odd)
     again = xr.load_dataset(result.save(tmp_path / "odd.nc"))
-    assert again.identical(result.to_xarray()) and again.words.values.tolist() == ["a", "", "\u00e9\u00df"]
+    assert again.identical(result.to_xarray()) and again.words.values.tolist() == [
+        "a",
+        "",
+        "\u00e9\u00df",
+    ]
     assert loadmat(result.save(tmp_path / "odd.mat"))["parameters_2nd"].tolist() == [[1.0, 1.0]]
 
 
@@ -238,4 +336,7 @@ def test_every_model_of_a_comparison_is_kept():
     fits = {"one": fitted(), "on-site": fitted()}
     found = gx.identify.Comparison(tuple(fits), fits, np.array([1, 2]), *np.ones((3, 2)), 10.0, 0.5)
     data = found.to_xarray()
-    assert data["fits_on-site_parameter"].values.tolist() == ["stiffness/A"] and "fits_one_outcome" in data.attrs
+    assert (
+        data["fits_on-site_parameter"].values.tolist() == ["stiffness/A"]
+        and "fits_one_outcome" in data.attrs
+    )

@@ -15,8 +15,11 @@ RNG = np.random.default_rng(8)
 N = 9
 PSI = RNG.standard_normal(N) + 1j * RNG.standard_normal(N)
 MOVED = jnp.asarray(RNG.standard_normal((N, 3)) + 1j * RNG.standard_normal((N, 3)))
-EQUATIONS = [DNLS(N, 0.7, 1.3, order=s, boundary=b, potential=np.linspace(0, 1, N))
-             for s in (0.5, 1.0) for b in ("periodic", "fixed", "free")]
+EQUATIONS = [
+    DNLS(N, 0.7, 1.3, order=s, boundary=b, potential=np.linspace(0, 1, N))
+    for s in (0.5, 1.0)
+    for b in ("periodic", "fixed", "free")
+]
 
 
 def laplacian(weights, boundary):
@@ -48,7 +51,9 @@ def test_the_gradient_is_that_of_the_energy():
     equations = (*EQUATIONS[:2], *(DpS(N, boundary=b) for b in ("periodic", "fixed", "free")))
     for equation in equations:
         psi = jnp.asarray(PSI)
-        np.testing.assert_allclose(equation.gradient(psi), Equation.gradient(equation, psi), atol=1e-14)
+        np.testing.assert_allclose(
+            equation.gradient(psi), Equation.gradient(equation, psi), atol=1e-14
+        )
 
 
 @pytest.mark.slow
@@ -65,7 +70,9 @@ def test_the_flow_and_its_tangents_are_those_of_another_solver():
 def test_rounding_does_not_grow_with_the_number_of_steps():
     """Of a finite chain, whose coupling is a product of matrices."""
     equation, start, count = DNLS(N, boundary="free"), jnp.asarray(PSI), 4096
-    end = jax.lax.fori_loop(0, count, lambda _, psi: equation.drift(psi, jnp.asarray(1 / count)), start)
+    end = jax.lax.fori_loop(
+        0, count, lambda _, psi: equation.drift(psi, jnp.asarray(1 / count)), start
+    )
     assert np.abs(end - equation.drift(start, jnp.asarray(1.0))).max() < 2e-13
 
 
@@ -86,21 +93,29 @@ def test_the_dimer_is_that_of_kenkre_and_campbell():
     for chi, trapped in ((3.8, False), (4.2, True)):
         run = evolve(DNLS(2, 1.0, chi, boundary="fixed"), np.array([1.0, 0.0]), 6.0, save_at=ts)
         p = run.densities[:, 0] - run.densities[:, 1]
-        _, cn, dn = gx.theory.elliptic.jacobi(2 * ts * max(1.0, chi / 4), min(chi / 4, 4 / chi) ** 2)
+        _, cn, dn = gx.theory.elliptic.jacobi(
+            2 * ts * max(1.0, chi / 4), min(chi / 4, 4 / chi) ** 2
+        )
         np.testing.assert_allclose(p, dn if trapped else cn, atol=1e-8)
         assert (run.densities[:, 0].min() > 0.5) == trapped
 
 
 @pytest.mark.slow
 def test_the_dimer_traps_itself_at_4V():
-    found = first_order.self_trapping(lambda chi: DNLS(2, 0.7, chi, boundary="fixed"), 2.0, 4.0, 20.0, tolerance=1e-4)
+    found = first_order.self_trapping(
+        lambda chi: DNLS(2, 0.7, chi, boundary="fixed"), 2.0, 4.0, 20.0, tolerance=1e-4
+    )
     assert abs(found.nonlinearity - 2.8) < found.error < 4e-4
 
 
 @pytest.mark.study
 def test_fractional_coupling_lowers_the_threshold_of_self_trapping():
-    found = [first_order.self_trapping(lambda chi: DNLS(32, 1.0, chi, order=s), 1.0, 8.0, 10.0, tolerance=0.02)
-             for s in (1.0, 0.5)]
+    found = [
+        first_order.self_trapping(
+            lambda chi: DNLS(32, 1.0, chi, order=s), 1.0, 8.0, 10.0, tolerance=0.02
+        )
+        for s in (1.0, 0.5)
+    ]
     assert found[1].nonlinearity < 0.7 * found[0].nonlinearity
 
 
@@ -108,7 +123,9 @@ def test_fractional_coupling_lowers_the_threshold_of_self_trapping():
 def test_a_staggered_soliton_stands_still():
     found = soliton(DNLS(41, 1.0, -1.0, boundary="fixed"), 5.0)
     assert found.residual < 1e-12 and found.tail < 1e-6 and (found.psi[20] * found.psi[21]) < 0
-    with pytest.raises(ValueError, match=r"omega: expected a frequency outside of the band \[0, 3.99"):
+    with pytest.raises(
+        ValueError, match=r"omega: expected a frequency outside of the band \[0, 3.99"
+    ):
         soliton(DNLS(41), 1.0)
     with pytest.raises(ValueError, match="a site by itself"):
         soliton(DNLS(41), 5.0)
@@ -122,11 +139,15 @@ def test_solitons_stand_still_and_are_those_of_the_continuum():
         found = soliton(DNLS(61, 16.0, 2.0), -1.0, guess=guess)
         x = (np.arange(61) - 30 - 0.5 * (guess == "bond")) / 4
         np.testing.assert_allclose(found.psi, 1 / np.cosh(x), atol=0.1 * 0.25**2)
-    for equation, omega in ((DNLS(41, 1.0, 1.0, order=0.6), -2.0), (DNLS(41, 1.0, -1.0, boundary="fixed"), 5.0)):
+    for equation, omega in (
+        (DNLS(41, 1.0, 1.0, order=0.6), -2.0),
+        (DNLS(41, 1.0, -1.0, boundary="fixed"), 5.0),
+    ):
         found = soliton(equation, omega)
         assert found.residual < 1e-12 and found.tail < 0.05
         run = evolve(equation, found.psi, 5.0)
         np.testing.assert_allclose(run.final, found.psi * np.exp(-5j * omega), atol=1e-9)
+
     def norm_at(s):
         return soliton(DNLS(41, 1.0, 1.0, order=s), -2.0, guess=start).norm
 
@@ -179,8 +200,12 @@ def test_the_electrical_lattice_s_envelope():
     def error(small):
         psi = np.sqrt(small) * np.exp(-((k - 8) ** 2) / 8) * (1 + 0.3j)
         b, L1 = 1.0, L2 / small
-        equation = electrical(sites, inductance=L1, ground=L2, capacitance=C, nonlinearity=b, order=0.5)
-        matrix = np.asarray(jax.vmap(equation.laplacian, in_axes=1, out_axes=1)(jnp.eye(sites)).real)
+        equation = electrical(
+            sites, inductance=L1, ground=L2, capacitance=C, nonlinearity=b, order=0.5
+        )
+        matrix = np.asarray(
+            jax.vmap(equation.laplacian, in_axes=1, out_axes=1)(jnp.eye(sites)).real
+        )
 
         def slope(t, y):
             U, dQ = y[:sites], y[sites:]
@@ -190,7 +215,9 @@ def test_the_electrical_lattice_s_envelope():
         U = 2 * psi.real
         rate = 2 * (-1j * omega0 * psi + field(0.0, jnp.asarray(psi), equation)).real
         start = np.concatenate([U, rate * C * (1 + 3 * b * U**2)])
-        exact = solve_ivp(slope, (0, t1), start, method="DOP853", rtol=1e-9, atol=1e-11).y[:sites, -1]
+        exact = solve_ivp(slope, (0, t1), start, method="DOP853", rtol=1e-9, atol=1e-11).y[
+            :sites, -1
+        ]
         end = 2 * (evolve(equation, psi, t1).final * np.exp(-1j * omega0 * t1)).real
         return np.max(np.abs(end - exact)) / np.sqrt(small)
 
@@ -236,14 +263,20 @@ def test_refusals():
         (lambda: DNLS(N, order=0.0), r"order: expected numbers in \(0, 1\]"),
         (lambda: DNLS(2), "dimer is two sites"),
         (lambda: DNLS(N, order=0.5, kernel=np.ones(2)), "kernel: expected a kernel, or an order"),
-        (lambda: DNLS(N, potential=np.ones(4)), r"potential: .*\(9,\)"), (lambda: DpS(N, exponent=1.0), "exponent"),
+        (lambda: DNLS(N, potential=np.ones(4)), r"potential: .*\(9,\)"),
+        (lambda: DpS(N, exponent=1.0), "exponent"),
         (lambda: evolve(ring, np.ones(4), 1.0), r"psi: expected shape \(9,\)"),
         (lambda: evolve(lanes, np.ones(N), 1.0), "psi: .*lanes"),
         (lambda: evolve(ring, np.ones(N), 0.0), "t1"),
         (lambda: evolve(DpS(N), PSI, 1.0, solver=SplitStep()), "solver: .*DpS"),
         (lambda: gx.Flow(5, field=field)(PSI, 0.0, 1.0, ring), "solver: .*SplitStep"),
         (lambda: gx.Flow(5, SplitStep(), field).derivative(PSI, 0.0, 1.0, ring), "complex"),
-        (lambda: first_order.self_trapping(lambda c: DNLS(2, 1.0, c, boundary="fixed"), 5.0, 6.0, 9.0), "low"),
+        (
+            lambda: first_order.self_trapping(
+                lambda c: DNLS(2, 1.0, c, boundary="fixed"), 5.0, 6.0, 9.0
+            ),
+            "low",
+        ),
     ):
         with pytest.raises(ValueError, match=words):
             make()

@@ -32,8 +32,12 @@ class Study(NamedTuple):
 
 
 def script():
-    chain = gx.scenes.beads(["aluminium 6061-T6", "steel 316"] * 3 + ["aluminium 6061-T6"], RADIUS, LOAD,
-                            boundary="free")
+    chain = gx.scenes.beads(
+        ["aluminium 6061-T6", "steel 316"] * 3 + ["aluminium 6061-T6"],
+        RADIUS,
+        LOAD,
+        boundary="free",
+    )
     waves = gx.linear.dispersion(chain, WAVES)
     (gap,) = gx.linear.bands(chain).gaps
     family = gx.breathers.family(chain, until=0.99 * gap[1])
@@ -77,7 +81,9 @@ def test_a_new_user_s_script_in_si(si):
     ((low, high),) = si.sweep.hysteresis
     folds = sorted(x.p for x in si.branch.bifurcations)
     assert low < folds[1] and high > folds[0] and si.sweep.up.multiple.all()
-    diagram = gx.plots.hysteresis(si.sweep, orbits=si.branch, x_label="frequency (Hz)", y_label="velocity (m/s)")
+    diagram = gx.plots.hysteresis(
+        si.sweep, orbits=si.branch, x_label="frequency (Hz)", y_label="velocity (m/s)"
+    )
     assert "orbit, unstable" in [line.get_label() for line in diagram.lines]
     for ax in (diagram, gx.plots.branch(si.family)[0]):
         plt.close(ax.figure)

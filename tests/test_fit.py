@@ -20,7 +20,9 @@ TRUTH = {"stiffness": 1.0, "exponent": 1.5, "damping": 0.05, "precompression": 1
 START = {"stiffness": 1.15, "exponent": 1.4, "damping": 0.03, "precompression": 0.85}
 
 
-def scipy_motion(times, velocity, sites=N, stiffness=1.0, exponent=1.5, damping=0.05, precompression=1.0):
+def scipy_motion(
+    times, velocity, sites=N, stiffness=1.0, exponent=1.5, damping=0.05, precompression=1.0
+):
     """(u, v) of a chain between walls after an impact, by DOP853."""
     d0 = (precompression / stiffness) ** (1 / exponent)
 
@@ -32,7 +34,9 @@ def scipy_motion(times, velocity, sites=N, stiffness=1.0, exponent=1.5, damping=
 
     start = np.zeros(2 * sites)
     start[sites] = velocity
-    y = solve_ivp(rate, (0, times[-1]), start, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times).y
+    y = solve_ivp(
+        rate, (0, times[-1]), start, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times
+    ).y
     return y[:sites].T, y[sites:].T
 
 
@@ -65,13 +69,17 @@ def traced(velocities, seed):
 
 
 @pytest.mark.study
-def test_each_parameter_is_within_two_deviations_in_most_of_many_draws(velocities, draws=100, least=88, most=99):
+def test_each_parameter_is_within_two_deviations_in_most_of_many_draws(
+    velocities, draws=100, least=88, most=99
+):
     inside = {name: 0 for name in TRUTH}
     for seed in range(draws):
         fit = gx.fit(scene, START, traced(velocities, seed), state=struck)
         assert fit.converged and not fit.undetermined
         for name, true in TRUTH.items():
-            inside[name] += abs(float(fit.parameters[name]) - true) < 2 * float(fit.deviations[name])
+            inside[name] += abs(float(fit.parameters[name]) - true) < 2 * float(
+                fit.deviations[name]
+            )
     assert all(least <= count <= most for count in inside.values()), inside
 
 
@@ -94,18 +102,34 @@ def test_a_fit_of_noisy_traces(velocities, tmp_path):
     assert kept.data_0.attrs == {"units": "scaled", "si_units": "m/s"}
     assert kept.parameter.values.tolist() == list(START) and kept.attrs["outcome"] == fit.outcome
     assert kept.signal_0.dims == kept.data_0.dims == ("time_0", "sensor_0")
-    assert kept.attrs["deviations_damping"] == fit.deviations["damping"] and "stiffness" in repr(fit).splitlines()[0]
+    assert (
+        kept.attrs["deviations_damping"] == fit.deviations["damping"]
+        and "stiffness" in repr(fit).splitlines()[0]
+    )
 
 
 @pytest.mark.study
 def test_small_strains_determine_the_linear_stiffness_alone():
     data, sigma = noisy(scipy_motion(TIMES, 1e-3)[1][:, SITES], 0)
-    fit = gx.fit(scene, START, gx.Traces(TIMES, velocity=data, sites=SITES, sigma=sigma), state=tapped, throw=False)
+    fit = gx.fit(
+        scene,
+        START,
+        gx.Traces(TIMES, velocity=data, sites=SITES, sigma=sigma),
+        state=tapped,
+        throw=False,
+    )
     said = " ".join(fit.undetermined)
     assert "A p d0^(p-1)" in said
-    assert all(name in said for name in ("stiffness", "exponent", "precompression")) and "damping" not in said
+    assert (
+        all(name in said for name in ("stiffness", "exponent", "precompression"))
+        and "damping" not in said
+    )
     p = {name: float(x) for name, x in fit.parameters.items()}
-    linear = p["exponent"] * p["stiffness"] ** (1 / p["exponent"]) * p["precompression"] ** (1 - 1 / p["exponent"])
+    linear = (
+        p["exponent"]
+        * p["stiffness"] ** (1 / p["exponent"])
+        * p["precompression"] ** (1 - 1 / p["exponent"])
+    )
     assert linear == pytest.approx(1.5, rel=1e-3)
     assert "A p d0" in fit.outcome
 
@@ -137,14 +161,36 @@ def kicked(p, chain):
 
 # u -> lambda u: the start, what is measured there (SciPy), and what no trace of a sensor without a gain tells apart
 SCALINGS = {
-    "Hertz": (power, {"A": 1.3, "F0": 0.8, "v": 0.5, "gain": 1.2}, lambda e: (1 + e) ** 1.5 - 1,
-              ["A^0.50 F0^-1.00 v^-1.00 gain"]),
-    "another power": (quintic, {"A": 0.9, "F0": 1.2, "v": 0.35, "gain": 0.9}, lambda e: (1 + e) ** 2.5 - 1,
-                      ["A F0^-0.67 v^-0.67 gain^0.67"]),
-    "magnets": (magnets, {"A": 1.1, "F0": 0.9, "v": 0.3, "gain": 1.3}, lambda e: (1 - e) ** -4.0 - 1,
-                ["A F0^0.20 v^0.20 gain^-0.20"]),
-    "FPUT": (quadratic, {"alpha": 0.4, "v": 0.6, "gain": 0.7}, lambda e: e + 0.6 * e * e, ["alpha v^-1.00 gain"]),
-    "two at once": (linear, {"K": 1.4, "m": 1.2, "v": 0.2, "gain": 1.5}, lambda e: e, ["K m", "v gain^-1.00"]),
+    "Hertz": (
+        power,
+        {"A": 1.3, "F0": 0.8, "v": 0.5, "gain": 1.2},
+        lambda e: (1 + e) ** 1.5 - 1,
+        ["A^0.50 F0^-1.00 v^-1.00 gain"],
+    ),
+    "another power": (
+        quintic,
+        {"A": 0.9, "F0": 1.2, "v": 0.35, "gain": 0.9},
+        lambda e: (1 + e) ** 2.5 - 1,
+        ["A F0^-0.67 v^-0.67 gain^0.67"],
+    ),
+    "magnets": (
+        magnets,
+        {"A": 1.1, "F0": 0.9, "v": 0.3, "gain": 1.3},
+        lambda e: (1 - e) ** -4.0 - 1,
+        ["A F0^0.20 v^0.20 gain^-0.20"],
+    ),
+    "FPUT": (
+        quadratic,
+        {"alpha": 0.4, "v": 0.6, "gain": 0.7},
+        lambda e: e + 0.6 * e * e,
+        ["alpha v^-1.00 gain"],
+    ),
+    "two at once": (
+        linear,
+        {"K": 1.4, "m": 1.2, "v": 0.2, "gain": 1.5},
+        lambda e: e,
+        ["K m", "v gain^-1.00"],
+    ),
 }
 
 
@@ -162,7 +208,9 @@ def test_exponents_of_what_is_not_determined_are_those_of_a_scaling(case):
     struck_at = np.zeros(2 * sites)
     struck_at[sites] = 0.4
     y = solve_ivp(rate, (0, 12.0), struck_at, "DOP853", times, rtol=1e-10, atol=1e-12).y
-    traces = gx.Traces(times, velocity=y[[sites + 1, sites + 3]].T, sites=[1, 3], sigma=1e-3, gain="gain")
+    traces = gx.Traces(
+        times, velocity=y[[sites + 1, sites + 3]].T, sites=[1, 3], sigma=1e-3, gain="gain"
+    )
     fit = gx.fit(make, start, traces, state=kicked)
     assert fit.reduced_chi_square < 1e-2
     # the start was not the truth, and the search ends elsewhere on the line
@@ -178,11 +226,21 @@ def test_a_parameter_that_is_zero_is_determined():
     times = np.linspace(0.1, 12.0, 60)
     omega = 2 * np.sin(np.arange(1, 6) * np.pi / 12)
     shapes = np.sin(np.pi / 6 * np.outer(np.arange(1, 6), np.arange(1, 6)))
-    clean = 0.4 / 3 * np.einsum("kt,k,ks->ts", np.cos(np.outer(omega, times)), shapes[:, 0], shapes)[:, [1, 3]]
+    clean = (
+        0.4
+        / 3
+        * np.einsum("kt,k,ks->ts", np.cos(np.outer(omega, times)), shapes[:, 0], shapes)[:, [1, 3]]
+    )
     data, sigma = noisy(clean, 3)
-    fit = gx.fit(quadratic, {"alpha": 0.3, "v": 0.5}, gx.Traces(times, velocity=data, sites=[1, 3], sigma=sigma),
-                 state=kicked)
-    assert abs(fit.parameters["alpha"]) < 4 * fit.deviations["alpha"] < 0.02 and not fit.undetermined
+    fit = gx.fit(
+        quadratic,
+        {"alpha": 0.3, "v": 0.5},
+        gx.Traces(times, velocity=data, sites=[1, 3], sigma=sigma),
+        state=kicked,
+    )
+    assert (
+        abs(fit.parameters["alpha"]) < 4 * fit.deviations["alpha"] < 0.02 and not fit.undetermined
+    )
 
 
 @pytest.mark.slow
@@ -192,7 +250,9 @@ def test_a_residue_beyond_noise_is_said():
     clean = scipy_motion(times, 0.6, 6, damping=0.0)[1][:, sites]
     law = lambda p: gx.Polynomial(p["K2"], p["K3"])
     chain = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), law(p)), sites=6)
-    contacts = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(p["A"], 1.0)), sites=6)
+    contacts = lambda p: gx.Lattice(
+        1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(p["A"], 1.0)), sites=6
+    )
     state = gx.states.impact(chain({"K2": 1.5, "K3": 0.3}), 0.6)
     for size, sigma in ((0.0, None), (1e-4, None), (1e-4, 1e-4)):
         data = clean + size * np.random.default_rng(2).normal(size=clean.shape)
@@ -226,12 +286,21 @@ def test_several_kinds_with_gain_offset_and_unknown_impact(short):
     fine = scipy_motion(late + 1.3, 0.4, sites=6)
     force = np.stack([gx.measures.contact_force(chain, (u, v)) for u, v in zip(*fine)])[:, [1, 4]]
     traces = [
-        gx.Traces(late, displacement=2.5 * fine[0][:, [2]], sites=2, sigma=1e-3, gain="gain", offset="offset"),
+        gx.Traces(
+            late,
+            displacement=2.5 * fine[0][:, [2]],
+            sites=2,
+            sigma=1e-3,
+            gain="gain",
+            offset="offset",
+        ),
         gx.Traces(late, force=force, contacts=[1, 4], sigma=1e-3, offset="offset"),
         gx.Traces(late, velocity=fine[1][:, [-1]], sites=[-1], sigma=1e-3, offset="offset"),
     ]
     start = {"stiffness": 1.1, "velocity": 0.35, "gain": 2.0, "offset": 1.0}
-    fit = gx.fit(spring, start, traces, state=flicked, bounds={"stiffness": (0, None), "gain": (1.0, 4.0)})
+    fit = gx.fit(
+        spring, start, traces, state=flicked, bounds={"stiffness": (0, None), "gain": (1.0, 4.0)}
+    )
     for name, true in {"stiffness": 1.0, "velocity": 0.4, "gain": 2.5, "offset": 1.3}.items():
         assert float(fit.parameters[name]) == pytest.approx(true, rel=2e-5)
 
@@ -261,7 +330,13 @@ def test_several_starts_and_an_unknown_noise(short):
     times, _, v = short
     data, sigma = noisy(v[:, [1, 4]], 3)
     traces = gx.Traces(times, velocity=data, sites=[1, 4])
-    fit = gx.fit(spring, {"stiffness": 1.0}, traces, state=gx.states.impact(spring({"stiffness": 1.0}), 0.4), starts=4)
+    fit = gx.fit(
+        spring,
+        {"stiffness": 1.0},
+        traces,
+        state=gx.states.impact(spring({"stiffness": 1.0}), 0.4),
+        starts=4,
+    )
     assert len(fit.starts) == 4 and "4 of 4 starts" in fit.outcome
     assert fit.noise == pytest.approx(sigma, rel=0.1)
     assert abs(float(fit.parameters["stiffness"]) - 1) < 3 * float(fit.deviations["stiffness"])
@@ -279,7 +354,14 @@ def test_an_offset_that_grows_and_a_bound_that_holds(short):
     assert float(fit.parameters["stiffness"]) == pytest.approx(1.0, rel=1e-5)
     traces = gx.Traces(times, velocity=v[:, [1]], sites=1, sigma=1e-3)
     for bounds in ((0.5, 0.9), (None, 0.9)):
-        held = gx.fit(spring, {"stiffness": 0.8}, traces, state=state, bounds={"stiffness": bounds}, throw=False)
+        held = gx.fit(
+            spring,
+            {"stiffness": 0.8},
+            traces,
+            state=state,
+            bounds={"stiffness": bounds},
+            throw=False,
+        )
         assert "At its bound" in held.outcome and float(held.parameters["stiffness"]) <= 0.9
 
 
@@ -303,12 +385,16 @@ def test_the_edge_of_what_is_finite_is_no_minimum(capsys):
 @pytest.mark.slow
 def test_another_minimum_than_the_one_sought_says_so():
     """A cosine beside one of another frequency explains none of it; where noise is most of the trace none does."""
-    scene = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(p["stiffness"])), sites=2)
+    scene = lambda p: gx.Lattice(
+        1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(p["stiffness"])), sites=2
+    )
     state = gx.State(np.ones(2), np.zeros(2))
     times, noise = np.linspace(0, 60, 121), np.random.default_rng(0).normal(size=121)
 
     def outcome(start, deviation, sigma):
-        traces = gx.Traces(times, displacement=np.cos(1.2**0.5 * times) + deviation * noise, sites=0, sigma=sigma)
+        traces = gx.Traces(
+            times, displacement=np.cos(1.2**0.5 * times) + deviation * noise, sites=0, sigma=sigma
+        )
         return gx.fit(scene, {"stiffness": start}, traces, state=state, throw=False).outcome
 
     assert "unless noise" in outcome(3.0, 0.01, None)
@@ -361,17 +447,39 @@ def test_what_cannot_be_meant_is_refused(short):
 
     refused("bounds: expected one of 'stiffness'", bounds={"stifness": (0, None)})
     refused("stiffness: expected a start above its bound", bounds={"stiffness": (2.0, None)})
-    refused("sites: expected indices within", traces=gx.Traces(times, velocity=v[:, [1]], sites=6, sigma=0.01))
-    refused("offset: expected one of", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, offset="delay"))
-    refused("times: expected samples from t0", traces=gx.Traces(times - 1, velocity=v[:, [1]], sites=1))
-    refused("sigma: expected one for each", traces=[good, gx.Traces(times, velocity=v[:, [1]], sites=1)])
+    refused(
+        "sites: expected indices within",
+        traces=gx.Traces(times, velocity=v[:, [1]], sites=6, sigma=0.01),
+    )
+    refused(
+        "offset: expected one of",
+        traces=gx.Traces(times, velocity=v[:, [1]], sites=1, offset="delay"),
+    )
+    refused(
+        "times: expected samples from t0", traces=gx.Traces(times - 1, velocity=v[:, [1]], sites=1)
+    )
+    refused(
+        "sigma: expected one for each", traces=[good, gx.Traces(times, velocity=v[:, [1]], sites=1)]
+    )
     refused("windows: expected", windows=100)
-    refused("gain: expected one number", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, gain="gain"),
-            start={"stiffness": 1.0, "gain": np.ones(2)})
-    refused("field: expected None", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, field="bead"))
-    refused("sigma: expected a number for windows", traces=gx.Traces(times, velocity=v[:, [1]], sites=1), windows=3)
+    refused(
+        "gain: expected one number",
+        traces=gx.Traces(times, velocity=v[:, [1]], sites=1, gain="gain"),
+        start={"stiffness": 1.0, "gain": np.ones(2)},
+    )
+    refused(
+        "field: expected None", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, field="bead")
+    )
+    refused(
+        "sigma: expected a number for windows",
+        traces=gx.Traces(times, velocity=v[:, [1]], sites=1),
+        windows=3,
+    )
     assert gx.Traces(times, velocity=v[:, [1, 2]], sites=np.array([1, 2])).places == ((1,), (2,))
-    assert gx.Traces(times, velocity=v[:, [1, 2]], sites=((0, 1), (2, 3))).places == ((0, 1), (2, 3))
+    assert gx.Traces(times, velocity=v[:, [1, 2]], sites=((0, 1), (2, 3))).places == (
+        (0, 1),
+        (2, 3),
+    )
     with pytest.raises(ValueError, match="velocity: expected shape"):
         gx.Traces(times, velocity=v, sites=[1])
     with pytest.raises(ValueError, match="rising times"):
@@ -403,7 +511,9 @@ def test_a_tolerance_that_every_start_meets_is_refused(tolerance):
 def test_a_record_in_another_unit_of_time_is_refused_at_once(factor):
     traces = gx.Traces(factor * TIMES, velocity=np.ones((400, 1)), sites=[2], sigma=1.0)
     for state in (struck, tapped):
-        with pytest.raises(ValueError, match="traces: expected times in the lattice's unit of time"):
+        with pytest.raises(
+            ValueError, match="traces: expected times in the lattice's unit of time"
+        ):
             gx.fit(scene, START, traces, state=state)
     # without a precompression from its energy
     sonic = lambda p: gx.scenes.monomer(N, stiffness=p["stiffness"]).counted_in("SI")
@@ -426,10 +536,16 @@ def read(tmp_path, **keywords):
 
 
 def test_columns_of_a_table_are_read_in_si(tmp_path):
-    traces = read(tmp_path, velocity=["Bead 3", "Bead 7"], sites=[3, 7], units={"Bead 7": 0.025}, sigma=1e-3)
+    traces = read(
+        tmp_path, velocity=["Bead 3", "Bead 7"], sites=[3, 7], units={"Bead 7": 0.025}, sigma=1e-3
+    )
     np.testing.assert_allclose(traces.times, [0, 5e-6, 15e-6], rtol=1e-15)
-    np.testing.assert_allclose(traces.data, [[0, 0.0025], [0.02, 0.0075], [0.06, -0.005]], rtol=1e-15)
-    assert traces.kind == "velocity" and traces.places == ((3,), (7,)) and float(traces.sigma) == 1e-3
+    np.testing.assert_allclose(
+        traces.data, [[0, 0.0025], [0.02, 0.0075], [0.06, -0.005]], rtol=1e-15
+    )
+    assert (
+        traces.kind == "velocity" and traces.places == ((3,), (7,)) and float(traces.sigma) == 1e-3
+    )
     force = read(tmp_path, time=0, force=3, contacts=0, units={3: "kN"}, offset="delay")
     np.testing.assert_array_equal(force.data[:, 0], [1e3, np.nan, 3e3])
     assert force.offset == "delay" and float(force.weights[1, 0]) == 0.0
@@ -438,13 +554,25 @@ def test_columns_of_a_table_are_read_in_si(tmp_path):
     np.testing.assert_array_equal(moved.times, [0, 10, 30])
 
 
-@pytest.mark.parametrize("keywords, said", [
-    ({"velocity": "Bead 7"}, r"the unit of 'Bead 7 \[V\]': m/s, mm/s, um/s, or its size in m/s, got 'V'"),
-    ({"velocity": "Load"}, "got None. Give units={'Load': 'm/s'}"),
-    ({"velocity": "Bead 33"}, r"velocity: expected one of .*Did you mean 'Bead 3 \[mm/s\]'"),
-    ({"velocity": "Bead 3", "units": {"bead 3": "m/s"}}, "units: expected columns that are read"),
-    ({"velocity": "Bead 3", "force": "Load", "units": {"Load": "N"}}, "data: expected one of velocity="),
-])
+@pytest.mark.parametrize(
+    "keywords, said",
+    [
+        (
+            {"velocity": "Bead 7"},
+            r"the unit of 'Bead 7 \[V\]': m/s, mm/s, um/s, or its size in m/s, got 'V'",
+        ),
+        ({"velocity": "Load"}, "got None. Give units={'Load': 'm/s'}"),
+        ({"velocity": "Bead 33"}, r"velocity: expected one of .*Did you mean 'Bead 3 \[mm/s\]'"),
+        (
+            {"velocity": "Bead 3", "units": {"bead 3": "m/s"}},
+            "units: expected columns that are read",
+        ),
+        (
+            {"velocity": "Bead 3", "force": "Load", "units": {"Load": "N"}},
+            "data: expected one of velocity=",
+        ),
+    ],
+)
 def test_a_column_that_is_not_understood_is_refused(keywords, said, tmp_path):
     with pytest.raises(ValueError, match=said):
         read(tmp_path, sites=0, **keywords)
@@ -454,7 +582,9 @@ def test_text_among_numbers_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text("Time (s),v [m/s]\n0,0\n1,over\n2,1\n")
     with pytest.raises(ValueError, match="'v .m/s.', which holds text"):
         gx.Traces.from_csv(tmp_path / "a.csv", velocity="v", sites=0)
-    traces = gx.Traces.from_csv(tmp_path / "a.csv", velocity="v", sites=0, read={"na_values": ["over"]})
+    traces = gx.Traces.from_csv(
+        tmp_path / "a.csv", velocity="v", sites=0, read={"na_values": ["over"]}
+    )
     np.testing.assert_array_equal(traces.data[:, 0], [0, np.nan, 1])
 
 
@@ -464,5 +594,7 @@ def test_dates_and_time_differences_are_seconds(tmp_path):
         traces = gx.Traces(times, velocity=np.zeros(3), sites=0)
         np.testing.assert_allclose(traces.times, [0, 2.5e-4, 5e-4], rtol=1e-12)
     (tmp_path / "a.csv").write_text("when,v [m/s]\n2026-01-01 12:00:00,0\n2026-01-01 12:00:02,1\n")
-    traces = gx.Traces.from_csv(tmp_path / "a.csv", time="when", velocity="v", sites=0, read={"parse_dates": ["when"]})
+    traces = gx.Traces.from_csv(
+        tmp_path / "a.csv", time="when", velocity="v", sites=0, read={"parse_dates": ["when"]}
+    )
     assert traces.times.tolist() == [0.0, 2.0]

@@ -10,7 +10,14 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve, linear_sum_assignment
 
 import granjax as gx
-from granjax.floquet import decide, floquet, leading, multipliers, product_multipliers, reversible_multipliers
+from granjax.floquet import (
+    decide,
+    floquet,
+    leading,
+    multipliers,
+    product_multipliers,
+    reversible_multipliers,
+)
 from granjax.forced import forced_orbit
 from granjax.orbits.structure import weights
 
@@ -66,8 +73,11 @@ LONG = 32.0
 
 def inverted(sites, coupling=0.2):
     """Coupled pendula on their heads, linear bonds: exponents +-sqrt(1 - kappa_j), kappa_j those of the bonds."""
-    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Linear(coupling)), gx.OnSite(gx.Sine(1.0, 1.0))),
-                       sites=sites)
+    chain = gx.Lattice(
+        1.0,
+        (gx.Bond(gx.Shift(1, "free"), gx.Linear(coupling)), gx.OnSite(gx.Sine(1.0, 1.0))),
+        sites=sites,
+    )
     kappa = 2 * coupling * (1 - np.cos(np.pi * np.arange(sites) / sites))
     return chain, gx.State(jnp.full(sites, jnp.pi), jnp.zeros(sites)), np.sqrt(1 - kappa)
 
@@ -141,7 +151,10 @@ N, HEAVY = 13, 2.957949
 @pytest.fixture(scope="module")
 def dimers():
     """A family of breathers with free ends: contacts open from amplitude 0.8 on."""
-    chain = gx.Lattice(np.where(np.arange(N) % 2 == 0, 1.0, HEAVY), (gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 1.0)),))
+    chain = gx.Lattice(
+        np.where(np.arange(N) % 2 == 0, 1.0, HEAVY),
+        (gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 1.0)),),
+    )
     return gx.breathers.family(chain, until=0.97 * 3**0.5, stability=False)
 
 
@@ -206,8 +219,15 @@ def test_half_a_period_gives_the_multipliers_of_the_whole(dimers, amplitude):
     b = nearest(dimers, amplitude)
     fl, scale = b.floquet(), np.concatenate([np.ones(N), np.asarray(b.lattice.mass)])
     fine, coarse = (
-        np.asarray(gx.Flow(jnp.asarray(k), gx.KahanLi8()).derivative(b.state, 0.0, float(b.period) / 2, b.lattice)[1])
-        * scale[:, None] / scale for k in (64, 32))
+        np.asarray(
+            gx.Flow(jnp.asarray(k), gx.KahanLi8()).derivative(
+                b.state, 0.0, float(b.period) / 2, b.lattice
+            )[1]
+        )
+        * scale[:, None]
+        / scale
+        for k in (64, 32)
+    )
     traces, rho, error = reversible_multipliers(fine, coarse)
     away = np.abs(rho - 1) > 1e-4
     assert away.sum() == 2 * N - 4
@@ -247,9 +267,13 @@ def test_any_vector_field_has_multipliers():
 
 
 def test_lanes_are_not_taken_for_one_lattice():
-    lanes = jax.vmap(lambda r: gx.scenes.dimer(4, r, precompression=1.0), out_axes=-1)(jnp.array([0.4, 0.7]))
+    lanes = jax.vmap(lambda r: gx.scenes.dimer(4, r, precompression=1.0), out_axes=-1)(
+        jnp.array([0.4, 0.7])
+    )
     for ask in (floquet, leading):
-        with pytest.raises(ValueError, match="lattice: expected one Lattice, got a batch with lanes"):
+        with pytest.raises(
+            ValueError, match="lattice: expected one Lattice, got a batch with lanes"
+        ):
             ask(lanes, rest(lanes), 1.0)
 
 
@@ -263,10 +287,17 @@ def test_where_a_free_lattice_stands_does_not_tell_whether_its_state_returns():
 
 def test_a_state_that_is_no_orbit_is_refused(dimers):
     b = nearest(dimers, 0.25)
-    with pytest.raises(ValueError, match="state: expected one that returns after the period, got a gap of"):
+    with pytest.raises(
+        ValueError, match="state: expected one that returns after the period, got a gap of"
+    ):
         floquet(b.lattice, b.state, 1.1 * float(b.period))
     with pytest.raises(ValueError, match="state: expected one that returns"):
-        floquet(gx.Flow(400, diffrax.Dopri8(), hopf), jnp.array([0.4, 0.0]), 2 * np.pi, args=jnp.asarray(0.1))
+        floquet(
+            gx.Flow(400, diffrax.Dopri8(), hopf),
+            jnp.array([0.4, 0.0]),
+            2 * np.pi,
+            args=jnp.asarray(0.1),
+        )
     with pytest.raises(ValueError, match="state: expected one that returns"):
         leading(b.lattice, b.state, 1.1 * float(b.period), 1)
     # not quite an orbit: the multipliers are those of an orbit near by, within errors that say so
@@ -279,24 +310,38 @@ def test_a_state_that_is_no_orbit_is_refused(dimers):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", [
-    "forced_opening", "forced_branch", pytest.param("hard_pair", marks=pytest.mark.slow),
-    pytest.param("forced_branch_upper", marks=pytest.mark.slow), pytest.param("defect", marks=pytest.mark.slow),
-    pytest.param("family", marks=pytest.mark.slow), pytest.param("light_centred", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "forced_opening",
+        "forced_branch",
+        pytest.param("hard_pair", marks=pytest.mark.slow),
+        pytest.param("forced_branch_upper", marks=pytest.mark.slow),
+        pytest.param("defect", marks=pytest.mark.slow),
+        pytest.param("family", marks=pytest.mark.slow),
+        pytest.param("light_centred", marks=pytest.mark.slow),
+    ],
+)
 def test_errors_cover_multipliers_of_dop853(name):
     known, period = reference(name), 2 * np.pi / reference(name).omega
     rng = np.random.default_rng(0)
     for steps, off in ((None, 0.0), (64, 0.0), (64, 1e-4)):
-        u, v = (x + off * np.abs(known.u).max() * rng.normal(size=len(x)) for x in (known.u, known.v))
+        u, v = (
+            x + off * np.abs(known.u).max() * rng.normal(size=len(x)) for x in (known.u, known.v)
+        )
         fl = floquet(known.lattice, gx.State(u, v), period, steps=steps)
-        assert np.all(apart(fl.multipliers, known.multipliers) <= fl.error + known.multiplier_errors.max())
+        assert np.all(
+            apart(fl.multipliers, known.multipliers) <= fl.error + known.multiplier_errors.max()
+        )
     # nor are they beyond belief
     assert np.median(floquet(known.lattice, gx.State(known.u, known.v), period).error) < 1e-4
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name, steps", [
-    ("forced_opening", 24), ("defect", 40), ("light_centred", 48), ("light_centred", None)])
+@pytest.mark.parametrize(
+    "name, steps",
+    [("forced_opening", 24), ("defect", 40), ("light_centred", 48), ("light_centred", None)],
+)
 def test_multipliers_of_an_orbit_from_few_steps_know_that_it_is_off(name, steps):
     known = reference(name)
     guess, period = gx.State(jnp.asarray(known.u), jnp.asarray(known.v)), 2 * np.pi / known.omega
@@ -314,18 +359,28 @@ def test_multipliers_of_an_orbit_from_few_steps_know_that_it_is_off(name, steps)
 
 def shaken(force, omega, damping, steps=64):
     """The orbit to which four beads between walls settle, the first of them driven."""
-    drive, rate = gx.Drive(gx.Harmonic(jnp.asarray(force), jnp.asarray(omega)), 0), jnp.asarray(damping)
-    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), gx.Damping(rate), drive), sites=4)
+    drive, rate = (
+        gx.Drive(gx.Harmonic(jnp.asarray(force), jnp.asarray(omega)), 0),
+        jnp.asarray(damping),
+    )
+    chain = gx.Lattice(
+        1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), gx.Damping(rate), drive), sites=4
+    )
     return forced_orbit(chain, 2 * np.pi / omega, transient=60, steps=steps)
 
 
 def least_overlap(orbit):
-    return min(float(gx.measures.overlap(orbit.lattice, gx.State(u, 0 * u)).min()) for u in orbit.run(64).us)
+    return min(
+        float(gx.measures.overlap(orbit.lattice, gx.State(u, 0 * u)).min())
+        for u in orbit.run(64).us
+    )
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("force, omega, damping, opens, modulus", [
-    (0.3, 1.5, 0.2, False, 0.7086), (1.5, 1.5, 0.2, True, 0.8306), (2.0, 1.2, 0.1, True, 1.0343)])
+@pytest.mark.parametrize(
+    "force, omega, damping, opens, modulus",
+    [(0.3, 1.5, 0.2, False, 0.7086), (1.5, 1.5, 0.2, True, 0.8306), (2.0, 1.2, 0.1, True, 1.0343)],
+)
 def test_multipliers_of_a_damped_driven_orbit(force, omega, damping, opens, modulus):
     orbit = shaken(force, omega, damping, 256)
     assert (least_overlap(orbit) < -0.5) == opens
@@ -347,12 +402,17 @@ def opened(dimers):
     """Orbits of three chains whose contacts open, multipliers at numbers of steps and at sixteen times as many."""
     walls = gx.scenes.dimer(5, ratio=0.5, precompression=1.0, boundary="fixed")
     family = gx.breathers.family(walls, amplitude=1.3, stability=False)
-    orbits = [nearest(dimers, a) for a in (0.86, 0.9, 0.93)] + [nearest(family, a) for a in (0.9, 1.25)]
+    orbits = [nearest(dimers, a) for a in (0.86, 0.9, 0.93)] + [
+        nearest(family, a) for a in (0.9, 1.25)
+    ]
     assert max(gx.measures.overlap(b.lattice, b.state).min() for b in orbits) < -0.01
     orbits += [shaken(1.5, 1.5, 0.2), shaken(2.0, 1.2, 0.1)]
     assert max(map(least_overlap, orbits[-2:])) < -0.5
-    return [(b.floquet(steps=steps), b.floquet(steps=16 * steps).multipliers, b.lattice.mass) for b in orbits
-            for steps in (32, 48, 64, 96, 128, 192, 256, 384)]
+    return [
+        (b.floquet(steps=steps), b.floquet(steps=16 * steps).multipliers, b.lattice.mass)
+        for b in orbits
+        for steps in (32, 48, 64, 96, 128, 192, 256, 384)
+    ]
 
 
 @pytest.mark.study
@@ -374,19 +434,22 @@ def test_the_error_covers_the_true_one_where_contacts_open(opened):
 # words --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rho, error, expected, conserves, verdict, words", [
-    ([1.1, 1 / 1.1], 1e-6, 0, True, "unstable", "A real multiplier of modulus 1.1 "),
-    ([-1.1, -1 / 1.1], 1e-6, 0, True, "unstable", "period doubling"),
-    ([1.1j, -1.1j], 1e-6, 0, True, "unstable", "A complex multiplier"),
-    ([1 + 1e-3, 1 - 1e-3], 2e-3, 0, True, "undecided", "smaller steps would tell"),
-    ([1 + 1e-3, 1 - 1e-3], 2e-5, 2, True, "stable", "2 multipliers at +1"),
-    ([1j, -1j, 1 + 1e-3, 1 - 1e-3], 1e-9, 2, True, "stable", "on the unit circle"),
-    ([1j, -1j, 1 + 1e-3, 1 - 1e-3], 1e-9, 0, True, "unstable", "A real multiplier"),
-    ([1j, -1j], 1e-3, 0, True, "undecided", "known to 1.0e-03"),
-    ([0.9, 0.5], 1e-3, 0, False, "stable", "inside the unit circle, by 9.9e-02"),
-    ([0.9999, 0.5], 1e-3, 0, False, "undecided", "smaller steps"),
-    ([1.0, 0.5], 1e-3, 1, False, "stable", "inside"),
-])
+@pytest.mark.parametrize(
+    "rho, error, expected, conserves, verdict, words",
+    [
+        ([1.1, 1 / 1.1], 1e-6, 0, True, "unstable", "A real multiplier of modulus 1.1 "),
+        ([-1.1, -1 / 1.1], 1e-6, 0, True, "unstable", "period doubling"),
+        ([1.1j, -1.1j], 1e-6, 0, True, "unstable", "A complex multiplier"),
+        ([1 + 1e-3, 1 - 1e-3], 2e-3, 0, True, "undecided", "smaller steps would tell"),
+        ([1 + 1e-3, 1 - 1e-3], 2e-5, 2, True, "stable", "2 multipliers at +1"),
+        ([1j, -1j, 1 + 1e-3, 1 - 1e-3], 1e-9, 2, True, "stable", "on the unit circle"),
+        ([1j, -1j, 1 + 1e-3, 1 - 1e-3], 1e-9, 0, True, "unstable", "A real multiplier"),
+        ([1j, -1j], 1e-3, 0, True, "undecided", "known to 1.0e-03"),
+        ([0.9, 0.5], 1e-3, 0, False, "stable", "inside the unit circle, by 9.9e-02"),
+        ([0.9999, 0.5], 1e-3, 0, False, "undecided", "smaller steps"),
+        ([1.0, 0.5], 1e-3, 1, False, "stable", "inside"),
+    ],
+)
 def test_the_word_follows_from_the_error(rho, error, expected, conserves, verdict, words):
     rho = np.asarray(rho, complex)
     got, sentence = decide(rho, np.full(len(rho), error), expected, conserves)
@@ -404,7 +467,9 @@ def test_the_leading_multipliers_are_those_of_the_matrix():
     coarse = leading(chain, state, 3.0, 4, steps=8)
     off = np.abs(coarse.multipliers - np.exp(3.0 * growth[:4]))
     assert (off <= coarse.error).all() and (coarse.error <= 1e3 * off).all()
-    assert (np.abs(values - np.exp(3.0 * growth[:4])) <= error).all() and (error < coarse.error).all()
+    assert (np.abs(values - np.exp(3.0 * growth[:4])) <= error).all() and (
+        error < coarse.error
+    ).all()
     fl = floquet(chain, state, 3.0)
     np.testing.assert_allclose(values, fl.multipliers[:4], rtol=1e-8)
     np.testing.assert_allclose(values, np.exp(3.0 * growth[:4]), rtol=1e-8)
@@ -430,8 +495,14 @@ def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
     @jax.jit
     def largest(depth, stretch):
         wave = gx.Harmonic(depth, 2.0 / stretch, mean=1.0)
-        chain = gx.Lattice(1.0, (
-            gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3)), gx.Modulated(gx.OnSite(gx.Linear(1.0)), wave)), sites=3)
+        chain = gx.Lattice(
+            1.0,
+            (
+                gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3)),
+                gx.Modulated(gx.OnSite(gx.Linear(1.0)), wave),
+            ),
+            sites=3,
+        )
         rho = multipliers(flow, rest(chain), 0.0, jnp.pi * stretch, chain)
         return jnp.abs(rho[jnp.argmax(jnp.abs(rho))])
 
@@ -440,7 +511,9 @@ def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
     slopes = jax.jit(jax.jacfwd(largest, (0, 1)))(*at)
     h = 1e-4
     for i, slope in enumerate(slopes):
-        a, b, c, d = (largest(*(x + k * h * (i == j) for j, x in enumerate(at))) for k in (-2, -1, 1, 2))
+        a, b, c, d = (
+            largest(*(x + k * h * (i == j) for j, x in enumerate(at))) for k in (-2, -1, 1, 2)
+        )
         assert abs(slope - (a - 8 * b + 8 * c - d) / (12 * h)) < 1e-9 * abs(slope) + 1e-9
         assert abs(slope) > 0.1
 
@@ -462,15 +535,26 @@ OPENED = 0.5512  # the amplitude at which the contact opens by a hundredth of it
 
 def oscillator(amplitude, x, exponent):
     """(orbit, trace of M) of u'' + 0.1 u' + [1 + u]_+^p - 1 = F cos 0.9 t, by SciPy and its variational equations."""
+
     def field(t, y):
         s = max(1 + y[0], 0.0)
         a = 1 - s**exponent - RATE * y[1] + amplitude * np.cos(DRIVEN * t)
         M = y[2:].reshape(2, 2)
-        return np.concatenate([[y[1], a], M[1], -exponent * s ** (exponent - 1) * M[0] - RATE * M[1]])
+        return np.concatenate(
+            [[y[1], a], M[1], -exponent * s ** (exponent - 1) * M[0] - RATE * M[1]]
+        )
 
     period = 2 * np.pi / DRIVEN
     for _ in range(12):
-        y = solve_ivp(field, (0, period), np.append(x, np.eye(2)), "DOP853", rtol=1e-12, atol=1e-13, max_step=0.03).y
+        y = solve_ivp(
+            field,
+            (0, period),
+            np.append(x, np.eye(2)),
+            "DOP853",
+            rtol=1e-12,
+            atol=1e-13,
+            max_step=0.03,
+        ).y
         M = y[2:, -1].reshape(2, 2)
         change = np.linalg.solve(np.eye(2) - M, y[:2, -1] - x)
         x = x + change
@@ -492,8 +576,13 @@ def test_the_error_of_a_multipliers_derivative_covers_the_truth_where_a_contact_
         drives = [gx.Drive(gx.Harmonic(amplitude, DRIVEN), site) for site in (0, 1)]
         scene = gx.Lattice(1.0, (gx.OnSite(gx.Hertz(1.0, 1.0)), gx.Damping(RATE), *drives), sites=2)
         guess = gx.State(jnp.full(2, x[0]), jnp.full(2, x[1]))
-        found = gx.forced.forced_orbit(scene, period, guess, steps=steps, solver=gx.KahanLi8(), throw=False)
-        return jnp.sum(gx.floquet.multipliers(gx.Flow(steps), found.state, 0.0, period, scene)).real / 2
+        found = gx.forced.forced_orbit(
+            scene, period, guess, steps=steps, solver=gx.KahanLi8(), throw=False
+        )
+        return (
+            jnp.sum(gx.floquet.multipliers(gx.Flow(steps), found.state, 0.0, period, scene)).real
+            / 2
+        )
 
     errors = []
     for steps in (24, 48, 96, 192):
@@ -526,13 +615,17 @@ def test_a_breather_s_multiplier_has_a_derivative_with_an_error():
         def field(t, y):
             u, M = y[:5], y[10:].reshape(10, -1)
             a = -K @ u - u - u**3
-            return np.concatenate([y[5:10], a, M[5:].ravel(), (-(K + np.diag(1 + 3 * u**2)) @ M[:5]).ravel()])
+            return np.concatenate(
+                [y[5:10], a, M[5:].ravel(), (-(K + np.diag(1 + 3 * u**2)) @ M[:5]).ravel()]
+            )
 
         def end(x, time, tangents):
             start = np.concatenate([x, np.zeros(5), tangents.ravel()])
             return solve_ivp(field, (0, time), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
 
-        x = fsolve(lambda x: end(x, period / 2, np.zeros((10, 0)))[5:10], np.asarray(seed.u), xtol=1e-12)
+        x = fsolve(
+            lambda x: end(x, period / 2, np.zeros((10, 0)))[5:10], np.asarray(seed.u), xtol=1e-12
+        )
         return np.trace(end(x, period, np.eye(10))[10:].reshape(10, 10))
 
     found = gx.derivative(trace, 0.02, period / 64)

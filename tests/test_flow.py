@@ -85,7 +85,10 @@ def test_frames_of_an_adaptive_run_are_as_good_as_its_end(closed):
 @pytest.mark.slow
 def test_what_is_saved_at_every_step_stays_where_the_lattice_was_put(closed):
     chain, state = closed
-    for scene, stays in ((jax.device_put((chain, state), jax.devices()[0]), True), ((chain, state), False)):
+    for scene, stays in (
+        (jax.device_put((chain, state), jax.devices()[0]), True),
+        ((chain, state), False),
+    ):
         run = gx.simulate(*scene, 1.0, step=0.1, save_at="steps")
         assert len(run.ts) == 11 and all(x.committed == stays for x in (run.ts, run.us, run.vs))
 
@@ -97,10 +100,14 @@ def test_peak_between_steps_and_arrival_and_integral(struck):
     coarse = gx.simulate(chain, state, 12.0, step=0.1, record=record)
     fine = gx.simulate(chain, state, 12.0, step=0.1 / 16, record=record)
     at_steps = gx.simulate(chain, state, 12.0, step=0.1, save_at="steps")
-    seen = jax.vmap(lambda u, v: force_of(0.0, gx.State(u, v), chain))(at_steps.us, at_steps.vs).max(0)
+    seen = jax.vmap(lambda u, v: force_of(0.0, gx.State(u, v), chain))(
+        at_steps.us, at_steps.vs
+    ).max(0)
     peak, true = coarse.recorded["peak"][:8], fine.recorded["peak"][:8]
     assert np.max(np.abs(peak - true)) < 2e-6
-    assert np.max(np.abs(seen[:8] - true)) > 1e-4, "the largest value at the ends of steps is not the largest value"
+    assert np.max(np.abs(seen[:8] - true)) > 1e-4, (
+        "the largest value at the ends of steps is not the largest value"
+    )
     assert np.max(np.abs(coarse.recorded["arrival"][:8] - fine.recorded["arrival"][:8])) < 2e-6
     assert np.isnan(coarse.recorded["arrival"][-1])
     # the impulse of the first contact is the momentum that bead 1 has lost
@@ -120,7 +127,8 @@ def test_a_chain_in_its_working_layout_is_the_plain_one(closed):
     for rate in (None, 0.1):
         damping = () if rate is None else (gx.Damping(rate),)
         runs = [
-            gx.simulate(gx.Lattice(1.0, (*c.terms, *damping), sites=12), state, 20.0, step=0.1) for c in (chain, plain)
+            gx.simulate(gx.Lattice(1.0, (*c.terms, *damping), sites=12), state, 20.0, step=0.1)
+            for c in (chain, plain)
         ]
         assert np.allclose(runs[0].final.u, runs[1].final.u, rtol=0, atol=1e-13)
         assert np.allclose(runs[0].final.v, runs[1].final.v, rtol=0, atol=1e-13)
@@ -136,7 +144,9 @@ def test_derivatives_in_both_modes_through_the_default():
     reverse = jax.grad(last_velocity)(1.0)
     compiled = jax.jit(jax.grad(last_velocity))(1.0)
     assert float(forward) == pytest.approx(float(reverse), rel=1e-9)
-    assert float(compiled) == pytest.approx(float(reverse), rel=1e-3), "a traced default step may differ by one step"
+    assert float(compiled) == pytest.approx(float(reverse), rel=1e-3), (
+        "a traced default step may differ by one step"
+    )
 
     def fixed(stiffness):
         chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Hertz(stiffness)), sites=8)
@@ -150,7 +160,9 @@ def test_derivatives_in_both_modes_through_the_default():
 def test_gradient_of_a_recorded_peak(struck):
     def peak(v):
         chain = gx.scenes.monomer(8, boundary="free")
-        run = gx.simulate(chain, gx.states.impact(chain, velocity=v), 8.0, step=0.05, record={"peak": PEAK})
+        run = gx.simulate(
+            chain, gx.states.impact(chain, velocity=v), 8.0, step=0.05, record={"peak": PEAK}
+        )
         return run.recorded["peak"][4]
 
     # every force of a sonic vacuum goes with v^{6/5}
@@ -220,7 +232,14 @@ def test_any_diffrax_solver_and_a_bare_diffeqsolve(closed):
     implicit = gx.simulate(chain, state, 3.0, solver=diffrax.Kvaerno5(), tolerance=1e-8)
     assert np.max(np.abs(implicit.final.u - fine.final.u)) < 1e-6
     bare = diffrax.diffeqsolve(
-        diffrax.ODETerm(gx.vector_field), gx.KahanLi8(), 0.0, 3.0, 0.05, state, args=chain, max_steps=100
+        diffrax.ODETerm(gx.vector_field),
+        gx.KahanLi8(),
+        0.0,
+        3.0,
+        0.05,
+        state,
+        args=chain,
+        max_steps=100,
     )
     assert np.max(np.abs(tsit.final.u - fine.final.u)) < 1e-7
     assert np.max(np.abs(bare.ys.u[0] - fine.final.u)) < 1e-10
@@ -232,18 +251,36 @@ MOVING = gx.states.impact(SCENE, velocity=0.1)
 BAD = {
     "t1 before t0": (dict(t1=-1.0), "t1: expected a time after t0"),
     "step zero": (dict(step=0.0), "step: expected one finite number above zero"),
-    "tolerance negative": (dict(tolerance=-1e-9), "tolerance: expected one finite number above zero"),
+    "tolerance negative": (
+        dict(tolerance=-1e-9),
+        "tolerance: expected one finite number above zero",
+    ),
     "a tolerance of all there is": (dict(tolerance=1.0), "tolerance: expected below 1"),
     "step unstable": (dict(step=2.0), "step: expected at most .* SRKN11b is stable"),
-    "adaptive splitting": (dict(solver=gx.SRKN6b(), tolerance=1e-6), "tolerance: expected a fixed step with SRKN6b"),
+    "adaptive splitting": (
+        dict(solver=gx.SRKN6b(), tolerance=1e-6),
+        "tolerance: expected a fixed step with SRKN6b",
+    ),
     "save_at unsorted": (dict(save_at=[0.5, 0.2]), "save_at: expected finite times, each after"),
     "save_at outside": (dict(save_at=[0.5, 7.0]), "save_at: expected times within"),
-    "save_at word": (dict(save_at="step"), "save_at: expected one of 'steps'.*Did you mean 'steps'"),
-    "solver of two terms": (dict(solver=diffrax.SemiImplicitEuler(), step=0.1), "solver: expected one for a single"),
+    "save_at word": (
+        dict(save_at="step"),
+        "save_at: expected one of 'steps'.*Did you mean 'steps'",
+    ),
+    "solver of two terms": (
+        dict(solver=diffrax.SemiImplicitEuler(), step=0.1),
+        "solver: expected one for a single",
+    ),
     "record of a taken name": (dict(record={"u": PEAK}), "record: expected names other than"),
-    "adjoint backwards": (dict(adjoint=diffrax.BacksolveAdjoint()), "adjoint: expected one of Reversible"),
+    "adjoint backwards": (
+        dict(adjoint=diffrax.BacksolveAdjoint()),
+        "adjoint: expected one of Reversible",
+    ),
     "state complex": (dict(state=(AT_REST, AT_REST * 1j)), "state.v: expected floating numbers"),
-    "state not finite": (dict(state=(AT_REST * np.nan, AT_REST)), "state.u: expected finite numbers"),
+    "state not finite": (
+        dict(state=(AT_REST * np.nan, AT_REST)),
+        "state.u: expected finite numbers",
+    ),
     "state float32": (dict(state=(np.zeros(6, np.float32), AT_REST)), "state.u: expected float64"),
     "state shape": (dict(state=(np.zeros(5), AT_REST)), "state.u: expected shape"),
 }
@@ -274,14 +311,18 @@ def test_a_contact_with_a_wall_opens_too():
     walls = gx.Wall(law, "left"), gx.Wall(law, "right")
     chain = gx.Lattice(np.ones(2), (gx.Bond(gx.Shift(1, "free"), law), *walls))
     assert bool(gx.simulate(chain, (np.zeros(2), np.full(2, -2.0)), 1.0, step=0.05).contact_opened)
-    assert not bool(gx.simulate(chain, (np.zeros(2), np.full(2, -0.1)), 1.0, step=0.05).contact_opened)
+    assert not bool(
+        gx.simulate(chain, (np.zeros(2), np.full(2, -0.1)), 1.0, step=0.05).contact_opened
+    )
 
 
 @pytest.mark.slow
 def test_a_piston_does_not_collapse_the_default_step():
     # the wall has gone 50 by the end, at a speed of 0.5: bonds are pushed by the speed and not by the way
     chain = gx.scenes.toda(20, boundary="free")
-    pushed = gx.Lattice(1.0, (*chain.terms, gx.Wall(gx.Toda(), "left", motion=lambda t: 0.5 * t)), sites=20)
+    pushed = gx.Lattice(
+        1.0, (*chain.terms, gx.Wall(gx.Toda(), "left", motion=lambda t: 0.5 * t)), sites=20
+    )
     assert float(gx.simulate(pushed, gx.states.rest(pushed), 15.0).stats["step"]) > 0.01
     # a cubic bond has no floor beyond its barrier, which the energy of the whole chain passes, but not a neighbour's
     alpha = gx.scenes.fput(200, alpha=0.25)
@@ -361,7 +402,9 @@ def test_a_large_lattice_of_a_map_of_ones_own_has_a_bound():
     run = gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 0.2, step=0.1)
     assert run.completed
     omega_max = 2 * 1.5**0.5
-    omega = 0.5 / float(gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 200.0).stats["step"])
+    omega = 0.5 / float(
+        gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 200.0).stats["step"]
+    )
     assert omega_max <= omega < 1.15 * omega_max
 
 
@@ -378,7 +421,15 @@ def test_traced_times_that_span_nothing_complete_nothing(closed):
     chain, state = closed
 
     run, nan = jax.jit(lambda t1, step: gx.simulate(chain, state, t1, step=step)), np.nan
-    for t1, step in ((nan, 0.1), (-1.0, 0.1), (0.0, 0.1), (np.inf, 0.1), (0.4, nan), (0.4, -0.1), (0.4, 0.0)):
+    for t1, step in (
+        (nan, 0.1),
+        (-1.0, 0.1),
+        (0.0, 0.1),
+        (np.inf, 0.1),
+        (0.4, nan),
+        (0.4, -0.1),
+        (0.4, 0.0),
+    ):
         found = run(t1, step)
         assert not found.completed and "Nothing was integrated" in found.outcome
     assert run(0.4, 0.1).completed
@@ -387,15 +438,26 @@ def test_traced_times_that_span_nothing_complete_nothing(closed):
 @pytest.mark.slow
 def test_a_traced_tolerance_below_zero_completes_nothing(closed):
     chain, state = closed
-    run = jax.jit(lambda tolerance: gx.simulate(chain, state, 0.2, tolerance=tolerance, max_steps=200))
-    assert [bool(run(x).completed) for x in (1e-6, -1e-6, 0.0, np.inf, np.nan)] == [True, False, False, False, False]
+    run = jax.jit(
+        lambda tolerance: gx.simulate(chain, state, 0.2, tolerance=tolerance, max_steps=200)
+    )
+    assert [bool(run(x).completed) for x in (1e-6, -1e-6, 0.0, np.inf, np.nan)] == [
+        True,
+        False,
+        False,
+        False,
+        False,
+    ]
 
 
 @pytest.mark.slow
 def test_a_tolerance_with_a_longest_step(closed):
     chain, state = closed
     how = dict(tolerance=1e-6, save_at="steps")
-    free, bound = gx.simulate(chain, state, 10.0, **how), gx.simulate(chain, state, 10.0, step=0.2, **how)
+    free, bound = (
+        gx.simulate(chain, state, 10.0, **how),
+        gx.simulate(chain, state, 10.0, step=0.2, **how),
+    )
     gaps = np.diff(np.asarray(bound.ts))
     assert np.diff(np.asarray(free.ts)).max() > 0.25 and gaps.max() <= 0.2 + 1e-12 and gaps[0] < 0.1
     assert "none longer than 0.2" in bound.choice
@@ -409,7 +471,10 @@ def test_a_loose_tolerance_is_said():
     lost = float(run.energy_error)
     assert lost > 0.1 and "loose" in run.outcome and f"{lost:.2g} of it" in run.outcome
     fine = gx.simulate(chain, gx.states.impact(chain), 30.0, tolerance=1e-5)
-    assert float(fine.energy_error) < 1e-3 and fine.outcome == f"Completed at t = 30 after {fine.stats['steps']} steps."
+    assert (
+        float(fine.energy_error) < 1e-3
+        and fine.outcome == f"Completed at t = 30 after {fine.stats['steps']} steps."
+    )
 
 
 @pytest.mark.slow
@@ -467,7 +532,9 @@ def test_a_contact_that_opens_between_steps_is_seen(seeds=5):
 @pytest.mark.slow
 def test_an_opening_within_the_error_is_unsure(closed):
     """A single spring-like contact whose least overlap is zero to rounding: u = sin t about d0 = 1."""
-    lattice = gx.Lattice(1.0, (gx.Wall(gx.PowerLaw(1.0, 1.0, 1.0), "left"), gx.OnSite(gx.Linear(1e-9))), sites=2)
+    lattice = gx.Lattice(
+        1.0, (gx.Wall(gx.PowerLaw(1.0, 1.0, 1.0), "left"), gx.OnSite(gx.Linear(1e-9))), sites=2
+    )
     state = gx.State(jnp.zeros(2), jnp.asarray([1.0, 0.0]))
     run = gx.simulate(lattice, state, 3.0, step=0.3)
     assert run.opening == "unsure" and "contact opened unsure" in repr(run)
@@ -512,14 +579,21 @@ class Wrapper(gx.Law):
 def test_an_energy_of_rounding_is_not_called_lost_and_a_wrapped_law_may_not_know():
     lattice = gx.Lattice(np.ones(4), gx.Bond(gx.Shift(1, "fixed"), Wrapper(Rounded())))
     run = gx.simulate(lattice, gx.states.impact(lattice, velocity=1e-9), 5.0)
-    assert run.energy_error > 0.02 and "does not resolve" in run.outcome and "was lost" not in run.outcome
+    assert (
+        run.energy_error > 0.02
+        and "does not resolve" in run.outcome
+        and "was lost" not in run.outcome
+    )
     assert run.opening == "unknown"
 
 
 def test_an_energy_beyond_the_largest_number_is_said_to_be_one():
     chain = gx.scenes.fput(6, 0.0)
     run = gx.simulate(chain, gx.states.impact(chain, velocity=1e155, site=2), 1.0, step=0.1)
-    assert np.isnan(run.energy_error) and "The energy is larger than any number of float64" in run.outcome
+    assert (
+        np.isnan(run.energy_error)
+        and "The energy is larger than any number of float64" in run.outcome
+    )
     assert "slope" not in run.outcome
 
 
@@ -528,8 +602,10 @@ def as_type(dtype, *trees):
 
 
 FAR = {
-    "float32": (np.float32, 1e6, {}), "float32, a step": (np.float32, 1e6, {"step": 0.05}),
-    "float32, a tolerance": (np.float32, -1e6, {"tolerance": 1e-4}), "float64": (np.float64, 1e14, {}),
+    "float32": (np.float32, 1e6, {}),
+    "float32, a step": (np.float32, 1e6, {"step": 0.05}),
+    "float32, a tolerance": (np.float32, -1e6, {"tolerance": 1e-4}),
+    "float64": (np.float64, 1e14, {}),
     "float64, a tolerance": (np.float64, 1e14, {"tolerance": 1e-8}),
 }
 
@@ -538,7 +614,9 @@ FAR = {
 def test_times_that_steps_do_not_tell_apart_are_refused(case):
     dtype, t0, how = FAR[case]
     chain, state = as_type(dtype, SCENE, MOVING)
-    with pytest.raises(ValueError, match=f"gaps between numbers of {np.dtype(dtype)} .* Count time from t0=0"):
+    with pytest.raises(
+        ValueError, match=f"gaps between numbers of {np.dtype(dtype)} .* Count time from t0=0"
+    ):
         gx.simulate(chain, state, t0 + 5.0, t0=t0, **how)
 
 
@@ -554,7 +632,11 @@ def test_far_times_of_a_traced_run_are_an_outcome_and_of_a_flow_refused():
 @pytest.mark.parametrize("t0", [0.0, -3e4, 1e6])
 def test_times_that_are_far_but_told_apart_are_those_of_the_drive(t0):
     """A driven oscillator pair, whose drive counts from zero, against SciPy with time from t0."""
-    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(gx.Harmonic(0.3, 1.7), 0)), sites=2)
+    chain = gx.Lattice(
+        1.0,
+        (gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(gx.Harmonic(0.3, 1.7), 0)),
+        sites=2,
+    )
     run = gx.simulate(chain, gx.states.rest(chain), t0 + 4.0, t0=t0, step=0.05)
     K, phase = np.array([[2.0, -1.0], [-1.0, 2.0]]), np.mod(1.7 * t0, 2 * np.pi)
 

@@ -17,9 +17,16 @@ DAMPING, FORCE, QUARTIC = 0.05, 0.1, 0.1
 def duffing(omega, damping=DAMPING, force=FORCE):
     """Two sites that move alike: x'' + gamma x' + x + beta x^3 = F cos(omega t)."""
     drive = gx.Harmonic(force, omega)
-    return gx.Lattice(jnp.ones(2), (
-        gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3)), gx.OnSite(gx.Polynomial(1.0, 0.0, QUARTIC)),
-        gx.Damping(damping), gx.Drive(drive, 0), gx.Drive(drive, 1)))
+    return gx.Lattice(
+        jnp.ones(2),
+        (
+            gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3)),
+            gx.OnSite(gx.Polynomial(1.0, 0.0, QUARTIC)),
+            gx.Damping(damping),
+            gx.Drive(drive, 0),
+            gx.Drive(drive, 1),
+        ),
+    )
 
 
 def period_of(omega):
@@ -58,8 +65,12 @@ def test_the_folds_are_those_of_harmonic_balance(hump):
     assert [b.kind for b in hump.bifurcations] == ["fold", "fold"]
 
     # the lag grows along the branch, and omega with it but between the folds
-    top = minimize_scalar(lambda lag: -balance(lag)[0], bounds=(1.2, 2.0), method="bounded", options={"xatol": 1e-9})
-    bottom = minimize_scalar(lambda lag: balance(lag)[0], bounds=(2.0, 2.9), method="bounded", options={"xatol": 1e-9})
+    top = minimize_scalar(
+        lambda lag: -balance(lag)[0], bounds=(1.2, 2.0), method="bounded", options={"xatol": 1e-9}
+    )
+    bottom = minimize_scalar(
+        lambda lag: balance(lag)[0], bounds=(2.0, 2.9), method="bounded", options={"xatol": 1e-9}
+    )
     assert upper == pytest.approx(-top.fun, rel=1e-8)
     assert lower == pytest.approx(bottom.fun, rel=1e-8)
     assert hump.outcome == "p reached 1.4."
@@ -80,13 +91,17 @@ def test_an_orbit_has_the_harmonics_of_harmonic_balance():
 
 def test_stability_changes_at_the_folds_alone(hump):
     first, second = (b.after for b in hump.bifurcations)
-    expected = np.where((np.arange(len(hump.p)) > first) & (np.arange(len(hump.p)) <= second), "unstable", "stable")
+    expected = np.where(
+        (np.arange(len(hump.p)) > first) & (np.arange(len(hump.p)) <= second), "unstable", "stable"
+    )
     assert (hump.verdict == expected).all()
     rho = np.array([b.multiplier for b in hump.bifurcations])
     np.testing.assert_allclose(rho, 1, rtol=0, atol=1e-7)
     assert hump.error.max() < 1e-7
     # rho rho' = exp(-gamma T): all of them multiply to exp(-2 gamma T)
-    np.testing.assert_allclose(np.prod(hump.multipliers, 1), np.exp(-2 * DAMPING * hump.periods), rtol=1e-10)
+    np.testing.assert_allclose(
+        np.prod(hump.multipliers, 1), np.exp(-2 * DAMPING * hump.periods), rtol=1e-10
+    )
 
 
 @pytest.mark.slow
@@ -108,12 +123,19 @@ def test_input_that_cannot_be_meant_is_refused():
         forced_orbit(gx.scenes.monomer(4), 1.0)
     with pytest.raises(ValueError, match="guess: expected a State that moves"):
         forced_orbit(gx.scenes.modulated(6, amplitude=0.1, omega=2.0), np.pi)
-    with pytest.raises(ValueError, match="period: expected one after which the forces repeat, got 7.0"):
+    with pytest.raises(
+        ValueError, match="period: expected one after which the forces repeat, got 7.0"
+    ):
         forced_orbit(lattice, 7.0)
     free = gx.Lattice(jnp.ones(2), lattice.terms[:2])
-    for terms, words in ((free.terms, "make: expected a lattice under"), (lattice.terms[:3], "got damping alone")):
+    for terms, words in (
+        (free.terms, "make: expected a lattice under"),
+        (lattice.terms[:3], "got damping alone"),
+    ):
         with pytest.raises(ValueError, match=words):
-            forced_branch(lambda p, terms=terms: gx.Lattice(jnp.ones(2), terms), 0.9, 1.0, period=7.0)
+            forced_branch(
+                lambda p, terms=terms: gx.Lattice(jnp.ones(2), terms), 0.9, 1.0, period=7.0
+            )
 
 
 def test_what_does_not_converge_says_so():
@@ -185,7 +207,9 @@ def test_newton_finds_the_state_that_a_run_from_rest_settles_to(steel):
     # multiple shooting and SI give the same
     several = forced_orbit(lattice, 1 / f, segments=4)
     np.testing.assert_allclose(several.state.u, orbit.state.u, rtol=0, atol=1e-9)
-    si = driven_chain(chain, 0.05 * units.length, 2 * np.pi * f / units.time, damping=damping / units.time)
+    si = driven_chain(
+        chain, 0.05 * units.length, 2 * np.pi * f / units.time, damping=damping / units.time
+    )
     in_si = units.state_from_si(forced_orbit(si, units.time / f).state)
     np.testing.assert_allclose(in_si.u, orbit.state.u, rtol=0, atol=1e-10)
     stability = orbit.floquet()
@@ -217,8 +241,13 @@ class Parametric(eqx.Module):
     damping: jax.Array
 
     def __call__(self, strength):
-        bond = gx.Modulated(gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0)), gx.Harmonic(strength, self.omega, mean=1.0))
-        return gx.Lattice(jnp.array([1.0, 2.0]), (bond, gx.OnSite(gx.Linear(1.0)), gx.Damping(self.damping)))
+        bond = gx.Modulated(
+            gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0)),
+            gx.Harmonic(strength, self.omega, mean=1.0),
+        )
+        return gx.Lattice(
+            jnp.array([1.0, 2.0]), (bond, gx.OnSite(gx.Linear(1.0)), gx.Damping(self.damping))
+        )
 
 
 @pytest.mark.slow
@@ -232,13 +261,21 @@ def test_a_parametric_guess_that_falls_to_rest_is_no_orbit():
 
 def threshold(omega, damping):
     """Strength at which the spectral radius of the rest state passes 1, by scipy."""
+
     def radius(strength):
         def slope(t, y):
             u, v = y.reshape(2, 2, 4)
             push = (1 + strength * np.cos(omega * t)) * (u[0] - u[1])
             return np.concatenate([v, [-push - u[0], (push - u[1]) / 2] - damping * v]).ravel()
 
-        end = solve_ivp(slope, (0, 2 * np.pi / omega), np.eye(4).ravel(), method="DOP853", rtol=1e-12, atol=1e-12)
+        end = solve_ivp(
+            slope,
+            (0, 2 * np.pi / omega),
+            np.eye(4).ravel(),
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-12,
+        )
         return np.abs(np.linalg.eigvals(end.y[:, -1].reshape(4, 4))).max()
 
     return brentq(lambda strength: radius(strength) - 1, 0.05, 0.9, xtol=1e-10)
@@ -249,7 +286,9 @@ def threshold(omega, damping):
 def test_parametric_resonance_sets_in_where_scipy_says(kind, damping):
     modes = np.sqrt(1.5 + np.sqrt(0.75) * np.array([-1, 1]))
     omega = 2 * modes[1] if kind == "period doubling" else modes.sum()
-    branch = forced_branch(Parametric(jnp.asarray(omega), jnp.asarray(damping)), 0.0, 0.9, period=2 * np.pi / omega)
+    branch = forced_branch(
+        Parametric(jnp.asarray(omega), jnp.asarray(damping)), 0.0, 0.9, period=2 * np.pi / omega
+    )
     first = branch.bifurcations[0]
     assert first.kind == kind
     assert first.p == pytest.approx(threshold(omega, damping), rel=1e-6)
@@ -269,15 +308,20 @@ class OneWall(eqx.Module):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("omega, kind, at", few([
-    (2.449, "period doubling", 0.1628306), (3.346, "Neimark-Sacker", 0.3657490)], 1))
+@pytest.mark.parametrize(
+    "omega, kind, at",
+    few([(2.449, "period doubling", 0.1628306), (3.346, "Neimark-Sacker", 0.3657490)], 1),
+)
 def test_runs_on_either_side_of_a_bifurcation(omega, kind, at):
     make, period = OneWall(jnp.asarray(omega)), 2 * np.pi / omega
     branch = forced_branch(make, 0.01, 0.4, period=period)
     (found,) = branch.bifurcations
     assert found.kind == kind and found.p == pytest.approx(at, rel=1e-6)
     assert abs(abs(found.multiplier) - 1) < 1e-8
-    below, above = (settle(make(s * at), found.state, period, periods=20000, tolerance=1e-7) for s in (0.97, 1.03))
+    below, above = (
+        settle(make(s * at), found.state, period, periods=20000, tolerance=1e-7)
+        for s in (0.97, 1.03)
+    )
     assert below.multiple == 1
     assert above.multiple == (2 if kind == "period doubling" else 0)
     if kind == "period doubling":
@@ -292,7 +336,9 @@ def test_an_orbit_of_the_branch_is_an_orbit(hump):
     orbit = hump.orbit(40)
     assert orbit.converged
     np.testing.assert_allclose(orbit.state.u, hump.states.u[40], rtol=0, atol=1e-9)
-    assert float(np.sqrt(np.mean(orbit.rms_velocity**2))) == pytest.approx(hump.response[40], rel=1e-9)
+    assert float(np.sqrt(np.mean(orbit.rms_velocity**2))) == pytest.approx(
+        hump.response[40], rel=1e-9
+    )
 
 
 @pytest.mark.study
@@ -303,7 +349,9 @@ def test_shaken_dimers_and_trimers_settle_to_newtons_orbit(masses):
     omega = 0.5 * (low + high)
     lattice = driven_chain(chain, 0.05, omega, ends="left", damping=0.1)
     orbit = forced_orbit(lattice, 2 * np.pi / omega)
-    run = settle(lattice, gx.State(lattice.zeros(), lattice.zeros()), 2 * np.pi / omega, tolerance=1e-10)
+    run = settle(
+        lattice, gx.State(lattice.zeros(), lattice.zeros()), 2 * np.pi / omega, tolerance=1e-10
+    )
     assert run.multiple == 1 and orbit.floquet().verdict == "stable"
     for found, settled in zip(orbit.state, run.state):
         assert np.abs(found - settled).max() < 1e-6 * np.abs(settled).max()

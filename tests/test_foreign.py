@@ -31,7 +31,9 @@ class LongRange(gx.Term):
         kernel = np.where(m > 0, 1.0 / np.maximum(m, 1) ** self.exponent, 0.0)
         symbol = np.real(np.fft.fft(kernel)) - kernel.sum()
         last = jnp.moveaxis(u, 0, -1)
-        return self.strength * jnp.moveaxis(jnp.real(jnp.fft.ifft(symbol * jnp.fft.fft(last))), -1, 0)
+        return self.strength * jnp.moveaxis(
+            jnp.real(jnp.fft.ifft(symbol * jnp.fft.fft(last))), -1, 0
+        )
 
     def force(self, t, u, v, mass):
         return self._pull(u)
@@ -116,16 +118,26 @@ def _rolling(k):
 
 CASES = (
     Case("long range", lambda k: _bead(RING, LongRange(k))),
-    Case("adhesive", lambda k: _bead(gx.Bond(gx.Shift(1, "periodic"), Adhesive(k, jnp.asarray(1.0)))), size=0.1),
+    Case(
+        "adhesive",
+        lambda k: _bead(gx.Bond(gx.Shift(1, "periodic"), Adhesive(k, jnp.asarray(1.0)))),
+        size=0.1,
+    ),
     Case("bend", lambda k: _bead(CHAIN, Bend(k))),
     Case("shear and rotation", _rolling),
-    Case("friction", lambda k: _bead(RING, Friction(k), gx.OnSite(gx.Linear(0.1))), conserves=False),
+    Case(
+        "friction", lambda k: _bead(RING, Friction(k), gx.OnSite(gx.Linear(0.1))), conserves=False
+    ),
 )
 over = pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
 # the first and the last stand for those between
-conservative = pytest.mark.parametrize("case", [
-    pytest.param(case, marks=pytest.mark.slow if 0 < i < 3 else (), id=case.name) for i, case in enumerate(CASES[:4])
-])
+conservative = pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=pytest.mark.slow if 0 < i < 3 else (), id=case.name)
+        for i, case in enumerate(CASES[:4])
+    ],
+)
 K = jnp.asarray(0.7)
 
 
@@ -176,7 +188,8 @@ def test_friction_gets_a_solver_that_reads_velocities():
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(CASES[2], marks=pytest.mark.slow), CASES[4]], ids=["bend", "friction"])
+    "case", [pytest.param(CASES[2], marks=pytest.mark.slow), CASES[4]], ids=["bend", "friction"]
+)
 def test_a_tolerance_suits_every_kind(case):
     """A tolerance, alone and with a longest step, against another method."""
     lattice, state = case.make(K), moving(case)
@@ -233,7 +246,9 @@ def test_an_energy_that_is_not_kept_has_no_error():
 def test_linear_theory_is_the_dense_one(case):
     lattice = case.make(K)
     want = np.linalg.eigvalsh(np.asarray(dense(lattice, lattice.zeros())))
-    np.testing.assert_allclose(gx.linear.normal_modes(lattice).omega_squared, want, rtol=0, atol=1e-13 * want.max())
+    np.testing.assert_allclose(
+        gx.linear.normal_modes(lattice).omega_squared, want, rtol=0, atol=1e-13 * want.max()
+    )
 
 
 def test_bands_of_a_long_range_ring():
@@ -250,7 +265,9 @@ def test_an_adhesive_contact_is_measured():
     lattice, state = CASES[1].make(K), moving(CASES[1])
     e = np.asarray(state.u) - np.roll(state.u, -1)
     np.testing.assert_allclose(gx.measures.strain(lattice, state), e, atol=1e-15)
-    np.testing.assert_allclose(gx.measures.contact_force(lattice, state), 0.7 * np.exp(e) * (np.exp(e) - 1), atol=1e-15)
+    np.testing.assert_allclose(
+        gx.measures.contact_force(lattice, state), 0.7 * np.exp(e) * (np.exp(e) - 1), atol=1e-15
+    )
     with pytest.raises(ValueError, match="Adhesive"):
         gx.measures.overlap(lattice, state)
 
@@ -293,7 +310,9 @@ def test_a_breather_and_its_multipliers(case):
 
 @pytest.mark.study
 def test_a_driven_orbit_with_friction():
-    lattice = _bead(CHAIN, gx.OnSite(gx.Linear(0.3)), Friction(K), gx.Drive(gx.Harmonic(0.5, 1.1), 0))
+    lattice = _bead(
+        CHAIN, gx.OnSite(gx.Linear(0.3)), Friction(K), gx.Drive(gx.Harmonic(0.5, 1.1), 0)
+    )
     orbit = gx.forced.forced_orbit(lattice, 2 * np.pi / 1.1, transient=40, steps=200)
     assert orbit.converged
     floquet = orbit.floquet()
@@ -326,7 +345,9 @@ def test_a_fit_finds_the_parameter(case):
     times = np.linspace(0.0, 4.0, 41)
     run = gx.simulate(case.make(K), state, 4.0, save_at=times, tolerance=1e-10)
     data = np.asarray(run.vs["u"] if named else run.vs)[:, :2]
-    traces = gx.Traces(times=times, velocity=data, sites=[0, 1], sigma=1e-4, field="u" if named else None)
+    traces = gx.Traces(
+        times=times, velocity=data, sites=[0, 1], sigma=1e-4, field="u" if named else None
+    )
     found = gx.fit(lambda p: case.make(p["k"]), {"k": 0.5}, traces, state=lambda p, lattice: state)
     np.testing.assert_allclose(found.parameters["k"], 0.7, rtol=1e-4)
 
@@ -350,12 +371,18 @@ def test_the_library_s_stencils_are_the_same_lattices():
     parts = [("u", 0, 1.0), ("u", 1, -1.0), ("theta", 0, 0.5), ("theta", 1, 0.5)]
     bond = gx.Bond(gx.strains.Stencil(parts, "periodic"), law)
     own = gx.Lattice({"u": 1.0, "theta": 0.4}, (bond, *NAMED), sites=N)
-    for got, want in zip(jax.tree.leaves(own.force(0.0, *state)), jax.tree.leaves(_rolling(K).force(0.0, *state))):
+    for got, want in zip(
+        jax.tree.leaves(own.force(0.0, *state)), jax.tree.leaves(_rolling(K).force(0.0, *state))
+    ):
         np.testing.assert_allclose(got, want, atol=1e-14)
     assert np.array_equal(shifts(own), shifts(_rolling(K)))
-    bend = gx.Bond(gx.strains.Stencil([(None, 0, 1.0), (None, 1, -2.0), (None, 2, 1.0)], "free"), law)
+    bend = gx.Bond(
+        gx.strains.Stencil([(None, 0, 1.0), (None, 1, -2.0), (None, 2, 1.0)], "free"), law
+    )
     state = moving(CASES[2])
-    np.testing.assert_allclose(_bead(bend).force(0.0, *state), _bead(Bend(K)).force(0.0, *state), atol=1e-14)
+    np.testing.assert_allclose(
+        _bead(bend).force(0.0, *state), _bead(Bend(K)).force(0.0, *state), atol=1e-14
+    )
 
 
 class OwnContacts(Bend):
@@ -368,10 +395,15 @@ class OwnContacts(Bend):
 @pytest.mark.slow
 def test_contacts_of_a_term_of_ones_own_modulated_or_not():
     u = moving(CASES[2]).u
-    for term, factor in ((OwnContacts(K), 1.0), (gx.Modulated(OwnContacts(K), lambda t: 2.0 + 0 * t), 2.0)):
+    for term, factor in (
+        (OwnContacts(K), 1.0),
+        (gx.Modulated(OwnContacts(K), lambda t: 2.0 + 0 * t), 2.0),
+    ):
         lattice, state = _bead(CHAIN, term), gx.State(u, jnp.zeros(N))
         want = factor * 0.7 * np.maximum(np.asarray(u[:-1] - u[1:]), 0) ** 1.5
-        np.testing.assert_allclose(gx.measures.contact_force(lattice, state, bond=1), want, atol=1e-15)
+        np.testing.assert_allclose(
+            gx.measures.contact_force(lattice, state, bond=1), want, atol=1e-15
+        )
         assert bool(gx.simulate(lattice, state, 0.1, step=0.05).contact_opened)
         share = float(jnp.sum(gx.measures.site_energy(lattice, state)))
         np.testing.assert_allclose(share, float(gx.measures.energy(lattice, state)), rtol=1e-13)
@@ -421,17 +453,27 @@ def test_a_bent_strain_map_and_weights_a_bond():
     reached = jax.lax.map(lambda u: jnp.linalg.eigvalsh(dense(lattice, u)).max(), run.us)
     assert float(run.stats["step"]) * np.sqrt(float(reached.max())) <= 1.1 * STEP_FRACTION
     weights = jnp.linspace(0.5, 1.5, N)
-    uneven = _bead(gx.Bond(gx.strains.Stencil([(None, 0, weights), (None, 1, -weights)], "periodic"), gx.Linear(1.0)))
+    uneven = _bead(
+        gx.Bond(
+            gx.strains.Stencil([(None, 0, weights), (None, 1, -weights)], "periodic"),
+            gx.Linear(1.0),
+        )
+    )
     tangents = jnp.eye(N)
     got = linearised(uneven, 0.0, jnp.zeros(N)).force(0.0, tangents, 0 * tangents)
     np.testing.assert_allclose(got, -dense(uneven, jnp.zeros(N)), atol=1e-14)
     thirds = [(None, 0, 1.0), *((None, k, -1 / 3) for k in (1, 2, 3))]
-    assert shifts(_bead(gx.Bond(gx.strains.Stencil(thirds, "periodic"), gx.Linear(1.0)))).shape[1] == 1
+    assert (
+        shifts(_bead(gx.Bond(gx.strains.Stencil(thirds, "periodic"), gx.Linear(1.0)))).shape[1] == 1
+    )
 
 
 @pytest.mark.slow
 def test_damping_does_not_shorten_the_step_of_a_shock():
     lattice = gx.scenes.toda(200)
     damped = gx.Lattice(1.0, (*lattice.terms, gx.Damping(1e-6)), sites=200)
-    steps = [float(gx.simulate(x, gx.states.velocity_step(x, 0.5), 1.0).stats["step"]) for x in (lattice, damped)]
+    steps = [
+        float(gx.simulate(x, gx.states.velocity_step(x, 0.5), 1.0).stats["step"])
+        for x in (lattice, damped)
+    ]
     assert steps[0] == pytest.approx(steps[1], rel=1e-12)

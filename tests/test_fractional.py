@@ -21,13 +21,17 @@ def force(lattice, u=U):
 @pytest.mark.parametrize("s", [0.05, 0.5, 0.95])
 def test_the_kernel_is_the_closed_form(s):
     m = np.arange(1, 101.0)
-    wanted = 4**s * gamma(0.5 + s) / (np.sqrt(np.pi) * abs(gamma(-s))) * gamma(m - s) / gamma(m + 1 + s)
+    wanted = (
+        4**s * gamma(0.5 + s) / (np.sqrt(np.pi) * abs(gamma(-s))) * gamma(m - s) / gamma(m + 1 + s)
+    )
     np.testing.assert_allclose(fractional.kernel(s, 100), wanted, rtol=1e-12)
     # far away, where the factors of the quotient overflow
     far = fractional.kernel(s, 100_000)
     tail = 4**s * gamma(0.5 + s) / (np.sqrt(np.pi) * abs(gamma(-s))) * (1e5) ** (-1 - 2 * s)
     assert float(far[-1]) == pytest.approx(tail, rel=1e-5)
-    np.testing.assert_allclose(2 * far.sum() + tail * 1e5 / s, gamma(1 + 2 * s) / gamma(1 + s) ** 2, rtol=1e-4)
+    np.testing.assert_allclose(
+        2 * far.sum() + tail * 1e5 / s, gamma(1 + 2 * s) / gamma(1 + s) ** 2, rtol=1e-4
+    )
 
 
 @pytest.mark.slow
@@ -52,7 +56,9 @@ def test_modes_of_a_ring_have_the_symbol_s_frequencies(s):
     lattice = scenes.fractional(n, s, mass=2.0, law=gx.Linear(3.0))
     k = 2 * np.pi * np.arange(n) / n
     wanted = np.sort(1.5 * (4 * np.sin(k / 2) ** 2) ** s)
-    np.testing.assert_allclose(np.sort(np.asarray(gx.linear.normal_modes(lattice).omega) ** 2), wanted, atol=1e-12)
+    np.testing.assert_allclose(
+        np.sort(np.asarray(gx.linear.normal_modes(lattice).omega) ** 2), wanted, atol=1e-12
+    )
     found = gx.linear.dispersion(lattice, k[1:7]).omega[:, 0]
     np.testing.assert_allclose(found**2, 1.5 * (4 * np.sin(k[1:7] / 2) ** 2) ** s, rtol=1e-12)
 
@@ -60,13 +66,20 @@ def test_modes_of_a_ring_have_the_symbol_s_frequencies(s):
 @pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["periodic", "fixed", "free"])
 def test_order_1_is_next_neighbours(boundary):
-    chain = scenes.fput(N, alpha=0.3, beta=0.2) if boundary == "fixed" else gx.Lattice(
-        1.0, gx.Bond(gx.Shift(1, boundary), gx.Polynomial(1.0, 0.3, 0.2)), sites=N)
+    chain = (
+        scenes.fput(N, alpha=0.3, beta=0.2)
+        if boundary == "fixed"
+        else gx.Lattice(1.0, gx.Bond(gx.Shift(1, boundary), gx.Polynomial(1.0, 0.3, 0.2)), sites=N)
+    )
     for nonlinear in ("all", "neighbours"):
-        own = scenes.fractional_fput(N, 1.0, alpha=0.3, beta=0.2, boundary=boundary, nonlinear=nonlinear)
+        own = scenes.fractional_fput(
+            N, 1.0, alpha=0.3, beta=0.2, boundary=boundary, nonlinear=nonlinear
+        )
         np.testing.assert_allclose(force(own), force(chain), atol=1e-12)
     own = scenes.fractional_sine_gordon(N, 1.0, 0.7, boundary=boundary)
-    np.testing.assert_allclose(force(own), force(scenes.sine_gordon(N, 0.7, boundary=boundary)), atol=1e-13)
+    np.testing.assert_allclose(
+        force(own), force(scenes.sine_gordon(N, 0.7, boundary=boundary)), atol=1e-13
+    )
 
 
 def test_bonds_of_finite_chains_one_by_one():
@@ -77,9 +90,16 @@ def test_bonds_of_finite_chains_one_by_one():
     for boundary in ("fixed", "free"):
         wide = np.concatenate([np.zeros(far), U, np.zeros(far)]) if boundary == "fixed" else U
         first = far if boundary == "fixed" else 0
-        wanted = [-sum(np.sum(weights[: len(part)] * sign * law(sign * (wide[first + n] - part)))
-                       for sign, part in ((1, wide[first + n + 1 :][:far]), (-1, wide[: first + n][::-1][:far])))
-                  for n in range(N)]
+        wanted = [
+            -sum(
+                np.sum(weights[: len(part)] * sign * law(sign * (wide[first + n] - part)))
+                for sign, part in (
+                    (1, wide[first + n + 1 :][:far]),
+                    (-1, wide[: first + n][::-1][:far]),
+                )
+            )
+            for n in range(N)
+        ]
         own = scenes.fractional_fput(N, s, alpha=0.3, beta=0.2, boundary=boundary)
         np.testing.assert_allclose(force(own), wanted, atol=3e-5 if boundary == "fixed" else 1e-12)
 
@@ -91,15 +111,21 @@ def test_energy_is_kept_and_the_order_differentiates():
     assert run.completed and run.energy_error < 1e-6
 
     def of_order(s):
-        return scenes.fractional_fput(N, s, boundary="fixed").force(0.0, jnp.asarray(U), jnp.zeros(N))
+        return scenes.fractional_fput(N, s, boundary="fixed").force(
+            0.0, jnp.asarray(U), jnp.zeros(N)
+        )
 
     for s in (0.5, 0.999):
         slope = jax.jvp(of_order, (s,), (1.0,))[1]
-        np.testing.assert_allclose(slope, (of_order(s + 1e-6) - of_order(s - 1e-6)) / 2e-6, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(
+            slope, (of_order(s + 1e-6) - of_order(s - 1e-6)) / 2e-6, rtol=1e-5, atol=1e-6
+        )
     # at the end of the orders, from below
     slope = jax.jvp(of_order, (1.0,), (1.0,))[1]
     below = [of_order(1 - x) for x in (0.0, 1e-5, 2e-5)]
-    np.testing.assert_allclose(slope, (3 * below[0] - 4 * below[1] + below[2]) / 2e-5, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(
+        slope, (3 * below[0] - 4 * below[1] + below[2]) / 2e-5, rtol=1e-6, atol=1e-7
+    )
     batch = jax.vmap(lambda s: scenes.fractional(N, s), out_axes=-1)(jnp.array([0.3, 0.9]))
     both = batch.force(0.0, jnp.stack([U, U], axis=-1), jnp.zeros((N, 2)))
     np.testing.assert_allclose(both[:, 1], force(scenes.fractional(N, 0.9)), atol=1e-13)
@@ -110,7 +136,9 @@ def test_a_plane_wave_turns_with_the_symbol_s_frequency_in_si():
     k = 2 * np.pi * 2 / N
     omega = np.sqrt(4e6 * 2 * np.sin(k / 2))
     phase = k * np.arange(N)
-    run = gx.simulate(lattice, gx.State(1e-6 * np.cos(phase), 1e-6 * omega * np.sin(phase)), 20 / omega)
+    run = gx.simulate(
+        lattice, gx.State(1e-6 * np.cos(phase), 1e-6 * omega * np.sin(phase)), 20 / omega
+    )
     np.testing.assert_allclose(run.final.u, 1e-6 * np.cos(phase - 20), atol=1e-11)
 
 
@@ -119,7 +147,10 @@ def test_refusals():
         (lambda: scenes.fractional(N, 0.0), r"order: expected numbers in \(0, 1\]"),
         (lambda: scenes.fractional(N, [0.5, 0.6]), "order: .*jax.vmap"),
         (lambda: scenes.fractional_fput(N, nonlinear="some"), "nonlinear"),
-        (lambda: scenes.fractional_sine_gordon(N, stiffness=np.ones(N + 1)), r"stiffness: .*\(12,\)"),
+        (
+            lambda: scenes.fractional_sine_gordon(N, stiffness=np.ones(N + 1)),
+            r"stiffness: .*\(12,\)",
+        ),
     ):
         with pytest.raises(ValueError, match=words):
             make()

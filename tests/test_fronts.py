@@ -37,7 +37,9 @@ class Bump(gx.Law):
         return e + e**2 + 0.5 * jnp.exp(-((e - 0.5) ** 2) / 0.01)
 
     def energy(self, e):
-        return e**2 / 2 + e**3 / 3 + 0.05 * jnp.sqrt(jnp.pi) / 2 * (1 + jax.lax.erf((e - 0.5) / 0.1))
+        return (
+            e**2 / 2 + e**3 / 3 + 0.05 * jnp.sqrt(jnp.pi) / 2 * (1 + jax.lax.erf((e - 0.5) / 0.1))
+        )
 
 
 CASES = {
@@ -53,8 +55,10 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def fronts():
-    return {name: dissipative_front(law, behind, ahead, dashpot=eta, mass=1.3)
-            for name, (law, behind, ahead, eta) in CASES.items()}
+    return {
+        name: dissipative_front(law, behind, ahead, dashpot=eta, mass=1.3)
+        for name, (law, behind, ahead, eta) in CASES.items()
+    }
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -78,7 +82,10 @@ def test_speed_beads_and_losses_follow_from_both_states(fronts, name):
 def test_the_profile_solves_the_equation_of_motion(fronts, name):
     front, (law, behind, ahead, eta) = fronts[name], CASES[name]
     jump, n, h = behind - ahead, np.linspace(-9.3, 5.2, 59), 1e-3
-    V, near = front.velocity(n[None] + h * np.array([-1, 0, 1])[:, None]), np.asarray(front.strain(n))
+    V, near = (
+        front.velocity(n[None] + h * np.array([-1, 0, 1])[:, None]),
+        np.asarray(front.strain(n)),
+    )
     before = np.asarray(front.strain(n - 1))
     # v' = -s V', and strain rates by the differences of velocities
     force = np.asarray(law.force(jnp.asarray(before)) - law.force(jnp.asarray(near)))
@@ -92,7 +99,9 @@ def test_the_profile_solves_the_equation_of_motion(fronts, name):
     assert abs(front.velocity(1000.0)) < 1e-12 * abs(front.piston)
     assert abs(front.velocity(-9000.0) / front.piston - 1) < 1e-11
     state = front.state(30, 12.5)
-    assert np.abs(state.u[:-1] - state.u[1:] - front.strain(np.arange(29) - 12.5)).max() < 1e-11 * max(abs(jump), ahead)
+    assert np.abs(
+        state.u[:-1] - state.u[1:] - front.strain(np.arange(29) - 12.5)
+    ).max() < 1e-11 * max(abs(jump), ahead)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -119,7 +128,9 @@ def test_both_tails_fall_as_their_roots_say(fronts, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law, behind", [(gx.Hertz(1.0, 1.0), 0.1), (gx.Hertz(), 1.0), (gx.Toda(), 0.5)])
+@pytest.mark.parametrize(
+    "law, behind", [(gx.Hertz(1.0, 1.0), 0.1), (gx.Hertz(), 1.0), (gx.Toda(), 0.5)]
+)
 def test_a_front_oscillates_below_the_critical_dashpot_and_not_above(law, behind):
     eta = float(dissipative_front(law, behind, dashpot=1.0).critical)
     below, above = (dissipative_front(law, behind, dashpot=share * eta) for share in (0.9, 1.1))
@@ -129,7 +140,11 @@ def test_a_front_oscillates_below_the_critical_dashpot_and_not_above(law, behind
     crosses = np.sum(np.diff(np.sign(below.strain(x) - behind)) != 0)
     assert crosses >= 2 and below.overshoot > 2 * below.error
     x = np.linspace(-18 / float(above.decay_behind), 12.0, 4000)
-    assert np.diff(above.strain(x)).max() < 1e-12 * behind and above.overshoot == 0 and above.wavenumber_behind == 0
+    assert (
+        np.diff(above.strain(x)).max() < 1e-12 * behind
+        and above.overshoot == 0
+        and above.wavenumber_behind == 0
+    )
 
 
 def test_the_critical_dashpot_of_weak_fronts_is_that_of_korteweg_de_vries_and_burgers():
@@ -141,13 +156,23 @@ def test_the_critical_dashpot_of_weak_fronts_is_that_of_korteweg_de_vries_and_bu
         assert abs(tails.lack_slope(root) - found.zeta) < 1e-4 * found.zeta
     # where no two real roots meet, both decay alike
     found = tails.critical(0.5)
-    pair, real = tails.behind(0.5, found.zeta * (1 - 1e-9)), tails.behind(0.5, found.zeta * (1 + 1e-9))
-    assert not found.double and abs(pair.real / real.real - 1) < 1e-7 and pair.imag > 1 and real.imag == 0
+    pair, real = (
+        tails.behind(0.5, found.zeta * (1 - 1e-9)),
+        tails.behind(0.5, found.zeta * (1 + 1e-9)),
+    )
+    assert (
+        not found.double
+        and abs(pair.real / real.real - 1) < 1e-7
+        and pair.imag > 1
+        and real.imag == 0
+    )
 
 
 def chain(law, eta, sites, push):
     bonds = gx.Shift(1, "free")
-    return gx.Lattice(1.0, (gx.Bond(bonds, law), gx.Dashpot(bonds, eta), gx.Drive(lambda t: push)), sites=sites)
+    return gx.Lattice(
+        1.0, (gx.Bond(bonds, law), gx.Dashpot(bonds, eta), gx.Drive(lambda t: push)), sites=sites
+    )
 
 
 @pytest.mark.slow
@@ -155,10 +180,15 @@ def test_a_front_travels_unchanged():
     law, behind, ahead, eta = VACUUM
     front = dissipative_front(law, behind, ahead, dashpot=eta)
     lattice = chain(law, eta, 100, 1.0)
-    run = gx.simulate(lattice, front.state(100, 40.0), 30.0, solver=diffrax.Dopri8(), tolerance=1e-11)
+    run = gx.simulate(
+        lattice, front.state(100, 40.0), 30.0, solver=diffrax.Dopri8(), tolerance=1e-11
+    )
     strain = run.final.u[:-1] - run.final.u[1:]
     assert np.abs(strain - front.strain(np.arange(99) - 40.0 - 30.0 * front.speed)).max() < 1e-8
-    assert np.abs(run.final.v - front.velocity(np.arange(100) - 40.0 - 30.0 * front.speed)).max() < 1e-8
+    assert (
+        np.abs(run.final.v - front.velocity(np.arange(100) - 40.0 - 30.0 * front.speed)).max()
+        < 1e-8
+    )
 
 
 @pytest.mark.study
@@ -168,13 +198,21 @@ def test_a_velocity_step_becomes_the_front():
     assert abs(front.behind - 1) < 1e-14 and abs(front.speed - 1) < 1e-14
     lattice, places = chain(gx.Hertz(), 0.2, sites, 0.0), []
     v = np.where(np.arange(sites) < sites // 2, 2.0, 0.0)
-    run = gx.simulate(lattice, (np.zeros(sites), v), end, solver=diffrax.Dopri8(), tolerance=1e-10,
-                      save_at=np.array([end - 20, end]))
+    run = gx.simulate(
+        lattice,
+        (np.zeros(sites), v),
+        end,
+        solver=diffrax.Dopri8(),
+        tolerance=1e-10,
+        save_at=np.array([end - 20, end]),
+    )
     for u in run.us:
         strain = np.asarray(u[:-1] - u[1:])
         n = sites // 2 + int(np.argmax(strain[sites // 2 :] < 0.5))
         # where that contact lies on the profile
-        places.append(n - brentq(lambda x: float(front.strain(x)) - strain[n], -2.0, 4.0, xtol=1e-13))
+        places.append(
+            n - brentq(lambda x: float(front.strain(x)) - strain[n], -2.0, 4.0, xtol=1e-13)
+        )
         beyond = np.arange(n - 300, sites - 1)
         assert np.abs(strain[beyond] - front.strain(beyond - places[-1])).max() < 2e-6
     assert abs((places[1] - places[0]) / 20.0 - 1) < 1e-6
@@ -186,7 +224,9 @@ def test_numbers_of_a_lattice_and_of_the_mirror():
     front, x = dissipative_front(law, behind, ahead, dashpot=eta, mass=1.3), np.linspace(-20, 8, 57)
     lattice = gx.Lattice(1.3, gx.Bond(gx.Shift(1, "free"), law), sites=5)
     assert dissipative_front(lattice, behind, ahead, dashpot=eta).strain(0.3) == front.strain(0.3)
-    damped = gx.Lattice(1.3, (*lattice.terms, gx.Dashpot(gx.Shift(1, "fixed"), np.full(6, eta))), sites=5)
+    damped = gx.Lattice(
+        1.3, (*lattice.terms, gx.Dashpot(gx.Shift(1, "fixed"), np.full(6, eta))), sites=5
+    )
     assert dissipative_front(damped, behind, ahead).strain(0.3) == front.strain(0.3)
     for wrong, given in ((damped, eta), (lattice, None)):
         with pytest.raises(ValueError, match="dashpot: expected one, of the lattice or given here"):
@@ -201,14 +241,26 @@ def test_numbers_of_a_lattice_and_of_the_mirror():
 def test_a_front_differentiates():
     def numbers(p):
         front = dissipative_front(gx.Hertz(p[0], p[1]), p[2], p[3], dashpot=p[4], mass=p[5])
-        return jnp.stack([front.speed, front.critical, front.decay_behind, front.wavenumber_behind, front.decay_ahead,
-                          front.overshoot, front.power, front.strain(-1.3), front.velocity(0.4)])
+        return jnp.stack(
+            [
+                front.speed,
+                front.critical,
+                front.decay_behind,
+                front.wavenumber_behind,
+                front.decay_ahead,
+                front.overshoot,
+                front.power,
+                front.strain(-1.3),
+                front.velocity(0.4),
+            ]
+        )
 
     p, h = np.array([1.2, 0.3, 0.9, 0.1, 0.2, 1.3]), 1e-5
     forward = jax.jacfwd(numbers)(p)
     for way in np.random.default_rng(1).normal(size=(3, len(p))):
         slope = (numbers(p + h * way) - numbers(p - h * way)) / (2 * h)
         assert np.abs(slope - forward @ way).max() < 1e-6
+
     # in reverse
     def pushed(v):
         front = dissipative_front(gx.Hertz(), piston=v, dashpot=0.5)
@@ -220,20 +272,35 @@ def test_a_front_differentiates():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("call, words", [
-    (lambda: dissipative_front(gx.Hertz(), 1.0, dashpot=0.0), "dashpot: expected numbers above zero.*dispersive shock"),
-    (lambda: dissipative_front(gx.Hertz(), 1.0, piston=1.0, dashpot=1.0), "got both"),
-    (lambda: dissipative_front(gx.Linear(), 1.0, dashpot=1.0), "faster than sound ahead and slower than sound behind"),
-    (lambda: dissipative_front(gx.Hertz(), 0.5, 1.0, dashpot=1.0), "spreads out"),
-    (lambda: dissipative_front(gx.Hertz(1.0, 1.0), 1e-6, dashpot=1.0), "a part in"),
-    (lambda: dissipative_front(Bump(), 1.0, dashpot=1.0), "crosses it"),
-    (lambda: dissipative_front(gx.PowerLaw(1.0, 0.5), 1.0, dashpot=1.0), "spreads out"),
-    (lambda: dissipative_front(gx.PowerLaw(1.0, -3.0, 1.0), 1.5, dashpot=1.0), "stiff by finite amounts"),
-    (lambda: dissipative_front(gx.Hertz(), piston=-1.0, dashpot=1.0), "piston"),
-    (lambda: dissipative_front(gx.Hertz(), 1.0, dashpot=1e-6), "critical"),
-    (lambda: dissipative_front(gx.scenes.dimer(5), 1.0, dashpot=1.0), "uniform chain"),
-    (lambda: jax.jit(lambda b: dissipative_front(gx.Hertz(), b, dashpot=1.0).speed)(1.0), "known"),
-])
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (
+            lambda: dissipative_front(gx.Hertz(), 1.0, dashpot=0.0),
+            "dashpot: expected numbers above zero.*dispersive shock",
+        ),
+        (lambda: dissipative_front(gx.Hertz(), 1.0, piston=1.0, dashpot=1.0), "got both"),
+        (
+            lambda: dissipative_front(gx.Linear(), 1.0, dashpot=1.0),
+            "faster than sound ahead and slower than sound behind",
+        ),
+        (lambda: dissipative_front(gx.Hertz(), 0.5, 1.0, dashpot=1.0), "spreads out"),
+        (lambda: dissipative_front(gx.Hertz(1.0, 1.0), 1e-6, dashpot=1.0), "a part in"),
+        (lambda: dissipative_front(Bump(), 1.0, dashpot=1.0), "crosses it"),
+        (lambda: dissipative_front(gx.PowerLaw(1.0, 0.5), 1.0, dashpot=1.0), "spreads out"),
+        (
+            lambda: dissipative_front(gx.PowerLaw(1.0, -3.0, 1.0), 1.5, dashpot=1.0),
+            "stiff by finite amounts",
+        ),
+        (lambda: dissipative_front(gx.Hertz(), piston=-1.0, dashpot=1.0), "piston"),
+        (lambda: dissipative_front(gx.Hertz(), 1.0, dashpot=1e-6), "critical"),
+        (lambda: dissipative_front(gx.scenes.dimer(5), 1.0, dashpot=1.0), "uniform chain"),
+        (
+            lambda: jax.jit(lambda b: dissipative_front(gx.Hertz(), b, dashpot=1.0).speed)(1.0),
+            "known",
+        ),
+    ],
+)
 def test_what_has_no_front(call, words):
     with pytest.raises(ValueError, match=f"(?s){words}"):
         call()

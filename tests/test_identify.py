@@ -31,7 +31,9 @@ def test_spline_is_the_integral_of_b_splines():
     e = np.append(np.linspace(-1, 1, 41), KNOTS)
     np.testing.assert_allclose(force(law, e), integral(e) - integral(0.0), rtol=0, atol=8 * EPS)
     work = integral.antiderivative()
-    np.testing.assert_allclose(energy(law, e), work(e) - work(0.0) - integral(0.0) * e, rtol=0, atol=8 * EPS)
+    np.testing.assert_allclose(
+        energy(law, e), work(e) - work(0.0) - integral(0.0) * e, rtol=0, atol=8 * EPS
+    )
     slope = jax.jit(jax.vmap(jax.grad(law.force)))
     np.testing.assert_allclose(slope(e), stiffness(e), rtol=0, atol=16 * EPS)
     beyond = np.array([-4.0, -1.5, 1.2, 6.0])
@@ -43,7 +45,9 @@ def test_spline_is_the_integral_of_b_splines():
 def test_equilibrium_may_be_an_end_of_the_knots(knots):
     law = Spline(knots, [1.0, 2.0, 3.0, 4.0])
     inside, outside = (1, -1) if knots[0] == 0 else (-1, 1)
-    np.testing.assert_allclose(force(law, 0.5 * outside), 0.5 * outside * (1.0 if outside < 0 else 4.0), rtol=4 * EPS)
+    np.testing.assert_allclose(
+        force(law, 0.5 * outside), 0.5 * outside * (1.0 if outside < 0 else 4.0), rtol=4 * EPS
+    )
     # the integral of every B-spline is a third of its knots' extent
     total = (1 * 1 + 2 * 2 + 3 * 2 + 4 * 1) / 3
     np.testing.assert_allclose(force(law, 2.0 * inside), inside * total, rtol=4 * EPS)
@@ -51,8 +55,12 @@ def test_equilibrium_may_be_an_end_of_the_knots(knots):
 
 def test_spline_of_equal_coefficients_is_linear():
     e = jnp.linspace(-3, 3, 50)
-    np.testing.assert_allclose(force(Spline(KNOTS, [1.3] * 6), e), gx.Linear(1.3).force(e), rtol=16 * EPS)
-    np.testing.assert_allclose(energy(Spline(KNOTS, [1.3] * 6), e), gx.Linear(1.3).energy(e), rtol=16 * EPS)
+    np.testing.assert_allclose(
+        force(Spline(KNOTS, [1.3] * 6), e), gx.Linear(1.3).force(e), rtol=16 * EPS
+    )
+    np.testing.assert_allclose(
+        energy(Spline(KNOTS, [1.3] * 6), e), gx.Linear(1.3).energy(e), rtol=16 * EPS
+    )
 
 
 def test_a_fitted_spline_is_hertz():
@@ -62,16 +70,24 @@ def test_a_fitted_spline_is_hertz():
     assert np.abs(force(found, e) - force(law, e)).max() < 4e-4 * force(law, 1.5)
     assert float(found.preload) == 1.0
     noisy = force(law, e) + 0.3 * np.random.default_rng(0).normal(size=200)
-    assert (np.diff(Spline.fitted(np.linspace(-0.8, 1.5, 9), e, noisy).force(np.linspace(-2, 3, 400))) >= -EPS).all()
+    assert (
+        np.diff(Spline.fitted(np.linspace(-0.8, 1.5, 9), e, noisy).force(np.linspace(-2, 3, 400)))
+        >= -EPS
+    ).all()
     with pytest.raises(ValueError, match="more than 9 compressions"):
         Spline.fitted(np.linspace(-0.8, 1.5, 9), e[:9], force(law, e[:9]))
 
 
-@pytest.mark.parametrize("make, word", [
-    (lambda: Spline([0.1, 1.0], [1, 1, 1]), "knots"), (lambda: Spline([-1, -1, 1], [1] * 4), "knots"),
-    (lambda: Spline([-1, 1], [1, 1]), "3 numbers"), (lambda: Spline([-1, 1], [1, -1, 1]), "stiffness"),
-    (lambda: Network(2, parameters=np.zeros(6)), "7 numbers"),
-])
+@pytest.mark.parametrize(
+    "make, word",
+    [
+        (lambda: Spline([0.1, 1.0], [1, 1, 1]), "knots"),
+        (lambda: Spline([-1, -1, 1], [1] * 4), "knots"),
+        (lambda: Spline([-1, 1], [1, 1]), "3 numbers"),
+        (lambda: Spline([-1, 1], [1, -1, 1]), "stiffness"),
+        (lambda: Network(2, parameters=np.zeros(6)), "7 numbers"),
+    ],
+)
 def test_laws_that_cannot_be_are_refused(make, word):
     with pytest.raises(ValueError, match=word):
         make()
@@ -101,22 +117,31 @@ def test_network_keeps_its_digits_near_rest():
     for b in (0.0, 0.7, -3.0):
         one = Network(1, parameters=[np.log(np.expm1(1.0)), b, np.log(np.expm1(1.0)), -800.0])
         for y in (0.0199, 0.0201, -0.0199, -0.0201):
-            np.testing.assert_allclose(force(one, y), np.tanh(b + y) - np.tanh(b), rtol=0, atol=4 * EPS)
+            np.testing.assert_allclose(
+                force(one, y), np.tanh(b + y) - np.tanh(b), rtol=0, atol=4 * EPS
+            )
             work = np.log(np.cosh(b + y) / np.cosh(b)) - y * np.tanh(b)
             np.testing.assert_allclose(energy(one, y), work, rtol=0, atol=8 * EPS)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make, start", [
-    (lambda k: Spline(KNOTS, k), STIFFNESS[1:] + [1.0]), (lambda p: Network(1, parameters=p), [0.3, 1.0, -0.4, 0.2]),
-], ids=["spline", "network"])
+@pytest.mark.parametrize(
+    "make, start",
+    [
+        (lambda k: Spline(KNOTS, k), STIFFNESS[1:] + [1.0]),
+        (lambda p: Network(1, parameters=p), [0.3, 1.0, -0.4, 0.2]),
+    ],
+    ids=["spline", "network"],
+)
 def test_derivatives_in_the_parameters(make, start):
     """Both modes, at knots, at rest and beyond the ends, against differences."""
     e, start, h = jnp.asarray([-2.0, -0.3, 0.0, 0.2, 0.7, 3.0]), jnp.asarray(start), 1e-6
     both = jax.jit(lambda p: jnp.stack([make(p).force(e), make(p).energy(e)]))
     forward, reverse = jax.jit(jax.jacfwd(both))(start), jax.jit(jax.jacrev(both))(start)
     np.testing.assert_allclose(forward, reverse, rtol=0, atol=1e-14)
-    differences = [(both(start + h * i) - both(start - h * i)) / (2 * h) for i in np.eye(len(start))]
+    differences = [
+        (both(start + h * i) - both(start - h * i)) / (2 * h) for i in np.eye(len(start))
+    ]
     np.testing.assert_allclose(forward, np.stack(differences, -1), rtol=0, atol=1e-8)
 
 
@@ -173,8 +198,12 @@ def test_fput_from_clean_accelerations(fput):
     found = regression(np.ones(N), LIBRARY, run.ts, run.us, run.vs, a, threshold=0.01)
     assert list(found.coefficients) == ["e", "e^2", "e^3"]
     np.testing.assert_allclose(list(values(found).values()), [1.0, 0.25, 0.6], rtol=0, atol=1e-12)
-    assert set(found.dropped) == set(LIBRARY) - set(found.coefficients) and found.r_squared > 1 - 1e-12
-    np.testing.assert_allclose(found.lattice.acceleration(0.0, run.us[7], run.vs[7]), a[7], rtol=0, atol=1e-11)
+    assert (
+        set(found.dropped) == set(LIBRARY) - set(found.coefficients) and found.r_squared > 1 - 1e-12
+    )
+    np.testing.assert_allclose(
+        found.lattice.acceleration(0.0, run.us[7], run.vs[7]), a[7], rtol=0, atol=1e-11
+    )
 
 
 def test_fput_from_velocities_alone(fput):
@@ -205,6 +234,7 @@ def test_hertz_and_damping_under_one_percent_of_noise(hertz):
 
 def _exact(times, force, on_site, drag):
     """Times, displacements, velocities and accelerations of a chain between walls by DOP853."""
+
     def acceleration(u, v):
         u = np.concatenate([[0.0], u, [0.0]])
         bonds = force(u[:-1] - u[1:])
@@ -222,7 +252,11 @@ MISSING = {
     "cubic": ((lambda e: e + 0.25 * e**2 + 0.6 * e**3, NONE, NONE), ("e", "e^2"), ("e^3",)),
     "quadratic": ((lambda e: e + 0.1 * e**2, NONE, NONE), ("e", "e^3", "u", "v"), ("e^2",)),
     "odd potential": ((lambda e: e + 0.3 * e**3, NONE, NONE), ("e", "e^2", "v"), ("e^3",)),
-    "contact": ((lambda e: np.maximum(e, 0) ** 1.5, NONE, NONE), ("e", "e^2", "e^3"), ("[e]_+^1.5",)),
+    "contact": (
+        (lambda e: np.maximum(e, 0) ** 1.5, NONE, NONE),
+        ("e", "e^2", "e^3"),
+        ("[e]_+^1.5",),
+    ),
     "on site": ((lambda e: e, lambda u: 0.3 * u + 0.5 * u**3, NONE), ("e", "u"), ("u^3",)),
     "drag": ((lambda e: e, NONE, lambda v: 0.1 * v * np.abs(v)), ("e", "v"), ("v|v|",)),
 }
@@ -248,19 +282,27 @@ def test_a_residue_beyond_noise_is_said(case):
 
 def test_a_residue_in_random_states_is_said():
     """What follows no time: states that are alike have alike residues."""
-    for missing, offered in ((gx.OnSite(gx.Polynomial(0.3, 0.0, 0.5)), ("e", "u")), (Drag(0.1), ("e", "v"))):
+    for missing, offered in (
+        (gx.OnSite(gx.Polynomial(0.3, 0.0, 0.5)), ("e", "u")),
+        (Drag(0.1), ("e", "v")),
+    ):
         states, a = _states(gx.Bond(WALLS, gx.Linear()), missing)
         found = regression(np.ones(N), {name: LIBRARY[name] for name in offered}, *states, a)
         assert "A residue beyond noise" in found.outcome
-        found = regression(np.ones(N), {name: LIBRARY[name] for name in (*offered, "u^3", "v|v|")}, *states, a)
+        found = regression(
+            np.ones(N), {name: LIBRARY[name] for name in (*offered, "u^3", "v|v|")}, *states, a
+        )
         assert "residue" not in found.outcome
 
 
 @pytest.mark.slow
 def test_noise_alone_is_no_residue(fput):
     run, a = fput
-    said = [regression(np.ones(N), LIBRARY, run.ts, run.us, run.vs, _noisy(a, size, seed)).outcome
-            for seed in range(15) for size in (1e-6, 0.1)]
+    said = [
+        regression(np.ones(N), LIBRARY, run.ts, run.us, run.vs, _noisy(a, size, seed)).outcome
+        for seed in range(15)
+        for size in (1e-6, 0.1)
+    ]
     assert not any("residue" in outcome for outcome in said)
     # smoothed velocities have errors that are alike, and displacements errors of their own
     rng = np.random.default_rng(0)
@@ -268,24 +310,37 @@ def test_noise_alone_is_no_residue(fput):
         noise = share * float(jnp.std(run.vs))
         seen = run.vs + noise * rng.normal(size=run.vs.shape)
         places = run.us + share * float(jnp.std(run.us)) * rng.normal(size=run.us.shape)
-        assert "residue" not in regression(np.ones(N), LIBRARY, run.ts, run.us, seen, noise=noise).outcome
+        assert (
+            "residue"
+            not in regression(np.ones(N), LIBRARY, run.ts, run.us, seen, noise=noise).outcome
+        )
         assert "residue" not in regression(np.ones(N), LIBRARY, run.ts, places, run.vs, a).outcome
 
 
 def test_error_bars_are_those_of_repeated_noise(hertz):
     run, a = hertz
     two = {name: LIBRARY[name] for name in ("[e]_+^1.5", "v")}
-    found = [regression(np.ones(N), two, run.ts[:40], run.us[:40], run.vs[:40], _noisy(a[:40], 0.01, seed))
-             for seed in range(60)]
+    found = [
+        regression(
+            np.ones(N), two, run.ts[:40], run.us[:40], run.vs[:40], _noisy(a[:40], 0.01, seed)
+        )
+        for seed in range(60)
+    ]
     spread = np.std([list(values(f).values()) for f in found], axis=0)
     # of sixty draws the standard deviation is known to 9 %
     np.testing.assert_allclose([c.error for c in found[0].coefficients.values()], spread, rtol=0.3)
 
 
-@pytest.mark.parametrize("name, term", [
-    ("v", gx.Damping(0.03)), ("de/dt", gx.Dashpot(WALLS, 0.03)), ("v|v|", Drag(0.1)),
-    ("[e]_+^0.5 de/dt", ViscousContact(WALLS, 0.03, overlap=1.0)),
-], ids=["damping", "dashpot", "drag", "viscous_contact"])
+@pytest.mark.parametrize(
+    "name, term",
+    [
+        ("v", gx.Damping(0.03)),
+        ("de/dt", gx.Dashpot(WALLS, 0.03)),
+        ("v|v|", Drag(0.1)),
+        ("[e]_+^0.5 de/dt", ViscousContact(WALLS, 0.03, overlap=1.0)),
+    ],
+    ids=["damping", "dashpot", "drag", "viscous_contact"],
+)
 def test_one_kind_of_dissipation_is_told_from_the_others(name, term):
     states, a = _states(gx.Bond(WALLS, gx.Hertz(1.0, 1.0)), term)
     offered = library(WALLS, powers=(), overlap=1.0)
@@ -316,7 +371,10 @@ def test_a_sign_that_a_term_refuses_is_said():
 
 def test_terms_that_stand_for_each_other_are_said():
     states, a = _states(gx.Bond(WALLS, gx.Polynomial(1.0, 5e-9)))
-    twins = {"one": LIBRARY["e"], "other": lambda k: gx.Bond(WALLS, Scaled(gx.Polynomial(1.0, 1e-8), k))}
+    twins = {
+        "one": LIBRARY["e"],
+        "other": lambda k: gx.Bond(WALLS, Scaled(gx.Polynomial(1.0, 1e-8), k)),
+    }
     found = regression(np.ones(N), twins, *states, a)
     assert found.condition > 1e6 and "stand for each other" in found.outcome
 
@@ -325,26 +383,45 @@ def test_agrees_with_pysindy(hertz):
     ps = pytest.importorskip("pysindy")
     run, a = hertz
     noisy = _noisy(a, 0.01)
-    columns = np.stack([
-        np.asarray(jax.vmap(gx.Lattice(np.ones(N), (make(1.0),)).acceleration)(run.ts, run.us, run.vs)).ravel()
-        for make in LIBRARY.values()
-    ], -1)
+    columns = np.stack(
+        [
+            np.asarray(
+                jax.vmap(gx.Lattice(np.ones(N), (make(1.0),)).acceleration)(run.ts, run.us, run.vs)
+            ).ravel()
+            for make in LIBRARY.values()
+        ],
+        -1,
+    )
     for threshold, ridge in ((0.02, 0.0), (0.02, 0.05), (0.2, 0.01)):
         theirs = ps.STLSQ(threshold * np.linalg.norm(noisy), alpha=ridge, normalize_columns=True)
         theirs.fit(columns, noisy.ravel())
-        found = regression(np.ones(N), LIBRARY, run.ts, run.us, run.vs, noisy, threshold=threshold, ridge=ridge)
+        found = regression(
+            np.ones(N), LIBRARY, run.ts, run.us, run.vs, noisy, threshold=threshold, ridge=ridge
+        )
         ours = [values(found).get(name, 0.0) for name in LIBRARY]
         np.testing.assert_allclose(ours, theirs.coef_[0], rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("bad, word", [
-    (dict(threshold=0.999), "Lower it"), (dict(threshold=-1.0), "threshold"),
-    (dict(accelerations=np.zeros((5, N))), "accelerations"), (dict(accelerations=None), "twelve times"),
-    (dict(candidates={"v": LIBRARY["v"]}, vs=np.zeros((5, N))), "Leave it out"),
-])
+@pytest.mark.parametrize(
+    "bad, word",
+    [
+        (dict(threshold=0.999), "Lower it"),
+        (dict(threshold=-1.0), "threshold"),
+        (dict(accelerations=np.zeros((5, N))), "accelerations"),
+        (dict(accelerations=None), "twelve times"),
+        (dict(candidates={"v": LIBRARY["v"]}, vs=np.zeros((5, N))), "Leave it out"),
+    ],
+)
 def test_bad_input_is_refused(bad, word):
     x = np.random.default_rng(0).normal(size=(5, N))
-    good = dict(mass=np.ones(N), candidates={"e": LIBRARY["e"]}, ts=np.arange(5.0), us=x, vs=x, accelerations=x)
+    good = dict(
+        mass=np.ones(N),
+        candidates={"e": LIBRARY["e"]},
+        ts=np.arange(5.0),
+        us=x,
+        vs=x,
+        accelerations=x,
+    )
     with pytest.raises(ValueError, match=word):
         regression(**(good | bad))
 
@@ -374,8 +451,15 @@ def test_a_network_finds_stiffness_and_damping_from_three_sensors():
     run = gx.simulate(chain, state, 12.0, save_at=121)
     v = _noisy(np.asarray(run.vs)[:, SENSORS], 0.01)
     found = physics_informed(
-        _small, {"stiffness": 1.4, "damping": 0.2}, run.ts, v, sites=SENSORS, state=state,
-        bounds={"stiffness": (0.0, None), "damping": (0.0, None)}, max_steps=2000, refine=600,
+        _small,
+        {"stiffness": 1.4, "damping": 0.2},
+        run.ts,
+        v,
+        sites=SENSORS,
+        state=state,
+        bounds={"stiffness": (0.0, None), "damping": (0.0, None)},
+        max_steps=2000,
+        refine=600,
     )
     np.testing.assert_allclose(found.parameters["stiffness"], 1.0, rtol=2e-3)
     np.testing.assert_allclose(found.parameters["damping"], 0.08, rtol=2e-2)
@@ -390,11 +474,17 @@ def test_a_network_finds_stiffness_and_damping_from_three_sensors():
     np.testing.assert_allclose((after - 2 * u[7] + before) / h**2, a[7], rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("bad, word", [
-    (dict(velocity=np.ones((5, 2))), "velocity"), (dict(sites=[6]), "sites"),
-    (dict(bounds={"damping": (1, 2)}), "damping"),
-])
+@pytest.mark.parametrize(
+    "bad, word",
+    [
+        (dict(velocity=np.ones((5, 2))), "velocity"),
+        (dict(sites=[6]), "sites"),
+        (dict(bounds={"damping": (1, 2)}), "damping"),
+    ],
+)
 def test_bad_input_of_a_network_is_refused(bad, word):
-    good = dict(start={"stiffness": 1.0, "damping": 0.1}, times=np.arange(5.0), velocity=np.ones((5, 6)))
+    good = dict(
+        start={"stiffness": 1.0, "damping": 0.1}, times=np.arange(5.0), velocity=np.ones((5, 6))
+    )
     with pytest.raises(ValueError, match=word):
         physics_informed(_small, **(good | bad))

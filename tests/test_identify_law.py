@@ -1,6 +1,5 @@
 """Force laws from traces, against traces of another integrator and right-hand side."""
 
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +34,7 @@ def true_force(e):
 @pytest.fixture(scope="module")
 def measured():
     """Velocities (T, sensors) by SciPy's DOP853, and the least and largest strain: -0.890, 0.694 of d0 = 1."""
+
     def strains(u):
         return np.concatenate([-u[:1], u[:-1] - u[1:], u[-1:]])
 
@@ -43,7 +43,9 @@ def measured():
         return np.concatenate([y[N:], f[:-1] - f[1:] - DAMPING * y[N:]])
 
     start = np.r_[np.zeros(N), SPEED, np.zeros(N - 1)]
-    run = solve_ivp(motion, (0, TIMES[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, dense_output=True)
+    run = solve_ivp(
+        motion, (0, TIMES[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, dense_output=True
+    )
     e = strains(run.sol(np.linspace(0, TIMES[-1], 8001))[:N])
     return run.sol(TIMES)[N:][SENSORS].T, (e.min(), e.max())
 
@@ -74,21 +76,33 @@ def test_every_family_finds_the_force_over_the_strains_visited(measured, family)
             assert abs(found.fit.reduced_chi_square - 1) < 0.1 and "is known to" in found.outcome
         if family == "power law":
             deviation = float(found.fit.deviations["exponent"])
-            assert abs(float(found.law.exponent) - 1.5) < (3 * deviation if noise else 1e-7) and deviation < 0.02
+            assert (
+                abs(float(found.law.exponent) - 1.5) < (3 * deviation if noise else 1e-7)
+                and deviation < 0.02
+            )
 
 
 @pytest.mark.study
 def test_damping_is_found_beside_the_law_and_a_known_precompression_held(measured):
-    found = law(damped_chain, gx.PowerLaw(1.2, jnp.asarray(1.4), 1.0), traces(measured[0], 0.01), state=STATE,
-                others={"damping": 0.03}, hold=("precompression",))
+    found = law(
+        damped_chain,
+        gx.PowerLaw(1.2, jnp.asarray(1.4), 1.0),
+        traces(measured[0], 0.01),
+        state=STATE,
+        others={"damping": 0.03},
+        hold=("precompression",),
+    )
     assert set(found.fit.parameters) == {"damping", "exponent", "stiffness"}
     kept = found.to_xarray()
     assert kept.force.dims == kept.low.dims == ("strain",) and kept.force.attrs["si_units"] == "N"
     for name, value in (("damping", DAMPING), ("exponent", 1.5), ("stiffness", 1.0)):
         assert abs(found.fit.parameters[name] - value) < 3 * found.fit.deviations[name]
     # the delta method against the law of moved parameters
-    gradient = [(float(_moved(found, name, 1e-6).force(0.5)) - float(_moved(found, name, -1e-6).force(0.5))) / 2e-6
-                for name in found.fit.names]
+    gradient = [
+        (float(_moved(found, name, 1e-6).force(0.5)) - float(_moved(found, name, -1e-6).force(0.5)))
+        / 2e-6
+        for name in found.fit.names
+    ]
     deviation = np.sqrt(np.array(gradient) @ np.asarray(found.fit.covariance) @ np.array(gradient))
     np.testing.assert_allclose(found.force(0.5)[1], deviation, rtol=1e-5)
 
@@ -104,6 +118,7 @@ def push(t):
 @pytest.mark.slow
 def test_strains_are_visited_across_a_jump_of_the_force():
     """u = F (1 - cos t) until the force ends at T, of amplitude 2 F sin(T/2) from then on."""
+
     def scene(law):
         return gx.Lattice(1.0, (gx.OnSite(law), gx.Drive(push, 0, breaks=[1.3])), sites=2)
 
@@ -111,15 +126,23 @@ def test_strains_are_visited_across_a_jump_of_the_force():
     seen = gx.Traces(np.linspace(0.5, 9, 9), velocity=np.zeros((9, 1)), sites=[0], sigma=0.1)
     problem = prepared(of_law, start, seen, state=gx.State(np.zeros(2), np.zeros(2)), step=0.4)
     most = 0.4 * np.sin(0.65)
-    np.testing.assert_allclose(_visited(_acting(of_law, start), problem, start), (-most, most), rtol=1e-6)
+    np.testing.assert_allclose(
+        _visited(_acting(of_law, start), problem, start), (-most, most), rtol=1e-6
+    )
 
 
 def test_a_series_is_the_polynomial():
     series, K = Series([2.0, -0.5, 0.3, 0.1], 2.0, 3.0), [3.0, -0.375, 0.1125, 0.01875]
     e = np.linspace(-2, 2, 9)
-    np.testing.assert_allclose(series.force(e), sum(k * e**n for n, k in enumerate(K, 1)), rtol=1e-14, atol=1e-15)
-    np.testing.assert_allclose(series.energy(e), sum(k * e ** (n + 1) / (n + 1) for n, k in enumerate(K, 1)),
-                               rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(
+        series.force(e), sum(k * e**n for n, k in enumerate(K, 1)), rtol=1e-14, atol=1e-15
+    )
+    np.testing.assert_allclose(
+        series.energy(e),
+        sum(k * e ** (n + 1) / (n + 1) for n, k in enumerate(K, 1)),
+        rtol=1e-14,
+        atol=1e-15,
+    )
     np.testing.assert_array_equal(series.coefficients, [2.0, -0.5, 0.3, 0.1])
 
 
@@ -131,14 +154,25 @@ def test_families_begin_with_the_linear_stiffness(family):
     np.testing.assert_allclose(slope, 2e7, rtol=0.02 if family == "network" else 1e-6)
 
 
-@pytest.mark.parametrize("first, names, bounded", [
-    (gx.Hertz(1.0, 1.0), ["precompression", "stiffness"], 2), (gx.Hertz(1.0), ["stiffness"], 1),
-    (gx.PowerLaw(1.0, jnp.asarray(-3.0), 1.0), ["exponent", "precompression", "stiffness"], 3),
-    (gx.PowerLaw(1.0, 1.5, 1.0) + gx.Linear(0.1),
-     ["parts[0].precompression", "parts[0].stiffness", "parts[1].stiffness"], 2),
-    (Spline([-1.0, 0.0, 1.0], [1.0, 1.0, 1.0, 2.0], 0.5), [f"coefficients[{i}]" for i in range(4)], 4),
-    (Network(2, 1.0, 1.0), [f"parameters[{i}]" for i in range(7)], 0),
-])
+@pytest.mark.parametrize(
+    "first, names, bounded",
+    [
+        (gx.Hertz(1.0, 1.0), ["precompression", "stiffness"], 2),
+        (gx.Hertz(1.0), ["stiffness"], 1),
+        (gx.PowerLaw(1.0, jnp.asarray(-3.0), 1.0), ["exponent", "precompression", "stiffness"], 3),
+        (
+            gx.PowerLaw(1.0, 1.5, 1.0) + gx.Linear(0.1),
+            ["parts[0].precompression", "parts[0].stiffness", "parts[1].stiffness"],
+            2,
+        ),
+        (
+            Spline([-1.0, 0.0, 1.0], [1.0, 1.0, 1.0, 2.0], 0.5),
+            [f"coefficients[{i}]" for i in range(4)],
+            4,
+        ),
+        (Network(2, 1.0, 1.0), [f"parameters[{i}]" for i in range(7)], 0),
+    ],
+)
 def test_what_moves_of_a_law(first, names, bounded):
     scene, start, bounds = law_scene(chain, first, {}, ())
     assert sorted(start) == sorted(names) and len(bounds) == bounded
@@ -150,16 +184,34 @@ def test_what_moves_of_a_law(first, names, bounded):
 
 
 def _refused(**changes):
-    good = dict(scene=chain, family="spline", traces=traces(np.ones((400, 6)), 0.0), state=STATE, stiffness=1.0,
-                reach=(-1.0, 1.0))
+    good = dict(
+        scene=chain,
+        family="spline",
+        traces=traces(np.ones((400, 6)), 0.0),
+        state=STATE,
+        stiffness=1.0,
+        reach=(-1.0, 1.0),
+    )
     law(**(good | changes))
 
 
-@pytest.mark.parametrize("bad, word", [
-    (dict(family="splines"), "Did you mean 'spline'"), (dict(stiffness=None), "stiffness"),
-    (dict(family=gx.Linear(1.0), others={"stiffness": 1.0}), "others"),
-    (dict(scene=lambda law: gx.Lattice(1.0, (gx.Bond(CONTACTS, gx.Hertz(1.0, 1.0)),), sites=N), reach=None), "acts on"),
-])
+@pytest.mark.parametrize(
+    "bad, word",
+    [
+        (dict(family="splines"), "Did you mean 'spline'"),
+        (dict(stiffness=None), "stiffness"),
+        (dict(family=gx.Linear(1.0), others={"stiffness": 1.0}), "others"),
+        (
+            dict(
+                scene=lambda law: gx.Lattice(
+                    1.0, (gx.Bond(CONTACTS, gx.Hertz(1.0, 1.0)),), sites=N
+                ),
+                reach=None,
+            ),
+            "acts on",
+        ),
+    ],
+)
 def test_bad_input_is_refused(bad, word):
     with pytest.raises(ValueError, match=word):
         _refused(**bad)

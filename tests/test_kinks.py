@@ -35,7 +35,11 @@ def test_a_kink_is_that_of_an_independent_root():
         return 0.3 * np.diff(np.diff(u, prepend=u[0], append=u[-1])) - np.sin(u)
 
     found = gx.kinks.kink(pendula(0.3), 2 * np.pi, centre=39)
-    u = fsolve(rest, np.where(np.arange(N) == 39, np.pi, np.where(np.arange(N) < 39, 0, 2 * np.pi)), xtol=1e-13)
+    u = fsolve(
+        rest,
+        np.where(np.arange(N) == 39, np.pi, np.where(np.arange(N) < 39, 0, 2 * np.pi)),
+        xtol=1e-13,
+    )
     np.testing.assert_allclose(found.state.u, u, atol=1e-11)
     assert found.verdict == "unstable" and found.growth > 0
     energy = np.sum(1 - np.cos(u)) + 0.15 * np.sum(np.diff(u) ** 2)
@@ -51,7 +55,9 @@ def test_between_a_site_and_a_bond_it_is_the_nearest():
 def test_the_barrier():
     # weakly coupled the one on a site has a pendulum upside down, and the other has none
     weak = gx.kinks.peierls_nabarro(pendula(1e-4), 2 * np.pi)
-    assert float(weak.barrier) == pytest.approx(2, abs=2e-3) and float(weak.omega) == pytest.approx(1, abs=1e-3)
+    assert float(weak.barrier) == pytest.approx(2, abs=2e-3) and float(weak.omega) == pytest.approx(
+        1, abs=1e-3
+    )
     barriers = [gx.kinks.peierls_nabarro(pendula(c), 2 * np.pi) for c in (0.5, 1.0, 2.0)]
     assert np.all(np.diff([float(b.barrier) for b in barriers]) < 0)
     assert all(b.error < 1e-12 and "rests on a bond" in b.outcome for b in barriers)
@@ -83,7 +89,10 @@ def test_what_is_no_well_is_refused():
         (lambda: gx.kinks.kink(pendula(0.5), 0.0), "another well"),
         (lambda: gx.kinks.kink(pendula(0.5), np.pi), "right: .*barrier"),
         (lambda: gx.kinks.kink(gx.scenes.sine_gordon(N, 0.5, boundary="fixed"), 2 * np.pi), "free"),
-        (lambda: gx.kinks.moving(pendula(0.25), 0.6, 2 * np.pi), "velocity: .*0.5, that of long waves"),
+        (
+            lambda: gx.kinks.moving(pendula(0.25), 0.6, 2 * np.pi),
+            "velocity: .*0.5, that of long waves",
+        ),
         (lambda: gx.kinks.kink(gx.scenes.toda(9, boundary="free"), 1.0), "force on the sites"),
     ):
         with pytest.raises(ValueError, match=words):
@@ -120,9 +129,15 @@ def fractional_kernel(s, count):
     return size * gamma(m - s) / gamma(m + 1 + s)
 
 
-@pytest.mark.parametrize("case", [
-    "fractional", pytest.param("two harmonics", marks=pytest.mark.slow),
-    pytest.param("double well", marks=pytest.mark.slow), pytest.param("heavy", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "case",
+    [
+        "fractional",
+        pytest.param("two harmonics", marks=pytest.mark.slow),
+        pytest.param("double well", marks=pytest.mark.slow),
+        pytest.param("heavy", marks=pytest.mark.slow),
+    ],
+)
 def test_kinks_of_long_range_chains_against_dense_matrices(case):
     if case == "fractional":  # 12 sites, as named in the literature
         chain = gx.scenes.fractional_sine_gordon(12, 0.7, 0.1, boundary="free")
@@ -147,7 +162,12 @@ def test_kinks_of_long_range_chains_against_dense_matrices(case):
     K = free_couplings(weights)
     found = gx.kinks.kink(chain, right)
     half = np.arange(len(K)) > (len(K) - 1) // 2
-    u = fsolve(lambda u: K @ u + own(u), np.where(half, right, 0.0), fprime=lambda u: K + np.diag(slope(u)), xtol=1e-13)
+    u = fsolve(
+        lambda u: K @ u + own(u),
+        np.where(half, right, 0.0),
+        fprime=lambda u: K + np.diag(slope(u)),
+        xtol=1e-13,
+    )
     np.testing.assert_allclose(found.state.u, u, rtol=0, atol=1e-11 * abs(right))
     root = np.sqrt(np.broadcast_to(chain.mass, len(K)))
     squares = np.linalg.eigvalsh((K + np.diag(slope(u))) / root / root[:, None])

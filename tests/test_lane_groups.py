@@ -15,7 +15,9 @@ BOUNDS = {0: 900, 4: 901}
 
 def scene(ratio, precompression=0.3):
     chain = gx.scenes.dimer(SITES, ratio=ratio, precompression=precompression, boundary="free")
-    return more(chain, gx.Damping(0.01), gx.Wall(gx.Hertz(precompression=precompression), side="left"))
+    return more(
+        chain, gx.Damping(0.01), gx.Wall(gx.Hertz(precompression=precompression), side="left")
+    )
 
 
 def more(chain, *terms):
@@ -47,11 +49,18 @@ FROM_LANE_TO_LANE = {"p": gx.Peak(lambda t, y, lattice: y.u - y.u.mean(-1, keepd
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("lanes", "how"), [
-    pytest.param(LANES, {"save_at": 4}, id="frames as many as lanes at a time"),
-    pytest.param((3, 4), {"save_at": jnp.array([1.0, 2.2])}, id="two axes", marks=pytest.mark.study),
-    pytest.param(LANES, {"record": FROM_LANE_TO_LANE}, id="from lane to lane", marks=pytest.mark.slow),
-])
+@pytest.mark.parametrize(
+    ("lanes", "how"),
+    [
+        pytest.param(LANES, {"save_at": 4}, id="frames as many as lanes at a time"),
+        pytest.param(
+            (3, 4), {"save_at": jnp.array([1.0, 2.2])}, id="two axes", marks=pytest.mark.study
+        ),
+        pytest.param(
+            LANES, {"record": FROM_LANE_TO_LANE}, id="from lane to lane", marks=pytest.mark.slow
+        ),
+    ],
+)
 def test_groups_are_all_lanes_together(by, lanes, how):
     lattice, state = batch(lanes=lanes)
     together, grouped = (by(width, lattice, state, **how) for width in BOUNDS)
@@ -64,14 +73,20 @@ def test_groups_are_all_lanes_together(by, lanes, how):
 @pytest.mark.parametrize("mode", [jax.jvp, jax.vjp])
 def test_derivatives_in_both_modes(by, mode):
     def end(width, u, precompression):
-        lattice = jax.vmap(lambda r: scene(r, precompression), out_axes=-1)(jnp.linspace(0.3, 1.0, LANES))
+        lattice = jax.vmap(lambda r: scene(r, precompression), out_axes=-1)(
+            jnp.linspace(0.3, 1.0, LANES)
+        )
         return by(width, lattice, gx.State(u, 0 * u)).final.u
 
     _, state = batch()
     at, found = (state.u, 0.3), []
     for width in BOUNDS:
         function = lambda *x, width=width: end(width, *x)
-        along = jax.jvp(function, at, (state.v, 1.0))[1] if mode is jax.jvp else jax.vjp(function, *at)[1](state.v)
+        along = (
+            jax.jvp(function, at, (state.v, 1.0))[1]
+            if mode is jax.jvp
+            else jax.vjp(function, *at)[1](state.v)
+        )
         found.append(along)
     for a, b in zip(*map(jax.tree.leaves, found), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * np.abs(a).max())
@@ -79,7 +94,9 @@ def test_derivatives_in_both_modes(by, mode):
 
 @pytest.mark.study
 def test_a_lane_that_fails_says_so_for_all(by):
-    magnets = lambda r: gx.Lattice(jnp.full(SITES, r), (gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3.0, 1.0)),))
+    magnets = lambda r: gx.Lattice(
+        jnp.full(SITES, r), (gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3.0, 1.0)),)
+    )
     lattice, state = batch(magnets)
     u = state.u.at[2, 5].set(3.0)
     runs = [by(width, lattice, gx.State(u, state.v), throw=False) for width in BOUNDS]

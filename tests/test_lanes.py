@@ -27,8 +27,12 @@ def batch(make, values):
 
 
 def record(threshold):
-    return {"peak": gx.Peak(contact_force), "arrival": gx.Arrival(lambda t, y, lattice: y.v, threshold),
-            "kinetic": gx.Integral(lambda lattice, y: lattice.kinetic_energy(y.v)), "low": gx.Lowest(contact_force)}
+    return {
+        "peak": gx.Peak(contact_force),
+        "arrival": gx.Arrival(lambda t, y, lattice: y.v, threshold),
+        "kinetic": gx.Integral(lambda lattice, y: lattice.kinetic_energy(y.v)),
+        "low": gx.Lowest(contact_force),
+    }
 
 
 def lane(tree, k):
@@ -53,10 +57,14 @@ def test_records_and_their_errors_are_those_of_each_lane():
     assert run.contact_opened.shape == (5,) and run.opening == "yes"
     for k in (0, 4):
         alone = dimer(RATIOS[k])
-        one = gx.simulate(alone, gx.states.impact(alone), END, save_at=TIMES, record=record(thresholds[k]), **HOW)
+        one = gx.simulate(
+            alone, gx.states.impact(alone), END, save_at=TIMES, record=record(thresholds[k]), **HOW
+        )
         agree(run, k, one)
         for name, error in one.record_error.items():
-            np.testing.assert_allclose(run.record_error[name][..., k], error, rtol=1e-6, atol=1e-6 * np.max(error))
+            np.testing.assert_allclose(
+                run.record_error[name][..., k], error, rtol=1e-6, atol=1e-6 * np.max(error)
+            )
 
 
 @pytest.mark.slow
@@ -68,12 +76,19 @@ def test_each_lane_is_the_run_of_that_lane(monkeypatch):
     run = gx.simulate(lattice, state, END, save_at=TIMES, record=kinetic, **HOW)
     assert run.us.shape == (3, SITES, 5) and run.ts.shape == (3,) and run.code.shape == (5,)
     assert run.recorded["kinetic"].shape == (5,)
-    assert all(x.shape == (5,) for x in run.stats.values()) and len(set(run.stats["steps"].tolist())) > 3
+    assert (
+        all(x.shape == (5,) for x in run.stats.values())
+        and len(set(run.stats["steps"].tolist())) > 3
+    )
     assert np.all(run.completed) and np.all(run.contact_opened) and np.max(run.energy_error) < 1e-6
     assert "lane by lane" in repr(run)
     for k in (0, 3, 4):
         alone = dimer(RATIOS[k])
-        agree(run, k, gx.simulate(alone, gx.states.impact(alone), END, save_at=TIMES, record=kinetic, **HOW))
+        agree(
+            run,
+            k,
+            gx.simulate(alone, gx.states.impact(alone), END, save_at=TIMES, record=kinetic, **HOW),
+        )
 
     def pressed(run):
         raise KeyboardInterrupt
@@ -99,10 +114,17 @@ def test_lanes_that_take_long_go_one_by_one(monkeypatch):
 def test_a_batch_of_one_and_what_it_refuses(dtype):
     """One lane goes by itself, and so does nothing else than lanes among others."""
     lattice, state = jax.tree.map(lambda x: x.astype(dtype), batch(dimer, RATIOS[:1]))
-    alone, start = jax.tree.map(lambda x: x.astype(dtype), (dimer(RATIOS[0]), gx.states.impact(dimer(RATIOS[0]))))
-    run, one = gx.simulate(lattice, state, 1.0, tolerance=1e-4), gx.simulate(alone, start, 1.0, tolerance=1e-4)
+    alone, start = jax.tree.map(
+        lambda x: x.astype(dtype), (dimer(RATIOS[0]), gx.states.impact(dimer(RATIOS[0])))
+    )
+    run, one = (
+        gx.simulate(lattice, state, 1.0, tolerance=1e-4),
+        gx.simulate(alone, start, 1.0, tolerance=1e-4),
+    )
     assert run.final.u.shape == (SITES, 1) and run.final.u.dtype == lattice.dtype == dtype
-    np.testing.assert_allclose(run.final.u[:, 0], one.final.u, rtol=0, atol=10 * np.finfo(dtype).eps)
+    np.testing.assert_allclose(
+        run.final.u[:, 0], one.final.u, rtol=0, atol=10 * np.finfo(dtype).eps
+    )
     for within in (lambda t, y, lattice: y.u[:, 0], lambda t, y, lattice: y.u.sum(-1)):
         with pytest.raises(ValueError, match=r"record\['x'\]: expected a quantity of each lane"):
             gx.simulate(lattice, state, 1.0, record={"x": gx.Peak(within)}, tolerance=1e-4)
@@ -119,7 +141,9 @@ def test_derivatives_are_those_of_each_lane(mode):
 
     found = jax.jit(mode(lambda ratios: end(jax.vmap(dimer, out_axes=-1)(ratios))))(ratios)
     one = jax.jit(mode(lambda ratio: end(dimer(ratio))))
-    np.testing.assert_allclose(found, np.diag([one(ratio) for ratio in ratios]), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        found, np.diag([one(ratio) for ratio in ratios]), rtol=1e-12, atol=1e-12
+    )
 
 
 class Pull(gx.terms.Term):
@@ -149,7 +173,9 @@ def test_lanes_in_some_of_the_leaves_two_axes_of_them_and_solvers_that_are_not_o
     assert run.final.u.shape == (SITES, 2, 3) and run.code.shape == (2, 3)
     for i, j in ((0, 0), (1, 2)):
         one = eqx.tree_at(parts, lattice, (jnp.asarray(mass[:, i, j]), strengths[j]))
-        agree(run, (i, j), gx.simulate(one, gx.states.impact(one), 3.0, solver=solver, tolerance=1e-7))
+        agree(
+            run, (i, j), gx.simulate(one, gx.states.impact(one), 3.0, solver=solver, tolerance=1e-7)
+        )
 
 
 @pytest.mark.slow
@@ -169,6 +195,7 @@ def test_a_cell_of_two_fields():
 @pytest.mark.study
 def test_a_lane_that_fails_leaves_the_others():
     """The middle one runs out of its well to infinity; and lanes that may take no more steps."""
+
     def make(speed):
         bond = gx.Bond(Shift(1, "fixed"), gx.Polynomial(1.0, 0.0, -1.0))
         lattice = gx.Lattice(1.0, bond, sites=SITES)
@@ -191,10 +218,16 @@ def test_what_holds_lanes_itself_is_refused():
     lattice, state = batch(dimer, RATIOS[:3])
     held = jnp.array([1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match=r"record\['x'\]: expected a quantity of each lane"):
-        gx.simulate(lattice, state, 1.0, record={"x": gx.Peak(lambda t, y, lattice: held * y.u)}, **HOW)
+        gx.simulate(
+            lattice, state, 1.0, record={"x": gx.Peak(lambda t, y, lattice: held * y.u)}, **HOW
+        )
     with pytest.raises(ValueError, match=r"record\['x'\]: expected a quantity of each lane"):
-        gx.simulate(lattice, state, 1.0, record={"x": gx.Peak(lambda t, y, lattice: y.u[:, 0])}, **HOW)
-    with pytest.raises(ValueError, match="save_at: expected times, where each lane has steps of its own"):
+        gx.simulate(
+            lattice, state, 1.0, record={"x": gx.Peak(lambda t, y, lattice: y.u[:, 0])}, **HOW
+        )
+    with pytest.raises(
+        ValueError, match="save_at: expected times, where each lane has steps of its own"
+    ):
         gx.simulate(lattice, state, 1.0, save_at="steps", **HOW)
 
     class Held(gx.terms.Term):

@@ -26,10 +26,12 @@ def _facts(name):
 
     def all_of(lattice, u, v):
         return dict(
-            a=lattice.acceleration(T, u, v), force=lattice.force(T, u, v),
+            a=lattice.acceleration(T, u, v),
+            force=lattice.force(T, u, v),
             stored=lattice.sum_forces(T, u, v, terms_with_energy(lattice, u)),
             gradient=jax.grad(lambda u: jnp.asarray(lattice.potential_energy(T, u)))(u),
-            potential=jnp.asarray(lattice.potential_energy(T, u)), total=jnp.asarray(lattice.energy(T, u, v)),
+            potential=jnp.asarray(lattice.potential_energy(T, u)),
+            total=jnp.asarray(lattice.energy(T, u, v)),
             site=[term.site_energy(lattice, T, u) for term in lattice.terms],
         )
 
@@ -70,8 +72,10 @@ def test_acceleration_is_force_over_mass_under_jit_as_eagerly(case):
 @over(ALL_LATTICES)
 def test_energies_add_up(case):
     lattice, u, v, x = facts(case)
-    kinetic = sum(np.sum(np.asarray(m) * np.asarray(w) ** 2) / 2 for m, w in zip(
-        jax.tree.leaves(lattice.mass), jax.tree.leaves(v)))
+    kinetic = sum(
+        np.sum(np.asarray(m) * np.asarray(w) ** 2) / 2
+        for m, w in zip(jax.tree.leaves(lattice.mass), jax.tree.leaves(v))
+    )
     np.testing.assert_allclose(x["total"] - x["potential"], kinetic, rtol=1e-13, atol=1e-14)
     shared = sum(float(s.sum()) for s in jax.tree.leaves(x["site"]))
     np.testing.assert_allclose(shared, x["potential"], rtol=1e-13, atol=1e-14)
@@ -140,17 +144,43 @@ def _bond(boundary, F0=0.7):
     return gx.Bond(gx.Shift(1, boundary), gx.Hertz(1.2, F0))
 
 
-@pytest.mark.parametrize("terms, want", [
-    ((_bond("fixed"),), np.zeros(5)),
-    ((_bond("periodic"),), np.zeros(5)),
-    ((_bond("free"),), np.array([-0.7, 0, 0, 0, 0.7])),
-    ((_bond("free", 0.0),), np.zeros(5)),
-    ((_bond("free"), gx.Wall(gx.Hertz(3.0, 0.7), "left"), gx.Wall(gx.Hertz(3.0, 0.7), "right")), np.zeros(5)),
-    ((_bond("free"), gx.Wall(gx.Hertz(3.0, 0.7), "left")), np.array([0, 0, 0, 0, 0.7])),
-    ((gx.Modulated(_bond("free"), lambda t: 1.0),), np.array([-0.7, 0, 0, 0, 0.7])),
-    ((gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]))),),
-     np.array([0, 0, -1.0, 0, 0])),
-], ids=["fixed", "periodic", "free", "free_no_load", "walls", "left_wall", "modulated", "jump_in_load"])
+@pytest.mark.parametrize(
+    "terms, want",
+    [
+        ((_bond("fixed"),), np.zeros(5)),
+        ((_bond("periodic"),), np.zeros(5)),
+        ((_bond("free"),), np.array([-0.7, 0, 0, 0, 0.7])),
+        ((_bond("free", 0.0),), np.zeros(5)),
+        (
+            (
+                _bond("free"),
+                gx.Wall(gx.Hertz(3.0, 0.7), "left"),
+                gx.Wall(gx.Hertz(3.0, 0.7), "right"),
+            ),
+            np.zeros(5),
+        ),
+        ((_bond("free"), gx.Wall(gx.Hertz(3.0, 0.7), "left")), np.array([0, 0, 0, 0, 0.7])),
+        ((gx.Modulated(_bond("free"), lambda t: 1.0),), np.array([-0.7, 0, 0, 0, 0.7])),
+        (
+            (
+                gx.Bond(
+                    gx.Shift(1, "fixed"), gx.Hertz(1.0, np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]))
+                ),
+            ),
+            np.array([0, 0, -1.0, 0, 0]),
+        ),
+    ],
+    ids=[
+        "fixed",
+        "periodic",
+        "free",
+        "free_no_load",
+        "walls",
+        "left_wall",
+        "modulated",
+        "jump_in_load",
+    ],
+)
 def test_unbalanced_shows_what_no_term_holds(terms, want):
     np.testing.assert_allclose(gx.Lattice(np.ones(5), terms).unbalanced(), want, atol=1e-14)
 
@@ -171,7 +201,9 @@ def primitives(jaxpr):
     """How often each primitive occurs, calls opened."""
     count = Counter()
     for eqn in jaxpr.eqns:
-        inner = [p for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+        inner = [
+            p for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)
+        ]
         if inner:
             for sub in inner:
                 count += primitives(getattr(sub, "jaxpr", sub))
@@ -190,10 +222,14 @@ def _programs():
     rest = jnp.zeros(50)
     return (
         lambda lattice, u: lattice.acceleration(0.0, u, rest),
-        lambda lattice, u: hand_written(lattice.mass, lattice.terms[0].law.stiffness)(u), lattice, u,
+        lambda lattice, u: hand_written(lattice.mass, lattice.terms[0].law.stiffness)(u),
+        lattice,
+        u,
     )
 
 
 def test_the_traced_program_is_the_one_written_by_hand():
     ours, hand, *args = _programs()
-    assert primitives(jax.make_jaxpr(ours)(*args).jaxpr) == primitives(jax.make_jaxpr(hand)(*args).jaxpr)
+    assert primitives(jax.make_jaxpr(ours)(*args).jaxpr) == primitives(
+        jax.make_jaxpr(hand)(*args).jaxpr
+    )

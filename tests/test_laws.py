@@ -34,10 +34,18 @@ def _facts(name):
     @eqx.filter_jit
     def all_of(law, e):
         orders = [derivative(law.force, order)(e) for order in (1, 2, 3)]
-        return dict(force=law.force(e), energy=law.energy(e), overlap=law.overlap(e), orders=orders,
-                    slope=derivative(law.energy, 1)(e), preload=jnp.asarray(law.preload))
+        return dict(
+            force=law.force(e),
+            energy=law.energy(e),
+            overlap=law.overlap(e),
+            orders=orders,
+            slope=derivative(law.energy, 1)(e),
+            preload=jnp.asarray(law.preload),
+        )
 
-    return jax.tree.map(np.asarray, all_of(case.law, jnp.array(case.strains + (-1e-60, 1e-60, 0.0, 0.1, jnp.nan))))
+    return jax.tree.map(
+        np.asarray, all_of(case.law, jnp.array(case.strains + (-1e-60, 1e-60, 0.0, 0.1, jnp.nan)))
+    )
 
 
 def facts(case):
@@ -67,7 +75,13 @@ def test_force_is_the_derivative_of_the_energy(case):
 
 
 @pytest.mark.slow
-@over([c for c in ALL_LAWS if c.law.overlap(jnp.array(0.0)) is not None and not isinstance(c.law, gx.laws.Sum)])
+@over(
+    [
+        c
+        for c in ALL_LAWS
+        if c.law.overlap(jnp.array(0.0)) is not None and not isinstance(c.law, gx.laws.Sum)
+    ]
+)
 def test_a_contact_pushes_while_its_overlap_is_positive(case):
     x, at = facts(case)
     closed, opened = x["overlap"][at] > 0, x["overlap"][at] < 0
@@ -81,7 +95,11 @@ def test_a_contact_pushes_while_its_overlap_is_positive(case):
 @over(ALL_LAWS)
 def test_nan_stays_nan(case):
     x, _ = facts(case)
-    for got, constant in ((x["force"], False), (x["energy"], False), (x["orders"][0], isinstance(case.law, gx.Linear))):
+    for got, constant in (
+        (x["force"], False),
+        (x["energy"], False),
+        (x["orders"][0], isinstance(case.law, gx.Linear)),
+    ):
         assert np.isfinite(got[-2])
         assert np.isnan(got[-1]) or constant
 
@@ -108,10 +126,14 @@ def test_derivatives_of_the_power_law_are_the_closed_form(p, kind, order):
         want = np.zeros_like(OVERLAPS) if factor == 0 else factor * OVERLAPS ** (p - order)
     want[np.abs(want) < np.finfo(float).tiny] = 0  # XLA flushes subnormal numbers to zero
     got = np.where(np.abs(got) < np.finfo(float).tiny, 0, got)
-    over = np.isinf(want)  # beyond the largest float: its edge or infinity, with the sign, never NaN
+    over = np.isinf(
+        want
+    )  # beyond the largest float: its edge or infinity, with the sign, never NaN
     assert np.all(np.abs(got[over]) > 1e307) and np.all(np.sign(got[over]) == np.sign(want[over]))
     np.testing.assert_allclose(got[~over], want[~over], rtol=16 * EPS)
-    off = np.asarray(derivative(law.force, order)(jnp.array([0.0, -0.0, -1e-300, -1e-12, -1.0, -1e12])))
+    off = np.asarray(
+        derivative(law.force, order)(jnp.array([0.0, -0.0, -1e-300, -1e-12, -1.0, -1e12]))
+    )
     assert np.all(off == 0)
 
 
@@ -155,13 +177,17 @@ def test_derivatives_in_the_exponent_are_the_closed_form(p):
 
 # magnets have no equilibrium without a static force
 @pytest.mark.slow
-@pytest.mark.parametrize("p, F0", [(p, F0) for p in (*EXPONENTS, -3.0, -1.0, -2.5) for F0 in (0.0, 0.7) if p > 0 or F0])
+@pytest.mark.parametrize(
+    "p, F0", [(p, F0) for p in (*EXPONENTS, -3.0, -1.0, -2.5) for F0 in (0.0, 0.7) if p > 0 or F0]
+)
 def test_array_exponent_equals_static_exponent(p, F0):
     e = jnp.array([-0.4, -1e-3, 0.0, 1e-3, 0.3])
     static, free = gx.PowerLaw(1.3, p, F0), gx.PowerLaw(1.3, jnp.asarray(p), F0)
     for order in range(4):
         assert_ulps(derivative(free.force, order)(e), derivative(static.force, order)(e), 64)
-    assert_ulps(free.energy(e), static.energy(e), 64, float(jnp.max(jnp.abs(static.energy(e)))) + F0)
+    assert_ulps(
+        free.energy(e), static.energy(e), 64, float(jnp.max(jnp.abs(static.energy(e)))) + F0
+    )
 
 
 @pytest.mark.slow
@@ -213,7 +239,9 @@ def test_magnets_that_met_are_nan(exponent):
 
 def test_taylor_of_hertz():
     # A = d0 = 1: K2, K3, K4 = 3/2, 3/8, -1/16
-    assert_ulps(tuple(taylor(gx.Hertz(1.0, 1.0))), (np.array(1.5), np.array(0.375), np.array(-0.0625)), 8)
+    assert_ulps(
+        tuple(taylor(gx.Hertz(1.0, 1.0))), (np.array(1.5), np.array(0.375), np.array(-0.0625)), 8
+    )
 
 
 @pytest.mark.slow
@@ -229,14 +257,20 @@ def test_taylor_of_the_power_law(p, kind):
 @pytest.mark.parametrize("exponent", [-3.0, jnp.asarray(-3.0)])
 def test_taylor_of_magnets(exponent):
     # A [d0 - e]^-3 with A = d0 = 1: 3, 6, 10
-    np.testing.assert_allclose(np.array(taylor(gx.PowerLaw(1.0, exponent, 1.0))), [3, 6, 10], rtol=32 * EPS)
+    np.testing.assert_allclose(
+        np.array(taylor(gx.PowerLaw(1.0, exponent, 1.0))), [3, 6, 10], rtol=32 * EPS
+    )
 
 
 @pytest.mark.slow
 def test_taylor_elsewhere_and_of_other_laws():
-    np.testing.assert_allclose(np.array(taylor(gx.Polynomial(1.1, -0.4, 0.3))), [1.1, -0.4, 0.3], rtol=8 * EPS)
+    np.testing.assert_allclose(
+        np.array(taylor(gx.Polynomial(1.1, -0.4, 0.3))), [1.1, -0.4, 0.3], rtol=8 * EPS
+    )
     np.testing.assert_allclose(np.array(taylor(gx.Toda(2.0, 3.0))), [6, 9, 9], rtol=8 * EPS)
-    np.testing.assert_allclose(np.array(taylor(gx.Sine(2.0, 3.0))), [2, 0, -3], rtol=8 * EPS, atol=1e-300)
+    np.testing.assert_allclose(
+        np.array(taylor(gx.Sine(2.0, 3.0))), [2, 0, -3], rtol=8 * EPS, atol=1e-300
+    )
     np.testing.assert_allclose(np.array(taylor(gx.Hertz())), [0, 0, 0], atol=0)
     e = 0.7
     want = [1.5 * e**0.5, 0.75 * e**-0.5 / 2, -0.375 * e**-1.5 / 6]
@@ -269,8 +303,12 @@ def test_closed_forms_of_the_smooth_laws():
     e = np.array([-30.0, -2.0, -1e-9, 1e-12, 0.3, 4.0])
     E = jnp.array(e)
     np.testing.assert_allclose(gx.Toda(0.8, 1.3).force(E), 0.8 * np.expm1(1.3 * e), rtol=4 * EPS)
-    np.testing.assert_allclose(gx.Sine(0.9, 1.7).force(E), 0.9 / 1.7 * np.sin(1.7 * e), rtol=4 * EPS)
-    np.testing.assert_allclose(gx.Polynomial(1.1, -0.4, 0.3).force(E), 1.1 * e - 0.4 * e**2 + 0.3 * e**3, rtol=8 * EPS)
+    np.testing.assert_allclose(
+        gx.Sine(0.9, 1.7).force(E), 0.9 / 1.7 * np.sin(1.7 * e), rtol=4 * EPS
+    )
+    np.testing.assert_allclose(
+        gx.Polynomial(1.1, -0.4, 0.3).force(E), 1.1 * e - 0.4 * e**2 + 0.3 * e**3, rtol=8 * EPS
+    )
     np.testing.assert_allclose(gx.Linear(1.3).energy(E), 0.65 * e**2, rtol=4 * EPS)
 
 
@@ -323,7 +361,9 @@ def test_batches_and_arrays_over_bonds_are_loops(case):
     # one bond of each kind: the parameters are arrays over bonds
     assert_ulps(lanes.force(jnp.broadcast_to(e[5], (3,))), loop[5], 64, scale)
     energies = np.stack([law.energy(e) for law in laws], -1)
-    assert_ulps(lanes.energy(jnp.stack([e] * 3, -1)), energies, 64, scale * float(jnp.max(jnp.abs(e))))
+    assert_ulps(
+        lanes.energy(jnp.stack([e] * 3, -1)), energies, 64, scale * float(jnp.max(jnp.abs(e)))
+    )
 
 
 @pytest.mark.slow
@@ -332,7 +372,10 @@ def test_float32_stays_float32(case):
     law = jax.tree.map(lambda x: x.astype(jnp.float32), case.law)
     e = jnp.array(case.strains, jnp.float32)
     scale = size_of(case)
-    for f, g, size in ((law.force, case.law.force, scale), (law.energy, case.law.energy, 50 * scale)):
+    for f, g, size in (
+        (law.force, case.law.force, scale),
+        (law.energy, case.law.energy, 50 * scale),
+    ):
         assert f(e).dtype == jnp.float32
         # exponents and parameters round in float32 too: a hundred of its units
         np.testing.assert_allclose(f(e), g(jnp.array(case.strains)), rtol=1e-5, atol=1e-5 * size)
@@ -355,12 +398,18 @@ def test_sum_and_scaled():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [gx.Hertz(), gx.Hertz(1.7, 0.9), gx.PowerLaw(1.0, 0.5), gx.PowerLaw(1.0, -3.0, 1.0)],
-                         ids=["hertz", "hertz_F0", "softening", "magnets"])
+@pytest.mark.parametrize(
+    "law",
+    [gx.Hertz(), gx.Hertz(1.7, 0.9), gx.PowerLaw(1.0, 0.5), gx.PowerLaw(1.0, -3.0, 1.0)],
+    ids=["hertz", "hertz_F0", "softening", "magnets"],
+)
 def test_yielding_solves_its_equation(law):
     """x + F(x)/k = e: the bond's force is the contact's and the spring's, for supports soft and stiff."""
     supports, e = np.array([1e-9, 1e-3, 0.1, 1.0, 1e3, 1e9, 1e15]), np.array([-0.4, 0.05, 0.5, 1.5])
-    force, yielding = jax.jit(lambda x: law.force(x)), eqx.filter_jit(lambda bond: bond.force(jnp.array(e)))
+    force, yielding = (
+        jax.jit(lambda x: law.force(x)),
+        eqx.filter_jit(lambda bond: bond.force(jnp.array(e))),
+    )
     expected = force(_bisect(force, supports[:, None], e[None, :]))
     for support, want in zip(supports, expected):
         # F0 is subtracted: its rounding stays
@@ -390,7 +439,9 @@ def test_real_power_is_true_to_a_few_ulps_over_sixty_decades(p):
 
 
 def test_logarithm_is_true_to_an_ulp():
-    x = np.append(10 ** np.random.default_rng(2).uniform(-30, 30, 500), 1 + np.linspace(-1e-3, 1e-3, 101))
+    x = np.append(
+        10 ** np.random.default_rng(2).uniform(-30, 30, 500), 1 + np.linspace(-1e-3, 1e-3, 101)
+    )
     exact = np.log(x.astype(np.longdouble))
     error = np.abs(np.asarray(logarithm(jnp.asarray(x))) - exact)
     assert (error <= 2 * EPS * np.abs(exact)).all()
@@ -401,7 +452,9 @@ def test_real_power_at_the_ends(p):
     ends = jnp.asarray([0.0, jnp.inf, jnp.nan, 1.0, 1e300])
     with np.errstate(all="ignore"):
         np.testing.assert_allclose(real_power(ends, p), np.asarray(ends) ** p, rtol=1e-14)
-    assert float(logarithm(jnp.asarray(jnp.inf))) == np.inf and np.isnan(logarithm(jnp.asarray(jnp.nan)))
+    assert float(logarithm(jnp.asarray(jnp.inf))) == np.inf and np.isnan(
+        logarithm(jnp.asarray(jnp.nan))
+    )
     assert np.isfinite(logarithm(jnp.asarray(0.0)))
 
 
@@ -409,7 +462,10 @@ def test_real_power_at_the_ends(p):
 def test_root_is_true_to_an_ulp_and_a_half(form, monkeypatch):
     monkeypatch.setattr("granjax.laws.real_power.root_by_products", lambda: form == "products")
     x = 10 ** np.random.default_rng(3).uniform(-300, 300, 2000)
-    error = np.abs(np.asarray(jax.jit(lambda x: root(x))(jnp.asarray(x))) / np.sqrt(x.astype(np.longdouble)) - 1)
+    error = np.abs(
+        np.asarray(jax.jit(lambda x: root(x))(jnp.asarray(x))) / np.sqrt(x.astype(np.longdouble))
+        - 1
+    )
     assert error.max() < 1.5 * EPS
     ends = jnp.asarray([0.0, jnp.inf, jnp.nan, 1.0])
     np.testing.assert_array_equal(root(ends), jnp.sqrt(ends))

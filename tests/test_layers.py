@@ -12,7 +12,17 @@ FLOORS = (
     {"entry", "programs", "variables"},
     {"split_system", "units"},
     {"results"},
-    {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "plots", "fractional"},
+    {
+        "laws",
+        "strains",
+        "materials",
+        "solvers",
+        "newton",
+        "parameters",
+        "descent",
+        "plots",
+        "fractional",
+    },
     {"terms", "continuation"},
     {"lattice"},
     {"equilibria"},
@@ -67,20 +77,57 @@ def test_every_module_has_a_floor_and_imports_point_downwards():
         for other in imports(path) if own not in ABOVE else ():
             assert other not in ABOVE | {""}, f"{path} imports the face"
             assert other != "plots", f"{path} imports plots"
-            assert other == "checks" or FLOOR[other] < FLOOR[own], f"{path} imports {other}, which is not below it"
+            assert other == "checks" or FLOOR[other] < FLOOR[own], (
+                f"{path} imports {other}, which is not below it"
+            )
     # the reading of imports sees them
     assert {"laws", "strains"} <= imports(ROOT / "terms" / "bonds.py")
     assert imports(ROOT / "checks.py") == set()
 
 
 KINDS = {
-    name: folder for folder, names in (
-        ("laws", ("Hertz", "PowerLaw", "Polynomial", "Toda", "Linear", "Sine", "Spline", "Network", "Sum", "Scaled",
-                  "Strained", "Yielding", "Indented")),
+    name: folder
+    for folder, names in (
+        (
+            "laws",
+            (
+                "Hertz",
+                "PowerLaw",
+                "Polynomial",
+                "Toda",
+                "Linear",
+                "Sine",
+                "Spline",
+                "Network",
+                "Sum",
+                "Scaled",
+                "Strained",
+                "Yielding",
+                "Indented",
+            ),
+        ),
         ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap", "Slip", "Along")),
-        ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "LongRange",
-                   "Wall", "PlasticContact", "CaputoDamping", "BrilliantovContact", "Grip")),
-    ) for name in names
+        (
+            "terms",
+            (
+                "Bond",
+                "Modulated",
+                "OnSite",
+                "Damping",
+                "Dashpot",
+                "ViscousContact",
+                "Drag",
+                "Drive",
+                "LongRange",
+                "Wall",
+                "PlasticContact",
+                "CaputoDamping",
+                "BrilliantovContact",
+                "Grip",
+            ),
+        ),
+    )
+    for name in names
 }
 
 
@@ -88,30 +135,49 @@ def test_the_kinds_are_all_there_are():
     for folder in ("laws", "strains", "terms"):
         module = importlib.import_module(f"granjax.{folder}")
         base = {"laws": granjax.Law, "strains": granjax.StrainMap, "terms": granjax.Term}[folder]
-        concrete = {name for name, value in vars(module).items() if inspect.isclass(value) and issubclass(value, base)}
-        assert concrete - {base.__name__} == {name for name, where in KINDS.items() if where == folder}
+        concrete = {
+            name
+            for name, value in vars(module).items()
+            if inspect.isclass(value) and issubclass(value, base)
+        }
+        assert concrete - {base.__name__} == {
+            name for name, where in KINDS.items() if where == folder
+        }
 
 
 def test_nobody_asks_a_kind_what_it_is():
     """No isinstance or type() test on a law, a strain map or a term outside of the folder that defines it."""
     for path in FILES:
         for node in ast.walk(ast.parse(path.read_text())):
-            asks = isinstance(node, ast.Call) and getattr(node.func, "id", None) in ("isinstance", "issubclass")
+            asks = isinstance(node, ast.Call) and getattr(node.func, "id", None) in (
+                "isinstance",
+                "issubclass",
+            )
             compares = isinstance(node, ast.Compare) and any(
                 isinstance(side, ast.Call) and getattr(side.func, "id", None) == "type"
-                for side in (node.left, *node.comparators))
+                for side in (node.left, *node.comparators)
+            )
             if asks or compares:
                 named = {getattr(n, "id", None) or getattr(n, "attr", None) for n in ast.walk(node)}
-                assert not {name for name in named if KINDS.get(name, module_of(path)) != module_of(path)}, path
+                assert not {
+                    name for name in named if KINDS.get(name, module_of(path)) != module_of(path)
+                }, path
 
 
 def test_there_is_no_circle_within_a_folder():
     for folder in [path for path in ROOT.iterdir() if (path / "__init__.py").is_file()]:
         files = {path.stem: path for path in folder.glob("*.py") if path.stem != "__init__"}
-        edges = {stem: {name.split(".")[2] for node in ast.walk(ast.parse(path.read_text()))
-                        if isinstance(node, (ast.Import, ast.ImportFrom)) for name in absolute(path, node)
-                        if name.split(".")[:2] == ["granjax", folder.name] and len(name.split(".")) > 2} & files.keys()
-                 for stem, path in files.items()}
+        edges = {
+            stem: {
+                name.split(".")[2]
+                for node in ast.walk(ast.parse(path.read_text()))
+                if isinstance(node, (ast.Import, ast.ImportFrom))
+                for name in absolute(path, node)
+                if name.split(".")[:2] == ["granjax", folder.name] and len(name.split(".")) > 2
+            }
+            & files.keys()
+            for stem, path in files.items()
+        }
         while edges:
             leaves = {stem for stem, below in edges.items() if not below & edges.keys() - {stem}}
             assert leaves, f"{folder.name}: a circle among {sorted(edges)}"
@@ -129,7 +195,10 @@ def test_no_print_no_assert_no_bare_except_and_every_public_name_is_documented()
                 # whatever a function of the user's raises marks the lane of a sweep
                 alone = module_of(path) == "sweeps" or path.name == "batching.py"
                 bare = {None} if alone else {None, "Exception", "BaseException"}
-                assert node.type is not None and getattr(node.type, "id", "") not in bare, (path, node.lineno)
+                assert node.type is not None and getattr(node.type, "id", "") not in bare, (
+                    path,
+                    node.lineno,
+                )
         assert ast.get_docstring(tree), path
         for node in tree.body:
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):

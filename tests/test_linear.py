@@ -12,7 +12,18 @@ from granjax.lattice import Lattice
 from granjax.laws import Hertz, Linear, PowerLaw
 from granjax.scenes import dimer, monomer
 from granjax.strains import Pairs, Shift, Stretch
-from granjax.terms import Bond, Damping, Dashpot, Drive, Function, Harmonic, Modulated, OnSite, Term, Wall
+from granjax.terms import (
+    Bond,
+    Damping,
+    Dashpot,
+    Drive,
+    Function,
+    Harmonic,
+    Modulated,
+    OnSite,
+    Term,
+    Wall,
+)
 
 K_POINT = 2 * np.pi / 3, 4 * np.pi / 3
 WAVES = np.linspace(-3.1, 3.1, 11)
@@ -33,21 +44,35 @@ def triangular(prestress=0.0, boundary="periodic", shape=(5, 6)):
     law = PowerLaw(1.0, 1.0, prestress) if prestress else Linear(1.0)
     h = np.sqrt(3) / 2
     steps = {(1, 0): (1.0, 0.0), (0, 1): (0.5, h), (-1, 1): (-0.5, h)}
-    bonds = [Bond(Stretch(Shift(offset, boundary), np.array(vector)), law) for offset, vector in steps.items()]
+    bonds = [
+        Bond(Stretch(Shift(offset, boundary), np.array(vector)), law)
+        for offset, vector in steps.items()
+    ]
     return Lattice(np.ones(shape), tuple(bonds), dimension=2)
 
 
 def mass_in_mass(ground=None, boundary="periodic", sites=12):
-    terms = [Bond(Shift(1, boundary, "bead"), Linear(1.0)), Bond(Shift(0, boundary, ("bead", "core")), Linear(0.3))]
+    terms = [
+        Bond(Shift(1, boundary, "bead"), Linear(1.0)),
+        Bond(Shift(0, boundary, ("bead", "core")), Linear(0.3)),
+    ]
     if ground:
         terms.append(OnSite(Linear(ground), "bead"))
     return Lattice({"bead": np.ones(sites), "core": np.full(sites, 0.5)}, tuple(terms))
 
 
 def kagome(sites=4):
-    links = [("a", "b", (0, 0)), ("a", "c", (0, 0)), ("b", "c", (0, 0)),
-             ("b", "a", (1, 0)), ("c", "a", (0, 1)), ("b", "c", (1, -1))]
-    bonds = tuple(Bond(Shift(offset, "periodic", (tail, head)), Linear(1.0)) for tail, head, offset in links)
+    links = [
+        ("a", "b", (0, 0)),
+        ("a", "c", (0, 0)),
+        ("b", "c", (0, 0)),
+        ("b", "a", (1, 0)),
+        ("c", "a", (0, 1)),
+        ("b", "c", (1, -1)),
+    ]
+    bonds = tuple(
+        Bond(Shift(offset, "periodic", (tail, head)), Linear(1.0)) for tail, head, offset in links
+    )
     return Lattice({name: np.ones((sites, sites)) for name in "abc"}, bonds)
 
 
@@ -60,7 +85,9 @@ def random_cells(boundary="periodic", size=5, cells=4):
     random = np.random.default_rng(3)
     mass, stiffness = random.uniform(0.5, 2, (2, size))
     # the first spring of a chain between walls is the left wall's
-    stiffness = np.resize(np.roll(stiffness, boundary == "fixed"), size * cells + (boundary == "fixed"))
+    stiffness = np.resize(
+        np.roll(stiffness, boundary == "fixed"), size * cells + (boundary == "fixed")
+    )
     return springs(np.tile(mass, cells), stiffness, boundary)
 
 
@@ -72,7 +99,9 @@ def test_monomer(boundary):
     found = linear.dispersion(chain, WAVES)
     top = np.sqrt(1.5 / 2)
     assert found.cell == (1,)
-    np.testing.assert_allclose(found.omega[:, 0], 2 * top * abs(np.sin(WAVES / 2)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        found.omega[:, 0], 2 * top * abs(np.sin(WAVES / 2)), rtol=0, atol=1e-12
+    )
     slope, bend = top * np.cos(WAVES / 2) * np.sign(WAVES), -top / 2 * abs(np.sin(WAVES / 2))
     np.testing.assert_allclose(found.group_velocity[MOVING, 0], slope[MOVING], atol=1e-12)
     np.testing.assert_allclose(found.curvature[MOVING, 0], bend[MOVING], atol=1e-12)
@@ -94,7 +123,9 @@ def test_dimer_edges(boundary):
     found = linear.bands(two_masses(boundary=boundary))
     edges = np.sqrt([3 / MASS, 3.0, 3 * (1 + 1 / MASS)])
     np.testing.assert_allclose(edges, [1.0070830, 1.7320508, 2.0035509], atol=6e-8)
-    np.testing.assert_allclose(np.r_[found.lower, found.upper], [0, edges[1], edges[0], edges[2]], atol=1e-12)
+    np.testing.assert_allclose(
+        np.r_[found.lower, found.upper], [0, edges[1], edges[0], edges[2]], atol=1e-12
+    )
     np.testing.assert_allclose(found.gaps, [(edges[0], edges[1])], atol=1e-12)
     words = " ".join(repr(found).split())
     assert "gap 1.007082" in words or "gap 1.007083" in words
@@ -112,9 +143,13 @@ def test_speed_of_a_random_cell():
     # a chain of cells: c = p / sqrt(sum of masses * sum of compliances), statics of springs in series
     chain = random_cells()
     mass, stiffness = np.asarray(chain.mass[:5]), np.asarray(chain.terms[0].law.stiffness[:5])
-    np.testing.assert_allclose(linear.sound_speed(chain), 5 / np.sqrt(mass.sum() * (1 / stiffness).sum()), rtol=1e-12)
+    np.testing.assert_allclose(
+        linear.sound_speed(chain), 5 / np.sqrt(mass.sum() * (1 / stiffness).sum()), rtol=1e-12
+    )
     k = 1e-4
-    np.testing.assert_allclose(linear.dispersion(chain, k).omega[0] / k * 5, linear.sound_speed(chain), rtol=1e-6)
+    np.testing.assert_allclose(
+        linear.dispersion(chain, k).omega[0] / k * 5, linear.sound_speed(chain), rtol=1e-6
+    )
 
 
 def test_speed_with_further_parts():
@@ -169,14 +204,19 @@ def test_boundary_does_not_count(make):
     inside = make(boundary="fixed", **({"sites": 20} if make is two_masses else {}))
     ring = make(boundary="periodic", **({"sites": 20} if make is two_masses else {}))
     np.testing.assert_allclose(
-        linear.dispersion(inside, WAVES).omega, linear.dispersion(ring, WAVES).omega, rtol=1e-10, atol=1e-12
+        linear.dispersion(inside, WAVES).omega,
+        linear.dispersion(ring, WAVES).omega,
+        rtol=1e-10,
+        atol=1e-12,
     )
 
 
 def test_walls_and_drives_do_not_count():
     ends = (Wall(Linear(5.0), "left", Harmonic(1.0, 2.0)), Drive(Harmonic(1.0, 1.0)), Damping(0.3))
     chain = springs(np.ones(10), 1.0, "free", *ends)
-    np.testing.assert_allclose(linear.dispersion(chain, WAVES).omega[:, 0], 2 * abs(np.sin(WAVES / 2)), atol=1e-12)
+    np.testing.assert_allclose(
+        linear.dispersion(chain, WAVES).omega[:, 0], 2 * abs(np.sin(WAVES / 2)), atol=1e-12
+    )
     modes = linear.normal_modes(chain)
     K = np.diag([6.0] + [2.0] * 8 + [1.0]) - np.eye(10, k=1) - np.eye(10, k=-1)
     np.testing.assert_allclose(modes.omega_squared, np.linalg.eigvalsh(K), atol=1e-13)
@@ -189,16 +229,26 @@ def test_bloch_vectors_solve_the_lattice():
     found = linear.dispersion(chain, k)
     for band in range(2):
         wave = np.concatenate([found.vectors[:, band] * np.exp(1j * k * R) for R in range(6)])
-        force = [chain.force(0.0, 1e-7 * part, chain.zeros()) / 1e-7 for part in (wave.real, wave.imag)]
+        force = [
+            chain.force(0.0, 1e-7 * part, chain.zeros()) / 1e-7 for part in (wave.real, wave.imag)
+        ]
         np.testing.assert_allclose(
-            (force[0] + 1j * force[1]), -found.omega[band] ** 2 * chain.mass * wave, atol=1e-5
+            (force[0] + 1j * force[1]), -(found.omega[band] ** 2) * chain.mass * wave, atol=1e-5
         )
-        np.testing.assert_allclose(np.sum(np.array([1, MASS]) * abs(found.vectors[:, band]) ** 2), 1, rtol=1e-13)
+        np.testing.assert_allclose(
+            np.sum(np.array([1, MASS]) * abs(found.vectors[:, band]) ** 2), 1, rtol=1e-13
+        )
 
 
 @pytest.mark.slow
 def test_shapes_of_vectors():
-    assert linear.dispersion(triangular(), np.ones((2, 2)), (5, 1)).vectors.shape == (2, 5, 1, 2, 10)
+    assert linear.dispersion(triangular(), np.ones((2, 2)), (5, 1)).vectors.shape == (
+        2,
+        5,
+        1,
+        2,
+        10,
+    )
     parts = linear.dispersion(mass_in_mass(), WAVES).vectors
     assert parts["bead"].shape == parts["core"].shape == (11, 1, 2)
     weight = abs(parts["bead"]) ** 2 + 0.5 * abs(parts["core"]) ** 2
@@ -206,7 +256,9 @@ def test_shapes_of_vectors():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["dimer", "trimer", "next nearest", "random cells", "mass in mass"])
+@pytest.mark.parametrize(
+    "name", ["dimer", "trimer", "next nearest", "random cells", "mass in mass"]
+)
 def test_derivatives_of_bands(name):
     chain, h = RINGS[name], 1e-4
     here, after, before = (linear.dispersion(chain, WAVES + s) for s in (0, h, -h))
@@ -223,7 +275,9 @@ def test_derivatives_of_bands_in_the_plane():
     for axis in range(2):
         step = h * np.eye(2)[axis]
         after, before = linear.dispersion(chain, k + step), linear.dispersion(chain, k - step)
-        np.testing.assert_allclose(here.group_velocity[:, axis], (after.omega - before.omega) / (2 * h), atol=1e-7)
+        np.testing.assert_allclose(
+            here.group_velocity[:, axis], (after.omega - before.omega) / (2 * h), atol=1e-7
+        )
         change = (after.group_velocity - before.group_velocity) / (2 * h)
         np.testing.assert_allclose(here.curvature[:, axis], change, atol=1e-6)
 
@@ -234,8 +288,10 @@ def test_derivatives_that_do_not_exist_are_nan():
     folded = linear.dispersion(springs(np.ones(12)), np.array([0.0, np.pi]), cell=2)
     assert np.isnan(folded.group_velocity[1]).all() and np.isnan(folded.group_velocity[0, 0])
     np.testing.assert_allclose(folded.group_velocity[0, 1], 0.0, atol=1e-12)
-    apart = Lattice({"a": np.ones(6), "b": np.ones(6)},
-                    tuple(Bond(Shift(1, "periodic", name), Linear(1.0)) for name in "ab"))
+    apart = Lattice(
+        {"a": np.ones(6), "b": np.ones(6)},
+        tuple(Bond(Shift(1, "periodic", name), Linear(1.0)) for name in "ab"),
+    )
     together = linear.dispersion(apart, 1.0)
     np.testing.assert_allclose(together.group_velocity, np.cos(0.5), rtol=1e-12)
     np.testing.assert_allclose(together.curvature, -np.sin(0.5) / 2, rtol=1e-12)
@@ -290,7 +346,9 @@ def test_normal_modes_are_normalised_and_differentiable():
     slope = jax.jacrev(lambda K: linear.normal_modes(springs(np.ones(9), K)).omega)(1.0)
     np.testing.assert_allclose(slope, equal / 2, rtol=1e-12)
     # a ring has pairs of equal frequencies; the sum over each pair is still smooth
-    ring = jax.grad(lambda K: linear.normal_modes(springs(np.ones(8), K, "periodic")).omega.sum())(1.0)
+    ring = jax.grad(lambda K: linear.normal_modes(springs(np.ones(8), K, "periodic")).omega.sum())(
+        1.0
+    )
     np.testing.assert_allclose(ring, np.sin(np.arange(8) * np.pi / 8).sum(), rtol=1e-12)
 
 
@@ -338,7 +396,10 @@ def test_edge_inside_the_zone():
 @pytest.mark.slow
 def test_long_reach_of_pairs_is_found():
     n = np.arange(30)
-    chain = Lattice(np.ones(30), (Bond(Shift(1, "periodic"), Linear(1.0)), Bond(Pairs(n, (n + 5) % 30), Linear(0.2))))
+    chain = Lattice(
+        np.ones(30),
+        (Bond(Shift(1, "periodic"), Linear(1.0)), Bond(Pairs(n, (n + 5) % 30), Linear(0.2))),
+    )
     expected = np.sqrt(4 * np.sin(WAVES / 2) ** 2 + 0.8 * np.sin(5 * WAVES / 2) ** 2)
     np.testing.assert_allclose(linear.dispersion(chain, WAVES).omega[:, 0], expected, atol=1e-12)
 
@@ -346,7 +407,11 @@ def test_long_reach_of_pairs_is_found():
 def test_sonic_vacuum_has_zero_frequencies():
     chain = monomer(10)
     found = linear.dispersion(chain, WAVES)
-    assert (found.omega == 0).all() and (found.group_velocity == 0).all() and (found.curvature == 0).all()
+    assert (
+        (found.omega == 0).all()
+        and (found.group_velocity == 0).all()
+        and (found.curvature == 0).all()
+    )
     assert (linear.normal_modes(chain).omega == 0).all()
 
 
@@ -358,7 +423,9 @@ def test_single_precision():
 
 def test_long_chains_take_little_memory():
     chain = dimer(20001, ratio=0.5, precompression=1.0)
-    np.testing.assert_allclose(linear.dispersion(chain, np.pi).omega, np.sqrt([3.0, 6.0]), rtol=1e-13)
+    np.testing.assert_allclose(
+        linear.dispersion(chain, np.pi).omega, np.sqrt([3.0, 6.0]), rtol=1e-13
+    )
 
 
 @pytest.mark.slow
@@ -366,7 +433,9 @@ def test_disordered_ring_as_one_cell():
     mass = np.random.default_rng(5).uniform(0.5, 1.5, 7)
     chain = springs(mass, 1.0, "periodic")
     np.testing.assert_allclose(
-        linear.dispersion(chain, 0.0, cell=7).omega_squared, linear.normal_modes(chain).omega_squared, atol=1e-13
+        linear.dispersion(chain, 0.0, cell=7).omega_squared,
+        linear.normal_modes(chain).omega_squared,
+        atol=1e-13,
     )
 
 
@@ -413,8 +482,12 @@ def gyroscopic(rate=0.7):
 
 
 GYROSCOPIC = {
-    "modes": linear.normal_modes, "bands": linear.bands, "sound": linear.sound_speed,
-    "waves": lambda x: linear.dispersion(x, K_POINT), "strip": linear.ribbon, "chern": topology.chern,
+    "modes": linear.normal_modes,
+    "bands": linear.bands,
+    "sound": linear.sound_speed,
+    "waves": lambda x: linear.dispersion(x, K_POINT),
+    "strip": linear.ribbon,
+    "chern": topology.chern,
     "zak": lambda x: topology.zak(x, k=[0.1]),
 }
 
@@ -432,8 +505,16 @@ def test_other_gyroscopic_forces_and_those_that_are_traced():
         ("Hall", lambda: linear.dispersion(with_term(chain, Hall(jnp.asarray(1e-3))), 1.0)),
         ("Hall", lambda: topology.zak(with_term(chain, Hall(jnp.asarray(1e3))))),
         ("Turning", lambda: jax.jit(lambda r: linear.normal_modes(gyroscopic(r)).omega)(0.7)),
-        ("Turning", lambda: jax.vmap(lambda r: linear.dispersion(gyroscopic(r), K_POINT, cell=(1, 1)).omega)(rates)),
-        ("Turning", lambda: jax.grad(lambda r: linear.dispersion(gyroscopic(r), K_POINT).omega[0])(0.7)),
+        (
+            "Turning",
+            lambda: jax.vmap(
+                lambda r: linear.dispersion(gyroscopic(r), K_POINT, cell=(1, 1)).omega
+            )(rates),
+        ),
+        (
+            "Turning",
+            lambda: jax.grad(lambda r: linear.dispersion(gyroscopic(r), K_POINT).omega[0])(0.7),
+        ),
     ):
         with pytest.raises(ValueError, match=match):
             call()
@@ -460,10 +541,16 @@ def test_damping_leaves_the_undamped_frequencies(name):
         def force(self, t, u, v, mass):
             return -0.3 * v * jnp.abs(v)
 
-    term = {"damping": Damping(0.3), "drag": Drag(), "matrix": Matrix(jnp.array([[0.3, 0.1], [0.1, 0.2]])),
-            "dashpot": Dashpot(Stretch(Shift((1, 0), "periodic"), np.array([1.0, 0.0])), 0.3)}[name]
+    term = {
+        "damping": Damping(0.3),
+        "drag": Drag(),
+        "matrix": Matrix(jnp.array([[0.3, 0.1], [0.1, 0.2]])),
+        "dashpot": Dashpot(Stretch(Shift((1, 0), "periodic"), np.array([1.0, 0.0])), 0.3),
+    }[name]
     plain, damped = triangular(), with_term(triangular(), term)
-    assert np.array_equal(linear.dispersion(plain, WAVES[:2]).omega, linear.dispersion(damped, WAVES[:2]).omega)
+    assert np.array_equal(
+        linear.dispersion(plain, WAVES[:2]).omega, linear.dispersion(damped, WAVES[:2]).omega
+    )
     assert np.array_equal(linear.normal_modes(plain).omega, linear.normal_modes(damped).omega)
     # in jit too, where a matrix that may be any is not taken for a damping
     traced = jax.jit(lambda x: linear.normal_modes(x).omega)
@@ -475,7 +562,9 @@ def test_damping_leaves_the_undamped_frequencies(name):
 
 
 DISORDER = springs(np.random.default_rng(2).uniform(1, 2, 20))
-BATCH = jax.vmap(lambda r: dimer(8, ratio=r, precompression=1.0), out_axes=-1)(jnp.array([0.3, 0.5]))
+BATCH = jax.vmap(lambda r: dimer(8, ratio=r, precompression=1.0), out_axes=-1)(
+    jnp.array([0.3, 0.5])
+)
 MODULATED = Lattice(np.ones(8), Modulated(Bond(Shift(1), Linear(1.0)), Function(jnp.cos)))
 DEFECT = springs(np.where(np.arange(12) == 0, 2.0, 1.0), 1.0, "periodic")
 
@@ -484,17 +573,35 @@ REFUSALS = {
     "defect of a ring": (lambda: linear.bands(DEFECT), "repeats along axis 0"),
     "batch": (lambda: linear.bands(BATCH), "in_axes=-1"),
     "modulated": (lambda: linear.normal_modes(MODULATED), "constant in time"),
-    "wrong cell": (lambda: linear.dispersion(two_masses(), 1.0, cell=3), "a period of the lattice.*got 3"),
-    "cell of a ring": (lambda: linear.dispersion(two_masses(12, "periodic"), 1.0, cell=5), "a divisor of 12"),
+    "wrong cell": (
+        lambda: linear.dispersion(two_masses(), 1.0, cell=3),
+        "a period of the lattice.*got 3",
+    ),
+    "cell of a ring": (
+        lambda: linear.dispersion(two_masses(12, "periodic"), 1.0, cell=5),
+        "a divisor of 12",
+    ),
     "large cell": (lambda: linear.dispersion(two_masses(12), 1.0, cell=11), "at most 10"),
     "short ring": (lambda: linear.dispersion(next_nearest(sites=4), 1.0), "at least 5 sites"),
     "phases": (lambda: linear.dispersion(triangular(), 1.0), "k: expected a last axis of length 2"),
-    "traced": (lambda: jax.jit(lambda r: linear.bands(dimer(9, ratio=r)).upper)(0.5), "cell: .*traced"),
+    "traced": (
+        lambda: jax.jit(lambda r: linear.bands(dimer(9, ratio=r)).upper)(0.5),
+        "cell: .*traced",
+    ),
     "vacuum": (lambda: linear.sound_speed(monomer(9)), "precompression > 0"),
     "ground": (lambda: linear.sound_speed(mass_in_mass(0.5)), "no acoustic band"),
-    "loose": (lambda: linear.sound_speed(springs(np.ones(8), np.resize([1.0, 0.0, 0.0], 9))), "held together"),
-    "direction": (lambda: linear.sound_speed(triangular(), direction=(1.0,)), "direction: expected 2 numbers"),
-    "no energy": (lambda: linear.normal_modes(springs(np.ones(8), 1.0, "periodic", OneWay())), "symmetric"),
+    "loose": (
+        lambda: linear.sound_speed(springs(np.ones(8), np.resize([1.0, 0.0, 0.0], 9))),
+        "held together",
+    ),
+    "direction": (
+        lambda: linear.sound_speed(triangular(), direction=(1.0,)),
+        "direction: expected 2 numbers",
+    ),
+    "no energy": (
+        lambda: linear.normal_modes(springs(np.ones(8), 1.0, "periodic", OneWay())),
+        "symmetric",
+    ),
 }
 
 
@@ -506,8 +613,14 @@ def test_refusals(name):
         call()
 
 
-@pytest.mark.parametrize("make", [lambda: gx.scenes.monomer(8), lambda: gx.scenes.beads("PTFE", 5e-3, cells=8),
-                                  lambda: gx.scenes.monomer(8, exponent=2.5, boundary="periodic")])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: gx.scenes.monomer(8),
+        lambda: gx.scenes.beads("PTFE", 5e-3, cells=8),
+        lambda: gx.scenes.monomer(8, exponent=2.5, boundary="periodic"),
+    ],
+)
 def test_bands_of_a_sonic_vacuum_say_so(make):
     found = gx.linear.bands(make())
     assert not np.any(found.upper) and "sonic vacuum" in found.outcome

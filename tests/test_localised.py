@@ -20,8 +20,10 @@ single_site = gx.breathers.guesses.single_site
 def soft(sites=8, coupling=0.1, boundary="periodic", mass=1.0, length=1.0, time=1.0):
     """u'' = -u + u^3 + C D2 u, in other units of mass, length and time."""
     k = mass / time**2
-    terms = (gx.Bond(gx.Shift(1, boundary), gx.Linear(coupling * k)),
-             gx.OnSite(gx.Polynomial(k, 0.0, -k / length**2)))
+    terms = (
+        gx.Bond(gx.Shift(1, boundary), gx.Linear(coupling * k)),
+        gx.OnSite(gx.Polynomial(k, 0.0, -k / length**2)),
+    )
     return gx.Lattice(np.full(sites, mass), terms)
 
 
@@ -58,7 +60,9 @@ def test_a_ring_whose_uniform_mode_softens_has_a_breather_all_the_same(on_a_ring
 @pytest.mark.slow
 def test_a_uniform_oscillation_is_no_breather():
     uniform = still(np.full(8, 0.685))
-    with pytest.raises(RuntimeError, match="Not localised: 8 of 8 cells .*participation number; of the guess 8"):
+    with pytest.raises(
+        RuntimeError, match="Not localised: 8 of 8 cells .*participation number; of the guess 8"
+    ):
         gx.breathers.breather(soft(), 0.8, uniform)
     wave = gx.breathers.breather(soft(), 0.8, uniform, throw=False)
     assert not wave.converged and "without the dip" in wave.outcome
@@ -66,14 +70,20 @@ def test_a_uniform_oscillation_is_no_breather():
 
 
 def test_a_guess_at_rest_or_without_numbers_is_refused_by_its_name():
-    for u, words in ((np.zeros(8), "guess.u: .*not all zero"), (np.full(8, np.nan), "guess.u: .*finite")):
+    for u, words in (
+        (np.zeros(8), "guess.u: .*not all zero"),
+        (np.full(8, np.nan), "guess.u: .*finite"),
+    ):
         with pytest.raises(ValueError, match=words):
             gx.breathers.breather(soft(), 0.8, still(u))
 
 
 @pytest.mark.study
 def test_where_there_is_no_breather_both_ways_are_named():
-    with pytest.raises(RuntimeError, match="did not reach omega = 1.3: .* No breather about a site was found either"):
+    with pytest.raises(
+        RuntimeError,
+        match="did not reach omega = 1.3: .* No breather about a site was found either",
+    ):
         gx.breathers.breather(soft(), 1.3)
 
 
@@ -99,7 +109,15 @@ def test_newtons_cradle_has_breathers(omega, sites, signs):
         s = np.maximum(y[:10] - y[1:11], 0) ** 1.5
         return np.concatenate([y[11:], np.append(0, s) - np.append(s, 0) - y[:11]])
 
-    end = solve_ivp(field, (0, np.pi / omega), np.append(u, 0 * u), "DOP853", rtol=1e-12, atol=1e-16, max_step=0.02)
+    end = solve_ivp(
+        field,
+        (0, np.pi / omega),
+        np.append(u, 0 * u),
+        "DOP853",
+        rtol=1e-12,
+        atol=1e-16,
+        max_step=0.02,
+    )
     assert np.abs(end.y[11:, -1]).max() < 1e-5 * np.abs(u).max()
 
 
@@ -112,9 +130,16 @@ def test_a_site_between_soft_ones_need_not_have_the_frequency_alone():
 
 def test_a_site_of_an_uneven_potential_turns_where_its_energy_says():
     # V = u^2/2 - u^3/3 and two bonds: one harmonic about zero has the linear frequency at every amplitude
-    lattice = gx.Lattice(np.ones(8), (gx.Bond(gx.Shift(1, "periodic"), gx.Linear(0.02)),
-                                      gx.OnSite(gx.Polynomial(1.0, -1.0, 0.0))))
-    (beside, right), (_, left) = (map(float, single_site(lattice, 0.8, 4, amplitudes=[a]).u[3:5]) for a in (1, -1))
+    lattice = gx.Lattice(
+        np.ones(8),
+        (
+            gx.Bond(gx.Shift(1, "periodic"), gx.Linear(0.02)),
+            gx.OnSite(gx.Polynomial(1.0, -1.0, 0.0)),
+        ),
+    )
+    (beside, right), (_, left) = (
+        map(float, single_site(lattice, 0.8, 4, amplitudes=[a]).u[3:5]) for a in (1, -1)
+    )
     assert left < 0 < beside < right < 1 and right > -left
     energy = lambda u: u**2 / 2 - u**3 / 3 + 0.02 * (u - beside) ** 2
     assert energy(right) == pytest.approx(energy(left), rel=1e-9)
@@ -122,11 +147,15 @@ def test_a_site_of_an_uneven_potential_turns_where_its_energy_says():
 
 @pytest.mark.slow
 def test_a_site_of_a_field_and_of_a_grid():
-    bead, resonator = (gx.OnSite(gx.Polynomial(k, 0.0, b), field=name)
-                       for name, k, b in (("bead", 1.0, 1.0), ("resonator", 2.0, 0.0)))
+    bead, resonator = (
+        gx.OnSite(gx.Polynomial(k, 0.0, b), field=name)
+        for name, k, b in (("bead", 1.0, 1.0), ("resonator", 2.0, 0.0))
+    )
     within = gx.Bond(gx.Shift(0, "periodic", fields=("bead", "resonator")), gx.Linear(0.05))
     along = gx.Bond(gx.Shift(1, "periodic", fields=("bead", "bead")), gx.Linear(0.05))
-    cells = gx.Lattice({"bead": np.ones(8), "resonator": np.full(8, 0.3)}, (along, bead, resonator, within))
+    cells = gx.Lattice(
+        {"bead": np.ones(8), "resonator": np.full(8, 0.3)}, (along, bead, resonator, within)
+    )
     found = single_site(cells, 1.6, 4, field="bead")
     assert np.argmax(found.u["bead"]) == 4 and float(localisation(cells, found).participation) < 1.5
     assert localisation(cells, found).cells == 8
@@ -134,9 +163,14 @@ def test_a_site_of_a_field_and_of_a_grid():
     np.testing.assert_array_equal(single_site(cells, 1.6, 4).u["bead"], found.u["bead"])
     with pytest.raises(ValueError, match="field: expected one of 'bead', 'resonator'"):
         single_site(cells, 1.6, 4, field="beads")
-    grid = gx.Lattice(np.ones((4, 4)), (gx.Bond(gx.Shift((1, 0), "periodic"), gx.Linear(0.02)),
-                                        gx.Bond(gx.Shift((0, 1), "periodic"), gx.Linear(0.02)),
-                                        gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0))))
+    grid = gx.Lattice(
+        np.ones((4, 4)),
+        (
+            gx.Bond(gx.Shift((1, 0), "periodic"), gx.Linear(0.02)),
+            gx.Bond(gx.Shift((0, 1), "periodic"), gx.Linear(0.02)),
+            gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0)),
+        ),
+    )
     assert np.argmax(single_site(grid, 1.6, (1, 2)).u) == 6
 
 
@@ -160,8 +194,12 @@ class Pinned(gx.Term):
 
 @pytest.mark.slow
 def test_a_term_of_ones_own_has_the_same_site():
-    own = gx.Lattice(np.ones(7), (gx.Bond(gx.Shift(1, "free"), gx.Linear(0.02)), Pinned(jnp.asarray(1.0))))
-    np.testing.assert_allclose(single_site(own, 1.4, 3).u, single_site(hard(), 1.4, 3).u, atol=1e-12)
+    own = gx.Lattice(
+        np.ones(7), (gx.Bond(gx.Shift(1, "free"), gx.Linear(0.02)), Pinned(jnp.asarray(1.0)))
+    )
+    np.testing.assert_allclose(
+        single_site(own, 1.4, 3).u, single_site(hard(), 1.4, 3).u, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("boundary", ["fixed", "periodic"])
@@ -172,14 +210,20 @@ def test_what_is_bright_dark_or_a_wave(boundary):
     wave = localisation(chain, still(0.1 * staggered))
     assert not wave.dark and not wave.bright and wave.dip > 0.9
     between_walls = localisation(chain, still(0.1 * staggered * np.sin(np.pi * (n + 0.5) / 24)))
-    assert not between_walls.dark and not between_walls.bright and 15 < between_walls.participation < 17
+    assert (
+        not between_walls.dark
+        and not between_walls.bright
+        and 15 < between_walls.participation < 17
+    )
     dark = localisation(chain, dark_guess(chain, 0.97 * omega))
     assert dark.dark and dark.dip < 0.1
     bright = localisation(chain, still(0.1 * staggered / np.cosh((n - 12) / 2)))
     assert bright.bright and not bright.dark and not bright.fills
     assert dark.why_not("dark", dark) is None and bright.why_not("bright", bright) is None
     assert "there is no background" in bright.why_not("dark", dark)
-    assert "its least energy is" in wave.why_not("dark", dark) and "Not localised" in wave.why_not("any", wave)
+    assert "its least energy is" in wave.why_not("dark", dark) and "Not localised" in wave.why_not(
+        "any", wave
+    )
     assert "of the guess" in wave.why_not("bright", bright) and dark.why_not("any", wave) is None
 
 
@@ -195,7 +239,9 @@ def test_the_measure_counts_cells_and_no_shifts():
     # displaced by a third on either side, at rest there: energy says where the breather is
     assert np.abs(known.u[[0, -1]]).min() > 0.3 and localisation(lattice, state).participation < 3
     assert localisation(lattice, state).cells == 21
-    assert localisation(lattice, still(known.u + 5.0)).participation == pytest.approx(shared(lattice, known.u))
+    assert localisation(lattice, still(known.u + 5.0)).participation == pytest.approx(
+        shared(lattice, known.u)
+    )
 
 
 def test_a_dark_word_that_leads_to_a_bright_orbit_is_refused(on_a_ring):
@@ -215,8 +261,13 @@ def test_of_few_cells_nothing_is_judged():
 @pytest.mark.slow
 def test_sites_of_small_masses_are_told_apart(monkeypatch):
     asked = []
-    monkeypatch.setattr(sites_module, "single_site", lambda lattice, omega, site, field: asked.append(site))
+    monkeypatch.setattr(
+        sites_module, "single_site", lambda lattice, omega, site, field: asked.append(site)
+    )
     for unit in (1.0, 1e-9):
-        terms = gx.Bond(gx.Shift(1, "periodic"), gx.Linear(0.1 * unit)), gx.OnSite(gx.Polynomial(unit, 0.0, unit))
+        terms = (
+            gx.Bond(gx.Shift(1, "periodic"), gx.Linear(0.1 * unit)),
+            gx.OnSite(gx.Polynomial(unit, 0.0, unit)),
+        )
         list(sites_module.local_guesses(gx.Lattice(unit * np.array([1.0, 3.0] * 4), terms), 1.5))
     assert asked == [4, 5, 4, 5]

@@ -36,7 +36,9 @@ def direct(law, u, boundary, takes):
     f = np.zeros(N + 1)
     np.add.at(f, tail, -push)
     np.add.at(f, head, push)
-    stored = KERNEL[m - 1] * np.asarray(law.energy(jnp.asarray(e))) * (m if takes == "strain" else 1)
+    stored = (
+        KERNEL[m - 1] * np.asarray(law.energy(jnp.asarray(e))) * (m if takes == "strain" else 1)
+    )
     return f[:N], stored.sum()
 
 
@@ -45,8 +47,9 @@ def lattice_of(law, boundary, takes="displacement", kernel=KERNEL):
 
 
 @pytest.mark.parametrize("boundary", ["free", "fixed", "periodic"])
-@pytest.mark.parametrize("name, takes", [("polynomial", "displacement"), ("polynomial", "strain"),
-                                         ("magnets", "strain")])
+@pytest.mark.parametrize(
+    "name, takes", [("polynomial", "displacement"), ("polynomial", "strain"), ("magnets", "strain")]
+)
 def test_as_the_direct_sum_with_gradient_and_tangents(name, takes, boundary):
     lattice, random = lattice_of(LAWS[name], boundary, takes), np.random.default_rng(3)
     u, W = jnp.asarray(0.02 * random.normal(size=N)), jnp.asarray(random.normal(size=(N, 2)))
@@ -55,7 +58,13 @@ def test_as_the_direct_sum_with_gradient_and_tangents(name, takes, boundary):
     def found(u):
         force = lambda u: lattice.force(0.0, u, 0 * u)
         energy, slope = jax.value_and_grad(lambda u: lattice.potential_energy(0.0, u))(u)
-        return energy, slope, force(u), jax.jacfwd(force)(u), linearised(lattice, 0.0, u).force(0.0, W, 0 * W)
+        return (
+            energy,
+            slope,
+            force(u),
+            jax.jacfwd(force)(u),
+            linearised(lattice, 0.0, u).force(0.0, W, 0 * W),
+        )
 
     energy, slope, own, K, tangents = found(u)
     force, stored = direct(LAWS[name], np.asarray(u), boundary, takes)
@@ -82,12 +91,17 @@ def test_lapack_in_the_same_program_as_the_transforms(boundary):
         return forward, spectra, jnp.linalg.solve(reverse - jnp.eye(N), u), forces(W)
 
     K, spectra, solved, lanes = found(u, W)
-    columns = [direct(LAWS["polynomial"], np.asarray(u) + 1e-6 * e, boundary, "displacement")[0]
-               - direct(LAWS["polynomial"], np.asarray(u) - 1e-6 * e, boundary, "displacement")[0] for e in np.eye(N)]
+    columns = [
+        direct(LAWS["polynomial"], np.asarray(u) + 1e-6 * e, boundary, "displacement")[0]
+        - direct(LAWS["polynomial"], np.asarray(u) - 1e-6 * e, boundary, "displacement")[0]
+        for e in np.eye(N)
+    ]
     dense = np.stack(columns, -1) / 2e-6
     np.testing.assert_allclose(K, dense, rtol=0, atol=1e-8 * np.abs(dense).max())
     for squares in spectra:
-        np.testing.assert_allclose(squares, np.linalg.eigvalsh(-dense), rtol=0, atol=1e-8 * np.abs(dense).max())
+        np.testing.assert_allclose(
+            squares, np.linalg.eigvalsh(-dense), rtol=0, atol=1e-8 * np.abs(dense).max()
+        )
     np.testing.assert_allclose(solved, np.linalg.solve(dense - np.eye(N), u), rtol=0, atol=1e-9)
     pushed = [direct(LAWS["polynomial"], w, boundary, "displacement")[0] for w in np.asarray(W).T]
     wanted = np.linalg.eigvals(np.stack(pushed, -1) / 0.02)
@@ -105,7 +119,9 @@ def test_lapack_beside_other_transforms(name):
         scene = gx.travelling.long_wave(gx.Hertz(), wave, spacing=0.5, speed=1.0)
         function, x = lambda u: scene.lattice.force(0.0, u, 0 * u), scene.state.u
     elif name == "theory":
-        function = lambda y: gx.theory.long_wave.residual(y, 0 * y, jnp.square, "strain", spacing=0.5)
+        function = lambda y: gx.theory.long_wave.residual(
+            y, 0 * y, jnp.square, "strain", spacing=0.5
+        )
         x = jnp.linspace(0, 1, 12)
     else:
         ring = gx.scenes.fput(12, boundary="periodic")
@@ -113,15 +129,27 @@ def test_lapack_beside_other_transforms(name):
         x = jnp.linspace(1, 2, 12)
     # the same in two programs, of which the second has no transform
     J = np.asarray(jax.jacfwd(function)(x))
-    squares = jax.jit(lambda x: jnp.linalg.eigvalsh(jax.jacfwd(function)(x) + jax.jacfwd(function)(x).T))(x)
-    np.testing.assert_allclose(squares, np.linalg.eigvalsh(J + J.T), rtol=0, atol=1e-12 * np.abs(J).max())
+    squares = jax.jit(
+        lambda x: jnp.linalg.eigvalsh(jax.jacfwd(function)(x) + jax.jacfwd(function)(x).T)
+    )(x)
+    np.testing.assert_allclose(
+        squares, np.linalg.eigvalsh(J + J.T), rtol=0, atol=1e-12 * np.abs(J).max()
+    )
 
 
 @pytest.mark.slow
 def test_orbits_of_a_fractional_chain_against_dense_matrices():
     chain = gx.scenes.fractional_sine_gordon(12, 0.7, 0.3, boundary="free")
     m = np.arange(1, 12)
-    weights = 0.3 * 4**0.7 * gamma(1.2) / np.sqrt(np.pi) / abs(gamma(-0.7)) * gamma(m - 0.7) / gamma(m + 1.7)
+    weights = (
+        0.3
+        * 4**0.7
+        * gamma(1.2)
+        / np.sqrt(np.pi)
+        / abs(gamma(-0.7))
+        * gamma(m - 0.7)
+        / gamma(m + 1.7)
+    )
     K = -np.concatenate([[0.0], weights])[np.abs(np.subtract.outer(range(12), range(12)))]
     K += np.eye(12) - np.diag(K.sum(1))
     omega = np.sqrt(np.linalg.eigvalsh(K))
@@ -142,12 +170,18 @@ def test_a_uniform_displacement_costs_no_accuracy():
     u = jnp.round(2.0**26 * np.random.default_rng(4).normal(size=N)) / 2.0**30
     lattice = lattice_of(LAWS["polynomial"], "free")
     far = lattice.force(0.0, u + 2.0**20, 0 * u)
-    np.testing.assert_allclose(far, lattice.force(0.0, u, 0 * u), rtol=0, atol=1e-13 * np.abs(far).max())
+    np.testing.assert_allclose(
+        far, lattice.force(0.0, u, 0 * u), rtol=0, atol=1e-13 * np.abs(far).max()
+    )
 
 
 UNIFORM = {
-    "quartic": lambda n: gx.Lattice(1.0, gx.LongRange(KERNEL, gx.Polynomial(1.0, 0.3, 0.2), "periodic"), sites=n),
-    "odd": lambda n: gx.Lattice(0.7, gx.LongRange(KERNEL, gx.Polynomial(1.0, 0.0, 0.5), "periodic"), sites=n),
+    "quartic": lambda n: gx.Lattice(
+        1.0, gx.LongRange(KERNEL, gx.Polynomial(1.0, 0.3, 0.2), "periodic"), sites=n
+    ),
+    "odd": lambda n: gx.Lattice(
+        0.7, gx.LongRange(KERNEL, gx.Polynomial(1.0, 0.0, 0.5), "periodic"), sites=n
+    ),
     "free": lambda n: gx.scenes.fractional(n, 0.8, boundary="free"),
     "fractional": lambda n: gx.scenes.fractional_fput(n, 0.6, boundary="periodic"),
 }
@@ -170,7 +204,10 @@ def test_uniform_motion_is_not_taken_for_a_force_without_energy(case):
     gap = jax.jit(lambda u: lattice.terms[0].energy_gap(lattice, 0.0, u))
     assert max(float(gap(jnp.full(37, x))) for x in np.linspace(0.1, 9.0, 23)) < 1e-9
     with_waves = 3.0 + 0.1 * jnp.cos(jnp.arange(37.0))
-    assert float(gap(with_waves)) < 1e-9 and float(Circling().energy_gap(lattice, 0.0, with_waves)) > 1e-3
+    assert (
+        float(gap(with_waves)) < 1e-9
+        and float(Circling().energy_gap(lattice, 0.0, with_waves)) > 1e-3
+    )
 
 
 def test_the_bands_of_an_algebraic_kernel():
@@ -179,14 +216,18 @@ def test_the_bands_of_an_algebraic_kernel():
     k = np.linspace(0.1, 3.0, 7)
     m = np.arange(1, 10)
     squared = 2 * 1.3 * np.sum(kernel * (1 - np.cos(np.multiply.outer(k, m))), -1)
-    np.testing.assert_allclose(gx.linear.dispersion(lattice, k).omega_squared[:, 0], squared, rtol=1e-13)
+    np.testing.assert_allclose(
+        gx.linear.dispersion(lattice, k).omega_squared[:, 0], squared, rtol=1e-13
+    )
 
 
 def test_one_neighbour_is_a_chain():
     lattice = gx.Lattice(1.0, gx.LongRange([0.7], gx.Hertz(1.2, 0.3), "free"), sites=N)
     plain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Hertz(0.7 * 1.2, 0.7 * 0.3)), sites=N)
     u = jnp.asarray(0.05 * np.random.default_rng(4).normal(size=N))
-    np.testing.assert_allclose(lattice.force(0.0, u, u), plain.force(0.0, u, u), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        lattice.force(0.0, u, u), plain.force(0.0, u, u), rtol=1e-12, atol=1e-15
+    )
     np.testing.assert_allclose(lattice.unbalanced(), plain.unbalanced(), rtol=1e-13)
 
 
@@ -207,12 +248,16 @@ def test_what_a_run_keeps_gives_the_same_forces_lane_by_lane(boundary):
     u = jnp.asarray(0.02 * np.random.default_rng(5).normal(size=(N, 2)))
 
     def made(s):
-        return lattice_of(gx.Polynomial(1.1, -0.4, 0.3), boundary, kernel=jnp.arange(1.0, M + 1) ** -s)
+        return lattice_of(
+            gx.Polynomial(1.1, -0.4, 0.3), boundary, kernel=jnp.arange(1.0, M + 1) ** -s
+        )
 
     lanes, other = jnp.asarray([2.5, 3.5]), jnp.asarray([3.0, 2.0])
     batch = jax.vmap(made, out_axes=-1)(lanes)
     force = batch.force(0.0, u, u)
-    np.testing.assert_allclose(batch.for_run().force(0.0, u, u), force, rtol=0, atol=1e-14 * jnp.abs(force).max())
+    np.testing.assert_allclose(
+        batch.for_run().force(0.0, u, u), force, rtol=0, atol=1e-14 * jnp.abs(force).max()
+    )
     for lane, s in enumerate(lanes):
         alone = made(s).force(0.0, u[:, lane], u[:, lane])
         np.testing.assert_allclose(force[:, lane], alone, rtol=0, atol=1e-13 * jnp.abs(alone).max())
@@ -225,17 +270,25 @@ def test_what_a_run_keeps_gives_the_same_forces_lane_by_lane(boundary):
 
     kernel = new.terms[0].kernel
     fresh = jax.vmap(made, out_axes=-1)(other)
-    np.testing.assert_array_equal(end(kernel, u), gx.simulate(fresh, gx.State(u, 0 * u), 0.5, step=0.1).final.u)
+    np.testing.assert_array_equal(
+        end(kernel, u), gx.simulate(fresh, gx.State(u, 0 * u), 0.5, step=0.1).final.u
+    )
     way, h = jnp.zeros_like(kernel).at[2].set(1.0), 1e-5
     slope = jax.jvp(lambda k: end(k, u), (kernel,), (way,))[1]
-    np.testing.assert_allclose(slope, (end(kernel + h * way, u) - end(kernel - h * way, u)) / (2 * h), rtol=0,
-                               atol=1e-8 * jnp.abs(slope).max())
+    np.testing.assert_allclose(
+        slope,
+        (end(kernel + h * way, u) - end(kernel - h * way, u)) / (2 * h),
+        rtol=0,
+        atol=1e-8 * jnp.abs(slope).max(),
+    )
 
 
 def tail_of_a_breather(s, sites, first, last, reach=None):
     """(orbit, log-log slope of its tail) of a breather of hardening springs m^-s about a light mass."""
     centre = sites // 2
-    chain = gx.scenes.long_range(sites, s, mass=np.where(np.arange(sites) == centre, 0.4, 1.0), beta=1.0, reach=reach)
+    chain = gx.scenes.long_range(
+        sites, s, mass=np.where(np.arange(sites) == centre, 0.4, 1.0), beta=1.0, reach=reach
+    )
     modes = gx.linear.normal_modes(chain)
     start = gx.State(0.3 * modes.modes[:, -1] / modes.modes[centre, -1], chain.zeros())
     orbit = gx.breathers.breather(chain, 1.02 * float(modes.omega[-1]), start, steps=32)
@@ -273,7 +326,9 @@ def light_magnet(sites, mass=0.4):
 @pytest.mark.study
 def test_a_light_magnet_that_is_driven_carries_a_breather():
     chain, omega, modes = light_magnet(11)
-    driven = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(0.02), gx.Drive(gx.Harmonic(0.004, 1.01 * omega), 5)))
+    driven = gx.Lattice(
+        chain.mass, (*chain.terms, gx.Damping(0.02), gx.Drive(gx.Harmonic(0.004, 1.01 * omega), 5))
+    )
     orbit = gx.forced.forced_orbit(driven, 2 * np.pi / (1.01 * omega), steps=48)
     v = np.abs(np.asarray(orbit.run(8).vs)).max(0)
     assert float(modes.omega[-2]) < 0.85 * omega and orbit.floquet().verdict == "stable"
@@ -311,9 +366,16 @@ def test_magnets_that_meet_in_a_lane_in_si_and_by_adaptive_steps():
     batch = jax.vmap(lambda A: gx.scenes.magnets(8, -0.5, stiffness=A, reach=1), out_axes=-1)(lanes)
     start = gx.State(batch.zeros(), batch.zeros().at[3].set(2.0))
     run = gx.simulate(batch, start, 1.0, step=0.01, throw=False)
-    assert run.met[0] == 4 and run.met[3] == (2,) and abs(run.met[2] - 0.5) < 0.01 and "of lane 2" in run.outcome
+    assert (
+        run.met[0] == 4
+        and run.met[3] == (2,)
+        and abs(run.met[2] - 0.5) < 0.01
+        and "of lane 2" in run.outcome
+    )
     run = gx.simulate(batch, start, 1.0, tolerance=1e-6, throw=False)
     assert run.met[0] == 4 and abs(run.met[2] - 0.5) < 0.01 and "Lane 2: Magnets met" in run.outcome
     small = gx.scenes.magnets(8, -0.5, stiffness=1e-6, spacing=0.02, mass=1e-3, units="SI", reach=1)
-    run = gx.simulate(small, gx.states.impact(small, velocity=2.0, site=3), 1.0, step=1e-4, throw=False)
+    run = gx.simulate(
+        small, gx.states.impact(small, velocity=2.0, site=3), 1.0, step=1e-4, throw=False
+    )
     assert run.met[0] == 4 and abs(run.met[2] - 0.01) < 1e-4

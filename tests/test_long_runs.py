@@ -43,7 +43,9 @@ def assert_same(a, b, tolerance=1e-10):
     told = ((r.ts, r.us, r.vs, r.final, r.recorded, r.energy_error, next(margins)) for r in (a, b))
     for x, y in zip(*map(jax.tree.leaves, told), strict=True):
         np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
-    assert {k: np.shape(x) for k, x in a.stats.items()} == {k: np.shape(x) for k, x in b.stats.items()}
+    assert {k: np.shape(x) for k, x in a.stats.items()} == {
+        k: np.shape(x) for k, x in b.stats.items()
+    }
 
 
 @pytest.mark.study
@@ -58,7 +60,11 @@ def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
     parts = gx.simulate(lattice, state, 5.0, **keywords)
     assert len(counted) > 3
     assert_same(whole, parts)
-    assert parts.outcome == whole.outcome and parts.choice == whole.choice and parts.opening == whole.opening
+    assert (
+        parts.outcome == whole.outcome
+        and parts.choice == whole.choice
+        and parts.opening == whole.opening
+    )
     for name, error in parts.record_error.items():
         np.testing.assert_allclose(error, whole.record_error[name], rtol=1e-4, atol=1e-12)
 
@@ -67,7 +73,11 @@ def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
 def test_pieces_of_a_batch_with_jumps_in_time(request):
     def scene(stiffness):
         bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(stiffness, 1.0))
-        return gx.Lattice(1.0, (gx.Modulated(bond, lambda t: jnp.where(t < 1.23, 1.0, 1.5), breaks=[1.23]),), sites=5)
+        return gx.Lattice(
+            1.0,
+            (gx.Modulated(bond, lambda t: jnp.where(t < 1.23, 1.0, 1.5), breaks=[1.23]),),
+            sites=5,
+        )
 
     lattice = jax.vmap(scene, out_axes=-1)(jnp.array([1.0, 1.1]))
     state = gx.states.impact(lattice, velocity=0.3)
@@ -96,7 +106,9 @@ def test_pieces_of_an_adaptive_run(request, monkeypatch):
 def test_what_fails_in_a_piece_is_located(soon):
     lattice = gx.scenes.fput(4, alpha=-3.0)
     state = gx.states.impact(lattice, velocity=5.0)
-    with pytest.raises(RuntimeError, match="not finite .first between t = [0-9.]+ and [0-9.]+, at sites"):
+    with pytest.raises(
+        RuntimeError, match="not finite .first between t = [0-9.]+ and [0-9.]+, at sites"
+    ):
         gx.simulate(lattice, state, 50.0, step=0.05)
     run = gx.simulate(lattice, state, 50.0, step=0.05, save_at=6, throw=False)
     np.testing.assert_allclose(run.ts, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
@@ -116,6 +128,7 @@ def test_a_run_that_a_program_closes_over_is_a_part_of_it(soon):
     lattice = chain()
     state = gx.states.impact(lattice, velocity=0.3)
     for how in ({}, {"step": 0.1}, {"tolerance": 1e-6}):
+
         def end(x):
             return x * gx.simulate(lattice, state, 1.0, **how).final.u
 
@@ -159,7 +172,9 @@ def test_a_long_run_is_interrupted(monkeypatch):
     thread = threading.Thread(target=press)
     try:
         thread.start()
-        with pytest.raises(KeyboardInterrupt, match="simulate was interrupted at t = .* of 1e.07; nothing is kept"):
+        with pytest.raises(
+            KeyboardInterrupt, match="simulate was interrupted at t = .* of 1e.07; nothing is kept"
+        ):
             gx.simulate(lattice, state, 1e7, step=0.1)
     finally:
         thread.join()
@@ -172,15 +187,22 @@ def test_a_long_run_is_interrupted(monkeypatch):
 def test_what_takes_more_than_a_day_is_refused():
     lattice = chain()
     state = gx.states.impact(lattice, velocity=0.3)
-    with pytest.raises(ValueError, match=r"t1: expected a run of a day at most, got 1e\+13 steps, which take .* days"):
+    with pytest.raises(
+        ValueError,
+        match=r"t1: expected a run of a day at most, got 1e\+13 steps, which take .* days",
+    ):
         gx.simulate(lattice, state, 1e12, step=0.1)
     with pytest.raises(ValueError, match="years"):
         gx.simulate(lattice, state, 1e8, step=1e-7, save_at=5)
     refuse_endless(lattice, gx.SRKN11b(), 10**13, 10**13, False)
     refuse_endless(lattice, gx.SRKN11b(), 10**13, 1000, False)
-    with pytest.raises(ValueError, match="t1: expected at most 2147483647 steps under a transformation"):
+    with pytest.raises(
+        ValueError, match="t1: expected at most 2147483647 steps under a transformation"
+    ):
         jax.jit(lambda v: gx.simulate(lattice, (state.u, v), 1e9, step=0.1).final)(state.v)
-    with pytest.raises(ValueError, match="t1: expected at most 2147483647 steps .*, with an adjoint"):
+    with pytest.raises(
+        ValueError, match="t1: expected at most 2147483647 steps .*, with an adjoint"
+    ):
         gx.simulate(lattice, state, 1e9, step=0.1, adjoint=diffrax.DirectAdjoint())
 
 
@@ -190,7 +212,9 @@ def test_what_will_take_long_is_told_early(how, soon, monkeypatch):
     monkeypatch.setattr(march, "TOLD", 0.0)
     lattice = gx.scenes.fput(4, alpha=0.25)
     state = gx.states.impact(lattice, velocity=0.3)
-    with pytest.warns(UserWarning, match="The run takes about .* more steps to t = 20, which take about") as told:
+    with pytest.warns(
+        UserWarning, match="The run takes about .* more steps to t = 20, which take about"
+    ) as told:
         run = gx.simulate(lattice, state, 20.0, **how)
     steps = float(str(told[0].message).split("about ")[1].split()[0])
     assert len(told) == 1 and 0.5 < steps / float(run.stats["steps"]) < 1.5
@@ -202,10 +226,18 @@ def test_what_will_take_long_is_told_early(how, soon, monkeypatch):
 def test_a_run_of_one_program_tells_its_steps_and_the_least_time(monkeypatch):
     monkeypatch.setattr(march, "TOLD", 1e-6)
     lattice = gx.scenes.fput(4, alpha=0.25)
-    with pytest.warns(UserWarning, match="The run takes 200 steps, which take .* seconds at the least"):
+    with pytest.warns(
+        UserWarning, match="The run takes 200 steps, which take .* seconds at the least"
+    ):
         gx.simulate(lattice, gx.states.impact(lattice, velocity=0.3), 20.0, step=0.1)
 
 
 def test_times_are_told_in_words():
-    told = {3.0: "3 seconds", 150.0: "2.5 minutes", 7200.0: "2 hours", 4e5: "4.6 days", 1e9: "32 years"}
+    told = {
+        3.0: "3 seconds",
+        150.0: "2.5 minutes",
+        7200.0: "2 hours",
+        4e5: "4.6 days",
+        1e9: "32 years",
+    }
     assert {x: march._spoken(x) for x in told} == told

@@ -11,12 +11,17 @@ from granjax.theory import compacton, long_wave
 
 SPEED, STIFFNESS, MASS = 1.3, 2.0, 0.7
 UNITS = dict(speed=SPEED, stiffness=STIFFNESS, mass=MASS)
-WAVES = {"displacement": compacton.nesterenko, "strain": compacton.ahnert_pikovsky,
-         "regularised": long_wave.regularised_wave}
+WAVES = {
+    "displacement": compacton.nesterenko,
+    "strain": compacton.ahnert_pikovsky,
+    "regularised": long_wave.regularised_wave,
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("p", [1.5, 3.0, *(pytest.param(p, marks=pytest.mark.slow) for p in (1.1, 2.0, 5.5))])
+@pytest.mark.parametrize(
+    "p", [1.5, 3.0, *(pytest.param(p, marks=pytest.mark.slow) for p in (1.1, 2.0, 5.5))]
+)
 def test_each_wave_solves_its_own_equation_and_no_other(p):
     x = np.linspace(-0.95, 0.95, 9) * float(compacton.nesterenko(0.0, p).half_width)
     # at p = 1 all three are one
@@ -24,9 +29,16 @@ def test_each_wave_solves_its_own_equation_and_no_other(p):
     for own, wave in WAVES.items():
         size = MASS * SPEED**2 * float(wave(0.0, p, **UNITS).strain)
         for form in WAVES:
-            left = long_wave.travelling_residual(
-                lambda x: wave(x, p, **UNITS).strain, x, force, SPEED, form, mass=MASS) / size
-            assert np.abs(left).max() < 1e-13 if form == own else np.abs(left).max() > apart, (own, form)
+            left = (
+                long_wave.travelling_residual(
+                    lambda x: wave(x, p, **UNITS).strain, x, force, SPEED, form, mass=MASS
+                )
+                / size
+            )
+            assert np.abs(left).max() < 1e-13 if form == own else np.abs(left).max() > apart, (
+                own,
+                form,
+            )
 
 
 def test_the_regularised_wave():
@@ -35,19 +47,28 @@ def test_the_regularised_wave():
     np.testing.assert_allclose(long_wave.regularised_wave(x).strain, want, rtol=1e-13)
     assert long_wave.regularised_wave(0.0, 2.0, speed=2.0).strain == pytest.approx(6.0)
     # far out it neither overflows nor is cut off
-    assert long_wave.regularised_wave(-300.0).strain == pytest.approx(25 * np.exp(-600 * np.sqrt(3)), rel=1e-11)
+    assert long_wave.regularised_wave(-300.0).strain == pytest.approx(
+        25 * np.exp(-600 * np.sqrt(3)), rel=1e-11
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["displacement", *(
-    pytest.param(form, marks=pytest.mark.slow) for form in ("strain", "regularised"))])
+@pytest.mark.parametrize(
+    "form",
+    [
+        "displacement",
+        *(pytest.param(form, marks=pytest.mark.slow) for form in ("strain", "regularised")),
+    ],
+)
 def test_fields_in_a_box_leave_the_same(form):
     """A travelling wave has y_tt = c^2 y_xx; the residual of the field is the second derivative of that of the wave."""
     n = 256
     x, spacing = (np.arange(n) - n // 2) * 24 / n, 24 / n
     profile = lambda x: 1.5 + jnp.cos(2 * jnp.pi * x / 24) / 3
     second = jax.vmap(jax.grad(jax.grad(profile)))(x)
-    left = long_wave.residual(profile(x), SPEED**2 * second, jnp.square, form, spacing=spacing, mass=MASS)
+    left = long_wave.residual(
+        profile(x), SPEED**2 * second, jnp.square, form, spacing=spacing, mass=MASS
+    )
     wave = lambda x: long_wave.travelling_residual(profile, x, jnp.square, SPEED, form, mass=MASS)
     want = jax.vmap(jax.grad(jax.grad(wave)))(jnp.asarray(x[::32]))
     np.testing.assert_allclose(left[::32], want, atol=1e-10)
@@ -70,12 +91,19 @@ PLACES = (np.arange(X) - X // 2) * BOX / X
 @pytest.fixture(scope="module")
 def scene():
     start = long_wave.regularised_wave(PLACES, **UNITS).strain
-    return gx.travelling.long_wave(gx.Hertz(STIFFNESS), start, spacing=BOX / X, speed=SPEED, mass=MASS)
+    return gx.travelling.long_wave(
+        gx.Hertz(STIFFNESS), start, spacing=BOX / X, speed=SPEED, mass=MASS
+    )
 
 
 def test_how_much_so_many_places_miss(scene):
-    coarse = gx.travelling.long_wave(gx.Hertz(STIFFNESS), long_wave.regularised_wave(PLACES[::4], **UNITS).strain,
-                                     spacing=4 * BOX / X, speed=SPEED, mass=MASS)
+    coarse = gx.travelling.long_wave(
+        gx.Hertz(STIFFNESS),
+        long_wave.regularised_wave(PLACES[::4], **UNITS).strain,
+        spacing=4 * BOX / X,
+        speed=SPEED,
+        mass=MASS,
+    )
     assert float(scene.unresolved()) < 1e-9 < 1e-4 < float(coarse.unresolved(coarse.state)) < 0.1
 
 
@@ -83,7 +111,9 @@ def test_how_much_so_many_places_miss(scene):
 def test_the_regularised_wave_travels(scene):
     """Over a third of the box, to 1e-10 of its crest; it keeps its shape, and the box its energy and length."""
     run = gx.simulate(scene.lattice, scene.state, 10.0, step=0.03, solver=gx.SRKN11b(), save_at=3)
-    want = long_wave.regularised_wave((PLACES - 10 * SPEED + BOX / 2) % BOX - BOX / 2, **UNITS).strain
+    want = long_wave.regularised_wave(
+        (PLACES - 10 * SPEED + BOX / 2) % BOX - BOX / 2, **UNITS
+    ).strain
     y = measures.strain(scene.lattice, run.final)
     np.testing.assert_allclose(y, want, atol=1e-10 * want.max())
     assert run.energy_error < 1e-12 and y.mean() == pytest.approx(float(want.mean()), rel=1e-13)
@@ -117,7 +147,9 @@ def test_small_waves_run_as_the_linear_branch_says():
     K2 = 0.8 * 1.1 * np.exp(1.1)
     period = 2 * np.pi / np.sqrt(float(long_wave.omega_squared(k, "regularised", K2=K2, mass=MASS)))
     scene = gx.travelling.long_wave(law, y, spacing=20 / n, mass=MASS)
-    final = gx.simulate(scene.lattice, scene.state, period, step=period / 100, solver=gx.SRKN11b()).final
+    final = gx.simulate(
+        scene.lattice, scene.state, period, step=period / 100, solver=gx.SRKN11b()
+    ).final
     np.testing.assert_allclose(measures.strain(scene.lattice, final), y, atol=1e-10)
 
 
@@ -127,15 +159,21 @@ def box(*fields, law=gx.Hertz(), **named):
 
 @pytest.mark.parametrize("form", ["displacement", "strain"])
 def test_the_ill_posed_equations_are_refused_with_the_reason(form):
-    with pytest.raises(ValueError, match=rf"^form: expected 'regularised', got '{form}'.*negative beyond k = sqrt.12"):
+    with pytest.raises(
+        ValueError,
+        match=rf"^form: expected 'regularised', got '{form}'.*negative beyond k = sqrt.12",
+    ):
         box(np.ones(16), form=form)
 
 
-@pytest.mark.parametrize("call, said", [
-    (lambda: box(np.ones(8), np.ones(8)), "rate: expected one of mean zero"),
-    (lambda: box(np.ones(8), np.ones(8), speed=1.0), "rate, speed: expected"),
-    (lambda: box(np.ones(8), law=gx.Hertz(np.ones(8))), "law: expected one of single"),
-])
+@pytest.mark.parametrize(
+    "call, said",
+    [
+        (lambda: box(np.ones(8), np.ones(8)), "rate: expected one of mean zero"),
+        (lambda: box(np.ones(8), np.ones(8), speed=1.0), "rate, speed: expected"),
+        (lambda: box(np.ones(8), law=gx.Hertz(np.ones(8))), "law: expected one of single"),
+    ],
+)
 def test_what_makes_no_field_is_refused(call, said):
     with pytest.raises(ValueError, match=said):
         call()

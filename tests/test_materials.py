@@ -34,7 +34,9 @@ def test_equal_beads_have_the_simple_coefficient(name):
 def test_two_materials_and_radii():
     # A = 4 E1 E2 sqrt(R1 R2/(R1 + R2))/(3 E2 (1 - nu1^2) + 3 E1 (1 - nu2^2)), Nesterenko (2001)
     E1, nu1, R1, E2, nu2, R2 = 193e9, 0.3, 9.53e-3, 1.46e9, 0.46, 2.38e-3
-    printed = 4 * E1 * E2 * np.sqrt(R1 * R2 / (R1 + R2)) / (3 * E2 * (1 - nu1**2) + 3 * E1 * (1 - nu2**2))
+    printed = (
+        4 * E1 * E2 * np.sqrt(R1 * R2 / (R1 + R2)) / (3 * E2 * (1 - nu1**2) + 3 * E1 * (1 - nu2**2))
+    )
     first, second = Material("a", E1, nu1, 1.0), Material("b", E2, nu2, 1.0)
     np.testing.assert_allclose(hertz_coefficient(first, R1, second, R2), printed, rtol=1e-15)
     np.testing.assert_allclose(hertz_coefficient(second, R2, first, R1), printed, rtol=1e-15)
@@ -44,12 +46,16 @@ def test_a_plane_is_a_sphere_of_infinite_radius():
     pair, plane = hertz_coefficient("brass", R), hertz_coefficient("brass", R, None, jnp.inf)
     np.testing.assert_allclose(plane, np.sqrt(2) * pair, rtol=1e-15)
     np.testing.assert_allclose(hertz_coefficient("brass", R, None, 1e20 * R), plane, rtol=1e-15)
-    np.testing.assert_allclose(hertz_coefficient("brass", [R, R], None, [R, np.inf]), [pair, plane], rtol=1e-15)
+    np.testing.assert_allclose(
+        hertz_coefficient("brass", [R, R], None, [R, np.inf]), [pair, plane], rtol=1e-15
+    )
 
 
 def test_a_rigid_plane_doubles_the_modulus():
     plane = hertz_coefficient("brass", R, "brass", jnp.inf)
-    np.testing.assert_allclose(hertz_coefficient("brass", R, "rigid", np.inf), 2 * plane, rtol=1e-15)
+    np.testing.assert_allclose(
+        hertz_coefficient("brass", R, "rigid", np.inf), 2 * plane, rtol=1e-15
+    )
 
 
 def test_mass_of_a_bead():
@@ -58,10 +64,18 @@ def test_mass_of_a_bead():
     np.testing.assert_allclose(bead_mass("steel 316", R), 28.84e-3, rtol=1e-2)
 
 
-@pytest.mark.parametrize("name, found", [
-    ("Steel-316", "steel 316"), ("STEEL_440c", "steel 440C"), ("ptfe", "PTFE"), ("teflon", "PTFE"),
-    ("aluminum", "aluminium 6061-T6"), ("aluminium6061t6", "aluminium 6061-T6"), ("rigid", "rigid"),
-])
+@pytest.mark.parametrize(
+    "name, found",
+    [
+        ("Steel-316", "steel 316"),
+        ("STEEL_440c", "steel 440C"),
+        ("ptfe", "PTFE"),
+        ("teflon", "PTFE"),
+        ("aluminum", "aluminium 6061-T6"),
+        ("aluminium6061t6", "aluminium 6061-T6"),
+        ("rigid", "rigid"),
+    ],
+)
 def test_names_are_tolerant(name, found):
     assert material(name).name == found
 
@@ -81,16 +95,22 @@ def test_crossed_cylinders_against_the_ellipsoid_of_pressure(k):
     # Pressure p0 sqrt(1 - x^2/a^2 - y^2/b^2) on a half-space: displacement delta - Q1 x^2 - Q2 y^2 with the integrals
     # below, load (2/3) pi a b p0 (Johnson, Contact Mechanics, 3.5 and 4.2). Here p0 = E* = a = 1, b = k, s = t^2.
     def integral(n, m):
-        return k * quad(lambda t: (1 + t * t) ** -n * (k * k + t * t) ** -m, 0, np.inf, limit=400)[0]
+        return (
+            k * quad(lambda t: (1 + t * t) ** -n * (k * k + t * t) ** -m, 0, np.inf, limit=400)[0]
+        )
 
     delta, Q1, Q2 = integral(0.5, 0.5), integral(1.5, 0.5), integral(0.5, 1.5)
     radius = 1 / (Q1 + Q2)
     angle = np.arcsin(2 * radius * np.sqrt(Q1 * Q2))
     unit = Material("unit", 2.0, 0.0, 1.0)
-    np.testing.assert_allclose(crossed_cylinders(unit, radius, angle=angle), 2 / 3 * np.pi * k / delta**1.5, rtol=1e-9)
+    np.testing.assert_allclose(
+        crossed_cylinders(unit, radius, angle=angle), 2 / 3 * np.pi * k / delta**1.5, rtol=1e-9
+    )
 
 
-@pytest.mark.parametrize("R1, R2, angle", [(1.0, 1.0, 0.5), (1.0, 3.0, np.pi / 2), (0.2, 5.0, 1.1), (1.0, 1.0, 1e-3)])
+@pytest.mark.parametrize(
+    "R1, R2, angle", [(1.0, 1.0, 0.5), (1.0, 3.0, np.pi / 2), (0.2, 5.0, 1.1), (1.0, 1.0, 1e-3)]
+)
 def test_crossed_cylinders_against_scipy(R1, R2, angle):
     total = (1 / R1 + 1 / R2) / 2
     difference = np.sqrt(1 / R1**2 + 1 / R2**2 + 2 * np.cos(2 * angle) / (R1 * R2)) / 2
@@ -110,18 +130,28 @@ def test_crossed_cylinders_against_scipy(R1, R2, angle):
 
 def test_crossed_cylinders_scale_and_are_symmetric():
     A = crossed_cylinders("brass", 1e-3, "nylon", 4e-3, 0.7)
-    np.testing.assert_allclose(crossed_cylinders("brass", 9e-3, "nylon", 36e-3, 0.7), 3 * A, rtol=1e-14)
+    np.testing.assert_allclose(
+        crossed_cylinders("brass", 9e-3, "nylon", 36e-3, 0.7), 3 * A, rtol=1e-14
+    )
     np.testing.assert_allclose(crossed_cylinders("nylon", 4e-3, "brass", 1e-3, 0.7), A, rtol=1e-14)
     angles = jnp.linspace(0.01, jnp.pi / 2, 30)
     assert jnp.all(jnp.diff(crossed_cylinders("brass", 1e-3, angle=angles)) < 0)
 
 
 def sphere_on_plane(x):
-    return hertz_coefficient(Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", jnp.inf) / 1e7
+    return (
+        hertz_coefficient(Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", jnp.inf)
+        / 1e7
+    )
 
 
 def crossed(x):
-    return crossed_cylinders(Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", 2e-3, x[2]) / 1e7
+    return (
+        crossed_cylinders(
+            Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", 2e-3, x[2]
+        )
+        / 1e7
+    )
 
 
 @pytest.mark.slow
@@ -142,42 +172,68 @@ def test_gradient_at_the_circle():
 
     slope = jax.jit(jax.grad(coefficient))(jnp.array([1.0, jnp.pi / 2]))
     # A ~ (R1 R2)^(1/4) near R1 = R2 at a right angle
-    np.testing.assert_allclose(slope, [coefficient([1.0, jnp.pi / 2]) / 4, 0.0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        slope, [coefficient([1.0, jnp.pi / 2]) / 4, 0.0], rtol=1e-12, atol=1e-12
+    )
 
 
 def test_radii_may_be_lanes():
     radii = jnp.array([1e-3, 2e-3, 5e-3])
     batch = jax.vmap(lambda r: hertz_coefficient("brass", r, "rigid", jnp.inf))(radii)
-    np.testing.assert_allclose(batch, hertz_coefficient("brass", radii, "rigid", jnp.inf), rtol=1e-15)
+    np.testing.assert_allclose(
+        batch, hertz_coefficient("brass", radii, "rigid", jnp.inf), rtol=1e-15
+    )
 
 
 def test_stack_places_materials_along_a_chain():
     bodies = materials.stack(["brass", material("PTFE"), "brass"])
     np.testing.assert_array_equal(bodies.young, [97e9, 1.46e9, 97e9])
     np.testing.assert_allclose(
-        hertz_coefficient(bodies, R), [hertz_coefficient(m, R) for m in ("brass", "PTFE", "brass")], rtol=1e-15
+        hertz_coefficient(bodies, R),
+        [hertz_coefficient(m, R) for m in ("brass", "PTFE", "brass")],
+        rtol=1e-15,
     )
 
 
-@pytest.mark.parametrize("call, words", [
-    (lambda: material("stel 316"), "name: expected one of .* Did you mean 'steel 316'"),
-    (lambda: Material("x", -1.0, 0.3, 1.0), "young: expected numbers above zero, got -1.0"),
-    (lambda: Material("x", 1.0, 0.6, 1.0), r"poisson: expected numbers in \(-1, 0.5\]"),
-    (lambda: hertz_coefficient("brass", 0.0), "radius_1: expected numbers above zero.*infinite for a plane"),
-    (lambda: hertz_coefficient("brass", np.inf), "radius_1 and radius_2: expected at most one plane"),
-    (lambda: hertz_coefficient("rigid", 1.0), "material_2: expected at most one rigid body"),
-    (lambda: hertz_coefficient("brass", np.ones(3), None, np.ones(2)), "radius_1 and .* shapes that broadcast"),
-    (lambda: bead_mass("rigid", 1.0), "material: expected a material with a density"),
-    (lambda: crossed_cylinders("brass", 1.0, angle=0.0), r"angle: expected numbers in \(0, 1.57"),
-])
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda: material("stel 316"), "name: expected one of .* Did you mean 'steel 316'"),
+        (lambda: Material("x", -1.0, 0.3, 1.0), "young: expected numbers above zero, got -1.0"),
+        (lambda: Material("x", 1.0, 0.6, 1.0), r"poisson: expected numbers in \(-1, 0.5\]"),
+        (
+            lambda: hertz_coefficient("brass", 0.0),
+            "radius_1: expected numbers above zero.*infinite for a plane",
+        ),
+        (
+            lambda: hertz_coefficient("brass", np.inf),
+            "radius_1 and radius_2: expected at most one plane",
+        ),
+        (lambda: hertz_coefficient("rigid", 1.0), "material_2: expected at most one rigid body"),
+        (
+            lambda: hertz_coefficient("brass", np.ones(3), None, np.ones(2)),
+            "radius_1 and .* shapes that broadcast",
+        ),
+        (lambda: bead_mass("rigid", 1.0), "material: expected a material with a density"),
+        (
+            lambda: crossed_cylinders("brass", 1.0, angle=0.0),
+            r"angle: expected numbers in \(0, 1.57",
+        ),
+    ],
+)
 def test_bad_input_gets_a_sentence(call, words):
     with pytest.raises(ValueError, match=words):
         call()
 
 
-@pytest.mark.parametrize("make", [
-    lambda: gx.scenes.beads("steel 316", 9.5, cells=3), lambda: gx.scenes.beads("PTFE", [9.5e-3, 2.0]),
-    lambda: gx.materials.bead_mass("brass", 0.51)])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: gx.scenes.beads("steel 316", 9.5, cells=3),
+        lambda: gx.scenes.beads("PTFE", [9.5e-3, 2.0]),
+        lambda: gx.materials.bead_mass("brass", 0.51),
+    ],
+)
 def test_a_bead_of_more_than_a_metre_is_questioned(make):
     with pytest.warns(UserWarning, match="Radii are in metres"):
         make()

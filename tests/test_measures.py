@@ -18,7 +18,9 @@ def chain(sites=8, boundary="fixed", precompression=1.0, extra=()):
 
 def plane():
     """A square lattice in the plane, with prestress."""
-    bonds = [gx.Bond(gx.Stretch(gx.Shift(o, ("free", "free")), r), gx.Hertz(1.0, 0.1)) for o, r in SQUARE]
+    bonds = [
+        gx.Bond(gx.Stretch(gx.Shift(o, ("free", "free")), r), gx.Hertz(1.0, 0.1)) for o, r in SQUARE
+    ]
     return gx.Lattice(1.0, tuple(bonds), sites=(4, 5), dimension=2)
 
 
@@ -36,7 +38,10 @@ def cells():
 
 def batch():
     def make(r):
-        return gx.Lattice(jnp.ones(6) * r, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(r, 1.0)), gx.OnSite(gx.Linear(r))))
+        return gx.Lattice(
+            jnp.ones(6) * r,
+            (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(r, 1.0)), gx.OnSite(gx.Linear(r))),
+        )
 
     return jax.vmap(make, out_axes=-1)(jnp.array([1.0, 2.0, 3.0]))
 
@@ -49,8 +54,12 @@ LATTICES = {
     "sonic vacuum": lambda: chain(precompression=0.0),
     "on-site": lambda: chain(extra=(gx.OnSite(gx.Sine()),)),
     "second neighbours": lambda: chain(extra=(gx.Bond(gx.Shift(2, "fixed"), gx.Linear(0.3)),)),
-    "modulated": lambda: chain(extra=(gx.Modulated(gx.Bond(gx.Shift(1), gx.Linear()), MODULATION),)),
-    "graph": lambda: gx.Lattice(jnp.ones(4), (gx.Bond(gx.Pairs([-1, 0, 0, 2], [0, 1, 3, -1]), gx.Toda()),)),
+    "modulated": lambda: chain(
+        extra=(gx.Modulated(gx.Bond(gx.Shift(1), gx.Linear()), MODULATION),)
+    ),
+    "graph": lambda: gx.Lattice(
+        jnp.ones(4), (gx.Bond(gx.Pairs([-1, 0, 0, 2], [0, 1, 3, -1]), gx.Toda()),)
+    ),
     "plane": plane,
     "cells": cells,
     "batch": batch,
@@ -75,14 +84,24 @@ def test_site_energies_have_the_sites_shape_and_sum_to_the_energy(lattice):
     @eqx.filter_jit
     def everything(lattice, t):
         y = states.random(lattice, 1, 0.2, 0.3)
-        return [f(lattice, y, t) for f in (measures.energy, measures.site_energy, measures.kinetic_energy,
-                                           measures.potential_energy)]
+        return [
+            f(lattice, y, t)
+            for f in (
+                measures.energy,
+                measures.site_energy,
+                measures.kinetic_energy,
+                measures.potential_energy,
+            )
+        ]
 
     for t in (0.0, 1.3):
         energy, e, kinetic, potential = everything(lattice, t)
         assert energy.shape == lattice.lanes
         assert jax.tree.map(jnp.shape, e) == jax.tree.map(
-            lambda s: tuple(s) + lattice.lanes, lattice.sites, is_leaf=lambda s: isinstance(s, tuple))
+            lambda s: tuple(s) + lattice.lanes,
+            lattice.sites,
+            is_leaf=lambda s: isinstance(s, tuple),
+        )
         np.testing.assert_allclose(total(lattice, e), energy, rtol=1e-14)
         np.testing.assert_allclose(kinetic + potential, energy, rtol=1e-14)
 
@@ -124,7 +143,9 @@ def test_species_energies_sum_to_the_energy():
     lattice = cells()
     y = states.random(lattice, 1, 0.1, 0.5)
     kinds = measures.species_energy(lattice, y)
-    np.testing.assert_allclose(kinds["bead"] + kinds["resonator"], measures.energy(lattice, y), rtol=1e-14)
+    np.testing.assert_allclose(
+        kinds["bead"] + kinds["resonator"], measures.energy(lattice, y), rtol=1e-14
+    )
 
 
 # ---- contacts
@@ -143,16 +164,23 @@ def test_contact_force_overlap_and_strain_by_hand():
     e = np.array([0.3, 0.0, -2.0, -2.5])
     np.testing.assert_allclose(measures.strain(lattice, y), e)
     np.testing.assert_allclose(measures.overlap(lattice, y), 1 + e, rtol=1e-15)
-    np.testing.assert_allclose(measures.contact_force(lattice, y), np.maximum(1 + e, 0) ** 1.5, rtol=1e-14, atol=1e-16)
+    np.testing.assert_allclose(
+        measures.contact_force(lattice, y), np.maximum(1 + e, 0) ** 1.5, rtol=1e-14, atol=1e-16
+    )
 
 
 def test_contacts_are_counted_bonds_first_then_walls():
     left = gx.Wall(gx.Hertz(1.0, 0.5), "left", motion=gx.Harmonic(0.2, 1.0))
-    near, far = gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 0.5)), gx.Bond(gx.Shift(2, "free"), gx.Linear(2.0))
+    near, far = (
+        gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 0.5)),
+        gx.Bond(gx.Shift(2, "free"), gx.Linear(2.0)),
+    )
     lattice = gx.Lattice(jnp.ones(4), (left, near, far))
     y = states.random(lattice, 2, 0.1)
     assert [measures.strain(lattice, y, bond=i).shape for i in range(3)] == [(3,), (2,), (1,)]
-    np.testing.assert_allclose(measures.contact_force(lattice, y, bond=1), 2 * (y.u[:-2] - y.u[2:]), rtol=1e-14)
+    np.testing.assert_allclose(
+        measures.contact_force(lattice, y, bond=1), 2 * (y.u[:-2] - y.u[2:]), rtol=1e-14
+    )
     # e = w(t) - u_0 with w = 0.2 cos t
     wall = measures.strain(lattice, y, 0.4, bond=2)
     np.testing.assert_allclose(wall, [0.2 * np.cos(0.4) - y.u[0]], rtol=1e-14)
@@ -161,7 +189,9 @@ def test_contacts_are_counted_bonds_first_then_walls():
 def test_modulated_contact_force_follows_the_time():
     law = gx.Hertz(1.0, precompression=0.5)
     steady = gx.Lattice(jnp.ones(4), (gx.Bond(gx.Shift(1), law),))
-    shaken = gx.Lattice(jnp.ones(4), (gx.Modulated(gx.Bond(gx.Shift(1), law), gx.Harmonic(0.3, 2.0, mean=1.0)),))
+    shaken = gx.Lattice(
+        jnp.ones(4), (gx.Modulated(gx.Bond(gx.Shift(1), law), gx.Harmonic(0.3, 2.0, mean=1.0)),)
+    )
     y = states.random(steady, 2, 0.1)
     ratio = measures.contact_force(shaken, y, 0.7) / measures.contact_force(steady, y)
     np.testing.assert_allclose(ratio, 1 + 0.3 * np.cos(1.4), rtol=1e-14)
@@ -171,12 +201,21 @@ def test_modulated_contact_force_follows_the_time():
 def test_lanes_and_jit_give_the_same_as_one_by_one():
     lattice = batch()
     y = states.random(lattice, 5, 0.1, 0.1)
-    for measure in (measures.contact_force, measures.site_energy, measures.energy, measures.second_moment,
-                    measures.participation_number, measures.momentum, measures.overlap):
+    for measure in (
+        measures.contact_force,
+        measures.site_energy,
+        measures.energy,
+        measures.second_moment,
+        measures.participation_number,
+        measures.momentum,
+        measures.overlap,
+    ):
         all_at_once = eqx.filter_jit(measure)(lattice, y)
         for lane, r in enumerate((1.0, 2.0, 3.0)):
             terms = (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(r, 1.0)), gx.OnSite(gx.Linear(r)))
-            alone = measure(gx.Lattice(jnp.ones(6) * r, terms), gx.State(y.u[:, lane], y.v[:, lane]))
+            alone = measure(
+                gx.Lattice(jnp.ones(6) * r, terms), gx.State(y.u[:, lane], y.v[:, lane])
+            )
             np.testing.assert_allclose(all_at_once[..., lane], alone, rtol=1e-13)
 
 
@@ -193,13 +232,17 @@ def test_along_a_run_gives_every_frame():
     frame = gx.State(Run.us[2], Run.vs[2])
     np.testing.assert_allclose(force[2], measures.contact_force(lattice, frame), rtol=1e-15)
     kinds = measures.along(measures.species_energy, lattice, Run, species=[0, 1] * 4)
-    np.testing.assert_allclose(kinds[0] + kinds[1], measures.along(measures.energy, lattice, Run), rtol=1e-14)
+    np.testing.assert_allclose(
+        kinds[0] + kinds[1], measures.along(measures.energy, lattice, Run), rtol=1e-14
+    )
 
 
 def test_a_derivative_goes_through_a_measure():
     def force(A):
         lattice = gx.Lattice(jnp.ones(4), (gx.Bond(gx.Shift(1), gx.Hertz(A)),))
-        return measures.contact_force(lattice, gx.State(jnp.array([0.4, 0.0, 0.0, 0.0]), jnp.zeros(4)))[1]
+        return measures.contact_force(
+            lattice, gx.State(jnp.array([0.4, 0.0, 0.0, 0.0]), jnp.zeros(4))
+        )[1]
 
     np.testing.assert_allclose(jax.grad(force)(2.0), 0.4**1.5, rtol=1e-14)
 
@@ -242,9 +285,13 @@ def test_modal_energies_sum_to_the_energy_of_a_linear_chain():
     y = states.random(lattice, 7, 0.1, 0.2)
     E = measures.modal_energy(lattice, y, modes, omega)
     np.testing.assert_allclose(E.sum(), measures.energy(lattice, y), rtol=1e-13)
-    one = measures.modal_energy(lattice, states.normal_mode(lattice, 3, 0.2, phase=0.6), modes, omega)
+    one = measures.modal_energy(
+        lattice, states.normal_mode(lattice, 3, 0.2, phase=0.6), modes, omega
+    )
     np.testing.assert_allclose(np.delete(one, 3), 0, atol=1e-28)
-    np.testing.assert_allclose(one[3], 0.04 * omega[3] ** 2 / 2 / np.max(modes[:, 3] ** 2), rtol=1e-12)
+    np.testing.assert_allclose(
+        one[3], 0.04 * omega[3] ** 2 / 2 / np.max(modes[:, 3] ** 2), rtol=1e-12
+    )
 
 
 # ---- fronts
@@ -344,7 +391,9 @@ def test_a_plane_wave_has_its_line_at_its_wave_number_and_frequency(direction, w
     N, T, dt = 32, 256, 0.1
     k, omega = direction * 2 * np.pi * 5 / N, 2 * np.pi * 20 / (T * dt)
     t, n = dt * np.arange(T)[:, None], np.arange(N)
-    s = measures.spectrum(0.3 * np.cos(k * n - omega * t), dt, time_window=window, space_window=window)
+    s = measures.spectrum(
+        0.3 * np.cos(k * n - omega * t), dt, time_window=window, space_window=window
+    )
     i, j = np.unravel_index(np.argmax(s.power), s.power.shape)
     np.testing.assert_allclose([s.k[i], s.omega[j]], [k, omega], rtol=1e-14)
     np.testing.assert_allclose(s.power.sum(), 0.3**2 / 2, rtol=1e-12)
@@ -383,19 +432,29 @@ def test_velocity_trace_samples_between_frames():
     np.testing.assert_allclose(np.diff(trace.time), 1 / 333, rtol=1e-10)
     np.testing.assert_allclose(trace.velocity, np.cos(7 * trace.time), atol=1e-6)
     # one unit of time 1e-3 s, of length 2e-3 m: velocities in 2 m/s
-    scaled = measures.velocity_trace(ts, vs, -1, sampling=333e3, units=gx.Units(length=2e-3, time=1e-3))
-    np.testing.assert_allclose(scaled.time, 1e-3 * trace.time[: len(scaled.time)], rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(scaled.velocity, 2 * trace.velocity[: len(scaled.velocity)], atol=1e-12)
+    scaled = measures.velocity_trace(
+        ts, vs, -1, sampling=333e3, units=gx.Units(length=2e-3, time=1e-3)
+    )
+    np.testing.assert_allclose(
+        scaled.time, 1e-3 * trace.time[: len(scaled.time)], rtol=1e-12, atol=1e-15
+    )
+    np.testing.assert_allclose(
+        scaled.velocity, 2 * trace.velocity[: len(scaled.velocity)], atol=1e-12
+    )
 
 
 def test_velocity_trace_has_the_noise_it_was_asked_for():
     ts = np.linspace(0, 1, 101)
     vs = np.zeros((101, 2))
-    one, again, other = (measures.velocity_trace(ts, vs, 0, sampling=2e4, noise=0.03, seed=k) for k in (1, 1, 2))
+    one, again, other = (
+        measures.velocity_trace(ts, vs, 0, sampling=2e4, noise=0.03, seed=k) for k in (1, 1, 2)
+    )
     np.testing.assert_array_equal(one.velocity, again.velocity)
     assert np.any(one.velocity != other.velocity)
     # 20001 samples: the deviation is known to 0.5 %, three of which are allowed
-    assert abs(one.velocity.std() / 0.03 - 1) < 0.015 and abs(one.velocity.mean()) < 4 * 0.03 / np.sqrt(20001)
+    assert abs(one.velocity.std() / 0.03 - 1) < 0.015 and abs(
+        one.velocity.mean()
+    ) < 4 * 0.03 / np.sqrt(20001)
 
 
 # ---- bad input
@@ -405,18 +464,40 @@ TS, Q = np.linspace(0, 1, 10), np.ones((10, 8))
 BAD = {
     "another shape": (lambda: measures.energy(chain(9), REST), r"y.u: expected shape \(9,\)"),
     "a trajectory": (lambda: measures.energy(chain(8), gx.State(Q, Q)), "measures.along"),
-    "a bond that is not there": (lambda: measures.strain(chain(8), REST, bond=1), "bond: expected an index below 1"),
+    "a bond that is not there": (
+        lambda: measures.strain(chain(8), REST, bond=1),
+        "bond: expected an index below 1",
+    ),
     "no contact to open": (
-        lambda: measures.overlap(gx.Lattice(jnp.ones(8), (gx.Bond(gx.Shift(1), gx.Linear()),)), REST), "can open"),
-    "species": (lambda: measures.species_energy(chain(8), REST, species=[0, 1]), "species: expected labels"),
-    "modes": (lambda: measures.modal_energy(chain(8), REST, np.eye(7), np.ones(7)), "modes: expected shape"),
+        lambda: measures.overlap(
+            gx.Lattice(jnp.ones(8), (gx.Bond(gx.Shift(1), gx.Linear()),)), REST
+        ),
+        "can open",
+    ),
+    "species": (
+        lambda: measures.species_energy(chain(8), REST, species=[0, 1]),
+        "species: expected labels",
+    ),
+    "modes": (
+        lambda: measures.modal_energy(chain(8), REST, np.eye(7), np.ones(7)),
+        "modes: expected shape",
+    ),
     "falling times": (lambda: measures.arrival_times(TS[::-1], Q, 0.5), "ts: expected rising"),
     "frames": (lambda: measures.arrival_times(TS[:5], Q, 0.5), "q: expected 5 frames"),
     "by": (lambda: measures.front_speed(TS, Q, by="peek"), "Did you mean 'peak'"),
-    "sites": (lambda: measures.front_speed(TS, Q, sites=[3, 8]), "sites: expected two indices or more"),
-    "one site": (lambda: measures.front_speed(TS, Q, sites=[3]), "sites: expected two indices or more"),
+    "sites": (
+        lambda: measures.front_speed(TS, Q, sites=[3, 8]),
+        "sites: expected two indices or more",
+    ),
+    "one site": (
+        lambda: measures.front_speed(TS, Q, sites=[3]),
+        "sites: expected two indices or more",
+    ),
     "window name": (lambda: measures.spectrum(Q, 0.1, time_window="han"), "Did you mean 'hann'"),
-    "long window": (lambda: measures.spectrogram(Q, 0.1, 5.0), "window and dt: expected a window of 4 to"),
+    "long window": (
+        lambda: measures.spectrogram(Q, 0.1, 5.0),
+        "window and dt: expected a window of 4 to",
+    ),
     "sampling": (lambda: measures.velocity_trace(TS, Q, 1, sampling=0.5), "sampling: expected"),
 }
 
@@ -434,11 +515,17 @@ def test_what_a_sensor_in_a_bead_reads(boundary):
     chain = gx.Lattice(np.ones(5), gx.Bond(gx.Shift(1, boundary), gx.Hertz(A[:n], F0)))
     u = 0.9 * np.random.default_rng(2).normal(size=(5, 2))
     state = gx.State(jnp.asarray(u[:, 0]), jnp.zeros(5))
-    wide = {"fixed": np.pad(u[:, 0], 1), "free": u[:, 0], "periodic": np.append(u[:, 0], u[0, 0])}[boundary]
+    wide = {"fixed": np.pad(u[:, 0], 1), "free": u[:, 0], "periodic": np.append(u[:, 0], u[0, 0])}[
+        boundary
+    ]
     force = A[:n] * np.maximum((F0 / A[:n]) ** (2 / 3) - np.diff(wide), 0) ** 1.5
-    left = {"fixed": force[:-1], "free": np.append(0, force), "periodic": np.roll(force, 1)}[boundary]
+    left = {"fixed": force[:-1], "free": np.append(0, force), "periodic": np.roll(force, 1)}[
+        boundary
+    ]
     right = {"fixed": force[1:], "free": np.append(force, 0), "periodic": force}[boundary]
-    np.testing.assert_allclose(gx.measures.sensor_force(chain, state), (left + right) / 2, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(
+        gx.measures.sensor_force(chain, state), (left + right) / 2, rtol=1e-13, atol=1e-13
+    )
 
 
 def test_a_sensor_needs_neighbours():

@@ -38,7 +38,9 @@ def layers():
 
 
 def test_mathieu():
-    sites = gx.Lattice(1.0, gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 2.0, mean=1.0)), sites=2)
+    sites = gx.Lattice(
+        1.0, gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 2.0, mean=1.0)), sites=2
+    )
     found = floquet_bands(sites, [0.0, 1.0], PERIOD)
     np.testing.assert_allclose(found.multipliers, [[-1.08168155, -0.92448651]] * 2, atol=6e-9)
     assert found.error.max() < 1e-10 and found.gaps == [(-np.pi, np.pi)]
@@ -52,22 +54,32 @@ def test_layers_in_time(layers):
     np.testing.assert_allclose(found.multipliers.sum(-1), square(q), atol=1e-13)
     assert abs(abs(found.multipliers[0, 0]) - 1.1051133) < 5e-8
     (low, high), second = floquet_bands(layers, [0.0, np.pi], PERIOD).gaps
-    np.testing.assert_allclose(2 * np.sin(np.array([low, high]) / 2), [0.9693839828, 1.0331144089], atol=5e-11)
+    np.testing.assert_allclose(
+        2 * np.sin(np.array([low, high]) / 2), [0.9693839828, 1.0331144089], atol=5e-11
+    )
     # the second is cut by the band's end and goes on as its own mirror image
-    np.testing.assert_allclose(second, [2 * np.arcsin(edge(1.9, 2.0) / 2), 2 * np.pi - second[0]], rtol=1e-12)
+    np.testing.assert_allclose(
+        second, [2 * np.arcsin(edge(1.9, 2.0) / 2), 2 * np.pi - second[0]], rtol=1e-12
+    )
 
 
 def test_edges_say_how_well_they_are_known(layers):
     found = floquet_bands(layers, np.linspace(0, 1.5, 7), PERIOD)
     truth = 2 * np.arcsin(np.array([edge(0.9, 1.0), edge(1.01, 1.2)]) / 2)
     off = np.abs(found.edges[0] - truth)
-    assert len(found.edges) == 1 and (off <= found.edge_error[0] + 4e-16).all() and found.edge_error.max() < 1e-11
+    assert (
+        len(found.edges) == 1
+        and (off <= found.edge_error[0] + 4e-16).all()
+        and found.edge_error.max() < 1e-11
+    )
     top = minimize_scalar(square, (0.97, 1.0, 1.03), tol=1e-9)
     assert abs(2 * np.cosh(found.fastest[0] * PERIOD) + top.fun) < 1e-12
     assert abs(2 * np.sin(found.fastest_k[0] / 2) - top.x) < 1e-5 and abs(top.x - 1.0012) < 1e-4
     smooth = modulated(12, 0.1, 2.0)
     coarse, fine = (floquet_bands(smooth, [1.0, 1.1], PERIOD, steps=n) for n in (8, 256))
-    assert (np.abs(coarse.multipliers - fine.multipliers) <= coarse.error).all() and coarse.error.max() > 1e-6
+    assert (
+        np.abs(coarse.multipliers - fine.multipliers) <= coarse.error
+    ).all() and coarse.error.max() > 1e-6
     assert (np.abs(coarse.edges - fine.edges) <= coarse.edge_error).all()
 
 
@@ -105,15 +117,22 @@ def truncated(k, cell, depth, omega, orders=24):
     return np.linalg.eigvals(np.block([[zero, np.eye(len(m))], [K - shift**2, -2 * shift]]))
 
 
-@pytest.mark.parametrize("wavelength", [
-    pytest.param(3.0, marks=pytest.mark.slow), pytest.param(-3.0, marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    "wavelength",
+    [pytest.param(3.0, marks=pytest.mark.slow), pytest.param(-3.0, marks=pytest.mark.study)],
+)
 def test_space_time_modulation(wavelength):
     depth, omega = 0.3, 1.5
-    found = floquet_bands(travelling_modulation(12, depth, omega, wavelength), [-2.1, 0.4, 2.1], 2 * np.pi / omega)
+    found = floquet_bands(
+        travelling_modulation(12, depth, omega, wavelength), [-2.1, 0.4, 2.1], 2 * np.pi / omega
+    )
     assert found.cell == (3,) and found.omega.shape == (3, 6)
     for k, got in zip(found.k, found.omega):
         away = truncated(np.sign(wavelength) * float(k), 3, depth, omega)[:, None] - got
-        assert np.abs((away.real + omega / 2) % omega - omega / 2 + 1j * away.imag).min(0).max() < 1e-10
+        assert (
+            np.abs((away.real + omega / 2) % omega - omega / 2 + 1j * away.imag).min(0).max()
+            < 1e-10
+        )
     # all frequencies at k are minus those at -k: non-reciprocal where they are not in pairs +-
     there, back = np.sort(found.omega[2]), np.sort(found.omega[0])
     np.testing.assert_allclose(there, -back[::-1], atol=1e-12)
@@ -136,9 +155,15 @@ def test_without_modulation_it_is_the_dispersion():
 
 @pytest.mark.slow
 def test_cells_of_two_fields():
-    agrees_with_dispersion(gx.Lattice({"bead": np.ones(6), "resonator": np.full(6, 0.3)}, (
-        gx.Bond(gx.Shift(1, "periodic", "bead"), gx.Hertz(1.0, 0.4)),
-        gx.Bond(gx.Shift(0, "free", ("bead", "resonator")), gx.Linear(0.7)))))
+    agrees_with_dispersion(
+        gx.Lattice(
+            {"bead": np.ones(6), "resonator": np.full(6, 0.3)},
+            (
+                gx.Bond(gx.Shift(1, "periodic", "bead"), gx.Hertz(1.0, 0.4)),
+                gx.Bond(gx.Shift(0, "free", ("bead", "resonator")), gx.Linear(0.7)),
+            ),
+        )
+    )
 
 
 def test_damping_takes_from_the_growth():
@@ -156,7 +181,9 @@ def test_damping_takes_from_the_growth():
 @pytest.mark.slow
 def test_dashpots():
     rate = 0.02
-    dashpot = gx.Lattice(1.0, (*modulated(12, 0.1, 2.0).terms, gx.Dashpot(gx.Shift(1, "periodic"), rate)), sites=12)
+    dashpot = gx.Lattice(
+        1.0, (*modulated(12, 0.1, 2.0).terms, gx.Dashpot(gx.Shift(1, "periodic"), rate)), sites=12
+    )
     lost = floquet_bands(dashpot, K, PERIOD).multipliers.prod(-1)
     np.testing.assert_allclose(lost, np.exp(-rate * (2 - 2 * np.cos(K)) * PERIOD), atol=1e-12)
 
@@ -168,8 +195,14 @@ def test_a_breather_of_the_k_gap():
     found = gx.breathers.k_gap_breather(ring, PERIOD, np.pi / 3)
     assert abs(found.growth - np.log(1.1051133) / PERIOD) < 2e-8
     early, late = np.log(found.energy[[0, -4]]), np.log(found.energy[[3, -1]])
-    np.testing.assert_allclose((late - early) / (6 * PERIOD), [found.growth, -found.growth], rtol=0.02)
-    assert found.energy.max() > 1000 * found.energy[0] and abs(found.returned) < 1e-5 and found.stray < 1e-2
+    np.testing.assert_allclose(
+        (late - early) / (6 * PERIOD), [found.growth, -found.growth], rtol=0.02
+    )
+    assert (
+        found.energy.max() > 1000 * found.energy[0]
+        and abs(found.returned) < 1e-5
+        and found.stray < 1e-2
+    )
     # by another solver, in one run
     run = gx.simulate(ring, found.state, found.ts[-1], save_at=found.ts, tolerance=1e-12)
     energy = jax.vmap(lambda u, v: ring.energy(0.0, u, v))(run.us, run.vs)
@@ -183,7 +216,9 @@ def test_the_picture_shows_gaps_and_growth(layers):
     assert len(ax.patches) == 1 and ax.patches[0].get_x() == found.gaps[0][0]
     shown = ax.child_axes[0].lines[0].get_ydata()
     np.testing.assert_allclose(shown, np.maximum(found.growth[:, 0], 0), atol=1e-15)
-    assert ax.get_ylabel().endswith("(scaled)") and ax.child_axes[0].get_ylabel().startswith("growth rate")
+    assert ax.get_ylabel().endswith("(scaled)") and ax.child_axes[0].get_ylabel().startswith(
+        "growth rate"
+    )
     plt.close(ax.figure)
 
 
@@ -197,27 +232,58 @@ def test_derivatives():
     slopes = jax.grad(largest, (0, 1))(0.1, k)
     apart = [largest(0.1 + h, k) - largest(0.1 - h, k), largest(0.1, k + h) - largest(0.1, k - h)]
     np.testing.assert_allclose(slopes, np.array(apart) / (2 * h), atol=1e-8)
-    each = jax.jit(jax.vmap(lambda a: floquet_bands(modulated(6, a, 2.0), k, PERIOD, cell=1, steps=32).growth[0]))
+    each = jax.jit(
+        jax.vmap(
+            lambda a: floquet_bands(modulated(6, a, 2.0), k, PERIOD, cell=1, steps=32).growth[0]
+        )
+    )
     one = floquet_bands(modulated(6, 0.2, 2.0), k, PERIOD).growth[0]
     np.testing.assert_allclose(each(jnp.array([0.1, 0.2]))[1], one, atol=1e-8)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("call", "sentence"), [
-    (lambda s: floquet_bands(s, K, 3.0), "period: expected one after which the stiffness repeats"),
-    (lambda s: floquet_bands(s, K, PERIOD / 2), "period: expected one after which the stiffness repeats"),
-    (lambda s: floquet_bands(s, K, PERIOD * 1.0001), "period: expected one after which the"),
-    (lambda s: floquet_bands(s, 1.0, PERIOD).gaps, "gaps: expected a chain, and several"),
-    (lambda s: floquet_bands(s, K, PERIOD, cell=5), "cell: expected a divisor of 12"),
-    (lambda s: gx.linear.dispersion(s, K), "floquet_bands"),
-    (lambda s: jax.jit(lambda k: floquet_bands(s, k, PERIOD).growth)(1.0), "steps: expected so many"),
-    (lambda s: travelling_modulation(10, wavelength=3.0), "wavelength: expected one that goes into a ring"),
-    (lambda s: gx.breathers.k_gap_breather(s, PERIOD, 1.5 * np.pi / 6), "k: expected a multiple of 2 pi/12"),
-    (lambda s: gx.breathers.k_gap_breather(s, PERIOD, np.pi / 6), "k: expected a wave number in a k-gap, got 0.5"),
-    (lambda s: gx.breathers.k_gap_breather(s, PERIOD), "a force that is nonlinear for this wave"),
-    (lambda s: gx.breathers.breather(s, 1.0), "lattice: expected forces that depend on positions alone"),
-    (lambda s: gx.breathers.family(s, until=1.0), "come and go: gx.breathers.k_gap_breather"),
-])
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (
+            lambda s: floquet_bands(s, K, 3.0),
+            "period: expected one after which the stiffness repeats",
+        ),
+        (
+            lambda s: floquet_bands(s, K, PERIOD / 2),
+            "period: expected one after which the stiffness repeats",
+        ),
+        (lambda s: floquet_bands(s, K, PERIOD * 1.0001), "period: expected one after which the"),
+        (lambda s: floquet_bands(s, 1.0, PERIOD).gaps, "gaps: expected a chain, and several"),
+        (lambda s: floquet_bands(s, K, PERIOD, cell=5), "cell: expected a divisor of 12"),
+        (lambda s: gx.linear.dispersion(s, K), "floquet_bands"),
+        (
+            lambda s: jax.jit(lambda k: floquet_bands(s, k, PERIOD).growth)(1.0),
+            "steps: expected so many",
+        ),
+        (
+            lambda s: travelling_modulation(10, wavelength=3.0),
+            "wavelength: expected one that goes into a ring",
+        ),
+        (
+            lambda s: gx.breathers.k_gap_breather(s, PERIOD, 1.5 * np.pi / 6),
+            "k: expected a multiple of 2 pi/12",
+        ),
+        (
+            lambda s: gx.breathers.k_gap_breather(s, PERIOD, np.pi / 6),
+            "k: expected a wave number in a k-gap, got 0.5",
+        ),
+        (
+            lambda s: gx.breathers.k_gap_breather(s, PERIOD),
+            "a force that is nonlinear for this wave",
+        ),
+        (
+            lambda s: gx.breathers.breather(s, 1.0),
+            "lattice: expected forces that depend on positions alone",
+        ),
+        (lambda s: gx.breathers.family(s, until=1.0), "come and go: gx.breathers.k_gap_breather"),
+    ],
+)
 def test_refusals(layers, call, sentence):
     with pytest.raises(ValueError, match=sentence.replace("(", r"\(").replace(")", r"\)")):
         call(layers)

@@ -20,10 +20,14 @@ def test_the_error_is_squared_at_every_step():
     a = 4.0  # e^x = 1 + sqrt(a - x^2), to rounding by bisection
     exact = brentq(lambda x: np.exp(x) - 1 - np.sqrt(a - x**2), 0.5, 1.5, xtol=1e-15, rtol=1e-15)
     exact = np.array([exact, -np.sqrt(a - exact**2)])
-    roots = [newton(meeting, GUESS, ARGS, max_steps=k, tolerance=1e-15, throw=False) for k in range(1, 7)]
+    roots = [
+        newton(meeting, GUESS, ARGS, max_steps=k, tolerance=1e-15, throw=False) for k in range(1, 7)
+    ]
     errors = np.array([np.abs(r.x - exact).max() for r in roots])
     assert np.all(errors[:4] > 1e-6) and errors[5] < 1e-15
-    constants = errors[2:5] / errors[1:4] ** 2  # of one size, while the errors fall from 0.2 to 2e-10
+    constants = (
+        errors[2:5] / errors[1:4] ** 2
+    )  # of one size, while the errors fall from 0.2 to 2e-10
     assert 0.2 < constants.min() and constants.max() < 0.6
     assert [int(r.iterations) for r in roots][:5] == [1, 2, 3, 4, 5]
 
@@ -35,7 +39,11 @@ def test_halved_steps_save_a_guess_that_full_steps_lose():
         x = x - np.arctan(x) * (1 + x**2)
     assert abs(x) > 1e6
     root = newton(f, [3.0], 0.0, tolerance=1e-14)
-    assert abs(root.x[0]) < 1e-13 and root.first == pytest.approx(np.arctan(3.0)) and root.iterations < 10
+    assert (
+        abs(root.x[0]) < 1e-13
+        and root.first == pytest.approx(np.arctan(3.0))
+        and root.iterations < 10
+    )
     # where a full step leaves the domain: log x from x = 3 would go to -0.3
     assert newton(lambda x, a: jnp.log(x), [3.0]).x[0] == pytest.approx(1.0, abs=1e-10)
 
@@ -71,7 +79,9 @@ def test_outcomes_are_sentences(code):
     assert words in root.outcome and root.outcome.endswith(".")
     if code:
         for throw in (None, True):
-            with pytest.raises(RuntimeError, match="Newton did not converge: the residual went from"):
+            with pytest.raises(
+                RuntimeError, match="Newton did not converge: the residual went from"
+            ):
                 newton(f, guess, args, max_steps=most, throw=throw)
     else:
         assert newton(f, guess, args, max_steps=most).x == pytest.approx(root.x)
@@ -127,8 +137,12 @@ def test_inside_jit_and_vmap():
     np.testing.assert_allclose(roots.x[1], find(several[1]).x, rtol=0, atol=1e-13)
     assert roots.iterations[0] == one.iterations
     assert "Newton did not converge" in roots.outcome  # the worst of them
-    np.testing.assert_allclose(jax.vmap(jax.jacrev(lambda a: find(a).x))(several[:2])[0],
-                               jax.jacfwd(lambda a: find(a).x)(ARGS), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        jax.vmap(jax.jacrev(lambda a: find(a).x))(several[:2])[0],
+        jax.jacfwd(lambda a: find(a).x)(ARGS),
+        rtol=0,
+        atol=1e-12,
+    )
     assert jax.eval_shape(find, ARGS).x.shape == (2,)
 
 
@@ -146,13 +160,22 @@ def test_a_given_linearisation_is_used():
     half = lambda x, args: (meeting(x, args), 2 * jax.jacfwd(meeting)(x, args))
     slow = lambda args: newton(meeting, GUESS, args, linearise=half, max_steps=60).x
     np.testing.assert_allclose(slow(ARGS), root.x, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(jax.jacfwd(slow)(ARGS), jax.jacfwd(lambda a: newton(meeting, GUESS, a).x)(ARGS),
-                               rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        jax.jacfwd(slow)(ARGS),
+        jax.jacfwd(lambda a: newton(meeting, GUESS, a).x)(ARGS),
+        rtol=0,
+        atol=1e-8,
+    )
 
 
-@pytest.mark.parametrize("bad, named", [
-    (dict(tolerance=np.inf), "tolerance"), (dict(tolerance=np.nan), "tolerance"), (dict(tolerance=-1.0), "tolerance"),
-])
+@pytest.mark.parametrize(
+    "bad, named",
+    [
+        (dict(tolerance=np.inf), "tolerance"),
+        (dict(tolerance=np.nan), "tolerance"),
+        (dict(tolerance=-1.0), "tolerance"),
+    ],
+)
 def test_what_cannot_be_meant_is_refused(bad, named):
     with pytest.raises(ValueError, match=f"^{named}: expected"):
         newton(lambda x, args: x - 1, **{"guess": [2.0]} | bad)

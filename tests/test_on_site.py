@@ -23,18 +23,29 @@ def test_the_equations_of_motion():
 
     contacts = np.maximum(-left, 0) ** 1.5 - np.maximum(-right, 0) ** 1.5
     np.testing.assert_allclose(force(gx.scenes.cradle(6, pendulum=k)), contacts - k * u, atol=1e-14)
-    np.testing.assert_allclose(force(gx.scenes.cradle(6, pendulum=k, length=L)),
-                               contacts - k * L * np.sin(u / L), atol=1e-14)
-    np.testing.assert_allclose(force(gx.scenes.klein_gordon(6, 0.3)), 0.3 * (right - left) - u - u**3, atol=1e-14)
+    np.testing.assert_allclose(
+        force(gx.scenes.cradle(6, pendulum=k, length=L)),
+        contacts - k * L * np.sin(u / L),
+        atol=1e-14,
+    )
+    np.testing.assert_allclose(
+        force(gx.scenes.klein_gordon(6, 0.3)), 0.3 * (right - left) - u - u**3, atol=1e-14
+    )
     own = gx.scenes.klein_gordon(6, 0.3, law=gx.Toda(0.5, 2.0))
     np.testing.assert_allclose(force(own), 0.3 * (right - left) - 0.5 * np.expm1(2 * u), atol=1e-14)
-    np.testing.assert_allclose(force(gx.scenes.sine_gordon(6, 0.3, wavenumber=2.0)),
-                               0.3 * (right - left) - np.sin(2 * u) / 2, atol=1e-14)
+    np.testing.assert_allclose(
+        force(gx.scenes.sine_gordon(6, 0.3, wavenumber=2.0)),
+        0.3 * (right - left) - np.sin(2 * u) / 2,
+        atol=1e-14,
+    )
 
 
 def test_bands():
     k = np.linspace(-np.pi, np.pi, 7)
-    for lattice in (gx.scenes.klein_gordon(9, 0.2, stiffness=1.3), gx.scenes.sine_gordon(9, 0.2, stiffness=1.3)):
+    for lattice in (
+        gx.scenes.klein_gordon(9, 0.2, stiffness=1.3),
+        gx.scenes.sine_gordon(9, 0.2, stiffness=1.3),
+    ):
         omega = gx.linear.dispersion(lattice, k).omega[:, 0]
         np.testing.assert_allclose(omega**2, 1.3 + 0.8 * np.sin(k / 2) ** 2, rtol=1e-14)
     flat = gx.linear.dispersion(gx.scenes.cradle(9, pendulum=1.7), k).omega[:, 0]
@@ -52,7 +63,10 @@ def test_numbers_of_sites_and_springs_are_lanes_and_are_refused():
     for make, words in (
         (lambda: gx.scenes.klein_gordon(7, beta=np.ones(6)), r"beta: .*one per site, shape \(7,\)"),
         (lambda: gx.scenes.klein_gordon(7, alpha=1.0, law=gx.Sine()), "law"),
-        (lambda: gx.scenes.sine_gordon(5, np.ones(5)), r"coupling: .*one per contact, shape \(4,\)"),
+        (
+            lambda: gx.scenes.sine_gordon(5, np.ones(5)),
+            r"coupling: .*one per contact, shape \(4,\)",
+        ),
     ):
         with pytest.raises(ValueError, match=words):
             make()
@@ -115,7 +129,9 @@ def shot(c, u, omega=OMEGA):
         return np.concatenate([y[n:], c * (ends[2:] - 2 * x + ends[:-2]) - x - x**3])
 
     def later(u):
-        half = solve_ivp(rates, (0, np.pi / omega), np.concatenate([u, 0 * u]), "DOP853", rtol=1e-13, atol=1e-14)
+        half = solve_ivp(
+            rates, (0, np.pi / omega), np.concatenate([u, 0 * u]), "DOP853", rtol=1e-13, atol=1e-14
+        )
         return half.y[n:, -1]
 
     return root(later, u, tol=1e-13).x
@@ -157,12 +173,17 @@ def test_what_is_no_breather_is_not_on_the_branch():
     uneven = lambda c: gx.scenes.klein_gordon(9, c, law=gx.Polynomial(1.0, -0.1, -1.0))
     br = gx.breathers.anticontinuous(uneven, 1.0, 0.8, stability=False)
     # 2 omega enters the band, 1 <= omega^2 <= 1 + 4 c, at c = (4 omega^2 - 1)/4
-    assert 0.38 < br.p[-1] < 0.39 and br.outcome.startswith("Ended: beyond its last point 2 omega = 1.6 meets")
+    assert 0.38 < br.p[-1] < 0.39 and br.outcome.startswith(
+        "Ended: beyond its last point 2 omega = 1.6 meets"
+    )
     assert gx.breathers.localisation(uneven(br.p[-1]), br.orbit(-1).state).bright
     # an odd force makes no second harmonic
     soft = lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0)
     br = gx.breathers.anticontinuous(soft, 0.45, 0.8, stability=False)
-    assert br.p[-1] == pytest.approx(0.45) and gx.breathers.localisation(soft(br.p[-1]), br.orbit(-1).state).bright
+    assert (
+        br.p[-1] == pytest.approx(0.45)
+        and gx.breathers.localisation(soft(br.p[-1]), br.orbit(-1).state).bright
+    )
     two = gx.breathers.anticontinuous(soft, 0.02, 0.8, [4, 5], amplitudes=[1, -1])
     assert two.u[0, 4] == -two.u[0, 5] and two.verdict[-1] == "stable"
     same = gx.breathers.anticontinuous(soft, 0.02, 0.8, [4, 5])
@@ -172,7 +193,8 @@ def test_what_is_no_breather_is_not_on_the_branch():
 
 def test_what_has_no_such_limit_is_refused():
     for scene, coupling, omega, words in (
-        (hard, 0.1, 0.9, "omega"), (hard, 0.0, OMEGA, "coupling"),
+        (hard, 0.1, 0.9, "omega"),
+        (hard, 0.0, OMEGA, "coupling"),
         (lambda c: gx.scenes.klein_gordon(9, 0.1 + c), 0.1, OMEGA, "do not feel each other"),
         (lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0), 0.1, 1.0, "omega"),
     ):
@@ -185,23 +207,37 @@ def test_branches_over_the_coupling_that_turn_back_and_that_change(over_coupling
     soft = lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0)
     apart = gx.breathers.anticontinuous(soft, 0.3, 0.8, [3, 4], amplitudes=[1, -1], stability=False)
     # two sites meet more of them at a fold
-    assert "turned back at the coupling 0.26" in apart.outcome and len(apart.folds) and apart.p[-1] == 0
+    assert (
+        "turned back at the coupling 0.26" in apart.outcome
+        and len(apart.folds)
+        and apart.p[-1] == 0
+    )
     sizes = np.abs(apart.u[-1] / apart.u[0, 3])
     np.testing.assert_allclose(sizes, np.round(sizes), atol=1e-9)
     assert 2 < sizes.sum() < 5
-    dark = gx.breathers.anticontinuous(soft, 0.02, 0.8, [0, 1, 2, 3, 5, 6, 7, 8], amplitudes=[1, -1, 1, -1] * 2,
-                                       stability=False)
+    dark = gx.breathers.anticontinuous(
+        soft, 0.02, 0.8, [0, 1, 2, 3, 5, 6, 7, 8], amplitudes=[1, -1, 1, -1] * 2, stability=False
+    )
     assert dark.p[-1] == 0.02 and gx.breathers.localisation(soft(0.02), dark.orbit(-1).state).dark
     # near the barrier of the soft force, where the third harmonic meets the band
     near = gx.breathers.anticontinuous(soft, 0.4, 0.45, stability=False)
-    assert near.p[-1] == pytest.approx((1.35**2 - 1) / 4, rel=1e-3) and "3 omega = 1.35 meets" in near.outcome
+    assert (
+        near.p[-1] == pytest.approx((1.35**2 - 1) / 4, rel=1e-3)
+        and "3 omega = 1.35 meets" in near.outcome
+    )
     assert gx.breathers.bifurcations(over_coupling) == []
 
 
 @pytest.mark.slow
 def test_a_breather_of_the_cradle_falls_off_faster_than_exponentially():
-    branch = gx.breathers.anticontinuous(lambda A: gx.scenes.cradle(9, stiffness=A, length=1.0), 0.02, 0.9,
-                                         stability=False, points=12, steps=64)
+    branch = gx.breathers.anticontinuous(
+        lambda A: gx.scenes.cradle(9, stiffness=A, length=1.0),
+        0.02,
+        0.9,
+        stability=False,
+        points=12,
+        steps=64,
+    )
     decay = np.diff(np.log(np.abs(branch.u[-1][4:9])))
     assert branch.p[-1] == 0.02 and np.all(decay[1:] < 1.3 * decay[:-1])
 

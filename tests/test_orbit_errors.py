@@ -42,10 +42,19 @@ def test_the_stated_error_covers_the_truth_and_is_what_was_asked_for(name):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", few([n for n in LATTICES if n not in ("light_centred", "hard_pair")], 0, -1))
+@pytest.mark.parametrize(
+    "name", few([n for n in LATTICES if n not in ("light_centred", "hard_pair")], 0, -1)
+)
 def test_other_orbits_too(name):
     known = reference(name)
-    for keywords in ({}, {"tolerance": 1e-5}, {"tolerance": 1e-10}, {"steps": 48}, {"steps": 64}, {"steps": 200}):
+    for keywords in (
+        {},
+        {"tolerance": 1e-5},
+        {"tolerance": 1e-10},
+        {"steps": 48},
+        {"steps": 64},
+        {"steps": 200},
+    ):
         covers(ask(known, **keywords), known)
 
 
@@ -64,8 +73,13 @@ def test_the_light_centred_breather_from_its_family():
 def test_a_branch_of_forced_orbits_states_its_error():
     known, chain = reference("forced_branch_upper"), gx.scenes.monomer(3, precompression=1.0)
     branch = forced_branch(
-        lambda w: driven_chain(chain, 0.03, w, damping=0.02, phase=(0.0, np.pi)), known.omega, 1.685,
-        period=lambda w: 2 * jnp.pi / w, guess=gx.State(jnp.asarray(known.u), jnp.asarray(known.v)), points=4)
+        lambda w: driven_chain(chain, 0.03, w, damping=0.02, phase=(0.0, np.pi)),
+        known.omega,
+        1.685,
+        period=lambda w: 2 * jnp.pi / w,
+        guess=gx.State(jnp.asarray(known.u), jnp.asarray(known.v)),
+        points=4,
+    )
     covers(branch.orbit(0), known)
     assert np.all(branch.state_error.u < 1e-6) and np.all(branch.energy_error < 1e-5)
     true = np.sqrt(np.mean(branch.orbit(0).rms_velocity ** 2))
@@ -76,9 +90,13 @@ def test_a_branch_of_forced_orbits_states_its_error():
 def test_at_a_given_energy_the_frequency_has_an_error():
     known = reference("family")
     guess = gx.State(jnp.asarray(known.u), jnp.asarray(known.v))
-    orbit = gx.breathers.breather(known.lattice, 1.001 * known.omega, guess, energy=known.energy, check=False)
+    orbit = gx.breathers.breather(
+        known.lattice, 1.001 * known.omega, guess, energy=known.energy, check=False
+    )
     assert abs(orbit.omega - known.omega) <= orbit.error.omega < 1e-7
-    assert float(orbit.error.period) == pytest.approx(2 * np.pi / known.omega**2 * float(orbit.error.omega), rel=1e-6)
+    assert float(orbit.error.period) == pytest.approx(
+        2 * np.pi / known.omega**2 * float(orbit.error.omega), rel=1e-6
+    )
 
 
 # units ---------------------------------------------------------------------------------------------------------------
@@ -90,7 +108,9 @@ def test_the_length_at_which_a_lattice_is_no_longer_linear():
     # F' = 1.5 sqrt(1 + e) halves at e = -3/4, with e = 2 u
     assert nonlinear_length(chain(gx.Hertz(1.0, 1.0)), zigzag) == pytest.approx(0.375, rel=1e-9)
     # F' = 1 + 3 e^2 is half as much again at e = 1/sqrt6
-    assert nonlinear_length(chain(gx.Polynomial(1.0, 0.0, 1.0)), zigzag) == pytest.approx(6**-0.5 / 2, rel=1e-9)
+    assert nonlinear_length(chain(gx.Polynomial(1.0, 0.0, 1.0)), zigzag) == pytest.approx(
+        6**-0.5 / 2, rel=1e-9
+    )
     assert nonlinear_length(chain(gx.Linear()), zigzag) == np.inf
     assert nonlinear_length(chain(gx.Hertz(1.0)), zigzag) == 0
 
@@ -109,10 +129,15 @@ def test_errors_of_forced_branches_cover_what_opening_contacts_make_uneven():
             truth = forced_orbit(make(float(branch.p[i])), period, mine.state, steps=2048)
             for x, error, y in zip(mine.state, mine.error.state, truth.state):
                 assert np.all(np.abs(x - y) <= error)
-            assert abs(branch.response[i] - np.sqrt(np.mean(truth.rms_velocity**2))) <= branch.response_error[i]
+            assert (
+                abs(branch.response[i] - np.sqrt(np.mean(truth.rms_velocity**2)))
+                <= branch.response_error[i]
+            )
 
 
 def test_tolerances_that_a_floating_type_cannot_hold_are_refused():
     chain = gx.scenes.fput(5, alpha=0.0, beta=1.0)
-    with pytest.raises(ValueError, match="tolerance: expected at least 1.1e-14, what float64 can hold"):
+    with pytest.raises(
+        ValueError, match="tolerance: expected at least 1.1e-14, what float64 can hold"
+    ):
         gx.breathers.family(chain, points=2, tolerance=1e-15)

@@ -27,20 +27,44 @@ def bond(boundary, law=gx.Hertz(1.0, 1.0)):
 
 MASS_IN_MASS = gx.Lattice(
     {"bead": 1.0, "resonator": 0.3},
-    (gx.Bond(gx.Shift(1, "free", fields=("bead", "bead")), gx.Hertz(1.0, 1.0)),
-     gx.Bond(gx.Shift(0, fields=("bead", "resonator")), gx.Linear(0.5))), sites=3)
+    (
+        gx.Bond(gx.Shift(1, "free", fields=("bead", "bead")), gx.Hertz(1.0, 1.0)),
+        gx.Bond(gx.Shift(0, fields=("bead", "resonator")), gx.Linear(0.5)),
+    ),
+    sites=3,
+)
 FREE = {
-    "free": (gx.Lattice(1.0, (bond("free"),), sites=4), 1), "ring": (gx.Lattice(1.0, (bond("periodic"),), sites=4), 1),
+    "free": (gx.Lattice(1.0, (bond("free"),), sites=4), 1),
+    "ring": (gx.Lattice(1.0, (bond("periodic"),), sites=4), 1),
     "walls": (gx.Lattice(1.0, (bond("fixed"),), sites=4), 0),
     "one wall": (gx.Lattice(1.0, (bond("free"), gx.Wall(gx.Hertz(), "left")), sites=4), 0),
     "sites": (gx.Lattice(1.0, (bond("free"), gx.OnSite(gx.Sine(1.0))), sites=4), 0),
-    "damped, driven": (gx.Lattice(1.0, (
-        bond("free"), gx.Damping(0.1), gx.Drive(gx.Harmonic(0.1, 1.0), 0)), sites=4), 1),
-    "modulated bond": (gx.Lattice(1.0, (gx.Modulated(bond("free"), gx.Harmonic(0.1, 1.0, mean=1.0)),), sites=4), 1),
-    "modulated site": (gx.Lattice(1.0, (
-        bond("free"), gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 1.0, mean=1.0))), sites=4), 0),
+    "damped, driven": (
+        gx.Lattice(
+            1.0, (bond("free"), gx.Damping(0.1), gx.Drive(gx.Harmonic(0.1, 1.0), 0)), sites=4
+        ),
+        1,
+    ),
+    "modulated bond": (
+        gx.Lattice(1.0, (gx.Modulated(bond("free"), gx.Harmonic(0.1, 1.0, mean=1.0)),), sites=4),
+        1,
+    ),
+    "modulated site": (
+        gx.Lattice(
+            1.0,
+            (
+                bond("free"),
+                gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 1.0, mean=1.0)),
+            ),
+            sites=4,
+        ),
+        0,
+    ),
     "dashpots": (gx.Lattice(1.0, (bond("free"), gx.Dashpot(gx.Shift(1, "free"), 0.1)), sites=4), 1),
-    "dashpots to walls": (gx.Lattice(1.0, (bond("free"), gx.Dashpot(gx.Shift(1, "fixed"), 0.1)), sites=4), 0),
+    "dashpots to walls": (
+        gx.Lattice(1.0, (bond("free"), gx.Dashpot(gx.Shift(1, "fixed"), 0.1)), sites=4),
+        0,
+    ),
     "resonators": (MASS_IN_MASS, 1),
 }
 
@@ -57,18 +81,27 @@ def test_free_displacements_cost_no_force(case):
         u = jax.tree.map(lambda x: x + 0.7, lattice.zeros())
         zero = lattice.zeros()
         at, moved = lattice.acceleration(0.3, zero, zero), lattice.acceleration(0.3, u, zero)
-        assert max(np.abs(a - b).max() for a, b in zip(jax.tree.leaves(at), jax.tree.leaves(moved))) < 1e-14
+        assert (
+            max(np.abs(a - b).max() for a, b in zip(jax.tree.leaves(at), jax.tree.leaves(moved)))
+            < 1e-14
+        )
 
 
 def test_free_displacements_in_the_plane_and_of_a_traced_lattice():
     u = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.75**0.5]])
     pairs = gx.Pairs([0, 1, 2], [1, 2, 0], sites=3)
-    lattice = gx.Lattice(1.0, (gx.Bond(gx.Stretch(pairs, u[[1, 2, 0]] - u[[0, 1, 2]]), gx.Linear(1.0)),),
-                         sites=3, dimension=2)
+    lattice = gx.Lattice(
+        1.0,
+        (gx.Bond(gx.Stretch(pairs, u[[1, 2, 0]] - u[[0, 1, 2]]), gx.Linear(1.0)),),
+        sites=3,
+        dimension=2,
+    )
     moves = np.asarray(shifts(lattice))
     assert np.array_equal(moves, np.tile(np.eye(2), (3, 1)))
     count = []
-    jax.jit(lambda r: count.append(shifts(gx.scenes.dimer(4, ratio=r, boundary="free")).shape) or r)(0.5)
+    jax.jit(
+        lambda r: count.append(shifts(gx.scenes.dimer(4, ratio=r, boundary="free")).shape) or r
+    )(0.5)
     assert count == [(4, 1)]
 
 
@@ -91,23 +124,38 @@ def breather():
     shape = np.asarray(modes.modes)[:, -1]
     tangent = np.concatenate([shape / np.abs(shape).max(), np.zeros(2)])
     curve = continuation(
-        lambda x, p, a: half.residual(x, (a, 2 * jnp.pi / p)), np.zeros(N + 1), float(modes.omega[-1]), args=DIMER,
-        direction=tangent, arclength=0.05, points=8, linearise=lambda x, p, a: half.linearise(x, (a, 2 * jnp.pi / p)),
-        tolerance=1e-12)
+        lambda x, p, a: half.residual(x, (a, 2 * jnp.pi / p)),
+        np.zeros(N + 1),
+        float(modes.omega[-1]),
+        args=DIMER,
+        direction=tangent,
+        arclength=0.05,
+        points=8,
+        linearise=lambda x, p, a: half.linearise(x, (a, 2 * jnp.pi / p)),
+        tolerance=1e-12,
+    )
     assert np.abs(curve.x[-1]).max() > 0.5 and curve.p[-1] < 0.98 * modes.omega[-1]
     return half.state(jnp.asarray(curve.x[-1])), 2 * np.pi / curve.p[-1]
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("case", (
-    "free", pytest.param("walls", marks=pytest.mark.slow), pytest.param("resonators", marks=pytest.mark.slow)))
+@pytest.mark.parametrize(
+    "case",
+    (
+        "free",
+        pytest.param("walls", marks=pytest.mark.slow),
+        pytest.param("resonators", marks=pytest.mark.slow),
+    ),
+)
 def test_the_half_periods_linearisation(case):
     lattice = {"free": DIMER, "walls": WALLS, "resonators": MASS_IN_MASS}[case]
     half = half_of(lattice, 6)
     x = jnp.asarray(RNG.normal(0, 0.1, half.size + half.moves.shape[1]))
     value, jacobian = half.linearise(x, (lattice, 2.0))
     np.testing.assert_allclose(value, half.residual(x, (lattice, 2.0)), rtol=0, atol=1e-14)
-    np.testing.assert_allclose(jacobian, jax.jacfwd(half.residual)(x, (lattice, 2.0)), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        jacobian, jax.jacfwd(half.residual)(x, (lattice, 2.0)), rtol=0, atol=1e-13
+    )
 
 
 @pytest.mark.slow
@@ -137,7 +185,14 @@ def test_newton_over_a_half_period_is_quadratic_and_differentiable(breather):
     state, period = breather
     half = half_of(DIMER)
     solve = lambda x, lattice, most, tolerance=1e-14: newton(
-        half.residual, x, (lattice, period), linearise=half.linearise, throw=False, max_steps=most, tolerance=tolerance)
+        half.residual,
+        x,
+        (lattice, period),
+        linearise=half.linearise,
+        throw=False,
+        max_steps=most,
+        tolerance=tolerance,
+    )
     guess = half.guess(state) + 0.02 * jnp.asarray(RNG.normal(size=N + 1))
     errors = [np.abs(solve(guess, DIMER, k).x[:N] - state.u).max() for k in range(1, 6)]
     assert errors[0] > 1e-2 and errors[-1] < 1e-11
@@ -159,19 +214,33 @@ def test_newton_over_a_half_period_is_quadratic_and_differentiable(breather):
 def test_an_orbit_over_half_a_period_is_one_over_a_whole(breather, segments):
     state, period = breather
     scene = DIMER, period
-    full = Shooting.of(DIMER, gx.Flow(42 // segments, gx.KahanLi8()), reference=state, segments=segments)
+    full = Shooting.of(
+        DIMER, gx.Flow(42 // segments, gx.KahanLi8()), reference=state, segments=segments
+    )
     exact = full.guess(state, scene)
     assert exact.shape == (segments * 2 * N + 2,)
     assert np.abs(full.residual(exact, scene)).max() < 1e-11
     value, jacobian = full.linearise(exact + 0.01, scene)
     np.testing.assert_allclose(value, full.residual(exact + 0.01, scene), rtol=0, atol=1e-14)
-    np.testing.assert_allclose(jacobian, jax.jacfwd(full.residual)(exact + 0.01, scene), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        jacobian, jax.jacfwd(full.residual)(exact + 0.01, scene), rtol=0, atol=1e-13
+    )
     assert np.linalg.cond(jacobian) < 100
 
     # quadratic convergence back, from a guess that is perturbed in every direction, also that of the symmetries
     guess = exact + 0.01 * RNG.normal(size=exact.shape)
-    roots = [newton(full.residual, guess, scene, linearise=full.linearise, throw=False, max_steps=k, tolerance=1e-15)
-             for k in range(1, 6)]
+    roots = [
+        newton(
+            full.residual,
+            guess,
+            scene,
+            linearise=full.linearise,
+            throw=False,
+            max_steps=k,
+            tolerance=1e-15,
+        )
+        for k in range(1, 6)
+    ]
     errors = np.array([np.abs(r.x - exact).max() for r in roots])
     assert errors[0] > 1e-2 and errors[4] < 1e-11
     assert errors[2] < 3 * errors[1] ** 2 and errors[3] < 3 * errors[2] ** 2 + 1e-11
@@ -187,7 +256,9 @@ def test_the_reference_fixes_the_phase(breather):
     scene = DIMER, period
     # the guess: another phase of the orbit, displaced as a whole
     guess = gx.Flow(16, gx.KahanLi8())(state, 0.0, period / 5 + 0.03, DIMER)
-    root = newton(full.residual, full.guess(gx.State(guess.u + 0.01, guess.v), scene), scene, tolerance=1e-13)
+    root = newton(
+        full.residual, full.guess(gx.State(guess.u + 0.01, guess.v), scene), scene, tolerance=1e-13
+    )
     np.testing.assert_allclose(flat(full.state(root.x)), flat(later), rtol=0, atol=1e-10)
 
 
@@ -196,7 +267,9 @@ def test_between_walls_nothing_but_the_phase_is_free():
     half, modes = half_of(WALLS), gx.linear.normal_modes(WALLS)
     period = 2 * np.pi / (0.99 * float(modes.omega[-1]))
     shape = np.asarray(modes.modes)[:, -1]
-    found = newton(half.residual, 0.45 * shape / np.abs(shape).max(), (WALLS, period), linearise=half.linearise)
+    found = newton(
+        half.residual, 0.45 * shape / np.abs(shape).max(), (WALLS, period), linearise=half.linearise
+    )
     state = half.state(found.x)
     assert np.abs(state.u).max() > 0.2 and found.x.shape == (N,)
     full = Shooting.of(WALLS, gx.Flow(21, gx.KahanLi8()), reference=state, segments=2)
@@ -207,8 +280,15 @@ def test_between_walls_nothing_but_the_phase_is_free():
 
 
 OMEGA = 1.5
-FORCED = gx.Lattice(1.0, (
-    gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), gx.Damping(0.3), gx.Drive(gx.Harmonic(0.4, OMEGA), 0)), sites=N)
+FORCED = gx.Lattice(
+    1.0,
+    (
+        gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)),
+        gx.Damping(0.3),
+        gx.Drive(gx.Harmonic(0.4, OMEGA), 0),
+    ),
+    sites=N,
+)
 
 
 @pytest.mark.study
@@ -219,8 +299,9 @@ def test_a_forced_damped_orbit_is_where_a_long_run_settles(segments, t0):
     rest = gx.State(jnp.zeros(N), jnp.zeros(N))
     guess = full.guess(rest, scene)
     assert guess.shape == (2 * N * segments,)
-    np.testing.assert_allclose(full.linearise(guess, scene)[1], jax.jacfwd(full.residual)(guess, scene), rtol=0,
-                               atol=1e-13)
+    np.testing.assert_allclose(
+        full.linearise(guess, scene)[1], jax.jacfwd(full.residual)(guess, scene), rtol=0, atol=1e-13
+    )
     root = newton(full.residual, guess, scene, linearise=full.linearise, tolerance=1e-13)
     state = full.state(root.x)
     assert isinstance(state, gx.State) and np.abs(state.u).max() > 0.1
@@ -237,10 +318,18 @@ def test_a_forced_orbits_derivative():
     @jax.jit
     def orbit(rate):
         lattice = gx.Lattice(1.0, (FORCED.terms[0], gx.Damping(rate), FORCED.terms[2]), sites=N)
-        return newton(full.residual, start, (lattice, 2 * np.pi / OMEGA), linearise=full.linearise, tolerance=1e-13).x
+        return newton(
+            full.residual,
+            start,
+            (lattice, 2 * np.pi / OMEGA),
+            linearise=full.linearise,
+            tolerance=1e-13,
+        ).x
 
     slope = jax.jit(jax.jacfwd(orbit))(0.3)
-    np.testing.assert_allclose(slope, (orbit(0.3 + 1e-5) - orbit(0.3 - 1e-5)) / 2e-5, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        slope, (orbit(0.3 + 1e-5) - orbit(0.3 - 1e-5)) / 2e-5, rtol=0, atol=1e-9
+    )
     np.testing.assert_allclose(slope, jax.jit(jax.jacrev(orbit))(0.3), rtol=0, atol=1e-12)
     assert np.abs(slope).max() > 0.05
 
@@ -280,11 +369,18 @@ def test_a_rotating_wave_of_a_toda_ring_is_the_cnoidal_one(rotating):
     exact, wave = rotating
     end = gx.Flow(64)(exact, 0.0, wave.period, RING)
     np.testing.assert_allclose(end.u, np.roll(exact.u, 1), rtol=0, atol=1e-14)
-    assert wave.converged and float(wave.energy) == pytest.approx(float(RING.energy(0.0, *exact)), rel=1e-11)
+    assert wave.converged and float(wave.energy) == pytest.approx(
+        float(RING.energy(0.0, *exact)), rel=1e-11
+    )
     # the same wave, later or earlier by a while: a site ago it stood one site before
-    with pytest.raises(ValueError, match=r"orbit: expected one that returns itself after T, .* Translation\(1\)"):
+    with pytest.raises(
+        ValueError, match=r"orbit: expected one that returns itself after T, .* Translation\(1\)"
+    ):
         _ = wave.amplitude
-    state, best = wave.state, min(np.linspace(-0.1, 0.1, 41), key=lambda s: apart(exact, wave.state, s))
+    state, best = (
+        wave.state,
+        min(np.linspace(-0.1, 0.1, 41), key=lambda s: apart(exact, wave.state, s)),
+    )
     assert apart(exact, state, best) < 0.02 and np.abs(state.u).max() > 0.25
 
 
@@ -305,7 +401,9 @@ def test_a_wave_modulo_a_shift_is_an_orbit_of_the_whole_ring(rotating):
 
 @pytest.mark.study
 def test_a_travelling_wave_of_steel_beads():
-    ring = gx.scenes.monomer(8, mass=28.2e-3, stiffness=9.76e9, precompression=20.0, boundary="periodic")
+    ring = gx.scenes.monomer(
+        8, mass=28.2e-3, stiffness=9.76e9, precompression=20.0, boundary="periodic"
+    )
     scaled = gx.scenes.scaled(ring).lattice
     k = 2 * np.pi / 8
     period = 0.985 * k / (6**0.5 * np.sin(k / 2))  # faster than the linear wave
@@ -316,8 +414,19 @@ def test_a_travelling_wave_of_steel_beads():
     whole = orbit(scaled, wave.state, 8 * period)
     np.testing.assert_allclose(whole.state.u, wave.state.u, rtol=0, atol=1e-8)
     # d energy/d T through the root, against a difference
-    energy = jax.jit(lambda T: orbit(scaled, wave.state, T, symmetry=Translation(1), steps=24, throw=False,
-                                     tolerance=1e-13).energy)
+    energy = jax.jit(
+        lambda T: (
+            orbit(
+                scaled,
+                wave.state,
+                T,
+                symmetry=Translation(1),
+                steps=24,
+                throw=False,
+                tolerance=1e-13,
+            ).energy
+        )
+    )
     slope = (energy(period + 1e-5) - energy(period - 1e-5)) / 2e-5
     assert float(jax.jacfwd(energy)(period)) == pytest.approx(float(slope), rel=1e-6)
 
@@ -325,7 +434,9 @@ def test_a_travelling_wave_of_steel_beads():
 @pytest.mark.study
 def test_half_a_period_of_an_odd_lattice_is_an_orbit_modulo_its_sign():
     chain = gx.scenes.fput(5, alpha=0.0, beta=1.0)
-    b = gx.breathers.breather(chain, 1.05 * float(gx.linear.normal_modes(chain).omega[-1]), check=False)
+    b = gx.breathers.breather(
+        chain, 1.05 * float(gx.linear.normal_modes(chain).omega[-1]), check=False
+    )
     half = orbit(chain, b.state, b.period / 2, symmetry=Sign())
     np.testing.assert_allclose(half.state.u, b.state.u, rtol=0, atol=1e-9)
     assert half.floquet().expected == 2
@@ -350,24 +461,34 @@ def test_symmetries_compose_and_what_is_none_of_the_lattice_is_refused():
     rest = gx.State(jnp.zeros(3), jnp.zeros(3))
     assert checked_symmetry(driven, Sign(), rest, 0.0, np.pi) == Sign()
     for asked, period in ((Sign(), 2 * np.pi), (Sign(), np.nan), (Symmetry(), 6.0)):
-        with pytest.raises(ValueError, match="period: expected" if asked.trivial else "symmetry: expected"):
+        with pytest.raises(
+            ValueError, match="period: expected" if asked.trivial else "symmetry: expected"
+        ):
             checked_symmetry(driven, asked, rest, 0.0, period)
 
 
-@pytest.mark.parametrize("law", [gx.PowerLaw(1e48, -4.0, 1.0), gx.Toda(1.0, 1e12), gx.Linear(1.0)], ids=repr)
+@pytest.mark.parametrize(
+    "law", [gx.PowerLaw(1e48, -4.0, 1.0), gx.Toda(1.0, 1e12), gx.Linear(1.0)], ids=repr
+)
 def test_a_modulation_is_seen_at_rest_whatever_the_unit_of_length(law):
     # the first two have a length of their own, 1e-12, that no displacement may exceed by much
-    chain = gx.Lattice(1.0, (gx.Modulated(bond("fixed", law), gx.Harmonic(0.1, 2 * np.pi, mean=1.0)),), sites=3)
+    chain = gx.Lattice(
+        1.0, (gx.Modulated(bond("fixed", law), gx.Harmonic(0.1, 2 * np.pi, mean=1.0)),), sites=3
+    )
     rest = gx.State(jnp.zeros(3), jnp.zeros(3))
     for period in (1.0, 3.0):
         assert checked_symmetry(chain, Symmetry(), rest, 0.0, period) == Symmetry()
-    with pytest.raises(ValueError, match="period: expected one after which the forces repeat, got 1.37"):
+    with pytest.raises(
+        ValueError, match="period: expected one after which the forces repeat, got 1.37"
+    ):
         checked_symmetry(chain, Symmetry(), rest, 0.0, 1.37)
 
 
 def test_a_guess_that_falls_to_rest_is_no_orbit():
     guess = gx.State(1e-3 * np.sin(np.arange(6.0)), np.zeros(6))
-    with pytest.raises(RuntimeError, match="The guess fell to rest, where every time is a period: Converged"):
+    with pytest.raises(
+        RuntimeError, match="The guess fell to rest, where every time is a period: Converged"
+    ):
         orbit(RING, guess, 0.7, symmetry=Translation(1))
     found = orbit(RING, guess, 0.7, symmetry=Translation(1), throw=False)
     assert not found.converged and np.abs(found.state.u).max() < 1e-9

@@ -18,8 +18,11 @@ import granjax as gx  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [*(DOCS / f"{name}.md" for name in ("start", "methods", "matlab", "formulas", "cite")),
-         *sorted((DOCS / "concepts").glob("*.md")), *sorted((DOCS / "how-to").glob("*.md"))]
+PAGES = [
+    *(DOCS / f"{name}.md" for name in ("start", "methods", "matlab", "formulas", "cite")),
+    *sorted((DOCS / "concepts").glob("*.md")),
+    *sorted((DOCS / "how-to").glob("*.md")),
+]
 IDS = [str(page.relative_to(DOCS).with_suffix("")) for page in PAGES]
 FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.M | re.S)
 # of what a reader runs, and of what only shows
@@ -46,8 +49,11 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 @pytest.mark.site
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page)],
-                         ids=[name for page, name in zip(PAGES, IDS) if blocks(page)])
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES if blocks(page)],
+    ids=[name for page, name in zip(PAGES, IDS) if blocks(page)],
+)
 def test_a_page_runs_from_top_to_bottom(page, elsewhere):
     space = {}
     with contextlib.redirect_stdout(io.StringIO()):
@@ -74,5 +80,9 @@ def test_names_and_links_of_a_page_exist(page):
 
 @pytest.mark.parametrize("folder", ["concepts", "how-to"])
 def test_a_folder_s_index_names_its_pages(folder):
-    lists = re.findall(r"```{toctree}\n(?::[^\n]*\n)*\n(.*?)```", (DOCS / folder / "index.md").read_text(), re.S)
-    assert sorted([*" ".join(lists).split(), "index"]) == sorted(page.stem for page in (DOCS / folder).glob("*.md"))
+    lists = re.findall(
+        r"```{toctree}\n(?::[^\n]*\n)*\n(.*?)```", (DOCS / folder / "index.md").read_text(), re.S
+    )
+    assert sorted([*" ".join(lists).split(), "index"]) == sorted(
+        page.stem for page in (DOCS / folder).glob("*.md")
+    )

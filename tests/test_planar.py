@@ -15,8 +15,15 @@ from granjax.identify import planar_ode
 def solved(y0, drift=0.0, places=161, end=20.0):
     """Places and strains of y'' = y - y^2 + drift y' from a crest or trough."""
     x = np.linspace(0, end, places)
-    run = solve_ivp(lambda t, s: [s[1], s[0] - s[0] ** 2 + drift * s[1]], (0, end), [y0, 0.0], t_eval=x, rtol=1e-13,
-                    atol=1e-14, method="DOP853")
+    run = solve_ivp(
+        lambda t, s: [s[1], s[0] - s[0] ** 2 + drift * s[1]],
+        (0, end),
+        [y0, 0.0],
+        t_eval=x,
+        rtol=1e-13,
+        atol=1e-14,
+        method="DOP853",
+    )
     return x, run.y[0]
 
 
@@ -24,14 +31,19 @@ def test_the_equation_of_data_that_obey_one():
     x, y = solved(0.3)
     found = planar_ode(x, y, degree=2)
     assert np.abs(found.coefficients - [0, 1, -1]).max() < 1e-10 and found.misfit < 1e-12
-    assert [(point.kind, round(point.strain, 8), round(point.rate, 8)) for point in found.equilibria] == [
-        ("saddle", 0.0, 1.0), ("centre", 1.0, 1.0)]
+    assert [
+        (point.kind, round(point.strain, 8), round(point.rate, 8)) for point in found.equilibria
+    ] == [("saddle", 0.0, 1.0), ("centre", 1.0, 1.0)]
     # one power more is found to be none
     assert np.abs(planar_ode(x, y, degree=3).coefficients - [0, 1, -1, 0]).max() < 1e-9
     homoclinic = found.homoclinic()
     places = np.linspace(-60, 60, 41)
     assert np.abs(homoclinic.strain(places) - 1.5 / np.cosh(places / 2) ** 2).max() < 1e-10
-    assert abs(homoclinic.decay - 1) < 1e-10 and homoclinic.wavelength == np.inf and homoclinic.distance > 0.01
+    assert (
+        abs(homoclinic.decay - 1) < 1e-10
+        and homoclinic.wavelength == np.inf
+        and homoclinic.distance > 0.01
+    )
     periodic = found.periodic()
     assert periodic.distance < 1e-7 and abs(periodic.trough - 0.3) < 1e-10
     assert np.abs(periodic.strain(x - periodic.shift) - y).max() < 1e-6
@@ -75,7 +87,10 @@ def test_the_wave_of_korteweg_and_de_vries():
 @pytest.mark.slow
 def test_a_wave_of_todas_chain_and_a_solitary_one():
     wave, x = gx.travelling.periodic_wave(gx.Toda(), 8.0, amplitude=0.2), np.linspace(-12, 12, 121)
-    misfits = [planar_ode(x, np.asarray(wave.strain(x)), degree=k).misfit / wave.amplitude for k in (2, 3, 4)]
+    misfits = [
+        planar_ode(x, np.asarray(wave.strain(x)), degree=k).misfit / wave.amplitude
+        for k in (2, 3, 4)
+    ]
     assert misfits[0] < 1e-2 and misfits[1] < misfits[0] / 5 and misfits[2] < misfits[1] / 5
     found = planar_ode(x, np.asarray(wave.strain(x)), degree=4)
     orbit = found.periodic()
@@ -93,7 +108,9 @@ def test_the_interior_of_a_shock():
     x = np.arange(70.0, 108.0)
     y = np.asarray(gx.theory.toda.shock_wave(x, 100.0, 0.3).strain)
     found = planar_ode(x, y, degree=3)
-    assert found.misfit < 0.1 * np.ptp(y) and any(point.kind == "centre" for point in found.equilibria)
+    assert found.misfit < 0.1 * np.ptp(y) and any(
+        point.kind == "centre" for point in found.equilibria
+    )
 
 
 @pytest.mark.study
@@ -110,21 +127,32 @@ def test_noise_gives_its_size_and_error_bars_that_hold():
 def test_a_phase_plane():
     found = planar_ode(*solved(0.3), degree=2)
     ax = plots.planar(found, units="scaled")
-    assert ax.get_xlabel() == "strain (scaled)" and len(ax.lines) == 2 + len(np.unique(found.window)) + 3
-    np.testing.assert_allclose(found.slopes**2 / 2 - found.fitted**2 / 2 + found.fitted**3 / 3, -0.036, atol=1e-10)
+    assert (
+        ax.get_xlabel() == "strain (scaled)"
+        and len(ax.lines) == 2 + len(np.unique(found.window)) + 3
+    )
+    np.testing.assert_allclose(
+        found.slopes**2 / 2 - found.fitted**2 / 2 + found.fitted**3 / 3, -0.036, atol=1e-10
+    )
 
 
 X = np.linspace(0, 10, 50)
 
 
-@pytest.mark.parametrize("call, words", [
-    (lambda: planar_ode(X, X), "rise and fall"),
-    (lambda: planar_ode(X[:4], np.sin(X[:4])), "five or more"),
-    (lambda: planar_ode(X[::4], np.sin(X[::4]), degree=9), "points or more"),
-    (lambda: planar_ode(X[::-1], np.sin(X)), "increase"),
-    (lambda: planar_ode(*solved(0.3), degree=2).periodic(crest=2.0), "crest: expected one of a periodic orbit"),
-    (lambda: planar_ode(*solved(0.3), degree=2).periodic(crest=1.2, energy=0.0), "got both"),
-])
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda: planar_ode(X, X), "rise and fall"),
+        (lambda: planar_ode(X[:4], np.sin(X[:4])), "five or more"),
+        (lambda: planar_ode(X[::4], np.sin(X[::4]), degree=9), "points or more"),
+        (lambda: planar_ode(X[::-1], np.sin(X)), "increase"),
+        (
+            lambda: planar_ode(*solved(0.3), degree=2).periodic(crest=2.0),
+            "crest: expected one of a periodic orbit",
+        ),
+        (lambda: planar_ode(*solved(0.3), degree=2).periodic(crest=1.2, energy=0.0), "got both"),
+    ],
+)
 def test_what_has_no_planar_equation(call, words):
     with pytest.raises(ValueError, match=words):
         call()

@@ -31,9 +31,15 @@ def test_the_triangular_lattice_at_its_points(f):
 
 def test_flat_and_dirac_bands_out_of_plane():
     c = np.cos(PHASES / 2)
-    honey = squares(scenes.honeycomb(6, out_of_plane=True, boundary="periodic"), np.concatenate([PHASES, K[None]]))
+    honey = squares(
+        scenes.honeycomb(6, out_of_plane=True, boundary="periodic"),
+        np.concatenate([PHASES, K[None]]),
+    )
     h = np.abs(1 + np.exp(1j * PHASES[:, 0]) + np.exp(1j * PHASES[:, 1]))
-    assert np.abs(honey[:-1] - np.stack([3 - h, 3 + h], -1)).max() < 1e-12 and np.abs(honey[-1] - 3).max() < 1e-12
+    assert (
+        np.abs(honey[:-1] - np.stack([3 - h, 3 + h], -1)).max() < 1e-12
+        and np.abs(honey[-1] - 3).max() < 1e-12
+    )
     lieb = squares(scenes.lieb(6, boundary="periodic", ground=0.3), PHASES)
     wide = 2 * np.sqrt((c**2).sum(1))
     assert np.abs(lieb - 4.3 - np.stack([-wide, 0 * wide, wide], -1)).max() < 1e-12
@@ -45,10 +51,14 @@ def test_flat_and_dirac_bands_out_of_plane():
 def test_chains_with_flat_bands():
     k = PHASES[:, 0]
     flat = np.zeros_like(k)
-    sums, bands = {
-        "sawtooth": (2 + 2 * 2**0.5, (flat - 2, 2 + 2 * np.cos(k))), "stub": (3.0, (flat, np.sqrt(3 + 2 * np.cos(k)))),
-        "diamond": (4.0, (flat, 8**0.5 * np.cos(k / 2))),
-    }, {}
+    sums, bands = (
+        {
+            "sawtooth": (2 + 2 * 2**0.5, (flat - 2, 2 + 2 * np.cos(k))),
+            "stub": (3.0, (flat, np.sqrt(3 + 2 * np.cos(k)))),
+            "diamond": (4.0, (flat, 8**0.5 * np.cos(k / 2))),
+        },
+        {},
+    )
     for name, (most, (still, wide)) in sums.items():
         bands[name] = squares(getattr(scenes, name)(9, ground=0.2), k)
         other = [] if name == "sawtooth" else [-wide]
@@ -77,8 +87,16 @@ def hexagonal_matrix(k, K2, f, kt, inertia):
 
 def test_bands_of_beads_that_turn_against_a_matrix_by_hand():
     A, F0, kt = 1.3, 0.2, 0.7
-    crystal = scenes.triangular(7, 7, stiffness=A, exponent=1.5, precompression=F0, rotation=True, tangential=kt,
-                                boundary="periodic")
+    crystal = scenes.triangular(
+        7,
+        7,
+        stiffness=A,
+        exponent=1.5,
+        precompression=F0,
+        rotation=True,
+        tangential=kt,
+        boundary="periodic",
+    )
     K2 = 1.5 * A ** (2 / 3) * F0 ** (1 / 3)
     for k in (0 * K, K, PHASES[0]):
         want = np.linalg.eigvalsh(hexagonal_matrix(k, K2, F0, kt, 0.4))
@@ -89,8 +107,13 @@ def test_bands_of_beads_that_turn_against_a_matrix_by_hand():
 def test_beads_that_turn_keep_both_momenta_and_a_rigid_rotation_costs_nothing():
     crystal = scenes.hexagon(2, rotation=True, tangential=0.3, boundary="free")
     v = 0.1 * RNG.normal(size=crystal.shape)
-    run = gx.simulate(crystal, gx.State(crystal.zeros(), v), 10.0, solver=gx.SRKN11b(), step=0.05, save_at=3)
-    turning = [float(gx.measures.angular_momentum(crystal, gx.State(u, v), radius=0.5)) for u, v in zip(run.us, run.vs)]
+    run = gx.simulate(
+        crystal, gx.State(crystal.zeros(), v), 10.0, solver=gx.SRKN11b(), step=0.05, save_at=3
+    )
+    turning = [
+        float(gx.measures.angular_momentum(crystal, gx.State(u, v), radius=0.5))
+        for u, v in zip(run.us, run.vs)
+    ]
     assert np.ptp(turning) < 1e-13 and abs(turning[0]) > 0.1
     assert np.ptp(np.asarray(run.vs)[..., :2].sum(1), axis=0).max() < 1e-13
     assert float(run.energy_error) < 1e-8
@@ -106,10 +129,14 @@ def test_a_struck_hexagon_against_an_independent_integration():
     crystal = scenes.hexagon(4, exponent=1.5)
     assert crystal.shape == (61, 2)
     x = np.asarray(crystal.positions)
-    assert np.abs(np.sort(np.linalg.norm(x - x[30], axis=1))[:7] - [0, 1, 1, 1, 1, 1, 1]).max() < 1e-12
+    assert (
+        np.abs(np.sort(np.linalg.norm(x - x[30], axis=1))[:7] - [0, 1, 1, 1, 1, 1, 1]).max() < 1e-12
+    )
     # beads at rest all around
     ring = [np.array([i + j / 2, j * 0.75**0.5]) for i in range(-6, 7) for j in range(-6, 7)]
-    every = np.concatenate([x, [p + x[30] for p in ring if np.linalg.norm(p + x[30] - x, axis=1).min() > 1e-6]])
+    every = np.concatenate(
+        [x, [p + x[30] for p in ring if np.linalg.norm(p + x[30] - x, axis=1).min() > 1e-6]]
+    )
 
     apart = np.linalg.norm(x[:, None] - every, axis=-1)
     own, other = np.nonzero((apart > 0.5) & (apart < 1.5))
@@ -127,7 +154,9 @@ def test_a_struck_hexagon_against_an_independent_integration():
     y0 = np.zeros(244)
     y0[122 + 60 : 122 + 62] = 0.1, 0.03
     far = solve_ivp(rhs, (0, 12.0), y0, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
-    run = gx.simulate(crystal, gx.states.impact(crystal, [0.1, 0.03], site=30), 12.0, tolerance=1e-11)
+    run = gx.simulate(
+        crystal, gx.states.impact(crystal, [0.1, 0.03], site=30), 12.0, tolerance=1e-11
+    )
     assert np.abs(np.asarray(run.final.u).ravel() - far[:122]).max() < 1e-9
     assert np.abs(far[:122]).max() > 0.03
 
@@ -140,7 +169,9 @@ def test_a_planar_front_in_the_square_lattice_is_a_chain():
     v[0, :, 0] = 0.2
     flat = gx.simulate(square, gx.State(square.zeros(), v), 20.0, step=0.05)
     line = gx.simulate(chain, gx.states.impact(chain, 0.2), 20.0, step=0.05)
-    assert np.abs(np.asarray(flat.final.u)[..., 0] - np.asarray(line.final.u)[:, None]).max() < 1e-12
+    assert (
+        np.abs(np.asarray(flat.final.u)[..., 0] - np.asarray(line.final.u)[:, None]).max() < 1e-12
+    )
     assert np.abs(np.asarray(flat.final.u)[..., 1]).max() == 0
 
 
@@ -148,11 +179,16 @@ def test_outlines():
     rows = scenes.triangular(5, 4, outline="rectangle", boundary="free")
     x = np.asarray(rows.positions)
     assert len(x) == 20 and np.ptp(x[:, 0]) == 4.5 and abs(np.ptp(x[:, 1]) - 3 * 0.75**0.5) < 1e-12
-    disk = scenes.honeycomb(9, outline=lambda p: np.hypot(p[..., 0] - 11, p[..., 1] - 6) < 4.1, out_of_plane=True)
+    disk = scenes.honeycomb(
+        9, outline=lambda p: np.hypot(p[..., 0] - 11, p[..., 1] - 6) < 4.1, out_of_plane=True
+    )
     assert disk.shape["a"] != (9, 9) and abs(disk.shape["a"][0] - disk.shape["b"][0]) < 6
     modes = np.asarray(gx.linear.normal_modes(disk).omega_squared)
     assert modes[0] > 0 and modes[-1] < 6
-    for wrong, words in ((dict(outline="hexagon"), "cells are square"), (dict(tangential=1.0), "tangential")):
+    for wrong, words in (
+        (dict(outline="hexagon"), "cells are square"),
+        (dict(tangential=1.0), "tangential"),
+    ):
         with pytest.raises(ValueError, match=words):
             scenes.square(4, **wrong)
 
@@ -166,7 +202,9 @@ def test_lanes_and_derivatives():
     both = batch.force(0.0, jnp.stack([u, u], -1), jnp.zeros((4, 4, 2, 2)))
     for i, f in enumerate((0.02, 0.1)):
         assert np.abs(both[..., i] - make(f).force(0.0, u, 0 * u)).max() < 1e-15
-    at_K = lambda f: gx.linear.dispersion(scenes.triangular(6, 6, precompression=f, boundary="periodic"), K)
+    at_K = lambda f: gx.linear.dispersion(
+        scenes.triangular(6, 6, precompression=f, boundary="periodic"), K
+    )
     slope = jax.grad(lambda f: at_K(f).omega_squared.sum())(0.1)
     assert abs(slope + 9) < 1e-9
 
@@ -176,10 +214,15 @@ def test_forces_between_beads_and_what_slips():
     crystal = scenes.hexagon(1, precompression=0.5, rotation=True, tangential=0.4, boundary="free")
     network = gx.measures.force_network(crystal, gx.states.rest(crystal))
     assert network.segments.shape == (12, 2, 2) and np.abs(network.force - 0.5).max() < 1e-15
-    assert np.abs(np.linalg.norm(network.segments[:, 1] - network.segments[:, 0], axis=-1) - 1).max() < 1e-14
+    assert (
+        np.abs(np.linalg.norm(network.segments[:, 1] - network.segments[:, 0], axis=-1) - 1).max()
+        < 1e-14
+    )
     u = np.zeros(crystal.shape)
     u[3, 2] = 0.25
-    assert abs(float(gx.measures.slip_ratio(crystal, gx.State(u, 0 * u))) - 0.4 * 0.25 / 0.5) < 1e-14
+    assert (
+        abs(float(gx.measures.slip_ratio(crystal, gx.State(u, 0 * u))) - 0.4 * 0.25 / 0.5) < 1e-14
+    )
     with pytest.raises(ValueError, match="rotation=True"):
         gx.measures.slip_ratio(scenes.square(3), gx.states.rest(scenes.square(3)))
 
@@ -191,7 +234,11 @@ def test_two_equal_branches_are_one_chain():
     chain = scenes.monomer(15, mass=mass, stiffness=A)
     runs = [gx.simulate(x, gx.states.impact(x, 0.3), 25.0, step=0.05) for x in (fork, chain)]
     both, one = (np.asarray(run.final.u) for run in runs)
-    assert np.abs(both[:15] - one).max() < 1e-12 and np.abs(both[15:] - one[6:]).max() < 1e-12 and one[12] > 1e-3
+    assert (
+        np.abs(both[:15] - one).max() < 1e-12
+        and np.abs(both[15:] - one[6:]).max() < 1e-12
+        and one[12] > 1e-3
+    )
     turned = scenes.junction(6, (9, 9), angles=(0.4, -0.4))
     run = gx.simulate(turned, gx.states.impact(turned, 0.3), 25.0, step=0.05, save_at=2)
     assert float(run.energy_error) < 1e-6 and np.abs(np.asarray(run.final.u)[12] - one[12]) > 1e-3
@@ -205,7 +252,10 @@ def test_a_packing_of_steel_beads():
     A, nu = float(gx.materials.hertz_coefficient(body, 5e-3)), float(body.poisson)
     K2 = 1.5 * A ** (2 / 3) * 30.0 ** (1 / 3)
     m = float(gx.materials.bead_mass(body, 5e-3))
-    want = np.linalg.eigvalsh(hexagonal_matrix(K, K2, 30.0 / 1e-2, 2 * (1 - nu) / (2 - nu) * K2, 0.4)) / m
+    want = (
+        np.linalg.eigvalsh(hexagonal_matrix(K, K2, 30.0 / 1e-2, 2 * (1 - nu) / (2 - nu) * K2, 0.4))
+        / m
+    )
     assert np.abs(squares(crystal, K) / want - 1).max() < 1e-11 and crystal.units == "SI"
     with pytest.raises(ValueError, match="slide"):
         scenes.packing("steel 316", 5e-3, 7, rotation=True)
@@ -216,12 +266,18 @@ def test_a_front_is_a_solitary_wave_in_a_row_of_a_square_and_spreads_in_a_hexago
     speed = lambda t, y, lattice: jnp.linalg.norm(y.v, axis=-1)
 
     def decay(crystal, site, until, **options):
-        run = gx.simulate(crystal, gx.states.impact(crystal, [0.3, 0.0], site=site), until,
-                          record={"peak": gx.Peak(speed)})
+        run = gx.simulate(
+            crystal,
+            gx.states.impact(crystal, [0.3, 0.0], site=site),
+            until,
+            record={"peak": gx.Peak(speed)},
+        )
         return gx.measures.front_decay(crystal, run.recorded["peak"], site, **options)
 
     # a row in touch with its neighbours alone, past the first beads
-    row = decay(scenes.square(25, exponent=1.5), (2, 12), 40.0, direction=[1.0, 0.0], between=(5.0, 18.0))
+    row = decay(
+        scenes.square(25, exponent=1.5), (2, 12), 40.0, direction=[1.0, 0.0], between=(5.0, 18.0)
+    )
     assert abs(float(row.exponent)) < 0.01
     hexagon = scenes.hexagon(14, exponent=1.5)
     ring = decay(hexagon, hexagon.shape[0] // 2, 45.0)
@@ -251,7 +307,10 @@ def test_complex_wave_numbers():
     omega = np.array([1.0, 2.0, 3.0])
     found = gx.linear.complex_bands(chain, omega)
     cosine = 1 - omega**2 / 3
-    assert np.abs(np.cos(np.asarray(found.k)) - cosine[:, None]).max() < 1e-12 and np.nanmax(found.residual) < 1e-14
+    assert (
+        np.abs(np.cos(np.asarray(found.k)) - cosine[:, None]).max() < 1e-12
+        and np.nanmax(found.residual) < 1e-14
+    )
     assert np.abs(found.decay - np.arccosh(np.maximum(np.abs(cosine), 1))).max() < 1e-7
     plane = gx.linear.complex_bands(scenes.triangular(6, 6, boundary="periodic"), 3.0, across=0.7)
     k = complex(np.asarray(plane.k)[0, 0])
@@ -286,7 +345,9 @@ def turned_tree(depth, beads, angle):
 @pytest.mark.slow
 def test_a_network_of_three_guides_in_space_is_a_junction():
     angle, turn = 0.4, np.linalg.qr(RNG.normal(size=(3, 3)))[0]
-    out = [[np.cos(angle), np.sin(angle) * np.cos(x), np.sin(angle) * np.sin(x)] for x in (0.3, 2.5)]
+    out = [
+        [np.cos(angle), np.sin(angle) * np.cos(x), np.sin(angle) * np.sin(x)] for x in (0.3, 2.5)
+    ]
     nodes = np.array([[0, 0, 0], [6, 0, 0], *([6, 0, 0] + 9 * np.array(out))]) @ turn
     edges = [(0, 1), (1, 2), (1, 3)]
     net = scenes.network(nodes, edges, (6, 9, 9))
@@ -294,9 +355,14 @@ def test_a_network_of_three_guides_in_space_is_a_junction():
     u = RNG.normal(size=24)
     assert np.abs(net.force(0.0, u, 0 * u) - fork.force(0.0, u, 0 * u)).max() < 2e-15
     assert net.positions.shape == (24, 3)
-    assert np.abs(np.linalg.norm(np.diff(np.asarray(net.positions)[:6], axis=0), axis=1) - 1).max() < 1e-14
+    assert (
+        np.abs(np.linalg.norm(np.diff(np.asarray(net.positions)[:6], axis=0), axis=1) - 1).max()
+        < 1e-14
+    )
     named = {name: x for name, x in zip(("in", "fork", "up", "down"), nodes)}
-    words = scenes.network(named, [("in", "fork"), ("fork", "up"), ("fork", "down")], (6, 9, 9), boundary="free")
+    words = scenes.network(
+        named, [("in", "fork"), ("fork", "up"), ("fork", "down")], (6, 9, 9), boundary="free"
+    )
     free = scenes.junction(6, (9, 9), angles=(angle, -angle), boundary="free")
     assert np.abs(words.force(0.0, u, 0 * u) - free.force(0.0, u, 0 * u)).max() < 2e-15
     # the places of contacts are those of the beads, whatever the weights
@@ -314,7 +380,9 @@ def test_a_network_read_backwards_is_the_same_network():
     flip = lambda x: -np.asarray(x).reshape(7, 5)[:, ::-1].ravel()
     assert np.abs(flip(back.force(0.0, flip(u), 0 * u)) - net.force(0.0, u, 0 * u)).max() < 1e-14
     # two guides through one node at right angles pass through each other
-    cross = scenes.network([[-1, 0], [0, 0], [1, 0], [0, -1], [0, 1]], [(0, 1), (1, 2), (3, 1), (1, 4)], 4)
+    cross = scenes.network(
+        [[-1, 0], [0, 0], [1, 0], [0, -1], [0, 1]], [(0, 1), (1, 2), (3, 1), (1, 4)], 4
+    )
     chain = scenes.monomer(8)
     u = RNG.normal(size=16)
     want = [chain.force(0.0, x, 0 * x) for x in (u[:8], u[8:])]
@@ -337,7 +405,11 @@ def test_a_tree_of_guides_on_a_line_is_a_chain_that_doubles():
     assert np.abs(force * 2.0**level - np.asarray(chain.force(0.0, u, 0 * u))[same]).max() < 1e-12
     runs = [gx.simulate(x, gx.states.impact(x, 0.3), 25.0, step=0.05) for x in (tree, chain)]
     both, one = (np.asarray(run.final.u) for run in runs)
-    assert np.abs(both[path] - one).max() < 1e-12 and np.abs(both - one[same]).max() < 1e-12 and one[10] > 1e-3
+    assert (
+        np.abs(both[path] - one).max() < 1e-12
+        and np.abs(both - one[same]).max() < 1e-12
+        and one[10] > 1e-3
+    )
 
 
 @pytest.mark.slow
@@ -351,11 +423,18 @@ def test_loads_of_a_network_and_its_derivative():
     assert abs(over[5] - (1 - 2 * np.cos(0.3))) < 1e-14 and np.abs(np.delete(over, 5)).max() < 1e-14
     masses = np.asarray(scenes.network(nodes, edges, 6, mass=[1.0, 2.0, 3.0]).mass)
     assert (masses == np.repeat([1.0, 2.0, 3.0], 6)).all()
-    batch = jax.vmap(lambda A: scenes.network(nodes, edges, 6, stiffness=A), out_axes=-1)(jnp.array([1.0, 2.0]))
+    batch = jax.vmap(lambda A: scenes.network(nodes, edges, 6, stiffness=A), out_axes=-1)(
+        jnp.array([1.0, 2.0])
+    )
     u = np.linspace(0.5, 0.0, 18)
     both = np.asarray(batch.force(0.0, np.stack([u, u], -1), np.zeros((18, 2))))
-    assert batch.lanes == (2,) and np.abs(both[:, 1] - 2 * both[:, 0]).max() < 1e-15 < np.abs(both).max()
-    steel = scenes.network(1e-2 * nodes, edges, 6, mass=4e-3, stiffness=1e10, precompression=20.0, units="SI")
+    assert (
+        batch.lanes == (2,)
+        and np.abs(both[:, 1] - 2 * both[:, 0]).max() < 1e-15 < np.abs(both).max()
+    )
+    steel = scenes.network(
+        1e-2 * nodes, edges, 6, mass=4e-3, stiffness=1e10, precompression=20.0, units="SI"
+    )
     plain, units = scenes.scaled(steel)
     modes = [np.asarray(gx.linear.normal_modes(x).omega) for x in (steel, plain)]
     assert np.abs(modes[1] / float(units.time) / modes[0] - 1).max() < 1e-11 and steel.units == "SI"
@@ -370,7 +449,8 @@ def test_loads_of_a_network_and_its_derivative():
 def test_networks_that_are_refused():
     nodes = [[0, 0], [1, 0], [2, 0], [1, 1]]
     for edges, beads, words in (
-        ([(0, 1), (1, 2), (1, 3)], 3, "right angle"), ([(0, 1), (1, 4)], 3, "one of 0, 1, 2, 3"),
+        ([(0, 1), (1, 2), (1, 3)], 3, "right angle"),
+        ([(0, 1), (1, 4)], 3, "one of 0, 1, 2, 3"),
         ([(0, 1), (1, 2)], (3, 3, 3), "one per guide"),
     ):
         with pytest.raises(ValueError, match=words):
@@ -394,7 +474,13 @@ def test_a_pulse_falls_exponentially_with_depth_in_an_ordered_network():
     beads, angle = 12, 0.3
 
     def peaks(net, until):
-        run = gx.simulate(net, gx.states.impact(net), until, step=0.1, record={"peak": gx.Peak(lambda t, y, _: y.v)})
+        run = gx.simulate(
+            net,
+            gx.states.impact(net),
+            until,
+            step=0.1,
+            record={"peak": gx.Peak(lambda t, y, _: y.v)},
+        )
         return np.asarray(run.recorded["peak"]).reshape(-1, beads)[:, beads // 2]
 
     tree = peaks(scenes.network(*turned_tree(4, beads, angle), beads), 170.0)
@@ -415,10 +501,14 @@ def test_a_pulse_falls_exponentially_with_depth_in_an_ordered_network():
             stems[row, column] = len(edges)
             edges.append((f"top {row} {column}", f"bottom {row} {column}"))
             if row + 1 < rows:
-                edges += [(f"bottom {row} {column}", f"top {row + 1} {column + side}") for side in (-1, 1)]
+                edges += [
+                    (f"bottom {row} {column}", f"top {row + 1} {column + side}") for side in (-1, 1)
+                ]
     net = peaks(scenes.network(nodes, edges, beads), 330.0)
     rim = np.array([net[stems[row, row]] for row in range(1, rows)])
-    middle = np.array([max(net[stems[row, c]] for c in range(-row, row + 1, 2)) for row in range(rows)])
+    middle = np.array(
+        [max(net[stems[row, c]] for c in range(-row, row + 1, 2)) for row in range(rows)]
+    )
     slope, error = exponential(rim)
     # along the rim, two turns a row: those of the tree, with error
     assert slope < -0.2 and error < 0.02 * abs(slope)
@@ -438,8 +528,17 @@ def across(k, kt, kb, f, J):
 @pytest.mark.parametrize("kb, F0, pull", [(0.1, 0.02, 0.02), (0.8, 0.05, 0.0), (0.0, 0.01, 0.03)])
 def test_bands_of_a_chain_of_beads_that_turn(kb, F0, pull):
     A, kt, J, L, m = 1.3, 0.9, 0.4, 1.7, 1.2
-    chain = scenes.rotating_chain(9, mass=m, stiffness=A, precompression=F0, tangential=kt, bending=kb, spacing=L,
-                                  attraction=pull, boundary="periodic")
+    chain = scenes.rotating_chain(
+        9,
+        mass=m,
+        stiffness=A,
+        precompression=F0,
+        tangential=kt,
+        bending=kb,
+        spacing=L,
+        attraction=pull,
+        boundary="periodic",
+    )
     k, f = PHASES[:, 0], (F0 - pull) / L
     waves = np.stack([np.linalg.eigvalsh(across(x, kt, kb, f, J)) for x in k])
     along = 2 * 1.5 * A ** (2 / 3) * F0 ** (1 / 3) * (1 - np.cos(k))
@@ -454,21 +553,32 @@ def test_bands_of_a_chain_of_beads_that_turn(kb, F0, pull):
 
 def test_a_wave_of_turning_beads_stands_and_a_pressed_chain_buckles():
     kt, kb, J = 1.0, 0.8, 0.4
-    chain = scenes.rotating_chain(9, tangential=kt, bending=kb, attraction=0.01, boundary="periodic")
+    chain = scenes.rotating_chain(
+        9, tangential=kt, bending=kb, attraction=0.01, boundary="periodic"
+    )
     D = kb - (1 - J) * kt
     k = np.arccos(1 - 4 * kt * D / (4 * J * kt * kb - D**2))
     waves = gx.linear.dispersion(chain, [k - 0.1, k, k + 0.1])
     velocity = np.asarray(waves.group_velocity)[:, 2]
     assert velocity[0] > 1e-3 and abs(velocity[1]) < 1e-12 and velocity[2] < -1e-3
-    bent = lambda pull: scenes.rotating_chain(30, tangential=kt, bending=kb, precompression=0.1, attraction=pull)
+    bent = lambda pull: scenes.rotating_chain(
+        30, tangential=kt, bending=kb, precompression=0.1, attraction=pull
+    )
     assert float(gx.linear.normal_modes(bent(0.0)).omega_squared[0]) < -1e-4
     assert float(gx.linear.normal_modes(bent(0.1)).omega_squared[0]) > 0
 
 
 @pytest.mark.slow
 def test_turning_beads_keep_both_momenta_and_turn_freely():
-    chain = scenes.rotating_chain(8, precompression=0.05, tangential=0.3, bending=0.2, attraction=0.05,
-                                  boundary="free", spacing=1.4)
+    chain = scenes.rotating_chain(
+        8,
+        precompression=0.05,
+        tangential=0.3,
+        bending=0.2,
+        attraction=0.05,
+        boundary="free",
+        spacing=1.4,
+    )
     assert np.abs(np.asarray(chain.unbalanced())).max() < 1e-15
     x, angle = np.asarray(chain.positions), 0.7
     c, s = np.cos(angle), np.sin(angle)
@@ -477,8 +587,13 @@ def test_turning_beads_keep_both_momenta_and_turn_freely():
     assert float(jnp.abs(chain.force(0.0, u, 0 * u)).max()) < 1e-14
     v = np.zeros(chain.shape)
     v[0] = 0.1, 0.04, 0.05
-    run = gx.simulate(chain, gx.State(chain.zeros(), v), 20.0, solver=gx.SRKN11b(), step=0.05, save_at=4)
-    turning = [float(gx.measures.angular_momentum(chain, gx.State(u, v), radius=0.7)) for u, v in zip(run.us, run.vs)]
+    run = gx.simulate(
+        chain, gx.State(chain.zeros(), v), 20.0, solver=gx.SRKN11b(), step=0.05, save_at=4
+    )
+    turning = [
+        float(gx.measures.angular_momentum(chain, gx.State(u, v), radius=0.7))
+        for u, v in zip(run.us, run.vs)
+    ]
     assert np.ptp(turning) < 1e-12 and abs(turning[0]) > 1e-2
     assert np.ptp(np.asarray(run.vs)[..., :2].sum(1), axis=0).max() < 1e-12
     assert float(run.energy_error) < 1e-6 and np.abs(np.asarray(run.final.v)[-1]).max() > 1e-3
@@ -489,7 +604,9 @@ def test_turning_beads_between_walls_in_batches_in_si_and_when_they_would_slide(
     counts = {"fixed": 7, "free": 5, "periodic": 6}
     for boundary, bonds in counts.items():
         chain = scenes.rotating_chain(6, bending=0.1, attraction=0.01, boundary=boundary)
-        assert [term.strain_map.strain(chain.zeros()).shape for term in chain.terms] == [(bonds,)] * 4
+        assert [term.strain_map.strain(chain.zeros()).shape for term in chain.terms] == [
+            (bonds,)
+        ] * 4
     make = lambda kb: scenes.rotating_chain(6, tangential=0.4, bending=kb)
     batch = jax.vmap(make, out_axes=-1)(jnp.array([0.1, 0.7]))
     u = 0.01 * RNG.normal(size=(6, 3))
@@ -502,8 +619,17 @@ def test_turning_beads_between_walls_in_batches_in_si_and_when_they_would_slide(
     ratio = float(gx.measures.slip_ratio(chain, gx.State(slipped, 0 * slipped)))
     assert abs(ratio - 0.4 * 0.004 / 0.01) < 1e-13
     A = float(gx.materials.hertz_coefficient("steel 316", 5e-3))
-    steel = scenes.rotating_chain(8, mass=4.2e-3, stiffness=A, precompression=20.0, attraction=20.0, bending=2e3,
-                                  spacing=1e-2, boundary="periodic", units="SI")
+    steel = scenes.rotating_chain(
+        8,
+        mass=4.2e-3,
+        stiffness=A,
+        precompression=20.0,
+        attraction=20.0,
+        bending=2e3,
+        spacing=1e-2,
+        boundary="periodic",
+        units="SI",
+    )
     plain, units = scenes.scaled(steel)
     k = np.array([0.5, 2.0])
     want = np.asarray(gx.linear.dispersion(steel, k).omega)
@@ -517,9 +643,13 @@ def test_turning_beads_between_walls_in_batches_in_si_and_when_they_would_slide(
 
 @pytest.mark.slow
 def test_the_default_step_of_beads_that_turn_is_that_of_their_highest_mode():
-    crystal = scenes.packing("steel 316", 5e-3, 2, precompression=20.0, rotation=True, outline="hexagon")
+    crystal = scenes.packing(
+        "steel 316", 5e-3, 2, precompression=20.0, rotation=True, outline="hexagon"
+    )
     highest = float(gx.linear.normal_modes(crystal).omega.max())
-    assert highest <= float(frequency_bound(crystal, gx.states.rest(crystal), 0.0, 1e-5)) < 2 * highest
+    assert (
+        highest <= float(frequency_bound(crystal, gx.states.rest(crystal), 0.0, 1e-5)) < 2 * highest
+    )
     # one bead alone may go anywhere along a contact without slipping, and through its neighbour
     state = gx.states.impact(crystal, [1e-3, 0.0, 0.0], site=9)
     assert highest < float(frequency_bound(crystal, state, 0.0, 1e-5)) < 2 * highest
@@ -528,7 +658,9 @@ def test_the_default_step_of_beads_that_turn_is_that_of_their_highest_mode():
 @pytest.mark.slow
 def test_films_of_stored_runs_and_what_is_no_picture(tmp_path):
     crystal = scenes.hexagon(1, exponent=1.5)
-    run = gx.simulate(crystal, gx.states.impact(crystal, [0.1, 0.0], site=3), 1.0, step=0.1, save_at=3)
+    run = gx.simulate(
+        crystal, gx.states.impact(crystal, [0.1, 0.0], site=3), 1.0, step=0.1, save_at=3
+    )
     run.save(tmp_path / "run.nc")
     film = gx.plots.film(xr.load_dataset(tmp_path / "run.nc"), crystal)
     assert gx.plots.save(film, tmp_path / "run.gif").stat().st_size > 1000
@@ -545,7 +677,9 @@ def test_films_of_stored_runs_and_what_is_no_picture(tmp_path):
 def turned(x, angle):
     """Displacements of a rigid rotation of places (N, 2) of beads of diameter 1, the beads turning with it."""
     c, s = np.cos(angle), np.sin(angle)
-    return np.concatenate([x @ np.array([[c, s], [-s, c]]) - x, np.full((len(x), 1), 0.5 * angle)], 1)
+    return np.concatenate(
+        [x @ np.array([[c, s], [-s, c]]) - x, np.full((len(x), 1), 0.5 * angle)], 1
+    )
 
 
 @pytest.mark.parametrize("angle", [0.7, 3.0, 3.3, -8.0, 40.0])
@@ -587,20 +721,29 @@ def gripped(s, overlap, k):
     # (k/2) a^2 z^3 (10 - 15 z + 6 z^2) of z = overlap/a, term by term
     a = abs(s)
     energy = k / 2 * (10 * overlap**3 / a - 15 * overlap**4 / a**2 + 6 * overlap**5 / a**3)
-    by_slip = k / 2 * np.sign(s) * (-10 * overlap**3 / a**2 + 30 * overlap**4 / a**3 - 18 * overlap**5 / a**4)
+    by_slip = (
+        k
+        / 2
+        * np.sign(s)
+        * (-10 * overlap**3 / a**2 + 30 * overlap**4 / a**3 - 18 * overlap**5 / a**4)
+    )
     by_overlap = k / 2 * (30 * overlap**2 / a - 60 * overlap**3 / a**2 + 30 * overlap**4 / a**3)
     return energy, by_slip, by_overlap
 
 
 def test_an_open_contact_lets_go_of_its_tangential_spring():
     kt, kb, F0 = 0.5, 0.2, 0.001
-    chain = scenes.rotating_chain(3, precompression=F0, tangential=kt, bending=kb, boundary="free", inertia=0.5)
+    chain = scenes.rotating_chain(
+        3, precompression=F0, tangential=kt, bending=kb, boundary="free", inertia=0.5
+    )
     d0, rest = F0 ** (2 / 3), np.zeros(chain.shape)
     slipped = rest.copy()
     slipped[2, 2] = 0.004
     closed = np.asarray(chain.force(0.0, slipped, rest))
     # slip and roll of the last contact: both are its turn
-    assert np.abs(closed[:, 2] - [0, -kt * 0.004 + kb * 0.004, -kt * 0.004 - kb * 0.004]).max() < 1e-15
+    assert (
+        np.abs(closed[:, 2] - [0, -kt * 0.004 + kb * 0.004, -kt * 0.004 - kb * 0.004]).max() < 1e-15
+    )
     for apart in (d0 * 1.0001, 0.3, 20.0):
         u = slipped.copy()
         u[2, 0], u[2, 1] = apart, 0.1 * apart
@@ -623,7 +766,9 @@ def test_an_open_contact_lets_go_of_its_tangential_spring():
         assert abs(T_over_N - abs(T) / (d0 + e) ** 1.5) < 1e-12
 
 
-@pytest.mark.parametrize("exponent, F0, law", [(1.5, 0.0, None), (2.5, 0.01, None), (1.5, 0.01, "cubic")])
+@pytest.mark.parametrize(
+    "exponent, F0, law", [(1.5, 0.0, None), (2.5, 0.01, None), (1.5, 0.01, "cubic")]
+)
 def test_derivatives_of_a_contact_that_lets_go_are_numbers(exponent, F0, law):
     class Cubic(gx.Law):
         k: jax.Array
@@ -635,13 +780,20 @@ def test_derivatives_of_a_contact_that_lets_go_are_numbers(exponent, F0, law):
             return self.k * e**4 / 4
 
     tangential = Cubic(jnp.array(2.0)) if law else 0.4
-    make = lambda F: scenes.rotating_chain(3, exponent=exponent, precompression=F, tangential=tangential, bending=0.1)
+    make = lambda F: scenes.rotating_chain(
+        3, exponent=exponent, precompression=F, tangential=tangential, bending=0.1
+    )
     chain, d0 = make(F0), F0 ** (1 / exponent)
     energy = lambda u: chain.potential_energy(0.0, u)
     force = jax.jit(lambda u: chain.force(0.0, u, 0 * u))
     slope = jax.jit(jax.jacfwd(force))
-    for u in (np.zeros(chain.shape), np.pad([[-d0 - 0.1, 0, 0.3]], ((1, 1), (0, 0))), 0.2 * RNG.normal(size=(3, 3)),
-              np.pad([[0.0, 0, d0]], ((1, 1), (0, 0))), np.pad([[-d0, 0, 0.0]], ((1, 1), (0, 0)))):
+    for u in (
+        np.zeros(chain.shape),
+        np.pad([[-d0 - 0.1, 0, 0.3]], ((1, 1), (0, 0))),
+        0.2 * RNG.normal(size=(3, 3)),
+        np.pad([[0.0, 0, d0]], ((1, 1), (0, 0))),
+        np.pad([[-d0, 0, 0.0]], ((1, 1), (0, 0))),
+    ):
         found = np.asarray(slope(u))
         assert np.isfinite(found).all() and np.isfinite(np.asarray(force(u))).all()
         step = 1e-6 * RNG.normal(size=u.shape)
@@ -652,7 +804,9 @@ def test_derivatives_of_a_contact_that_lets_go_are_numbers(exponent, F0, law):
 @pytest.mark.slow
 def test_beads_that_part_and_meet_again_keep_their_energy_against_an_independent_integration():
     A, F0, kt, J, L = 1.0, 0.002, 0.6, 0.4, 1.0
-    chain = scenes.rotating_chain(3, precompression=F0, attraction=F0, tangential=kt, boundary="free")
+    chain = scenes.rotating_chain(
+        3, precompression=F0, attraction=F0, tangential=kt, boundary="free"
+    )
     d0 = F0 ** (2 / 3)
 
     def rhs(t, y):
@@ -671,9 +825,22 @@ def test_beads_that_part_and_meet_again_keep_their_energy_against_an_independent
         return np.concatenate([y[9:], (force / [1, 1, J]).ravel()])
 
     v = np.array([[0.0, 0.0, 0.02], [0.02, 0.01, 0.0], [0.05, -0.01, 0.03]])
-    far = solve_ivp(rhs, (0, 40.0), np.concatenate([np.zeros(9), v.ravel()]), method="DOP853", rtol=1e-11, atol=1e-13)
+    far = solve_ivp(
+        rhs,
+        (0, 40.0),
+        np.concatenate([np.zeros(9), v.ravel()]),
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-13,
+    )
     run = gx.simulate(chain, gx.State(chain.zeros(), v), 40.0, tolerance=1e-11, save_at=81)
-    gaps = np.linalg.norm(np.diff(np.asarray(run.us)[..., :2] + np.asarray(chain.positions), axis=1), axis=-1) - L - d0
+    gaps = (
+        np.linalg.norm(
+            np.diff(np.asarray(run.us)[..., :2] + np.asarray(chain.positions), axis=1), axis=-1
+        )
+        - L
+        - d0
+    )
     # the second contact opens and closes again
     assert gaps[:, 1].max() > 1e-3 and (np.diff(np.sign(gaps[:, 1])) != 0).sum() >= 2
     assert np.abs(np.asarray(run.final.u).ravel() - far.y[:9, -1]).max() < 1e-6
@@ -697,13 +864,26 @@ def rim_bonds(inside, ties):
     return bonds, walls
 
 
-@pytest.mark.parametrize("make, ties, away", [
-    (scenes.square, ((1, 0), (0, 1)), lambda x: np.abs(x).max(-1) > 1.2),
-    (scenes.square, ((1, 0), (0, 1)), lambda x: np.abs(x).sum(-1) > 0.1),
-    (scenes.triangular, ((1, 0), (0, 1), (-1, 1)), lambda x: np.hypot(*np.moveaxis(x, -1, 0)) > 1.3),
-    (scenes.triangular, ((1, 0), (0, 1), (-1, 1)), lambda x: (np.hypot(*np.moveaxis(x, -1, 0)) < 2.2)
-     & (np.hypot(*np.moveaxis(x - [1.0, 0], -1, 0)) > 0.1)),
-])
+@pytest.mark.parametrize(
+    "make, ties, away",
+    [
+        (scenes.square, ((1, 0), (0, 1)), lambda x: np.abs(x).max(-1) > 1.2),
+        (scenes.square, ((1, 0), (0, 1)), lambda x: np.abs(x).sum(-1) > 0.1),
+        (
+            scenes.triangular,
+            ((1, 0), (0, 1), (-1, 1)),
+            lambda x: np.hypot(*np.moveaxis(x, -1, 0)) > 1.3,
+        ),
+        (
+            scenes.triangular,
+            ((1, 0), (0, 1), (-1, 1)),
+            lambda x: (
+                (np.hypot(*np.moveaxis(x, -1, 0)) < 2.2)
+                & (np.hypot(*np.moveaxis(x - [1.0, 0], -1, 0)) > 0.1)
+            ),
+        ),
+    ],
+)
 def test_a_hole_of_an_outline_is_empty(make, ties, away):
     centre = np.array([4.0, 4.0]) if make is scenes.square else np.array([6.0, 4 * 0.75**0.5])
     seen = []
@@ -714,7 +894,10 @@ def test_a_hole_of_an_outline_is_empty(make, ties, away):
 
     crystal, free = (make(9, exponent=1.5, outline=outline, boundary=b) for b in ("fixed", "free"))
     bonds, walls = rim_bonds(seen[0], ties)
-    ends = [(np.asarray(t.strain_map.pairs.tail), np.asarray(t.strain_map.pairs.head)) for t in crystal.terms]
+    ends = [
+        (np.asarray(t.strain_map.pairs.tail), np.asarray(t.strain_map.pairs.head))
+        for t in crystal.terms
+    ]
     assert sum(((tail == -1) | (head == -1)).sum() for tail, head in ends) == walls > 0
     assert sum(((tail != -1) & (head != -1)).sum() for tail, head in ends) == bonds
     assert sum(len(t.strain_map.pairs.tail) for t in free.terms) == bonds
@@ -731,8 +914,10 @@ def test_a_hole_of_a_honeycomb_with_a_slit_to_the_rim_is_part_of_it():
     x0 = np.array([12.990381, 8.0])
     hole = lambda x: np.hypot(*np.moveaxis(x - x0, -1, 0)) > 1.2
     slit = lambda x: hole(x) & ~((np.abs(x[..., 0] - x0[0]) < 1.0) & (x[..., 1] < x0[1]))
-    count = lambda outline: sum(sum(np.sum(np.equal(end, -1)) for end in (t.strain_map.tail, t.strain_map.head))
-                                for t in scenes.honeycomb(7, outline=outline, out_of_plane=True).terms)
+    count = lambda outline: sum(
+        sum(np.sum(np.equal(end, -1)) for end in (t.strain_map.tail, t.strain_map.head))
+        for t in scenes.honeycomb(7, outline=outline, out_of_plane=True).terms
+    )
     assert count(hole) == count(whole) < count(slit)
 
 
@@ -748,15 +933,22 @@ def overlapping(x, joined, radii, periods=()):
     images = [0 * x[0], *periods, *(-p for p in periods)]
     apart = np.min([np.linalg.norm(x[:, None] - x - p, axis=-1) for p in images], 0)
     over = np.triu((apart < (1 - 1e-4) * R) & ~joined, 1)
-    return over.sum(), np.unravel_index(np.argmin(np.where(over, apart / R, np.inf)), over.shape), apart
+    return (
+        over.sum(),
+        np.unravel_index(np.argmin(np.where(over, apart / R, np.inf)), over.shape),
+        apart,
+    )
 
 
 @pytest.mark.parametrize("name", ["square", "strip", "honeycomb"])
 def test_beads_without_a_bond_that_overlap_are_named(name):
-    crystal = {"square": lambda: scenes.square(5, exponent=1.5, boundary="free", spacing=0.02),
-               "strip": lambda: scenes.triangular(5, 4, exponent=2.0, precompression=0.1,
-                                                  boundary=("periodic", "free")),
-               "honeycomb": lambda: scenes.honeycomb(3, exponent=1.5, boundary="free")}[name]()
+    crystal = {
+        "square": lambda: scenes.square(5, exponent=1.5, boundary="free", spacing=0.02),
+        "strip": lambda: scenes.triangular(
+            5, 4, exponent=2.0, precompression=0.1, boundary=("periodic", "free")
+        ),
+        "honeycomb": lambda: scenes.honeycomb(3, exponent=1.5, boundary="free"),
+    }[name]()
     parts = [np.asarray(x).reshape(-1, 2) for x in jax.tree.leaves(crystal.positions)]
     x, L = np.concatenate(parts), 0.02 if name == "square" else 1.0
     periods = [np.array([5.0, 0.0])] if name == "strip" else []
@@ -777,8 +969,9 @@ def test_beads_without_a_bond_that_overlap_are_named(name):
         assert bool(words) == bool(many)
         hits += bool(many)
         if many:
-            assert {site(int(i)), site(int(j))} == set(words.split(": ")[1].split(", " + f"{apart[i, j]:.3g}")[0]
-                                                       .split(" and "))
+            assert {site(int(i)), site(int(j))} == set(
+                words.split(": ")[1].split(", " + f"{apart[i, j]:.3g}")[0].split(" and ")
+            )
             assert (f"and {many - 1} more" in words) == (many > 1)
     assert 2 <= hits < 12
 
@@ -792,7 +985,10 @@ def test_the_outcome_of_a_run_names_beads_that_pass_through_one_another():
     places = np.asarray(run.us) + np.asarray(crystal.positions)
     diagonal = np.linalg.norm(places[:, 0, 0] - places[:, 1, 1], axis=-1)
     first = np.argmax(diagonal < 1 - 1e-4)
-    assert f"overlap at t = {run.ts[first]:g}: site (0, 0) and site (1, 1), {diagonal[first]:.3g} apart" in run.outcome
+    assert (
+        f"overlap at t = {run.ts[first]:g}: site (0, 0) and site (1, 1), {diagonal[first]:.3g} apart"
+        in run.outcome
+    )
     assert run.outcome.startswith("Completed") and "Bonds are fixed" in run.outcome
     slow = gx.simulate(crystal, gx.State(crystal.zeros(), 0.01 * v), 6.0, save_at=25)
     assert "bond" not in slow.outcome

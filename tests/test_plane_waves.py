@@ -13,8 +13,12 @@ import granjax as gx
 # of a Gaussian packet of width w at a Dirac point the bright ring runs ahead of c t by this much of w, far out: the
 # largest of |integral of k^{1/2} exp(-k^2/2) cos(k x - pi/4) dk|, from the asymptotic form of the two Bessel functions
 AHEAD = minimize_scalar(
-    lambda x: -abs(quad(lambda k: np.sqrt(k) * np.exp(-k * k / 2) * np.cos(k * x - np.pi / 4), 0, 12)[0]),
-    bounds=(0, 2), method="bounded").x
+    lambda x: (
+        -abs(quad(lambda k: np.sqrt(k) * np.exp(-k * k / 2) * np.cos(k * x - np.pi / 4), 0, 12)[0])
+    ),
+    bounds=(0, 2),
+    method="bounded",
+).x
 
 
 @pytest.mark.slow
@@ -23,13 +27,21 @@ def test_conical_diffraction_at_a_dirac_point():
     width, cone = 5.0, 1.5 / (2 * np.sqrt(3))  # omega^2 = 3 +- 1.5 |q|
     state = gx.states.bloch_packet(lattice, "K", width, polarisation={"a": 1.0, "b": 0.0})
     run = gx.simulate(lattice, state, 90.0, save_at=4)
-    rings = gx.measures.radial_profile(lattice, gx.measures.along(gx.measures.site_energy, lattice, run))
+    rings = gx.measures.radial_profile(
+        lattice, gx.measures.along(gx.measures.site_energy, lattice, run)
+    )
     late = np.asarray(run.ts)[1:]
     # within a cell, whose side is 3^{1/2}
-    assert np.abs(rings.crest[1:] - (cone * late + AHEAD * width)).max() < np.sqrt(3) and rings.crest[0] < 2
+    assert (
+        np.abs(rings.crest[1:] - (cone * late + AHEAD * width)).max() < np.sqrt(3)
+        and rings.crest[0] < 2
+    )
     # a packet of the third of the width in one band of the Gamma point does not
     still = gx.states.bloch_packet(lattice, "G", width, band=1)
-    assert float(gx.measures.energy_radius(lattice, gx.simulate(lattice, still, 90.0).final)) < 0.75 * rings.crest[-1]
+    assert (
+        float(gx.measures.energy_radius(lattice, gx.simulate(lattice, still, 90.0).final))
+        < 0.75 * rings.crest[-1]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +85,25 @@ def test_packets_are_refused_in_a_sentence(dimer):
         ("This lattice has 2 bands", lambda: gx.states.bloch_packet(dimer, 1.0, 5.0)),
         ("a name among", lambda: gx.states.bloch_packet(honeycomb, "Q", 2.0, band=0)),
         ("whole numbers below 2", lambda: gx.states.bloch_packet(dimer, 1.0, 5.0, band=2)),
-        ("Its packet would grow", lambda: gx.states.bloch_packet(
-            gx.scenes.square(6, precompression=0.5, boundary="periodic"), "X", 2.0, band=0)),
-        ("have no derivative", lambda: jax.grad(lambda k: gx.states.bloch_packet(dimer, k, 5.0, band=0).u.sum())(1.0)),
+        (
+            "Its packet would grow",
+            lambda: gx.states.bloch_packet(
+                gx.scenes.square(6, precompression=0.5, boundary="periodic"), "X", 2.0, band=0
+            ),
+        ),
+        (
+            "have no derivative",
+            lambda: jax.grad(lambda k: gx.states.bloch_packet(dimer, k, 5.0, band=0).u.sum())(1.0),
+        ),
     ):
         with pytest.raises(ValueError, match=match):
             call()
-    slope = jax.grad(lambda a: gx.states.bloch_packet(dimer, 1.0, 5.0, band=0, amplitude=a).u[120])(0.1)
-    assert float(slope) == pytest.approx(float(gx.states.bloch_packet(dimer, 1.0, 5.0, band=0, amplitude=1.0).u[120]))
+    slope = jax.grad(lambda a: gx.states.bloch_packet(dimer, 1.0, 5.0, band=0, amplitude=a).u[120])(
+        0.1
+    )
+    assert float(slope) == pytest.approx(
+        float(gx.states.bloch_packet(dimer, 1.0, 5.0, band=0, amplitude=1.0).u[120])
+    )
 
 
 def test_rings_and_radii_are_sums_over_sites():
@@ -93,14 +116,18 @@ def test_rings_and_radii_are_sums_over_sites():
     for i, number in enumerate(np.unique(ring)):
         own = values[:, ring == number]
         assert np.abs(found.mean[:, i] - own.mean(1)).max() < 1e-15
-        assert np.all(found.lowest[:, i] == own.min(1)) and np.all(found.highest[:, i] == own.max(1))
+        assert np.all(found.lowest[:, i] == own.min(1)) and np.all(
+            found.highest[:, i] == own.max(1)
+        )
     assert "Crest at the distance" in found.outcome
     state = gx.states.random(crystal, 1, displacement=0.0, velocity=1.0)
     e = np.asarray(gx.measures.site_energy(crystal, state))
     for centre in (None, (0.01, 0.0)):
         c = (e[:, None] * places).sum(0) / e.sum() if centre is None else np.asarray(centre)
         want = np.sqrt((e * ((places - c) ** 2).sum(1)).sum() / e.sum())
-        assert float(gx.measures.energy_radius(crystal, state, centre=centre)) == pytest.approx(want, rel=1e-13)
+        assert float(gx.measures.energy_radius(crystal, state, centre=centre)) == pytest.approx(
+            want, rel=1e-13
+        )
     with pytest.raises(ValueError, match="one number per site"):
         gx.measures.radial_profile(crystal, values[0, :5])
 
@@ -137,8 +164,16 @@ def test_a_channel_alone_by_scipy(linear_bullet):
         return np.concatenate([v.ravel(), force.ravel()])
 
     ts = np.linspace(found.arrival[1] - 0.5, found.arrival[1] + 0.5, 101)
-    run = solve_ivp(rate, (0, 26.0), np.zeros(882), method="DOP853", rtol=1e-10, atol=1e-12, max_step=0.5,
-                    t_eval=ts)
+    run = solve_ivp(
+        rate,
+        (0, 26.0),
+        np.zeros(882),
+        method="DOP853",
+        rtol=1e-10,
+        atol=1e-12,
+        max_step=0.5,
+        t_eval=ts,
+    )
     v = run.y[441 + FOCUS[0] * 21 + FOCUS[1]]
     top = int(np.argmax(v))
     a, b, c = np.polyfit(ts[top - 2 : top + 3] - ts[top], v[top - 2 : top + 3], 2)
@@ -160,7 +195,12 @@ def test_a_radial_front_falls_and_slows_down_where_a_planar_one_does_neither():
     speed = lambda t, y, lattice: jnp.linalg.norm(y.v, axis=-1)
 
     def fronts(crystal, state, until, threshold, **where):
-        run = gx.simulate(crystal, state, until, record={"peak": gx.Peak(speed), "at": gx.Arrival(speed, threshold)})
+        run = gx.simulate(
+            crystal,
+            state,
+            until,
+            record={"peak": gx.Peak(speed), "at": gx.Arrival(speed, threshold)},
+        )
         return run, gx.measures.front_decay(crystal, run.recorded["peak"], **where)
 
     hexagon = gx.scenes.hexagon(16, exponent=1.5, precompression=0.1)
@@ -168,16 +208,27 @@ def test_a_radial_front_falls_and_slows_down_where_a_planar_one_does_neither():
     run, ring = fronts(hexagon, burst, 13.0, 0.005, site=hexagon.shape[0] // 2, between=(6.0, 13.0))
     assert float(ring.exponent) + 5 * float(ring.error) < -0.4
     places, at = np.asarray(hexagon.positions), np.asarray(run.recorded["at"])
-    row = np.flatnonzero((np.abs(places[:, 1]) < 1e-9) & (places[:, 0] > 6.5) & (places[:, 0] < 13.5))
+    row = np.flatnonzero(
+        (np.abs(places[:, 1]) < 1e-9) & (places[:, 0] > 6.5) & (places[:, 0] < 13.5)
+    )
     steps = np.diff(at[row[np.argsort(places[row, 0])]])
     # it begins faster than sound, (9/8 K)^{1/2} with K = 3/2 F0^{1/3}, and ends at it
     sound = np.sqrt(9 / 8 * 1.5 * 0.1 ** (1 / 3))
-    assert steps[0] < 0.9 / sound < 0.95 / sound < steps[-1] < 1.0 / sound and np.all(np.diff(steps) > 0)
+    assert steps[0] < 0.9 / sound < 0.95 / sound < steps[-1] < 1.0 / sound and np.all(
+        np.diff(steps) > 0
+    )
     # a whole row of beads in touch, pushed: a solitary wave
     strip = gx.scenes.square(24, 4, exponent=1.5, boundary=("fixed", "periodic"))
     v = strip.zeros().at[0, :, 0].set(0.5)
-    _, plane = fronts(strip, gx.State(strip.zeros(), v), 24.0, 0.005, site=(0, 0), direction=[1.0, 0.0],
-                      between=(5.0, 16.0))
+    _, plane = fronts(
+        strip,
+        gx.State(strip.zeros(), v),
+        24.0,
+        0.005,
+        site=(0, 0),
+        direction=[1.0, 0.0],
+        between=(5.0, 16.0),
+    )
     assert abs(float(plane.exponent)) < 0.01
     with pytest.raises(ValueError, match="within which sites lie"):
         gx.states.radial_impact(hexagon, 1.0, 0.5)
@@ -186,6 +237,8 @@ def test_a_radial_front_falls_and_slows_down_where_a_planar_one_does_neither():
 def test_pictures_of_rings():
     crystal = gx.scenes.hexagon(4)
     r = np.linalg.norm(np.asarray(crystal.positions), axis=1)
-    ax = gx.plots.radial_profile(gx.measures.radial_profile(crystal, np.stack([r, r**2])), label="energy")
+    ax = gx.plots.radial_profile(
+        gx.measures.radial_profile(crystal, np.stack([r, r**2])), label="energy"
+    )
     assert len(ax.lines) == 2 and np.allclose(ax.lines[0].get_ydata(), ax.lines[0].get_xdata())
     assert ax.get_ylabel().startswith("energy")

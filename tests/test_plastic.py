@@ -22,15 +22,20 @@ def struck(law, speed, t1, **how):
 
 @pytest.mark.study
 def test_measures_along_a_run_know_what_it_had_in_memory():
-    lattice = gx.Lattice(1.0, tuple(gx.PlasticContact(FREE, gx.WaltonBraun(k, 2.0)) for k in (1.0, 0.5)), sites=2)
+    lattice = gx.Lattice(
+        1.0, tuple(gx.PlasticContact(FREE, gx.WaltonBraun(k, 2.0)) for k in (1.0, 0.5)), sites=2
+    )
     run = gx.simulate(lattice, gx.states.impact(lattice, velocity=0.8), 9.0, save_at=12)
     assert [x["largest_overlap"].shape for x in run.by_term] == [(12, 1)] * 2
     energies = gx.measures.along(gx.measures.energy, lattice, run)
     assert np.abs(energies / energies[0] - 1).max() < 1e-9
     # the force that sites feel, and that of contacts
     pushes = gx.measures.along(lambda lattice, y, t: lattice.force(t, y.u, y.v)[1], lattice, run)
-    forces = gx.measures.along(lambda lattice, y, t: sum(
-        c.force[0] for c in gx.measures.contacts(lattice, y, t)), lattice, run)
+    forces = gx.measures.along(
+        lambda lattice, y, t: sum(c.force[0] for c in gx.measures.contacts(lattice, y, t)),
+        lattice,
+        run,
+    )
     assert np.allclose(pushes, forces) and forces[-1] == 0 and run.memory["largest_overlap"][-1] > 0
 
 
@@ -71,7 +76,9 @@ def test_derivative_of_restitution_against_yield():
     assert np.allclose(got, wanted, rtol=1e-5)
 
 
-@pytest.mark.parametrize("law", [gx.WaltonBraun(1.0, 3.0), gx.Thornton(1.0, 0.1)], ids=["Walton-Braun", "Thornton"])
+@pytest.mark.parametrize(
+    "law", [gx.WaltonBraun(1.0, 3.0), gx.Thornton(1.0, 0.1)], ids=["Walton-Braun", "Thornton"]
+)
 def test_energies_are_the_work_of_the_force(law):
     s = np.linspace(1e-3, 1.0, 7)
     # loading: all that is spent; unloading: all that comes back
@@ -88,9 +95,11 @@ def scene(units):
     law = gx.Thornton(np.linspace(1.0, 1.4, 6) / stiffness, 0.05 / units.length)
 
     def make(overlap):
-        terms = (gx.PlasticContact(WALLS, law, overlap / units.length),
-                 gx.Dashpot(WALLS, 0.03 / units.of(1, -1, 1)),
-                 gx.Drive(gx.Harmonic(0.05 / force, units.time), 2))
+        terms = (
+            gx.PlasticContact(WALLS, law, overlap / units.length),
+            gx.Dashpot(WALLS, 0.03 / units.of(1, -1, 1)),
+            gx.Drive(gx.Harmonic(0.05 / force, units.time), 2),
+        )
         return gx.Lattice(1.0 / units.mass, terms, sites=5)
 
     return make
@@ -115,9 +124,15 @@ def test_lanes_are_runs_by_themselves():
     state = gx.State(batch.zeros(), batch.zeros().at[0].set(0.4))
     run = gx.simulate(batch, state, 4.0, save_at=4)
     assert run.lost.shape == (4, 3) and run.memory["largest_overlap"].shape == (4, 6, 3)
-    assert run.to_xarray(lanes={"overlap": overlaps}).largest_overlap.dims == ("time", "bond", "overlap")
+    assert run.to_xarray(lanes={"overlap": overlaps}).largest_overlap.dims == (
+        "time",
+        "bond",
+        "overlap",
+    )
     alone = gx.simulate(make(0.02), gx.State(state.u[:, 1], state.v[:, 1]), 4.0, save_at=4)
-    assert np.allclose(run.us[..., 1], alone.us, atol=1e-8) and np.allclose(run.lost[:, 1], alone.lost, atol=1e-8)
+    assert np.allclose(run.us[..., 1], alone.us, atol=1e-8) and np.allclose(
+        run.lost[:, 1], alone.lost, atol=1e-8
+    )
 
 
 class Sticking(gx.PlasticLaw):
@@ -148,15 +163,29 @@ def test_what_needs_the_present_alone_refuses():
     chain = gx.Lattice(1.0, gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1), sites=4)
     rest = gx.State(chain.zeros(), chain.zeros())
     for call in (
-        lambda: gx.Flow(4)(rest, 0.0, 1.0, chain), lambda: gx.linear.normal_modes(chain),
-        lambda: gx.floquet.floquet(chain, rest, 1.0), lambda: gx.breathers.family(chain),
-        lambda: gx.states.impact(chain) and gx.simulate(gx.Lattice(
-            1.0, gx.Modulated(chain.terms[0], gx.Harmonic(0.1, 1.0, mean=1.0)), sites=4), rest, 1.0),
+        lambda: gx.Flow(4)(rest, 0.0, 1.0, chain),
+        lambda: gx.linear.normal_modes(chain),
+        lambda: gx.floquet.floquet(chain, rest, 1.0),
+        lambda: gx.breathers.family(chain),
+        lambda: (
+            gx.states.impact(chain)
+            and gx.simulate(
+                gx.Lattice(
+                    1.0, gx.Modulated(chain.terms[0], gx.Harmonic(0.1, 1.0, mean=1.0)), sites=4
+                ),
+                rest,
+                1.0,
+            )
+        ),
     ):
         with pytest.raises(ValueError, match="remember|memory"):
             call()
-    for how in ({"solver": gx.SRKN11b()}, {"record": {"a": gx.Peak(lambda t, y, lattice: y.u)}},
-                {"adjoint": gx.Reversible()}, {"save_at": "steps"}):
+    for how in (
+        {"solver": gx.SRKN11b()},
+        {"record": {"a": gx.Peak(lambda t, y, lattice: y.u)}},
+        {"adjoint": gx.Reversible()},
+        {"save_at": "steps"},
+    ):
         with pytest.raises(ValueError, match=next(iter(how))):
             gx.simulate(chain, rest, 1.0, **how)
     with pytest.raises(ValueError, match="unloading"):

@@ -54,7 +54,9 @@ def test_a_map_of_a_run_shows_its_array(ax, record):
 @pytest.mark.slow
 def test_a_real_run_and_its_displacements(ax):
     chain = gx.scenes.monomer(6)
-    run = gx.simulate(chain, gx.states.impact(chain), 2.0, save_at=5, solver=gx.VelocityVerlet(), step=0.1)
+    run = gx.simulate(
+        chain, gx.states.impact(chain), 2.0, save_at=5, solver=gx.VelocityVerlet(), step=0.1
+    )
     plots.space_time(run, ax, quantity="u")
     np.testing.assert_array_equal(ax.images[0].get_array(), run.us)
     assert colour_bar(ax).get_ylabel() == "displacement (scaled)"
@@ -128,7 +130,11 @@ def test_bad_maps_are_refused(ax, record, options, message):
 
 
 def test_named_fields_are_refused_by_name(ax, record):
-    cell = Record(record.ts, {"bead": record.us, "resonator": record.us}, {"bead": record.vs, "resonator": record.vs})
+    cell = Record(
+        record.ts,
+        {"bead": record.us, "resonator": record.us},
+        {"bead": record.vs, "resonator": record.vs},
+    )
     with pytest.raises(ValueError, match="'bead', 'resonator'"):
         plots.space_time(cell, ax)
 
@@ -144,26 +150,39 @@ def test_traces_are_stacked_by_their_span(ax, record):
 
 def test_the_scale_bar_has_the_height_that_it_names(ax):
     ts = np.linspace(0, 1, 5)
-    plots.traces(ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, units="m/s", label="velocity")
+    plots.traces(
+        ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, units="m/s", label="velocity"
+    )
     bottom, top = ax.lines[-1].get_ydata()
     assert top - bottom == pytest.approx(2.0)
     assert ax.texts[0].get_text() == "velocity 2 m/s"
 
 
 def test_traces_laid_over_each_other_have_a_legend(ax, record):
-    plots.traces(record.ts, record.vs, [0, 2], ax, offset=0, labels=["first", "third"], units="m/s",
-                 label="velocity")
+    plots.traces(
+        record.ts,
+        record.vs,
+        [0, 2],
+        ax,
+        offset=0,
+        labels=["first", "third"],
+        units="m/s",
+        label="velocity",
+    )
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), record.vs[:, 2])
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["site first", "site third"]
     assert ax.get_ylabel() == "velocity (m/s)"
 
+    ((dict(offset=-1.0), "offset"),)
 
-    (dict(offset=-1.0), "offset"),
+
 def test_a_profile_has_a_logarithmic_inset(ax):
     x = np.linspace(-3, 3, 25)
     y = np.stack([np.exp(-(x**2)), -2 * x * np.exp(-(x**2))], 1)
     nodes = np.arange(-3.0, 4.0)
-    got = plots.profile(x, y, ax, labels=["strain", "slope"], points=(nodes, -np.exp(-(nodes**2))), floor=1e-5)
+    got = plots.profile(
+        x, y, ax, labels=["strain", "slope"], points=(nodes, -np.exp(-(nodes**2))), floor=1e-5
+    )
     assert got is ax
     inset = ax.child_axes[0]
     assert inset.get_yscale() == "log" and inset.get_ylim()[0] == 1e-5
@@ -172,22 +191,31 @@ def test_a_profile_has_a_logarithmic_inset(ax):
     assert np.all(inset.lines[2].get_ydata() > 0)
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["strain", "slope"]
 
+    ((([0, 1], [0.0, 1.0]), dict(floor=0.0), "floor"),)
 
-    (([0, 1], [0.0, 1.0]), dict(floor=0.0), "floor"),
+
 def test_transmission_is_drawn_over_rising_ratios(ax):
-    got = plots.transmission([1.0, 0.3, 0.6], [1.0, 0.9, 0.2], ax, resonances=0.6, anti_resonances=[0.3, 1.0])
+    got = plots.transmission(
+        [1.0, 0.3, 0.6], [1.0, 0.9, 0.2], ax, resonances=0.6, anti_resonances=[0.3, 1.0]
+    )
     assert got is ax
     np.testing.assert_array_equal(ax.lines[0].get_xdata(), [0.3, 0.6, 1.0])
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), [0.9, 0.2, 1.0])
     marks = [line.get_xdata()[0] for line in ax.lines[1:4]]
     assert marks == [0.6, 0.3, 1.0]
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["resonance", "anti-resonance"]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == [
+        "resonance",
+        "anti-resonance",
+    ]
     assert "mass ratio" in ax.get_xlabel()
 
 
-@pytest.mark.parametrize("arguments, message", [
-    (([0.5, 1.5], [1.0, 1.0]), "mass_ratio"),
-])
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (([0.5, 1.5], [1.0, 1.0]), "mass_ratio"),
+    ],
+)
 def test_bad_transmission_is_refused(ax, arguments, message):
     with pytest.raises(ValueError, match=message):
         plots.transmission(*arguments, ax)
@@ -214,13 +242,17 @@ def test_a_spectrum_lies_under_its_dispersion(ax):
     wave = np.cos(k * n - omega * t[:, None])
     spectrum = gx.measures.spectrum(wave, t[1] - t[0], space_window="none")
     zone = np.linspace(0, np.pi, 65)
-    plots.dispersion(Curve(zone, 2 * np.sin(zone / 2)[:, None], (1,)), ax, spectrum=spectrum, floor=1e-3)
+    plots.dispersion(
+        Curve(zone, 2 * np.sin(zone / 2)[:, None], (1,)), ax, spectrum=spectrum, floor=1e-3
+    )
     shown = np.asarray(ax.collections[0].get_array()).reshape(len(spectrum.omega), len(spectrum.k))
     assert shown.max() == 1.0 and shown.min() == 1e-3
     w, place = np.unravel_index(shown.argmax(), shown.shape)
     at = spectrum.k[place]
     # the brightest cell is on the band that is drawn over both signs of k
-    assert np.interp(at, *ax.lines[0].get_data()) == pytest.approx(float(spectrum.omega[w]), abs=2 * np.pi / 60)
+    assert np.interp(at, *ax.lines[0].get_data()) == pytest.approx(
+        float(spectrum.omega[w]), abs=2 * np.pi / 60
+    )
     assert ax.get_xlabel() == "wave number $k$ (rad/site)"
     assert not ax.patches
 
@@ -230,7 +262,9 @@ def test_bands_of_a_larger_cell_are_repeated_over_the_zone_of_the_sites(ax):
     omega = np.stack([np.abs(np.sin(zone / 2)), 2 + 0.1 * np.cos(zone)], 1)
     k = np.linspace(-np.pi, np.pi, 8, endpoint=False)
     power = np.ones((8, 4))
-    plots.dispersion(Curve(zone, omega, 2), ax, spectrum=gx.measures.spectra.Spectrum(k, np.arange(4.0), power))
+    plots.dispersion(
+        Curve(zone, omega, 2), ax, spectrum=gx.measures.spectra.Spectrum(k, np.arange(4.0), power)
+    )
     covered = np.concatenate([line.get_xdata() for line in ax.lines])
     assert covered.min() <= -np.pi and covered.max() >= np.pi
     # at k = pi per site the phase per cell is 2 pi: the acoustic band is back at zero
@@ -238,9 +272,12 @@ def test_bands_of_a_larger_cell_are_repeated_over_the_zone_of_the_sites(ax):
     np.testing.assert_allclose(np.concatenate([e for e in edge if e.size]), 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("curve, spectrum, message", [
-    (Curve(np.zeros((3, 2)), np.zeros((3, 1)), (1, 1)), None, r"k of shape \(K,\)"),
-])
+@pytest.mark.parametrize(
+    "curve, spectrum, message",
+    [
+        (Curve(np.zeros((3, 2)), np.zeros((3, 1)), (1, 1)), None, r"k of shape \(K,\)"),
+    ],
+)
 def test_bad_dispersion_is_refused(ax, curve, spectrum, message):
     with pytest.raises(ValueError, match=message):
         plots.dispersion(curve, ax, spectrum=spectrum)
@@ -272,8 +309,18 @@ def test_whatever_a_plot_returns_is_saved(tmp_path):
         inner = plots.figure(2.0, 1.5)
         part = inner.subfigures(1, 2)[1].subplots()
     axes[0].plot([0, 1])
-    for k, made in enumerate((figure, axes, axes[0], [*axes], ([axes[0]], [axes[1]]), {"left": axes[0]}, part,
-                              axes[0].lines)):
+    for k, made in enumerate(
+        (
+            figure,
+            axes,
+            axes[0],
+            [*axes],
+            ([axes[0]], [axes[1]]),
+            {"left": axes[0]},
+            part,
+            axes[0].lines,
+        )
+    ):
         assert plots.save(made, tmp_path / f"{k}.pdf", dpi=50).read_bytes().startswith(b"%PDF")
     with pytest.raises(ValueError, match="made: expected Axes of one figure"):
         plots.save([axes[0], part], tmp_path / "none.png")
@@ -293,7 +340,11 @@ def test_waves_of_a_cell_and_maps_of_resonances():
     assert not gx.plots.cell_wave(wave, tail=False, units="mm").child_axes
     first, second = np.array([0.2, 0.4, 0.6]), np.array([0.5, 1.0])
     rate = np.array([[0.2, 0.1], [0.0, 0.3], [np.nan, 0.1]])
-    found = gx.resonance.ResonanceMap(first, second, rate, rate, ("ratio", "stiffness"), "2:1", (8, 20))
+    found = gx.resonance.ResonanceMap(
+        first, second, rate, rate, ("ratio", "stiffness"), "2:1", (8, 20)
+    )
     ax = gx.plots.resonance_map(found, marks=1)
     assert ax.lines[0].get_xydata().tolist() == [[0.4, 0.5]] and "mass ratio" in ax.get_xlabel()
-    np.testing.assert_array_equal(np.ma.filled(ax.collections[0].get_array(), np.nan).reshape(2, 3), rate.T)
+    np.testing.assert_array_equal(
+        np.ma.filled(ax.collections[0].get_array(), np.nan).reshape(2, 3), rate.T
+    )

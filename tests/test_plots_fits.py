@@ -36,12 +36,20 @@ def record():
     data, signals = [draw(s) for s in shapes], [draw(s) for s in shapes]
     data[0][4, 1] = np.nan
     residuals = [np.where(np.isfinite(d), (s - d) / 0.1, 0.0) for s, d in zip(signals, data)]
-    traces = (Trace(times, data[0], ["velocity of site 2", "velocity of site 5"]),
-              Trace(times, data[1], ["force of contact 0"]))
+    traces = (
+        Trace(times, data[0], ["velocity of site 2", "velocity of site 5"]),
+        Trace(times, data[1], ["force of contact 0"]),
+    )
     # deviations 0.2 and 3e8, correlation 0.5
     covariance = [[0.04, 3e7], [3e7, 9e16]]
-    return Result(traces, tuple(signals), tuple(residuals), {"stiffness": 9.8e9, "damping": 1.7}, covariance,
-                  ("damping", "stiffness"))
+    return Result(
+        traces,
+        tuple(signals),
+        tuple(residuals),
+        {"stiffness": 9.8e9, "damping": 1.7},
+        covariance,
+        ("damping", "stiffness"),
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -63,7 +71,9 @@ def test_every_sensor_has_its_data_its_fit_and_its_residuals():
         np.testing.assert_allclose(fitted.get_ydata(), size * result.signals[k][:, s])
         known = np.isfinite(result.traces[k].data[:, s])
         np.testing.assert_array_equal(lower.lines[0].get_ydata(), result.residuals[k][known, s])
-        assert upper.get_title() == result.traces[k].sensors[s] and lower.get_xlabel() == "time (ms)"
+        assert (
+            upper.get_title() == result.traces[k].sensors[s] and lower.get_xlabel() == "time (ms)"
+        )
     assert len(axes[1, 1].lines[0].get_xdata()) == 29
     assert (axes[0, 0].get_ylabel(), axes[0, 2].get_ylabel()) == ("velocity (mm/s)", "force (N)")
     assert axes[1, 0].get_ylabel() == r"residual / $\sigma$"
@@ -90,24 +100,32 @@ def test_corner_draws_the_contours_of_the_covariance():
     assert axes.shape == (2, 2) and not axes[0, 1].get_visible()
     assert axes[0, 0].get_title(loc="center") == r"1.70 $\pm$ 0.20"
     assert axes[1, 1].get_title(loc="center") == r"(9.80 $\pm$ 0.30)$\,10^{9}$"
-    assert (axes[1, 0].get_xlabel(), axes[1, 0].get_ylabel()) == ("damping", r"stiffness ($10^{9}$)")
+    assert (axes[1, 0].get_xlabel(), axes[1, 0].get_ylabel()) == (
+        "damping",
+        r"stiffness ($10^{9}$)",
+    )
     matrix = np.array([[0.04, 0.03], [0.03, 0.09]])
     outlines = [p for p in axes[1, 0].patches if isinstance(p, Ellipse) and not p.get_fill()]
     for patch, sigma in zip(outlines, (2, 1)):
         points = patch.get_patch_transform().transform(patch.get_path().interpolated(1).vertices)
         # vertices on the curve: every third of the cubic Bezier path
         offsets = points[:-1:3] - [1.7, 9.8]
-        np.testing.assert_allclose(np.einsum("ki,ij,kj->k", offsets, np.linalg.inv(matrix), offsets), sigma**2,
-                                   rtol=1e-9)
+        np.testing.assert_allclose(
+            np.einsum("ki,ij,kj->k", offsets, np.linalg.inv(matrix), offsets), sigma**2, rtol=1e-9
+        )
     (truth,) = [line for line in axes[1, 0].lines if line.get_color() == COLOURS[1]]
     np.testing.assert_allclose(truth.get_ydata(), 9.9)
     curve = axes[0, 0].lines[0]
-    np.testing.assert_allclose(curve.get_ydata(), np.exp(-0.5 * ((curve.get_xdata() - 1.7) / 0.2) ** 2))
+    np.testing.assert_allclose(
+        curve.get_ydata(), np.exp(-0.5 * ((curve.get_xdata() - 1.7) / 0.2) ** 2)
+    )
 
 
 def test_corner_refuses_what_it_cannot_draw():
     blind = record()._replace(covariance=[[np.inf, 0.0], [0.0, 1.0]])
-    with pytest.raises(ValueError, match="result: expected parameters that the data determine, .* of damping"):
+    with pytest.raises(
+        ValueError, match="result: expected parameters that the data determine, .* of damping"
+    ):
         fits.corner(blind)
 
 
@@ -120,5 +138,11 @@ def test_a_law_is_drawn_over_its_strains_and_nowhere_else():
     np.testing.assert_array_equal(ax.lines[0].get_xydata(), np.column_stack([strain, force]))
     band = ax.collections[0].get_paths()[0].vertices
     assert band[:, 0].min() == -0.4 and band[:, 0].max() == 1.1
-    np.testing.assert_allclose([band[:, 1].min(), band[:, 1].max()], [force[0] - 0.1, force[-1] + 0.2])
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["one deviation", "identified", "true"]
+    np.testing.assert_allclose(
+        [band[:, 1].min(), band[:, 1].max()], [force[0] - 0.1, force[-1] + 0.2]
+    )
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == [
+        "one deviation",
+        "identified",
+        "true",
+    ]

@@ -28,11 +28,25 @@ def axes():
 @pytest.fixture
 def fl():
     """A stable pair, an unstable real pair, and a pair at +1 of which rounding has moved one outside."""
-    vectors = np.array([[0.1, 0, 2, 0, 0, 0], [0.2, 0, -4, 0, 0, 0], [0.3, 0, 1, 0, 0, 0],
-                        [0.0, 0, 6, 0, 0, 0], [0.5, 0, 8, 0, 0, 0], [0.0, 0, -2, 0, 0, 0]], complex)
+    vectors = np.array(
+        [
+            [0.1, 0, 2, 0, 0, 0],
+            [0.2, 0, -4, 0, 0, 0],
+            [0.3, 0, 1, 0, 0, 0],
+            [0.0, 0, 6, 0, 0, 0],
+            [0.5, 0, 8, 0, 0, 0],
+            [0.0, 0, -2, 0, 0, 0],
+        ],
+        complex,
+    )
     return SimpleNamespace(
-        multipliers=np.array([ROUND, ROUND.conj(), 1.2, 1 / 1.2, 1 + 1e-5, 1 - 1e-5], complex), vectors=vectors,
-        krein=np.array([1, -1, 0, 0, 0, np.nan]), error=np.full(6, 1e-8), expected=2, rate=0.0, period=2.0,
+        multipliers=np.array([ROUND, ROUND.conj(), 1.2, 1 / 1.2, 1 + 1e-5, 1 - 1e-5], complex),
+        vectors=vectors,
+        krein=np.array([1, -1, 0, 0, 0, np.nan]),
+        error=np.full(6, 1e-8),
+        expected=2,
+        rate=0.0,
+        period=2.0,
     )
 
 
@@ -55,8 +69,11 @@ def spans(ax):
 
 def test_multipliers_are_coloured_by_their_signature(ax, fl):
     assert plots.floquet_circle(fl, ax) is ax
-    for label, colour, mark, rho in (("Krein +", BLUE, "o", [ROUND]), ("Krein $-$", RED, "s", [ROUND.conj()]),
-                                     ("Krein 0", to_hex("0.25"), "^", fl.multipliers[2:])):
+    for label, colour, mark, rho in (
+        ("Krein +", BLUE, "o", [ROUND]),
+        ("Krein $-$", RED, "s", [ROUND.conj()]),
+        ("Krein 0", to_hex("0.25"), "^", fl.multipliers[2:]),
+    ):
         shown, tone, line = points(ax, label)
         np.testing.assert_array_equal(shown @ [1, 1j], rho)
         assert (tone, line.get_marker()) == (colour.lower(), mark)
@@ -132,7 +149,9 @@ def test_a_stable_breather_says_that_nothing_grows(axes, fl):
     plots.breather(orbit, fl, axes)
     np.testing.assert_allclose(d.images[0].get_array(), 1e3 * run.vs)
     np.testing.assert_allclose(d.images[0].get_extent(), (-0.5, 2.5, 0.0, 4.0))
-    assert d.get_ylabel() == "time (µs)" and d.images[0].colorbar.ax.get_ylabel() == "velocity (mm/s)"
+    assert (
+        d.get_ylabel() == "time (µs)" and d.images[0].colorbar.ax.get_ylabel() == "velocity (mm/s)"
+    )
 
 
 # ------------------------------------------------------------------------------------------------------------- a family
@@ -141,7 +160,8 @@ def test_a_stable_breather_says_that_nothing_grows(axes, fl):
 @pytest.fixture
 def family():
     return SimpleNamespace(
-        omega=np.array([1.0, 0.9, 0.8, 0.7, 0.6]), energy=np.array([0.0, 1.0, 3.0, 2.0, 4.0]),
+        omega=np.array([1.0, 0.9, 0.8, 0.7, 0.6]),
+        energy=np.array([0.0, 1.0, 3.0, 2.0, 4.0]),
         amplitude=np.array([0.0, 0.1, 0.2, 0.3, 0.5]),
         verdict=np.array(["stable", "stable", "unstable", "unstable", "stable"]),
     )
@@ -160,7 +180,9 @@ def test_a_family_is_drawn_in_smooth_parts_of_one_verdict(axes, family):
         assert near(ax, np.column_stack([family.omega, height])) < 1e-12  # through every point
         # each part ends at the last point of its verdict: what lies between is dotted, since nobody knows
         ends = [tuple(line.get_xdata()[[0, -1]]) for line in ax.lines]
-        np.testing.assert_allclose(ends, [(1.0, 0.9), (0.9, 0.8), (0.8, 0.7), (0.7, 0.6), (0.6, 0.6)], rtol=1e-12)
+        np.testing.assert_allclose(
+            ends, [(1.0, 0.9), (0.9, 0.8), (0.8, 0.7), (0.7, 0.6), (0.6, 0.6)], rtol=1e-12
+        )
         assert [line.get_linestyle() for line in ax.lines] == ["-", ":", "--", ":", "-"]
         tones = [to_hex(line.get_color()) for line in ax.lines]
         assert tones[::2] == [BLUE.lower(), RED.lower(), BLUE.lower()] and tones[1] == tones[3]
@@ -172,8 +194,14 @@ def test_a_family_is_drawn_in_smooth_parts_of_one_verdict(axes, family):
 @pytest.mark.parametrize("given", ["marks", "bifurcations", "numbers"])
 def test_a_part_ends_at_the_bifurcation_that_was_located(axes, family, given):
     event = lambda kind, p, after: SimpleNamespace(kind=kind, p=p, after=after)
-    events = [event(*x) for x in (("real pair at +1", 0.86, 1), ("extremum of energy", 0.83, 1),
-                                  ("Krein collision", 0.63, 3))]
+    events = [
+        event(*x)
+        for x in (
+            ("real pair at +1", 0.86, 1),
+            ("extremum of energy", 0.83, 1),
+            ("Krein collision", 0.63, 3),
+        )
+    ]
     if given == "bifurcations":
         family.bifurcations = tuple(events)
     marks = {"marks": events, "bifurcations": None, "numbers": [0.86, 0.63]}[given]
@@ -192,10 +220,16 @@ def test_a_part_ends_at_the_bifurcation_that_was_located(axes, family, given):
 
 
 def test_bands_are_shaded_and_bifurcations_marked(axes, family):
-    plots.branch(family, axes[0], bands=[[0.0, 0.65], [0.95, 1.2]], marks=[0.75, 0.85], omega_label="f (Hz)")
+    plots.branch(
+        family, axes[0], bands=[[0.0, 0.65], [0.95, 1.2]], marks=[0.75, 0.85], omega_label="f (Hz)"
+    )
     for ax in axes[0]:
         np.testing.assert_allclose(spans(ax), [(0.0, 0.65), (0.95, 1.2)], rtol=1e-15)
-        marks = [line for line in ax.lines if line.get_linestyle() == ":" and to_hex(line.get_color()) == GREEN.lower()]
+        marks = [
+            line
+            for line in ax.lines
+            if line.get_linestyle() == ":" and to_hex(line.get_color()) == GREEN.lower()
+        ]
         assert [line.get_xdata()[0] for line in marks] == [0.75, 0.85]
         assert labels(ax).count("bifurcation") == 1
         np.testing.assert_allclose(ax.get_xlim(), (0.6 - 0.024, 1.0 + 0.024))
@@ -208,12 +242,21 @@ def test_bands_are_shaded_and_bifurcations_marked(axes, family):
 @pytest.fixture
 def sweep():
     way = lambda *response: SimpleNamespace(response=np.array(response))
-    return SimpleNamespace(values=np.array([1.0, 2.0, 3.0, 4.0]), up=way(1.0, 2.0, 5.0, 6.0),
-                           down=way(1.0, 4.0, 5.0, 6.0), hysteresis=[(1.6, 2.4)])
+    return SimpleNamespace(
+        values=np.array([1.0, 2.0, 3.0, 4.0]),
+        up=way(1.0, 2.0, 5.0, 6.0),
+        down=way(1.0, 4.0, 5.0, 6.0),
+        hysteresis=[(1.6, 2.4)],
+    )
 
 
 def test_both_ways_and_what_lies_between(ax, sweep):
-    assert plots.hysteresis(sweep, ax, units=("Hz", "mm/s"), x_label="frequency", y_label="rms velocity") is ax
+    assert (
+        plots.hysteresis(
+            sweep, ax, units=("Hz", "mm/s"), x_label="frequency", y_label="rms velocity"
+        )
+        is ax
+    )
     for label, way, colour, mark in (("up", sweep.up, BLUE, ">"), ("down", sweep.down, RED, "<")):
         shown, tone, line = points(ax, label)
         np.testing.assert_array_equal(shown, np.column_stack([sweep.values, 1e3 * way.response]))
@@ -223,22 +266,35 @@ def test_both_ways_and_what_lies_between(ax, sweep):
 
 
 def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
-    orbits = SimpleNamespace(p=np.array([1.0, 2.4, 1.6, 4.0]), response=np.array([1.0, 3.0, 4.0, 6.0]),
-                             verdict=np.array(["stable", "unstable", "undecided", "stable"]))
-    orbits.bifurcations = (SimpleNamespace(kind="fold", p=2.45, after=0), SimpleNamespace(kind="fold", p=1.55, after=2))
+    orbits = SimpleNamespace(
+        p=np.array([1.0, 2.4, 1.6, 4.0]),
+        response=np.array([1.0, 3.0, 4.0, 6.0]),
+        verdict=np.array(["stable", "unstable", "undecided", "stable"]),
+    )
+    orbits.bifurcations = (
+        SimpleNamespace(kind="fold", p=2.45, after=0),
+        SimpleNamespace(kind="fold", p=1.55, after=2),
+    )
     plots.hysteresis(sweep, ax, orbits=orbits, y_label="force", units="mN")
     parts = ax.lines[:-2]
     assert [line.get_linestyle() for line in parts] == ["-", "--", ":", ":", "-"]
-    assert [parts[i].get_label() for i in (0, 1, 3)] == ["orbit, stable", "orbit, unstable", "orbit, undecided"]
+    assert [parts[i].get_label() for i in (0, 1, 3)] == [
+        "orbit, stable",
+        "orbit, unstable",
+        "orbit, undecided",
+    ]
     # stable up to where the curve turns, and unstable from there
     turn = parts[0].get_xydata()[-1]
     np.testing.assert_allclose(turn, [2.4, 3e3], rtol=1e-12)
     np.testing.assert_array_equal(parts[1].get_xydata()[0], turn)
     np.testing.assert_allclose(parts[2].get_xydata()[[0, -1]], [[2.4, 3e3], [1.6, 4e3]])
-    assert max(line.get_zorder() for line in parts) <= min(line.get_zorder() for line in ax.lines[-2:])
+    assert max(line.get_zorder() for line in parts) <= min(
+        line.get_zorder() for line in ax.lines[-2:]
+    )
+
+    ((([1.0, 2.0, 3.0], [1.0, 2.0], None), "values.*2 rising numbers"),)
 
 
-    (([1.0, 2.0, 3.0], [1.0, 2.0], None), "values.*2 rising numbers"),
 # --------------------------------------------------------------------------------------------------------------- strain
 
 

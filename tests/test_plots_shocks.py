@@ -81,7 +81,9 @@ def test_a_run_knows_its_places_and_its_time(run):
     over = plots.shock(known, over="speed").lines[0].get_xdata()
     np.testing.assert_allclose(over, n / 20.0)
     bare = gx.simulate(*problem, 20.0)
-    np.testing.assert_allclose(plots.shock(bare, problem=problem).lines[0].get_ydata(), y, atol=1e-12)
+    np.testing.assert_allclose(
+        plots.shock(bare, problem=problem).lines[0].get_ydata(), y, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("over", ["place", "speed"])
@@ -90,7 +92,8 @@ def test_edges_mean_and_amplitude_are_where_the_theory_has_them(strain, places, 
     ax = plots.shock(strain, edges, places=places, time=TIME, over=over)
     unit = TIME if over == "place" else 1.0
     assert sorted(line.get_xdata()[0] for line in ax.lines[1:]) == pytest.approx(
-        [unit * float(edges.trailing_speed), unit * float(edges.leading_speed)])
+        [unit * float(edges.trailing_speed), unit * float(edges.leading_speed)]
+    )
     assert written(ax) == "trailing edge | leading edge | mean 0.5247 |  | amplitude 0.94"
     (plateau,) = ax.collections
     np.testing.assert_allclose(plateau.get_segments()[0][:, 1], float(edges.mean))
@@ -110,11 +113,18 @@ def test_dots_of_a_zoom_lie_on_their_spline_and_on_what_is_beside(strain, places
     ax = plots.shock_core(strain, window, places=places)
     dots, spline = ax.lines
     assert dots.get_xdata().min() >= 50 and dots.get_xdata().max() <= 70
-    np.testing.assert_allclose(np.interp(dots.get_xdata(), *spline.get_data()), dots.get_ydata(), atol=1e-12)
+    np.testing.assert_allclose(
+        np.interp(dots.get_xdata(), *spline.get_data()), dots.get_ydata(), atol=1e-12
+    )
     fine = np.linspace(40, 80, 401)
-    beside = {"Toda": (fine, np.asarray(toda.shock_wave(fine, TIME, C).strain)), "zero": (fine, 0 * fine)}
+    beside = {
+        "Toda": (fine, np.asarray(toda.shock_wave(fine, TIME, C).strain)),
+        "zero": (fine, 0 * fine),
+    }
     ax = plots.shock_core(strain, window, places=places, beside=beside)
-    np.testing.assert_allclose(np.interp(dots.get_xdata(), *ax.lines[1].get_data()), dots.get_ydata(), atol=0.02)
+    np.testing.assert_allclose(
+        np.interp(dots.get_xdata(), *ax.lines[1].get_data()), dots.get_ydata(), atol=0.02
+    )
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["lattice", "Toda", "zero"]
 
 
@@ -127,7 +137,9 @@ def test_edges_run_over_the_map(places, sign):
     trailing, leading, other = ax.lines
     np.testing.assert_allclose(trailing.get_data(), (0.7 * ts, ts))
     np.testing.assert_allclose(leading.get_data(), (1.2 * ts, ts))
-    assert trailing.get_linestyle() == leading.get_linestyle() == "-" and other.get_linestyle() == "--"
+    assert (
+        trailing.get_linestyle() == leading.get_linestyle() == "-" and other.get_linestyle() == "--"
+    )
     assert ax.get_xlim() == pytest.approx((0, 100)) and ax.get_ylabel() == "time"
     again = plots.shock_map(record.strain, ts=ts, places=places, limit=0.4)
     assert again.images[0].norm.vmax - again.images[0].norm.vmin == pytest.approx(0.4)
@@ -140,20 +152,31 @@ def test_modulation_beside_a_theory(quantity):
     beside = {"KdV": (theory.speed, m) if quantity == "m" else theory}
     ax = plots.modulation(Seen(), quantity=quantity, beside=beside)
     assert len(ax.lines) == 2 + (quantity == "m") and ax.get_xlabel().endswith("(1/ms)")
-    assert ("µm" in ax.get_ylabel() or "nm" in ax.get_ylabel()) == (quantity in ("mean", "amplitude"))
+    assert ("µm" in ax.get_ylabel() or "nm" in ax.get_ylabel()) == (
+        quantity in ("mean", "amplitude")
+    )
     assert np.all(np.diff(ax.lines[-1].get_xdata()) >= 0)
 
 
-@pytest.mark.parametrize(("call", "said"), [
-    (lambda y, n: plots.shock(y, over="time"), "over: expected one of"),
-    (lambda y, n: plots.shock(y, over="speed"), "time: expected that of the strains"),
-    (lambda y, n: plots.shock(y, toda.velocity_shock(C)), "time: expected"),
-    (lambda y, n: plots.shock(y, places=n[:5]), "places: expected 100 rising numbers"),
-    (lambda y, n: plots.shock(Map(y[None], [1.0], n, "scaled"), Seen()), "shock: expected one in scaled numbers"),
-    (lambda y, n: plots.shock_core(y, (3.0, 5.0)), "window: expected 4 bonds or more"),
-    (lambda y, n: plots.shock_map(y[None], ts=[1.0, 2.0], places=n), "ts: expected 1 rising numbers"),
-    (lambda y, n: plots.modulation(Seen(), quantity="speed"), "quantity: expected one of"),
-])
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda y, n: plots.shock(y, over="time"), "over: expected one of"),
+        (lambda y, n: plots.shock(y, over="speed"), "time: expected that of the strains"),
+        (lambda y, n: plots.shock(y, toda.velocity_shock(C)), "time: expected"),
+        (lambda y, n: plots.shock(y, places=n[:5]), "places: expected 100 rising numbers"),
+        (
+            lambda y, n: plots.shock(Map(y[None], [1.0], n, "scaled"), Seen()),
+            "shock: expected one in scaled numbers",
+        ),
+        (lambda y, n: plots.shock_core(y, (3.0, 5.0)), "window: expected 4 bonds or more"),
+        (
+            lambda y, n: plots.shock_map(y[None], ts=[1.0, 2.0], places=n),
+            "ts: expected 1 rising numbers",
+        ),
+        (lambda y, n: plots.modulation(Seen(), quantity="speed"), "quantity: expected one of"),
+    ],
+)
 def test_what_is_refused(strain, places, call, said):
     with pytest.raises(ValueError, match=said):
         call(strain, places)

@@ -26,8 +26,14 @@ def one():
     force = np.where(reason == "", 1e-3 * np.arange(1.0, 8), np.nan)
     verdict = np.array(["stable", "stable", "", "unstable", "unstable", "undecided", "stable"])
     return xarray.Dataset(
-        {"verdict": ("ratio", verdict), "peak_force": ("ratio", force, {"units": "N"}), "reason": ("ratio", reason),
-         "multipliers": (("ratio", "multipliers_0"), np.exp(1j * np.outer(RATIOS, [1, 2])))}, {"ratio": RATIOS})
+        {
+            "verdict": ("ratio", verdict),
+            "peak_force": ("ratio", force, {"units": "N"}),
+            "reason": ("ratio", reason),
+            "multipliers": (("ratio", "multipliers_0"), np.exp(1j * np.outer(RATIOS, [1, 2]))),
+        },
+        {"ratio": RATIOS},
+    )
 
 
 def two(units="N"):
@@ -35,21 +41,40 @@ def two(units="N"):
     reason[1, 2] = FAILED
     rate = np.where(reason == "", np.outer(RATIOS - 0.5, LOADS), np.nan)
     coords = {"ratio": RATIOS, "load": ("load", LOADS, {"units": units})}
-    return xarray.Dataset({"rate": (("ratio", "load"), rate, {"units": "1/s"}), "reason": (("ratio", "load"), reason)},
-                          coords)
+    return xarray.Dataset(
+        {
+            "rate": (("ratio", "load"), rate, {"units": "1/s"}),
+            "reason": (("ratio", "load"), reason),
+        },
+        coords,
+    )
 
 
 def three():
     parts = [two().assign(rate=two().rate * k) for k in (1, 2, 3)]
-    return xarray.concat(parts, "boundary").assign_coords(boundary=["free", "fixed", "ring"]).transpose(..., "boundary")
+    return (
+        xarray.concat(parts, "boundary")
+        .assign_coords(boundary=["free", "fixed", "ring"])
+        .transpose(..., "boundary")
+    )
 
 
 def listed(*names):
     draw = np.random.default_rng(0)
     parameters = {name: ("lane", 10 ** draw.uniform(0, 3, 30), {"units": "mm/s"}) for name in names}
     reason = np.where(np.arange(30) == 4, FAILED, "")
-    return xarray.Dataset({"peak": ("lane", np.where(reason == "", draw.uniform(size=30), np.nan), {"units": "scaled"}),
-                           "done": ("lane", np.arange(30) % 2 == 0), "reason": ("lane", reason)}, parameters)
+    return xarray.Dataset(
+        {
+            "peak": (
+                "lane",
+                np.where(reason == "", draw.uniform(size=30), np.nan),
+                {"units": "scaled"},
+            ),
+            "done": ("lane", np.arange(30) % 2 == 0),
+            "reason": ("lane", reason),
+        },
+        parameters,
+    )
 
 
 def legend(ax):
@@ -85,7 +110,9 @@ def test_errors_are_bars():
 def test_two_parameters_are_a_map_and_log_spaced_ones_a_log_axis():
     ax = gx.plots.sweep(two(), units=("kN", "1/s"))
     mesh = ax.collections[0]
-    np.testing.assert_allclose(np.ma.filled(mesh.get_array(), np.nan).reshape(4, 7), two().rate.values.T)
+    np.testing.assert_allclose(
+        np.ma.filled(mesh.get_array(), np.nan).reshape(4, 7), two().rate.values.T
+    )
     assert (ax.get_xscale(), ax.get_yscale()) == ("linear", "log")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("ratio", "load (kN)")
     edges = mesh.get_coordinates()[:, 0, 1]
@@ -106,27 +133,46 @@ def test_values_of_a_parameter_as_lines():
 
 def test_three_parameters_are_small_multiples_of_one_scale():
     axes = gx.plots.sweep(three(), units="1/s")
-    assert [ax.get_title() for ax in axes] == [f"boundary {word}, 1 failed" for word in ("free", "fixed", "ring")]
+    assert [ax.get_title() for ax in axes] == [
+        f"boundary {word}, 1 failed" for word in ("free", "fixed", "ring")
+    ]
     assert len({ax.collections[0].norm.vmax for ax in axes}) == 1
-    np.testing.assert_allclose(np.ma.filled(axes[2].collections[0].get_array(), np.nan).reshape(4, 7),
-                               3 * two().rate.values.T)
+    np.testing.assert_allclose(
+        np.ma.filled(axes[2].collections[0].get_array(), np.nan).reshape(4, 7),
+        3 * two().rate.values.T,
+    )
 
 
 def test_a_list_is_dots():
     ax = gx.plots.sweep(listed("speed"))
-    assert ax.get_xscale() == "log" and ax.get_ylabel() == "peak (scaled)" and "failed: 1 of 30" in legend(ax)
+    assert (
+        ax.get_xscale() == "log"
+        and ax.get_ylabel() == "peak (scaled)"
+        and "failed: 1 of 30" in legend(ax)
+    )
     ax = gx.plots.sweep(listed("speed", "drop"))
     assert len(ax.collections[0].get_offsets()) == 29
     assert gx.plots.sweep(listed("speed", "drop", "third"), "done").shape == (3,)
-    assert [text.get_text() for text in gx.plots.sweep(listed("speed"), "done").get_yticklabels()] == ["yes", "no"]
+    assert [
+        text.get_text() for text in gx.plots.sweep(listed("speed"), "done").get_yticklabels()
+    ] == ["yes", "no"]
 
 
 BAD = [
-    (lambda: gx.plots.sweep(one(), "peak_forc"), "name: expected one of .* Did you mean 'peak_force'"),
+    (
+        lambda: gx.plots.sweep(one(), "peak_forc"),
+        "name: expected one of .* Did you mean 'peak_force'",
+    ),
     (lambda: gx.plots.sweep(one(), lines="ratio"), "lines: expected None, but for a grid of two"),
     (lambda: gx.plots.sweep(two(), bands="verdict"), "bands: expected None"),
-    (lambda: gx.plots.sweep(three(), ax=plt.subplots()[1]), "ax: expected None where the picture has 3 panels"),
-    (lambda: gx.plots.sweep(three().expand_dims(mass=[1.0, 2.0])), "data: expected at most three parameters"),
+    (
+        lambda: gx.plots.sweep(three(), ax=plt.subplots()[1]),
+        "ax: expected None where the picture has 3 panels",
+    ),
+    (
+        lambda: gx.plots.sweep(three().expand_dims(mass=[1.0, 2.0])),
+        "data: expected at most three parameters",
+    ),
 ]
 
 

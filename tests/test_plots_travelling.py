@@ -32,12 +32,16 @@ def test_a_wave_its_slope_and_its_contacts(toda):
 
 @pytest.mark.study
 def test_a_wave_of_steel_beads_has_units():
-    chain = gx.scenes.beads("steel 316", 9.525e-3, 20.0, cells=12)  # whose walls are stiffer contacts
+    chain = gx.scenes.beads(
+        "steel 316", 9.525e-3, 20.0, cells=12
+    )  # whose walls are stiffer contacts
     wave = solitary_wave(chain, speed=1.1 * float(gx.linear.sound_speed(chain)))
     assert wave.units == "SI" and plots.wave(wave).get_ylabel() == "strain (µm)"
     ax = plots.wave(wave, units="nm")
     assert ax.get_ylabel() == "strain (nm)"
-    np.testing.assert_allclose(ax.lines[0].get_ydata().max(), 1e9 * float(wave.amplitude), rtol=1e-6)
+    np.testing.assert_allclose(
+        ax.lines[0].get_ydata().max(), 1e9 * float(wave.amplitude), rtol=1e-6
+    )
     found = closed_forms(chain, float(wave.speed))
     scaled = closed_forms(gx.Hertz(1.0, 1.0), 1.1 * 1.5**0.5)
     np.testing.assert_allclose(found.kdv_error, scaled.kdv_error, rtol=1e-9)
@@ -65,15 +69,25 @@ def test_a_front_with_its_tails():
     ax = plots.front(front, units="scaled")
     line, dots = ax.lines[:2]
     np.testing.assert_allclose(line.get_ydata(), front.strain(line.get_xdata()))
-    assert ax.get_ylabel() == "strain (scaled)" and "contacts" in ax.get_xlabel() and len(ax.child_axes) == 2
+    assert (
+        ax.get_ylabel() == "strain (scaled)"
+        and "contacts" in ax.get_xlabel()
+        and len(ax.child_axes) == 2
+    )
     for tail, rate in zip(ax.child_axes, (front.decay_behind, -front.decay_ahead)):
         x, y = tail.lines[1].get_data()
         assert abs(np.log(y[-1] / y[0]) / (x[-1] - x[0]) / rate - 1) < 1e-9
 
 
 def test_errors_over_speed():
-    record = ClosedForms(np.array([2.0, 1.1]), np.array(1.0), np.ones(2), np.array([0.5, 0.1]), np.array([0.4, 0.0]),
-                         np.zeros(2))
+    record = ClosedForms(
+        np.array([2.0, 1.1]),
+        np.array(1.0),
+        np.ones(2),
+        np.array([0.5, 0.1]),
+        np.array([0.4, 0.0]),
+        np.zeros(2),
+    )
     ax = plots.wave_errors(record)
     kdv, toda = ax.lines
     np.testing.assert_allclose(kdv.get_xdata(), [0.1, 1.0])
@@ -82,11 +96,14 @@ def test_errors_over_speed():
     assert "c/c_0" in ax.get_xlabel() and "error" in ax.get_ylabel()
 
 
-@pytest.mark.parametrize(("call", "said"), [
-    (lambda toda: plots.wave_family(toda, quantity="mass"), "quantity: expected one of"),
-    (lambda toda: closed_forms(gx.Hertz(), 1.0), "K2 > 0, got K2 = 0"),
-    (lambda toda: closed_forms(gx.Toda(), 0.9), "sound"),
-])
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda toda: plots.wave_family(toda, quantity="mass"), "quantity: expected one of"),
+        (lambda toda: closed_forms(gx.Hertz(), 1.0), "K2 > 0, got K2 = 0"),
+        (lambda toda: closed_forms(gx.Toda(), 0.9), "sound"),
+    ],
+)
 def test_what_is_refused(toda, call, said):
     with pytest.raises(ValueError, match=said):
         call(toda)

@@ -21,7 +21,13 @@ def test_impact_of_a_monomer_chain():
     # computed with a converged step by two methods: plateau 0.63955423, speed 0.84050877 (A = m = 1, v = 1)
     chain = gx.scenes.monomer(240, boundary="free")
     arrival = gx.Arrival(contact_force, 0.3)
-    run = gx.simulate(chain, gx.states.impact(chain), 260.0, step=0.02, record={"peak": FORCES, "arrival": arrival})
+    run = gx.simulate(
+        chain,
+        gx.states.impact(chain),
+        260.0,
+        step=0.02,
+        record={"peak": FORCES, "arrival": arrival},
+    )
     peak, when = run.recorded["peak"], run.recorded["arrival"]
     assert np.max(np.abs(np.asarray(peak[150:200]) - 0.63955423)) < 1e-7
     assert abs(80 / (when[200] - when[120]) - 0.84050877) < 1e-6
@@ -81,7 +87,13 @@ def test_fput_energy_and_first_recurrence():
     mode = np.sqrt(2 / 32) * np.sin(np.pi * j / 32)
     u = np.sin(np.pi * j / 32)
     state = gx.State(u, 0 * u)
-    assert abs(float(gx.measures.energy(chain, gx.State(jnp.asarray(u), jnp.zeros(31)))) - 0.0770443732448498) < 1e-14
+    assert (
+        abs(
+            float(gx.measures.energy(chain, gx.State(jnp.asarray(u), jnp.zeros(31))))
+            - 0.0770443732448498
+        )
+        < 1e-14
+    )
     times = np.arange(0.0, 10000.25, 0.25)
     run = gx.simulate(chain, state, 10000.0, step=0.125, save_at=len(times))
     a, b = run.us @ mode, run.vs @ mode

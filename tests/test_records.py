@@ -35,18 +35,34 @@ def site():
 THRESHOLDS = np.array([0.9, 0.99, 0.9999])
 
 
-@pytest.mark.parametrize("method,within", [
-    pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9, marks=pytest.mark.study),
-    pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-6), 1e-6, marks=pytest.mark.study),
-    pytest.param({}, 1e-6, marks=pytest.mark.study),
-], ids=["1e-9", "1e-6", "default"])
+@pytest.mark.parametrize(
+    "method,within",
+    [
+        pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9, marks=pytest.mark.study),
+        pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-6), 1e-6, marks=pytest.mark.study),
+        pytest.param({}, 1e-6, marks=pytest.mark.study),
+    ],
+    ids=["1e-9", "1e-6", "default"],
+)
 def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, within):
-    record = {"arrival": gx.Arrival(thrice, THRESHOLDS), "peak": gx.Peak(place), "integral": gx.Integral(square)}
+    record = {
+        "arrival": gx.Arrival(thrice, THRESHOLDS),
+        "peak": gx.Peak(place),
+        "integral": gx.Integral(square),
+    }
     run = gx.simulate(*site, T1, record=record, **method)
-    true = {"arrival": np.pi + np.arcsin(THRESHOLDS), "peak": 1.0, "integral": T1 / 2 - np.sin(2 * T1) / 4}
+    true = {
+        "arrival": np.pi + np.arcsin(THRESHOLDS),
+        "peak": 1.0,
+        "integral": T1 / 2 - np.sin(2 * T1) / 4,
+    }
     for name, expected in true.items():
         gap, error = np.abs(run.recorded[name] - expected), run.record_error[name]
-        assert np.all(gap < error) and np.all(error < within * (100 if name == "arrival" else 1)), (name, gap, error)
+        assert np.all(gap < error) and np.all(error < within * (100 if name == "arrival" else 1)), (
+            name,
+            gap,
+            error,
+        )
 
 
 @pytest.mark.slow
@@ -61,7 +77,11 @@ def test_a_threshold_within_the_error_of_the_top_is_open(site):
 
 def test_samples_of_a_step_give_tops_crossings_and_a_mean():
     x = lobatto(14).x
-    waves = [lambda x: np.sin(3 * x + 0.3), lambda x: np.exp(x) * np.cos(3 * x), lambda x: -((x + 0.97) ** 2)]
+    waves = [
+        lambda x: np.sin(3 * x + 0.3),
+        lambda x: np.exp(x) * np.cos(3 * x),
+        lambda x: -((x + 0.97) ** 2),
+    ]
     q = jnp.asarray(np.stack([wave(x) for wave in waves], 1))
     fine = np.linspace(-1, 1, 200001)
     found = tops(q, guesses(q, 2))
@@ -77,8 +97,14 @@ def test_samples_of_a_step_give_tops_crossings_and_a_mean():
     np.testing.assert_allclose(mean(q)[0], np.sin(0.3) * np.sin(3) / 3, atol=1e-13)
 
 
-@pytest.mark.parametrize("edge", [lambda x: np.sign(x - 0.3), lambda x: np.maximum(x - 0.1, 0) ** 1.5,
-                                  lambda x: -np.maximum(0.1 - x, 0) ** 1.5])
+@pytest.mark.parametrize(
+    "edge",
+    [
+        lambda x: np.sign(x - 0.3),
+        lambda x: np.maximum(x - 0.1, 0) ** 1.5,
+        lambda x: -(np.maximum(0.1 - x, 0) ** 1.5),
+    ],
+)
 @pytest.mark.parametrize("count", [6, 8, 14])
 def test_a_jump_or_a_kink_has_no_top_above_its_samples(edge, count):
     q = jnp.asarray(edge(lobatto(count).x))[:, None]
@@ -89,16 +115,24 @@ def test_a_jump_or_a_kink_has_no_top_above_its_samples(edge, count):
 def test_every_measure_is_recordable_in_either_order(site):
     lattice, state = site
     measures = {
-        "kinetic": gx.measures.kinetic_energy, "own": lambda lattice, y: y.v,
+        "kinetic": gx.measures.kinetic_energy,
+        "own": lambda lattice, y: y.v,
         "plain": lambda t, y, lattice: y.v + 0 * t,
-        "species": lambda lattice, y, t=0.0: gx.measures.species_energy(lattice, y, t, species=["a", "b"]),
+        "species": lambda lattice, y, t=0.0: gx.measures.species_energy(
+            lattice, y, t, species=["a", "b"]
+        ),
     }
-    run = gx.simulate(lattice, state, 4.0, step=0.2, record={name: gx.Peak(q) for name, q in measures.items()})
+    run = gx.simulate(
+        lattice, state, 4.0, step=0.2, record={name: gx.Peak(q) for name, q in measures.items()}
+    )
     top, error = run.recorded, run.record_error
     assert top["kinetic"].shape == () and abs(top["kinetic"] - 0.5) < 1e-7
     assert top["own"].shape == (2,) and np.array_equal(top["own"], top["plain"])
     # a tree is followed array by array, and its errors with it
-    assert set(top["species"]) == {"a", "b"} == set(error["species"]) and abs(top["species"]["a"] - 0.5) < 1e-7
+    assert (
+        set(top["species"]) == {"a", "b"} == set(error["species"])
+        and abs(top["species"]["a"] - 0.5) < 1e-7
+    )
     assert error["own"].shape == (2,) and abs(top["own"][0] - 1) < error["own"][0] < 1e-6
 
 
@@ -111,10 +145,16 @@ def test_a_name_of_an_error_is_not_a_name_of_a_record(site):
 @pytest.mark.study
 def test_errors_pass_through_transformations(site):
     lattice, state = site
-    record = {"peak": gx.Peak(place), "when": gx.Arrival(place, 0.5), "never": gx.Arrival(place, 2.0)}
+    record = {
+        "peak": gx.Peak(place),
+        "when": gx.Arrival(place, 0.5),
+        "never": gx.Arrival(place, 2.0),
+    }
 
     def run(speed):
-        return gx.simulate(lattice, gx.State(state.u, speed * state.v), 5.0, step=0.5, record=record)
+        return gx.simulate(
+            lattice, gx.State(state.u, speed * state.v), 5.0, step=0.5, record=record
+        )
 
     one = run(1.0)
     error = one.record_error
@@ -138,7 +178,10 @@ def test_errors_pass_through_transformations(site):
     slopes = jax.jacfwd(peak)(1.0)
     np.testing.assert_allclose(slopes, (1.0, 0.0), atol=1e-6)
     data = one.to_xarray()
-    assert data.attrs["peak_error"] == float(error["peak"]) and run(1.0).record_error["peak"] == error["peak"]
+    assert (
+        data.attrs["peak_error"] == float(error["peak"])
+        and run(1.0).record_error["peak"] == error["peak"]
+    )
 
 
 @pytest.mark.slow
@@ -147,7 +190,9 @@ def test_derivatives_of_records_in_both_modes(site):
     record = {"peak": gx.Peak(place), "when": gx.Arrival(place, 0.9), "work": gx.Integral(square)}
 
     def records(speed):
-        found = gx.simulate(lattice, gx.State(state.u, speed * state.v), 7.0, step=0.5, record=record).recorded
+        found = gx.simulate(
+            lattice, gx.State(state.u, speed * state.v), 7.0, step=0.5, record=record
+        ).recorded
         return jnp.stack([found["peak"], found["when"], found["work"]])
 
     # u = -s sin t: the top is s, 0.9 is reached at pi + arcsin(0.9/s), the integral is s^2 (t/2 - sin(2 t)/4)
@@ -163,9 +208,14 @@ def test_derivatives_of_records_in_both_modes(site):
 @pytest.mark.study
 def test_lanes_and_float32(site):
     stiffness = jnp.array([1.0, 2.0])
-    chains = jax.vmap(lambda k: gx.scenes.monomer(4, stiffness=k, precompression=1.0), out_axes=-1)(stiffness)
+    chains = jax.vmap(lambda k: gx.scenes.monomer(4, stiffness=k, precompression=1.0), out_axes=-1)(
+        stiffness
+    )
     state = gx.states.impact(chains, velocity=0.1)
-    record = {"force": gx.Peak(gx.measures.contact_force), "low": gx.Lowest(gx.measures.contact_force)}
+    record = {
+        "force": gx.Peak(gx.measures.contact_force),
+        "low": gx.Lowest(gx.measures.contact_force),
+    }
     run = gx.simulate(chains, state, 3.0, step=0.2, record=record)
     small = jax.tree.map(lambda x: x.astype(jnp.float32), state)
     single = gx.simulate(chains.astype("float32"), small, 3.0, step=0.2, record=record)
@@ -189,8 +239,12 @@ def test_a_run_with_records_is_pickled(site):
 @pytest.mark.study
 def test_lanes_that_stand_behind_leave_the_errors_out_of_a_dataset(site):
     lattice, state = site
-    run = jax.vmap(lambda v: gx.simulate(lattice, gx.State(state.u, v * state.v), 2.0, step=0.5,
-                                         record={"peak": gx.Peak(place)}), out_axes=-1)(jnp.array([1.0, 2.0, 3.0]))
+    run = jax.vmap(
+        lambda v: gx.simulate(
+            lattice, gx.State(state.u, v * state.v), 2.0, step=0.5, record={"peak": gx.Peak(place)}
+        ),
+        out_axes=-1,
+    )(jnp.array([1.0, 2.0, 3.0]))
     data = run.to_xarray()
     assert "peak" in data and "peak_error" not in data
     with pytest.raises(ValueError, match="record_error"):

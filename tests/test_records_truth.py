@@ -30,8 +30,13 @@ class Scene(NamedTuple):
     t1: float
 
     def lattice(self):
-        terms = [gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(self.stiffness, self.preload)), gx.OnSite(gx.Linear(self.site))]
-        return gx.Lattice(self.mass, (*terms, gx.Damping(self.damping)) if self.damping else tuple(terms))
+        terms = [
+            gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(self.stiffness, self.preload)),
+            gx.OnSite(gx.Linear(self.site)),
+        ]
+        return gx.Lattice(
+            self.mass, (*terms, gx.Damping(self.damping)) if self.damping else tuple(terms)
+        )
 
     def forces(self, u):
         walls = np.zeros((1, *u.shape[1:]))
@@ -51,10 +56,13 @@ def scene(rng, damped):
     force = mass * length / time**2
     open_ = rng.random() < 0.3
     return Scene(
-        rng.uniform(0.5, 2, SITES) * mass, rng.uniform(0.5, 2) * force / length**1.5,
-        0.0 if open_ else rng.uniform(0.3, 1) * force, rng.choice([0.05, 2.0]) * force / length,
+        rng.uniform(0.5, 2, SITES) * mass,
+        rng.uniform(0.5, 2) * force / length**1.5,
+        0.0 if open_ else rng.uniform(0.3, 1) * force,
+        rng.choice([0.05, 2.0]) * force / length,
         rng.uniform(0.01, 0.1) / time if damped else 0.0,
-        0.1 * rng.normal(size=SITES) * length, rng.choice([0.05, 0.5]) * rng.normal(size=SITES) * length / time,
+        0.1 * rng.normal(size=SITES) * length,
+        rng.choice([0.05, 0.5]) * rng.normal(size=SITES) * length / time,
         rng.uniform(5, 15) * time,
     )
 
@@ -68,10 +76,20 @@ class Truth:
 
     def __init__(self, scene):
         length, speed = np.abs(scene.u).max(), np.abs(scene.v).max()
-        atol = 1e-13 * np.repeat([max(length, speed * scene.t1 / 10), max(speed, length / scene.t1)], SITES)
+        atol = 1e-13 * np.repeat(
+            [max(length, speed * scene.t1 / 10), max(speed, length / scene.t1)], SITES
+        )
         y0 = np.concatenate([scene.u, scene.v])
-        out = solve_ivp(scene.field, (0, scene.t1), y0, "DOP853", rtol=1e-12, atol=atol, dense_output=True,
-                        max_step=scene.t1 / 300)
+        out = solve_ivp(
+            scene.field,
+            (0, scene.t1),
+            y0,
+            "DOP853",
+            rtol=1e-12,
+            atol=atol,
+            dense_output=True,
+            max_step=scene.t1 / 300,
+        )
         self.scene, self.path, self.ends = scene, out.sol, out.t
         self.fine = np.linspace(0, scene.t1, 20001)
 
@@ -79,7 +97,9 @@ class Truth:
         return self.scene.forces(self.path(t)[:SITES])
 
     def kinetic(self, t):
-        return (self.scene.mass[:, None] * np.reshape(self.path(t)[SITES:], (SITES, -1)) ** 2).sum(0)[None] / 2
+        return (self.scene.mass[:, None] * np.reshape(self.path(t)[SITES:], (SITES, -1)) ** 2).sum(
+            0
+        )[None] / 2
 
     def square(self, t):
         return self.path(t)[2:3] ** 2
@@ -90,8 +110,11 @@ class Truth:
         for i, row in enumerate(values):
             t = self.fine[np.argmax(row)]
             within = {"bounds": (max(t - dt, 0), min(t + dt, self.scene.t1)), "method": "bounded"}
-            found = minimize_scalar(lambda t, i=i: -sign * quantity(np.array([t]))[i, 0], **within,
-                                    options={"xatol": 1e-12 * self.scene.t1})
+            found = minimize_scalar(
+                lambda t, i=i: -sign * quantity(np.array([t]))[i, 0],
+                **within,
+                options={"xatol": 1e-12 * self.scene.t1},
+            )
             out.append(sign * max(row.max(), -found.fun))
         return np.array(out)
 
@@ -103,7 +126,13 @@ class Truth:
                 out.append(0.0 if len(above) else np.nan)
                 continue
             ends = self.fine[above[0] - 1], self.fine[above[0]]
-            out.append(brentq(lambda t, i=i, x=threshold: quantity(np.array([t]))[i, 0] - x, *ends, xtol=1e-300))
+            out.append(
+                brentq(
+                    lambda t, i=i, x=threshold: quantity(np.array([t]))[i, 0] - x,
+                    *ends,
+                    xtol=1e-300,
+                )
+            )
         return np.array(out)
 
     def integral(self, quantity):
@@ -115,14 +144,28 @@ class Truth:
 
 
 FEW = {"force": ("peak", "arrival"), "kinetic": ("integral",)}
-KINDS = {"force": ("peak", "low", "arrival"), "kinetic": ("peak", "integral"), "square": ("arrival", "integral")}
-METHODS = {
-    "default": ({}, True), "RKN86": (dict(tolerance=1e-6), False), "RKN1210": (dict(tolerance=1e-9), False),
-    "loose": (dict(tolerance=1e-4, solver=gx.RKN1210()), False), "Tsit5": (dict(tolerance=1e-6), True),
-    "Dopri8": (dict(tolerance=1e-9), True), "KahanLi8": ({}, False), "VelocityVerlet": ({}, True),
+KINDS = {
+    "force": ("peak", "low", "arrival"),
+    "kinetic": ("peak", "integral"),
+    "square": ("arrival", "integral"),
 }
-SOLVERS = {"RKN1210": gx.RKN1210(), "Tsit5": diffrax.Tsit5(), "Dopri8": diffrax.Dopri8(), "KahanLi8": gx.KahanLi8(),
-           "VelocityVerlet": gx.VelocityVerlet()}
+METHODS = {
+    "default": ({}, True),
+    "RKN86": (dict(tolerance=1e-6), False),
+    "RKN1210": (dict(tolerance=1e-9), False),
+    "loose": (dict(tolerance=1e-4, solver=gx.RKN1210()), False),
+    "Tsit5": (dict(tolerance=1e-6), True),
+    "Dopri8": (dict(tolerance=1e-9), True),
+    "KahanLi8": ({}, False),
+    "VelocityVerlet": ({}, True),
+}
+SOLVERS = {
+    "RKN1210": gx.RKN1210(),
+    "Tsit5": diffrax.Tsit5(),
+    "Dopri8": diffrax.Dopri8(),
+    "KahanLi8": gx.KahanLi8(),
+    "VelocityVerlet": gx.VelocityVerlet(),
+}
 
 
 def compared(name, seed, kinds_of):
@@ -135,7 +178,11 @@ def compared(name, seed, kinds_of):
     truth = Truth(made)
     tops = {key: truth.peak(getattr(truth, key)) for key in ("force", "kinetic", "square")}
     share = {key: rng.choice([0.5, 0.9, 0.999], size=len(top)) * top for key, top in tops.items()}
-    measures = {"force": gx.measures.contact_force, "kinetic": gx.measures.kinetic_energy, "square": square}
+    measures = {
+        "force": gx.measures.contact_force,
+        "kinetic": gx.measures.kinetic_energy,
+        "square": square,
+    }
     record, true = {}, {}
     for key, kinds in kinds_of.items():
         quantity, own = measures[key], getattr(truth, key)
@@ -143,13 +190,24 @@ def compared(name, seed, kinds_of):
         made_of = {
             "peak": (gx.Peak(quantity), tops[key], tops[key]),
             "low": (gx.Lowest(quantity), truth.peak(own, -1.0), tops[key]),
-            "arrival": (gx.Arrival(quantity, jnp.asarray(at)), truth.arrival(own, share[key]), made.t1),
+            "arrival": (
+                gx.Arrival(quantity, jnp.asarray(at)),
+                truth.arrival(own, share[key]),
+                made.t1,
+            ),
             "integral": (gx.Integral(quantity), truth.integral(own), tops[key] * made.t1),
         }
         record |= {f"{key} {kind}": made_of[kind][0] for kind in kinds}
-        true |= {f"{key} {kind}": (made_of[kind][1], made_of[kind][2] + 0 * tops[key]) for kind in kinds}
-    run = gx.simulate(made.lattice(), gx.State(jnp.asarray(made.u), jnp.asarray(made.v)), made.t1, record=record,
-                      **options)
+        true |= {
+            f"{key} {kind}": (made_of[kind][1], made_of[kind][2] + 0 * tops[key]) for kind in kinds
+        }
+    run = gx.simulate(
+        made.lattice(),
+        gx.State(jnp.asarray(made.u), jnp.asarray(made.v)),
+        made.t1,
+        record=record,
+        **options,
+    )
     for key, (expected, scale) in true.items():
         found, error = np.atleast_1d(run.recorded[key]), np.atleast_1d(run.record_error[key])
         yield from zip([key] * len(expected), found, expected, error, scale)

@@ -15,7 +15,9 @@ import scenes  # noqa: E402
 from references import equations, integrators  # noqa: E402
 
 EXTENDED = np.finfo(np.longdouble).precision >= integrators.FEWEST_DIGITS
-extended_only = pytest.mark.skipif(not EXTENDED, reason="numpy.longdouble has no more than 15 digits here")
+extended_only = pytest.mark.skipif(
+    not EXTENDED, reason="numpy.longdouble has no more than 15 digits here"
+)
 
 
 def test_the_makers_numbers_know_nothing_of_the_library():
@@ -40,7 +42,7 @@ def test_both_integrators_hold_an_oscillator(method):
             return Oscillators(self.omega[:, chosen])
 
         def __call__(self, t, u, v):
-            return -self.omega**2 * u
+            return -(self.omega**2) * u
 
     u, v = method(Oscillators(lanes), 0, 20, np.ones((1, 2)), np.zeros((1, 2)), 1e-17)
     assert np.abs(u - np.cos(20 * lanes)).max() < 1e-15
@@ -77,7 +79,9 @@ def test_the_gauss_method_is_exact_for_polynomials():
 
 @pytest.mark.study
 @extended_only
-@pytest.mark.parametrize("name", ["toda_soliton", "toda_shock_1e5", "driven", "softening", "magnets", "modulated"])
+@pytest.mark.parametrize(
+    "name", ["toda_soliton", "toda_shock_1e5", "driven", "softening", "magnets", "modulated"]
+)
 def test_the_cheapest_references_are_made_again(name):
     made, kept = make_references.make(name), scenes.read(name)
     for x, y in zip(made, kept):
@@ -87,7 +91,9 @@ def test_the_cheapest_references_are_made_again(name):
 
 
 def test_the_maker_writes_what_is_read(tmp_path):
-    data = scenes.Stored(u=np.arange(3.0), v=np.ones(3), t1=2.0, uncertainty=1e-15, growth=3.0, method="x", date="y")
+    data = scenes.Stored(
+        u=np.arange(3.0), v=np.ones(3), t1=2.0, uncertainty=1e-15, growth=3.0, method="x", date="y"
+    )
     path = make_references.write(tmp_path, "one", data)
     with np.load(path) as file:
         assert set(file.files) == {"u", "v", "t1", "uncertainty", "growth", "method", "date"}

@@ -21,14 +21,20 @@ def wall_force(t, y, lattice):
 
 def one_by_one(ratio, beads, t1, **method):
     chain = gx.scenes.dimer(beads, ratio)
-    run = gx.simulate(chain, gx.states.impact(chain), t1, record={"wall": gx.Peak(wall_force)}, **method)
+    run = gx.simulate(
+        chain, gx.states.impact(chain), t1, record={"wall": gx.Peak(wall_force)}, **method
+    )
     return float(run.recorded["wall"])
 
 
 def python(code, **environment):
     """The last line that Python code prints in a fresh process."""
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **environment}, check=False
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()[-1]
@@ -74,7 +80,9 @@ def test_the_default_step_is_accurate_enough():
         chain = gx.scenes.dimer(101, ratio)
         state = gx.states.impact(chain)
         step = 0.0625 / float(gx.flow.frequency_bound(chain, state, 0.0, sweep.run_time))
-        assert sweep.peak_force[0] == pytest.approx(one_by_one(ratio, 101, sweep.run_time, step=step), rel=6e-6)
+        assert sweep.peak_force[0] == pytest.approx(
+            one_by_one(ratio, 101, sweep.run_time, step=step), rel=6e-6
+        )
 
 
 @pytest.mark.slow
@@ -113,7 +121,9 @@ def test_refinement_finds_a_known_place():
         ratios = np.linspace(0.1, 0.95, 18)
         sweep = gx.resonance.Transmission(ratios, force(ratios), force(ratios) / 2, 2.0, 3, 1.0)
         # a pulse that loses nothing at 0.7123 and 0.9
-        patch.setattr(gx.resonance.finite, "decay_rate", lambda x, *_, **__: ((x - 0.7123) * (x - 0.9)) ** 2)
+        patch.setattr(
+            gx.resonance.finite, "decay_rate", lambda x, *_, **__: ((x - 0.7123) * (x - 0.9)) ** 2
+        )
         found = gx.resonance.refine(sweep, accuracy=1e-5)
     np.testing.assert_allclose(found.resonances, [0.4321], atol=1e-5)
     np.testing.assert_allclose(found.resonance_transmission, [1.0], atol=1e-9)
@@ -123,8 +133,16 @@ def test_refinement_finds_a_known_place():
 
 # transmissions over the mass ratio, made of cosines; places of anti-resonances; which extrema are what
 SHAPES = {
-    "a split minimum": (lambda x: np.cos(10 * np.pi * x) + 0.3 * np.cos(40 * np.pi * x), [0.2, 0.4, 0.6, 0.8], None),
-    "ripples": (lambda x: np.cos(10 * np.pi * x) + 0.4 * np.cos(70 * np.pi * x), [0.2, 0.4, 0.6, 0.8], None),
+    "a split minimum": (
+        lambda x: np.cos(10 * np.pi * x) + 0.3 * np.cos(40 * np.pi * x),
+        [0.2, 0.4, 0.6, 0.8],
+        None,
+    ),
+    "ripples": (
+        lambda x: np.cos(10 * np.pi * x) + 0.4 * np.cos(70 * np.pi * x),
+        [0.2, 0.4, 0.6, 0.8],
+        None,
+    ),
     "a maximum without a zero": (lambda x: np.cos(10 * np.pi * x), [0.2, 0.6, 0.8], 0.4),
     "one beside a zero": (lambda x: np.cos(10 * np.pi * (x - 0.004)), [0.2, 0.4, 0.6, 0.8], None),
 }
@@ -137,8 +155,11 @@ def test_resonances_are_between_anti_resonances(shape):
     ratios = np.linspace(0.12, 0.92, 161)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gx.resonance.finite, "peak_forces", lambda x, *_: (3 + force(x))[None])
-        patch.setattr(gx.resonance.finite, "decay_rate",
-                      lambda x, *_, **__: np.min([(x - zero) ** 2 for zero in zeros], axis=0))
+        patch.setattr(
+            gx.resonance.finite,
+            "decay_rate",
+            lambda x, *_, **__: np.min([(x - zero) ** 2 for zero in zeros], axis=0),
+        )
         forces = 3 + force(ratios)
         sweep = gx.resonance.Transmission(ratios, forces, forces, 1.0, 3, 1.0)
         found = gx.resonance.refine(sweep, accuracy=1e-4)
@@ -160,11 +181,15 @@ def test_resonances_are_between_anti_resonances(shape):
 def test_a_split_minimum_is_one_resonance():
     """0.5608, 0.5811, 0.5944 of 101 beads: the pulse decays at all three, so that none is an anti-resonance."""
     ratios = np.append(np.linspace(0.24, 0.36, 7), np.linspace(0.5, 0.66, 33))
-    found = gx.resonance.refine(gx.resonance.transmission(np.append(ratios, [0.8, 0.9, 0.95, 1.0])), accuracy=2e-4)
+    found = gx.resonance.refine(
+        gx.resonance.transmission(np.append(ratios, [0.8, 0.9, 0.95, 1.0])), accuracy=2e-4
+    )
     np.testing.assert_allclose(found.resonances, [0.5944], atol=4e-4)
     np.testing.assert_allclose(found.local_extrema, [0.5608, 0.5811], atol=4e-4)
     np.testing.assert_allclose(found.anti_resonances[0], 0.3156, atol=4e-4)
-    assert "resonances: 1, anti-resonances:" in found.outcome and found.outcome.endswith("other local extrema: 2.")
+    assert "resonances: 1, anti-resonances:" in found.outcome and found.outcome.endswith(
+        "other local extrema: 2."
+    )
 
 
 @pytest.mark.slow
@@ -192,19 +217,28 @@ def test_decay_is_fastest_at_the_second_and_third_resonance():
 @pytest.mark.study
 def test_anti_resonance_of_a_shorter_chain():
     # between contacts 40 and 120 the zero is already within 1e-5 of the asymptotic 0.342846
-    assert gx.resonance.anti_resonance(0.32, 0.37, contacts=(40, 120)) == pytest.approx(0.342846, abs=1e-5)
+    assert gx.resonance.anti_resonance(0.32, 0.37, contacts=(40, 120)) == pytest.approx(
+        0.342846, abs=1e-5
+    )
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("contacts", [
-    pytest.param((60, 160), marks=pytest.mark.slow), pytest.param((200, 600), marks=pytest.mark.study)
-], ids=["60 to 160", "200 to 600"])
+@pytest.mark.parametrize(
+    "contacts",
+    [
+        pytest.param((60, 160), marks=pytest.mark.slow),
+        pytest.param((200, 600), marks=pytest.mark.study),
+    ],
+    ids=["60 to 160", "200 to 600"],
+)
 @pytest.mark.parametrize(
     "low, high, expected", [(0.3, 0.4, 0.342846), (0.12, 0.18, 0.154751), (0.08, 0.1, 0.090128)]
 )
 def test_anti_resonances(low, high, expected, contacts):
     # literature: 0.3428, 0.1548, 0.0901
-    assert gx.resonance.anti_resonance(low, high, contacts=contacts) == pytest.approx(expected, abs=3e-6)
+    assert gx.resonance.anti_resonance(low, high, contacts=contacts) == pytest.approx(
+        expected, abs=3e-6
+    )
 
 
 @pytest.mark.slow
@@ -254,8 +288,10 @@ def test_maps_of_larger_cells():
     found = gx.resonance.resonance_map("2:1", ratios, stiffness, cells=(2, 6))
     assert found.rate.shape == (2, 3) and found.rate[1, 2] == pytest.approx(0, abs=2e-3)
     # one by one, and by a function of the user's own, in units of twice the mass and three times the stiffness
-    lattice = gx.Lattice(np.resize([1.0, 1.0, 0.4], 33),
-                         gx.Bond(gx.Shift(1, "free"), gx.Hertz(np.resize([1.0, 0.8, 0.8], 32))))
+    lattice = gx.Lattice(
+        np.resize([1.0, 1.0, 0.4], 33),
+        gx.Bond(gx.Shift(1, "free"), gx.Hertz(np.resize([1.0, 0.8, 0.8], 32))),
+    )
     record = {"peak": gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y)[18])}
     run = gx.simulate(lattice, gx.states.impact(lattice), 1.4 * 18 + 6, record=record, step=0.02)
     assert found.force[0, 1] == pytest.approx(float(run.recorded["peak"]), rel=1e-5)
@@ -266,7 +302,11 @@ def test_maps_of_larger_cells():
     scaled = gx.resonance.resonance_map(cell, ratios, stiffness, cells=(2, 6), names=("mass", "k"))
     np.testing.assert_allclose(scaled.force, found.force * 3**0.4 * 2**0.6, rtol=1e-6)
     data = scaled.to_xarray()
-    assert data.rate.dims == ("mass", "k") and data.mass.values.tolist() == [0.4, 1.0] and data.force.units
+    assert (
+        data.rate.dims == ("mass", "k")
+        and data.mass.values.tolist() == [0.4, 1.0]
+        and data.force.units
+    )
 
 
 @pytest.mark.slow
@@ -291,11 +331,20 @@ def test_whole_maps(kind):
     "call, message",
     [
         (lambda: gx.resonance.transmission([0.5, 1.2]), "ratios: expected numbers in"),
-        (lambda: gx.resonance.refine(gx.resonance.transmission([0.5, 1.0], 21)), "sweep: expected at least three"),
+        (
+            lambda: gx.resonance.refine(gx.resonance.transmission([0.5, 1.0], 21)),
+            "sweep: expected at least three",
+        ),
         (lambda: gx.resonance.decay_rate([0.5], (600, 200)), "contacts: expected two contacts"),
         (lambda: gx.resonance.oscillations([0.5], bead=40), "bead: expected a light one"),
-        (lambda: gx.resonance.resonance_map("2:1", [0.5], [1.0], cells=(5, 5)), "cells: expected two cells"),
-        (lambda: gx.resonance.resonance_map(lambda p, q: ([p, q], [1.0]), [0.5], [1.0]), "as many stiffnesses"),
+        (
+            lambda: gx.resonance.resonance_map("2:1", [0.5], [1.0], cells=(5, 5)),
+            "cells: expected two cells",
+        ),
+        (
+            lambda: gx.resonance.resonance_map(lambda p, q: ([p, q], [1.0]), [0.5], [1.0]),
+            "as many stiffnesses",
+        ),
         (lambda: gx.resonance.anti_resonance(0.4, 0.3), "high: expected a mass ratio above low"),
     ],
 )
@@ -308,7 +357,12 @@ def test_bad_input_is_refused(call, message):
 def test_nan_is_not_refined():
     sweep = gx.resonance.transmission([0.4, 0.5, 0.6, 1.0], 21)
     broken = gx.resonance.Transmission(
-        sweep.mass_ratio, sweep.peak_force, np.array([0.5, np.nan, 0.5, 1.0]), sweep.reference, 21, sweep.run_time
+        sweep.mass_ratio,
+        sweep.peak_force,
+        np.array([0.5, np.nan, 0.5, 1.0]),
+        sweep.reference,
+        21,
+        sweep.run_time,
     )
     with pytest.raises(ValueError, match="1 that are NaN"):
         gx.resonance.refine(broken)

@@ -21,7 +21,8 @@ def correction(omega, k, K2, m, masses, stiffnesses):
     free = [r - x0 for r in roots]
     product = np.prod(free)
     dressed = m * product + sum(
-        mu * r * np.prod(free[:j] + free[j + 1 :]) for j, (mu, r) in enumerate(zip(masses, roots)))
+        mu * r * np.prod(free[:j] + free[j + 1 :]) for j, (mu, r) in enumerate(zip(masses, roots))
+    )
     value = (x0 * dressed)(x) - 4 * K2 * np.sin(k / 2) ** 2 * product(x)
     slope = (x0 * dressed).deriv()(x) - 4 * K2 * np.sin(k / 2) ** 2 * product.deriv()(x)
     return np.abs(value / slope / x)
@@ -40,7 +41,10 @@ def test_bands_of_a_woodpile_are_the_closed_form():
 
 def test_bands_of_one_resonator_are_the_roots_of_a_quadratic():
     m, mu, kappa = 1.0, 0.3, 1.2
-    inside, outside = (make(9, mu, kappa, precompression=1.0) for make in (scenes.mass_in_mass, scenes.mass_with_mass))
+    inside, outside = (
+        make(9, mu, kappa, precompression=1.0)
+        for make in (scenes.mass_in_mass, scenes.mass_with_mass)
+    )
     q = 4 * HERTZ * np.sin(K / 2) ** 2
     # m mu x^2 - (kappa (m + mu) + mu q) x + kappa q = 0
     b = kappa * (m + mu) + mu * q
@@ -59,7 +63,9 @@ def test_resonators_that_are_let_go_leave_the_monomer():
     alone = scenes.monomer(9, precompression=1.0)
     omega = np.asarray(gx.linear.dispersion(chain, K).omega)
     np.testing.assert_array_equal(omega[:, :2], 0)
-    np.testing.assert_allclose(omega[:, 2:], np.asarray(gx.linear.dispersion(alone, K).omega), rtol=1e-13)
+    np.testing.assert_allclose(
+        omega[:, 2:], np.asarray(gx.linear.dispersion(alone, K).omega), rtol=1e-13
+    )
     u = jnp.asarray(np.random.default_rng(0).normal(size=9))
     full = {"bead": u, "resonator_1": u + 1, "resonator_2": -u}
     forces = chain.force(0.0, full, jax.tree.map(jnp.zeros_like, full))
@@ -69,22 +75,40 @@ def test_resonators_that_are_let_go_leave_the_monomer():
 def test_accelerations_are_the_equations():
     rng = np.random.default_rng(1)
     u, w, x = rng.normal(size=(3, 7))
-    chain = scenes.woodpile(7, [0.3, rng.uniform(0.1, 0.2, 7)], [1.2, 2.1], bead_mass=2.0, contact_stiffness=3.0,
-                            precompression=0.5)
+    chain = scenes.woodpile(
+        7,
+        [0.3, rng.uniform(0.1, 0.2, 7)],
+        [1.2, 2.1],
+        bead_mass=2.0,
+        contact_stiffness=3.0,
+        precompression=0.5,
+    )
     y = {"bead": jnp.asarray(u), "resonator_1": jnp.asarray(w), "resonator_2": jnp.asarray(x)}
     a = chain.acceleration(0.0, y, jax.tree.map(jnp.zeros_like, y))
-    contact = 3 * np.maximum((0.5 / 3) ** (2 / 3) - np.diff(np.concatenate([[0], u, [0]])), 0) ** 1.5
-    np.testing.assert_allclose(a["bead"], (contact[:-1] - contact[1:] - 1.2 * (u - w) - 2.1 * (u - x)) / 2, rtol=1e-12)
+    contact = (
+        3 * np.maximum((0.5 / 3) ** (2 / 3) - np.diff(np.concatenate([[0], u, [0]])), 0) ** 1.5
+    )
+    np.testing.assert_allclose(
+        a["bead"], (contact[:-1] - contact[1:] - 1.2 * (u - w) - 2.1 * (u - x)) / 2, rtol=1e-12
+    )
     np.testing.assert_allclose(a["resonator_1"], 1.2 * (u - w) / 0.3, rtol=1e-12)
-    np.testing.assert_allclose(a["resonator_2"], 2.1 * (u - x) / np.asarray(chain.mass["resonator_2"]), rtol=1e-12)
+    np.testing.assert_allclose(
+        a["resonator_2"], 2.1 * (u - x) / np.asarray(chain.mass["resonator_2"]), rtol=1e-12
+    )
 
 
 @pytest.mark.slow
 def test_a_few_beads_may_carry_a_mass():
     all_of_them = scenes.mass_with_mass(5, 0.3, 1.2, at=range(5), precompression=1.0)
-    every, some = scenes.mass_with_mass(5, 0.3, 1.2, precompression=1.0), scenes.mass_with_mass(5, 0.3, 1.2, at=[2, -1])
+    every, some = (
+        scenes.mass_with_mass(5, 0.3, 1.2, precompression=1.0),
+        scenes.mass_with_mass(5, 0.3, 1.2, at=[2, -1]),
+    )
     assert some.shape == {"bead": (5,), "resonator": (2,)}
-    u = {"bead": jnp.asarray([0.1, -0.2, 0.3, 0.0, 0.2]), "resonator": jnp.asarray([0.3, 0.1, -0.4, 0.2, 0.0])}
+    u = {
+        "bead": jnp.asarray([0.1, -0.2, 0.3, 0.0, 0.2]),
+        "resonator": jnp.asarray([0.3, 0.1, -0.4, 0.2, 0.0]),
+    }
     zero = jax.tree.map(jnp.zeros_like, u)
     first, second = all_of_them.force(0.0, u, zero), every.force(0.0, u, zero)
     for name in u:
@@ -94,36 +118,48 @@ def test_a_few_beads_may_carry_a_mass():
     assert run.final.u["resonator"].shape == (1,) and abs(float(run.final.u["resonator"][0])) > 0.01
     u = {"bead": u["bead"], "resonator": u["resonator"][:2]}
     pull = some.force(0.0, u, jax.tree.map(jnp.zeros_like, u))["resonator"]
-    np.testing.assert_allclose(pull, 1.2 * (np.asarray(u["bead"])[[2, 4]] - np.asarray(u["resonator"])), rtol=1e-14)
+    np.testing.assert_allclose(
+        pull, 1.2 * (np.asarray(u["bead"])[[2, 4]] - np.asarray(u["resonator"])), rtol=1e-14
+    )
 
 
 @pytest.mark.slow
 def test_lanes_units_and_derivatives():
     masses = jnp.array([0.3, 0.5])
-    batch = jax.vmap(lambda mu: scenes.mass_in_mass(6, mu, 1.2, precompression=1.0), out_axes=-1)(masses)
+    batch = jax.vmap(lambda mu: scenes.mass_in_mass(6, mu, 1.2, precompression=1.0), out_axes=-1)(
+        masses
+    )
     assert batch.lanes == (2,)
     one = scenes.mass_in_mass(6, 0.5, 1.2, precompression=1.0, units="SI")
     assert one.units == "SI" and batch.units == "scaled"
-    u = jax.tree.map(lambda x: jnp.asarray(np.random.default_rng(2).normal(size=x.shape)), one.zeros())
+    u = jax.tree.map(
+        lambda x: jnp.asarray(np.random.default_rng(2).normal(size=x.shape)), one.zeros()
+    )
     lanes = jax.tree.map(lambda x: jnp.stack([x, x], -1), u)
     zero = jax.tree.map(jnp.zeros_like, (u, lanes))
     a, b = one.acceleration(0.0, u, zero[0]), batch.acceleration(0.0, lanes, zero[1])
     for name in a:
         np.testing.assert_allclose(a[name], b[name][:, 1], rtol=1e-14)
     # the upper band begins at (kappa (1 + 1/mu))^(1/2)
-    edge = jax.grad(lambda mu: gx.linear.dispersion(
-        scenes.mass_in_mass(6, mu, 1.2, precompression=1.0), 1e-6).omega[1])(0.3)
+    edge = jax.grad(
+        lambda mu: gx.linear.dispersion(
+            scenes.mass_in_mass(6, mu, 1.2, precompression=1.0), 1e-6
+        ).omega[1]
+    )(0.3)
     np.testing.assert_allclose(edge, -1.2 / 0.3**2 / (2 * np.sqrt(1.2 * (1 + 1 / 0.3))), rtol=1e-6)
 
 
-@pytest.mark.parametrize("make, said", [
-    (lambda: scenes.mass_in_mass(5, mass=np.ones(4)), "one per bead"),
-    (lambda: scenes.mass_in_mass(5, precompression=np.ones(5)), "one per contact"),
-    (lambda: scenes.mass_with_mass(5, at=[5]), "at: expected sites from 0 to 4"),
-    (lambda: scenes.mass_with_mass(5, at=[1, -4]), "each once"),
-    (lambda: scenes.mass_with_mass(5, np.ones(3), at=[1, 2]), "one per resonator"),
-    (lambda: scenes.woodpile(5, [0.3], [1.2, 1.0]), "stiffnesses: expected 1"),
-])
+@pytest.mark.parametrize(
+    "make, said",
+    [
+        (lambda: scenes.mass_in_mass(5, mass=np.ones(4)), "one per bead"),
+        (lambda: scenes.mass_in_mass(5, precompression=np.ones(5)), "one per contact"),
+        (lambda: scenes.mass_with_mass(5, at=[5]), "at: expected sites from 0 to 4"),
+        (lambda: scenes.mass_with_mass(5, at=[1, -4]), "each once"),
+        (lambda: scenes.mass_with_mass(5, np.ones(3), at=[1, 2]), "one per resonator"),
+        (lambda: scenes.woodpile(5, [0.3], [1.2, 1.0]), "stiffnesses: expected 1"),
+    ],
+)
 def test_refused(make, said):
     with pytest.raises(ValueError, match=said):
         make()
@@ -138,7 +174,12 @@ def standing(lattice, a, kappa, mu):
 
     def end(unknown):
         w, half = unknown
-        field = lambda t, y: [y[2], y[3], f(y[0]) - kappa * (y[0] - y[1]), kappa * (y[0] - y[1]) / mu]
+        field = lambda t, y: [
+            y[2],
+            y[3],
+            f(y[0]) - kappa * (y[0] - y[1]),
+            kappa * (y[0] - y[1]) / mu,
+        ]
         return solve_ivp(field, (0, half), [a, w, 0, 0], rtol=1e-11, atol=1e-13).y[2:, -1]
 
     top = gx.linear.dispersion(lattice, np.pi)
@@ -251,7 +292,9 @@ def test_a_tail_free_wave_leaves_no_resonator_swinging():
     for name in ("bead", "resonator"):
         np.testing.assert_allclose(run.final.v[name], known.v[name], rtol=0, atol=1e-9)
     with pytest.raises(ValueError, match="a stiffness of 3.588947"):
-        gx.travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=gx.Resonator(0.1, 1.05 * kappa))
+        gx.travelling.solitary_wave(
+            gx.Hertz(), speed=1.0, resonator=gx.Resonator(0.1, 1.05 * kappa)
+        )
 
 
 @pytest.mark.study

@@ -13,7 +13,11 @@ from granjax.results import Held, Result
 
 class Sample(Result):
     _else: ClassVar = "SI"
-    held: ClassVar = {"ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "roots": Held("root")}
+    held: ClassVar = {
+        "ts": Held("time", "s", "time"),
+        "us": Held("time site", "m", "u"),
+        "roots": Held("root"),
+    }
     ts: object
     us: object
     roots: object
@@ -30,10 +34,19 @@ def sample():
 
 def test_a_result_has_named_axes_units_and_an_origin(sample):
     data = sample.to_xarray()
-    assert data.u_bead.dims == ("time", "site_bead") and data.u_resonator.dims == ("time", "site_resonator")
+    assert data.u_bead.dims == ("time", "site_bead") and data.u_resonator.dims == (
+        "time",
+        "site_resonator",
+    )
     assert data.time.attrs["units"] == "s" and data.u_bead.attrs["units"] == "m"
     assert data.roots_imag.values.tolist() == [1.0, 0.0] and data.roots_real.dims == ("root",)
-    wanted = {"result": "Sample", "outcome": "Found.", "granjax": gx.__version__, "jax": jax.__version__, "count": 3}
+    wanted = {
+        "result": "Sample",
+        "outcome": "Found.",
+        "granjax": gx.__version__,
+        "jax": jax.__version__,
+        "count": 3,
+    }
     assert wanted.items() <= data.attrs.items() and not any("held" in name for name in data.attrs)
 
 
@@ -70,10 +83,20 @@ def test_axes_that_share_a_size_share_a_name_and_no_others():
     bonds = [gx.Bond(gx.Shift(way, "periodic"), gx.Linear(1.0)) for way in ((1, 0), (0, 1))]
     plane = gx.Lattice(np.ones((6, 5)), tuple(bonds))
     data = gx.linear.dispersion(plane, jnp.ones((5, 2))).to_xarray()
-    assert data.k.dims == ("wave", "k_1") and data.group_velocity.dims == ("wave", "band", "group_velocity_2")
-    assert data.vectors_real.dims[:3] == ("wave", "site", "site_1") and data.vectors_real.dims[-1] == "band"
+    assert data.k.dims == ("wave", "k_1") and data.group_velocity.dims == (
+        "wave",
+        "band",
+        "group_velocity_2",
+    )
+    assert (
+        data.vectors_real.dims[:3] == ("wave", "site", "site_1")
+        and data.vectors_real.dims[-1] == "band"
+    )
     one = gx.linear.dispersion(gx.scenes.dimer(12, precompression=1.0), 1.0).to_xarray()
-    assert one.omega.dims == one.group_velocity.dims == ("band",) and one.vectors_real.dims == ("site", "band")
+    assert one.omega.dims == one.group_velocity.dims == ("band",) and one.vectors_real.dims == (
+        "site",
+        "band",
+    )
     modes = gx.linear.normal_modes(plane).to_xarray()
     assert modes.modes.dims[:2] == ("site", "site_1") and modes.modes.dims[-1] == "mode"
 
@@ -95,11 +118,23 @@ def test_fields_of_a_state_records_and_results_within_are_kept(sample, tmp_path)
         rich = Rich(state, changes, sample, longer, sample)
         again = xr.load_dataset(rich.save(tmp_path / f"{len(changes)}.nc"))
         rich.save(tmp_path / "rich.mat")
-        assert again.equals(rich.to_xarray()) and not any(x.startswith("parts") for x in again.variables)
-        assert again.changes_kind.values.tolist() == [b.kind for b in changes] and "changes" not in again.attrs
-        assert again.changes_p.values.tolist() == [b.p for b in changes] and again.changes_p.dims == ("change",)
-        assert again.state_v_bead.dims == ("site_bead",) and again.state_v_resonator.dims == ("site_resonator",)
-        assert again.first_u_bead.dims == ("first_time", "site_bead") and again.second_u.dims == ("second_time", "site")
+        assert again.equals(rich.to_xarray()) and not any(
+            x.startswith("parts") for x in again.variables
+        )
+        assert (
+            again.changes_kind.values.tolist() == [b.kind for b in changes]
+            and "changes" not in again.attrs
+        )
+        assert again.changes_p.values.tolist() == [
+            b.p for b in changes
+        ] and again.changes_p.dims == ("change",)
+        assert again.state_v_bead.dims == ("site_bead",) and again.state_v_resonator.dims == (
+            "site_resonator",
+        )
+        assert again.first_u_bead.dims == ("first_time", "site_bead") and again.second_u.dims == (
+            "second_time",
+            "site",
+        )
         assert again.second_time.size == 5 and again.attrs["second_outcome"] == "Found."
 
 

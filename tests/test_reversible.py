@@ -18,7 +18,9 @@ CENTRAL = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
 
 
 def splits(lattice):
-    return all(isinstance(term, gx.Damping) for term in lattice.terms if term.dependence(lattice).velocity)
+    return all(
+        isinstance(term, gx.Damping) for term in lattice.terms if term.dependence(lattice).velocity
+    )
 
 
 def seen(run):
@@ -37,8 +39,19 @@ def function(lattice, state, solver=None, steps=40, **how):
         t1 = steps * STEP
         save_at = jnp.asarray([0.0, 0.31, 0.32, 0.5, 1.0]) * t1
         own = solver or (gx.SRKN11b() if splits(lattice) else diffrax.Tsit5())
-        return seen(gx.simulate(chain, start, t1, solver=own, step=STEP, save_at=save_at, adjoint=adjoint, throw=False,
-                                **how))
+        return seen(
+            gx.simulate(
+                chain,
+                start,
+                t1,
+                solver=own,
+                step=STEP,
+                save_at=save_at,
+                adjoint=adjoint,
+                throw=False,
+                **how,
+            )
+        )
 
     return f, flat
 
@@ -49,11 +62,19 @@ def moving(lattice, size=0.02):
 
 def differences(both, z, d):
     """The derivative along d of a function that gives its value and that derivative."""
-    return sum(w * (both(z + k * WIDTH * d, d)[0] - both(z - k * WIDTH * d, d)[0]) for k, w in CENTRAL.items()) / WIDTH
+    return (
+        sum(
+            w * (both(z + k * WIDTH * d, d)[0] - both(z - k * WIDTH * d, d)[0])
+            for k, w in CENTRAL.items()
+        )
+        / WIDTH
+    )
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("case", few(DISTINCT, *range(0, len(DISTINCT), 4)), ids=lambda case: case.name)
+@pytest.mark.parametrize(
+    "case", few(DISTINCT, *range(0, len(DISTINCT), 4)), ids=lambda case: case.name
+)
 def test_every_scene_has_derivatives_in_both_modes(case):
     f, z = function(case.lattice, moving(case.lattice), steps=20)
     d = 0.02 * z * np.random.default_rng(3).uniform(-1, 1, z.shape)
@@ -79,11 +100,16 @@ def test_every_splitting_method_is_undone(solver):
 
 @pytest.mark.study
 def test_integrating_backwards_in_a_batch_and_the_return_error():
-    chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(jnp.array([0.5, 0.8]))
+    chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(
+        jnp.array([0.5, 0.8])
+    )
 
     def f(scale, adjoint):
         state = gx.State(chains.zeros(), chains.zeros().at[0].set(scale))
-        return jnp.sum(gx.simulate(chains, state, 4.0, step=STEP, adjoint=adjoint, throw=False).final.u ** 2, axis=0)
+        return jnp.sum(
+            gx.simulate(chains, state, 4.0, step=STEP, adjoint=adjoint, throw=False).final.u ** 2,
+            axis=0,
+        )
 
     def loss(scale, adjoint):
         return jnp.sum(f(scale, adjoint) * jnp.array([1.0, 2.0]))
@@ -101,7 +127,9 @@ def test_integrating_backwards_in_a_batch_and_the_return_error():
 
 def precompressed(stiffness, adjoint, steps):
     chain = gx.scenes.monomer(30, stiffness=stiffness, precompression=1.0)
-    run = gx.simulate(chain, gx.states.impact(chain, 0.3), 0.15 * steps, step=0.15, adjoint=adjoint, throw=False)
+    run = gx.simulate(
+        chain, gx.states.impact(chain, 0.3), 0.15 * steps, step=0.15, adjoint=adjoint, throw=False
+    )
     return jnp.sum(run.final.u**2) + jnp.sum(run.final.v[::2])
 
 
@@ -112,7 +140,10 @@ def memory(function, *arguments):
 
 @pytest.mark.study
 def test_integrating_backwards_keeps_nothing_of_a_long_run():
-    gradients = {n: jax.grad(lambda A, adjoint, n=n: precompressed(A, adjoint, n), (0, 1)) for n in (1000, 100_000)}
+    gradients = {
+        n: jax.grad(lambda A, adjoint, n=n: precompressed(A, adjoint, n), (0, 1))
+        for n in (1000, 100_000)
+    }
     kept = {n: memory(gradient, 1.0, gx.Reversible()) for n, gradient in gradients.items()}
     assert kept[100_000] == kept[1000] < 64 * 1024
     value, back = jax.jit(gradients[100_000])(1.0, gx.Reversible())
@@ -123,14 +154,18 @@ def test_integrating_backwards_keeps_nothing_of_a_long_run():
 
 def struck(stiffness, adjoint, steps):
     chain = gx.scenes.monomer(20, stiffness=stiffness)
-    run = gx.simulate(chain, gx.states.impact(chain), 0.1 * steps, step=0.1, adjoint=adjoint, throw=False)
+    run = gx.simulate(
+        chain, gx.states.impact(chain), 0.1 * steps, step=0.1, adjoint=adjoint, throw=False
+    )
     return jnp.sum(run.final.v[::2])
 
 
 @pytest.mark.study
 def test_checkpoints_of_a_sonic_vacuum_grow_like_the_square_root_of_the_steps():
     def kept(steps):
-        return memory(jax.grad(lambda A: struck(A, diffrax.RecursiveCheckpointAdjoint(), steps)), 1.0)
+        return memory(
+            jax.grad(lambda A: struck(A, diffrax.RecursiveCheckpointAdjoint(), steps)), 1.0
+        )
 
     assert kept(10_000) < 10 * kept(100)
     assert kept(10_000) < 200 * 20 * 3 * 8 * 2
@@ -142,34 +177,51 @@ def test_a_gradient_through_contact_loss_is_that_of_differences():
         chain = gx.scenes.monomer(20)
         state = gx.states.impact(chain, velocity)
         run = gx.simulate(chain, state, 12.0, step=0.01, save_at=13, adjoint=adjoint, throw=False)
-        return jnp.sum(jax.vmap(lambda u, v: gx.measures.contact_force(chain, (u, v)))(run.us, run.vs)[:, 3:9] ** 2)
+        return jnp.sum(
+            jax.vmap(lambda u, v: gx.measures.contact_force(chain, (u, v)))(run.us, run.vs)[:, 3:9]
+            ** 2
+        )
 
     run = gx.simulate(gx.scenes.monomer(20), gx.states.impact(gx.scenes.monomer(20)), 12.0)
     assert bool(run.contact_opened)
     plain = jax.jit(force)
-    difference = sum(w * (plain(1 + k * 1e-3) - plain(1 - k * 1e-3)) for k, w in CENTRAL.items()) / 1e-3
+    difference = (
+        sum(w * (plain(1 + k * 1e-3) - plain(1 - k * 1e-3)) for k, w in CENTRAL.items()) / 1e-3
+    )
     for adjoint in (diffrax.RecursiveCheckpointAdjoint(), gx.Reversible()):
-        assert float(jax.jit(jax.grad(force))(1.0, adjoint)) == pytest.approx(float(difference), rel=1e-6)
+        assert float(jax.jit(jax.grad(force))(1.0, adjoint)) == pytest.approx(
+            float(difference), rel=1e-6
+        )
 
 
 @pytest.mark.study
 def test_the_end_that_is_saved_and_the_energy_error():
     def f(stiffness, adjoint, read):
         chain = gx.scenes.monomer(4, stiffness=stiffness, precompression=1.0)
-        return read(gx.simulate(chain, gx.states.impact(chain, 0.1), 1.0, step=0.1, adjoint=adjoint, throw=False))
+        return read(
+            gx.simulate(
+                chain, gx.states.impact(chain, 0.1), 1.0, step=0.1, adjoint=adjoint, throw=False
+            )
+        )
 
     last = lambda run: jnp.sum(run.us[-1] ** 2 + run.vs[-1])
     gradient = jax.jit(jax.grad(lambda A: f(A, gx.Reversible(), last)))(1.0)
     forward = jax.jit(jax.jacfwd(lambda A: f(A, None, last)))(1.0)
     assert float(gradient) == pytest.approx(float(forward), rel=1e-11)
-    assert np.isnan(jax.jit(jax.grad(lambda A: f(A, gx.Reversible(), lambda run: run.energy_error)))(1.0))
+    assert np.isnan(
+        jax.jit(jax.grad(lambda A: f(A, gx.Reversible(), lambda run: run.energy_error)))(1.0)
+    )
 
 
 def test_what_cannot_be_undone_is_refused():
     chain = gx.scenes.monomer(4, precompression=1.0)
     state = gx.states.impact(chain)
-    for how in ({"tolerance": 1e-8}, {"solver": diffrax.Tsit5(), "step": 0.1}, {"save_at": "steps"},
-                {"record": {"peak": gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y))}}):
+    for how in (
+        {"tolerance": 1e-8},
+        {"solver": diffrax.Tsit5(), "step": 0.1},
+        {"save_at": "steps"},
+        {"record": {"peak": gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y))}},
+    ):
         with pytest.raises(ValueError, match="adjoint: expected"):
             gx.simulate(chain, state, 1.0, adjoint=gx.Reversible(), **how)
     with pytest.raises(ValueError, match="tolerance"):
@@ -177,7 +229,9 @@ def test_what_cannot_be_undone_is_refused():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("adjoint", [gx.Reversible(), diffrax.RecursiveCheckpointAdjoint()], ids=["own", "diffrax"])
+@pytest.mark.parametrize(
+    "adjoint", [gx.Reversible(), diffrax.RecursiveCheckpointAdjoint()], ids=["own", "diffrax"]
+)
 def test_forward_mode_is_refused_in_a_sentence(adjoint):
     chain = gx.scenes.monomer(3, precompression=1.0)
 
@@ -185,5 +239,8 @@ def test_forward_mode_is_refused_in_a_sentence(adjoint):
         state = gx.states.impact(chain, speed)
         return gx.simulate(chain, state, 0.2, step=0.1, adjoint=adjoint, max_steps=4).final.v[0]
 
-    with pytest.raises(ValueError, match=f"adjoint: expected reverse mode with {type(adjoint).__name__}.*ForwardMode"):
+    with pytest.raises(
+        ValueError,
+        match=f"adjoint: expected reverse mode with {type(adjoint).__name__}.*ForwardMode",
+    ):
         jax.jacfwd(last)(1.0)

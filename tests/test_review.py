@@ -28,7 +28,9 @@ def test_all_sixteen_are_made_and_stored():
 
     assert len(made) == 16 and sorted(made) == FIGURES
     stored = json.loads((FOLDER / "made.json").read_text())
-    assert list(stored) == list(made) and all(row[-1] == "agrees" for rows in stored.values() for row in rows)
+    assert list(stored) == list(made) and all(
+        row[-1] == "agrees" for rows in stored.values() for row in rows
+    )
     for name in made:
         text = (FOLDER / f"{name}.py").read_text().splitlines()
         assert len(text) < 80 and max(map(len, text)) <= 100, name

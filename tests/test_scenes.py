@@ -82,7 +82,9 @@ def test_monomer_acceleration_is_the_equation():
 
 def test_fput_and_toda_accelerations_are_their_equations():
     alone, asked = scenes.fput(8, beta=8.0).terms[0].law, scenes.fput(8).terms[0].law
-    assert alone.K3 is None and float(alone.K4) == 8 and float(asked.K3) == 0.25 and asked.K4 is None
+    assert (
+        alone.K3 is None and float(alone.K4) == 8 and float(asked.K3) == 0.25 and asked.K4 is None
+    )
     lattice = scenes.fput(8, alpha=0.25, beta=0.7)
     u, v = random_state(lattice)
     e = -np.diff(np.concatenate([[0], np.asarray(u), [0]]))
@@ -93,8 +95,11 @@ def test_fput_and_toda_accelerations_are_their_equations():
 
 
 def test_a_mass_that_is_one_number_stays_one_and_is_spread_on_request():
-    for scene, count in ((scenes.monomer(4, 2.0), (4,)), (scenes.fput(4, mass=2.0), (4,)),
-                         (scenes.square(2, mass=2.0), (2, 2, 2))):
+    for scene, count in (
+        (scenes.monomer(4, 2.0), (4,)),
+        (scenes.fput(4, mass=2.0), (4,)),
+        (scenes.square(2, mass=2.0), (2, 2, 2)),
+    ):
         assert scene.mass.shape[:1] in ((), (1,)) and float(scene.mass.max()) == 2.0
         np.testing.assert_array_equal(gx.lattice.spread_mass(scene), np.full(count, 2.0))
     np.testing.assert_array_equal(gx.lattice.spread_mass(scenes.dimer(3, 0.5)), [1, 0.5, 1])
@@ -104,12 +109,17 @@ def test_masses_of_the_patterns():
     np.testing.assert_array_equal(scenes.dimer(5, 0.25).mass, [1, 0.25, 1, 0.25, 1])
     np.testing.assert_array_equal(scenes.trimer(5, (0.5, 0.25)).mass, [1, 0.5, 0.25, 1, 0.5])
     np.testing.assert_array_equal(scenes.n_to_one(5, 2, 0.5).mass, [1, 1, 0.5, 1, 1])
-    np.testing.assert_array_equal(scenes.defects(5, {1: 3.0, -1: 4.0}, mass=2.0).mass, [2, 3, 2, 2, 4])
+    np.testing.assert_array_equal(
+        scenes.defects(5, {1: 3.0, -1: 4.0}, mass=2.0).mass, [2, 3, 2, 2, 4]
+    )
     np.testing.assert_array_equal(scenes.pattern(4, np.array([3.0, 2.0])).mass, [3, 2, 3, 2])
 
 
 def test_a_uniform_chain_keeps_its_numbers_as_numbers():
-    for lattice in (scenes.monomer(50, precompression=1.0), scenes.beads("brass", 1e-3, cells=50, boundary="free")):
+    for lattice in (
+        scenes.monomer(50, precompression=1.0),
+        scenes.beads("brass", 1e-3, cells=50, boundary="free"),
+    ):
         assert lattice.mass.shape == () and lattice.terms[0].law.stiffness.shape == ()
     assert scenes.monomer(50).terms[0].law.precompression is None
 
@@ -122,14 +132,17 @@ def test_exponents():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("special", [
-    lambda **k: scenes.dimer(12, ratio=1.0, **k),
-    lambda **k: scenes.trimer(12, (1.0, 1.0), **k),
-    lambda **k: scenes.n_to_one(12, 5, ratio=1.0, **k),
-    lambda **k: scenes.defects(12, {4: 1.0}, **k),
-    lambda **k: scenes.disordered(12, 0.0, **k),
-    lambda **k: scenes.taper(12, 0.0, **k),
-])
+@pytest.mark.parametrize(
+    "special",
+    [
+        lambda **k: scenes.dimer(12, ratio=1.0, **k),
+        lambda **k: scenes.trimer(12, (1.0, 1.0), **k),
+        lambda **k: scenes.n_to_one(12, 5, ratio=1.0, **k),
+        lambda **k: scenes.defects(12, {4: 1.0}, **k),
+        lambda **k: scenes.disordered(12, 0.0, **k),
+        lambda **k: scenes.taper(12, 0.0, **k),
+    ],
+)
 @pytest.mark.parametrize("boundary", ["fixed", "free"])
 def test_special_cases_are_the_monomer(special, boundary):
     common = {"stiffness": 2.0, "precompression": 0.7, "boundary": boundary}
@@ -165,14 +178,20 @@ def test_disorder_is_seeded_and_bounded():
 SWEPT = {
     "dimer": (lambda r: scenes.dimer(6, ratio=r, precompression=0.5), jnp.linspace(0.2, 1.0, 3)),
     "trimer": (lambda r: scenes.trimer(6, ratios=(r, 0.5)), jnp.linspace(0.2, 1.0, 3)),
-    "n_to_one": (lambda r: scenes.n_to_one(6, 2, r, boundary="periodic"), jnp.linspace(0.2, 1.0, 3)),
+    "n_to_one": (
+        lambda r: scenes.n_to_one(6, 2, r, boundary="periodic"),
+        jnp.linspace(0.2, 1.0, 3),
+    ),
     "defects": (lambda m: scenes.defects(6, {2: m}), jnp.linspace(0.2, 1.0, 3)),
     "taper": (lambda q: scenes.taper(6, q, precompression=0.5), jnp.linspace(-0.2, 0.2, 3)),
     "disordered": (lambda n: scenes.disordered(6, 0.3, n), jnp.arange(3)),
     "monomer, load": (lambda f: scenes.monomer(6, precompression=f), jnp.linspace(0.2, 1.0, 3)),
     "monomer, exponent": (lambda p: scenes.monomer(6, exponent=p), jnp.linspace(1.2, 3.0, 3)),
     "fput": (lambda a: scenes.fput(6, alpha=a), jnp.linspace(0.2, 1.0, 3)),
-    "beads": (lambda r: scenes.beads(["brass", "PTFE"], [r, 2e-3], 2.0, cells=3), jnp.linspace(1e-3, 3e-3, 3)),
+    "beads": (
+        lambda r: scenes.beads(["brass", "PTFE"], [r, 2e-3], 2.0, cells=3),
+        jnp.linspace(1e-3, 3e-3, 3),
+    ),
 }
 
 
@@ -183,8 +202,12 @@ def test_a_batch_equals_a_loop_and_its_lanes_are_trailing(make, values):
     assert batch.lanes == (3,) and batch.shape == (6,)
     u, v = random_state(batch)
     together = batch.acceleration(0.0, u, v)
-    single = jnp.stack([make(x).acceleration(0.0, u[:, i], v[:, i]) for i, x in enumerate(values)], -1)
-    np.testing.assert_allclose(together, single, rtol=1e-12, atol=1e-12 * float(jnp.abs(single).max()))
+    single = jnp.stack(
+        [make(x).acceleration(0.0, u[:, i], v[:, i]) for i, x in enumerate(values)], -1
+    )
+    np.testing.assert_allclose(
+        together, single, rtol=1e-12, atol=1e-12 * float(jnp.abs(single).max())
+    )
 
 
 def test_gradient_with_respect_to_the_ratio():
@@ -217,10 +240,14 @@ def test_beads_in_si():
     chain = scenes.beads(names, R, F0, wall=("rigid", "nylon"), damping_time=tau)
     u, v = random_state(chain, 1e-5)
     m = np.array([float(bead_mass(n, r)) for n, r in zip(names, R)])
-    A = np.array([
-        hertz_coefficient("brass", R[0], "rigid", np.inf), hertz_coefficient("brass", R[0], "PTFE", R[1]),
-        hertz_coefficient("PTFE", R[1], "steel 316", R[2]), hertz_coefficient("steel 316", R[2], "nylon", np.inf),
-    ])
+    A = np.array(
+        [
+            hertz_coefficient("brass", R[0], "rigid", np.inf),
+            hertz_coefficient("brass", R[0], "PTFE", R[1]),
+            hertz_coefficient("PTFE", R[1], "steel 316", R[2]),
+            hertz_coefficient("steel 316", R[2], "nylon", np.inf),
+        ]
+    )
     e = -np.diff(np.concatenate([[0], np.asarray(u), [0]]))
     F = A * np.maximum((F0 / A) ** (2 / 3) + e, 0) ** 1.5
     np.testing.assert_allclose(
@@ -228,10 +255,14 @@ def test_beads_in_si():
     )
 
 
-@pytest.mark.parametrize(("materials", "radii", "striker", "cells"), [
-    ("PTFE", 2.38e-3, ("steel 316", 2.38e-3), 4), (["brass", "PTFE"], [2e-3, 1e-3], ("PTFE", 1e-3), 2),
-    ("steel 316", [3e-3, 2e-3, 2e-3], ("steel 316", 5e-3), None),
-])
+@pytest.mark.parametrize(
+    ("materials", "radii", "striker", "cells"),
+    [
+        ("PTFE", 2.38e-3, ("steel 316", 2.38e-3), 4),
+        (["brass", "PTFE"], [2e-3, 1e-3], ("PTFE", 1e-3), 2),
+        ("steel 316", [3e-3, 2e-3, 2e-3], ("steel 316", 5e-3), None),
+    ],
+)
 def test_a_striker_hits_a_chain_before_a_wall(materials, radii, striker, cells):
     """Against DOP853 with forces of its own: contacts of unlike spheres, and the last bead on a plane."""
     R = np.append(striker[1], np.tile(np.ravel(radii), cells or 1))
@@ -253,7 +284,9 @@ def test_a_striker_hits_a_chain_before_a_wall(materials, radii, striker, cells):
     known = solve_ivp(field, (0, 3e-4), start, method="DOP853", rtol=1e-11, atol=1e-15).y[:, -1]
     assert chain.units == "SI" and np.abs(known[R.size :]).max() > 0.05
     scale = np.repeat([1e4, 1], R.size)
-    np.testing.assert_allclose(scale * np.append(run.final.u, run.final.v), scale * known, atol=1e-7)
+    np.testing.assert_allclose(
+        scale * np.append(run.final.u, run.final.v), scale * known, atol=1e-7
+    )
     np.testing.assert_allclose(chain.mass, m, rtol=1e-13)
 
 
@@ -265,17 +298,24 @@ def test_cells_and_boundaries_of_beads():
     same_acceleration(scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], cells=3), long)
     alike = scenes.beads("brass", 2e-3, cells=4)
     np.testing.assert_allclose(
-        alike.terms[0].law.stiffness, scenes.beads(["brass"] * 4, 2e-3).terms[0].law.stiffness, rtol=1e-15
+        alike.terms[0].law.stiffness,
+        scenes.beads(["brass"] * 4, 2e-3).terms[0].law.stiffness,
+        rtol=1e-15,
     )
-    np.testing.assert_allclose(alike.terms[0].law.stiffness[0], hertz_coefficient("brass", 2e-3, None, np.inf))
+    np.testing.assert_allclose(
+        alike.terms[0].law.stiffness[0], hertz_coefficient("brass", 2e-3, None, np.inf)
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("chain, velocity", [
-    (lambda: scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], 3.0, cells=3), None),
-    (lambda: scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], cells=3, damping_time=1e-3), 0.5),
-    (lambda: scenes.monomer(6, 1e-3, 1e-9, -3.0, 2.0), None),
-])
+@pytest.mark.parametrize(
+    "chain, velocity",
+    [
+        (lambda: scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], 3.0, cells=3), None),
+        (lambda: scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], cells=3, damping_time=1e-3), 0.5),
+        (lambda: scenes.monomer(6, 1e-3, 1e-9, -3.0, 2.0), None),
+    ],
+)
 def test_scaled_accelerations_are_those_in_si(chain, velocity):
     chain = chain()
     small, units = scenes.scaled(chain, velocity)
@@ -284,23 +324,37 @@ def test_scaled_accelerations_are_those_in_si(chain, velocity):
     a = small.acceleration(0.0, u, v) * units.acceleration
     scale = float(jnp.abs(a).max())
     np.testing.assert_allclose(chain.acceleration(0.0, *state), a, rtol=1e-11, atol=1e-13 * scale)
-    np.testing.assert_allclose(chain.energy(0.0, *state), small.energy(0.0, u, v) * units.energy, rtol=1e-11)
+    np.testing.assert_allclose(
+        chain.energy(0.0, *state), small.energy(0.0, u, v) * units.energy, rtol=1e-11
+    )
     back = units.state_from_si(state)
     np.testing.assert_allclose(back.u, u, rtol=1e-14)
     np.testing.assert_allclose(back.v, v, rtol=1e-14)
 
 
 def test_scaled_numbers_are_of_order_one():
-    chain, units = scenes.scaled(scenes.beads("steel 316", 9.53e-3, 20.0, cells=10, boundary="free"))
+    chain, units = scenes.scaled(
+        scenes.beads("steel 316", 9.53e-3, 20.0, cells=10, boundary="free")
+    )
     law = chain.terms[0].law
-    np.testing.assert_allclose([chain.mass, law.stiffness, law.precompression, law.rest_overlap], 1.0, rtol=1e-13)
+    np.testing.assert_allclose(
+        [chain.mass, law.stiffness, law.precompression, law.rest_overlap], 1.0, rtol=1e-13
+    )
     chain, units = scenes.scaled(scenes.beads("steel 316", 9.53e-3, cells=10, boundary="free"), 0.5)
-    np.testing.assert_allclose([chain.mass, chain.terms[0].law.stiffness, units.velocity * 2], 1.0, rtol=1e-13)
+    np.testing.assert_allclose(
+        [chain.mass, chain.terms[0].law.stiffness, units.velocity * 2], 1.0, rtol=1e-13
+    )
 
 
 def test_units_of_ones_own_and_their_products():
     units = scenes.Units(mass=2.0, length=3.0, time=0.5)
-    assert (units.velocity, units.acceleration, units.force, units.energy, units.omega) == (6, 12, 24, 72, 2)
+    assert (units.velocity, units.acceleration, units.force, units.energy, units.omega) == (
+        6,
+        12,
+        24,
+        72,
+        2,
+    )
     small = scenes.scaled(scenes.fput(5, stiffness=16.0), units=units).lattice
     np.testing.assert_allclose(small.terms[0].law.K2, 16 / (24 / 3), rtol=1e-15)
 
@@ -310,32 +364,71 @@ def loaded():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("call, words", [
-    (lambda: scenes.monomer(1), "sites: expected a whole number not below 2, got 1. A chain has"),
-    (lambda: scenes.monomer(9, boundary="fxed"), "boundary: expected one of .* Did you mean 'fixed'"),
-    (lambda: scenes.monomer(9, precompression=-1.0), "precompression: expected numbers not below zero"),
-    (lambda: scenes.monomer(9, stiffness=[1.0, 2.0]), "stiffness: expected one number, or one per contact, shape .10,"),
-    (lambda: scenes.dimer(9, ratio=1.2), r"ratio: expected numbers in \(0, 1\], got 1.2. The ratio"),
-    (lambda: scenes.dimer(9, ratio=[0.2, 0.3]), "expected one number, .* jax.vmap"),
-    (lambda: scenes.dimer(7, boundary="periodic"), "sites: expected a multiple of 2"),
-    (lambda: scenes.trimer(9, (0.5, 2.0)), r"ratios\[1\]: expected numbers in \(0, 1\]"),
-    (lambda: scenes.defects(9, {0: 0.5, -9: 0.7}), "masses: expected each site once"),
-    (lambda: scenes.defects(9, {9: 1.0}), r"masses\[9\]: expected a site from 0 to 8"),
-    (lambda: scenes.taper(9, 1.0), r"q: expected numbers in \(-1, 1\)"),
-    (lambda: scenes.taper(9, boundary="periodic"), "boundary: expected 'fixed' or 'free' for a taper"),
-    (lambda: scenes.disordered(9, 1.0), r"spread: expected numbers in \[0, 1\)"),
-    (lambda: scenes.disordered(9, 0.1, distribution="normal"), "distribution: expected one of"),
-    (lambda: scenes.beads("stel 316", 1e-3, cells=4), "materials: expected one of .* Did you mean 'steel 316'"),
-    (lambda: scenes.beads("brass", 1e-3), "cells: expected at least two beads"),
-    (lambda: scenes.beads(["brass"] * 3, [1e-3] * 2), "radii: expected as many radii as materials"),
-    (lambda: scenes.beads("brass", [1e-3, -1e-3]), "radii: expected numbers above zero"),
-    (lambda: scenes.beads(["brass", "rigid"], 1e-3), "material: expected a material with a density"),
-    (lambda: scenes.beads("brass", 1e-3, cells=3, wall="brass", boundary="free"), "wall: expected None"),
-    (lambda: scenes.scaled(scenes.beads("brass", 1e-3, cells=3)), "velocity: expected the impact's speed"),
-    (lambda: scenes.scaled(scenes.toda(5)), "lattice: expected a Hertz or PowerLaw contact"),
-    (lambda: scenes.scaled(loaded(), 1.0, units=scenes.Units()), "units: expected Units"),
-    (lambda: gx.Lattice(np.ones(9), gx.Bond(gx.Shift(1), gx.Hertz([1.0, 2.0]))), "parameters that fit a lattice"),
-])
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (
+            lambda: scenes.monomer(1),
+            "sites: expected a whole number not below 2, got 1. A chain has",
+        ),
+        (
+            lambda: scenes.monomer(9, boundary="fxed"),
+            "boundary: expected one of .* Did you mean 'fixed'",
+        ),
+        (
+            lambda: scenes.monomer(9, precompression=-1.0),
+            "precompression: expected numbers not below zero",
+        ),
+        (
+            lambda: scenes.monomer(9, stiffness=[1.0, 2.0]),
+            "stiffness: expected one number, or one per contact, shape .10,",
+        ),
+        (
+            lambda: scenes.dimer(9, ratio=1.2),
+            r"ratio: expected numbers in \(0, 1\], got 1.2. The ratio",
+        ),
+        (lambda: scenes.dimer(9, ratio=[0.2, 0.3]), "expected one number, .* jax.vmap"),
+        (lambda: scenes.dimer(7, boundary="periodic"), "sites: expected a multiple of 2"),
+        (lambda: scenes.trimer(9, (0.5, 2.0)), r"ratios\[1\]: expected numbers in \(0, 1\]"),
+        (lambda: scenes.defects(9, {0: 0.5, -9: 0.7}), "masses: expected each site once"),
+        (lambda: scenes.defects(9, {9: 1.0}), r"masses\[9\]: expected a site from 0 to 8"),
+        (lambda: scenes.taper(9, 1.0), r"q: expected numbers in \(-1, 1\)"),
+        (
+            lambda: scenes.taper(9, boundary="periodic"),
+            "boundary: expected 'fixed' or 'free' for a taper",
+        ),
+        (lambda: scenes.disordered(9, 1.0), r"spread: expected numbers in \[0, 1\)"),
+        (lambda: scenes.disordered(9, 0.1, distribution="normal"), "distribution: expected one of"),
+        (
+            lambda: scenes.beads("stel 316", 1e-3, cells=4),
+            "materials: expected one of .* Did you mean 'steel 316'",
+        ),
+        (lambda: scenes.beads("brass", 1e-3), "cells: expected at least two beads"),
+        (
+            lambda: scenes.beads(["brass"] * 3, [1e-3] * 2),
+            "radii: expected as many radii as materials",
+        ),
+        (lambda: scenes.beads("brass", [1e-3, -1e-3]), "radii: expected numbers above zero"),
+        (
+            lambda: scenes.beads(["brass", "rigid"], 1e-3),
+            "material: expected a material with a density",
+        ),
+        (
+            lambda: scenes.beads("brass", 1e-3, cells=3, wall="brass", boundary="free"),
+            "wall: expected None",
+        ),
+        (
+            lambda: scenes.scaled(scenes.beads("brass", 1e-3, cells=3)),
+            "velocity: expected the impact's speed",
+        ),
+        (lambda: scenes.scaled(scenes.toda(5)), "lattice: expected a Hertz or PowerLaw contact"),
+        (lambda: scenes.scaled(loaded(), 1.0, units=scenes.Units()), "units: expected Units"),
+        (
+            lambda: gx.Lattice(np.ones(9), gx.Bond(gx.Shift(1), gx.Hertz([1.0, 2.0]))),
+            "parameters that fit a lattice",
+        ),
+    ],
+)
 def test_bad_input_gets_a_sentence(call, words):
     with pytest.raises(ValueError, match=words):
         call()

@@ -40,8 +40,14 @@ def own(sites=160):
     return gx.Lattice(np.ones(sites), gx.Bond(gx.Shift(1, "free"), Softer(jnp.asarray(0.8))))
 
 
-CHAINS = {"toda": lambda: gx.scenes.toda(161), "hertz": hertz, "vacuum": lambda: hertz(F0=0), "softening": polynomial,
-          "magnets": magnets, "own": own}
+CHAINS = {
+    "toda": lambda: gx.scenes.toda(161),
+    "hertz": hertz,
+    "vacuum": lambda: hertz(F0=0),
+    "softening": polynomial,
+    "magnets": magnets,
+    "own": own,
+}
 
 
 FAST, SLOW = {("vacuum", -0.2)}, {("toda", 0.2), ("vacuum", 0.2), ("own", 0.2), ("softening", -0.2)}
@@ -52,16 +58,21 @@ def speed_of(case):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name, c", [
-    pytest.param(name, c, marks=speed_of((name, c)))
-    for name in CHAINS for c in (0.2, -0.2)])
+@pytest.mark.parametrize(
+    "name, c",
+    [pytest.param(name, c, marks=speed_of((name, c))) for name in CHAINS for c in (0.2, -0.2)],
+)
 def test_nothing_comes_from_the_ends(name, c):
     """Far states stay at rest, or translate, to rounding until `until()`, and the default step is not far too fine."""
-    for problem in (gx.shocks.velocity_shock(CHAINS[name](), c),
-                    gx.shocks.step(CHAINS[name](), max(c, 0.0), max(-c, 0.0))):
+    for problem in (
+        gx.shocks.velocity_shock(CHAINS[name](), c),
+        gx.shocks.step(CHAINS[name](), max(c, 0.0), max(-c, 0.0)),
+    ):
         if name == "vacuum" and problem.kind == "velocity" and c < 0:
             assert problem.until() == np.inf
-            with pytest.raises(ValueError, match="t1: expected a time, got None. None is found here: nothing moves"):
+            with pytest.raises(
+                ValueError, match="t1: expected a time, got None. None is found here: nothing moves"
+            ):
                 problem.run()
             continue
         run = problem.run()
@@ -74,7 +85,9 @@ def test_nothing_comes_from_the_ends(name, c):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["toda", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hertz", "own"))])
+@pytest.mark.parametrize(
+    "name", ["toda", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hertz", "own"))]
+)
 def test_a_step_is_the_ramp_without_the_ramp(name):
     chain, left, right = CHAINS[name](), 0.3, 0.05
     problem = gx.shocks.step(chain, left, right)
@@ -93,8 +106,12 @@ def test_a_piston_is_half_of_a_velocity_shock():
     """In the frame of the piston, for a chain that is precompressed and one whose contacts differ."""
     sites, c, t1 = 101, 0.15, 25.0
     stiffness = np.random.default_rng(0).uniform(0.9, 1.1, sites // 2)
-    whole = gx.scenes.monomer(sites, stiffness=np.concatenate([stiffness[::-1], stiffness]), precompression=0.3,
-                              boundary="free")
+    whole = gx.scenes.monomer(
+        sites,
+        stiffness=np.concatenate([stiffness[::-1], stiffness]),
+        precompression=0.3,
+        boundary="free",
+    )
     half = gx.scenes.monomer(sites // 2, stiffness=np.append(stiffness, 1.0), precompression=0.3)
     for chains in ((gx.scenes.toda(sites), gx.scenes.toda(sites // 2)), (whole, half)):
         shock, piston = gx.shocks.velocity_shock(chains[0], c), gx.shocks.piston(chains[1], 2 * c)
@@ -118,7 +135,9 @@ def test_the_binary_oscillation_of_toda():
     swing = np.ptp(y, axis=0)
     # every bond swings between the same two values, in antiphase with its neighbours, and no less towards the end
     assert swing.min() > 1.0 and np.ptp(swing) < 0.1 * swing.min()
-    assert np.abs(second).max() < 0.05 * swing.min() and np.abs(neighbours).max() > 0.9 * swing.min()
+    assert (
+        np.abs(second).max() < 0.05 * swing.min() and np.abs(neighbours).max() > 0.9 * swing.min()
+    )
     assert np.ptp(y[:41], axis=0).min() == pytest.approx(np.ptp(y[40:], axis=0).min(), rel=0.05)
     below = gx.shocks.velocity_shock(gx.scenes.toda(400), 0.5)
     y = np.asarray(below.strain(below.run(60.0, save_at=[59.0, 60.0]).us))[:, 190:210]
@@ -129,12 +148,15 @@ def test_the_binary_oscillation_of_toda():
 @pytest.mark.parametrize("exponent", [1.5, pytest.param(2.5, marks=pytest.mark.slow)])
 def test_shocks_of_a_sonic_vacuum_are_one(exponent):
     """y -> c^{2/(p+1)}, t -> c^{(1-p)/(p+1)}, while rounding, which grows there, stays below."""
+
     def scaled(c):
         problem = gx.shocks.velocity_shock(gx.scenes.monomer(161, exponent=exponent), c)
         t1 = 25.0 * c ** ((1 - exponent) / (1 + exponent))
         assert t1 < problem.until()
         run = problem.run(t1)
-        return np.asarray(problem.strain(run.us))[0] / c ** (2 / (exponent + 1)), int(run.stats["steps"])
+        return np.asarray(problem.strain(run.us))[0] / c ** (2 / (exponent + 1)), int(
+            run.stats["steps"]
+        )
 
     one, other = scaled(0.05), scaled(0.7)
     assert other[1] == one[1] and one[0].max() > 0.5
@@ -157,12 +179,18 @@ class Mirrored(gx.Law):
 def test_the_mirrored_law_has_the_mirrored_shock():
     """Strains of the other sign: a shock of compression becomes one of rarefaction, to the last bit."""
     c = 0.2
-    chains = [gx.Lattice(np.ones(80), gx.Bond(gx.Shift(1, "free"), law)) for law in (gx.Toda(), Mirrored(gx.Toda()))]
+    chains = [
+        gx.Lattice(np.ones(80), gx.Bond(gx.Shift(1, "free"), law))
+        for law in (gx.Toda(), Mirrored(gx.Toda()))
+    ]
     for make, one, other in ((gx.shocks.velocity_shock, c, -c), (gx.shocks.step, 2 * c, -2 * c)):
         runs = [make(chain, x).run(15.0, step=0.1) for chain, x in zip(chains, (one, other))]
         assert np.array_equal(runs[0].us, -runs[1].us) and np.abs(runs[0].us).max() > c
     # and left becomes right where the chain is turned round
-    left, right = (gx.shocks.step(chains[0], *y, centre=40).run(15.0, step=0.1) for y in ((0.4, 0.1), (0.1, 0.4)))
+    left, right = (
+        gx.shocks.step(chains[0], *y, centre=40).run(15.0, step=0.1)
+        for y in ((0.4, 0.1), (0.1, 0.4))
+    )
     turned = gx.shocks.step(chains[0], 0.4, 0.1, centre=39).run(15.0, step=0.1)
     assert np.abs(np.asarray(right.us)[0, ::-1] + np.asarray(turned.us)[0]).max() < 1e-13
     assert np.abs(np.asarray(left.us)).max() > 0.1
@@ -172,21 +200,36 @@ def test_the_mirrored_law_has_the_mirrored_shock():
 @pytest.mark.parametrize("kind", ["velocity", "piston", "strain", "impacts"])
 def test_the_balances_close(kind):
     chain = hertz(121)
-    problem = {"velocity": lambda: gx.shocks.velocity_shock(chain, 0.3), "strain": lambda: gx.shocks.step(chain, 0.6),
-               "piston": lambda: gx.shocks.piston(chain, 0.6), "impacts": lambda: gx.shocks.impacts(chain, 0.5, 2.0),
-               }[kind]()
+    problem = {
+        "velocity": lambda: gx.shocks.velocity_shock(chain, 0.3),
+        "strain": lambda: gx.shocks.step(chain, 0.6),
+        "piston": lambda: gx.shocks.piston(chain, 0.6),
+        "impacts": lambda: gx.shocks.impacts(chain, 0.5, 2.0),
+    }[kind]()
     found = gx.shocks.balances(problem, 20.0, (62, 80) if kind in ("velocity", "strain") else None)
     assert "close to the error" in found.outcome
     for name in ("strain", "momentum", "energy"):
-        change, missed, error = (getattr(found, f"{name}_{what}") for what in ("change", "residual", "error"))
-        assert abs(change) > 0.1 and abs(missed) < 1e-10 * max(1, abs(change)) and abs(missed) <= error < 1e-7
+        change, missed, error = (
+            getattr(found, f"{name}_{what}") for what in ("change", "residual", "error")
+        )
+        assert (
+            abs(change) > 0.1
+            and abs(missed) < 1e-10 * max(1, abs(change))
+            and abs(missed) <= error < 1e-7
+        )
     if kind != "velocity":
         return
     in_si = gx.scenes.scaled(chain, units=gx.Units(2.0**-10, 2.0**-20, 2.0**-18)).lattice
-    other = gx.shocks.balances(gx.shocks.velocity_shock(in_si, 0.3 * 2.0**2), 20.0 * 2.0**18, (62, 80))
-    assert float(other.momentum_change) == pytest.approx(2.0**12 * float(found.momentum_change), rel=1e-9)
+    other = gx.shocks.balances(
+        gx.shocks.velocity_shock(in_si, 0.3 * 2.0**2), 20.0 * 2.0**18, (62, 80)
+    )
+    assert float(other.momentum_change) == pytest.approx(
+        2.0**12 * float(found.momentum_change), rel=1e-9
+    )
     damped = gx.Lattice(np.ones(60), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Damping(0.1)))
-    with pytest.raises(ValueError, match="problem: expected bonds to the next site alone inside of the box.*Damp"):
+    with pytest.raises(
+        ValueError, match="problem: expected bonds to the next site alone inside of the box.*Damp"
+    ):
         gx.shocks.balances(gx.shocks.step(damped, 0.4), 10.0, (20, 40))
     for box in ((0, 4), (5, 5), (3, 120), (1, 2, 3)):
         with pytest.raises(ValueError, match="^box: expected"):
@@ -198,7 +241,9 @@ def test_every_impact_gives_its_momentum():
     chain, impulse = gx.scenes.toda(120), 0.4
     problem = gx.shocks.impacts(chain, impulse, 5.0, 3, duration=1.0)
     run = problem.run(save_at=np.asarray([0.5, 3.0, 5.5, 8.0, 12.0, 30.0]))
-    assert np.asarray(run.vs).sum(1) == pytest.approx(impulse * np.array([0.5, 1, 1.5, 2, 3, 3]), rel=1e-12)
+    assert np.asarray(run.vs).sum(1) == pytest.approx(
+        impulse * np.array([0.5, 1, 1.5, 2, 3, 3]), rel=1e-12
+    )
     # without a pause: a constant force, as behind a piston
     steady = gx.shocks.impacts(gx.scenes.toda(200), 0.6, 1.0, duration=1.0)
     late = np.asarray(steady.run(60.0, save_at=np.linspace(50, 60, 21)).us)
@@ -209,14 +254,21 @@ def test_every_impact_gives_its_momentum():
 @pytest.mark.slow
 def test_dashpots_and_rings():
     """Dashpots wash the front out, which `until` knows; a ring is cut, with one stiffness less."""
-    dash = gx.Lattice(np.ones(60), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Dashpot(gx.Shift(1, "free"), 0.5)))
+    dash = gx.Lattice(
+        np.ones(60), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Dashpot(gx.Shift(1, "free"), 0.5))
+    )
     problem = gx.shocks.step(dash, 0.3)
     y = np.asarray(problem.strain(problem.run(tolerance=1e-9).us))[0]
     assert np.abs(y[:2] - 0.3).max() < 1e-12 and np.abs(y[-2:]).max() < 1e-12 and 0.1 < y[29] < 0.2
     assert problem.until() < gx.shocks.step(gx.scenes.toda(60), 0.3).until()
-    ring = gx.scenes.monomer(40, stiffness=np.linspace(1, 2, 40), precompression=1.0, boundary="periodic")
+    ring = gx.scenes.monomer(
+        40, stiffness=np.linspace(1, 2, 40), precompression=1.0, boundary="periodic"
+    )
     cut = gx.shocks.velocity_shock(ring, 0.1).lattice.terms[0]
-    assert np.array_equal(cut.law.stiffness, np.linspace(1, 2, 40)[:-1]) and cut.next_neighbours()[1] == "free"
+    assert (
+        np.array_equal(cut.law.stiffness, np.linspace(1, 2, 40)[:-1])
+        and cut.next_neighbours()[1] == "free"
+    )
 
 
 def mapped(problem, sites):
@@ -231,7 +283,9 @@ def mapped(problem, sites):
 def test_a_map_is_what_the_run_shows():
     problem = gx.shocks.step(hertz(101), 0.5, 0.1)
     found = mapped(problem, 20)
-    assert np.array_equal(found.bonds, np.arange(0, 100, 5)) and np.array_equal(found.places, found.bonds - 49.5)
+    assert np.array_equal(found.bonds, np.arange(0, 100, 5)) and np.array_equal(
+        found.places, found.bonds - 49.5
+    )
     data = found.to_xarray()
     assert data.strain.dims == ("time", "bond") and data.kind == "strain"
     with pytest.raises(ValueError, match="sites: expected how many bonds"):
@@ -241,9 +295,15 @@ def test_a_map_is_what_the_run_shows():
 @pytest.mark.study
 def test_maps_of_a_piston_and_of_a_batch():
     assert mapped(gx.shocks.piston(hertz(101), 0.4), [0, 1, 99]).bonds.tolist() == [0, 1, 99]
-    many = jax.vmap(lambda c: gx.shocks.velocity_shock(gx.scenes.toda(101), c), out_axes=-1)(jnp.asarray([0.1, 0.2]))
+    many = jax.vmap(lambda c: gx.shocks.velocity_shock(gx.scenes.toda(101), c), out_axes=-1)(
+        jnp.asarray([0.1, 0.2])
+    )
     found = mapped(many, 10)
-    assert found.strain.shape == (6, 10, 2) and found.energy_error.shape == (2,) and found.places.shape == (10, 2)
+    assert (
+        found.strain.shape == (6, 10, 2)
+        and found.energy_error.shape == (2,)
+        and found.places.shape == (10, 2)
+    )
 
 
 MILLION = """
@@ -259,27 +319,39 @@ print(int(told.split("VmHWM:")[1].split()[0]) / 1e6)
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("problem", [
-    "velocity_shock(chain, 0.3)", pytest.param("step(chain, 0.5, 0.1)", marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    "problem",
+    ["velocity_shock(chain, 0.3)", pytest.param("step(chain, 0.5, 0.1)", marks=pytest.mark.study)],
+)
 def test_a_million_sites_need_less_than_two_gigabytes(problem):
     script = MILLION.format(problem=problem)
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert float(found.stdout) < 2
 
 
 BATCHES = {
     "velocity": (gx.shocks.velocity_shock, [0.1, 0.2]),
-    "step": (lambda chain, y: gx.shocks.step(chain, y, 0.1), [0.2, 0.4]), "piston": (gx.shocks.piston, [0.2, 0.4]),
+    "step": (lambda chain, y: gx.shocks.step(chain, y, 0.1), [0.2, 0.4]),
+    "piston": (gx.shocks.piston, [0.2, 0.4]),
 }
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["velocity", *(pytest.param(k, marks=pytest.mark.slow) for k in ("step", "piston"))])
+@pytest.mark.parametrize(
+    "kind", ["velocity", *(pytest.param(k, marks=pytest.mark.slow) for k in ("step", "piston"))]
+)
 def test_a_batch_is_one_problem(kind):
     make, values = BATCHES[kind]
     chain = gx.scenes.toda(101)
-    batch, one = jax.vmap(lambda x: make(chain, x), out_axes=-1)(jnp.asarray(values)), make(chain, values[1])
-    assert batch.until().shape == (2,) and batch.until()[1] == pytest.approx(float(one.until()), rel=1e-12)
+    batch, one = (
+        jax.vmap(lambda x: make(chain, x), out_axes=-1)(jnp.asarray(values)),
+        make(chain, values[1]),
+    )
+    assert batch.until().shape == (2,) and batch.until()[1] == pytest.approx(
+        float(one.until()), rel=1e-12
+    )
     run, single = batch.run(20.0, step=0.1), one.run(20.0, step=0.1)
     assert batch.strain(run.us).shape == (1, 100, 2)
     assert np.abs(batch.strain(run.us)[..., 1] - one.strain(single.us)).max() < 1e-13
@@ -300,19 +372,40 @@ def test_a_step_differentiates():
 
 def tied():
     """Every site on a spring of its own."""
-    return gx.Lattice(np.ones(50), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.OnSite(gx.Linear(0.1))))
+    return gx.Lattice(
+        np.ones(50), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.OnSite(gx.Linear(0.1)))
+    )
 
 
 REFUSED = (
-    (lambda: gx.shocks.step(gx.scenes.toda(50), 0.1, 0.1), "left: expected another strain than right"),
-    (lambda: gx.shocks.velocity_shock(gx.scenes.toda(50), 0.1, centre=48.5), "centre: expected a place with two sites"),
+    (
+        lambda: gx.shocks.step(gx.scenes.toda(50), 0.1, 0.1),
+        "left: expected another strain than right",
+    ),
+    (
+        lambda: gx.shocks.velocity_shock(gx.scenes.toda(50), 0.1, centre=48.5),
+        "centre: expected a place with two sites",
+    ),
     (lambda: gx.shocks.step(tied(), 0.1), "lattice: expected a chain of bonds between"),
     (lambda: gx.shocks.velocity_shock(tied(), 0.1), "lattice: expected a chain whose halves"),
-    (lambda: gx.shocks.step(gx.scenes.monomer(50, stiffness=np.linspace(1, 2, 51)), 0.1), "lattice: expected bonds th"),
-    (lambda: gx.shocks.step(magnets(50), 100.0), "left: expected a strain at which the law has a force"),
-    (lambda: gx.shocks.impacts(gx.scenes.toda(50), 1.0, 1.0, duration=2.0), "duration: expected at most the interval"),
-    (lambda: gx.shocks.velocity_shock(gx.Lattice(np.ones(9), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Damping(
-        0.1))), 0.1), "Damping.*, which acts on its ends"),
+    (
+        lambda: gx.shocks.step(gx.scenes.monomer(50, stiffness=np.linspace(1, 2, 51)), 0.1),
+        "lattice: expected bonds th",
+    ),
+    (
+        lambda: gx.shocks.step(magnets(50), 100.0),
+        "left: expected a strain at which the law has a force",
+    ),
+    (
+        lambda: gx.shocks.impacts(gx.scenes.toda(50), 1.0, 1.0, duration=2.0),
+        "duration: expected at most the interval",
+    ),
+    (
+        lambda: gx.shocks.velocity_shock(
+            gx.Lattice(np.ones(9), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Damping(0.1))), 0.1
+        ),
+        "Damping.*, which acts on its ends",
+    ),
 )
 
 

@@ -24,7 +24,10 @@ def toda():
 
 @pytest.mark.slow
 def test_a_toda_shock_is_that_of_the_theory(toda):
-    theory, shock = gx.theory.toda.ShockEdges(*map(float, gx.theory.toda.velocity_shock(0.3))), toda[1]
+    theory, shock = (
+        gx.theory.toda.ShockEdges(*map(float, gx.theory.toda.velocity_shock(0.3))),
+        toda[1],
+    )
     assert shock.mean == pytest.approx(theory.mean, abs=1e-5)
     assert abs(shock.mean - theory.mean) < 10 * shock.mean_error
     assert shock.c == pytest.approx(0.3, abs=1e-5)
@@ -81,7 +84,10 @@ class Mirrored(gx.Law):
 
 @pytest.mark.study
 def test_what_is_no_shock_is_refused(toda):
-    for c, law, found in ((-0.3, gx.Toda(1.0, 1.0), "a rarefaction"), (0.3, gx.Linear(1.0), "a linear chain")):
+    for c, law, found in (
+        (-0.3, gx.Toda(1.0, 1.0), "a rarefaction"),
+        (0.3, gx.Linear(1.0), "a linear chain"),
+    ):
         with pytest.raises(ValueError, match=f"faster sound behind than ahead.*{found}"):
             gx.shocks.measure(piston(law, c, 330).run(200.0))
     with pytest.raises(ValueError, match="quiet bonds before it"):
@@ -90,7 +96,9 @@ def test_what_is_no_shock_is_refused(toda):
     with pytest.raises(ValueError, match="masses"):
         gx.shocks.measure(gx.shocks.velocity_shock(chain, 0.1).run(60.0))
     with pytest.raises(ValueError, match="a batch of shape"):
-        chains = jax.vmap(lambda a: gx.scenes.toda(60, strength=a), out_axes=-1)(np.array([1.0, 2.0]))
+        chains = jax.vmap(lambda a: gx.scenes.toda(60, strength=a), out_axes=-1)(
+            np.array([1.0, 2.0])
+        )
         gx.shocks.measure(gx.shocks.velocity_shock(chains, 0.1).run(5.0))
     with pytest.raises(ValueError, match="begins with a step"):
         chain = gx.scenes.toda(60)
@@ -98,8 +106,9 @@ def test_what_is_no_shock_is_refused(toda):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("c, early, late", few(
-    [(0.1, 1000.0, 4000.0), (0.5, 500.0, 2000.0), (0.9, 500.0, 2000.0)], 1))
+@pytest.mark.parametrize(
+    "c, early, late", few([(0.1, 1000.0, 4000.0), (0.5, 500.0, 2000.0), (0.9, 500.0, 2000.0)], 1)
+)
 def test_toda_shocks_converge_to_the_theory(c, early, late):
     theory = gx.theory.toda.ShockEdges(*map(float, gx.theory.toda.velocity_shock(c)))
     problem = piston(gx.Toda(1.0, 1.0), c, int(late * theory.leading_speed) + 80)
@@ -131,7 +140,9 @@ def test_granular_shocks_have_their_plateaus():
         k = np.polyfit(shock.amplitudes[1:6], 2 * np.pi / shock.wavelengths[1:6], 2)[-1]
         group = (2 * (0.5 + mean)) ** 0.25 * np.cos(k / 2)
         assert shock.trailing_speed == pytest.approx(group, abs=0.01)
-        assert abs(shock.trailing_speed - float(edges.trailing_speed)) < (0.01 if c == 0.1 else 0.08)
+        assert abs(shock.trailing_speed - float(edges.trailing_speed)) < (
+            0.01 if c == 0.1 else 0.08
+        )
 
 
 @pytest.mark.slow
@@ -158,10 +169,23 @@ class Steepening(gx.Law):
 
 FALLING = [
     pytest.param(gx.Polynomial(1.0, 0.25, 0.0), lambda e: e + 0.25 * e**2, {}, id="fput-alpha"),
-    pytest.param(Steepening(0.2), lambda e: np.expm1(e) + 0.1 * e**2, {}, id="steepening", marks=pytest.mark.study),
-    pytest.param(Steepening(0.5), lambda e: np.expm1(e) + 0.25 * e**2, {"tolerance": 1e-8}, id="adaptive",
-                 marks=pytest.mark.study),
-    pytest.param(gx.Polynomial(1.0, 1.0, 0.1), lambda e: e + e**2 + 0.1 * e**3, {"step": 0.05}, id="stiff"),
+    pytest.param(
+        Steepening(0.2),
+        lambda e: np.expm1(e) + 0.1 * e**2,
+        {},
+        id="steepening",
+        marks=pytest.mark.study,
+    ),
+    pytest.param(
+        Steepening(0.5),
+        lambda e: np.expm1(e) + 0.25 * e**2,
+        {"tolerance": 1e-8},
+        id="adaptive",
+        marks=pytest.mark.study,
+    ),
+    pytest.param(
+        gx.Polynomial(1.0, 1.0, 0.1), lambda e: e + e**2 + 0.1 * e**3, {"step": 0.05}, id="stiff"
+    ),
 ]
 
 
@@ -179,7 +203,9 @@ def test_the_windows_take_steps_like_those_of_the_run(law, force, keywords):
 
     ts = np.linspace(60.0, 60.0 + 9 / shock.leading_speed, 1201)
     u = solve_ivp(field, (0, ts[-1]), np.zeros(282), "DOP853", ts, rtol=1e-11, atol=1e-11).y[:141]
-    strains = (u[:-1] - u[1:])[np.rint(shock.leading_place + problem.centre).astype(int) + np.arange(1, 7)]
+    strains = (u[:-1] - u[1:])[
+        np.rint(shock.leading_place + problem.centre).astype(int) + np.arange(1, 7)
+    ]
     crests = ts[np.argmax(strains, 1)]
     assert shock.leading_speed == pytest.approx(5 / (crests[-1] - crests[0]), rel=4e-3)
     assert shock.amplitude == pytest.approx(strains.max(1).mean(), rel=5e-3)

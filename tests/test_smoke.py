@@ -39,11 +39,17 @@ def run(chain):
 
 
 def test_a_run_keeps_its_energy_and_finds_its_records(run):
-    assert run.us.shape == (20, BEADS) and run.energy_error < 1e-3 and run.outcome.startswith("Completed")
+    assert (
+        run.us.shape == (20, BEADS)
+        and run.energy_error < 1e-3
+        and run.outcome.startswith("Completed")
+    )
     assert 0.5 < float(run.recorded["force"].max()) < 1.0
 
 
-@pytest.mark.parametrize("solver", [gx.VelocityVerlet(), gx.SRKN11b(), gx.KahanLi8(), gx.SofroniouSpaletta10()])
+@pytest.mark.parametrize(
+    "solver", [gx.VelocityVerlet(), gx.SRKN11b(), gx.KahanLi8(), gx.SofroniouSpaletta10()]
+)
 def test_solvers_agree(run, chain, solver):
     found = gx.simulate(chain, gx.states.impact(chain), 5.0, solver=solver, step=0.01)
     np.testing.assert_allclose(found.final.v, run.final.v, atol=2e-3)
@@ -67,17 +73,23 @@ def test_a_long_chain_on_all_cores():
 
 
 def test_a_batch_has_its_lanes_last():
-    chains = jax.vmap(lambda ratio: gx.scenes.dimer(BEADS, ratio=ratio), out_axes=-1)(jnp.linspace(0.4, 1.0, 3))
+    chains = jax.vmap(lambda ratio: gx.scenes.dimer(BEADS, ratio=ratio), out_axes=-1)(
+        jnp.linspace(0.4, 1.0, 3)
+    )
     run = gx.simulate(chains, gx.states.impact(chains), 5.0)
     one = gx.scenes.dimer(BEADS, ratio=0.7)
-    np.testing.assert_allclose(run.final.u[:, 1], gx.simulate(one, gx.states.impact(one), 5.0).final.u, atol=1e-3)
+    np.testing.assert_allclose(
+        run.final.u[:, 1], gx.simulate(one, gx.states.impact(one), 5.0).final.u, atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("adjoint", [None, gx.Reversible()])
 def test_gradients_are_those_of_differences(adjoint):
     def peak(ratio):
         chain = gx.scenes.dimer(BEADS, ratio=ratio)
-        return gx.simulate(chain, gx.states.impact(chain), 2.0, step=0.01, adjoint=adjoint).final.v[2]
+        return gx.simulate(chain, gx.states.impact(chain), 2.0, step=0.01, adjoint=adjoint).final.v[
+            2
+        ]
 
     slope = (peak(0.5 + 1e-5) - peak(0.5 - 1e-5)) / 2e-5
     assert jax.grad(peak)(0.5) == pytest.approx(float(slope), rel=1e-5)
@@ -137,14 +149,34 @@ def of_law(law):
 def test_a_fit_finds_what_made_the_data(tmp_path):
     times, true = np.linspace(0, 4, 21), of_stiffness({"stiffness": 1.2})
     run = gx.simulate(true, struck(None, true), 4.0, save_at=times)
-    np.savetxt(tmp_path / "run.csv", np.c_[times, run.vs[:, 1:3]], delimiter=",", header="time,a,b", comments="")
-    traces = gx.Traces.from_csv(tmp_path / "run.csv", time="time", velocity=["a", "b"], sites=[1, 2],
-                                 units={"time": "s", "a": "m/s", "b": "m/s"}, sigma=1e-3)
+    np.savetxt(
+        tmp_path / "run.csv",
+        np.c_[times, run.vs[:, 1:3]],
+        delimiter=",",
+        header="time,a,b",
+        comments="",
+    )
+    traces = gx.Traces.from_csv(
+        tmp_path / "run.csv",
+        time="time",
+        velocity=["a", "b"],
+        sites=[1, 2],
+        units={"time": "s", "a": "m/s", "b": "m/s"},
+        sigma=1e-3,
+    )
     fit = gx.fit(of_stiffness, {"stiffness": 1.0}, traces, state=struck)
     assert fit.parameters["stiffness"] == pytest.approx(1.2, rel=1e-4)
     law = gx.identify.law(
-        of_law, gx.Hertz(1.0, 1.0), traces, state=struck(None, true), hold=("precompression",), stages=1)
-    assert law.force(0.1)[0] == pytest.approx(1.2 * ((1 / 1.2) ** (2 / 3) + 0.1) ** 1.5 - 1, rel=1e-4)
+        of_law,
+        gx.Hertz(1.0, 1.0),
+        traces,
+        state=struck(None, true),
+        hold=("precompression",),
+        stages=1,
+    )
+    assert law.force(0.1)[0] == pytest.approx(
+        1.2 * ((1 / 1.2) ** (2 / 3) + 0.1) ** 1.5 - 1, rel=1e-4
+    )
     modes = gx.identify.dmd(gx.identify.snapshots(run), times[1])
     assert modes.misfit < 1e-2
 
@@ -153,13 +185,17 @@ def test_a_design_lowers_its_objective():
     def highest(p):
         return gx.linear.normal_modes(of_stiffness(p)).omega[-1]
 
-    found = gx.design(highest, {"stiffness": 1.0}, bounds={"stiffness": (0.5, 2.0)}, max_steps=20, throw=False)
+    found = gx.design(
+        highest, {"stiffness": 1.0}, bounds={"stiffness": (0.5, 2.0)}, max_steps=20, throw=False
+    )
     assert found.value < found.start_value and found.parameters["stiffness"] < 0.6
 
 
 def test_work_precision_advises(chain):
     solvers = [gx.VelocityVerlet(), gx.SRKN6b()]
-    table = gx.work_precision(chain, gx.states.impact(chain), 2.0, solvers=solvers, steps=[0.1, 0.05])
+    table = gx.work_precision(
+        chain, gx.states.impact(chain), 2.0, solvers=solvers, steps=[0.1, 0.05]
+    )
     assert table.advice(1e-3).error < 1e-3 and "0.001" in repr(table.advice(1e-3))
 
 
@@ -171,7 +207,9 @@ def test_results_are_written_read_and_drawn(run, tmp_path):
     ax = gx.plots.space_time(run)
     ax.figure.savefig(tmp_path / "run.png")
     plt.close(ax.figure)
-    assert (tmp_path / "run.png").stat().st_size > 1000 and (tmp_path / "run.mat").stat().st_size > 1000
+    assert (tmp_path / "run.png").stat().st_size > 1000 and (
+        tmp_path / "run.mat"
+    ).stat().st_size > 1000
 
 
 def test_a_process_of_its_own_with_granjax_s_flags():
@@ -180,7 +218,9 @@ def test_a_process_of_its_own_with_granjax_s_flags():
         "gx.clear(); print(run.final.u.dtype, run.outcome, gx.tune().outcome)"
     )
     own = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=own)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=own
+    )
     assert done.stdout.startswith("float64 Completed")
 
 
@@ -197,12 +237,24 @@ def test_a_sweep_is_kept_and_read_in_both_formats(tmp_path):
         return {"last": run.final.v[-1], "wave": jnp.exp(1j * ratio)}
 
     parameters = {"ratio": [0.4, 0.7, 1.2], "beads": [3, 4]}
-    data = gx.sweep(struck, parameters, store=tmp_path / "struck.zarr", units={"last": "m/s"}, progress=False)
-    again = gx.sweep(struck, parameters, store=tmp_path / "struck.zarr", units={"last": "m/s"}, progress=False)
+    data = gx.sweep(
+        struck, parameters, store=tmp_path / "struck.zarr", units={"last": "m/s"}, progress=False
+    )
+    again = gx.sweep(
+        struck, parameters, store=tmp_path / "struck.zarr", units={"last": "m/s"}, progress=False
+    )
     one = struck(jnp.asarray(0.7), 4)["last"]
-    assert data.identical(again) and float(data.last.sel(ratio=0.7, beads=4)) == pytest.approx(float(one), rel=1e-9)
-    assert "expected numbers in (0, 1]" in str(data.reason[2, 0].values) and data.sel(beads=3).last.shape == (3,)
-    np.testing.assert_array_equal(xr.open_zarr(tmp_path / "struck.zarr").last.values, data.last.values)
+    assert data.identical(again) and float(data.last.sel(ratio=0.7, beads=4)) == pytest.approx(
+        float(one), rel=1e-9
+    )
+    assert "expected numbers in (0, 1]" in str(data.reason[2, 0].values) and data.sel(
+        beads=3
+    ).last.shape == (3,)
+    np.testing.assert_array_equal(
+        xr.open_zarr(tmp_path / "struck.zarr").last.values, data.last.values
+    )
     assert gx.plots.sweep(data, "last").lines or gx.plots.sweep(data, "last").collections
-    each = gx.sweep(lambda x, kind: {"kind": kind, "x": float(x)}, {"x": [1.0], "kind": ["a"]}, executor=None)
+    each = gx.sweep(
+        lambda x, kind: {"kind": kind, "x": float(x)}, {"x": [1.0], "kind": ["a"]}, executor=None
+    )
     assert each.kind_found.item() == "a" and each.x_found.item() == 1.0

@@ -20,7 +20,9 @@ def test_builders_make_the_power_law(make):
     d0 = (0.7 / 3) ** (1 / 0.4)
     u *= d0 / np.abs(u).max() / 3
     F = 3 * (d0 - np.diff(np.concatenate([[0], u, [0]]))) ** 0.4
-    np.testing.assert_allclose(chain.acceleration(0.0, jnp.asarray(u), jnp.zeros(6)), (F[:-1] - F[1:]) / 2, rtol=1e-9)
+    np.testing.assert_allclose(
+        chain.acceleration(0.0, jnp.asarray(u), jnp.zeros(6)), (F[:-1] - F[1:]) / 2, rtol=1e-9
+    )
     K2 = 0.4 * 3 ** (1 / 0.4) * 0.7 ** (1 - 1 / 0.4)
     np.testing.assert_allclose(gx.linear.sound_speed(chain), np.sqrt(K2 / 2), rtol=1e-12)
 
@@ -34,7 +36,9 @@ def test_envelopes_are_bright_above_the_band_for_softening_alone():
         d0 = (0.8 / 1.3) ** (1 / p)
         B = float(nls.B(K2, K3, K4))
         assert (B > 0) == (0 < p < 1)
-        np.testing.assert_allclose(B, -(p**3) * (p - 1) * 1.3**2 * d0 ** (2 * p - 4) / (2 * K2**1.5), rtol=1e-10)
+        np.testing.assert_allclose(
+            B, -(p**3) * (p - 1) * 1.3**2 * d0 ** (2 * p - 4) / (2 * K2**1.5), rtol=1e-10
+        )
 
 
 def test_bands_of_alternating_contacts_are_the_closed_form():
@@ -47,21 +51,31 @@ def test_bands_of_alternating_contacts_are_the_closed_form():
     omega = np.asarray(gx.linear.dispersion(chain, k).omega)
     np.testing.assert_allclose(omega, np.sqrt(np.stack([lower, upper], -1) / 1.1), rtol=1e-12)
     bands = gx.linear.bands(chain)
-    np.testing.assert_allclose([bands.upper[0], bands.lower[1]],
-                               np.sqrt(2 * np.array([min(K1, K2), max(K1, K2)]) / 1.1), rtol=1e-12)
+    np.testing.assert_allclose(
+        [bands.upper[0], bands.lower[1]],
+        np.sqrt(2 * np.array([min(K1, K2), max(K1, K2)]) / 1.1),
+        rtol=1e-12,
+    )
 
 
 @pytest.mark.slow
 def test_equal_exponents_are_one_chain():
     u = jnp.asarray(0.1 * np.random.default_rng(3).normal(size=6))
     for boundary in ("fixed", "free", "periodic"):
-        a, b = scenes.alternating(6, (0.5, 0.5), boundary=boundary), scenes.foam(6, 0.5, boundary=boundary)
-        np.testing.assert_allclose(a.force(0.0, u, 0 * u), b.force(0.0, u, 0 * u), rtol=1e-12, atol=1e-15)
+        a, b = (
+            scenes.alternating(6, (0.5, 0.5), boundary=boundary),
+            scenes.foam(6, 0.5, boundary=boundary),
+        )
+        np.testing.assert_allclose(
+            a.force(0.0, u, 0 * u), b.force(0.0, u, 0 * u), rtol=1e-12, atol=1e-15
+        )
 
 
 @pytest.mark.slow
 def test_exponents_can_be_swept_and_differentiated():
-    batch = jax.vmap(lambda p: scenes.alternating(6, jnp.stack([1.5, p])), out_axes=-1)(jnp.array([0.4, 0.5]))
+    batch = jax.vmap(lambda p: scenes.alternating(6, jnp.stack([1.5, p])), out_axes=-1)(
+        jnp.array([0.4, 0.5])
+    )
     assert batch.lanes == (2,)
     soft = jax.vmap(lambda p: scenes.foam(6, p), out_axes=-1)(jnp.array([0.4, 0.5]))
     u = jnp.asarray(0.1 * np.random.default_rng(4).normal(size=6))
@@ -69,18 +83,26 @@ def test_exponents_can_be_swept_and_differentiated():
         a = lanes.force(0.0, jnp.stack([u, u], -1), jnp.zeros((6, 2)))[:, 1]
         np.testing.assert_allclose(a, one.force(0.0, u, 0 * u), rtol=1e-12)
     # A = F0 = 1: c = sqrt(p)
-    np.testing.assert_allclose(jax.grad(lambda p: gx.linear.sound_speed(scenes.foam(6, p), cell=1))(0.25), 1, rtol=1e-9)
+    np.testing.assert_allclose(
+        jax.grad(lambda p: gx.linear.sound_speed(scenes.foam(6, p), cell=1))(0.25), 1, rtol=1e-9
+    )
 
 
-@pytest.mark.parametrize("make, said", [
-    (lambda: scenes.foam(6, 1.5), "exponent: expected numbers in \\(0, 1\\)"),
-    (lambda: scenes.origami(6, 1.0), "gx.scenes.monomer"),
-    (lambda: scenes.tensegrity(6, precompression=0.0), "infinitely stiff"),
-    (lambda: scenes.foam(6, stiffness=np.ones(3)), "one per contact"),
-    (lambda: scenes.alternating(6, (1.5, -3.0)), "two bonds"),
-    (lambda: scenes.alternating(6, stiffnesses=(1.0, 2.0, 3.0)), "as many stiffnesses as exponents"),
-    (lambda: scenes.alternating(7, boundary="periodic"), "multiple of 2"),
-])
+@pytest.mark.parametrize(
+    "make, said",
+    [
+        (lambda: scenes.foam(6, 1.5), "exponent: expected numbers in \\(0, 1\\)"),
+        (lambda: scenes.origami(6, 1.0), "gx.scenes.monomer"),
+        (lambda: scenes.tensegrity(6, precompression=0.0), "infinitely stiff"),
+        (lambda: scenes.foam(6, stiffness=np.ones(3)), "one per contact"),
+        (lambda: scenes.alternating(6, (1.5, -3.0)), "two bonds"),
+        (
+            lambda: scenes.alternating(6, stiffnesses=(1.0, 2.0, 3.0)),
+            "as many stiffnesses as exponents",
+        ),
+        (lambda: scenes.alternating(7, boundary="periodic"), "multiple of 2"),
+    ],
+)
 def test_refused(make, said):
     with pytest.raises(ValueError, match=said):
         make()
@@ -91,7 +113,10 @@ def test_a_contact_that_re_opens_is_said_to_be_infinitely_stiff():
     chain = scenes.foam(8, boundary="free")
     run = gx.simulate(chain, gx.states.impact(chain, velocity=-3.0), 4.0)
     assert run.opening != "no" and "infinitely stiff" in repr(run)
-    assert "infinitely stiff" in gx.simulate(chain, gx.states.impact(chain, velocity=-3.0), 4.0, step=0.2).outcome
+    assert (
+        "infinitely stiff"
+        in gx.simulate(chain, gx.states.impact(chain, velocity=-3.0), 4.0, step=0.2).outcome
+    )
 
 
 class Mirrored(gx.Law):
@@ -111,14 +136,21 @@ class Mirrored(gx.Law):
         return self.law.energy(-e)
 
 
-@pytest.mark.parametrize("p", [
-    pytest.param(0.5, marks=pytest.mark.slow), pytest.param(jnp.asarray(0.37), marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    "p",
+    [
+        pytest.param(0.5, marks=pytest.mark.slow),
+        pytest.param(jnp.asarray(0.37), marks=pytest.mark.study),
+    ],
+)
 def test_rarefaction_pulses_mirror_those_of_the_hardening_chain(p):
     law = scenes.origami(5, p, stiffness=1.3, precompression=0.8).terms[0].law
     speed = 1.1 * float(jnp.sqrt(law.derivative(0.0)))
     soft, hard = (gx.travelling.solitary_wave(x, speed=speed) for x in (law, Mirrored(law)))
     assert soft.amplitude < 0 < hard.amplitude and soft.error < 1e-12
-    np.testing.assert_allclose(soft.strains, -np.asarray(hard.strains), rtol=0, atol=2e-15 * float(hard.amplitude))
+    np.testing.assert_allclose(
+        soft.strains, -np.asarray(hard.strains), rtol=0, atol=2e-15 * float(hard.amplitude)
+    )
     np.testing.assert_allclose(soft.energy, hard.energy, rtol=1e-13)
     with pytest.raises(ValueError, match="above that of sound"):
         gx.travelling.solitary_wave(law, speed=0.9 * speed)
@@ -137,7 +169,9 @@ def test_a_rarefaction_shock_mirrors_the_shock_of_the_hardening_chain():
     np.testing.assert_array_equal(soft.final.v, -np.asarray(hard.final.v))
     assert shock.mean < 0 and float(shock.mean) == -float(mirror.mean)
     np.testing.assert_allclose(shock.leading_speed, mirror.leading_speed, rtol=1e-10)
-    assert shock.outcome.startswith("A shock of rarefaction") and mirror.outcome.startswith("A shock of compression")
+    assert shock.outcome.startswith("A shock of rarefaction") and mirror.outcome.startswith(
+        "A shock of compression"
+    )
     np.testing.assert_allclose(edges.mean, -others.mean, rtol=1e-13)
     np.testing.assert_allclose(shock.mean, edges.mean, rtol=2e-3)
     np.testing.assert_allclose(shock.leading_speed, edges.leading_speed, rtol=2e-2)
@@ -184,7 +218,9 @@ def test_a_compressive_impact_sends_a_rarefaction_pulse_ahead():
     # a solitary wave at its place between two contacts, but for the waves that still follow closely
     pulse = gx.travelling.solitary_wave(chain, amplitude=-0.91)
     places = np.linspace(-0.6, 0.6, 241)
-    misfit = min(np.abs(pulse.strain(np.arange(-1, 5) - x) - y[lead - 1 : lead + 5]).max() for x in places)
+    misfit = min(
+        np.abs(pulse.strain(np.arange(-1, 5) - x) - y[lead - 1 : lead + 5]).max() for x in places
+    )
     assert misfit < 0.03 and float(pulse.speed) > 1.1 * sound
 
 
@@ -193,4 +229,7 @@ def test_breathers_of_contacts_that_harden_and_soften_in_turn():
     chain = scenes.alternating(41, boundary="free")
     bright = gx.breathers.breather(chain, 1.72, "bright", steps=64)
     assert bright.converged and 1 < 1.72 < float(gx.linear.bands(chain).lower[1])
-    assert np.abs(np.diff(bright.state.u)).max() < 1 and float(jnp.abs(bright.error.state.u).max()) < 1e-9
+    assert (
+        np.abs(np.diff(bright.state.u)).max() < 1
+        and float(jnp.abs(bright.error.state.u).max()) < 1e-9
+    )

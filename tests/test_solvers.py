@@ -47,7 +47,9 @@ def chain(mass=1.0, precompression=1.0, extra=(), boundary="fixed"):
 def smooth(shift=0.0, size=0.3):
     """Waves well below d0 = 1, so that every contact stays closed."""
     n = np.arange(1, N + 1)
-    return gx.State(jnp.asarray(size * np.sin(1.3 * n + shift)), jnp.asarray(size * np.cos(2.1 * n - shift)))
+    return gx.State(
+        jnp.asarray(size * np.sin(1.3 * n + shift)), jnp.asarray(size * np.cos(2.1 * n - shift))
+    )
 
 
 def solve(solver, y, t1, step, args, field=gx.vector_field, t0=0.0, **options):
@@ -55,7 +57,9 @@ def solve(solver, y, t1, step, args, field=gx.vector_field, t0=0.0, **options):
     dtype = jax.tree.leaves(y)[0].real.dtype
     t0, t1, step = (None if t is None else jnp.asarray(t, dtype) for t in (t0, t1, step))
     options = {"adjoint": diffrax.ForwardMode(), "max_steps": 100_000, **options}
-    return diffrax.diffeqsolve(diffrax.ODETerm(field), solver, t0, t1, step, y, args=args, **options)
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(field), solver, t0, t1, step, y, args=args, **options
+    )
 
 
 def last(solution):
@@ -76,8 +80,13 @@ LANES = 6
 T = 24.0
 # numbers of steps: ladders between the limit of stability (omega_max < 2.5) and rounding
 LADDERS = {
-    VelocityVerlet: (480, 960, 1920), SRKN6b: (120, 180, 270), SRKN11b: (60, 84, 120), SRKN14a: (48, 72, 108),
-    KahanLi8: (84, 108, 144), SofroniouSpaletta10: (42, 54, 72, 90), RKN86: (48, 54, 60, 72, 84, 96),
+    VelocityVerlet: (480, 960, 1920),
+    SRKN6b: (120, 180, 270),
+    SRKN11b: (60, 84, 120),
+    SRKN14a: (48, 72, 108),
+    KahanLi8: (84, 108, 144),
+    SofroniouSpaletta10: (42, 54, 72, 90),
+    RKN86: (48, 54, 60, 72, 84, 96),
     RKN1210: (29, 31, 34, 37, 40, 44, 48, 52),
 }
 
@@ -93,7 +102,9 @@ def lanes():
 @pytest.fixture(scope="module")
 def truth(lanes):
     scene, y = lanes
-    saved = solve(RKN1210(), y, T, T / 960, scene, saveat=diffrax.SaveAt(ts=jnp.linspace(0.0, T, 97))).ys
+    saved = solve(
+        RKN1210(), y, T, T / 960, scene, saveat=diffrax.SaveAt(ts=jnp.linspace(0.0, T, 97))
+    ).ys
     u = np.pad(np.asarray(saved.u), ((0, 0), (1, 1), (0, 0)))
     assert (1.0 + u[:, :-1] - u[:, 1:]).min() > 0.05  # contacts stay closed
     return jax.tree.map(lambda x: x[-1], saved)
@@ -107,8 +118,14 @@ def test_observed_order(solver, lanes, truth):
     ends = [flat(last(solve(solver(), y, T, T / n, scene))) for n in counts]
     errors = [np.sqrt(np.mean((end - flat(truth)) ** 2)) for end in ends]
     nominal = {
-        VelocityVerlet: 2, SRKN6b: 4, SRKN11b: 6, SRKN14a: 6, KahanLi8: 8, SofroniouSpaletta10: 10,
-        RKN86: 8, RKN1210: 12,
+        VelocityVerlet: 2,
+        SRKN6b: 4,
+        SRKN11b: 6,
+        SRKN14a: 6,
+        KahanLi8: 8,
+        SofroniouSpaletta10: 10,
+        RKN86: 8,
+        RKN1210: 12,
     }[solver]
     assert min(errors) > 5e-14  # rounding is at 1e-15
     assert abs(slope(T / np.array(counts), errors) - nominal) < 0.3
@@ -181,7 +198,10 @@ def test_damping_keeps_the_order():
     lattice = chain(extra=(gx.Damping(0.2), gx.Drive(gx.Harmonic(0.1, 1.1), 2)))
     reference = flat(last(solve(diffrax.Dopri8(), smooth(), 8.0, 0.01, lattice)))
     counts = np.array([16, 24, 36])
-    errors = [np.abs(flat(last(solve(SRKN11b(), smooth(), 8.0, 8 / n, lattice))) - reference).max() for n in counts]
+    errors = [
+        np.abs(flat(last(solve(SRKN11b(), smooth(), 8.0, 8 / n, lattice))) - reference).max()
+        for n in counts
+    ]
     assert abs(slope(1 / counts, errors) - 6) < 0.3
 
 
@@ -219,14 +239,23 @@ def test_stability_limit_of_verlet():
 def test_table_of_a_splitting(solver):
     table = solver.table()
     assert abs(table.a.sum() - 1) < 4e-15 and abs(table.b.sum() - 1) < 4e-15
-    assert np.abs(table.a - table.a[::-1]).max() < 4e-15 and np.abs(table.b - table.b[::-1]).max() < 4e-15
+    assert (
+        np.abs(table.a - table.a[::-1]).max() < 4e-15
+        and np.abs(table.b - table.b[::-1]).max() < 4e-15
+    )
 
 
 def test_evaluations():
     found = {s.__name__: s.evaluations() for s in ALL_SOLVERS}
     assert found == {
-        "VelocityVerlet": 1, "SRKN6b": 6, "SRKN11b": 11, "SRKN14a": 14, "KahanLi8": 17, "SofroniouSpaletta10": 35,
-        "RKN86": 8, "RKN1210": 17,
+        "VelocityVerlet": 1,
+        "SRKN6b": 6,
+        "SRKN11b": 11,
+        "SRKN14a": 14,
+        "KahanLi8": 17,
+        "SofroniouSpaletta10": 35,
+        "RKN86": 8,
+        "RKN1210": 17,
     }
 
 
@@ -272,7 +301,9 @@ def test_pendulum_as_a_plain_pair(solver):
     from scipy.special import ellipk
 
     period = 4 * ellipk(np.sin(1.0) ** 2)
-    u, v = last(solve(solver(), (jnp.asarray(2.0), jnp.asarray(0.0)), period, period / 200, 1.0, pendulum))
+    u, v = last(
+        solve(solver(), (jnp.asarray(2.0), jnp.asarray(0.0)), period, period / 200, 1.0, pendulum)
+    )
     assert abs(u - 2.0) < 1e-9 and abs(v) < 1e-9
 
 
@@ -321,9 +352,23 @@ def test_damping_is_refused_by_pairs(solver):
 @pairs
 def test_plain_field_that_reads_the_velocity_is_refused(solver):
     with pytest.raises(ValueError, match="reads the velocity"):
-        solve(solver(), smooth(), 1.0, 0.1, None, lambda t, y, args: gx.State(y[1], -y[0] - 0.1 * y[1]))
+        solve(
+            solver(),
+            smooth(),
+            1.0,
+            0.1,
+            None,
+            lambda t, y, args: gx.State(y[1], -y[0] - 0.1 * y[1]),
+        )
     with pytest.raises(ValueError, match="reads the velocity"):
-        solve(solver(), smooth(), 1.0, 0.1, None, jax.jit(lambda t, y, args: gx.State(y[1], -y[0] - 0.1 * y[1])))
+        solve(
+            solver(),
+            smooth(),
+            1.0,
+            0.1,
+            None,
+            jax.jit(lambda t, y, args: gx.State(y[1], -y[0] - 0.1 * y[1])),
+        )
     solve(solver(), smooth(), 1.0, 0.1, None, jax.jit(lambda t, y, args: gx.State(y[1], -y[0])))
 
 
@@ -343,8 +388,13 @@ def test_quintic_is_exact_on_quintics(direction):
     # in diffrax's time, which runs forwards: t = direction * own time
     a, b = (t0, t1) if direction == 1 else (t1, t0)
     inner = QuinticHermite(
-        jnp.asarray(direction * a), jnp.asarray(direction * b), gx.State(at(p, a), at(dp, a)),
-        gx.State(at(p, b), at(dp, b)), at(ddp, a), at(ddp, b), direction,
+        jnp.asarray(direction * a),
+        jnp.asarray(direction * b),
+        gx.State(at(p, a), at(dp, a)),
+        gx.State(at(p, b), at(dp, b)),
+        at(ddp, a),
+        at(ddp, b),
+        direction,
     )
     for t in np.linspace(t0, t1, 7):
         u, v = inner.evaluate(direction * t)
@@ -385,7 +435,11 @@ def test_inner_places_satisfy_their_order(solver):
         k = np.zeros(len(stages.c))
         for i, c in enumerate(stages.c):
             k[i] = -(1 + c * h * 0.5 + h * h * stages.A[i] @ k)
-        errors.append(np.abs(1 + nodes * h * 0.5 + h * h * w @ k - np.cos(nodes * h) - 0.5 * np.sin(nodes * h)).max())
+        errors.append(
+            np.abs(
+                1 + nodes * h * 0.5 + h * h * w @ k - np.cos(nodes * h) - 0.5 * np.sin(nodes * h)
+            ).max()
+        )
     assert slope(steps, errors) > order - 0.3
 
 
@@ -394,7 +448,9 @@ SHORT = 8.0
 
 def dense_errors(solver, count, times, reference):
     """Errors in u and v by time, steps and places between them."""
-    found = solve(solver(), smooth(), SHORT, SHORT / count, chain(), saveat=diffrax.SaveAt(ts=times)).ys
+    found = solve(
+        solver(), smooth(), SHORT, SHORT / count, chain(), saveat=diffrax.SaveAt(ts=times)
+    ).ys
     return np.array([np.abs(a - b).max(1) for a, b in zip(found, reference)])
 
 
@@ -407,7 +463,9 @@ def between():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("solver, counts", ((RKN86, (16, 24, 36)), (RKN1210, (6, 8, 9, 12))), ids=("RKN86", "RKN1210"))
+@pytest.mark.parametrize(
+    "solver, counts", ((RKN86, (16, 24, 36)), (RKN1210, (6, 8, 9, 12))), ids=("RKN86", "RKN1210")
+)
 def test_dense_output_is_as_good_as_the_steps(solver, counts, between):
     times, reference = between
     within, at_steps = [], []
@@ -434,13 +492,28 @@ def test_dense_output_of_splittings_has_order_six(between):
 @each
 def test_dense_output_meets_the_ends_and_runs_backwards(solver):
     method = solver()
-    forth = solve(method, smooth(), 1.0, 0.25, chain(), saveat=diffrax.SaveAt(t1=True, dense=True), max_steps=8)
+    forth = solve(
+        method,
+        smooth(),
+        1.0,
+        0.25,
+        chain(),
+        saveat=diffrax.SaveAt(t1=True, dense=True),
+        max_steps=8,
+    )
     middle = forth.interpolation.evaluate(0.6)
     for t in (0.5, 0.75):
         end = last(solve(method, smooth(), t, 0.25, chain()))
         assert np.abs(flat(forth.interpolation.evaluate(t)) - flat(end)).max() < 5e-15
     back = solve(
-        method, last(forth), 0.0, -0.25, chain(), t0=1.0, saveat=diffrax.SaveAt(t1=True, dense=True), max_steps=8
+        method,
+        last(forth),
+        0.0,
+        -0.25,
+        chain(),
+        t0=1.0,
+        saveat=diffrax.SaveAt(t1=True, dense=True),
+        max_steps=8,
     )
     close = 1e-13 if solver in SPLITTING else 1e-5
     assert np.abs(flat(back.interpolation.evaluate(0.6)) - flat(middle)).max() < close
@@ -452,7 +525,9 @@ def test_nobody_pays_for_dense_output_that_is_not_read(solver):
     def roots(**options):
         run = jax.jit(lambda y: solve(solver(), y, 2.0, 0.25, chain(), **options).ys)
         program = run.lower(smooth()).compile().as_text()
-        return program.count(" shift-right-logical(") + program.count(" sqrt(")  # the processor chooses the root
+        return program.count(" shift-right-logical(") + program.count(
+            " sqrt("
+        )  # the processor chooses the root
 
     assert 0 < roots() < roots(saveat=diffrax.SaveAt(ts=jnp.linspace(0.0, 2.0, 7)))
 
@@ -466,7 +541,12 @@ def test_tolerance_is_kept(solver, between):
     times, reference = between
     for tolerance in jnp.asarray([1e-6, 1e-10]):
         found = solve(
-            solver(), smooth(), SHORT, None, chain(), saveat=diffrax.SaveAt(ts=times),
+            solver(),
+            smooth(),
+            SHORT,
+            None,
+            chain(),
+            saveat=diffrax.SaveAt(ts=times),
             stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         )
         assert max(np.abs(a - b).max() for a, b in zip(found.ys, reference)) < 30 * tolerance
@@ -487,7 +567,14 @@ def test_a_jump_in_time_drops_the_kept_force(solver):
     y = gx.State(jnp.asarray([1.0]), jnp.asarray([0.0]))
     times = jnp.linspace(1.1, 2.5, 8)
     found = solve(
-        solver(), y, 2.5, None, None, switched, stepsize_controller=controller, saveat=diffrax.SaveAt(ts=times)
+        solver(),
+        y,
+        2.5,
+        None,
+        None,
+        switched,
+        stepsize_controller=controller,
+        saveat=diffrax.SaveAt(ts=times),
     )
     w, s = np.sqrt(3.0), np.asarray(times) - 1
     exact = np.cos(1.0) * np.cos(w * s) - np.sin(1.0) * np.sin(w * s) / w
@@ -502,9 +589,16 @@ def test_contact_loss_by_small_steps(solver):
     # uncompressed chain hit at its end: energy is kept to the tolerance although contacts open
     lattice = chain(precompression=0.0, boundary="free")
     y = gx.State(jnp.zeros(N), jnp.zeros(N).at[0].set(1.0))
-    end = last(solve(
-        solver(), y, 20.0, None, lattice, stepsize_controller=diffrax.PIDController(rtol=1e-10, atol=1e-10)
-    ))
+    end = last(
+        solve(
+            solver(),
+            y,
+            20.0,
+            None,
+            lattice,
+            stepsize_controller=diffrax.PIDController(rtol=1e-10, atol=1e-10),
+        )
+    )
     assert abs(lattice.energy(20.0, *end) - 0.5) < 1e-8
 
 
@@ -532,7 +626,9 @@ def test_lanes_and_vmap(solver, lanes):
 def test_float32_stays_float32(solver):
     y = jax.tree.map(lambda x: x.astype(jnp.float32), smooth())
     times = jnp.asarray([0.6, 2.0], jnp.float32)
-    found = solve(solver(), y, 2.0, 0.25, chain().astype(jnp.float32), saveat=diffrax.SaveAt(ts=times)).ys
+    found = solve(
+        solver(), y, 2.0, 0.25, chain().astype(jnp.float32), saveat=diffrax.SaveAt(ts=times)
+    ).ys
     exact = last(solve(solver(), smooth(), 2.0, 0.25, chain()))
     assert found.u.dtype == found.v.dtype == jnp.float32
     assert np.abs(flat(jax.tree.map(lambda x: x[-1], found)) - flat(exact)).max() < 2e-6
@@ -540,10 +636,19 @@ def test_float32_stays_float32(solver):
 
 def observed(solver, stiffness, u, adjoint, **options):
     """A number from two times inside a solve."""
-    lattice = gx.Lattice(jnp.ones(N), (gx.Bond(gx.Shift(1), gx.Hertz(stiffness, precompression=1.0)),))
+    lattice = gx.Lattice(
+        jnp.ones(N), (gx.Bond(gx.Shift(1), gx.Hertz(stiffness, precompression=1.0)),)
+    )
     found = solve(
-        solver, gx.State(u, smooth().v), 1.0, 0.25, lattice, adjoint=adjoint, max_steps=64 if options else 4,
-        saveat=diffrax.SaveAt(ts=jnp.asarray([0.33, 1.0])), **options,
+        solver,
+        gx.State(u, smooth().v),
+        1.0,
+        0.25,
+        lattice,
+        adjoint=adjoint,
+        max_steps=64 if options else 4,
+        saveat=diffrax.SaveAt(ts=jnp.asarray([0.33, 1.0])),
+        **options,
     )
     return jnp.sum(found.ys.u * jnp.arange(1.0, N + 1)) + jnp.sum(found.ys.v**2)
 
@@ -568,10 +673,16 @@ def test_forward_and_reverse_derivatives_agree(solver):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver, options", (
-    (SRKN11b, {}), (RKN86, {"stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-9)}),
-    (RKN86, {}), (RKN1210, {}),
-), ids=("SRKN11b", "RKN86 adaptive", "RKN86", "RKN1210"))
+@pytest.mark.parametrize(
+    "solver, options",
+    (
+        (SRKN11b, {}),
+        (RKN86, {"stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-9)}),
+        (RKN86, {}),
+        (RKN1210, {}),
+    ),
+    ids=("SRKN11b", "RKN86 adaptive", "RKN86", "RKN1210"),
+)
 def test_derivative_is_that_of_finite_differences(solver, options):
     def along(s):
         k, u = (x + s * d for x, d in zip(PLACE, DIRECTION))

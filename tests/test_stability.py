@@ -9,10 +9,25 @@ from cases import ALL_SOLVERS, SPLITTING, few
 
 import granjax as gx
 from granjax.solvers import stability
-from granjax.solvers.stability import GROWTH, RUNAWAY, growth, one_step, refused_from, stability_limit, windows
+from granjax.solvers.stability import (
+    GROWTH,
+    RUNAWAY,
+    growth,
+    one_step,
+    refused_from,
+    stability_limit,
+    windows,
+)
 from granjax.solvers.tables import Splitting
 
-RUNGE_KUTTA = (diffrax.Euler, diffrax.Heun, diffrax.Bosh3, diffrax.Tsit5, diffrax.Dopri5, diffrax.Dopri8)
+RUNGE_KUTTA = (
+    diffrax.Euler,
+    diffrax.Heun,
+    diffrax.Bosh3,
+    diffrax.Tsit5,
+    diffrax.Dopri5,
+    diffrax.Dopri8,
+)
 TWO_STATES = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)
 EVERY = ALL_SOLVERS + RUNGE_KUTTA + TWO_STATES
 # one of each kind stands for all in the fast set
@@ -41,7 +56,9 @@ def taken(solver):
         for u, v in ((1.0, 0.0), (0.0, 1.0)):
             y = gx.State(jnp.full_like(z, u), v * z)
             kept = method.init(term, 0.0, 1.0, y, z)
-            end = method.step(term, jnp.asarray(0.0), jnp.asarray(1.0), y, z, kept, made_jump=False)[0]
+            end = method.step(
+                term, jnp.asarray(0.0), jnp.asarray(1.0), y, z, kept, made_jump=False
+            )[0]
             columns.append(jnp.stack([end.u, end.v / z], -1))
         return jnp.stack(columns, -1)
 
@@ -58,7 +75,12 @@ def outside(solver):
 @over(ALL_SOLVERS + RUNGE_KUTTA)
 def test_limit_is_that_of_the_steps_that_are_taken(solver):
     matrix, until, count = taken(solver), 10.0, 20_001
-    assert np.abs(matrix(np.linspace(0.01, 3, count)) - one_step(solver, np.linspace(0.01, 3, count))).max() < 3e-12
+    assert (
+        np.abs(
+            matrix(np.linspace(0.01, 3, count)) - one_step(solver, np.linspace(0.01, 3, count))
+        ).max()
+        < 3e-12
+    )
     low, high = 1e-9, until
     # a grid finer than the narrowest window, then the cell where the spectral radius first passes exp(GROWTH z)
     for _ in range(3):
@@ -71,7 +93,9 @@ def test_limit_is_that_of_the_steps_that_are_taken(solver):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("solver", few(EVERY, *range(1, len(EVERY), 3), -1), ids=lambda s: s.__name__)
+@pytest.mark.parametrize(
+    "solver", few(EVERY, *range(1, len(EVERY), 3), -1), ids=lambda s: s.__name__
+)
 def test_runs_grow_outside_alone_and_as_computed(solver):
     limit = stability_limit(solver)
     z = np.array([0.5 * limit, 0.99 * limit, outside(solver)])
@@ -80,8 +104,16 @@ def test_runs_grow_outside_alone_and_as_computed(solver):
     y = gx.State(jnp.ones(3), 0.3 * jnp.asarray(z))
     times = jnp.unique(jnp.linspace(1, steps, 1200).astype(int).astype(float))
     found = diffrax.diffeqsolve(
-        diffrax.ODETerm(oscillator), solver(), 0.0, float(steps), 1.0, y, args=jnp.asarray(z), max_steps=None,
-        adjoint=diffrax.ForwardMode(), saveat=diffrax.SaveAt(ts=times),
+        diffrax.ODETerm(oscillator),
+        solver(),
+        0.0,
+        float(steps),
+        1.0,
+        y,
+        args=jnp.asarray(z),
+        max_steps=None,
+        adjoint=diffrax.ForwardMode(),
+        saveat=diffrax.SaveAt(ts=times),
     ).ys
     size = np.hypot(found.u, found.v / z)
     third, t = len(times) // 3, np.asarray(times)
@@ -101,7 +133,9 @@ def test_simulate_refuses_just_outside(solver):
     state = gx.State(jnp.array([0.01, 0.0, -0.01, 0.02]), jnp.zeros(4))
     omega = float(gx.linear.normal_modes(chain).omega[-1])
     limit = refused_from(solver)
-    with pytest.raises(ValueError, match=f"where {solver.__name__} is stable.*limit h omega < {limit:.4g}"):
+    with pytest.raises(
+        ValueError, match=f"where {solver.__name__} is stable.*limit h omega < {limit:.4g}"
+    ):
         gx.simulate(chain, state, 1.0, solver=solver(), step=1.001 * limit / omega)
 
 
@@ -114,11 +148,20 @@ def test_simulate_takes_just_inside(solver):
     assert gx.simulate(chain, state, 8 * step, solver=solver(), step=step).completed
 
 
-@pytest.mark.parametrize("solver, value", (
-    (gx.VelocityVerlet, 2.0), (diffrax.Bosh3, 3**0.5), (diffrax.LeapfrogMidpoint, 1.0), (diffrax.ReversibleHeun, 1.0),
-    (diffrax.Heun, (8 * GROWTH) ** (1 / 3)), (diffrax.Euler, 2 * GROWTH), (diffrax.ImplicitEuler, np.inf),
-    (diffrax.Kvaerno3, np.inf),
-), ids=lambda x: getattr(x, "__name__", None))
+@pytest.mark.parametrize(
+    "solver, value",
+    (
+        (gx.VelocityVerlet, 2.0),
+        (diffrax.Bosh3, 3**0.5),
+        (diffrax.LeapfrogMidpoint, 1.0),
+        (diffrax.ReversibleHeun, 1.0),
+        (diffrax.Heun, (8 * GROWTH) ** (1 / 3)),
+        (diffrax.Euler, 2 * GROWTH),
+        (diffrax.ImplicitEuler, np.inf),
+        (diffrax.Kvaerno3, np.inf),
+    ),
+    ids=lambda x: getattr(x, "__name__", None),
+)
 def test_closed_forms(solver, value):
     # Verlet |1 - z^2/2| < 1; order 3 in three stages z < sqrt 3; Heun log(1 + z^4/4)/(2 z); Euler log(1 + z^2)/(2 z)
     assert stability_limit(solver) == stability_limit(solver()) == pytest.approx(value, rel=1e-4)
@@ -144,8 +187,13 @@ def test_first_windows_of_symplectic_methods():
         beside = np.array([window.start - 0.1 * width, window.end + 0.1 * width])
         assert np.abs(growth(solver, beside)).max() < 1e-10
     widths = {name: window.end - window.start for name, window in found.items()}
-    known = {"SRKN6b": 5.07e-3, "SRKN11b": 8.87e-4, "SRKN14a": 1.19e-3, "KahanLi8": 4.37e-2,
-             "SofroniouSpaletta10": 7.58e-4}
+    known = {
+        "SRKN6b": 5.07e-3,
+        "SRKN11b": 8.87e-4,
+        "SRKN14a": 1.19e-3,
+        "KahanLi8": 4.37e-2,
+        "SofroniouSpaletta10": 7.58e-4,
+    }
     assert widths == pytest.approx(known, rel=5e-3)
 
 
@@ -172,11 +220,19 @@ def test_a_window_is_found_however_narrow():
     assert stability_limit(two_verlets(1e-6)) == pytest.approx(4.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("solver, kind, interval", (
-    (gx.SRKN11b, "keeps", 3.14143), (gx.RKN86, "damps", 3.14025), (gx.RKN1210, "damps", 3.14159),
-    (diffrax.Tsit5, "damps", 0.47798), (diffrax.Dopri5, "damps", 0.99719), (diffrax.Dopri8, "amplifies", 0.0),
-    (diffrax.Heun, "amplifies", 0.0),
-), ids=lambda x: getattr(x, "__name__", None))
+@pytest.mark.parametrize(
+    "solver, kind, interval",
+    (
+        (gx.SRKN11b, "keeps", 3.14143),
+        (gx.RKN86, "damps", 3.14025),
+        (gx.RKN1210, "damps", 3.14159),
+        (diffrax.Tsit5, "damps", 0.47798),
+        (diffrax.Dopri5, "damps", 0.99719),
+        (diffrax.Dopri8, "amplifies", 0.0),
+        (diffrax.Heun, "amplifies", 0.0),
+    ),
+    ids=lambda x: getattr(x, "__name__", None),
+)
 def test_strict_interval(solver, kind, interval):
     line = stability.stability(solver)
     assert line.near_zero == kind and line.interval == pytest.approx(interval, abs=1e-5)
@@ -186,11 +242,21 @@ def test_strict_interval(solver, kind, interval):
 
 def test_evaluations_are_those_of_the_solvers():
     for solver in ALL_SOLVERS:
-        assert stability.evaluations(solver) == stability.evaluations(solver()) == solver.evaluations()
+        assert (
+            stability.evaluations(solver) == stability.evaluations(solver()) == solver.evaluations()
+        )
         assert solver.stability_limit() == stability_limit(solver)
     found = {s.__name__: stability.evaluations(s) for s in RUNGE_KUTTA + TWO_STATES}
-    assert found == {"Euler": 1, "Heun": 2, "Bosh3": 3, "Tsit5": 6, "Dopri5": 6, "Dopri8": 13, "LeapfrogMidpoint": 1,
-                     "ReversibleHeun": 1}
+    assert found == {
+        "Euler": 1,
+        "Heun": 2,
+        "Bosh3": 3,
+        "Tsit5": 6,
+        "Dopri5": 6,
+        "Dopri8": 13,
+        "LeapfrogMidpoint": 1,
+        "ReversibleHeun": 1,
+    }
     assert np.isnan(stability.evaluations(diffrax.Kvaerno5))
 
 
@@ -198,5 +264,7 @@ def test_evaluations_are_those_of_the_solvers():
 def test_what_is_not_known_has_no_limit():
     unknown = diffrax.HalfSolver(diffrax.Tsit5())
     assert stability_limit(unknown) is None
-    with pytest.raises(ValueError, match="expected granjax's, or one of diffrax's with a tableau, got HalfSolver"):
+    with pytest.raises(
+        ValueError, match="expected granjax's, or one of diffrax's with a tableau, got HalfSolver"
+    ):
         one_step(unknown, 1.0)

@@ -22,16 +22,23 @@ def plane():
 
 def cells(names=("bead", "resonator")):
     first, second = names
-    terms = (gx.Bond(gx.Shift(1, "fixed", first), gx.Linear()), gx.Bond(gx.Shift(0, "free", names), gx.Linear(0.5)))
+    terms = (
+        gx.Bond(gx.Shift(1, "fixed", first), gx.Linear()),
+        gx.Bond(gx.Shift(0, "free", names), gx.Linear(0.5)),
+    )
     return gx.Lattice({first: jnp.ones(5), second: jnp.full(5, 0.3)}, terms)
 
 
 def batch():
-    return jax.vmap(lambda r: chain(6, gx.Hertz(r, precompression=1.0)), out_axes=-1)(jnp.array([1.0, 2.0, 3.0]))
+    return jax.vmap(lambda r: chain(6, gx.Hertz(r, precompression=1.0)), out_axes=-1)(
+        jnp.array([1.0, 2.0, 3.0])
+    )
 
 
 def dimer(sites=60):
-    return gx.Lattice(jnp.where(jnp.arange(sites) % 2 == 0, 1.0, 0.5), (gx.Bond(gx.Shift(1), gx.Linear()),))
+    return gx.Lattice(
+        jnp.where(jnp.arange(sites) % 2 == 0, 1.0, 0.5), (gx.Bond(gx.Shift(1), gx.Linear()),)
+    )
 
 
 @pytest.mark.parametrize("make", [chain, cells, batch, lambda: chain().astype(jnp.float32)])
@@ -39,11 +46,20 @@ def test_shapes_and_types(make):
     lattice = make()
 
     def all_states():
-        made = [states.rest(lattice), states.impact(lattice), states.random(lattice), states.thermal(lattice, 1.0),
-                states.normal_mode(lattice, 1)]
+        made = [
+            states.rest(lattice),
+            states.impact(lattice),
+            states.random(lattice),
+            states.thermal(lattice, 1.0),
+            states.normal_mode(lattice, 1),
+        ]
         if lattice.fields is None:
-            made += [states.sine_mode(lattice), states.velocity_step(lattice, 0.1), states.strain_step(lattice, 0.1),
-                     states.wave_packet(lattice, 1.0, width=1.0)]
+            made += [
+                states.sine_mode(lattice),
+                states.velocity_step(lattice, 0.1),
+                states.strain_step(lattice, 0.1),
+                states.wave_packet(lattice, 1.0, width=1.0),
+            ]
         return made
 
     for state in jax.eval_shape(all_states):
@@ -117,7 +133,10 @@ def test_modes_of_the_uniform_chain_are_sines():
 def test_a_normal_mode_turns_with_its_frequency(make, index):
     """u = a cos(phase) phi, v = -omega a sin(phase) phi solves the linear equation: a(phi) = -omega^2 phi."""
     lattice = make()
-    stretched, moving = states.normal_mode(lattice, index, 1e-3), states.normal_mode(lattice, index, 1e-3, np.pi / 2)
+    stretched, moving = (
+        states.normal_mode(lattice, index, 1e-3),
+        states.normal_mode(lattice, index, 1e-3, np.pi / 2),
+    )
     zeros = lattice.zeros()
     _, force = jax.jvp(lambda u: lattice.force(0.0, u, zeros), (zeros,), (stretched.u,))
     mass = jax.tree.map(jnp.add, lattice.mass, zeros)
@@ -142,14 +161,20 @@ def test_strain_step():
     u = states.strain_step(lattice, 0.3, centre=2).u
     np.testing.assert_array_equal(u[2:], 0)
     np.testing.assert_allclose(u[:2], [0.6, 0.3])
-    np.testing.assert_allclose(states.strain_step(batch(), jnp.array([0.1, 0.2, 0.3])).u[0], [0.2, 0.4, 0.6])
+    np.testing.assert_allclose(
+        states.strain_step(batch(), jnp.array([0.1, 0.2, 0.3])).u[0], [0.2, 0.4, 0.6]
+    )
 
 
 def test_velocity_step():
     np.testing.assert_allclose(states.velocity_step(chain(4), 0.1).v, [0.2, 0.2, -0.2, -0.2])
     np.testing.assert_allclose(states.velocity_step(chain(5), 0.1).v, [0.2, 0.2, 0, -0.2, -0.2])
-    np.testing.assert_allclose(states.velocity_step(chain(4), 0.1, centre=0.5).v, [0.2, -0.2, -0.2, -0.2])
-    np.testing.assert_allclose(states.velocity_step(batch(), jnp.array([1.0, 2.0, 3.0])).v[0], [2, 4, 6])
+    np.testing.assert_allclose(
+        states.velocity_step(chain(4), 0.1, centre=0.5).v, [0.2, -0.2, -0.2, -0.2]
+    )
+    np.testing.assert_allclose(
+        states.velocity_step(batch(), jnp.array([1.0, 2.0, 3.0])).v[0], [2, 4, 6]
+    )
 
 
 def free_flow(state, t):
@@ -199,13 +224,20 @@ def test_wave_packet_with_a_frequency_of_ones_own():
 
 @pytest.mark.slow
 def test_wave_packet_counts_site_springs_and_far_neighbours():
-    terms = (gx.Bond(gx.Shift(1), gx.Linear(1.0)), gx.Bond(gx.Shift(2), gx.Linear(0.3)), gx.OnSite(gx.Sine(0.5)))
+    terms = (
+        gx.Bond(gx.Shift(1), gx.Linear(1.0)),
+        gx.Bond(gx.Shift(2), gx.Linear(0.3)),
+        gx.OnSite(gx.Sine(0.5)),
+    )
     lattice = gx.Lattice(2 * jnp.ones(300), terms)
 
     def omega(q):
         return jnp.sqrt((4 * jnp.sin(q / 2) ** 2 + 1.2 * jnp.sin(q) ** 2 + 0.5) / 2)
 
-    own, told = states.wave_packet(lattice, 1.0, 150), states.wave_packet(lattice, 1.0, 150, omega=omega)
+    own, told = (
+        states.wave_packet(lattice, 1.0, 150),
+        states.wave_packet(lattice, 1.0, 150, omega=omega),
+    )
     np.testing.assert_allclose(own.v, told.v, atol=1e-15)
 
 
@@ -224,7 +256,9 @@ def test_toda_soliton_of_a_toda_chain_is_exact():
     np.testing.assert_allclose(final.u, later.displacement, atol=1e-10)
     np.testing.assert_allclose(final.v, later.velocity, atol=1e-10)
     back = states.toda_soliton(lattice, 0.8, direction="left")
-    np.testing.assert_allclose(back.v, -states.toda_soliton(lattice, 0.8, centre=119 - 91.0).v[::-1], atol=1e-14)
+    np.testing.assert_allclose(
+        back.v, -states.toda_soliton(lattice, 0.8, centre=119 - 91.0).v[::-1], atol=1e-14
+    )
 
 
 @pytest.mark.slow
@@ -235,13 +269,24 @@ def test_kdv_soliton_of_any_law_in_any_units(numbers):
     state = states.kdv_soliton(lattice, speed=1.05 * sound, centre=60.25)
     y = measures.strain(lattice, state)
     taylor = gx.laws.taylor(lattice.terms[0].law)
-    wave = lambda t: gx.theory.kdv.soliton(np.arange(119), t, taylor.K2, taylor.K3, speed=1.05 * sound, centre=60.25,
-                                           mass=numbers.get("mass", 1.0)).strain
+    wave = lambda t: (
+        gx.theory.kdv.soliton(
+            np.arange(119),
+            t,
+            taylor.K2,
+            taylor.K3,
+            speed=1.05 * sound,
+            centre=60.25,
+            mass=numbers.get("mass", 1.0),
+        ).strain
+    )
     want, rate = jax.jvp(wave, (0.0,), (1.0,))
     np.testing.assert_allclose(y, want, atol=1e-13 * y.max())
     # v_n - v_{n+1} = dy_n/dt: the strain travels
     np.testing.assert_allclose(-np.diff(state.v), rate, atol=1e-13 * np.abs(rate).max())
-    assert states.toda_soliton(lattice, amplitude=y.max()).v.max() == pytest.approx(float(state.v.max()), rel=0.1)
+    assert states.toda_soliton(lattice, amplitude=y.max()).v.max() == pytest.approx(
+        float(state.v.max()), rel=0.1
+    )
 
 
 @pytest.mark.parametrize("boundary, bonds", [("fixed", 121), ("periodic", 120)])
@@ -256,12 +301,19 @@ def test_a_soliton_where_the_length_is_fixed_stretches_all_bonds_alike(boundary,
 
 @pytest.mark.slow
 def test_solitons_of_a_batch():
-    chains = jax.vmap(lambda k: gx.scenes.monomer(60, stiffness=k, precompression=1.0, boundary="free"), out_axes=-1)(
-        jnp.array([1.0, 2.0]))
-    for make in (lambda x, k: states.toda_soliton(x, k), lambda x, a: states.kdv_soliton(x, amplitude=a)):
+    chains = jax.vmap(
+        lambda k: gx.scenes.monomer(60, stiffness=k, precompression=1.0, boundary="free"),
+        out_axes=-1,
+    )(jnp.array([1.0, 2.0]))
+    for make in (
+        lambda x, k: states.toda_soliton(x, k),
+        lambda x, a: states.kdv_soliton(x, amplitude=a),
+    ):
         both = make(chains, jnp.array([0.5, 0.9]))
         for lane, (stiffness, k) in enumerate(((1.0, 0.5), (2.0, 0.9))):
-            one = make(gx.scenes.monomer(60, stiffness=stiffness, precompression=1.0, boundary="free"), k)
+            one = make(
+                gx.scenes.monomer(60, stiffness=stiffness, precompression=1.0, boundary="free"), k
+            )
             np.testing.assert_allclose(both.v[:, lane], one.v, atol=1e-14)
 
 
@@ -269,7 +321,10 @@ def test_solitons_of_a_batch():
 def test_states_work_inside_jit_and_derivatives():
     def energy(a):
         lattice = chain(8, gx.Hertz(1.0, precompression=1.0))
-        made = states.normal_mode(lattice, 2, a), states.wave_packet(lattice, 1.0, width=1.0, amplitude=a)
+        made = (
+            states.normal_mode(lattice, 2, a),
+            states.wave_packet(lattice, 1.0, width=1.0, amplitude=a),
+        )
         made += states.impact(lattice, a), states.velocity_step(lattice, a)
         return sum(lattice.energy(0.0, *y) for y in made)
 
@@ -279,26 +334,67 @@ def test_states_work_inside_jit_and_derivatives():
 
 
 BAD = {
-    "site": (lambda: states.impact(chain(5), 1.0, 5), r"site: expected an index for each axis, within -5 ... 4, got 5"),
-    "site on a grid": (lambda: states.impact(plane(), [1.0, 0.0], 1), "site: expected an index for each axis"),
+    "site": (
+        lambda: states.impact(chain(5), 1.0, 5),
+        r"site: expected an index for each axis, within -5 ... 4, got 5",
+    ),
+    "site on a grid": (
+        lambda: states.impact(plane(), [1.0, 0.0], 1),
+        "site: expected an index for each axis",
+    ),
     "velocity": (lambda: states.impact(chain(5), np.nan), "velocity: expected finite"),
-    "a vector on a chain": (lambda: states.impact(chain(5), [1.0, 2.0]), "velocity: expected a number"),
-    "a number in the plane": (lambda: states.impact(plane(), 1.0, (0, 0)), "velocity: expected a vector"),
+    "a vector on a chain": (
+        lambda: states.impact(chain(5), [1.0, 2.0]),
+        "velocity: expected a number",
+    ),
+    "a number in the plane": (
+        lambda: states.impact(plane(), 1.0, (0, 0)),
+        "velocity: expected a vector",
+    ),
     "field": (lambda: states.impact(cells(), field="resonatr"), "Did you mean 'resonator'"),
     "no field named": (lambda: states.impact(cells(("a", "b"))), "field: expected one of 'a', 'b'"),
-    "temperature": (lambda: states.thermal(chain(5), -1.0), "temperature: expected numbers not below zero"),
-    "index": (lambda: states.normal_mode(chain(5), 5), "index: expected a whole number within -5 ... 4"),
+    "temperature": (
+        lambda: states.thermal(chain(5), -1.0),
+        "temperature: expected numbers not below zero",
+    ),
+    "index": (
+        lambda: states.normal_mode(chain(5), 5),
+        "index: expected a whole number within -5 ... 4",
+    ),
     "sonic vacuum": (lambda: states.normal_mode(chain(5, gx.Hertz())), "sonic vacuum"),
-    "k of a sine": (lambda: states.sine_mode(chain(5), 6), "k: expected a whole number from 1 to 5"),
-    "centre of a step": (lambda: states.strain_step(chain(5), 0.1, centre=9), "centre: expected a place"),
+    "k of a sine": (
+        lambda: states.sine_mode(chain(5), 6),
+        "k: expected a whole number from 1 to 5",
+    ),
+    "centre of a step": (
+        lambda: states.strain_step(chain(5), 0.1, centre=9),
+        "centre: expected a place",
+    ),
     "k": (lambda: states.wave_packet(chain(50), 4.0), "k: expected numbers in"),
-    "soliton in a sonic vacuum": (lambda: states.toda_soliton(chain(50, gx.Hertz()), 1.0), "expected a linear stiff"),
-    "soliton in a dimer": (lambda: states.toda_soliton(dimer(), 1.0), "lattice: expected a uniform chain"),
-    "soliton of a beta chain": (lambda: states.kdv_soliton(chain(50, gx.Polynomial(1.0, 0.0, 1.0)), amplitude=0.1),
-                                "K3 other than zero"),
-    "soliton that does not fit": (lambda: states.kdv_soliton(pressed(), amplitude=1e-3), "longer than the wave"),
-    "soliton by two numbers": (lambda: states.toda_soliton(pressed(), 1.0, speed=2.0), "k, speed, amplitude: expected"),
-    "packet in a dimer": (lambda: states.wave_packet(dimer(), 1.0), "omega: expected the wave's frequency"),
+    "soliton in a sonic vacuum": (
+        lambda: states.toda_soliton(chain(50, gx.Hertz()), 1.0),
+        "expected a linear stiff",
+    ),
+    "soliton in a dimer": (
+        lambda: states.toda_soliton(dimer(), 1.0),
+        "lattice: expected a uniform chain",
+    ),
+    "soliton of a beta chain": (
+        lambda: states.kdv_soliton(chain(50, gx.Polynomial(1.0, 0.0, 1.0)), amplitude=0.1),
+        "K3 other than zero",
+    ),
+    "soliton that does not fit": (
+        lambda: states.kdv_soliton(pressed(), amplitude=1e-3),
+        "longer than the wave",
+    ),
+    "soliton by two numbers": (
+        lambda: states.toda_soliton(pressed(), 1.0, speed=2.0),
+        "k, speed, amplitude: expected",
+    ),
+    "packet in a dimer": (
+        lambda: states.wave_packet(dimer(), 1.0),
+        "omega: expected the wave's frequency",
+    ),
 }
 
 

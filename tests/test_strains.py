@@ -5,13 +5,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALL_STRAIN_MAPS, BOUNDARIES, EPS, LINEAR_MAPS, STRETCHES, assert_ulps, over, random_like
+from cases import (
+    ALL_STRAIN_MAPS,
+    BOUNDARIES,
+    EPS,
+    LINEAR_MAPS,
+    STRETCHES,
+    assert_ulps,
+    over,
+    random_like,
+)
 
 import granjax as gx
 from granjax.strains import StrainMap
 
 LAW = gx.Hertz(1.3, 0.6) + gx.Linear(0.4)
-
 
 
 class Forms(NamedTuple):
@@ -58,21 +66,32 @@ def _forms(strain_map, u, f):
     w = u if joined is strain_map else jnp.take(u, 0, axis=joined.axes)
     own, x = (strain_map, u) if linear else (joined, w)
     jacobian = jax.tree.map(jnp.abs, jax.jacobian(own.strain)(x))
-    rows = [jnp.tensordot(j, y, y.ndim) for j, y in zip(jax.tree.leaves(jacobian), jax.tree.leaves(x))]
+    rows = [
+        jnp.tensordot(j, y, y.ndim) for j, y in zip(jax.tree.leaves(jacobian), jax.tree.leaves(x))
+    ]
     columns = jax.tree.map(lambda j: jnp.tensordot(f, j, f.ndim), jacobian)
-    shares = columns if own is joined else jax.tree.map(
-        lambda j: jnp.tensordot(f, jnp.abs(j), f.ndim), jax.jacobian(joined.strain)(w))
+    shares = (
+        columns
+        if own is joined
+        else jax.tree.map(
+            lambda j: jnp.tensordot(f, jnp.abs(j), f.ndim), jax.jacobian(joined.strain)(w)
+        )
+    )
     return Forms(
         strain=strain_map.strain(u),
         gather=strain_map.gather(f) if linear else None,
         transposed=jax.linear_transpose(strain_map.strain, u)(f)[0] if linear else None,
         reach=strain_map.reach(u) if linear else None,
         reach_back=strain_map.reach_back(f) if linear else None,
-        absolute=sum(rows), absolute_back=columns,
-        split=strain_map.split(f, u), halves=jax.tree.map(lambda x: x / 2, shares),
-        load=strain_map.load(u, LAW), base_load=StrainMap.load(strain_map, u, LAW),
+        absolute=sum(rows),
+        absolute_back=columns,
+        split=strain_map.split(f, u),
+        halves=jax.tree.map(lambda x: x / 2, shares),
+        load=strain_map.load(u, LAW),
+        base_load=StrainMap.load(strain_map, u, LAW),
         gradient=jax.grad(lambda u: strain_map.energy(u, LAW).sum())(u),
-        energy=strain_map.energy(u, LAW), base_energy=StrainMap.energy(strain_map, u, LAW),
+        energy=strain_map.energy(u, LAW),
+        base_energy=StrainMap.energy(strain_map, u, LAW),
     )
 
 
@@ -169,7 +188,9 @@ def test_shift_of_a_chain_by_hand():
 
 def test_unequal_ends_share_a_bond_as_their_weights():
     pairs = gx.Pairs([0, 1], [1, 2], weights=([1.0, 3.0], 1.0))
-    np.testing.assert_allclose(pairs.split(jnp.array([2.0, 8.0]), jnp.zeros(3)), [1.0, 1.0 + 6.0, 2.0], rtol=4 * EPS)
+    np.testing.assert_allclose(
+        pairs.split(jnp.array([2.0, 8.0]), jnp.zeros(3)), [1.0, 1.0 + 6.0, 2.0], rtol=4 * EPS
+    )
 
 
 @pytest.mark.slow
@@ -218,7 +239,9 @@ def test_a_rigid_rotation_strains_no_bond(vector, angle):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [gx.Hertz(1.0, 0.7), gx.Linear(2.0), gx.Toda(0.8, 1.3)], ids=lambda x: type(x).__name__)
+@pytest.mark.parametrize(
+    "law", [gx.Hertz(1.0, 0.7), gx.Linear(2.0), gx.Toda(0.8, 1.3)], ids=lambda x: type(x).__name__
+)
 def test_second_variation_of_a_prestressed_bond(law):
     """Along the bond F'(0); across it -F0/L, for every transverse direction."""
     L = 1.7
@@ -245,5 +268,7 @@ def test_float32_stays_float32(case):
     u = jax.tree.map(lambda x: x.astype(jnp.float32), random_like(case.shape, 13))
     strain_map = jax.tree.map(lambda x: x.astype(jnp.float32), case.map)
     law = jax.tree.map(lambda x: x.astype(jnp.float32), LAW)
-    got = jax.eval_shape(lambda u: [strain_map.strain(u), strain_map.load(u, law), strain_map.energy(u, law)], u)
+    got = jax.eval_shape(
+        lambda u: [strain_map.strain(u), strain_map.load(u, law), strain_map.energy(u, law)], u
+    )
     assert all(x.dtype == jnp.float32 for x in jax.tree.leaves(got))

@@ -84,7 +84,9 @@ def check_crystal(space, folder):
 
 @pytest.mark.study
 def test_radii_of_a_crystal_short(folder):
-    data = check_crystal(run(CRYSTAL, ("12e-3, 20", "12e-3, 4"), ("cells=14", "cells=3"), ("3e-3,", "5e-4,")), folder)
+    data = check_crystal(
+        run(CRYSTAL, ("12e-3, 20", "12e-3, 4"), ("cells=14", "cells=3"), ("3e-3,", "5e-4,")), folder
+    )
     assert data.transmitted.shape == (4, 4)
 
 
@@ -103,7 +105,10 @@ def check_breathers(space, folder):
     data = space["data"]
     assert (folder / "breathers.zarr").is_dir() and (folder / "breathers.png").stat().st_size > 5000
     good = (data.reason == "").values
-    assert np.isfinite(data.energy.values[good]).all() and set(data.verdict.values[good]) <= {"stable", "unstable"}
+    assert np.isfinite(data.energy.values[good]).all() and set(data.verdict.values[good]) <= {
+        "stable",
+        "unstable",
+    }
     assert all(str(why).startswith("Not localised") for why in data.reason.values[~good])
     return good
 
@@ -127,12 +132,18 @@ def measure(count, folder):
         chain = gx.scenes.monomer(8, stiffness=1.0 + 0.02 * k, precompression=0.1)
         vs = np.asarray(gx.simulate(chain, gx.states.impact(chain), 12.0, save_at=97).vs)
         noisy = vs[:, [3, 6]] + 0.01 * draw.standard_normal((97, 2))
-        np.savetxt(folder / f"trace{k}.csv", np.column_stack([times, noisy]), delimiter=",", header="t,a,b")
+        np.savetxt(
+            folder / f"trace{k}.csv", np.column_stack([times, noisy]), delimiter=",", header="t,a,b"
+        )
 
 
 def check_fits(space, count, folder):
     data = space["data"]
-    assert (data.reason == "").all() and data.sizes["trace"] == count and (folder / "fits.png").is_file()
+    assert (
+        (data.reason == "").all()
+        and data.sizes["trace"] == count
+        and (folder / "fits.png").is_file()
+    )
     off = (data.stiffness - 1.0 - 0.02 * data.trace) / data.stiffness_error
     assert np.abs(off).max() < 4
 

@@ -89,23 +89,48 @@ def test_chunks_and_executors_agree(walls):
 
 def test_functions_that_hold_python_are_called_point_by_point():
     data = sweep(in_python, {"x": [1.0, 2.0, 3.0]})
-    assert data.z.values.tolist() == [1.0, 4.0, 9.0] and data.word.values.tolist() == ["small", "large", "large"]
-    data = sweep(lambda F0, kind: {"kind": kind, "cut": float(F0) ** 0.5}, {"F0": [1.0, 64.0], "kind": ["a", "bb"]})
-    assert data.kind_found.values.tolist() == [["a", "bb"]] * 2 and data.cut.sel(F0=64.0, kind="a") == 8.0
+    assert data.z.values.tolist() == [1.0, 4.0, 9.0] and data.word.values.tolist() == [
+        "small",
+        "large",
+        "large",
+    ]
+    data = sweep(
+        lambda F0, kind: {"kind": kind, "cut": float(F0) ** 0.5},
+        {"F0": [1.0, 64.0], "kind": ["a", "bb"]},
+    )
+    assert (
+        data.kind_found.values.tolist() == [["a", "bb"]] * 2
+        and data.cut.sel(F0=64.0, kind="a") == 8.0
+    )
 
 
 def test_words_and_sizes_are_programs_of_their_own():
-    function = lambda x, kind, n: {"y": x * {"one": 1, "two": 2}[kind] + jnp.ones(n).sum(), "same": kind}
+    function = lambda x, kind, n: {
+        "y": x * {"one": 1, "two": 2}[kind] + jnp.ones(n).sum(),
+        "same": kind,
+    }
     parameters = {"kind": ["two", "one"], "x": [1.0, 2.0, 3.0], "n": [3, 2]}
     data = sweep(function, parameters)
-    assert program.__wrapped__ and data.y.sel(kind="two", x=3.0, n=2) == 8.0 and data.same[0, 0, 0] == "two"
-    listed = sweep(function, [{"kind": k, "x": x, "n": n} for k in ("two", "one") for x in (1.0, 2.0) for n in (3, 2)])
+    assert (
+        program.__wrapped__
+        and data.y.sel(kind="two", x=3.0, n=2) == 8.0
+        and data.same[0, 0, 0] == "two"
+    )
+    listed = sweep(
+        function,
+        [{"kind": k, "x": x, "n": n} for k in ("two", "one") for x in (1.0, 2.0) for n in (3, 2)],
+    )
     assert listed.y.values.tolist() == [5, 4, 7, 6, 4, 3, 5, 4]
 
 
 def test_designs():
-    pairs = sweep(lambda x, y: x - y, gx.sweeps.paired({"x": [1.0, 2.0, 3.0], "y": [4.0, 3.0, 2.0]}))
-    rows = sweep(lambda p: p["x"] - p["y"], [{"x": 1.0, "y": 4.0}, {"x": 2.0, "y": 3.0}, {"x": 3.0, "y": 2.0}])
+    pairs = sweep(
+        lambda x, y: x - y, gx.sweeps.paired({"x": [1.0, 2.0, 3.0], "y": [4.0, 3.0, 2.0]})
+    )
+    rows = sweep(
+        lambda p: p["x"] - p["y"],
+        [{"x": 1.0, "y": 4.0}, {"x": 2.0, "y": 3.0}, {"x": 3.0, "y": 2.0}],
+    )
     assert pairs.value.values.tolist() == [-3.0, -1.0, 1.0] == rows.value.values.tolist()
     assert pairs.value.dims == ("lane",) and pairs.x.dims == ("lane",)
     same = sweep(squared, gx.sweeps.paired({"x": [2.0, 2.0], "y": [1.0, 1.0]}))
@@ -114,10 +139,15 @@ def test_designs():
     again = gx.sweeps.random({"a": (0.1, 1.0), "b": (1.0, 1e4, "log"), "n": (2, 5)}, 64, seed=3)
     a, b, n = points.axes.values()
     assert all(np.array_equal(x, y) for x, y in zip(points.axes.values(), again.axes.values()))
-    assert (np.histogram(a, 4, (0.1, 1.0))[0] == 16).all() and (np.histogram(np.log10(b), 4, (0, 4))[0] == 16).all()
+    assert (np.histogram(a, 4, (0.1, 1.0))[0] == 16).all() and (
+        np.histogram(np.log10(b), 4, (0, 4))[0] == 16
+    ).all()
     assert set(n.tolist()) == {2, 3, 4, 5} and n.dtype.kind == "i"
     assert sweep(lambda a, b, n: a, points).value.shape == (64,)
-    assert sweep(lambda x, scale=2.0: scale * x, {"x": [1.0, 2.0]}).value.values.tolist() == [2.0, 4.0]
+    assert sweep(lambda x, scale=2.0: scale * x, {"x": [1.0, 2.0]}).value.values.tolist() == [
+        2.0,
+        4.0,
+    ]
 
 
 @pytest.mark.slow
@@ -132,7 +162,11 @@ def test_results_become_their_variables(tmp_path):
     one = whole(0.9)
     np.testing.assert_allclose(data.u[1], one.us, rtol=1e-9, atol=1e-12)
     Pair = namedtuple("Pair", "modes, multipliers")
-    data = sweep(lambda x: Pair(jnp.arange(3.0) * x, jnp.exp(1j * x)), {"x": [0.0, np.pi]}, store=tmp_path / "c.zarr")
+    data = sweep(
+        lambda x: Pair(jnp.arange(3.0) * x, jnp.exp(1j * x)),
+        {"x": [0.0, np.pi]},
+        store=tmp_path / "c.zarr",
+    )
     np.testing.assert_allclose(data.multipliers, [1, -1], atol=1e-15)
     assert data.modes.dims == ("x", "modes_0")
 
@@ -154,9 +188,16 @@ def test_records_have_errors_and_laws_of_ones_own_keep_lanes_apart():
     def over(k):
         chain = made(k)
         # the largest of all sites: behind them it would be that of all lanes
-        record = {"top": gx.Peak(lambda t, y, lattice: jnp.max(y.u)), "part": gx.Peak(lambda t, y, l: y.v / y.v.std())}
+        record = {
+            "top": gx.Peak(lambda t, y, lattice: jnp.max(y.u)),
+            "part": gx.Peak(lambda t, y, l: y.v / y.v.std()),
+        }
         run = gx.simulate(chain, gx.states.impact(chain), 3.0, step=0.01, record=record)
-        return {"top": run.recorded["top"], "part": run.recorded["part"], "error": run.record_error["top"]}
+        return {
+            "top": run.recorded["top"],
+            "part": run.recorded["part"],
+            "error": run.record_error["top"],
+        }
 
     data = sweep(over, {"k": [0.5, 1.0, 2.0]})
     for k in (0.5, 2.0):
@@ -173,10 +214,15 @@ def test_records_have_errors_and_laws_of_ones_own_keep_lanes_apart():
 def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
     def softening(K3):
         chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(1.0, K3, 0.0)), sites=7)
-        return gx.simulate(chain, gx.states.impact(chain), 30.0, step=0.1, record={"force": FORCE}).recorded["force"][0]
+        return gx.simulate(
+            chain, gx.states.impact(chain), 30.0, step=0.1, record={"force": FORCE}
+        ).recorded["force"][0]
 
     data = sweep(softening, {"K3": [0.1, 0.2, 3.0, 0.25]})
-    assert str(data.reason[2].values).startswith("The state is not finite") and (data.reason != "").sum() == 1
+    assert (
+        str(data.reason[2].values).startswith("The state is not finite")
+        and (data.reason != "").sum() == 1
+    )
     assert np.isnan(data.softening[2]) and (data.softening[[0, 1, 3]] < 2).all()
     assert "K3 = 3" in data.outcome and "1 marked" in data.outcome
     alone = sweep(softening, {"K3": [0.1, 0.2, 0.25]})
@@ -187,11 +233,22 @@ def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
 def test_runs_that_stop_and_scenes_that_are_refused_say_why():
     def stopped(ratio):
         chain = gx.scenes.dimer(5, ratio=ratio)
-        run = gx.simulate(chain, gx.states.impact(chain), 6.0, tolerance=1e-8, max_steps=100, record={"force": FORCE})
+        run = gx.simulate(
+            chain,
+            gx.states.impact(chain),
+            6.0,
+            tolerance=1e-8,
+            max_steps=100,
+            record={"force": FORCE},
+        )
         return run.recorded["force"].max()
 
     data = sweep(stopped, {"ratio": [0.01, 1.0]})
-    assert "Stopped after" in str(data.reason[0].values) and np.isnan(data.stopped[0]) and data.stopped[1] > 0
+    assert (
+        "Stopped after" in str(data.reason[0].values)
+        and np.isnan(data.stopped[0])
+        and data.stopped[1] > 0
+    )
     data = sweep(wall, {"ratio": [0.5, 1.5, 0.7]})
     assert "ratio: expected numbers in (0, 1], got 1.5" in str(data.reason[1].values)
     assert np.isfinite(data.wall[[0, 2]]).all() and np.isnan(data.wall[1])
@@ -206,27 +263,49 @@ def test_runs_that_stop_and_scenes_that_are_refused_say_why():
 
 def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():
     data = sweep(lambda x: {"a": 2 * x, "b": jnp.stack([x, jnp.log(x)])}, {"x": [-1.0, 1.0]})
-    assert data.reason.values.tolist() == ["Not finite: b.", ""] and data.a.values.tolist() == [-2.0, 2.0]
+    assert data.reason.values.tolist() == ["Not finite: b.", ""] and data.a.values.tolist() == [
+        -2.0,
+        2.0,
+    ]
     data = sweep(lambda x: {"y": np.ones(int(x))}, {"x": [2.0, 3.0]})
-    assert "Return the same names and shapes" in str(data.reason[1].values) and np.isnan(data.y[1]).all()
-    with pytest.raises(RuntimeError, match="^Every point failed. The first: ratio: expected numbers"):
+    assert (
+        "Return the same names and shapes" in str(data.reason[1].values)
+        and np.isnan(data.y[1]).all()
+    )
+    with pytest.raises(
+        RuntimeError, match="^Every point failed. The first: ratio: expected numbers"
+    ):
         sweep(wall, {"ratio": [1.5, 2.5]})
     with pytest.raises(RuntimeError, match="NameError: name 'missing' is not defined"):
         sweep(lambda x: missing * x, {"x": [1.0, 2.0]})  # noqa: F821
 
 
-@pytest.mark.parametrize("go, said", [
-    (lambda: points_of({}), "names and values"), (lambda: points_of({"x": []}), r"parameters\['x'\]: expected a row"),
-    (lambda: points_of({"x": [np.nan]}), "finite numbers"), (lambda: points_of({"lane": [1.0]}), "other names"),
-    (lambda: points_of({"a b": [1.0]}), "names that a function"),
-    (lambda: points_of([{"x": 1.0}, {"y": 1.0}]), "x in every dict"),
-    (lambda: gx.sweeps.random({"x": (1.0, 0.5)}, 4), "low below high"),
-    (lambda: gx.sweeps.random({"x": (0.0, 1.0, "lin")}, 4), "log"),
-    (lambda: sweep(lambda x, z: x, {"x": [1.0], "y": [1.0]}), "function: expected a function of x, y, or of one dict"),
-    (lambda: sweep(squared, {"x": [1.0]}, executor=4), "executor: expected an executor"),
-    (lambda: sweep(squared, {"x": [1.0]}, executor=ProcessPoolExecutor(1, multiprocessing.get_context("fork"))),
-     "spawn"),
-])
+@pytest.mark.parametrize(
+    "go, said",
+    [
+        (lambda: points_of({}), "names and values"),
+        (lambda: points_of({"x": []}), r"parameters\['x'\]: expected a row"),
+        (lambda: points_of({"x": [np.nan]}), "finite numbers"),
+        (lambda: points_of({"lane": [1.0]}), "other names"),
+        (lambda: points_of({"a b": [1.0]}), "names that a function"),
+        (lambda: points_of([{"x": 1.0}, {"y": 1.0}]), "x in every dict"),
+        (lambda: gx.sweeps.random({"x": (1.0, 0.5)}, 4), "low below high"),
+        (lambda: gx.sweeps.random({"x": (0.0, 1.0, "lin")}, 4), "log"),
+        (
+            lambda: sweep(lambda x, z: x, {"x": [1.0], "y": [1.0]}),
+            "function: expected a function of x, y, or of one dict",
+        ),
+        (lambda: sweep(squared, {"x": [1.0]}, executor=4), "executor: expected an executor"),
+        (
+            lambda: sweep(
+                squared,
+                {"x": [1.0]},
+                executor=ProcessPoolExecutor(1, multiprocessing.get_context("fork")),
+            ),
+            "spawn",
+        ),
+    ],
+)
 def test_mistakes_meet_a_sentence(go, said):
     with pytest.raises(ValueError, match=said):
         go()
@@ -238,7 +317,9 @@ DRAWS = {
     "a generator of its own": lambda k: {"v": k * np.random.default_rng().normal(size=3)},
     "a generator from outside": lambda k: {"v": k * RNG.normal()},
     "Python's": lambda k: {"v": k + random.gauss(0.0, 1.0)},
-    "within a loop": lambda k: {"v": jax.lax.fori_loop(0, 3, lambda i, x: x + np.random.rand() * k, 0.0)},
+    "within a loop": lambda k: {
+        "v": jax.lax.fori_loop(0, 3, lambda i, x: x + np.random.rand() * k, 0.0)
+    },
     "beside what is traced": lambda k: {"v": k, "noise": np.random.rand()},
     "a JAX key": lambda k: {"v": k * jax.random.normal(jax.random.key(np.random.randint(2**31)))},
 }
@@ -252,8 +333,12 @@ def test_random_numbers_that_points_would_share_are_refused(draw):
 
 def test_random_numbers_from_a_seed():
     data = sweep(lambda seed: {"v": jax.random.normal(jax.random.key(seed))}, {"seed": [0, 1, 5]})
-    assert data.v.values.tolist() == [float(jax.random.normal(jax.random.key(seed))) for seed in (0, 1, 5)]
-    fixed = sweep(lambda k: {"v": k * jnp.asarray(np.random.default_rng(0).random(4))}, {"k": [1.0, 2.0]})
+    assert data.v.values.tolist() == [
+        float(jax.random.normal(jax.random.key(seed))) for seed in (0, 1, 5)
+    ]
+    fixed = sweep(
+        lambda k: {"v": k * jnp.asarray(np.random.default_rng(0).random(4))}, {"k": [1.0, 2.0]}
+    )
     np.testing.assert_allclose(fixed.v[1], 2 * np.random.default_rng(0).random(4), rtol=1e-15)
 
 
@@ -264,15 +349,22 @@ def test_another_sweep_is_refused_and_a_changed_source_warns(tmp_path):
     store = tmp_path / "map.zarr"
     first = sweep(squared, {"x": [1.0, 2.0]}, store=store)
     assert sweep(squared, {"x": [1.0, 2.0]}, store=str(store)).identical(first)
-    with pytest.raises(ValueError, match=r"which holds x 1, 2 instead of 1, 3\. Give another store"):
+    with pytest.raises(
+        ValueError, match=r"which holds x 1, 2 instead of 1, 3\. Give another store"
+    ):
         sweep(squared, {"x": [1.0, 3.0]}, store=store)
     with pytest.raises(ValueError, match="the parameters x instead of x, y"):
         sweep(squared, {"x": [1.0], "y": [2.0]}, store=store)
     with pytest.raises(ValueError, match=r"chunk \[2\] instead of \[1\]"):
         sweep(squared, {"x": [1.0, 2.0]}, store=store, chunk=1)
     with pytest.warns(UserWarning, match="source of the function has changed"):
-        assert sweep(lambda x: {"z": 2 * x}, {"x": [1.0, 2.0]}, store=store).z.values.tolist() == [1.0, 4.0]
-    zarr.open_group(tmp_path / "other.zarr", mode="w", zarr_format=2).create_array("a", shape=(2,), dtype=float)
+        assert sweep(lambda x: {"z": 2 * x}, {"x": [1.0, 2.0]}, store=store).z.values.tolist() == [
+            1.0,
+            4.0,
+        ]
+    zarr.open_group(tmp_path / "other.zarr", mode="w", zarr_format=2).create_array(
+        "a", shape=(2,), dtype=float
+    )
     (tmp_path / "file").write_text("x")
     for other in ("other.zarr", "file"):
         with pytest.raises(ValueError, match="store: expected a new path"):
@@ -289,12 +381,17 @@ def test_a_store_may_be_a_url():
 
 
 def test_an_unfinished_store_is_begun_again(tmp_path):
-    attributes = {"sweep": json.dumps({"chunk": [1], "parameters": {"x": [1.0]}, "design": "grid"}), "source": ""}
+    attributes = {
+        "sweep": json.dumps({"chunk": [1], "parameters": {"x": [1.0]}, "design": "grid"}),
+        "source": "",
+    }
     group = zarr.open_group(tmp_path / "a.zarr", mode="w", zarr_format=2, attributes=attributes)
     group.create_array("z", shape=(3,), dtype=float)
     zarr.open_group(tmp_path / "b.zarr", mode="w", zarr_format=2)
     for name in ("a.zarr", "b.zarr"):
-        assert sweep(squared, {"x": [1.0, 2.0]}, store=tmp_path / name, chunk=1).z.values.tolist() == [1.0, 4.0]
+        assert sweep(
+            squared, {"x": [1.0, 2.0]}, store=tmp_path / name, chunk=1
+        ).z.values.tolist() == [1.0, 4.0]
 
 
 KILLED = """
@@ -333,7 +430,10 @@ def test_killed_six_times_and_resumed_to_the_same_bits(tmp_path):
     assert there == sorted(there) and 0 < there[-1] < 48
     subprocess.run([*call, str(store)], check=True)
     whole, resumed = (xarray.open_zarr(x).load() for x in (tmp_path / "whole.zarr", store))
-    assert whole.drop_attrs().identical(resumed.drop_attrs()) and (resumed.reason.values.astype(object) == "").all()
+    assert (
+        whole.drop_attrs().identical(resumed.drop_attrs())
+        and (resumed.reason.values.astype(object) == "").all()
+    )
 
 
 @pytest.mark.slow
@@ -349,8 +449,17 @@ data = gx.sweep(lambda x: {"y": x * jnp.arange(2.0**12)}, {"x": np.arange(count)
 assert float(data.y[count // 2, 2]) == 1.0
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
-    used = [int(subprocess.run([sys.executable, "-c", code, str(n), str(tmp_path / f"{n}.zarr")], check=True, text=True,
-                               capture_output=True).stdout) for n in (256, 4096)]
+    used = [
+        int(
+            subprocess.run(
+                [sys.executable, "-c", code, str(n), str(tmp_path / f"{n}.zarr")],
+                check=True,
+                text=True,
+                capture_output=True,
+            ).stdout
+        )
+        for n in (256, 4096)
+    ]
     # kilobytes; all values of the long one are 134 MB
     assert used[1] - used[0] < 60_000
 
@@ -377,14 +486,19 @@ def test_a_process_that_is_killed_is_told_and_a_rerun_goes_on(tmp_path):
     assert 0 < np.isfinite(there.z).sum() < 6
     with ProcessPoolExecutor(2, spawn) as executor:
         data = sweep(dying, parameters, store=tmp_path / "s.zarr", executor=executor)
-    assert data.z[:, 0].values.tolist() == [0.0, 1.0, 4.0, 9.0, 16.0, 25.0] and (data.reason == "").all()
+    assert (
+        data.z[:, 0].values.tolist() == [0.0, 1.0, 4.0, 9.0, 16.0, 25.0]
+        and (data.reason == "").all()
+    )
 
 
 @pytest.mark.slow
 def test_a_worker_of_dask_is_killed_and_the_sweep_goes_on(tmp_path):
     distributed = pytest.importorskip("distributed")
     parameters = {"x": np.arange(6.0), "marker": [str(tmp_path / "marker")]}
-    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster:
+    with distributed.LocalCluster(
+        2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
         with distributed.Client(cluster) as client:
             data = sweep(dying, parameters, chunk=1, executor=client)
             again = sweep(wall, {"ratio": RATIOS[:4]}, chunk=2, executor=client.get_executor())
@@ -410,28 +524,40 @@ def test_a_program_is_traced_once():
 @pytest.mark.slow
 def test_a_batch_of_simulate_has_its_lanes_last():
     """`jax.vmap` of runs is one lattice with lanes last, to the last bit; derivatives are those of single runs."""
+
     def peak(ratio):
         chain = gx.scenes.dimer(7, ratio=ratio)
-        return gx.simulate(chain, gx.states.impact(chain), 12.0, record={"force": FORCE}).recorded["force"]
+        return gx.simulate(chain, gx.states.impact(chain), 12.0, record={"force": FORCE}).recorded[
+            "force"
+        ]
 
     @jax.jit
     def by_hand(ratios):
         chains = jax.vmap(lambda ratio: gx.scenes.dimer(7, ratio=ratio), out_axes=-1)(ratios)
-        return gx.simulate(chains, gx.states.impact(chains), 12.0, record={"force": FORCE}).recorded["force"]
+        return gx.simulate(
+            chains, gx.states.impact(chains), 12.0, record={"force": FORCE}
+        ).recorded["force"]
 
     ratios = jnp.asarray(RATIOS)
     np.testing.assert_allclose(jax.jit(jax.vmap(peak))(ratios), by_hand(ratios).T, rtol=1e-14)
 
     def last(ratio, velocity):
         chain = gx.scenes.dimer(5, ratio=ratio, precompression=1.0)
-        return gx.simulate(chain, gx.states.impact(chain, velocity=velocity), 4.0, step=0.05).final.v[2]
+        return gx.simulate(
+            chain, gx.states.impact(chain, velocity=velocity), 4.0, step=0.05
+        ).final.v[2]
 
     few, speeds = jnp.asarray([0.4, 0.8]), jnp.asarray([0.5, 1.0, 2.0])
     grid = jax.vmap(jax.vmap(last, (None, 0)), (0, None))(few, speeds)
-    np.testing.assert_allclose(grid, [[last(float(r), float(v)) for v in speeds] for r in few], rtol=1e-9)
+    np.testing.assert_allclose(
+        grid, [[last(float(r), float(v)) for v in speeds] for r in few], rtol=1e-9
+    )
     slope = jax.grad(last)(0.4, 1.0)
-    for found in (jax.jacfwd(last)(0.4, 1.0), jax.vmap(jax.grad(last), (0, None))(few, 1.0)[0],
-                  jax.grad(lambda r: jax.vmap(last, (0, None))(r, 1.0).sum())(few)[0]):
+    for found in (
+        jax.jacfwd(last)(0.4, 1.0),
+        jax.vmap(jax.grad(last), (0, None))(few, 1.0)[0],
+        jax.grad(lambda r: jax.vmap(last, (0, None))(r, 1.0).sum())(few)[0],
+    ):
         assert float(found) == pytest.approx(float(slope), rel=1e-9)
     step = 1e-4
     second = (jax.grad(last)(0.4 + step, 1.0) - jax.grad(last)(0.4 - step, 1.0)) / (2 * step)

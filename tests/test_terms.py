@@ -82,7 +82,9 @@ def test_a_yielding_wall_with_a_huge_support_is_rigid(support):
     u = jnp.array([0.0, 0.0, 0.3])
     how = dict(u=u, mass=np.ones(3))
     got = force(gx.Wall(gx.Hertz(), "right", support=support), **how)
-    np.testing.assert_allclose(got, force(gx.Wall(gx.Hertz(), "right"), **how), rtol=2 / support + 16 * EPS)
+    np.testing.assert_allclose(
+        got, force(gx.Wall(gx.Hertz(), "right"), **how), rtol=2 / support + 16 * EPS
+    )
 
 
 def test_free_chain_with_walls_is_the_fixed_chain():
@@ -93,7 +95,9 @@ def test_free_chain_with_walls_is_the_fixed_chain():
     assert_ulps(force(walled, *walls, u=u), force(fixed, u=u), 8)
 
 
-@pytest.mark.parametrize("term", [gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.2, 0.8)), gx.OnSite(gx.Sine())])
+@pytest.mark.parametrize(
+    "term", [gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.2, 0.8)), gx.OnSite(gx.Sine())]
+)
 def test_modulation_by_one_is_the_bare_term(term):
     u = random_like((6,), 4)
     modulated = gx.Modulated(term, lambda t: 1.0)
@@ -106,7 +110,9 @@ def test_modulation_by_one_is_the_bare_term(term):
 
 @pytest.mark.parametrize("site, where", [(0, 0), (2, 2), (-1, 5), ((3,), 3)])
 def test_a_drive_acts_on_its_site(site, where):
-    got = np.asarray(force(gx.Drive(gx.Harmonic(2.0, 3.0, 0.5, mean=0.1), site), u=jnp.zeros(6), t=0.7))
+    got = np.asarray(
+        force(gx.Drive(gx.Harmonic(2.0, 3.0, 0.5, mean=0.1), site), u=jnp.zeros(6), t=0.7)
+    )
     want = np.zeros(6)
     want[where] = 0.1 + 2 * np.cos(3 * 0.7 + 0.5)
     np.testing.assert_allclose(got, want, rtol=8 * EPS)

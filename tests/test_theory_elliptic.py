@@ -41,7 +41,9 @@ def ellipfun(kind):
 
 def close(got, want, size=1.0):
     """To 1e-14, absolute or relative, times the size of the argument."""
-    np.testing.assert_array_less(np.abs(np.asarray(got) - want), 1e-14 * size * np.maximum(1, np.abs(want)))
+    np.testing.assert_array_less(
+        np.abs(np.asarray(got) - want), 1e-14 * size * np.maximum(1, np.abs(want))
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -87,7 +89,9 @@ def test_incomplete_integrals():
     close(elliptic.incomplete_E(phi, m1=m1), values(mp.ellipe, phi, m1))
     n, phi, m1 = np.meshgrid(N, PHI, M1[:6:2], indexing="ij")
     close(elliptic.incomplete_Pi(n, phi, m1=m1), values(mp.ellippi, n, phi, m1))
-    assert elliptic.F(2.0, 1.0) == np.inf and elliptic.F(1.2, 1.0) == pytest.approx(np.arctanh(np.sin(1.2)), rel=1e-14)
+    assert elliptic.F(2.0, 1.0) == np.inf and elliptic.F(1.2, 1.0) == pytest.approx(
+        np.arctanh(np.sin(1.2)), rel=1e-14
+    )
     assert elliptic.incomplete_E(2.0, 1.0) == pytest.approx(2 - np.sin(2.0), rel=1e-14)
 
 
@@ -106,18 +110,28 @@ def test_zeta():
 
 def test_slopes_at_the_ends():
     """The first terms of series in m and in m1 (Abramowitz and Stegun 16.13, 16.15); what is infinite says so."""
-    slope = jax.jit(lambda u, m1: jax.jvp(lambda m1: elliptic.jacobi(u, m1=m1), (m1,), (-jnp.ones_like(m1),))[1])
+    slope = jax.jit(
+        lambda u, m1: jax.jvp(lambda m1: elliptic.jacobi(u, m1=m1), (m1,), (-jnp.ones_like(m1),))[1]
+    )
     u = 0.9
     s, c, d = slope(u, 1.0)
     turn = (u - np.sin(u) * np.cos(u)) / 4
-    np.testing.assert_allclose([s, c, d], [-turn * np.cos(u), turn * np.sin(u), -(np.sin(u) ** 2) / 2], rtol=1e-14)
+    np.testing.assert_allclose(
+        [s, c, d], [-turn * np.cos(u), turn * np.sin(u), -(np.sin(u) ** 2) / 2], rtol=1e-14
+    )
     s, c, d = slope(u, 0.0)
     turn, sech = (np.sinh(u) * np.cosh(u) - u) / 4, 1 / np.cosh(u)
     other = -(np.sinh(u) * np.cosh(u) + u) / 4
-    np.testing.assert_allclose([s, c, d], np.array([-turn * sech, turn * np.tanh(u), other * np.tanh(u)]) * sech,
-                               rtol=1e-14)
+    np.testing.assert_allclose(
+        [s, c, d],
+        np.array([-turn * sech, turn * np.tanh(u), other * np.tanh(u)]) * sech,
+        rtol=1e-14,
+    )
     assert np.isfinite(slope(800.0, 0.0)).all()
-    for integral, at_0, at_1 in ((elliptic.K, np.pi / 8, np.inf), (elliptic.E, -np.pi / 8, -np.inf)):
+    for integral, at_0, at_1 in (
+        (elliptic.K, np.pi / 8, np.inf),
+        (elliptic.E, -np.pi / 8, -np.inf),
+    ):
         assert jax.grad(integral)(0.0) == pytest.approx(at_0) and jax.grad(integral)(1.0) == at_1
 
 
@@ -138,13 +152,21 @@ def test_derivatives_of_jacobi():
             for i, f in enumerate(functions[:3] if m1 in (0.0, 1.0) else functions):
                 g = lambda u, m1: f(u, 1 - m1) if m1 else f(u, mp.mpf(1))
                 # mpmath takes a difference from inside the interval
-                inwards = dict(direction=1 if m1 == 0 else -1 if m1 == 1 else 0, h=mp.mpf(10) ** -15)
+                inwards = dict(
+                    direction=1 if m1 == 0 else -1 if m1 == 1 else 0, h=mp.mpf(10) ** -15
+                )
                 along = [mp.diff(lambda x: g(mp.mpf(u), x), m1, k, **inwards) for k in (1, 2)]
                 size = 1e-10 if m1 in (0.0, 1.0) else 1e-12
                 assert first[i, 1] == pytest.approx(float(along[0]), rel=size, abs=size), (u, m1, i)
-                assert first[i, 0] == pytest.approx(float(mp.diff(lambda x: g(x, m1), u)), rel=1e-12, abs=1e-13)
+                assert first[i, 0] == pytest.approx(
+                    float(mp.diff(lambda x: g(x, m1), u)), rel=1e-12, abs=1e-13
+                )
                 if 0 < m1 < 1:
-                    assert second[i, 1, 1] == pytest.approx(float(along[1]), rel=1e-8, abs=1e-9), (u, m1, i)
+                    assert second[i, 1, 1] == pytest.approx(float(along[1]), rel=1e-8, abs=1e-9), (
+                        u,
+                        m1,
+                        i,
+                    )
     # far out on a soliton nothing becomes NaN
     assert np.isfinite(both_modes(jnp.array([800.0, 0.0]))[0]).all()
 
@@ -153,11 +175,18 @@ def test_derivatives_of_jacobi():
 def test_derivatives_of_the_integrals():
     """In every argument, in both modes."""
     pairs = (
-        (lambda n, phi, q: elliptic.incomplete_Pi(n, phi, m1=q), lambda n, phi, q: mp.ellippi(n, phi, 1 - q)),
-        (lambda n, phi, q: elliptic.F(phi, m1=q) * elliptic.incomplete_E(phi, m1=q),
-         lambda n, phi, q: mp.ellipf(phi, 1 - q) * mp.ellipe(phi, 1 - q)),
-        (lambda n, phi, q: elliptic.Pi(n, m1=q) * elliptic.K(m1=q) * elliptic.E(m1=q),
-         lambda n, phi, q: mp.ellippi(n, 1 - q) * mp.ellipk(1 - q) * mp.ellipe(1 - q)),
+        (
+            lambda n, phi, q: elliptic.incomplete_Pi(n, phi, m1=q),
+            lambda n, phi, q: mp.ellippi(n, phi, 1 - q),
+        ),
+        (
+            lambda n, phi, q: elliptic.F(phi, m1=q) * elliptic.incomplete_E(phi, m1=q),
+            lambda n, phi, q: mp.ellipf(phi, 1 - q) * mp.ellipe(phi, 1 - q),
+        ),
+        (
+            lambda n, phi, q: elliptic.Pi(n, m1=q) * elliptic.K(m1=q) * elliptic.E(m1=q),
+            lambda n, phi, q: mp.ellippi(n, 1 - q) * mp.ellipk(1 - q) * mp.ellipe(1 - q),
+        ),
     )
     for f, g in pairs:
         modes = jax.jit(lambda *x: [mode(f, (0, 1, 2))(*x) for mode in (jax.jacfwd, jax.jacrev)])
@@ -170,7 +199,12 @@ def test_derivatives_of_the_integrals():
 
 @pytest.mark.parametrize("m", [-1e-9, 1.0000001])
 def test_a_parameter_outside_is_refused(m):
-    for f in (elliptic.K, elliptic.E, lambda m: elliptic.jacobi(0.3, m), lambda m: elliptic.F(0.3, [0.2, m])):
+    for f in (
+        elliptic.K,
+        elliptic.E,
+        lambda m: elliptic.jacobi(0.3, m),
+        lambda m: elliptic.F(0.3, [0.2, m]),
+    ):
         with pytest.raises(ValueError, match=r"^m: expected .*(\[0, 1\]|finite)"):
             f(m)
     with pytest.raises(ValueError, match=r"^m1: expected"):

@@ -59,11 +59,15 @@ def test_fitting_is_exact_of_toda(c):
     assert found.leading_excess == pytest.approx(toda_front(c), rel=1e-12)
     assert found.mean == pytest.approx(2 * np.log1p(c) / b, rel=1e-12)
     assert found.trailing_speed == pytest.approx(sound * (1 - c), rel=1e-12) and found.error < 1e-13
-    assert found.leading_speed == pytest.approx(sound * np.sqrt(c * (c + 1)) / np.arcsinh(np.sqrt(c)), rel=1e-12)
+    assert found.leading_speed == pytest.approx(
+        sound * np.sqrt(c * (c + 1)) / np.arcsinh(np.sqrt(c)), rel=1e-12
+    )
 
 
-@pytest.mark.parametrize("c, trailing, leading", [
-    (0.1, 0.9155282, 1.0557045), (0.3, 0.7988756, 1.1307943), (0.5, 0.7152649, 1.1834512)])
+@pytest.mark.parametrize(
+    "c, trailing, leading",
+    [(0.1, 0.9155282, 1.0557045), (0.3, 0.7988756, 1.1307943), (0.5, 0.7152649, 1.1834512)],
+)
 def test_numbers_of_a_granular_shock(c, trailing, leading):
     found = shock_edges(GRANULAR, c)
     assert found.trailing_speed == pytest.approx(trailing, abs=1e-6)
@@ -106,8 +110,12 @@ def test_edges_beside_a_simulated_granular_shock():
     seen = [gx.shocks.measure(problem.run(t)) for t in (200.0, 400.0)]
     found = shock_edges(chain, 0.5, wave=True)
     # the crest's speed nears that of the edge like 1/t
-    speed, height = (2 * getattr(seen[1], x) - getattr(seen[0], x) for x in ("leading_speed", "amplitude"))
-    assert found.wave_speed == pytest.approx(speed, rel=1e-3) and found.amplitude == pytest.approx(height, rel=5e-3)
+    speed, height = (
+        2 * getattr(seen[1], x) - getattr(seen[0], x) for x in ("leading_speed", "amplitude")
+    )
+    assert found.wave_speed == pytest.approx(speed, rel=1e-3) and found.amplitude == pytest.approx(
+        height, rel=5e-3
+    )
     apart = float(found.wave_speed - found.leading_speed)
     assert abs(found.leading_speed - speed) == pytest.approx(apart, rel=0.1)
     assert found.mean == pytest.approx(seen[1].mean, rel=1e-3)
@@ -128,7 +136,9 @@ def test_shocks_of_a_power_law_are_alike():
     # speeds as c^{1/5}, strains as c^{4/5}, in other units as well
     scale = 1e-3 * (2e-4 / 3e9) ** 0.5
     assert small.mean == pytest.approx(float(found.mean) * scale**0.8, rel=1e-12)
-    assert small.leading_speed == pytest.approx(float(found.leading_speed) * 1e-3 * scale**-0.8, rel=1e-9)
+    assert small.leading_speed == pytest.approx(
+        float(found.leading_speed) * 1e-3 * scale**-0.8, rel=1e-9
+    )
 
 
 @pytest.mark.study
@@ -138,7 +148,9 @@ def test_a_strong_shock_has_no_trailing_edge():
     assert found.leading_speed == pytest.approx(np.sqrt(3.75) / np.arcsinh(np.sqrt(1.5)), rel=1e-9)
 
 
-@pytest.mark.parametrize("law, c", [(GRANULAR, 0.3), (gx.PowerLaw(1.0, -3.0, 1.0), 0.2), (gx.Toda(), 1e-9)])
+@pytest.mark.parametrize(
+    "law, c", [(GRANULAR, 0.3), (gx.PowerLaw(1.0, -3.0, 1.0), 0.2), (gx.Toda(), 1e-9)]
+)
 def test_the_mirrored_law_has_the_mirrored_shock(law, c):
     one, other = shock_edges(law, c), shock_edges(Mirror(law), -c)
     assert other.mean == -one.mean
@@ -151,7 +163,9 @@ def test_shocks_of_rarefaction():
     # V = (A/2)^{1/2} s^{-1/4}: int V dy = (8/9)^{1/2} (s^{3/4} - 1)
     s = (1 - 0.2 * (9 / 8) ** 0.5) ** (4 / 3)
     ahead, behind = 0.5**0.5, 0.5**0.5 * s**-0.25
-    assert soft.mean == pytest.approx(s - 1, rel=1e-12) and soft.trailing_speed == pytest.approx(2 * ahead - behind)
+    assert soft.mean == pytest.approx(s - 1, rel=1e-12) and soft.trailing_speed == pytest.approx(
+        2 * ahead - behind
+    )
     q = np.arccosh(np.sqrt(behind / ahead))
     assert soft.leading_speed == pytest.approx(ahead * np.sinh(2 * q) / (2 * q), rel=1e-12)
     # of cubic stiffness either way
@@ -166,7 +180,9 @@ def test_the_law_may_be_of_ones_own_and_have_a_kink():
     behind = (1 + 6 * a * c) ** (1 / 3)
     assert found.trailing_excess == pytest.approx(1 - behind, rel=1e-12)
     assert found.mean == pytest.approx(s + (behind**2 - 1) / (2 * a), rel=1e-12)
-    mixed = shock_edges(gx.Hertz() + gx.Linear(0.5) + gx.Spline([-1.0, 0.3, 1.0], [0.2, 0.3, 0.5, 0.9]), 0.4)
+    mixed = shock_edges(
+        gx.Hertz() + gx.Linear(0.5) + gx.Spline([-1.0, 0.3, 1.0], [0.2, 0.3, 0.5, 0.9]), 0.4
+    )
     assert mixed.error < 1e-12
 
 
@@ -185,7 +201,9 @@ def test_the_chain_may_be_a_lattice_or_strained_before():
 def test_edges_differentiate_in_all_their_numbers():
     def edges(x):
         found = shock_edges(gx.Hertz(x[0], x[1]), x[2], x[3], ahead=x[4])
-        return jnp.stack([found.trailing_speed, found.leading_speed, found.mean, found.leading_excess])
+        return jnp.stack(
+            [found.trailing_speed, found.leading_speed, found.mean, found.leading_excess]
+        )
 
     x, h = jnp.array([1.1, 0.6, 0.3, 0.8, 0.05]), 1e-4
     forward, backward = jax.jacfwd(edges)(x), jax.jacrev(edges)(x)
@@ -207,17 +225,35 @@ def test_the_front_of_a_sonic_vacuum_differentiates():
     np.testing.assert_allclose(jax.jacrev(front)(x) * x, powers, atol=1e-7)
 
 
-@pytest.mark.parametrize("law, c, more, said", [
-    (gx.Hertz(1.0, 1.0), 0.0, {}, "^c: expected a number other than zero"),
-    (GRANULAR, -0.1, {}, "^c: expected a number above zero.*softens in tension.*fan"),
-    (gx.PowerLaw(1.0, 0.5, 1.0), 0.1, {}, "^c: expected a number below zero.*softens in compression"),
-    (gx.PowerLaw(1.0, 0.5, 1.0), -3.0, {}, "^c: expected a number above -0.4714"),
-    (gx.Linear(1.0), 0.1, {}, "^law: expected one that stiffens or softens.*linear_shock"),
-    (gx.Polynomial(1.0, 1.0, -1.0), 0.3, {}, "^law: expected one that bends one way.*inflection near 0.3"),
-    (gx.Hertz(), 0.1, {"ahead": -0.1}, "^ahead: expected a strain at which the contacts are closed"),
-    (gx.Hertz(), -0.1, {}, "without stiffness in tension"),
-    (gx.scenes.dimer(8, precompression=1.0), 0.1, {}, "^law: expected a uniform chain"),
-])
+@pytest.mark.parametrize(
+    "law, c, more, said",
+    [
+        (gx.Hertz(1.0, 1.0), 0.0, {}, "^c: expected a number other than zero"),
+        (GRANULAR, -0.1, {}, "^c: expected a number above zero.*softens in tension.*fan"),
+        (
+            gx.PowerLaw(1.0, 0.5, 1.0),
+            0.1,
+            {},
+            "^c: expected a number below zero.*softens in compression",
+        ),
+        (gx.PowerLaw(1.0, 0.5, 1.0), -3.0, {}, "^c: expected a number above -0.4714"),
+        (gx.Linear(1.0), 0.1, {}, "^law: expected one that stiffens or softens.*linear_shock"),
+        (
+            gx.Polynomial(1.0, 1.0, -1.0),
+            0.3,
+            {},
+            "^law: expected one that bends one way.*inflection near 0.3",
+        ),
+        (
+            gx.Hertz(),
+            0.1,
+            {"ahead": -0.1},
+            "^ahead: expected a strain at which the contacts are closed",
+        ),
+        (gx.Hertz(), -0.1, {}, "without stiffness in tension"),
+        (gx.scenes.dimer(8, precompression=1.0), 0.1, {}, "^law: expected a uniform chain"),
+    ],
+)
 def test_what_makes_no_such_shock_is_refused(law, c, more, said):
     with pytest.raises(ValueError, match=said):
         shock_edges(law, c, **more)
@@ -225,10 +261,18 @@ def test_what_makes_no_such_shock_is_refused(law, c, more, said):
 
 @pytest.mark.study
 def test_edges_in_short_numbers():
-    code = ("import granjax as gx; f = gx.theory.shock_edges(gx.Toda(), 0.5); print(float(f.leading_speed), "
-            "float(f.error), float(gx.theory.linear_shock.velocity_step(0, 5.0, 1.0)))")
-    told = subprocess.run([sys.executable, "-c", code], env=os.environ | {"JAX_ENABLE_X64": "0"}, capture_output=True,
-                          text=True, timeout=120, check=True).stdout
+    code = (
+        "import granjax as gx; f = gx.theory.shock_edges(gx.Toda(), 0.5); print(float(f.leading_speed), "
+        "float(f.error), float(gx.theory.linear_shock.velocity_step(0, 5.0, 1.0)))"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"JAX_ENABLE_X64": "0"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    ).stdout
     speed, error, y = map(float, told.split())
     assert speed == pytest.approx(1.31519072, rel=1e-6) and 1e-7 < error < 1e-5
     assert y == pytest.approx(2.0470771, rel=1e-5)
@@ -263,11 +307,19 @@ def test_linear_shocks_are_sums_of_bessel_functions(t):
     # int_0^t J_{2n}(2s) ds = sum_k J_{2n+1+2k}(2t)
     step = np.array([2 * (J[2 * k + 1 :: 2].sum() + J[2 * k + 3 :: 2].sum()) for k in n], float)
     strain = np.array([J[2 * k :: 2].sum() for k in n], float)
-    for bonds, of_step, of_strain in ((n, step, strain), (-1 - n, step, None), (1 - n, None, 1 - strain)):
+    for bonds, of_step, of_strain in (
+        (n, step, strain),
+        (-1 - n, step, None),
+        (1 - n, None, 1 - strain),
+    ):
         if of_step is not None:
-            np.testing.assert_allclose(linear_shock.velocity_step(bonds, t, 1.0), of_step, atol=1e-12)
+            np.testing.assert_allclose(
+                linear_shock.velocity_step(bonds, t, 1.0), of_step, atol=1e-12
+            )
         if of_strain is not None:
-            np.testing.assert_allclose(linear_shock.strain_step(bonds, t, 1.0), of_strain, atol=1e-12)
+            np.testing.assert_allclose(
+                linear_shock.strain_step(bonds, t, 1.0), of_strain, atol=1e-12
+            )
 
 
 def test_linear_shocks_are_those_of_a_simulated_chain():
@@ -276,15 +328,24 @@ def test_linear_shocks_are_those_of_a_simulated_chain():
     chain = gx.Lattice(m, gx.Bond(gx.Shift(1, "free"), gx.Linear(K)), sites=sites)
     ramp = np.append(0.0, -np.cumsum(np.where(n[:-1] <= 0, c, 0.0)))
     kept = slice(28, -28)  # what the ends have not reached
-    for state, step in (((u, -2 * c * np.sign(n)), linear_shock.velocity_step), ((ramp, u), linear_shock.strain_step)):
-        run = gx.simulate(chain, gx.State(*map(jnp.asarray, state)), t, solver=gx.KahanLi8(), step=0.05)
+    for state, step in (
+        ((u, -2 * c * np.sign(n)), linear_shock.velocity_step),
+        ((ramp, u), linear_shock.strain_step),
+    ):
+        run = gx.simulate(
+            chain, gx.State(*map(jnp.asarray, state)), t, solver=gx.KahanLi8(), step=0.05
+        )
         found = step(n[:-1], t, c, K, m)
         np.testing.assert_allclose(-np.diff(run.final.u)[kept], found[kept], atol=1e-12)
 
 
 @pytest.mark.slow
 def test_linear_shocks_broadcast_and_differentiate():
-    n, t, K = np.arange(-6, 6)[:, None, None], np.array([0.0, 1.0, 5.0])[:, None], np.array([1.0, 2.0])
+    n, t, K = (
+        np.arange(-6, 6)[:, None, None],
+        np.array([0.0, 1.0, 5.0])[:, None],
+        np.array([1.0, 2.0]),
+    )
     whole = linear_shock.velocity_step(n, t, 0.3, K)
     assert whole.shape == (12, 3, 2) and not np.any(whole[:, 0])
     assert linear_shock.strain_step(n, [], 1.0).shape == (12, 1, 0)
@@ -296,16 +357,24 @@ def test_linear_shocks_broadcast_and_differentiate():
         return linear_shock.velocity_step(3, *x) + linear_shock.strain_step(-1, *x)
 
     x, h = jnp.array([4.0, 0.5, 1.3, 0.8]), 1e-4
-    apart = [jnp.stack([both(x + k * h * e) - both(x - k * h * e) for e in np.eye(4)]) for k in (1, 2)]
+    apart = [
+        jnp.stack([both(x + k * h * e) - both(x - k * h * e) for e in np.eye(4)]) for k in (1, 2)
+    ]
     np.testing.assert_allclose(jax.grad(both)(x), (8 * apart[0] - apart[1]) / (12 * h), atol=1e-10)
     np.testing.assert_allclose(jax.jacfwd(both)(x), jax.grad(both)(x), atol=1e-14)
 
 
-@pytest.mark.parametrize("call, said", [
-    (lambda: linear_shock.velocity_step(0.5, 1.0, 1.0), "^n: expected whole numbers"),
-    (lambda: linear_shock.velocity_step(0, -1.0, 1.0), "^t: expected numbers not below zero"),
-    (lambda: jax.jit(lambda t: linear_shock.strain_step(0, t, 1.0))(1.0), "^t: expected times that are known"),
-])
+@pytest.mark.parametrize(
+    "call, said",
+    [
+        (lambda: linear_shock.velocity_step(0.5, 1.0, 1.0), "^n: expected whole numbers"),
+        (lambda: linear_shock.velocity_step(0, -1.0, 1.0), "^t: expected numbers not below zero"),
+        (
+            lambda: jax.jit(lambda t: linear_shock.strain_step(0, t, 1.0))(1.0),
+            "^t: expected times that are known",
+        ),
+    ],
+)
 def test_what_no_linear_shock_has_is_refused(call, said):
     with pytest.raises(ValueError, match=said):
         call()
@@ -321,7 +390,9 @@ def test_the_mean_of_a_power_law_in_closed_form():
     for x, y in zip(c, closed):
         assert simple_wave.mean(GRANULAR, x) == pytest.approx(float(y), rel=1e-12)
     vacuum = simple_wave.power_law_mean(0.5, 1.3, 2.5, mass=0.7)
-    assert simple_wave.mean(gx.PowerLaw(1.3, 2.5), 0.5, 0.7) == pytest.approx(float(vacuum), rel=1e-12)
+    assert simple_wave.mean(gx.PowerLaw(1.3, 2.5), 0.5, 0.7) == pytest.approx(
+        float(vacuum), rel=1e-12
+    )
     with pytest.raises(ValueError, match="^c: expected numbers at which contacts stay closed"):
         simple_wave.power_law_mean(-0.3, STIFFNESS, 1.5, REST)
 
@@ -360,18 +431,26 @@ def test_simple_waves_differentiate():
         return jnp.stack([inside, simple_wave.mean(law, x[3], x[4], ahead=x[5])])
 
     x, h = jnp.array([0.85, STIFFNESS, STIFFNESS * REST**1.5, -0.15, 1.0, 0.02]), 1e-4
-    apart = [jnp.stack([both(x + k * h * e) - both(x - k * h * e) for e in np.eye(6)], 1) for k in (1, 2)]
+    apart = [
+        jnp.stack([both(x + k * h * e) - both(x - k * h * e) for e in np.eye(6)], 1) for k in (1, 2)
+    ]
     found = jax.jacrev(both)(x)
     np.testing.assert_allclose(found, (8 * apart[0] - apart[1]) / (12 * h), atol=1e-9)
     np.testing.assert_allclose(jax.jacfwd(both)(x), found, atol=1e-13)
 
 
-@pytest.mark.parametrize("call, said", [
-    (lambda: simple_wave.fan(1.0, GRANULAR, 0.1), "^c: expected a number below zero.*shock_edges"),
-    (lambda: simple_wave.mean(GRANULAR, -5.0), "^c: expected a number above -0.2"),
-    (lambda: simple_wave.mean(GRANULAR, 0.0), "^c: expected a number other than zero"),
-    (lambda: simple_wave.power_law_mean(0.1, exponent=-3.0), "^exponent"),
-])
+@pytest.mark.parametrize(
+    "call, said",
+    [
+        (
+            lambda: simple_wave.fan(1.0, GRANULAR, 0.1),
+            "^c: expected a number below zero.*shock_edges",
+        ),
+        (lambda: simple_wave.mean(GRANULAR, -5.0), "^c: expected a number above -0.2"),
+        (lambda: simple_wave.mean(GRANULAR, 0.0), "^c: expected a number other than zero"),
+        (lambda: simple_wave.power_law_mean(0.1, exponent=-3.0), "^exponent"),
+    ],
+)
 def test_what_no_simple_wave_has_is_refused(call, said):
     with pytest.raises(ValueError, match=said):
         call()

@@ -15,7 +15,12 @@ HERTZ = (1.5, 0.375, -0.0625)
 LIGHT, HEAVY = 1.0, 2.957949
 # light mass last, so that it lies between bonds 0 and 1, which belong to one cell
 DIMER = np.array([HEAVY, LIGHT])
-CELL = np.array([1.0, 2.0, 1.4]), np.array([1.5, 1.1, 2.2]), np.array([0.3, -0.5, 0.4]), np.array([0.2, 0.1, -0.3])
+CELL = (
+    np.array([1.0, 2.0, 1.4]),
+    np.array([1.5, 1.1, 2.2]),
+    np.array([0.3, -0.5, 0.4]),
+    np.array([0.2, 0.1, -0.3]),
+)
 
 
 def power_law(p):
@@ -25,7 +30,9 @@ def power_law(p):
 
 def test_the_coefficients_are_those_of_the_laws():
     assert power_law(1.5) == HERTZ
-    np.testing.assert_allclose(gx.laws.taylor(gx.PowerLaw(1.0, -3.0, 1.0)), power_law(-3.0), rtol=1e-14)
+    np.testing.assert_allclose(
+        gx.laws.taylor(gx.PowerLaw(1.0, -3.0, 1.0)), power_law(-3.0), rtol=1e-14
+    )
 
 
 # -------------------------------------------------------------------------------------------------------- coefficients
@@ -64,7 +71,9 @@ def test_monomer_in_closed_form(k):
     assert found.nu2 == pytest.approx(omega / 8, rel=1e-12)
     assert found.harmonic_strain[0] == pytest.approx(Y2, rel=1e-11)
     assert found.mean_strain[0] == pytest.approx(Y0, rel=1e-11)
-    assert found.nu3 == pytest.approx(lam(k) / (2 * omega * m) * (3 * K4 + 2 * K3 * (Y0 + Y2)), rel=1e-10)
+    assert found.nu3 == pytest.approx(
+        lam(k) / (2 * omega * m) * (3 * K4 + 2 * K3 * (Y0 + Y2)), rel=1e-10
+    )
 
 
 @pytest.mark.parametrize("k, folded, branch", [(np.pi, 0.0, 1), (2.0, 4.0, 1), (1.0, 2.0, 0)])
@@ -76,7 +85,9 @@ def test_dimer_of_equal_masses_is_the_monomer(k, folded, branch, constraint):
     assert lanes.mode_real.dims == ("lane", "site") and lanes.omega.dims == ("lane",)
     assert two.omega == pytest.approx(float(one.omega), rel=1e-13)
     # k per cell, cells of two sites
-    assert 2 * abs(two.group_velocity) == pytest.approx(abs(float(one.group_velocity)), rel=1e-12, abs=1e-12)
+    assert 2 * abs(two.group_velocity) == pytest.approx(
+        abs(float(one.group_velocity)), rel=1e-12, abs=1e-12
+    )
     assert 4 * two.nu2 == pytest.approx(float(one.nu2), rel=1e-11)
     assert two.nu3 == pytest.approx(float(one.nu3), rel=1e-11)
     assert two.nu3_force == pytest.approx(float(one.nu3_force), rel=1e-11)
@@ -96,7 +107,9 @@ def test_band_edges_of_the_dimer():
 def test_signs_in_the_hertz_dimer():
     top = nls.coefficients(DIMER, *HERTZ, np.pi, 0)
     bottom = nls.coefficients(DIMER, *HERTZ, np.pi, 1)
-    assert top.omega == pytest.approx(1.0070830, rel=1e-7) and bottom.omega == pytest.approx(1.7320508, rel=1e-7)
+    assert top.omega == pytest.approx(1.0070830, rel=1e-7) and bottom.omega == pytest.approx(
+        1.7320508, rel=1e-7
+    )
     assert not top.focusing and "dark" in top.outcome
     assert bottom.focusing and "bright" in bottom.outcome
     # light beads between heavy ones at rest: (3 K4 - 4 K3^2/K2)/(omega m)
@@ -113,7 +126,9 @@ def test_dispersion_derivatives_by_finite_differences():
     assert at.group_velocity[2] == pytest.approx(float(first @ at.omega), rel=1e-10)
     assert at.nu2[2] == pytest.approx(float(-second @ at.omega / 2), rel=1e-7)
     np.testing.assert_allclose(at.strain_slope[2], first @ at.strain, rtol=1e-9, atol=1e-10)
-    assert len(set(np.asarray(at.bond))) == 1 and np.mean(np.abs(at.strain[2]) ** 2) == pytest.approx(1, rel=1e-14)
+    assert len(set(np.asarray(at.bond))) == 1 and np.mean(
+        np.abs(at.strain[2]) ** 2
+    ) == pytest.approx(1, rel=1e-14)
     assert abs(np.imag(at.strain[2][at.bond[2]])) < 1e-16
 
 
@@ -135,7 +150,9 @@ def test_gradient_in_the_masses():
 def test_second_derivative_in_the_masses():
     below, here, above = (float(nu3_of(_MASS + x * _H * _STEP)) for x in (-1, 0, 1))
     along = lambda m: jax.jvp(nu3_of, (m,), (_STEP,))[1]
-    assert jax.jvp(along, (_MASS,), (_STEP,))[1] == pytest.approx((above - 2 * here + below) / _H**2, rel=1e-5)
+    assert jax.jvp(along, (_MASS,), (_STEP,))[1] == pytest.approx(
+        (above - 2 * here + below) / _H**2, rel=1e-5
+    )
 
 
 # ------------------------------------------------------------------------------- against periodic orbits of small rings
@@ -166,7 +183,7 @@ def wave_on_ring(mass, K, p, k, a, guess, constraint):
         u, omega, stretch = split(z)
         y = strains(z)
         F = K[:, None] * ((1 + y) ** p - 1)
-        acceleration = np.real(np.fft.ifft(-(omega * number) ** 2 * np.fft.fft(u)))
+        acceleration = np.real(np.fft.ifft(-((omega * number) ** 2) * np.fft.fft(u)))
         before = np.concatenate([np.roll(F[-1:], shift, axis=1), F[:-1]])
         held = stretch if constraint == "length" else F[0].mean()
         first = y[guess.bond] @ phase - a * np.real(guess.strain[guess.bond])
@@ -230,7 +247,9 @@ def test_the_wave_on_a_ring_is_an_orbit_of_the_ring():
         F = (1 + z[:4] - np.roll(z[:4], -1)) ** 2.5
         return np.concatenate([z[4:], np.roll(F, 1) - F])
 
-    end = scipy.integrate.solve_ivp(field, (0, 2 * np.pi / omega), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    end = scipy.integrate.solve_ivp(
+        field, (0, 2 * np.pi / omega), start, "DOP853", rtol=1e-12, atol=1e-13
+    ).y[:, -1]
     np.testing.assert_allclose(end, start, atol=1e-10)
 
 
@@ -259,7 +278,9 @@ def test_a_resonant_second_harmonic_is_said():
 def test_a_resonance_that_is_not_fed_does_no_harm():
     # masses 1:3: 4 omega^2 of the acoustic top is omega^2 of the optical top, but by symmetry no force drives it
     found = nls.coefficients([3.0, 1.0], *HERTZ, np.pi, 0)
-    assert 4 * found.omega**2 == pytest.approx(float(nls.band_edges([3.0, 1.0], 1.5)[1, 1]) ** 2, rel=1e-12)
+    assert 4 * found.omega**2 == pytest.approx(
+        float(nls.band_edges([3.0, 1.0], 1.5)[1, 1]) ** 2, rel=1e-12
+    )
     near = nls.coefficients([3.1, 1.0], *HERTZ, np.pi, 0)
     assert not found.resonant
     assert found.nu3 * np.sqrt(3.0) == pytest.approx(float(near.nu3) * np.sqrt(3.1), rel=1e-10)
@@ -317,10 +338,16 @@ def test_dark_profile_of_the_monomer():
     assert 2 * profile.amplitude == pytest.approx(0.461880, rel=1e-5)
     # y_n = 2 (-1)^n (kappa/B)^{1/2} tanh[(-kappa/(2 nu2))^{1/2} (n - x0)] and the mean strain
     kappa, n = -0.01 * omega_0, np.arange(82)
-    envelope = np.sqrt(kappa / float(nls.B(*HERTZ))) * np.tanh(np.sqrt(-kappa / (2 * float(found.nu2))) * (n - 40))
+    envelope = np.sqrt(kappa / float(nls.B(*HERTZ))) * np.tanh(
+        np.sqrt(-kappa / (2 * float(found.nu2))) * (n - 40)
+    )
     np.testing.assert_allclose(profile.mean_strain, -2 * 0.375 / 1.5 * envelope**2, atol=1e-14)
-    np.testing.assert_allclose(profile.strain - profile.mean_strain, 2 * (-1.0) ** n * envelope, atol=1e-14)
-    np.testing.assert_allclose(profile.displacement[:-1] - profile.displacement[1:], profile.strain[:-1], atol=1e-14)
+    np.testing.assert_allclose(
+        profile.strain - profile.mean_strain, 2 * (-1.0) ** n * envelope, atol=1e-14
+    )
+    np.testing.assert_allclose(
+        profile.displacement[:-1] - profile.displacement[1:], profile.strain[:-1], atol=1e-14
+    )
     # the same chain in cells of two
     folded = nls.coefficients([1.0, 1.0], *HERTZ, 0.0, 1)
     again = nls.dark_profile(folded, 0.99 * omega_0, 41)
@@ -336,7 +363,9 @@ def test_dark_background_at_fixed_length():
     width = np.sqrt(-B * kappa * np.sqrt(1.5) / (3 * -0.0625) / (2 * np.sqrt(1.5) / 4))
     assert profile.inverse_width == pytest.approx(width, rel=1e-8)
     assert abs(profile.mean_strain[0]) < 1e-12
-    assert profile.mean_strain.max() == pytest.approx(2 * 0.375 / 1.5 * float(profile.amplitude) ** 2, rel=1e-9)
+    assert profile.mean_strain.max() == pytest.approx(
+        2 * 0.375 / 1.5 * float(profile.amplitude) ** 2, rel=1e-9
+    )
     Y = nls.dark(0.8, 0.0, kappa, found.nu2, found.nu3, nu3_force=found.nu3_force)
     assert Y == pytest.approx(float(profile.amplitude) * np.tanh(0.8 * width), rel=1e-8)
 
@@ -352,9 +381,14 @@ def test_bright_profile_approaches_the_breather():
     assert errors[0] < 0.06 and errors[0] < 0.75 * errors[1]
     profile = nls.bright_profile(found, 0.99 * np.sqrt(3), 60, centre=59)
     # even about the bead in what oscillates, odd in the mean
-    np.testing.assert_allclose(profile.strain[59 - 40 : 59] - profile.mean_strain[59 - 40 : 59],
-                               -(profile.strain - profile.mean_strain)[59:99][::-1], atol=1e-12)
-    np.testing.assert_allclose(profile.mean_strain[19:59], profile.mean_strain[59:99][::-1], atol=1e-12)
+    np.testing.assert_allclose(
+        profile.strain[59 - 40 : 59] - profile.mean_strain[59 - 40 : 59],
+        -(profile.strain - profile.mean_strain)[59:99][::-1],
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        profile.mean_strain[19:59], profile.mean_strain[59:99][::-1], atol=1e-12
+    )
 
 
 def test_profile_is_a_superposition_of_modes():

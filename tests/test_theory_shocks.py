@@ -23,7 +23,9 @@ def toda_speed(m, c):
     with mp.workdps(60):
         m, c = mp.mpf(float(m)), mp.mpf(float(c))
         if m == 0 or m == 1:
-            return float(1 - c if m == 0 else mp.sqrt(c * (c + 1)) / mp.log(mp.sqrt(c) + mp.sqrt(c + 1)))
+            return float(
+                1 - c if m == 0 else mp.sqrt(c * (c + 1)) / mp.log(mp.sqrt(c) + mp.sqrt(c + 1))
+            )
         K, E, share = mp.ellipk(m), mp.ellipe(m), 1 + c * (1 - m)
         third = (c + 1) * K - share * mp.ellippi(c * m / (c + 1), m)
         return float(c * (c + 1) / share * (share * E - (c + 1) * (1 - m) * K) / third)
@@ -31,23 +33,41 @@ def toda_speed(m, c):
 
 def test_edges_of_the_toda_shock():
     edges = toda.velocity_shock(np.array([0.1, 0.5]))
-    np.testing.assert_allclose(edges, [[0.9, 0.5], [1.06581768, 1.31519072], [0.19062036, 0.81093022],
-                                       [0.36464311, 1.38629436]], rtol=0, atol=5.1e-9)
+    np.testing.assert_allclose(
+        edges,
+        [[0.9, 0.5], [1.06581768, 1.31519072], [0.19062036, 0.81093022], [0.36464311, 1.38629436]],
+        rtol=0,
+        atol=5.1e-9,
+    )
     # what the modulation has at its ends
     back, front = toda.modulation(0.0, C), toda.modulation(1.0, C)
     edges = toda.velocity_shock(C)
-    for got, want in ((back.speed, edges.trailing_speed), (front.speed, edges.leading_speed), (back.mean, edges.mean),
-                      (front.amplitude, edges.amplitude)):
+    for got, want in (
+        (back.speed, edges.trailing_speed),
+        (front.speed, edges.leading_speed),
+        (back.mean, edges.mean),
+        (front.amplitude, edges.amplitude),
+    ):
         np.testing.assert_allclose(got, want, rtol=4e-15)
-    assert np.all(back.amplitude == 0) and np.all(front.trough == 0) and np.all(np.isinf(front.wavelength))
+    assert (
+        np.all(back.amplitude == 0)
+        and np.all(front.trough == 0)
+        and np.all(np.isinf(front.wavelength))
+    )
     assert np.all(front.mean == 0)
 
 
 def test_speed_inside_the_toda_shock():
-    np.testing.assert_allclose(toda.modulation([0.2, 0.5, 0.8, 0.95], 0.5).speed,
-                               [0.607509, 0.803701, 1.063430, 1.237004], rtol=0, atol=5.1e-7)
+    np.testing.assert_allclose(
+        toda.modulation([0.2, 0.5, 0.8, 0.95], 0.5).speed,
+        [0.607509, 0.803701, 1.063430, 1.237004],
+        rtol=0,
+        atol=5.1e-7,
+    )
     m, c = np.meshgrid(M, C, indexing="ij")
-    np.testing.assert_allclose(toda.modulation(m, c).speed, np.vectorize(toda_speed)(m, c), rtol=0, atol=2e-15)
+    np.testing.assert_allclose(
+        toda.modulation(m, c).speed, np.vectorize(toda_speed)(m, c), rtol=0, atol=2e-15
+    )
 
 
 def test_m_of_a_speed():
@@ -71,14 +91,18 @@ def test_the_modulated_wave_of_toda(own):
         other = {"mean": "mean_strain"}.get(name, name)
         np.testing.assert_allclose(getattr(at, name), getattr(same, other), rtol=1e-13)
     np.testing.assert_allclose(at.amplitude, at.crest - at.trough, rtol=1e-13)
-    np.testing.assert_allclose(at.speed, unit * np.array([toda_speed(x, 0.4) for x in m]), rtol=1e-14)
+    np.testing.assert_allclose(
+        at.speed, unit * np.array([toda_speed(x, 0.4) for x in m]), rtol=1e-14
+    )
     # far behind, inside, ahead
     t = 2000.0
     n = np.array([0.1 * unit * t, *at.speed * t, 2 * unit * t])
     shock = toda.shock_wave(n, t, c, phase=0.0, **own)
     np.testing.assert_allclose(shock.m, [0, *m, 1], atol=1e-13)
     np.testing.assert_allclose(shock.mean[1:4], at.mean, rtol=1e-13)
-    np.testing.assert_allclose(shock.strain[jnp.array([0, 4])], [2 * np.log(1.4) / own["rate"], 0], atol=1e-14)
+    np.testing.assert_allclose(
+        shock.strain[jnp.array([0, 4])], [2 * np.log(1.4) / own["rate"], 0], atol=1e-14
+    )
     wave = toda.periodic_wave(n[1:4], t, at.E1, at.E2, at.E3, at.E4, **own)
     np.testing.assert_allclose(shock.strain[1:4], wave.strain, rtol=1e-10)
     # a phase of its own at each place; a whole wave changes nothing
@@ -114,7 +138,9 @@ def test_periodic_waves_of_any_numbers_solve_the_equation():
     k = np.arccosh((2 * four - one - two) / (two - one))
     front = toda.periodic_numbers(one, two, four, four)
     np.testing.assert_allclose(front.speed, sound * np.sinh(k) / k, rtol=1e-12)
-    np.testing.assert_allclose(front.crest - 2 * np.log(sound), toda.amplitude(k), rtol=1e-10, atol=1e-13)
+    np.testing.assert_allclose(
+        front.crest - 2 * np.log(sound), toda.amplitude(k), rtol=1e-10, atol=1e-13
+    )
 
 
 def frequencies(m):
@@ -136,7 +162,9 @@ def exact_phase(m, c):
     """pi less the ratio of the two integrals, by quadrature in the angle of each band."""
     E1, E2, E3, E4 = (float(E) for E in toda.modulation(m, c)[1:5])
     chi = lambda x: np.log((x * x - E2**2) * (E4**2 - x * x)) / 2 - np.log(c * x)
-    inside = lambda a, b, x: 2 * quad(lambda q: x(a + (b - a) * np.sin(q) ** 2), 0, np.pi / 2, epsabs=1e-13)[0]
+    inside = lambda a, b, x: (
+        2 * quad(lambda q: x(a + (b - a) * np.sin(q) ** 2), 0, np.pi / 2, epsabs=1e-13)[0]
+    )
     over = inside(E3, E4, lambda x: chi(x) / np.sqrt((x - E1) * (x - E2)))
     return np.pi - over / inside(E2, E3, lambda x: 1 / np.sqrt((x - E1) * (E4 - x)))
 
@@ -144,16 +172,27 @@ def exact_phase(m, c):
 def test_the_phase_is_known():
     m = np.array([0.05, 0.5, 0.95])
     for c in (0.1, 0.9):
-        np.testing.assert_allclose(toda.modulation(m, c).phase, [exact_phase(x, c) for x in m], rtol=1e-11)
-    np.testing.assert_allclose(kdv.modulation(m, 0.1, *NORMAL).phase, toda.modulation(m, 1e-7).phase, rtol=1e-6)
-    np.testing.assert_allclose(toda.modulation([1 - 2.0**-50, 1.0], 0.5).phase, 1.5 * np.pi, rtol=0.05)
+        np.testing.assert_allclose(
+            toda.modulation(m, c).phase, [exact_phase(x, c) for x in m], rtol=1e-11
+        )
+    np.testing.assert_allclose(
+        kdv.modulation(m, 0.1, *NORMAL).phase, toda.modulation(m, 1e-7).phase, rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        toda.modulation([1 - 2.0**-50, 1.0], 0.5).phase, 1.5 * np.pi, rtol=0.05
+    )
 
 
 def simulated(c, times, step):
     """A velocity shock: time, places, strain, where in the fan that is, 0 to 1, and how far off the theory is."""
     sites = 501
-    chain, v = gx.scenes.toda(sites, boundary="free"), -2 * c * np.sign(np.arange(sites) - sites // 2)
-    run = gx.simulate(chain, (np.zeros(sites), v), times[-1], step=step, solver=gx.SRKN11b(), save_at=times)
+    chain, v = (
+        gx.scenes.toda(sites, boundary="free"),
+        -2 * c * np.sign(np.arange(sites) - sites // 2),
+    )
+    run = gx.simulate(
+        chain, (np.zeros(sites), v), times[-1], step=step, solver=gx.SRKN11b(), save_at=times
+    )
     x, (back, front, *_) = np.abs(np.arange(sites - 1) + 0.5 - sites // 2), toda.velocity_shock(c)
     for t, u in zip(times, np.asarray(run.us)):
         apart = np.abs(-np.diff(u) - toda.shock_wave(x, t, c).strain)
@@ -196,26 +235,37 @@ def test_a_shock_beyond_c_of_one_has_a_binary_oscillation():
 @pytest.mark.slow
 def test_a_shock_differentiates():
     """In both modes, and where c alone moves at the edges too."""
-    f = lambda x: toda.shock_wave(80 * x[0], 80.0, x[1], phase=x[2]).strain + toda.modulus(x[0], x[1])
+    f = lambda x: (
+        toda.shock_wave(80 * x[0], 80.0, x[1], phase=x[2]).strain + toda.modulus(x[0], x[1])
+    )
     x, h = jnp.array([0.9, 0.5, 0.3]), 1e-5
-    back, along = jax.jit(lambda x: (jax.grad(f)(x), jax.jvp(f, (x,), (jnp.array([1.0, -2.0, 0.7]),))[1]))(x)
+    back, along = jax.jit(
+        lambda x: (jax.grad(f)(x), jax.jvp(f, (x,), (jnp.array([1.0, -2.0, 0.7]),))[1])
+    )(x)
     assert float(back @ jnp.array([1.0, -2.0, 0.7])) == pytest.approx(float(along), rel=1e-12)
     want = [(f(x.at[i].add(h)) - f(x.at[i].add(-h))) / (2 * h) for i in range(3)]
     np.testing.assert_allclose(back, want, rtol=1e-6)
-    edges = jax.jit(jax.jacfwd(lambda c: jnp.stack(toda.modulation(jnp.array([0.0, 1.0]), c)[:7])))(0.5)
+    edges = jax.jit(jax.jacfwd(lambda c: jnp.stack(toda.modulation(jnp.array([0.0, 1.0]), c)[:7])))(
+        0.5
+    )
     assert np.all(np.isfinite(edges))
     slopes = jax.jit(jax.jacfwd(lambda m: jnp.stack(toda.modulation(m, 0.5))))
-    assert slopes(1.0)[0] == np.inf and slopes(1.0)[5] == -np.inf and np.all(np.isfinite(slopes(0.0)))
+    assert (
+        slopes(1.0)[0] == np.inf and slopes(1.0)[5] == -np.inf and np.all(np.isfinite(slopes(0.0)))
+    )
     # nowhere a NaN: behind, at both edges, ahead
     t, speeds = 80.0, toda.velocity_shock(0.5)
     n = t * jnp.array([0.1, speeds.trailing_speed, 0.9, speeds.leading_speed, 1.4])
-    every = jax.jit(jax.jacrev(lambda x: jnp.stack(toda.shock_wave(n + x[0], t + x[1], 0.5 + x[2]))))(jnp.zeros(3))
+    every = jax.jit(
+        jax.jacrev(lambda x: jnp.stack(toda.shock_wave(n + x[0], t + x[1], 0.5 + x[2])))
+    )(jnp.zeros(3))
     assert np.all(np.isfinite(every))
     weak = lambda x: jnp.stack(kdv.shock_wave(n + x[0], t + x[1], 0.1 + x[2], *NORMAL))
     assert np.all(np.isfinite(jax.jit(jax.jacrev(weak))(jnp.zeros(3))))
 
 
 # ----------------------------------------------------------------------------------------------------------------- KdV
+
 
 def S(m):
     """As it is printed, in 60 digits; at m = 0 and 1 the limits."""
@@ -233,7 +283,9 @@ def test_the_shock_of_kdv():
     np.testing.assert_allclose([*ends.speed, ends.mean[0], ends.amplitude[1]], edges, atol=1e-15)
     assert np.all(ends.mean[1] == 0) and np.all(ends.amplitude[0] == 0)
     c = 1e-9
-    np.testing.assert_allclose((kdv.modulation(M, 0.5, *NORMAL).speed - 1) / 0.5, np.vectorize(S)(M), atol=1e-15)
+    np.testing.assert_allclose(
+        (kdv.modulation(M, 0.5, *NORMAL).speed - 1) / 0.5, np.vectorize(S)(M), atol=1e-15
+    )
     assert (kdv.modulation(0.5, c, *NORMAL).speed - 1) / c == pytest.approx(S(0.5), abs=3e-7)
     speed = kdv.modulation(M, 0.5, *NORMAL).speed
     np.testing.assert_allclose(kdv.modulus(speed, 0.5, *NORMAL), M, atol=2e-15)
@@ -247,14 +299,18 @@ def test_kdv_is_the_toda_chain_of_weak_shocks():
     for name in ("mean", "crest", "trough", "amplitude", "wavelength", "phase"):
         np.testing.assert_allclose(getattr(faint, name), getattr(other, name), rtol=1e-12)
     weak, exact = kdv.velocity_shock(c, *NORMAL), toda.velocity_shock(c)
-    np.testing.assert_allclose((np.array(exact) - np.array(weak)) / c**2, [0, -4 / 45, -1, -4], rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(
+        (np.array(exact) - np.array(weak)) / c**2, [0, -4 / 45, -1, -4], rtol=1e-3, atol=1e-7
+    )
     m = M[2:6]
     inside, other = toda.modulation(m, c), kdv.modulation(m, c, *NORMAL)
     np.testing.assert_allclose((inside.speed - 1) / c, np.vectorize(S)(m), atol=1e-4)
     for name in ("mean", "amplitude", "wavelength", "crest", "trough"):
         np.testing.assert_allclose(getattr(inside, name), getattr(other, name), rtol=2 * c)
     n, t = 1e6 * (1 + c * np.linspace(-1.2, 0.8, 9)), 1e6
-    np.testing.assert_allclose(toda.shock_wave(n, t, c).strain, kdv.shock_wave(n, t, c, *NORMAL).strain, atol=0.2 * c)
+    np.testing.assert_allclose(
+        toda.shock_wave(n, t, c).strain, kdv.shock_wave(n, t, c, *NORMAL).strain, atol=0.2 * c
+    )
 
 
 @pytest.mark.slow
@@ -285,14 +341,17 @@ def test_the_modulated_wave_of_kdv():
     np.testing.assert_allclose(domega / dk, at.speed, rtol=1e-12)
 
 
-@pytest.mark.parametrize("call, said", [
-    (lambda: kdv.velocity_shock(-0.1, *NORMAL), r"^c: expected .* in \(0, 1\).*a rarefaction"),
-    (lambda: kdv.velocity_shock(1.0, *NORMAL), "^c: expected .*no long, weak wave"),
-    (lambda: toda.modulation(0.7, 2.0), r"^m: expected numbers from 1 - 1/C\^2 on"),
-    (lambda: toda.velocity_shock(-0.1), "^c: expected .*pulled apart"),
-    (lambda: toda.modulation(1.1, 0.5), r"^m: expected numbers in \[0, 1\]"),
-    (lambda: toda.shock_wave(1.0, 0.0, 0.5), "^t: expected numbers above zero"),
-])
+@pytest.mark.parametrize(
+    "call, said",
+    [
+        (lambda: kdv.velocity_shock(-0.1, *NORMAL), r"^c: expected .* in \(0, 1\).*a rarefaction"),
+        (lambda: kdv.velocity_shock(1.0, *NORMAL), "^c: expected .*no long, weak wave"),
+        (lambda: toda.modulation(0.7, 2.0), r"^m: expected numbers from 1 - 1/C\^2 on"),
+        (lambda: toda.velocity_shock(-0.1), "^c: expected .*pulled apart"),
+        (lambda: toda.modulation(1.1, 0.5), r"^m: expected numbers in \[0, 1\]"),
+        (lambda: toda.shock_wave(1.0, 0.0, 0.5), "^t: expected numbers above zero"),
+    ],
+)
 def test_what_is_no_shock_is_refused(call, said):
     with pytest.raises(ValueError, match=said):
         call()

@@ -21,15 +21,23 @@ def defects(wave):
     (y, v, u), (_, a, ut) = jax.jvp(wave, (T,), (1.0,))
     gap = jnp.diff(-u) - y[:-1]
     force = SCALED["strength"] * jnp.exp(SCALED["rate"] * y)
-    return jnp.stack([jnp.abs(x).max() for x in (gap, v - ut, a[1:] * SCALED["mass"] - (force[:-1] - force[1:]))])
+    return jnp.stack(
+        [jnp.abs(x).max() for x in (gap, v - ut, a[1:] * SCALED["mass"] - (force[:-1] - force[1:]))]
+    )
 
 
 WAVES = {
     "soliton": lambda n, t: toda.soliton(n, t, 0.8, centre=0.3, **SCALED),
     "to the left": lambda n, t: toda.soliton(n, t, 0.8, direction="left", **SCALED),
-    "overtaking": lambda n, t: toda.two_solitons(n, t, 1.0, 0.5, centre1=-3.0, centre2=2.0, **SCALED),
-    "head-on": lambda n, t: toda.two_solitons(n, t, 0.7, 0.9, centre1=-3.0, centre2=2.0, head_on=True, **SCALED),
-    "periodic": lambda n, t: toda.periodic_wave(n, t, -1.37, -0.4, 0.26, 1.85, centre=0.2, **SCALED),
+    "overtaking": lambda n, t: toda.two_solitons(
+        n, t, 1.0, 0.5, centre1=-3.0, centre2=2.0, **SCALED
+    ),
+    "head-on": lambda n, t: toda.two_solitons(
+        n, t, 0.7, 0.9, centre1=-3.0, centre2=2.0, head_on=True, **SCALED
+    ),
+    "periodic": lambda n, t: toda.periodic_wave(
+        n, t, -1.37, -0.4, 0.26, 1.85, centre=0.2, **SCALED
+    ),
     "nearly solitons": lambda n, t: toda.periodic_wave(n, t, -1.0, 0.5, 1.3, 1.3000001, **SCALED),
     "soliton on a strain": lambda n, t: toda.periodic_wave(n, t, -1.0, 0.5, 1.3, 1.3, **SCALED),
     "uniform": lambda n, t: toda.periodic_wave(n, t, -1.0, 0.3, 0.3, 1.3, **SCALED),
@@ -37,8 +45,19 @@ WAVES = {
 }
 
 
-@pytest.mark.parametrize("name", ["soliton", "overtaking", "periodic", *(
-    pytest.param(name, marks=pytest.mark.slow) for name in WAVES if name not in ("soliton", "overtaking", "periodic"))])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "soliton",
+        "overtaking",
+        "periodic",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in WAVES
+            if name not in ("soliton", "overtaking", "periodic")
+        ),
+    ],
+)
 def test_toda_waves_solve_the_equations_of_the_chain(name):
     assert np.all(defects(lambda t: tuple(WAVES[name](SITES, t))) < 3e-14)
 
@@ -54,18 +73,29 @@ def test_numbers_of_a_toda_soliton():
         found = toda.wavenumber(**{name: getattr(toda, name)(k, **constants)}, **SCALED)
         np.testing.assert_allclose(found, k, rtol=1e-9 if name == "speed" else 1e-14)
     wave = toda.soliton(np.arange(-40, 41), 0.0, 1.0)
-    assert wave.strain.sum() == pytest.approx(2, rel=1e-14) and wave.displacement[0] == pytest.approx(2, rel=1e-14)
+    assert wave.strain.sum() == pytest.approx(2, rel=1e-14) and wave.displacement[
+        0
+    ] == pytest.approx(2, rel=1e-14)
     energy = np.sum(wave.velocity**2 / 2 + np.expm1(wave.strain) - wave.strain)
     assert energy == pytest.approx(float(toda.energy(1.0)), rel=1e-13)
 
 
 def test_phase_shifts():
-    np.testing.assert_allclose(toda.phase_shifts(1.0, 0.5), [1.180269670641735, -2.360539341283469], rtol=1e-15)
-    np.testing.assert_allclose(toda.phase_shifts(0.5, 1.0), [-2.360539341283469, 1.180269670641735], rtol=1e-15)
-    np.testing.assert_allclose(toda.phase_shifts(1.0, 0.5, head_on=True), [0.2273362938026457, -0.4546725876052915],
-                               rtol=1e-14)
+    np.testing.assert_allclose(
+        toda.phase_shifts(1.0, 0.5), [1.180269670641735, -2.360539341283469], rtol=1e-15
+    )
+    np.testing.assert_allclose(
+        toda.phase_shifts(0.5, 1.0), [-2.360539341283469, 1.180269670641735], rtol=1e-15
+    )
+    np.testing.assert_allclose(
+        toda.phase_shifts(1.0, 0.5, head_on=True),
+        [0.2273362938026457, -0.4546725876052915],
+        rtol=1e-14,
+    )
     # two that hardly move against each other exchange their places
-    assert toda.phase_shifts(1.0, 1.0 - 1e-9)[0] == pytest.approx(np.log(2e9 * np.sinh(1)), rel=1e-7)
+    assert toda.phase_shifts(1.0, 1.0 - 1e-9)[0] == pytest.approx(
+        np.log(2e9 * np.sinh(1)), rel=1e-7
+    )
 
 
 def crest(strain, k, near):
@@ -83,15 +113,21 @@ def test_solitons_of_a_simulation_are_shifted_and_keep_their_eigenvalues(head_on
     n = np.arange(size)
     wave = toda.two_solitons(n, 0.0, k1, k2, centre1=centre1, centre2=centre2, head_on=head_on)
     ring = gx.scenes.toda(size, boundary="free")
-    run = gx.simulate(ring, (wave.displacement, wave.velocity), t1, step=0.05, solver=gx.SRKN14a(), save_at=3)
+    run = gx.simulate(
+        ring, (wave.displacement, wave.velocity), t1, step=0.05, solver=gx.SRKN14a(), save_at=3
+    )
     strain = np.asarray(gx.measures.strain(ring, run.final))
     speeds = float(toda.speed(k1)), float(toda.speed(k2)) * (-1 if head_on else 1)
     shifts = toda.phase_shifts(k1, k2, head_on=head_on)
     for k, start, speed, shift in zip((k1, k2), (centre1, centre2), speeds, shifts):
         alone = start + speed * t1
-        assert crest(strain, k, alone + float(shift)) - alone == pytest.approx(float(shift), abs=1e-8)
-    first, last = (toda.lax_eigenvalues(gx.measures.strain(ring, y), y[1]) for y in (
-        (wave.displacement, wave.velocity), run.final))
+        assert crest(strain, k, alone + float(shift)) - alone == pytest.approx(
+            float(shift), abs=1e-8
+        )
+    first, last = (
+        toda.lax_eigenvalues(gx.measures.strain(ring, y), y[1])
+        for y in ((wave.displacement, wave.velocity), run.final)
+    )
     np.testing.assert_allclose(first, last, rtol=0, atol=1e-11)
     beyond = np.sort(np.asarray(last)[np.abs(last) > 1])
     want = np.sort([np.cosh(k1), (-1 if head_on else 1) * np.cosh(k2)])
@@ -108,17 +144,23 @@ def test_a_ring_keeps_all_eigenvalues_of_any_state():
     at = [toda.lax_eigenvalues(y, v, boundary="periodic") for y, v in zip(strains.T, run.vs)]
     np.testing.assert_allclose(at, [at[0]] * len(at), rtol=0, atol=1e-11)
     # a batch of states, lanes last
-    np.testing.assert_allclose(toda.lax_eigenvalues(strains, run.vs.T, boundary="periodic"), np.array(at).T, atol=1e-13)
+    np.testing.assert_allclose(
+        toda.lax_eigenvalues(strains, run.vs.T, boundary="periodic"), np.array(at).T, atol=1e-13
+    )
 
 
 def test_periodic_waves_reach_their_limits():
     # long: the soliton of the eigenvalue beyond the band [-1, 1]
-    wave, alone = toda.periodic_wave(SITES, T, -1.0, 1.0, np.cosh(0.8), np.cosh(0.8)), toda.soliton(SITES, T, 0.8)
+    wave, alone = (
+        toda.periodic_wave(SITES, T, -1.0, 1.0, np.cosh(0.8), np.cosh(0.8)),
+        toda.soliton(SITES, T, 0.8),
+    )
     np.testing.assert_allclose(wave.strain, alone.strain, atol=1e-14)
     np.testing.assert_allclose(wave.velocity, alone.velocity, atol=1e-14)
     numbers = toda.periodic_numbers(-1.0, 1.0, np.cosh(0.8), np.cosh(0.8))
     assert numbers.wavelength == np.inf and numbers.mean_strain == pytest.approx(0, abs=1e-15)
     assert numbers.speed == pytest.approx(float(toda.speed(0.8)), rel=1e-14)
+
 
 @pytest.mark.slow
 def test_periodic_waves_and_their_numbers():
@@ -133,7 +175,9 @@ def test_periodic_waves_and_their_numbers():
     wave = toda.periodic_wave(0.0, t, *E)
     assert wave.strain.mean() == pytest.approx(float(numbers.mean_strain), rel=1e-12)
     assert wave.velocity.mean() == pytest.approx(float(numbers.mean_velocity), rel=1e-12)
-    assert wave.strain.max() <= numbers.crest + 1e-14 and wave.strain.min() >= numbers.trough - 1e-14
+    assert (
+        wave.strain.max() <= numbers.crest + 1e-14 and wave.strain.min() >= numbers.trough - 1e-14
+    )
 
 
 def test_laws_are_matched():
@@ -144,7 +188,9 @@ def test_laws_are_matched():
     # a law that softens in compression has waves of rarefaction
     a, b = toda.matched(1.0, -0.3)
     wave = toda.soliton(0.0, 0.0, 0.5, strength=a, rate=b)
-    assert wave.strain < 0 and toda.wavenumber(amplitude=wave.strain, strength=a, rate=b) == pytest.approx(0.5)
+    assert wave.strain < 0 and toda.wavenumber(
+        amplitude=wave.strain, strength=a, rate=b
+    ) == pytest.approx(0.5)
 
 
 # ----------------------------------------------------------------------------------------------------------------- KdV
@@ -154,8 +200,10 @@ K2, K3, MASS = 1.5, 0.375, 2.0
 
 @pytest.mark.parametrize("name", ["soliton", pytest.param("cnoidal", marks=pytest.mark.slow)])
 def test_kdv_waves_solve_their_equation(name):
-    wave = {"soliton": lambda x, t: kdv.soliton(x, t, K2, K3, amplitude=0.1, mass=MASS),
-            "cnoidal": lambda x, t: kdv.cnoidal(x, t, -0.004, 0.008, 0.012, K2, K3, mass=MASS)}[name]
+    wave = {
+        "soliton": lambda x, t: kdv.soliton(x, t, K2, K3, amplitude=0.1, mass=MASS),
+        "cnoidal": lambda x, t: kdv.cnoidal(x, t, -0.004, 0.008, 0.012, K2, K3, mass=MASS),
+    }[name]
     sound, unit = kdv.scales(K2, K3, MASS)
     assert (sound, unit) == (pytest.approx(np.sqrt(0.75)), pytest.approx(4.0))
     s = lambda x, t: wave(x, t).strain / unit
@@ -164,7 +212,9 @@ def test_kdv_waves_solve_their_equation(name):
     def residual(x):
         first = jax.grad(s)
         third = jax.grad(jax.grad(first))
-        return jax.grad(s, 1)(x, T) + sound * (first(x, T) + third(x, T) / 24 + s(x, T) * first(x, T)), first(x, T)
+        return jax.grad(s, 1)(x, T) + sound * (
+            first(x, T) + third(x, T) / 24 + s(x, T) * first(x, T)
+        ), first(x, T)
 
     left, size = residual(1.7)
     assert abs(left) < 1e-13 * abs(size)
@@ -185,7 +235,10 @@ def test_kdv_soliton_and_its_limits():
     np.testing.assert_allclose(long.velocity, v, atol=1e-16)
     # a weak soliton of Toda's chain is one of KdV
     small = 1e-3
-    one, other = toda.soliton(SITES, T, small), kdv.soliton(SITES, T, 1.0, 0.5, speed=toda.speed(small))
+    one, other = (
+        toda.soliton(SITES, T, small),
+        kdv.soliton(SITES, T, 1.0, 0.5, speed=toda.speed(small)),
+    )
     for a, b in zip(one[:2], other[:2]):
         np.testing.assert_allclose(a, b, rtol=2e-6)
     # to the left it is its mirror image
@@ -199,23 +252,35 @@ def test_kdv_soliton_and_its_limits():
 
 def test_compactons_of_hertz():
     one, other = compacton.nesterenko(0.0), compacton.ahnert_pikovsky(0.0)
-    assert one.strain == pytest.approx(25 / 16, rel=1e-15) and other.strain == pytest.approx(36 / 25, rel=1e-15)
+    assert one.strain == pytest.approx(25 / 16, rel=1e-15) and other.strain == pytest.approx(
+        36 / 25, rel=1e-15
+    )
     # over the exact wave
-    np.testing.assert_allclose(np.array([one.strain, other.strain]) / 1.48735937434940207 - 1, [0.05052, -0.03184],
-                               atol=5e-6)
+    np.testing.assert_allclose(
+        np.array([one.strain, other.strain]) / 1.48735937434940207 - 1,
+        [0.05052, -0.03184],
+        atol=5e-6,
+    )
     x = np.array([0.7, 2.4, 2.6, -5.0])
     found = compacton.nesterenko(x, speed=1.3, stiffness=2.0, mass=3.0)
     want = (1.3**2 * 1.5) ** 2 * 25 / 16 * np.cos(np.sqrt(0.4) * x) ** 4
-    np.testing.assert_allclose(found.strain, np.where(np.abs(x) < found.half_width, want, 0), rtol=1e-13)
+    np.testing.assert_allclose(
+        found.strain, np.where(np.abs(x) < found.half_width, want, 0), rtol=1e-13
+    )
 
 
 def test_compactons_of_rosenau_and_hyman():
     x = np.linspace(-8, 8, 9)
     inside = np.abs(x) < 2 * np.pi
-    np.testing.assert_allclose(compacton.rosenau_hyman(x), np.where(inside, 4 / 3 * np.cos(x / 4) ** 2, 0), atol=1e-14)
+    np.testing.assert_allclose(
+        compacton.rosenau_hyman(x), np.where(inside, 4 / 3 * np.cos(x / 4) ** 2, 0), atol=1e-14
+    )
     edge = np.abs(x) < 1.5 * np.pi
-    np.testing.assert_allclose(compacton.rosenau_hyman(x, 3.0, 3.0, speed=2.0),
-                               np.where(edge, np.sqrt(3) * np.cos(x / 3), 0), atol=1e-14)
+    np.testing.assert_allclose(
+        compacton.rosenau_hyman(x, 3.0, 3.0, speed=2.0),
+        np.where(edge, np.sqrt(3) * np.cos(x / 3), 0),
+        atol=1e-14,
+    )
 
 
 @pytest.mark.slow
@@ -230,19 +295,43 @@ def test_what_a_compacton_of_any_powers_leaves():
             assert abs(residual(x, m, n)) < 1e-12, (m, n, x)
 
 
-@pytest.mark.parametrize("call, said", [
-    (lambda: toda.two_solitons(0.0, 0.0, 1.0, 1.0, centre1=0.0, centre2=5.0), "^k1, k2: expected two that differ"),
-    (lambda: toda.wavenumber(speed=0.9), "^speed: expected numbers above 1.0, the speed of sound"),
-    (lambda: toda.wavenumber(speed=2.0, energy=1.0), "expected one of these, got speed, energy"),
-    (lambda: toda.wavenumber(amplitude=-1.0), "^amplitude: expected strains of the sign"),
-    (lambda: toda.soliton(0.0, 0.0, 1.0, strength=1.0, rate=-1.0), "^strength, rate: expected two numbers of one sign"),
-    (lambda: toda.matched(0.0, 0.5), "^K2: expected numbers above zero"),
-    (lambda: toda.periodic_wave(0.0, 0.0, 1.0, 0.0, 2.0, 3.0), "^E1, E2, E3, E4: expected E1 < E2"),
-    (lambda: kdv.soliton(0.0, 0.0, 1.0, -0.5, amplitude=0.1), "^amplitude: expected strains of the sign of K3"),
-    (lambda: kdv.scales(0.0, 0.0), "^K2: expected numbers above zero, got .*without linear stiffness has no sound"),
-    (lambda: kdv.cnoidal(0.0, 0.0, 0.2, 0.1, 0.3, 1.0, 0.5), "^r1, r2, r3: expected r1 <= r2"),
-    (lambda: compacton.nesterenko(0.0, 1.0), r"^p: expected numbers in \(1"),
-])
+@pytest.mark.parametrize(
+    "call, said",
+    [
+        (
+            lambda: toda.two_solitons(0.0, 0.0, 1.0, 1.0, centre1=0.0, centre2=5.0),
+            "^k1, k2: expected two that differ",
+        ),
+        (
+            lambda: toda.wavenumber(speed=0.9),
+            "^speed: expected numbers above 1.0, the speed of sound",
+        ),
+        (
+            lambda: toda.wavenumber(speed=2.0, energy=1.0),
+            "expected one of these, got speed, energy",
+        ),
+        (lambda: toda.wavenumber(amplitude=-1.0), "^amplitude: expected strains of the sign"),
+        (
+            lambda: toda.soliton(0.0, 0.0, 1.0, strength=1.0, rate=-1.0),
+            "^strength, rate: expected two numbers of one sign",
+        ),
+        (lambda: toda.matched(0.0, 0.5), "^K2: expected numbers above zero"),
+        (
+            lambda: toda.periodic_wave(0.0, 0.0, 1.0, 0.0, 2.0, 3.0),
+            "^E1, E2, E3, E4: expected E1 < E2",
+        ),
+        (
+            lambda: kdv.soliton(0.0, 0.0, 1.0, -0.5, amplitude=0.1),
+            "^amplitude: expected strains of the sign of K3",
+        ),
+        (
+            lambda: kdv.scales(0.0, 0.0),
+            "^K2: expected numbers above zero, got .*without linear stiffness has no sound",
+        ),
+        (lambda: kdv.cnoidal(0.0, 0.0, 0.2, 0.1, 0.3, 1.0, 0.5), "^r1, r2, r3: expected r1 <= r2"),
+        (lambda: compacton.nesterenko(0.0, 1.0), r"^p: expected numbers in \(1"),
+    ],
+)
 def test_what_is_no_wave_is_refused(call, said):
     with pytest.raises(ValueError, match=said):
         call()
@@ -252,18 +341,25 @@ def test_what_is_no_wave_is_refused(call, said):
 def test_waves_differentiate_in_their_numbers():
     def numbers(x):
         k, E, p = x
-        return (toda.two_solitons(0.3, 2.0, k, 0.5, centre1=-3.0, centre2=2.0).velocity
-                + toda.periodic_wave(0.3, 2.0, -1.0, 0.1, 0.4, E).displacement
-                + toda.wavenumber(speed=E) + compacton.nesterenko(0.3, p).strain
-                + kdv.cnoidal(0.3, 2.0, 0.0, 0.01, 0.01 * E, 1.0, 0.5).displacement)
+        return (
+            toda.two_solitons(0.3, 2.0, k, 0.5, centre1=-3.0, centre2=2.0).velocity
+            + toda.periodic_wave(0.3, 2.0, -1.0, 0.1, 0.4, E).displacement
+            + toda.wavenumber(speed=E)
+            + compacton.nesterenko(0.3, p).strain
+            + kdv.cnoidal(0.3, 2.0, 0.0, 0.01, 0.01 * E, 1.0, 0.5).displacement
+        )
 
     x, h = jnp.array([1.0, 1.2, 1.7]), 1e-5
     slopes = jax.jit(jax.jacrev(numbers))(x)
     f = jax.jit(numbers)
     for i in range(3):
-        assert slopes[i] == pytest.approx(float(f(x.at[i].add(h)) - f(x.at[i].add(-h))) / (2 * h), rel=1e-6)
+        assert slopes[i] == pytest.approx(
+            float(f(x.at[i].add(h)) - f(x.at[i].add(-h))) / (2 * h), rel=1e-6
+        )
 
 
 def test_waves_are_read():
-    assert "strain" in repr(toda.soliton(SITES, 0.0, 1.0)) and "half_width" in repr(compacton.nesterenko(0.0))
+    assert "strain" in repr(toda.soliton(SITES, 0.0, 1.0)) and "half_width" in repr(
+        compacton.nesterenko(0.0)
+    )
     assert elliptic.K(toda.periodic_numbers(-1.0, 0.2, 0.4, 1.0).m1) > 1

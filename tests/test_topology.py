@@ -15,7 +15,10 @@ def test_the_chain_of_su_schrieffer_and_heeger():
     for k1, k2, phase, turns in ((1.0, 2.0, np.pi, 1), (2.0, 1.0, 0.0, 0), (0.3, 0.31, np.pi, 1)):
         chain = scenes.ssh(8, k1, k2, boundary="periodic")
         found = topology.zak(chain)
-        assert np.abs(np.abs(found.phase) - phase).max() < 1e-10 and abs(abs(found.below[0]) - phase) < 1e-10
+        assert (
+            np.abs(np.abs(found.phase) - phase).max() < 1e-10
+            and abs(abs(found.below[0]) - phase) < 1e-10
+        )
         assert topology.winding(chain) == turns
     with pytest.raises(ValueError, match="touch"):
         topology.winding(scenes.ssh(8, 1.0, 1.0, boundary="periodic"), cell=None)
@@ -40,7 +43,9 @@ def test_chern_numbers_are_whole():
 
 def test_valleys_have_half_a_number_as_their_gap_closes():
     def numbers(step):
-        crystal = scenes.honeycomb(6, mass={"a": 1.0, "b": 1 + step}, out_of_plane=True, boundary="periodic")
+        crystal = scenes.honeycomb(
+            6, mass={"a": 1.0, "b": 1 + step}, out_of_plane=True, boundary="periodic"
+        )
         return [topology.valley_chern(crystal, valley=valley) for valley in ("K", "K'")]
 
     for step, least in ((0.2, 0.35), (0.02, 0.46)):
@@ -51,6 +56,7 @@ def test_valleys_have_half_a_number_as_their_gap_closes():
 
 def three_ways(bonds, mass=0.0):
     """A honeycomb of one hopping for each way, on the two kinds +-mass."""
+
     def matrix(k):
         h = bonds[0] + bonds[1] * jnp.exp(-1j * k[0]) + bonds[2] * jnp.exp(-1j * k[1])
         return jnp.array([[mass, h], [jnp.conj(h), -mass]])
@@ -64,8 +70,16 @@ def dirac_point(a, b, c):
     return np.array([first, np.pi + np.arccos((a * a + c * c - b * b) / (2 * a * c))])
 
 
-@pytest.mark.parametrize("bonds, points", [
-    ((1, 0.8, 0.9), 24), ((1, 0.8, 0.9), 25), ((1, 0.7, 0.55), 7), ((1.9, 1, 1.05), 31), ((1, 1, 1), 10)])
+@pytest.mark.parametrize(
+    "bonds, points",
+    [
+        ((1, 0.8, 0.9), 24),
+        ((1, 0.8, 0.9), 25),
+        ((1, 0.7, 0.55), 7),
+        ((1.9, 1, 1.05), 31),
+        ((1, 1, 1), 10),
+    ],
+)
 def test_bands_that_touch_at_any_k_have_no_number(bonds, points):
     place = dirac_point(*bonds)
     found = topology.berry_curvature(three_ways(bonds), points=points)
@@ -104,7 +118,9 @@ def fukui(matrices, bands):
     """Chern number by the sum over a plain mesh of matrices (n, n, P, P)."""
     q = np.linalg.eigh(matrices)[1][..., bands]
     one, two = (np.linalg.det(q.conj().swapaxes(-1, -2) @ np.roll(q, -1, axis)) for axis in (0, 1))
-    return -np.angle(one * np.roll(two, -1, 0) * (np.roll(one, -1, 1) * two).conj()).sum() / (2 * np.pi)
+    return -np.angle(one * np.roll(two, -1, 0) * (np.roll(one, -1, 1) * two).conj()).sum() / (
+        2 * np.pi
+    )
 
 
 @pytest.mark.parametrize("points", [7, 24, 25])
@@ -130,7 +146,7 @@ def test_chern_numbers_of_random_bands_on_coarse_meshes(seed, size):
 
     k = 2 * np.pi * np.arange(300) / 300
     mesh = np.stack(np.meshgrid(k + 0.1, k + 0.2, indexing="ij"), -1)
-    for bands in ([0], list(range(size // 2 + 1))[:size - 1]):
+    for bands in ([0], list(range(size // 2 + 1))[: size - 1]):
         whole = fukui(matrix(mesh, np), bands)
         found = topology.berry_curvature(matrix, bands, points=5 + seed)
         assert abs(found.chern - whole) < 1e-9, (found.gap, bands)
@@ -139,7 +155,10 @@ def test_chern_numbers_of_random_bands_on_coarse_meshes(seed, size):
 @pytest.mark.slow
 def test_bands_that_cross_or_all_but_touch_along_a_curve_have_no_number():
     def matrix(k, coupling):
-        one, two = 2 - jnp.cos(k[0]) - jnp.cos(k[1]), 1.3 + 0.2 * jnp.cos(k[0] + 0.3) * jnp.cos(k[1])
+        one, two = (
+            2 - jnp.cos(k[0]) - jnp.cos(k[1]),
+            1.3 + 0.2 * jnp.cos(k[0] + 0.3) * jnp.cos(k[1]),
+        )
         c = coupling * (0.3 + jnp.exp(1j * k[0]))
         return jnp.array([[one, c], [jnp.conj(c), two]])
 
@@ -202,7 +221,9 @@ def test_the_quadrupole():
         assert np.isnan(topology.quadrupole(quadrupole_closed, points=points)).all()
 
 
-@pytest.mark.parametrize("name, sites", [("sawtooth", 3), ("stub", 3), ("diamond", 2), ("kagome", 6), ("lieb", 4)])
+@pytest.mark.parametrize(
+    "name, sites", [("sawtooth", 3), ("stub", 3), ("diamond", 2), ("kagome", 6), ("lieb", 4)]
+)
 def test_flat_bands_and_their_compact_states(name, sites):
     plane = name in ("kagome", "lieb")
     options = {"out_of_plane": True, "boundary": "periodic"} if plane else {}
@@ -222,7 +243,9 @@ def test_a_compact_state_keeps_its_support_and_is_lost_without_equal_sites():
     found = gx.linear.flat_bands(chain)
     start = found.state(chain)
     run = gx.simulate(chain, gx.State(start.u, start.v), 1000 * 2 * np.pi / float(found.omega[0]))
-    outside = {name: np.asarray(u)[np.asarray(start.u[name]) == 0] for name, u in run.final.u.items()}
+    outside = {
+        name: np.asarray(u)[np.asarray(start.u[name]) == 0] for name, u in run.final.u.items()
+    }
     assert max(np.abs(u).max() for u in outside.values()) < 1e-14
     lost = scenes.stub(8, equal=False)
     assert not len(gx.linear.flat_bands(lost).omega)
@@ -230,9 +253,13 @@ def test_a_compact_state_keeps_its_support_and_is_lost_without_equal_sites():
 
 @pytest.mark.slow
 def test_edge_bands_of_a_strip():
-    strip = gx.linear.ribbon(scenes.honeycomb(6, 14, out_of_plane=True, boundary=("periodic", "free"), ground=0.0))
+    strip = gx.linear.ribbon(
+        scenes.honeycomb(6, 14, out_of_plane=True, boundary=("periodic", "free"), ground=0.0)
+    )
     assert strip.omega.shape == (121, 28)
-    plain = gx.linear.dispersion(scenes.honeycomb(6, 14, out_of_plane=True, boundary="periodic"), [0.0, 0.0])
+    plain = gx.linear.dispersion(
+        scenes.honeycomb(6, 14, out_of_plane=True, boundary="periodic"), [0.0, 0.0]
+    )
     assert abs(float(strip.omega[60].max()) - float(plain.omega.max())) < 0.1
     bound = np.asarray(strip.participation).min(-1)
     assert bound.min() < 2.0
@@ -270,7 +297,10 @@ def test_the_two_edges_of_a_symmetric_strip_are_told_apart(width):
     assert np.abs(q.conj().swapaxes(1, 2) @ q - np.eye(2 * width)).max() < 1e-12
     # a fifth of the width
     few = int((spread < 0.2 * width).any(0).sum())
-    assert found.outcome == f"{2 * width} bands at 4 wave numbers; {few} within a fifth of the width at some of them."
+    assert (
+        found.outcome
+        == f"{2 * width} bands at 4 wave numbers; {few} within a fifth of the width at some of them."
+    )
     assert 2 <= few < width
 
 
@@ -283,7 +313,9 @@ def test_the_edges_of_a_free_triangular_strip_are_told_apart():
     assert spread[:, :2].max() < 4 and (spread[:, 5:] > 4).all()
     ring = gx.linear.normal_modes(scenes.triangular(5, 24, boundary=("periodic", "free")))
     near = gx.linear.ribbon(strip, [2 * np.pi / 5])
-    assert all(np.abs(np.asarray(ring.omega_squared) - x).min() < 1e-12 for x in near.omega_squared[0])
+    assert all(
+        np.abs(np.asarray(ring.omega_squared) - x).min() < 1e-12 for x in near.omega_squared[0]
+    )
 
 
 # cells of three fields, by hand: D(k) of masses, with springs (field, field, cell of the second, stiffness) and grounds
@@ -297,16 +329,29 @@ def by_hand(k, masses, springs, ground):
     return D / np.sqrt(np.outer(masses, masses))
 
 
-KAGOME = [(0, 1, (0, 0), 1.0), (0, 2, (0, 0), 1.3), (1, 2, (0, 0), 0.7), (1, 0, (1, 0), 0.4), (2, 0, (0, 1), 0.5),
-          (1, 2, (1, -1), 0.6)]
+KAGOME = [
+    (0, 1, (0, 0), 1.0),
+    (0, 2, (0, 0), 1.3),
+    (1, 2, (0, 0), 0.7),
+    (1, 0, (1, 0), 0.4),
+    (2, 0, (0, 1), 0.5),
+    (1, 2, (1, -1), 0.6),
+]
 LIEB = [(0, 1, (0, 0), 1.0), (0, 2, (0, 0), 1.3), (1, 0, (1, 0), 0.4), (2, 0, (0, 1), 0.5)]
 NESTED = [(0, 0, (1,), 1.0), (0, 1, (0,), 0.6), (1, 2, (0,), 0.3)]
 
 
 def built(masses, springs, ground, sites):
     """The same as a Lattice of fields a, b, c."""
-    bonds = [gx.Bond(gx.Shift(R, "periodic", ("abc"[i], "abc"[j])) if i != j else gx.Shift(1, "periodic", "abc"[i]),
-                     gx.Linear(K)) for i, j, R, K in springs]
+    bonds = [
+        gx.Bond(
+            gx.Shift(R, "periodic", ("abc"[i], "abc"[j]))
+            if i != j
+            else gx.Shift(1, "periodic", "abc"[i]),
+            gx.Linear(K),
+        )
+        for i, j, R, K in springs
+    ]
     held = [gx.OnSite(gx.Linear(g), name) for name, g in zip("abc", ground)]
     return gx.Lattice({name: np.full(sites, m) for name, m in zip("abc", masses)}, (*bonds, *held))
 
@@ -317,7 +362,10 @@ def test_three_fields_of_the_plane_against_matrices_by_hand(springs):
     crystal = built(masses, springs, ground, (5, 5))
     k = RNG.uniform(-np.pi, np.pi, (7, 2))
     exact = np.array([by_hand(x, masses, springs, ground) for x in k])
-    assert np.abs(gx.linear.dispersion(crystal, k).omega_squared - np.linalg.eigvalsh(exact)).max() < 1e-12
+    assert (
+        np.abs(gx.linear.dispersion(crystal, k).omega_squared - np.linalg.eigvalsh(exact)).max()
+        < 1e-12
+    )
     mesh = 2 * np.pi * np.arange(60) / 60
     dense = np.array([[by_hand((x, y), masses, springs, ground) for y in mesh] for x in mesh])
     q = np.linalg.eigh(dense)[1]
@@ -328,7 +376,9 @@ def test_three_fields_of_the_plane_against_matrices_by_hand(springs):
     for i, j in enumerate((7, 30)):
         links = (q[:, j].conj() * np.roll(q[:, j], -1, 0)).sum(1)
         plain = -np.angle(np.prod(links, axis=0))
-        assert np.abs(np.exp(1j * plain) - np.exp(1j * loop.phase[:, i])).max() < 3 * loop.error + 1e-9
+        assert (
+            np.abs(np.exp(1j * plain) - np.exp(1j * loop.phase[:, i])).max() < 3 * loop.error + 1e-9
+        )
 
 
 def test_a_mass_in_a_mass_in_a_mass_against_matrices_by_hand():
@@ -336,7 +386,10 @@ def test_a_mass_in_a_mass_in_a_mass_against_matrices_by_hand():
     chain = built(masses, NESTED, ground, 9)
     k = np.linspace(-3, 3, 11)
     exact = np.array([by_hand((x,), masses, NESTED, ground) for x in k])
-    assert np.abs(gx.linear.dispersion(chain, k).omega_squared - np.linalg.eigvalsh(exact)).max() < 1e-12
+    assert (
+        np.abs(gx.linear.dispersion(chain, k).omega_squared - np.linalg.eigvalsh(exact)).max()
+        < 1e-12
+    )
     # one field alone moves along the chain: D is real, and so no phase is turned
     assert np.abs(topology.zak(chain).phase).max() < 1e-12
 
@@ -364,7 +417,10 @@ def test_a_path_and_the_density_of_states():
 def test_corners_of_the_quadrupole_lattice():
     crystal = scenes.quadrupole(6, k1=0.5, k2=2.0, ground=0.5, boundary="periodic")
     assert topology.quadrupole(crystal) == (0.5, 0.5)
-    assert topology.quadrupole(scenes.quadrupole(6, k1=2.0, k2=0.5, boundary="periodic")) == (0.0, 0.0)
+    assert topology.quadrupole(scenes.quadrupole(6, k1=2.0, k2=0.5, boundary="periodic")) == (
+        0.0,
+        0.0,
+    )
     modes = gx.linear.normal_modes(scenes.quadrupole(6, k1=0.5, k2=2.0, ground=0.5))
     squared = np.asarray(modes.omega_squared)
     held = np.flatnonzero(np.abs(squared - 5.5) < 0.2)
@@ -378,8 +434,12 @@ def test_corners_of_the_quadrupole_lattice():
 def test_a_wall_between_two_valley_phases_carries_one_mode_for_each_valley():
     width, cells = 24, (6, 24)
     mass = np.broadcast_to(np.where(np.arange(width) < width // 2, 1.25, 1.0), cells)
-    strip = scenes.honeycomb(*cells, mass={"a": mass, "b": 2.25 - mass}, out_of_plane=True,
-                             boundary=("periodic", "fixed"))
+    strip = scenes.honeycomb(
+        *cells,
+        mass={"a": mass, "b": 2.25 - mass},
+        out_of_plane=True,
+        boundary=("periodic", "fixed"),
+    )
     k = np.linspace(-np.pi, np.pi, 161)
     found = gx.linear.ribbon(strip, k)
     squared = np.asarray(found.omega_squared)
@@ -396,12 +456,15 @@ def test_a_wall_between_two_valley_phases_carries_one_mode_for_each_valley():
 
 def edges(spread, even, samples=1000, cells=10):
     """Middle pair of omega^2 of chains k, 2k, ... of random springs; `even`: whether every site is held alike."""
+
     def modes(key):
         k = jnp.where(jnp.arange(2 * cells + 1) % 2 == 1, 1.0, 2.0)
         k = k * (1 + spread * jax.random.uniform(key, k.shape, minval=-1.0))
         rest = 4.0 - k[1:] - k[:-1]
         held = gx.OnSite(gx.Linear(rest if even else 1.0))
-        chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(k)), held), sites=2 * cells)
+        chain = gx.Lattice(
+            1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(k)), held), sites=2 * cells
+        )
         return gx.linear.normal_modes(chain).omega_squared[cells - 1 : cells + 1]
 
     return np.asarray(jax.vmap(modes)(jax.random.split(jax.random.key(3), samples)))
@@ -429,13 +492,13 @@ def test_the_quasi_periodic_chain_of_aubry_and_andre():
     share = 1 / (np.asarray(wide.modes) ** 4).sum(0)
     assert np.median(share) > 80
     # a third of a turn each site: the bands of Hofstadter's lattice
-    third = lambda k: jnp.diag(3 + 0.8 * jnp.cos(2 * jnp.pi * jnp.arange(3) / 3 + k[1])).astype(complex) - (
-        hop(k[0]) + hop(k[0]).conj().T)
+    third = lambda k: (
+        jnp.diag(3 + 0.8 * jnp.cos(2 * jnp.pi * jnp.arange(3) / 3 + k[1])).astype(complex)
+        - (hop(k[0]) + hop(k[0]).conj().T)
+    )
     hop = lambda k: jnp.eye(3, k=1, dtype=complex).at[2, 0].set(jnp.exp(1j * k))
     numbers = [topology.chern(third, band) for band in range(3)]
     assert sorted(map(abs, numbers)) == [1, 1, 2] and sum(numbers) == 0
-
-
 
 
 def test_disorder_of_sites_broadens_a_flat_band_linearly():
@@ -483,7 +546,9 @@ def test_the_polarisation_without_symmetry_and_its_error():
     x, y = np.meshgrid(k, k, indexing="ij")
     h = 0.5 + np.exp(1j * x) + 0.2 * np.exp(1j * y)
     size = np.sqrt(0.04 + np.abs(h) ** 2)
-    weight = (1 + 0.2 / size) / 2  # of the second site, in the gauge where the first component is real
+    weight = (
+        1 + 0.2 / size
+    ) / 2  # of the second site, in the gauge where the first component is real
     for axis, slope in enumerate((1j * np.exp(1j * x), 0.2j * np.exp(1j * y))):
         # q = (a, -b exp(-i arg h)): i <q|dq> = b^2 d(arg h)
         mean = (weight * (slope * h.conj()).imag / np.abs(h) ** 2).mean()
@@ -510,8 +575,12 @@ def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
     corners = np.argsort(-np.linalg.norm(places - middle, axis=1))[:3]
     assert (share[corners].sum(0) > 0.85).all()
     # the gap of the bulk, in which they lie
-    bulk = np.asarray(gx.linear.dispersion(breathing(0.2, 1.0, boundary="periodic"),
-                                           np.random.default_rng(1).uniform(-np.pi, np.pi, (200, 2))).omega_squared)
+    bulk = np.asarray(
+        gx.linear.dispersion(
+            breathing(0.2, 1.0, boundary="periodic"),
+            np.random.default_rng(1).uniform(-np.pi, np.pi, (200, 2)),
+        ).omega_squared
+    )
     assert bulk[:, 0].max() < 2.4 - 0.4 and bulk[:, 1].min() > 2.4 + 0.4
     assert not len(near(1.0, 0.2)[0])
     # sites of a free edge are held by less
@@ -522,13 +591,18 @@ def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
 def linked(found, masses):
     """<q_j|q_{j+1}> of the vectors of a path, (K - 1, bands)."""
     vectors = found.vectors if isinstance(found.vectors, dict) else {"": found.vectors}
-    flat = [np.asarray(x).reshape(len(x), -1, x.shape[-1]) * np.sqrt(masses[name]) for name, x in vectors.items()]
+    flat = [
+        np.asarray(x).reshape(len(x), -1, x.shape[-1]) * np.sqrt(masses[name])
+        for name, x in vectors.items()
+    ]
     q = np.concatenate(flat, 1)
     return (q[:-1].conj() * q[1:]).sum(1), q
 
 
 def test_the_vectors_of_a_path_follow_their_bands():
-    crystal = scenes.honeycomb(6, mass={"a": 1.0, "b": 1.4}, out_of_plane=True, boundary="periodic", ground=0.3)
+    crystal = scenes.honeycomb(
+        6, mass={"a": 1.0, "b": 1.4}, out_of_plane=True, boundary="periodic", ground=0.3
+    )
     found = gx.linear.path(crystal, "GKMG", count=60)
     overlap, q = linked(found, {"a": 1.0, "b": 1.4})
     assert np.abs(overlap.imag).max() < 1e-14 and overlap.real.min() > 0.9
@@ -538,7 +612,9 @@ def test_the_vectors_of_a_path_follow_their_bands():
         D = np.asarray(gx.linear.unit_cell(crystal).dynamical_matrix(jnp.asarray(k)))
         assert np.abs(D @ x - x * np.asarray(squared)).max() < 1e-12
     # two polarisations that are together at G and K and cross between: each continues one of those before
-    _, q = linked(gx.linear.path(scenes.triangular(6, 6, boundary="periodic"), "GKMG", count=60), {"": 1.0})
+    _, q = linked(
+        gx.linear.path(scenes.triangular(6, 6, boundary="periodic"), "GKMG", count=60), {"": 1.0}
+    )
     links = np.einsum("kpm,kpn->kmn", q[:-1].conj(), q[1:])
     best = np.take_along_axis(links, np.abs(links).argmax(1)[:, None], 1)
     assert np.abs(best.imag).max() < 1e-14 and best.real.min() > 0.7
@@ -547,8 +623,15 @@ def test_the_vectors_of_a_path_follow_their_bands():
 @pytest.mark.study
 def test_the_vectors_of_a_path_in_float32_and_their_derivative():
     make = lambda m: gx.linear.path(
-        scenes.honeycomb(6, mass={"a": 1.0, "b": m}, out_of_plane=True, boundary="periodic", ground=0.3), "KM", 3)
-    small = gx.linear.path(scenes.triangular(6, 6, boundary="periodic").astype(np.float32), "GK", count=8)
+        scenes.honeycomb(
+            6, mass={"a": 1.0, "b": m}, out_of_plane=True, boundary="periodic", ground=0.3
+        ),
+        "KM",
+        3,
+    )
+    small = gx.linear.path(
+        scenes.triangular(6, 6, boundary="periodic").astype(np.float32), "GK", count=8
+    )
     assert small.vectors.dtype == np.complex64
     slope = jax.jvp(lambda m: make(m).vectors["a"], (1.4,), (1.0,))[1]
     step = (make(1.4 + 1e-5).vectors["a"] - make(1.4 - 1e-5).vectors["a"]) / 2e-5
@@ -558,12 +641,17 @@ def test_the_vectors_of_a_path_in_float32_and_their_derivative():
 @pytest.mark.slow
 def test_a_smooth_gauge_is_closed_up_to_the_zak_phase():
     k = 2 * np.pi * np.arange(64) / 64
-    shifted = lambda k: jnp.array([[0.3, 0.4 + jnp.exp(1j * k[0])], [0.4 + jnp.exp(-1j * k[0]), -0.3]])
+    shifted = lambda k: jnp.array(
+        [[0.3, 0.4 + jnp.exp(1j * k[0])], [0.4 + jnp.exp(-1j * k[0]), -0.3]]
+    )
     own = np.linalg.eigh(np.stack([np.asarray(shifted(jnp.array([x]))) for x in k]))[1]
     dimer = scenes.dimer(12, 0.4, precompression=1.0, boundary="periodic")
     ssh = scenes.ssh(8, 1.0, 2.0, boundary="periodic")
-    for lattice, vectors, mass in ((shifted, own, 1.0), (dimer, gx.linear.dispersion(dimer, k).vectors, [1.0, 0.4]),
-                                   (ssh, gx.linear.dispersion(ssh, k).vectors, {"a": 1.0, "b": 1.0})):
+    for lattice, vectors, mass in (
+        (shifted, own, 1.0),
+        (dimer, gx.linear.dispersion(dimer, k).vectors, [1.0, 0.4]),
+        (ssh, gx.linear.dispersion(ssh, k).vectors, {"a": 1.0, "b": 1.0}),
+    ):
         found = gx.linear.smooth_gauge(vectors, mass)
         apart = np.angle(np.exp(1j * (found.phase - topology.zak(lattice).phase)))
         assert np.abs(apart).max() < 1e-10 and found.overlap.min() > 0.99

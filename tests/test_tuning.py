@@ -21,9 +21,16 @@ print(json.dumps([tuning.flags, tuning.complete, tuning.outcome, str(jnp.zeros((
 
 
 def report(before="", **environment):
-    names = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "GRANJAX_TUNE", "JAX_ENABLE_X64")}
+    names = {
+        k: v
+        for k, v in os.environ.items()
+        if k not in ("XLA_FLAGS", "GRANJAX_TUNE", "JAX_ENABLE_X64")
+    }
     done = subprocess.run(
-        [sys.executable, "-c", REPORT.format(before=before)], capture_output=True, text=True, check=True,
+        [sys.executable, "-c", REPORT.format(before=before)],
+        capture_output=True,
+        text=True,
+        check=True,
         env=names | environment,
     )
     return json.loads(done.stdout)
@@ -66,7 +73,9 @@ print(json.dumps([[name, str(before[name]), str(after.get(name))] for name in ch
 def test_import_sets_float64_and_a_flag_and_changes_nothing_else():
     changed = {name: values for name, *values in kept(CHANGES, XLA_FLAGS="", GRANJAX_TUNE="1")}
     assert changed.keys() == {"float64", "flags"}
-    assert changed["float64"] == ["False", "True"] and changed["flags"][1].strip() == gx.tuning.LOOPS
+    assert (
+        changed["float64"] == ["False", "True"] and changed["flags"][1].strip() == gx.tuning.LOOPS
+    )
 
 
 def test_import_sets_the_flag_and_float64():
@@ -78,7 +87,9 @@ def test_import_sets_the_flag_and_float64():
 @pytest.mark.slow
 def test_the_environment_turns_both_off():
     flags, _, _, dtype = report(
-        before="import jax; jax.numpy.zeros(()).block_until_ready()", GRANJAX_TUNE="0", JAX_ENABLE_X64="0"
+        before="import jax; jax.numpy.zeros(()).block_until_ready()",
+        GRANJAX_TUNE="0",
+        JAX_ENABLE_X64="0",
     )
     assert flags == "" and dtype == "float32"
 
@@ -89,11 +100,16 @@ def test_too_late_is_said():
     assert not complete and "before its first computation" in message
 
 
-@pytest.mark.parametrize("vendor, flags, chosen, products", [
-    ("GenuineIntel", "avx2 avx512f", None, True), ("AuthenticAMD", "avx2 avx512f", None, False),
-    ("GenuineIntel", "avx2", None, False), ("AuthenticAMD", "avx512f", "products", True),
-    ("GenuineIntel", "avx512f", "instruction", False),
-])
+@pytest.mark.parametrize(
+    "vendor, flags, chosen, products",
+    [
+        ("GenuineIntel", "avx2 avx512f", None, True),
+        ("AuthenticAMD", "avx2 avx512f", None, False),
+        ("GenuineIntel", "avx2", None, False),
+        ("AuthenticAMD", "avx512f", "products", True),
+        ("GenuineIntel", "avx512f", "instruction", False),
+    ],
+)
 def test_the_form_of_a_root_is_the_processor_s(vendor, flags, chosen, products, monkeypatch):
     choose = gx.tuning.root_by_products.__wrapped__
     monkeypatch.setattr(gx.tuning, "_processor", lambda: f"vendor_id : {vendor}\nflags : {flags}")
@@ -134,9 +150,17 @@ print(json.dumps([place and str(place), jax.config.jax_compilation_cache_dir]))
 
 
 def kept(code=KEPT, **environment):
-    names = {k: v for k, v in os.environ.items() if k not in ("GRANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR")}
+    names = {
+        k: v
+        for k, v in os.environ.items()
+        if k not in ("GRANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR")
+    }
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=names | environment
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=names | environment,
     )
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -163,13 +187,16 @@ def test_a_folder_of_the_users_own_stays(tmp_path):
 
 @pytest.mark.slow
 def test_the_next_process_finds_what_was_compiled(tmp_path):
-    code = KEPT + """
+    code = (
+        KEPT
+        + """
 hits = []
 jax.monitoring.register_event_listener(lambda event, **_: hits.append(event) if "cache_hits" in event else None)
 chain = gx.scenes.monomer(9)
 run = gx.simulate(chain, gx.states.impact(chain), 3.0, step=0.1)
 print(json.dumps([len(hits), float(run.final.u[0])]))
 """
+    )
     first = kept(code, GRANJAX_CACHE=str(tmp_path))
     second = kept(code, GRANJAX_CACHE=str(tmp_path))
     assert first[0] == 0 and second[0] > 0 and first[1] == second[1]
@@ -205,7 +232,9 @@ print(json.dumps([grown, left, kept, found.to_xarray().sizes["site"], same]))
 
 
 @pytest.mark.study
-@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="the system does not say what is resident")
+@pytest.mark.skipif(
+    not os.path.exists("/proc/self/statm"), reason="the system does not say what is resident"
+)
 def test_clear_hands_memory_back_and_leaves_results():
     grown, left, caches, sites, same = kept(ONE_MORE_LENGTH)
     assert grown > 15e6 and left < 0.3 * grown and caches == 0
@@ -236,8 +265,13 @@ def test_import_in_a_working_folder_that_is_gone(how, tmp_path):
     folder.mkdir()
     script.write_text(GONE.format(folder=str(folder)))
     given = ["-c", script.read_text()] if how == "text" else ["script.py"]
-    done = subprocess.run([sys.executable, *given], capture_output=True, text=True, cwd=tmp_path,
-                          env=os.environ | {"PYTHONPATH": str(site)})
+    done = subprocess.run(
+        [sys.executable, *given],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(site)},
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0] == str(site / "granjax" / "__init__.py")
     assert done.stdout.splitlines()[1].startswith("Completed")

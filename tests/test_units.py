@@ -1,6 +1,5 @@
 """Units by their names, what a lattice and its results are counted in, and the same in every picture."""
 
-
 import jax
 import jax.numpy as jnp
 import matplotlib
@@ -27,26 +26,68 @@ def closed():
 # ---------------------------------------------------------------------------------------------------------------- names
 
 
-@pytest.mark.parametrize("word, size, dimension", [
-    ("us", 1e-6, (0, 0, 1, 0, 0)), ("µs", 1e-6, (0, 0, 1, 0, 0)), ("mm/s", 1e-3, (0, 1, -1, 0, 0)),
-    ("m/s²", 1.0, (0, 1, -2, 0, 0)), ("N/m^{3/2}", 1.0, (1, -1.5, 0, 0, 0)), ("kg", 1.0, (1, -1, 2, 0, 0)),
-    ("kHz", 2e3 * np.pi, (0, 0, -1, 1, 0)), ("rad/s", 1.0, (0, 0, -1, 1, 0)), ("1/ms", 1e3, (0, 0, -1, 0, 0)),
-    ("m s^-1", 1.0, (0, 1, -1, 0, 0)), ("mV", 1e-3, (0, 0, 0, 0, 1)), ("MN/m", 1e6, (1, -1, 0, 0, 0)),
-    ("m·s⁻¹", 1.0, (0, 1, -1, 0, 0)), ("GPa", 1e9, (1, -2, 0, 0, 0)), ("rad^2/s^2", 1.0, (0, 0, -2, 2, 0)),
-])
+@pytest.mark.parametrize(
+    "word, size, dimension",
+    [
+        ("us", 1e-6, (0, 0, 1, 0, 0)),
+        ("µs", 1e-6, (0, 0, 1, 0, 0)),
+        ("mm/s", 1e-3, (0, 1, -1, 0, 0)),
+        ("m/s²", 1.0, (0, 1, -2, 0, 0)),
+        ("N/m^{3/2}", 1.0, (1, -1.5, 0, 0, 0)),
+        ("kg", 1.0, (1, -1, 2, 0, 0)),
+        ("kHz", 2e3 * np.pi, (0, 0, -1, 1, 0)),
+        ("rad/s", 1.0, (0, 0, -1, 1, 0)),
+        ("1/ms", 1e3, (0, 0, -1, 0, 0)),
+        ("m s^-1", 1.0, (0, 1, -1, 0, 0)),
+        ("mV", 1e-3, (0, 0, 0, 0, 1)),
+        ("MN/m", 1e6, (1, -1, 0, 0, 0)),
+        ("m·s⁻¹", 1.0, (0, 1, -1, 0, 0)),
+        ("GPa", 1e9, (1, -2, 0, 0, 0)),
+        ("rad^2/s^2", 1.0, (0, 0, -2, 2, 0)),
+    ],
+)
 def test_a_unit_is_read_by_its_name(word, size, dimension):
     unit = known_unit(word)
-    assert unit.size == pytest.approx(size, rel=1e-15) and tuple(map(float, unit.dimension)) == dimension
+    assert (
+        unit.size == pytest.approx(size, rel=1e-15)
+        and tuple(map(float, unit.dimension)) == dimension
+    )
 
 
-@pytest.mark.parametrize("word", ["", "sec", "furlong", "m//s", "/s", "m^x", "site", "m^{1/0}", "5 m", "a.u.",
-                                  "km^9999", "mm^9999"])
+@pytest.mark.parametrize(
+    "word",
+    [
+        "",
+        "sec",
+        "furlong",
+        "m//s",
+        "/s",
+        "m^x",
+        "site",
+        "m^{1/0}",
+        "5 m",
+        "a.u.",
+        "km^9999",
+        "mm^9999",
+    ],
+)
 def test_what_is_no_unit_is_none(word):
     assert known_unit(word) is None
 
 
-@pytest.mark.parametrize("largest, name", [(3e-5, "us"), (1.0, "s"), (1e-6, "us"), (999e-6, "us"), (2e4, "s"),
-                                           (1e-15, "ns"), (0.0, "s"), (np.nan, "s")])
+@pytest.mark.parametrize(
+    "largest, name",
+    [
+        (3e-5, "us"),
+        (1.0, "s"),
+        (1e-6, "us"),
+        (999e-6, "us"),
+        (2e4, "s"),
+        (1e-15, "ns"),
+        (0.0, "s"),
+        (np.nan, "s"),
+    ],
+)
 def test_the_prefix_makes_numbers_from_1_to_1000(largest, name):
     assert readable(family(known_unit("s").dimension), largest).name == name
 
@@ -63,11 +104,24 @@ def test_a_lattice_knows_what_it_is_counted_in():
     scaled, units = gx.scenes.scaled(chain)
     own = gx.Lattice(1.0, chain.terms, sites=8, units="SI")
     driven = gx.driven.driven_chain(chain, 1e-7, 3e4, damping=10.0)
-    batch = jax.vmap(lambda F0: gx.scenes.beads("steel 316", 9.53e-3, F0, cells=8), out_axes=-1)(jnp.ones(3))
-    said = [x.units for x in (chain, driven, own, batch, chain.astype(np.float32),
-                              jax.jit(lambda F0: steel().counted_in("SI"))(1.0))]
+    batch = jax.vmap(lambda F0: gx.scenes.beads("steel 316", 9.53e-3, F0, cells=8), out_axes=-1)(
+        jnp.ones(3)
+    )
+    said = [
+        x.units
+        for x in (
+            chain,
+            driven,
+            own,
+            batch,
+            chain.astype(np.float32),
+            jax.jit(lambda F0: steel().counted_in("SI"))(1.0),
+        )
+    ]
     assert said == ["SI"] * 6
-    assert [x.units for x in (scaled, gx.scenes.monomer(5), chain.counted_in("scaled"))] == ["scaled"] * 3
+    assert [x.units for x in (scaled, gx.scenes.monomer(5), chain.counted_in("scaled"))] == [
+        "scaled"
+    ] * 3
     with pytest.raises(ValueError, match="units: expected one of"):
         gx.Lattice(1.0, chain.terms, sites=8, units="cgs")
     # one program serves both
@@ -99,13 +153,18 @@ def test_a_run_counted_in_other_units(runs):
     np.testing.assert_allclose(scaled.in_units(units).time, si.ts, rtol=1e-12)
     back = si.in_units(units)
     np.testing.assert_allclose(back.v, scaled.vs, atol=1e-9 * float(np.abs(scaled.vs).max()))
-    assert back.attrs["units"] == back.v.attrs["units"] == "scaled" and back.v.attrs["si_units"] == "m/s"
+    assert (
+        back.attrs["units"] == back.v.attrs["units"] == "scaled"
+        and back.v.attrs["si_units"] == "m/s"
+    )
 
 
 def test_units_of_what_nobody_has_said_are_refused_or_said():
     spectrum = gx.measures.spectrum(np.eye(8), 0.1)
     for asked in (("kHz",), (gx.Units(time=1e-3),), (gx.Units(time=1e-3), "kHz")):
-        with pytest.raises(ValueError, match=r"units: expected units of a result that says .*units=run.units"):
+        with pytest.raises(
+            ValueError, match=r"units: expected units of a result that says .*units=run.units"
+        ):
             spectrum.in_units(*asked)
     data = spectrum.in_units("SI", "kHz")
     np.testing.assert_allclose(data.omega, np.asarray(spectrum.omega) / 2e3 / np.pi, rtol=1e-15)
@@ -118,32 +177,55 @@ def test_units_of_what_nobody_has_said_are_refused_or_said():
 @pytest.mark.slow
 def test_what_a_transformation_returns_knows_it_too():
     chain = steel()
-    run = lambda v: gx.simulate(chain, gx.states.impact(chain, velocity=v), 1e-5, solver=gx.VelocityVerlet(), step=2e-6)
+    run = lambda v: gx.simulate(
+        chain, gx.states.impact(chain, velocity=v), 1e-5, solver=gx.VelocityVerlet(), step=2e-6
+    )
     assert [jax.jit(run)(0.1).units, jax.vmap(run)(jnp.ones(2)).units] == ["SI", "SI"]
 
 
-@pytest.mark.parametrize("units, message", [
-    (("kHz",), "units of m, m/s, s, got 'kHz'"), (("usec",), "name of a unit, got 'usec'. Nearest: 'us'"),
-    (("s", "ms"), "one word for each dimension"), (("scaled",), "units of numbers in SI"),
-    ((gx.Units(), "us"), "words, or a Units"),
-])
+@pytest.mark.parametrize(
+    "units, message",
+    [
+        (("kHz",), "units of m, m/s, s, got 'kHz'"),
+        (("usec",), "name of a unit, got 'usec'. Nearest: 'us'"),
+        (("s", "ms"), "one word for each dimension"),
+        (("scaled",), "units of numbers in SI"),
+        ((gx.Units(), "us"), "words, or a Units"),
+    ],
+)
 def test_units_that_a_run_has_not_are_refused(runs, units, message):
     with pytest.raises(ValueError, match=f"units.*: expected .*({message})"):
         runs[0].in_units(*units)
-    with pytest.raises(ValueError, match=r"scaled numbers, got .*Give the Units .*gx.Units\(\).*counted_in\('SI'\)"):
+    with pytest.raises(
+        ValueError, match=r"scaled numbers, got .*Give the Units .*gx.Units\(\).*counted_in\('SI'\)"
+    ):
         runs[1].in_units("us")
 
 
 def test_files_and_prints_say_what_numbers_are_counted_in(tmp_path):
-    orbit = gx.linear.normal_modes(steel()), gx.linear.normal_modes(gx.scenes.monomer(4, precompression=1.0))
+    orbit = (
+        gx.linear.normal_modes(steel()),
+        gx.linear.normal_modes(gx.scenes.monomer(4, precompression=1.0)),
+    )
     pair = steel(), gx.scenes.dimer(8, precompression=1.0)
     waves = [gx.linear.dispersion(x, np.linspace(0, np.pi, 5)) for x in pair]
     for si, scaled in (orbit, waves):
-        data, other = (xr.load_dataset(x.save(tmp_path / f"{i}.nc")) for i, x in enumerate((si, scaled)))
+        data, other = (
+            xr.load_dataset(x.save(tmp_path / f"{i}.nc")) for i, x in enumerate((si, scaled))
+        )
         assert (data.units, data.omega.attrs["units"]) == ("SI", "rad/s")
-        assert (other.units, other.omega.attrs["units"], other.omega.attrs["si_units"]) == ("scaled", "scaled", "rad/s")
-        np.testing.assert_allclose(si.in_units("kHz").omega, np.asarray(si.omega) / 2e3 / np.pi, rtol=1e-15)
-    spectrum = gx.measures.spectrum(np.eye(8), 0.1), gx.measures.spectrum(np.eye(8), 0.1, units="SI")
+        assert (other.units, other.omega.attrs["units"], other.omega.attrs["si_units"]) == (
+            "scaled",
+            "scaled",
+            "rad/s",
+        )
+        np.testing.assert_allclose(
+            si.in_units("kHz").omega, np.asarray(si.omega) / 2e3 / np.pi, rtol=1e-15
+        )
+    spectrum = (
+        gx.measures.spectrum(np.eye(8), 0.1),
+        gx.measures.spectrum(np.eye(8), 0.1, units="SI"),
+    )
     assert [x.units for x in spectrum] == [None, "SI"] and not spectrum[0].to_xarray().omega.attrs
 
 
@@ -155,10 +237,19 @@ def test_numbers_of_scaled_lattices_are_called_so():
     assert orbit.error.to_xarray().attrs["period_units"] == "scaled"
     event = gx.orbits.Bifurcation("fold", 1.0, 0, orbit.state, **orbit.lattice.origin).to_xarray()
     assert (event.state_u.attrs["si_units"], event.state_v.attrs["si_units"]) == ("m", "m/s")
-    modes, waves = gx.linear.normal_modes(gx.scenes.fput(4)), gx.linear.dispersion(gx.scenes.fput(4), np.ones(3))
+    modes, waves = (
+        gx.linear.normal_modes(gx.scenes.fput(4)),
+        gx.linear.dispersion(gx.scenes.fput(4), np.ones(3)),
+    )
     spectra = [gx.measures.spectrum(np.eye(8), 0.1, units=x) for x in (None, "scaled", "SI")]
-    assert not any("rad/s" in x.outcome for x in (modes, waves, *spectra[:2])) and "rad/s" in spectra[2].outcome
-    assert all("rad/s" in x.outcome for x in (gx.linear.normal_modes(steel()), gx.linear.dispersion(steel(), 1.0)))
+    assert (
+        not any("rad/s" in x.outcome for x in (modes, waves, *spectra[:2]))
+        and "rad/s" in spectra[2].outcome
+    )
+    assert all(
+        "rad/s" in x.outcome
+        for x in (gx.linear.normal_modes(steel()), gx.linear.dispersion(steel(), 1.0))
+    )
     assert " s\n" not in repr(gx.Traces([0.0, 1.0], velocity=[0.0, 1.0], sites=0))
     root = gx.newton.newton(lambda x, _: x**2 - 2, jnp.ones(1))
     assert root.units is None and "units" not in root.to_xarray().attrs
@@ -169,8 +260,13 @@ def test_what_has_no_unit_says_that_it_stays(runs):
     units = runs[2]
     chain = gx.scenes.scaled(steel(boundary="free"))[0]
     parts = gx.Peak(lambda t, y, lattice: y.v), gx.Peak(lambda t, y, lattice: (y.u, y.v[:2]))
-    run = gx.simulate(chain, gx.states.impact(chain, velocity=1e-3), 1.0, step=0.1,
-                      record=dict(zip(("both", "pair"), parts)))
+    run = gx.simulate(
+        chain,
+        gx.states.impact(chain, velocity=1e-3),
+        1.0,
+        step=0.1,
+        record=dict(zip(("both", "pair"), parts)),
+    )
     data = run.in_units(units, "us")
     assert data.attrs["units"] == "SI" and data.both.attrs["units"] == "scaled"
     assert data.attrs["stats_step"] == pytest.approx(0.1e6 * float(units.time))
@@ -194,18 +290,27 @@ def test_a_map_in_si(runs):
     other = plots.space_time(scaled, units=units)
     assert labels(other) == labels(ax)
     size = np.abs(ax.images[0].get_array()).max()
-    np.testing.assert_allclose(other.images[0].get_array(), ax.images[0].get_array(), atol=1e-9 * size)
+    np.testing.assert_allclose(
+        other.images[0].get_array(), ax.images[0].get_array(), atol=1e-9 * size
+    )
     np.testing.assert_allclose(other.images[0].get_extent(), ax.images[0].get_extent(), rtol=1e-9)
 
 
 def test_frequency_in_cycles_and_in_radians():
     waves = gx.linear.dispersion(steel(), np.linspace(0, np.pi, 9))
-    for asked, label, size in ((None, "frequency (kHz)", 2e3 * np.pi), ("Hz", "frequency (Hz)", 2 * np.pi),
-                               ("rad/s", r"angular frequency $\omega$ (rad/s)", 1.0)):
+    for asked, label, size in (
+        (None, "frequency (kHz)", 2e3 * np.pi),
+        ("Hz", "frequency (Hz)", 2 * np.pi),
+        ("rad/s", r"angular frequency $\omega$ (rad/s)", 1.0),
+    ):
         ax = plots.dispersion(waves, units=asked)
         assert ax.get_ylabel() == label
-        np.testing.assert_allclose(ax.lines[0].get_ydata(), np.asarray(waves.omega)[:, 0] / size, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"spectrum: expected one in SI numbers, as the dispersion, got scaled"):
+        np.testing.assert_allclose(
+            ax.lines[0].get_ydata(), np.asarray(waves.omega)[:, 0] / size, rtol=1e-12
+        )
+    with pytest.raises(
+        ValueError, match=r"spectrum: expected one in SI numbers, as the dispersion, got scaled"
+    ):
         plots.dispersion(waves, spectrum=gx.measures.spectrum(np.eye(8), 0.1, units="scaled"))
 
 

@@ -16,11 +16,21 @@ from granjax.units import Units
 TABLE = Path(__file__).parents[1] / "CONTRIBUTING.md"
 # whose functions are called with a lattice elsewhere than first, and why
 ORDER = {
-    "vector_field": "what diffrax calls", "variational": "what diffrax calls", "Record.value": "as vector_field",
-    "along": "a measure leads", "history": "a flow leads", "Problem.state": "as the function that is given to fit",
+    "vector_field": "what diffrax calls",
+    "variational": "what diffrax calls",
+    "Record.value": "as vector_field",
+    "along": "a measure leads",
+    "history": "a flow leads",
+    "Problem.state": "as the function that is given to fit",
 }
 # whose results count time steps
-TIME_STEPS = ("linear.floquet_bands", "orbits.floquet", "orbits.gap_breather", "orbits.leading", "work_precision")
+TIME_STEPS = (
+    "linear.floquet_bands",
+    "orbits.floquet",
+    "orbits.gap_breather",
+    "orbits.leading",
+    "work_precision",
+)
 
 
 def faces(package):
@@ -50,7 +60,9 @@ def rows():
     """(word, banned words, modules that may use them) of each row of the table."""
     for line in TABLE.read_text().splitlines():
         if line.startswith("| `"):
-            word, _, banned, modules = (re.findall(r"`([\w.]+)`", cell) for cell in line.strip("|").split("|"))
+            word, _, banned, modules = (
+                re.findall(r"`([\w.]+)`", cell) for cell in line.strip("|").split("|")
+            )
             yield word[0], banned, modules
 
 
@@ -63,7 +75,9 @@ def public(module):
 
 def signature(module, name, function):
     found = inspect.signature(function)
-    arguments = {p.name: p.annotation for p in found.parameters.values() if p.name not in ("self", "cls")}
+    arguments = {
+        p.name: p.annotation for p in found.parameters.values() if p.name not in ("self", "cls")
+    }
     described = bool(inspect.getdoc(function)) or name.endswith("__init__")
     return Signature(module, name, arguments, found.return_annotation, described)
 
@@ -81,12 +95,23 @@ def signatures():
                 if callable(value):
                     yield signature(where, name, value)
                 continue
-            fields = {k: v for c in reversed(value.__mro__) if c.__module__.startswith("granjax")
-                      for k, v in vars(c).get("__annotations__", {}).items() if not k.startswith("_")}
+            fields = {
+                k: v
+                for c in reversed(value.__mro__)
+                if c.__module__.startswith("granjax")
+                for k, v in vars(c).get("__annotations__", {}).items()
+                if not k.startswith("_")
+            }
             yield Signature(where, name, fields, None, bool(vars(value).get("__doc__")))
-            inherited = {k for c in value.__mro__[1:] for k in vars(c)} - {"__init__"} | fields.keys()
+            inherited = {k for c in value.__mro__[1:] for k in vars(c)} - {
+                "__init__"
+            } | fields.keys()
             for k, v in vars(value).items():
-                own = k == "__init__" and inspect.isfunction(v) and "granjax" in inspect.unwrap(v).__code__.co_filename
+                own = (
+                    k == "__init__"
+                    and inspect.isfunction(v)
+                    and "granjax" in inspect.unwrap(v).__code__.co_filename
+                )
                 if own or inspect.isfunction(v) and not k.startswith("_") and k not in inherited:
                     yield signature(where, f"{name}.{k}", v)
 
@@ -96,16 +121,25 @@ ALL = list(signatures())
 
 def test_the_walk_finds_the_library():
     found = {(s.module, s.name) for s in ALL}
-    assert {("granjax.flow.simulate", "simulate"), ("granjax.flow.run", "Run"),
-            ("granjax.laws.contact", "Hertz.__init__"), ("granjax.measures.fronts", "front_speed"),
-            ("granjax.orbits.guesses.sites", "single_site"), ("granjax.theory.nls", "bright_profile")} <= found
+    assert {
+        ("granjax.flow.simulate", "simulate"),
+        ("granjax.flow.run", "Run"),
+        ("granjax.laws.contact", "Hertz.__init__"),
+        ("granjax.measures.fronts", "front_speed"),
+        ("granjax.orbits.guesses.sites", "single_site"),
+        ("granjax.theory.nls", "bright_profile"),
+    } <= found
     assert len(ALL) > 350 and len(list(rows())) > 10
 
 
 def test_one_word_for_one_thing():
-    wrong = [f"{s.module}: {s.name}({name}), say {word}" for word, banned, modules in rows() for s in ALL
-             for name in s.arguments
-             if name in banned and not any(s.module.startswith(f"granjax.{m}") for m in modules)]
+    wrong = [
+        f"{s.module}: {s.name}({name}), say {word}"
+        for word, banned, modules in rows()
+        for s in ALL
+        for name in s.arguments
+        if name in banned and not any(s.module.startswith(f"granjax.{m}") for m in modules)
+    ]
     assert not wrong, "\n".join(wrong)
 
 
@@ -116,7 +150,9 @@ def test_a_lattice_is_called_lattice_and_comes_first():
         lattices = [name for name, hint in s.arguments.items() if hint is granjax.Lattice]
         if s.result is None or s.name.endswith("__init__"):  # fields of a class
             continue
-        wrong += [f"{s.module}: {s.name}({name}) is a Lattice" for name in lattices if name != "lattice"]
+        wrong += [
+            f"{s.module}: {s.name}({name}) is a Lattice" for name in lattices if name != "lattice"
+        ]
         if "lattice" in names[1:]:
             elsewhere.add(s.name)
     assert not wrong, "\n".join(wrong)
@@ -125,8 +161,17 @@ def test_a_lattice_is_called_lattice_and_comes_first():
 
 def test_every_public_argument_field_and_result_has_its_type():
     empty = inspect.Parameter.empty
-    wrong = [f"{s.module}: {s.name}({name})" for s in ALL for name, hint in s.arguments.items() if hint is empty]
-    wrong += [f"{s.module}: {s.name} -> ?" for s in ALL if s.result is empty and not s.name.endswith("__init__")]
+    wrong = [
+        f"{s.module}: {s.name}({name})"
+        for s in ALL
+        for name, hint in s.arguments.items()
+        if hint is empty
+    ]
+    wrong += [
+        f"{s.module}: {s.name} -> ?"
+        for s in ALL
+        if s.result is empty and not s.name.endswith("__init__")
+    ]
     assert not wrong, "\n".join(wrong)
 
 
@@ -148,10 +193,16 @@ def test_the_examples_of_the_table_s_page_run():
 def test_outcomes_are_sentences_and_verdicts_words():
     for s in ALL:
         if s.result is None and "outcome" in s.arguments:
-            assert s.arguments["outcome"] in (str, "str") or "AbstractVar" in str(s.arguments["outcome"]), s
+            assert s.arguments["outcome"] in (str, "str") or "AbstractVar" in str(
+                s.arguments["outcome"]
+            ), s
     kinds = [value for module in NAMES for value in public(module) if inspect.isclass(value)]
     results = {kind for kind in kinds if issubclass(kind, Result)}
     assert len(results) > 20
-    wrong = [kind for kind in results if "steps" in vars(kind).get("__annotations__", {})
-             and not any(kind.__module__.startswith(f"granjax.{m}") for m in TIME_STEPS)]
+    wrong = [
+        kind
+        for kind in results
+        if "steps" in vars(kind).get("__annotations__", {})
+        and not any(kind.__module__.startswith(f"granjax.{m}") for m in TIME_STEPS)
+    ]
     assert not wrong, f"{wrong}: steps are time steps, say iterations"

@@ -146,7 +146,9 @@ def test_failures_stay_with_a_sentence():
         return verlet(step)
 
     wp = measure([Ladder("fragile", "step", STEPS, call)], EXACT, FLOOR, repeats=1)
-    assert wp.note[0] == "step: too long." and "not finite" in wp.note[1] and "above 1" in wp.note[2]
+    assert (
+        wp.note[0] == "step: too long." and "not finite" in wp.note[1] and "above 1" in wp.note[2]
+    )
     np.testing.assert_array_equal(wp.drawn, [False] * 3 + [True] * 5)
     assert math.isnan(wp.error[0]) and math.isnan(wp.seconds[2])
     assert wp.orders["fragile"][0] == pytest.approx(2, abs=0.05)
@@ -161,9 +163,17 @@ def test_failures_stay_with_a_sentence():
     [
         ([VERLET._replace(parameter="steps")], {}, "Did you mean 'step'"),
         ([VERLET, VERLET], {}, "'verlet' twice"),
-        ([VERLET._replace(values=(0.1, -0.1))], {}, "steps of verlet: expected finite numbers above zero"),
+        (
+            [VERLET._replace(values=(0.1, -0.1))],
+            {},
+            "steps of verlet: expected finite numbers above zero",
+        ),
         ([VERLET], {"floor": 0.1}, "floor: expected a number from 0 to 0.001"),
-        ([VERLET], {"reference": (np.ones(2), np.ones(2))}, "reference: expected arrays of the shapes"),
+        (
+            [VERLET],
+            {"reference": (np.ones(2), np.ones(2))},
+            "reference: expected arrays of the shapes",
+        ),
     ],
 )
 def test_ladders_that_cannot_be_meant(ladders, keywords, message):
@@ -225,11 +235,21 @@ def test_advice_takes_the_faster(order):
 def test_advice_is_never_worse_than_another_point(seeds=range(20)):
     for seed in seeds:
         random = np.random.default_rng(seed)
-        wp = measure([Ladder(name, "step", STEPS, lambda step: (EXACT, None)) for name in "abc"], EXACT, repeats=1)
+        wp = measure(
+            [Ladder(name, "step", STEPS, lambda step: (EXACT, None)) for name in "abc"],
+            EXACT,
+            repeats=1,
+        )
         errors = 10.0 ** random.uniform(-6, -1, len(wp.error))
         seconds = np.sort(random.uniform(1, 2, (3, len(STEPS)))).ravel()
         wp = dataclasses.replace(
-            wp, error=errors, seconds=seconds, drawn=errors > 0, note=("",) * len(errors), ladders=())
+            wp,
+            error=errors,
+            seconds=seconds,
+            drawn=errors > 0,
+            note=("",) * len(errors),
+            ladders=(),
+        )
         for asked in (1e-1, 1e-2, 1e-3):
             advice = wp.advice(asked)
             assert advice.error <= asked
@@ -282,9 +302,17 @@ def test_advice_on_a_rugged_curve_promises_only_what_it_saw(seed):
 def test_json_round_trip(table):
     text = table.to_json()
     data = json.loads(text)
-    assert {"processor", "cores", "jax", "jaxlib", "diffrax", "numpy", "granjax", "date", "commit"} <= set(
-        data["machine"]
-    )
+    assert {
+        "processor",
+        "cores",
+        "jax",
+        "jaxlib",
+        "diffrax",
+        "numpy",
+        "granjax",
+        "date",
+        "commit",
+    } <= set(data["machine"])
     assert data["points"][0]["error"] == table.error[0] and data["points"][-1]["value"] is None
     back = WorkPrecision.from_json(text)
     assert back.to_json() == text
@@ -340,7 +368,14 @@ def test_the_chart_leaves_out_what_is_not_drawn(ax):
 
 def test_sensible_solvers():
     chain = gx.scenes.monomer(6, precompression=1.0)
-    splitting = {"VelocityVerlet", "SRKN6b", "SRKN11b", "SRKN14a", "KahanLi8", "SofroniouSpaletta10"}
+    splitting = {
+        "VelocityVerlet",
+        "SRKN6b",
+        "SRKN11b",
+        "SRKN14a",
+        "KahanLi8",
+        "SofroniouSpaletta10",
+    }
     assert set(sensible_solvers(chain)) == splitting | {"RKN86", "RKN1210", "Tsit5", "Dopri8"}
     damped = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(0.1)), sites=6)
     assert set(sensible_solvers(damped)) == splitting | {"Tsit5", "Dopri8"}
@@ -360,10 +395,26 @@ REST = np.zeros(6), np.ones(6)
         ((CHAIN, STATE, 1.0, [gx.RKN86]), {}, "got RKN86. Solvers are instances"),
         ((CHAIN, STATE, 1.0, [gx.RKN86(), gx.RKN86()]), {}, "'RKN86' twice. Give a dict"),
         ((CHAIN, STATE, 1.0, [gx.RKN86()], {"RKN68": [1e-3]}), {}, "Did you mean 'RKN86'"),
-        ((CHAIN, STATE, 1.0, [gx.RKN86()], [[1e-3], [1e-4]]), {}, "steps: expected one list per solver"),
-        ((CHAIN, STATE, 1.0), {"reference": (REST[0][1:], REST[1])}, "reference: expected arrays of the shapes"),
-        ((CHAIN, STATE, 1.0), {"tangents": True}, r"reference: expected a map of tangents, shape \(12, 12\)"),
-        ((CHAIN, STATE, 1.0), {"reference": REST, "uncertainty": 0.1}, "uncertainty: expected at most 0.001"),
+        (
+            (CHAIN, STATE, 1.0, [gx.RKN86()], [[1e-3], [1e-4]]),
+            {},
+            "steps: expected one list per solver",
+        ),
+        (
+            (CHAIN, STATE, 1.0),
+            {"reference": (REST[0][1:], REST[1])},
+            "reference: expected arrays of the shapes",
+        ),
+        (
+            (CHAIN, STATE, 1.0),
+            {"tangents": True},
+            r"reference: expected a map of tangents, shape \(12, 12\)",
+        ),
+        (
+            (CHAIN, STATE, 1.0),
+            {"reference": REST, "uncertainty": 0.1},
+            "uncertainty: expected at most 0.001",
+        ),
     ],
 )
 def test_input_that_cannot_be_meant(positional, keywords, message):
@@ -389,7 +440,9 @@ def test_steps_of_ones_own_and_a_reference_of_ones_own():
 @pytest.mark.slow
 def test_a_solver_that_the_scene_refuses_stays_with_a_sentence():
     chain = gx.Lattice(CHAIN.mass, (*CHAIN.terms, gx.Damping(0.1)), sites=6)
-    wp = gx.work_precision(chain, STATE, 1.0, [gx.RKN86()], reference=REST, uncertainty=0.0, repeats=1)
+    wp = gx.work_precision(
+        chain, STATE, 1.0, [gx.RKN86()], reference=REST, uncertainty=0.0, repeats=1
+    )
     assert not wp.drawn[:-1].any() and "(Damping), which reads the velocity" in wp.note[0]
     assert wp.methods == ("RKN86", "default") and "Damping" in str(wp)
 
@@ -401,9 +454,14 @@ def test_tangents_of_a_linear_chain_are_a_matrix_exponential():
     exact = expm(2.0 * np.block([[np.zeros((3, 3)), np.eye(3)], [-K, np.zeros((3, 3))]]))
     state = gx.State(jnp.ones(3), jnp.zeros(3))
     solvers = [gx.SRKN6b(), gx.RKN86()]
-    wp = gx.work_precision(chain, state, 2.0, solvers, tangents=True, reference=exact, uncertainty=1e-14, repeats=1)
+    wp = gx.work_precision(
+        chain, state, 2.0, solvers, tangents=True, reference=exact, uncertainty=1e-14, repeats=1
+    )
     assert wp.orders["SRKN6b"][0] == pytest.approx(4, abs=0.2)
-    assert all(wp.error[[name == method for method in wp.method]].min() < 1e-11 for name in ("SRKN6b", "RKN86"))
+    assert all(
+        wp.error[[name == method for method in wp.method]].min() < 1e-11
+        for name in ("SRKN6b", "RKN86")
+    )
     assert wp.evaluations[0] == 6 * wp.steps[0]
 
 
@@ -411,12 +469,15 @@ def test_tangents_of_a_linear_chain_are_a_matrix_exponential():
 def smooth():
     chain = gx.scenes.disordered(16, 0.2, 3, precompression=1.0)
     # a processor that is busy otherwise must not end a ladder early
-    return gx.work_precision(chain, gx.states.random(chain, 5, displacement=0.1), 12.0, repeats=1, longest=2.0)
+    return gx.work_precision(
+        chain, gx.states.random(chain, 5, displacement=0.1), 12.0, repeats=1, longest=2.0
+    )
 
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    "solver", [gx.VelocityVerlet, gx.SRKN6b, gx.SRKN11b, gx.SRKN14a, gx.KahanLi8, gx.SofroniouSpaletta10]
+    "solver",
+    [gx.VelocityVerlet, gx.SRKN6b, gx.SRKN11b, gx.SRKN14a, gx.KahanLi8, gx.SofroniouSpaletta10],
 )
 def test_orders_on_a_smooth_scene(smooth, solver):
     order, uncertain = smooth.orders[solver.__name__]
@@ -472,7 +533,9 @@ def written_out(masses, F0, gamma, state, t1):
         e = -np.diff(u, prepend=0.0, append=0.0)
         return np.concatenate([v, -np.diff(np.maximum(d0 + e, 0) ** 1.5) / masses - gamma * v])
 
-    y = solve_ivp(rates, (0, t1), np.concatenate(state), method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    y = solve_ivp(rates, (0, t1), np.concatenate(state), method="DOP853", rtol=1e-12, atol=1e-14).y[
+        :, -1
+    ]
     return tuple(np.split(y, 2))
 
 
@@ -483,7 +546,9 @@ def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
     F0, gamma, t1 = rng.uniform(0.2, 2.0), rng.uniform(0.01, 0.2), rng.uniform(5, 25)
     chain = gx.scenes.trimer(16, rng.uniform(0.2, 1.0, 2), precompression=F0)
     chain = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(gamma)))
-    state = gx.states.random(chain, seed, displacement=rng.uniform(0.05, 0.5), velocity=rng.uniform(0, 0.3))
+    state = gx.states.random(
+        chain, seed, displacement=rng.uniform(0.05, 0.5), velocity=rng.uniform(0, 0.3)
+    )
     wp = gx.work_precision(chain, state, t1, repeats=2)
     exact = written_out(np.asarray(chain.mass), F0, gamma, state, t1)
     assert distance(wp.reference, exact) < 1e-9 and wp.floor < 1e-10
@@ -492,8 +557,11 @@ def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
         error = distance(gx.simulate(chain, state, t1, **advice.keywords).final, exact)
         assert advice.error / 3 < error < 3 * advice.error
         assert error < 1.01 * asked
-        if error < asked / 3.03 and advice.value < wp.value[wp.method.index(advice.method)] and not (
-                np.isclose(advice.value, wp.value, rtol=1e-9, atol=0).any()):  # a measured point that was faster
+        if (
+            error < asked / 3.03
+            and advice.value < wp.value[wp.method.index(advice.method)]
+            and not (np.isclose(advice.value, wp.value, rtol=1e-9, atol=0).any())
+        ):  # a measured point that was faster
             # one step fewer is too few
             count = int(gx.simulate(chain, state, t1, **advice.keywords).stats["steps"])
             fewer = gx.simulate(chain, state, t1, solver=advice.solver, step=t1 / (count - 1))

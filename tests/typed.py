@@ -74,7 +74,9 @@ def _fields_checked(cls):
             for name, hint in hints[0].items() if _on[0] else ():
                 value = getattr(self, name)
                 if not beartype.door.is_bearable(value, hint, conf=TOWER):
-                    raise jaxtyping.TypeCheckError(f"{cls.__qualname__}.{name} is not {hint}: {value!r}")
+                    raise jaxtyping.TypeCheckError(
+                        f"{cls.__qualname__}.{name} is not {hint}: {value!r}"
+                    )
         if own is not None:
             own(self)
 

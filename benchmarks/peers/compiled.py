@@ -23,7 +23,9 @@ def calls(chain):
 
     def of(integrator):
         def call(tolerance):
-            ys, success = integrator(rates.address, y0.copy(), times, nothing, tolerance, tolerance, MOST_STEPS)
+            ys, success = integrator(
+                rates.address, y0.copy(), times, nothing, tolerance, tolerance, MOST_STEPS
+            )
             if not success:
                 raise RuntimeError("numbalsoda did not arrive")
             return ys[-1, :N], ys[-1, N:]

@@ -110,7 +110,19 @@ def _one(chain, table):
 
     def call(steps):
         u, v = c.u.copy(), c.v.copy()
-        hertz(u, v, steps, c.t1 / steps, c.stiffness, c.overlap, c.force, 1.5, c.inverse_mass, table.a, table.b)
+        hertz(
+            u,
+            v,
+            steps,
+            c.t1 / steps,
+            c.stiffness,
+            c.overlap,
+            c.force,
+            1.5,
+            c.inverse_mass,
+            table.a,
+            table.b,
+        )
         return u, v
 
     return call
@@ -122,7 +134,9 @@ def _batch(chain, table):
     def call(steps):
         u, v = us.copy(), vs.copy()
         h = chain.t1 / steps
-        hertz_batch(u, v, steps, h, chain.stiffness, chain.overlap, chain.force, inverse, table.a, table.b)
+        hertz_batch(
+            u, v, steps, h, chain.stiffness, chain.overlap, chain.force, inverse, table.a, table.b
+        )
         return u.T, v.T
 
     return call

@@ -29,7 +29,9 @@ def calls(chain):
 
 def compiler():
     """The C compiler's name, or `None`."""
-    return os.environ.get("CC") or next((name for name in ("gcc", "clang", "cc") if shutil.which(name)), None)
+    return os.environ.get("CC") or next(
+        (name for name in ("gcc", "clang", "cc") if shutil.which(name)), None
+    )
 
 
 @cache
@@ -39,7 +41,10 @@ def _library():
         raise Unfit("no C compiler on this machine")
     with tempfile.TemporaryDirectory() as folder:
         middle, path = Path(folder) / "kernel.o", Path(folder) / "kernel.so"
-        for command in ([name, *COMPILE, str(SOURCE), "-o", str(middle)], [name, *LINK, str(middle), "-o", str(path)]):
+        for command in (
+            [name, *COMPILE, str(SOURCE), "-o", str(middle)],
+            [name, *LINK, str(middle), "-o", str(path)],
+        ):
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode:
                 raise Unfit(f"{name} failed: {done.stderr.strip()[-200:]}")
@@ -58,8 +63,19 @@ def _one(chain, table, library):
     def call(steps):
         u, v, f = c.u.copy(), c.v.copy(), np.empty(c.u.size + 1)
         library.chain(
-            u.ctypes.data, v.ctypes.data, f.ctypes.data, u.size, steps, c.t1 / steps, c.stiffness, c.overlap, c.force,
-            c.inverse_mass, a, b, table.a.size,
+            u.ctypes.data,
+            v.ctypes.data,
+            f.ctypes.data,
+            u.size,
+            steps,
+            c.t1 / steps,
+            c.stiffness,
+            c.overlap,
+            c.force,
+            c.inverse_mass,
+            a,
+            b,
+            table.a.size,
         )
         return u, v
 
@@ -73,8 +89,19 @@ def _batch(chain, table, library):
     def call(steps):
         u, v, f = us.copy(), vs.copy(), np.empty(us.shape[1] + 1)
         library.batch(
-            u.ctypes.data, v.ctypes.data, f.ctypes.data, *u.shape, steps, chain.t1 / steps, chain.stiffness,
-            chain.overlap, chain.force, inverse.ctypes.data, a, b, table.a.size,
+            u.ctypes.data,
+            v.ctypes.data,
+            f.ctypes.data,
+            *u.shape,
+            steps,
+            chain.t1 / steps,
+            chain.stiffness,
+            chain.overlap,
+            chain.force,
+            inverse.ctypes.data,
+            a,
+            b,
+            table.a.size,
         )
         return u.T, v.T
 

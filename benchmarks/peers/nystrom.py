@@ -55,10 +55,15 @@ def _written(table, accelerations):
     lines = ["def attempt(u, v, k, f, place, speed, h, A, d0, F0, w):", "    N, hh = u.size, h * h"]
     for j in range(1, count):
         lines += ["    for i in range(N):"]
-        lines += [f"        place[i] = u[i] + {float(table.c[j])!r} * h * v[i] + hh * ({_sum(table.A[j])})"]
+        lines += [
+            f"        place[i] = u[i] + {float(table.c[j])!r} * h * v[i] + hh * ({_sum(table.A[j])})"
+        ]
         lines += [f"    accelerations(place, k[{j}], f, A, d0, F0, w)"]
     if not last:
-        lines += ["    for i in range(N):", f"        place[i] = u[i] + h * v[i] + hh * ({_sum(table.b)})"]
+        lines += [
+            "    for i in range(N):",
+            f"        place[i] = u[i] + h * v[i] + hh * ({_sum(table.b)})",
+        ]
         lines += [f"    accelerations(place, k[{count}], f, A, d0, F0, w)"]
     lines += ["    wrong, worse = 0.0, 0.0", "    for i in range(N):"]
     lines += [f"        speed[i] = v[i] + h * ({_sum(table.bp)})"]
@@ -107,7 +112,10 @@ def calls(chain):
     scale = max(np.abs(chain.v).max(), np.abs(chain.u).max())
     numbers = scale, scale, chain.stiffness, chain.overlap, chain.force
     if chain.batch:
-        return {f"numba {name}": _batch(chain, _loop(tables.nystrom(name), _own), numbers) for name in METHODS}
+        return {
+            f"numba {name}": _batch(chain, _loop(tables.nystrom(name), _own), numbers)
+            for name in METHODS
+        }
     c = chain.single("the numba loop")
 
     def of(loop):

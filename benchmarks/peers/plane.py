@@ -42,7 +42,19 @@ def packing(u, v, steps, h, A, d0, offsets, vectors, a, b):
             if step == 0 or stage > 0:
                 for k in range(kinds):
                     R = math.sqrt(vectors[k, 0] ** 2 + vectors[k, 1] ** 2)
-                    _press(ux, uy, fx[k], fy[k], offsets[k, 0], offsets[k, 1], vectors[k, 0], vectors[k, 1], R, A, d0)
+                    _press(
+                        ux,
+                        uy,
+                        fx[k],
+                        fy[k],
+                        offsets[k, 0],
+                        offsets[k, 1],
+                        vectors[k, 0],
+                        vectors[k, 1],
+                        R,
+                        A,
+                        d0,
+                    )
             bh = b[stage] * h
             ah = a[stage] * h if stage < stages else 0.0
             for i in range(1, n + 1):

@@ -26,7 +26,14 @@ def calls(chain):
 
     def ivp(method):
         def call(tolerance):
-            run = solve_ivp(rates, (0.0, chain.t1), y0, method=method, rtol=max(tolerance, LEAST), atol=tolerance)
+            run = solve_ivp(
+                rates,
+                (0.0, chain.t1),
+                y0,
+                method=method,
+                rtol=max(tolerance, LEAST),
+                atol=tolerance,
+            )
             if not run.success:
                 raise RuntimeError(run.message)
             return run.y[:N, -1], run.y[N:, -1]
@@ -34,10 +41,16 @@ def calls(chain):
         return call
 
     def compiled(tolerance):
-        integrator = ode(rates).set_integrator("dop853", rtol=tolerance, atol=tolerance, nsteps=MOST_STEPS)
+        integrator = ode(rates).set_integrator(
+            "dop853", rtol=tolerance, atol=tolerance, nsteps=MOST_STEPS
+        )
         y = integrator.set_initial_value(y0, 0.0).integrate(chain.t1)
         if not integrator.successful():
             raise RuntimeError("dop853 did not arrive")
         return y[:N], y[N:]
 
-    return {"scipy DOP853": ivp("DOP853"), "scipy LSODA": ivp("LSODA"), "scipy ode dop853": compiled}
+    return {
+        "scipy DOP853": ivp("DOP853"),
+        "scipy LSODA": ivp("LSODA"),
+        "scipy ode dop853": compiled,
+    }

@@ -79,7 +79,9 @@ def splitting(orbit, name, steps):
     drift = np.concatenate([[0.0], np.tile(h * table.a, steps)])
     kick = np.concatenate([np.tile(h * table.b[:-1], steps), [h * table.b[-1]]])
     kick[len(table.a) : -1 : len(table.a)] += h * table.b[-1]
-    return _matrix(orbit.u, orbit.v, orbit.stiffness, orbit.overlap, orbit.walls, 1 / orbit.mass, drift, kick)
+    return _matrix(
+        orbit.u, orbit.v, orbit.stiffness, orbit.overlap, orbit.walls, 1 / orbit.mass, drift, kick
+    )
 
 
 @numba.njit(fastmath=True)
@@ -173,7 +175,13 @@ def _flow(orbit, U, V, t1, tolerance):
         return np.stack([v, inverse * (e[:-1] - e[1:])]).ravel()
 
     run = solve_ivp(
-        rates, (0.0, t1), start.ravel(), method="DOP853", rtol=max(tolerance, LEAST), atol=tolerance, t_eval=[t1],
+        rates,
+        (0.0, t1),
+        start.ravel(),
+        method="DOP853",
+        rtol=max(tolerance, LEAST),
+        atol=tolerance,
+        t_eval=[t1],
     )
     if not run.success:
         raise RuntimeError(run.message)

@@ -18,7 +18,9 @@ PARAMETER = "tolerance"
 def calls(chain):
     """The adaptive Taylor integrator with `fast_math`, as its documentation advises for speed, in both modes."""
     if not chain.closed:
-        raise Unfit("a Taylor series does not see a contact that opens: heyoka would be silently wrong")
+        raise Unfit(
+            "a Taylor series does not see a contact that opens: heyoka would be silently wrong"
+        )
     c = chain.single("heyoka")
     return {"heyoka": _mode(c, compact_mode=False), "heyoka compact": _mode(c, compact_mode=True)}
 
@@ -46,7 +48,11 @@ def _equations(c):
     N = c.u.size
     u = hy.make_vars(*[f"u{i}" for i in range(N)])
     v = hy.make_vars(*[f"v{i}" for i in range(N)])
-    overlaps = [c.overlap - u[0], *(c.overlap + u[i - 1] - u[i] for i in range(1, N)), c.overlap + u[N - 1]]
+    overlaps = [
+        c.overlap - u[0],
+        *(c.overlap + u[i - 1] - u[i] for i in range(1, N)),
+        c.overlap + u[N - 1],
+    ]
     forces = [c.stiffness * s**1.5 for s in overlaps]
     rates = [(u[i], v[i]) for i in range(N)]
     return rates + [(v[i], c.inverse_mass * (forces[i] - forces[i + 1])) for i in range(N)]

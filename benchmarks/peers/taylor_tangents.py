@@ -33,7 +33,9 @@ def variational(orbit):
     @cache
     def build(tolerance):
         equations = hy.var_ode_sys(_state(orbit), hy.var_args.vars, order=1)
-        taylor = hy.taylor_adaptive(equations, start, tol=tolerance, compact_mode=True, fast_math=True)
+        taylor = hy.taylor_adaptive(
+            equations, start, tol=tolerance, compact_mode=True, fast_math=True
+        )
         return taylor, taylor.state.copy()
 
     def call(tolerance):
@@ -57,7 +59,9 @@ def batch(orbit, tangents=TANGENTS, lanes=None):
     def build(tolerance):
         equations = _state(orbit) + [x for k in range(tangents) for x in _tangent(orbit, k)]
         none = np.zeros((len(equations), lanes))
-        return hy.taylor_adaptive_batch(equations, none, tol=tolerance, compact_mode=True, fast_math=True)
+        return hy.taylor_adaptive_batch(
+            equations, none, tol=tolerance, compact_mode=True, fast_math=True
+        )
 
     def call(tolerance):
         taylor = build(tolerance)

@@ -124,7 +124,10 @@ def walls(t, u):
 def driven_wall(a, omega, phase):
     """A left wall at a cos(omega t + phase), a right one at rest."""
     a, omega, phase = (np.longdouble(x) for x in (a, omega, phase))
-    return lambda t, u: (np.reshape(a * np.cos(omega * t + phase), np.shape(t)[:-2] + np.shape(t)[-1:]), 0)
+    return lambda t, u: (
+        np.reshape(a * np.cos(omega * t + phase), np.shape(t)[:-2] + np.shape(t)[-1:]),
+        0,
+    )
 
 
 def mirror(speed):
@@ -132,4 +135,7 @@ def mirror(speed):
 
     In the moving frame w = u + speed t that is w_{-1} = 2 speed t - w_0; ahead all is at rest.
     """
-    return lambda t, u: (2 * speed * np.reshape(t, np.shape(t)[:-2] + np.shape(t)[-1:]) - u[..., 0, :], 0)
+    return lambda t, u: (
+        2 * speed * np.reshape(t, np.shape(t)[:-2] + np.shape(t)[-1:]) - u[..., 0, :],
+        0,
+    )

@@ -22,7 +22,9 @@ def root_mean_square(harmonics):
     k, gamma = stiffness * math.sqrt(overlap) / (MASS * omega**2), 1 / (DAMPING_TIME * omega)
     count, orders = 2 * harmonics + 1, np.arange(1, harmonics + 1)
     angle = 2 * math.pi * np.arange(SAMPLES * harmonics) / (SAMPLES * harmonics)
-    basis = np.column_stack([np.ones_like(angle), np.cos(np.outer(angle, orders)), np.sin(np.outer(angle, orders))])
+    basis = np.column_stack(
+        [np.ones_like(angle), np.cos(np.outer(angle, orders)), np.sin(np.outer(angle, orders))]
+    )
     project, rate = np.linalg.pinv(basis), np.zeros((count, count))
     rate[1 : harmonics + 1, harmonics + 1 :] = np.diag(orders)
     rate[harmonics + 1 :, 1 : harmonics + 1] = -np.diag(orders)
@@ -33,7 +35,11 @@ def root_mean_square(harmonics):
         u = np.concatenate([wall, basis @ c, -wall], axis=1)
         closed = 1 + u[:, :-1] - u[:, 1:]
         force = k * closed**1.5
-        return linear @ c - project @ (force[:, :-1] - force[:, 1:]), 1.5 * k * np.sqrt(closed), closed.min()
+        return (
+            linear @ c - project @ (force[:, :-1] - force[:, 1:]),
+            1.5 * k * np.sqrt(closed),
+            closed.min(),
+        )
 
     def jacobian(slope):
         J = np.zeros((count, SITES, count, SITES))

@@ -39,6 +39,7 @@ def extrapolation(f, t0, t1, u, v, tolerance, step=0.05, together=False):
     longer, and less in proportion for a shorter one; `step`: the first to try.
     **Raises** RuntimeError where the tolerance asks for steps below what the numbers resolve.
     """
+
     def attempt(f, t, h, u, v):
         rows = before = []
         for k, n in enumerate(SUBSTEPS):
@@ -90,8 +91,12 @@ def collocation(f, t0, t1, u, v, tolerance, step=0.05, together=False):
         speeds = v + h * np.tensordot(A, force, 1)
         ends = h * np.stack([np.tensordot(b, speeds, 1), np.tensordot(b, force, 1)])
         # a contact that closes behind the last point is seen at the end alone
-        missed = (1 - c[-1]) * np.abs(f(t + h, u + ends[0], v + ends[1]) - np.tensordot(close, force, 1)).max(0)
-        error = h * np.maximum(LAST_COEFFICIENT * np.abs(np.tensordot(last, force, 1)).max((0, 1)), missed)
+        missed = (1 - c[-1]) * np.abs(
+            f(t + h, u + ends[0], v + ends[1]) - np.tensordot(close, force, 1)
+        ).max(0)
+        error = h * np.maximum(
+            LAST_COEFFICIENT * np.abs(np.tensordot(last, force, 1)).max((0, 1)), missed
+        )
         # what has not settled has no solution at this step
         return ends, np.where(change < RESOLVED * tolerance, error, np.inf)
 
@@ -116,7 +121,9 @@ def gauss(s):
     b = 1 / ((1 - x * x) * slope * slope)
     degree = np.arange(s)
     fit = (2 * degree + 1)[:, None] * b * P[:s]
-    integral = np.concatenate([[(x + 1) / 2], (P[2 : s + 1] - P[: s - 1]) / (2 * (2 * degree[1:] + 1))[:, None]])
+    integral = np.concatenate(
+        [[(x + 1) / 2], (P[2 : s + 1] - P[: s - 1]) / (2 * (2 * degree[1:] + 1))[:, None]]
+    )
     return (x + 1) / 2, integral.T @ fit, b, fit[-2:], fit.sum(0)
 
 
@@ -131,7 +138,12 @@ def _march(attempt, f, t0, t1, u, v, tolerance, step, together, order):
     """Steps of every lane at its own pace, until all have arrived."""
     if np.finfo(EXTENDED).precision < FEWEST_DIGITS:
         got = f"{np.finfo(EXTENDED).precision} digits"
-        refuse("numpy.longdouble", f"{FEWEST_DIGITS} digits", got, "Make references on an x86-64 Linux machine.")
+        refuse(
+            "numpy.longdouble",
+            f"{FEWEST_DIGITS} digits",
+            got,
+            "Make references on an x86-64 Linux machine.",
+        )
     y = np.stack([np.asarray(u, EXTENDED), np.asarray(v, EXTENDED)])
     lanes = 1 if together else y.shape[-1]
     t, h = np.full(lanes, t0, EXTENDED), np.full(lanes, step, EXTENDED)
@@ -146,17 +158,23 @@ def _march(attempt, f, t0, t1, u, v, tolerance, step, together, order):
         allowed = tolerance * np.minimum(1, h / ORDINARY)
         good = error <= allowed
         with np.errstate(divide="ignore", invalid="ignore"):
-            factor = np.nan_to_num(SAFETY * (allowed / error) ** (EXTENDED(1) / order), posinf=GROW_MOST)
+            factor = np.nan_to_num(
+                SAFETY * (allowed / error) ** (EXTENDED(1) / order), posinf=GROW_MOST
+            )
         arrived = good & (h >= t1 - t)
         y = np.where(good, y + change, y)
         t = np.where(arrived, t1, np.where(good, t + h, t))
         # at an opening contact the error falls with h^(5/2) alone, whatever the order: a second refusal shrinks more
-        slower = np.where(refused, np.minimum(factor, SHRINK_AGAIN), np.clip(factor, SHRINK_MOST, SAFETY))
+        slower = np.where(
+            refused, np.minimum(factor, SHRINK_AGAIN), np.clip(factor, SHRINK_MOST, SAFETY)
+        )
         # and no growth right behind it
         faster = np.clip(factor, SHRINK_MOST, np.where(refused, 1, GROW_MOST))
         h, refused = h * np.where(good, faster, slower), ~good
         if np.any(h < SHORTEST * np.maximum(np.abs(t), 1) * (~arrived)):
-            raise RuntimeError(f"the steps of lane {left[np.argmin(h)]} fell to {h.min():.1e} at t = {t.min():.6g}")
+            raise RuntimeError(
+                f"the steps of lane {left[np.argmin(h)]} fell to {h.min():.1e} at t = {t.min():.6g}"
+            )
         if together:
             end, left = y, left[~arrived]
         elif arrived.any():

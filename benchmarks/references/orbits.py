@@ -31,7 +31,12 @@ class Beads:
     """
 
     def __init__(self, mass, walls=None, omega=0.0, damping=0.0):
-        self.mass, self.omega, self.damping, self.walls = np.asarray(mass, float), omega, damping, walls
+        self.mass, self.omega, self.damping, self.walls = (
+            np.asarray(mass, float),
+            omega,
+            damping,
+            walls,
+        )
 
     def compressions(self, t, u):
         """Of every contact, over the leading axis."""
@@ -56,7 +61,11 @@ class Beads:
     def linearised(self, t, u, v, du, dv):
         """Of tangents in columns."""
         k = 1.5 * np.sqrt(np.maximum(1 + self.compressions(t, u), 0))
-        de = -np.diff(du, axis=0) if self.walls is None else -np.diff(np.pad(du, ((1, 1), (0, 0))), axis=0)
+        de = (
+            -np.diff(du, axis=0)
+            if self.walls is None
+            else -np.diff(np.pad(du, ((1, 1), (0, 0))), axis=0)
+        )
         return self.gather(k[:, None] * de) / self.mass[:, None] - self.damping * dv
 
     def overlaps(self, t, u):
@@ -138,7 +147,9 @@ def flow(scene, t0, t1, u, v, tangents=None, rtol=RTOL):
                 continue
             dense = solver.dense_output()
             gaps = [lambda s, j=j: scene.overlaps(s, dense(s)[:n])[j] for j in changed]
-            roots = [brentq(g, before, solver.t, xtol=1e-15) for g in gaps if g(before) * g(solver.t) < 0]
+            roots = [
+                brentq(g, before, solver.t, xtol=1e-15) for g in gaps if g(before) * g(solver.t) < 0
+            ]
             roots = [r for r in roots if before < r < solver.t]
             if not roots:
                 continue
@@ -157,14 +168,18 @@ def gap(orbit, x, u, v):
     if not orbit.free:
         return np.concatenate([u - x[:n], (v - x[n:]) / orbit.omega])
     held = getattr(orbit.scene, "walls", 0) is None
-    return np.concatenate([v / orbit.omega, [orbit.scene.mass @ x / orbit.scene.mass.sum()] if held else []])
+    return np.concatenate(
+        [v / orbit.omega, [orbit.scene.mass @ x / orbit.scene.mass.sum()] if held else []]
+    )
 
 
 def slope(orbit, moved):
     """Derivative of `gap` in the unknowns, from tangents at the end."""
     n = len(orbit.scene.mass)
     if not orbit.free:
-        return np.concatenate([moved[:n], moved[n:] / orbit.omega]) - np.diag([1.0] * n + [1 / orbit.omega] * n)
+        return np.concatenate([moved[:n], moved[n:] / orbit.omega]) - np.diag(
+            [1.0] * n + [1 / orbit.omega] * n
+        )
     held = getattr(orbit.scene, "walls", 0) is None
     mean = orbit.scene.mass[None] / orbit.scene.mass.sum()
     return np.concatenate([moved[n:] / orbit.omega] + ([mean] if held else []))
@@ -206,7 +221,10 @@ def made(orbit):
     x, error = solved(orbit)
     n, period = len(orbit.scene.mass), 2 * np.pi / orbit.omega
     u, v = parts(orbit, x)
-    found = [np.linalg.eigvals(flow(orbit.scene, 0.0, period, u, v, np.eye(2 * n), rtol)[2]) for rtol in (RTOL, 1e-12)]
+    found = [
+        np.linalg.eigvals(flow(orbit.scene, 0.0, period, u, v, np.eye(2 * n), rtol)[2])
+        for rtol in (RTOL, 1e-12)
+    ]
     # 2n against 2n: those at one, which split like the root of the error, have a large one
     apart = np.abs(found[0][:, None] - found[1]).min(1)
     y, ts, opened = (u, v), np.linspace(0, period, 201), False
@@ -215,12 +233,28 @@ def made(orbit):
         opened = opened or bool((orbit.scene.overlaps(b, y[0]) <= 0).any())
     error = max(2 * error, 1e-13)
     energy = orbit.scene.energy(0.0, u, v)
-    rate = np.abs(np.concatenate([orbit.scene.mass * orbit.scene.acceleration(0.0, u, v), orbit.scene.mass * v])).sum()
-    log.info("%-22s E = %.12f  |rho| = %.9f  opened: %s", orbit.name, energy, np.abs(found[0]).max(), opened)
+    rate = np.abs(
+        np.concatenate(
+            [orbit.scene.mass * orbit.scene.acceleration(0.0, u, v), orbit.scene.mass * v]
+        )
+    ).sum()
+    log.info(
+        "%-22s E = %.12f  |rho| = %.9f  opened: %s",
+        orbit.name,
+        energy,
+        np.abs(found[0]).max(),
+        opened,
+    )
     return {
-        "omega": orbit.omega, "u": u.tolist(), "v": v.tolist(), "error": error, "energy": energy,
-        "energy_error": max(rate * error, 1e-13), "multipliers": np.stack([found[0].real, found[0].imag], -1).tolist(),
-        "multiplier_errors": np.maximum(4 * apart, 1e-10).tolist(), "opened": opened,
+        "omega": orbit.omega,
+        "u": u.tolist(),
+        "v": v.tolist(),
+        "error": error,
+        "energy": energy,
+        "energy_error": max(rate * error, 1e-13),
+        "multipliers": np.stack([found[0].real, found[0].imag], -1).tolist(),
+        "multiplier_errors": np.maximum(4 * apart, 1e-10).tolist(),
+        "opened": opened,
     }
 
 
@@ -235,23 +269,103 @@ def orbits():
     intruder = np.ones(15)
     intruder[7] = 0.5
     walls, three = ((0.9, 0.0), (0.0, 0.0)), ((0.03, 0.0), (0.03, np.pi))
-    deep = [-0.333, -0.325, -0.333, -0.333, -0.31, -0.318, -0.378, -0.353, -0.199, -0.259, -0.636, -0.443, 1.126, 0.129,
-            -0.013, 0.387, 0.452, 0.302, 0.278, 0.338, 0.347, 0.324, 0.323, 0.331, 0.324]
-    shallow = [-0.257, -0.222, -0.285, -0.258, -0.116, -0.208, -0.45, -0.26, 0.165, -0.137, -0.717, -0.139, 0.79, 0.053,
-               -0.438, 0.237, 0.572, 0.184, 0.006, 0.261, 0.357, 0.218, 0.193, 0.256, 0.221]
-    defect = [-0.037, -0.055, -0.12, -0.087, -0.243, -0.028, -0.494, 0.843, -0.136, 0.344, 0.079, 0.173, 0.076, 0.076,
-              0.028]
+    deep = [
+        -0.333,
+        -0.325,
+        -0.333,
+        -0.333,
+        -0.31,
+        -0.318,
+        -0.378,
+        -0.353,
+        -0.199,
+        -0.259,
+        -0.636,
+        -0.443,
+        1.126,
+        0.129,
+        -0.013,
+        0.387,
+        0.452,
+        0.302,
+        0.278,
+        0.338,
+        0.347,
+        0.324,
+        0.323,
+        0.331,
+        0.324,
+    ]
+    shallow = [
+        -0.257,
+        -0.222,
+        -0.285,
+        -0.258,
+        -0.116,
+        -0.208,
+        -0.45,
+        -0.26,
+        0.165,
+        -0.137,
+        -0.717,
+        -0.139,
+        0.79,
+        0.053,
+        -0.438,
+        0.237,
+        0.572,
+        0.184,
+        0.006,
+        0.261,
+        0.357,
+        0.218,
+        0.193,
+        0.256,
+        0.221,
+    ]
+    defect = [
+        -0.037,
+        -0.055,
+        -0.12,
+        -0.087,
+        -0.243,
+        -0.028,
+        -0.494,
+        0.843,
+        -0.136,
+        0.344,
+        0.079,
+        0.173,
+        0.076,
+        0.076,
+        0.028,
+    ]
     return [
         Orbit("light_centred", dimer(41), 0.92 * edge, np.pad(deep, 8, mode="edge")),
         Orbit("family", dimer(25), 0.985 * edge, shallow),
         Orbit("hard_pair", Hard(7, 0.02), 3.0, [0, 0, -0.008, 3.32, -3.32, 0.008, 0]),
         Orbit("defect", Beads(intruder, ((0.0, 0.0),) * 2), 2.6, defect),
-        Orbit("forced_opening", Beads(np.ones(6), walls, 1.2, 0.1), 1.2,
-              [[0.05, -0.88, -0.65, 0.06, 0.77, 0.86], [0.39, 0.44, -0.06, -0.07, -0.25, -0.33]], False),
-        Orbit("forced_branch", Beads(np.ones(3), three, 1.68, 0.02), 1.68,
-              [[0.251, 0, -0.251], [0.083, 0, -0.083]], False),
-        Orbit("forced_branch_upper", Beads(np.ones(3), three, 1.68, 0.02), 1.68,
-              [[0.547, 0, -0.547], [1.624, 0, -1.624]], False),
+        Orbit(
+            "forced_opening",
+            Beads(np.ones(6), walls, 1.2, 0.1),
+            1.2,
+            [[0.05, -0.88, -0.65, 0.06, 0.77, 0.86], [0.39, 0.44, -0.06, -0.07, -0.25, -0.33]],
+            False,
+        ),
+        Orbit(
+            "forced_branch",
+            Beads(np.ones(3), three, 1.68, 0.02),
+            1.68,
+            [[0.251, 0, -0.251], [0.083, 0, -0.083]],
+            False,
+        ),
+        Orbit(
+            "forced_branch_upper",
+            Beads(np.ones(3), three, 1.68, 0.02),
+            1.68,
+            [[0.547, 0, -0.547], [1.624, 0, -1.624]],
+            False,
+        ),
     ]
 
 

@@ -82,7 +82,9 @@ def _newton(mass, rise, strain, omega, free):
         omega = omega if free.all() else omega + step[-1]
         if np.abs(step).max() < 1e-12:
             return strain, omega
-    raise RuntimeError(f"Newton's method for the breather has not converged: last step {np.abs(step).max():.1e}")
+    raise RuntimeError(
+        f"Newton's method for the breather has not converged: last step {np.abs(step).max():.1e}"
+    )
 
 
 _STARTS = {

@@ -30,9 +30,19 @@ def keep(name, film, width, height, low=None):
     entries[entries.sum(1).argmax()] = 255  # the ground
     palette.putpalette(entries.ravel().tolist())
     frames = [x.quantize(palette=palette, dither=Image.Dither.NONE) for x in frames]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=delay, loop=0, lossless=True, quality=100,
-                   method=6)
-    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB, {len(frames)} frames of {frames[0].size}")
+    frames[0].save(
+        path,
+        save_all=True,
+        append_images=frames[1:],
+        duration=delay,
+        loop=0,
+        lossless=True,
+        quality=100,
+        method=6,
+    )
+    print(
+        f"{path.name}: {path.stat().st_size / 1000:.0f} kB, {len(frames)} frames of {frames[0].size}"
+    )
 
 
 def resonance():
@@ -40,7 +50,13 @@ def resonance():
     chain = gx.scenes.dimer(81, ratio=0.59)
     run = gx.simulate(chain, gx.states.impact(chain), 92.0, save_at=FRAMES)
     force = np.asarray(gx.measures.along(gx.measures.contact_force, chain, run))
-    keep("resonance", gx.plots.film(run, quantity=force, label="contact force", rate=10), 4.0, 2.4, -0.02)
+    keep(
+        "resonance",
+        gx.plots.film(run, quantity=force, label="contact force", rate=10),
+        4.0,
+        2.4,
+        -0.02,
+    )
 
 
 def breather():

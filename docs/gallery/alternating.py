@@ -10,6 +10,7 @@ below the upper band a bright breather stands in it, whose tail falls by the rat
 :within: 0.5 %
 :source: cosh^2(kappa/2) = omega^2 (2 K1 + 2 K2 - omega^2)/(4 K1 K2); Lee et al., Phys. Rev. E 107, 054208 (2023)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -10,6 +10,7 @@ long waves reach furthest. Where neighbours deviate oppositely, long waves reach
 :within: 3 %
 :source: <dm^2> omega^2/(8 (1 - omega^2/4)); Ishii, Prog. Theor. Phys. Suppl. 53, 77 (1973); three standard errors
 """
+
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,7 +19,9 @@ import granjax as gx
 
 
 def chain(seed, correlation="none"):
-    return gx.scenes.disordered(10000, 0.2, seed, law=gx.Linear, distribution="binary", correlation=correlation)
+    return gx.scenes.disordered(
+        10000, 0.2, seed, law=gx.Linear, distribution="binary", correlation=correlation
+    )
 
 
 omega, fine = np.linspace(0.3, 1.8, 7), np.linspace(0.2, 1.9, 100)
@@ -26,10 +29,16 @@ ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 for correlation, c in (("none", []), ("opposite", [-0.5])):
     chains = jax.vmap(lambda n: chain(n, correlation), out_axes=-1)(np.arange(16))
     found = gx.linear.localisation_length(chains, omega)
-    line = ax.errorbar(omega, found.gamma, found.error, fmt="o", ms=4, label=f"correlation: {correlation}")
+    line = ax.errorbar(
+        omega, found.gamma, found.error, fmt="o", ms=4, label=f"correlation: {correlation}"
+    )
     known = gx.theory.localisation.lyapunov_exponent(fine, mass_deviation=0.2, correlations=c)
     ax.semilogy(fine, known, color=line[0].get_color())
 many = jax.vmap(chain, out_axes=-1)(np.arange(1000))
 number = float(gx.linear.localisation_length(many, [0.5]).gamma[0])
-ax.set(xlabel=r"angular frequency $\omega$ (scaled)", ylabel=r"1/localisation length (1/site)", ylim=(1e-5, 0.2))
+ax.set(
+    xlabel=r"angular frequency $\omega$ (scaled)",
+    ylabel=r"1/localisation length (1/site)",
+    ylim=(1e-5, 0.2),
+)
 ax.legend()

@@ -10,6 +10,7 @@ chain; above, every one is localised, all with the same length 1/log(V/2K), with
 :within: 0.2 %
 :source: log(V/2K); Aubry, Andre, Ann. Israel Phys. Soc. 3, 133 (1980)
 """
+
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
@@ -20,7 +21,9 @@ V = np.linspace(0.5, 4.0, 71)
 modes = jax.vmap(lambda v: gx.linear.normal_modes(gx.scenes.aubry_andre(89, v, ground=4.0)))(V)
 sites = gx.measures.participation(modes.modes**2, axis=1)
 middle = float(gx.linear.normal_modes(gx.scenes.aubry_andre(89, 3.0, ground=3.0)).omega[30])
-number = float(gx.linear.localisation_length(gx.scenes.aubry_andre(10946, 3.0, ground=3.0), [middle]).gamma[0])
+number = float(
+    gx.linear.localisation_length(gx.scenes.aubry_andre(10946, 3.0, ground=3.0), [middle]).gamma[0]
+)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 x = np.broadcast_to(V[:, None], sites.shape)
 dots = ax.scatter(x, modes.omega, c=np.log10(sites), s=3, cmap="viridis")

@@ -10,6 +10,7 @@ modulationally unstable, breaks up, and leaves a breather whose frequency has su
 :within: 0.25
 :source: more than half of it; Boechler, Theocharis, Job, Kevrekidis, Porter, Daraio, PRL 104, 244302 (2010)
 """
+
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,7 +19,9 @@ import granjax as gx
 
 materials, sites = ("steel 316", "aluminium 6061-T6"), 81
 chain = gx.scenes.beads([materials[n % 2] for n in range(sites)], 9.53e-3, 20.0)
-edges = gx.linear.bands(gx.scenes.beads(materials, 9.53e-3, 20.0, cells=4, boundary="periodic"), cell=2)
+edges = gx.linear.bands(
+    gx.scenes.beads(materials, 9.53e-3, 20.0, cells=4, boundary="periodic"), cell=2
+)
 gap = np.array([float(edges.upper[0]), float(edges.lower[1])]) / (2 * np.pi)
 omega = 2 * np.pi * gap[1] * 1.005
 period, steps = 2 * np.pi / omega, 20
@@ -28,8 +31,14 @@ overlap = float(jnp.mean(chain.terms[0].law.rest_overlap[1:-1]))
 def run(amplitude, state, periods):
     """Shake the left wall; the run with all frames, and the share of the energy after each period."""
     shaken = gx.driven.driven_chain(chain, amplitude, omega, ends="left", damping=1 / 0.2)
-    run = gx.simulate(shaken, state, periods * period, step=period / steps, solver=gx.SRKN11b(),
-                      save_at=periods * steps + 1)
+    run = gx.simulate(
+        shaken,
+        state,
+        periods * period,
+        step=period / steps,
+        solver=gx.SRKN11b(),
+        save_at=periods * steps + 1,
+    )
     energy = np.asarray(gx.measures.along(gx.measures.site_energy, shaken, run))[steps::steps]
     tenth = np.array([np.convolve(e, np.ones(sites // 10), "valid").max() for e in energy])
     return run, tenth / energy.sum(1)
@@ -48,6 +57,10 @@ assert number > 0.5 and gap[0] < frequency < 0.99 * gap[1]
 assert before[52:].min() < 0.4
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 ax.plot(np.arange(105), before, label="driven")
-ax.plot(105 + np.arange(300), after, label=f"free, {frequency:.0f} Hz, gap {gap[0]:.0f} to {gap[1]:.0f} Hz")
+ax.plot(
+    105 + np.arange(300),
+    after,
+    label=f"free, {frequency:.0f} Hz, gap {gap[0]:.0f} to {gap[1]:.0f} Hz",
+)
 ax.set(xlabel="periods of the drive", ylabel="share of the energy in eight beads", ylim=(0, 1))
 ax.legend()

@@ -11,6 +11,7 @@ among those of the waves (grey); the Floquet multipliers tell which are stable (
 :within: 1e-8
 :source: one site, u'' = -4.5 u - u^3: omega = pi (4.5 + a^2)^(1/2)/(2 K(m)), m = a^2/(9 + 2 a^2)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.special import ellipk
@@ -29,7 +30,9 @@ for a, omega in zip(swing, alone):
     guess = gx.State({name: 0.9 * a * u for name, u in pair.u.items()}, pair.v)
     orbit = gx.breathers.breather(chain, omega, guess, check=False)
     off.append(max(np.abs(orbit.state.u[name] - a * u).max() for name, u in pair.u.items()))
-    ax.plot(a, omega, {"stable": "C2o", "unstable": "C3x", "undecided": "C1s"}[orbit.floquet().verdict])
+    ax.plot(
+        a, omega, {"stable": "C2o", "unstable": "C3x", "undecided": "C1s"}[orbit.floquet().verdict]
+    )
 number = float(max(off))
 ax.set(xlabel="amplitude (scaled)", ylabel="angular frequency (scaled)", ylim=(1.9, 3.4))
 ax.legend()

@@ -10,6 +10,7 @@ The exact wave has a tail that falls doubly exponentially, faster than any expon
 :within: 0.00001
 :source: 25/16 over the peak 1.48735937434940 of the exact wave; Ahnert, Pikovsky, Phys. Rev. E 79, 026209 (2009)
 """
+
 import matplotlib.pyplot as plt
 
 import granjax as gx
@@ -19,4 +20,10 @@ nesterenko = gx.theory.compacton.nesterenko(wave.xi).strain
 pikovsky = gx.theory.compacton.ahnert_pikovsky(wave.xi).strain
 number = 100 * float(nesterenko.max() / wave.amplitude - 1)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
-gx.plots.wave(wave, ax, beside={"Nesterenko": nesterenko, "Ahnert, Pikovsky": pikovsky}, slope=False, floor=1e-30)
+gx.plots.wave(
+    wave,
+    ax,
+    beside={"Nesterenko": nesterenko, "Ahnert, Pikovsky": pikovsky},
+    slope=False,
+    floor=1e-30,
+)

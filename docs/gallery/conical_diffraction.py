@@ -10,6 +10,7 @@ width: all its waves have the same speed, whatever their direction.
 :within: 3 %
 :source: slope of the cone, omega^2 = 3 + 1.5 |q|: 1.5/(2 3^(1/2)); Ablowitz, Nixon, Zhu, Phys. Rev. A 79, 053830 (2009)
 """
+
 import numpy as np
 
 import granjax as gx

@@ -10,6 +10,7 @@ edges have gaps; four states remain in the middle, one in each corner. The neste
 :within: 0.001
 :source: 2 (k1 + k2) + ground, of a corner alone (6 cells: to k2 (k1/k2)^6); Benalcazar et al., Science 357, 61 (2017)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -25,5 +26,7 @@ ring = gx.scenes.quadrupole(6, k1=0.5, k2=2.0, boundary="periodic")
 figure, (left, ax) = plt.subplots(1, 2, figsize=(5.4, 2.7), layout="constrained")
 left.plot(squared, ".", ms=3, color="0.5")
 left.plot(corner, squared[corner], "o", ms=4, color="C3")
-left.set(xlabel="mode", ylabel=r"$\omega^2$ (scaled)", title=f"Zak phases {gx.topology.quadrupole(ring)}")
+left.set(
+    xlabel="mode", ylabel=r"$\omega^2$ (scaled)", title=f"Zak phases {gx.topology.quadrupole(ring)}"
+)
 gx.plots.beads(lattice, share, ax, label="four states", radius=0.3)

@@ -10,6 +10,7 @@ over. Hertz contacts have only such breathers, below the upper edge of the band.
 :within: 1e-7
 :source: shooting with DOP853 at 1e-13; Chong, Kevrekidis, Theocharis, Daraio, Phys. Rev. E 87, 042202 (2013)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -23,4 +24,6 @@ number = float(breather.energy)
 contact = np.arange(81) - 40
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 ax.plot(contact, gx.measures.strain(chain, breather.state), "o-", ms=3, lw=0.6)
-ax.set(xlabel="contact from the middle", ylabel="strain / static overlap", title=f"energy {number:.6f}")
+ax.set(
+    xlabel="contact from the middle", ylabel="strain / static overlap", title=f"energy {number:.6f}"
+)

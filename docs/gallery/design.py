@@ -10,6 +10,7 @@ between 0.9 and 1.6 (shaded): the dispersion before (dashed) and after.
 :within: 1e-6
 :source: 2 K2/omega^2 at the lower edge 0.9, K2 = 3/2
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

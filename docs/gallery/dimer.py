@@ -11,6 +11,7 @@ on its way, once the first beads have made it.
 :within: 0.0001
 :source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011): 0.59, below 30 %; the value by other code
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -20,4 +21,6 @@ ratios = np.linspace(0.085, 1.0, 62)
 sweep = gx.resonance.transmission(ratios, 101)
 number = float(sweep.transmission[34])
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
-gx.plots.transmission(ratios, sweep.transmission, ax, resonances=[0.595], anti_resonances=[0.3428, 0.1548])
+gx.plots.transmission(
+    ratios, sweep.transmission, ax, resonances=[0.595], anti_resonances=[0.3428, 0.1548]
+)

@@ -10,6 +10,7 @@ aluminium chain. The energy stays on a few light beads; the two halves of the ch
 :within: 1e-4
 :source: shooting in 121 beads, in other code (61 beads lack 9e-5); Theocharis et al., Phys. Rev. E 82, 056604 (2010)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

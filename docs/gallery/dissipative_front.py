@@ -10,6 +10,7 @@ and above a critical damping it does not.
 :within: 1e-7
 :source: roots x and x + ik of 4 sinh^2(x/2) (3/2 - eta x) = x^2; James, Nonlinearity 34, 1758 (2021)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -11,6 +11,7 @@ unstable (crosses). A short piece of the upper one has doubled its period.
 :within: 2e-7
 :source: shooting with SciPy's DOP853 and the condition det(M - 1) = 0
 """
+
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 
@@ -23,7 +24,9 @@ def shaken(omega):
     return gx.driven.driven_chain(chain, 0.15, omega, ends="left", damping=0.03)
 
 
-branch = gx.forced.forced_branch(shaken, 2.45, 2.2, period=lambda omega: 2 * jnp.pi / omega, steps=64)
+branch = gx.forced.forced_branch(
+    shaken, 2.45, 2.2, period=lambda omega: 2 * jnp.pi / omega, steps=64
+)
 number = float(min(branch.folds))
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 for verdict, dash in (("stable", "o"), ("unstable", "x")):

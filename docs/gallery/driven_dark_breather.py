@@ -10,6 +10,7 @@ bead, whose neighbours swing against each other: a dark breather. A tenth of the
 :within: 1e-6
 :source: harmonic balance, benchmarks/references/harmonic_balance.py; Chong et al., Phys. Rev. E 89, 032924 (2014)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -26,7 +27,9 @@ def settled(amplitude, phase=(0.0, np.pi)):
     """Shake both walls at 7290 Hz from rest until the motion repeats."""
     omega = 2 * np.pi * 7290
     driven = gx.driven.driven_chain(chain, amplitude, omega, damping=1 / 5e-3, phase=phase)
-    return gx.driven.settle(driven, gx.states.rest(chain), 2 * np.pi / omega, periods=8000, steps=48)
+    return gx.driven.settle(
+        driven, gx.states.rest(chain), 2 * np.pi / omega, periods=8000, steps=48
+    )
 
 
 dark, arches = settled(0.2e-6), settled(0.02e-6)

@@ -11,13 +11,16 @@ thousandth apart.
 :within: 1e-8
 :source: closed form of the open chain; Arbabi, Mezic, SIAM J. Appl. Dyn. Syst. 16, 2096 (2017)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
 import granjax as gx
 
 chain = gx.scenes.ssh(10, 1.0, 2.0)
-run = gx.simulate(chain, gx.states.random(chain, seed=0), 120.0, save_at=401, solver=gx.SRKN14a(), step=0.05)
+run = gx.simulate(
+    chain, gx.states.random(chain, seed=0), 120.0, save_at=401, solver=gx.SRKN14a(), step=0.05
+)
 seen = gx.identify.snapshots(run)[:, :2]
 found = gx.identify.dmd(seen, 0.3, delays=150)
 omega = np.sort(found.omega.imag[found.omega.imag > 1e-3])

@@ -10,6 +10,7 @@ is. After 100 periods the strains (dots) still fill it.
 :within: 0.00006
 :source: kappa = nu3 |Y|^2/2 of the soliton; Huang, Hu, Phys. Rev. B 57, 5746 (1998)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -19,7 +20,12 @@ chain = gx.scenes.foam(201, 0.5, boundary="free")
 edge = 2**0.5
 envelope = gx.theory.nls.coefficients(1.0, *gx.laws.taylor(chain.terms[0].law), np.pi)
 soliton = gx.theory.nls.bright_profile(envelope, 1.001 * edge, 201)
-run = gx.simulate(chain, gx.State(soliton.displacement, chain.zeros()), 100 * 2 * np.pi / (1.001 * edge), save_at=2001)
+run = gx.simulate(
+    chain,
+    gx.State(soliton.displacement, chain.zeros()),
+    100 * 2 * np.pi / (1.001 * edge),
+    save_at=2001,
+)
 middle = run.us[:, 100] - run.us[:, 100].mean() - 1j * run.vs[:, 100] / edge
 number = float(np.polyfit(run.ts, np.unwrap(np.angle(middle)), 1)[0] / edge)
 x = np.arange(200) - 99.5

@@ -66,8 +66,18 @@ def read(path: Path) -> Example:
     expected, within = float(fields["expected"]), fields["within"]
     bound = abs(expected) * float(within[:-1]) / 100 if within.endswith("%") else float(within)
     systems = tuple(x.strip() for x in fields["systems"].split(","))
-    return Example(path.stem, title.rstrip("."), rest.strip(), code.strip() + "\n", systems, fields["part"],
-                   fields["number"], expected, bound, fields["source"])
+    return Example(
+        path.stem,
+        title.rstrip("."),
+        rest.strip(),
+        code.strip() + "\n",
+        systems,
+        fields["part"],
+        fields["number"],
+        expected,
+        bound,
+        fields["source"],
+    )
 
 
 def every() -> dict[str, Example]:
@@ -78,7 +88,11 @@ def every() -> dict[str, Example]:
 
 def systems() -> list[str]:
     """The systems of the review, each of which has to have an example."""
-    return [line.strip() for line in (HERE / "systems.txt").read_text().splitlines() if line.startswith("  ")]
+    return [
+        line.strip()
+        for line in (HERE / "systems.txt").read_text().splitlines()
+        if line.startswith("  ")
+    ]
 
 
 def make(example: Example) -> dict:
@@ -109,8 +123,10 @@ def main(names: list[str]) -> int:
         MADE.write_text(json.dumps({**table, name: made}, indent=1, sort_keys=True) + "\n")
         verdict = "agrees" if one.agrees(made["number"]) else "DIFFERS"
         wrong += verdict != "agrees"
-        print(f"{name}: {one.number} = {made['number']:.8g}, {one.expected:.8g} expected (+- {one.within:.2g}): "
-              f"{verdict}; {one.lines} lines, {made['seconds']:.1f} s")
+        print(
+            f"{name}: {one.number} = {made['number']:.8g}, {one.expected:.8g} expected (+- {one.within:.2g}): "
+            f"{verdict}; {one.lines} lines, {made['seconds']:.1f} s"
+        )
     return int(wrong > 0)
 
 

@@ -10,6 +10,7 @@ strong enough to feel the nonlinearity tells stiffness and load apart, which wea
 :within: 1 %
 :source: what the data were made with, by another integrator; three standard deviations
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -27,11 +28,20 @@ data = np.asarray(run.vs)[:, [3, 8]]
 sigma = 0.02 * np.abs(data).max()
 data = data + sigma * np.random.default_rng(1).normal(size=data.shape)
 traces = gx.Traces(run.ts, velocity=data, sites=[3, 8], sigma=sigma)
-found = gx.fit(scene, {"stiffness": 1.0, "load": 0.6}, traces, state=struck,
-               bounds={"stiffness": (0, None), "load": (0, None)})
+found = gx.fit(
+    scene,
+    {"stiffness": 1.0, "load": 0.6},
+    traces,
+    state=struck,
+    bounds={"stiffness": (0, None), "load": (0, None)},
+)
 number = float(found.parameters["stiffness"])
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 ax.plot(run.ts, data, ".", ms=4)
 ax.plot(run.ts, found.signals[0], "k-", lw=1)
 error = float(found.deviations["stiffness"])
-ax.set(xlabel="time (scaled)", ylabel="velocity (scaled)", title=f"stiffness {number:.3f} $\\pm$ {error:.3f}")
+ax.set(
+    xlabel="time (scaled)",
+    ylabel="velocity (scaled)",
+    title=f"stiffness {number:.3f} $\\pm$ {error:.3f}",
+)

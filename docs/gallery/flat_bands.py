@@ -10,6 +10,7 @@ Lines are the bands of the spring chains, dots the closed forms Omega^2 - E of t
 :within: 1e-12
 :source: E = -2, 2 + 2 cos k; 0, +-(3 + 2 cos k)^(1/2); 0, +-8^(1/2) cos(k/2): Leykam et al., Adv. Phys. X 3 (2018)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -17,9 +18,11 @@ import granjax as gx
 
 k = np.linspace(0, np.pi, 41)
 flat, root = 0 * k, np.sqrt(3 + 2 * np.cos(k))
-known = {"sawtooth": 2 + 8**0.5 - np.stack([2 + 2 * np.cos(k), flat - 2], 1),
-         "stub": 3 - np.stack([root, flat, -root], 1),
-         "diamond": 4 - np.sqrt(8) * np.stack([np.cos(k / 2), flat, -np.cos(k / 2)], 1)}
+known = {
+    "sawtooth": 2 + 8**0.5 - np.stack([2 + 2 * np.cos(k), flat - 2], 1),
+    "stub": 3 - np.stack([root, flat, -root], 1),
+    "diamond": 4 - np.sqrt(8) * np.stack([np.cos(k / 2), flat, -np.cos(k / 2)], 1),
+}
 figure, axes = plt.subplots(1, 3, figsize=(5.4, 2.8), layout="constrained", sharex=True)
 number = 0.0
 for (name, squared), ax in zip(known.items(), axes):

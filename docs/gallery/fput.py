@@ -10,6 +10,7 @@ returns to the first at t = 9376, after 146 of its periods.
 :within: 0.0002
 :source: Fermi, Pasta, Ulam, Los Alamos report LA-1940 (1955); the value by two integrators of order 8 and more
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -18,7 +19,10 @@ import granjax as gx
 chain = gx.scenes.fput(31, alpha=0.25)
 modes = gx.linear.normal_modes(chain)
 run = gx.simulate(chain, gx.states.sine_mode(chain, 1), 9376.5, step=0.5, save_at=200)
-energy = [gx.measures.modal_energy(chain, gx.State(u, v), modes.modes, modes.omega) for u, v in zip(run.us, run.vs)]
+energy = [
+    gx.measures.modal_energy(chain, gx.State(u, v), modes.modes, modes.omega)
+    for u, v in zip(run.us, run.vs)
+]
 share = np.asarray(energy)[:, :4] / 0.0770443732448498
 number = share[-1, 0]
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]

@@ -10,6 +10,7 @@ m^(-1-2s). A blow at one end runs out in a cone, but ahead of it a part is every
 :within: 1 %
 :source: kernel 1/(pi (m^2 - 1/4)); Ciaurri et al., Adv. Math. 330, 688 (2018); Macias-Diaz, Bountis (2021)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -11,6 +11,7 @@ other. Signals in the band pass each by itself: OR.
 :within: 0.5 %
 :source: SciPy's DOP853 with forces of its own; Li, Anzel, Yang, Kevrekidis, Daraio, Nature Commun. 5, 5311 (2014)
 """
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -45,14 +46,23 @@ def outputs(chain, amplitudes, omegas):
     for steps in (12, 24):  # per period of the fastest signal
         state, step = gx.states.rest(lanes), 2 * np.pi / omegas.max() / steps
         for begin, end in ((0.0, 20e-3), (20e-3, 30e-3), (30e-3, 40e-3)):
-            run = gx.simulate(lanes, state, end, t0=begin, step=step, record={"square": gx.Integral(last_squared)})
+            run = gx.simulate(
+                lanes, state, end, t0=begin, step=step, record={"square": gx.Integral(last_squared)}
+            )
             state = run.final
             found.append(np.array(run.recorded["square"]) / (end - begin))
-    halves, coarse, fine = np.sqrt(found[4:]), *(np.sqrt((found[i] + found[i + 1]) / 2) for i in (1, 4))
+    halves, coarse, fine = (
+        np.sqrt(found[4:]),
+        *(np.sqrt((found[i] + found[i + 1]) / 2) for i in (1, 4)),
+    )
     return halves, fine, np.abs(fine - coarse) + np.abs(halves[1] - halves[0])
 
 
-gap, band, controls = cutoff * np.array([1.5, 1.1]), cutoff * np.array([0.4, 0.7]), np.linspace(0, 0.2e-6, 9)
+gap, band, controls = (
+    cutoff * np.array([1.5, 1.1]),
+    cutoff * np.array([0.4, 0.7]),
+    np.linspace(0, 0.2e-6, 9),
+)
 switch = np.stack([np.repeat([0.1e-6, 0], 9), np.tile(controls, 2)], 1)
 amplitudes = np.concatenate([0.1e-6 * rows, 0.05e-6 * rows, switch])
 omegas = np.concatenate([np.tile(gap, (4, 1)), np.tile(band, (4, 1)), np.tile(gap, (18, 1))])
@@ -66,7 +76,9 @@ assert ((output[OR] > 1e-4) == rows.any(1)).all() and low[OR][1:].min() > 5e-4
 # the signal is switched, the control alone does not come through; half of the largest is passed at 112 nm
 assert (high[alone][1:] < 0.04 * output[on][1:]).all() and low[on][8] > 250 * high[on][0]
 half = output[on][8] / 2 + np.array([-1, 1]) * error[on][8] / 2
-assert high[on][4] < half[0] and low[on][5] > half[1] and abs(controls[4:6].mean() - 1.125e-7) < 1e-12
+assert (
+    high[on][4] < half[0] and low[on][5] > half[1] and abs(controls[4:6].mean() - 1.125e-7) < 1e-12
+)
 axes = plt.subplots(1, 2, figsize=(7.0, 3.2), layout="constrained")[1]
 for place, part, name in ((-0.2, AND, "in the gap"), (0.2, OR, "in the band")):
     y, e = 1e3 * output[part], 1e3 * error[part]

@@ -10,6 +10,7 @@ either side, and says where the oscillation begins and ends (lines).
 :within: 1e-4
 :source: a simulation by another method until t = 8000; El, Hoefer, Physica D 333, 11 (2016) on fitting
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -10,6 +10,7 @@ omega^2 = 4K/m (orange) the contour is a square: all its waves carry energy alon
 :within: 1e-8
 :source: omega^2 = 4 - 2 cos k1 - 2 cos k2: d omega/dk is along (sin k1, sin k2), equal where k1 + k2 = pi
 """
+
 import numpy as np
 
 import granjax as gx
@@ -19,5 +20,7 @@ velocity = gx.linear.dispersion(square, [0.3 * np.pi, 0.7 * np.pi]).group_veloci
 number = float(np.degrees(np.arctan2(velocity[1], velocity[0])))
 zone = gx.linear.zone_map(square)
 ax = gx.plots.zone(zone, velocity=True, levels=8)
-ax.contour(*np.moveaxis(zone.q, -1, 0), zone.omega[..., 0], levels=[2.0], colors="C1", linewidths=2.5)
+ax.contour(
+    *np.moveaxis(zone.q, -1, 0), zone.omega[..., 0], levels=[2.0], colors="C1", linewidths=2.5
+)
 ax.figure.set_size_inches(5.0, 4.0)

@@ -10,6 +10,7 @@ it shrinks again as it grew. Where a breather in space decays to both sides, thi
 :within: 0.5 %
 :source: 1.1051133 squared, the multiplier of layers in time at q = 1; Chong et al., Phys. Rev. Res. 6, 023045 (2024)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

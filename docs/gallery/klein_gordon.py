@@ -10,12 +10,15 @@ no coupling to C = 0.1: its neighbours take part, each exponentially less than t
 :within: 2e-4
 :source: omega^2 = 1 + 2C + 2C cosh(kappa) of a wave that alternates; Marin, Aubry, Nonlinearity 9, 1501 (1996)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
 import granjax as gx
 
-branch = gx.breathers.anticontinuous(lambda c: gx.scenes.klein_gordon(13, c), 0.1, 1.4, stability=False)
+branch = gx.breathers.anticontinuous(
+    lambda c: gx.scenes.klein_gordon(13, c), 0.1, 1.4, stability=False
+)
 u = np.abs(branch.u[-1])
 number = float(np.log(u[9] / u[10]))
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]

@@ -10,6 +10,7 @@ time, and the strain rings about the plateau. Dots are the simulation, the line 
 :within: 1e-9
 :source: y_n = int_0^t (J_2n(2s) + J_2n+2(2s)) ds; Schroedinger, Ann. Phys. 44, 916 (1914)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -10,6 +10,7 @@ the springs do, and not exponentially as with springs to the next neighbours alo
 :within: 3 %
 :source: |u| ~ n^(-s) for springs m^(-s); Flach, Phys. Rev. E 58, R4116 (1998)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -27,5 +28,9 @@ for reach, name in ((1, "next neighbours"), (None, "all neighbours")):
     ax.loglog(n[u > 1e-13], u[u > 1e-13], ".-", label=name)
 number = float(np.polyfit(np.log(n[11:27]), np.log(u[11:27]), 1)[0])
 ax.loglog(n, 2 * u[20] * (n / 21.0) ** -3, "k:", label="$n^{-3}$")
-ax.set(xlabel="distance from the light mass (sites)", ylabel="displacement |u| (scaled)", ylim=(1e-10, 1))
+ax.set(
+    xlabel="distance from the light mass (sites)",
+    ylabel="displacement |u| (scaled)",
+    ylim=(1e-10, 1),
+)
 ax.legend()

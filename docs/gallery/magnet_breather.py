@@ -11,6 +11,7 @@ would with next neighbours alone.
 :within: 2 %
 :source: stiffness 4 A r^(-5) of F = A r^(-4); Moleron et al., New J. Phys. 21, 063032 (2019)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -25,5 +26,7 @@ for reach, name in ((1, "next neighbours alone"), (None, "all magnets")):
     ax.loglog(n[u > 1e-13], u[u > 1e-13], ".-", label=name)
 number = float(np.polyfit(np.log(n[14:50]), np.log(u[14:50]), 1)[0])
 ax.loglog(n, 2 * u[14] * (n / 15.0) ** -5, "k:", label="$r^{-5}$")
-ax.set(xlabel="distance from the light magnet", ylabel="displacement over its largest", ylim=(1e-12, 1))
+ax.set(
+    xlabel="distance from the light magnet", ylabel="displacement over its largest", ylim=(1e-12, 1)
+)
 ax.legend()

@@ -10,6 +10,7 @@ way, led by nearly solitary waves; between them the magnets come to rest, closer
 :within: 0.1 %
 :source: 1 - 1/(1 + 2c/sqrt3), a simple wave; Li, Chockalingam, Cohen, Phys. Rev. Lett. 127, 014302 (2021) on magnets
 """
+
 import matplotlib.pyplot as plt
 
 import granjax as gx

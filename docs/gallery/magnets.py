@@ -10,6 +10,7 @@ narrow pulses, the narrower and higher the faster they run.
 :within: 1e-10
 :source: the tent equation by an independent solver; Moleron, Leonard, Daraio, J. Appl. Phys. 115, 184901 (2014)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

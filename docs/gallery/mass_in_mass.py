@@ -11,6 +11,7 @@ Colours: velocities of the resonators.
 :within: 1e-9
 :source: Xu, Kevrekidis, Stefanov, J. Phys. A 48, 195204 (2015); the value by the tent integral in other code
 """
+
 import matplotlib.pyplot as plt
 
 import granjax as gx
@@ -22,7 +23,14 @@ ax, axes = plt.subplots(1, 2, figsize=(5.4, 3.2), layout="constrained")
 for i, (axis, share) in enumerate(zip(axes, (0.7, 1.0))):
     chain = gx.scenes.mass_in_mass(36, 0.1, share * kappa, boundary="free")
     run = gx.simulate(chain, wave.state(36, 8.0), 20.0, save_at=101)
-    gx.plots.space_time(run.vs["resonator"], axis, ts=run.ts, scale="log", limit=1.5, colour_bar=i > 0,
-                        label="velocity (scaled)")
+    gx.plots.space_time(
+        run.vs["resonator"],
+        axis,
+        ts=run.ts,
+        scale="log",
+        limit=1.5,
+        colour_bar=i > 0,
+        label="velocity (scaled)",
+    )
     axis.set(title=f"stiffness {share * kappa:.3f}", ylabel="")
 axes[0].set_ylabel("time (scaled)")

@@ -10,6 +10,7 @@ at the rate of the nonlinear Schroedinger equation, until the energy stands in o
 :within: 3 %
 :source: nu2 Q^2 (2 nu3 a^2 - nu2 Q^2) = rate^2, nu2 = sqrt2/8, nu3 = sqrt2/16; Benjamin, Feir, J. Fluid Mech. 27 (1967)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -18,7 +19,7 @@ import granjax as gx
 sites, a = 120, 0.0741
 chain = gx.scenes.foam(sites, 0.5, boundary="periodic")
 n = np.arange(sites)
-wave = a * (-1.0) ** n * (1 + 0.002 * - np.cos(2 * np.pi * n / sites))
+wave = a * (-1.0) ** n * (1 + 0.002 * -np.cos(2 * np.pi * n / sites))
 run = gx.simulate(chain, gx.State(wave, 0 * wave), 24000.0, save_at=961)
 side = np.abs(np.fft.fft((-1.0) ** n * (run.us + 1j * run.vs / 2**0.5), axis=1))[:, 1]
 early = (run.ts > 5000) & (run.ts < 9000)

@@ -11,6 +11,7 @@ pulse.
 :within: 0.001
 :source: c k = omega(k) of the optical branch, to the square of the ripple; Vainchtein et al., Phys. Rev. E 93, 042210
 """
+
 import matplotlib.pyplot as plt
 
 import granjax as gx

@@ -11,6 +11,7 @@ that swing against each other, omega = 1 + sqrt(a)/tau_0.
 :within: 0.1 %
 :source: tau_0 = 2^(-1/2) pi^(1/2) Gamma(9/4)/Gamma(7/4); James, Kevrekidis, Cuevas, Physica D 251, 39 (2013)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -10,13 +10,20 @@ such a chain is overtaken by its own recoil: the pulse in front is a solitary wa
 :within: 0.005
 :source: the wave solved for as such; Yasuda, Chong, Charalampidis, Kevrekidis, Yang, Phys. Rev. E 93, 043004 (2016)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
 import granjax as gx
 
 chain = gx.scenes.origami(260, 0.5, boundary="free")
-run = gx.simulate(chain, gx.states.impact(chain, velocity=5.0), 300.0, step=0.1, save_at=np.linspace(240.0, 300.0, 601))
+run = gx.simulate(
+    chain,
+    gx.states.impact(chain, velocity=5.0),
+    300.0,
+    step=0.1,
+    save_at=np.linspace(240.0, 300.0, 601),
+)
 y = -np.diff(np.asarray(run.us), axis=1)
 lead = 180 + int(np.argmin(y[-1, 180:]))
 passed = [run.ts[np.argmin(y[:, n])] for n in (lead - 30, lead - 4)]

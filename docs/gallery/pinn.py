@@ -10,6 +10,7 @@ the equation of motion, whose stiffness and damping are learned beside it.
 :within: 1 %
 :source: what the data were made with; Raissi, Perdikaris, Karniadakis, J. Comput. Phys. 378, 686 (2019)
 """
+
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
@@ -27,8 +28,17 @@ state = gx.states.impact(chain, velocity=0.3)
 run = gx.simulate(chain, state, 6.0, save_at=61)
 seen = np.asarray(run.vs)[:, [1, 3]]
 seen = seen + 0.01 * np.sqrt(np.mean(seen**2)) * np.random.default_rng(0).normal(size=seen.shape)
-found = gx.identify.physics_informed(scene, {"stiffness": 1.4, "damping": 0.2}, run.ts, seen, sites=[1, 3], state=state,
-                                     width=24, max_steps=600, refine=300)
+found = gx.identify.physics_informed(
+    scene,
+    {"stiffness": 1.4, "damping": 0.2},
+    run.ts,
+    seen,
+    sites=[1, 3],
+    state=state,
+    width=24,
+    max_steps=600,
+    refine=300,
+)
 number = float(found.parameters["stiffness"])
 u = jax.vmap(found.motion)(run.ts)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]

@@ -10,6 +10,7 @@ restitution is 1; far above it falls as v^(-1/4), Thornton's law.
 :within: 1e-8
 :source: (6 sqrt3/5)^(1/2) (1 - r^2/6)^(1/2) (r/(r + 2 sqrt(6/5 - r^2/5)))^(1/4), r = 1/10; Thornton (1997)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -17,7 +18,9 @@ import granjax as gx
 
 stiffness, yields = 1.0, 0.02
 first = np.sqrt(8 * stiffness * yields**2.5 / 5)
-pair = gx.Lattice(1.0, gx.PlasticContact(gx.Shift(1, "free"), gx.Thornton(stiffness, yields)), sites=2)
+pair = gx.Lattice(
+    1.0, gx.PlasticContact(gx.Shift(1, "free"), gx.Thornton(stiffness, yields)), sites=2
+)
 speeds, found = first * np.array([0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0]), []
 for speed in speeds:
     run = gx.simulate(pair, gx.states.impact(pair, velocity=speed), 20 * speed**-0.5 + 5)

@@ -10,6 +10,7 @@ Precompression brings sound, and with it solitary waves that are faster. Near th
 :within: 1e-10
 :source: the exact wave by two other methods; Friesecke, Pego, Nonlinearity 12, 1601 (1999)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

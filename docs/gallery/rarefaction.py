@@ -10,6 +10,7 @@ rarefaction runs out, led by a rarefaction pulse. Dashed: its edges by fitting.
 :within: 1e-4
 :source: a simulation until t = 1000; Kim, Kim, Chong, Kevrekidis, Yang, Phys. Rev. Lett. 120, 194101 (2018)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -11,6 +11,7 @@ the mode is reached directly: its orbit loses stability, and what it then sends 
 :within: 2 %
 :source: third order of the forces; Rayleigh, The Theory of Sound, 107; Boechler et al., Nature Mater. 10, 665 (2011)
 """
+
 from functools import partial
 
 import jax.numpy as jnp
@@ -41,7 +42,9 @@ def passed(chain, omega, end, amplitude, steps=96):
 
 short, modes = with_defect(6)
 amplitudes = np.array([1e-11, 1e-10, 1e-9])
-left, right = ([passed(short, 0.98 * modes[-1], end, a) for a in amplitudes] for end in ("left", "right"))
+left, right = (
+    [passed(short, 0.98 * modes[-1], end, a) for a in amplitudes] for end in ("left", "right")
+)
 apart = np.abs(np.array(left) / right - 1)
 number = float(np.log10(apart[2] / apart[1]))
 assert apart[0] < 1e-8
@@ -57,15 +60,21 @@ omega = 0.98 * modes[-1]
 period, drives = 2 * np.pi / omega, np.linspace(0.05e-6, 0.35e-6, 7)
 how = {"down": False, "jump": 0.5, "accuracy": 0.01, "periods": 1500, "watch": 60}
 near, far = (
-    gx.driven.sweep(partial(driven, long, omega, end), drives, period, response=partial(power, beyond), **how).up
+    gx.driven.sweep(
+        partial(driven, long, omega, end), drives, period, response=partial(power, beyond), **how
+    ).up
     for end, beyond in (("left", slice(10, 20)), ("right", slice(0, 10)))
 )
 from_left = partial(driven, long, omega, "left")
-branch = gx.forced.forced_branch(from_left, 0.16e-6, 0.19e-6, period=period, transient=600, arclength=0.5)
+branch = gx.forced.forced_branch(
+    from_left, 0.16e-6, 0.19e-6, period=period, transient=600, arclength=0.5
+)
 (onset,), (ceased,) = branch.bifurcations, [x.p for x in near.bifurcations if x.before == 1][:1]
 assert onset.kind == "Neimark-Sacker" and abs(onset.p / 0.17919e-6 - 1) < 1e-4
 # settling finds it too, from the other side all repeats; milliwatts against femtowatts
-assert abs(ceased / onset.p - 1) < 0.02 and (far.multiple == 1).all() and modes[-2] < omega < modes[-1]
+assert (
+    abs(ceased / onset.p - 1) < 0.02 and (far.multiple == 1).all() and modes[-2] < omega < modes[-1]
+)
 assert near.response[-2:].min() > 1e-4 and far.response.max() < 1e-13
 axes = plt.subplots(1, 2, figsize=(7.0, 3.2), layout="constrained")[1]
 axes[0].loglog(1e9 * amplitudes, apart, "o", label="left against right")

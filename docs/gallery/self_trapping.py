@@ -11,12 +11,15 @@ the threshold.
 :within: 1e-5
 :source: Kenkre, Campbell, Phys. Rev. B 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020) on fractional chains
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
 from granjax.first_order import DNLS, evolve, self_trapping
 
-number = float(self_trapping(lambda chi: DNLS(2, 1.0, chi, boundary="fixed"), 3.0, 5.0, 20.0).nonlinearity)
+number = float(
+    self_trapping(lambda chi: DNLS(2, 1.0, chi, boundary="fixed"), 3.0, 5.0, 20.0).nonlinearity
+)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 for chi in (3.9, 4.1):
     run = evolve(DNLS(2, 1.0, chi, boundary="fixed"), np.array([1.0, 0.0]), 12.0, save_at=201)

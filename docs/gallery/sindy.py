@@ -10,6 +10,7 @@ dashpots, dampings, regression keeps two: a contact of exponent 3/2 and a dampin
 :within: 0.1 %
 :source: what the data were made with; Brunton, Proctor, Kutz, PNAS 113, 3932 (2016)
 """
+
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
@@ -25,6 +26,9 @@ candidates = gx.identify.library(walls)
 found = gx.identify.regression(np.ones(8), candidates, run.ts, run.us, run.vs, a)
 number = float(found.coefficients["[e]_+^1.5"].value)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
-ax.bar(range(len(candidates)), [found.coefficients[x].value if x in found.coefficients else 0 for x in candidates])
+ax.bar(
+    range(len(candidates)),
+    [found.coefficients[x].value if x in found.coefficients else 0 for x in candidates],
+)
 ax.set_xticks(range(len(candidates)), candidates, rotation=60, ha="right")
 ax.set(ylabel="coefficient (scaled)", title=f"stiffness {number:.4f}")

@@ -11,6 +11,7 @@ that of the continuum, 8 sqrt(C), from below.
 :within: 3e-5
 :source: 8 - 1/(9C), the continuum with its first correction; Braun, Kivshar, The Frenkel-Kontorova Model (2004)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -18,7 +19,9 @@ import granjax as gx
 
 number = float(gx.kinks.kink(gx.scenes.sine_gordon(160, 25.0), 2 * np.pi).energy / 5)
 couplings = np.linspace(0.1, 2.0, 8)
-barriers = [gx.kinks.peierls_nabarro(gx.scenes.sine_gordon(60, c), 2 * np.pi).barrier for c in couplings]
+barriers = [
+    gx.kinks.peierls_nabarro(gx.scenes.sine_gordon(60, c), 2 * np.pi).barrier for c in couplings
+]
 figure, (left, right) = plt.subplots(1, 2, figsize=(5.4, 3.2), layout="constrained")
 for centre, name in ((29.5, "on a bond"), (29.0, "on a site")):
     kink = gx.kinks.kink(gx.scenes.sine_gordon(60, 0.5), 2 * np.pi, centre=centre)

@@ -10,13 +10,20 @@ takes 99.4 % of the energy along; behind it the beads part.
 :within: 1e-6
 :source: Nesterenko, J. Appl. Mech. Tech. Phys. 24, 733 (1983); the value by DOP853 at 1e-13
 """
+
 import matplotlib.pyplot as plt
 
 import granjax as gx
 
 chain = gx.scenes.monomer(60, boundary="free")
-run = gx.simulate(chain, gx.states.impact(chain, velocity=1.0), 60.0, tolerance=1e-9, save_at=201,
-                  record={"force": gx.Peak(gx.measures.contact_force)})
+run = gx.simulate(
+    chain,
+    gx.states.impact(chain, velocity=1.0),
+    60.0,
+    tolerance=1e-9,
+    save_at=201,
+    record={"force": gx.Peak(gx.measures.contact_force)},
+)
 number = float(run.recorded["force"][40])
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 gx.plots.space_time(run, ax)

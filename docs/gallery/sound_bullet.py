@@ -10,6 +10,7 @@ arrive at the focus together. In a linear lattice their heights add up.
 :within: 0.0001
 :source: superposition; Spadoni, Daraio, Proc. Natl. Acad. Sci. USA 107, 7230 (2010)
 """
+
 from typing import NamedTuple
 
 import equinox as eqx
@@ -31,7 +32,9 @@ class Pulse(eqx.Module):
 
     def __call__(self, t):
         phase = jnp.clip((t - self.start) / self.duration, 0, 1)
-        return jnp.multiply.outer(np.array(self.direction), self.force * jnp.sin(jnp.pi * phase) ** 2)
+        return jnp.multiply.outer(
+            np.array(self.direction), self.force * jnp.sin(jnp.pi * phase) ** 2
+        )
 
 
 class Bullet(NamedTuple):
@@ -63,7 +66,9 @@ def bullet(lattice, channels, focus, t1, force, duration, direction=1.0):
     alone, when, error = crests(np.zeros((n + 1, n)), np.vstack([np.eye(n), np.ones(n)]), t1)
     delay = when[:n].max() - when[:n]
     together, _, more = crests(
-        np.tile(delay, (n + 1, 1)), np.vstack([np.tril(np.ones((n, n))), np.ones(n)]), t1 + delay.max()
+        np.tile(delay, (n + 1, 1)),
+        np.vstack([np.tril(np.ones((n, n))), np.ones(n)]),
+        t1 + delay.max(),
     )
     return Bullet(alone[:n], when[:n], together[:n], alone[n], max(error.max(), more.max()))
 

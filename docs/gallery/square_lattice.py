@@ -10,6 +10,7 @@ front is that of a chain, and keeps its height.
 :within: 1.5e-6
 :source: leading solitary wave of a Hertz chain whose first bead is struck, by two methods
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -18,12 +19,15 @@ import granjax as gx
 packing = gx.scenes.square(30, 6, exponent=1.5, boundary=("fixed", "periodic"))
 struck = gx.State(packing.zeros(), packing.zeros().at[0, :, 0].set(1e-2))
 chain = gx.scenes.monomer(30)
-run = gx.simulate(packing, struck, 66.0,
-                  record={"peak": gx.Peak(lambda t, y, lattice: y.v[..., 0])})
+run = gx.simulate(
+    packing, struck, 66.0, record={"peak": gx.Peak(lambda t, y, lattice: y.v[..., 0])}
+)
 line = gx.simulate(chain, gx.states.impact(chain, 1e-2), 66.0)
 vx = np.asarray(run.final.v)[..., 0]
 number = float(run.recorded["peak"][20, 0]) / 1e-2
-figure, (ax, below) = plt.subplots(2, 1, figsize=(5.4, 3.2), height_ratios=(3, 2), layout="constrained", sharex=True)
+figure, (ax, below) = plt.subplots(
+    2, 1, figsize=(5.4, 3.2), height_ratios=(3, 2), layout="constrained", sharex=True
+)
 network = gx.measures.force_network(packing, run.final)
 gx.plots.beads(packing, vx, ax, label="velocity", colour_bar=False, network=network)
 ax.set(xlabel="", ylabel="")

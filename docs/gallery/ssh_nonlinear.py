@@ -11,6 +11,7 @@ multipliers of the last one say whether it is stable.
 :within: 1e-5
 :source: (3/4) (c1 + c2)/(1 + (k1/k2)^2), first order in the mode a_n = (-k1/k2)^n of a half-infinite chain
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -21,7 +22,9 @@ chain = gx.scenes.ssh(10, law=[gx.Polynomial(1.0, 0.0, 0.5), gx.Polynomial(last,
 edge = gx.breathers.backbone(chain, 10)
 number = float(edge.curvature)
 branch = gx.breathers.family(chain, mode=10, until=1.95, points=20, arclength=0.2)
-figure, (left, right) = plt.subplots(1, 2, figsize=(5.4, 3.0), width_ratios=(3, 2), layout="constrained")
+figure, (left, right) = plt.subplots(
+    1, 2, figsize=(5.4, 3.0), width_ratios=(3, 2), layout="constrained"
+)
 a = np.linspace(0, 1.2, 50)
 left.plot(a, [edge.omega_at(x) for x in a], label="backbone")
 left.plot(branch.amplitude, branch.omega, "o", ms=4, label="breathers")
@@ -32,5 +35,10 @@ left.legend(loc="lower right")
 turn, rho = np.exp(1j * np.linspace(0, 2 * np.pi, 200)), np.asarray(branch.multipliers[-1])
 right.plot(turn.real, turn.imag, color="0.7")
 right.plot(rho.real, rho.imag, ".")
-right.set(title=f"multipliers: {branch.verdict[-1]}", xlabel=r"Re $\rho$", ylabel=r"Im $\rho$", aspect="equal")
+right.set(
+    title=f"multipliers: {branch.verdict[-1]}",
+    xlabel=r"Re $\rho$",
+    ylabel=r"Im $\rho$",
+    aspect="equal",
+)
 ax = left

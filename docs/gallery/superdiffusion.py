@@ -11,6 +11,7 @@ scatter of the samples and its change from the first to the second half of the w
 :within: 0.06
 :source: Datta, Kundu, Phys. Rev. B 51, 6287 (1995), for long times, which is approached from above
 """
+
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -61,6 +62,7 @@ def fitted(of, times, samples, window):
 times = 200 * np.geomspace(1 / 64, 1, 40)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 for spread, samples, name in ((0.0, 96, "ordered"), (0.8, 192, "disordered")):
+
     def chain(seed, spread=spread):
         return gx.scenes.disordered(600, spread, seed, law=gx.Linear, distribution="binary")
 

@@ -10,6 +10,7 @@ frequency, so layers in time open gaps of wave number: within them waves grow by
 :within: 1e-10
 :source: |2 cos a cos b - (w1/w2 + w2/w1) sin a sin b| = 2; Kim, Chong, Daraio et al., Phys. Rev. E 107, 034211 (2023)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -10,6 +10,7 @@ longer, from a linear wave to a soliton; Whitham's theory has plateau, edges and
 :within: 1e-4
 :source: 2 ln(1 + c); Venakides, Deift, Oba, Comm. Pure Appl. Math. 44, 1171 (1991)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -10,6 +10,7 @@ shear waves are faster than those of beads that do not turn (dashed).
 :within: 1e-5
 :source: 12 k_t/(K2 I/(m R^2)), k_t = 2 (1 - nu)/(2 - nu) K2, nu = 0.3, I = 0.4 m R^2; Tournat et al., NJP 13, 073042
 """
+
 import matplotlib.pyplot as plt
 
 import granjax as gx

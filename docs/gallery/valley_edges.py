@@ -11,6 +11,7 @@ crosses the gap at either valley, with opposite velocities.
 :within: 0.001
 :source: difference of the valley Chern numbers, +-1/2 on either side; Ma, Shvets, New J. Phys. 18, 025012 (2016)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -18,8 +19,13 @@ import granjax as gx
 
 width = 20
 heavy = np.broadcast_to(np.where(np.arange(width) < width // 2, 1.25, 1.0), (6, width))
-strip = gx.scenes.honeycomb(6, width, mass={"a": heavy, "b": 2.25 - heavy}, out_of_plane=True,
-                            boundary=("periodic", "fixed"))
+strip = gx.scenes.honeycomb(
+    6,
+    width,
+    mass={"a": heavy, "b": 2.25 - heavy},
+    out_of_plane=True,
+    boundary=("periodic", "fixed"),
+)
 bands = gx.linear.ribbon(strip)
 share = sum(np.abs(np.asarray(x)) ** 2 for x in bands.modes.values())
 at_wall = share[:, width // 2 - 3 : width // 2 + 3].sum(1) / share.sum(1)

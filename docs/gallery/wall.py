@@ -10,6 +10,7 @@ and earlier than a mirror would send it, since it meets itself head-on.
 :within: 1e-6
 :source: -ln(cosh k)/sinh k at k = 1, half the head-on shift of equal solitons: Toda, J. Phys. Soc. Jpn. 22, 431
 """
+
 import matplotlib.pyplot as plt
 
 import granjax as gx

@@ -10,6 +10,7 @@ flatter the wave comes back. From one trace of one bead, with 2 % of noise, its 
 :within: 1 %
 :source: what the trace was made with; Yang, Sangiorgio et al., J. Biomech. Eng. 134, 101001 (2012)
 """
+
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -25,8 +26,9 @@ run = gx.simulate(leaning, struck, 1e-3, tolerance=1e-8, save_at=401)
 seen = np.asarray(run.vs)[:, 7]
 seen = seen + 0.02 * seen.max() * np.random.default_rng(0).normal(size=seen.size)
 traces = gx.Traces(run.ts, velocity=seen, sites=7)
-found = gx.identify.wall_modulus(chain, traces, state=struck, material="steel 316", radius=radius, start=10e9,
-                                 poisson=0.35)
+found = gx.identify.wall_modulus(
+    chain, traces, state=struck, material="steel 316", radius=radius, start=10e9, poisson=0.35
+)
 number = float(found.modulus) / 1e9
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 ax.plot(1e3 * run.ts, seen, ".", ms=3, color="0.6")

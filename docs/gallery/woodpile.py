@@ -10,6 +10,7 @@ frequency of either no wave passes (shaded).
 :within: 1e-8
 :source: omega^2 = (13 - 57^(1/2))/2; Kim, Li, Chong, Theocharis, Yang, Kevrekidis, Phys. Rev. Lett. 114, 118002 (2015)
 """
+
 import matplotlib.pyplot as plt
 import numpy as np
 

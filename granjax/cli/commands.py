@@ -67,7 +67,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments, formatter_class=None, **keywords):
-        super().__init__(*arguments, formatter_class=argparse.RawDescriptionHelpFormatter, **keywords)
+        super().__init__(
+            *arguments, formatter_class=argparse.RawDescriptionHelpFormatter, **keywords
+        )
 
     def error(self, message):
         raise ValueError(f"{message}. {see(START).rstrip('.')}, or {self.prog} --help.")
@@ -78,7 +80,8 @@ def _parser():
     parser = _Parser(prog="granjax", usage=usage, description=ABOUT, epilog=COMMANDS)
     parser.add_argument("--version", action="version", version=f"granjax {gx.__version__}")
     parser.add_argument(
-        "--no-cache", action="store_true",
+        "--no-cache",
+        action="store_true",
         help="compile anew; otherwise programs are kept in your cache folder (or in the folder GRANJAX_CACHE)",
     )
     parser.set_defaults(command=None)
@@ -97,7 +100,9 @@ def _prepare(cache):
     tuning = gx.tune()
     if not tuning.complete and os.environ.get("GRANJAX_TUNE", "1") != "0":
         complain(tuning.outcome)
-    chosen = "xla_force_host_platform_device_count" in tuning.flags or jax.config.jax_num_cpu_devices > 0
+    chosen = (
+        "xla_force_host_platform_device_count" in tuning.flags or jax.config.jax_num_cpu_devices > 0
+    )
     if not chosen:
         try:
             jax.config.update("jax_num_cpu_devices", _cores())

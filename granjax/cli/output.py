@@ -23,7 +23,11 @@ def see(title: str) -> str:
 def pointed(error: object, title: str) -> str:
     """An error that names a page: its own, or the one given."""
     said = str(error).rstrip()
-    return said if "See the page '" in said else f"{said}{'' if said.endswith(('.', '!', '?')) else '.'} {see(title)}"
+    return (
+        said
+        if "See the page '" in said
+        else f"{said}{'' if said.endswith(('.', '!', '?')) else '.'} {see(title)}"
+    )
 
 
 def complain(error: object, code: int = 0) -> int:

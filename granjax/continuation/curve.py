@@ -44,7 +44,9 @@ class Curve(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "x": Held("point unknown"), "p": Held("point"), "tangents": Held("point tangent"),
+        "x": Held("point unknown"),
+        "p": Held("point"),
+        "tangents": Held("point tangent"),
     }
     x: Float[np.ndarray, "P n"]
     p: Float[np.ndarray, " P"]

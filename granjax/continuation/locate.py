@@ -14,9 +14,15 @@ def bound_met(system: System, here: Point, there: Point, bounds: tuple | np.ndar
     """The bound that p meets first between two points, and a point of the branch near it."""
     if bounds:
         # p may turn back on the way: up to the fold and from there on it is monotone
-        turn = [zero(system, here, there, lambda point: point.test("fold"))] if here.crosses(there, "fold") else []
+        turn = (
+            [zero(system, here, there, lambda point: point.test("fold"))]
+            if here.crosses(there, "fold")
+            else []
+        )
         for a, b in zip([here, *turn], [*turn, there]):
-            between = [bound for bound in bounds if (a.p - bound) * (b.p - bound) < 0 or b.p == bound]
+            between = [
+                bound for bound in bounds if (a.p - bound) * (b.p - bound) < 0 or b.p == bound
+            ]
             if between:
                 bound = min(between, key=lambda bound: abs(bound - a.p))
                 return bound, zero(system, a, b, lambda point: point.p - bound)
@@ -45,7 +51,12 @@ def zero(system: System, here: Point, there: Point, test: Callable) -> Point:
         else:
             f_low /= 2
         high, f_high = s, f
-        if not f or np.isnan(f) or abs(high - low) <= 1e-13 * abs(np.linalg.norm(there.z - here.z)) or f_high == f_low:
+        if (
+            not f
+            or np.isnan(f)
+            or abs(high - low) <= 1e-13 * abs(np.linalg.norm(there.z - here.z))
+            or f_high == f_low
+        ):
             break
     return best
 
@@ -60,7 +71,12 @@ def directions(system: System, kind: str, point: Point, before: np.ndarray) -> n
     form = np.array([[psi @ system.second(point.z, v, w) for v in plane] for w in plane])
     (low, high), axes = np.linalg.eigh((form + form.T) / 2)
     if low < 0 < high:
-        both = np.stack([np.sqrt(high) * axes[:, 0] + sign * np.sqrt(-low) * axes[:, 1] for sign in (1, -1)]) @ plane
+        both = (
+            np.stack(
+                [np.sqrt(high) * axes[:, 0] + sign * np.sqrt(-low) * axes[:, 1] for sign in (1, -1)]
+            )
+            @ plane
+        )
         both /= np.linalg.norm(both, axis=1, keepdims=True)
     else:  # no two branches that cross: the traced one, and what is orthogonal to it in the plane
         own = plane @ before / np.linalg.norm(plane @ before)

@@ -129,12 +129,24 @@ class System:
 
     def second(self, z: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
         """D^2 F [v, w]."""
-        return np.asarray(_second(self.augmented.function, jnp.asarray(z), jnp.asarray(v), jnp.asarray(w), self.args))
+        return np.asarray(
+            _second(
+                self.augmented.function, jnp.asarray(z), jnp.asarray(v), jnp.asarray(w), self.args
+            )
+        )
 
     def _newton(self, guess, border, predicted, most):
         arguments = self.args, jnp.asarray(border), jnp.asarray(predicted)
-        return newton(self.augmented.residual, jnp.asarray(guess), arguments, tolerance=self.tolerance,
-                      max_steps=most, linearise=self.augmented.linearise, throw=False, finish=False)
+        return newton(
+            self.augmented.residual,
+            jnp.asarray(guess),
+            arguments,
+            tolerance=self.tolerance,
+            max_steps=most,
+            linearise=self.augmented.linearise,
+            throw=False,
+            finish=False,
+        )
 
     def _point(self, root, before):
         jacobian = np.asarray(root.jacobian)[:-1]

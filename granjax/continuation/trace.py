@@ -16,11 +16,21 @@ LEAST_COSINE = 0.9
 
 
 def continuation(
-    residual: Callable[[Any, Any, Any], Any], x0: Parameter, p0: Scalar, *, args: Any = None,
-    until: Parameter | None = None, direction: Parameter = 1.0, arclength: Scalar = 0.01,
-    least_arclength: Scalar | None = None, longest_arclength: Scalar | None = None, points: Count = 200,
-    tolerance: Scalar = 1e-10, linearise: Callable[[Any, Any, Any], Any] | None = None,
-    veto: Callable[[Any, Any, Any, Any], Any] | None = None, stop: Callable[[Any, Any], Any] | None = None,
+    residual: Callable[[Any, Any, Any], Any],
+    x0: Parameter,
+    p0: Scalar,
+    *,
+    args: Any = None,
+    until: Parameter | None = None,
+    direction: Parameter = 1.0,
+    arclength: Scalar = 0.01,
+    least_arclength: Scalar | None = None,
+    longest_arclength: Scalar | None = None,
+    points: Count = 200,
+    tolerance: Scalar = 1e-10,
+    linearise: Callable[[Any, Any, Any], Any] | None = None,
+    veto: Callable[[Any, Any, Any, Any], Any] | None = None,
+    stop: Callable[[Any, Any], Any] | None = None,
     find: Sequence[str] = ("fold", "branch point"),
 ) -> Curve:
     r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.
@@ -63,7 +73,9 @@ def continuation(
         refuse("x0", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
     direction = np.asarray(direction, float)
     if direction.shape not in ((), (x0.size + 1,)) or not direction.any():
-        refuse("direction", f"1, -1 or a tangent of shape ({x0.size + 1},)", f"shape {direction.shape}")
+        refuse(
+            "direction", f"1, -1 or a tangent of shape ({x0.size + 1},)", f"shape {direction.shape}"
+        )
     system = System(residual, linearise, args, tolerance)
     here = system.first(x0, float(p0), direction, arclength)
     trace, special, outcome = [here], [], f"The {points} points that were asked for."
@@ -83,7 +95,11 @@ def continuation(
             if there is None:
                 reason, arclength = f"Newton failed at p = {bound:.6g}", arclength / 2
                 continue
-        special += [located(system, kind, here, there, len(trace) - 1) for kind in find if here.crosses(there, kind)]
+        special += [
+            located(system, kind, here, there, len(trace) - 1)
+            for kind in find
+            if here.crosses(there, kind)
+        ]
         trace.append(there)
         iterations += there.iterations
         if near is not None:
@@ -118,6 +134,14 @@ def _closed(trace, arclength):
     if len(trace) < 4:
         return False
     away = np.array([np.linalg.norm(point.z - trace[0].z) for point in trace])
-    crossed = (trace[-2].z - trace[0].z) @ trace[0].tangent < 0 <= (trace[-1].z - trace[0].z) @ trace[0].tangent
-    return bool(crossed and away[-1] < 2 * arclength and away.max() > 4 * away[-1] and
-                trace[-1].tangent @ trace[0].tangent > LEAST_COSINE)
+    crossed = (
+        (trace[-2].z - trace[0].z) @ trace[0].tangent
+        < 0
+        <= (trace[-1].z - trace[0].z) @ trace[0].tangent
+    )
+    return bool(
+        crossed
+        and away[-1] < 2 * arclength
+        and away.max() > 4 * away[-1]
+        and trace[-1].tangent @ trace[0].tangent > LEAST_COSINE
+    )

@@ -18,6 +18,17 @@ from .split_step import SplitStep
 from .trapping import SelfTrapping, self_trapping
 
 __all__ = [
-    "DNLS", "DpS", "Equation", "Evolution", "SelfTrapping", "Soliton", "SplitStep", "electrical", "evolve", "field",
-    "self_trapping", "soliton", "tau_0",
+    "DNLS",
+    "DpS",
+    "Equation",
+    "Evolution",
+    "SelfTrapping",
+    "Soliton",
+    "SplitStep",
+    "electrical",
+    "evolve",
+    "field",
+    "self_trapping",
+    "soliton",
+    "tau_0",
 ]

@@ -36,7 +36,9 @@ class Coupling(eqx.Module):
         if self.diagonal is None:
             return psi + self._filtered(psi, _turn(time * trailing(self.values, psi)))
         along = jnp.einsum("nk...,n...->k...", self.modes, psi)
-        return psi + jnp.einsum("nk...,k...->n...", self.modes, _turn(time * trailing(self.rates, psi)) * along)
+        return psi + jnp.einsum(
+            "nk...,k...->n...", self.modes, _turn(time * trailing(self.rates, psi)) * along
+        )
 
     @property
     def has_flow(self) -> bool:
@@ -70,7 +72,9 @@ def of_weights(sites: int, weights: jax.Array, boundary: str) -> Coupling:
     if boundary == "periodic":
         k = wave_numbers(sites).reshape(-1, 1, *[1] * (weights.ndim - 1))
         m = jnp.arange(1, len(weights) + 1).reshape(1, -1, *[1] * (weights.ndim - 1))
-        return Coupling(jnp.sum(4 * weights * jnp.sin(k * m / 2) ** 2, axis=1), None, None, None, sites)
+        return Coupling(
+            jnp.sum(4 * weights * jnp.sin(k * m / 2) ** 2, axis=1), None, None, None, sites
+        )
     own = weights[: sites - 1]
     padded = jnp.concatenate([own, jnp.zeros((sites - 1 - len(own), *own.shape[1:]), own.dtype)])
     return _finite(sites, padded, 2 * jnp.sum(weights, axis=0), boundary)

@@ -66,8 +66,12 @@ class Equation(eqx.Module):
 
 def refuse_split(equation: Any) -> Any:
     """Say that an equation has no exact flows to compose."""
-    refuse("solver", f"a solver of any vector field for a {type(equation).__name__}", "SplitStep",
-           "Take diffrax.Dopri8(). SplitStep is for DNLS on a ring, or on a chain of at most 512 sites.")
+    refuse(
+        "solver",
+        f"a solver of any vector field for a {type(equation).__name__}",
+        "SplitStep",
+        "Take diffrax.Dopri8(). SplitStep is for DNLS on a ring, or on a chain of at most 512 sites.",
+    )
 
 
 def check_shape(psi: Any, equation: Any) -> None:
@@ -127,19 +131,33 @@ class DNLS(Equation):
     laplacian: Coupling
     sites: int = eqx.field(static=True)
 
-    def __init__(self, sites: Count, coupling: Parameter = 1.0, nonlinearity: Parameter | Law = 1.0, *,
-                 order: Parameter | None = None, kernel: Parameter | None = None,
-                 potential: Parameter | None = None, boundary: str = "periodic"):
+    def __init__(
+        self,
+        sites: Count,
+        coupling: Parameter = 1.0,
+        nonlinearity: Parameter | Law = 1.0,
+        *,
+        order: Parameter | None = None,
+        kernel: Parameter | None = None,
+        potential: Parameter | None = None,
+        boundary: str = "periodic",
+    ):
         one_of("boundary", boundary, BOUNDARIES)
         self.sites = _sites(sites, boundary)
         self.coupling = parameter("coupling", coupling)
         given = isinstance(nonlinearity, Law)
-        self.nonlinearity = nonlinearity if given else Linear(parameter("nonlinearity", nonlinearity))
-        self.potential = None if potential is None else _per_site("potential", potential, self.sites)
+        self.nonlinearity = (
+            nonlinearity if given else Linear(parameter("nonlinearity", nonlinearity))
+        )
+        self.potential = (
+            None if potential is None else _per_site("potential", potential, self.sites)
+        )
         if order is not None and kernel is not None:
             refuse("kernel", "a kernel, or an order", "both", "Leave one of them out.")
         if kernel is None:
-            self.laplacian = of_order(self.sites, checked_order(1.0 if order is None else order), boundary)
+            self.laplacian = of_order(
+                self.sites, checked_order(1.0 if order is None else order), boundary
+            )
         else:
             weights = parameter("kernel", kernel)
             self.laplacian = of_weights(self.sites, weights, boundary)
@@ -147,7 +165,11 @@ class DNLS(Equation):
     def energy(self, psi):
         density = jnp.real(psi) ** 2 + jnp.imag(psi) ** 2
         bonds = self.coupling * jnp.sum(jnp.real(jnp.conj(psi) * self.laplacian(psi)), axis=0)
-        held = 0.0 if self.potential is None else jnp.sum(trailing(self.potential, psi) * density, axis=0)
+        held = (
+            0.0
+            if self.potential is None
+            else jnp.sum(trailing(self.potential, psi) * density, axis=0)
+        )
         return bonds + held - jnp.sum(self.nonlinearity.energy(density), axis=0)
 
     def gradient(self, psi):
@@ -172,8 +194,14 @@ class DNLS(Equation):
 
 
 def electrical(
-    sites: Count, *, inductance: Parameter = 1.0, ground: Parameter = 1.0, capacitance: Parameter = 1.0,
-    nonlinearity: Parameter = 1.0, order: Parameter | None = None, boundary: str = "periodic",
+    sites: Count,
+    *,
+    inductance: Parameter = 1.0,
+    ground: Parameter = 1.0,
+    capacitance: Parameter = 1.0,
+    nonlinearity: Parameter = 1.0,
+    order: Parameter | None = None,
+    boundary: str = "periodic",
 ) -> DNLS:
     r"""Electrical lattice with fractional coupling, in its first-order form: the envelope of its voltage.
 
@@ -198,8 +226,13 @@ def electrical(
     """
     inductance, ground = positive("inductance", inductance), positive("ground", ground)
     omega = (ground * positive("capacitance", capacitance)) ** -0.5
-    return DNLS(sites, omega * ground / (2 * inductance), 1.5 * omega * parameter("nonlinearity", nonlinearity),
-                order=order, boundary=boundary)
+    return DNLS(
+        sites,
+        omega * ground / (2 * inductance),
+        1.5 * omega * parameter("nonlinearity", nonlinearity),
+        order=order,
+        boundary=boundary,
+    )
 
 
 class DpS(Equation):
@@ -229,17 +262,37 @@ class DpS(Equation):
     sites: int = eqx.field(static=True)
     boundary: str = eqx.field(static=True)
 
-    def __init__(self, sites: Count, stiffness: Parameter | None = None, exponent: Parameter = 1.5, *,
-                 omega: Parameter = 1.0, boundary: str = "free"):
+    def __init__(
+        self,
+        sites: Count,
+        stiffness: Parameter | None = None,
+        exponent: Parameter = 1.5,
+        *,
+        omega: Parameter = 1.0,
+        boundary: str = "free",
+    ):
         one_of("boundary", boundary, BOUNDARIES)
         self.sites, self.boundary = _sites(sites, boundary), boundary
-        self.exponent = within("exponent", exponent, 1, np.inf, open_low=True, remedy="At p = 1 it is linear: DNLS.")
+        self.exponent = within(
+            "exponent", exponent, 1, np.inf, open_low=True, remedy="At p = 1 it is linear: DNLS."
+        )
         self.omega = positive("omega", omega)
-        self.stiffness = 1 / (2 * tau_0(self.exponent)) if stiffness is None else parameter("stiffness", stiffness)
+        self.stiffness = (
+            1 / (2 * tau_0(self.exponent))
+            if stiffness is None
+            else parameter("stiffness", stiffness)
+        )
 
     @staticmethod
-    def of_cradle(sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-                  pendulum: Parameter = 1.0, boundary: str = "free") -> "DpS":
+    def of_cradle(
+        sites: Count,
+        *,
+        mass: Parameter = 1.0,
+        stiffness: Parameter = 1.0,
+        exponent: Parameter = 1.5,
+        pendulum: Parameter = 1.0,
+        boundary: str = "free",
+    ) -> "DpS":
         """The modulation equation of `gx.scenes.cradle` of such parameters, one number each, in SI or scaled.
 
         omega = sqrt(k/m), kappa = A/(2 m omega tau_0).
@@ -252,7 +305,12 @@ class DpS(Equation):
 
     def energy(self, psi):
         p = self.exponent
-        return -2 * self.stiffness / (p + 1) * jnp.sum(_power(self._squared(self._steps(psi)), (p + 1) / 2), axis=0)
+        return (
+            -2
+            * self.stiffness
+            / (p + 1)
+            * jnp.sum(_power(self._squared(self._steps(psi)), (p + 1) / 2), axis=0)
+        )
 
     def gradient(self, psi):
         steps = self._steps(psi)
@@ -301,7 +359,9 @@ def _power(x, q):
 
 def _sites(sites, boundary):
     least = 3 if boundary == "periodic" else 2
-    return whole("sites", sites, least, "A dimer is two sites with boundary='fixed'." if least == 3 else "")
+    return whole(
+        "sites", sites, least, "A dimer is two sites with boundary='fixed'." if least == 3 else ""
+    )
 
 
 def _per_site(name, x, sites):

@@ -49,8 +49,13 @@ class Evolution(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s", "time"), "psis": Held("time site", "", "psi"), "error": Held("time"),
-        "norm": Held("time"), "energy": Held("time"), "norm_error": Held(None), "energy_error": Held(None),
+        "ts": Held("time", "s", "time"),
+        "psis": Held("time site", "", "psi"),
+        "error": Held("time"),
+        "norm": Held("time"),
+        "energy": Held("time"),
+        "norm_error": Held(None),
+        "energy_error": Held(None),
         "step": Held(unit="s"),
     }
     ts: Times
@@ -93,13 +98,22 @@ class Evolution(Result):
         t, worst = float(self.ts[-1]), float(np.max(self.error))
         if bool(self.completed):
             return f"Completed at t = {t:g}, known to {worst:.1e}."
-        return (f"Reached t = {t:g}, known to {worst:.1e} and not to {float(self.tolerance):.1e} times the root of "
-                "the norm: the motion is unstable or not smooth, or the steps are too long.")
+        return (
+            f"Reached t = {t:g}, known to {worst:.1e} and not to {float(self.tolerance):.1e} times the root of "
+            "the norm: the motion is unstable or not smooth, or the steps are too long."
+        )
 
 
 def evolve(
-    equation: Equation, psi: Amplitudes, t1: Scalar, *, t0: Scalar = 0.0, save_at: Count | Parameter | None = None,
-    solver: diffrax.AbstractSolver | None = None, step: Scalar | None = None, tolerance: Scalar = 1e-10,
+    equation: Equation,
+    psi: Amplitudes,
+    t1: Scalar,
+    *,
+    t0: Scalar = 0.0,
+    save_at: Count | Parameter | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    step: Scalar | None = None,
+    tolerance: Scalar = 1e-10,
     progress: bool = True,
 ) -> Evolution:
     """psi from t0 to t1, by fixed steps that are halved until two runs agree.
@@ -132,12 +146,18 @@ def evolve(
     solver = solver or (SplitStep() if equation.has_flows else diffrax.Dopri8())
     known = not traced((equation, psi))
     halve = known and step is None
-    step = _step(equation, psi, solver, known, times[-1] - times[0]) if step is None else positive("step", step)
+    step = (
+        _step(equation, psi, solver, known, times[-1] - times[0])
+        if step is None
+        else positive("step", step)
+    )
     counts = np.maximum(np.ceil(np.diff(times) / float(step) * (1 - 1e-12)), 1).astype(int)
     total = int(counts.sum())
     long = known and total * psi.size > LONG
     with bar(4 * total, "step", "evolve", progress and long) as shown:
-        run = lambda counts, psi=psi: _run(solver, equation, psi, times, counts, shown if long else None)
+        run = lambda counts, psi=psi: _run(
+            solver, equation, psi, times, counts, shown if long else None
+        )
         before, now, halvings = run(counts), run(2 * counts), 1
         rounding = jnp.abs(run(counts, _turned(psi, jnp.asarray(total))) - before)
         far = _apart(before, now) if halve else 0.0
@@ -163,7 +183,12 @@ def _start(equation, psi):
     except (TypeError, ValueError) as error:  # JAX's words for shapes that do not fit
         refuse("psi", "a start that the equation takes", f"shape {psi.shape}: {error}", lanes)
     if found.shape != psi.shape:
-        refuse("psi", f"shape {found.shape}, with the lanes of the equation", f"shape {psi.shape}", lanes)
+        refuse(
+            "psi",
+            f"shape {found.shape}, with the lanes of the equation",
+            f"shape {psi.shape}",
+            lanes,
+        )
     return psi.astype(found.dtype)
 
 
@@ -187,8 +212,12 @@ def _times(t0, t1, save_at):
 def _step(equation, psi, solver, known, longest):
     """The first run's step, of the fastest rate at the start."""
     if not known:
-        refuse("step", "a step beside numbers that are traced, whose rate nobody knows", "None",
-               "Give step=, such as 0.5 over the fastest rate.")
+        refuse(
+            "step",
+            "a step beside numbers that are traced, whose rate nobody knows",
+            "None",
+            "Give step=, such as 0.5 over the fastest rate.",
+        )
     rate = float(_rate(equation, psi))
     return BEGIN[isinstance(solver, SplitStep)] / rate if rate > 0 else longest
 
@@ -233,7 +262,9 @@ def _run(solver, equation, psi, times, counts, shown):
         steps = count * np.arange(-(-count // most) + 1) // -(-count // most)
         for i, j in itertools.pairwise(steps):
             a, b = (begin + (end - begin) * k / count for k in (i, j))
-            psi = _piece(solver, equation, psi, *jnp.asarray([a, b], ends.dtype), jnp.asarray(j - i))
+            psi = _piece(
+                solver, equation, psi, *jnp.asarray([a, b], ends.dtype), jnp.asarray(j - i)
+            )
             shown.update(int(j - i))
         frames.append(np.asarray(psi))
     return jnp.asarray(np.stack(frames))
@@ -258,7 +289,9 @@ def _apart(before, now):
     """The largest distance of two runs, over the root of the norm; infinite where one is not finite."""
     before, now = np.asarray(before), np.asarray(now)
     norm = np.sum(np.abs(now[0]) ** 2, axis=0)
-    found = np.max(np.max(np.abs(before - now), axis=(0, 1)) / np.sqrt(np.where(norm > 0, norm, 1.0)))
+    found = np.max(
+        np.max(np.abs(before - now), axis=(0, 1)) / np.sqrt(np.where(norm > 0, norm, 1.0))
+    )
     return float(found) if np.isfinite(found) else np.finfo(float).max
 
 
@@ -274,5 +307,15 @@ def _told(equation, solver, times, first, now, error, step, tolerance):
     norms, energies, scale = _measured(equation, now)
     moved = lambda x, size: jnp.max(jnp.abs(x - x[0]), axis=0) / jnp.where(size > 0, size, 1.0)
     return Evolution(
-        jnp.asarray(times)[first:], now[first:], error[first:], norms[first:], energies[first:],
-        moved(norms, norms[0]), moved(energies, scale), step, tolerance, type(solver).__name__, _space=(1, 0))
+        jnp.asarray(times)[first:],
+        now[first:],
+        error[first:],
+        norms[first:],
+        energies[first:],
+        moved(norms, norms[0]),
+        moved(energies, scale),
+        step,
+        tolerance,
+        type(solver).__name__,
+        _space=(1, 0),
+    )

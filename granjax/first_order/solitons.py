@@ -45,7 +45,11 @@ class Soliton(Result):
 
 
 def soliton(
-    equation: Equation, omega: Scalar, *, guess: str | Parameter = "site", centre: Count | None = None,
+    equation: Equation,
+    omega: Scalar,
+    *,
+    guess: str | Parameter = "site",
+    centre: Count | None = None,
     throw: bool | None = None,
 ) -> Soliton:
     """A localised standing solution phi_n exp(-i omega t), by Newton's method: dH/dpsi*(phi) = omega phi.
@@ -75,15 +79,27 @@ def soliton(
     if isinstance(guess, str):
         one_of("guess", guess, ("site", "bond"))
         if not isinstance(equation, DNLS):
-            refuse("guess", f"a profile (N,) for a {type(equation).__name__}", repr(guess),
-                   "Only DNLS has a limit of sites that are alone; of DpS try 1, -2, 1 times an amplitude.")
-        phi, root = _raised(equation, omega, guess, equation.sites // 2 if centre is None else centre)
+            refuse(
+                "guess",
+                f"a profile (N,) for a {type(equation).__name__}",
+                repr(guess),
+                "Only DNLS has a limit of sites that are alone; of DpS try 1, -2, 1 times an amplitude.",
+            )
+        phi, root = _raised(
+            equation, omega, guess, equation.sites // 2 if centre is None else centre
+        )
     else:
         phi = parameter("guess", guess)
         if phi.shape != (equation.sites,):
             refuse("guess", f"a profile of shape ({equation.sites},)", f"shape {phi.shape}")
-        root = newton(_residual, phi, (equation, omega, jnp.ones_like(omega)), tolerance=_tolerance(phi, omega),
-                      max_steps=60, throw=False)
+        root = newton(
+            _residual,
+            phi,
+            (equation, omega, jnp.ones_like(omega)),
+            tolerance=_tolerance(phi, omega),
+            max_steps=60,
+            throw=False,
+        )
     made = _made(equation, omega, root)
     if (throw is None or throw) and not traced(made) and made.outcome != FOUND:
         raise RuntimeError(made.outcome)
@@ -111,7 +127,9 @@ def _raised(equation, omega, guess, centre):
     if not -equation.sites <= centre < equation.sites or not centre % equation.sites < last:
         refuse("centre", f"one of the first {last} sites", f"{centre}")
     sign = 1.0 if omega_ < 0 else -1.0
-    places = [centre % equation.sites] + ([(centre + 1) % equation.sites] if guess == "bond" else [])
+    places = [centre % equation.sites] + (
+        [(centre + 1) % equation.sites] if guess == "bond" else []
+    )
     phi = np.zeros(equation.sites)
     for place, one in zip(places, (1.0, sign)):
         phi[place] = one * _alone(equation, omega_, place)
@@ -120,9 +138,13 @@ def _raised(equation, omega, guess, centre):
     factor, reached, tries = LONGEST, share, 0
     while True:
         args = equation, omega, jnp.asarray(share)
-        root = newton(_residual, phi, args, tolerance=_tolerance(phi, omega), max_steps=40, throw=False)
+        root = newton(
+            _residual, phi, args, tolerance=_tolerance(phi, omega), max_steps=40, throw=False
+        )
         follows = bool(root.converged) and _alike(phi, root.x) > ALIKE
-        phi, reached, tries = (root.x, share, tries + 1) if follows or not tries else (phi, reached, tries + 1)
+        phi, reached, tries = (
+            (root.x, share, tries + 1) if follows or not tries else (phi, reached, tries + 1)
+        )
         factor = min(LONGEST, factor**1.5) if follows else factor**0.5
         if reached == 1.0 or tries >= TRIES:
             return phi, root
@@ -143,21 +165,35 @@ def _outside_the_band(equation, omega):
         refuse("equation", "one equation", "a batch of several", "Take one lane after the other.")
     own = np.zeros(1) if equation.potential is None else np.asarray(equation.potential)
     if equation.laplacian.diagonal is not None:
-        values = np.asarray(equation.coupling) * np.asarray(equation.laplacian.diagonal) * np.array([[0.0], [2.0]])
+        values = (
+            np.asarray(equation.coupling)
+            * np.asarray(equation.laplacian.diagonal)
+            * np.array([[0.0], [2.0]])
+        )
     low, high = float(values.min() + own.min()), float(values.max() + own.max())
     if low <= omega <= high:
-        refuse("omega", f"a frequency outside of the band [{low:.6g}, {high:.6g}]", f"{omega:.6g}",
-               "Inside it a standing solution does not decay.")
+        refuse(
+            "omega",
+            f"a frequency outside of the band [{low:.6g}, {high:.6g}]",
+            f"{omega:.6g}",
+            "Inside it a standing solution does not decay.",
+        )
     return omega
 
 
 def _alone(equation, omega, place):
     """The amplitude at which a site by itself turns with omega: g(a^2) = e - omega."""
-    own = 0.0 if equation.potential is None else float(np.broadcast_to(equation.potential, (equation.sites,))[place])
+    own = (
+        0.0
+        if equation.potential is None
+        else float(np.broadcast_to(equation.potential, (equation.sites,))[place])
+    )
     wanted = own - omega
 
     def above(x):
-        return np.sign(wanted) * (float(np.ravel(equation.nonlinearity.force(jnp.asarray(x)))[0]) - wanted)
+        return np.sign(wanted) * (
+            float(np.ravel(equation.nonlinearity.force(jnp.asarray(x)))[0]) - wanted
+        )
 
     high = 1.0
     for _ in range(200):
@@ -165,8 +201,12 @@ def _alone(equation, omega, place):
             break
         high *= 2
     else:
-        refuse("omega", "a frequency that a site by itself can have", f"{omega:.6g}",
-               "Below the band the sites must focus (nonlinearity > 0), above it defocus.")
+        refuse(
+            "omega",
+            "a frequency that a site by itself can have",
+            f"{omega:.6g}",
+            "Below the band the sites must focus (nonlinearity > 0), above it defocus.",
+        )
     low = 0.0
     while above(high / 2) >= 0 and high > 1e-250:
         high /= 2
@@ -195,15 +235,24 @@ def _made(equation, omega, root: Root):
         outcome = f"Not localised: far away it is {tail:.2g} of its height; take a longer chain or another frequency."
     else:
         outcome = FOUND
-    return Soliton(phi, omega, equation.norm(psi), equation.energy(psi),
-                   jnp.max(jnp.abs(left)) / (size * jnp.abs(omega)), jnp.max(jnp.abs(step)) / size, tail, outcome,
-                   _space=(1, 0))
+    return Soliton(
+        phi,
+        omega,
+        equation.norm(psi),
+        equation.energy(psi),
+        jnp.max(jnp.abs(left)) / (size * jnp.abs(omega)),
+        jnp.max(jnp.abs(step)) / size,
+        tail,
+        outcome,
+        _space=(1, 0),
+    )
 
 
 def _tail(equation, shape):
     """The largest of the sites farthest from the highest one."""
     apart = jnp.abs(jnp.arange(len(shape)) - jnp.argmax(shape))
     ring = getattr(equation, "boundary", None) == "periodic" or (
-        isinstance(equation, DNLS) and equation.laplacian.diagonal is None)
+        isinstance(equation, DNLS) and equation.laplacian.diagonal is None
+    )
     apart = jnp.minimum(apart, len(shape) - apart) if ring else apart
     return jnp.max(jnp.where(apart == apart.max(), shape, 0.0))

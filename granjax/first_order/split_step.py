@@ -43,7 +43,9 @@ class SplitStep(diffrax.AbstractSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, direction = unwrap(terms)
         flows = own.flows(args)
-        y1 = by_stages(flows, y0, tables.splitting("KahanLi8"), t0 * direction, (t1 - t0) * direction)
+        y1 = by_stages(
+            flows, y0, tables.splitting("KahanLi8"), t0 * direction, (t1 - t0) * direction
+        )
         y1 = flows.restore(y1, y0)
         return y1, None, dict(y0=y0, y1=y1), None, diffrax.RESULTS.successful
 

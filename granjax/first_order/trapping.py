@@ -33,7 +33,11 @@ class SelfTrapping(Result):
     (True, True)
     """
 
-    held: ClassVar[dict[str, Held]] = {"tried": Held("tried"), "kept": Held("tried"), "t1": Held(unit="s")}
+    held: ClassVar[dict[str, Held]] = {
+        "tried": Held("tried"),
+        "kept": Held("tried"),
+        "t1": Held(unit="s"),
+    }
     nonlinearity: Number
     error: Number
     tried: Numbers
@@ -44,8 +48,15 @@ class SelfTrapping(Result):
 
 
 def self_trapping(
-    scene: Callable[[Any], Any], low: Scalar, high: Scalar, t1: Scalar, *, site: Count = 0, share: Scalar = 0.5,
-    tolerance: Scalar = 1e-6, frames: Count = 200,
+    scene: Callable[[Any], Any],
+    low: Scalar,
+    high: Scalar,
+    t1: Scalar,
+    *,
+    site: Count = 0,
+    share: Scalar = 0.5,
+    tolerance: Scalar = 1e-6,
+    frames: Count = 200,
 ) -> SelfTrapping:
     """The nonlinearity from which on an excitation of one site stays there: more than a share of it, all the time.
 
@@ -83,20 +94,33 @@ def self_trapping(
         stays = kept > float(share)
         if stays[0] or not stays[-1]:
             name, word = ("low", "does not trap") if stays[0] else ("high", "traps")
-            refuse(name, f"a nonlinearity that {word}", f"{values[0 if stays[0] else -1]:g}",
-                   "Move the bracket, or wait longer.")
+            refuse(
+                name,
+                f"a nonlinearity that {word}",
+                f"{values[0 if stays[0] else -1]:g}",
+                "Move the bracket, or wait longer.",
+            )
         first = int(np.argmax(stays))
         low, high = values[first - 1], values[first]
         if high - low <= 2 * float(tolerance) * high:
             break
     tried = dict(sorted(tried.items()))
     middle, error = (low + high) / 2, (high - low) / 2
-    return SelfTrapping(middle, error, np.array(list(tried)), np.array(list(tried.values())), float(share), float(t1),
-                        f"Trapped from {middle:.8g} +- {error:.1g} on, over a time of {float(t1):g}.")
+    return SelfTrapping(
+        middle,
+        error,
+        np.array(list(tried)),
+        np.array(list(tried.values())),
+        float(share),
+        float(t1),
+        f"Trapped from {middle:.8g} +- {error:.1g} on, over a time of {float(t1):g}.",
+    )
 
 
 def _kept(scene, values, sites, site, t1, frames):
     """The least share of the norm that stays on the site, per lane."""
     batch = jax.vmap(scene, out_axes=-1)(jnp.asarray(values))
     psi = jnp.zeros((sites, len(values))).at[site].set(1.0)
-    return np.asarray(jnp.min(evolve(batch, psi, t1, save_at=frames, tolerance=1e-6).densities[:, site], axis=0))
+    return np.asarray(
+        jnp.min(evolve(batch, psi, t1, save_at=frames, tolerance=1e-6).densities[:, site], axis=0)
+    )

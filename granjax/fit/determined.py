@@ -36,7 +36,9 @@ class Direction(NamedTuple):
     def words(self, names: Sequence[str]) -> str:
         """The combination as a product of powers of its parameters."""
         largest = np.abs(self.weights).max()
-        parts = [(w / largest, name) for w, name in zip(self.weights, names) if abs(w) > 0.05 * largest]
+        parts = [
+            (w / largest, name) for w, name in zip(self.weights, names) if abs(w) > 0.05 * largest
+        ]
         flip = np.sign(parts[0][0])
         shown = [(flip * w, name) for w, name in parts]
         shown = sorted(shown, key=lambda part: -abs(part[0]))[:MANY] if len(shown) > MANY else shown
@@ -44,7 +46,9 @@ class Direction(NamedTuple):
 
 
 def directions(
-    jacobian: Float[AnyArray, "n P"], sizes: Float[AnyArray, " P"], noise: float = 1.0,
+    jacobian: Float[AnyArray, "n P"],
+    sizes: Float[AnyArray, " P"],
+    noise: float = 1.0,
 ) -> list[Direction]:
     """Principal directions of the data's knowledge, the least known first.
 
@@ -59,7 +63,9 @@ def directions(
         return [Direction(vector, float(noise / size)) for vector, size in zip(vh[::-1], s[::-1])]
 
 
-def covariance(found: Sequence[Direction], sizes: Float[AnyArray, " P"]) -> Float[np.ndarray, "P P"]:
+def covariance(
+    found: Sequence[Direction], sizes: Float[AnyArray, " P"]
+) -> Float[np.ndarray, "P P"]:
     """Covariance of the parameters (P, P) from their directions; infinite along what the data do not see."""
     total = np.zeros((len(sizes), len(sizes)))
     blind = np.zeros(len(sizes), bool)
@@ -72,7 +78,9 @@ def covariance(found: Sequence[Direction], sizes: Float[AnyArray, " P"]) -> Floa
     return total * np.outer(sizes, sizes)
 
 
-def sentences(found: Sequence[Direction], names: Sequence[str], quantities: list[tuple]) -> tuple[str, ...]:
+def sentences(
+    found: Sequence[Direction], names: Sequence[str], quantities: list[tuple]
+) -> tuple[str, ...]:
     """What is not determined, named by its parameters, and what is known instead; empty where all is well."""
     loose = [direction for direction in found if not direction.deviation <= LOOSE]
     if not loose:
@@ -82,10 +90,18 @@ def sentences(found: Sequence[Direction], names: Sequence[str], quantities: list
     said = []
     for direction in loose:
         taking = [name for name, own in zip(names, _taking(direction)) if own]
-        how = "not at all" if np.isinf(direction.deviation) else f"only to {_percent(direction.deviation)}"
-        what = f"{taking[0]} is" if len(taking) == 1 else f"the direction {direction.words(names)} is"
-        said.append(f"The data do not determine {_and(taking)}{' apart' if len(taking) > 1 else ''}: "
-                    f"{what} known {how}.")
+        how = (
+            "not at all"
+            if np.isinf(direction.deviation)
+            else f"only to {_percent(direction.deviation)}"
+        )
+        what = (
+            f"{taking[0]} is" if len(taking) == 1 else f"the direction {direction.words(names)} is"
+        )
+        said.append(
+            f"The data do not determine {_and(taking)}{' apart' if len(taking) > 1 else ''}: "
+            f"{what} known {how}."
+        )
     involved = np.any([_taking(direction) for direction in loose], axis=0)
     for name, gradient in quantities:
         if not np.any(np.abs(gradient[involved]) > 1e-6 * np.abs(gradient).max(initial=0.0)):
@@ -95,16 +111,23 @@ def sentences(found: Sequence[Direction], names: Sequence[str], quantities: list
             said.append(f"They determine {name} to {_percent(deviation)}.")
     if not any(part.startswith("They determine") for part in said):
         firm = [d for d in found if d.deviation <= LOOSE and np.sum(_taking(d)[involved]) > 1]
-        said += [f"They determine {d.words(names)} to {_percent(d.deviation)}." for d in firm[::-1][:2]]
+        said += [
+            f"They determine {d.words(names)} to {_percent(d.deviation)}." for d in firm[::-1][:2]
+        ]
     return tuple(said)
 
 
 def quantities(
-    problem: Problem, parameters: dict[str, Numbers], flat: Float[AnyArray, " P"], sizes: Float[AnyArray, " P"],
+    problem: Problem,
+    parameters: dict[str, Numbers],
+    flat: Float[AnyArray, " P"],
+    sizes: Float[AnyArray, " P"],
 ) -> list[tuple[str, Float[np.ndarray, " P"]]]:
     """(name, gradient (P,) of its logarithm in relative parameters) of each bond's linear stiffness."""
     laws, found = _bonds(problem.lattice(parameters), problem.t0), []
-    for (i, law), value, gradient in zip(laws, *map(np.asarray, _stiffnesses(problem, jnp.asarray(flat)))):
+    for (i, law), value, gradient in zip(
+        laws, *map(np.asarray, _stiffnesses(problem, jnp.asarray(flat)))
+    ):
         if np.isfinite(value) and value > 0 and np.isfinite(gradient).all():
             formula = "K2" if law.power_law is None else "A p d0^(p-1)"
             name = f"the linear stiffness {formula} of terms[{i}] ({type(law).__name__})"
@@ -114,21 +137,30 @@ def quantities(
 
 def _bonds(lattice, t):
     """(index of the term, law) of everything that acts between sites, as it stands at time t."""
-    return [(i, c.law) for i, term in enumerate(lattice.terms) for c in term.compressions(t, lattice.zeros())
-            if c.place == "bond"]
+    return [
+        (i, c.law)
+        for i, term in enumerate(lattice.terms)
+        for c in term.compressions(t, lattice.zeros())
+        if c.place == "bond"
+    ]
 
 
 @eqx.filter_jit
 def _stiffnesses(problem, flat):
     """The mean linear stiffness of all bonds (B,), and its derivatives with respect to the parameters (B, P)."""
+
     def every(flat):
         laws = _bonds(problem.lattice(problem.coordinates.unflat(flat)), problem.t0)
-        return jnp.array([jnp.mean(jnp.abs(law.derivative(jnp.zeros_like(flat[0])))) for _, law in laws])
+        return jnp.array(
+            [jnp.mean(jnp.abs(law.derivative(jnp.zeros_like(flat[0])))) for _, law in laws]
+        )
 
     return every(flat), jax.jacfwd(every)(flat)
 
 
-def along(found: Sequence[Direction], gradients: Float[AnyArray, "... P"]) -> Float[np.ndarray, "..."]:
+def along(
+    found: Sequence[Direction], gradients: Float[AnyArray, "... P"]
+) -> Float[np.ndarray, "..."]:
     """Standard deviation of quantities with gradients (..., P) in parameters relative to their sizes.
 
     Summed over directions, and not through the covariance, since directions that the data hardly see cancel in what
@@ -138,7 +170,9 @@ def along(found: Sequence[Direction], gradients: Float[AnyArray, "... P"]) -> Fl
     for direction in found:
         share = gradients @ direction.weights
         if np.isinf(direction.deviation):
-            total = np.where(np.abs(share) > 1e-6 * np.linalg.norm(gradients, axis=-1), np.inf, total)
+            total = np.where(
+                np.abs(share) > 1e-6 * np.linalg.norm(gradients, axis=-1), np.inf, total
+            )
         else:
             total = total + (direction.deviation * share) ** 2
     return np.sqrt(total)

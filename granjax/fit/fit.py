@@ -32,10 +32,24 @@ MOST = 1e-2
 
 @one_thread
 def fit(
-    scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
-    bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: AbstractSolver | None = None,
-    windows: Count = 1, method: str = "least squares", optimiser: object = None, starts: Count = 1,
-    spread: Scalar = 0.2, seed: Count = 0, max_steps: Count = 100, tolerance: Scalar = 1e-8, throw: bool | None = None,
+    scene: Scene,
+    start: dict[str, Parameter],
+    traces: Traces | Sequence[Traces],
+    *,
+    state: Start,
+    bounds: Bounds = None,
+    t0: Scalar = 0.0,
+    step: Scalar | None = None,
+    solver: AbstractSolver | None = None,
+    windows: Count = 1,
+    method: str = "least squares",
+    optimiser: object = None,
+    starts: Count = 1,
+    spread: Scalar = 0.2,
+    seed: Count = 0,
+    max_steps: Count = 100,
+    tolerance: Scalar = 1e-8,
+    throw: bool | None = None,
 ) -> Fit:
     r"""Parameters of a scene that minimise the sum over samples of ((signal - data)/sigma)^2.
 
@@ -76,7 +90,9 @@ def fit(
     1.2
     """
     tolerance = checked_tolerance("tolerance", tolerance, MOST)
-    problem = prepared(scene, start, traces, state=state, bounds=bounds, t0=t0, step=step, solver=solver)
+    problem = prepared(
+        scene, start, traces, state=state, bounds=bounds, t0=t0, step=step, solver=solver
+    )
     if one_of("method", method, METHODS) == METHODS[1] and windows > 1:
         refuse("method", f"{METHODS[0]!r} with windows", repr(method))
     count = problem.coordinates.size
@@ -99,7 +115,10 @@ def fit(
         x0, plain = best.x[None], problem.plain
         parameters = plain.coordinates.parameters(jnp.asarray(best.x[:count], plain.dtype))
         wanted = plain.step if step is not None else plain.wanted_step(parameters)
-        shorter, later = plain.step > TOO_LONG * wanted, plain.times(parameters).max() > plain.t1 * (1 + 1e-9)
+        shorter, later = (
+            plain.step > TOO_LONG * wanted,
+            plain.times(parameters).max() > plain.t1 * (1 + 1e-9),
+        )
         if not shorter and not later:
             break
         problem = problem.with_step(wanted) if shorter else problem
@@ -126,7 +145,9 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
         return [least_squares(problem, x, tolerance, max_steps, delay) for x in x0], "forward mode"
     adjoint, most = reverse_mode(problem)
     x0 = jnp.asarray(x0, problem.dtype)
-    found = [gradient_descent(problem, x, optimiser, tolerance, max_steps, adjoint, most) for x in x0]
+    found = [
+        gradient_descent(problem, x, optimiser, tolerance, max_steps, adjoint, most) for x in x0
+    ]
     return found, type(adjoint).__name__
 
 

@@ -81,7 +81,10 @@ class Fit(Result):
     def deviations(self) -> dict[str, np.ndarray]:
         """Standard deviation of every parameter, a dict of the same shapes."""
         flat = np.sqrt(np.diag(np.asarray(self.covariance)))
-        return {name: np.asarray(x) for name, x in self.problem.coordinates.unflat(jnp.asarray(flat)).items()}
+        return {
+            name: np.asarray(x)
+            for name, x in self.problem.coordinates.unflat(jnp.asarray(flat)).items()
+        }
 
     @property
     def correlations(self) -> Float[np.ndarray, "P P"]:
@@ -97,7 +100,10 @@ class Fit(Result):
         Ljung and Box's test: n(n+2) sum_k r_k^2/(n-k) against chi^2 of `lags` degrees of freedom (min(20, T/5)).
         Source: Biometrika 65, 297 (1978).
         """
-        return [np.array([_ljung_box(column, lags) for column in np.asarray(r).T]) for r in self.residuals]
+        return [
+            np.array([_ljung_box(column, lags) for column in np.asarray(r).T])
+            for r in self.residuals
+        ]
 
     @property
     def converged(self) -> bool:
@@ -121,7 +127,9 @@ class Fit(Result):
         return " ".join([*said, *self.remarks, *self.undetermined])
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        flat = np.concatenate([np.ravel(self.parameters[name]) for name in self.problem.coordinates.order])
+        flat = np.concatenate(
+            [np.ravel(self.parameters[name]) for name in self.problem.coordinates.order]
+        )
         for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"
@@ -131,23 +139,48 @@ class Fit(Result):
     @property
     def held(self) -> dict[str, Held]:
         """Axes and units of what a file keeps, every trace with a clock and sensors of its own."""
-        held = {"names": Held("parameter", "", "parameter"), "covariance": Held("parameter parameter_"),
-                "chi_square_of_starts": Held("start", "1")}
+        held = {
+            "names": Held("parameter", "", "parameter"),
+            "covariance": Held("parameter parameter_"),
+            "chi_square_of_starts": Held("start", "1"),
+        }
         for k, trace in enumerate(self.traces):
             both = f"time_{k} sensor_{k}"
-            held |= {f"time_{k}": Held(f"time_{k}", "s"), f"sensor_{k}": Held(f"sensor_{k}"),
-                     f"residual_{k}": Held(both, "1")}
+            held |= {
+                f"time_{k}": Held(f"time_{k}", "s"),
+                f"sensor_{k}": Held(f"sensor_{k}"),
+                f"residual_{k}": Held(both, "1"),
+            }
             held |= {f"{name}_{k}": Held(both, trace.unit) for name in ("data", "signal")}
         return held
 
     def _fields(self) -> Iterator[tuple[str, object]]:
-        for name in ("parameters", "deviations", "names", "covariance", "chi_square", "samples", "noise",
-                     "iterations", "step", "step_error", "return_error", "adjoint"):
+        for name in (
+            "parameters",
+            "deviations",
+            "names",
+            "covariance",
+            "chi_square",
+            "samples",
+            "noise",
+            "iterations",
+            "step",
+            "step_error",
+            "return_error",
+            "adjoint",
+        ):
             yield name, getattr(self, name)
         yield "chi_square_of_starts", self.starts
-        for k, (trace, signal, residual) in enumerate(zip(self.traces, self.signals, self.residuals)):
-            kept = {"time": trace.times, "sensor": trace.sensors, "data": trace.data, "signal": signal,
-                    "residual": residual}
+        for k, (trace, signal, residual) in enumerate(
+            zip(self.traces, self.signals, self.residuals)
+        ):
+            kept = {
+                "time": trace.times,
+                "sensor": trace.sensors,
+                "data": trace.data,
+                "signal": signal,
+                "residual": residual,
+            }
             yield from ((f"{name}_{k}", x) for name, x in kept.items())
 
 

@@ -12,7 +12,17 @@ from ..types import AnyArray, Numbers
 from .determined import LOOSE, covariance, directions, quantities, sentences
 from .fitted import Fit
 from .problem import Problem, misfit
-from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED, Found, directions_left, evaluated, linearised
+from .solve import (
+    BLIND,
+    CONVERGED,
+    NOT_FINITE,
+    SPENT,
+    STALLED,
+    Found,
+    directions_left,
+    evaluated,
+    linearised,
+)
 from .windows import Windows
 
 NOTICEABLE = 0.1
@@ -36,7 +46,9 @@ def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> t
     products = one * after
     common, squares = products.sum(), np.sum(one**2 + after**2) / 2
     deviation = np.sqrt(np.sum(products**2))
-    return float(np.sqrt(max(common, 0.0) / max(squares, EXACT))), float(common / max(deviation, EXACT))
+    return float(np.sqrt(max(common, 0.0) / max(squares, EXACT))), float(
+        common / max(deviation, EXACT)
+    )
 
 
 def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | None:
@@ -51,13 +63,19 @@ def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | Non
 
 
 def judged(
-    problem: Problem | Windows, found: Found, starts: tuple[float, ...], adjoint: str = "forward mode",
+    problem: Problem | Windows,
+    found: Found,
+    starts: tuple[float, ...],
+    adjoint: str = "forward mode",
 ) -> Fit:
     """The `Fit` at what a minimiser found."""
     plain, x = problem.plain, jnp.asarray(found.x, problem.dtype)
     coordinates = plain.coordinates
     parameters = coordinates.parameters(x[: coordinates.size])
-    flat, start = (np.concatenate([np.ravel(p[name]) for name in parameters]) for p in (parameters, coordinates.start))
+    flat, start = (
+        np.concatenate([np.ravel(p[name]) for name in parameters])
+        for p in (parameters, coordinates.start)
+    )
     slopes = np.asarray(coordinates.slopes(x[: coordinates.size]))
     value, jacobian, signals, residuals = linearised(problem, x)
     value, jacobian = np.asarray(value), _own(np.asarray(jacobian), flat.size)
@@ -78,7 +96,9 @@ def judged(
     step_error = np.nan
     if code in (NOT_FINITE, BLIND):
         matrix = np.full((flat.size, flat.size), np.nan)
-        remarks.append(_silence(plain, parameters) if code == BLIND else "Give a start whose run stays finite.")
+        remarks.append(
+            _silence(plain, parameters) if code == BLIND else "Give a start whose run stays finite."
+        )
     else:
         held = coordinates.at_bounds(parameters)
         if held:
@@ -92,41 +112,79 @@ def judged(
         found_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(found_directions, sizes)
         names = coordinates.names
-        undetermined = sentences(found_directions, names, quantities(plain, parameters, flat, sizes))
+        undetermined = sentences(
+            found_directions, names, quantities(plain, parameters, flat, sizes)
+        )
         halved = problem.with_step(plain.step / 2)
         step_error = float(np.max(np.abs(np.asarray(linearised(halved, x)[0]) - value))) / noise
         if step_error > NOTICEABLE:
-            remarks.append(f"The time step moves the signals by up to {step_error:.2g} sigma: give a shorter step=.")
-        one, after = (np.concatenate([np.ravel(part) for part in parts])
-                      for parts in zip(*((r[1:], r[:-1]) for r in residuals)))
+            remarks.append(
+                f"The time step moves the signals by up to {step_error:.2g} sigma: give a shorter step=."
+            )
+        one, after = (
+            np.concatenate([np.ravel(part) for part in parts])
+            for parts in zip(*((r[1:], r[:-1]) for r in residuals))
+        )
         share, surely = structure(one, after)
         left = share * np.sqrt(squares / samples) / noise
         if surely > STRUCTURED and left > max(NOTICEABLE, step_error) and not remarks:
-            remarks.append(f"A residue beyond noise is left, {100 * share:.2g} % of the residuals: neighbouring "
-                           "samples share it, as independent errors would not. The scene does not describe what was "
-                           "measured, or the noise is correlated; the deviations are too small.")
+            remarks.append(
+                f"A residue beyond noise is left, {100 * share:.2g} % of the residuals: neighbouring "
+                "samples share it, as independent errors would not. The scene does not describe what was "
+                "measured, or the noise is correlated; the deviations are too small."
+            )
         if not known:
-            remarks.append(f"Noise, as the residuals have it: {noise * float(plain.traces[0].size):.3g}.")
+            remarks.append(
+                f"Noise, as the residuals have it: {noise * float(plain.traces[0].size):.3g}."
+            )
         if problem is not plain:
             remarks.append(problem.remark(value))
     back = way_back(plain, parameters)
     unit = 1.0 if known else float(plain.traces[0].size)
     starts = tuple(cost / noise**2 for cost in starts)
-    return Fit(parameters, jnp.asarray(matrix), tuple(coordinates.names), signals, residuals, samples, noise * unit,
-               undetermined, found_directions, jnp.asarray(sizes), tuple(remarks), int(found.iterations), code,
-               float(plain.step), step_error, back, adjoint, starts, plain.traces, plain)
+    return Fit(
+        parameters,
+        jnp.asarray(matrix),
+        tuple(coordinates.names),
+        signals,
+        residuals,
+        samples,
+        noise * unit,
+        undetermined,
+        found_directions,
+        jnp.asarray(sizes),
+        tuple(remarks),
+        int(found.iterations),
+        code,
+        float(plain.step),
+        step_error,
+        back,
+        adjoint,
+        starts,
+        plain.traces,
+        plain,
+    )
 
 
 def _elsewhere(problem, squares, noise):
     """A sentence where little of what was measured is shown; `noise`: residuals in units of sigma^2, `None` unknown."""
-    still = sum(np.nansum(np.asarray(misfit(trace, jnp.zeros_like(trace.data))) ** 2) for trace in problem.traces)
+    still = sum(
+        np.nansum(np.asarray(misfit(trace, jnp.zeros_like(trace.data))) ** 2)
+        for trace in problem.traces
+    )
     shown = 1 - float(squares) / max(float(still), EXACT)
     if not np.isfinite(shown) or shown > SHOWN or noise is not None and noise < NOISY:
         return []
-    much = f"only {100 * shown:.2g} % of the traces' squares" if shown > 0 else "no more of the traces than rest does"
+    much = (
+        f"only {100 * shown:.2g} % of the traces' squares"
+        if shown > 0
+        else "no more of the traces than rest does"
+    )
     unless = "unless noise is most of them, " if noise is None else ""
-    return [f"The scene explains {much}: {unless}this is another minimum than the one sought, and what follows holds "
-            "there. Start nearer, with bounds on both sides, or from more starts with a larger spread."]
+    return [
+        f"The scene explains {much}: {unless}this is another minimum than the one sought, and what follows holds "
+        "there. Start nearer, with bounds on both sides, or from more starts with a larger spread."
+    ]
 
 
 def _own(jacobian, count):
@@ -149,7 +207,9 @@ def way_back(problem: Problem, parameters: dict[str, Numbers]) -> float:
 def _way_back(problem, parameters):
     lattice = problem.lattice(parameters)
     steps = jnp.ceil((problem.t1 - problem.t0) / problem.step).astype(int)
-    return return_error(lattice, problem.state(parameters, lattice), problem.t0, problem.t1, steps, problem.solver)
+    return return_error(
+        lattice, problem.state(parameters, lattice), problem.t0, problem.t1, steps, problem.solver
+    )
 
 
 def _silence(problem, parameters):
@@ -157,14 +217,17 @@ def _silence(problem, parameters):
     lattice = problem.lattice(parameters)
     times = jnp.linspace(problem.t0, problem.t1, 129)
     run = problem.run(parameters, times)
-    overlaps = jax.vmap(lambda t, u: [[c.overlap for c in term.compressions(t, u)] for term in lattice.terms])
+    overlaps = jax.vmap(
+        lambda t, u: [[c.overlap for c in term.compressions(t, u)] for term in lattice.terms]
+    )
     said = []
     for i, contacts in enumerate(overlaps(run.ts, run.us)):
         for gaps in contacts:
             never = [] if gaps is None else np.flatnonzero(~np.any(np.asarray(gaps) > 0, axis=0))
             if len(never):
                 shown = ", ".join(map(str, never[:6])) + (" ..." if len(never) > 6 else "")
-                said.append(f"Contacts {shown} of terms[{i}] never close, and an open contact has no derivative.")
+                said.append(
+                    f"Contacts {shown} of terms[{i}] never close, and an open contact has no derivative."
+                )
     said.append("Start where the motion reaches the sensors.")
     return " ".join(said)
-

@@ -84,15 +84,28 @@ class Problem(eqx.Module):
         return eqx.tree_at(lambda p: p.step, self, jnp.asarray(step, self.dtype))
 
     def run(
-        self, parameters: dict[str, Numbers], times: Float[AnyArray, " T"] | None = None,
-        adjoint: eqx.Module = diffrax.ForwardMode(), max_steps: int | None = None,
+        self,
+        parameters: dict[str, Numbers],
+        times: Float[AnyArray, " T"] | None = None,
+        adjoint: eqx.Module = diffrax.ForwardMode(),
+        max_steps: int | None = None,
         state: State | None = None,
     ) -> Run:
         """The run of some parameters, saved at rising times; from their own state or another."""
         lattice = self.lattice(parameters)
         state = self.state(parameters, lattice) if state is None else state
-        return simulate(lattice, state, self.t1, t0=self.t0, solver=self.solver, step=self.step, save_at=times,
-                        adjoint=adjoint, max_steps=max_steps, throw=False)
+        return simulate(
+            lattice,
+            state,
+            self.t1,
+            t0=self.t0,
+            solver=self.solver,
+            step=self.step,
+            save_at=times,
+            adjoint=adjoint,
+            max_steps=max_steps,
+            throw=False,
+        )
 
     def signals(self, parameters: dict[str, Numbers], **keywords: object) -> tuple[Signals, State]:
         """What every trace would show without noise, a tuple of (T, S), and the state at t1."""
@@ -116,9 +129,11 @@ class Problem(eqx.Module):
         return misfits(self.traces, self.signals(self.coordinates.parameters(x), **keywords)[0])
 
     def linearise(
-        self, x: Float[AnyArray, " P"],
+        self,
+        x: Float[AnyArray, " P"],
     ) -> tuple[Float[AnyArray, " n"], Float[AnyArray, "n P"], Signals]:
         """(residuals, their Jacobian, signals) at x."""
+
         def both(x):
             signals, _ = self.signals(self.coordinates.parameters(x))
             residuals = misfits(self.traces, signals)
@@ -129,8 +144,12 @@ class Problem(eqx.Module):
 
     def times(self, parameters: dict[str, Numbers]) -> Float[np.ndarray, " n"]:
         """The times of all samples in the scene's clock, at some parameters."""
-        return np.concatenate([np.asarray(trace.times) + np.asarray(number(trace.offset, parameters))
-                               for trace in self.traces])
+        return np.concatenate(
+            [
+                np.asarray(trace.times) + np.asarray(number(trace.offset, parameters))
+                for trace in self.traces
+            ]
+        )
 
     def end(self, parameters: dict[str, Numbers]) -> Float[AnyArray, ""]:
         """Where a run has to end: at the last sample, with room behind it where its time is fitted."""
@@ -149,8 +168,12 @@ class Problem(eqx.Module):
         lattice = self.lattice(parameters)
         state = checked_state(lattice, self.state(parameters, lattice))
         if not omega > 0:
-            refuse("step", "a time step", "None",
-                   "Nothing is stiff at this energy, so no time scale sets one: give step=.")
+            refuse(
+                "step",
+                "a time step",
+                "None",
+                "Nothing is stiff at this energy, so no time scale sets one: give step=.",
+            )
         # what a splitting solver does not take exactly
         rate = 0.0 if facts(lattice).splits else float(_fastest_decay(lattice, self.t0, *state))
         return min(STEP_FRACTION / omega, FASTEST / rate if rate > 0 else np.inf)
@@ -160,7 +183,9 @@ class Problem(eqx.Module):
 def _fastest_decay(lattice, t, u, v):
     """The largest rate at which a motion about a state decays by forces that read velocities, by power iteration."""
     flat, unravel = ravel_pytree(v)
-    rates = jax.linearize(lambda w: ravel_pytree(lattice.acceleration(t, u, unravel(w)))[0], flat)[1]
+    rates = jax.linearize(lambda w: ravel_pytree(lattice.acceleration(t, u, unravel(w)))[0], flat)[
+        1
+    ]
 
     def power(_, carry):
         grown = rates(carry[0])
@@ -168,21 +193,39 @@ def _fastest_decay(lattice, t, u, v):
         return grown / jnp.where(size > 0, size, 1), size
 
     first = jnp.asarray(np.random.default_rng(0).normal(size=flat.shape), flat.dtype)
-    return jax.lax.fori_loop(0, POWER_STEPS, power, (first / jnp.linalg.norm(first), jnp.zeros((), flat.dtype)))[1]
+    return jax.lax.fori_loop(
+        0, POWER_STEPS, power, (first / jnp.linalg.norm(first), jnp.zeros((), flat.dtype))
+    )[1]
 
 
 def prepared(
-    scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
-    bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: diffrax.AbstractSolver | None = None,
+    scene: Scene,
+    start: dict[str, Parameter],
+    traces: Traces | Sequence[Traces],
+    *,
+    state: Start,
+    bounds: Bounds = None,
+    t0: Scalar = 0.0,
+    step: Scalar | None = None,
+    solver: diffrax.AbstractSolver | None = None,
 ) -> Problem:
     """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`."""
     coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
     lattice, traces = checked_scene(scene, parameters), checked_traces(traces)
     if len(traces) > 1 and any(trace.sigma is None for trace in traces):
-        refuse("sigma", "one for each of several traces", "None", "It says how they weigh against each other.")
+        refuse(
+            "sigma",
+            "one for each of several traces",
+            "None",
+            "It says how they weigh against each other.",
+        )
     given = None if callable(state) else checked_state(lattice, state)
-    begin = given if given is not None else checked_state(lattice, as_state(state(parameters, lattice), lattice.dtype))
+    begin = (
+        given
+        if given is not None
+        else checked_state(lattice, as_state(state(parameters, lattice), lattice.dtype))
+    )
     _check_places(traces, lattice, begin, parameters)
     dtype = lattice.dtype
     if any(trace.data.dtype != dtype for trace in traces):
@@ -194,11 +237,18 @@ def prepared(
     problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
     times = problem.times(parameters)
     if not problem.moving and times.min() < t0 - 1e-9 * np.ptp(times):
-        refuse("times", f"samples from t0 = {t0} on", f"{times.min()}", "Give offset=, or an earlier t0.")
+        refuse(
+            "times",
+            f"samples from t0 = {t0} on",
+            f"{times.min()}",
+            "Give offset=, or an earlier t0.",
+        )
     problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
     omega = problem.frequency(parameters)
     _refuse_other_units(problem.lattice(parameters).units, omega, float(np.ptp(times)))
-    return problem.with_step(problem.wanted_step(parameters, omega) if step is None else float(positive("step", step)))
+    return problem.with_step(
+        problem.wanted_step(parameters, omega) if step is None else float(positive("step", step))
+    )
 
 
 def _refuse_other_units(units, omega, span):
@@ -206,10 +256,17 @@ def _refuse_other_units(units, omega, span):
     if not 0 < omega < np.inf or FAR_OFF > span * omega > 1 / FAR_OFF:
         return
     unit = "seconds" if units == SI else "the lattice's unit of time"
-    others = "microseconds, which Traces.from_csv(..., units='us') reads" if span * omega > 1 else "units of its own"
-    refuse("traces", f"times in {unit}, of a record within {FAR_OFF:.0e} times the lattice's own, {1 / omega:.2g}",
-           f"a record of {span:.3g}, {span * omega:.1e} times that",
-           f"Its times may be in {others}; a scaled lattice wants times over units.time.")
+    others = (
+        "microseconds, which Traces.from_csv(..., units='us') reads"
+        if span * omega > 1
+        else "units of its own"
+    )
+    refuse(
+        "traces",
+        f"times in {unit}, of a record within {FAR_OFF:.0e} times the lattice's own, {1 / omega:.2g}",
+        f"a record of {span:.3g}, {span * omega:.1e} times that",
+        f"Its times may be in {others}; a scaled lattice wants times over units.time.",
+    )
 
 
 def as_state(state: State | tuple | list, dtype: object) -> State:
@@ -230,7 +287,9 @@ def misfits(traces: tuple[Traces, ...], signals: Signals) -> Float[AnyArray, " n
 def _read(trace, lattice, us, vs, times):
     """The signal of one trace's sensors (T, S)."""
     if trace.kind == "force":
-        forces = jax.vmap(lambda u, v, t: contact_force(lattice, State(u, v), t, bond=trace.bond))(us, vs, times)
+        forces = jax.vmap(lambda u, v, t: contact_force(lattice, State(u, v), t, bond=trace.bond))(
+            us, vs, times
+        )
         return jnp.stack([forces[(slice(None), *place)] for place in trace.places], axis=-1)
     x = vs if trace.kind == "velocity" else us
     x = x if trace.field is None else x[trace.field]
@@ -254,12 +313,23 @@ def _check_places(traces, lattice, state, parameters):
                 one_of(f"traces[{k}].field", trace.field, tuple(u))
                 u = u[trace.field]
             elif trace.field is not None:
-                refuse(f"traces[{k}].field", "None for a lattice without named fields", repr(trace.field))
+                refuse(
+                    f"traces[{k}].field",
+                    "None for a lattice without named fields",
+                    repr(trace.field),
+                )
             shape = u.shape if lattice.dimension is None else u.shape[:-1]
             vector = lattice.dimension is not None
-            if vector != (trace.component is not None) or vector and trace.component >= lattice.dimension:
-                refuse(f"traces[{k}].component", f"which of {lattice.dimension or 'no'} components",
-                       repr(trace.component))
+            if (
+                vector != (trace.component is not None)
+                or vector
+                and trace.component >= lattice.dimension
+            ):
+                refuse(
+                    f"traces[{k}].component",
+                    f"which of {lattice.dimension or 'no'} components",
+                    repr(trace.component),
+                )
         for place in trace.places:
             if len(place) != len(shape) or any(not -n <= i < n for i, n in zip(place, shape)):
                 refuse(name, f"indices within {shape}", f"{place[0] if len(place) == 1 else place}")
@@ -269,5 +339,7 @@ def checked_scene(scene: Scene, parameters: dict[str, Parameter]) -> Lattice:
     """The lattice that a scene makes of the start."""
     lattice = scene(parameters)
     if lattice.lanes:
-        refuse("scene", "a function that returns one Lattice", f"a batch with lanes {lattice.lanes}")
+        refuse(
+            "scene", "a function that returns one Lattice", f"a batch with lanes {lattice.lanes}"
+        )
     return lattice

@@ -35,7 +35,8 @@ class Found(NamedTuple):
 
 @eqx.filter_jit
 def linearised(
-    problem: Problem | eqx.Module, x: Float[AnyArray, " n"],
+    problem: Problem | eqx.Module,
+    x: Float[AnyArray, " n"],
 ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m n"], Signals, Signals]:
     """(residuals, their Jacobian, signals, misfits per trace) at x: the one program of a fit by least squares."""
     value, matrix, signals = problem.linearise(x)
@@ -43,7 +44,8 @@ def linearised(
 
 
 def evaluated(
-    problem: Problem | eqx.Module, x: Float[AnyArray, " n"],
+    problem: Problem | eqx.Module,
+    x: Float[AnyArray, " n"],
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m n"]]:
     """(residuals, Jacobian) at x in double precision."""
     value, jacobian, *_ = linearised(problem, jnp.asarray(x, problem.dtype))
@@ -64,7 +66,10 @@ def directions_left(value: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, 
 
 @np.errstate(over="ignore", invalid="ignore")
 def least_squares(
-    problem: Problem | eqx.Module, x: Float[AnyArray, " n"], tolerance: Scalar, max_steps: int,
+    problem: Problem | eqx.Module,
+    x: Float[AnyArray, " n"],
+    tolerance: Scalar,
+    max_steps: int,
     delay: float = PATIENCE,
 ) -> Found:
     """Levenberg and Marquardt from x (n,), damped as by Nielsen: IMM-REP-1999-05, Technical University of Denmark.
@@ -121,11 +126,20 @@ def patience(problem: Problem) -> float:
 
 @eqx.filter_jit
 def gradient_descent(
-    problem: Problem, x: Float[AnyArray, " n"], optimiser: object, tolerance: Scalar, max_steps: int,
-    adjoint: eqx.Module, most: int | None,
+    problem: Problem,
+    x: Float[AnyArray, " n"],
+    optimiser: object,
+    tolerance: Scalar,
+    max_steps: int,
+    adjoint: eqx.Module,
+    most: int | None,
 ) -> Found:
     """Descent on half of the mean square from x (n,), with derivatives in reverse mode through at most `most` steps."""
     samples = sum(trace.data.size for trace in problem.traces)
-    cost = lambda z: jnp.sum(problem.residuals(x + z, adjoint=adjoint, max_steps=most) ** 2) / (2 * samples)
+    cost = lambda z: (
+        jnp.sum(problem.residuals(x + z, adjoint=adjoint, max_steps=most) ** 2) / (2 * samples)
+    )
     found = descent.descend(cost, jax.value_and_grad(cost), x.size, optimiser, max_steps, tolerance)
-    return Found(x + found.x, samples * found.least, found.iterations, jnp.asarray(_AS_HERE)[found.code])
+    return Found(
+        x + found.x, samples * found.least, found.iterations, jnp.asarray(_AS_HERE)[found.code]
+    )

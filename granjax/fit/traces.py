@@ -66,16 +66,29 @@ class Traces(eqx.Module):
     component: int | None = eqx.field(static=True)
 
     def __init__(
-        self, times: Any, *, velocity: Parameter | None = None, displacement: Parameter | None = None,
-        force: Parameter | None = None, sites: Count | Values | None = None,
-        contacts: Count | Values | None = None, bond: Count = 0, sigma: Parameter | None = None,
-        gain: Parameter | str = 1.0, offset: Scalar | str = 0.0, field: str | None = None,
+        self,
+        times: Any,
+        *,
+        velocity: Parameter | None = None,
+        displacement: Parameter | None = None,
+        force: Parameter | None = None,
+        sites: Count | Values | None = None,
+        contacts: Count | Values | None = None,
+        bond: Count = 0,
+        sigma: Parameter | None = None,
+        gain: Parameter | str = 1.0,
+        offset: Scalar | str = 0.0,
+        field: str | None = None,
         component: Count | None = None,
     ):
         given = {k: x for k, x in zip(KINDS, (velocity, displacement, force)) if x is not None}
         if len(given) != 1:
-            refuse("data", "one of velocity=, displacement=, force=", f"{sorted(given) or 'none'}",
-                   "Give several kinds as a list of Traces.")
+            refuse(
+                "data",
+                "one of velocity=, displacement=, force=",
+                f"{sorted(given) or 'none'}",
+                "Give several kinds as a list of Traces.",
+            )
         ((self.kind, data),) = given.items()
         where, name = (contacts, "contacts") if self.kind == "force" else (sites, "sites")
         if where is None:
@@ -83,8 +96,16 @@ class Traces(eqx.Module):
         self.places = _places(name, where)
         self.times = parameter("times", _seconds(times))
         value = concrete(self.times)
-        if self.times.ndim != 1 or value is not None and (value.size < 2 or not (np.diff(value) > 0).all()):
-            refuse("times", "at least two rising times", show(self.times) if value is not None else "another shape")
+        if (
+            self.times.ndim != 1
+            or value is not None
+            and (value.size < 2 or not (np.diff(value) > 0).all())
+        ):
+            refuse(
+                "times",
+                "at least two rising times",
+                show(self.times) if value is not None else "another shape",
+            )
         data = jnp.asarray(real(self.kind, data) if concrete(data) is not None else data)
         data = data[:, None] if data.ndim == 1 else data
         wanted = (self.times.size, len(self.places))
@@ -93,22 +114,40 @@ class Traces(eqx.Module):
         if concrete(data) is not None and not np.isfinite(data).any():
             refuse(self.kind, "some finite numbers", "none")
         self.data = data
-        self.sigma = None if sigma is None else positive("sigma", sigma, "It is the noise's standard deviation.")
+        self.sigma = (
+            None
+            if sigma is None
+            else positive("sigma", sigma, "It is the noise's standard deviation.")
+        )
         own = () if self.sigma is None else self.sigma.shape
         if len(own) > 2 or any(n not in (1, whole) for n, whole in zip(own[::-1], wanted[::-1])):
-            refuse("sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {self.sigma.shape}")
-        self.gain = gain if isinstance(gain, str) else checked_shape("gain", parameter("gain", gain), wanted[1:])
-        self.offset = offset if isinstance(offset, str) else checked_shape("offset", parameter("offset", offset))
+            refuse(
+                "sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {self.sigma.shape}"
+            )
+        self.gain = (
+            gain
+            if isinstance(gain, str)
+            else checked_shape("gain", parameter("gain", gain), wanted[1:])
+        )
+        self.offset = (
+            offset
+            if isinstance(offset, str)
+            else checked_shape("offset", parameter("offset", offset))
+        )
         self.bond, self.field, self.component = bond, field, component
 
     @classmethod
     def from_csv(
-        cls, path: str | Path, *, time: str | int = "Time",
+        cls,
+        path: str | Path,
+        *,
+        time: str | int = "Time",
         velocity: str | int | Sequence[str | int] | None = None,
         displacement: str | int | Sequence[str | int] | None = None,
         force: str | int | Sequence[str | int] | None = None,
         units: dict[str | int, str | Number] | None = None,
-        read: dict[str, Any] | None = None, **traces: Any,
+        read: dict[str, Any] | None = None,
+        **traces: Any,
     ) -> "Traces":
         """Read traces from a table of columns, by `pandas.read_csv`.
 
@@ -147,14 +186,22 @@ class Traces(eqx.Module):
             if values.dtype.kind in "mM":
                 return values
             if values.dtype.kind not in "iuf":
-                refuse(quantity, "a column of numbers", f"{name!r}, which holds text",
-                       "Name in read= what the file writes: decimal, na_values, comment.")
+                refuse(
+                    quantity,
+                    "a column of numbers",
+                    f"{name!r}, which holds text",
+                    "Name in read= what the file writes: decimal, na_values, comment.",
+                )
             word = str(unit).replace("\u00b5", "u").replace("\u03bc", "u")
             size = unit if isinstance(unit, (int, float)) else SIZES[quantity].get(word)
             if size is None:
-                refuse("units", f"the unit of {name!r}: {', '.join(SIZES[quantity])}, "
-                       f"or its size in {QUANTITIES[quantity]}", repr(unit),
-                       f"Give units={{{key!r}: {QUANTITIES[quantity]!r}}}.")
+                refuse(
+                    "units",
+                    f"the unit of {name!r}: {', '.join(SIZES[quantity])}, "
+                    f"or its size in {QUANTITIES[quantity]}",
+                    repr(unit),
+                    f"Give units={{{key!r}: {QUANTITIES[quantity]!r}}}.",
+                )
             return size * values.astype(float)
 
         signals = {}
@@ -164,7 +211,9 @@ class Traces(eqx.Module):
                 signals[kind] = np.column_stack([column(kind, key) for key in keys])
         times = column("time", time)
         for key in left:
-            refuse("units", "columns that are read, by the names that the call gives them", repr(key))
+            refuse(
+                "units", "columns that are read, by the names that the call gives them", repr(key)
+            )
         return cls(times, **signals, **traces)
 
     def __repr__(self) -> str:
@@ -172,9 +221,14 @@ class Traces(eqx.Module):
             return "Traces(traced)"
         t, known = np.asarray(self.times), int(np.isfinite(np.asarray(self.data)).sum())
         sigma = "unknown" if self.sigma is None else show(self.sigma)
-        rows = [("sensors", ", ".join(self.sensors[:6]) + ", ..." * (len(self.sensors) > 6)),
-                ("times", f"{t.size}, {t[0]:.6g} ... {t[-1]:.6g}"), ("samples", f"{known} of {self.data.size}"),
-                ("sigma", sigma), ("gain", show(self.gain)), ("offset", show(self.offset))]
+        rows = [
+            ("sensors", ", ".join(self.sensors[:6]) + ", ..." * (len(self.sensors) > 6)),
+            ("times", f"{t.size}, {t[0]:.6g} ... {t[-1]:.6g}"),
+            ("samples", f"{known} of {self.data.size}"),
+            ("sigma", sigma),
+            ("gain", show(self.gain)),
+            ("offset", show(self.offset)),
+        ]
         return "\n".join(f"{name:<9}{value}" for name, value in rows)
 
     @property
@@ -242,13 +296,21 @@ def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
 
 def _places(name, where):
     """Indices of the sensors, each a tuple; one tuple is one place on a grid."""
-    single = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where) or np.ndim(where) == 0
+    single = (
+        isinstance(where, tuple)
+        and all(isinstance(i, (int, np.integer)) for i in where)
+        or np.ndim(where) == 0
+    )
     where = [where] if single else list(where)
     shapes = [np.shape(place) for place in where]
     whole = all(np.asarray(place).dtype.kind in "iu" for place in where)
     one = bool(shapes) and whole and all(len(shape) < 2 for shape in shapes)
     if not one or len({shape or (1,) for shape in shapes}) > 1:
-        refuse(name, "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])", described(where))
+        refuse(
+            name,
+            "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])",
+            described(where),
+        )
     places = [np.atleast_1d(np.asarray(place)) for place in where]
     return tuple(tuple(int(i) for i in place) for place in places)
 

@@ -75,8 +75,14 @@ class Windows(eqx.Module):
 
     def _window(self, own, start, parts, t0, t1):
         """Residuals (m,), end (n,) and signals of one window."""
-        problem = dataclasses.replace(self.problem, traces=parts, t0=t0, t1=t1, make_state=None,
-                                      given_state=self.unravel(start))
+        problem = dataclasses.replace(
+            self.problem,
+            traces=parts,
+            t0=t0,
+            t1=t1,
+            make_state=None,
+            given_state=self.unravel(start),
+        )
         signals, final = problem.signals(problem.coordinates.parameters(own))
         return misfits(parts, signals), ravel_pytree(final)[0], signals
 
@@ -92,12 +98,16 @@ class Windows(eqx.Module):
         """All residuals, one vector: of the data, then where windows meet."""
         own, starts = self._cut(x)
         residuals, ends, _ = self._every(own, starts, self._window)
-        return jnp.concatenate([residuals.ravel(), ((ends[:-1] - starts[1:]) / self.meeting).ravel()])
+        return jnp.concatenate(
+            [residuals.ravel(), ((ends[:-1] - starts[1:]) / self.meeting).ravel()]
+        )
 
     def linearise(
-        self, x: Float[AnyArray, " P"],
+        self,
+        x: Float[AnyArray, " P"],
     ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m P"], Signals]:
         """(residuals, their Jacobian, signals): every window's tangents side by side, put together as blocks."""
+
         def window(own, start, *rest):
             def both(own, start):
                 residuals, end, signals = self._window(own, start, *rest)
@@ -121,8 +131,14 @@ class Windows(eqx.Module):
             if of == 1:
                 s = s - jnp.einsum("mn,jk->jmkn", jnp.diag(self.scale), ends_at)
                 p, s = p[:-1] / self.meeting[:, None], s[:-1] / self.meeting[:, None, None]
-            blocks.append(jnp.concatenate([p, s.reshape(*s.shape[:2], -1)], axis=-1).reshape(-1, x.size))
-        return jnp.concatenate([residuals.ravel(), jumps.ravel()]), jnp.concatenate(blocks), self._joined(signals)
+            blocks.append(
+                jnp.concatenate([p, s.reshape(*s.shape[:2], -1)], axis=-1).reshape(-1, x.size)
+            )
+        return (
+            jnp.concatenate([residuals.ravel(), jumps.ravel()]),
+            jnp.concatenate(blocks),
+            self._joined(signals),
+        )
 
     def _joined(self, signals):
         return tuple(s.reshape(-1, s.shape[-1])[self.kept] for s in signals)
@@ -134,14 +150,20 @@ def cut(problem: Problem, count: int) -> Windows:
     Their starts are guessed by running the start's scene from window to window, with what the sensors of velocity and
     displacement say put in at each; a velocity also tells the displacement, by its integral from the state at t0.
     """
-    clocks = [None if isinstance(trace.offset, str) else np.asarray(trace.times + trace.offset)
-              for trace in problem.traces]
+    clocks = [
+        None if isinstance(trace.offset, str) else np.asarray(trace.times + trace.offset)
+        for trace in problem.traces
+    ]
     times = clocks[0]
     for k, clock in enumerate(clocks):
         if problem.traces[k].sigma is None:
             refuse("sigma", "a number for windows, which have to meet within the noise", "None")
         if clock is None or not np.array_equal(clock, times):
-            refuse("windows", "traces that were sampled together, without an unknown offset", f"traces[{k}]")
+            refuse(
+                "windows",
+                "traces that were sampled together, without an unknown offset",
+                f"traces[{k}]",
+            )
     if count > times.size // 2:
         refuse("windows", f"at most {times.size // 2}, for {times.size} samples", f"{count}")
     first = np.linspace(0, times.size, count + 1).round().astype(int)
@@ -156,20 +178,45 @@ def cut(problem: Problem, count: int) -> Windows:
     paths = _integrated(problem, parameters, state)
     starts = []
     for j in range(1, count):
-        leg = eqx.tree_at(lambda p: (p.t0, p.t1), problem, (jnp.asarray(edges[j - 1]), jnp.asarray(edges[j])))
+        leg = eqx.tree_at(
+            lambda p: (p.t0, p.t1), problem, (jnp.asarray(edges[j - 1]), jnp.asarray(edges[j]))
+        )
         state = _leg(leg, parameters, state)
         state = _told(state, problem.traces, paths, parameters, first[j])
         starts.append(ravel_pytree(state)[0])
     unravel, starts = ravel_pytree(state)[1], jnp.stack(starts)
-    largest = State(*(jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(part)]))
-                      for part in jax.vmap(unravel)(starts)))
+    largest = State(
+        *(
+            jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(part)]))
+            for part in jax.vmap(unravel)(starts)
+        )
+    )
     largest = State(*(jnp.where(x > 0, x, 1.0) for x in largest))
-    scale = ravel_pytree(State(*(jax.tree.map(lambda x: jnp.full_like(x, size), part)
-                                 for part, size in zip(state, largest))))[0]
-    noise = max(float(jnp.max(1 / jnp.where(trace.weights > 0, trace.weights, jnp.inf)) / jnp.max(jnp.abs(
-        jnp.where(jnp.isfinite(trace.data), trace.data, 0)))) for trace in problem.traces)
-    return Windows(problem, starts, scale, MEETING * noise * scale, jnp.asarray(edges), parts,
-                   jnp.asarray(np.flatnonzero(~repeated)), unravel)
+    scale = ravel_pytree(
+        State(
+            *(
+                jax.tree.map(lambda x: jnp.full_like(x, size), part)
+                for part, size in zip(state, largest)
+            )
+        )
+    )[0]
+    noise = max(
+        float(
+            jnp.max(1 / jnp.where(trace.weights > 0, trace.weights, jnp.inf))
+            / jnp.max(jnp.abs(jnp.where(jnp.isfinite(trace.data), trace.data, 0)))
+        )
+        for trace in problem.traces
+    )
+    return Windows(
+        problem,
+        starts,
+        scale,
+        MEETING * noise * scale,
+        jnp.asarray(edges),
+        parts,
+        jnp.asarray(np.flatnonzero(~repeated)),
+        unravel,
+    )
 
 
 @eqx.filter_jit
@@ -182,10 +229,16 @@ def _parted(trace, samples, repeated):
     count = len(samples)
     sigma = jnp.broadcast_to(trace.sigma, trace.data.shape)[samples]
     data = jnp.where(repeated[..., None], jnp.nan, trace.data[samples])
-    gain, offset = (x if isinstance(x, str) else jnp.broadcast_to(x, (count, *jnp.shape(x)))
-                    for x in (trace.gain, trace.offset))
-    return eqx.tree_at(lambda t: (t.times, t.data, t.sigma, t.gain, t.offset), trace,
-                       (trace.times[samples], data, sigma, gain, offset), is_leaf=lambda x: x is None)
+    gain, offset = (
+        x if isinstance(x, str) else jnp.broadcast_to(x, (count, *jnp.shape(x)))
+        for x in (trace.gain, trace.offset)
+    )
+    return eqx.tree_at(
+        lambda t: (t.times, t.data, t.sigma, t.gain, t.offset),
+        trace,
+        (trace.times[samples], data, sigma, gain, offset),
+        is_leaf=lambda x: x is None,
+    )
 
 
 def _integrated(problem, parameters, state):
@@ -197,7 +250,9 @@ def _integrated(problem, parameters, state):
             continue
         times = np.concatenate([[float(problem.t0)], np.asarray(trace.times + trace.offset)])
         at = np.stack([np.asarray(_pick(part, trace)) for part in state])
-        v = np.concatenate([at[1:], np.asarray(trace.data) / np.asarray(number(trace.gain, parameters))])
+        v = np.concatenate(
+            [at[1:], np.asarray(trace.data) / np.asarray(number(trace.gain, parameters))]
+        )
         v = np.nan_to_num(v)
         steps = np.diff(times)[:, None] * (v[1:] + v[:-1]) / 2
         paths.append(at[0] + np.cumsum(steps, axis=0))
@@ -209,11 +264,15 @@ def _told(state, traces, paths, parameters, sample):
     parts = list(state)
     for trace, path in zip(traces, paths):
         if trace.kind == "velocity":
-            parts[1] = _put(parts[1], trace, np.asarray(trace.data[sample] / number(trace.gain, parameters)))
+            parts[1] = _put(
+                parts[1], trace, np.asarray(trace.data[sample] / number(trace.gain, parameters))
+            )
             parts[0] = _put(parts[0], trace, path[sample])
     for trace in traces:
         if trace.kind == "displacement":
-            parts[0] = _put(parts[0], trace, np.asarray(trace.data[sample] / number(trace.gain, parameters)))
+            parts[0] = _put(
+                parts[0], trace, np.asarray(trace.data[sample] / number(trace.gain, parameters))
+            )
     return State(*parts)
 
 

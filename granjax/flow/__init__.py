@@ -10,6 +10,22 @@ from .stepping import Flow
 from .stiffness import frequency_bound, linear_frequency
 
 __all__ = [
-    "Arrival", "CaputoRun", "Derivative", "Flow", "Integral", "Lowest", "Peak", "PeakTime", "Record", "Reversible",
-    "Run", "RunWithMemory", "caputo", "derivative", "frequency_bound", "linear_frequency", "return_error", "simulate",
+    "Arrival",
+    "CaputoRun",
+    "Derivative",
+    "Flow",
+    "Integral",
+    "Lowest",
+    "Peak",
+    "PeakTime",
+    "Record",
+    "Reversible",
+    "Run",
+    "RunWithMemory",
+    "caputo",
+    "derivative",
+    "frequency_bound",
+    "linear_frequency",
+    "return_error",
+    "simulate",
 ]

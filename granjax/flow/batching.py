@@ -71,7 +71,9 @@ def batched(*arguments: Any, own_step: bool) -> Run:
         # nothing is differentiated here
         run = batched(*begin, save_ts, records, *how, False, own_step=own_step)
         found = parted(run)[1]
-        found[place.code] = jnp.where(good, code_of_each(run.code, run.final, lattice.lanes), TOO_MANY_STEPS)
+        found[place.code] = jnp.where(
+            good, code_of_each(run.code, run.final, lattice.lanes), TOO_MANY_STEPS
+        )
         if dips:
             # looking between steps takes half as long as the run: XLA drops this one where nobody reads what it saw
             found[place._margin] = batched(*begin, None, {}, *how, True, own_step=own_step)._margin
@@ -87,7 +89,10 @@ def batched(*arguments: Any, own_step: bool) -> Run:
 
 def code_of_each(code: Any, final: State, lanes: tuple[int, ...]) -> Any:
     """A code for each lane: one whose state is not finite says nothing of the others, which went on."""
-    own = [jnp.all(jnp.isfinite(x), axis=tuple(range(jnp.ndim(x) - len(lanes)))) for x in jax.tree.leaves(final)]
+    own = [
+        jnp.all(jnp.isfinite(x), axis=tuple(range(jnp.ndim(x) - len(lanes))))
+        for x in jax.tree.leaves(final)
+    ]
     finite = jnp.all(jnp.stack(own), 0)
     return jnp.where(finite, jnp.where(code == NOT_FINITE, COMPLETED, code), NOT_FINITE)
 
@@ -103,7 +108,11 @@ def without_the_lost(run: Run, lanes: tuple[int, ...]) -> Run:
 
 def _behind(x, own, size):
     """An array with its lanes last; what all lanes share has them too."""
-    return jnp.moveaxis(x, 0, -1) if own else jnp.broadcast_to(jnp.asarray(x)[..., None], (*jnp.shape(x), size))
+    return (
+        jnp.moveaxis(x, 0, -1)
+        if own
+        else jnp.broadcast_to(jnp.asarray(x)[..., None], (*jnp.shape(x), size))
+    )
 
 
 def _kinds(arrays):
@@ -121,7 +130,9 @@ def _keeps_lanes_apart(static, kinds):
     def values(arrays):
         lattice, state, records = joined(static, arrays)
         y, t = State(*state), jnp.asarray(0.37)
-        return vector_field(t, y, lattice)[1], {name: record.value(t, y, lattice) for name, record in records.items()}
+        return vector_field(t, y, lattice)[1], {
+            name: record.value(t, y, lattice) for name, record in records.items()
+        }
 
     @jax.jit
     def agree(arrays):
@@ -131,7 +142,10 @@ def _keeps_lanes_apart(static, kinds):
 
     try:
         with jax.ensure_compile_time_eval():
-            arrays = [jnp.asarray(draw.uniform(0.5, 1.5, (*shape, TRIED)), dtype) for shape, dtype in kinds]
+            arrays = [
+                jnp.asarray(draw.uniform(0.5, 1.5, (*shape, TRIED)), dtype)
+                for shape, dtype in kinds
+            ]
             return bool(agree(arrays))
     except Exception:
         return False

@@ -29,7 +29,9 @@ class OneSided(Wrapped):
 
 def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
     """A lattice as it is inside of a step, at its ends too."""
-    slack = 2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
+    slack = (
+        2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
+    )
     return lattice.between(jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack)
 
 
@@ -73,8 +75,17 @@ class Landing(diffrax.AbstractStepSizeController):
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         return landing(self.breaks, t0, self.step, self.end), None
 
-    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
-        return True, t1, landing(self.breaks, t1, self.step, self.end), False, None, diffrax.RESULTS.successful
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        return (
+            True,
+            t1,
+            landing(self.breaks, t1, self.step, self.end),
+            False,
+            None,
+            diffrax.RESULTS.successful,
+        )
 
 
 def cut(breaks: tuple, t: Number, step: Number) -> tuple:

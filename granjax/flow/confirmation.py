@@ -64,7 +64,12 @@ class Confirmation(eqx.Module):
         function, mapped = self._errors, np.ndim(self.arrays[0]) - len(self.shapes[0])
         if not self.tells:
             remedy = "Read it inside of the function that is mapped."
-            refuse("record_error", "a run by itself, or many behind jax.vmap with out_axes=0", "another one", remedy)
+            refuse(
+                "record_error",
+                "a run by itself, or many behind jax.vmap with out_axes=0",
+                "another one",
+                remedy,
+            )
         for _ in range(mapped):
             function = jax.vmap(function)
         return function(*jax.lax.stop_gradient((self.arrays, recorded, short, completed, opened)))
@@ -80,8 +85,12 @@ class Confirmation(eqx.Module):
         order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)
         good = completed & finer.completed
         error = partial(_error, 2 / (1 - 0.5**order), lanes, good)
-        return {name: jax.tree.map(error, recorded[name], finer.recorded[name], short[name], finer._short[name])
-                for name in recorded}
+        return {
+            name: jax.tree.map(
+                error, recorded[name], finer.recorded[name], short[name], finer._short[name]
+            )
+            for name in recorded
+        }
 
 
 def _restored(arguments, shapes):

@@ -45,9 +45,11 @@ def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
         gap = float(jnp.finfo(dtype).eps) * max(abs(t0), abs(t1))
         finer = "" if dtype == np.dtype(float) else " Or compute in float64."
         refuse(
-            "t0, t1, step", f"a step that is long against the gaps between numbers of {dtype} at these times",
+            "t0, t1, step",
+            f"a step that is long against the gaps between numbers of {dtype} at these times",
             f"a step of {step:.3g} from t0 = {t0:g} to t1 = {t1:g}, where numbers lie {gap:.2g} apart",
-            f"Count time from t0=0 (of what drives the lattice too), or take a longer step.{finer}")
+            f"Count time from t0=0 (of what drives the lattice too), or take a longer step.{finer}",
+        )
 
 
 def tighter(tolerance: Number, by: Scalar, dtype: Any) -> Number:
@@ -111,17 +113,23 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
             return end, (jnp.asarray(False), meant)
         return t0 + step, jnp.asarray(False)
 
-    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
         error = jax.lax.stop_gradient(self.norm(y_error) / self.atol)
         keep = error < 1
         failed, meant = controller_state if self.breaks else (controller_state, 0)
         most = jnp.where(failed | ~keep, 1.0, GROW)
-        factor = jnp.exp2(jnp.round(PARTS * (math.log2(SAFETY) - jnp.log2(error) / error_order)) / PARTS)
+        factor = jnp.exp2(
+            jnp.round(PARTS * (math.log2(SAFETY) - jnp.log2(error) / error_order)) / PARTS
+        )
         factor = jnp.clip(factor, SHRINK, most)
         step = self._bounded((t1 - t0) * factor.astype(t1.dtype))
         start = jnp.where(keep, t1, t0)
         stuck = ~(start + step > start)
-        result = diffrax.RESULTS.where(stuck, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.successful)
+        result = diffrax.RESULTS.where(
+            stuck, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.successful
+        )
         if self.breaks:
             end, meant = cut(self.breaks, start, jnp.where(keep, jnp.maximum(step, meant), step))
             return keep, start, end, False, (~keep, meant), result

@@ -45,7 +45,10 @@ class Derivative(Result):
 
     @property
     def relative(self) -> float:
-        largest = [max(float(np.abs(x).max()) for x in jax.tree.leaves(tree)) for tree in (self.error, self.value)]
+        largest = [
+            max(float(np.abs(x).max()) for x in jax.tree.leaves(tree))
+            for tree in (self.error, self.value)
+        ]
         return largest[0] / largest[1] if largest[1] > 0 else largest[0]
 
     @property
@@ -55,8 +58,10 @@ class Derivative(Result):
         known = f"The derivative is known to {self.relative:.1g} of its size."
         if self.relative <= UNSETTLED:
             return known
-        return (f"{known} It hangs on where the steps lie, as with a force whose slope jumps (a kink): shorten the "
-                "step, or take differences of runs at one step, whose error is of second order.")
+        return (
+            f"{known} It hangs on where the steps lie, as with a force whose slope jumps (a kink): shorten the "
+            "step, or take differences of runs at one step, whose error is of second order."
+        )
 
     def _rows(self) -> Iterator[tuple[str, str]]:
         yield "value", self._told("value", self.value)
@@ -89,14 +94,23 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     (-0.2579, True)
     """
     if any(jnp.iscomplexobj(leaf) for leaf in jax.tree.leaves(x)):
-        refuse("x", "real numbers", "complex ones", "Write real and imaginary parts as parameters of their own.")
+        refuse(
+            "x",
+            "real numbers",
+            "complex ones",
+            "Write real and imaginary parts as parameters of their own.",
+        )
     ladder = float(positive("step", step)) * np.asarray(LADDER)
-    x = jax.tree.map(lambda a: a if hasattr(a, "dtype") and a.dtype.kind == "f" else jnp.asarray(a, float), x)
+    x = jax.tree.map(
+        lambda a: a if hasattr(a, "dtype") and a.dtype.kind == "f" else jnp.asarray(a, float), x
+    )
     slopes = _slopes(function, x, jnp.asarray(ladder))
     value = jax.tree.map(lambda s: s[-1], slopes)
 
     def error(s):
-        apart = jnp.abs(s[:-1] - s[-1]) * (LADDER[-1] / np.asarray(LADDER[:-1])).reshape((-1,) + (1,) * (s.ndim - 1))
+        apart = jnp.abs(s[:-1] - s[-1]) * (LADDER[-1] / np.asarray(LADDER[:-1])).reshape(
+            (-1,) + (1,) * (s.ndim - 1)
+        )
         return COVER * jnp.max(apart, axis=0)
 
     return Derivative(value, jax.tree.map(error, slopes), slopes, ladder)

@@ -37,6 +37,11 @@ def facts(lattice: Lattice) -> Facts:
 def _found(lattice):
     velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
     return Facts(
-        lattice.template(), lattice.dtype, traced(lattice), bool(velocity),
-        all(term.exact_damping() is not None for term in velocity), {}, any(term.remembers() for term in lattice.terms),
+        lattice.template(),
+        lattice.dtype,
+        traced(lattice),
+        bool(velocity),
+        all(term.exact_damping() is not None for term in velocity),
+        {},
+        any(term.remembers() for term in lattice.terms),
     )

@@ -21,12 +21,19 @@ def checked_state(lattice: Lattice, state: StateLike) -> State:
     template, dtype = facts(lattice)[:2]
     out = []
     for name, x in zip(("u", "v"), state):
-        if isinstance(template, dict) != isinstance(x, dict) or (isinstance(x, dict) and set(x) != set(template)):
+        if isinstance(template, dict) != isinstance(x, dict) or (
+            isinstance(x, dict) and set(x) != set(template)
+        ):
             got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
             wanted = f"fields {sorted(template)}" if isinstance(template, dict) else "an array"
             refuse(f"state.{name}", f"{wanted}, as of the lattice", got)
         if isinstance(x, dict):
-            out.append({k: _checked_array(f"state.{name}[{k!r}]", x[k], template[k].shape, dtype) for k in template})
+            out.append(
+                {
+                    k: _checked_array(f"state.{name}[{k!r}]", x[k], template[k].shape, dtype)
+                    for k in template
+                }
+            )
         else:
             out.append(_checked_array(f"state.{name}", x, template.shape, dtype))
     return State(*out)
@@ -36,14 +43,25 @@ def _checked_array(name, x, shape, dtype):
     if not isinstance(x, jax.Array):
         x = np.asarray(x)
     if x.dtype.kind != "f":
-        refuse(name, f"floating numbers ({dtype})", f"{x.dtype}", "Write 0.0 instead of 0, or .astype(float).")
+        refuse(
+            name,
+            f"floating numbers ({dtype})",
+            f"{x.dtype}",
+            "Write 0.0 instead of 0, or .astype(float).",
+        )
     if x.shape != shape:
         turned = len(shape) > 1 and sorted(x.shape) == sorted(shape)
-        remedy = "Lanes come last: out_axes=-1 in the vmap that made it." if turned else "Start from lattice.zeros()."
+        remedy = (
+            "Lanes come last: out_axes=-1 in the vmap that made it."
+            if turned
+            else "Start from lattice.zeros()."
+        )
         refuse(name, f"shape {shape}, that of the lattice", f"shape {x.shape}", remedy)
     if x.dtype != dtype:
         refuse(
-            name, f"{dtype}, the lattice's type", f"{x.dtype}",
+            name,
+            f"{dtype}, the lattice's type",
+            f"{x.dtype}",
             f"Use lattice.astype({x.dtype.name!r}) for a run in {x.dtype}, or state.astype.",
         )
     value = concrete(x)
@@ -57,7 +75,9 @@ def checked_times(t0: Any, t1: Any) -> tuple:
     """Start and end, in order; known ones as Python numbers, with which tracing does not interfere."""
     t0, t1 = _checked_time("t0", t0), _checked_time("t1", t1)
     if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not t1 > t0:
-        refuse("t1", f"a time after t0 = {t0}", f"{t1}", "To go back in time, reverse the velocities.")
+        refuse(
+            "t1", f"a time after t0 = {t0}", f"{t1}", "To go back in time, reverse the velocities."
+        )
     return t0, t1
 
 
@@ -80,7 +100,9 @@ def checked_size(name: str, x: Any) -> Scalar | None:
     return float(value)
 
 
-def held_frames(argument: str, count: int, state: StateLike, what: str = "frames", each: int = 1) -> None:
+def held_frames(
+    argument: str, count: int, state: StateLike, what: str = "frames", each: int = 1
+) -> None:
     """Refuse a count of which each keeps so many frames of a state, with their times, that memory holds them not."""
     size = 8 + sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state))
     held_in_memory(argument, count, each * size, f"{what} of such a state")
@@ -99,15 +121,23 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> t
         if frames == 1:
             return None, 1, False
         return t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, frames), frames - 1, False
-    ts = save_at if isinstance(save_at, jax.core.Tracer) else real(
-        "save_at", save_at, "a number of frames, a list of times, or 'steps'")
+    ts = (
+        save_at
+        if isinstance(save_at, jax.core.Tracer)
+        else real("save_at", save_at, "a number of frames, a list of times, or 'steps'")
+    )
     if ts.ndim != 1 or ts.size == 0:
         refuse("save_at", "a list of times", f"shape {ts.shape}")
     held_frames("save_at", ts.size, state, "times")
     value = concrete(ts)
     if value is not None:
         if not np.isfinite(value).all() or not (np.diff(value) > 0).all():
-            refuse("save_at", "finite times, each after the one before", show(value), "Sort them, without repeats.")
+            refuse(
+                "save_at",
+                "finite times, each after the one before",
+                show(value),
+                "Sort them, without repeats.",
+            )
         if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer):
             slack = 4 * np.finfo(float).eps * max(abs(t0), abs(t1))
             if value[0] < t0 - slack or value[-1] > t1 + slack:
@@ -132,7 +162,11 @@ def checked_records(record: Any) -> dict:
     if record is None:
         return {}
     for name in record:
-        if name in RESERVED or name.startswith(("u_", "v_")) or name.removesuffix("_error") in {*record} - {name}:
+        if (
+            name in RESERVED
+            or name.startswith(("u_", "v_"))
+            or name.removesuffix("_error") in {*record} - {name}
+        ):
             taken = f"Taken: {', '.join(RESERVED)}, and NAME_error."
             refuse("record", "names other than those of a run's own results", repr(name), taken)
     return dict(record)

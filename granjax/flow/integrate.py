@@ -17,7 +17,17 @@ from .control import Scales, StepControl, least_step
 from .lanes import by_groups, each_lane
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips
-from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, UNRESOLVED, Run, finite
+from .run import (
+    COMPLETED,
+    FAILED,
+    NOT_FINITE,
+    NOTHING,
+    STEP_TOO_SMALL,
+    TOO_MANY_STEPS,
+    UNRESOLVED,
+    Run,
+    finite,
+)
 from .stiffness import chosen, compressions, frequency_bound, reached_frequency
 
 # how many times the root of the rounding unit a force may miss the slope of its energy
@@ -28,9 +38,21 @@ QUIET = 2.0
 
 @compiled
 def integrate(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
-    save_ts: Times | None, records: dict, solver: diffrax.AbstractSolver, adjoint: diffrax.AbstractAdjoint,
-    max_steps: int | None, every: bool, progress: bool, watch: bool = False, dips: bool = False,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    dt: Number | None,
+    tolerance: Number | None,
+    save_ts: Times | None,
+    records: dict,
+    solver: diffrax.AbstractSolver,
+    adjoint: diffrax.AbstractAdjoint,
+    max_steps: int | None,
+    every: bool,
+    progress: bool,
+    watch: bool = False,
+    dips: bool = False,
 ) -> Run:
     """Integrate and reduce; everything checked, everything chosen. A `Run` without its names.
 
@@ -50,7 +72,12 @@ def integrate(
 
 
 def own_records(
-    lattice: Lattice, state: StateLike, t0: Scalar, records: dict, watch: bool, dips: bool = False,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    records: dict,
+    watch: bool,
+    dips: bool = False,
 ) -> dict:
     """The records of a run with those that it keeps for itself."""
     closest = Dips(_overlap_and_rate) if dips else AtEnds(smallest_overlap)
@@ -73,16 +100,31 @@ class Part(NamedTuple):
 
 
 def part_of(
-    lattice: Lattice, begin: tuple, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None,
-    tolerance: Number | None, save_ts: Times | None, records: dict, carried: dict | None,
-    solver: diffrax.AbstractSolver, adjoint: diffrax.AbstractAdjoint, max_steps: int | None, every: bool = False,
+    lattice: Lattice,
+    begin: tuple,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    dt: Number | None,
+    tolerance: Number | None,
+    save_ts: Times | None,
+    records: dict,
+    carried: dict | None,
+    solver: diffrax.AbstractSolver,
+    adjoint: diffrax.AbstractAdjoint,
+    max_steps: int | None,
+    every: bool = False,
     progress: bool = False,
 ) -> Part:
     """The part from t0 to t1 of the run that `begin` = (state, t0, t1) says; `carried`: by its records, until t0."""
     own = {CLOSEST, EXTREMES}.issuperset(records)
     rest = t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress
     some = lambda lattice, state, carried: _parted(lattice, begin, state, carried, *rest)
-    found = by_groups(some, lattice, state, carried) if tolerance is None and own and not (every or progress) else None
+    found = (
+        by_groups(some, lattice, state, carried)
+        if tolerance is None and own and not (every or progress)
+        else None
+    )
     if found is None:
         found = some(lattice, state, carried)
     (ys, final, carried), (ts, t, *counts, code) = found
@@ -90,7 +132,20 @@ def part_of(
 
 
 def _parted(
-    lattice, begin, state, carried, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every,
+    lattice,
+    begin,
+    state,
+    carried,
+    t0,
+    t1,
+    dt,
+    tolerance,
+    save_ts,
+    records,
+    solver,
+    adjoint,
+    max_steps,
+    every,
     progress,
 ):
     """What a part has of each lane, and what lanes share."""
@@ -106,9 +161,18 @@ def _parted(
     elif save_ts is not None:
         subs.append(diffrax.SubSaveAt(ts=save_ts))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(vector_field), stepper, t0, t1, None, state, args=lattice.for_run(),
+        diffrax.ODETerm(vector_field),
+        stepper,
+        t0,
+        t1,
+        None,
+        state,
+        args=lattice.for_run(),
         saveat=diffrax.SaveAt(subs=subs, solver_state=bool(records)),
-        stepsize_controller=controller, adjoint=adjoint, max_steps=max_steps, throw=False,
+        stepsize_controller=controller,
+        adjoint=adjoint,
+        max_steps=max_steps,
+        throw=False,
         progress_meter=diffrax.TqdmProgressMeter() if progress else diffrax.NoProgressMeter(),
     )
     final = jax.tree.map(lambda x: x[0], solution.ys[0])
@@ -119,8 +183,14 @@ def _parted(
 
 
 def reduced(
-    lattice: Lattice, begin: tuple, dt: Number | None, tolerance: Number | None, records: dict,
-    solver: diffrax.AbstractSolver, watch: bool, part: Part,
+    lattice: Lattice,
+    begin: tuple,
+    dt: Number | None,
+    tolerance: Number | None,
+    records: dict,
+    solver: diffrax.AbstractSolver,
+    watch: bool,
+    part: Part,
 ) -> Run:
     """The `Run` of all its parts."""
     size = dt if tolerance is None else tolerance
@@ -131,13 +201,17 @@ def reduced(
     margin = jnp.full(lattice.lanes, jnp.inf) if closest is None else _margin(lattice, t0, closest)
     evaluations = type(solver).evaluations() if hasattr(type(solver), "evaluations") else jnp.nan
     stats = {
-        "steps": steps, "accepted": accepted, "rejected": rejected,
+        "steps": steps,
+        "accepted": accepted,
+        "rejected": rejected,
         "step": (t1 - t0) / jnp.maximum(accepted, 1),
         "force_evaluations": steps * evaluations,
     }
     if watch:
         low, less_high = extremes
-        stats["omega"] = reached_frequency(lattice, low, jax.tree.map(jnp.negative, less_high), t0, t1, final.u)
+        stats["omega"] = reached_frequency(
+            lattice, low, jax.tree.map(jnp.negative, less_high), t0, t1, final.u
+        )
     code = jnp.where(_meant(t0, t1, size), code, NOTHING)
     if tolerance is None:
         resolved = dt >= least_step(t0, t1, lattice.dtype, jnp.maximum)
@@ -145,10 +219,25 @@ def reduced(
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     if lattice.conserves:
         gap = energy_gap(lattice, t1, final.u)
-        energy_error = jnp.where(gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error)
+        energy_error = jnp.where(
+            gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error
+        )
     names = "", "", "", unseen(lattice), 0.0
-    return Run(ts, ys.u, ys.v, final, recorded, energy_error, margin, short, code, stats, None, *names,
-               _space=lattice.space)
+    return Run(
+        ts,
+        ys.u,
+        ys.v,
+        final,
+        recorded,
+        energy_error,
+        margin,
+        short,
+        code,
+        stats,
+        None,
+        *names,
+        _space=lattice.space,
+    )
 
 
 def _ready(solver, adjoint):
@@ -160,7 +249,9 @@ def _ready(solver, adjoint):
 
 def _overlaps(lattice, t, u):
     """The overlaps of the contacts that can open, of bonds and walls."""
-    found = [c.overlap for term in lattice.terms for c in term.compressions(t, u) if c.place != "site"]
+    found = [
+        c.overlap for term in lattice.terms for c in term.compressions(t, u) if c.place != "site"
+    ]
     return [overlap for overlap in found if overlap is not None]
 
 
@@ -175,7 +266,10 @@ def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
 
 def _overlap_and_rate(t, y, lattice):
     overlap = partial(smallest_overlap, lattice=lattice)
-    at, along = (jnp.asarray(t), State(y.u, y.v)), (jnp.ones_like(t), State(y.v, jax.tree.map(jnp.zeros_like, y.v)))
+    at, along = (
+        (jnp.asarray(t), State(y.u, y.v)),
+        (jnp.ones_like(t), State(y.v, jax.tree.map(jnp.zeros_like, y.v))),
+    )
     return jax.lax.stop_gradient(jnp.stack(jax.jvp(overlap, at, along)))
 
 
@@ -189,7 +283,9 @@ def _margin(lattice, t0, smallest):
     """The least overlap over how far it came from rest, of all contacts, per lane: below zero where one opened."""
     smallest = jax.lax.stop_gradient(smallest)
     moved = smallest_overlap(t0, State(lattice.zeros(), None), lattice) - smallest
-    margin = jnp.where(moved > 0, smallest / jnp.where(moved > 0, moved, 1), jnp.where(smallest < 0, -1.0, jnp.inf))
+    margin = jnp.where(
+        moved > 0, smallest / jnp.where(moved > 0, moved, 1), jnp.where(smallest < 0, -1.0, jnp.inf)
+    )
     return jnp.min(margin, axis=tuple(range(smallest.ndim - len(lattice.lanes))), initial=jnp.inf)
 
 
@@ -201,7 +297,8 @@ def _meant(t0, t1, size):
 def _code(result, final):
     good = diffrax.is_successful(result)
     codes = [
-        (diffrax.RESULTS.max_steps_reached, TOO_MANY_STEPS), (diffrax.RESULTS.dt_min_reached, STEP_TOO_SMALL),
+        (diffrax.RESULTS.max_steps_reached, TOO_MANY_STEPS),
+        (diffrax.RESULTS.dt_min_reached, STEP_TOO_SMALL),
     ]
     code = jnp.where(good, COMPLETED, FAILED)
     for known, number in codes:
@@ -211,20 +308,26 @@ def _code(result, final):
 
 def unseen(lattice: Lattice) -> str:
     """The names of the terms that may have contacts of which nobody knows whether they open."""
-    return ", ".join(dict.fromkeys(type(term).__name__ for term in lattice.terms if term.opens(lattice) is None))
+    return ", ".join(
+        dict.fromkeys(type(term).__name__ for term in lattice.terms if term.opens(lattice) is None)
+    )
 
 
 def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
     """The sum of the terms' `energy_gap`."""
     gaps = [term.energy_gap(lattice, t, u) for term in lattice.terms]
-    return jax.lax.stop_gradient(sum(gaps[1:], gaps[0]) if gaps else jnp.zeros(lattice.lanes, lattice.dtype))
+    return jax.lax.stop_gradient(
+        sum(gaps[1:], gaps[0]) if gaps else jnp.zeros(lattice.lanes, lattice.dtype)
+    )
 
 
 def _energy_error(lattice, state, t0, ts, ys):
     if not lattice.conserves:
         return jnp.full(lattice.lanes, jnp.nan)
     start = lattice.energy(t0, state.u, state.v)
-    used = jnp.isfinite(ts).reshape((-1,) + (1,) * len(lattice.lanes))  # of a buffer with room to spare
+    used = jnp.isfinite(ts).reshape(
+        (-1,) + (1,) * len(lattice.lanes)
+    )  # of a buffer with room to spare
     energies = jax.lax.map(lambda ty: lattice.energy(ty[0], ty[1].u, ty[1].v), (ts, ys))
     scale = jnp.maximum(jnp.abs(start), lattice.kinetic_energy(state.v))
     errors = jnp.where(used, jnp.abs(energies - start), 0)
@@ -258,7 +361,9 @@ def _controller(lattice, state, t0, t1, tolerance, longest, solver, save_ts):
     if lattice.reads_time:
         # what is at rest would step over all that is to come
         longest = QUIET / omega if longest is None else jnp.minimum(longest, QUIET / omega)
-    controller = StepControl(tolerance, Scales(velocity / omega, velocity), 1 / omega, longest, lattice.breaks)
+    controller = StepControl(
+        tolerance, Scales(velocity / omega, velocity), 1 / omega, longest, lattice.breaks
+    )
     if save_ts is not None and not isinstance(solver, AbstractNystrom):
         controller = diffrax.ClipStepSizeController(controller, step_ts=save_ts)
     return controller

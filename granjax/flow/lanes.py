@@ -22,7 +22,9 @@ from .run import Run
 FILLING = 0.1
 
 
-def each_lane(function: Callable, lattice: Lattice, state: StateLike, records: dict, t0: Number) -> Run:
+def each_lane(
+    function: Callable, lattice: Lattice, state: StateLike, records: dict, t0: Number
+) -> Run:
     """The `Run` of all lanes from `function(lattice, state, records)`, which gives that of one, one after another."""
     parts, build = apart(lattice, state, records)
 
@@ -32,7 +34,9 @@ def each_lane(function: Callable, lattice: Lattice, state: StateLike, records: d
         return function(*member)
 
     found, lanes = jax.lax.map(one, [jnp.moveaxis(x, -1, 0) for x in parts]), lattice.lanes
-    return together(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1).reshape(x.shape[1:] + lanes), found))
+    return together(
+        jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1).reshape(x.shape[1:] + lanes), found)
+    )
 
 
 def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | None:
@@ -57,7 +61,9 @@ def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | 
         x = jnp.moveaxis(x, 0, -2)
         return x.reshape(*x.shape[:-2], -1)[..., :count].reshape(*x.shape[:-2], *lattice.lanes)
 
-    own, shared = jax.lax.map(lambda some: function(*build(some)), [folded(jnp.asarray(x)) for x in parts])
+    own, shared = jax.lax.map(
+        lambda some: function(*build(some)), [folded(jnp.asarray(x)) for x in parts]
+    )
     return jax.tree.map(unfolded, own), jax.tree.map(lambda x: jnp.max(x, 0), shared)
 
 
@@ -83,7 +89,9 @@ def apart(lattice: Lattice, *others: Pytree) -> tuple[list[AnyArray], Callable]:
 
     def build(some):
         some = iter(some)
-        return jax.tree.unflatten(structure, [x if part is None else next(some) for x, part in zip(leaves, parts)])
+        return jax.tree.unflatten(
+            structure, [x if part is None else next(some) for x, part in zip(leaves, parts)]
+        )
 
     return [part for part in parts if part is not None], build
 
@@ -117,7 +125,11 @@ def together(run: Run) -> Run:
     there = run.ts == ts.reshape((-1,) + (1,) * len(over))
 
     def seen(x):
-        return xp.where(there.reshape(there.shape[:1] + (1,) * (x.ndim - there.ndim) + there.shape[1:]), x, xp.nan)
+        return xp.where(
+            there.reshape(there.shape[:1] + (1,) * (x.ndim - there.ndim) + there.shape[1:]),
+            x,
+            xp.nan,
+        )
 
     us, vs = jax.tree.map(seen, (run.us, run.vs))
     return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, (ts, us, vs))
@@ -132,7 +144,12 @@ def refuse_lanes_within(t0: Scalar, one: tuple, every: tuple) -> None:
     try:
         one[0].check_terms()
     except ValueError as error:
-        refuse("lattice", "terms that work on one lane, as each has steps of its own", str(error).rstrip("."), remedy)
+        refuse(
+            "lattice",
+            "terms that work on one lane, as each has steps of its own",
+            str(error).rstrip("."),
+            remedy,
+        )
     for name, record in one[2].items():
         wanted = _shapes(record, t0, *every[:2])
         try:

@@ -40,9 +40,20 @@ _FORWARD = diffrax.ForwardMode()
 
 
 def march(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
-    save_ts: Times | None, records: dict[str, Record], solver: diffrax.AbstractSolver,
-    adjoint: diffrax.AbstractAdjoint, max_steps: int | None, every: bool, progress: bool, watch: bool = False,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    dt: Number | None,
+    tolerance: Number | None,
+    save_ts: Times | None,
+    records: dict[str, Record],
+    solver: diffrax.AbstractSolver,
+    adjoint: diffrax.AbstractAdjoint,
+    max_steps: int | None,
+    every: bool,
+    progress: bool,
+    watch: bool = False,
     dips: bool = False,
 ) -> Run:
     """`integrate`, and where nothing is traced what takes long in pieces, between which Ctrl-C is heard.
@@ -81,7 +92,9 @@ def march(
             _warn(f"{steps} steps, which take {_spoken(least)} at the least")
         since = time.perf_counter()
         limit = max_steps if budget is None else min(budget, max_steps or budget)
-        sizes = [_number(x, x.dtype) if isinstance(x, np.generic) else x for x in (t0, t1, dt, tolerance)]
+        sizes = [
+            _number(x, x.dtype) if isinstance(x, np.generic) else x for x in (t0, t1, dt, tolerance)
+        ]
         run = (_alone if alone else integrate)(lattice, state, *sizes, *arguments[6:], limit, *rest)
         if long:
             wait(run.code)
@@ -116,7 +129,9 @@ def in_pieces(adjoint: Any, every: bool) -> bool:
     return isinstance(adjoint, diffrax.ForwardMode) and not every
 
 
-def seconds_a_step(lattice: Lattice, solver: diffrax.AbstractSolver, takes: tuple[float, float] = LEAST) -> float:
+def seconds_a_step(
+    lattice: Lattice, solver: diffrax.AbstractSolver, takes: tuple[float, float] = LEAST
+) -> float:
     """What a step of a lattice costs about, or at the least [s]."""
     found = facts(lattice)
     known = found.known
@@ -131,7 +146,11 @@ def _evaluations(kind):
 
 
 def refuse_endless(
-    lattice: Lattice, solver: diffrax.AbstractSolver, steps: int | None, max_steps: int | None, one_loop: bool,
+    lattice: Lattice,
+    solver: diffrax.AbstractSolver,
+    steps: int | None,
+    max_steps: int | None,
+    one_loop: bool,
 ) -> None:
     """Refuse steps beyond what a day could do, where nobody says by `max_steps` that so many are meant.
 
@@ -141,16 +160,37 @@ def refuse_endless(
         return
     remedy = "Give an earlier t1, a longer step= or tolerance="
     if one_loop and min(steps, max_steps or steps) > COUNTED:
-        refuse("t1", f"at most {COUNTED} steps under a transformation, with an adjoint, or where each is saved",
-               f"{steps:.2g}", f"{remedy}.")
+        refuse(
+            "t1",
+            f"at most {COUNTED} steps under a transformation, with an adjoint, or where each is saved",
+            f"{steps:.2g}",
+            f"{remedy}.",
+        )
     seconds = min(steps, max_steps or steps) * seconds_a_step(lattice, solver)
     if seconds > DAY and max_steps is None:
-        refuse("t1", "a run of a day at most", f"{steps:.2g} steps, which take {_spoken(seconds)} at the least",
-               f"{remedy}; or max_steps={steps} if you mean it.")
+        refuse(
+            "t1",
+            "a run of a day at most",
+            f"{steps:.2g} steps, which take {_spoken(seconds)} at the least",
+            f"{remedy}; or max_steps={steps} if you mean it.",
+        )
 
 
 def _lane_by_lane(
-    lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress, *rest,
+    lattice,
+    state,
+    t0,
+    t1,
+    dt,
+    tolerance,
+    save_ts,
+    records,
+    solver,
+    adjoint,
+    max_steps,
+    every,
+    progress,
+    *rest,
 ):
     """The lanes of an adaptive run: some in each program as long as none of them takes long, then one by one."""
     parts, build = apart(lattice, state, records)
@@ -161,11 +201,15 @@ def _lane_by_lane(
         width = min(width, max(int(LONG / (EXPECTED * takes)), 1))
         limit = min(int(LONG / takes) // width, max_steps or COUNTED)
     if width == 1:  # a program of several does so itself, as it is traced
-        refuse_lanes_within(t0, build([jnp.asarray(x[..., 0]) for x in parts]), (lattice, state, records))
+        refuse_lanes_within(
+            t0, build([jnp.asarray(x[..., 0]) for x in parts]), (lattice, state, records)
+        )
 
     def run(go, some, limit):
         one, y, own = build(some)
-        return go(one, y, t0, t1, dt, tolerance, save_ts, own, solver, adjoint, limit, every, False, *rest)
+        return go(
+            one, y, t0, t1, dt, tolerance, save_ts, own, solver, adjoint, limit, every, False, *rest
+        )
 
     runs, done, bar = [], 0, _bar(progress, count, "lanes")
     try:
@@ -187,7 +231,9 @@ def _lane_by_lane(
             bar.update(first + width - done)
             done = first + width
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"simulate was interrupted at lane {done} of {count}; nothing is kept") from None
+        raise KeyboardInterrupt(
+            f"simulate was interrupted at lane {done} of {count}; nothing is kept"
+        ) from None
     finally:
         bar.close()
     shape = lattice.lanes
@@ -196,7 +242,18 @@ def _lane_by_lane(
 
 
 def _in_pieces(
-    lattice, begin, ends, budget, max_steps, dt, tolerance, save_ts, records, solver, progress, watch,
+    lattice,
+    begin,
+    ends,
+    budget,
+    max_steps,
+    dt,
+    tolerance,
+    save_ts,
+    records,
+    solver,
+    progress,
+    watch,
 ):
     """Pieces between `ends`, numbers of steps; or where these are none as many as it takes, of `budget` steps each."""
     number = facts(lattice).dtype.type
@@ -220,11 +277,21 @@ def _in_pieces(
             since = time.perf_counter() if k == 2 and not progress else None
             if budget and max_steps:
                 limit = int(min(budget, max_steps - counts[0]))
-            part = wait(_piece(
-                lattice, begin, *last, size, tolerance, window, records, carried, solver, limit))
+            part = wait(
+                _piece(
+                    lattice, begin, *last, size, tolerance, window, records, carried, solver, limit
+                )
+            )
             if since is not None:
-                _tell_long(float(t), float(part.t), float(t1), int(part.steps), time.perf_counter() - since)
-            state, t, carried, code = part.final, np.asarray(part.t)[()], part.carried or None, np.asarray(part.code)
+                _tell_long(
+                    float(t), float(part.t), float(t1), int(part.steps), time.perf_counter() - since
+                )
+            state, t, carried, code = (
+                part.final,
+                np.asarray(part.t)[()],
+                part.carried or None,
+                np.asarray(part.code),
+            )
             counts += np.array([part.steps, part.accepted, part.rejected], np.int64)
             if wanted is not None:
                 new = np.count_nonzero(wanted[taken : taken + width] <= t)
@@ -235,7 +302,9 @@ def _in_pieces(
             if t >= t1 or spent or not np.isin(code, (COMPLETED, TOO_MANY_STEPS)).all():
                 break
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"simulate was interrupted at t = {t:g} of {t1:g}; nothing is kept") from None
+        raise KeyboardInterrupt(
+            f"simulate was interrupted at t = {t:g} of {t1:g}; nothing is kept"
+        ) from None
     finally:
         bar.close()
     # of what is not finite any more every time is one at which it is not
@@ -255,13 +324,18 @@ def _tell_long(begin, t, t1, steps, seconds):
     """Warn of what will take long, by what a piece from `begin` to t took."""
     pieces = (t1 - t) / (t - begin) if t > begin else 0.0
     if pieces * seconds > TOLD:
-        _warn(f"about {pieces * steps:.2g} more steps to t = {t1:g}, which take about {_spoken(pieces * seconds)} at "
-              f"the pace of the last {steps}")
+        _warn(
+            f"about {pieces * steps:.2g} more steps to t = {t1:g}, which take about {_spoken(pieces * seconds)} at "
+            f"the pace of the last {steps}"
+        )
 
 
 def _warn(steps):
-    warnings.warn(f"The run takes {steps}. An earlier t1, a longer step= or a larger tolerance= makes it shorter; "
-                  "progress=True shows how far it is.", stacklevel=6)
+    warnings.warn(
+        f"The run takes {steps}. An earlier t1, a longer step= or a larger tolerance= makes it shorter; "
+        "progress=True shows how far it is.",
+        stacklevel=6,
+    )
 
 
 def _spoken(seconds):
@@ -283,7 +357,12 @@ def _filled(wanted, kept, taken, lost):
 def _bar(progress, total=100, unit="%"):
     from tqdm import tqdm
 
-    return tqdm(total=total, unit=unit, bar_format="{l_bar}{bar}| {elapsed}<{remaining}", disable=not progress)
+    return tqdm(
+        total=total,
+        unit=unit,
+        bar_format="{l_bar}{bar}| {elapsed}<{remaining}",
+        disable=not progress,
+    )
 
 
 # what cannot go in pieces and takes long
@@ -293,7 +372,20 @@ _alone = eqx.filter_jit(integrate.__wrapped__)
 @compiled
 def _piece(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carried, solver, budget):
     return part_of(
-        lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carried, solver, _FORWARD, budget)
+        lattice,
+        begin,
+        state,
+        t0,
+        t1,
+        dt,
+        tolerance,
+        save_ts,
+        records,
+        carried,
+        solver,
+        _FORWARD,
+        budget,
+    )
 
 
 @compiled

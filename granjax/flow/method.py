@@ -50,7 +50,12 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
     """Solver, step and tolerance that go together, chosen where they are not given."""
     if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
         name = getattr(solver, "__name__", None) or repr(solver)
-        refuse("solver", "a solver, such as gx.SRKN11b()", name, "Solvers are instances: write the brackets.")
+        refuse(
+            "solver",
+            "a solver, such as gx.SRKN11b()",
+            name,
+            "Solvers are instances: write the brackets.",
+        )
     if solver is not None and solver.term_structure is not diffrax.AbstractTerm:
         remedy = "gx.VelocityVerlet() splits by itself."
         refuse("solver", "one for a single vector field", type(solver).__name__, remedy)
@@ -70,9 +75,19 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
     value = None if tolerance is None else concrete(tolerance)
     least = 0 if value is None else least_tolerance(dtype)
     if value is not None and value < least:
-        refuse("tolerance", f"at least {least:.1e}, what {dtype} holds", show(value), "Use a larger one.")
+        refuse(
+            "tolerance",
+            f"at least {least:.1e}, what {dtype} holds",
+            show(value),
+            "Use a larger one.",
+        )
     if value is not None and value >= 1:
-        refuse("tolerance", "below 1, the size of the motion itself", show(value), "1e-6 to 1e-9 are usual.")
+        refuse(
+            "tolerance",
+            "below 1, the size of the motion itself",
+            show(value),
+            "1e-6 to 1e-9 are usual.",
+        )
     # an array, so that another tolerance compiles nothing
     return solver, step, None if tolerance is None else number(tolerance, dtype)
 
@@ -86,7 +101,9 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
             _refuse_unsaid(lattice)
         if tolerance is not None:
             refuse(
-                "tolerance", f"a fixed step with {type(solver).__name__}", f"tolerance={show(tolerance)}",
+                "tolerance",
+                f"a fixed step with {type(solver).__name__}",
+                f"tolerance={show(tolerance)}",
                 "A symplectic method loses its virtue under adaptive steps; use step=, or solver=gx.RKN86().",
             )
     if velocity and isinstance(solver, AbstractNystrom):
@@ -96,15 +113,23 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
         wanted = "one with an error estimate for a tolerance"
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
     if tolerance is None and step is None and not isinstance(solver, AbstractSplitting):
-        tolerance = _default_tolerance(dtype) if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
+        tolerance = (
+            _default_tolerance(dtype)
+            if isinstance(solver, diffrax.AbstractAdaptiveSolver)
+            else None
+        )
     return tolerance
 
 
 def _refuse_unsaid(lattice):
     """Where a force reads the velocity and its kind says that it does not."""
     names = [type(term).__name__ for term in lattice.terms if reads(term, lattice).velocity]
-    refuse("solver", "forces that do not read the velocity", f"{', '.join(names)}, whose `dependence` does not say so",
-           "Use solver=diffrax.Dopri8() with tolerance=....")
+    refuse(
+        "solver",
+        "forces that do not read the velocity",
+        f"{', '.join(names)}, whose `dependence` does not say so",
+        "Use solver=diffrax.Dopri8() with tolerance=....",
+    )
 
 
 def number(x: Any, dtype: Any) -> Any:
@@ -117,8 +142,14 @@ def _default_tolerance(dtype):
 
 
 def fixed_step(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, step: Scalar | None,
-    solver: diffrax.AbstractSolver | type, frames: int, bound: Any = None,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    step: Scalar | None,
+    solver: diffrax.AbstractSolver | type,
+    frames: int,
+    bound: Any = None,
 ) -> tuple:
     """The step, the number of steps where it is known, what was chosen, a remark, and whether the run may pass it.
 
@@ -131,7 +162,9 @@ def fixed_step(
         bound = chosen(bound)
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
             refuse(
-                "step", "a time step", "None",
+                "step",
+                "a time step",
+                "None",
                 "Nothing is stiff at this energy (a sonic vacuum at rest?), so no time scale sets one: give step=.",
             )
         fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
@@ -162,7 +195,12 @@ def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> No
     """The same refusal for adaptive steps, which are about as long as the default one."""
     eps = float(jnp.finfo(facts(lattice).dtype).eps)
     # as a rule; the rest takes longer
-    if traced((t0, t1)) or eps * abs(t0) < NEAR * (t1 - t0) or facts(lattice).traced or traced(state):
+    if (
+        traced((t0, t1))
+        or eps * abs(t0) < NEAR * (t1 - t0)
+        or facts(lattice).traced
+        or traced(state)
+    ):
         return
     omega = linear_bound(lattice) or _bound(lattice, state, t0, t1)[0]
     if omega > 0:
@@ -175,7 +213,11 @@ def passed(solver: diffrax.AbstractSolver | type, run: Run, step: Number) -> Any
     if isinstance(omega, jax.core.Tracer):
         return None
     omega = np.asarray(omega).item()
-    return omega if step * omega > PASSED * min(STEP_FRACTION, refused_from(solver) or STEP_FRACTION) else None
+    return (
+        omega
+        if step * omega > PASSED * min(STEP_FRACTION, refused_from(solver) or STEP_FRACTION)
+        else None
+    )
 
 
 def useless(step: Any, t0: Any, t1: Any) -> bool:
@@ -188,7 +230,9 @@ def useless(step: Any, t0: Any, t1: Any) -> bool:
 def _refuse_useless(step, t0, t1):
     if useless(step, t0, t1):
         refuse(
-            "step", "a time step", "None",
+            "step",
+            "a time step",
+            "None",
             f"The bound on the stiffness at this energy asks for steps of {step:.1e}: no useful one (a law without a "
             "floor, or far more energy than moves). Give step= or tolerance=.",
         )
@@ -201,7 +245,9 @@ def _bound(lattice, state, t0, t1):
         return frequency_bound(*jax.tree.map(chosen, (lattice, state, *span))), False
     for neighbourhood in GATHERED:
         found = gathered_frequency(lattice, state, *span, neighbourhood)
-        if isinstance(found, jax.core.Tracer):  # plain numbers inside a transformation of something else
+        if isinstance(
+            found, jax.core.Tracer
+        ):  # plain numbers inside a transformation of something else
             return frequency_bound(lattice, state, *span), False
         bound, beyond = np.asarray(found).tolist()
         if not bound > 0 or not useless(STEP_FRACTION / bound, t0, t1):
@@ -210,13 +256,21 @@ def _bound(lattice, state, t0, t1):
 
 
 def doubts(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, step: Scalar | None, tolerance: Any,
-    solver: diffrax.AbstractSolver, run: Run,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    step: Scalar | None,
+    tolerance: Any,
+    solver: diffrax.AbstractSolver,
+    run: Run,
 ) -> str:
     """Remarks on a run that has ended: a loose tolerance, much energy lost, an energy that is none; empty without."""
     said = []
     if tolerance is not None and tolerance > LOOSE:
-        said.append(f"A tolerance of {show(tolerance)} is loose: a step may err by that part of the motion.")
+        said.append(
+            f"A tolerance of {show(tolerance)} is loose: a step may err by that part of the motion."
+        )
     lost, known = np.asarray(run.energy_error), facts(lattice).known
     if lost.max() <= SUSPICIOUS:  # as a rule; the rest takes longer
         return " ".join(said)
@@ -226,18 +280,29 @@ def doubts(
         return " ".join(said)
     if np.isnan(lost).any() and np.all(run.completed):
         ends = [lattice.energy(t, *y) for t, y in ((t0, state), (t1, run.final))]
-        gaps = {type(term).__name__: np.max(term.energy_gap(lattice, t1, run.final.u)) for term in lattice.terms}
+        gaps = {
+            type(term).__name__: np.max(term.energy_gap(lattice, t1, run.final.u))
+            for term in lattice.terms
+        }
         if not np.isfinite(ends).all() or not np.isfinite(list(gaps.values())).all():
             dtype = facts(lattice).dtype
-            said.append(f"The energy is larger than any number of {dtype}, or no number at all, so what is lost of it "
-                        "is not known. Count lengths and times in larger units.")
+            said.append(
+                f"The energy is larger than any number of {dtype}, or no number at all, so what is lost of it "
+                "is not known. Count lengths and times in larger units."
+            )
         else:
-            said.append(f"The force of {max(gaps, key=gaps.get)} is not the slope of its `energy`, so none is kept.")
+            said.append(
+                f"The force of {max(gaps, key=gaps.get)} is not the slope of its `energy`, so none is kept."
+            )
     if not np.isnan(lost).all() and np.nanmax(lost) > SUSPICIOUS:
         if _resolved(lattice, state, t0, t1, run):
-            said.append(_lost(lattice, state, t0, t1, step, tolerance, solver, float(np.nanmax(lost))))
+            said.append(
+                _lost(lattice, state, t0, t1, step, tolerance, solver, float(np.nanmax(lost)))
+            )
         else:
-            said.append("The energy error is the rounding of `energy`, which does not resolve so small a motion.")
+            said.append(
+                "The energy error is the rounding of `energy`, which does not resolve so small a motion."
+            )
     return " ".join(said)
 
 
@@ -250,7 +315,9 @@ def missed(lattice: Lattice, t0: Scalar, t1: Scalar, step: Any, tolerance: Any) 
     """
     known = facts(lattice).known
     if "signals" not in known:
-        known["signals"] = [(i, f) for i, term in enumerate(lattice.terms) for f in functions_of_time(term)]
+        known["signals"] = [
+            (i, f) for i, term in enumerate(lattice.terms) for f in functions_of_time(term)
+        ]
     if not known["signals"]:
         return ""
     step = np.max(step) / (1 if tolerance is None else 4)
@@ -260,9 +327,11 @@ def missed(lattice: Lattice, t0: Scalar, t1: Scalar, step: Any, tolerance: Any) 
     for i, function in known["signals"]:
         if _leap(function, t0, t1, jnp.asarray(count), places) > LEAP:
             name = type(lattice.terms[i]).__name__
-            return (f"terms[{i}] ({name}) has a pulse that is shorter than the steps, or swings within one: the run "
-                    f"may have missed it. Give {name} breaks= where the pulse begins and ends, or simulate a shorter "
-                    "step=.")
+            return (
+                f"terms[{i}] ({name}) has a pulse that is shorter than the steps, or swings within one: the run "
+                f"may have missed it. Give {name} breaks= where the pulse begins and ends, or simulate a shorter "
+                "step=."
+            )
     return ""
 
 
@@ -273,7 +342,10 @@ def _leap(function, t0, t1, count, places):
     inner = (np.arange(places) + 0.5) / places
 
     def one(k):
-        ends, inside = at(jnp.clip(t0 + h * (k + np.arange(-1, 3)), t0, t1)), at(t0 + h * (k + inner))
+        ends, inside = (
+            at(jnp.clip(t0 + h * (k + np.arange(-1, 3)), t0, t1)),
+            at(t0 + h * (k + inner)),
+        )
         low, high = jnp.minimum(ends.min(0), inside.min(0)), jnp.maximum(ends.max(0), inside.max(0))
         return jnp.maximum(high - ends.max(0), ends.min(0) - low), low, high
 
@@ -293,7 +365,10 @@ def _resolved(lattice, state, t0, t1, run):
     """
     scale = np.maximum(np.abs(lattice.energy(t0, *state)), lattice.kinetic_energy(state.v))
     parts = 1 + NEARBY * np.linspace(-1, 1, 9)
-    line = [lattice.potential_energy(t1, jax.tree.map(lambda u: u * part, run.final.u)) for part in parts]
+    line = [
+        lattice.potential_energy(t1, jax.tree.map(lambda u: u * part, run.final.u))
+        for part in parts
+    ]
     rounding = ROUNDED * np.abs(np.diff(np.asarray(line), 2, axis=0)).max(axis=0)
     lost = np.asarray(run.energy_error) * scale
     return bool(np.any((lost > SUSPICIOUS * scale) & ~(lost <= rounding)))
@@ -343,6 +418,8 @@ def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
         what = "the highest frequency at this energy"
     if step * omega > limit:
         refuse(
-            "step", f"at most {limit / omega:.4g}, where {type(solver).__name__} is stable", f"{step}",
+            "step",
+            f"at most {limit / omega:.4g}, where {type(solver).__name__} is stable",
+            f"{step}",
             f"{what[0].upper()}{what[1:]} is {omega:.4g} and the limit h omega < {limit:.4g}.",
         )

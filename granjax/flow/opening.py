@@ -21,7 +21,12 @@ COVER = 2.0
 
 
 def approach(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    dt: Number | None,
+    tolerance: Number | None,
     solver: diffrax.AbstractSolver,
 ) -> tuple[Numbers, Numbers]:
     """The smallest overlap of a run, found between steps [m], and its error, each of the shape of the lanes.
@@ -29,16 +34,21 @@ def approach(
     Two runs, by steps of the same length and of half of it (or a tolerance 32 times smaller); the error is twice what
     they differ by, and infinite where one of them did not complete.
     """
-    finer = (dt / 2, None) if tolerance is None else (dt, tighter(tolerance, TIGHTER, lattice.dtype))
+    finer = (
+        (dt / 2, None) if tolerance is None else (dt, tighter(tolerance, TIGHTER, lattice.dtype))
+    )
     (first, good), (second, better) = (
-        _closest(lattice, state, t0, t1, *how, solver) for how in ((dt, tolerance), finer))
+        _closest(lattice, state, t0, t1, *how, solver) for how in ((dt, tolerance), finer)
+    )
     error = COVER * jnp.abs(first - second) + 8 * jnp.finfo(second.dtype).eps * _rest(lattice, t0)
     return second, jnp.where(good & better & jnp.isfinite(error), error, jnp.inf)
 
 
 def _closest(lattice, state, t0, t1, dt, tolerance, solver):
     record = {"deepest": Peak(_deepest)}
-    run = march(lattice, state, t0, t1, dt, tolerance, None, record, solver, _FORWARD, None, False, False)
+    run = march(
+        lattice, state, t0, t1, dt, tolerance, None, record, solver, _FORWARD, None, False, False
+    )
     deepest = run.recorded["deepest"]
     return -jnp.max(deepest, axis=tuple(range(deepest.ndim - len(lattice.lanes)))), run.completed
 

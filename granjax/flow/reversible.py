@@ -56,17 +56,31 @@ class Reversible(eqx.Module):
         self.tolerance = float(positive("tolerance", tolerance))
 
 
-def checked_reversible(lattice: Lattice, solver: diffrax.AbstractSolver, records: dict, every: bool) -> None:
+def checked_reversible(
+    lattice: Lattice, solver: diffrax.AbstractSolver, records: dict, every: bool
+) -> None:
     """That a run is one that can be undone."""
     if lattice.breaks:
-        refuse("adjoint", "equal steps with Reversible", "a lattice with breaks, at which steps end",
-               "Use diffrax.RecursiveCheckpointAdjoint().")
+        refuse(
+            "adjoint",
+            "equal steps with Reversible",
+            "a lattice with breaks, at which steps end",
+            "Use diffrax.RecursiveCheckpointAdjoint().",
+        )
     if not isinstance(solver, AbstractSplitting):
-        refuse("adjoint", "a splitting solver at a fixed step, such as SRKN11b, with Reversible",
-               type(solver).__name__, "Use diffrax.RecursiveCheckpointAdjoint().")
+        refuse(
+            "adjoint",
+            "a splitting solver at a fixed step, such as SRKN11b, with Reversible",
+            type(solver).__name__,
+            "Use diffrax.RecursiveCheckpointAdjoint().",
+        )
     if records or every:
-        refuse("adjoint", "no records and no save_at='steps' with Reversible", "record=" if records else "'steps'",
-               "Save frames and reduce them, or use diffrax.RecursiveCheckpointAdjoint().")
+        refuse(
+            "adjoint",
+            "no records and no save_at='steps' with Reversible",
+            "record=" if records else "'steps'",
+            "Save frames and reduce them, or use diffrax.RecursiveCheckpointAdjoint().",
+        )
 
 
 def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
@@ -77,12 +91,21 @@ def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
     if "forward-mode" not in str(error):
         raise error
     name = type(adjoint).__name__
-    refuse("adjoint", f"reverse mode with {name} (jax.grad, jax.vjp, jax.jacrev)", "forward mode (jax.jvp, jax.jacfwd)",
-           "Leave adjoint= out, which serves both, or give diffrax.ForwardMode().")
+    refuse(
+        "adjoint",
+        f"reverse mode with {name} (jax.grad, jax.vjp, jax.jacrev)",
+        "forward mode (jax.jvp, jax.jacfwd)",
+        "Leave adjoint= out, which serves both, or give diffrax.ForwardMode().",
+    )
 
 
 def return_error(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Count | Counts, solver: diffrax.AbstractSolver,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    steps: Count | Counts,
+    solver: diffrax.AbstractSolver,
 ) -> Number:
     """What integrating to t1 and back to t0 misses: max |y - y0| over the largest entry at both ends, of u or of v.
 
@@ -105,12 +128,19 @@ def _return_error(lattice, state, t0, t1, steps, solver):
 
 @eqx.filter_custom_vjp
 def reversible(
-    moved: tuple, span: tuple, dt: Number, save_ts: Times | None, solver: diffrax.AbstractSolver,
-    limit: int | None, progress: bool,
+    moved: tuple,
+    span: tuple,
+    dt: Number,
+    save_ts: Times | None,
+    solver: diffrax.AbstractSolver,
+    limit: int | None,
+    progress: bool,
 ) -> Run:
     """`integrate` with the derivative of `Reversible`; moved = (lattice, state, adjoint)."""
     lattice, state, _ = moved
-    return integrate(lattice, state, *span, dt, None, save_ts, {}, solver, _FORWARD, limit, False, progress)
+    return integrate(
+        lattice, state, *span, dt, None, save_ts, {}, solver, _FORWARD, limit, False, progress
+    )
 
 
 @reversible.def_fwd
@@ -127,14 +157,24 @@ def _(residuals, cotangents, perturbed, moved, span, dt, save_ts, solver, limit,
     zero = jax.tree.map(jnp.zeros_like, final)
     pulled = _filled(cotangents.final, zero)
     if save_ts is None:  # the one frame that is saved is the end
-        frame = type(zero)(*(jax.tree.map(lambda x: x[0], _filled(c, jax.tree.map(lambda z: z[None], z)))
-                             for c, z in zip((cotangents.us, cotangents.vs), zero)))
+        frame = type(zero)(
+            *(
+                jax.tree.map(lambda x: x[0], _filled(c, jax.tree.map(lambda z: z[None], z)))
+                for c, z in zip((cotangents.us, cotangents.vs), zero)
+            )
+        )
         pulled = jax.tree.map(jnp.add, pulled, frame)
     carry = way.enter(final, pulled, span[0] + count * dt)
-    like = None if save_ts is None else jax.tree.map(lambda x: jnp.zeros((len(save_ts), *x.shape), x.dtype), zero)
+    like = (
+        None
+        if save_ts is None
+        else jax.tree.map(lambda x: jnp.zeros((len(save_ts), *x.shape), x.dtype), zero)
+    )
     if save_ts is not None and jax.tree.leaves((cotangents.us, cotangents.vs)):
         saved = type(zero)(_filled(cotangents.us, like.u), _filled(cotangents.vs, like.v))
-        places = jnp.clip(jnp.floor((save_ts - span[0]) / dt).astype(int), 0, jnp.maximum(count - 1, 0))
+        places = jnp.clip(
+            jnp.floor((save_ts - span[0]) / dt).astype(int), 0, jnp.maximum(count - 1, 0)
+        )
 
         def sample(i, carry):
             i, (k, carry) = len(save_ts) - 1 - i, carry
@@ -154,7 +194,9 @@ def _(residuals, cotangents, perturbed, moved, span, dt, save_ts, solver, limit,
 
 def _filled(cotangent, zero):
     """A cotangent with zeros where there is none."""
-    return jax.tree.map(lambda z, c: z if c is None else c, zero, cotangent, is_leaf=lambda x: x is None)
+    return jax.tree.map(
+        lambda z, c: z if c is None else c, zero, cotangent, is_leaf=lambda x: x is None
+    )
 
 
 def _missed(back, start, end):
@@ -253,10 +295,16 @@ class _Way(eqx.Module):
             lattice = eqx.combine(free, self.fixed)
             terms = diffrax.ODETerm(vector_field)
             kept = self.solver.init(terms, start, start + self.h, y, lattice)
-            _, _, dense, _, _ = self.solver.step(terms, start, start + self.h, y, lattice, kept, False)
+            _, _, dense, _, _ = self.solver.step(
+                terms, start, start + self.h, y, lattice, kept, False
+            )
             u, v = self.solver.interpolation_cls(t0=start, t1=start + self.h, **dense).evaluate(t)
             return u, v
 
         change, at_y = jax.vjp(read, self.free, tuple(y))[1](tuple(pulled))
         _, pull = jax.vjp(lambda w: tuple(system.leave(w, (w[0], w[1]))[0]), w)
-        return w, jax.tree.map(jnp.add, before, pull(at_y)[0]), jax.tree.map(jnp.add, gradient, change)
+        return (
+            w,
+            jax.tree.map(jnp.add, before, pull(at_y)[0]),
+            jax.tree.map(jnp.add, gradient, change),
+        )

@@ -24,9 +24,9 @@ WHY = {
     STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves.",
     FAILED: "The solver reported a failure.",
     MET: "Magnets met in bond {} of terms[{}] near t = {:g}{}, where their law ends. Powers p <= -1 keep them apart at "
-         "any energy: there the step was too long.",
+    "any energy: there the step was too long.",
     NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, or one of them "
-             "is no finite number.",
+    "is no finite number.",
     UNRESOLVED: "The floating type does not resolve the steps at these times: count time from t0=0.",
 }
 
@@ -63,9 +63,14 @@ class Run(Result):
     """
 
     _table: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"),
-        "energy_error": Held(None), "contact_opened": Held(None), "completed": Held(None),
-        "stats_step": Held(unit="s"), "stats_omega": Held(unit="rad/s"),
+        "ts": Held("time", "s", "time"),
+        "us": Held("time site", "m", "u"),
+        "vs": Held("time site", "m/s", "v"),
+        "energy_error": Held(None),
+        "contact_opened": Held(None),
+        "completed": Held(None),
+        "stats_step": Held(unit="s"),
+        "stats_omega": Held(unit="rad/s"),
     }
     ts: Times
     us: Displacements
@@ -99,7 +104,10 @@ class Run(Result):
     def _names(self):
         """The names of the records in a file, where a run has names of its own too."""
         taken = {*self._table, "opening", "stats", "solver", "choice"}
-        return {name: f"recorded_{name}" if {name, f"{name}_error"} & taken else name for name in self.recorded}
+        return {
+            name: f"recorded_{name}" if {name, f"{name}_error"} & taken else name
+            for name in self.recorded
+        }
 
     @property
     def completed(self) -> Flags:
@@ -139,7 +147,9 @@ class Run(Result):
         sentence = WHY | {
             COMPLETED: f"Completed at t = {t:g} after {steps} steps.",
             NOT_FINITE: WHY[NOT_FINITE].replace(":", f"{self._where()}:", 1),
-            TOO_MANY_STEPS: WHY[TOO_MANY_STEPS].replace("at the most steps", f"after {steps} steps, the most", 1),
+            TOO_MANY_STEPS: WHY[TOO_MANY_STEPS].replace(
+                "at the most steps", f"after {steps} steps, the most", 1
+            ),
         }
         sentence = sentence[int(worst)] if self.met is None else self._met_in_words()
         if code.ndim and worst:
@@ -161,7 +171,11 @@ class Run(Result):
         steps, by steps of half the length. Under a transformation the cubic through both ends of each step says it.
         """
         found = self._approach
-        return self._margin < 0 if found is None else jnp.where(self._near, found[0] < 0, self._margin < 0)
+        return (
+            self._margin < 0
+            if found is None
+            else jnp.where(self._near, found[0] < 0, self._margin < 0)
+        )
 
     @property
     def opening(self) -> str:
@@ -200,7 +214,9 @@ class Run(Result):
 
     def _met_in_words(self):
         bond, term, time, lane = self.met
-        return WHY[MET].format(bond, term, time, f" of lane {', '.join(map(str, lane))}" if lane else "")
+        return WHY[MET].format(
+            bond, term, time, f" of lane {', '.join(map(str, lane))}" if lane else ""
+        )
 
     def _where(self):
         if self.failed_at is None:
@@ -212,13 +228,21 @@ class Run(Result):
         yield "solver", self.solver
         yield "choice", self.choice
         taken, rejected = np.asarray(self.stats["steps"]), int(np.max(self.stats["rejected"]))
-        steps = f"{taken.max()}" if taken.min() == taken.max() else f"{taken.min()} to {taken.max()}, lane by lane"
+        steps = (
+            f"{taken.max()}"
+            if taken.min() == taken.max()
+            else f"{taken.min()} to {taken.max()}, lane by lane"
+        )
         yield "steps", steps + (f", {rejected} of them rejected" if rejected else "")
         yield "step", f"{float(np.max(self.stats['step'])):.6g}"
         lost = float(np.fmax.reduce(self.energy_error, axis=None))
         yield "energy error", "no energy is kept" if np.isnan(lost) else f"{lost:.2g}"
         yield "contact opened", self.opening + self._approach_in_words()
-        yield "saved", f"{self.ts.shape[-1]} times" + (f", records {', '.join(self.recorded)}" if self.recorded else "")
+        yield (
+            "saved",
+            f"{self.ts.shape[-1]} times"
+            + (f", records {', '.join(self.recorded)}" if self.recorded else ""),
+        )
         yield "outcome", self.outcome
 
     def to_numpy(self) -> dict:
@@ -227,12 +251,25 @@ class Run(Result):
         return jax.tree.map(np.asarray, tree)
 
     def _fields(self) -> Iterator[tuple[str, object]]:
-        own = ("ts", "us", "vs", "energy_error", "contact_opened", "completed", "opening", "stats", "solver", "choice")
+        own = (
+            "ts",
+            "us",
+            "vs",
+            "energy_error",
+            "contact_opened",
+            "completed",
+            "opening",
+            "stats",
+            "solver",
+            "choice",
+        )
         yield from ((name, getattr(self, name)) for name in own)
         names = self._names
         yield from ((names[name], x) for name, x in self.recorded.items())
         if self._confirmation is None or self._confirmation.tells:
-            yield from ((f"{names[name]}_error", error) for name, error in self.record_error.items())
+            yield from (
+                (f"{names[name]}_error", error) for name, error in self.record_error.items()
+            )
 
     def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
         """Lanes are those of the energy's error: behind the sites, and of `jax.vmap` before them."""
@@ -246,7 +283,9 @@ def _axes(x):
     return np.ndim(x) if hasattr(x, "shape") else 0
 
 
-def named(run: Run, solver: str, choice: str, remark: str, zone: float = 0.0, mark: Any = None) -> Run:
+def named(
+    run: Run, solver: str, choice: str, remark: str, zone: float = 0.0, mark: Any = None
+) -> Run:
     """A run that a compiled function has just returned, with its names and the mark of its units.
 
     Written into it, which nobody else holds yet: making a Module anew takes longer than a short run.

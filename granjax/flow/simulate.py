@@ -23,7 +23,16 @@ from .lanes import apart
 from .march import in_pieces, march, refuse_endless
 from .meeting import meeting, passing
 from .memory import with_memory
-from .method import checked_method, doubts, fixed_step, linear_bound, missed, number, passed, refuse_far
+from .method import (
+    checked_method,
+    doubts,
+    fixed_step,
+    linear_bound,
+    missed,
+    number,
+    passed,
+    refuse_far,
+)
 from .opening import approach
 from .record import Record
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
@@ -40,14 +49,35 @@ _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckp
 _LANES_LAST = (diffrax.DirectAdjoint, diffrax.ForwardMode)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
 
-KEYWORDS = ("t0", "solver", "step", "tolerance", "save_at", "record", "adjoint", "progress", "throw", "max_steps")
+KEYWORDS = (
+    "t0",
+    "solver",
+    "step",
+    "tolerance",
+    "save_at",
+    "record",
+    "adjoint",
+    "progress",
+    "throw",
+    "max_steps",
+)
 
 
 def simulate(
-    lattice: Lattice, state: StateLike, t1: Scalar, *, t0: Scalar = 0.0, solver: diffrax.AbstractSolver | None = None,
-    step: Scalar | None = None, tolerance: Scalar | None = None, save_at: Parameter | str | None = None,
-    record: dict[str, Record] | None = None, adjoint: diffrax.AbstractAdjoint | Reversible | None = None,
-    progress: bool = False, throw: bool | None = None, max_steps: Count | None = None,
+    lattice: Lattice,
+    state: StateLike,
+    t1: Scalar,
+    *,
+    t0: Scalar = 0.0,
+    solver: diffrax.AbstractSolver | None = None,
+    step: Scalar | None = None,
+    tolerance: Scalar | None = None,
+    save_at: Parameter | str | None = None,
+    record: dict[str, Record] | None = None,
+    adjoint: diffrax.AbstractAdjoint | Reversible | None = None,
+    progress: bool = False,
+    throw: bool | None = None,
+    max_steps: Count | None = None,
 ) -> Run:
     r"""Integrate m a = F(t, u, v) from t0 to t1.
 
@@ -154,13 +184,17 @@ def simulate(
             else:
                 run = (integrate if unknown else march)(*arguments)
         else:
-            run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)
+            run = reversible(
+                (lattice, state, backwards), span, dt, save_ts, solver, limit, progress
+            )
             wait(run.code)
     except TypeError as error:
         refuse_forward_mode(backwards or adjoint, error)
     again = passed(solver, run, dt) if watch and backwards is None else None
     if again is not None:
-        dt, steps, choice, remark, _ = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
+        dt, steps, choice, remark, _ = fixed_step(
+            lattice, state, t0, t1, None, solver, frames, again
+        )
         choice += ", taken again: energy gathered beyond the bound at the start"
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
         rest = records, solver, adjoint, limit, every, progress, watch
@@ -181,7 +215,9 @@ def simulate(
     if not unknown:
         hidden = missed(lattice, t0, t1, run.stats["step"], tolerance)
         said = doubts(lattice, state, t0, t1, step, tolerance, solver, run)
-        remark = " ".join(filter(None, (hidden, said, passing(lattice, run.ts, run.us, run.final.u))))
+        remark = " ".join(
+            filter(None, (hidden, said, passing(lattice, run.ts, run.us, run.final.u)))
+        )
         if remark:
             run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
         if hidden:
@@ -194,7 +230,9 @@ def simulate(
             raise RuntimeError(run.outcome)
     elif not unknown:
         # no field: what goes through a transformation has lost it
-        object.__setattr__(run, "_look", partial(approach, lattice, state, *span, dt, tolerance, solver))
+        object.__setattr__(
+            run, "_look", partial(approach, lattice, state, *span, dt, tolerance, solver)
+        )
     return run
 
 
@@ -221,7 +259,13 @@ def _adjoint(adjoint, unknown, every, steps, max_steps):
     elif steps is not None:
         # rounded up, so that many scenes compile once: room to save by little, a bound on a loop by more; what is saved
         # under a transformation keeps its length
-        limit = steps if every and unknown else shared_size(steps) if every else 1 << (steps - 1).bit_length()
+        limit = (
+            steps
+            if every and unknown
+            else shared_size(steps)
+            if every
+            else 1 << (steps - 1).bit_length()
+        )
     else:
         limit = SAVED_STEPS if every else TRACED_STEPS
     if adjoint is None:
@@ -240,7 +284,9 @@ def _cut(run):
     count = int(np.count_nonzero(used))
     # by NumPy, since for JAX a slice of another length is another program
     where = lambda x: x.sharding if x.committed else None
-    kept = jax.tree.map(lambda x: jax.device_put(np.asarray(x)[:count], where(x)), (run.ts, run.us, run.vs))
+    kept = jax.tree.map(
+        lambda x: jax.device_put(np.asarray(x)[:count], where(x)), (run.ts, run.us, run.vs)
+    )
     return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, kept)
 
 

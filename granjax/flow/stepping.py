@@ -62,10 +62,16 @@ class Flow(eqx.Module):
         check_moved("y", y, self, args)
         shapes, own = ([np.shape(x) for x in jax.tree.leaves(tree)] for tree in (tangents, y))
         if len(shapes) != len(own) or any(x[:-1] != a or x == a for x, a in zip(shapes, own)):
-            refuse("tangents", f"arrays of the shapes {own} and a trailing axis each", f"shapes {shapes}")
+            refuse(
+                "tangents",
+                f"arrays of the shapes {own} and a trailing axis each",
+                f"shapes {shapes}",
+            )
         count = shapes[0][-1]
         idle = -count % VECTOR if count > VECTOR else 0
-        tangents = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, idle)]), tangents)
+        tangents = jax.tree.map(
+            lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, idle)]), tangents
+        )
         end, moved = _run(self.solver, self.field, self.steps, y, t0, t1, args, tangents)
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
@@ -73,7 +79,12 @@ class Flow(eqx.Module):
         """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
         flat, unravel = ravel_pytree(_floating(y))
         if jnp.iscomplexobj(flat):
-            refuse("y", "a real state", "a complex one", "It is no complex matrix: take `tangents` along 1 and 1j.")
+            refuse(
+                "y",
+                "a real state",
+                "a complex one",
+                "It is no complex matrix: take `tangents` along 1 and 1j.",
+            )
         unit = jax.vmap(unravel, out_axes=-1)(jnp.eye(flat.size, dtype=flat.dtype))
         end, tangents = self.tangents(y, unit, t0, t1, args)
         return end, matrix(tangents)
@@ -85,12 +96,18 @@ def check_steps(steps: Count | Counts) -> None:
         whole("steps", np.asarray(steps)[()], 1)
 
 
-def check_moved(argument: str, y: Any, flow: Flow, args: Any, whose: str = "the lattice args") -> None:
+def check_moved(
+    argument: str, y: Any, flow: Flow, args: Any, whose: str = "the lattice args"
+) -> None:
     """Refuse, as this argument, what is no state of the lattice `args`, where it is a lattice that moves."""
     if flow.field is not vector_field:
         if isinstance(flow.solver, (AbstractSplitting, AbstractNystrom)) and not _is_pair(y):
-            refuse("solver", "one of a first-order equation for a state that is no pair (u, v)",
-                   type(flow.solver).__name__, "Take diffrax.Dopri8(), or gx.first_order.SplitStep() for DNLS.")
+            refuse(
+                "solver",
+                "one of a first-order equation for a state that is no pair (u, v)",
+                type(flow.solver).__name__,
+                "Take diffrax.Dopri8(), or gx.first_order.SplitStep() for DNLS.",
+            )
         return
     for name, x in zip(("u", "v"), y):
         check_shape(args, f"{argument}.{name}", x, whose)
@@ -116,11 +133,15 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
     fixed = solver, field, args
     if not traced((steps, y, t0, t1, args, tangents)) and all(map(_stays, jax.tree.leaves(fixed))):
         # plain numbers are inputs of what is compiled, not a part of it
-        t0, t1, numbers = jax.tree.map(lambda x: jnp.asarray(x) if _is_number(x) else x, (t0, t1, args))
+        t0, t1, numbers = jax.tree.map(
+            lambda x: jnp.asarray(x) if _is_number(x) else x, (t0, t1, args)
+        )
         try:
             hash(parted(fixed)[0])
             return _by_itself(solver, field, steps, y, t0, t1, numbers, tangents)
-        except TypeError:  # of what has no hash, or of a field that asks what a number is: `range(args)`
+        except (
+            TypeError
+        ):  # of what has no hash, or of a field that asks what a number is: `range(args)`
             pass
     return _marched(*arguments)
 
@@ -137,7 +158,11 @@ def _of_times(y):
 
 def _stays(leaf):
     """Whether a program may keep it, or take it as an input: any other object may change and be the same to JAX."""
-    return leaf is None or isinstance(leaf, (jax.Array, np.ndarray, np.generic, Number, str)) or callable(leaf)
+    return (
+        leaf is None
+        or isinstance(leaf, (jax.Array, np.ndarray, np.generic, Number, str))
+        or callable(leaf)
+    )
 
 
 def _is_number(x):
@@ -149,7 +174,9 @@ def _marched(solver, field, steps, y, t0, t1, args, tangents):
     args = args.for_run() if isinstance(args, Lattice) else args
     if tangents is None:
         return _march(solver, field, steps, y, t0, t1, args, breaks)
-    return _part(y, _march(solver, _variational(field, y), steps, _join(y, tangents), t0, t1, args, breaks))
+    return _part(
+        y, _march(solver, _variational(field, y), steps, _join(y, tangents), t0, t1, args, breaks)
+    )
 
 
 @compiled
@@ -159,12 +186,22 @@ def _by_itself(solver, field, steps, y, t0, t1, args, tangents):
 
 def _march(solver, field, steps, y, t0, t1, args, breaks):
     terms = diffrax.ODETerm(field)
-    if getattr(solver, "scan_kind", "own") is None:  # diffrax's loop over stages, in the kind with both modes
+    if (
+        getattr(solver, "scan_kind", "own") is None
+    ):  # diffrax's loop over stages, in the kind with both modes
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
     flat = _of_times(y)
     if breaks:
-        return _march_to_breaks(OneSided(solver), terms, steps, y, jnp.asarray(t0, flat), jnp.asarray(t1, flat), args,
-                                breaks)
+        return _march_to_breaks(
+            OneSided(solver),
+            terms,
+            steps,
+            y,
+            jnp.asarray(t0, flat),
+            jnp.asarray(t1, flat),
+            args,
+            breaks,
+        )
     t0, h = jnp.asarray(t0, flat), jnp.asarray((t1 - t0) / steps, flat)
     state = solver.init(terms, t0, t0 + h, y, args)
 

@@ -37,7 +37,11 @@ OPENING = 2.0
 
 
 def frequency_bound(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Count = NEIGHBOURHOOD,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    neighbourhood: Count = NEIGHBOURHOOD,
 ) -> Number:
     """Bound on the angular frequencies that linearisation finds at what the scene's energy can reach.
 
@@ -63,7 +67,11 @@ def _bound_at(lattice, state, t0, t1, neighbourhood):
 
 @compiled
 def gathered_frequency(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Any = NEIGHBOURHOOD,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    neighbourhood: Any = NEIGHBOURHOOD,
 ) -> Numbers:
     """(`frequency_bound`, whether a run might pass it), (2,): not where the neighbourhood holds all energy there is."""
     ts = _times(lattice, t0, t1)
@@ -72,7 +80,10 @@ def gathered_frequency(
     for term in lattice.terms:
         driven = term.excitation(lattice, ts)
         force = jnp.maximum(force, driven.force)
-        displacement, speed = jnp.maximum(displacement, driven.displacement), jnp.maximum(speed, driven.speed)
+        displacement, speed = (
+            jnp.maximum(displacement, driven.displacement),
+            jnp.maximum(speed, driven.speed),
+        )
     heaviest = jnp.max(jnp.stack([jnp.max(m) for m in jax.tree.leaves(lattice.mass)]))
     most, whole, stored = _gathered(lattice, state, ts, neighbourhood)
     spread = jnp.any(whole > 2 * most)
@@ -88,10 +99,19 @@ def gathered_frequency(
     known = not lattice.reads_time and all(term.span() is not None for term in lattice.terms)
     beyond = jnp.any(whole > 1.01 * most) if known and not softens(lattice) else jnp.ones((), bool)
     beyond = beyond if sides is None else beyond | ~jnp.all(sides)
-    contacts = [c.law for term in lattice.terms for c in term.compressions(ts[0], state.u) if c.place != "site"]
+    contacts = [
+        c.law
+        for term in lattice.terms
+        for c in term.compressions(ts[0], state.u)
+        if c.place != "site"
+    ]
     if contacts:
         # for a cheap scene the search takes longer than all else
-        opens = jax.lax.cond(spread, lambda: jnp.any(jnp.stack([both.opens(law) for law in contacts])), lambda: spread)
+        opens = jax.lax.cond(
+            spread,
+            lambda: jnp.any(jnp.stack([both.opens(law) for law in contacts])),
+            lambda: spread,
+        )
         bound = jnp.where(opens, OPENING, 1.0).astype(bound.dtype) * bound
     return jnp.stack([bound, beyond.astype(bound.dtype)])
 
@@ -115,12 +135,16 @@ def compressions(lattice: Lattice, t: Number, u: Displacements) -> tuple:
         own = tuple(c.compression for c in term.compressions(t, u))
         if not own and term.dependence(lattice).energy:
             lanes = len(lattice.lanes)
-            own = tuple(e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(term.energy(t, u)))
+            own = tuple(
+                e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(term.energy(t, u))
+            )
         found.append(own)
     return tuple(found)
 
 
-def reached_frequency(lattice: Lattice, low: Any, high: Any, t0: Scalar, t1: Scalar, u: Displacements) -> Number:
+def reached_frequency(
+    lattice: Lattice, low: Any, high: Any, t0: Scalar, t1: Scalar, u: Displacements
+) -> Number:
     """The bound at the least and largest `compressions` that a run has seen."""
     ts = _times(lattice, t0, t1)
     none, reaches = jnp.zeros(lattice.lanes, lattice.dtype), []
@@ -133,12 +157,17 @@ def reached_frequency(lattice: Lattice, low: Any, high: Any, t0: Scalar, t1: Sca
 def _times(lattice, t0, t1):
     """Times from t0 to t1, unevenly spaced, so that no period of a drive hides between them."""
     i = np.arange(SAMPLES)
-    places = np.clip(i + np.where(i % (SAMPLES - 1) == 0, 0, (0.6180339887498949 * i) % 1 - 0.5), 0, SAMPLES - 1)
+    places = np.clip(
+        i + np.where(i % (SAMPLES - 1) == 0, 0, (0.6180339887498949 * i) % 1 - 0.5), 0, SAMPLES - 1
+    )
     return (t0 + (t1 - t0) * jnp.asarray(places / (SAMPLES - 1))).astype(lattice.dtype)
 
 
 def _sites(lattice):
-    return sum(math.prod(shape) for shape in jax.tree.leaves(lattice.sites, is_leaf=lambda x: isinstance(x, tuple)))
+    return sum(
+        math.prod(shape)
+        for shape in jax.tree.leaves(lattice.sites, is_leaf=lambda x: isinstance(x, tuple))
+    )
 
 
 def _sides(lattice, state, ts):
@@ -148,10 +177,15 @@ def _sides(lattice, state, ts):
     presses together, a rarefaction extends. A rule of thumb, which the look at the end of a run corrects.
     """
     plain = lattice.fields is None and lattice.axes == 1 and lattice.dimension is None
-    if not plain or any(term.span() is None or max(term.span(), default=0) > 1 for term in lattice.terms):
+    if not plain or any(
+        term.span() is None or max(term.span(), default=0) > 1 for term in lattice.terms
+    ):
         return None
     # between two walls and in a ring what extends one bond presses others together
-    ring = any(found is not None and found[1] == "periodic" for found in (t.next_neighbours() for t in lattice.terms))
+    ring = any(
+        found is not None and found[1] == "periodic"
+        for found in (t.next_neighbours() for t in lattice.terms)
+    )
     if ring or {side for term in lattice.terms for side in term.walls()} == {"left", "right"}:
         return None
     u, v = state
@@ -171,7 +205,9 @@ def _sides(lattice, state, ts):
         def rates(t, term=term):
             squeezed = lambda t, u: [c.compression for c in term.compressions(t, u)]
             found = jax.jvp(squeezed, (t, u), (jnp.ones_like(t), v))[1]
-            return jnp.stack([jnp.min(x) for x in found]).min(), jnp.stack([jnp.max(x) for x in found]).max()
+            return jnp.stack([jnp.min(x) for x in found]).min(), jnp.stack(
+                [jnp.max(x) for x in found]
+            ).max()
 
         low, high = jax.lax.map(rates, ts) if reads.time else rates(ts[0])
         extend, press = extend | (jnp.min(low) < -size), press | (jnp.max(high) > size)
@@ -202,15 +238,24 @@ def _gathered(lattice, state, ts, neighbourhood):
     parts = [jax.tree.map(lambda m, v: m * v * v / 2, lattice.mass, v)]
     for term in lattice.terms:
         if term.dependence(lattice).energy:
-            energy = (lambda t, term=term: term.site_energy(lattice, t, u)) if local else (
-                lambda t, term=term: term.energy(t, u))
-            parts.append(jax.tree.map(lambda e: jnp.max(e, axis=0), jax.vmap(energy)(term.energy_times(lattice, ts))))
+            energy = (
+                (lambda t, term=term: term.site_energy(lattice, t, u))
+                if local
+                else (lambda t, term=term: term.energy(t, u))
+            )
+            parts.append(
+                jax.tree.map(
+                    lambda e: jnp.max(e, axis=0), jax.vmap(energy)(term.energy_times(lattice, ts))
+                )
+            )
     lanes = len(lattice.lanes)
     energies = [[jnp.maximum(x, 0) for x in jax.tree.leaves(part)] for part in parts]
     moving, held = energies[0], [x for part in energies[1:] for x in part]
     none = jnp.zeros(lattice.lanes, lattice.dtype)
     if not local:
-        moves, holds = (sum((x.sum(tuple(range(x.ndim - lanes))) for x in own), none) for own in (moving, held))
+        moves, holds = (
+            sum((x.sum(tuple(range(x.ndim - lanes))) for x in own), none) for own in (moving, held)
+        )
         return moves + holds, moves + holds, holds
     shape = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
     axes = tuple(range(lattice.axes))
@@ -236,7 +281,9 @@ def _window(x, axis, width):
     x = jnp.concatenate([x, jax.lax.slice_in_dim(x, 0, width - 1, axis=axis)], axis)
     shape = tuple(width if i == axis else 1 for i in range(x.ndim))
     # NumPy's zero: one of JAX's is traced within a program, and the sum is then one without derivatives
-    return jax.lax.reduce_window(x, np.zeros((), x.dtype), jax.lax.add, shape, (1,) * x.ndim, "VALID")
+    return jax.lax.reduce_window(
+        x, np.zeros((), x.dtype), jax.lax.add, shape, (1,) * x.ndim, "VALID"
+    )
 
 
 def _bound(lattice, reaches, power_steps=POWER_STEPS):
@@ -246,7 +293,9 @@ def _bound(lattice, reaches, power_steps=POWER_STEPS):
     mass, site = lattice.mass, lattice.zeros()
     if lattice.dimension is not None:
         # of components with masses of their own the least
-        mass = jax.tree.map(lambda m: jnp.min(m, lattice.axes) if m.ndim > lattice.axes else m, mass)
+        mass = jax.tree.map(
+            lambda m: jnp.min(m, lattice.axes) if m.ndim > lattice.axes else m, mass
+        )
         site = jax.tree.map(lambda x: x[(slice(None),) * lattice.axes + (0,)], site)
 
     def apply(w):
@@ -258,7 +307,9 @@ def _bound(lattice, reaches, power_steps=POWER_STEPS):
     def power(_, w):
         grown = apply(w)
         size = jnp.max(jnp.stack([jnp.max(x) for x in jax.tree.leaves(grown)]))
-        return jax.tree.map(lambda x, b: jnp.maximum(x / jnp.where(size > 0, size, 1) + 1e-9 * b, 1e-12), grown, w)
+        return jax.tree.map(
+            lambda x, b: jnp.maximum(x / jnp.where(size > 0, size, 1) + 1e-9 * b, 1e-12), grown, w
+        )
 
     w = jax.lax.fori_loop(0, power_steps, power, jax.tree.map(jnp.ones_like, site))
     ratios = jax.tree.map(lambda a, b: jnp.max(a / b), apply(w), w)

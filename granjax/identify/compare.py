@@ -77,11 +77,16 @@ class Comparison(Result):
         said = []
         if len(self.names) > 1:
             gap = f"BIC {self.margin:.3g} below that of {self.names[1]!r}"
-            said.append(f"The data speak for {self.best!r}: {gap}." if self.margin > self.level else
-                        f"The data do not decide: {self.best!r} is best, but its {gap} is within {self.level:g}.")
+            said.append(
+                f"The data speak for {self.best!r}: {gap}."
+                if self.margin > self.level
+                else f"The data do not decide: {self.best!r} is best, but its {gap} is within {self.level:g}."
+            )
         if self.probability < IMPLAUSIBLE:
-            said.append(f"Even {self.best!r} does not describe the data: chi^2 per degree of freedom "
-                        f"{self.fits[self.best].reduced_chi_square:.3g}, probability {self.probability:.2g}.")
+            said.append(
+                f"Even {self.best!r} does not describe the data: chi^2 per degree of freedom "
+                f"{self.fits[self.best].reduced_chi_square:.3g}, probability {self.probability:.2g}."
+            )
         failed = [name for name in self.names if not self.fits[name].converged]
         said += [f"{name!r}: {self.fits[name].outcome}" for name in failed]
         return " ".join(said)
@@ -89,14 +94,24 @@ class Comparison(Result):
     def __repr__(self) -> str:
         width = max(map(len, self.names)) + 2
         rows = [f"{'model':<{width}}{'P':>4}{'chi^2':>12}{'AIC':>12}{'BIC':>12}{'weight':>9}"]
-        columns = zip(self.names, self.parameters, self.chi_square, self.aic, self.bic, self.weights)
-        rows += [f"{name:<{width}}{P:>4}{c:>12.6g}{a:>12.6g}{b:>12.6g}{w:>9.3f}" for name, P, c, a, b, w in columns]
+        columns = zip(
+            self.names, self.parameters, self.chi_square, self.aic, self.bic, self.weights
+        )
+        rows += [
+            f"{name:<{width}}{P:>4}{c:>12.6g}{a:>12.6g}{b:>12.6g}{w:>9.3f}"
+            for name, P, c, a, b, w in columns
+        ]
         return "\n".join([*rows, self.outcome])
 
 
 def compare(
-    models: dict[str, tuple[Scene, dict[str, Parameter]] | list], traces: Traces | Sequence[Traces], *, state: Start,
-    level: Scalar = 10.0, options: dict[str, dict] | None = None, **common: object,
+    models: dict[str, tuple[Scene, dict[str, Parameter]] | list],
+    traces: Traces | Sequence[Traces],
+    *,
+    state: Start,
+    level: Scalar = 10.0,
+    options: dict[str, dict] | None = None,
+    **common: object,
 ) -> Comparison:
     r"""Models fitted to the same traces, and ranked: which one they speak for.
 
@@ -139,8 +154,12 @@ def compare(
     for name in options:
         one_of("options", name, models)
     traces = checked_traces(traces)
-    fits = {name: fit(scene, start, traces, state=state, **{"throw": False, **common, **options.get(name, {})})
-            for name, (scene, start) in models.items()}
+    fits = {
+        name: fit(
+            scene, start, traces, state=state, **{"throw": False, **common, **options.get(name, {})}
+        )
+        for name, (scene, start) in models.items()
+    }
     known = all(trace.sigma is not None for trace in traces)
     count = np.array([len(found.names) for found in fits.values()])
     samples = next(iter(fits.values())).samples
@@ -149,15 +168,27 @@ def compare(
     order = np.argsort(bic, kind="stable")
     names = tuple(np.array(list(models), dtype=object)[order])
     probability = _probability(fits[names[0]]) if known else np.nan
-    return Comparison(names, fits, count[order], chi_square[order], (chi_square + 2 * count)[order], bic[order], level,
-                      probability)
+    return Comparison(
+        names,
+        fits,
+        count[order],
+        chi_square[order],
+        (chi_square + 2 * count)[order],
+        bic[order],
+        level,
+        probability,
+    )
 
 
 def _deviance(found, known):
     """-2 log likelihood up to a constant; infinite for a fit that is not finite."""
     if not np.isfinite(found.chi_square):
         return np.inf
-    return found.chi_square if known else found.samples * np.log(found.chi_square * found.noise**2 / found.samples)
+    return (
+        found.chi_square
+        if known
+        else found.samples * np.log(found.chi_square * found.noise**2 / found.samples)
+    )
 
 
 def _probability(found):

@@ -32,8 +32,12 @@ class DynamicModes(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held("mode", "1/s"), "eigenvalues": Held("mode", "1"), "modes": Held("sensor mode", "", "shapes"),
-        "amplitudes": Held("mode"), "singular_values": Held("singular"), "real": Held(None),
+        "omega": Held("mode", "1/s"),
+        "eigenvalues": Held("mode", "1"),
+        "modes": Held("sensor mode", "", "shapes"),
+        "amplitudes": Held("mode"),
+        "singular_values": Held("singular"),
+        "real": Held(None),
     }
     omega: Complex[np.ndarray, " r"]
     eigenvalues: Inexact[np.ndarray, " r"]
@@ -53,7 +57,11 @@ class DynamicModes(Result):
 
 
 def dmd(
-    snapshots: Inexact[AnyArray, "T n"], dt: Scalar, rank: Count | str | None = None, *, delays: Count = 1,
+    snapshots: Inexact[AnyArray, "T n"],
+    dt: Scalar,
+    rank: Count | str | None = None,
+    *,
+    delays: Count = 1,
 ) -> DynamicModes:
     r"""Exact dynamic mode decomposition of evenly spaced snapshots.
 
@@ -117,7 +125,16 @@ def dmd(
         "of their norm."
     )
     return DynamicModes(
-        omega, eigenvalues, modes, amplitudes, s, float(residual), float(misfit), r, not np.iscomplexobj(y), outcome,
+        omega,
+        eigenvalues,
+        modes,
+        amplitudes,
+        s,
+        float(residual),
+        float(misfit),
+        r,
+        not np.iscomplexobj(y),
+        outcome,
     )
 
 
@@ -142,8 +159,12 @@ def _checked(snapshots):
     y = np.asarray(snapshots)
     y = y if y.dtype.kind == "c" else y.astype(float)
     if y.ndim != 2 or len(y) < 2 or not y.any() or not np.isfinite(y).all():
-        refuse("snapshots", "finite numbers (T, n), not all zero, of two times or more", f"shape {y.shape}",
-               "Times come first.")
+        refuse(
+            "snapshots",
+            "finite numbers (T, n), not all zero, of two times or more",
+            f"shape {y.shape}",
+            "Times come first.",
+        )
     return y
 
 
@@ -156,7 +177,12 @@ def _rank(rank, s, shape):
     else:
         r = whole("rank", rank, 1)
     if not 1 <= r <= np.count_nonzero(s):
-        refuse("rank", f"1 to {np.count_nonzero(s)}, the rank of the snapshots", f"{r}", "Give a number.")
+        refuse(
+            "rank",
+            f"1 to {np.count_nonzero(s)}, the rank of the snapshots",
+            f"{r}",
+            "Give a number.",
+        )
     return r
 
 

@@ -65,7 +65,9 @@ class Series(Law):
 
 
 def starting_law(
-    family: str, stiffness: Scalar, reach: tuple[Scalar, Scalar],
+    family: str,
+    stiffness: Scalar,
+    reach: tuple[Scalar, Scalar],
 ) -> tuple[Law, tuple[str, ...], float | None]:
     """(law, names of its numbers that stay, strain of `LawScene`) of a named family.
 
@@ -141,14 +143,18 @@ class LawScene(eqx.Module):
         """The law of some parameters."""
         leaves = [x if name is None else parameters[name] for name, x in zip(self.names, self.held)]
         law = jax.tree.unflatten(self.structure, leaves)
-        return law if self.strain is None else _with_coefficient(law, self.strain ** -law.exponent)
+        return law if self.strain is None else _with_coefficient(law, self.strain**-law.exponent)
 
     def __call__(self, parameters: dict[str, Parameter]) -> Lattice:
         return self.lattice(self.law(parameters), parameters)
 
     def lattice(self, law: Law, parameters: dict[str, Parameter]) -> Lattice:
         """The lattice of a law and of the other parameters."""
-        return self.scene(law, {name: parameters[name] for name in self.others}) if self.others else self.scene(law)
+        return (
+            self.scene(law, {name: parameters[name] for name in self.others})
+            if self.others
+            else self.scene(law)
+        )
 
 
 def _with_coefficient(law, factor):
@@ -156,21 +162,31 @@ def _with_coefficient(law, factor):
 
 
 def law_scene(
-    scene: Scene, law: Law, others: dict[str, Parameter], hold: Sequence[str], strain: float | None = None,
+    scene: Scene,
+    law: Law,
+    others: dict[str, Parameter],
+    hold: Sequence[str],
+    strain: float | None = None,
 ) -> tuple[LawScene, dict[str, Parameter], dict[str, tuple]]:
     """(`LawScene`, start, bounds) of a law and other parameters; with a `strain` "force" stands for "stiffness"."""
     if strain is not None:
         law = _with_coefficient(law, strain**law.exponent)
     leaves = leaves_of(law)
     if strain is not None:
-        leaves = [leaf._replace(name="force") if leaf.name == "stiffness" else leaf for leaf in leaves]
+        leaves = [
+            leaf._replace(name="force") if leaf.name == "stiffness" else leaf for leaf in leaves
+        ]
     names = [leaf.name for leaf in leaves if not leaf.held]
     for name in hold:
         one_of("hold", name, names)
     moving = [leaf for leaf in leaves if not leaf.held and leaf.name not in hold]
     if not moving:
-        refuse("family", "a law with a number to move", f"{type(law).__name__} without one",
-               "An exponent moves where it is an array: PowerLaw(1.0, jnp.asarray(1.5), 1.0).")
+        refuse(
+            "family",
+            "a law with a number to move",
+            f"{type(law).__name__} without one",
+            "An exponent moves where it is an array: PowerLaw(1.0, jnp.asarray(1.5), 1.0).",
+        )
     both = {leaf.name for leaf in moving} & set(others)
     if both:
         refuse("others", f"names other than the law's {names}", f"{sorted(both)}")
@@ -180,4 +196,8 @@ def law_scene(
     start = {**{leaf.name: leaf.value for leaf in moving}, **others}
     bounds = {leaf.name: leaf.bounds for leaf in moving if leaf.bounds is not None}
     strain = None if strain is None else jnp.asarray(strain, float)
-    return LawScene(scene, jax.tree.structure(law), places, held, tuple(sorted(others)), strain), start, bounds
+    return (
+        LawScene(scene, jax.tree.structure(law), places, held, tuple(sorted(others)), strain),
+        start,
+        bounds,
+    )

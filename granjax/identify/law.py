@@ -49,7 +49,8 @@ class ForceLaw(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "strain": Held("strain", "m"), "strain_range": Held("end", "m"),
+        "strain": Held("strain", "m"),
+        "strain_range": Held("end", "m"),
         **{name: Held("strain", "N") for name in ("force", "low", "high")},
     }
     law: Law
@@ -57,17 +58,25 @@ class ForceLaw(Result):
     strain_range: tuple[float, float]
     scene: LawScene
 
-    def force(self, e: Parameter) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
+    def force(
+        self, e: Parameter
+    ) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
         """(force, standard deviation) at strains e [N], by the delta method; NaN outside of `strain_range`."""
         e = np.asarray(parameter("e", e))
         with np.errstate(invalid="ignore"):
             inside = (e >= self.strain_range[0]) & (e <= self.strain_range[1])
         force, gradients = _with_gradients(
-            self.scene, self.fit.problem.coordinates, self.fit.parameters, jnp.asarray(np.where(inside, e, 0.0)))
+            self.scene,
+            self.fit.problem.coordinates,
+            self.fit.parameters,
+            jnp.asarray(np.where(inside, e, 0.0)),
+        )
         deviation = along(self.fit.directions, np.asarray(gradients) * np.asarray(self.fit.sizes))
         return np.where(inside, force, np.nan), np.where(inside, deviation, np.nan)
 
-    def band(self, points: Count = 201, deviations: Scalar = 2.0) -> tuple[Float[np.ndarray, " points"], ...]:
+    def band(
+        self, points: Count = 201, deviations: Scalar = 2.0
+    ) -> tuple[Float[np.ndarray, " points"], ...]:
         """(strain, force, low, high), each (points,), over the strain range: the force and deviations to each side."""
         deviations = float(positive("deviations", deviations))
         e = np.linspace(*self.strain_range, whole("points", points, 2))
@@ -84,16 +93,29 @@ class ForceLaw(Result):
         low, high = self.strain_range
         _, force, bottom, top = self.band(deviations=1.0)
         worst = float(np.max(top - bottom)) / 2 / float(np.max(np.abs(force)))
-        known = f"to {100 * worst:.2g} % of its largest" if worst < 1 else "not everywhere as well as its own size"
+        known = (
+            f"to {100 * worst:.2g} % of its largest"
+            if worst < 1
+            else "not everywhere as well as its own size"
+        )
         # a number of the law may stay open where its force does not
         said = dataclasses.replace(self.fit, undetermined=()).outcome
         return f"The force from e = {low:.3g} to {high:.3g} is known {known} (one standard deviation). {said}"
 
 
 def law(
-    scene: Callable[..., Lattice], family: str | Law, traces: Traces | Sequence[Traces], *, state: Start,
-    stiffness: Scalar | None = None, reach: Sequence | None = None, others: dict[str, Parameter] | None = None,
-    hold: Sequence[str] = (), bounds: Bounds = None, stages: Count = 4, **options: object,
+    scene: Callable[..., Lattice],
+    family: str | Law,
+    traces: Traces | Sequence[Traces],
+    *,
+    state: Start,
+    stiffness: Scalar | None = None,
+    reach: Sequence | None = None,
+    others: dict[str, Parameter] | None = None,
+    hold: Sequence[str] = (),
+    bounds: Bounds = None,
+    stages: Count = 4,
+    **options: object,
 ) -> ForceLaw:
     r"""The force law of contacts, from traces of some sensors.
 
@@ -139,9 +161,18 @@ def law(
     strain = None
     if isinstance(family, str):
         if stiffness is None:
-            refuse("stiffness", "the linear stiffness, about", "None", "Sound speed c = a sqrt(K/m) gives it.")
+            refuse(
+                "stiffness",
+                "the linear stiffness, about",
+                "None",
+                "Sound speed c = a sqrt(K/m) gives it.",
+            )
         stiffness = float(positive("stiffness", stiffness))
-        reach = _linear_reach(scene, stiffness, traces, state, others, options) if reach is None else reach
+        reach = (
+            _linear_reach(scene, stiffness, traces, state, others, options)
+            if reach is None
+            else reach
+        )
         family, stays, strain = starting_law(family, stiffness, _checked_reach(reach))
         hold = (*hold, *stays)
     of_law, start, own = law_scene(scene, family, others, hold, strain)
@@ -149,18 +180,27 @@ def law(
     traces, bounds = checked_traces(traces), {**own, **(bounds or {})}
     for share in 0.5 ** np.arange(whole("stages", stages, 1) - 1, 0, -1):
         early = [_until(trace, share) for trace in traces]
-        ended = fit(of_law, start, early, state=state, bounds=bounds, **{**options, "throw": False}).parameters
+        ended = fit(
+            of_law, start, early, state=state, bounds=bounds, **{**options, "throw": False}
+        ).parameters
         # a number that the part does not see may have come to its bound, where no search can begin
         start = {name: x + BACK * (start[name] - x) for name, x in ended.items()}
     found = fit(of_law, start, traces, state=state, bounds=bounds, **options)
-    return ForceLaw(of_law.law(found.parameters), found, _visited(acting, found.problem, found.parameters), of_law,
-                    **found.lattice.origin)
+    return ForceLaw(
+        of_law.law(found.parameters),
+        found,
+        _visited(acting, found.problem, found.parameters),
+        of_law,
+        **found.lattice.origin,
+    )
 
 
 def _until(trace, share):
     """The trace with nothing after a share of its record."""
     late = trace.times - trace.times[0] > share * (trace.times[-1] - trace.times[0])
-    return eqx.tree_at(lambda trace: trace.data, trace, jnp.where(late[:, None], jnp.nan, trace.data))
+    return eqx.tree_at(
+        lambda trace: trace.data, trace, jnp.where(late[:, None], jnp.nan, trace.data)
+    )
 
 
 def _linear_reach(scene, stiffness, traces, state, others, options):
@@ -175,7 +215,9 @@ def _linear_reach(scene, stiffness, traces, state, others, options):
 def _checked_reach(reach):
     reach = np.asarray(parameter("reach", reach))
     if reach.shape != (2,) or not reach[0] < 0 < reach[1]:
-        refuse("reach", "(low, high) with low < 0 < high", repr(reach.tolist()), "0 is equilibrium.")
+        refuse(
+            "reach", "(low, high) with low < 0 < high", repr(reach.tolist()), "0 is equilibrium."
+        )
     return tuple(map(float, reach))
 
 
@@ -185,8 +227,12 @@ def _acting(of_law, parameters):
     lattice = of_law.lattice(marked, parameters)
     acting = tuple(i for i, term in enumerate(lattice.terms) if _holds(term, marked))
     if not acting:
-        refuse("scene", "a scene in which the law acts on bonds or sites", f"{lattice}",
-               "Use the law as it comes, Bond(Shift(1, 'fixed'), law).")
+        refuse(
+            "scene",
+            "a scene in which the law acts on bonds or sites",
+            f"{lattice}",
+            "Use the law as it comes, Bond(Shift(1, 'fixed'), law).",
+        )
     return acting
 
 
@@ -195,8 +241,16 @@ def _visited(acting, problem, parameters):
     lattice = problem.lattice(parameters)
     state, last = problem.state(parameters, lattice), problem.times(parameters).max()
     strains = _Strains(acting)
-    run = simulate(lattice, state, last, t0=problem.t0, solver=problem.solver, step=problem.step, throw=False,
-                   record={"least": Lowest(strains), "most": Peak(strains)})
+    run = simulate(
+        lattice,
+        state,
+        last,
+        t0=problem.t0,
+        solver=problem.solver,
+        step=problem.step,
+        throw=False,
+        record={"least": Lowest(strains), "most": Peak(strains)},
+    )
     return float(run.recorded["least"].min()), float(run.recorded["most"].max())
 
 
@@ -206,7 +260,11 @@ class _Strains(eqx.Module):
     acting: tuple[int, ...] = eqx.field(static=True)
 
     def __call__(self, t, y, lattice):
-        found = [c.compression.ravel() for i in self.acting for c in lattice.terms[i].compressions(t, y.u)]
+        found = [
+            c.compression.ravel()
+            for i in self.acting
+            for c in lattice.terms[i].compressions(t, y.u)
+        ]
         return jnp.concatenate(found)
 
 

@@ -49,9 +49,13 @@ class Motion(eqx.Module):
 
     def __call__(self, t: Float[AnyArray, ""]) -> Float[AnyArray, " N"]:
         phase = self.frequencies * t
-        return self.scale * self.net(jnp.concatenate([t[None] / self.span, jnp.sin(phase), jnp.cos(phase)]))
+        return self.scale * self.net(
+            jnp.concatenate([t[None] / self.span, jnp.sin(phase), jnp.cos(phase)])
+        )
 
-    def state(self, t: Scalar) -> tuple[Float[AnyArray, " N"], Float[AnyArray, " N"], Float[AnyArray, " N"]]:
+    def state(
+        self, t: Scalar
+    ) -> tuple[Float[AnyArray, " N"], Float[AnyArray, " N"], Float[AnyArray, " N"]]:
         """Displacements, velocities and accelerations at one time."""
         t = jnp.asarray(t, self.span.dtype)
         one = jnp.ones_like(t)
@@ -88,10 +92,22 @@ class PhysicsInformed(Result):
 
 
 def physics_informed(
-    scene: Scene, start: dict[str, Parameter], times: Times, velocity: Float[AnyArray, "T sensors"], *,
-    sites: Parameter | None = None, state: tuple | None = None, bounds: Bounds = None, weight: Scalar = 1.0,
-    points: Count | None = None, width: Count = 48, depth: Count = 2, max_steps: Count = 4000, refine: Count = 1000,
-    rate: Scalar = 3e-3, seed: Count = 0,
+    scene: Scene,
+    start: dict[str, Parameter],
+    times: Times,
+    velocity: Float[AnyArray, "T sensors"],
+    *,
+    sites: Parameter | None = None,
+    state: tuple | None = None,
+    bounds: Bounds = None,
+    weight: Scalar = 1.0,
+    points: Count | None = None,
+    width: Count = 48,
+    depth: Count = 2,
+    max_steps: Count = 4000,
+    refine: Count = 1000,
+    rate: Scalar = 3e-3,
+    seed: Count = 0,
 ) -> PhysicsInformed:
     r"""Parameters of a chain by a physics-informed network.
 
@@ -135,26 +151,48 @@ def physics_informed(
     began = time.perf_counter()
     omega, span = float(linear_frequency(lattice)), float(times[-1])
     if not omega > 0:
-        refuse("start", "a lattice with a linear frequency", "a sonic vacuum", "Give a precompression.")
+        refuse(
+            "start", "a lattice with a linear frequency", "a sonic vacuum", "Give a precompression."
+        )
     size = jnp.mean(velocity**2)
     periods = omega * span / (2 * math.pi)
-    points = shared_size(max(16, math.ceil(16 * periods))) if points is None else whole("points", points, 2)
+    points = (
+        shared_size(max(16, math.ceil(16 * periods)))
+        if points is None
+        else whole("points", points, 2)
+    )
     collocation = jnp.asarray(np.linspace(0.0, span, points))
     count = shared_size(max(4, math.ceil(2 * periods)))
-    net = eqx.nn.MLP(2 * count + 1, lattice.shape[0], width, depth, jnp.tanh, key=jax.random.key(seed))
+    net = eqx.nn.MLP(
+        2 * count + 1, lattice.shape[0], width, depth, jnp.tanh, key=jax.random.key(seed)
+    )
     frequencies = jnp.asarray(1.2 * omega / count * np.arange(1.0, count + 1))
     omega, span, weight = (jnp.asarray(x) for x in (omega, span, weight))
     motion = Motion(net, frequencies, span, jnp.sqrt(size) / omega)
     state = None if state is None else tuple(parameter("state", x) for x in state)
-    training = _Training(scene, coordinates, times, velocity, tuple(map(int, sites)), state, collocation, omega, size,
-                         weight)
-    model, history = training.trained((motion, jnp.zeros(coordinates.size)), max_steps, refine, jnp.asarray(rate))
+    training = _Training(
+        scene,
+        coordinates,
+        times,
+        velocity,
+        tuple(map(int, sites)),
+        state,
+        collocation,
+        omega,
+        size,
+        weight,
+    )
+    model, history = training.trained(
+        (motion, jnp.zeros(coordinates.size)), max_steps, refine, jnp.asarray(rate)
+    )
     motion = model[0]
     data, physics, accelerations, _ = map(float, _parts(training, model))
     found = jax.tree.map(np.asarray, coordinates.parameters(model[1]))
     misfit, residual = math.sqrt(data), math.sqrt(physics / accelerations)
     seconds = time.perf_counter() - began
-    outcome = f"The data are met to {misfit:.2g}, the equation of motion to {residual:.2g} of their rms."
+    outcome = (
+        f"The data are met to {misfit:.2g}, the equation of motion to {residual:.2g} of their rms."
+    )
     if not math.isfinite(misfit + residual):
         outcome = "The training left the numbers: lower rate=."
     return PhysicsInformed(found, motion, history, misfit, residual, seconds, outcome)
@@ -171,8 +209,11 @@ def _checked(lattice, times, velocity, sites):
     if times.ndim != 1 or len(times) < 2 or not (np.diff(times) > 0).all() or times[0] < 0:
         refuse("times", "increasing times, from t >= 0 on", f"shape {times.shape}")
     if velocity.shape != (len(times), len(sites)):
-        refuse("velocity and sites", f"a velocity of shape {(len(times), len(sites))}, times and sensors",
-               f"{velocity.shape}")
+        refuse(
+            "velocity and sites",
+            f"a velocity of shape {(len(times), len(sites))}, times and sensors",
+            f"{velocity.shape}",
+        )
     if not velocity.any():
         refuse("velocity", "some motion", "none")
     return times, velocity, sites
@@ -199,10 +240,18 @@ class _Training(eqx.Module):
         u, v, a = jax.vmap(now.state)(self.collocation)
         lattice = self.scene(self.coordinates.parameters(x))
         residual = a - jax.vmap(lattice.acceleration)(self.collocation, u, v)
-        u0, v0 = (0.0, 0.0) if self.state is None else (now.state(0.0)[i] - self.state[i] for i in range(2))
+        u0, v0 = (
+            (0.0, 0.0)
+            if self.state is None
+            else (now.state(0.0)[i] - self.state[i] for i in range(2))
+        )
         first = jnp.mean(self.omega**2 * u0**2 + v0**2)
-        return jnp.mean((seen - self.velocity) ** 2) / self.size, jnp.mean(residual**2), jnp.mean(a**2), \
-            first / self.size
+        return (
+            jnp.mean((seen - self.velocity) ** 2) / self.size,
+            jnp.mean(residual**2),
+            jnp.mean(a**2),
+            first / self.size,
+        )
 
     def loss(self, model):
         data, physics, _, first = self.parts(model)
@@ -221,9 +270,17 @@ _parts = eqx.filter_jit(_Training.parts)
 def _moving(training, model):
     """The cost of what moves in a model, that, and the model of it: the network and the coordinates."""
     moves = jax.tree.map(lambda _: False, model)
-    moves = eqx.tree_at(lambda m: (m[0].net, m[1]), moves, jax.tree.map(eqx.is_inexact_array, (model[0].net, model[1])))
+    moves = eqx.tree_at(
+        lambda m: (m[0].net, m[1]),
+        moves,
+        jax.tree.map(eqx.is_inexact_array, (model[0].net, model[1])),
+    )
     free, fixed = eqx.partition(model, moves)
-    return lambda free: training.loss(eqx.combine(free, fixed)), free, lambda free: eqx.combine(free, fixed)
+    return (
+        lambda free: training.loss(eqx.combine(free, fixed)),
+        free,
+        lambda free: eqx.combine(free, fixed),
+    )
 
 
 @eqx.filter_jit

@@ -59,10 +59,18 @@ class PlanarODE(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "coefficients": Held("power"), "errors": Held("power"), "covariance": Held("power power_"),
-        "misfit": Held("", "m"), "misfit_error": Held("", "m"), "crest": Held("", "m"), "trough": Held("", "m"),
-        "xi": Held("point", "1"), "strains": Held("point", "m"), "fitted": Held("point", "m"),
-        "slopes": Held("point", "m"), "window": Held("point"),
+        "coefficients": Held("power"),
+        "errors": Held("power"),
+        "covariance": Held("power power_"),
+        "misfit": Held("", "m"),
+        "misfit_error": Held("", "m"),
+        "crest": Held("", "m"),
+        "trough": Held("", "m"),
+        "xi": Held("point", "1"),
+        "strains": Held("point", "m"),
+        "fitted": Held("point", "m"),
+        "slopes": Held("point", "m"),
+        "window": Held("point"),
         "equilibria": Held("equilibrium"),
     }
     coefficients: Float[np.ndarray, " power"]
@@ -134,14 +142,24 @@ class PlanarODE(Result):
             level = self._levels[self.window[np.argmax(self.strains)]]
         # where p^2/2 = G - level is above zero, between two turns
         roots = _real_roots(polynomial.polysub(G, [level]))
-        pairs = [(b, a) for a, b in zip(roots[:-1], roots[1:]) if polynomial.polyval((a + b) / 2, G) > level]
+        pairs = [
+            (b, a)
+            for a, b in zip(roots[:-1], roots[1:])
+            if polynomial.polyval((a + b) / 2, G) > level
+        ]
         if crest is not None:
             pairs = [(top, a) for b, a in pairs if abs(b - top) < 1e-6 * max(1.0, abs(top))]
         pairs.sort(key=lambda x: -_overlap(*x))
-        if not pairs or not polynomial.polyval(pairs[0][0], f) < 0 < polynomial.polyval(pairs[0][1], f):
+        if not pairs or not polynomial.polyval(pairs[0][0], f) < 0 < polynomial.polyval(
+            pairs[0][1], f
+        ):
             name, got = ("energy", energy) if crest is None else ("crest", crest)
-            refuse(name, "one of a periodic orbit, between a centre and the homoclinic orbit",
-                   "that of the data" if got is None else f"{got:g}", "See .equilibria.")
+            refuse(
+                name,
+                "one of a periodic orbit, between a centre and the homoclinic orbit",
+                "that of the data" if got is None else f"{got:g}",
+                "See .equilibria.",
+            )
         return self._orbit(*pairs[0], False)
 
     def _orbit(self, start, end, homoclinic):
@@ -149,8 +167,14 @@ class PlanarODE(Result):
         way = Way(f, start, end, homoclinic)
         place = _Placed(way, middle, half, length)
         G = polynomial.polyint(f)
-        energy = -(half / length) ** 2 * float(polynomial.polyval(end, G) - polynomial.polyval(-middle / half, G))
-        decay = float(np.sqrt(polynomial.polyval(end, polynomial.polyder(f)))) / length if homoclinic else None
+        energy = -((half / length) ** 2) * float(
+            polynomial.polyval(end, G) - polynomial.polyval(-middle / half, G)
+        )
+        decay = (
+            float(np.sqrt(polynomial.polyval(end, polynomial.polyder(f)))) / length
+            if homoclinic
+            else None
+        )
         distance, shift = self._distance(place, start > end)
         reach = 12 / decay if homoclinic else way.wavelength * length / 2
         xi = np.linspace(-reach, reach, TABLE)
@@ -158,21 +182,38 @@ class PlanarODE(Result):
         wavelength = np.inf if homoclinic else way.wavelength * length
         kind = "homoclinic" if homoclinic else "periodic"
         return PlanarOrbit(
-            kind, high, low, wavelength, energy, decay, distance, shift, xi, place(xi),
-            f"A {kind} orbit, {distance / half:.2g} of half of crest less trough from the measured wave.", _way=place)
+            kind,
+            high,
+            low,
+            wavelength,
+            energy,
+            decay,
+            distance,
+            shift,
+            xi,
+            place(xi),
+            f"A {kind} orbit, {distance / half:.2g} of half of crest less trough from the measured wave.",
+            _way=place,
+        )
 
     def _distance(self, place, up):
         """Rms of the data about their highest crest (or lowest trough) less an orbit, at the best place."""
         best = int(np.argmax(self.strains if up else -self.strains))
-        near = (np.abs(self.xi - self.xi[best]) <= self.wavelength / 2) & (self.window == self.window[best])
+        near = (np.abs(self.xi - self.xi[best]) <= self.wavelength / 2) & (
+            self.window == self.window[best]
+        )
         x, y = self.xi[near], self.strains[near]
 
         def off(shift):
             return float(np.mean((y - place(x - shift)) ** 2))
 
         width = self.wavelength / 4
-        found = minimize_scalar(off, bounds=(self.xi[best] - width, self.xi[best] + width), method="bounded",
-                                options={"xatol": 1e-10 * width})
+        found = minimize_scalar(
+            off,
+            bounds=(self.xi[best] - width, self.xi[best] + width),
+            method="bounded",
+            options={"xatol": 1e-10 * width},
+        )
         return float(np.sqrt(found.fun)), float(found.x)
 
 
@@ -200,13 +241,19 @@ def _real_roots(p):
     slope = polynomial.polyder(p)
     for _ in range(3):
         steep = polynomial.polyval(roots, slope)
-        roots = roots - np.where(steep != 0, polynomial.polyval(roots, p) / np.where(steep != 0, steep, 1.0), 0.0)
+        roots = roots - np.where(
+            steep != 0, polynomial.polyval(roots, p) / np.where(steep != 0, steep, 1.0), 0.0
+        )
     return roots[np.abs(roots) < BEYOND]
 
 
 def planar_ode(
-    xi: Parameter | Sequence[Numbers], strain: Parameter | Sequence[Numbers], *, degree: Count = 3,
-    windows: Count | None = None, drift: bool = False,
+    xi: Parameter | Sequence[Numbers],
+    strain: Parameter | Sequence[Numbers],
+    *,
+    degree: Count = 3,
+    windows: Count | None = None,
+    drift: bool = False,
 ) -> PlanarODE:
     r"""A planar equation y'' = f(y), f a polynomial, fitted to a travelling wave or to the interior of a shock.
 
@@ -252,21 +299,34 @@ def planar_ode(
     if count is None:
         # the longer a trajectory runs beside a saddle, the less its start says of its end
         guess = first(scaled, degree, drift)
-        counts = [max(train.x[-1] / (2 * np.pi * WAVES), growth(train, guess, degree) / PARTS) for train in scaled]
-        counts = [min(max(1, int(np.ceil(n - CLOSE))), max(1, len(train.x) // LEAST))
-                  for n, train in zip(counts, scaled)]
-    pieces = [piece for train, n in zip(scaled, counts if count is None else [count] * len(scaled))
-              for piece in split(train, n)]
+        counts = [
+            max(train.x[-1] / (2 * np.pi * WAVES), growth(train, guess, degree) / PARTS)
+            for train in scaled
+        ]
+        counts = [
+            min(max(1, int(np.ceil(n - CLOSE))), max(1, len(train.x) // LEAST))
+            for n, train in zip(counts, scaled)
+        ]
+    pieces = [
+        piece
+        for train, n in zip(scaled, counts if count is None else [count] * len(scaled))
+        for piece in split(train, n)
+    ]
     unknown, points = degree + 1 + drift + 2 * len(pieces), len(everything)
     if points < EACH * unknown or min(len(piece.x) for piece in pieces) < 5:
-        refuse("xi", f"{EACH * unknown} points or more, {EACH} for each of {unknown} unknowns, and five in a window",
-               f"{points} in {len(pieces)} windows", "Lower the degree, or take fewer windows.")
+        refuse(
+            "xi",
+            f"{EACH * unknown} points or more, {EACH} for each of {unknown} unknowns, and five in a window",
+            f"{points} in {len(pieces)} windows",
+            "Lower the degree, or take fewer windows.",
+        )
     found = fit(pieces, degree, drift)
     return _recorded(trains, pieces, found, degree, drift, (middle, half, length))
 
 
 def _trains(xi, strain):
     """Pairs of places and strains."""
+
     def several(x):
         if hasattr(x, "ndim") or not isinstance(x, Sequence):
             return np.ndim(x) == 2
@@ -274,15 +334,23 @@ def _trains(xi, strain):
 
     both = several(xi), several(strain)
     if both[0] != both[1] or both[0] and len(xi) != len(strain):
-        refuse("xi and strain", "one train, or as many trains of both", f"{len(xi)} and {len(strain)}")
+        refuse(
+            "xi and strain", "one train, or as many trains of both", f"{len(xi)} and {len(strain)}"
+        )
     pairs = list(zip(xi, strain)) if both[0] else [(xi, strain)]
     found = []
     for x, y in pairs:
         x, y = np.asarray(parameter("xi", x)), np.asarray(parameter("strain", y))
         if x.ndim != 1 or x.shape != y.shape or len(x) < 5:
-            refuse("xi and strain", "as many places as strains, five or more", f"shapes {x.shape} and {y.shape}")
+            refuse(
+                "xi and strain",
+                "as many places as strains, five or more",
+                f"shapes {x.shape} and {y.shape}",
+            )
         if not (np.diff(x) > 0).all():
-            refuse("xi", "places that increase", "some that do not", "Sort them, with their strains.")
+            refuse(
+                "xi", "places that increase", "some that do not", "Sort them, with their strains."
+            )
         found.append((x, y))
     return found
 
@@ -298,8 +366,12 @@ def _wavelength(trains, middle):
         gaps += list(at[2:] - at[:-2])
         widths += list(np.diff(at))
     if not widths:
-        refuse("strain", "numbers that rise and fall through the middle of their range", "ones that do not",
-               "Give one crest or trough at least, with what is to both sides of it.")
+        refuse(
+            "strain",
+            "numbers that rise and fall through the middle of their range",
+            "ones that do not",
+            "Give one crest or trough at least, with what is to both sides of it.",
+        )
     return float(np.mean(gaps)) if gaps else 2 * float(np.mean(widths))
 
 
@@ -327,21 +399,42 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     y = np.concatenate([y for _, y in trains])
     roots = _real_roots(f)
     slopes = polynomial.polyval(roots, polynomial.polyder(f))
-    equilibria = tuple(Equilibrium(float(middle + half * z), "saddle" if k > 0 else "centre",
-                                   float(np.sqrt(abs(k)) / length)) for z, k in zip(roots, slopes))
+    equilibria = tuple(
+        Equilibrium(
+            float(middle + half * z),
+            "saddle" if k > 0 else "centre",
+            float(np.sqrt(abs(k)) / length),
+        )
+        for z, k in zip(roots, slopes)
+    )
     words = [f"Fitted to {noise:.1e} of half of crest less trough, in {len(pieces)} windows."]
     if not found.settled:
         words.append("The least squares had not settled: another degree or more windows may help.")
     if alike > ALIKE and noise > CLOSE:
         words.append("The residuals are no noise but what such an equation leaves out.")
     return PlanarODE(
-        shift @ f, np.sqrt(np.diag(covariance)), covariance,
+        shift @ f,
+        np.sqrt(np.diag(covariance)),
+        covariance,
         float(found.coefficients[shared] / length) if drift else None,
         float(np.sqrt(factor[shared] @ factor[shared]) / length) if drift else None,
-        float(noise * half), float(noise * half * np.sqrt(wider / (2 * free))), alike, equilibria, float(y.max()),
-        float(y.min()), 2 * np.pi * length, np.concatenate([x for x, _ in trains]), y, y + half * found.residual,
-        half / length * found.slopes, window, " ".join(words), _scaled=(middle, half, length, f),
-        _levels=polynomial.polyval(found.starts[0], polynomial.polyint(f)) - found.starts[1] ** 2 / 2)
+        float(noise * half),
+        float(noise * half * np.sqrt(wider / (2 * free))),
+        alike,
+        equilibria,
+        float(y.max()),
+        float(y.min()),
+        2 * np.pi * length,
+        np.concatenate([x for x, _ in trains]),
+        y,
+        y + half * found.residual,
+        half / length * found.slopes,
+        window,
+        " ".join(words),
+        _scaled=(middle, half, length, f),
+        _levels=polynomial.polyval(found.starts[0], polynomial.polyint(f))
+        - found.starts[1] ** 2 / 2,
+    )
 
 
 def _correlation(residual, window):

@@ -41,7 +41,9 @@ class Found(NamedTuple):
 
 def split(train: Train, count: int) -> list[Train]:
     """The pieces of a train, one after the other."""
-    return [Train(*both) for both in zip(np.array_split(train.x, count), np.array_split(train.y, count))]
+    return [
+        Train(*both) for both in zip(np.array_split(train.x, count), np.array_split(train.y, count))
+    ]
 
 
 def powers(y: np.ndarray, degree: int) -> np.ndarray:
@@ -55,7 +57,9 @@ def first(trains: list[Train], degree: int, drift: bool) -> np.ndarray:
     for x, y in trains:
         grid = np.linspace(x[0], x[-1], FINE * max(len(x), 8))
         fine, half = CubicSpline(x, y)(grid), min(WIDTH * 2 * np.pi, (x[-1] - x[0]) / 2)
-        for centre in np.linspace(x[0] + half, x[-1] - half, max(4, 2 * int((x[-1] - x[0]) / half) * degree)):
+        for centre in np.linspace(
+            x[0] + half, x[-1] - half, max(4, 2 * int((x[-1] - x[0]) / half) * degree)
+        ):
             t = (grid - centre) / half
             inside = np.clip(1 - t**2, 0.0, None)
             phi, slope = inside**POWER, -2 * POWER * t * inside ** (POWER - 1) / half
@@ -72,7 +76,9 @@ def growth(train: Train, c: np.ndarray, degree: int) -> float:
     return float(np.trapezoid(np.sqrt(np.maximum(slope, 0.0)), train.x))
 
 
-def trajectories(trains: list[Train], c: np.ndarray, starts: np.ndarray, degree: int, drift: bool) -> np.ndarray:
+def trajectories(
+    trains: list[Train], c: np.ndarray, starts: np.ndarray, degree: int, drift: bool
+) -> np.ndarray:
     """Strains at the places of all trains, their derivatives in c and in both starts, and slopes (P, W, 2 + m).
 
     All trains side by side; those that end sooner stay where they end. `starts` (2, W): y and y' at their beginning.
@@ -130,7 +136,9 @@ def _from(trains, c, degree, drift):
     for piece in PIECES:
         short, heads = [], []
         for train in trains:
-            count = max(1, min(int(np.ceil((train.x[-1] - train.x[0]) / piece)), len(train.x) // LEAST))
+            count = max(
+                1, min(int(np.ceil((train.x[-1] - train.x[0]) / piece)), len(train.x) // LEAST)
+            )
             heads.append(len(short))
             short += split(train, count)
         found = least_squares(short, c, _starts(short), degree, drift)
@@ -142,7 +150,9 @@ def _starts(trains):
     return np.array([[train.y[0], CubicSpline(*train)(train.x[0], 1)] for train in trains]).T
 
 
-def least_squares(trains: list[Train], c: np.ndarray, starts: np.ndarray, degree: int, drift: bool) -> Found:
+def least_squares(
+    trains: list[Train], c: np.ndarray, starts: np.ndarray, degree: int, drift: bool
+) -> Found:
     """The method of Levenberg and Marquardt from some coefficients and starts."""
     shared, count = len(c), len(trains)
     ends = np.cumsum([0] + [len(train.x) for train in trains])
@@ -150,7 +160,11 @@ def least_squares(trains: list[Train], c: np.ndarray, starts: np.ndarray, degree
     def state(c, starts):
         with np.errstate(all="ignore"):
             all_of = trajectories(trains, c, starts, degree, drift)
-        residual, slopes, jacobian = np.zeros(ends[-1]), np.zeros(ends[-1]), np.zeros((ends[-1], shared + 2 * count))
+        residual, slopes, jacobian = (
+            np.zeros(ends[-1]),
+            np.zeros(ends[-1]),
+            np.zeros((ends[-1], shared + 2 * count)),
+        )
         for k, train in enumerate(trains):
             own, rows = slice(ends[k], ends[k + 1]), all_of[: len(train.x), k]
             residual[own], slopes[own] = rows[:, 0] - train.y, rows[:, -1]
@@ -167,7 +181,10 @@ def least_squares(trains: list[Train], c: np.ndarray, starts: np.ndarray, degree
         c, starts, residual, jacobian, _, size = best
         widths = np.sqrt((jacobian**2).sum(0)) + 1e-300
         left = np.concatenate([jacobian / widths, np.sqrt(damping) * np.eye(jacobian.shape[1])])
-        step = -np.linalg.lstsq(left, np.append(residual, np.zeros(len(widths))), rcond=None)[0] / widths
+        step = (
+            -np.linalg.lstsq(left, np.append(residual, np.zeros(len(widths))), rcond=None)[0]
+            / widths
+        )
         new = state(c + step[:shared], starts + step[shared:].reshape(count, 2).T)
         small = np.abs(step[:shared]).max() < SETTLED * np.abs(c).max()
         if new[-1] < size:

@@ -32,7 +32,10 @@ class PlanarOrbit(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "crest": Held("", "m"), "trough": Held("", "m"), "distance": Held("", "m"), "xi": Held("xi", "1"),
+        "crest": Held("", "m"),
+        "trough": Held("", "m"),
+        "distance": Held("", "m"),
+        "xi": Held("xi", "1"),
         "strains": Held("xi", "m"),
     }
     kind: str = eqx.field(static=True)
@@ -101,11 +104,17 @@ class Way:
         s = low + np.minimum((x - self.places[k]) / self.rate(low), width)
         for _ in range(STEPS):
             half = (s - low) / 2
-            over = self.places[k] + half * (self.rate(low[..., None] + half[..., None] * (1 + _T)) @ _W) - x
+            over = (
+                self.places[k]
+                + half * (self.rate(low[..., None] + half[..., None] * (1 + _T)) @ _W)
+                - x
+            )
             step = over / self.rate(s)
             s = np.clip(s - step, low, low + width)
             if np.abs(step).max(initial=0.0) < 1e-15 * self.edges[-1]:
                 break
         if self.homoclinic:
-            s = np.where(x > self.places[-1], END + (x - self.places[-1]) / self.rate(np.asarray(END)), s)
+            s = np.where(
+                x > self.places[-1], END + (x - self.places[-1]) / self.rate(np.asarray(END)), s
+            )
         return self.y(s)

@@ -65,7 +65,9 @@ class Regression(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "covariance": Held("term term_"), "dropped": Held("dropped"), "noise": Held(unit="m/s^2"),
+        "covariance": Held("term term_"),
+        "dropped": Held("dropped"),
+        "noise": Held(unit="m/s^2"),
     }
     coefficients: dict[str, Coefficient]
     dropped: tuple[str, ...]
@@ -78,8 +80,13 @@ class Regression(Result):
 
 
 def library(
-    strain_map: StrainMap, *, powers: Sequence[Count] = (1, 2, 3), contacts: Sequence[Scalar] = (1.5,),
-    overlap: Scalar = 0.0, on_site: Sequence[Count] = (1, 3), dissipation: Sequence[str] | None = None,
+    strain_map: StrainMap,
+    *,
+    powers: Sequence[Count] = (1, 2, 3),
+    contacts: Sequence[Scalar] = (1.5,),
+    overlap: Scalar = 0.0,
+    on_site: Sequence[Count] = (1, 3),
+    dissipation: Sequence[str] | None = None,
 ) -> dict[str, Callable]:
     r"""Candidate terms of a lattice, as a dict from names to functions of their coefficient.
 
@@ -137,9 +144,18 @@ def _monomial(argument, p):
 
 
 def regression(
-    mass: Parameter | dict[str, Parameter], candidates: dict[str, Callable[[Any], Any]], ts: Times, us: Displacements,
-    vs: Displacements, accelerations: Displacements | None = None, *, noise: Scalar = 0.0,
-    known: Term | Sequence[Term] = (), threshold: Scalar = 0.02, ridge: Scalar = 0.0, max_steps: Count = 20,
+    mass: Parameter | dict[str, Parameter],
+    candidates: dict[str, Callable[[Any], Any]],
+    ts: Times,
+    us: Displacements,
+    vs: Displacements,
+    accelerations: Displacements | None = None,
+    *,
+    noise: Scalar = 0.0,
+    known: Term | Sequence[Term] = (),
+    threshold: Scalar = 0.02,
+    ridge: Scalar = 0.0,
+    max_steps: Count = 20,
 ) -> Regression:
     r"""Coefficients of the equation of motion from motion seen at every site: a = sum_j c_j f_j(t, u, v)/m.
 
@@ -183,8 +199,14 @@ def regression(
     frames = ts.shape if ts.ndim == 1 and ts.size else None
     for name, x in (("us", us), ("vs", vs), ("accelerations", accelerations)):
         shapes = [np.shape(leaf) for leaf in jax.tree.leaves(x)]
-        if x is not None and (not shapes or any(shape[:1] != frames or 0 in shape for shape in shapes)):
-            refuse(name, f"numbers at every one of the times, shape {ts.shape} and sites", f"shapes {shapes}")
+        if x is not None and (
+            not shapes or any(shape[:1] != frames or 0 in shape for shape in shapes)
+        ):
+            refuse(
+                name,
+                f"numbers at every one of the times, shape {ts.shape} and sites",
+                f"shapes {shapes}",
+            )
     sites = {name: x.shape[1:] for name, x in us.items()} if isinstance(us, dict) else us.shape[1:]
     if sites != Lattice(mass, known).shape:
         refuse("mass and us", "the same sites", f"{Lattice(mass, known).shape} and {sites}")
@@ -205,17 +227,29 @@ def regression(
         refuse("ts", f"more numbers than the {len(names)} candidates", f"{len(a)}")
     target = a - column(known) if known else a
     if not target.any():
-        refuse("accelerations", "some that are not zero", "none", "A lattice at rest shows no force.")
+        refuse(
+            "accelerations", "some that are not zero", "none", "A lattice at rest shows no force."
+        )
     for name, size in zip(names, np.linalg.norm(A, axis=0)):
         if size == 0:
-            refuse(f"candidates[{name!r}]", "a force somewhere along the motion", "none", "Leave it out.")
+            refuse(
+                f"candidates[{name!r}]",
+                "a force somewhere along the motion",
+                "none",
+                "Leave it out.",
+            )
     c, kept = _thresholded(A, target, threshold, ridge, max_steps)
     residual = target - A @ c
     size = np.sqrt(np.mean(target**2))
     least = max(MARGIN * uncertain, ROUNDING * float(jnp.finfo(ts.dtype).eps) * size)
     rms = np.sqrt(np.mean(residual**2))
-    found = [structure(*pairs) for pairs in (_in_time(residual, accelerations), _alike(residual, A))]
-    shared = max((rms * share for share, surely in found if surely > STRUCTURED and rms * share > least), default=0.0)
+    found = [
+        structure(*pairs) for pairs in (_in_time(residual, accelerations), _alike(residual, A))
+    ]
+    shared = max(
+        (rms * share for share, surely in found if surely > STRUCTURED and rms * share > least),
+        default=0.0,
+    )
     return _record(mass, candidates, names, A, target, c, kept, known, shared / size)
 
 
@@ -230,10 +264,16 @@ def _flat(tree):
 
 def _differentiated(ts, vs, noise):
     if len(ts) < 12:
-        refuse("ts", "twelve times or more, to differentiate velocities", f"{len(ts)}", "Or give accelerations=.")
+        refuse(
+            "ts",
+            "twelve times or more, to differentiate velocities",
+            f"{len(ts)}",
+            "Or give accelerations=.",
+        )
     t, inner = np.asarray(ts), slice(3, -3)
     deviation = float(non_negative("noise", noise))
     left = len(t) * deviation * deviation
+
     def derivative(v, every=1):
         sites = np.asarray(v).reshape(len(t), -1)[::every].T
         from scipy.interpolate import UnivariateSpline
@@ -251,7 +291,9 @@ def _in_time(residual, accelerations):
     leaves = jax.tree.leaves(accelerations)
     parts = np.split(residual, np.cumsum([np.size(x) for x in leaves])[:-1])
     rows = [part.reshape(len(x), -1) for part, x in zip(parts, leaves)]
-    return tuple(np.concatenate([np.ravel(x[where]) for x in rows]) for where in (slice(1, None), slice(-1)))
+    return tuple(
+        np.concatenate([np.ravel(x[where]) for x in rows]) for where in (slice(1, None), slice(-1))
+    )
 
 
 def _alike(residual, A):
@@ -278,7 +320,12 @@ def _thresholded(A, y, threshold, ridge, max_steps):
             break
         kept = stays
         if not kept.any():
-            refuse("threshold", "a share that some candidate has", f"{threshold:g}", "Lower it, or offer other terms.")
+            refuse(
+                "threshold",
+                "a share that some candidate has",
+                f"{threshold:g}",
+                "Lower it, or offer other terms.",
+            )
     c = np.zeros(len(sizes))
     c[kept] = _ridge(X[:, kept], y, 0.0)
     return c / sizes, kept
@@ -306,20 +353,37 @@ def _record(mass, candidates, names, A, y, c, kept, known, shared):
     dropped = tuple(name for name, keep in zip(names, kept) if not keep)
     r_squared = float(1 - residual @ residual / ((y - y.mean()) @ (y - y.mean())))
     condition = float(s[0] / s[-1])
-    words = [f"{len(found)} of {len(names)} terms kept ({', '.join(found)}); R^2 = {r_squared:.6g}."]
+    words = [
+        f"{len(found)} of {len(names)} terms kept ({', '.join(found)}); R^2 = {r_squared:.6g}."
+    ]
     if shared:
-        words.append(f"A residue beyond noise is left, {100 * shared:.2g} % of the accelerations: neighbours share "
-                     "it, as independent errors would not. A term is missing among the candidates, or lies below the "
-                     "threshold; the errors of the coefficients are too small.")
+        words.append(
+            f"A residue beyond noise is left, {100 * shared:.2g} % of the accelerations: neighbours share "
+            "it, as independent errors would not. A term is missing among the candidates, or lies below the "
+            "threshold; the errors of the coefficients are too small."
+        )
     if condition > ALIKE:
-        words.append(f"They are much alike (condition {condition:.1g}): their coefficients stand for each other.")
+        words.append(
+            f"They are much alike (condition {condition:.1g}): their coefficients stand for each other."
+        )
     lattice = None
     wrong = [name for name in found if not _builds(candidates[name], coefficients[name].value)]
     if wrong:
         words.append(f"The sign found for {', '.join(wrong)} is one that the term refuses.")
     else:
-        lattice = Lattice(mass, tuple(candidates[name](coefficients[name].value) for name in found) + known)
-    return Regression(coefficients, dropped, covariance, r_squared, float(noise), condition, lattice, " ".join(words))
+        lattice = Lattice(
+            mass, tuple(candidates[name](coefficients[name].value) for name in found) + known
+        )
+    return Regression(
+        coefficients,
+        dropped,
+        covariance,
+        r_squared,
+        float(noise),
+        condition,
+        lattice,
+        " ".join(words),
+    )
 
 
 def _builds(make, value):

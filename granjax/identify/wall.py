@@ -46,9 +46,14 @@ class WallModulus(Result):
 
     _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {
-        "modulus": Held(unit="Pa"), "deviation": Held(unit="Pa"), "plane_modulus": Held(unit="Pa"),
-        "reduced_modulus": Held(unit="Pa"), "stiffness": Held(unit="N/m^{3/2}"), "relative": Held("quantity", "1"),
-        "scanned": Held("scanned", "Pa"), "chi_square": Held("scanned", "1"),
+        "modulus": Held(unit="Pa"),
+        "deviation": Held(unit="Pa"),
+        "plane_modulus": Held(unit="Pa"),
+        "reduced_modulus": Held(unit="Pa"),
+        "stiffness": Held(unit="N/m^{3/2}"),
+        "relative": Held("quantity", "1"),
+        "scanned": Held("scanned", "Pa"),
+        "chi_square": Held("scanned", "1"),
     }
     modulus: float
     deviation: float
@@ -82,12 +87,23 @@ class WallScene(eqx.Module):
 
     def stiffness(self, modulus: Scalar) -> Numbers:
         """A of the contact with the wall."""
-        return hertz_coefficient(self.material, self.radius, Material("wall", modulus, self.poisson, 1.0), jnp.inf)
+        return hertz_coefficient(
+            self.material, self.radius, Material("wall", modulus, self.poisson, 1.0), jnp.inf
+        )
 
     def __call__(self, parameters: dict[str, Numbers]) -> Lattice:
-        free = self.free({name: parameters[name] for name in self.others}) if callable(self.free) else self.free
+        free = (
+            self.free({name: parameters[name] for name in self.others})
+            if callable(self.free)
+            else self.free
+        )
         if any(self.side in term.walls() for term in free.terms):
-            refuse("lattice", f"no contact with a wall at its {self.side} end", "one", 'Make it with boundary="free".')
+            refuse(
+                "lattice",
+                f"no contact with a wall at its {self.side} end",
+                "one",
+                'Make it with boundary="free".',
+            )
         wall = Wall(Hertz(self.stiffness(parameters[NAME]), self.precompression), self.side)
         walled = eqx.tree_at(lambda x: x.terms, free, (*free.terms, wall))
         walled.check_terms()
@@ -95,9 +111,19 @@ class WallScene(eqx.Module):
 
 
 def wall_modulus(
-    lattice: Lattice | Callable[[Any], Lattice], traces: Traces | Sequence[Traces], *, state: Start,
-    material: str | Material, radius: Scalar, start: Scalar, poisson: Scalar = 0.3, precompression: Scalar = 0.0,
-    side: str = "right", others: dict[str, Parameter] | None = None, factor: Scalar = 10.0, scan: Count = 13,
+    lattice: Lattice | Callable[[Any], Lattice],
+    traces: Traces | Sequence[Traces],
+    *,
+    state: Start,
+    material: str | Material,
+    radius: Scalar,
+    start: Scalar,
+    poisson: Scalar = 0.3,
+    precompression: Scalar = 0.0,
+    side: str = "right",
+    others: dict[str, Parameter] | None = None,
+    factor: Scalar = 10.0,
+    scan: Count = 13,
     **options: object,
 ) -> WallModulus:
     r"""Young's modulus of the wall at the end of a chain, from one trace of the wave that it reflects.
@@ -140,9 +166,15 @@ def wall_modulus(
     others = {} if others is None else dict(others)
     if NAME in others:
         refuse("others", f"parameters beside {NAME!r}", f"{NAME!r}", "Its start is start=.")
-    start = float(positive("start", start, "It is a guess of the wall's Young's modulus in pascal."))
+    start = float(
+        positive("start", start, "It is a guess of the wall's Young's modulus in pascal.")
+    )
     factor = float(within("factor", factor, 1, np.inf, open_low=True, open_high=True))
-    poisson = float(within("poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for bone."))
+    poisson = float(
+        within(
+            "poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for bone."
+        )
+    )
     one_of("side", side, ("left", "right"))
     # arrays, whose values compile nothing anew; a wall without a load has a law without one
     known = [jnp.asarray(x, float) if np.any(x) else x for x in (radius, poisson, precompression)]
@@ -152,18 +184,37 @@ def wall_modulus(
     ladder = start * np.geomspace(1 / factor, factor, scan)
     # the stiffest wall sets the step
     given = {name: options[name] for name in ("t0", "step", "solver") if name in options}
-    problem = prepared(scene, {**others, NAME: ladder[-1]}, traces, state=state, bounds=bounds, **given)
+    problem = prepared(
+        scene, {**others, NAME: ladder[-1]}, traces, state=state, bounds=bounds, **given
+    )
     at = np.zeros((len(ladder), problem.coordinates.size))
     at[:, -1] = np.log(ladder / ladder[-1])
-    chi_square = np.array([np.sum(np.asarray(linearised(problem, jnp.asarray(x))[0]) ** 2) for x in at])
-    found = fit(scene, {**others, NAME: ladder[_least(chi_square)]}, traces, state=state, bounds=bounds, **options)
+    chi_square = np.array(
+        [np.sum(np.asarray(linearised(problem, jnp.asarray(x))[0]) ** 2) for x in at]
+    )
+    found = fit(
+        scene,
+        {**others, NAME: ladder[_least(chi_square)]},
+        traces,
+        state=state,
+        bounds=bounds,
+        **options,
+    )
     modulus, deviation = float(found.parameters[NAME]), float(found.deviations[NAME])
     A, slope = jax.value_and_grad(scene.stiffness)(jnp.asarray(modulus))
     relative, share = deviation / modulus, float(slope) * modulus / float(A)
-    return WallModulus(modulus, deviation, modulus / (1 - poisson**2), float(0.75 * A / np.sqrt(radius)), float(A),
-                       relative * np.array([1.0, share, share]), ladder, chi_square, found)
+    return WallModulus(
+        modulus,
+        deviation,
+        modulus / (1 - poisson**2),
+        float(0.75 * A / np.sqrt(radius)),
+        float(A),
+        relative * np.array([1.0, share, share]),
+        ladder,
+        chi_square,
+        found,
+    )
 
 
 def _least(chi_square):
     return int(np.argmin(np.where(np.isfinite(chi_square), chi_square, np.inf)))
-

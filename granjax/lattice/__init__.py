@@ -7,6 +7,13 @@ from .split import acceleration_only, split_system, vector_field
 from .tangents import variational
 
 __all__ = [
-    "Lattice", "State", "acceleration_only", "in_blocks", "linearised", "split_system", "spread_mass", "variational",
+    "Lattice",
+    "State",
+    "acceleration_only",
+    "in_blocks",
+    "linearised",
+    "split_system",
+    "spread_mass",
+    "variational",
     "vector_field",
 ]

@@ -70,7 +70,9 @@ def _composed(rest, table, numbers, w, t, h):
 def _composed_jvp(rest, table, primals, tangents):
     def plain(numbers, w, t, h):
         system = eqx.combine(numbers, rest).stages
-        return tuple(system.leave(by_stages(system, system.enter(w, system.start(t, w)), table, t, h), w)[0])
+        return tuple(
+            system.leave(by_stages(system, system.enter(w, system.start(t, w)), table, t, h), w)[0]
+        )
 
     return jax.jvp(plain, primals, tangents)
 
@@ -97,10 +99,18 @@ class _Chain(eqx.Module):
 
     def mobility(self, first):
         inverse = self.window(self.inverse_mass, first)
-        return inverse if jnp.ndim(self.inverse_mass) else jnp.where(self.inside(first, 0, self.sites), inverse, 0)
+        return (
+            inverse
+            if jnp.ndim(self.inverse_mass)
+            else jnp.where(self.inside(first, 0, self.sites), inverse, 0)
+        )
 
     def force(self, first, left, right):
-        force = jax.tree.map(lambda x: self.window(x, first), self.law).force(left - right).astype(left.dtype)
+        force = (
+            jax.tree.map(lambda x: self.window(x, first), self.law)
+            .force(left - right)
+            .astype(left.dtype)
+        )
         return jnp.where(self.inside(first, 1, self.sites), force, 0) if self.open_ends else force
 
     def kick(self, near, first, at, bh):
@@ -114,7 +124,10 @@ class _Chain(eqx.Module):
         u, v, f = near
         rate = None if self.rate is None else self.window(self.rate, first + at)
         here = (dynamic_slice(x, (at,), (BLOCK,)) for x in (u, v))
-        u, v = (dynamic_update_slice(x, new, (at,)) for x, new in zip((u, v), damped_flight(*here, rate, ah)))
+        u, v = (
+            dynamic_update_slice(x, new, (at,))
+            for x, new in zip((u, v), damped_flight(*here, rate, ah))
+        )
         return u, v, f
 
     def push(self, near, first, at):
@@ -140,12 +153,15 @@ def _in_blocks(system, table, w, h):
         u, v, near = carry
         first = k * BLOCK
         near = through(_entered(chain, near, u, v, first), first)
-        u, v = (dynamic_update_slice(x, dynamic_slice(own, (1,), (BLOCK,)), (first + 1,))
-                for x, own in zip((u, v), near))
+        u, v = (
+            dynamic_update_slice(x, dynamic_slice(own, (1,), (BLOCK,)), (first + 1,))
+            for x, own in zip((u, v), near)
+        )
         return u, v, tuple(dynamic_update_slice(x, x[BLOCK:], (0,)) for x in near)
 
     def through(near, first):
         """All stages: what is near has its first site at `first` of the chain."""
+
         def stage(j, near):
             near = chain.push(chain.drift(near, first, margin - j, ah[j]), first, margin - j)
             return chain.kick(near, first, margin - j - 1, bh[j + 1])
@@ -153,7 +169,9 @@ def _in_blocks(system, table, w, h):
         if table.b[0] != 0:
             near = chain.kick(near, first, margin, bh[0])
         near = chain.drift(jax.lax.fori_loop(0, stages - 1, stage, near), first, 2, ah[-1])
-        return chain.kick(chain.push(near, first, 2), first, 1, bh[-1]) if table.b[-1] != 0 else near
+        return (
+            chain.kick(chain.push(near, first, 2), first, 1, bh[-1]) if table.b[-1] != 0 else near
+        )
 
     wall = chain.force(margin, u[margin - 1 : margin - 1 + BLOCK], u[margin : margin + BLOCK])
     f = dynamic_update_slice(jnp.zeros(margin + BLOCK + 1, u.dtype), wall, (margin,))
@@ -169,7 +187,10 @@ def _entered(chain, near, u, v, first):
     fresh = dynamic_slice(u, (first + at,), (BLOCK + 1,))
     force = chain.force(first + at + 1, fresh[:-1], fresh[1:])
     new = fresh[:-1], dynamic_slice(v, (first + at,), (BLOCK,)), force
-    return tuple(dynamic_update_slice(x, part, (place,)) for x, part, place in zip(near, new, (at, at, at + 1)))
+    return tuple(
+        dynamic_update_slice(x, part, (place,))
+        for x, part, place in zip(near, new, (at, at, at + 1))
+    )
 
 
 def _prepared(system, u, around, sites, margin, behind):
@@ -183,11 +204,21 @@ def _prepared(system, u, around, sites, margin, behind):
         x = around(x)
         return jnp.pad(x, (margin + first, sites + behind + 1 - first - x.shape[0]), mode="edge")
 
-    own = lambda x: jnp.pad(around(x), (margin, behind)) if jnp.ndim(x) and x.shape[0] == u.shape[0] else jnp.squeeze(x)
+    own = lambda x: (
+        jnp.pad(around(x), (margin, behind))
+        if jnp.ndim(x) and x.shape[0] == u.shape[0]
+        else jnp.squeeze(x)
+    )
     ((_, rate),) = damping_rates(lattice, u)
     inverse = own(jnp.asarray(1 / lattice.mass, u.dtype))
-    return _Chain(jax.tree.map(along, system.law), inverse, None if rate is None else own(jnp.asarray(rate)), sites,
-                  margin, system.boundary != "fixed")
+    return _Chain(
+        jax.tree.map(along, system.law),
+        inverse,
+        None if rate is None else own(jnp.asarray(rate)),
+        sites,
+        margin,
+        system.boundary != "fixed",
+    )
 
 
 def in_blocks(lattice: Lattice, y: StateLike) -> BlockSplit | None:

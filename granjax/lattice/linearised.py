@@ -9,7 +9,9 @@ from ..types import Displacements, Number
 from .model import Lattice, check_shape, refuse_memory
 
 
-def linearised(lattice: Lattice, t: Number, u: Displacements, v: Displacements | None = None) -> Lattice:
+def linearised(
+    lattice: Lattice, t: Number, u: Displacements, v: Displacements | None = None
+) -> Lattice:
     r"""The lattice of small perturbations U about u(t): m U'' = (dF/du) U + (dF/dv) U'.
 
     A `Lattice` with the same sites and one more lane: its displacements have a trailing axis for the tangents, so

@@ -79,8 +79,14 @@ class Lattice(eqx.Module):
     dimension: int | None = eqx.field(static=True)
 
     def __init__(
-        self, mass: Parameter | dict[str, Parameter], terms: Term | Sequence[Term], *, sites: Site | None = None,
-        dimension: Count | None = None, positions: Parameter | dict[str, Parameter] | None = None, units: str = SCALED,
+        self,
+        mass: Parameter | dict[str, Parameter],
+        terms: Term | Sequence[Term],
+        *,
+        sites: Site | None = None,
+        dimension: Count | None = None,
+        positions: Parameter | dict[str, Parameter] | None = None,
+        units: str = SCALED,
     ):
         self.dimension = None if dimension is None else whole("dimension", dimension, 1)
         if isinstance(mass, dict):
@@ -99,7 +105,12 @@ class Lattice(eqx.Module):
         self.terms = tuple(terms)
         for i, term in enumerate(self.terms):
             if not isinstance(term, Term):
-                refuse(f"terms[{i}]", "a term", f"a {type(term).__name__}", "A law needs a Bond, a Wall or an OnSite.")
+                refuse(
+                    f"terms[{i}]",
+                    "a term",
+                    f"a {type(term).__name__}",
+                    "A law needs a Bond, a Wall or an OnSite.",
+                )
         self._mark = _one(self.axes + (self.dimension is not None), mark_of(units))
         if self.dimension is not None:
             self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
@@ -110,18 +121,39 @@ class Lattice(eqx.Module):
             lanes, kilogram = self.lanes, "kg" if self.units == SI else ""
         except (AttributeError, TypeError, ValueError):  # of a tree that JAX has made of it
             lanes, kilogram = (), ""
-        rows = [("sites", text(self.sites) if isinstance(self.sites, dict) else " x ".join(map(str, self.sites)))]
+        rows = [
+            (
+                "sites",
+                text(self.sites)
+                if isinstance(self.sites, dict)
+                else " x ".join(map(str, self.sites)),
+            )
+        ]
         rows += [("vectors of", f"{self.dimension} components")] if self.dimension else []
         rows += [("lanes", " x ".join(map(str, lanes)))] if lanes else []
-        rows += [("mass", text(self.mass, kilogram)), *(("term", repr(term)) for term in self.terms)]
+        rows += [
+            ("mass", text(self.mass, kilogram)),
+            *(("term", repr(term)) for term in self.terms),
+        ]
         return "\n".join(f"{name:<15}{value}".replace("\n", f"\n{'':15}") for name, value in rows)
 
     def _one_mass(self, name, mass, sites):
         mass = positive(name, mass, "A site needs a mass.")
         per_site = mass.ndim > 0
         if sites is None and not per_site:
-            refuse(name, "an array, one mass per site", "one number", "Or say how many sites: Lattice(..., sites=N).")
-        shape = mass.shape if sites is None else tuple(sites) if isinstance(sites, (tuple, list)) else (sites,)
+            refuse(
+                name,
+                "an array, one mass per site",
+                "one number",
+                "Or say how many sites: Lattice(..., sites=N).",
+            )
+        shape = (
+            mass.shape
+            if sites is None
+            else tuple(sites)
+            if isinstance(sites, (tuple, list))
+            else (sites,)
+        )
         shape = tuple(whole("sites", n, 1) for n in shape)
         each = self.dimension is not None and per_site and mass.shape == (*shape, self.dimension)
         if per_site and mass.shape != shape and not each:
@@ -137,7 +169,11 @@ class Lattice(eqx.Module):
         sites = self.sites
         known, given = (sorted(x) if isinstance(x, dict) else None for x in (sites, positions))
         if known != given:
-            refuse("positions", f"an array for each of {known}" if known else "one array", f"{given or 'one array'}")
+            refuse(
+                "positions",
+                f"an array for each of {known}" if known else "one array",
+                f"{given or 'one array'}",
+            )
 
         def checked_places(name, x, shape):
             x = parameter(name, x)
@@ -147,7 +183,10 @@ class Lattice(eqx.Module):
 
         if not isinstance(positions, dict):
             return checked_places("positions", positions, sites)
-        return {name: checked_places(f"positions[{name!r}]", x, sites[name]) for name, x in positions.items()}
+        return {
+            name: checked_places(f"positions[{name!r}]", x, sites[name])
+            for name, x in positions.items()
+        }
 
     def check_terms(self) -> None:
         """Refuse terms whose parameters do not fit the sites, naming them."""
@@ -158,15 +197,29 @@ class Lattice(eqx.Module):
             try:
                 got, _ = traced(term, self)
             except KeyError as error:
-                refuse(name, f"fields among {sorted(self.fields or ())}", str(error), "Check the names of the fields.")
+                refuse(
+                    name,
+                    f"fields among {sorted(self.fields or ())}",
+                    str(error),
+                    "Check the names of the fields.",
+                )
             except (TypeError, ValueError, IndexError, AttributeError) as error:
                 wanted = f"parameters that fit a lattice of shape {self.shape}"
                 refuse(name, wanted, f"an error: {str(error).rstrip('.')}")
-            wanted = u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
+            wanted = (
+                u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
+            )
             same = jax.tree.structure(got) == jax.tree.structure(wanted)
-            if not same or any(a.shape != b.shape for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(wanted))):
+            if not same or any(
+                a.shape != b.shape for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(wanted))
+            ):
                 shapes = jax.tree.map(lambda x: x.shape, got)
-                refuse(name, f"a force of shape {self.shape}", f"{shapes}", "Its parameters do not fit the lattice.")
+                refuse(
+                    name,
+                    f"a force of shape {self.shape}",
+                    f"{shapes}",
+                    "Its parameters do not fit the lattice.",
+                )
 
     @property
     def fields(self):
@@ -207,9 +260,18 @@ class Lattice(eqx.Module):
         own = self.axes + (self.dimension is not None)
         # as many sites as lanes: the masses do not tell which is which
         shape = mass.shape
-        if self._mark.shape[:own] != (1,) * own and _has_sites(self, own) or per_site and shape[: len(sites)] != sites:
-            refuse("lattice", "lanes behind the sites", f"masses of shape {shape} on sites of shape {sites}",
-                   "Write jax.vmap(make, out_axes=-1).")
+        if (
+            self._mark.shape[:own] != (1,) * own
+            and _has_sites(self, own)
+            or per_site
+            and shape[: len(sites)] != sites
+        ):
+            refuse(
+                "lattice",
+                "lanes behind the sites",
+                f"masses of shape {shape} on sites of shape {sites}",
+                "Write jax.vmap(make, out_axes=-1).",
+            )
         return shape[own if per_site else 0 :]
 
     @property
@@ -265,7 +327,9 @@ class Lattice(eqx.Module):
         check_shape(self, "v", v)
         return self.sum_forces(t, u, v, self.terms)
 
-    def sum_forces(self, t: Number, u: Displacements, v: Displacements, terms: Sequence[Term]) -> Displacements:
+    def sum_forces(
+        self, t: Number, u: Displacements, v: Displacements, terms: Sequence[Term]
+    ) -> Displacements:
         """Sum of the forces of some terms, of the structure of `u`."""
         return self.total([term.force(t, u, v, self.mass) for term in terms], u)
 
@@ -273,7 +337,10 @@ class Lattice(eqx.Module):
         """Sum of arrays over the sites, or of dicts of those fields that they touch; `None` is nothing."""
         parts = [part for part in parts if part is not None]
         if isinstance(u, dict):
-            return {name: _sum([part[name] for part in parts if name in part], x) for name, x in u.items()}
+            return {
+                name: _sum([part[name] for part in parts if name in part], x)
+                for name, x in u.items()
+            }
         return _sum(parts, u)
 
     def acceleration(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
@@ -288,7 +355,9 @@ class Lattice(eqx.Module):
             energy = term.energy(t, u)
             if energy is not None:
                 lanes = len(self.lanes)
-                total = total + sum(e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(energy))
+                total = total + sum(
+                    e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(energy)
+                )
         return total
 
     def kinetic_energy(self, v: Displacements) -> Number:
@@ -330,11 +399,15 @@ class Lattice(eqx.Module):
 
     def between(self, low: Number, high: Number) -> Any:
         """The lattice for the times from `low` to `high`: functions of time with breaks are held beyond them."""
-        return eqx.tree_at(lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms))
+        return eqx.tree_at(
+            lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms)
+        )
 
     def for_run(self) -> Any:
         """The lattice whose terms hold what their forces need and no state changes, such as transforms of kernels."""
-        return eqx.tree_at(lambda x: x.terms, self, tuple(term.for_run(self) for term in self.terms))
+        return eqx.tree_at(
+            lambda x: x.terms, self, tuple(term.for_run(self) for term in self.terms)
+        )
 
     def unbalanced(self) -> Displacements:
         """Force on each site at rest, from the total contact forces (preloads included).
@@ -358,34 +431,59 @@ def _one(axes, mark):
 
 def _has_sites(lattice, own):
     """Whether some parameter has more axes than lanes: for single numbers the place of the lanes is no question."""
-    return any(np.ndim(x) > lattice._mark.ndim - own for x in jax.tree.leaves((lattice.mass, lattice.terms)))
+    return any(
+        np.ndim(x) > lattice._mark.ndim - own
+        for x in jax.tree.leaves((lattice.mass, lattice.terms))
+    )
 
 
 def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lattice") -> None:
     """That displacements or velocities are real, with an entry for every site and lane; more axes may follow."""
     shape, lanes = lattice.shape, lattice.lanes
-    if isinstance(shape, dict) != isinstance(x, dict) or isinstance(x, dict) and x.keys() != shape.keys():
-        refuse(name, f"{f'fields {sorted(shape)}' if isinstance(shape, dict) else 'an array'}, as of {whose}",
-               f"fields {sorted(x)}" if isinstance(x, dict) else "an array", "Start from lattice.zeros().")
+    if (
+        isinstance(shape, dict) != isinstance(x, dict)
+        or isinstance(x, dict)
+        and x.keys() != shape.keys()
+    ):
+        refuse(
+            name,
+            f"{f'fields {sorted(shape)}' if isinstance(shape, dict) else 'an array'}, as of {whose}",
+            f"fields {sorted(x)}" if isinstance(x, dict) else "an array",
+            "Start from lattice.zeros().",
+        )
     pairs = [(shape, x)] if not isinstance(x, dict) else [(shape[field], x[field]) for field in x]
     for own, array in pairs:
         if letter(array) == "c":
-            refuse(name, "real numbers", described(array), "Real and imaginary part move for themselves.")
+            refuse(
+                name,
+                "real numbers",
+                described(array),
+                "Real and imaginary part move for themselves.",
+            )
         wanted, got = own + lanes, np.shape(array)
         # one lane serves many, as of a lattice whose tangents they are
         fits = len(got) >= len(wanted) and all(
-            w == g or w == 1 and i >= len(own) for i, (w, g) in enumerate(zip(wanted, got)))
+            w == g or w == 1 and i >= len(own) for i, (w, g) in enumerate(zip(wanted, got))
+        )
         if not fits:
-            refuse(name, f"shape {wanted}, that of {whose}", f"shape {got}", "Start from lattice.zeros().")
+            refuse(
+                name,
+                f"shape {wanted}, that of {whose}",
+                f"shape {got}",
+                "Start from lattice.zeros().",
+            )
 
 
 def refuse_memory(lattice: Lattice) -> None:
     """Refuse terms whose force reads the past, in what knows the present state alone."""
     for i, term in enumerate(lattice.terms):
         if term.remembers():
-            refuse(f"terms[{i}] ({type(term).__name__})", "a force of the present state alone",
-                   f"one that remembers the {', '.join(term.remembers()).replace('_', ' ')}",
-                   "gx.simulate(lattice, state, t1) runs such a lattice, with the solver it has for them.")
+            refuse(
+                f"terms[{i}] ({type(term).__name__})",
+                "a force of the present state alone",
+                f"one that remembers the {', '.join(term.remembers()).replace('_', ' ')}",
+                "gx.simulate(lattice, state, t1) runs such a lattice, with the solver it has for them.",
+            )
 
 
 def _sum(parts, like):

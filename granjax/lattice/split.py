@@ -69,7 +69,9 @@ class ChainSplit(eqx.Module):
         return self._put(f, self.law.force(u[:-1] - u[1:]))
 
     def _put(self, f, force):
-        return jax.lax.dynamic_update_slice(f, force.astype(f.dtype), (0 if self._walls else 1,) + (0,) * (f.ndim - 1))
+        return jax.lax.dynamic_update_slice(
+            f, force.astype(f.dtype), (0 if self._walls else 1,) + (0,) * (f.ndim - 1)
+        )
 
     def compression(self, w):
         """The compression of every bond in a working form."""
@@ -127,7 +129,11 @@ class ChainSplit(eqx.Module):
         u, v, f = w
         ((_, rate),) = damping_rates(self.lattice, u)
         inner, v = damped_flight(self._inner(u), v, rate, ah)
-        u = jax.lax.dynamic_update_slice(u, inner, (1,) + (0,) * (u.ndim - 1)) if self._walls else inner
+        u = (
+            jax.lax.dynamic_update_slice(u, inner, (1,) + (0,) * (u.ndim - 1))
+            if self._walls
+            else inner
+        )
         return u, v, f
 
     def acceleration(self, y, cache):
@@ -196,7 +202,8 @@ def split_system(lattice: Lattice) -> Any:
     for i, term in enumerate(lattice.terms):
         if term.exact_damping() is None and term.dependence(lattice).velocity:
             refuse(
-                "solver", "forces that depend on positions and time, beside linear Damping of each site",
+                "solver",
+                "forces that depend on positions and time, beside linear Damping of each site",
                 f"terms[{i}] ({type(term).__name__}), which reads the velocity",
                 "Use solver=diffrax.Tsit5() or diffrax.Dopri8() with tolerance=..., or replace the term by Damping.",
             )
@@ -232,7 +239,8 @@ def acceleration_only(lattice: Lattice) -> Callable:
     for i, term in enumerate(lattice.terms):
         if term.dependence(lattice).velocity:
             refuse(
-                "solver", "forces that depend on positions and time alone",
+                "solver",
+                "forces that depend on positions and time alone",
                 f"terms[{i}] ({type(term).__name__}), which reads the velocity",
                 "Use solver=diffrax.Dopri8() with tolerance=..., or a splitting solver if the term is Damping.",
             )

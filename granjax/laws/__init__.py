@@ -11,6 +11,24 @@ from .taylor import Taylor, taylor
 from .yielding import Yielding
 
 __all__ = [
-    "Hertz", "Indented", "Law", "Linear", "Network", "PlasticLaw", "Polynomial", "PowerLaw", "Scaled", "Sine", "Spline",
-    "Strained", "Sum", "Taylor", "Thornton", "Toda", "WaltonBraun", "Yielding", "plus_power", "taylor",
+    "Hertz",
+    "Indented",
+    "Law",
+    "Linear",
+    "Network",
+    "PlasticLaw",
+    "Polynomial",
+    "PowerLaw",
+    "Scaled",
+    "Sine",
+    "Spline",
+    "Strained",
+    "Sum",
+    "Taylor",
+    "Thornton",
+    "Toda",
+    "WaltonBraun",
+    "Yielding",
+    "plus_power",
+    "taylor",
 ]

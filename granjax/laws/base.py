@@ -271,7 +271,9 @@ class Strained(Law):
     def energy(self, e):
         zero = self._zero
         moved = e if self.reference is None else e + (self.strain - zero)
-        return self.law.energy(e + self.strain) - self.law.energy(zero) - self.law.force(zero) * moved
+        return (
+            self.law.energy(e + self.strain) - self.law.energy(zero) - self.law.force(zero) * moved
+        )
 
     def overlap(self, e):
         return self.law.overlap(e + self.strain)

@@ -14,7 +14,9 @@ from .real_power import cube_root
 
 
 def _precompression(F0):
-    return checked_preload("precompression", F0, "The static force F0 pushes; a chain under tension falls apart.")
+    return checked_preload(
+        "precompression", F0, "The static force F0 pushes; a chain under tension falls apart."
+    )
 
 
 class _Contact(Law):
@@ -115,7 +117,9 @@ class _Contact(Law):
             work = -jnp.log(s / d0) if q == 0 else -self._difference(e, q) / q
         else:
             at_one = q == 0
-            work = jnp.where(at_one, -jnp.log(s / d0), -self._difference(e, q) / jnp.where(at_one, 1, q))
+            work = jnp.where(
+                at_one, -jnp.log(s / d0), -self._difference(e, q) / jnp.where(at_one, 1, q)
+            )
         return self.stiffness * work - self.precompression * e
 
 
@@ -184,7 +188,9 @@ class PowerLaw(_Contact):
     """
 
     dimensions = {
-        "stiffness": lambda law: (1, -law.exponent, 0), "precompression": (1, 0, 0), "_free_exponent": (0, 0, 0),
+        "stiffness": lambda law: (1, -law.exponent, 0),
+        "precompression": (1, 0, 0),
+        "_free_exponent": (0, 0, 0),
     }
     positive = ("stiffness", "precompression", "exponent")
     _shown = {"stiffness": "stiffness", "exponent": "exponent", "precompression": "precompression"}
@@ -194,23 +200,39 @@ class PowerLaw(_Contact):
     _free_exponent: jax.Array | None
     _repels: bool | None = eqx.field(static=True)
 
-    def __init__(self, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0):
+    def __init__(
+        self, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0
+    ):
         self.stiffness = positive("stiffness", stiffness, "The contact coefficient A is positive.")
         self.precompression = _precompression(precompression)
         array = parameter("exponent", exponent)
         value = concrete(array)
         if value is not None and not (abs(value) > 0).all():
-            refuse("exponent", "p != 0", show(value), "p = 1 is a linear spring, p = 3/2 Hertz, p < 0 magnets.")
+            refuse(
+                "exponent",
+                "p != 0",
+                show(value),
+                "p = 1 is a linear spring, p = 3/2 Hertz, p < 0 magnets.",
+            )
         if value is not None and (value < 0).any() != (value < 0).all():
-            refuse("exponent", "values of one sign", show(value), "Contacts and magnets are two laws; use two bonds.")
+            refuse(
+                "exponent",
+                "values of one sign",
+                show(value),
+                "Contacts and magnets are two laws; use two bonds.",
+            )
         self._repels = None if value is None else bool((value < 0).all())
         self._fixed_exponent = float(exponent) if isinstance(exponent, (int, float)) else None
         self._free_exponent = None if isinstance(exponent, (int, float)) else array
         if self._repels:
             F0 = None if self.precompression is None else concrete(self.precompression)
             if self.precompression is None or (F0 is not None and not (F0 > 0).all()):
-                refuse("exponent and precompression", "F0 > 0 for p < 0", f"p = {show(value)} and F0 = 0",
-                       "Repelling magnets rest only under a static force.")
+                refuse(
+                    "exponent and precompression",
+                    "F0 > 0 for p < 0",
+                    f"p = {show(value)} and F0 = 0",
+                    "Repelling magnets rest only under a static force.",
+                )
 
     @property
     def exponent(self):

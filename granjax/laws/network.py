@@ -39,10 +39,20 @@ class Network(Law):
     ((13,), 0.973)
     """
 
-    dimensions = {"_parameters": (0, 0, 0), "strain": (0, 1, 0), "scale": (1, 0, 0), "_preload": (1, 0, 0)}
+    dimensions = {
+        "_parameters": (0, 0, 0),
+        "strain": (0, 1, 0),
+        "scale": (1, 0, 0),
+        "_preload": (1, 0, 0),
+    }
     held = ("strain", "scale", "preload")
-    _shown = {"strain": "strain", "force": "scale", "monotone": "monotone", "parameters": "_parameters",
-              "preload": "_preload"}
+    _shown = {
+        "strain": "strain",
+        "force": "scale",
+        "monotone": "monotone",
+        "parameters": "_parameters",
+        "preload": "_preload",
+    }
     _parameters: tuple[jax.Array, ...]
     strain: jax.Array
     scale: jax.Array
@@ -50,14 +60,27 @@ class Network(Law):
     monotone: bool = eqx.field(static=True)
 
     def __init__(
-        self, width: Count = 8, strain: Parameter = 1.0, force: Parameter = 1.0, monotone: bool = True,
-        parameters: Parameter | None = None, preload: Parameter = 0.0,
+        self,
+        width: Count = 8,
+        strain: Parameter = 1.0,
+        force: Parameter = 1.0,
+        monotone: bool = True,
+        parameters: Parameter | None = None,
+        preload: Parameter = 0.0,
     ):
         self.strain, self.scale = positive("strain", strain), positive("force", force)
         self.monotone = bool(monotone)
-        parameters = _start(width, self.monotone) if parameters is None else parameter("parameters", parameters)
+        parameters = (
+            _start(width, self.monotone)
+            if parameters is None
+            else parameter("parameters", parameters)
+        )
         if parameters.ndim == 0 or parameters.shape[0] != 3 * width + 1:
-            refuse("parameters", f"{3 * width + 1} numbers for {width} units", f"shape {parameters.shape}")
+            refuse(
+                "parameters",
+                f"{3 * width + 1} numbers for {width} units",
+                f"shape {parameters.shape}",
+            )
         # a leaf for each: scalars, or arrays over the bonds, as the parameters of any law
         self._parameters = tuple(parameters)
         self._preload = checked_preload("preload", preload, "A contact can only push.")
@@ -76,7 +99,9 @@ class Network(Law):
         width = len(self._parameters) // 3
         p, b, q = (self._parameters[i * width : (i + 1) * width] for i in range(3))
         sign = jax.nn.softplus if self.monotone else lambda x: x
-        return [(jax.nn.softplus(p), b, sign(q)) for p, b, q in zip(p, b, q)], sign(self._parameters[-1])
+        return [(jax.nn.softplus(p), b, sign(q)) for p, b, q in zip(p, b, q)], sign(
+            self._parameters[-1]
+        )
 
     def force(self, e):
         x = e / self.strain
@@ -86,7 +111,11 @@ class Network(Law):
     def energy(self, e):
         x = e / self.strain
         units, c = self._units()
-        return self.scale * self.strain * sum((a / w * _work(w * x, b) for w, b, a in units), c / 2 * x * x)
+        return (
+            self.scale
+            * self.strain
+            * sum((a / w * _work(w * x, b) for w, b, a in units), c / 2 * x * x)
+        )
 
 
 def _rise(y, b):
@@ -96,7 +125,9 @@ def _rise(y, b):
 
 def _work(y, b):
     """Its integral over y, log cosh(b + y) - log cosh(b) - y tanh(b)."""
-    return jnp.where(jnp.abs(y) < NEAR, y * _series(y, b, 2), _log_cosh(b + y) - _log_cosh(b) - y * jnp.tanh(b))
+    return jnp.where(
+        jnp.abs(y) < NEAR, y * _series(y, b, 2), _log_cosh(b + y) - _log_cosh(b) - y * jnp.tanh(b)
+    )
 
 
 def _log_cosh(z):
@@ -116,6 +147,7 @@ def _series(y, b, first):
 
 def _start(width, monotone):
     """Units side by side on (-1, 1), half of the slope theirs and half that of the straight line."""
+
     def inverse_softplus(x):
         return jnp.log(jnp.expm1(x))
 

@@ -72,11 +72,18 @@ class WaltonBraun(PlasticLaw):
     unloading: jax.Array
 
     def __init__(self, loading: Parameter, unloading: Parameter):
-        self.loading, self.unloading = positive("loading", loading), positive("unloading", unloading)
+        self.loading, self.unloading = (
+            positive("loading", loading),
+            positive("unloading", unloading),
+        )
         k1, k2 = concrete(self.loading), concrete(self.unloading)
         if k1 is not None and k2 is not None and not (k2 >= k1).all():
-            refuse("unloading", "a stiffness not below that of loading", f"{show(k2)} beside {show(k1)}",
-                   "A contact that unloads along a softer line gives back more than it took.")
+            refuse(
+                "unloading",
+                "a stiffness not below that of loading",
+                f"{show(k2)} beside {show(k1)}",
+                "A contact that unloads along a softer line gives back more than it took.",
+            )
 
     def left(self, largest):
         return (1 - self.loading / self.unloading) * largest
@@ -116,7 +123,10 @@ class Thornton(PlasticLaw):
     yield_overlap: jax.Array
 
     def __init__(self, stiffness: Parameter, yield_overlap: Parameter):
-        self.stiffness, self.yield_overlap = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
+        self.stiffness, self.yield_overlap = (
+            positive("stiffness", stiffness),
+            positive("yield_overlap", yield_overlap),
+        )
 
     def _turn(self, largest):
         """(P/s_y, at least 1; A s_y^{3/2}; the depth P - s_P that unloading leaves behind, and the force at P)."""
@@ -140,7 +150,11 @@ class Thornton(PlasticLaw):
 
     def lost(self, largest):
         x, unit, _, _ = self._turn(largest)
-        return unit * self.yield_overlap * (0.75 * x * x - x / 2 + 0.15 - 0.1 * (3 * x - 1) ** 2 / root(x))
+        return (
+            unit
+            * self.yield_overlap
+            * (0.75 * x * x - x / 2 + 0.15 - 0.1 * (3 * x - 1) ** 2 / root(x))
+        )
 
 
 class _InOtherUnits(PlasticLaw):

@@ -34,7 +34,9 @@ def plus_power(s: Number, p: Number) -> Numbers:
     """
     if isinstance(p, (int, float)):
         return _static_power(s, float(p))
-    return _free_power(s, p if jnp.issubdtype(jnp.result_type(p), jnp.floating) else jnp.asarray(p, float), 0)
+    return _free_power(
+        s, p if jnp.issubdtype(jnp.result_type(p), jnp.floating) else jnp.asarray(p, float), 0
+    )
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))

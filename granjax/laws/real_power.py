@@ -22,8 +22,13 @@ from ..tuning import root_by_products
 _LOG2 = 0.6931471805599453
 _LOG2_HIGH, _LOG2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _SERIES = (
-    6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01, 2.222219843214978396e-01,
-    1.818357216161805012e-01, 1.531383769920937332e-01, 1.479819860511658591e-01,
+    6.666666666666735130e-01,
+    3.999999999940941908e-01,
+    2.857142874366239149e-01,
+    2.222219843214978396e-01,
+    1.818357216161805012e-01,
+    1.531383769920937332e-01,
+    1.479819860511658591e-01,
 )
 _ROOT_HALF = int(np.float64(np.sqrt(0.5)).view(np.int64))
 # bits of 2^52 + 2048: a whole number added below them becomes that float, without a conversion
@@ -92,7 +97,9 @@ def _split(x):
     """The whole number e, as a float, and m in [sqrt(1/2), sqrt(2)) with x = 2^e m."""
     bits = lax.bitcast_convert_type(x, jnp.int64)
     e = (bits - _ROOT_HALF) >> 52
-    return lax.bitcast_convert_type(e + _WHOLE, x.dtype) - _OFFSET, lax.bitcast_convert_type(bits - (e << 52), x.dtype)
+    return lax.bitcast_convert_type(e + _WHOLE, x.dtype) - _OFFSET, lax.bitcast_convert_type(
+        bits - (e << 52), x.dtype
+    )
 
 
 def _log_near_one(m):

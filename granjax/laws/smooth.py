@@ -37,7 +37,12 @@ class Polynomial(Law):
     def __init__(self, K2: Parameter = 1.0, K3: Parameter = 0.0, K4: Parameter = 0.0):
         self.K2, self.K3, self.K4 = _optional("K2", K2), _optional("K3", K3), _optional("K4", K4)
         if self.K2 is None and self.K3 is None and self.K4 is None:
-            refuse("K2, K3, K4", "at least one coefficient that is not zero", "0, 0, 0", "Leave the bond out instead.")
+            refuse(
+                "K2, K3, K4",
+                "at least one coefficient that is not zero",
+                "0, 0, 0",
+                "Leave the bond out instead.",
+            )
 
     def _horner(self, e, divisors):
         value = None
@@ -90,7 +95,9 @@ class Toda(Law):
 
     def energy(self, e):
         x = self.rate * e
-        series = x * x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x * (1 / 720 + x / 5040)))))
+        series = (
+            x * x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x * (1 / 720 + x / 5040)))))
+        )
         return self.strength / self.rate * jnp.where(jnp.abs(x) < 0.02, series, jnp.expm1(x) - x)
 
 
@@ -146,7 +153,10 @@ class Sine(Law):
     wavenumber: jax.Array
 
     def __init__(self, stiffness: Parameter = 1.0, wavenumber: Parameter = 1.0):
-        self.stiffness, self.wavenumber = parameter("stiffness", stiffness), positive("wavenumber", wavenumber)
+        self.stiffness, self.wavenumber = (
+            parameter("stiffness", stiffness),
+            positive("wavenumber", wavenumber),
+        )
 
     def force(self, e):
         return self.stiffness / self.wavenumber * jnp.sin(self.wavenumber * e)

@@ -1,6 +1,5 @@
 """A monotone cubic spline: a force law without a formula, to be found from data."""
 
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -47,7 +46,11 @@ class Spline(Law):
         self.knots = _checked_knots(knots)
         stiffness = non_negative("stiffness", stiffness, "Where it is negative the force falls.")
         if stiffness.ndim == 0 or stiffness.shape[0] != len(self.knots) + 1:
-            refuse("stiffness", f"{len(self.knots) + 1} numbers, one more than knots", f"shape {stiffness.shape}")
+            refuse(
+                "stiffness",
+                f"{len(self.knots) + 1} numbers, one more than knots",
+                f"shape {stiffness.shape}",
+            )
         # a leaf for each: scalars, or arrays over the bonds, as the parameters of any law
         self._coefficients = tuple(stiffness)
         self._preload = checked_preload("preload", preload, "A contact can only push.")
@@ -63,7 +66,12 @@ class Spline(Law):
         knots = _checked_knots(knots)
         if e.ndim != 1 or e.shape != force.shape or len(np.unique(e)) <= len(knots):
             got = f"{len(np.unique(e))} different ones of shape {e.shape}, forces of shape {force.shape}"
-            refuse("e", f"more than {len(knots)} compressions, one per force", got, "Each coefficient needs a point.")
+            refuse(
+                "e",
+                f"more than {len(knots)} compressions, one per force",
+                got,
+                "Each coefficient needs a point.",
+            )
         # the force is linear in every k_j: of one bond each
         columns = cls(knots, np.eye(len(knots) + 1)).force(jnp.asarray(e)[:, None])
         return cls(knots, nnls(np.asarray(columns), force)[0], preload)
@@ -105,7 +113,11 @@ class Spline(Law):
             for anchor, values in side:
                 new = (jnp.asarray(anchor, dtype), *values)
                 here = e >= anchor if sign > 0 else e < anchor
-                chosen = new if chosen is None else tuple(jnp.where(here, a, b) for a, b in zip(new, chosen))
+                chosen = (
+                    new
+                    if chosen is None
+                    else tuple(jnp.where(here, a, b) for a, b in zip(new, chosen))
+                )
         return (e - chosen[0], *chosen[1:])
 
     def _outwards(self, sign):
@@ -135,7 +147,14 @@ def _checked_knots(knots):
     value = concrete(array)
     if value is None:
         refuse("knots", "plain numbers", "traced ones", "Knots are static: close over them.")
-    if value.ndim != 1 or len(value) < 2 or not (np.diff(value) > 0).all() or not value[0] <= 0 <= value[-1]:
+    if (
+        value.ndim != 1
+        or len(value) < 2
+        or not (np.diff(value) > 0).all()
+        or not value[0] <= 0 <= value[-1]
+    ):
         remedy = "The force is measured from equilibrium, e = 0."
-        refuse("knots", "at least two numbers that increase, first <= 0 <= last", show(value), remedy)
+        refuse(
+            "knots", "at least two numbers that increase, first <= 0 <= last", show(value), remedy
+        )
     return tuple(value.tolist())

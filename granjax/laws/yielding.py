@@ -69,13 +69,21 @@ def _share(law, support, e):
 
     def step(carry):
         low, high, x, _, count = carry
-        residual, slope = jax.jvp(lambda x: x + law.force(x) / support - e, (x,), (jnp.ones_like(x),))
+        residual, slope = jax.jvp(
+            lambda x: x + law.force(x) / support - e, (x,), (jnp.ones_like(x),)
+        )
         below = residual < 0  # magnets that met give NaN: above
         low, high = jnp.where(below, x, low), jnp.where(below, high, x)
         better = x - residual / slope
         inside = (better >= low) & (better <= high)
         better = jnp.where(residual == 0, x, jnp.where(inside, better, (low + high) / 2))
-        return low, high, better, jnp.abs(better - x) > 2 * jnp.finfo(x.dtype).eps * jnp.abs(better), count + 1
+        return (
+            low,
+            high,
+            better,
+            jnp.abs(better - x) > 2 * jnp.finfo(x.dtype).eps * jnp.abs(better),
+            count + 1,
+        )
 
     residual = e + law.force(e) / support
     e = jnp.broadcast_to(e, jnp.shape(residual)).astype(residual.dtype)
@@ -89,5 +97,7 @@ def _share_jvp(primals, tangents):
     law, support, e = primals
     x = _share(law, support, e)
     _, slope = jax.jvp(lambda x: x + law.force(x) / support, (x,), (jnp.ones_like(x),))
-    _, moved = jax.jvp(lambda law, support: x + law.force(x) / support, (law, support), tangents[:2])
+    _, moved = jax.jvp(
+        lambda law, support: x + law.force(x) / support, (law, support), tangents[:2]
+    )
     return x, (tangents[2] - moved) / slope

@@ -18,8 +18,10 @@ from .modes import signed_root
 
 SHRINK, ROUNDS = 0.6, 48
 TOUCHING = 1e-8
-VACUUM = ("Nothing is stiff at rest (a sonic vacuum): there are no linear waves, and every frequency is zero. Give "
-          "precompression > 0.")
+VACUUM = (
+    "Nothing is stiff at rest (a sonic vacuum): there are no linear waves, and every frequency is zero. Give "
+    "precompression > 0."
+)
 
 
 class Bands(Result):
@@ -37,8 +39,11 @@ class Bands(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "lower": Held("band", "rad/s"), "upper": Held("band", "rad/s"), "lower_k": Held("band", "rad"),
-        "upper_k": Held("band", "rad"), "cell": Held(None),
+        "lower": Held("band", "rad/s"),
+        "upper": Held("band", "rad/s"),
+        "lower_k": Held("band", "rad"),
+        "upper_k": Held("band", "rad"),
+        "cell": Held(None),
     }
     lower: Numbers
     upper: Numbers
@@ -54,7 +59,12 @@ class Bands(Result):
         """
         low, high = np.asarray(self.upper), np.asarray(self.lower)
         if low.ndim != 1:
-            refuse("gaps", "the bands of one lattice", f"edges of shape {low.shape}", "Read .lower and .upper.")
+            refuse(
+                "gaps",
+                "the bands of one lattice",
+                f"edges of shape {low.shape}",
+                "Read .lower and .upper.",
+            )
         least = TOUCHING * np.abs(low).max()
         return [(float(a), float(b)) for a, b in zip(low[:-1], high[1:]) if b - a > least]
 
@@ -65,7 +75,9 @@ class Bands(Result):
         if upper is not None and not np.any(upper):
             return VACUUM
         sites, count = " x ".join(map(str, self.cell)), self.lower.shape[-1]
-        gaps = f", {len(self.gaps)} gap{'s' * (len(self.gaps) != 1)}" if self.lower.ndim == 1 else ""
+        gaps = (
+            f", {len(self.gaps)} gap{'s' * (len(self.gaps) != 1)}" if self.lower.ndim == 1 else ""
+        )
         return f"{count} band{'s' * (count > 1)}{gaps}, cell of {sites} site{'s' * (prod(self.cell) > 1)}."
 
     def _rows(self) -> Iterator[tuple[str, str]]:
@@ -103,9 +115,15 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     reach = np.abs(np.array(found.shells)).max()
     points = [96 * max(1, reach) + 1] if axes == 1 else [48 if axes == 2 else 12] * axes
     # omega(-k) = omega(k): half of the zone is enough for a chain; 48 and 12 hold the corners of a hexagonal zone
-    grid = [np.linspace(0, np.pi, points[0])] if axes == 1 else [2 * np.pi * np.arange(n) / n for n in points]
+    grid = (
+        [np.linspace(0, np.pi, points[0])]
+        if axes == 1
+        else [2 * np.pi * np.arange(n) / n for n in points]
+    )
     k = np.stack(np.meshgrid(*grid, indexing="ij"), -1).reshape(-1, axes)
-    lower, upper, lower_k, upper_k = _edges(found, jnp.asarray(k, found.mass.dtype), float(grid[0][1]))
+    lower, upper, lower_k, upper_k = _edges(
+        found, jnp.asarray(k, found.mass.dtype), float(grid[0][1])
+    )
     return Bands(lower, upper, lower_k, upper_k, found.cell, **lattice.origin)
 
 
@@ -131,10 +149,14 @@ def _extrema(found, k, spacing):
         return jnp.linalg.eigvalsh(found.dynamical_matrix(k))
 
     at_once = max(1, 2**22 // size**2)
-    sampled = jax.vmap(squared)(k) if len(k) <= at_once else jax.lax.map(squared, k, batch_size=at_once)
+    sampled = (
+        jax.vmap(squared)(k) if len(k) <= at_once else jax.lax.map(squared, k, batch_size=at_once)
+    )
     best = jnp.stack([k[jnp.argmin(s * sampled, 0)] for s in (1, -1)])
     moves = [np.array([0.0, -1.0, -0.5, 0.5, 1.0])] * k.shape[1]
-    stencil = jnp.asarray(np.stack(np.meshgrid(*moves, indexing="ij"), -1).reshape(-1, k.shape[1]), k.dtype)
+    stencil = jnp.asarray(
+        np.stack(np.meshgrid(*moves, indexing="ij"), -1).reshape(-1, k.shape[1]), k.dtype
+    )
 
     def improve(best, s, n, width):
         tried = best + width * stencil
@@ -142,7 +164,9 @@ def _extrema(found, k, spacing):
 
     def close_in(i, best):
         width = spacing * SHRINK**i
-        every = jax.vmap(jax.vmap(lambda b, s, n: improve(b, s, n, width), (0, None, 0)), (0, 0, None))
+        every = jax.vmap(
+            jax.vmap(lambda b, s, n: improve(b, s, n, width), (0, None, 0)), (0, 0, None)
+        )
         return every(best, sign, jnp.arange(size))
 
     return jax.lax.fori_loop(0, ROUNDS, close_in, best)

@@ -70,7 +70,9 @@ class UnitCell(eqx.Module):
         x = jnp.moveaxis(q / jnp.sqrt(self.mass)[:, None], -2, -1)
         x = x.reshape(x.shape[:-1] + self.cell + (-1,))
         back = -1 - len(self.cell) - (self.dimension is not None)
-        return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension))
+        return jax.tree.map(
+            lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension)
+        )
 
 
 def by_sites(x: AnyArray, axes: int) -> AnyArray:
@@ -85,7 +87,9 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     uniform = coupling.sum(0)
     # long waves stay accurate by exp(ix) - 1 = 2i sin(x/2) exp(ix/2), and without the rounding of the sum
     fixed = jax.lax.stop_gradient(uniform)
-    rounding = ROUNDING * jnp.finfo(fixed.dtype).eps * jnp.abs(jax.lax.stop_gradient(coupling)).max()
+    rounding = (
+        ROUNDING * jnp.finfo(fixed.dtype).eps * jnp.abs(jax.lax.stop_gradient(coupling)).max()
+    )
     uniform = uniform - jnp.where(jnp.abs(fixed) <= rounding, fixed, 0)
     half = (np.array(shells) @ k) / 2
     turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
@@ -128,7 +132,9 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     else:
         shells, coupling, mass = assembled(lattice, found, chosen, reach)
     _check_energy(shells, coupling)
-    return UnitCell(jnp.asarray(coupling), jnp.asarray(mass), found, shells, lattice.fields, lattice.dimension)
+    return UnitCell(
+        jnp.asarray(coupling), jnp.asarray(mass), found, shells, lattice.fields, lattice.dimension
+    )
 
 
 def given_cell(cell: Cell, sites: tuple) -> tuple[int, ...]:
@@ -153,8 +159,12 @@ def reach_of(lattice: Lattice, measure: Callable) -> tuple:
     short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + (r < 3)]
     if short:
         n, r = sites[short[0]], reach[short[0]]
-        refuse("lattice", f"at least {2 * r + 1} sites along axis {short[0]}, where bonds reach {r}", f"{n}",
-               "Build it longer: a wave to the left and one to the right are the same bond there.")
+        refuse(
+            "lattice",
+            f"at least {2 * r + 1} sites along axis {short[0]}, where bonds reach {r}",
+            f"{n}",
+            "Build it longer: a wave to the left and one to the right are the same bond there.",
+        )
     tolerance = LOOSE * np.finfo(lattice.dtype).eps
     while True:
         stiffness, mass, misfit = measure(lattice, reach)
@@ -162,8 +172,12 @@ def reach_of(lattice: Lattice, measure: Callable) -> tuple:
             return tuple(reach), stiffness, mass
         further = [min(2 * r, (n - 1) // 2) for n, r in zip(sites, reach)]
         if further == reach:
-            refuse("lattice", "bonds that reach less than half of the lattice", "bonds across the whole lattice",
-                   "Use granjax.linear.normal_modes.")
+            refuse(
+                "lattice",
+                "bonds that reach less than half of the lattice",
+                "bonds across the whole lattice",
+                "Use granjax.linear.normal_modes.",
+            )
         reach = further
 
 
@@ -174,16 +188,23 @@ def is_ring(stiffness: AnyArray, axis: int, reach: tuple) -> bool:
     return any(np.any(rows[n][..., near < -n, :, :] != 0) for n in range(len(rows)))
 
 
-def periods(stiffness: AnyArray, mass: AnyArray, reach: tuple, rings: list, given: Any, known: bool) -> tuple:
+def periods(
+    stiffness: AnyArray, mass: AnyArray, reach: tuple, rings: list, given: Any, known: bool
+) -> tuple:
     """Sites per cell along each axis, and the sites that stand for the cell."""
-    interior = [np.arange(n) if ring else np.arange(r, n - r) for n, r, ring in zip(mass.shape, reach, rings)]
+    interior = [
+        np.arange(n) if ring else np.arange(r, n - r)
+        for n, r, ring in zip(mass.shape, reach, rings)
+    ]
     at = np.ix_(*interior)
     features = features_of(stiffness, mass)[at]
     tolerance = TIGHT * np.finfo(mass.dtype).eps
     found, chosen = [], []
     for axis, ring in enumerate(rings):
         rows = np.moveaxis(features, axis, 0).reshape(len(interior[axis]), -1)
-        period = repeats_after(rows, ring, tolerance, None if given is None else given[axis], known, axis)
+        period = repeats_after(
+            rows, ring, tolerance, None if given is None else given[axis], known, axis
+        )
         start = interior[axis][0]
         found.append(period)
         chosen.append(tuple(int(start + (j - start) % period) for j in range(period)))
@@ -197,7 +218,9 @@ def features_of(stiffness: AnyArray, mass: AnyArray) -> AnyArray:
     return np.concatenate([x.reshape(x.shape[: mass.ndim - 1] + (-1,)) for x in parts], -1)
 
 
-def repeats_after(rows: AnyArray, ring: bool, tolerance: Number, given: Any, known: bool, axis: int) -> int:
+def repeats_after(
+    rows: AnyArray, ring: bool, tolerance: Number, given: Any, known: bool, axis: int
+) -> int:
     """After how many rows they repeat, each of which describes the sites of one place along an axis."""
     size = len(rows)
 
@@ -207,30 +230,58 @@ def repeats_after(rows: AnyArray, ring: bool, tolerance: Number, given: Any, kno
 
     if given is not None:
         if given > size or (ring and size % given):
-            kind = f"a divisor of {size}, the ring's sites" if ring else f"at most {size}, the sites off the ends,"
+            kind = (
+                f"a divisor of {size}, the ring's sites"
+                if ring
+                else f"at most {size}, the sites off the ends,"
+            )
             refuse("cell", f"{kind} along axis {axis}", f"{given}")
         if known and not repeats(given):
-            refuse("cell", f"a period of the lattice along axis {axis}", f"{given}, after which it does not repeat",
-                   "Leave `cell` out to have the period found; a lattice with none has granjax.linear.normal_modes.")
+            refuse(
+                "cell",
+                f"a period of the lattice along axis {axis}",
+                f"{given}, after which it does not repeat",
+                "Leave `cell` out to have the period found; a lattice with none has granjax.linear.normal_modes.",
+            )
         return given
     if not known:
-        refuse("cell", "the number of sites per unit cell, as masses or laws are traced", "None",
-               "Write cell=1 for a chain of equal beads, cell=2 for a dimer.")
+        refuse(
+            "cell",
+            "the number of sites per unit cell, as masses or laws are traced",
+            "None",
+            "Write cell=1 for a chain of equal beads, cell=2 for a dimer.",
+        )
     for p in range(1, size // 2 + 1):
-        if (not ring or size % p == 0) and not np.any(np.abs(rows[p] - rows[0]) > tolerance) and repeats(p):
+        if (
+            (not ring or size % p == 0)
+            and not np.any(np.abs(rows[p] - rows[0]) > tolerance)
+            and repeats(p)
+        ):
             return p
-    refuse("lattice", f"a lattice that repeats along axis {axis}",
-           "one without a period (disorder, a defect, a taper, or fewer than two cells off the ends)",
-           "Use granjax.linear.normal_modes, build it longer, or give cell=... to repeat it as one large cell.")
+    refuse(
+        "lattice",
+        f"a lattice that repeats along axis {axis}",
+        "one without a period (disorder, a defect, a taper, or fewer than two cells off the ends)",
+        "Use granjax.linear.normal_modes, build it longer, or give cell=... to repeat it as one large cell.",
+    )
 
 
 @eqx.filter_jit
 def assembled(lattice: Lattice, cell: tuple, chosen: tuple, reach: tuple) -> tuple:
     """As `assemble`, from a lattice that is traced."""
-    return assemble(jnp, blocks(lattice, reach, stiffness_product(lattice)), masses(lattice), cell, chosen, reach)
+    return assemble(
+        jnp,
+        blocks(lattice, reach, stiffness_product(lattice)),
+        masses(lattice),
+        cell,
+        chosen,
+        reach,
+    )
 
 
-def assemble(xp: Any, stiffness: AnyArray, mass: AnyArray, cell: tuple, chosen: tuple, reach: tuple) -> tuple:
+def assemble(
+    xp: Any, stiffness: AnyArray, mass: AnyArray, cell: tuple, chosen: tuple, reach: tuple
+) -> tuple:
     """From blocks between sites to those between cells, over the masses: neighbours R, coupling, masses of the cell."""
     at, width = np.ix_(*chosen), mass.shape[-1]
     home, near = np.indices(cell).reshape(len(cell), -1).T, np.array(offsets(reach))
@@ -245,7 +296,9 @@ def assemble(xp: Any, stiffness: AnyArray, mass: AnyArray, cell: tuple, chosen: 
     every = xp.concatenate([rows, xp.zeros((1, width, width), rows.dtype)])[source]
     size = len(home) * width
     mass = mass[at].reshape(size)
-    coupling = xp.swapaxes(every, 2, 3).reshape(len(shells), size, size) / xp.sqrt(mass[:, None] * mass)
+    coupling = xp.swapaxes(every, 2, 3).reshape(len(shells), size, size) / xp.sqrt(
+        mass[:, None] * mass
+    )
     return tuple(tuple(int(n) for n in R) for R in shells), coupling, mass
 
 

@@ -55,9 +55,13 @@ class Dispersion(Result):
         count = self.omega.ndim - 1 - len(lanes[0] if lanes else ())
         wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
         return {
-            "k": Held(wave, "rad"), "omega": Held(f"{wave} band", "rad/s"),
-            "omega_squared": Held(f"{wave} band", "rad^2/s^2"), "vectors": Held(f"{wave} site ... band"),
-            "group_velocity": Held(f"{wave} band", "1/s"), "curvature": Held(f"{wave} band", "1/s"), "cell": Held(None),
+            "k": Held(wave, "rad"),
+            "omega": Held(f"{wave} band", "rad/s"),
+            "omega_squared": Held(f"{wave} band", "rad^2/s^2"),
+            "vectors": Held(f"{wave} site ... band"),
+            "group_velocity": Held(f"{wave} band", "1/s"),
+            "curvature": Held(f"{wave} band", "1/s"),
+            "cell": Held(None),
         }
 
     @property
@@ -65,12 +69,16 @@ class Dispersion(Result):
         """How many bands, at how many wave numbers, within which frequencies."""
         omega = np.asarray(self.omega)
         bands = omega.shape[-1]
-        return f"{bands} band{'s' * (bands > 1)} at {omega.size // bands} wave numbers, " \
-               f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."
+        return (
+            f"{bands} band{'s' * (bands > 1)} at {omega.size // bands} wave numbers, "
+            f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."
+        )
 
 
 def dispersion(
-    lattice: Lattice, k: Parameter, cell: Count | tuple[Count, ...] | None = None,
+    lattice: Lattice,
+    k: Parameter,
+    cell: Count | tuple[Count, ...] | None = None,
 ) -> Dispersion:
     r"""Dispersion relation of the infinite lattice that a lattice belongs to: D(k) q = omega^2 q, without damping.
 
@@ -101,9 +109,15 @@ def dispersion(
     if axes == 1:
         k = k[..., None]
     elif k.ndim == 0 or k.shape[-1] != axes:
-        refuse("k", f"a last axis of length {axes}, one phase per axis of the lattice", f"shape {k.shape}")
+        refuse(
+            "k",
+            f"a last axis of length {axes}, one phase per axis of the lattice",
+            f"shape {k.shape}",
+        )
     squared, omega, vectors, velocity, curvature = _waves(found, k)
-    return Dispersion(given, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin)
+    return Dispersion(
+        given, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin
+    )
 
 
 @eqx.filter_jit
@@ -141,7 +155,9 @@ def _wave(found, k):
     moving = omega != 0
     divisor = jnp.where(moving, omega, 1)
     velocity = slope.T / (2 * divisor[:, None])
-    curve = (jnp.moveaxis(bend, -1, 0) / 2 - velocity[:, :, None] * velocity[:, None, :]) / divisor[:, None, None]
+    curve = (jnp.moveaxis(bend, -1, 0) / 2 - velocity[:, :, None] * velocity[:, None, :]) / divisor[
+        :, None, None
+    ]
     still = jnp.all(found.coupling == 0)
     there = (moving & smooth) | still
     velocity = jnp.where(there[:, None], velocity, jnp.nan)

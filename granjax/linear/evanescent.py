@@ -31,8 +31,12 @@ class ComplexBands(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held("frequency", "rad/s"), "k": Held("frequency wave", "rad"),
-        "residual": Held("frequency wave", "1"), "across": Held(unit="rad"), "axis": Held(None), "cell": Held(None),
+        "omega": Held("frequency", "rad/s"),
+        "k": Held("frequency wave", "rad"),
+        "residual": Held("frequency wave", "1"),
+        "across": Held(unit="rad"),
+        "axis": Held(None),
+        "cell": Held(None),
     }
     omega: Numbers
     k: ComplexNumbers
@@ -54,7 +58,12 @@ class ComplexBands(Result):
 
 
 def complex_bands(
-    lattice: Lattice, omega: Parameter, *, axis: Count = 0, across: Parameter = 0.0, cell: Cell | None = None,
+    lattice: Lattice,
+    omega: Parameter,
+    *,
+    axis: Count = 0,
+    across: Parameter = 0.0,
+    cell: Cell | None = None,
 ) -> ComplexBands:
     r"""Wave numbers of given frequencies along one axis: all roots k of det(D(k) - omega^2) = 0, real and complex.
 
@@ -76,11 +85,16 @@ def complex_bands(
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
-    frequencies, given = np.asarray(parameter("omega", omega)), np.asarray(parameter("across", across))
+    frequencies, given = (
+        np.asarray(parameter("omega", omega)),
+        np.asarray(parameter("across", across)),
+    )
     # roots are sorted by their values, so that nothing here is traced
     coupling = np.asarray(found.coupling)
     if not np.any(coupling):
-        refuse("lattice", "a lattice with linear waves", "a sonic vacuum", "Give it a precompression.")
+        refuse(
+            "lattice", "a lattice with linear waves", "a sonic vacuum", "Give it a precompression."
+        )
     w = np.atleast_1d(np.asarray(frequencies, float))
     R = np.array(found.shells)
     phase = np.exp(1j * np.delete(R, axis, 1) @ np.full(axes - 1, float(given)))

@@ -36,9 +36,14 @@ class FlatBands(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held("flat", "rad/s"), "omega_squared": Held("flat", "rad^2/s^2"), "width": Held("flat", "rad^2/s^2"),
-        "degeneracy": Held("flat"), "support": Held("flat"), "residual": Held("flat", "1"),
-        "cell": Held(None), "fields": Held(None),
+        "omega": Held("flat", "rad/s"),
+        "omega_squared": Held("flat", "rad^2/s^2"),
+        "width": Held("flat", "rad^2/s^2"),
+        "degeneracy": Held("flat"),
+        "support": Held("flat"),
+        "residual": Held("flat", "1"),
+        "cell": Held(None),
+        "fields": Held(None),
     }
     omega: Numbers
     omega_squared: Numbers
@@ -56,7 +61,9 @@ class FlatBands(Result):
         """How many flat bands at which frequencies, and the size of their compact states."""
         if not len(self.omega):
             return "No band is flat."
-        told = ", ".join(f"{self._told('omega', w)} (on {n} sites)" for w, n in zip(self.omega, self.support))
+        told = ", ".join(
+            f"{self._told('omega', w)} (on {n} sites)" for w, n in zip(self.omega, self.support)
+        )
         return f"{int(np.sum(self.degeneracy))} flat band{'s' * (int(np.sum(self.degeneracy)) > 1)}: omega = {told}."
 
     def state(self, lattice: Lattice, number: Count = 0, at: Cell | None = None) -> State:
@@ -77,9 +84,14 @@ class FlatBands(Result):
             refuse("at", f"a cell from which {counts} cells lie within {tuple(cells)}", f"{at}")
         block = np.asarray(by_sites(found, axes))
         whole_lattice = np.zeros(tuple(sizes) + (found.shape[-1],))
-        whole_lattice[tuple(slice(a * c, a * c + n) for a, c, n in zip(at, self.cell, block.shape))] = block
-        u = unpack(jnp.asarray(whole_lattice / np.abs(whole_lattice).max(), lattice.dtype), lattice.fields,
-                   lattice.dimension)
+        whole_lattice[
+            tuple(slice(a * c, a * c + n) for a, c, n in zip(at, self.cell, block.shape))
+        ] = block
+        u = unpack(
+            jnp.asarray(whole_lattice / np.abs(whole_lattice).max(), lattice.dtype),
+            lattice.fields,
+            lattice.dimension,
+        )
         return State(u, lattice.zeros())
 
 
@@ -117,20 +129,34 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
         else:
             values.append(value)
             groups.append([band])
-    states, residual = zip(*(_compact(found, v, scale, cells) for v in values)) if values else ((), ())
+    states, residual = (
+        zip(*(_compact(found, v, scale, cells) for v in values)) if values else ((), ())
+    )
     support = [int((np.abs(s) > 1e-9 * np.abs(s).max()).sum()) for s in states]
     values = np.array(values)
     omega = np.sign(values) * np.sqrt(np.abs(values))
-    return FlatBands(omega, values, np.array([width[g].max() for g in groups]), np.array([len(g) for g in groups], int),
-                     np.array(support, int), np.array(residual), tuple(states), found.cell, found.fields,
-                     found.dimension, **lattice.origin)
+    return FlatBands(
+        omega,
+        values,
+        np.array([width[g].max() for g in groups]),
+        np.array([len(g) for g in groups], int),
+        np.array(support, int),
+        np.array(residual),
+        tuple(states),
+        found.cell,
+        found.fields,
+        found.dimension,
+        **lattice.origin,
+    )
 
 
 def _compact(found: UnitCell, squared: float, scale: float, most: int) -> tuple:
     """Displacements of a compact state on as few cells as possible, and what is left of its equations."""
     axes, size = len(found.cell), found.mass.size
     coupling = np.asarray(found.coupling)
-    for counts in sorted(product(range(1, most + 1), repeat=axes), key=lambda c: (np.prod(c), max(c), c)):
+    for counts in sorted(
+        product(range(1, most + 1), repeat=axes), key=lambda c: (np.prod(c), max(c), c)
+    ):
         places = list(product(*(range(n) for n in counts)))
         column = {place: i for i, place in enumerate(places)}
         targets = sorted({tuple(np.subtract(place, R)) for place in places for R in found.shells})
@@ -142,7 +168,9 @@ def _compact(found: UnitCell, squared: float, scale: float, most: int) -> tuple:
                 equations[i * size : (i + 1) * size, j * size : (j + 1) * size] += block
         for place, j in column.items():
             i = row[place]
-            equations[i * size : (i + 1) * size, j * size : (j + 1) * size] -= squared * np.eye(size)
+            equations[i * size : (i + 1) * size, j * size : (j + 1) * size] -= squared * np.eye(
+                size
+            )
         null = null_space(equations, rcond=1e-10)
         if null.shape[1]:
             q = _sparsest(null)
@@ -150,8 +178,12 @@ def _compact(found: UnitCell, squared: float, scale: float, most: int) -> tuple:
             u = q.reshape(*counts, size) / np.sqrt(np.asarray(found.mass))
             width = size // int(np.prod(found.cell))
             return u.reshape(*counts, *found.cell, width), left
-    refuse("cells", "enough for a compact state of the flat band", f"{most}",
-           "A band that is flat only by accident of the mesh has none.")
+    refuse(
+        "cells",
+        "enough for a compact state of the flat band",
+        f"{most}",
+        "A band that is flat only by accident of the mesh has none.",
+    )
 
 
 def _sparsest(null):
@@ -171,5 +203,8 @@ def _sparsest(null):
     q = rows[:, int(np.argmin((rows != 0).sum(0)))]
     # refined to the whole numbers or roots that cancel: one step of orthogonal projection on the null space
     kept = q != 0
-    inside = null_space(np.where(kept[:, None], 0, np.eye(len(q))) @ null @ null.T + (np.eye(len(q)) - null @ null.T))
+    inside = null_space(
+        np.where(kept[:, None], 0, np.eye(len(q))) @ null @ null.T
+        + (np.eye(len(q)) - null @ null.T)
+    )
     return np.where(kept, inside[:, 0] if inside.shape[1] == 1 else q, 0)

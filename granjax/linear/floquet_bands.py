@@ -82,11 +82,20 @@ class FloquetBands(Result):
         wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
         of = f"{wave} multiplier"
         return {
-            "k": Held(wave, "rad"), "multipliers": Held(of, "1", "multiplier"), "error": Held(of, "1"),
-            "growth": Held(of, "1/s"), "omega": Held(of, "rad/s"), "displacements": Held(f"{wave} site ... multiplier"),
-            "velocities": Held(f"{wave} site ... multiplier", "1/s"), "edges": Held("gap side", "rad"),
-            "edge_error": Held("gap side", "rad"), "fastest_k": Held("gap", "rad"), "fastest": Held("gap", "1/s"),
-            "period": Held(unit="s"), "t0": Held(unit="s"), "cell": Held(None),
+            "k": Held(wave, "rad"),
+            "multipliers": Held(of, "1", "multiplier"),
+            "error": Held(of, "1"),
+            "growth": Held(of, "1/s"),
+            "omega": Held(of, "rad/s"),
+            "displacements": Held(f"{wave} site ... multiplier"),
+            "velocities": Held(f"{wave} site ... multiplier", "1/s"),
+            "edges": Held("gap side", "rad"),
+            "edge_error": Held("gap side", "rad"),
+            "fastest_k": Held("gap", "rad"),
+            "fastest": Held("gap", "1/s"),
+            "period": Held(unit="s"),
+            "t0": Held(unit="s"),
+            "cell": Held(None),
         }
 
     @property
@@ -98,9 +107,12 @@ class FloquetBands(Result):
         **Raises** ValueError where gaps were not looked for.
         """
         if self.edges is None:
-            refuse("gaps", "a chain, and several wave numbers that are known",
-                   "one number, a lattice of several axes, or traced ones",
-                   "Give k=np.linspace(0, np.pi, 101); .growth says whether a wave grows.")
+            refuse(
+                "gaps",
+                "a chain, and several wave numbers that are known",
+                "one number, a lattice of several axes, or traced ones",
+                "Give k=np.linspace(0, np.pi, 101); .growth says whether a wave grows.",
+            )
         return [(float(a), float(b)) for a, b in self.edges]
 
     @property
@@ -128,7 +140,9 @@ class FloquetBands(Result):
         """Whether |rho| > 1 by more than its error, (k..., 2P)."""
         return np.abs(self.multipliers) - 1 > self.error
 
-    def state(self, lattice: Lattice, wave: Count = 0, multiplier: Count = 0, amplitude: Scalar = 1.0) -> State:
+    def state(
+        self, lattice: Lattice, wave: Count = 0, multiplier: Count = 0, amplitude: Scalar = 1.0
+    ) -> State:
         """A wave as a state of the lattice at t0: u_n = Re(a u_j exp(i k R)), n = R P + j, in every cell.
 
         On a ring that holds a whole number of its wavelengths it is multiplied by rho each period, where that is real.
@@ -141,7 +155,13 @@ class FloquetBands(Result):
 
 
 def floquet_bands(
-    lattice: Lattice, k: Parameter, period: Scalar, *, t0: Scalar = 0.0, cell: Cell = None, steps: Count | None = None,
+    lattice: Lattice,
+    k: Parameter,
+    period: Scalar,
+    *,
+    t0: Scalar = 0.0,
+    cell: Cell = None,
+    steps: Count | None = None,
     tolerance: Scalar = TOLERANCE,
 ) -> FloquetBands:
     r"""Floquet-Bloch bands of the infinite lattice that a lattice belongs to, modulated with a period T in time.
@@ -177,19 +197,37 @@ def floquet_bands(
      [3.04 3.24]]
     """
     period = positive("period", period, "It is the modulation's, 2 pi/omega.")
-    k, t0, tolerance = parameter("k", k), parameter("t0", t0), float(checked_tolerance("tolerance", tolerance))
+    k, t0, tolerance = (
+        parameter("k", k),
+        parameter("t0", t0),
+        float(checked_tolerance("tolerance", tolerance)),
+    )
     steps = None if steps is None else whole("steps", steps, 1)
     if traced(_held((period, t0))):
-        refuse("period", "a number", "a traced one", "Only derivatives pass through it: forces are compared with it.")
+        refuse(
+            "period",
+            "a number",
+            "a traced one",
+            "Only derivatives pass through it: forces are compared with it.",
+        )
     found = modulated_cell(lattice, cell, t0, period)
     axes = len(found.cell)
     if axes > 1 and (k.ndim == 0 or k.shape[-1] != axes):
-        refuse("k", f"a last axis of length {axes}, one phase per axis of the lattice", f"shape {k.shape}")
+        refuse(
+            "k",
+            f"a last axis of length {axes}, one phase per axis of the lattice",
+            f"shape {k.shape}",
+        )
     shape = k.shape if axes == 1 else k.shape[:-1]
     held = _held((found, k, t0, period))
     points, known = k.reshape(-1, axes), None if traced(held) else _Known(*held, steps, tolerance)
     if known is None and steps is None:
-        refuse("steps", "so many steps of a period, as the lattice or k is traced", "None", "Write steps=64.")
+        refuse(
+            "steps",
+            "so many steps of a period, as the lattice or k is traced",
+            "None",
+            "Write steps=64.",
+        )
     if traced((found, k, t0, period)):
         waves = _traced_waves(found, points, t0, period, known.steps if known else steps, known)
     else:
@@ -197,28 +235,48 @@ def floquet_bands(
     searched = known is not None and axes == 1 and k.size > 1
     gaps = gaps_of(known, np.asarray(held[1])) if searched else (None,) * 4
     rho, error, vectors = waves
-    u, v = (unpack_waves(found, x.reshape(shape + x.shape[1:])) for x in _parted(found, vectors, period))
+    u, v = (
+        unpack_waves(found, x.reshape(shape + x.shape[1:])) for x in _parted(found, vectors, period)
+    )
     rho, error = rho.reshape(shape + rho.shape[1:]), error.reshape(shape + error.shape[1:])
     return FloquetBands(
-        k, rho, error, jnp.log(jnp.abs(rho)) / period, 0.0 - _angle(rho) / period, u, v, *gaps, period, t0,
-        known.steps if known else steps, found.cell, **lattice.origin)
+        k,
+        rho,
+        error,
+        jnp.log(jnp.abs(rho)) / period,
+        0.0 - _angle(rho) / period,
+        u,
+        v,
+        *gaps,
+        period,
+        t0,
+        known.steps if known else steps,
+        found.cell,
+        **lattice.origin,
+    )
 
 
 def _held(tree):
     """What is traced without its derivatives, known where these alone are traced; all else as it is."""
-    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x, tree)
+    return jax.tree.map(
+        lambda x: jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x, tree
+    )
 
 
 def _angle(rho):
     """arg(rho), +pi on the negative axis, to rounding."""
     turned = jnp.angle(rho)
-    return jnp.where(turned < -jnp.pi + 64 * jnp.finfo(turned.dtype).eps, turned + 2 * jnp.pi, turned)
+    return jnp.where(
+        turned < -jnp.pi + 64 * jnp.finfo(turned.dtype).eps, turned + 2 * jnp.pi, turned
+    )
 
 
 class _Known:
     """The waves of a cell whose numbers are known, for any k: M by n and by 3n/4 steps, n found once."""
 
-    def __init__(self, cell: ModulatedCell, k: Any, t0: Any, period: Any, steps: int | None, tolerance: float):
+    def __init__(
+        self, cell: ModulatedCell, k: Any, t0: Any, period: Any, steps: int | None, tolerance: float
+    ):
         self.cell, self.t0, self.period = cell, jnp.asarray(t0), jnp.asarray(period)
         self.eps = float(np.finfo(cell.coupling.dtype).eps)
         self.omega = cell.omega or 1 / float(period)
@@ -228,18 +286,30 @@ class _Known:
         stiff, lost, late = cell.missed
         self.missed = float(period) * (stiff / self.omega + lost) + 2 * self.omega * late
         if PER_RADIAN * self.turned > MOST_STEPS:
-            refuse("period", f"one of at most {MOST_STEPS / PER_RADIAN:.3g} radians of the fastest waves",
-                   f"{float(period):.6g}, which is {self.turned:.3g} of them", "Look at its unit.")
+            refuse(
+                "period",
+                f"one of at most {MOST_STEPS / PER_RADIAN:.3g} radians of the fastest waves",
+                f"{float(period):.6g}, which is {self.turned:.3g} of them",
+                "Look at its unit.",
+            )
         self.safety = SAFETY
-        self.steps = self._found(np.asarray(k).reshape(-1, len(cell.cell)), tolerance) if steps is None else steps
+        self.steps = (
+            self._found(np.asarray(k).reshape(-1, len(cell.cell)), tolerance)
+            if steps is None
+            else steps
+        )
 
     def maps(self, k: np.ndarray, steps: int) -> np.ndarray:
         """M(k) over (q, q'/omega), (K, 2P, 2P)."""
         parts, dtype = [], self.cell.coupling.dtype
         for i in range(0, len(k), TOGETHER):
             part = k[i : i + TOGETHER]
-            padded = np.concatenate([part, np.zeros((TOGETHER - len(part), k.shape[1]))]).astype(dtype)
-            found = monodromies(self.cell, padded, self.t0, self.period, jnp.asarray(self.omega), jnp.asarray(steps))
+            padded = np.concatenate([part, np.zeros((TOGETHER - len(part), k.shape[1]))]).astype(
+                dtype
+            )
+            found = monodromies(
+                self.cell, padded, self.t0, self.period, jnp.asarray(self.omega), jnp.asarray(steps)
+            )
             parts.append(np.asarray(found)[: len(part)])
         return np.concatenate(parts)
 
@@ -252,7 +322,9 @@ class _Known:
             size, far = np.abs(fine).max(), np.abs(fine - coarse).max()
             rounding = ROUNDING * self.eps * size * (1 + self.turned)
             least = max(tolerance * size, rounding)
-            near = np.abs(fine - self.maps(some, 3 * count // 4)).max() if far <= 2**6 * least else far
+            near = (
+                np.abs(fine - self.maps(some, 3 * count // 4)).max() if far <= 2**6 * least else far
+            )
             # what is left may be rounding
             left = far > last / 2 and far <= 1e3 * rounding
             if not np.isfinite(size) or near <= least or left or count >= MOST_STEPS:
@@ -265,8 +337,12 @@ class _Known:
         # changes in the ratio of a smooth flow of order 6: the first is more than the error itself
         self.safety = 1 if far >= REGULAR * near or far <= rounding else SAFETY
         if not np.isfinite(size):
-            refuse("lattice", "waves that stay finite over a period", "a growth beyond all numbers",
-                   "Look at its stiffness, or give a shorter period.")
+            refuse(
+                "lattice",
+                "waves that stay finite over a period",
+                "a growth beyond all numbers",
+                "Look at its stiffness, or give a shorter period.",
+            )
         return count
 
     def fine(self, k: np.ndarray) -> np.ndarray:
@@ -291,7 +367,9 @@ class _Known:
         return rho, errors_of(fine, rho, vectors, about), vectors
 
 
-def errors_of(maps: np.ndarray, rho: np.ndarray, vectors: np.ndarray, about: np.ndarray) -> np.ndarray:
+def errors_of(
+    maps: np.ndarray, rho: np.ndarray, vectors: np.ndarray, about: np.ndarray
+) -> np.ndarray:
     """How far eigenvalues may be from those of matrices that are known to a norm: |dM|/|y^H x|, or Elsner's bound.
 
     The latter, (|M| + |M + dM|)^{1 - 1/m} |dM|^{1/m}, is that of m eigenvalues that meet.
@@ -301,11 +379,17 @@ def errors_of(maps: np.ndarray, rho: np.ndarray, vectors: np.ndarray, about: np.
         condition = np.linalg.norm(left, axis=2) * np.linalg.norm(vectors, axis=1)
     except np.linalg.LinAlgError:
         condition = np.full(rho.shape, np.inf)
-    near = np.abs(rho[:, :, None] - rho[:, None, :]) <= NEAR * np.maximum(1, np.abs(rho))[:, :, None]
+    near = (
+        np.abs(rho[:, :, None] - rho[:, None, :]) <= NEAR * np.maximum(1, np.abs(rho))[:, :, None]
+    )
     m = near.sum(-1)
     size = 2 * np.linalg.norm(maps, axis=(1, 2))[:, None] + about[:, None]
     met = size ** (1 - 1 / m) * about[:, None] ** (1 / m)
-    return np.where(m > 1, np.minimum(condition * about[:, None], met), np.minimum(condition, 1e15) * about[:, None])
+    return np.where(
+        m > 1,
+        np.minimum(condition * about[:, None], met),
+        np.minimum(condition, 1e15) * about[:, None],
+    )
 
 
 def _traced_waves(cell, k, t0, period, steps, known):
@@ -323,8 +407,14 @@ def _traced_waves(cell, k, t0, period, steps, known):
         return rho, jnp.full(rho.shape, jnp.nan), vectors
     there, error, vectors = known.waves(np.asarray(jax.lax.stop_gradient(k)))
     plain = np.asarray(jax.lax.stop_gradient(rho))
-    order = np.stack([linear_sum_assignment(np.abs(a[:, None] - b))[1] for a, b in zip(there, plain)])
-    return jnp.take_along_axis(rho, jnp.asarray(order), -1), jnp.asarray(error), jnp.asarray(vectors)
+    order = np.stack(
+        [linear_sum_assignment(np.abs(a[:, None] - b))[1] for a, b in zip(there, plain)]
+    )
+    return (
+        jnp.take_along_axis(rho, jnp.asarray(order), -1),
+        jnp.asarray(error),
+        jnp.asarray(vectors),
+    )
 
 
 def _as_sorted(rho, own):
@@ -340,7 +430,9 @@ def _parted(cell, vectors, period):
     mass = jnp.asarray(cell.mass)[:, None]
     mean = jnp.exp(jnp.mean(jnp.log(mass)))
     q, p = vectors[:, :size] * jnp.sqrt(mean), omega * vectors[:, size:] * jnp.sqrt(mean)
-    weight = jnp.sqrt(jnp.sum(jnp.abs(q) ** 2 + jnp.abs(p * period / (2 * np.pi)) ** 2, -2, keepdims=True) / mean)
+    weight = jnp.sqrt(
+        jnp.sum(jnp.abs(q) ** 2 + jnp.abs(p * period / (2 * np.pi)) ** 2, -2, keepdims=True) / mean
+    )
     both = jnp.concatenate([q, p * period], -2)
     lead = jnp.take_along_axis(both, jnp.argmax(jnp.abs(both).round(9), -2, keepdims=True), -2)
     turn = jnp.abs(lead) / lead / weight
@@ -353,15 +445,25 @@ def unpack_waves(cell: ModulatedCell, x: ComplexNumbers) -> Displacements:
     x = jnp.moveaxis(x, -2, -1)
     x = x.reshape(x.shape[:-1] + cell.cell + (-1,))
     back = -1 - len(cell.cell) - (lattice.dimension is not None)
-    return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, lattice.fields, lattice.dimension))
+    return jax.tree.map(
+        lambda x: jnp.moveaxis(x, back, -1), unpack(x, lattice.fields, lattice.dimension)
+    )
 
 
 def _wave_state(bands, lattice, wave, multiplier, amplitude):
     if len(bands.cell) > 1 or lattice.axes > 1:
-        refuse("lattice", "a chain", f"a lattice of {lattice.axes} axes", "Build the state from .displacements.")
+        refuse(
+            "lattice",
+            "a chain",
+            f"a lattice of {lattice.axes} axes",
+            "Build the state from .displacements.",
+        )
     amplitude = positive("amplitude", amplitude)
     k = jnp.asarray(bands.k).reshape(-1)
-    for name, index, count in (("wave", wave, k.size), ("multiplier", multiplier, bands.omega.shape[-1])):
+    for name, index, count in (
+        ("wave", wave, k.size),
+        ("multiplier", multiplier, bands.omega.shape[-1]),
+    ):
         if not -count <= index < count:
             refuse(name, f"a whole number within {-count} ... {count - 1}", repr(index))
     lead = bands.omega.ndim - 1

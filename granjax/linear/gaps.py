@@ -49,7 +49,12 @@ class _Look:
         fine, coarse, about = self.known.levels(k[:, None])
         found, size = self._numbers(fine), np.linalg.norm(fine, axis=(1, 2))
         least = TOLD * about * (np.maximum(1, size) if self.known.conserves else 1)
-        return self._chosen(found), least, np.abs(self._chosen(found) - self._chosen(self._numbers(coarse))), found[0]
+        return (
+            self._chosen(found),
+            least,
+            np.abs(self._chosen(found) - self._chosen(self._numbers(coarse))),
+            found[0],
+        )
 
     def rounding(self, k: np.ndarray) -> np.ndarray:
         """That of f."""
@@ -78,8 +83,14 @@ def gaps_of(known: Any, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     inside, edges, errors = _half_zone(look, known)
     peak_k, peak = _fastest(look, edges)
     found = _over(edges, errors, peak_k, peak / float(known.period), float(k.min()), float(k.max()))
-    return tuple(np.array(x, float).reshape(shape) for x, shape in zip(zip(*found), ((-1, 2), (-1, 2), -1, -1))) \
-        if found else (np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    return (
+        tuple(
+            np.array(x, float).reshape(shape)
+            for x, shape in zip(zip(*found), ((-1, 2), (-1, 2), -1, -1))
+        )
+        if found
+        else (np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    )
 
 
 def _half_zone(look, known):
@@ -132,7 +143,9 @@ def _largest(f, k, width, least=-np.inf):
         points = np.stack([k[left] - h, k[left], k[left] + h])
         low, at, high = f(points.ravel()).reshape(3, -1)
         bend = low - 2 * at + high
-        move = np.where(bend < 0, h * (low - high) / np.where(bend < 0, 2 * bend, 1), np.sign(high - low) * h)
+        move = np.where(
+            bend < 0, h * (low - high) / np.where(bend < 0, 2 * bend, 1), np.sign(high - low) * h
+        )
         move = np.clip(move, -h, h)
         k[left] += move
         top = at + (high - low) * move / (4 * h)
@@ -156,9 +169,16 @@ def _edges(look, outside, inside):
         # a side that stays weighs half
         fb = np.where(out & (last == 1), fb / 2, fb)
         fa = np.where(~out & (last == -1), fa / 2, fa)
-        a, fa, b, fb = np.where(out, k, a), np.where(out, f, fa), np.where(out, b, k), np.where(out, fb, f)
+        a, fa, b, fb = (
+            np.where(out, k, a),
+            np.where(out, f, fa),
+            np.where(out, b, k),
+            np.where(out, fb, f),
+        )
         last = np.where(out, 1, -1)
-        if np.all((np.abs(f) <= rounding) | (np.abs(k - before) <= 4 * EPS * np.maximum(np.abs(k), 1))):
+        if np.all(
+            (np.abs(f) <= rounding) | (np.abs(k - before) <= 4 * EPS * np.maximum(np.abs(k), 1))
+        ):
             break
     f, doubt, change, _ = look.told(k)
     step = ASIDE * (inside - k)
@@ -186,8 +206,12 @@ def _over(edges, errors, peak_k, peak, low, high):
     found, turn = {}, 2 * np.pi
     for (a, b), (ea, eb), k, rate in zip(edges, errors, peak_k, peak):
         for left, right, e, place in ((a, b, (ea, eb), k), (-b, -a, (eb, ea), -k)):
-            for n in range(int(np.floor((low - right) / turn)), int(np.ceil((high - left) / turn)) + 1):
+            for n in range(
+                int(np.floor((low - right) / turn)), int(np.ceil((high - left) / turn)) + 1
+            ):
                 if right + n * turn >= low and left + n * turn <= high:
                     key = round(left + n * turn, 9), round(right + n * turn, 9)
-                    found.setdefault(key, ((left + n * turn, right + n * turn), e, place + n * turn, rate))
+                    found.setdefault(
+                        key, ((left + n * turn, right + n * turn), e, place + n * turn, rate)
+                    )
     return [found[key] for key in sorted(found)]

@@ -22,8 +22,13 @@ def followed(vectors: Any, mass: Any, squared: Any = None, tolerance: Any = 0.0)
     `tolerance`) take the basis there that is nearest to the vectors before, at the first k to those after; past a
     crossing, where bands change places, a vector's phase is that of the one that it continues.
     """
-    q = jnp.concatenate([(x * jnp.sqrt(m)[..., None]).reshape(x.shape[0], -1, x.shape[-1]) for x, m in zip(
-        jax.tree.leaves(vectors), jax.tree.leaves(mass))], 1)
+    q = jnp.concatenate(
+        [
+            (x * jnp.sqrt(m)[..., None]).reshape(x.shape[0], -1, x.shape[-1])
+            for x, m in zip(jax.tree.leaves(vectors), jax.tree.leaves(mass))
+        ],
+        1,
+    )
     bands = q.shape[-1]
     if squared is None:
         same = jnp.broadcast_to(jnp.eye(bands, dtype=bool), (len(q), bands, bands))
@@ -61,7 +66,9 @@ def _unit(z):
 def _nearest(before, x, together):
     """The unitary matrix among bands that are together whose vectors are nearest to those before."""
     several = together.sum(0) > 1
-    link = jnp.where(together & several[:, None], before.conj().T @ x, jnp.diag(~several).astype(x.dtype))
+    link = jnp.where(
+        together & several[:, None], before.conj().T @ x, jnp.diag(~several).astype(x.dtype)
+    )
     left, _, right = jnp.linalg.svd(jax.lax.stop_gradient(link))
     return jnp.where(together, (left @ right).conj().T, 0)
 
@@ -85,7 +92,9 @@ class SmoothGauge(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "vectors": Held("wave site ... band"), "phase": Held("band", "rad"), "overlap": Held("band"),
+        "vectors": Held("wave site ... band"),
+        "phase": Held("band", "rad"),
+        "overlap": Held("band"),
     }
     vectors: ComplexNumbers | dict[str, ComplexNumbers]
     phase: Numbers
@@ -94,6 +103,7 @@ class SmoothGauge(Result):
     @property
     def periodic(self) -> ComplexNumbers | dict[str, ComplexNumbers]:
         """The vectors times exp(-i phase j/K) at the j-th wave number."""
+
         def shared(x):
             turn = np.exp(-1j * self.phase * np.arange(len(x))[:, None] / len(x))
             return x * turn.reshape(len(x), *(1,) * (x.ndim - 2), -1)
@@ -107,12 +117,15 @@ class SmoothGauge(Result):
         told = "Phases " + ", ".join(f"{x / np.pi:+.6g} pi" for x in self.phase)
         if not lost:
             return f"{told}; overlaps of neighbours {np.min(self.overlap):.3g} or more."
-        return f"{told}; not those of band {', '.join(lost)}, whose neighbours hardly overlap: " \
-               "bands cross, or the mesh is too coarse."
+        return (
+            f"{told}; not those of band {', '.join(lost)}, whose neighbours hardly overlap: "
+            "bands cross, or the mesh is too coarse."
+        )
 
 
-def smooth_gauge(vectors: Amplitudes | dict[str, Amplitudes], mass: Parameter | dict[str, Parameter] = 1.0
-                 ) -> SmoothGauge:
+def smooth_gauge(
+    vectors: Amplitudes | dict[str, Amplitudes], mass: Parameter | dict[str, Parameter] = 1.0
+) -> SmoothGauge:
     r"""Bloch vectors of a chain in a smooth gauge, by parallel transport around the zone: what is left is a Zak phase.
 
     **Arguments:** `vectors`: (K, cell..., bands) at k_j = k_0 + 2 pi j/K, all around the zone, or a dict of such, as
@@ -131,10 +144,18 @@ def smooth_gauge(vectors: Amplitudes | dict[str, Amplitudes], mass: Parameter | 
     [1.0, 1.0]
     """
     leaves = jax.tree.leaves(vectors)
-    if any(np.ndim(x) < 3 or len(x) < 4 or x.shape[-1] != leaves[0].shape[-1] or len(x) != len(leaves[0])
-           for x in leaves):
-        refuse("vectors", "arrays (K, cell..., bands) of at least four wave numbers",
-               " and ".join(str(np.shape(x)) for x in leaves))
+    if any(
+        np.ndim(x) < 3
+        or len(x) < 4
+        or x.shape[-1] != leaves[0].shape[-1]
+        or len(x) != len(leaves[0])
+        for x in leaves
+    ):
+        refuse(
+            "vectors",
+            "arrays (K, cell..., bands) of at least four wave numbers",
+            " and ".join(str(np.shape(x)) for x in leaves),
+        )
     given = mass if isinstance(mass, dict) else jax.tree.map(lambda _: mass, vectors)
 
     def fitted(x, m):
@@ -153,7 +174,10 @@ def _closed(vectors, masses):
 
     def products(x, y):
         parts = zip(jax.tree.leaves(x), jax.tree.leaves(y), jax.tree.leaves(masses))
-        return sum((x.conj() * m[..., None] * y).reshape(len(x), -1, x.shape[-1]).sum(1) for x, y, m in parts)
+        return sum(
+            (x.conj() * m[..., None] * y).reshape(len(x), -1, x.shape[-1]).sum(1)
+            for x, y, m in parts
+        )
 
     links = products(moved, jax.tree.map(lambda x: jnp.roll(x, -1, 0), moved))
     phase = -jnp.angle(jnp.prod(_unit(links), 0))

@@ -42,7 +42,9 @@ class NormalModes(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held("mode", "rad/s"), "omega_squared": Held("mode", "rad^2/s^2"), "modes": Held("site ... mode"),
+        "omega": Held("mode", "rad/s"),
+        "omega_squared": Held("mode", "rad^2/s^2"),
+        "modes": Held("site ... mode"),
     }
     omega: Float[AnyArray, " modes"]
     omega_squared: Float[AnyArray, " modes"]
@@ -52,7 +54,11 @@ class NormalModes(Result):
     def outcome(self) -> str:
         """How many modes, up to which frequency, and how many of them grow."""
         omega = np.asarray(self.omega)
-        unstable = f"{np.sum(omega < 0)} of them unstable" if np.any(omega < 0) else "none of them unstable"
+        unstable = (
+            f"{np.sum(omega < 0)} of them unstable"
+            if np.any(omega < 0)
+            else "none of them unstable"
+        )
         return f"{omega.shape[-1]} modes up to {self._told('omega', omega.max())}, {unstable}."
 
 
@@ -79,7 +85,10 @@ def normal_modes(lattice: Lattice) -> NormalModes:
     lattice = at_rest(lattice)
     result, uneven = _solve(lattice)
     uneven = jax.lax.stop_gradient(uneven)
-    if not isinstance(uneven, jax.core.Tracer) and float(uneven) > 1e3 * np.finfo(lattice.dtype).eps:
+    if (
+        not isinstance(uneven, jax.core.Tracer)
+        and float(uneven) > 1e3 * np.finfo(lattice.dtype).eps
+    ):
         refuse_one_way()
     return result
 
@@ -97,11 +106,17 @@ def _solve(lattice):
     if any(term.dependence(lattice).transforms for term in lattice.terms):
         K = jax.lax.map(column, unit)
     else:
-        K = jax.vmap(column)(unit) if flat.size <= AT_ONCE else jax.lax.map(column, unit, batch_size=AT_ONCE // 2)
+        K = (
+            jax.vmap(column)(unit)
+            if flat.size <= AT_ONCE
+            else jax.lax.map(column, unit, batch_size=AT_ONCE // 2)
+        )
     scale = jnp.abs(K).max()
     uneven = jnp.abs(K - K.T).max() / jnp.where(scale > 0, scale, 1)
     mass, _ = ravel_pytree(spread_mass(lattice))
     D = K / jnp.sqrt(mass[:, None] * mass)
     squared, q = jnp.linalg.eigh(D)
     modes = jax.vmap(unravel, -1, -1)(q / jnp.sqrt(mass)[:, None])
-    return NormalModes(signed_root(squared, jnp.abs(D).max(), flat.size), squared, modes, **lattice.origin), uneven
+    return NormalModes(
+        signed_root(squared, jnp.abs(D).max(), flat.size), squared, modes, **lattice.origin
+    ), uneven

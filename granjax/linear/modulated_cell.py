@@ -13,7 +13,19 @@ from ..lattice import Lattice
 from ..terms.tracing import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import assemble, bloch, given_cell, is_ring, periods, reach_of
-from .stiffness import blocks, components, grid, masses, pack, products, settled, stand_in, summed, undriven, unpack
+from .stiffness import (
+    blocks,
+    components,
+    grid,
+    masses,
+    pack,
+    products,
+    settled,
+    stand_in,
+    summed,
+    undriven,
+    unpack,
+)
 
 # where in a period the forces are looked at: at no simple fraction, where waveforms have their zeros and jumps
 PHASES = (0.1 + 0.6180339887498949 * np.arange(32)) % 1
@@ -50,7 +62,9 @@ class ModulatedCell(eqx.Module):
     def at(self, t: Number) -> tuple:
         """K_R/M and C_R/M at a time, (shells, P, P) each; `None` for C where no force reads velocities."""
         mass, maps = masses(self.lattice), products(self.lattice, t)
-        found = [blocks(self.lattice, self.reach, one) for one in (maps if self.damped else maps[:1])]
+        found = [
+            blocks(self.lattice, self.reach, one) for one in (maps if self.damped else maps[:1])
+        ]
         found = [assemble(jnp, x, mass, self.cell, self.chosen, self.reach)[1] for x in found]
         return found[0], (found[1] if self.damped else None)
 
@@ -77,8 +91,10 @@ def _sampled(lattice, reach, ts, w):
 
     def at(t):
         maps = products(lattice, t)
-        return (jnp.stack([blocks(lattice, reach, one) for one in maps], -1),
-                jnp.stack([pack(lattice, one(w)) for one in maps], -1))
+        return (
+            jnp.stack([blocks(lattice, reach, one) for one in maps], -1),
+            jnp.stack([pack(lattice, one(w)) for one in maps], -1),
+        )
 
     return *jax.vmap(at)(ts), masses(lattice)
 
@@ -90,11 +106,16 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     period after which the forces do not repeat.
     """
     lattice = undriven(lattice)
-    if lattice.dtype != jnp.result_type(float):  # numbers of few digits are followed with all that there are
+    if lattice.dtype != jnp.result_type(
+        float
+    ):  # numbers of few digits are followed with all that there are
         lattice = lattice.astype(jnp.result_type(float))
     sites, given = grid(lattice), None if cell is None else given_cell(cell, grid(lattice))
     plain, known = stand_in(lattice)
-    start, length = (float(jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x) for x in (t0, period))
+    start, length = (
+        float(jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x)
+        for x in (t0, period)
+    )
     dtype = plain.dtype
     w = np.random.default_rng(1).uniform(-1, 1, sites + (components(lattice),)).astype(dtype)
     ts = np.asarray(start + length * PHASES, dtype)
@@ -102,8 +123,11 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     def measure(lattice, reach):
         found, pulled, mass = settled(_sampled, lattice, tuple(reach), ts, w)
         size = _sizes(found)
-        misfit = max(np.abs(pull[..., i] - summed(x[..., i], w, reach)).max() / size[i]
-                     for x, pull in zip(found, pulled) for i in (0, 1))
+        misfit = max(
+            np.abs(pull[..., i] - summed(x[..., i], w, reach)).max() / size[i]
+            for x, pull in zip(found, pulled)
+            for i in (0, 1)
+        )
         return np.moveaxis(found / size, 0, -1), mass, misfit
 
     reach, stiffness, mass = reach_of(plain, measure)
@@ -117,7 +141,9 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     own = [[assemble(np, x[..., i], mass, size, chosen, reach) for x in found] for i in (0, 1)]
     coupling, loss = (np.stack([x[1] for x in one]) for one in own)
     damped = any(reads(term, lattice).velocity for term in lattice.terms)
-    return ModulatedCell(lattice, coupling, loss, own[0][0][2], missed, size, chosen, reach, own[0][0][0], damped)
+    return ModulatedCell(
+        lattice, coupling, loss, own[0][0][2], missed, size, chosen, reach, own[0][0][0], damped
+    )
 
 
 def _sizes(found):
@@ -138,11 +164,17 @@ def _missed(lattice, reach, ts, w, found, period, lightest):
     if wrong.any():
         what = "stiffness" if wrong[0] else "damping"
         share = (off / np.where(change > 0, change, 1))[0 if wrong[0] else 1]
-        refuse("period", f"one after which the {what} repeats",
-               f"{period!r}, after which it differs by {share:.2g} of what the modulation changes",
-               "Give the modulation's period 2 pi/omega, or a multiple; several modulations need a common one.")
+        refuse(
+            "period",
+            f"one after which the {what} repeats",
+            f"{period!r}, after which it differs by {share:.2g} of what the modulation changes",
+            "Give the modulation's period 2 pi/omega, or a multiple; several modulations need a common one.",
+        )
     rounding = 1e2 * eps * change
-    return (*(float(x) for x in np.maximum(off - rounding, 0) / lightest), _late(lattice, period, eps))
+    return (
+        *(float(x) for x in np.maximum(off - rounding, 0) / lightest),
+        _late(lattice, period, eps),
+    )
 
 
 @eqx.filter_jit
@@ -158,14 +190,23 @@ def _late(lattice, period, eps):
         turns = period / own
         off = abs(turns - round(turns))
         if off > MISSED or turns < 0.5:
-            refuse("period", f"one after which the breaks repeat, a multiple of {own:.10g}", repr(period))
+            refuse(
+                "period",
+                f"one after which the breaks repeat, a multiple of {own:.10g}",
+                repr(period),
+            )
         late = max(late, off * own if off > 8 * eps * turns else 0.0)
     return late
 
 
 @eqx.filter_jit
 def monodromies(
-    cell: ModulatedCell, k: Numbers, t0: Number, period: Number, omega: Number, steps: Any,
+    cell: ModulatedCell,
+    k: Numbers,
+    t0: Number,
+    period: Number,
+    omega: Number,
+    steps: Any,
 ) -> ComplexNumbers:
     r"""Y(t0 + T) of Y' = A(t) Y, Y(t0) = 1, for wave numbers k (K, axes): (K, 2P, 2P) over (q, q'/omega).
 

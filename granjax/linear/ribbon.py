@@ -11,7 +11,16 @@ from ..checks import parameter, refuse, whole
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from .cell import TIGHT, UnitCell, assemble, assembled, features_of, is_ring, reach_of, repeats_after
+from .cell import (
+    TIGHT,
+    UnitCell,
+    assemble,
+    assembled,
+    features_of,
+    is_ring,
+    reach_of,
+    repeats_after,
+)
 from .modes import signed_root
 from .stiffness import at_rest, grid, measure, stand_in
 
@@ -46,9 +55,14 @@ class RibbonBands(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "k": Held("wave", "rad"), "omega": Held("wave band", "rad/s"), "omega_squared": Held("wave band", "rad^2/s^2"),
-        "modes": Held("wave across ... band"), "edge": Held("wave band"), "participation": Held("wave band"),
-        "axis": Held(None), "width": Held(None),
+        "k": Held("wave", "rad"),
+        "omega": Held("wave band", "rad/s"),
+        "omega_squared": Held("wave band", "rad^2/s^2"),
+        "modes": Held("wave across ... band"),
+        "edge": Held("wave band"),
+        "participation": Held("wave band"),
+        "axis": Held(None),
+        "width": Held(None),
     }
     k: Numbers
     omega: Numbers
@@ -63,12 +77,19 @@ class RibbonBands(Result):
     def outcome(self) -> str:
         """How many bands, and how many of them are bound to a place across the strip somewhere."""
         bound = int((np.asarray(self.participation) < 0.2 * self.width).any(0).sum())
-        return f"{self.omega.shape[-1]} bands at {len(self.k)} wave numbers; {bound} within a fifth of the width " \
-               "at some of them."
+        return (
+            f"{self.omega.shape[-1]} bands at {len(self.k)} wave numbers; {bound} within a fifth of the width "
+            "at some of them."
+        )
 
 
-def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None = None,
-           cell: Count | None = None) -> RibbonBands:
+def ribbon(
+    lattice: Lattice,
+    k: Parameter | None = None,
+    *,
+    axis: Count | None = None,
+    cell: Count | None = None,
+) -> RibbonBands:
     r"""Bands of a strip: waves exp(ikR) along one axis of a lattice of the plane, whose other axis ends as it does.
 
     Damping is left out, as in `dispersion`.
@@ -94,37 +115,74 @@ def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None =
     lattice = at_rest(lattice)
     sites = grid(lattice)
     if len(sites) != 2:
-        refuse("lattice", "a lattice of two axes", f"one of {len(sites)}", "gx.linear.dispersion is for chains.")
+        refuse(
+            "lattice",
+            "a lattice of two axes",
+            f"one of {len(sites)}",
+            "gx.linear.dispersion is for chains.",
+        )
     plain, known = stand_in(lattice)
     reach, stiffness, mass = reach_of(plain, measure)
     rings = [is_ring(stiffness, a, reach) for a in (0, 1)]
     if axis is None:
         if rings[0] == rings[1]:
-            refuse("axis", "0 or 1, along which the strip runs", "None", "One axis alone is to be periodic.")
+            refuse(
+                "axis",
+                "0 or 1, along which the strip runs",
+                "None",
+                "One axis alone is to be periodic.",
+            )
         axis = 0 if rings[0] else 1
     across = 1 - axis
     if rings[across]:
-        refuse("lattice", f"ends along axis {across}, across the strip", "a ring", "boundary=('periodic', 'free')")
+        refuse(
+            "lattice",
+            f"ends along axis {across}, across the strip",
+            "a ring",
+            "boundary=('periodic', 'free')",
+        )
     if not rings[axis]:
-        refuse("lattice", f"a ring along axis {axis}, the strip's", "ends", "boundary=('periodic', 'free')")
+        refuse(
+            "lattice",
+            f"a ring along axis {axis}, the strip's",
+            "ends",
+            "boundary=('periodic', 'free')",
+        )
     found = _strip_cell(lattice, plain, known, (reach, stiffness, mass), axis, cell)
     given = 2 * np.pi * np.arange(121) / 120 - np.pi if k is None else parameter("k", k)
     if np.ndim(given) != 1 or not np.size(given):
         refuse("k", "phases along the strip, (K,)", f"shape {np.shape(given)}")
-    squared, omega, q, edge, participation = _solved(found, jnp.asarray(given, found.mass.dtype), axis)
+    squared, omega, q, edge, participation = _solved(
+        found, jnp.asarray(given, found.mass.dtype), axis
+    )
     modes = found.displacements(q)
     if found.cell[axis] == 1:
         modes = jax.tree.map(lambda x: jnp.squeeze(x, 1 + axis), modes)
-    return RibbonBands(jnp.asarray(given), omega, squared, modes, edge, participation, axis, found.cell[across],
-                       **lattice.origin)
+    return RibbonBands(
+        jnp.asarray(given),
+        omega,
+        squared,
+        modes,
+        edge,
+        participation,
+        axis,
+        found.cell[across],
+        **lattice.origin,
+    )
 
 
 def _strip_cell(lattice, plain, known, measured, axis, cell):
     """The cell of a strip: all of its width."""
     reach, stiffness, mass = measured
     rows = np.moveaxis(features_of(stiffness, mass), axis, 0)
-    period = repeats_after(rows.reshape(len(rows), -1), True, TIGHT * np.finfo(mass.dtype).eps,
-                           None if cell is None else whole("cell", cell, 1), known, axis)
+    period = repeats_after(
+        rows.reshape(len(rows), -1),
+        True,
+        TIGHT * np.finfo(mass.dtype).eps,
+        None if cell is None else whole("cell", cell, 1),
+        known,
+        axis,
+    )
     chosen = [tuple(range(n)) for n in mass.shape[:2]]
     chosen[axis] = chosen[axis][:period]
     found = tuple(map(len, chosen))
@@ -133,8 +191,14 @@ def _strip_cell(lattice, plain, known, measured, axis, cell):
     else:
         shells, coupling, masses = assembled(lattice, found, tuple(chosen), reach)
     kept = [i for i, R in enumerate(shells) if R[1 - axis] == 0]
-    return UnitCell(jnp.asarray(coupling)[np.array(kept)], jnp.asarray(masses), found, tuple(shells[i] for i in kept),
-                    lattice.fields, lattice.dimension)
+    return UnitCell(
+        jnp.asarray(coupling)[np.array(kept)],
+        jnp.asarray(masses),
+        found,
+        tuple(shells[i] for i in kept),
+        lattice.fields,
+        lattice.dimension,
+    )
 
 
 @eqx.filter_jit
@@ -144,7 +208,9 @@ def _solved(found, k, axis):
     place = np.linspace(-1, 1, width)
     shape = [1, 1, 1]
     shape[1 - axis] = width
-    of_each = np.broadcast_to(place.reshape(shape), (*found.cell, found.mass.size // np.prod(found.cell))).ravel()
+    of_each = np.broadcast_to(
+        place.reshape(shape), (*found.cell, found.mass.size // np.prod(found.cell))
+    ).ravel()
 
     def one(k):
         D = found.dynamical_matrix(jnp.zeros(2, k.dtype).at[axis].set(k))

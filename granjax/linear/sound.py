@@ -13,7 +13,9 @@ from .modes import signed_root
 
 
 def sound_speed(
-    lattice: Lattice, cell: Count | tuple[Count, ...] | None = None, direction: Parameter | None = None,
+    lattice: Lattice,
+    cell: Count | tuple[Count, ...] | None = None,
+    direction: Parameter | None = None,
 ) -> Number:
     r"""Long-wave speed c = lim omega/k of the acoustic band(s), in sites per unit time.
 
@@ -82,12 +84,24 @@ def _check_acoustic(found):
     T = _translations(np, np.asarray(mass), found.dimension)
     scale = np.abs(coupling).max()
     if scale == 0:
-        refuse("lattice", "linear stiffness at rest", "none",
-               "A sonic vacuum has no linear sound speed; give precompression > 0.")
+        refuse(
+            "lattice",
+            "linear stiffness at rest",
+            "none",
+            "A sonic vacuum has no linear sound speed; give precompression > 0.",
+        )
     tolerance = LOOSE * np.finfo(coupling.dtype).eps * scale
     if np.abs(D @ T).max() > tolerance:
-        refuse("lattice", "forces between sites alone", "forces that tie sites to their rest positions",
-               "Such a lattice has no acoustic band, and so no sound speed; see granjax.linear.bands.")
+        refuse(
+            "lattice",
+            "forces between sites alone",
+            "forces that tie sites to their rest positions",
+            "Such a lattice has no acoustic band, and so no sound speed; see granjax.linear.bands.",
+        )
     if np.sum(np.abs(np.linalg.eigvalsh(D)) <= tolerance) > T.shape[1]:
-        refuse("lattice", "a cell that is held together", "parts that move freely at no cost",
-               "Some bonds have no linear stiffness; give precompression > 0, or look at granjax.linear.dispersion.")
+        refuse(
+            "lattice",
+            "a cell that is held together",
+            "parts that move freely at no cost",
+            "Some bonds have no linear stiffness; give precompression > 0, or look at granjax.linear.dispersion.",
+        )

@@ -26,7 +26,9 @@ def undriven(lattice: Any) -> Lattice:
     """
     if lattice.lanes:
         refuse(
-            "lattice", "one lattice", f"a batch with lanes {lattice.lanes}",
+            "lattice",
+            "one lattice",
+            f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
     return _standing(lattice)
@@ -53,7 +55,9 @@ def lanes_at_rest(lattice: Lattice) -> Lattice:
     for i, term in enumerate(still.terms):
         if term.dependence(still).time and term.stiffness_changes(still):
             refuse(
-                f"terms[{i}] ({type(term).__name__})", "a stiffness that is constant in time", "one that changes",
+                f"terms[{i}] ({type(term).__name__})",
+                "a stiffness that is constant in time",
+                "one that changes",
                 "Modes in time do not exist then: take the lattice with the term that is modulated, or "
                 "granjax.linear.floquet_bands, which follows the modulation over its period.",
             )
@@ -64,8 +68,13 @@ def lanes_at_rest(lattice: Lattice) -> Lattice:
 def _refuse_turning(lattice):
     """Refuse forces -C v whose C is not symmetric: they change frequencies to first order, as damping does not."""
     plain, known = stand_in(lattice)
-    unknown = "" if known else (
-        " Random numbers stood in for its traced ones: keep a symmetric damping matrix outside of jit and vmap.")
+    unknown = (
+        ""
+        if known
+        else (
+            " Random numbers stood in for its traced ones: keep a symmetric damping matrix outside of jit and vmap."
+        )
+    )
     for i, term in enumerate(plain.terms):
         read = reads(term, plain)
         if not read.velocity:
@@ -74,7 +83,8 @@ def _refuse_turning(lattice):
         times = np.asarray(GENERIC if read.time else [0.0], plain.dtype)
         if max(settled(_turning, alone, t) for t in times) > 1e3 * np.finfo(plain.dtype).eps:
             refuse(
-                f"terms[{i}] ({type(term).__name__})", "a force that damps or does not read the velocity",
+                f"terms[{i}] ({type(term).__name__})",
+                "a force that damps or does not read the velocity",
                 "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
                 "Linear theory from the stiffness alone would leave it out. granjax.linear.floquet_bands, with any "
                 f"period, follows it.{unknown}",
@@ -85,11 +95,21 @@ def _refuse_turning(lattice):
 def _turning(lattice, t):
     """How far C = -d force/dv is from symmetric: (a C b - b C a)/(|a C b| + |b C a|) of random velocities a, b."""
     random = np.random.default_rng(3)
-    a, b = (jax.tree.map(lambda x: random.normal(size=x.shape).astype(x.dtype), lattice.zeros()) for _ in range(2))
+    a, b = (
+        jax.tree.map(lambda x: random.normal(size=x.shape).astype(x.dtype), lattice.zeros())
+        for _ in range(2)
+    )
     damp = products(lattice, t)[1]
     pairs = zip(*map(jax.tree.leaves, (a, damp(b), b, damp(a))))
-    there, size = map(sum, zip(*((jnp.sum(p * q - r * s), jnp.sum(jnp.abs(p * q) + jnp.abs(r * s)))
-                                 for p, q, r, s in pairs)))
+    there, size = map(
+        sum,
+        zip(
+            *(
+                (jnp.sum(p * q - r * s), jnp.sum(jnp.abs(p * q) + jnp.abs(r * s)))
+                for p, q, r, s in pairs
+            )
+        ),
+    )
     return jnp.abs(there) / jnp.where(size > 0, size, 1)
 
 
@@ -116,8 +136,12 @@ def stand_in(lattice: Lattice) -> tuple:
 
 def refuse_one_way() -> NoReturn:
     """Refuse forces that come from no energy."""
-    refuse("lattice", "forces that come from an energy (symmetric stiffness)", "stiffness that is not symmetric",
-           "Bonds push both ends alike; look for a term of your own that does not.")
+    refuse(
+        "lattice",
+        "forces that come from an energy (symmetric stiffness)",
+        "stiffness that is not symmetric",
+        "Bonds push both ends alike; look for a term of your own that does not.",
+    )
 
 
 def stiffness_product(lattice: Lattice) -> Callable:
@@ -158,7 +182,12 @@ def grid(lattice: Lattice) -> tuple[int, ...]:
     """
     shapes = set(lattice.sites.values()) if lattice.fields else {lattice.sites}
     if len(shapes) > 1:
-        refuse("lattice", "fields with one number of sites", f"{lattice.sites}", "Use granjax.linear.normal_modes.")
+        refuse(
+            "lattice",
+            "fields with one number of sites",
+            f"{lattice.sites}",
+            "Use granjax.linear.normal_modes.",
+        )
     return shapes.pop()
 
 
@@ -201,11 +230,20 @@ def blocks(lattice: Lattice, reach: Any, product_with: Callable) -> Any:
 
     every = jax.vmap(jax.vmap(answer, (None, 0), -1), (0, None), -2)
     answers = every(np.arange(colour.max() + 1), np.arange(width))
-    there = np.stack([np.roll(colour, [-o for o in offset], range(len(sites))) for offset in offsets(reach)], -1)
-    found = jnp.take_along_axis(answers[..., None, :, :, :], there[..., None, None, None], -2)[..., 0, :]
+    there = np.stack(
+        [np.roll(colour, [-o for o in offset], range(len(sites))) for offset in offsets(reach)], -1
+    )
+    found = jnp.take_along_axis(answers[..., None, :, :, :], there[..., None, None, None], -2)[
+        ..., 0, :
+    ]
     # half way around a ring is one place for both ways
-    twice = np.prod([np.where((n == 2 * r) & (abs(np.array(offset)) == r), 0.5, 1.0)
-                     for n, r, offset in zip(sites, reach, zip(*offsets(reach)))], axis=0)
+    twice = np.prod(
+        [
+            np.where((n == 2 * r) & (abs(np.array(offset)) == r), 0.5, 1.0)
+            for n, r, offset in zip(sites, reach, zip(*offsets(reach)))
+        ],
+        axis=0,
+    )
     return found * twice[:, None, None].astype(lattice.dtype) if np.any(twice != 1) else found
 
 
@@ -229,7 +267,11 @@ def settled(function: Callable, *arguments: Any) -> Any:
 def measure(lattice: Lattice, reach: Any) -> Any:
     """Blocks of K, masses, and how much K w differs from the blocks' sum for a random w, relative to the largest."""
     sites = grid(lattice)
-    w = np.random.default_rng(1).uniform(-1, 1, sites + (components(lattice),)).astype(lattice.dtype)
+    w = (
+        np.random.default_rng(1)
+        .uniform(-1, 1, sites + (components(lattice),))
+        .astype(lattice.dtype)
+    )
     stiffness, mass, true = settled(probe, lattice, tuple(reach), w)
     scale = np.abs(stiffness).max()
     misfit = np.abs(true - summed(stiffness, w, reach)).max()

@@ -36,8 +36,11 @@ class LocalisationLength(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held("omega", "rad/s"), "gamma": Held("omega", "1"), "error": Held("omega", "1"),
-        "length": Held("omega", "1"), "resolved": Held("omega"),
+        "omega": Held("omega", "rad/s"),
+        "gamma": Held("omega", "1"),
+        "error": Held("omega", "1"),
+        "length": Held("omega", "1"),
+        "resolved": Held("omega"),
     }
     omega: Number
     gamma: Number
@@ -119,11 +122,19 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
         refuse("lattice", wanted, "some that reach further", _MODES)
     if uneven is not None and uneven > LOOSE * np.finfo(uneven.dtype).eps:
         wanted = "forces that are alike at both sites of a bond"
-        refuse("lattice", wanted, "gyroscopic or one-way forces",
-               "Waves to the left and to the right differ: simulate the chain, driven at one end.")
+        refuse(
+            "lattice",
+            wanted,
+            "gyroscopic or one-way forces",
+            "Waves to the left and to the right differ: simulate the chain, driven at one end.",
+        )
     if least is not None and not least > 0:
-        refuse("lattice", "bonds with a stiffness at rest", f"one of stiffness {show(least)}",
-               "A sonic vacuum has no linear waves: give precompression > 0, or see gx.measures.second_moment.")
+        refuse(
+            "lattice",
+            "bonds with a stiffness at rest",
+            f"one of stiffness {show(least)}",
+            "A sonic vacuum has no linear waves: give precompression > 0, or see gx.measures.second_moment.",
+        )
     samples = int(np.prod(lattice.lanes, dtype=int))
     shape = omega.shape
     return LocalisationLength(omega, gamma.reshape(shape), error.reshape(shape), sites, samples)

@@ -36,7 +36,9 @@ def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
     if any(n < 2 for n in at.shape[:-1]):
         refuse("lattice", "two cells or more along each axis", f"{at.shape[:-1]}")
     origin = at[(0,) * (at.ndim - 1)]
-    steps = [at[tuple(int(i == j) for j in range(at.ndim - 1))] - origin for i in range(at.ndim - 1)]
+    steps = [
+        at[tuple(int(i == j) for j in range(at.ndim - 1))] - origin for i in range(at.ndim - 1)
+    ]
     return np.array([n * step for n, step in zip(cell, steps)])
 
 
@@ -76,9 +78,15 @@ class PathBands(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "k": Held("place axis", "rad"), "distance": Held("place", "1/m"), "omega": Held("place band", "rad/s"),
-        "omega_squared": Held("place band", "rad^2/s^2"), "vectors": Held("place site ... band"),
-        "slope": Held("place band", "m/s"), "marks": Held("point"), "names": Held(None), "cell": Held(None),
+        "k": Held("place axis", "rad"),
+        "distance": Held("place", "1/m"),
+        "omega": Held("place band", "rad/s"),
+        "omega_squared": Held("place band", "rad^2/s^2"),
+        "vectors": Held("place site ... band"),
+        "slope": Held("place band", "m/s"),
+        "marks": Held("point"),
+        "names": Held(None),
+        "cell": Held(None),
     }
     names: tuple[str, ...] = eqx.field(static=True)
     marks: Any
@@ -94,12 +102,18 @@ class PathBands(Result):
     def outcome(self) -> str:
         """How many bands, along which path."""
         bands = self.omega.shape[-1]
-        return f"{bands} band{'s' * (bands > 1)} along {'-'.join(self.names)}, omega = " \
-               f"{self._told('omega', np.min(self.omega))} ... {self._told('omega', np.max(self.omega))}."
+        return (
+            f"{bands} band{'s' * (bands > 1)} along {'-'.join(self.names)}, omega = "
+            f"{self._told('omega', np.min(self.omega))} ... {self._told('omega', np.max(self.omega))}."
+        )
 
 
 def path(
-    lattice: Lattice, points: str = "GXMG", count: Count = 120, cell: Cell | None = None, *,
+    lattice: Lattice,
+    points: str = "GXMG",
+    count: Count = 120,
+    cell: Cell | None = None,
+    *,
     named: dict[str, Parameter] | None = None,
 ) -> PathBands:
     """Bands of a lattice along straight lines between points of its Brillouin zone.
@@ -134,16 +148,33 @@ def path(
     lengths = np.linalg.norm(np.diff(space, axis=0), axis=1)
     shares = np.maximum(1, np.round(whole("count", count, 2) * lengths / lengths.sum()).astype(int))
     marks = np.concatenate([[0], np.cumsum(shares)])
-    k = np.concatenate([a + (b - a) * np.arange(n)[:, None] / n for a, b, n in zip(corners, corners[1:], shares)]
-                       + [corners[-1:]])
-    distance = np.concatenate([s + l * np.arange(n) / n for s, l, n in zip(
-        np.concatenate([[0], np.cumsum(lengths)]), lengths, shares)] + [[lengths.sum()]])
+    k = np.concatenate(
+        [a + (b - a) * np.arange(n)[:, None] / n for a, b, n in zip(corners, corners[1:], shares)]
+        + [corners[-1:]]
+    )
+    distance = np.concatenate(
+        [
+            s + l * np.arange(n) / n
+            for s, l, n in zip(np.concatenate([[0], np.cumsum(lengths)]), lengths, shares)
+        ]
+        + [[lengths.sum()]]
+    )
     waves = dispersion(lattice, k if axes > 1 else k[:, 0], cell)
     along = np.repeat(np.diff(corners, axis=0) / lengths[:, None], shares, axis=0)
     velocity = waves.group_velocity if axes > 1 else waves.group_velocity[..., None]
     slope = jnp.einsum("kba,ka->kb", velocity, jnp.asarray(np.concatenate([along, along[-1:]])))
-    return PathBands(names, marks, k, distance, waves.omega, waves.omega_squared, _in_phase(found, waves), slope,
-                     waves.cell, **lattice.origin)
+    return PathBands(
+        names,
+        marks,
+        k,
+        distance,
+        waves.omega,
+        waves.omega_squared,
+        _in_phase(found, waves),
+        slope,
+        waves.cell,
+        **lattice.origin,
+    )
 
 
 @eqx.filter_jit
@@ -153,7 +184,9 @@ def _in_phase(found, waves):
     mass = jax.tree.map(lambda x: 1 / x[..., 0] ** 2, root)
     squared = waves.omega_squared
     near = DEGENERATE * jnp.finfo(squared.dtype).eps * jnp.abs(squared).max()
-    return followed(waves.vectors, mass, jax.lax.stop_gradient(squared), jax.lax.stop_gradient(near))
+    return followed(
+        waves.vectors, mass, jax.lax.stop_gradient(squared), jax.lax.stop_gradient(near)
+    )
 
 
 def _letters(points, known):
@@ -165,8 +198,12 @@ def _letters(points, known):
             names.append(letter)
     for name in names:
         if name not in known:
-            refuse("points", f"names among {sorted(known)}", repr(name),
-                   "Others by named={'P': (k1, k2)}; positions tell the shape of the zone.")
+            refuse(
+                "points",
+                f"names among {sorted(known)}",
+                repr(name),
+                "Others by named={'P': (k1, k2)}; positions tell the shape of the zone.",
+            )
     return tuple(names)
 
 
@@ -185,7 +222,9 @@ class DensityOfStates(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held("frequency", "rad/s"), "density": Held("frequency", "s"), "error": Held("frequency", "s"),
+        "omega": Held("frequency", "rad/s"),
+        "density": Held("frequency", "s"),
+        "error": Held("frequency", "s"),
         "points": Held(None),
     }
     omega: Numbers
@@ -201,7 +240,10 @@ class DensityOfStates(Result):
 
 
 def density_of_states(
-    lattice: Lattice, bins: Count = 100, points: Count | None = None, cell: Cell | None = None,
+    lattice: Lattice,
+    bins: Count = 100,
+    points: Count | None = None,
+    cell: Cell | None = None,
 ) -> DensityOfStates:
     """Density of states of the infinite lattice: bands summed over the zone, by linear interpolation between points.
 
@@ -229,13 +271,20 @@ def density_of_states(
     omega = np.asarray(dispersion(lattice, grid, cell).omega)
     low, high = min(0.0, omega.min()), omega.max()
     if not high > low:
-        refuse("lattice", "waves of more than one frequency", f"omega = {high:g} alone", "Give it a precompression.")
+        refuse(
+            "lattice",
+            "waves of more than one frequency",
+            f"omega = {high:g} alone",
+            "Give it a precompression.",
+        )
     edges = np.linspace(low, high * (1 + 1e-12), whole("bins", bins, 1) + 1)
     width = np.diff(edges)
     fine = np.diff(_counted(omega, edges, axes)) / width
     half = omega[(slice(None, None, 2),) * axes]
     # bins in which the two agree by accident are no better known than their neighbours
-    error = maximum_filter1d(np.abs(fine - np.diff(_counted(half, edges, axes)) / width), NEIGHBOURS)
+    error = maximum_filter1d(
+        np.abs(fine - np.diff(_counted(half, edges, axes)) / width), NEIGHBOURS
+    )
     return DensityOfStates((edges[1:] + edges[:-1]) / 2, fine, error, int(points), **lattice.origin)
 
 
@@ -258,13 +307,14 @@ def _below(pieces, e):
     if len(pieces) == 2:
         return np.where(high > low, np.clip((e - low) / span, 0, 1), high <= e)
     middle = pieces[1]
-    first, second = np.where(middle > low, middle - low, 1), np.where(high > middle, high - middle, 1)
+    first, second = (
+        np.where(middle > low, middle - low, 1),
+        np.where(high > middle, high - middle, 1),
+    )
     rising = np.where(e > low, (e - low) ** 2 / (span * first), 0)
     falling = 1 - (high - e) ** 2 / (span * second)
     part = np.where(e < middle, rising, np.where(e < high, falling, 1))
     return np.where(e <= low, np.where(high <= e, 1.0, 0.0), part)
-
-
 
 
 class ZoneMap(Result):
@@ -281,8 +331,10 @@ class ZoneMap(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "q": Held("first second axis", "1/m"), "omega": Held("first second band", "rad/s"),
-        "velocity": Held("first second band axis", "m/s"), "corners": Held("corner axis", "1/m"),
+        "q": Held("first second axis", "1/m"),
+        "omega": Held("first second band", "rad/s"),
+        "velocity": Held("first second band axis", "m/s"),
+        "corners": Held("corner axis", "1/m"),
     }
     q: Numbers
     omega: Numbers
@@ -310,8 +362,13 @@ def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> 
     found = unit_cell(lattice, cell)
     vectors = lattice_vectors(lattice, found.cell)
     if len(found.cell) != 2 or vectors is None:
-        refuse("lattice", "a lattice of the plane with positions", f"one of {len(found.cell)} axes, "
-               f"{'with' if vectors is not None else 'without'} positions", "The scenes of the plane have them.")
+        refuse(
+            "lattice",
+            "a lattice of the plane with positions",
+            f"one of {len(found.cell)} axes, "
+            f"{'with' if vectors is not None else 'without'} positions",
+            "The scenes of the plane have them.",
+        )
     corners = _first_zone(2 * np.pi * np.linalg.inv(vectors).T)
     half = 1.05 * np.abs(corners).max(0)
     side = whole("points", points, 8)
@@ -323,7 +380,9 @@ def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> 
 
 def _first_zone(reciprocal):
     """Corners of the points nearer to 0 than to any other of a lattice, in order."""
-    near = np.array([i * reciprocal[0] + j * reciprocal[1] for i in range(-2, 3) for j in range(-2, 3)])
+    near = np.array(
+        [i * reciprocal[0] + j * reciprocal[1] for i in range(-2, 3) for j in range(-2, 3)]
+    )
     found = Voronoi(near)
     corners = found.vertices[found.regions[found.point_region[12]]]
     # from the direction of x on, whatever the rounding of a corner that lies there

@@ -29,8 +29,16 @@ def _contact(lattice, y, t, bond):
     found = contacts(lattice, y, t)
     bond = whole("bond", bond)
     if bond >= len(found):
-        names = ", ".join(f"{i}: {type(c.law).__name__} ({c.place})" for i, c in enumerate(found)) or "none"
-        refuse("bond", f"an index below {len(found)}", f"{bond}", f"The lattice's bonds and then walls are {names}.")
+        names = (
+            ", ".join(f"{i}: {type(c.law).__name__} ({c.place})" for i, c in enumerate(found))
+            or "none"
+        )
+        refuse(
+            "bond",
+            f"an index below {len(found)}",
+            f"{bond}",
+            f"The lattice's bonds and then walls are {names}.",
+        )
     return found[bond]
 
 
@@ -69,7 +77,9 @@ def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Coun
     return _contact(lattice, y, t, bond).force
 
 
-def sensor_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, field: str | None = None) -> Numbers:
+def sensor_force(
+    lattice: Lattice, y: StateLike, t: Number = 0.0, *, field: str | None = None
+) -> Numbers:
     """Mean of the two contact forces of every bead, (F_{n-1,n} + F_{n,n+1})/2 [N]: what a sensor inside it reads.
 
     A bead at a free end has one contact, and reads half of it. Walls that are terms of their own do not count.
@@ -94,8 +104,12 @@ def sensor_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, field: str 
             if found[1] == "free":
                 force = jnp.pad(force, [(1, 1)] + [(0, 0)] * (force.ndim - 1))
             return (force[:-1] + force[1:]) / 2
-    refuse("lattice", "a chain with bonds between next neighbours", "none of that field",
-           "Of other lattices take the mean of gx.measures.contact_force yourself.")
+    refuse(
+        "lattice",
+        "a chain with bonds between next neighbours",
+        "none of that field",
+        "Of other lattices take the mean of gx.measures.contact_force yourself.",
+    )
 
 
 def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Number | None:
@@ -113,5 +127,10 @@ def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0)
     contact = _contact(lattice, y, t, bond)
     value = contact.overlap
     if value is None:
-        refuse("bond", "a law whose contact can open", f"{type(contact.law).__name__}", "Ask for strain instead.")
+        refuse(
+            "bond",
+            "a law whose contact can open",
+            f"{type(contact.law).__name__}",
+            "Ask for strain instead.",
+        )
     return value

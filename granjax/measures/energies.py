@@ -97,7 +97,9 @@ def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     for term in terms:
         if reads(term, lattice).energy:
             rates = jax.jvp(term.energy, *along)[1]
-            total = total + sum(r.sum(tuple(range(r.ndim - len(lattice.lanes)))) for r in jax.tree.leaves(rates))
+            total = total + sum(
+                r.sum(tuple(range(r.ndim - len(lattice.lanes)))) for r in jax.tree.leaves(rates)
+            )
     return total
 
 
@@ -126,9 +128,11 @@ def _share_out(lattice, u, v, t):
         shared = term.site_energy(lattice, t, u)
         if shared is None:
             continue
-        for name, part in (shared.items() if isinstance(shared, dict) else ((None, shared),)):
+        for name, part in shared.items() if isinstance(shared, dict) else ((None, shared),):
             total[name] = total[name] + _per_site(lattice, part)
-    total = {name: jnp.broadcast_to(e, tuple(shapes[name]) + lattice.lanes) for name, e in total.items()}
+    total = {
+        name: jnp.broadcast_to(e, tuple(shapes[name]) + lattice.lanes) for name, e in total.items()
+    }
     return total if isinstance(u, dict) else total[None]
 
 
@@ -166,7 +170,12 @@ def species_energy(
         return {name: e.sum(axes) for name, e in share.items()}
     if isinstance(species, jax.core.Tracer) or np.shape(species) != lattice.sites:
         got = f"shape {np.shape(species)}"
-        refuse("species", f"labels of shape {lattice.sites}, one per site", got, "Labels must be known before tracing.")
+        refuse(
+            "species",
+            f"labels of shape {lattice.sites}, one per site",
+            got,
+            "Labels must be known before tracing.",
+        )
     labels = np.asarray(species)
     labels = labels.astype(str) if labels.dtype.kind == "O" else labels
     return {label.item(): share[labels == label].sum(0) for label in np.unique(labels)}

@@ -47,7 +47,9 @@ class Front(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "speed": Held(unit="1/s"), "error": Held(unit="1/s"), "arrivals": Held("site", "s"),
+        "speed": Held(unit="1/s"),
+        "error": Held(unit="1/s"),
+        "arrivals": Held("site", "s"),
     }
     speed: Number
     error: Number
@@ -61,7 +63,11 @@ class Front(Result):
 
 
 def arrival_times(
-    ts: Parameter, q: Parameter, threshold: Parameter | None = None, *, fraction: Scalar = 0.5,
+    ts: Parameter,
+    q: Parameter,
+    threshold: Parameter | None = None,
+    *,
+    fraction: Scalar = 0.5,
 ) -> Numbers:
     """Time at which a quantity first reaches a threshold, at every site.
 
@@ -94,7 +100,9 @@ def _threshold(threshold, fraction, q):
         threshold = parameter("threshold", threshold)
         fits = all(n in (1, wanted) for n, wanted in zip(threshold.shape[::-1], own[::-1]))
         if threshold.ndim > len(own) or not fits:
-            refuse("threshold", f"one number, or one per site, shape {own}", f"shape {threshold.shape}")
+            refuse(
+                "threshold", f"one number, or one per site, shape {own}", f"shape {threshold.shape}"
+            )
     return fraction, threshold
 
 
@@ -119,8 +127,13 @@ def peak_times(ts: Parameter, q: Parameter) -> Peaks:
 
 
 def front_speed(
-    ts: Parameter, q: Parameter, sites: Parameter | None = None, *, by: str = "peak",
-    threshold: Parameter | None = None, fraction: Scalar = 0.5,
+    ts: Parameter,
+    q: Parameter,
+    sites: Parameter | None = None,
+    *,
+    by: str = "peak",
+    threshold: Parameter | None = None,
+    fraction: Scalar = 0.5,
 ) -> Front:
     """Speed of a front, from a least-squares line of arrival time against site: t = t0 + n/c.
 
@@ -166,7 +179,12 @@ def _history(ts, q, least=2):
     if ts.ndim != 1 or len(ts) < least:
         refuse("ts", f"at least {least} times in one row", f"shape {ts.shape}")
     if q.shape[:1] != ts.shape:
-        refuse("q", f"{len(ts)} frames on the first axis, one per time", f"shape {q.shape}", "Time comes first.")
+        refuse(
+            "q",
+            f"{len(ts)} frames on the first axis, one per time",
+            f"shape {q.shape}",
+            "Time comes first.",
+        )
     value = concrete(ts)
     if value is not None and not np.all(np.diff(value) > 0):
         refuse("ts", "rising times", show(value))
@@ -195,7 +213,9 @@ def _polynomial(nodes, values):
     coefficients = list(values)
     for order in range(1, len(coefficients)):
         for j in range(len(coefficients) - 1, order - 1, -1):
-            coefficients[j] = (coefficients[j] - coefficients[j - 1]) / (nodes[j] - nodes[j - order])
+            coefficients[j] = (coefficients[j] - coefficients[j - 1]) / (
+                nodes[j] - nodes[j - order]
+            )
 
     def at(x):
         total = coefficients[-1]
@@ -231,11 +251,14 @@ def _maxima(ts, q):
 
     x = _root(fall, low, high)
     inside = (top > 0) & (top < len(ts) - 1)
-    return Peaks(jnp.where(inside, start + scale * x, jnp.nan), jnp.where(inside, height(x), jnp.nan))
+    return Peaks(
+        jnp.where(inside, start + scale * x, jnp.nan), jnp.where(inside, height(x), jnp.nan)
+    )
 
 
 def _root(f, low, high):
     """Where f rises through zero inside [low, high]: Newton's method, with bisection where it would leave."""
+
     def near(x):
         return jax.jvp(f, (x,), (jnp.ones_like(x),))
 

@@ -29,6 +29,7 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
     >>> gx.measures.along(gx.measures.contact_force, chain, run).shape
     (51, 21)
     """
+
     def of_frame(t, u, v, memory):
         now = lattice if memory is None else recalled(lattice, memory)
         return measure(now, State(u, v), t, **options)

@@ -35,7 +35,13 @@ class Trace(Result):
 
 
 def velocity_trace(
-    ts: Parameter, vs: Parameter, bead: Count, *, sampling: Scalar, noise: Scalar = 0.0, seed: Count = 0,
+    ts: Parameter,
+    vs: Parameter,
+    bead: Count,
+    *,
+    sampling: Scalar,
+    noise: Scalar = 0.0,
+    seed: Count = 0,
     units: Units | None = None,
 ) -> Trace:
     """Velocity of one bead as a laser vibrometer gives it: sampled at a fixed rate, with Gaussian noise.
@@ -74,7 +80,11 @@ def velocity_trace(
     interval = 1 / float(positive("sampling", sampling))
     samples = int(np.floor((time[-1] - time[0]) / interval * (1 + 1e-12))) + 1
     if samples < 2:
-        refuse("sampling", f"at least {1 / (time[-1] - time[0]):g} Hz, two samples in the record", f"{sampling}")
+        refuse(
+            "sampling",
+            f"at least {1 / (time[-1] - time[0]):g} Hz, two samples in the record",
+            f"{sampling}",
+        )
     at = np.minimum(time[0] + interval * np.arange(samples), time[-1])
     from scipy.interpolate import CubicSpline
 

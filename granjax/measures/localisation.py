@@ -81,7 +81,12 @@ def _cell_energy(lattice, y, t):
     e = site_energy(lattice, y, t)
     leaves = jax.tree.leaves(e)
     if any(leaf.shape != leaves[0].shape for leaf in leaves):
-        refuse("lattice", "fields of one shape, one of each per cell", f"{lattice.sites}", "Use site_energy.")
+        refuse(
+            "lattice",
+            "fields of one shape, one of each per cell",
+            f"{lattice.sites}",
+            "Use site_energy.",
+        )
     return sum(leaves)
 
 

@@ -31,8 +31,12 @@ class ForceNetwork(NamedTuple):
 def placed(lattice: Lattice, what: str) -> Displacements:
     """The positions of one lattice that has them."""
     if lattice.positions is None:
-        refuse("lattice", f"a lattice with positions, for {what}", "one without",
-               "The scenes of the plane have them; gx.Lattice(..., positions=...).")
+        refuse(
+            "lattice",
+            f"a lattice with positions, for {what}",
+            "one without",
+            "The scenes of the plane have them; gx.Lattice(..., positions=...).",
+        )
     if lattice.lanes:
         refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", "Take one lane.")
     return lattice.positions
@@ -69,7 +73,12 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
 
 
 def angular_momentum(
-    lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Parameter = (0.0, 0.0), radius: Scalar | None = None,
+    lattice: Lattice,
+    y: StateLike,
+    t: Number = 0.0,
+    *,
+    centre: Parameter = (0.0, 0.0),
+    radius: Scalar | None = None,
 ) -> Number:
     r"""Angular momentum about a point of the plane: sum m (r - c) x v, and m_theta R s' of beads that turn.
 
@@ -101,7 +110,10 @@ def angular_momentum(
     for place, w, speed, mass in zip(*(jax.tree.leaves(x) for x in (places, u, v, lattice.mass))):
         r = place + w[..., :2] - c
         m = jnp.broadcast_to(mass, speed.shape)
-        total = total + (r[..., 0] * m[..., 1] * speed[..., 1] - r[..., 1] * m[..., 0] * speed[..., 0]).sum()
+        total = (
+            total
+            + (r[..., 0] * m[..., 1] * speed[..., 1] - r[..., 1] * m[..., 0] * speed[..., 0]).sum()
+        )
         if lattice.dimension == 3:
             total = total + (m[..., 2] * R * speed[..., 2]).sum()
     return total
@@ -123,7 +135,12 @@ def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     0.08
     """
     u, _ = parts(lattice, y, t)
-    forces = [(term, c.force) for term in lattice.terms for c in term.compressions(t, u) if c.place == "bond"]
+    forces = [
+        (term, c.force)
+        for term in lattice.terms
+        for c in term.compressions(t, u)
+        if c.place == "bond"
+    ]
     lanes, worst = len(lattice.lanes), []
     for (_, normal), (term, tangential) in zip(forces, forces[1:]):
         if not getattr(getattr(term, "strain_map", None), "tangential", False):
@@ -133,5 +150,7 @@ def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
         ratio = jnp.where(closed, T / jnp.where(closed, N, 1), jnp.where(T > 0, jnp.inf, 0.0))
         worst.append(ratio.max(tuple(range(ratio.ndim - lanes))))
     if not worst:
-        refuse("lattice", "contacts with a tangential force", "none", "Build it with rotation=True.")
+        refuse(
+            "lattice", "contacts with a tangential force", "none", "Build it with rotation=True."
+        )
     return jnp.max(jnp.stack(worst), 0)

@@ -17,7 +17,9 @@ from .networks import placed
 EXACT = 1e-8
 
 
-def energy_radius(lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Parameter | None = None) -> Number:
+def energy_radius(
+    lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Parameter | None = None
+) -> Number:
     r"""How far the energy is from a point: the root of sum e_n |r_n - c|^2 / sum e_n, by the lattice's positions [m].
 
     A packet of a cone of speed c (`gx.states.bloch_packet` at a Dirac point) has the radius (w^2 + b t + c^2 t^2)^{1/2}
@@ -36,7 +38,10 @@ def energy_radius(lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Pa
     """
     places = placed(lattice, "a radius")
     e, places = site_energy(lattice, y, t), {"": places} if not isinstance(places, dict) else places
-    parts = [(jnp.asarray(places[name]), x) for name, x in (e if isinstance(e, dict) else {"": e}).items()]
+    parts = [
+        (jnp.asarray(places[name]), x)
+        for name, x in (e if isinstance(e, dict) else {"": e}).items()
+    ]
     total = sum(x.sum() for _, x in parts)
     if centre is None:
         c = sum((x[..., None] * at).sum(tuple(range(x.ndim))) for at, x in parts) / total
@@ -69,8 +74,12 @@ class RadialProfile(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "distance": Held("distance", "m"), "mean": Held("... distance"), "lowest": Held("... distance"),
-        "highest": Held("... distance"), "crest": Held("...", "m"), "error": Held(unit="m"),
+        "distance": Held("distance", "m"),
+        "mean": Held("... distance"),
+        "lowest": Held("... distance"),
+        "highest": Held("... distance"),
+        "crest": Held("...", "m"),
+        "error": Held(unit="m"),
     }
     distance: Numbers
     mean: Numbers
@@ -83,12 +92,17 @@ class RadialProfile(Result):
     def outcome(self) -> str:
         """Where the crest is."""
         at = np.asarray(self.crest).ravel()
-        where = " ... ".join(self._told("crest", float(x)) for x in (at[:1] if at.size == 1 else at[[0, -1]]))
+        where = " ... ".join(
+            self._told("crest", float(x)) for x in (at[:1] if at.size == 1 else at[[0, -1]])
+        )
         return f"Crest at the distance {where} +- {self._told('error', float(self.error))}."
 
 
 def radial_profile(
-    lattice: Lattice, quantity: Parameter | dict[str, Parameter], centre: Parameter | None = None, *,
+    lattice: Lattice,
+    quantity: Parameter | dict[str, Parameter],
+    centre: Parameter | None = None,
+    *,
     width: Scalar | None = None,
 ) -> RadialProfile:
     """A quantity of the sites by the distance from a point: means, lowest and highest values of rings.
@@ -114,23 +128,38 @@ def radial_profile(
     at = np.concatenate([np.asarray(x, float).reshape(-1, x.shape[-1]) for x in fields.values()])
     parts = [_history_of(name, given[name], x.shape[:-1]) for name, x in fields.items()]
     q = jnp.concatenate(parts, -1)
-    c = at.mean(0) if centre is None else np.asarray(concrete(_point("centre", centre, at.shape[-1])), float)
+    c = (
+        at.mean(0)
+        if centre is None
+        else np.asarray(concrete(_point("centre", centre, at.shape[-1])), float)
+    )
     distance = np.linalg.norm(at - c, axis=-1)
     width = _spacing(at) if width is None else float(positive("width", width))
     _, which = np.unique(np.floor(distance / width + 0.5).astype(int), return_inverse=True)
     count, rings = np.bincount(which), which.max() + 1
-    gather = lambda how, start: getattr(jnp.full(q.shape[:-1] + (rings,), start).at[..., which], how)(q)
+    gather = lambda how, start: getattr(
+        jnp.full(q.shape[:-1] + (rings,), start).at[..., which], how
+    )(q)
     mean = gather("add", 0.0) / count
     away = np.bincount(which, distance) / count
-    return RadialProfile(away, mean, gather("min", jnp.inf), gather("max", -jnp.inf),
-                         jnp.asarray(away)[jnp.argmax(mean, -1)], np.float64(width / 2), **lattice.origin)
+    return RadialProfile(
+        away,
+        mean,
+        gather("min", jnp.inf),
+        gather("max", -jnp.inf),
+        jnp.asarray(away)[jnp.argmax(mean, -1)],
+        np.float64(width / 2),
+        **lattice.origin,
+    )
 
 
 def _history_of(name, given, sites):
     called = f"quantity[{name!r}]" if name else "quantity"
     x = parameter(called, given)
-    if x.shape[-len(sites):] != sites or x.ndim > len(sites) + 1:
-        refuse(called, f"one number per site, shape {sites}, or with times before", f"shape {x.shape}")
+    if x.shape[-len(sites) :] != sites or x.ndim > len(sites) + 1:
+        refuse(
+            called, f"one number per site, shape {sites}, or with times before", f"shape {x.shape}"
+        )
     return x.reshape(x.shape[: x.ndim - len(sites)] + (-1,))
 
 
@@ -157,8 +186,11 @@ class FrontDecay(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "distance": Held("distance", "m"), "amplitude": Held("distance"), "exponent": Held(unit="1"),
-        "error": Held(unit="1"), "drift": Held(unit="1"),
+        "distance": Held("distance", "m"),
+        "amplitude": Held("distance"),
+        "exponent": Held(unit="1"),
+        "error": Held(unit="1"),
+        "drift": Held(unit="1"),
     }
     distance: Numbers
     amplitude: Numbers
@@ -176,7 +208,11 @@ class FrontDecay(Result):
 
 
 def front_decay(
-    lattice: Lattice, amplitude: Parameter, site: Count | Cell, *, direction: Parameter | None = None,
+    lattice: Lattice,
+    amplitude: Parameter,
+    site: Count | Cell,
+    *,
+    direction: Parameter | None = None,
     between: tuple[Scalar, Scalar] | None = None,
 ) -> FrontDecay:
     r"""How the amplitude of a front falls with the distance from a site, as a power with its standard error.
@@ -208,7 +244,12 @@ def front_decay(
     """
     places = placed(lattice, "distances")
     if isinstance(places, dict):
-        refuse("lattice", "one field", f"the fields {sorted(places)}", "Take the distances of one of them.")
+        refuse(
+            "lattice",
+            "one field",
+            f"the fields {sorted(places)}",
+            "Take the distances of one of them.",
+        )
     sites = places.shape[:-1]
     q = parameter("amplitude", amplitude)
     if q.shape != sites:
@@ -232,8 +273,12 @@ def front_decay(
         ring = np.round(distance / (1e-6 * spacing)).astype(int)
     rings, which = np.unique(ring[kept], return_inverse=True)
     if len(rings) < 4:
-        refuse("amplitude", "at least four distances with an amplitude above zero", f"{len(rings)}",
-               "Run longer, or take a larger crystal or wider `between`.")
+        refuse(
+            "amplitude",
+            "at least four distances with an amplitude above zero",
+            f"{len(rings)}",
+            "Run longer, or take a larger crystal or wider `between`.",
+        )
     count = np.bincount(which)
     mean = np.bincount(which, distance[kept]) / count
     rms = jnp.sqrt(jnp.zeros(len(rings)).at[which].add(q[np.flatnonzero(kept)] ** 2) / count)

@@ -25,7 +25,9 @@ class Spectrum(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "k": Held("k", "rad"), "omega": Held("omega", "rad/s"), "power": Held("k omega"),
+        "k": Held("k", "rad"),
+        "omega": Held("omega", "rad/s"),
+        "power": Held("k omega"),
     }
     k: Numbers
     omega: Numbers
@@ -51,7 +53,9 @@ class Spectrogram(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "time": Held("time", "s"), "omega": Held("omega", "rad/s"), "power": Held("time omega"),
+        "time": Held("time", "s"),
+        "omega": Held("omega", "rad/s"),
+        "power": Held("time omega"),
     }
     time: Numbers
     omega: Numbers
@@ -64,7 +68,12 @@ class Spectrogram(Result):
 
 
 def spectrum(
-    us: Parameter, dt: Scalar, *, time_window: str = "hann", space_window: str = "hann", units: str | None = None,
+    us: Parameter,
+    dt: Scalar,
+    *,
+    time_window: str = "hann",
+    space_window: str = "hann",
+    units: str | None = None,
 ) -> Spectrum:
     r"""Spectrum of a history over wave number and frequency: |sum_nt w_n w_t u_n(t) exp(-i(k n - omega t))|^2.
 
@@ -107,7 +116,9 @@ def spectrum(
         twice[-1] = 1
     power = jnp.fft.fftshift(jnp.swapaxes(power * twice.reshape((-1, 1) + tail), 0, 1), 0)
     k = 2 * jnp.pi * jnp.fft.fftshift(jnp.fft.fftfreq(sites))
-    return Spectrum(k, 2 * jnp.pi * jnp.fft.rfftfreq(frames) / dt, power, _mark=names.mark_of(units))
+    return Spectrum(
+        k, 2 * jnp.pi * jnp.fft.rfftfreq(frames) / dt, power, _mark=names.mark_of(units)
+    )
 
 
 def _window(name, window, size):
@@ -119,7 +130,12 @@ def _window(name, window, size):
 
 
 def spectrogram(
-    v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None = None, units: str | None = None,
+    v: Parameter,
+    dt: Scalar,
+    window: Scalar,
+    *,
+    hop: Scalar | None = None,
+    units: str | None = None,
 ) -> Spectrogram:
     """Power density of a signal over time and frequency, by a short-time Fourier transform with a Hann window.
 
@@ -146,16 +162,26 @@ def spectrogram(
         refuse("v", "a record of at least 4 frames", f"shape {v.shape}")
     size = float(positive("window", window)) / dt
     if not 4 <= round(min(size, frames + 1)) <= frames:
-        refuse("window and dt", f"a window of 4 to {frames} frames", f"{window}, {size:.3g} frames of {dt:g}")
+        refuse(
+            "window and dt",
+            f"a window of 4 to {frames} frames",
+            f"{window}, {size:.3g} frames of {dt:g}",
+        )
     size = round(size)
     step = max(1, size // 4) if hop is None else float(positive("hop", hop)) / dt
     if not 1 <= round(min(step, frames + 1)) <= frames:
-        refuse("hop and dt", f"1 to {frames} frames between windows", f"{hop}, {step:.3g} frames of {dt:g}")
+        refuse(
+            "hop and dt",
+            f"1 to {frames} frames between windows",
+            f"{hop}, {step:.3g} frames of {dt:g}",
+        )
     step = round(step)
     from scipy.signal import ShortTimeFFT
     from scipy.signal.windows import hann
 
-    transform = ShortTimeFFT(hann(size, sym=False), step, 1 / dt, fft_mode="onesided2X", scale_to="psd")
+    transform = ShortTimeFFT(
+        hann(size, sym=False), step, 1 / dt, fft_mode="onesided2X", scale_to="psd"
+    )
     last = transform.upper_border_begin(len(v))[1]
     first = transform.lower_border_end[1]
     power = transform.spectrogram(v, axis=0, p0=first, p1=max(last, first + 1))

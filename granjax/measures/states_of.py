@@ -20,7 +20,9 @@ def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
         got = [getattr(leaf, "shape", ()) for leaf in jax.tree.leaves(x)]
         if got != [leaf.shape for leaf in jax.tree.leaves(template)]:
             remedy = "For the frames of a run use measures.along(measure, lattice, run)."
-            refuse(f"y.{name}", _shapes(template), f"shape {got[0] if len(got) == 1 else got}", remedy)
+            refuse(
+                f"y.{name}", _shapes(template), f"shape {got[0] if len(got) == 1 else got}", remedy
+            )
     return y
 
 

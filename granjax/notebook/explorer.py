@@ -26,15 +26,30 @@ from .sliders import movable
 
 INSTALL = "pip install 'granjax[notebook]'"
 # what a function of the user's may raise for the values of its sliders
-FAILURES = (ArithmeticError, AssertionError, AttributeError, LookupError, NameError, OSError, RuntimeError, TypeError,
-            ValueError)
+FAILURES = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    NameError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 # steps of a slider, about; size of the picture [inch], dots per inch; how much is seen of a map that is out of date
 STEPS, SIZE, DOTS, FADED = (100, 301), (5.8, 4.3), 100, 0.25
 
 
 def explore(
-    scene: Lattice | Callable, t1: Scalar | None = None, *, state: StateLike | Scene | None = None,
-    quantity: str | Quantity = "v", frames: Count = 240, tolerance: Scalar | None = None, units: UnitsOrWords = None,
+    scene: Lattice | Callable,
+    t1: Scalar | None = None,
+    *,
+    state: StateLike | Scene | None = None,
+    quantity: str | Quantity = "v",
+    frames: Count = 240,
+    tolerance: Scalar | None = None,
+    units: UnitsOrWords = None,
     **parameters: Any,
 ) -> "Explorer":
     r"""Sliders for the parameters of a scene, above a space-time map that follows them, in a notebook.
@@ -73,7 +88,9 @@ def explore(
     if not callable(quantity):
         one_of("quantity", quantity, MAPS)
     t1 = None if t1 is None else float(positive("t1", t1))
-    scenery = Scenery(movable(scene, parameters), state, t1, quantity, whole("frames", frames, 2), tolerance)
+    scenery = Scenery(
+        movable(scene, parameters), state, t1, quantity, whole("frames", frames, 2), tolerance
+    )
     return Explorer(scenery, units, _widgets())
 
 
@@ -82,11 +99,15 @@ def _widgets():
     try:
         import ipywidgets
     except ImportError:
-        raise ImportError(f"gx.explore: expected ipywidgets, got none. Install it: {INSTALL}.") from None
+        raise ImportError(
+            f"gx.explore: expected ipywidgets, got none. Install it: {INSTALL}."
+        ) from None
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if getattr(shell, "kernel", None) is None:
-        raise ImportError("gx.explore: expected a notebook, got Python without one. Call it in Jupyter, or in another "
-                          f"front end of notebooks; {INSTALL} installs what it needs.")
+        raise ImportError(
+            "gx.explore: expected a notebook, got Python without one. Call it in Jupyter, or in another "
+            f"front end of notebooks; {INSTALL} installs what it needs."
+        )
     return ipywidgets
 
 
@@ -106,7 +127,9 @@ class Explorer:
         self._refused = ""
         self._draw()
         self.sliders = {name: self._slider(widgets, name) for name in scenery.ranges}
-        self._picture = widgets.Image(format="png", layout=widgets.Layout(width="580px", max_width="100%"))
+        self._picture = widgets.Image(
+            format="png", layout=widgets.Layout(width="580px", max_width="100%")
+        )
         self._line = widgets.HTML()
         self.widget = widgets.VBox([*self.sliders.values(), self._picture, self._line])
         self._update()
@@ -157,8 +180,10 @@ class Explorer:
 
     def __repr__(self) -> str:
         ranges = self._scenery.ranges
-        rows = [(self._title(name), f"{x:.6g}, from {ranges[name].low:.6g} to {ranges[name].high:.6g}")
-                for name, x in self.values.items()]
+        rows = [
+            (self._title(name), f"{x:.6g}, from {ranges[name].low:.6g} to {ranges[name].high:.6g}")
+            for name, x in self.values.items()
+        ]
         rows += [("t1", f"{self._scenery.t1:.6g}"), ("outcome", self.said)]
         width = 1 + max(15, *(len(name) for name, _ in rows))
         return "\n".join(f"{name:<{width}}{value}" for name, value in rows)
@@ -174,17 +199,33 @@ class Explorer:
 
     def _slider(self, widgets, name):
         span = self._scenery.ranges[name]
-        told = {"description": self._title(name), "continuous_update": True, "style": {"description_width": "180px"},
-                "layout": widgets.Layout(width="580px", max_width="100%")}
+        told = {
+            "description": self._title(name),
+            "continuous_update": True,
+            "style": {"description_width": "180px"},
+            "layout": widgets.Layout(width="580px", max_width="100%"),
+        }
         if span.whole:
             made = widgets.IntSlider(value=span.value, min=span.low, max=span.high, **told)
         elif span.log:
             low, high, value = map(math.log10, (span.low, span.high, span.value))
-            made = widgets.FloatLogSlider(value=span.value, min=low, max=high, step=_step(low, high, value),
-                                          readout_format=".3g", **told)
+            made = widgets.FloatLogSlider(
+                value=span.value,
+                min=low,
+                max=high,
+                step=_step(low, high, value),
+                readout_format=".3g",
+                **told,
+            )
         else:
-            made = widgets.FloatSlider(value=span.value, min=span.low, max=span.high, readout_format=".3g",
-                                       step=_step(span.low, span.high, span.value), **told)
+            made = widgets.FloatSlider(
+                value=span.value,
+                min=span.low,
+                max=span.high,
+                readout_format=".3g",
+                step=_step(span.low, span.high, span.value),
+                **told,
+            )
         made.observe(self._moved, names="value")
         return made
 
@@ -198,7 +239,9 @@ class Explorer:
         try:
             self._shown, self._refused = self._scenery.computed(self.values), ""
         except FAILURES as error:
-            kind = "" if isinstance(error, (RuntimeError, ValueError)) else f"{type(error).__name__}: "
+            kind = (
+                "" if isinstance(error, (RuntimeError, ValueError)) else f"{type(error).__name__}: "
+            )
             self._refused = f"{kind}{error}"
         computed = time.perf_counter()
         self._redraw()
@@ -214,8 +257,15 @@ class Explorer:
             run, data = self._shown.run, self._shown.data
             # even in float32 too
             times = np.linspace(0.0, self._scenery.t1, len(data))
-            space_time(run, axes, quantity=data, ts=times, label=self._scenery.label, units=self._units,
-                       site_label=self._scenery.place)
+            space_time(
+                run,
+                axes,
+                quantity=data,
+                ts=times,
+                label=self._scenery.label,
+                units=self._units,
+                site_label=self._scenery.place,
+            )
         self.image = axes.images[0]
         # numbers beside the colours may grow longer than the first ones
         self.figure.get_layout_engine().set(rect=(0.01, 0.005, 0.94, 0.99))
@@ -227,29 +277,45 @@ class Explorer:
         if self._refused:
             self.image.set_alpha(FADED)
             return
-        run, data = self._shown.run, np.where(np.isfinite(self._shown.data), self._shown.data, np.nan)
+        run, data = (
+            self._shown.run,
+            np.where(np.isfinite(self._shown.data), self._shown.data, np.nan),
+        )
         top = float(np.nanmax(np.abs(data), initial=0.0)) or 1.0
         # a map of both signs remains one
         norm, colours = colours_of(data, top)
         self._signed |= isinstance(norm, TwoSlopeNorm)
-        _, by = drawn_in(self._units, run.units, Axis("time", np.asarray(run.ts)), Axis(self._scenery.label, top))
+        _, by = drawn_in(
+            self._units, run.units, Axis("time", np.asarray(run.ts)), Axis(self._scenery.label, top)
+        )
         factor = by.factor
-        norm, colours = colours_of(factor * (np.array([[-top, top]]) if self._signed else data), factor * top)
+        norm, colours = colours_of(
+            factor * (np.array([[-top, top]]) if self._signed else data), factor * top
+        )
         _, _, bottom, end = self.image.get_extent()
-        self.image.set(data=data * factor, norm=norm, cmap=colours, alpha=1.0,
-                       extent=(-0.5, data.shape[1] - 0.5, bottom, end))
+        self.image.set(
+            data=data * factor,
+            norm=norm,
+            cmap=colours,
+            alpha=1.0,
+            extent=(-0.5, data.shape[1] - 0.5, bottom, end),
+        )
         self.image.colorbar.ax.yaxis.label.set_text(by.label)
 
     def _drawn(self):
         """The picture, as the content of a PNG file."""
         self.figure.canvas.draw()
         content = io.BytesIO()
-        Image.fromarray(np.asarray(self.figure.canvas.buffer_rgba())[..., :3]).save(content, "png", compress_level=1)
+        Image.fromarray(np.asarray(self.figure.canvas.buffer_rgba())[..., :3]).save(
+            content, "png", compress_level=1
+        )
         return content.getvalue()
 
 
 def _step(low, high, value):
     """The step of a slider on whose grid the first value lies, which a front end would else round."""
     share = (value - low) / (high - low)
-    count = min(range(*STEPS), key=lambda n: (round(abs(share * n - round(share * n)), 6), abs(n - 200)))
+    count = min(
+        range(*STEPS), key=lambda n: (round(abs(share * n - round(share * n)), 6), abs(n - 200))
+    )
     return (high - low) / count

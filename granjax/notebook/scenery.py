@@ -27,8 +27,18 @@ PACE = 0.25
 FLOORLESS = 1e3
 # h omega of the default step
 STEP = 0.5
-MAPS = {"v": "velocity", "u": "displacement", "force": "contact force", "strain": "strain", "energy": "energy"}
-MEASURES = {"force": measures.contact_force, "strain": measures.strain, "energy": measures.site_energy}
+MAPS = {
+    "v": "velocity",
+    "u": "displacement",
+    "force": "contact force",
+    "strain": "strain",
+    "energy": "energy",
+}
+MEASURES = {
+    "force": measures.contact_force,
+    "strain": measures.strain,
+    "energy": measures.site_energy,
+}
 LEAST, MOST = 0.01, 10.0
 TITLES = {"ratio": "mass ratio"}
 
@@ -48,7 +58,15 @@ class Scenery:
     `ranges`: the sliders by name, that of the amplitude included; `t1`: the end of the runs.
     """
 
-    def __init__(self, scene: Movable, state: Any, t1: float | None, quantity: Any, frames: int, tolerance: Any):
+    def __init__(
+        self,
+        scene: Movable,
+        state: Any,
+        t1: float | None,
+        quantity: Any,
+        frames: int,
+        tolerance: Any,
+    ):
         self._scene, self._state, self.t1 = scene, state, t1
         self._quantity, self._frames, self._tolerance = quantity, frames, tolerance
         self.ranges = dict(scene.sliders)
@@ -83,17 +101,32 @@ class Scenery:
         if ours and not paired and AMPLITUDE not in {*self.ranges, *self._scene.fixed}:
             self.ranges[AMPLITUDE] = Slider(LEAST, MOST, 1.0, True)
         if ours and paired and AMPLITUDE in {*self.ranges, *self._scene.fixed}:
-            refuse(AMPLITUDE, "none where the scene gives its state", "one", "Let the function take it.")
-        omega, linear = float(frequency_bound(lattice, state, 0.0, 1.0)), float(linear_frequency(lattice))
+            refuse(
+                AMPLITUDE,
+                "none where the scene gives its state",
+                "one",
+                "Let the function take it.",
+            )
+        omega, linear = (
+            float(frequency_bound(lattice, state, 0.0, 1.0)),
+            float(linear_frequency(lattice)),
+        )
         # of a law without a floor the bound says nothing
         omega = linear if linear > 0 and not omega < FLOORLESS * linear else omega
         if self.t1 is None:
             if not (omega > 0 and math.isfinite(omega)):
-                refuse("t1", "the end of the runs", "None", "No frequency of the scene at its start says it.")
+                refuse(
+                    "t1",
+                    "the end of the runs",
+                    "None",
+                    "No frequency of the scene at its start says it.",
+                )
             sites = max(max(x.shape[: lattice.axes]) for x in jax.tree.leaves(lattice.zeros()))
             self.t1 = float(f"{sites / (PACE * omega):.2g}")
         each = seconds_a_step(lattice, SRKN11b(), TAKES)
-        self._most = int(max(BUDGET / each, ROOM * self.t1 * omega / STEP if math.isfinite(omega) else 0, 1000))
+        self._most = int(
+            max(BUDGET / each, ROOM * self.t1 * omega / STEP if math.isfinite(omega) else 0, 1000)
+        )
         shown = self.computed(values)
         for name, x in self.ranges.items():
             if math.isnan(x.high):
@@ -105,15 +138,24 @@ class Scenery:
     def computed(self, values: dict[str, Any]) -> Shown:
         """The run of some values, and what is shown of it. **Raises** ValueError for what the scene refuses."""
         lattice, state, _ = self._built(values)
-        run = simulate(lattice, state, self.t1, save_at=self._frames, tolerance=self._tolerance, throw=False,
-                       max_steps=self._most)
+        run = simulate(
+            lattice,
+            state,
+            self.t1,
+            save_at=self._frames,
+            tolerance=self._tolerance,
+            throw=False,
+            max_steps=self._most,
+        )
         return Shown(lattice, state, run, self._data(lattice, run))
 
     def said(self, run: Run) -> str:
         """What became of a run, in a sentence."""
         if np.asarray(run.code) == TOO_MANY_STEPS:
-            return (f"Stopped before t1 = {self.t1:.6g}: these values take more steps than a map that follows sliders "
-                    "can wait for. gx.simulate(explorer.lattice, explorer.state, t1) takes them all.")
+            return (
+                f"Stopped before t1 = {self.t1:.6g}: these values take more steps than a map that follows sliders "
+                "can wait for. gx.simulate(explorer.lattice, explorer.state, t1) takes them all."
+            )
         return run.outcome
 
     def _built(self, values):
@@ -125,7 +167,12 @@ class Scenery:
         paired = isinstance(lattice, (tuple, list)) and len(lattice) == 2
         lattice, state = lattice if paired else (lattice, None)
         if lattice.lanes:
-            refuse("scene", "one lattice at a time", f"one of {lattice.lanes} lanes", "A slider moves through them.")
+            refuse(
+                "scene",
+                "one lattice at a time",
+                f"one of {lattice.lanes} lanes",
+                "A slider moves through them.",
+            )
         if state is None and self._state is None:
             return lattice, states.impact(lattice, amplitude), False
         if state is None:
@@ -143,6 +190,10 @@ class Scenery:
             measure = MEASURES.get(own) or (lambda lattice, y, t: own(t, y, lattice))
             data = measures.along(measure, lattice, run)
         if not hasattr(data, "ndim") or data.ndim != 2:
-            refuse("quantity", "a number for each place on a line", f"{described(data)}",
-                   "Such as quantity=lambda t, y, lattice: y.v[:, 0].")
+            refuse(
+                "quantity",
+                "a number for each place on a line",
+                f"{described(data)}",
+                "Such as quantity=lambda t, y, lattice: y.v[:, 0].",
+            )
         return np.asarray(data, float)

@@ -73,7 +73,11 @@ def _of_function(scene, given):
     known = {p.name: p for p in found if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
     every = any(p.kind is p.VAR_KEYWORD for p in found)
     alone = [p for p in known.values() if p.default is p.empty]
-    if len(known) == len(alone) == 1 and given and alone[0].name not in {*given, RATIO, PRECOMPRESSION}:
+    if (
+        len(known) == len(alone) == 1
+        and given
+        and alone[0].name not in {*given, RATIO, PRECOMPRESSION}
+    ):
         return lambda **values: scene(values), {}, True  # of one dict
     for name in given:
         if not every and name not in known:
@@ -91,13 +95,17 @@ def _of_lattice(lattice):
         light, heavy = masses == kinds[0], kinds[1]
         present[RATIO] = float(kinds[0] / heavy)
         moves[RATIO] = lambda x, ratio: eqx.tree_at(
-            lambda c: c.mass, x, jnp.where(light, within(RATIO, ratio, 0, 1, open_low=True) * heavy, masses))
+            lambda c: c.mass,
+            x,
+            jnp.where(light, within(RATIO, ratio, 0, 1, open_low=True) * heavy, masses),
+        )
     loads = [law.precompression for law in _loaded(lattice.terms)]
     if loads:
         mean = float(np.mean([np.mean(F0) for F0 in loads if F0 is not None] or [0.0]))
         present[PRECOMPRESSION] = mean
         moves[PRECOMPRESSION] = lambda x, F0: eqx.tree_at(
-            lambda c: c.terms, x, _pressed(x.terms, non_negative(PRECOMPRESSION, F0), mean))
+            lambda c: c.terms, x, _pressed(x.terms, non_negative(PRECOMPRESSION, F0), mean)
+        )
 
     def make(**values):
         moved = lattice
@@ -119,6 +127,7 @@ def _loaded(terms):
 
 def _pressed(terms, F0, mean):
     """The terms with a mean precompression of F0."""
+
     def pressed(law):
         if not _is_loaded(law):
             return law
@@ -141,8 +150,12 @@ def _unasked(name, p, own):
     if missing and name == AMPLITUDE:
         return Slider(1 / DECADE**2, DECADE, 1.0, True)
     if missing or own and number and p.default <= 0:
-        refuse(name, "a range or a value, for a slider or for good", "none",
-               f"Such as {name}=(1.0, 10.0), or {name}=2.0.")
+        refuse(
+            name,
+            "a range or a value, for a slider or for good",
+            "none",
+            f"Such as {name}=(1.0, 10.0), or {name}=2.0.",
+        )
     return about(p.default) if own and number else None
 
 
@@ -156,11 +169,19 @@ def _ranged(name, x, default, count):
     log = len(x) == 3 and x[2] == "log"
     low, high = (float(end) for end in real(name, x[: 2 if log else None]))
     if not (math.isfinite(low) and math.isfinite(high) and low < high) or log and low <= 0:
-        refuse(name, f"two finite numbers, the lower one first{' and above zero' if log else ''}", described(x))
+        refuse(
+            name,
+            f"two finite numbers, the lower one first{' and above zero' if log else ''}",
+            described(x),
+        )
     if all(map(is_whole, x[:2])) and (count or is_whole(default)):
         value = int(default) if is_whole(default) and low <= default <= high else int(low)
         return Slider(int(low), int(high), value, False, True)
     log = log or low > 0 and high / low >= WIDE
     middle = math.sqrt(low * high) if log else (low + high) / 2
-    known = isinstance(default, (int, float, np.number)) and not isinstance(default, bool) and low <= default <= high
+    known = (
+        isinstance(default, (int, float, np.number))
+        and not isinstance(default, bool)
+        and low <= default <= high
+    )
     return Slider(low, high, float(default) if known else middle, log)

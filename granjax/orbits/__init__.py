@@ -10,6 +10,16 @@ from .steps import default_steps, history
 from .symmetry import Mirror, Sign, Symmetry, Translation, shifts
 
 __all__ = [
-    "Bifurcation", "Branch", "Mirror", "Orbit", "Shooting", "Sign", "Symmetry", "Translation", "default_steps",
-    "history", "orbit", "shifts",
+    "Bifurcation",
+    "Branch",
+    "Mirror",
+    "Orbit",
+    "Shooting",
+    "Sign",
+    "Symmetry",
+    "Translation",
+    "default_steps",
+    "history",
+    "orbit",
+    "shifts",
 ]

@@ -37,10 +37,19 @@ FELT = 1e-9
 
 @one_thread
 def anticontinuous(
-    scene: Callable[[Any], Any], coupling: Scalar, omega: Scalar, sites: Site | Sequence[Site] | None = None, *,
-    amplitudes: Sequence[Scalar] | None = None, field: str | None = None, arclength: Scalar = ARCLENGTH,
-    points: Count = 100, steps: Count | None = None, solver: AbstractSolver | None = None,
-    tolerance: Scalar = TOLERANCE, stability: bool = True,
+    scene: Callable[[Any], Any],
+    coupling: Scalar,
+    omega: Scalar,
+    sites: Site | Sequence[Site] | None = None,
+    *,
+    amplitudes: Sequence[Scalar] | None = None,
+    field: str | None = None,
+    arclength: Scalar = ARCLENGTH,
+    points: Count = 100,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = TOLERANCE,
+    stability: bool = True,
 ) -> Branch:
     r"""Breathers of one frequency over the coupling, from the limit of none, in which each site moves by itself.
 
@@ -87,24 +96,39 @@ def anticontinuous(
     omega = float(positive("omega", omega))
     end = float(coupling)
     if end == 0:
-        refuse("coupling", "a coupling to go to, not zero", repr(end), "At zero every site is by itself.")
+        refuse(
+            "coupling",
+            "a coupling to go to, not zero",
+            repr(end),
+            "At zero every site is by itself.",
+        )
     period = 2 * np.pi / omega
     scene = _Traced(scene)
     lattices = [checked_lattice(scene(jnp.asarray(c))) for c in (0.0, end)]
     limit = _limit(lattices[0], omega, sites, amplitudes, field)
     length = float(largest(limit.u))
     count = max(half_steps(lattice, period, steps, limit) for lattice in lattices)
-    half = Shooting.half(lattices[0], Flow(jnp.asarray(count, int), solver or KahanLi8()), length=length, omega=omega)
+    half = Shooting.half(
+        lattices[0], Flow(jnp.asarray(count, int), solver or KahanLi8()), length=length, omega=omega
+    )
     family = Family(half, scene, jnp.asarray(period), jnp.zeros(()), jnp.asarray(end))
     start = np.asarray(half.guess(limit))
 
     def follow(count):
         problem = eqx.tree_at(lambda p: p.shooting.flow.steps, family, jnp.asarray(count, int))
         curve = continuation(
-            problem.residual, start, 0.0, until=(0.0, 1.0), arclength=arclength,
-            longest_arclength=LONGEST * arclength, least_arclength=LEAST * arclength, points=points,
-            linearise=problem.linearise, tolerance=newtons(tolerance, lattices[0].dtype, LEFT_ON_BRANCH),
-            veto=_veto(problem, omega, limit))
+            problem.residual,
+            start,
+            0.0,
+            until=(0.0, 1.0),
+            arclength=arclength,
+            longest_arclength=LONGEST * arclength,
+            least_arclength=LEAST * arclength,
+            points=points,
+            linearise=problem.linearise,
+            tolerance=newtons(tolerance, lattices[0].dtype, LEFT_ON_BRANCH),
+            veto=_veto(problem, omega, limit),
+        )
         why = curve.outcome.partition(VETOED)[2]
         if why:
             curve = dataclasses.replace(curve, outcome=f"Ended: beyond its last point {why}")
@@ -147,8 +171,12 @@ def _limit(lattice, omega, sites, amplitudes, field):
     named = 1 if np.ndim(sites) == 0 else len(sites)
     others = jnp.argsort(-jnp.abs(u))[named:]
     if any(float(largest(x[others])) > FELT * float(largest(x)) for x in (u, force)):
-        refuse("scene", "sites that do not feel each other at coupling 0", "others that are pushed",
-               "A breather of a lattice without such a limit: gx.breathers.breather.")
+        refuse(
+            "scene",
+            "sites that do not feel each other at coupling 0",
+            "others that are pushed",
+            "A breather of a lattice without such a limit: gx.breathers.breather.",
+        )
     return state
 
 

@@ -67,12 +67,19 @@ class Attractor(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "state_error": Held("site", STATE), "amplitude_error": Held("site", "m/s"),
-        "peak_force_error": Held("contact", "N"), "energy_error": Held(unit="J"),
-        "state": Held("site", STATE), "period": Held(unit="s"), "changes": Held("run", "1"),
+        "state_error": Held("site", STATE),
+        "amplitude_error": Held("site", "m/s"),
+        "peak_force_error": Held("contact", "N"),
+        "energy_error": Held(unit="J"),
+        "state": Held("site", STATE),
+        "period": Held(unit="s"),
+        "changes": Held("run", "1"),
         "ts": Held("time", "s", "time"),
-        "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"), "amplitude": Held("site", "m/s"),
-        "peak_force": Held("contact", "N"), "energy": Held(unit="J"),
+        "us": Held("time site", "m", "u"),
+        "vs": Held("time site", "m/s", "v"),
+        "amplitude": Held("site", "m/s"),
+        "peak_force": Held("contact", "N"),
+        "energy": Held(unit="J"),
     }
     state: State
     period: float
@@ -99,8 +106,14 @@ class Attractor(Result):
 
 
 def settle(
-    lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 4000, tolerance: Scalar = 1e-8,
-    steps: Count | None = None, solver: AbstractSolver | None = None,
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    *,
+    periods: Count = 4000,
+    tolerance: Scalar = 1e-8,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
 ) -> Attractor:
     r"""Run a periodically forced lattice until it repeats once a period, or after 2, 3 or 4 periods.
 
@@ -143,17 +156,37 @@ def settle(
     found = end, *seen
     errors = jax.tree.map(lambda x: np.full_like(x, np.nan), found)
     if multiple:
-        other, left = _otherwise(flow, lattice, end, T, jnp.asarray(multiple), jnp.asarray(periods), tight, rate)
-        errors = _apart(found, (other, *_watch(solver, lattice, other, T, multiple, steps)[1]), left, sampling)
+        other, left = _otherwise(
+            flow, lattice, end, T, jnp.asarray(multiple), jnp.asarray(periods), tight, rate
+        )
+        errors = _apart(
+            found, (other, *_watch(solver, lattice, other, T, multiple, steps)[1]), left, sampling
+        )
     changes = np.asarray(changes)[:used]
     change = float(changes[-1, MULTIPLES.index(multiple)] if multiple else changes[-1, 0])
     outcome = _sentence(used, multiple, change, changes[:, 0])
     if outcome is None:
         slow, changing = slowly(flow, lattice, end, period), f"it changes by {change:.1e} a period."
-        outcome = (f"Undecided after {used} periods: {changing} {slow}" if slow else
-                   f"Not periodic within {used} periods: quasi-periodic or chaotic, {changing}")
-    return Attractor(end, period, used, multiple, change, changes[:, 0], ts, us, vs, *seen, *errors, outcome,
-                     **lattice.origin)
+        outcome = (
+            f"Undecided after {used} periods: {changing} {slow}"
+            if slow
+            else f"Not periodic within {used} periods: quasi-periodic or chaotic, {changing}"
+        )
+    return Attractor(
+        end,
+        period,
+        used,
+        multiple,
+        change,
+        changes[:, 0],
+        ts,
+        us,
+        vs,
+        *seen,
+        *errors,
+        outcome,
+        **lattice.origin,
+    )
 
 
 def steps_per_period(lattice: Lattice, period: Scalar) -> Scalar:
@@ -162,7 +195,12 @@ def steps_per_period(lattice: Lattice, period: Scalar) -> Scalar:
 
 
 def follow(
-    flow: Flow, lattice: Lattice, state: StateLike, period: Scalar, periods: Count, tolerance: Scalar,
+    flow: Flow,
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    periods: Count,
+    tolerance: Scalar,
     most: Counts | None = None,
 ) -> tuple:
     """From phase 0 on until a state repeats, twice: (state, periods used, multiple or 0, changes, once, rate).
@@ -187,15 +225,21 @@ def follow(
                 # is the sum of a geometric series
                 lag = min(STRETCH * m, periods - 1)
                 early = changes[(now - lag) % periods, i]
-                rate = jnp.where(early > 0, change[i] / jnp.where(early > 0, early, 1), 0) ** (m / lag)
+                rate = jnp.where(early > 0, change[i] / jnp.where(early > 0, early, 1), 0) ** (
+                    m / lag
+                )
                 left = jnp.where(rate < 1, change[i] / jnp.where(rate < 1, 1 - rate, 1), jnp.inf)
-                own &= (now >= lag) & jnp.all(divisors > jnp.maximum(APART * tolerance, SAFETY * left))
+                own &= (now >= lag) & jnp.all(
+                    divisors > jnp.maximum(APART * tolerance, SAFETY * left)
+                )
             found = jnp.where(own, m, found)
         return found
 
     def going(carry):
         i, _, _, multiple, changes = carry
-        return (i < most) & (multiple == 0) & jnp.isfinite(changes[jnp.maximum(i - 1, 0) % periods, 0])
+        return (
+            (i < most) & (multiple == 0) & jnp.isfinite(changes[jnp.maximum(i - 1, 0) % periods, 0])
+        )
 
     def run(y, begin, changes):
         def one(carry):
@@ -205,14 +249,22 @@ def follow(
             size = jnp.max(jnp.abs(x))
             change = jnp.max(jnp.abs(x - last), 1) / jnp.where(size > 0, size, 1)
             multiple = jnp.where(i >= begin + max(MULTIPLES), repeats(change, changes, i), 0)
-            return i + 1, y, jnp.concatenate([x[None], last[:-1]]), multiple, changes.at[i % periods].set(change)
+            return (
+                i + 1,
+                y,
+                jnp.concatenate([x[None], last[:-1]]),
+                multiple,
+                changes.at[i % periods].set(change),
+            )
 
         x = weight * ravel_pytree(y)[0]
         start = begin, y, jnp.broadcast_to(x, (max(MULTIPLES), x.size)), 0, changes
         return jax.lax.while_loop(going, one, start)
 
     begin = jnp.zeros((), int)
-    used, y, _, before, changes = run(State(*state), begin, jnp.zeros((periods, len(MULTIPLES)), flat.dtype))
+    used, y, _, before, changes = run(
+        State(*state), begin, jnp.zeros((periods, len(MULTIPLES)), flat.dtype)
+    )
     x = ravel_pytree(y)[0]
     y = unravel(x + DISTURBANCE * tolerance * jnp.max(jnp.abs(weight * x)) * noise)
     begin = used
@@ -225,8 +277,10 @@ def _rate(changes, used, count, multiple):
     column = jnp.searchsorted(jnp.array(MULTIPLES), jnp.maximum(multiple, 1))
     age = (used - 1 - jnp.arange(len(changes))) % len(changes)
     stretch = jnp.clip(count // 2, 1, STRETCH * jnp.maximum(multiple, 1))
-    late, early = (jnp.max(jnp.where((age >= k * stretch) & (age < (k + 1) * stretch), changes[:, column], 0))
-                   for k in (0, 1))
+    late, early = (
+        jnp.max(jnp.where((age >= k * stretch) & (age < (k + 1) * stretch), changes[:, column], 0))
+        for k in (0, 1)
+    )
     return jnp.where(early > 0, late / jnp.where(early > 0, early, 1), 0) ** (multiple / stretch)
 
 
@@ -251,7 +305,13 @@ _follow = eqx.filter_jit(follow)
 
 
 def otherwise(
-    flow: Flow, lattice: Lattice, state: StateLike, period: Scalar, multiple: Counts, most: Counts, tolerance: Scalar,
+    flow: Flow,
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    multiple: Counts,
+    most: Counts,
+    tolerance: Scalar,
     rate: Scalar,
 ) -> tuple[State, Scalar]:
     """Where half the steps settle from a state on, and the share of its size by which either may still be off.
@@ -261,7 +321,9 @@ def otherwise(
     """
     coarse = Flow(jnp.maximum(flow.steps // 2, 1), flow.solver)
     flat, _ = ravel_pytree(state)
-    weight = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi / period, 1).astype(flat.dtype)
+    weight = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi / period, 1).astype(
+        flat.dtype
+    )
 
     def going(carry):
         i, _, _, change = carry
@@ -269,14 +331,18 @@ def otherwise(
 
     def one(carry):
         i, y, first, _ = carry
-        after = jax.lax.fori_loop(0, multiple, lambda _, y: coarse(y, jnp.zeros_like(period), period, lattice), y)
+        after = jax.lax.fori_loop(
+            0, multiple, lambda _, y: coarse(y, jnp.zeros_like(period), period, lattice), y
+        )
         x, before = (weight * ravel_pytree(s)[0] for s in (after, y))
         size = jnp.max(jnp.abs(x))
         change = jnp.max(jnp.abs(x - before)) / jnp.where(size > 0, size, 1)
         return i + 1, after, jnp.where(i == 0, change, first), change
 
     infinite = jnp.full((), jnp.inf, flat.dtype)
-    count, y, first, last = jax.lax.while_loop(going, one, (jnp.zeros((), int), state, infinite, infinite))
+    count, y, first, last = jax.lax.while_loop(
+        going, one, (jnp.zeros((), int), state, infinite, infinite)
+    )
     own = jnp.where((count > 1) & (first > 0), (last / first) ** (1 / jnp.maximum(count - 1, 1)), 0)
     rate = jnp.maximum(own, rate)
     left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(flat.dtype).eps)
@@ -288,7 +354,9 @@ _otherwise = eqx.filter_jit(otherwise)
 
 def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
     """The errors of what is seen of an attractor, from what `otherwise` leads to."""
-    return jax.tree.map(lambda x, y: SAFETY * jnp.abs(x - y) + left * jnp.max(jnp.abs(x), initial=0), found, other)
+    return jax.tree.map(
+        lambda x, y: SAFETY * jnp.abs(x - y) + left * jnp.max(jnp.abs(x), initial=0), found, other
+    )
 
 
 @jax.jit
@@ -316,11 +384,15 @@ def _watch(solver, lattice, state, period, count, steps):
     """
     total, parts = count * steps, []
     for first in range(0, total, AT_ONCE):
-        state, part = _stretch(solver, lattice, state, period, jnp.asarray(steps), jnp.asarray(first))
+        state, part = _stretch(
+            solver, lattice, state, period, jnp.asarray(steps), jnp.asarray(first)
+        )
         parts.append(jax.tree.map(np.asarray, part))
     ts, ys, pushes, energy = jax.tree.map(lambda *x: np.concatenate(x)[:total], *parts)
     speeds = jax.tree.map(np.abs, ys.v)
-    tops, others = (jax.tree.map(lambda x: largest(x[::every]), (speeds, pushes)) for every in (1, 2))
+    tops, others = (
+        jax.tree.map(lambda x: largest(x[::every]), (speeds, pushes)) for every in (1, 2)
+    )
     # of the parabola through the samples
     sampling = jax.tree.map(lambda a, b: np.abs(a - b), tops, others)
     return (ts, ys.u, ys.v), (*tops, np.asarray(np.mean(energy))), sampling
@@ -337,7 +409,9 @@ def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> st
         # between two states on either side of the orbit
         guess = State(*jax.tree.map(lambda a, b: (a + b) / 2, state, after))
         try:
-            found = forced_orbit(lattice, multiple * period, guess, steps=steps, solver=flow.solver, throw=False)
+            found = forced_orbit(
+                lattice, multiple * period, guess, steps=steps, solver=flow.solver, throw=False
+            )
             known = found.floquet(steps=steps, solver=flow.solver) if found.converged else None
         except ValueError:
             continue
@@ -345,10 +419,15 @@ def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> st
             continue
         rho = known.multipliers[0]
         size = f"{rho if rho.imag else rho.real:.6g} +- {known.error[0]:.1e}"
-        name, forgets = "one period" if multiple == 1 else "two periods", -multiple / np.log(np.abs(rho))
-        return (f"An orbit of {name} near it is stable. Its largest multiplier is {size}: a disturbance takes "
-                f"{forgets:.2g} periods to fall to 1/e, and the motion may settle to it slowly. Give more periods, or "
-                "begin at the orbit that gx.forced.forced_orbit finds.")
+        name, forgets = (
+            "one period" if multiple == 1 else "two periods",
+            -multiple / np.log(np.abs(rho)),
+        )
+        return (
+            f"An orbit of {name} near it is stable. Its largest multiplier is {size}: a disturbance takes "
+            f"{forgets:.2g} periods to fall to 1/e, and the motion may settle to it slowly. Give more periods, or "
+            "begin at the orbit that gx.forced.forced_orbit finds."
+        )
     return ""
 
 

@@ -39,10 +39,16 @@ class Backbone(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held(unit="rad/s"), "omega_squared": Held(unit="rad^2/s^2"), "curvature": Held(unit="rad^2/s^2/m^2"),
-        "quartic": Held(unit="rad^2/s^2/m^2"), "cubic": Held(unit="rad^2/s^2/m^2"),
-        "error": Held(unit="rad^2/s^2/m^2"), "limit": Held(unit="m"), "shape": Held("site ...", "1"),
-        "constant": Held("site ...", "1/m"), "second": Held("site ...", "1/m"),
+        "omega": Held(unit="rad/s"),
+        "omega_squared": Held(unit="rad^2/s^2"),
+        "curvature": Held(unit="rad^2/s^2/m^2"),
+        "quartic": Held(unit="rad^2/s^2/m^2"),
+        "cubic": Held(unit="rad^2/s^2/m^2"),
+        "error": Held(unit="rad^2/s^2/m^2"),
+        "limit": Held(unit="m"),
+        "shape": Held("site ...", "1"),
+        "constant": Held("site ...", "1/m"),
+        "second": Held("site ...", "1/m"),
     }
     omega: Number
     omega_squared: Number
@@ -62,7 +68,11 @@ class Backbone(Result):
             way = "keeps its frequency to this order"
         else:
             way = "hardens" if float(self.curvature) > 0 else "softens"
-        bound = f", for amplitudes well below {self._told('limit', self.limit)}" if np.isfinite(self.limit) else ""
+        bound = (
+            f", for amplitudes well below {self._told('limit', self.limit)}"
+            if np.isfinite(self.limit)
+            else ""
+        )
         return f"The mode at omega = {self._told('omega', self.omega)} {way}{bound}."
 
     def omega_at(self, amplitude: Scalar) -> Number:
@@ -75,7 +85,9 @@ class Backbone(Result):
         **Arguments:** `amplitude`: a [m], of either sign. **Returns:** a `State`.
         """
         a = jnp.asarray(amplitude)
-        u = jax.tree.map(lambda s, c, d: a * s + a * a * (c + d), self.shape, self.constant, self.second)
+        u = jax.tree.map(
+            lambda s, c, d: a * s + a * a * (c + d), self.shape, self.constant, self.second
+        )
         return State(u, jax.tree.map(jnp.zeros_like, u))
 
 
@@ -137,8 +149,12 @@ def _given(lattice, mode, phi, mass, squared):
     shape = phi @ jnp.where(near, share, 0)
     off = float(jnp.abs(shape - u).max())
     if off > ROUNDED:
-        refuse("mode", "a normal mode", f"displacements of which {off:.2g} belong to modes of other frequencies",
-               "gx.linear.normal_modes has them, gx.linear.flat_bands the compact states.")
+        refuse(
+            "mode",
+            "a normal mode",
+            f"displacements of which {off:.2g} belong to modes of other frequencies",
+            "gx.linear.normal_modes has them, gx.linear.flat_bands the compact states.",
+        )
     return jnp.where(u == 0, 0, shape), own
 
 
@@ -148,7 +164,9 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     flat, unravel = ravel_pytree(lattice.zeros())
 
     def pull(x):
-        return -ravel_pytree(lattice.force(jnp.zeros((), lattice.dtype), unravel(x), lattice.zeros()))[0]
+        return -ravel_pytree(
+            lattice.force(jnp.zeros((), lattice.dtype), unravel(x), lattice.zeros())
+        )[0]
 
     def along(function: Any, v):
         return lambda x: jax.jvp(function, (x,), (v,))[1]
@@ -181,22 +199,44 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     mixed_in = jnp.where(mix > 0, jnp.sqrt(jnp.where(mix > 0, mix, 1)), 0)
     limit = 1 / jnp.stack([jnp.abs(constant).max(), jnp.abs(second).max(), mixed_in]).max()
     inside = phi @ jnp.where(alike, drive, 0)
-    stray = jnp.abs(inside - (cubic + quartic) * shape).max() / jnp.maximum(jnp.abs(phi @ drive).max(), tiny)
-    refused = (jnp.abs(jnp.where(still, f, 0)).max() / scale, jnp.abs(jnp.where(twice, f, 0)).max() / scale, stray)
+    stray = jnp.abs(inside - (cubic + quartic) * shape).max() / jnp.maximum(
+        jnp.abs(phi @ drive).max(), tiny
+    )
+    refused = (
+        jnp.abs(jnp.where(still, f, 0)).max() / scale,
+        jnp.abs(jnp.where(twice, f, 0)).max() / scale,
+        stray,
+    )
     return (cubic + quartic, quartic, cubic, error, limit), (shape, constant, second), refused
 
 
 def _check(found, own, squared):
     still, twice, stray = (float(x) for x in found[2])
     if not float(own) > ALIKE * float(jnp.abs(squared).max()):
-        refuse("mode", "a mode that oscillates", f"one with omega^2 = {float(own):.3g}",
-               "At rest it has no stiffness, or is unstable.")
+        refuse(
+            "mode",
+            "a mode that oscillates",
+            f"one with omega^2 = {float(own):.3g}",
+            "At rest it has no stiffness, or is unstable.",
+        )
     if still > ROUNDED:
-        refuse("mode", "one whose mean force moves no mode without stiffness", "one that pushes such a mode",
-               "Hold the lattice: walls, or on-site springs.")
+        refuse(
+            "mode",
+            "one whose mean force moves no mode without stiffness",
+            "one that pushes such a mode",
+            "Hold the lattice: walls, or on-site springs.",
+        )
     if twice > ROUNDED:
-        refuse("mode", "one whose second harmonic is no mode", "2 omega is the frequency of a mode that it drives",
-               "Both exchange their energy, and no expansion in one amplitude holds.")
+        refuse(
+            "mode",
+            "one whose second harmonic is no mode",
+            "2 omega is the frequency of a mode that it drives",
+            "Both exchange their energy, and no expansion in one amplitude holds.",
+        )
     if stray > ROUNDED:
-        refuse("mode", "one that drives no other mode of its frequency", "one that does",
-               "Give as a State the combination of those modes that stays by itself.")
+        refuse(
+            "mode",
+            "one that drives no other mode of its frequency",
+            "one that does",
+            "Give as a State the combination of those modes that stays by itself.",
+        )

@@ -22,7 +22,9 @@ NEAR, LEAST_ERROR = 1e-4, 1e-12
 
 
 @one_thread
-def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9) -> list[Bifurcation]:
+def bifurcations(
+    branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9
+) -> list[Bifurcation]:
     r"""Bifurcations along a family, each located between two neighbouring breathers.
 
     With mu = (rho + 1/rho)/2: a pair leaves the circle at +1 where mu crosses 1, at -1 (period doubling) where it
@@ -43,7 +45,12 @@ def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scal
     (['stable', 'stable', 'stable'], [])
     """
     if not branch._family.shooting.reversible:
-        refuse("branch", "a family of breathers", "a branch of forced orbits", "Its own are branch.bifurcations.")
+        refuse(
+            "branch",
+            "a family of breathers",
+            "a branch of forced orbits",
+            "Its own are branch.bifurcations.",
+        )
     for kind in kinds:
         one_of("kinds", kind, KINDS)
     accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
@@ -55,8 +62,18 @@ def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scal
                 continue
             point = _locate(branch, i, kind, ends, accuracy)
             state = branch._family.shooting.state(jnp.asarray(point.z[:-1]))
-            found.append(Bifurcation(kind, float(branch._family.value(point.z[-1])), i, State(*state), None, *counts,
-                                     _mark=branch._mark, _space=branch._space))
+            found.append(
+                Bifurcation(
+                    kind,
+                    float(branch._family.value(point.z[-1])),
+                    i,
+                    State(*state),
+                    None,
+                    *counts,
+                    _mark=branch._mark,
+                    _space=branch._space,
+                )
+            )
     return found
 
 
@@ -76,7 +93,10 @@ class _Point:
     def count(self, kind: str) -> int:
         """How many of a kind; the energy's slope along the branch, 0 or 1."""
         if kind == "extremum of energy":
-            return int(energy_slope(self.branch._family, jnp.asarray(self.z), jnp.asarray(self.tangent)) > 0)
+            return int(
+                energy_slope(self.branch._family, jnp.asarray(self.z), jnp.asarray(self.tangent))
+                > 0
+            )
         traces, symmetries = self.spectrum.half_traces, self.spectrum.expected // 2
         # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
         error = max(self.spectrum.step_error, LEAST_ERROR)
@@ -100,8 +120,16 @@ def _at(branch, i, s):
         j = i if s == 0 else i + 1
         return _Point(branch, np.append(curve.x[j], curve.p[j]), curve.tangents[j])
     eps = float(jnp.finfo(family.shooting.scale.dtype).eps)
-    near = continuation(family.residual, curve.x[i], curve.p[i], direction=curve.tangents[i], arclength=s, points=1,
-                        tolerance=max(LEFT_ON_BRANCH * BRANCH, RESOLVED * eps), linearise=family.linearise)
+    near = continuation(
+        family.residual,
+        curve.x[i],
+        curve.p[i],
+        direction=curve.tangents[i],
+        arclength=s,
+        points=1,
+        tolerance=max(LEFT_ON_BRANCH * BRANCH, RESOLVED * eps),
+        linearise=family.linearise,
+    )
     return _Point(branch, np.append(near.x[0], near.p[0]), near.tangents[0])
 
 

@@ -81,13 +81,21 @@ class Branch(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "p": Held("point"), "periods": Held("point", "s", "period"), "states": Held("point site", STATE, "state"),
-        "energy": Held("point", "J"), "response": Held("point"),
-        "state_error": Held("point site", STATE), "energy_error": Held("point", "J"),
+        "p": Held("point"),
+        "periods": Held("point", "s", "period"),
+        "states": Held("point site", STATE, "state"),
+        "energy": Held("point", "J"),
+        "response": Held("point"),
+        "state_error": Held("point site", STATE),
+        "energy_error": Held("point", "J"),
         "response_error": Held("point"),
         "multipliers": Held("point multiplier", "1", "multiplier"),
-        "error": Held("point multiplier", "1"), "step_error": Held("point", "1"), "verdict": Held("point"),
-        "bifurcations": Held("bifurcation"), "omega": Held("point", "rad/s"), "amplitude": Held("point", "m"),
+        "error": Held("point multiplier", "1"),
+        "step_error": Held("point", "1"),
+        "verdict": Held("point"),
+        "bifurcations": Held("bifurcation"),
+        "omega": Held("point", "rad/s"),
+        "amplitude": Held("point", "m"),
         "folds": Held(None),
     }
     p: Float[np.ndarray, " P"]
@@ -126,7 +134,10 @@ class Branch(Result):
         if np.isfinite(self.multipliers).all():
             yield "multipliers", f"largest modulus {np.abs(self.multipliers[:, 0]).max():.6g}"
         kinds, counts = np.unique(self.verdict, return_counts=True)
-        yield "verdict", ", ".join(f"{n} {kind or 'not computed'}" for kind, n in zip(kinds, counts))
+        yield (
+            "verdict",
+            ", ".join(f"{n} {kind or 'not computed'}" for kind, n in zip(kinds, counts)),
+        )
         for one in self.bifurcations:
             yield "bifurcation", one.outcome
         yield "outcome", self.outcome
@@ -144,7 +155,9 @@ class Branch(Result):
     @property
     def amplitude(self) -> Float[np.ndarray, " P"]:
         """max |u| at t0, (P,)."""
-        return np.max([np.abs(x).reshape(len(self), -1).max(1) for x in jax.tree.leaves(self.u)], axis=0)
+        return np.max(
+            [np.abs(x).reshape(len(self), -1).max(1) for x in jax.tree.leaves(self.u)], axis=0
+        )
 
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
@@ -169,9 +182,20 @@ class Branch(Result):
         none = jnp.zeros((), int)
         root = Root(x, jnp.full((x.size,) * 2, jnp.nan), residual, residual, none, none, residual)
         state = jax.tree.map(lambda y: jnp.asarray(y[i]), self.states)
-        apart, exact = jax.tree.map(lambda e: jnp.asarray(e[i]), (self.state_error, self.energy_error)), jnp.zeros(())
-        return Orbit(state, jnp.asarray(self.periods[i]), lattice, root, self._flow, jnp.asarray(self.t0),
-                     self._family.shooting.symmetry, OrbitError(*apart, exact, exact, **lattice.origin))
+        apart, exact = (
+            jax.tree.map(lambda e: jnp.asarray(e[i]), (self.state_error, self.energy_error)),
+            jnp.zeros(()),
+        )
+        return Orbit(
+            state,
+            jnp.asarray(self.periods[i]),
+            lattice,
+            root,
+            self._flow,
+            jnp.asarray(self.t0),
+            self._family.shooting.symmetry,
+            OrbitError(*apart, exact, exact, **lattice.origin),
+        )
 
 
 @eqx.filter_jit
@@ -182,11 +206,22 @@ def _residual(family, x, q):
 def verdicts_of(spectra: list, expected: int, conserves: bool) -> tuple:
     """(multipliers, error, verdict) of several orbits from pairs of multipliers and errors."""
     words = [decide(rho, error, expected, conserves)[0] for rho, error in spectra]
-    return np.stack([rho for rho, _ in spectra]), np.stack([error for _, error in spectra]), np.array(words)
+    return (
+        np.stack([rho for rho, _ in spectra]),
+        np.stack([error for _, error in spectra]),
+        np.array(words),
+    )
 
 
 def special_of(family: Family, curve: Curve) -> list[Bifurcation]:
     """The folds and branch points that continuation has met, as `Bifurcation`s."""
     return [
-        Bifurcation(s.kind, float(family.value(s.p)), s.after, State(*family.shooting.state(jnp.asarray(s.x))),
-                    **family.scene(jnp.asarray(s.p))[0].origin) for s in curve.special]
+        Bifurcation(
+            s.kind,
+            float(family.value(s.p)),
+            s.after,
+            State(*family.shooting.state(jnp.asarray(s.x))),
+            **family.scene(jnp.asarray(s.p))[0].origin,
+        )
+        for s in curve.special
+    ]

@@ -17,7 +17,15 @@ from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, StateLike
 from .confirm import TOLERANCE, confirmed, error_of
 from .families import checked_lattice, even_steps, family, half_steps
-from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
+from .guesses import (
+    bright_guess,
+    cell_of,
+    dark_guess,
+    edge_of,
+    edges_beside,
+    refuse_bright,
+    supports_bright,
+)
 from .guesses.dressed import dressed
 from .guesses.sites import local_guesses
 from .localised import checked_localised, localisation
@@ -37,16 +45,26 @@ LENGTHS = 2.0 ** np.arange(-100, 101, 2)
 PUSHES = (
     "Its contacts push and never pull, and nothing else holds its parts together: over a period the mean force of "
     "every contact is the same, so zero where a motion is localised, and none of them ever closes. Give a "
-    "precompression; breathers without one last long where resonators are heavy, and not forever.")
+    "precompression; breathers without one last long where resonators are heavy, and not forever."
+)
 # of the distance from the edge, where the envelope is a better guess
 NEARER = (0.5, 0.2, 0.1)
 
 
 @one_thread
 def breather(
-    lattice: Lattice, omega: Scalar, guess: StateLike | Orbit | str | None = None, *, energy: Scalar | None = None,
-    centre: Scalar | None = None, steps: Count | Counts | None = None, solver: AbstractSolver | None = None,
-    tolerance: Scalar = TOLERANCE, max_steps: Count = 30, check: bool = True, throw: bool | None = None,
+    lattice: Lattice,
+    omega: Scalar,
+    guess: StateLike | Orbit | str | None = None,
+    *,
+    energy: Scalar | None = None,
+    centre: Scalar | None = None,
+    steps: Count | Counts | None = None,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = TOLERANCE,
+    max_steps: Count = 30,
+    check: bool = True,
+    throw: bool | None = None,
 ) -> Orbit:
     r"""A time-reversible breather of frequency omega: v(0) = 0, v(T/2) = 0, T = 2 pi/omega.
 
@@ -96,8 +114,12 @@ def breather(
     elif guess is not None:
         guess = checked_state(lattice, guess, "guess")
         if not unknown and not largest(guess.u) > 0:
-            refuse("guess.u", "displacements that are not all zero", "the state at rest",
-                   "Velocities are dropped: of a motion take a state where it turns.")
+            refuse(
+                "guess.u",
+                "displacements that are not all zero",
+                "the state at rest",
+                "Velocities are dropped: of a motion take a state where it turns.",
+            )
         kind = kind if unknown else _kind(lattice, guess)
     if not unknown:
         if not omega > 0:
@@ -105,7 +127,12 @@ def breather(
         if check:
             _check(lattice, float(omega), guess, kind)
     elif guess is None or isinstance(guess, str) or steps is None:
-        refuse("guess", "a State, and steps=, under a transformation", repr(guess), "Find one outside first.")
+        refuse(
+            "guess",
+            "a State, and steps=, under a transformation",
+            repr(guess),
+            "Find one outside first.",
+        )
     if guess is None:
         guess, first = _unguessed(lattice, float(omega), steps, solver, tolerance, check)
     known = guess if isinstance(guess, State) else None
@@ -125,9 +152,13 @@ def breather(
         guess = found.state
     half = _half(lattice, flow, guess, omega)
     problem, x = AtEnergy(half, jax.lax.stop_gradient(omega)), jnp.append(half.guess(guess), 1.0)
-    problem, root, error = confirmed(problem, x, (lattice, jnp.asarray(energy, float)), throw=throw, **settings)
+    problem, root, error = confirmed(
+        problem, x, (lattice, jnp.asarray(energy, float)), throw=throw, **settings
+    )
     period = 2 * jnp.pi / (root.x[-1] * problem.omega)
-    found = _orbit(problem.half, lattice, guess, root, period, error[:-1], error[-1] * problem.omega, throw)
+    found = _orbit(
+        problem.half, lattice, guess, root, period, error[:-1], error[-1] * problem.omega, throw
+    )
     return checked_localised(found, kind, guess, throw) if check else found
 
 
@@ -148,7 +179,16 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
     for guess in local_guesses(lattice, omega):
         count = half_steps(lattice, 2 * np.pi / omega, steps, guess)
         flow = Flow(jnp.asarray(count), solver or KahanLi8())
-        found = _solve(lattice, flow, guess, omega, tolerance=tolerance, max_steps=30, refine=False, throw=False)
+        found = _solve(
+            lattice,
+            flow,
+            guess,
+            omega,
+            tolerance=tolerance,
+            max_steps=30,
+            refine=False,
+            throw=False,
+        )
         if found.converged and localisation(lattice, found.state).bright:
             return found.state, 2 * count
     if failed is not None:
@@ -193,14 +233,18 @@ def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
         near = edge + fraction * (omega - edge)
         found = _solve(lattice, flow, make(lattice, near, centre), near, max_steps=30, **settings)
         if found.converged:
-            branch = family(lattice, omega, guess=found, stability=False, points=400, steps=2 * int(flow.steps))
+            branch = family(
+                lattice, omega, guess=found, stability=False, points=400, steps=2 * int(flow.steps)
+            )
             return branch.orbit(-1).state
     return guess
 
 
 def _solve(lattice, flow, guess, omega, *, throw, **settings):
     half, period = _half(lattice, flow, guess, omega), 2 * jnp.pi / omega
-    half, root, error = confirmed(half, half.guess(guess), (lattice, period), throw=throw, **settings)
+    half, root, error = confirmed(
+        half, half.guess(guess), (lattice, period), throw=throw, **settings
+    )
     return _orbit(half, lattice, guess, root, period, error, jnp.zeros(()), throw)
 
 
@@ -240,7 +284,9 @@ class AtEnergy(eqx.Module):
         x = z[:-1]
         gaps, in_x, in_omega = self._family(scene[0]).linearise(x, z[-1])
         excess, gradient = jax.value_and_grad(self._excess)(x, scene)
-        return jnp.append(gaps, excess), jnp.block([[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]])
+        return jnp.append(gaps, excess), jnp.block(
+            [[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]]
+        )
 
 
 def _kind(lattice, guess):
@@ -251,11 +297,20 @@ def _kind(lattice, guess):
 def _check(lattice, omega, guess, kind):
     # the first harmonic of a wave with a dip is in the band by nature
     refuse_resonance(lattice, omega, kind != "bright")
-    if guess == "dark" or isinstance(guess, tuple) or cell_of(lattice) is None and dressed(lattice) is None:
+    if (
+        guess == "dark"
+        or isinstance(guess, tuple)
+        or cell_of(lattice) is None
+        and dressed(lattice) is None
+    ):
         return
     edges = edges_beside(lattice, omega)
     # a finite chain may have modes in a gap, at its ends, from which families leave too
-    if edges and not any(supports_bright(edge) for edge in edges) and (guess or len(edges[0].coefficients.mode) == 1):
+    if (
+        edges
+        and not any(supports_bright(edge) for edge in edges)
+        and (guess or len(edges[0].coefficients.mode) == 1)
+    ):
         refuse_bright(lattice, omega)
 
 
@@ -279,18 +334,26 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
         return np.stack([np.asarray(found.lower), np.asarray(found.upper)], -1), omega
     except ValueError:
         pass
-    shapes = np.concatenate([np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)]) ** 2
+    shapes = (
+        np.concatenate(
+            [np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)]
+        )
+        ** 2
+    )
     participation = shapes.sum(0) ** 2 / (shapes**2).sum(0)
     extended = np.sort(omega[participation > len(omega) / 5])
     if not len(extended):
         return np.zeros((0, 2)), omega
-    apart = np.flatnonzero(np.diff(extended) > SPACING * (extended[-1] - extended[0]) / len(extended))
+    apart = np.flatnonzero(
+        np.diff(extended) > SPACING * (extended[-1] - extended[0]) / len(extended)
+    )
     return np.array([[run[0], run[-1]] for run in np.split(extended, apart + 1)]), omega
 
 
 @compiled
 def _asymmetry(lattice, shape):
     """|F(u) + F(-u)| over |F(u)|, largest of all sites, at displacements of one shape and of many sizes."""
+
     def force(size):
         u = jax.tree.map(lambda x: jnp.asarray(size * x, lattice.dtype), shape)
         return lattice.force(0.0, u, lattice.zeros())
@@ -335,14 +398,21 @@ def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tupl
         harmonics = [n for n in harmonics if n % 2]
     for n in harmonics:
         nearest = discrete[np.argmin(np.abs(discrete - n * omega))]
-        inside = [(low, high) for low, high in intervals if low * (1 + MEETS) < n * omega < high * (1 - MEETS)]
+        inside = [
+            (low, high)
+            for low, high in intervals
+            if low * (1 + MEETS) < n * omega < high * (1 - MEETS)
+        ]
         if inside or abs(nearest - n * omega) < MEETS * nearest:
             return n, inside[0] if inside else (nearest, nearest), float(nearest)
     return None
 
 
 def refuse_resonance(
-    lattice: Lattice, omega: Scalar, dark: bool, remedy: str = " check=False tries all the same.",
+    lattice: Lattice,
+    omega: Scalar,
+    dark: bool,
+    remedy: str = " check=False tries all the same.",
 ) -> None:
     """Refuse a frequency one of whose harmonics (of a dark breather from the second on) is a wave of the chain."""
     found = resonant_harmonic(lattice, omega, 2 if dark else 1)
@@ -350,7 +420,9 @@ def refuse_resonance(
         return
     n, (low, high), nearest = found
     refuse(
-        "omega", f"a frequency whose harmonics lie in gaps, for a {'dark' if dark else 'bright'} breather",
-        f"{omega:.6g}", f"n = {n}: {n} omega = {n * omega:.6g} lies in the band {low:.6g} ... {high:.6g}, where waves "
+        "omega",
+        f"a frequency whose harmonics lie in gaps, for a {'dark' if dark else 'bright'} breather",
+        f"{omega:.6g}",
+        f"n = {n}: {n} omega = {n * omega:.6g} lies in the band {low:.6g} ... {high:.6g}, where waves "
         f"carry energy away; the finite lattice's nearest frequency is {nearest:.6g}.{remedy}",
     )

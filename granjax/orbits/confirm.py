@@ -40,7 +40,10 @@ class OrbitError(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "state": Held("site", STATE), "energy": Held(unit="J"), "omega": Held(unit="rad/s"), "period": Held(unit="s"),
+        "state": Held("site", STATE),
+        "energy": Held(unit="J"),
+        "omega": Held(unit="rad/s"),
+        "period": Held(unit="s"),
     }
     state: State
     energy: Number
@@ -57,9 +60,16 @@ class OrbitError(Result):
 
 def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = LEFT) -> Scalar:
     """What Newton's method may leave of the residual for an orbit of this tolerance, which is refused where none is."""
-    tolerance, least = checked_tolerance("tolerance", tolerance), RESOLVED * float(jnp.finfo(dtype).eps)
+    tolerance, least = (
+        checked_tolerance("tolerance", tolerance),
+        RESOLVED * float(jnp.finfo(dtype).eps),
+    )
     if not isinstance(tolerance, jax.core.Tracer) and tolerance < least:
-        refuse("tolerance", f"at least {least:.1e}, what {jnp.dtype(dtype).name} can hold", repr(float(tolerance)))
+        refuse(
+            "tolerance",
+            f"at least {least:.1e}, what {jnp.dtype(dtype).name} can hold",
+            repr(float(tolerance)),
+        )
     return jnp.maximum(share * jnp.asarray(tolerance), jnp.minimum(tolerance, max(FLOOR, least)))
 
 
@@ -83,13 +93,22 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
 def _corrected(problem, x, jacobian, scene):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
     inverse = jnp.linalg.inv(jacobian)
-    changes = jax.lax.map(lambda by: inverse @ problem.finer(by).residual(x, scene), jnp.asarray(FINER))
+    changes = jax.lax.map(
+        lambda by: inverse @ problem.finer(by).residual(x, scene), jnp.asarray(FINER)
+    )
     return covering(changes, rounding(inverse))
 
 
 def confirmed(
-    problem: Any, x: Numbers, scene: Pytree, *, tolerance: Scalar, max_steps: Count, throw: bool | None,
-    refine: bool = True, spread: float = 1.0,
+    problem: Any,
+    x: Numbers,
+    scene: Pytree,
+    *,
+    tolerance: Scalar,
+    max_steps: Count,
+    throw: bool | None,
+    refine: bool = True,
+    spread: float = 1.0,
 ) -> tuple[Any, Root, Numbers]:
     """(problem, root, error of the unknowns): solved, and solved again with twice the steps until nothing changes.
 
@@ -97,9 +116,17 @@ def confirmed(
     estimated. Where Newton's method fails with the first steps it is tried with more. The orbit's size in the unknowns
     is 1/`spread`.
     """
+
     def solve(problem, x):
-        root = newton(problem.residual, x, scene, tolerance=newtons(tolerance, x.dtype), max_steps=max_steps,
-                      linearise=problem.linearise, throw=False)
+        root = newton(
+            problem.residual,
+            x,
+            scene,
+            tolerance=newtons(tolerance, x.dtype),
+            max_steps=max_steps,
+            linearise=problem.linearise,
+            throw=False,
+        )
         # what rounding leaves, or a derivative that is almost singular, is in the error
         enough = ((root.code == STALLED) | (root.code == SPENT)) & (root.residual <= tolerance)
         return eqx.tree_at(lambda r: r.code, root, jnp.where(enough, CONVERGED, root.code))
@@ -133,7 +160,10 @@ def confirmed(
         if not found.converged:
             return problem, root, corrected(problem, root, scene)
         change, iterations = np.abs(np.asarray(found.x - root.x)), iterations + found.iterations
-        problem, root = finer, eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
+        problem, root = (
+            finer,
+            eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations)),
+        )
         if spread * change.max() <= tolerance:
             change = np.maximum(change, corrected(problem, root, scene))
             if spread * change.max() <= tolerance:
@@ -142,11 +172,15 @@ def confirmed(
 
 
 @eqx.filter_jit
-def error_of(lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Scalar, in_omega: Scalar) -> OrbitError:
+def error_of(
+    lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Scalar, in_omega: Scalar
+) -> OrbitError:
     """The `OrbitError` of a state that is known up to `apart`, at a frequency that is known up to `in_omega`."""
     apart = jax.tree.map(jnp.abs, apart)
     slope = jax.grad(lambda y: jnp.sum(lattice.energy(t0, y.u, y.v)))(state)
-    energy = sum(jnp.sum(jnp.abs(g) * e) for g, e in zip(jax.tree.leaves(slope), jax.tree.leaves(apart)))
+    energy = sum(
+        jnp.sum(jnp.abs(g) * e) for g, e in zip(jax.tree.leaves(slope), jax.tree.leaves(apart))
+    )
     return OrbitError(apart, energy, in_omega, 2 * jnp.pi / omega**2 * in_omega, **lattice.origin)
 
 

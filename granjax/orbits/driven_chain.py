@@ -13,8 +13,14 @@ SIDES = ("left", "right")
 
 
 def driven_chain(
-    lattice: Lattice, amplitude: Parameter, omega: Parameter, *, ends: str | Sequence[str] = SIDES,
-    damping: Parameter | None = None, phase: Parameter | tuple = 0.0, field: str | None = None,
+    lattice: Lattice,
+    amplitude: Parameter,
+    omega: Parameter,
+    *,
+    ends: str | Sequence[str] = SIDES,
+    damping: Parameter | None = None,
+    phase: Parameter | tuple = 0.0,
+    field: str | None = None,
 ) -> Lattice:
     r"""A chain whose end walls shake: w(t) = a cos(omega t + phase), u_0 = w on the left, u_{N+1} = w on the right.
 
@@ -47,8 +53,13 @@ def driven_chain(
     if len(phases) != len(ends):
         refuse("phase", f"a number, or {len(ends)}, one for each of {ends}", repr(phase))
     if lattice.axes != 1 or lattice.dimension is not None:
-        refuse("lattice", "a chain with scalar displacements", f"a lattice of shape {lattice.shape}")
-    amplitude, omega = per_lane("amplitude", amplitude, lattice.lanes), per_lane("omega", omega, lattice.lanes)
+        refuse(
+            "lattice", "a chain with scalar displacements", f"a lattice of shape {lattice.shape}"
+        )
+    amplitude, omega = (
+        per_lane("amplitude", amplitude, lattice.lanes),
+        per_lane("omega", omega, lattice.lanes),
+    )
     phases = tuple(per_lane("phase", x, lattice.lanes) for x in phases)
     if field is not None:
         one_of("field", field, lattice.fields or (None,))
@@ -59,12 +70,21 @@ def driven_chain(
             inner, *laws = parted
             terms.append(inner)
         elif term.walls():
-            refuse("lattice", "one Bond(Shift(1, 'fixed'), law) to the walls and no other term that reaches them",
-                   f"terms[{i}] ({type(term).__name__})", "Build such a scene from Wall terms.")
+            refuse(
+                "lattice",
+                "one Bond(Shift(1, 'fixed'), law) to the walls and no other term that reaches them",
+                f"terms[{i}] ({type(term).__name__})",
+                "Build such a scene from Wall terms.",
+            )
         else:
             terms.append(term)
     if laws is None:
-        refuse("lattice", "a Bond(Shift(1, 'fixed'), law), which leads to walls", "none", "Use boundary='fixed'.")
+        refuse(
+            "lattice",
+            "a Bond(Shift(1, 'fixed'), law), which leads to walls",
+            "none",
+            "Use boundary='fixed'.",
+        )
     if damping is not None:
         terms.append(Damping(damping))
     for side, law in zip(SIDES, laws):
@@ -73,5 +93,3 @@ def driven_chain(
     driven = eqx.tree_at(lambda c: c.terms, lattice, tuple(terms))
     driven.check_terms()
     return driven
-
-

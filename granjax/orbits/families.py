@@ -40,10 +40,20 @@ SLOW = 20
 
 @one_thread
 def family(
-    lattice: Lattice, until: Scalar | None = None, *, guess: Orbit | None = None, amplitude: Scalar | None = None,
-    mode: Count | None = None, arclength: Scalar | None = None, longest_arclength: Scalar | None = None,
-    points: Count = 200, steps: Count | None = None, solver: AbstractSolver | None = None,
-    tolerance: Scalar = BRANCH, stability: bool = True, stop: Callable[[Any, Any], Any] | None = None,
+    lattice: Lattice,
+    until: Scalar | None = None,
+    *,
+    guess: Orbit | None = None,
+    amplitude: Scalar | None = None,
+    mode: Count | None = None,
+    arclength: Scalar | None = None,
+    longest_arclength: Scalar | None = None,
+    points: Count = 200,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = BRANCH,
+    stability: bool = True,
+    stop: Callable[[Any, Any], Any] | None = None,
 ) -> Branch:
     r"""A family of time-reversible breathers, followed in (u, omega) with its stability.
 
@@ -91,13 +101,26 @@ def family(
         problem = over_frequency(lattice, count, solver, way.length, way.omega)
         x0, direction = way.start(problem.shooting, until)
         return problem, continuation(
-            problem.residual, x0, 1.0, until=None if until is None else until / way.omega, direction=direction,
-            points=most, arclength=arclength if guess is not None else FIRST * arclength,
-            longest_arclength=longest_arclength, least_arclength=1e-6 * arclength, linearise=problem.linearise,
-            tolerance=newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH), stop=_ends(problem, amplitude, stop))
+            problem.residual,
+            x0,
+            1.0,
+            until=None if until is None else until / way.omega,
+            direction=direction,
+            points=most,
+            arclength=arclength if guess is not None else FIRST * arclength,
+            longest_arclength=longest_arclength,
+            least_arclength=1e-6 * arclength,
+            linearise=problem.linearise,
+            tolerance=newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH),
+            stop=_ends(problem, amplitude, stop),
+        )
 
     count = half_steps(lattice, 2 * np.pi / ways[0].omega, steps or ways[0].steps)
-    chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
+    chosen = (
+        ways[0]
+        if len(ways) == 1
+        else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
+    )
     problem, curve = follow(chosen, count, points)
     enough = count if steps else enough_steps(problem, curve, count, tolerance, stability)
     if enough > count:
@@ -105,7 +128,9 @@ def family(
     return breathers_on(problem, curve, stability)
 
 
-def enough_steps(problem: Family, curve: Curve, count: Count, tolerance: Scalar, stability: bool) -> int:
+def enough_steps(
+    problem: Family, curve: Curve, count: Count, tolerance: Scalar, stability: bool
+) -> int:
     """Steps for which the largest breather is known well enough, and its tangent map too, or more would help little."""
     before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
     x = curve.x[i]
@@ -131,7 +156,9 @@ class _Way(NamedTuple):
     def start(self, half, until):
         """The first unknowns, and the direction in which to go."""
         if self.state is not None:
-            return np.asarray(half.guess(self.state)), np.sign((until or np.inf) - self.omega) or 1.0
+            return np.asarray(half.guess(self.state)), np.sign(
+                (until or np.inf) - self.omega
+            ) or 1.0
         free = half.moves.shape[1]
         return np.zeros(len(self.shape) + free), np.concatenate([self.shape, np.zeros(free + 1)])
 
@@ -146,7 +173,9 @@ def _from(guess):
 def _modes(lattice, modes, until, mode):
     """Ways to begin at a linear mode, those to try in their order."""
     omega = np.asarray(modes.omega)
-    shapes = np.concatenate([np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)])
+    shapes = np.concatenate(
+        [np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)]
+    )
     if mode is not None:
         chosen = [mode]
     elif until is None:
@@ -156,10 +185,18 @@ def _modes(lattice, modes, until, mode):
         chosen = [*above[:1], *below[-1:]]
         chosen.sort(key=lambda i: abs(omega[i] - until))
     if not chosen or not omega[chosen[0]] > 0:
-        refuse("lattice", "a linear mode that oscillates", "none (a sonic vacuum?)",
-               "Give guess=, from gx.breathers.breather.")
-    return [_beside(lattice, float(omega[i]), shapes[:, i], jax.tree.map(lambda x: x[..., i], modes.modes))
-            for i in chosen]
+        refuse(
+            "lattice",
+            "a linear mode that oscillates",
+            "none (a sonic vacuum?)",
+            "Give guess=, from gx.breathers.breather.",
+        )
+    return [
+        _beside(
+            lattice, float(omega[i]), shapes[:, i], jax.tree.map(lambda x: x[..., i], modes.modes)
+        )
+        for i in chosen
+    ]
 
 
 def _beside(lattice, omega, shape, mode):
@@ -167,8 +204,12 @@ def _beside(lattice, omega, shape, mode):
     peak = shape[np.argmax(np.abs(shape) > (1 - EQUAL) * np.abs(shape).max())]
     length = nonlinear_length(lattice, jax.tree.map(lambda w: w / peak, mode))
     if not 0 < length < np.inf:
-        refuse("lattice", "a mode that is neither linear to all amplitudes nor without any stiffness at rest",
-               f"one of length {length}", "Give guess=, from gx.breathers.breather.")
+        refuse(
+            "lattice",
+            "a mode that is neither linear to all amplitudes nor without any stiffness at rest",
+            f"one of length {length}",
+            "Give guess=, from gx.breathers.breather.",
+        )
     return _Way(omega, length, shape / peak, None)
 
 
@@ -181,10 +222,19 @@ def _towards(ways, until, probe):
         except RuntimeError as failed:
             said.append(f"the family from the mode at {way.omega:.6g} was not found ({failed})")
             continue
-        if (found.p[-1] - found.p[0]) * (until / way.omega - found.p[0]) > 0 or "reached" in found.outcome:
+        if (found.p[-1] - found.p[0]) * (
+            until / way.omega - found.p[0]
+        ) > 0 or "reached" in found.outcome:
             return way
-        said.append(f"the frequency of the mode at {way.omega:.6g} moves away from it with amplitude")
-    refuse("until", "a frequency that a family moves to", f"{until:.6g}", f"Give mode= or guess=: {'; '.join(said)}.")
+        said.append(
+            f"the frequency of the mode at {way.omega:.6g} moves away from it with amplitude"
+        )
+    refuse(
+        "until",
+        "a frequency that a family moves to",
+        f"{until:.6g}",
+        f"Give mode= or guess=: {'; '.join(said)}.",
+    )
 
 
 def _ends(problem, amplitude, stop):
@@ -207,27 +257,49 @@ def breathers_on(problem: Family, curve: Curve, stability: bool) -> Branch:
     none = np.full((len(curve.p), 2 * problem.shooting.count), np.nan)
     multipliers, error, verdict = none.astype(complex), none, np.array([""] * len(curve.p))
     if stability:
-        multipliers, error, verdict = verdicts_of([(s.multipliers, s.error) for s in found], found[0].expected, True)
+        multipliers, error, verdict = verdicts_of(
+            [(s.multipliers, s.error) for s in found], found[0].expected, True
+        )
     # one that is small by accident is as large as its neighbours
     apart = neighbours(np.stack([s.apart for s in found]))
     states, energy, state_error, energy_error, periods = _members(problem, curve, apart)
     half, p = problem.shooting.flow, problem.values(curve.p)
     return Branch(
-        p, periods, states, energy, None, state_error, energy_error, None, multipliers, error,
-        np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)),
-        problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve,
-        **problem.scene(jnp.asarray(curve.p[-1]))[0].origin)
+        p,
+        periods,
+        states,
+        energy,
+        None,
+        state_error,
+        energy_error,
+        None,
+        multipliers,
+        error,
+        np.array([s.step_error for s in found]),
+        verdict,
+        tuple(special_of(problem, curve)),
+        problem.outcome(curve),
+        0.0,
+        Flow(2 * half.steps, half.solver),
+        problem,
+        curve,
+        **problem.scene(jnp.asarray(curve.p[-1]))[0].origin,
+    )
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:
     """A lattice that has time-reversible, isolated families: single, conservative, autonomous."""
     if lattice.lanes:
-        remedy = "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
+        remedy = (
+            "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
+        )
         refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
     if not lattice.conserves:
         names = ", ".join(lattice.unkept())
-        remedy = ("Orbits of damped, driven or modulated chains: gx.forced.forced_orbit. Breathers in a gap in the "
-                  "wave number, which come and go: gx.breathers.k_gap_breather.")
+        remedy = (
+            "Orbits of damped, driven or modulated chains: gx.forced.forced_orbit. Breathers in a gap in the "
+            "wave number, which come and go: gx.breathers.k_gap_breather."
+        )
         refuse("lattice", "forces that depend on positions alone", names, remedy)
     return lattice
 
@@ -238,7 +310,10 @@ def even_steps(orbit: Orbit) -> int:
 
 
 def half_steps(
-    lattice: Lattice, period: Scalar, steps: Count | Counts | None = None, guess: StateLike | None = None,
+    lattice: Lattice,
+    period: Scalar,
+    steps: Count | Counts | None = None,
+    guess: StateLike | None = None,
 ) -> Count:
     """Steps of half a period, from those of a whole one or by default; `guess`: as in `default_steps`."""
     if traced(steps):
@@ -250,19 +325,26 @@ def half_steps(
 
 
 def over_frequency(
-    lattice: Lattice, steps: Count, solver: AbstractSolver | None, length: Scalar, omega: Scalar,
+    lattice: Lattice,
+    steps: Count,
+    solver: AbstractSolver | None,
+    length: Scalar,
+    omega: Scalar,
 ) -> Family:
     """The breathers of a lattice over its frequency in units of omega, their displacements in units of a length.
 
     The steps of half a period may change without compiling anew.
     """
-    half = Shooting.half(lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8()), length=length, omega=omega)
+    half = Shooting.half(
+        lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8()), length=length, omega=omega
+    )
     return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega))
 
 
 @eqx.filter_jit
 def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
     """dE/ds along a tangent (x, q) of a branch."""
+
     def total(z):
         state = problem.shooting.state(z[:-1])
         return problem.scene(z[-1])[0].energy(0.0, state.u, state.v)
@@ -275,8 +357,10 @@ def _members(problem, curve, aparts):
     idle = -len(curve.p) % MEMBERS
     xs, aparts = (np.pad(x, ((0, idle), (0, 0)), mode="edge") for x in (curve.x, aparts))
     qs = np.pad(curve.p, (0, idle), mode="edge")
-    parts = [_some(problem, *(jnp.asarray(x[i : i + MEMBERS]) for x in (xs, qs, aparts)))
-             for i in range(0, len(xs), MEMBERS)]
+    parts = [
+        _some(problem, *(jnp.asarray(x[i : i + MEMBERS]) for x in (xs, qs, aparts)))
+        for i in range(0, len(xs), MEMBERS)
+    ]
     return jax.tree.map(lambda *x: np.concatenate(x)[: len(xs) - idle], *parts)
 
 
@@ -285,7 +369,15 @@ def _some(problem, xs, qs, aparts):
     def one(three):
         x, q, apart = three
         state, (lattice, period) = problem.shooting.state(x), problem.scene(q)
-        found = error_of(lattice, 0.0, state, problem.shooting.apart(apart), 2 * jnp.pi / period, 0.0)
-        return state, lattice.energy(0.0, *state), found.state, found.energy, jnp.broadcast_to(period, ())
+        found = error_of(
+            lattice, 0.0, state, problem.shooting.apart(apart), 2 * jnp.pi / period, 0.0
+        )
+        return (
+            state,
+            lattice.energy(0.0, *state),
+            found.state,
+            found.energy,
+            jnp.broadcast_to(period, ()),
+        )
 
     return jax.lax.map(one, (xs, qs, aparts))

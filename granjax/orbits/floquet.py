@@ -66,9 +66,13 @@ class Floquet(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "monodromy": Held("row column"), "multipliers": Held("multiplier", "1", "multiplier"),
-        "vectors": Held("row multiplier", "", "vector"), "error": Held("multiplier", "1"),
-        "krein": Held("multiplier", "1"), "period": Held(unit="s"), "rate": Held(unit="1/s"),
+        "monodromy": Held("row column"),
+        "multipliers": Held("multiplier", "1", "multiplier"),
+        "vectors": Held("row multiplier", "", "vector"),
+        "error": Held("multiplier", "1"),
+        "krein": Held("multiplier", "1"),
+        "period": Held(unit="s"),
+        "rate": Held(unit="1/s"),
     }
     monodromy: Float[np.ndarray, "two_n two_n"]
     multipliers: Inexact[np.ndarray, " two_n"]
@@ -107,7 +111,10 @@ class Floquet(Result):
 
 
 def decide(
-    multipliers: Inexact[np.ndarray, " two_n"], error: Float[np.ndarray, " two_n"], expected: int, conserves: bool,
+    multipliers: Inexact[np.ndarray, " two_n"],
+    error: Float[np.ndarray, " two_n"],
+    expected: int,
+    conserves: bool,
     resolution: Scalar = RESOLUTION,
 ) -> tuple[str, str]:
     """(verdict, sentence) from multipliers and their errors.
@@ -137,15 +144,23 @@ def decide(
         kind = "real" if abs(rho.imag) <= error[i] else "complex"
         direction = " (period doubling)" if kind == "real" and rho.real < 0 else ""
         size = f"{abs(rho):.6g} +- {error[i]:.1e}"
-        return UNSTABLE, f"A {kind} multiplier{direction} of modulus {size} lies outside the unit circle.{left_out}"
+        return (
+            UNSTABLE,
+            f"A {kind} multiplier{direction} of modulus {size} lies outside the unit circle.{left_out}",
+        )
     doubtful = (excess + error > resolution) if conserves else (excess + error > 0)
     if doubtful.any():
         i = np.argmax(np.where(doubtful, excess + error, -np.inf))
-        return UNDECIDED, (f"A multiplier of modulus {abs(multipliers[rest][i]):.6g} is known to {error[i]:.1e} only: "
-                           f"smaller steps would tell.{left_out}")
+        return UNDECIDED, (
+            f"A multiplier of modulus {abs(multipliers[rest][i]):.6g} is known to {error[i]:.1e} only: "
+            f"smaller steps would tell.{left_out}"
+        )
     if conserves:
         return STABLE, f"Every multiplier is on the unit circle, to {error.max():.1e}.{left_out}"
-    return STABLE, f"Every multiplier is inside the unit circle, by {-(excess + error).max():.1e} at least.{left_out}"
+    return (
+        STABLE,
+        f"Every multiplier is inside the unit circle, by {-(excess + error).max():.1e} at least.{left_out}",
+    )
 
 
 @eqx.filter_jit
@@ -156,9 +171,19 @@ def _derivative(flow, like, x, t0, t1, args):
 
 
 def floquet(
-    lattice: Lattice | Flow, state: Pytree, period: Scalar, *, t0: Scalar = 0.0, steps: Count | None = None,
-    solver: AbstractSolver | None = None, segments: Count = 1, tolerance: Scalar = TOLERANCE, args: Any = None,
-    symmetry: Symmetry = Symmetry(), expected: Count | None = None, resolution: Scalar = RESOLUTION,
+    lattice: Lattice | Flow,
+    state: Pytree,
+    period: Scalar,
+    *,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    segments: Count = 1,
+    tolerance: Scalar = TOLERANCE,
+    args: Any = None,
+    symmetry: Symmetry = Symmetry(),
+    expected: Count | None = None,
+    resolution: Scalar = RESOLUTION,
 ) -> Floquet:
     r"""Monodromy matrix, multipliers and stability of a periodic orbit.
 
@@ -230,14 +255,23 @@ def floquet(
     while steps is None and 2 * count <= MOST_STEPS:
         size = max(np.abs(f).max() for f in fine[0])
         product = _product(fine[0])
-        if np.abs(product - _product(coarser[0])).max() <= tolerance * max(size, np.abs(product).max()):
+        if np.abs(product - _product(coarser[0])).max() <= tolerance * max(
+            size, np.abs(product).max()
+        ):
             break
         count, coarser, fine = 2 * count, fine, run(2 * count)
     coarse = run(3 * count // 4)
     if not all(np.isfinite(f).all() for f in fine[0] + coarse[0] + coarser[0]):
-        refuse("steps", "so many that the motion stays finite", repr(count), "Give more steps=, or look at the state.")
+        refuse(
+            "steps",
+            "so many that the motion stays finite",
+            repr(count),
+            "Give more steps=, or look at the state.",
+        )
     begin = there * scale
-    away = _displacement(known, _product(fine[0]), fine[1] - begin, change(fine[1], coarse[1], coarser[1]))
+    away = _displacement(
+        known, _product(fine[0]), fine[1] - begin, change(fine[1], coarse[1], coarser[1])
+    )
     free = shifts(lattice) if isinstance(lattice, Lattice) else None
     if not rests:
         refuse_open(begin, away, fine[1], coarser[1], free, scale)
@@ -265,7 +299,12 @@ def _displacement(known, monodromy, gap, unknown):
 
 
 def refuse_open(
-    start: Numbers, away: Numbers, fine: Numbers, coarse: Numbers, free: Numbers | None, scale: Numbers,
+    start: Numbers,
+    away: Numbers,
+    fine: Numbers,
+    coarse: Numbers,
+    free: Numbers | None,
+    scale: Numbers,
 ) -> None:
     """Refuse a state that does not return, by more than the flow is known to and more than the orbit may be off.
 
@@ -279,8 +318,12 @@ def refuse_open(
         start, fine = (x - columns @ (columns.T @ x) for x in (start, fine))
     size = max(np.linalg.norm(start), np.linalg.norm(fine))
     if not min(gap, np.linalg.norm(away)) <= OPEN * size + known:
-        refuse("state", "one that returns after the period", f"a gap of {gap / size:.1e} of its size",
-               "gx.orbits.orbit and gx.forced.forced_orbit find the orbit beside it.")
+        refuse(
+            "state",
+            "one that returns after the period",
+            f"a gap of {gap / size:.1e} of its size",
+            "gx.orbits.orbit and gx.forced.forced_orbit find the orbit beside it.",
+        )
 
 
 def one_period(lattice: Lattice | Flow, period: Scalar) -> float:
@@ -324,28 +367,54 @@ def _record(known, levels, moved, scale, state, period, steps, resolution, origi
     conserves = known.rate == 0
     verdict, outcome = decide(multipliers, error, known.expected, conserves, resolution)
     signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
-    signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0  # those of symmetry have none
+    signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= (
+        0.0  # those of symmetry have none
+    )
     return Floquet(
-        monodromy * scale / scale[:, None], multipliers, vectors, error, signature,
-        defect(monodromy, known.rate, float(period)), about,
-        known.expected, verdict, outcome, float(period), int(steps), known.rate, state,
-        **origin)
+        monodromy * scale / scale[:, None],
+        multipliers,
+        vectors,
+        error,
+        signature,
+        defect(monodromy, known.rate, float(period)),
+        about,
+        known.expected,
+        verdict,
+        outcome,
+        float(period),
+        int(steps),
+        known.rate,
+        state,
+        **origin,
+    )
 
 
 @compiled
 def _rests(lattice, state, t0):
     """Whether the state is an equilibrium, to rounding, also that of contact forces which balance each other."""
     (v, a), omega = vector_field(t0, state, lattice), linear_frequency(lattice)
-    held = [jnp.max(jnp.abs(c.force)) for term in lattice.terms for c in term.compressions(t0, state[0])]
+    held = [
+        jnp.max(jnp.abs(c.force)) for term in lattice.terms for c in term.compressions(t0, state[0])
+    ]
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
-    rounding = BALANCED * jnp.finfo(lattice.dtype).eps * jnp.max(jnp.stack([jnp.zeros(()), *held])) / lightest
-    return jnp.maximum(largest(v) * omega, largest(a)) <= 1e-12 * omega**2 * largest(state[0]) + rounding
+    rounding = (
+        BALANCED
+        * jnp.finfo(lattice.dtype).eps
+        * jnp.max(jnp.stack([jnp.zeros(()), *held]))
+        / lightest
+    )
+    return (
+        jnp.maximum(largest(v) * omega, largest(a))
+        <= 1e-12 * omega**2 * largest(state[0]) + rounding
+    )
 
 
 def _factors(flow, like, x, t0, period, segments, args):
     found, length = [], period / segments
     for i in range(segments):
-        x, factor = _derivative(flow, like, x, np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length), args)
+        x, factor = _derivative(
+            flow, like, x, np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length), args
+        )
         found.append(np.asarray(factor))
     return found, np.asarray(x)
 
@@ -357,7 +426,9 @@ def _product(factors):
     return total
 
 
-def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Any) -> Complex[jax.Array, " two_n"]:
+def multipliers(
+    flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Any
+) -> Complex[jax.Array, " two_n"]:
     """Floquet multipliers alone, a pure function: (2n,) complex, for `jax.jacfwd`, `vmap` and `jit`.
 
     **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the

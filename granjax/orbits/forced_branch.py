@@ -50,10 +50,21 @@ LOCATED, APART = 1e-10, 1e-7
 
 @one_thread
 def forced_branch(
-    make: Callable[[Any], Any], start: Scalar, until: Scalar, *, period: Callable[[Any], Any] | Scalar,
-    guess: StateLike | None = None, transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None,
-    segments: Count = 1, solver: AbstractSolver | None = None, tolerance: Scalar = BRANCH, arclength: Scalar = 0.02,
-    longest_arclength: Scalar | None = None, points: Count = 400,
+    make: Callable[[Any], Any],
+    start: Scalar,
+    until: Scalar,
+    *,
+    period: Callable[[Any], Any] | Scalar,
+    guess: StateLike | None = None,
+    transient: Count = 0,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    segments: Count = 1,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = BRANCH,
+    arclength: Scalar = 0.02,
+    longest_arclength: Scalar | None = None,
+    points: Count = 400,
     response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
 ) -> Branch:
     r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
@@ -101,15 +112,26 @@ def forced_branch(
     scenes = [made(make, period, p) for p in (start, until)]
     solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
     lattice, T = scenes[0]
-    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_state(lattice, guess, "guess")
+    guess = (
+        State(lattice.zeros(), lattice.zeros())
+        if guess is None
+        else checked_state(lattice, guess, "guess")
+    )
     flows = [flow_over(lattice, T, steps, solver, segments, guess) for lattice, T in scenes]
     # an array, whose value compiles nothing anew
     flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
     for lattice, T in scenes[::-1]:
         if checked_free(lattice):
-            refuse("make", "a lattice under forcing", "none", "Breathers over their frequency: gx.breathers.family.")
+            refuse(
+                "make",
+                "a lattice under forcing",
+                "none",
+                "Breathers over their frequency: gx.breathers.family.",
+            )
         checked_symmetry(lattice, Symmetry(), guess, t0, T)
-    shooting, x = prepared(lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient))
+    shooting, x = prepared(
+        lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient)
+    )
     family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start))
     settings = {"tolerance": newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH), "find": ("fold",)}
     first = continuation(family.residual, x, 0.0, linearise=family.linearise, points=1, **settings)
@@ -121,8 +143,15 @@ def forced_branch(
     most = 2**DOUBLINGS * int(flow.steps)
     while True:
         curve = continuation(
-            family.residual, x0, 0.0, until=(0.0, 1.0), arclength=arclength,
-            longest_arclength=longest_arclength, points=points, **settings)
+            family.residual,
+            x0,
+            0.0,
+            until=(0.0, 1.0),
+            arclength=arclength,
+            longest_arclength=longest_arclength,
+            points=points,
+            **settings,
+        )
         z = np.column_stack([curve.x, curve.p])
         looked = [_examined(family, flow, point, response) for point in z]
         if steps is not None:
@@ -131,7 +160,9 @@ def forced_branch(
         if enough == flow.steps:
             break
         flow = Flow(jnp.asarray(enough), solver)
-        family = eqx.tree_at(lambda f: f.shooting.flow.steps, family, jnp.asarray(enough // segments))
+        family = eqx.tree_at(
+            lambda f: f.shooting.flow.steps, family, jnp.asarray(enough // segments)
+        )
         x0, settings["linearise"] = curve.x[0], family.linearise
     known = structure(lattice)
     scales = [weights(known.mass, found.period) for found in looked]
@@ -139,7 +170,8 @@ def forced_branch(
     spectra = [spectrum(*three)[::2] for three in maps]
     multipliers, errors, verdicts = verdicts_of(spectra, known.expected, False)
     states, periods, energies, responses, errors_of_orbits, about = (
-        jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:6])
+        jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:6]
+    )
 
     # one that is small by accident is as large as its neighbours
     errors_of_orbits, about = jax.tree.map(neighbours, (errors_of_orbits, about))
@@ -149,10 +181,26 @@ def forced_branch(
 
     found = _bifurcations(family, look, z, curve.special, multipliers, settings)
     return Branch(
-        family.values(curve.p), periods, states, energies, responses, errors_of_orbits.state,
-        errors_of_orbits.energy, about, multipliers, errors,
-        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, family.outcome(curve),
-        float(t0), flow, family, curve, **family.scene(jnp.asarray(curve.p[0]))[0].origin)
+        family.values(curve.p),
+        periods,
+        states,
+        energies,
+        responses,
+        errors_of_orbits.state,
+        errors_of_orbits.energy,
+        about,
+        multipliers,
+        errors,
+        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]),
+        verdicts,
+        found,
+        family.outcome(curve),
+        float(t0),
+        flow,
+        family,
+        curve,
+        **family.scene(jnp.asarray(curve.p[0]))[0].origin,
+    )
 
 
 class Examined(NamedTuple):
@@ -191,7 +239,9 @@ def _examined(family, flow, z, response):
     flat, unravel = ravel_pytree(state)
     scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
     inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
-    changes = jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
+    changes = (
+        jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
+    )
     # of each flow's own orbit
     others = flat + jnp.concatenate([jnp.zeros_like(changes[:1]), changes[:2]]) / scale
     numbers = jax.lax.map(lambda x: responded(unravel(x[0]), x[1]), (others, counts))
@@ -199,7 +249,9 @@ def _examined(family, flow, z, response):
     state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
     apart = covering(changes, rounding(inverse, jnp.max(jnp.abs(flat * scale))))
     error = error_of(lattice, t0, state, unravel(apart / scale), 2 * jnp.pi / period, jnp.zeros(()))
-    return Examined(state, period, lattice.energy(t0, *state), numbers[0], error, about, maps, changes / scale)
+    return Examined(
+        state, period, lattice.energy(t0, *state), numbers[0], error, about, maps, changes / scale
+    )
 
 
 def _enough(family, flow, curve, looked, response, tolerance, most):
@@ -219,9 +271,15 @@ def _enough(family, flow, curve, looked, response, tolerance, most):
     worst, steps = int(np.argmax(shares)), int(flow.steps)
     known, z = [shares[worst]], np.append(curve.x[worst], curve.p[worst])
     # where two doublings help little it is not the steps: another branch crosses there
-    while known[-1] > tolerance and 2 * steps <= most and not (len(known) > 2 and known[-1] > known[-3] / HELPS):
+    while (
+        known[-1] > tolerance
+        and 2 * steps <= most
+        and not (len(known) > 2 and known[-1] > known[-3] / HELPS)
+    ):
         steps *= 2
-        known.append(share(_examined(family, Flow(jnp.asarray(steps), flow.solver), z, response), worst))
+        known.append(
+            share(_examined(family, Flow(jnp.asarray(steps), flow.solver), z, response), worst)
+        )
     return steps
 
 
@@ -231,8 +289,9 @@ def _bifurcations(family, look, z, folds, multipliers, settings):
 
     def add(kind, i, point, rho):
         p, state = float(family.value(point[-1])), State(*family.shooting.state(point[:-1]))
-        event = Bifurcation(kind, p, int(i), state, critical(rho),
-                            **family.scene(jnp.asarray(point[-1]))[0].origin)
+        event = Bifurcation(
+            kind, p, int(i), state, critical(rho), **family.scene(jnp.asarray(point[-1]))[0].origin
+        )
         found.append((i, np.linalg.norm(point - z[i]), event))
 
     for fold in folds:
@@ -266,8 +325,15 @@ class Between:
         """(z, multipliers) of the orbit in the plane across the chord at s."""
         if s not in self.known:
             low, chord = self.ends[0], self.ends[1] - self.ends[0]
-            curve = continuation(self.family.residual, low[:-1], low[-1], direction=chord,
-                                 arclength=s * np.linalg.norm(chord), points=1, **self.settings)
+            curve = continuation(
+                self.family.residual,
+                low[:-1],
+                low[-1],
+                direction=chord,
+                arclength=s * np.linalg.norm(chord),
+                points=1,
+                **self.settings,
+            )
             z = np.append(curve.x[0], curve.p[0])
             self.known[s] = z, self.look(z)
         return self.known[s]

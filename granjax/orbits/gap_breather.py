@@ -53,9 +53,16 @@ class GapBreather(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s"), "us": Held("time site ...", "m"), "vs": Held("time site ...", "m/s"),
-        "energy": Held("time", "J"), "amplitude": Held("time", "m"), "k": Held(unit="rad"),
-        "growth": Held(unit="1/s"), "returned": Held(unit="1"), "error": Held(unit="1"), "stray": Held(unit="1"),
+        "ts": Held("time", "s"),
+        "us": Held("time site ...", "m"),
+        "vs": Held("time site ...", "m/s"),
+        "energy": Held("time", "J"),
+        "amplitude": Held("time", "m"),
+        "k": Held(unit="rad"),
+        "growth": Held(unit="1/s"),
+        "returned": Held(unit="1"),
+        "error": Held(unit="1"),
+        "stray": Held(unit="1"),
         "period": Held(unit="s"),
     }
     ts: Numbers
@@ -85,8 +92,15 @@ class GapBreather(Result):
 
 @one_thread
 def k_gap_breather(
-    lattice: Lattice, period: Scalar, k: Scalar | None = None, *, amplitude: Scalar | None = None, t0: Scalar = 0.0,
-    steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-5,
+    lattice: Lattice,
+    period: Scalar,
+    k: Scalar | None = None,
+    *,
+    amplitude: Scalar | None = None,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = 1e-5,
     progress: bool = True,
 ) -> GapBreather:
     r"""A wavenumber-gap breather of a modulated ring: it grows out of a k-gap as exp(growth t), saturates and returns.
@@ -144,8 +158,12 @@ def _growing(lattice, k, period, t0):
     if k is not None:
         turns = float(k) * cells / (2 * np.pi)
         if abs(turns - round(turns)) > 1e-6 * max(1, abs(turns)):
-            refuse("k", f"a multiple of 2 pi/{cells}, which the ring holds", repr(float(k)),
-                   f"The nearest is {2 * np.pi * round(turns) / cells:.10g}.")
+            refuse(
+                "k",
+                f"a multiple of 2 pi/{cells}, which the ring holds",
+                repr(float(k)),
+                f"The nearest is {2 * np.pi * round(turns) / cells:.10g}.",
+            )
         all_k = np.array([2 * np.pi * round(turns) / cells, 0.0])
     bands = floquet_bands(lattice, all_k, period, t0=t0)
     rate = np.where(bands.grows, np.asarray(bands.growth), 0.0).max(-1)
@@ -153,8 +171,12 @@ def _growing(lattice, k, period, t0):
     if not rate[wave] > 0:
         gaps = floquet_bands(lattice, np.linspace(0, np.pi, 5), period, t0=t0).gaps
         there = ", ".join(f"{a:.6g} ... {b:.6g}" for a, b in gaps)
-        refuse("k", "a wave number in a k-gap", "none of the ring that grows" if k is None else f"{float(k):.6g}",
-               f"Waves grow for k = {there}." if gaps else "This modulation has no k-gap.")
+        refuse(
+            "k",
+            "a wave number in a k-gap",
+            "none of the ring that grows" if k is None else f"{float(k):.6g}",
+            f"Waves grow for k = {there}." if gaps else "This modulation has no k-gap.",
+        )
     return bands, wave
 
 
@@ -176,7 +198,14 @@ class _Ring:
     """A ring, its linear waves at one wave number, and the motion once a period."""
 
     def __init__(
-        self, lattice: Lattice, bands: FloquetBands, wave: int, period: float, t0: float, solver: Any, progress: bool,
+        self,
+        lattice: Lattice,
+        bands: FloquetBands,
+        wave: int,
+        period: float,
+        t0: float,
+        solver: Any,
+        progress: bool,
     ):
         self.progress = progress
         self.lattice, self.period, self.t0, self.solver = lattice, period, t0, solver
@@ -211,10 +240,14 @@ class _Ring:
         flow, parts = Flow(jnp.asarray(steps), self.solver), []
         with bar(periods, "period", "k-gap breather", self.progress) as shown:
             for _ in range(-(-periods // PIECE)):
-                state, part = _strobed(flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period))
+                state, part = _strobed(
+                    flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period)
+                )
                 parts.append(jax.tree.map(np.asarray, part))
                 shown.update(PIECE)
-        last = jax.tree.map(lambda x: np.asarray(x)[None], (state, self.lattice.energy(self.t0, *state)))
+        last = jax.tree.map(
+            lambda x: np.asarray(x)[None], (state, self.lattice.energy(self.t0, *state))
+        )
         states, energy = jax.tree.map(lambda *x: np.concatenate(x), *parts, last)
         return tuple(states), energy
 
@@ -226,21 +259,31 @@ class _Ring:
         pairs = zip(*(jax.tree.leaves(x) for x in (us, want.u, begin.u)))
         off = max(np.abs(x[1] - w).max() / np.abs(b).max() for x, w, b in pairs)
         if not off <= FITS + 1e-2 * abs(abs(self.rho) - 1):
-            refuse("lattice", "a ring, on which a wave of the k-gap grows as its multiplier says",
-                   f"one on which it misses that by {off:.1e}", "Build it with boundary=\"periodic\".")
+            refuse(
+                "lattice",
+                "a ring, on which a wave of the k-gap grows as its multiplier says",
+                f"one on which it misses that by {off:.1e}",
+                'Build it with boundary="periodic".',
+            )
 
     def size(self) -> float:
         """About 1/50 of the amplitude at which the force departs from its linear part enough to leave the gap."""
         u, wanted = self.state(1.0).u, min(0.5, 2 * self.growth * self.period / np.pi)
         sizes = SIZES
         for _ in range(CLOSER):
-            share = np.asarray(_departure(self.lattice, u, jnp.asarray(self.t0), jnp.asarray(sizes)))
+            share = np.asarray(
+                _departure(self.lattice, u, jnp.asarray(self.t0), jnp.asarray(sizes))
+            )
             good = np.flatnonzero((share >= wanted) & np.isfinite(share))
             # far below any nonlinearity what departs is rounding, of which small numbers have as much
             good = good[good > np.flatnonzero(share < wanted).max(initial=-1)]
             if not len(good):
-                refuse("lattice", "a force that is nonlinear for this wave, by which growth saturates", "a linear one",
-                       "Waves of its k-gaps grow for ever: gx.linear.floquet_bands has their rates.")
+                refuse(
+                    "lattice",
+                    "a force that is nonlinear for this wave, by which growth saturates",
+                    "a linear one",
+                    "Waves of its k-gaps grow for ever: gx.linear.floquet_bands has their rates.",
+                )
             sizes = np.geomspace(sizes[max(good[0] - 1, 0)], sizes[good[0]], len(SIZES))
         return float(sizes[-1] / BEGIN)
 
@@ -258,7 +301,10 @@ class _Ring:
         for _ in range(SEARCHES):
             miss = np.log1p(found.returned)
             step = np.clip(-miss / slope, -0.7, 0.7)
-            before, found = (found.begin, miss), self.from_amplitude(found.begin * np.exp(step), steps, found.back)
+            before, found = (
+                (found.begin, miss),
+                self.from_amplitude(found.begin * np.exp(step), steps, found.back),
+            )
             change = np.log1p(found.returned) - before[1]
             slope = np.clip(change / step, -40.0, -0.5) if step else slope
             best = found if abs(found.returned) < abs(best.returned) else best
@@ -277,8 +323,12 @@ class _Ring:
         while True:
             (us, vs), energy = self.run(self.state(begin), periods, steps)
             if not np.isfinite(energy).all():
-                refuse("amplitude", "a wave that saturates", f"one that grows beyond all numbers from {begin:.3g}",
-                       "Its force softens, or its contacts open: there is no breather of this k-gap.")
+                refuse(
+                    "amplitude",
+                    "a wave that saturates",
+                    f"one that grows beyond all numbers from {begin:.3g}",
+                    "Its force softens, or its contacts open: there is no breather of this k-gap.",
+                )
             high = int(np.argmax(energy >= 0.5 * energy.max()))
             high += int(np.argmax(energy[high:] < 0.5 * energy.max()))
             low = np.flatnonzero(energy[high:] <= energy[0]) + high
@@ -287,29 +337,52 @@ class _Ring:
                 return _Found(begin, us, vs, energy, int(low[0] - (before < here)))
             if periods >= MOST or energy.max() > 4 * energy[0] and len(energy) > 8 * high + MORE:
                 least = energy[high:].min() / energy[0] if high else np.nan
-                refuse("lattice", "a motion that returns to the energy that it began with",
-                       f"one that stays above {least:.3g} of it", "Take losses away, or begin with a larger amplitude.")
+                refuse(
+                    "lattice",
+                    "a motion that returns to the energy that it began with",
+                    f"one that stays above {least:.3g} of it",
+                    "Take losses away, or begin with a larger amplitude.",
+                )
             periods *= 2
 
     def result(self, found: _Found, steps: int, error: float) -> GapBreather:
         end = found.back + 1
         us, vs = jax.tree.map(lambda x: x[:end], (found.us, found.vs))
-        amplitude = np.max([np.abs(x).reshape(end, -1).max(-1) for x in jax.tree.leaves(us)], axis=0)
+        amplitude = np.max(
+            [np.abs(x).reshape(end, -1).max(-1) for x in jax.tree.leaves(us)], axis=0
+        )
         stray = self._stray(jax.tree.map(lambda x: x[-1], (us, vs)))
         times = found.energy.max() / found.energy[0]
         back = max(abs(found.returned), error) <= RETURNS
-        outcome = (f"The energy grew {times:.4g} times and returned within {abs(found.returned):.1e} +- {error:.1e} of "
-                   f"itself after {found.back} periods; {stray:.1e} of what returned is other waves."
-                   + ("" if back else " It breaks up: other waves took part."))
+        outcome = (
+            f"The energy grew {times:.4g} times and returned within {abs(found.returned):.1e} +- {error:.1e} of "
+            f"itself after {found.back} periods; {stray:.1e} of what returned is other waves."
+            + ("" if back else " It breaks up: other waves took part.")
+        )
         return GapBreather(
-            self.t0 + self.period * np.arange(end), us, vs, found.energy[:end], amplitude, self.k, self.growth,
-            found.returned, float(error), stray, self.period, int(steps), outcome, **self.lattice.origin)
+            self.t0 + self.period * np.arange(end),
+            us,
+            vs,
+            found.energy[:end],
+            amplitude,
+            self.k,
+            self.growth,
+            found.returned,
+            float(error),
+            stray,
+            self.period,
+            int(steps),
+            outcome,
+            **self.lattice.origin,
+        )
 
     def _stray(self, end):
         """What of a state is not the wave that decays, times the complex number that fits best."""
         scale = self.period / (2 * np.pi)
-        flat = lambda y: np.concatenate([np.ravel(x) for x in jax.tree.leaves(y[0])]
-                                        + [scale * np.ravel(x) for x in jax.tree.leaves(y[1])])
+        flat = lambda y: np.concatenate(
+            [np.ravel(x) for x in jax.tree.leaves(y[0])]
+            + [scale * np.ravel(x) for x in jax.tree.leaves(y[1])]
+        )
         wave, y = flat(self.down), flat(end)
         basis = np.stack([wave.real, wave.imag], -1)
         rest = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
@@ -319,6 +392,7 @@ class _Ring:
 @eqx.filter_jit
 def _strobed(flow, lattice, state, t0, period):
     """The state `PIECE` periods later, states and energies before each; every period begins at the same phase."""
+
     def one(y, _):
         return flow(y, t0, t0 + period, lattice), (y, lattice.energy(t0, *y))
 

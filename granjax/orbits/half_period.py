@@ -38,7 +38,9 @@ def _half_maps(problem, x, q):
     # the velocities at the end are zero, and the mean displacement, but for what an idle unknown adds
     unit = shooting.scale[:n, None] / shooting.scale[n:, None]
     slope = maps[1][n:, :n] * unit / weight[n:, None]
-    joined = jnp.block([[slope, moves], [moves.T * mass / mass.sum(), jnp.zeros((moves.shape[1],) * 2)]])
+    joined = jnp.block(
+        [[slope, moves], [moves.T * mass / mass.sum(), jnp.zeros((moves.shape[1],) * 2)]]
+    )
     inverse = jnp.linalg.inv(joined)
     change = inverse[:, :n] @ ((ends[1] - ends[0]) / shooting.scale[n:])
     x = nearby(x, -inverse[:, :n] @ (ends[0] / shooting.scale[n:]))
@@ -60,7 +62,9 @@ class Spectrum(eqx.Module):
     x: Float[np.ndarray, " unknowns"]
 
 
-def spectra_of(problem: Family, xs: np.ndarray, qs: np.ndarray, stability: bool = True) -> Iterator[Spectrum]:
+def spectra_of(
+    problem: Family, xs: np.ndarray, qs: np.ndarray, stability: bool = True
+) -> Iterator[Spectrum]:
     """The `Spectrum` of each of several orbits, from half a period with the problem's steps and with twice as many.
 
     While one is decomposed the next one's maps are on their way.
@@ -76,4 +80,6 @@ def spectra_of(problem: Family, xs: np.ndarray, qs: np.ndarray, stability: bool 
         (x, maps, apart), coming = coming, launched(i + 1) if i + 1 < len(xs) else None
         coarse, fine = np.asarray(maps)
         found = reversible_multipliers(fine, coarse) if stability else none
-        yield Spectrum(*found, float(np.abs(fine - coarse).max()), expected, np.asarray(apart), np.asarray(x))
+        yield Spectrum(
+            *found, float(np.abs(fine - coarse).max()), expected, np.asarray(apart), np.asarray(x)
+        )

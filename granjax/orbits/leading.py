@@ -51,8 +51,15 @@ def _push(flow, y, t0, period, args, direction):
 
 
 def leading(
-    lattice: Lattice, state: StateLike, period: Scalar, count: Count = 6, *, t0: Scalar = 0.0,
-    steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-9,
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    count: Count = 6,
+    *,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = 1e-9,
 ) -> Leading:
     """The multipliers of largest modulus by Arnoldi's method over products M x, one tangent a period each.
 
@@ -85,8 +92,12 @@ def leading(
     scale = weights(structure(lattice).mass, period)
     size = len(scale)
     fine, coarse = (
-        scale * np.asarray(_end(eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n)), state, *times, lattice))
-        for n in (steps, max(steps // 2, 1)))
+        scale
+        * np.asarray(
+            _end(eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n)), state, *times, lattice)
+        )
+        for n in (steps, max(steps // 2, 1))
+    )
     there = scale * np.asarray(ravel_pytree(state)[0])
     refuse_open(there, fine - there, fine, coarse, shifts(lattice), scale)
 
@@ -95,10 +106,18 @@ def leading(
         by = eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n))
 
         def product(x):
-            return scale * np.asarray(_push(by, state, *times, lattice, jnp.asarray(x.ravel() / scale)))
+            return scale * np.asarray(
+                _push(by, state, *times, lattice, jnp.asarray(x.ravel() / scale))
+            )
 
-        return eigs(LinearOperator((size, size), product, dtype=float), k=count, v0=start, tol=tolerance,
-                    ncv=min(size, max(2 * count + 1, BASIS)), maxiter=RESTARTS)
+        return eigs(
+            LinearOperator((size, size), product, dtype=float),
+            k=count,
+            v0=start,
+            tol=tolerance,
+            ncv=min(size, max(2 * count + 1, BASIS)),
+            maxiter=RESTARTS,
+        )
 
     try:
         values, vectors = arnoldi(steps, np.random.default_rng(0).normal(size=size))
@@ -106,9 +125,12 @@ def leading(
         found = ", ".join(f"{rho:.6g}" for rho in error.eigenvalues) or "none"
         raise RuntimeError(
             f"Arnoldi's method found {len(error.eigenvalues)} of {count} multipliers: {found}. The others do not stand "
-            f"out from those on the unit circle: ask for fewer.") from None
+            f"out from those on the unit circle: ask for fewer."
+        ) from None
     except ArpackError as error:
-        raise RuntimeError(f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle.") from None
+        raise RuntimeError(
+            f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle."
+        ) from None
     order = np.argsort(-np.abs(values))
     values, vectors = values[order], vectors[:, order]
     start = vectors.real.sum(1) + vectors.imag.sum(1)
@@ -117,8 +139,12 @@ def leading(
         # of a pair that is cut in two either may come
         near, far = (np.minimum(matched(values, x), matched(values, x.conj())) for x in others)
         # as `spectrum.change`: those of a smooth flow of high order, or the larger
-        change = near if np.linalg.norm(far) >= REGULAR * np.linalg.norm(near) else np.maximum(near, far)
+        change = (
+            near if np.linalg.norm(far) >= REGULAR * np.linalg.norm(near) else np.maximum(near, far)
+        )
     except (ArpackError, ArpackNoConvergence):
         change = np.full(count, np.inf)
-    error = SAFETY * change + (2 * float(tolerance) + ROUNDING * np.finfo(float).eps) * np.abs(values)
+    error = SAFETY * change + (2 * float(tolerance) + ROUNDING * np.finfo(float).eps) * np.abs(
+        values
+    )
     return Leading(values, vectors / scale[:, None], error)

@@ -69,11 +69,17 @@ class Localisation(NamedTuple):
 
     def why_not(self, kind: str, guess: "Localisation") -> str | None:
         """A sentence on why this is no breather of a kind, "bright", "dark" or "any", or `None` where it is one."""
-        strayed = kind == "bright" and self.participation > max(2 * guess.participation, STRAYED * self.cells)
+        strayed = kind == "bright" and self.participation > max(
+            2 * guess.participation, STRAYED * self.cells
+        )
         if kind != "dark" and self.bright and not strayed or kind != "bright" and self.dark:
             return None
         if kind == "dark":
-            lacks = f"its least energy is {self.dip:.2g} of that beside it" if self.fills else "there is no background"
+            lacks = (
+                f"its least energy is {self.dip:.2g} of that beside it"
+                if self.fills
+                else "there is no background"
+            )
             return f"Not a dark breather: {self} (participation number), and {lacks}. {WAVES}"
         dip = "" if kind == "bright" else ", without the dip of a dark breather"
         return f"Not localised: {self} (participation number; of the guess {guess.participation:.3g}){dip}. {WAVES}"

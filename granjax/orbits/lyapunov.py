@@ -41,8 +41,10 @@ class Lyapunov(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "exponents": Held("exponent", "1/s"), "uncertainty": Held("exponent", "1/s"),
-        "rates": Held("run exponent", "1/s"), "state": Held("site", STATE),
+        "exponents": Held("exponent", "1/s"),
+        "uncertainty": Held("exponent", "1/s"),
+        "rates": Held("run exponent", "1/s"),
+        "state": Held("site", STATE),
     }
     exponents: Float[np.ndarray, " k"]
     uncertainty: Float[np.ndarray, " k"]
@@ -58,8 +60,16 @@ class Lyapunov(Result):
 
 
 def lyapunov(
-    lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 1000, transient: Count = 100,
-    number: Count = 1, windows: Count = 10, steps: Count | None = None, solver: AbstractSolver | None = None,
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    *,
+    periods: Count = 1000,
+    transient: Count = 100,
+    number: Count = 1,
+    windows: Count = 10,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
     seed: Count = 0,
 ) -> Lyapunov:
     r"""The k largest Lyapunov exponents: mean growth of tangents that are made orthonormal again every period.
@@ -104,7 +114,10 @@ def lyapunov(
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     start = np.random.default_rng(seed).normal(size=(size, number))
     # arrays, whose values compile nothing anew
-    flow, start, T = Flow(jnp.asarray(steps), solver), *(jnp.asarray(x, lattice.dtype) for x in (start, period))
+    flow, start, T = (
+        Flow(jnp.asarray(steps), solver),
+        *(jnp.asarray(x, lattice.dtype) for x in (start, period)),
+    )
     end, logs = _grow(flow, lattice, state, start, T, transient + periods)
     rates = np.asarray(logs)[transient:] / period
     order = np.argsort(-rates.mean(0), kind="stable")
@@ -112,16 +125,23 @@ def lyapunov(
     exponents, uncertainty = rates.mean(0), _uncertainty(rates, windows)
     verdict, outcome = _verdict(lattice, exponents, uncertainty)
     if verdict == "quasi-periodic" and (slow := slowly(flow, lattice, end, period)):
-        verdict, outcome = "undecided", f"Undecided: {_value(exponents, uncertainty)}, zero within that. {slow}"
+        verdict, outcome = (
+            "undecided",
+            f"Undecided: {_value(exponents, uncertainty)}, zero within that. {slow}",
+        )
     return Lyapunov(exponents, uncertainty, rates, end, verdict, outcome, **lattice.origin)
 
 
 @eqx.filter_jit
 def _grow(flow, lattice, state, start, period, periods):
-    weight = jnp.concatenate([
-        ravel_pytree(jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u))[0],
-        jnp.ones(ravel_pytree(state.v)[0].size),
-    ])[:, None]
+    weight = jnp.concatenate(
+        [
+            ravel_pytree(jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u))[
+                0
+            ],
+            jnp.ones(ravel_pytree(state.v)[0].size),
+        ]
+    )[:, None]
 
     def one(carry, _):
         y, Q = carry
@@ -136,7 +156,9 @@ def _grow(flow, lattice, state, start, period, periods):
 def _uncertainty(rates, windows):
     means = np.stack([part.mean(0) for part in np.array_split(rates, windows)])
     half = len(rates) // 2
-    return means.std(0, ddof=1) / np.sqrt(windows) + np.abs(rates[:half].mean(0) - rates[half:].mean(0))
+    return means.std(0, ddof=1) / np.sqrt(windows) + np.abs(
+        rates[:half].mean(0) - rates[half:].mean(0)
+    )
 
 
 def _value(exponents, uncertainty):
@@ -156,5 +178,8 @@ def _verdict(lattice, exponents, uncertainty):
         word = "periodic" if forced else "at rest"
         return word, f"{word.capitalize()}: {value}."
     if forced:
-        return "quasi-periodic", f"Quasi-periodic, or periodic at the edge of stability: {value}, zero within that."
+        return (
+            "quasi-periodic",
+            f"Quasi-periodic, or periodic at the edge of stability: {value}, zero within that.",
+        )
     return "regular", f"Regular: {value}, zero within its uncertainty."

@@ -46,7 +46,9 @@ class OrbitRun(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"),
+        "ts": Held("time", "s", "time"),
+        "us": Held("time site", "m", "u"),
+        "vs": Held("time site", "m/s", "v"),
     }
     ts: Times
     us: Displacements
@@ -78,7 +80,10 @@ class Orbit(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "state": Held("site", STATE), "period": Held(unit="s"), "omega": Held(unit="rad/s"), "energy": Held(unit="J"),
+        "state": Held("site", STATE),
+        "period": Held(unit="s"),
+        "omega": Held(unit="rad/s"),
+        "energy": Held(unit="J"),
         "t0": Held(unit="s"),
     }
     state: State
@@ -94,7 +99,11 @@ class Orbit(Result):
     def _fields(self) -> Iterator[tuple[str, object]]:
         yield "state", self.state
         # of a batch neither energy nor steps is one number
-        one = ("period", "omega", "energy", "t0") if jnp.ndim(self.period) == 0 else ("period", "omega", "t0")
+        one = (
+            ("period", "omega", "energy", "t0")
+            if jnp.ndim(self.period) == 0
+            else ("period", "omega", "t0")
+        )
         yield from ((name, getattr(self, name)) for name in one)
         yield "steps", self.flow.steps
         if not self.symmetry.trivial:
@@ -133,18 +142,34 @@ class Orbit(Result):
         """What became of Newton's method, a sentence."""
         code = self.root.code
         if isinstance(code, jax.core.Tracer) or not np.any(np.asarray(code) >= FELL):
-            return " ".join(said for said in (self.root.outcome, self._known(), self.remark) if said)
-        went = eqx.tree_at(lambda r: r.code, self.root, np.where(np.asarray(code) >= FELL, CONVERGED, code)).outcome
+            return " ".join(
+                said for said in (self.root.outcome, self._known(), self.remark) if said
+            )
+        went = eqx.tree_at(
+            lambda r: r.code, self.root, np.where(np.asarray(code) >= FELL, CONVERGED, code)
+        ).outcome
         fell = np.any(np.asarray(code) == FELL)
-        return f"The guess fell to rest, where every time is a period: {went}" if fell else f"{self.remark} {went}"
+        return (
+            f"The guess fell to rest, where every time is a period: {went}"
+            if fell
+            else f"{self.remark} {went}"
+        )
 
     def _known(self):
         """How well the state of one orbit is known, a sentence."""
-        if self.error is None or isinstance(self.error.energy, jax.core.Tracer) or jnp.ndim(self.period):
+        if (
+            self.error is None
+            or isinstance(self.error.energy, jax.core.Tracer)
+            or jnp.ndim(self.period)
+        ):
             return ""
         pair = self.state, self.error.state
         size, error = (max(float(largest(y.u)), float(largest(y.v) / self.omega)) for y in pair)
-        return f"It is known to {error / size:.1e} of its size." if size > 0 and np.isfinite(error) else ""
+        return (
+            f"It is known to {error / size:.1e} of its size."
+            if size > 0 and np.isfinite(error)
+            else ""
+        )
 
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
@@ -162,7 +187,11 @@ class Orbit(Result):
             refuse("count", f"fewer than half of the {frames} frames", repr(count))
         run = self.run(frames)
         k = jnp.arange(count + 1)
-        weights = jnp.exp(-2j * jnp.pi * k[:, None] * run.ts / self.period) * jnp.where(k, 2, 1)[:, None] / frames
+        weights = (
+            jnp.exp(-2j * jnp.pi * k[:, None] * run.ts / self.period)
+            * jnp.where(k, 2, 1)[:, None]
+            / frames
+        )
         return jax.tree.map(lambda u: jnp.tensordot(weights, u, 1), run.us)
 
     @property
@@ -178,8 +207,12 @@ class Orbit(Result):
 
     def _refuse_symmetry(self):
         if not self.symmetry.trivial:
-            refuse("orbit", "one that returns itself after T", f"one that returns up to {self.symmetry!r}",
-                   "Ask gx.orbits.orbit(lattice, state, T times the order of the symmetry) for it.")
+            refuse(
+                "orbit",
+                "one that returns itself after T",
+                f"one that returns up to {self.symmetry!r}",
+                "Ask gx.orbits.orbit(lattice, state, T times the order of the symmetry) for it.",
+            )
 
     @property
     def energy_input(self) -> Number:
@@ -201,9 +234,18 @@ class Orbit(Result):
 
 @one_thread
 def orbit(
-    lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
-    steps: Count | Counts | None = None, segments: Count = 1, transient: Count = 0,
-    solver: AbstractSolver | None = None, tolerance: Scalar = TOLERANCE, max_steps: Count = 20,
+    lattice: Lattice,
+    guess: StateLike,
+    period: Scalar,
+    *,
+    symmetry: Symmetry = Symmetry(),
+    t0: Scalar = 0.0,
+    steps: Count | Counts | None = None,
+    segments: Count = 1,
+    transient: Count = 0,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = TOLERANCE,
+    max_steps: Count = 20,
     throw: bool | None = None,
 ) -> Orbit:
     r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
@@ -246,23 +288,38 @@ def orbit(
     one_lattice(lattice)
     period = positive("period", period)
     guess = checked_state(lattice, guess, "guess")
-    flow = flow_over(lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments, guess)
+    flow = flow_over(
+        lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments, guess
+    )
     checked_symmetry(lattice, symmetry, guess, t0, period)
     t0 = jnp.asarray(t0, lattice.dtype)
     free = checked_free(lattice)
     unknown = traced((lattice, period, guess))
     if free and not unknown and not largest(vector_field(t0, guess, lattice)):
         refuse("guess", "a state that moves, since nothing drives the lattice", "rest")
-    shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient), symmetry, free)
-    shooting, root, apart = confirmed(shooting, x, (lattice, period), tolerance=tolerance, max_steps=max_steps,
-                                      throw=throw, refine=steps is None and not unknown,
-                                      spread=math.sqrt(2 * shooting.count * segments))
+    shooting, x = prepared(
+        lattice, period, guess, flow, t0, segments, jnp.asarray(transient), symmetry, free
+    )
+    shooting, root, apart = confirmed(
+        shooting,
+        x,
+        (lattice, period),
+        tolerance=tolerance,
+        max_steps=max_steps,
+        throw=throw,
+        refine=steps is None and not unknown,
+        spread=math.sqrt(2 * shooting.count * segments),
+    )
     state, flow = shooting.state(root.x), Flow(segments * shooting.flow.steps, shooting.flow.solver)
     error = error_of(lattice, t0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
-    return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw)
+    return checked_orbit(
+        Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw
+    )
 
 
-def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = None, **keywords: Any) -> Orbit:
+def forced_orbit(
+    lattice: Lattice, period: Scalar, guess: StateLike | None = None, **keywords: Any
+) -> Orbit:
     """A T-periodic orbit of a lattice under T-periodic forcing, y(t0 + T) = y(t0): `gx.orbits.orbit`.
 
     `guess`: a `State` at t0; `None` is rest, from where Newton's first iterate is the linear response, as far as one
@@ -279,18 +336,29 @@ def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = Non
     one_lattice(lattice)
     if guess is None:
         guess = State(lattice.zeros(), lattice.zeros())
-        pushed = concrete(_pushed(lattice, keywords.get("t0", 0.0), period)) if lattice.reads_time else None
+        pushed = (
+            concrete(_pushed(lattice, keywords.get("t0", 0.0), period))
+            if lattice.reads_time
+            else None
+        )
         if pushed is not None and not pushed > 0:
-            refuse("guess", "a State that moves", "None, rest, which is an orbit of its own",
-                   "No force acts there at any time: stiffness alone changes. Waves that grow are those of "
-                   "gx.linear.floquet_bands; a breather of a k-gap is gx.breathers.k_gap_breather's.")
+            refuse(
+                "guess",
+                "a State that moves",
+                "None, rest, which is an orbit of its own",
+                "No force acts there at any time: stiffness alone changes. Waves that grow are those of "
+                "gx.linear.floquet_bands; a breather of a k-gap is gx.breathers.k_gap_breather's.",
+            )
     return orbit(lattice, guess, period, **keywords)
 
 
 @eqx.filter_jit
 def _pushed(lattice, t0, period):
     """The largest acceleration of the lattice at rest over a period."""
-    rest, ts = State(lattice.zeros(), lattice.zeros()), phases(t0, period, (np.arange(16) + 0.5) / 16)
+    rest, ts = (
+        State(lattice.zeros(), lattice.zeros()),
+        phases(t0, period, (np.arange(16) + 0.5) / 16),
+    )
     return largest(jax.vmap(lambda t: vector_field(t, rest, lattice)[1])(ts))
 
 
@@ -323,8 +391,15 @@ def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
 
 @eqx.filter_jit
 def prepared(
-    lattice: Lattice, period: Scalar, guess: State, flow: Flow, t0: Scalar, segments: int, transient: Counts,
-    symmetry: Symmetry = Symmetry(), free: bool = False,
+    lattice: Lattice,
+    period: Scalar,
+    guess: State,
+    flow: Flow,
+    t0: Scalar,
+    segments: int,
+    transient: Counts,
+    symmetry: Symmetry = Symmetry(),
+    free: bool = False,
 ) -> tuple[Shooting, Numbers]:
     """The problem and the unknowns of the guess, neither of which is differentiated.
 
@@ -333,13 +408,24 @@ def prepared(
     """
     lattice, period, guess = jax.lax.stop_gradient((lattice, period, guess))
     guess = jax.lax.fori_loop(0, transient, lambda i, y: flow(y, t0, t0 + period, lattice), guess)
-    end, n, omega = flow(guess, t0, t0 + period, lattice), ravel_pytree(guess.u)[0].size, 2 * jnp.pi / period
+    end, n, omega = (
+        flow(guess, t0, t0 + period, lattice),
+        ravel_pytree(guess.u)[0].size,
+        2 * jnp.pi / period,
+    )
     x = jnp.stack([ravel_pytree(y)[0] for y in (guess, end)])
     size = jnp.maximum(jnp.max(jnp.abs(x[:, :n])), jnp.max(jnp.abs(x[:, n:])) / omega)
     size = jnp.where((size > 0) & jnp.isfinite(size), size, 1) * math.sqrt(2 * n * segments)
     scale = jnp.concatenate([jnp.full(n, size), jnp.full(n, size * omega)])
-    shooting = Shooting.of(lattice, Flow(flow.steps // segments, flow.solver), guess if free else None, t0, segments,
-                           scale=scale, symmetry=symmetry)
+    shooting = Shooting.of(
+        lattice,
+        Flow(flow.steps // segments, flow.solver),
+        guess if free else None,
+        t0,
+        segments,
+        scale=scale,
+        symmetry=symmetry,
+    )
     return shooting, shooting.guess(guess, (lattice, period))
 
 

@@ -60,8 +60,17 @@ class Shooting(eqx.Module):
     __repr__ = told
 
     @classmethod
-    def of(cls, lattice: Lattice, flow: Flow, reference: StateLike | None = None, t0: Scalar = 0.0,
-           segments: Count = 1, *, scale: Numbers | None = None, symmetry: Symmetry = Symmetry()) -> "Shooting":
+    def of(
+        cls,
+        lattice: Lattice,
+        flow: Flow,
+        reference: StateLike | None = None,
+        t0: Scalar = 0.0,
+        segments: Count = 1,
+        *,
+        scale: Numbers | None = None,
+        symmetry: Symmetry = Symmetry(),
+    ) -> "Shooting":
         """Over whole periods; with a `reference` the free displacements are found."""
         like, moves = State(lattice.zeros(), lattice.zeros()), free_moves(lattice, symmetry)
         moves = moves[:, :0] if reference is None else moves
@@ -71,7 +80,13 @@ class Shooting(eqx.Module):
 
     @classmethod
     def half(
-        cls, lattice: Lattice, flow: Flow, segments: Count = 1, *, length: Scalar = 1.0, omega: Scalar = 1.0,
+        cls,
+        lattice: Lattice,
+        flow: Flow,
+        segments: Count = 1,
+        *,
+        length: Scalar = 1.0,
+        omega: Scalar = 1.0,
     ) -> "Shooting":
         """Over half a period between two rests, displacements counted in `length` and velocities in length * omega."""
         moves = shifts(lattice)
@@ -148,7 +163,9 @@ class Shooting(eqx.Module):
         def one(start_and_index):
             start, i = start_and_index
             begin, after = self._times(i, period)
-            end, moved = self.flow.tangents(unravel(start * self.scale), State(*unit), begin, after, lattice)
+            end, moved = self.flow.tangents(
+                unravel(start * self.scale), State(*unit), begin, after, lattice
+            )
             rows = jnp.concatenate([leaf.reshape(-1, columns) for leaf in jax.tree.leaves(moved)])
             field = ravel_pytree(vector_field(after, end, lattice))[0]
             return ravel_pytree(end)[0] / self.scale, rows / self.scale[:, None], field / self.scale
@@ -177,7 +194,11 @@ class Shooting(eqx.Module):
     def _parts(self, x):
         """The states at the segments' beginnings over their scale, (m, 2n), and the multipliers."""
         n, count = self.count, (self.segments - 1) * 2 * self.count + self.size
-        starts = jnp.concatenate([x[:n], jnp.zeros_like(x[:n]), x[n:count]]) if self.reversible else x[:count]
+        starts = (
+            jnp.concatenate([x[:n], jnp.zeros_like(x[:n]), x[n:count]])
+            if self.reversible
+            else x[:count]
+        )
         return starts.reshape(self.segments, 2 * n), x[count:]
 
     def _image(self, x):
@@ -238,7 +259,9 @@ class Family(eqx.Module):
     def scene(self, q: Scalar) -> tuple:
         """(lattice, period) at q."""
         p = self.value(q)
-        return self.make if isinstance(self.make, Lattice) else self.make(p), period_at(self.period, p)
+        return self.make if isinstance(self.make, Lattice) else self.make(p), period_at(
+            self.period, p
+        )
 
     def residual(self, x: Numbers, q: Scalar, args: None = None) -> Numbers:
         """Gaps between the segments at q."""
@@ -249,7 +272,11 @@ class Family(eqx.Module):
         gaps, in_x, in_period = self.shooting.slopes(x, self.scene(q))
         if not isinstance(self.make, Lattice):
             return gaps, in_x
-        return gaps, in_x, in_period * jax.jvp(lambda q: self.scene(q)[1], (q,), (jnp.ones_like(q),))[1]
+        return (
+            gaps,
+            in_x,
+            in_period * jax.jvp(lambda q: self.scene(q)[1], (q,), (jnp.ones_like(q),))[1],
+        )
 
 
 def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:

@@ -26,23 +26,39 @@ def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -
         got = [np.shape(x) for x in jax.tree.leaves(part)]
         if got != wanted or jax.tree.structure(part) != jax.tree.structure(template):
             shapes = jax.tree.map(np.shape, part)
-            refuse(f"{argument}.{name}", f"shape {lattice.shape}, that of the lattice", f"{shapes}",
-                   "One orbit of one lattice at a time.")
-        if not traced(part) and not all(np.isfinite(np.asarray(x)).all() for x in jax.tree.leaves(part)):
-            refuse(f"{argument}.{name}", "finite numbers", "NaN or infinity among them",
-                   "A run that has diverged leads nowhere.")
+            refuse(
+                f"{argument}.{name}",
+                f"shape {lattice.shape}, that of the lattice",
+                f"{shapes}",
+                "One orbit of one lattice at a time.",
+            )
+        if not traced(part) and not all(
+            np.isfinite(np.asarray(x)).all() for x in jax.tree.leaves(part)
+        ):
+            refuse(
+                f"{argument}.{name}",
+                "finite numbers",
+                "NaN or infinity among them",
+                "A run that has diverged leads nowhere.",
+            )
     return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
 
 
 def one_lattice(lattice: Lattice) -> Lattice:
     """Refuse a batch of lattices."""
     if lattice.lanes:
-        refuse("lattice", "one Lattice", f"a batch with lanes {lattice.lanes}", "Ask for one lane at a time, "
-               "or use jax.vmap(..., in_axes=-1).")
+        refuse(
+            "lattice",
+            "one Lattice",
+            f"a batch with lanes {lattice.lanes}",
+            "Ask for one lane at a time, or use jax.vmap(..., in_axes=-1).",
+        )
     return lattice
 
 
-def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Scalar, period: Scalar) -> Symmetry:
+def checked_symmetry(
+    lattice: Lattice, symmetry: Symmetry, state: State, t0: Scalar, period: Scalar
+) -> Symmetry:
     """Refuse what is no symmetry of the lattice, as its forces at a state and at its image a period later say.
 
     Of the identity: a period after which the forces do not repeat.
@@ -61,15 +77,22 @@ def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Sca
 
     zeros, rng = lattice.zeros(), np.random.default_rng(0)
     own = float(largest(state.u)) or float(largest(accelerations(ts, zeros, zeros))) / omega**2
-    shapes = [jax.tree.map(lambda x: scale * rng.uniform(-1, 1, x.shape), state.u) for scale in (1.0, omega)]
+    shapes = [
+        jax.tree.map(lambda x: scale * rng.uniform(-1, 1, x.shape), state.u)
+        for scale in (1.0, omega)
+    ]
 
     def compared(size):
         """By how much the accelerations of the image differ, how much time changes them, how large they are."""
-        u, v = (jax.tree.map(lambda x: jnp.asarray(size * x, lattice.dtype), shape) for shape in shapes)
+        u, v = (
+            jax.tree.map(lambda x: jnp.asarray(size * x, lattice.dtype), shape) for shape in shapes
+        )
         there = jax.vmap(symmetry)(accelerations(ts, u, v))
         here = accelerations(ts + period, symmetry(u), symmetry(v))
         first = jax.tree.map(lambda a: a[0], there)
-        return *(largest(jax.tree.map(jnp.subtract, there, other)) for other in (here, first)), largest(there)
+        return *(
+            largest(jax.tree.map(jnp.subtract, there, other)) for other in (here, first)
+        ), largest(there)
 
     sizes = np.array([own]) if own else SIZES
     off, change, size = (np.asarray(x, float) for x in jax.vmap(compared)(jnp.asarray(sizes)))
@@ -80,7 +103,12 @@ def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Sca
     finite = np.isfinite(size)
     if finite.any() and (off <= known)[finite].all():
         return symmetry
-    refuse("symmetry", "a symmetry of the lattice", repr(symmetry), "Its image has other accelerations.")
+    refuse(
+        "symmetry",
+        "a symmetry of the lattice",
+        repr(symmetry),
+        "Its image has other accelerations.",
+    )
 
 
 def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scalar) -> None:
@@ -102,7 +130,12 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
     wrong = off > 100 * (eps**0.5 * change + eps * there + rounding) + tiny / eps
     # a size may be beyond a law's range
     if (wrong & np.isfinite(there)).any():
-        refuse("period", "one after which the forces repeat", repr(float(period)), "Give the drive's, or a multiple.")
+        refuse(
+            "period",
+            "one after which the forces repeat",
+            repr(float(period)),
+            "Give the drive's, or a multiple.",
+        )
 
 
 @eqx.filter_jit
@@ -116,8 +149,10 @@ def _repeated(lattice, shape, sizes, t0, period):
     nearby = 1 + 8 * jnp.finfo(lattice.dtype).eps
 
     def force(t, size):
-        u, v = (jax.tree.map(lambda x: jnp.asarray(scale * x, lattice.dtype), shape)
-                for scale in (size, size * (2 * jnp.pi / period)))
+        u, v = (
+            jax.tree.map(lambda x: jnp.asarray(scale * x, lattice.dtype), shape)
+            for scale in (size, size * (2 * jnp.pi / period))
+        )
         found = lattice.sum_forces(t, u, v, terms)
         contact = [largest(contact.force) for term in terms for contact in term.compressions(t, u)]
         return found, jnp.max(jnp.stack([largest(found), *contact]))
@@ -126,9 +161,13 @@ def _repeated(lattice, shape, sizes, t0, period):
         times = jnp.concatenate([ts, ts + period, ts])
         scales = jnp.repeat(jnp.stack([size, size, nearby * size]), count)
         found, there = jax.lax.map(lambda x: force(*x), (times, scales))
-        now, later, moved = (jax.tree.map(lambda a: a[i : i + count], found) for i in (0, count, 2 * count))
+        now, later, moved = (
+            jax.tree.map(lambda a: a[i : i + count], found) for i in (0, count, 2 * count)
+        )
         others = later, jax.tree.map(lambda a: a[0], now), moved
-        off, change, rounding = (largest(jax.tree.map(jnp.subtract, now, other)) for other in others)
+        off, change, rounding = (
+            largest(jax.tree.map(jnp.subtract, now, other)) for other in others
+        )
         return off, change, rounding, jnp.max(there[: 2 * count])
 
     return jax.lax.map(compared, sizes)

@@ -34,7 +34,10 @@ def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
     if near[runs[0] :].all():
         return np.inf
     # a power of two apart, so that the unit of length changes no digit
-    order, share = 2.0 ** exponents[int(np.argmin(near[runs[0] :])) + runs[0] - 1], np.array([0.0, 1.0])
+    order, share = (
+        2.0 ** exponents[int(np.argmin(near[runs[0] :])) + runs[0] - 1],
+        np.array([0.0, 1.0]),
+    )
     for _ in range(ROUNDS):
         share = np.linspace(*share, len(exponents))
         beyond = int(np.argmin(_near(lattice, shape, order * np.exp2(share))))
@@ -49,21 +52,31 @@ def _near(lattice, shape, amplitudes):
 @eqx.filter_jit
 def _departures(lattice, shape, amplitudes):
     zeros, t = lattice.zeros(), jnp.zeros((), lattice.dtype)
-    golden = jnp.asarray(0.6180339887498949 * np.arange(sum(x.size for x in jax.tree.leaves(zeros))) % 1, lattice.dtype)
+    golden = jnp.asarray(
+        0.6180339887498949 * np.arange(sum(x.size for x in jax.tree.leaves(zeros))) % 1,
+        lattice.dtype,
+    )
     shape = jax.tree.map(lambda w: w / largest(shape), shape)
     probe = jax.tree.map(lambda w: w * (1 - UNEVEN * jnp.resize(golden, w.shape)), shape)
 
     def stiffnesses(a):
         """Of the laws, and of all together."""
         u = jax.tree.map(lambda w: a * w, shape)
-        laws = [c.law.derivative(c.compression) for term in lattice.terms for c in term.compressions(t, u)]
+        laws = [
+            c.law.derivative(c.compression)
+            for term in lattice.terms
+            for c in term.compressions(t, u)
+        ]
         return laws, jax.jvp(lambda u: lattice.acceleration(t, u, zeros), (u,), (probe,))[1]
 
     still = stiffnesses(jnp.zeros((), lattice.dtype))
 
     def departure(a):
-        sizes = [largest(jax.tree.map(jnp.subtract, now, before)) / largest(before)
-                 for now, before in zip(stiffnesses(a), still) if jax.tree.leaves(before)]
+        sizes = [
+            largest(jax.tree.map(jnp.subtract, now, before)) / largest(before)
+            for now, before in zip(stiffnesses(a), still)
+            if jax.tree.leaves(before)
+        ]
         return jnp.max(jnp.stack(sizes))
 
     return jax.lax.map(departure, amplitudes)

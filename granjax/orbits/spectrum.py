@@ -18,7 +18,11 @@ Map = Float[np.ndarray, "n n"]
 
 @one_thread
 def spectrum(
-    fine: Map, coarse: Map | None = None, coarser: Map | None = None, *, moved: Scalar = 0.0,
+    fine: Map,
+    coarse: Map | None = None,
+    coarser: Map | None = None,
+    *,
+    moved: Scalar = 0.0,
 ) -> tuple[Inexact[np.ndarray, " n"], Inexact[np.ndarray, "n n"], Float[np.ndarray, " n"]]:
     """Eigenvalues (largest modulus first), unit right eigenvectors, and an error of each, of a matrix without units.
 
@@ -35,7 +39,9 @@ def spectrum(
     ([2.0, 0.5], True)
     """
     fine, coarse, coarser = (None if x is None else np.asarray(x) for x in (fine, coarse, coarser))
-    return known_spectrum(fine, coarse, 0.0 if coarse is None else uncertain(fine, coarse, coarser), moved)
+    return known_spectrum(
+        fine, coarse, 0.0 if coarse is None else uncertain(fine, coarse, coarser), moved
+    )
 
 
 def known_spectrum(fine: Map, coarse: Map | None, about: float, moved: Scalar) -> tuple:
@@ -57,12 +63,18 @@ def size_of(matrix: np.ndarray) -> float:
     if not 0 < largest < np.inf:
         return float(largest)
     matrix, last = matrix / largest, len(matrix) - 1
-    squared = eigh(matrix.conj().T @ matrix, eigvals_only=True, subset_by_index=[last, last], check_finite=False)
+    squared = eigh(
+        matrix.conj().T @ matrix,
+        eigvals_only=True,
+        subset_by_index=[last, last],
+        check_finite=False,
+    )
     return float(largest * np.sqrt(squared[0]))
 
 
 def matched(
-    values: Inexact[np.ndarray, " n"], others: Inexact[np.ndarray, " n"],
+    values: Inexact[np.ndarray, " n"],
+    others: Inexact[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
     """How far each value is from its partner among others, in the one-to-one matching of the least distances."""
     distance = np.abs(values[:, None] - others[None])
@@ -151,7 +163,9 @@ def _copies(roots, m):
 
 
 @one_thread
-def reversible_multipliers(half: Map, coarse: Map | None = None, coarser: Map | None = None) -> tuple:
+def reversible_multipliers(
+    half: Map, coarse: Map | None = None, coarser: Map | None = None
+) -> tuple:
     r"""Multipliers of a time-reversible orbit from the tangent map of half a period between rests, with errors.
 
     With half = [[A, B], [C, D]] over (u, p = m v) symplectic and the reversal R, M = R half^{-1} R half has
@@ -172,10 +186,15 @@ def reversible_multipliers(half: Map, coarse: Map | None = None, coarser: Map | 
     half, coarse, coarser = (None if x is None else np.asarray(x) for x in (half, coarse, coarser))
     n = len(half) // 2
     stiff = lambda h: np.eye(n) + 2 * h[:n, n:].T @ h[n:, :n]
-    mu, _, error = spectrum(stiff(half), *(None if h is None else stiff(h) for h in (coarse, coarser)))
+    mu, _, error = spectrum(
+        stiff(half), *(None if h is None else stiff(h) for h in (coarse, coarser))
+    )
     root = np.sqrt(mu.astype(complex) ** 2 - 1)
     rho = mu + np.where(np.real(np.conj(mu) * root) >= 0, root, -root)
     spread = error * np.abs(rho) / np.maximum(np.abs(root), np.sqrt(2 * error))
-    rho, spread = np.concatenate([rho, 1 / rho]), np.concatenate([spread, spread / np.abs(rho) ** 2])
+    rho, spread = (
+        np.concatenate([rho, 1 / rho]),
+        np.concatenate([spread, spread / np.abs(rho) ** 2]),
+    )
     order = np.argsort(-np.abs(rho), kind="stable")
     return mu, rho[order], spread[order]

@@ -18,7 +18,9 @@ from ..types import Count, Counts, Numbers, Scalar, StateLike, Times
 FINE, LEAST_STEPS = 0.3, 16
 
 
-def fixed_step_solver(lattice: Lattice, solver: AbstractSolver | None, otherwise: AbstractSolver) -> AbstractSolver:
+def fixed_step_solver(
+    lattice: Lattice, solver: AbstractSolver | None, otherwise: AbstractSolver
+) -> AbstractSolver:
     """The solver that is given; else `otherwise`, a splitting one, where the lattice splits, and Dopri8 where not."""
     if solver is not None:
         return solver
@@ -26,7 +28,12 @@ def fixed_step_solver(lattice: Lattice, solver: AbstractSolver | None, otherwise
 
 
 def default_steps(
-    lattice: Lattice, period: Scalar, multiple: Count = 1, *, fineness: Scalar = FINE, doubled: bool = False,
+    lattice: Lattice,
+    period: Scalar,
+    multiple: Count = 1,
+    *,
+    fineness: Scalar = FINE,
+    doubled: bool = False,
     guess: StateLike | None = None,
 ) -> Scalar:
     """Steps of a period such that h omega_max <= fineness, with omega_max the highest linear frequency; at least 16.
@@ -49,12 +56,21 @@ def default_steps(
     if not known > 0 and guess is not None:
         known = np.asarray(period * frequency_bound(lattice, guess, 0.0, period))
     elif not (doubled or known > 0):
-        refuse("steps", "steps per period", "None", "Nothing is stiff at rest (a sonic vacuum): give steps=.")
+        refuse(
+            "steps",
+            "steps per period",
+            "None",
+            "Nothing is stiff at rest (a sonic vacuum): give steps=.",
+        )
     return multiple * max(math.ceil(float(known) / fineness / multiple), least)
 
 
 def flow_over(
-    lattice: Lattice, period: Scalar, steps: Count | Counts | None, solver: AbstractSolver, multiple: Count = 1,
+    lattice: Lattice,
+    period: Scalar,
+    steps: Count | Counts | None,
+    solver: AbstractSolver,
+    multiple: Count = 1,
     guess: StateLike | None = None,
 ) -> Flow:
     """The flow over a period; a given number of steps is static, the default one an array.
@@ -74,12 +90,22 @@ def answered(response: Callable, lattice: Lattice, ys: State, ts: Times) -> Numb
     """The number that a response gives of a history."""
     found = response(lattice, ys.u, ys.v, ts)
     if np.ndim(found):
-        refuse("response", "a function (lattice, u, v, t) that gives one number", f"one that gives {described(found)}")
+        refuse(
+            "response",
+            "a function (lattice, u, v, t) that gives one number",
+            f"one that gives {described(found)}",
+        )
     return jnp.asarray(found)
 
 
 def history(
-    flow: Flow, lattice: Lattice, state: StateLike, t0: Scalar, period: Scalar, frames: Count, periods: Count = 1,
+    flow: Flow,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    period: Scalar,
+    frames: Count,
+    periods: Count = 1,
 ) -> tuple[State, Times, State]:
     """`periods` periods from t0 on in `frames` equal parts each: (the state at the end, times, states).
 

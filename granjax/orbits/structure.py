@@ -59,7 +59,11 @@ def structure(lattice: Lattice) -> Structure:
         expected = moves + (1 if autonomous else 0)
     else:
         expected = 2 * moves + (2 if autonomous else 0)
-    uniform = not others and everywhere and all(np.unique(np.ravel(rate)).size == 1 for _, rate in damping)
+    uniform = (
+        not others
+        and everywhere
+        and all(np.unique(np.ravel(rate)).size == 1 for _, rate in damping)
+    )
     rate = sum(float(np.ravel(rate)[0]) for _, rate in damping) if uniform else None
     return Structure(mass, rate, expected, autonomous)
 
@@ -84,7 +88,10 @@ def defect(monodromy: np.ndarray, rate: float | None, period: Scalar) -> float:
 
 
 def krein(
-    multipliers: np.ndarray, vectors: np.ndarray, mass: np.ndarray | None, tolerance: np.ndarray,
+    multipliers: np.ndarray,
+    vectors: np.ndarray,
+    mass: np.ndarray | None,
+    tolerance: np.ndarray,
 ) -> np.ndarray:
     """Signature of each multiplier on the unit circle: the sign of Im sum m conj(u) v; 0 off the circle or mixed.
 

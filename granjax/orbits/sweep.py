@@ -75,11 +75,17 @@ class Way(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "response": Held("value"), "velocity": Held("value site", "m/s"), "energy": Held("value", "J"),
-        "response_error": Held("value"), "velocity_error": Held("value site", "m/s"),
+        "response": Held("value"),
+        "velocity": Held("value site", "m/s"),
+        "energy": Held("value", "J"),
+        "response_error": Held("value"),
+        "velocity_error": Held("value site", "m/s"),
         "energy_error": Held("value", "J"),
-        "multiple": Held("value"), "periods": Held("value"), "states": Held("value site", STATE, "state"),
-        "jumps": Held("jump"), "bifurcations": Held("bifurcation"),
+        "multiple": Held("value"),
+        "periods": Held("value"),
+        "states": Held("value site", STATE, "state"),
+        "jumps": Held("jump"),
+        "bifurcations": Held("bifurcation"),
     }
     response: Float[np.ndarray, " P"]
     velocity: Displacements
@@ -97,8 +103,10 @@ class Way(Result):
     def outcome(self) -> str:
         """What was met on the way."""
         repeats = np.count_nonzero(self.multiple)
-        return (f"{len(self.jumps)} jumps, {len(self.bifurcations)} changes of the repetition; the motion repeats at "
-                f"{repeats} of {len(self.multiple)} values.")
+        return (
+            f"{len(self.jumps)} jumps, {len(self.bifurcations)} changes of the repetition; the motion repeats at "
+            f"{repeats} of {len(self.multiple)} values."
+        )
 
 
 class Sweep(Result):
@@ -117,7 +125,10 @@ class Sweep(Result):
     ([], [1, 1, 1], [1, 1, 1])
     """
 
-    held: ClassVar[dict[str, Held]] = {"values": Held("value", "", "value"), "hysteresis": Held(None)}
+    held: ClassVar[dict[str, Held]] = {
+        "values": Held("value", "", "value"),
+        "hysteresis": Held(None),
+    }
     values: Float[np.ndarray, " P"]
     up: Way
     down: Way | None
@@ -133,11 +144,20 @@ class Sweep(Result):
 
 
 def sweep(
-    make: Callable[[Any], Any], values: Parameter, period: Callable[[Any], Any] | Scalar, *,
-    state: StateLike | None = None, response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
-    jump: Scalar = 0.2, accuracy: Scalar = 1e-3,
-    periods: Count = 2000, tolerance: Scalar = 1e-6, watch: Count = WATCHED, steps: Count | None = None,
-    solver: AbstractSolver | None = None, down: bool = True,
+    make: Callable[[Any], Any],
+    values: Parameter,
+    period: Callable[[Any], Any] | Scalar,
+    *,
+    state: StateLike | None = None,
+    response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
+    jump: Scalar = 0.2,
+    accuracy: Scalar = 1e-3,
+    periods: Count = 2000,
+    tolerance: Scalar = 1e-6,
+    watch: Count = WATCHED,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    down: bool = True,
 ) -> Sweep:
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
 
@@ -175,7 +195,12 @@ def sweep(
     """
     values = np.asarray(values, float)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
-        refuse("values", "at least two, ascending", f"shape {values.shape}", "The sweep itself goes down again.")
+        refuse(
+            "values",
+            "at least two, ascending",
+            f"shape {values.shape}",
+            "The sweep itself goes down again.",
+        )
     jump = float(checked_tolerance("jump", jump, MOST_JUMP, 0.2))
     accuracy = float(checked_tolerance("accuracy", accuracy, 1, 1e-3))
     tolerance = float(checked_tolerance("tolerance", tolerance))
@@ -210,7 +235,9 @@ def sweep(
 
     def with_errors(value, found):
         rest = flow, watch, jnp.asarray(value), found, jnp.asarray(periods), jnp.asarray(tolerance)
-        return {name: x for name, x in found.items() if name != "rate"} | _errors(make, period, response, *rest)
+        return {name: x for name, x in found.items() if name != "rate"} | _errors(
+            make, period, response, *rest
+        )
 
     up = _way(attractor, with_errors, values, state, jump, accuracy, 1, first.origin)
     if not down:
@@ -235,19 +262,37 @@ def _run(make, period, response, flow, periods, watch, value, y, tolerance, most
 def _errors(make, period, response, flow, watch, value, found, periods, tolerance):
     """The errors of what is found at a value."""
     lattice, T, multiple = make(value), jnp.asarray(period_at(period, value)), found["multiple"]
-    y, left = otherwise(flow, lattice, found["states"], T, jnp.maximum(multiple, 1), periods, tolerance, found["rate"])
+    y, left = otherwise(
+        flow,
+        lattice,
+        found["states"],
+        T,
+        jnp.maximum(multiple, 1),
+        periods,
+        tolerance,
+        found["rate"],
+    )
     coarse = Flow(max(flow.steps // 2, 1), flow.solver)
     other = _response(coarse, lattice, y, T, response, watch, multiple, found["periods"])
     left = jnp.where(multiple > 0, left, jnp.nan)
-    return {f"{name}_error": errors_of(found[name], other[name], left) for name in ("response", "velocity", "energy")}
+    return {
+        f"{name}_error": errors_of(found[name], other[name], left)
+        for name in ("response", "velocity", "energy")
+    }
 
 
 def _response(flow, lattice, y, period, response, watch, multiple, used):
     end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, watch)
     velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
     energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
-    return {"response": answered(response, lattice, ys, ts), "velocity": velocity, "energy": energy,
-            "multiple": multiple, "periods": used, "states": end}
+    return {
+        "response": answered(response, lattice, ys, ts),
+        "velocity": velocity,
+        "energy": energy,
+        "multiple": multiple,
+        "periods": used,
+        "states": end,
+    }
 
 
 def _way(attractor, with_errors, values, state, jump, accuracy, direction, origin):
@@ -261,8 +306,12 @@ def _way(attractor, with_errors, values, state, jump, accuracy, direction, origi
     changes = [_bifurcation(attractor, step, accuracy, i, origin) for i, step in enumerate(steps)]
     found = [with_errors(value, x) for value, x in zip(values[::direction], found)]
     stacked = jax.tree.map(lambda *x: np.stack(x), *found[::direction])
-    return Way(**stacked, jumps=tuple(filter(None, jumps)), bifurcations=tuple(filter(None, changes)),
-               **origin)
+    return Way(
+        **stacked,
+        jumps=tuple(filter(None, jumps)),
+        bifurcations=tuple(filter(None, changes)),
+        **origin,
+    )
 
 
 def _number(result):
@@ -325,18 +374,29 @@ def _bifurcation(attractor, step, accuracy, i, origin):
     _, a, _, b = step
     if a["multiple"] == b["multiple"]:
         return None
-    low, _, high, _ = _halved(attractor, step, accuracy, lambda a, c, b: a["multiple"] == c["multiple"])
+    low, _, high, _ = _halved(
+        attractor, step, accuracy, lambda a, c, b: a["multiple"] == c["multiple"]
+    )
     counts = int(a["multiple"]), int(b["multiple"])
     return Bifurcation("repetition", float((low + high) / 2), i, None, None, *counts, **origin)
 
 
 def _hysteresis(values, up, down, share):
-    apart = np.abs(up.response - down.response) > share * np.maximum(np.abs(up.response), np.abs(down.response))
+    apart = np.abs(up.response - down.response) > share * np.maximum(
+        np.abs(up.response), np.abs(down.response)
+    )
     edges = np.flatnonzero(np.diff(np.concatenate([[False], apart, [False]]).astype(int)))
     places = sorted(jump.value for way in (up, down) for jump in way.jumps)
     intervals = []
     for start, stop in zip(edges[::2], edges[1::2] - 1):
         below = [p for p in places if start > 0 and values[start - 1] <= p <= values[start]]
-        above = [p for p in places if stop < len(values) - 1 and values[stop] <= p <= values[stop + 1]]
-        intervals.append((float(below[0] if below else values[start]), float(above[-1] if above else values[stop])))
+        above = [
+            p for p in places if stop < len(values) - 1 and values[stop] <= p <= values[stop + 1]
+        ]
+        intervals.append(
+            (
+                float(below[0] if below else values[start]),
+                float(above[-1] if above else values[stop]),
+            )
+        )
     return intervals

@@ -37,7 +37,11 @@ class Symmetry(eqx.Module):
     sign: int = eqx.field(static=True, default=1)
 
     def __repr__(self) -> str:
-        parts = {"Sign()": self.sign < 0, f"Translation({self.cells})": self.cells, "Mirror()": self.mirror}
+        parts = {
+            "Sign()": self.sign < 0,
+            f"Translation({self.cells})": self.cells,
+            "Mirror()": self.mirror,
+        }
         return " @ ".join(name for name, there in parts.items() if there) or "the identity"
 
     @property
@@ -48,7 +52,9 @@ class Symmetry(eqx.Module):
     def matrix(self, like: StateLike) -> Float[np.ndarray, "two_n two_n"]:
         """S over the raveled state, (2n, 2n); S^-1 is its transpose."""
         flat, unravel = ravel_pytree(like)
-        return np.asarray(jax.vmap(lambda x: ravel_pytree(self(unravel(x)))[0], 1, 1)(jnp.eye(flat.size)))
+        return np.asarray(
+            jax.vmap(lambda x: ravel_pytree(self(unravel(x)))[0], 1, 1)(jnp.eye(flat.size))
+        )
 
     def __matmul__(self, other: "Symmetry") -> "Symmetry":
         turned = -other.cells if self.mirror else other.cells
@@ -56,6 +62,7 @@ class Symmetry(eqx.Module):
 
     def __call__(self, y: Pytree) -> Pytree:
         """S of displacements, or of a state."""
+
         def one(x):
             x = -x[::-1] if self.mirror else x
             return self.sign * (jnp.roll(x, self.cells, 0) if self.cells else x)
@@ -118,8 +125,12 @@ def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
 
 def _shifts(lattice):
     moves = _uniform(lattice)
-    answers = np.concatenate([np.zeros((1, len(moves)))] + [term.resists(lattice, moves) for term in lattice.terms])
-    columns = np.stack([np.concatenate([np.ravel(x) for x in jax.tree.leaves(move)]) for move in moves], -1)
+    answers = np.concatenate(
+        [np.zeros((1, len(moves)))] + [term.resists(lattice, moves) for term in lattice.terms]
+    )
+    columns = np.stack(
+        [np.concatenate([np.ravel(x) for x in jax.tree.leaves(move)]) for move in moves], -1
+    )
     return columns @ _null_space(answers)
 
 

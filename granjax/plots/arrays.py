@@ -12,13 +12,17 @@ Samples: TypeAlias = Parameter | np.ma.MaskedArray
 """Numbers to draw; what is masked is a gap."""
 
 
-def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True) -> Float[np.ndarray, "..."]:
+def numbers(
+    argument: str, x: Any, ndim: int | None = None, finite: bool = True
+) -> Float[np.ndarray, "..."]:
     """A floating NumPy array; with `finite=False` NaN and infinity pass, as gaps in the picture."""
     if finite:
         array = np.asarray(parameter(argument, x))
     else:
         # what is masked is a gap, as NaN is
-        array = real(argument, x.astype(float).filled(np.nan) if isinstance(x, np.ma.MaskedArray) else x)
+        array = real(
+            argument, x.astype(float).filled(np.nan) if isinstance(x, np.ma.MaskedArray) else x
+        )
     if ndim is not None and array.ndim != ndim:
         names = {0: "one number", 1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
         refuse(argument, names.get(ndim, f"{ndim} axes"), f"shape {array.shape}")
@@ -72,20 +76,32 @@ def history(run_or_array: Any, quantity: Any, ts: Any) -> tuple[Any, Float[np.nd
     """Times (or `None`) and data (T, N) of a run and one of its quantities, or of an array."""
     if not is_run(run_or_array):
         if not (isinstance(quantity, str) and quantity == "v"):
-            refuse("quantity", "nothing beside an array, which is the quantity", repr(quantity)[:60],
-                   "Give the array alone, or a run and quantity='u', 'v' or an array.")
+            refuse(
+                "quantity",
+                "nothing beside an array, which is the quantity",
+                repr(quantity)[:60],
+                "Give the array alone, or a run and quantity='u', 'v' or an array.",
+            )
         return ts, numbers("run_or_array", run_or_array, 2, finite=False)
     run = opened(run_or_array)
     if np.size(run.ts) == 1:
-        refuse("run_or_array", "a run with several frames", "one that saved a single time",
-               "Give simulate the number of frames, such as save_at=401.")
+        refuse(
+            "run_or_array",
+            "a run with several frames",
+            "one that saved a single time",
+            "Give simulate the number of frames, such as save_at=401.",
+        )
     ts = run.ts if ts is None else ts
     if isinstance(quantity, str):
         data = run.us if one_of("quantity", quantity, ("u", "v")) == "u" else run.vs
         if isinstance(data, dict):
             names = ", ".join(map(repr, data))
-            refuse("quantity", "an array where a cell holds several fields", repr(quantity),
-                   f"Fields {names}: quantity=run.{quantity}s[...].")
+            refuse(
+                "quantity",
+                "an array where a cell holds several fields",
+                repr(quantity),
+                f"Fields {names}: quantity=run.{quantity}s[...].",
+            )
     else:
         data = quantity
     data = numbers("quantity", data, 2, finite=False)

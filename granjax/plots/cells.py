@@ -13,7 +13,9 @@ from .quantities import Axis, drawn_in, scaled_by, units_of
 from .style import AxesOrNone, add_colour_bar, axes_or_new, colour
 
 
-def cell_wave(wave: Any, ax: AxesOrNone = None, *, tail: bool = True, units: UnitsOrWords = None) -> Axes:
+def cell_wave(
+    wave: Any, ax: AxesOrNone = None, *, tail: bool = True, units: UnitsOrWords = None
+) -> Axes:
     """Strain of a wave as each contact of its cell sees it, with an inset of the tail on a logarithmic scale.
 
     **Arguments:** `wave`: anything with `xi` (X,), `strains` (P, X) and `amplitude`, such as the result of
@@ -56,7 +58,12 @@ def cell_wave(wave: Any, ax: AxesOrNone = None, *, tail: bool = True, units: Uni
 
 
 def resonance_map(
-    record: Any, ax: AxesOrNone = None, *, marks: Count = 0, units: UnitsOrWords = None, colour_bar: bool = True,
+    record: Any,
+    ax: AxesOrNone = None,
+    *,
+    marks: Count = 0,
+    units: UnitsOrWords = None,
+    colour_bar: bool = True,
 ) -> Axes:
     """Map of a pulse's decay rate over two parameters: white where it travels without loss.
 
@@ -79,7 +86,15 @@ def resonance_map(
     second = rising("record.second", record.second, rate.shape[1])
     drawn_in(units, None)
     ax = axes_or_new(ax, 5.2, 4.0)
-    image = ax.pcolormesh(first, second, rate.T, norm=CenteredNorm(), cmap="RdBu_r", shading="nearest", rasterized=True)
+    image = ax.pcolormesh(
+        first,
+        second,
+        rate.T,
+        norm=CenteredNorm(),
+        cmap="RdBu_r",
+        shading="nearest",
+        rasterized=True,
+    )
     for i, j in _minima(rate)[:marks]:
         ax.plot(first[i], second[j], "o", mfc="none", color="black", ms=6)
     ax.set_xlabel(_axis(record, 0))
@@ -92,8 +107,10 @@ def resonance_map(
 def _axis(record, i):
     name = record.names[i].replace("_", " ")
     words = {
-        "ratio": "mass ratio, odd bead over the others", "stiffness": "stiffness ratio, its contacts over the others",
-        "second": "second mass over the first", "third": "third mass over the first",
+        "ratio": "mass ratio, odd bead over the others",
+        "stiffness": "stiffness ratio, its contacts over the others",
+        "second": "second mass over the first",
+        "third": "third mass over the first",
     }
     return words.get(name, name)
 
@@ -102,6 +119,11 @@ def _minima(rate):
     """Places of local minima, lowest first."""
     padded = np.pad(np.where(np.isnan(rate), np.inf, rate), 1, constant_values=np.inf)
     p, q = rate.shape
-    around = [padded[1 + a : 1 + a + p, 1 + b : 1 + b + q] for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]
+    around = [
+        padded[1 + a : 1 + a + p, 1 + b : 1 + b + q]
+        for a in (-1, 0, 1)
+        for b in (-1, 0, 1)
+        if a or b
+    ]
     places = np.argwhere(np.isfinite(rate) & (rate < np.min(around, axis=0)))
     return sorted(map(tuple, places), key=lambda place: rate[place])

@@ -17,9 +17,18 @@ INSETS = ("log", "none")
 
 
 def profile(
-    x: Parameter, y: Samples, ax: AxesOrNone = None, *, labels: str | Sequence[str] | None = None,
-    points: tuple | list | None = None, points_label: str | None = None, inset: str | None = "log",
-    floor: Scalar = 1e-16, x_label: str = "site", y_label: str = "strain", units: UnitsOrWords = None,
+    x: Parameter,
+    y: Samples,
+    ax: AxesOrNone = None,
+    *,
+    labels: str | Sequence[str] | None = None,
+    points: tuple | list | None = None,
+    points_label: str | None = None,
+    inset: str | None = "log",
+    floor: Scalar = 1e-16,
+    x_label: str = "site",
+    y_label: str = "strain",
+    units: UnitsOrWords = None,
 ) -> Axes:
     """Profiles over space, with their absolute values on a logarithmic axis in an inset.
 
@@ -44,8 +53,11 @@ def profile(
     inset = one_of("inset", "none" if inset is None else inset, INSETS)
     x, y = numbers("x", x, 1), numbers("y", y, finite=False)
     if y.ndim not in (1, 2) or len(y) != len(x):
-        refuse("x and y", "places, shape (X,), and values, (X,) or (X, curves), one value per place",
-               f"shapes {x.shape} and {y.shape}")
+        refuse(
+            "x and y",
+            "places, shape (X,), and values, (X,) or (X, curves), one value per place",
+            f"shapes {x.shape} and {y.shape}",
+        )
     y = y.reshape(len(x), -1)
     if isinstance(labels, str):
         labels = [labels]
@@ -76,7 +88,10 @@ def profile(
 
 
 def _points(points):
-    places, values = numbers("points[0]", points[0], 1), numbers("points[1]", points[1], 1, finite=False)
+    places, values = (
+        numbers("points[0]", points[0], 1),
+        numbers("points[1]", points[1], 1, finite=False),
+    )
     return places, values
 
 
@@ -90,9 +105,15 @@ def _curves(ax, x, y, points, labels, points_label, scale=1.0):
 
 
 def transmission(
-    mass_ratio: Parameter, transmission: Samples, ax: AxesOrNone = None, *, resonances: Parameter | None = None,
-    anti_resonances: Parameter | None = None, label: str | Sequence[str] | None = None,
-    y_label: str = "transmitted force / that of the monomer", units: UnitsOrWords = None,
+    mass_ratio: Parameter,
+    transmission: Samples,
+    ax: AxesOrNone = None,
+    *,
+    resonances: Parameter | None = None,
+    anti_resonances: Parameter | None = None,
+    label: str | Sequence[str] | None = None,
+    y_label: str = "transmitted force / that of the monomer",
+    units: UnitsOrWords = None,
 ) -> Axes:
     """Transmitted force of a dimer chain over the mass ratio, relative to the monomer's.
 
@@ -128,7 +149,9 @@ def transmission(
     if relative:
         ax.axhline(1.0, color=FAINT, lw=0.8, zorder=0)
     if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, frameon=False)
+        ax.legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, frameon=False
+        )
     return ax
 
 

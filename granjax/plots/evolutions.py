@@ -18,7 +18,11 @@ FLOOR = 1e-17
 
 
 def evolution(
-    found: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, scale: str = "linear", units: UnitsOrWords = None,
+    found: Any,
+    axes: Sequence[Axes] | np.ndarray | None = None,
+    *,
+    scale: str = "linear",
+    units: UnitsOrWords = None,
 ) -> np.ndarray:
     r"""A run of a first-order lattice: space-time map of |psi_n|^2, and how well norm, energy and psi are known.
 
@@ -43,21 +47,33 @@ def evolution(
     """
     density = numbers("found.densities", found.densities, finite=False)
     if density.ndim != 2 or len(density) < 2:
-        refuse("found", "several times of one lattice: densities (T, N)", f"shape {density.shape}",
-               "Give evolve save_at=, and of a batch draw one lane.")
+        refuse(
+            "found",
+            "several times of one lattice: densities (T, N)",
+            f"shape {density.shape}",
+            "Give evolve save_at=, and of a batch draw one lane.",
+        )
     ts = rising("found.ts", found.ts, len(density))
-    norm, energy, error = (numbers(f"found.{name}", getattr(found, name), 1, finite=False)
-                           for name in ("norm", "energy", "error"))
+    norm, energy, error = (
+        numbers(f"found.{name}", getattr(found, name), 1, finite=False)
+        for name in ("norm", "energy", "error")
+    )
     (by,) = drawn_in(units, units_of(found), Axis("time", ts, "s"))
     axes = several_axes(axes, 1, 2, 8.8, 3.6)
     shown, known = axes.ravel()
     t = scaled_by(ts, by.factor)
     space_time(density, shown, ts=t, scale=scale, colour_bar=False)
-    add_colour_bar(shown, shown.images[0] if shown.images else shown.collections[0], r"$|\psi_n|^2$")
+    add_colour_bar(
+        shown, shown.images[0] if shown.images else shown.collections[0], r"$|\psi_n|^2$"
+    )
     shown.set_ylabel(by.label)
     size = np.sqrt(norm[0]) or 1.0
     moved = _change(norm, found.norm_error), _change(energy, found.energy_error)
-    curves = (moved[0], "norm", "-"), (moved[1], "energy", "--"), (error / size, r"error of $\psi$", ":")
+    curves = (
+        (moved[0], "norm", "-"),
+        (moved[1], "energy", "--"),
+        (error / size, r"error of $\psi$", ":"),
+    )
     for k, (y, name, dash) in enumerate(curves):
         known.semilogy(t, np.maximum(y, FLOOR), dash, color=COLOURS[k], lw=1.3, label=name)
     known.set_xlim(t[0], t[-1])
@@ -92,13 +108,21 @@ def gap_breather(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = Non
     """
     energy = numbers("found.energy", found.energy, 1)
     ts, growth = rising("found.ts", found.ts, len(energy)), float(found.growth)
-    by_t, by_e = drawn_in(units, units_of(found), Axis("time", ts, "s"), Axis("energy", energy, "J"))
+    by_t, by_e = drawn_in(
+        units, units_of(found), Axis("time", ts, "s"), Axis("energy", energy, "J")
+    )
     t, e = scaled_by(ts, by_t.factor), scaled_by(energy, by_e.factor)
     ax = axes_or_new(ax, 5.6, 3.6)
     ax.semilogy(t, e, "o-", color=COLOURS[0], ms=3, lw=1.0, label="once a period")
     for sign, since, name in ((1, ts - ts[0], "linear waves"), (-1, ts - ts[-1], None)):
-        ax.semilogy(t, e[0 if sign > 0 else -1] * np.exp(sign * 2 * growth * since), "--", color=COLOURS[1], lw=1.0,
-                    label=name)
+        ax.semilogy(
+            t,
+            e[0 if sign > 0 else -1] * np.exp(sign * 2 * growth * since),
+            "--",
+            color=COLOURS[1],
+            lw=1.0,
+            label=name,
+        )
     ax.set_ylim(e.min() / 3, 5 * e.max())
     ax.set_xlabel(by_t.label)
     ax.set_ylabel(by_e.label)

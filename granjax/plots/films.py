@@ -16,9 +16,18 @@ from .style import COLOURS, AxesOrNone, add_colour_bar, figure, style
 
 
 def film(
-    run: Any, places: Any = None, *, quantity: Any = "v", limit: Scalar | None = None, label: str | None = None,
-    frames: Count | None = None, rate: Count = 20, move: Scalar = 0.0, radius: Scalar | None = None,
-    units: UnitsOrWords = None, ax: AxesOrNone = None,
+    run: Any,
+    places: Any = None,
+    *,
+    quantity: Any = "v",
+    limit: Scalar | None = None,
+    label: str | None = None,
+    frames: Count | None = None,
+    rate: Count = 20,
+    move: Scalar = 0.0,
+    radius: Scalar | None = None,
+    units: UnitsOrWords = None,
+    ax: AxesOrNone = None,
 ) -> FuncAnimation:
     """A film of a run: a chain as a curve over its sites, a lattice of the plane as beads.
 
@@ -46,8 +55,12 @@ def film(
     run = opened(run)
     ts = np.asarray(run.ts, float)
     if ts.ndim != 1 or len(ts) < 2:
-        refuse("run", "a run of one scene that saved several times", f"{ts.size} of shape {ts.shape}",
-               "Give simulate(..., save_at=100).")
+        refuse(
+            "run",
+            "a run of one scene that saved several times",
+            f"{ts.size} of shape {ts.shape}",
+            "Give simulate(..., save_at=100).",
+        )
     given = quantity if isinstance(quantity, str) else None
     if given is not None:
         one_of("quantity", given, ("u", "v"))
@@ -57,7 +70,9 @@ def film(
     name = LABELS.get(given, "quantity") if label is None else label
     if places is None:
         return _chain_film(run, ts, chosen, quantity, limit, name, rate, units, ax)
-    return _plane_film(run, ts, chosen, places, quantity, limit, name, rate, move, radius, units, given, ax)
+    return _plane_film(
+        run, ts, chosen, places, quantity, limit, name, rate, move, radius, units, given, ax
+    )
 
 
 def _axes(ax, width, height):
@@ -69,11 +84,15 @@ def _axes(ax, width, height):
 
 
 def _top(data, limit):
-    return float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
+    return (
+        float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
+    )
 
 
 def _film(ax, show, chosen, rate):
-    return FuncAnimation(ax.figure, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
+    return FuncAnimation(
+        ax.figure, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False
+    )
 
 
 def _chain_film(run, ts, chosen, quantity, limit, label, rate, units, ax):
@@ -83,7 +102,14 @@ def _chain_film(run, ts, chosen, quantity, limit, label, rate, units, ax):
     top = _top(data, limit)
     by_time, by = drawn_in(units, units_of(run), Axis("time", ts), Axis(label, top))
     ax = _axes(ax, 5.4, 3.0)
-    (line,) = ax.plot(np.arange(data.shape[1]), scaled_by(data[0], by.factor), "o-", ms=2.5, lw=0.8, color=COLOURS[0])
+    (line,) = ax.plot(
+        np.arange(data.shape[1]),
+        scaled_by(data[0], by.factor),
+        "o-",
+        ms=2.5,
+        lw=0.8,
+        color=COLOURS[0],
+    )
     low = 0.0 if np.nanmin(data) >= -SIGNED * top else -top
     ax.set(xlabel="site", ylabel=by.label, ylim=(1.08 * low * by.factor, 1.08 * top * by.factor))
     title = ax.set_title(" ")
@@ -101,11 +127,15 @@ def _time(t, by):
     return f"t = {t * by.factor:.4g}" + (f" {unit}" if unit and unit != "scaled" else "")
 
 
-def _plane_film(run, ts, chosen, places, quantity, limit, label, rate, move, radius, units, given, ax):
+def _plane_film(
+    run, ts, chosen, places, quantity, limit, label, rate, move, radius, units, given, ax
+):
     at, _ = flat(places, None)
     fields = getattr(places, "positions", places)
     names = list(fields) if isinstance(fields, dict) else [None]
-    data = np.concatenate([_frames(quantity, name, fields, len(ts), given is not None) for name in names], 1)
+    data = np.concatenate(
+        [_frames(quantity, name, fields, len(ts), given is not None) for name in names], 1
+    )
     shift = 0.0
     if move:
         moves = [np.asarray(run.us if name is None else run.us[name], float) for name in names]

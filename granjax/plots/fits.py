@@ -21,8 +21,13 @@ REACH = 3.5
 
 
 def fit(
-    result: Any, ax: Axes | Shaped[np.ndarray, "..."] | None = None, *, sensors: Sequence[Count] | None = None,
-    units: UnitsOrWords = None, x_label: str = "time", y_label: str | None = None,
+    result: Any,
+    ax: Axes | Shaped[np.ndarray, "..."] | None = None,
+    *,
+    sensors: Sequence[Count] | None = None,
+    units: UnitsOrWords = None,
+    x_label: str = "time",
+    y_label: str | None = None,
 ) -> Shaped[np.ndarray, "2 columns"]:
     """Data and fitted signal of every sensor, with the residuals below.
 
@@ -46,15 +51,25 @@ def fit(
     >>> gx.plots.fit(found)[0, 0].get_ylabel()
     'velocity'
     """
-    columns = [(trace, k, trace.sensors[k], signal, residual)
-               for trace, signal, residual in zip(result.traces, result.signals, result.residuals)
-               for k in range(np.shape(signal)[1])]
+    columns = [
+        (trace, k, trace.sensors[k], signal, residual)
+        for trace, signal, residual in zip(result.traces, result.signals, result.residuals)
+        for k in range(np.shape(signal)[1])
+    ]
     if sensors is not None:
         columns = [columns[k] for k in sensors]
     size = 2.9 * len(columns) + 0.7, 3.6
     drawn = _counted(units, units_of(result), x_label, y_label, columns)
     one = len({quantity.label for *_, quantity in drawn}) == 1
-    axes = _grid(ax, 2, len(columns), size, height_ratios=(3, 1), sharex="col", sharey="row" if one else "none")
+    axes = _grid(
+        ax,
+        2,
+        len(columns),
+        size,
+        height_ratios=(3, 1),
+        sharex="col",
+        sharey="row" if one else "none",
+    )
     for k, ((upper, lower), (_, sensor, name, _, residual)) in enumerate(zip(axes.T, columns)):
         times, data, fitted, by_time, by_quantity = drawn[k]
         left = numbers("residuals", residual, 2, finite=False)[:, sensor]
@@ -83,21 +98,40 @@ def _counted(units, said, x_label, y_label, columns):
     """
     plain = []
     for trace, sensor, name, signal, _ in columns:
-        data, fitted = (numbers("data", x, 2, finite=False)[:, sensor] for x in (trace.data, signal))
+        data, fitted = (
+            numbers("data", x, 2, finite=False)[:, sensor] for x in (trace.data, signal)
+        )
         raw = getattr(trace, "unit", None) == ""
         kind = f"{name.split()[0]}{' signal' * raw}" if y_label is None else y_label
         plain.append((numbers("times", trace.times, 1), data, fitted, (kind, raw)))
-    kinds = {kind: np.concatenate([x for *_, x, other in plain if other == kind]) for *_, kind in plain}
-    shown = (Axis(kind, x, "" if raw and quantity(kind) else None) for (kind, raw), x in kinds.items())
-    by_time, *by_kind = drawn_in(units, said, Axis(x_label, np.concatenate([times for times, *_ in plain])), *shown)
+    kinds = {
+        kind: np.concatenate([x for *_, x, other in plain if other == kind]) for *_, kind in plain
+    }
+    shown = (
+        Axis(kind, x, "" if raw and quantity(kind) else None) for (kind, raw), x in kinds.items()
+    )
+    by_time, *by_kind = drawn_in(
+        units, said, Axis(x_label, np.concatenate([times for times, *_ in plain])), *shown
+    )
     by_kind = dict(zip(kinds, by_kind))
-    return [(scaled_by(times, by_time.factor), *(scaled_by(x, by_kind[kind].factor) for x in (data, fitted)), by_time,
-             by_kind[kind]) for times, data, fitted, kind in plain]
+    return [
+        (
+            scaled_by(times, by_time.factor),
+            *(scaled_by(x, by_kind[kind].factor) for x in (data, fitted)),
+            by_time,
+            by_kind[kind],
+        )
+        for times, data, fitted, kind in plain
+    ]
 
 
 def corner(
-    result: Any, axes: Axes | Shaped[np.ndarray, "..."] | None = None, *, truths: dict[str, Scalar] | None = None,
-    labels: Sequence[str] | None = None, units: UnitsOrWords = None,
+    result: Any,
+    axes: Axes | Shaped[np.ndarray, "..."] | None = None,
+    *,
+    truths: dict[str, Scalar] | None = None,
+    labels: Sequence[str] | None = None,
+    units: UnitsOrWords = None,
 ) -> Shaped[np.ndarray, "P P"]:
     """What is known of each pair of parameters: ellipses of one and two standard deviations, Gaussians on the diagonal.
 
@@ -121,14 +155,23 @@ def corner(
     (2, 2)
     """
     # a tree of parameters may have been sorted on the way: their places are those of their names
-    order = sorted(result.parameters, key=lambda k: next(
-        i for i, name in enumerate(result.names) if name == k or name.startswith(f"{k}[")))
+    order = sorted(
+        result.parameters,
+        key=lambda k: next(
+            i for i, name in enumerate(result.names) if name == k or name.startswith(f"{k}[")
+        ),
+    )
     values = np.concatenate([numbers(k, result.parameters[k]).ravel() for k in order])
     names, matrix = list(result.names), numbers("covariance", result.covariance, 2, finite=False)
     deviations = np.sqrt(np.diag(matrix))
     if not np.isfinite(matrix).all():
         unknown = ", ".join(name for name, d in zip(names, deviations) if not np.isfinite(d))
-        refuse("result", "parameters that the data determine", f"an infinite deviation of {unknown}", "Leave it out.")
+        refuse(
+            "result",
+            "parameters that the data determine",
+            f"an infinite deviation of {unknown}",
+            "Leave it out.",
+        )
     labels = names if labels is None else list(labels)
     kinds = ["" if units is None else quantity(label.replace("_", " ")) or "" for label in labels]
     by = drawn_in(units, units_of(result), *map(Axis, labels, values, kinds))
@@ -137,11 +180,17 @@ def corner(
     matrix = matrix * np.outer(sizes, sizes)
     for name in truths or {}:
         one_of("truths", name, names)
-    marks = [None if (truths or {}).get(name) is None else truths[name] * x for name, x in zip(names, sizes)]
+    marks = [
+        None if (truths or {}).get(name) is None else truths[name] * x
+        for name, x in zip(names, sizes)
+    ]
     count = len(names)
     axes = _grid(axes, count, count, (1.7 * count + 0.8, 1.7 * count + 0.5))
     powers = [_power(value) for value in values]
-    shown = [label if power == 0 else rf"{label} ($10^{{{power}}}$)" for label, power in zip(labels, powers)]
+    shown = [
+        label if power == 0 else rf"{label} ($10^{{{power}}}$)"
+        for label, power in zip(labels, powers)
+    ]
     size = 10.0 ** -np.array(powers)
     centre, matrix, deviations = values * size, matrix * np.outer(size, size), deviations * size
     marks = [None if mark is None else float(mark) * s for mark, s in zip(marks, size)]
@@ -175,9 +224,19 @@ def corner(
 
 
 def law(
-    strain: Parameter, force: Parameter, low: Parameter, high: Parameter, ax: AxesOrNone = None, *,
-    label: str = "identified", band: str | None = None, truth: Parameter | None = None, truth_label: str = "true",
-    units: UnitsOrWords = None, x_label: str = "compression", y_label: str = "force",
+    strain: Parameter,
+    force: Parameter,
+    low: Parameter,
+    high: Parameter,
+    ax: AxesOrNone = None,
+    *,
+    label: str = "identified",
+    band: str | None = None,
+    truth: Parameter | None = None,
+    truth_label: str = "true",
+    units: UnitsOrWords = None,
+    x_label: str = "compression",
+    y_label: str = "force",
 ) -> Axes:
     """An identified law with its band, over the strains that were visited and nowhere else.
 
@@ -202,7 +261,9 @@ def law(
         refuse("low", "numbers not above high", show(low), "Swap low and high.")
     by_x, by_y = drawn_in(units, None, Axis(x_label, strain), Axis(y_label, force))
     strain = scaled_by(strain, by_x.factor)
-    force, low, high, truth = (None if x is None else scaled_by(x, by_y.factor) for x in (force, low, high, truth))
+    force, low, high, truth = (
+        None if x is None else scaled_by(x, by_y.factor) for x in (force, low, high, truth)
+    )
     ax = _grid(ax, 1, 1, (5.0, 3.6))[0, 0]
     ax.fill_between(strain, low, high, color=COLOURS[4], alpha=0.4, lw=0, label=band)
     ax.plot(strain, force, color=COLOURS[0], label=label)
@@ -223,7 +284,9 @@ def _grid(axes, rows, columns, size, **how):
         import matplotlib.pyplot as plt
 
         with style():
-            axes = plt.figure(figsize=size, layout="constrained").subplots(rows, columns, squeeze=False, **how)
+            axes = plt.figure(figsize=size, layout="constrained").subplots(
+                rows, columns, squeeze=False, **how
+            )
     axes = np.asarray(axes, dtype=object)
     return axes.reshape(rows, columns)
 
@@ -237,7 +300,9 @@ def _power(value):
 def _marginal(ax, centre, deviation, power):
     x = np.linspace(-REACH, REACH, 121)
     y = np.exp(-(x**2) / 2)
-    ax.fill_between(centre + x * deviation, y, where=np.abs(x) <= 1, color=COLOURS[0], alpha=0.3, lw=0)
+    ax.fill_between(
+        centre + x * deviation, y, where=np.abs(x) <= 1, color=COLOURS[0], alpha=0.3, lw=0
+    )
     ax.plot(centre + x * deviation, y, color=COLOURS[0], lw=1.2)
     ax.set_ylim(0, 1.1)
     ax.set_yticks([])
@@ -251,8 +316,22 @@ def _ellipses(ax, centre, matrix):
     angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
     height, width = 2 * np.sqrt(np.maximum(variances, 0))
     for sigma, alpha in ((2, 0.15), (1, 0.3)):
-        ax.add_patch(Ellipse(centre, sigma * width, sigma * height, angle=angle, fc=COLOURS[0], alpha=alpha, lw=0))
-        ax.add_patch(Ellipse(centre, sigma * width, sigma * height, angle=angle, fill=False, ec=COLOURS[0], lw=1.0))
+        ax.add_patch(
+            Ellipse(
+                centre, sigma * width, sigma * height, angle=angle, fc=COLOURS[0], alpha=alpha, lw=0
+            )
+        )
+        ax.add_patch(
+            Ellipse(
+                centre,
+                sigma * width,
+                sigma * height,
+                angle=angle,
+                fill=False,
+                ec=COLOURS[0],
+                lw=1.0,
+            )
+        )
     ax.plot(*centre, ".", color=COLOURS[0], ms=4)
 
 
@@ -275,8 +354,13 @@ def planar(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) ->
     >>> gx.plots.planar(found).lines[0].get_label()
     'homoclinic orbit'
     """
-    y, slope = numbers("record.strains", record.strains, 1), numbers("record.slopes", record.slopes, 1)
-    by_x, by_y = drawn_in(units, units_of(record), Axis("strain", y), Axis("slope of the strain", slope, "m"))
+    y, slope = (
+        numbers("record.strains", record.strains, 1),
+        numbers("record.slopes", record.slopes, 1),
+    )
+    by_x, by_y = drawn_in(
+        units, units_of(record), Axis("strain", y), Axis("slope of the strain", slope, "m")
+    )
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -293,12 +377,25 @@ def planar(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) ->
             ax.plot(scaled_by(table, by_x.factor), steep, color=tone, lw=1.2, label=f"{name} orbit")
     for k in np.unique(record.window):
         own = record.window == k
-        ax.plot(scaled_by(y[own], by_x.factor), scaled_by(slope[own], by_y.factor), "o", ms=3, color=COLOURS[2],
-                label=None if k else "measured wave")
+        ax.plot(
+            scaled_by(y[own], by_x.factor),
+            scaled_by(slope[own], by_y.factor),
+            "o",
+            ms=3,
+            color=COLOURS[2],
+            label=None if k else "measured wave",
+        )
     for kind, mark in (("saddle", "x"), ("centre", "+")):
         at = np.array([point.strain for point in record.equilibria if point.kind == kind])
         near = at[np.abs(at - y.mean()) < 1.5 * np.ptp(y)] if at.size else at
-        ax.plot(scaled_by(near, by_x.factor), np.zeros(len(near)), mark, color=COLOURS[6], ms=8, label=kind)
+        ax.plot(
+            scaled_by(near, by_x.factor),
+            np.zeros(len(near)),
+            mark,
+            color=COLOURS[6],
+            ms=8,
+            label=kind,
+        )
     ax.axhline(0.0, color=FAINT, lw=0.6, zorder=0)
     ax.set_xlabel(by_x.label)
     ax.set_ylabel(by_y.label)

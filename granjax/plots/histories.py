@@ -25,9 +25,19 @@ FINE = 1000
 
 
 def space_time(
-    run_or_array: Any, ax: AxesOrNone = None, *, quantity: str | Samples = "v", ts: Parameter | None = None,
-    sites: Parameter | None = None, scale: str = "linear", floor: Scalar = 1e-4, limit: Scalar | None = None,
-    label: str | None = None, units: UnitsOrWords = None, site_label: str = "site", colour_bar: bool = True,
+    run_or_array: Any,
+    ax: AxesOrNone = None,
+    *,
+    quantity: str | Samples = "v",
+    ts: Parameter | None = None,
+    sites: Parameter | None = None,
+    scale: str = "linear",
+    floor: Scalar = 1e-4,
+    limit: Scalar | None = None,
+    label: str | None = None,
+    units: UnitsOrWords = None,
+    site_label: str = "site",
+    colour_bar: bool = True,
 ) -> Axes:
     """Space-time map of a history: site on x, time on y, the quantity in colour.
 
@@ -59,18 +69,33 @@ def space_time(
     given, said = quantity if isinstance(quantity, str) else None, units_of(run_or_array)
     ts, data = history(run_or_array, quantity, ts)
     y = np.arange(data.shape[0], dtype=float) if ts is None else rising("ts", ts, data.shape[0])
-    x = np.arange(data.shape[1], dtype=float) if sites is None else rising("sites", sites, data.shape[1])
+    x = (
+        np.arange(data.shape[1], dtype=float)
+        if sites is None
+        else rising("sites", sites, data.shape[1])
+    )
     if label is None:
         label = LABELS.get(given if is_run(run_or_array) else None, "quantity")
     top = _limit(data, limit)
     frames = ts is None
-    by_time, by_quantity = drawn_in(units, said, Axis("frame" if frames else "time", y), Axis(label, top))
-    y, data, top = scaled_by(y, by_time.factor), scaled_by(data, by_quantity.factor), top * by_quantity.factor
+    by_time, by_quantity = drawn_in(
+        units, said, Axis("frame" if frames else "time", y), Axis(label, top)
+    )
+    y, data, top = (
+        scaled_by(y, by_time.factor),
+        scaled_by(data, by_quantity.factor),
+        top * by_quantity.factor,
+    )
     label = by_quantity.label
     ax = axes_or_new(ax, 5.2, 3.8)
     if scale == "log":
         low = float(within("floor", floor, 0, 1, open_low=True, open_high=True)) * top
-        data, norm, map_name, label = np.maximum(np.abs(data), low), LogNorm(low, top), "magma", _size(label)
+        data, norm, map_name, label = (
+            np.maximum(np.abs(data), low),
+            LogNorm(low, top),
+            "magma",
+            _size(label),
+        )
     else:
         norm, map_name = colours_of(data, top)
     image = _draw(ax, x, y, data, norm, map_name)
@@ -118,8 +143,14 @@ def _draw(ax, x, y, data, norm, map_name):
     if _even(x) and _even(y):
         (left, right), (bottom, top) = _ends(x), _ends(y)
         return ax.imshow(
-            data, origin="lower", aspect="auto", extent=(left, right, bottom, top), norm=norm, cmap=map_name,
-            interpolation="nearest" if max(data.shape) <= FINE else "antialiased", interpolation_stage="data",
+            data,
+            origin="lower",
+            aspect="auto",
+            extent=(left, right, bottom, top),
+            norm=norm,
+            cmap=map_name,
+            interpolation="nearest" if max(data.shape) <= FINE else "antialiased",
+            interpolation_stage="data",
         )
     return ax.pcolormesh(x, y, data, norm=norm, cmap=map_name, shading="nearest", rasterized=True)
 
@@ -135,9 +166,16 @@ def _ends(x):
 
 
 def traces(
-    ts: Any, qs: str | Samples = "v", sites: Parameter | None = None, ax: AxesOrNone = None, *,
-    offset: Scalar | None = None, labels: Sequence | None = None, label: str | None = None,
-    units: UnitsOrWords = None, site_label: str = "site",
+    ts: Any,
+    qs: str | Samples = "v",
+    sites: Parameter | None = None,
+    ax: AxesOrNone = None,
+    *,
+    offset: Scalar | None = None,
+    labels: Sequence | None = None,
+    label: str | None = None,
+    units: UnitsOrWords = None,
+    site_label: str = "site",
 ) -> Axes:
     """Traces of some sites over time, stacked, the first at the bottom.
 
@@ -178,7 +216,9 @@ def traces(
     ax = axes_or_new(ax, 5.2, 3.8)
     for i, name in enumerate(names):
         trace = chosen[:, i] + i * offset
-        ax.plot(ts, trace, color=colour(i), lw=1.3, label=f"{site_label} {name}", zorder=3 - i / 1e3)
+        ax.plot(
+            ts, trace, color=colour(i), lw=1.3, label=f"{site_label} {name}", zorder=3 - i / 1e3
+        )
     ax.set_xlabel(by_time.label)
     ax.set_xlim(ts[0], ts[-1])
     if offset == 0:
@@ -203,10 +243,25 @@ def _scale_bar(ax, span, label, unit):
     low, high = ax.get_ylim()
     bottom = (low + high - height) / 2
     transform = ax.get_yaxis_transform()
-    ax.plot([1.02, 1.02], [bottom, bottom + height], color="black", lw=2, transform=transform, clip_on=False)
+    ax.plot(
+        [1.02, 1.02],
+        [bottom, bottom + height],
+        color="black",
+        lw=2,
+        transform=transform,
+        clip_on=False,
+    )
     text = f"{label} {height:g} {unit}" if unit and unit != SCALED else f"{label} {height:g}"
-    ax.text(1.04, bottom + height / 2, text, rotation=90, va="center", ha="left", transform=transform,
-            fontsize="small")
+    ax.text(
+        1.04,
+        bottom + height / 2,
+        text,
+        rotation=90,
+        va="center",
+        ha="left",
+        transform=transform,
+        fontsize="small",
+    )
     ax.set_ylim(low, high)
 
 

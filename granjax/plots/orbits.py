@@ -16,10 +16,16 @@ from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
 from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, several_axes
 
 # Krein signature -> colour, mark, what it is called
-_KREIN = {1: (COLOURS[0], "o", "Krein +"), -1: (COLOURS[1], "s", "Krein $-$"), 0: ("0.25", "^", "Krein 0")}
+_KREIN = {
+    1: (COLOURS[0], "o", "Krein +"),
+    -1: (COLOURS[1], "s", "Krein $-$"),
+    0: ("0.25", "^", "Krein 0"),
+}
 _VERDICTS = {
-    "stable": (COLOURS[0], "-", "stable"), "unstable": (COLOURS[1], "--", "unstable"),
-    "undecided": (FAINT, ":", "undecided"), "": (COLOURS[0], "-", None),
+    "stable": (COLOURS[0], "-", "stable"),
+    "unstable": (COLOURS[1], "--", "unstable"),
+    "undecided": (FAINT, ":", "undecided"),
+    "": (COLOURS[0], "-", None),
 }
 # between two verdicts; points of a line in a step
 UNKNOWN, FINE = (FAINT, ":"), 12
@@ -28,12 +34,15 @@ COINCIDING = 1e-9
 # of one frequency: rounding
 SAME = 1e-12
 _ORBITS = {
-    "stable": ("0.2", "-", "orbit, stable"), "unstable": ("0.2", "--", "orbit, unstable"),
+    "stable": ("0.2", "-", "orbit, stable"),
+    "unstable": ("0.2", "--", "orbit, unstable"),
     "undecided": ("0.2", ":", "orbit, undecided"),
 }
 
 
-def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True, units: UnitsOrWords = None) -> Axes:
+def floquet_circle(
+    fl: Any, ax: AxesOrNone = None, *, legend: bool = True, units: UnitsOrWords = None
+) -> Axes:
     r"""Floquet multipliers in the complex plane with the unit circle.
 
     Colours and marks tell the Krein signature; 0 is off the circle, at a meeting of two signs, or of a flow without
@@ -65,11 +74,30 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True, units
     for sign, (tone, mark, name) in _KREIN.items():
         own = signature == sign
         if own.any():
-            ax.plot(rho[own].real, rho[own].imag, mark, color=tone, ms=4, mec="white", mew=0.3, label=name, zorder=2)
+            ax.plot(
+                rho[own].real,
+                rho[own].imag,
+                mark,
+                color=tone,
+                ms=4,
+                mec="white",
+                mew=0.3,
+                label=name,
+                zorder=2,
+            )
     outside = unstable_of(fl)
     if len(outside):
-        ax.plot(rho[outside].real, rho[outside].imag, "o", ms=10, mfc="none", mec=COLOURS[6], mew=1.2,
-                label="unstable", zorder=3)
+        ax.plot(
+            rho[outside].real,
+            rho[outside].imag,
+            "o",
+            ms=10,
+            mfc="none",
+            mec=COLOURS[6],
+            mew=1.2,
+            label="unstable",
+            zorder=3,
+        )
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel(r"Re $\rho$")
     ax.set_ylabel(r"Im $\rho$")
@@ -87,8 +115,13 @@ def unstable_of(fl: Any) -> np.ndarray:
 
 
 def breather(
-    breather: Any, fl: Any = None, axes: Sequence[Axes] | np.ndarray | None = None, *, mode: Count | None = None,
-    field: str | None = None, units: UnitsOrWords = None,
+    breather: Any,
+    fl: Any = None,
+    axes: Sequence[Axes] | np.ndarray | None = None,
+    *,
+    mode: Count | None = None,
+    field: str | None = None,
+    units: UnitsOrWords = None,
 ) -> np.ndarray:
     """A breather in four panels: displacements, Floquet multipliers, displacement and velocity of an eigenvector.
 
@@ -143,7 +176,10 @@ def breather(
         c.set_title("no mode grows", loc="left")
         _period(d, history, by[2:4], field)
     else:
-        shown = (("displacement of the mode", c, u_part), (by[4].label, d, scaled_by(v_part, by[4].factor)))
+        shown = (
+            ("displacement of the mode", c, u_part),
+            (by[4].label, d, scaled_by(v_part, by[4].factor)),
+        )
         complex_pair = abs(fl.multipliers[mode].imag) > fl.error[mode]
         for name, ax, part in shown:
             _bars(ax, site, part.real, COLOURS[0])
@@ -181,13 +217,26 @@ def _parts(fl, mode, u, field):
 def _period(ax, run, by, field):
     """A period of the velocities over sites and time, where there is a run of it."""
     if run is None:
-        ax.text(0.5, 0.5, "no growing mode", ha="center", va="center", color="0.35", transform=ax.transAxes)
+        ax.text(
+            0.5,
+            0.5,
+            "no growing mode",
+            ha="center",
+            va="center",
+            color="0.35",
+            transform=ax.transAxes,
+        )
         return
     by_time, by_velocity = by
-    ts, vs = (scaled_by(numbers("run", x), way.factor) for x, way in zip((run.ts, _field_of(run.vs, field)), by))
+    ts, vs = (
+        scaled_by(numbers("run", x), way.factor)
+        for x, way in zip((run.ts, _field_of(run.vs, field)), by)
+    )
     top = float(np.abs(vs).max()) or 1.0
     ends = (-0.5, vs.shape[1] - 0.5, ts[0], 2 * ts[-1] - ts[-2])
-    image = ax.imshow(vs, origin="lower", aspect="auto", extent=ends, cmap="RdBu_r", vmin=-top, vmax=top)
+    image = ax.imshow(
+        vs, origin="lower", aspect="auto", extent=ends, cmap="RdBu_r", vmin=-top, vmax=top
+    )
     ax.set_ylabel(by_time.label)
     add_colour_bar(ax, image, by_velocity.label)
 
@@ -195,7 +244,11 @@ def _period(ax, run, by, field):
 def _mode(fl, mode):
     if mode is None:
         outside = unstable_of(fl)
-        return outside[np.argmax(np.abs(np.asarray(fl.multipliers)[outside]))] if len(outside) else None
+        return (
+            outside[np.argmax(np.abs(np.asarray(fl.multipliers)[outside]))]
+            if len(outside)
+            else None
+        )
     if not -len(fl.multipliers) <= mode < len(fl.multipliers):
         refuse("mode", f"an index of {len(fl.multipliers)} multipliers", repr(mode))
     return mode
@@ -214,8 +267,14 @@ def _written(rho, complex_pair):
 
 
 def branch(
-    br: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, bands: Any = None, marks: Any = None,
-    units: UnitsOrWords = None, omega_label: str = r"angular frequency $\omega_b$", p_label: str = "coupling",
+    br: Any,
+    axes: Sequence[Axes] | np.ndarray | None = None,
+    *,
+    bands: Any = None,
+    marks: Any = None,
+    units: UnitsOrWords = None,
+    omega_label: str = r"angular frequency $\omega_b$",
+    p_label: str = "coupling",
 ) -> np.ndarray:
     """A family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
 
@@ -253,9 +312,17 @@ def branch(
     if hasattr(br, "p") and len(omega) > 1 and np.ptp(omega) <= SAME * np.abs(omega).max():
         omega = numbers("br.p", br.p, 1)
         over = Axis(p_label, omega)
-    by, *by_height = drawn_in(units, units_of(br), over, Axis("energy", heights[0]),
-                              Axis(r"amplitude $\max_n |u_n|$", heights[1]))
-    omega, drawn = scaled_by(omega, by.factor), [scaled_by(x, way.factor) for x, way in zip(heights, by_height)]
+    by, *by_height = drawn_in(
+        units,
+        units_of(br),
+        over,
+        Axis("energy", heights[0]),
+        Axis(r"amplitude $\max_n |u_n|$", heights[1]),
+    )
+    omega, drawn = (
+        scaled_by(omega, by.factor),
+        [scaled_by(x, way.factor) for x, way in zip(heights, by_height)],
+    )
     axes = several_axes(axes, 1, 2, 8.4, 3.4)
     room = 0.06 * (np.ptp(omega) or omega[0])
     for ax, height, name in zip(axes.ravel(), drawn, [way.label for way in by_height]):
@@ -265,7 +332,14 @@ def branch(
             ax.axvspan(low, high, color=FAINT, alpha=0.3, lw=0, zorder=0)
         for i, mark in enumerate(marks):
             name = None if i else "bifurcation"
-            ax.axvline(by.factor * getattr(mark, "p", mark), color=COLOURS[2], ls=":", lw=1.0, zorder=1, label=name)
+            ax.axvline(
+                by.factor * getattr(mark, "p", mark),
+                color=COLOURS[2],
+                ls=":",
+                lw=1.0,
+                zorder=1,
+                label=name,
+            )
         ax.set_xlim(omega.min() - room, omega.max() + room)
         ax.set_ylim(0, 1.06 * height.max())
         ax.set_xlabel(by.label)
@@ -282,20 +356,37 @@ def _line(ax, x, y, br, looks, marks=()):
     """
     verdict, p = np.asarray(br.verdict), np.asarray(getattr(br, "p", x), float)
     curve = np.column_stack([x, y, p])
-    step = np.linalg.norm(np.diff(curve[:, :2], axis=0) / (np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny), axis=1)
+    step = np.linalg.norm(
+        np.diff(curve[:, :2], axis=0) / (np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny),
+        axis=1,
+    )
     s = np.concatenate([[0.0], np.cumsum(np.maximum(step, COINCIDING * (step.sum() or 1.0)))])
     at = Akima1DInterpolator(s, curve) if len(s) > 1 else lambda s: curve[[0] * len(s)]
     events = [*getattr(br, "bifurcations", ()), *marks]
     begin, named = 0.0, set()
 
     def part(low, high, tone, dash, name=None):
-        inner = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in zip(s[:-1], s[1:])] + [s[-1:]])
-        drawn = at(np.unique(np.concatenate([[low], inner[(inner > low) & (inner < high)], [high]])))
-        ax.plot(drawn[:, 0], drawn[:, 1], dash, color=tone, lw=1.4, zorder=2, label=None if name in named else name)
+        inner = np.concatenate(
+            [np.linspace(a, b, FINE, endpoint=False) for a, b in zip(s[:-1], s[1:])] + [s[-1:]]
+        )
+        drawn = at(
+            np.unique(np.concatenate([[low], inner[(inner > low) & (inner < high)], [high]]))
+        )
+        ax.plot(
+            drawn[:, 0],
+            drawn[:, 1],
+            dash,
+            color=tone,
+            lw=1.4,
+            zorder=2,
+            label=None if name in named else name,
+        )
         named.add(name)
 
     for i in [*np.flatnonzero(verdict[1:] != verdict[:-1]), len(s) - 1]:
-        found = [_within(at, s[i], s[i + 1], event, i) for event in events] if i < len(s) - 1 else []
+        found = (
+            [_within(at, s[i], s[i + 1], event, i) for event in events] if i < len(s) - 1 else []
+        )
         found = [place for place in found if place is not None]
         end, resumed = (min(found), max(found)) if found else s[[i, min(i + 1, len(s) - 1)]]
         part(begin, end, *looks[str(verdict[i])])
@@ -310,13 +401,20 @@ def _within(at, low, high, event, i):
         return None
     places = np.linspace(low, high, 1001)
     away = at(places)[:, 2] - getattr(event, "p", event)
-    inside = away.min() <= 0 <= away.max() if getattr(event, "after", None) is None else event.after == i
+    inside = (
+        away.min() <= 0 <= away.max() if getattr(event, "after", None) is None else event.after == i
+    )
     return places[np.argmin(np.abs(away))] if inside else None
 
 
 def hysteresis(
-    sweep: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: UnitsOrWords = None,
-    x_label: str = "parameter", y_label: str = "response",
+    sweep: Any,
+    ax: AxesOrNone = None,
+    *,
+    orbits: Any = None,
+    units: UnitsOrWords = None,
+    x_label: str = "parameter",
+    y_label: str = "response",
 ) -> Axes:
     """Response while a parameter goes up and down again; where the two differ is shaded.
 
@@ -340,16 +438,25 @@ def hysteresis(
     values, up, down, intervals = _ways(sweep)
     said = units_of_both(sweep, orbits, "orbits", "sweep")
     by_x, by_y = drawn_in(units, said, Axis(x_label, values), Axis(y_label, up))
-    values, up, down = scaled_by(values, by_x.factor), by_y.factor * up, None if down is None else by_y.factor * down
+    values, up, down = (
+        scaled_by(values, by_x.factor),
+        by_y.factor * up,
+        None if down is None else by_y.factor * down,
+    )
     ax = axes_or_new(ax, 5.6, 3.6)
     for low, high in scaled_by(np.reshape(intervals, (-1, 2)), by_x.factor):
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
-        p, response = numbers("orbits.p", orbits.p, 1), numbers("orbits.response", orbits.response, 1)
+        p, response = (
+            numbers("orbits.p", orbits.p, 1),
+            numbers("orbits.response", orbits.response, 1),
+        )
         _line(ax, by_x.factor * p, by_y.factor * response, orbits, _ORBITS)
     ax.plot(values, up, ">-", color=COLOURS[0], ms=5, lw=1.2, mec="white", mew=0.3, label="up")
     if down is not None:
-        ax.plot(values, down, "<--", color=COLOURS[1], ms=5, lw=1.2, mec="white", mew=0.3, label="down")
+        ax.plot(
+            values, down, "<--", color=COLOURS[1], ms=5, lw=1.2, mec="white", mew=0.3, label="down"
+        )
     ax.set_xlabel(by_x.label)
     ax.set_ylabel(by_y.label)
     ax.legend(loc="best", frameon=False)
@@ -383,7 +490,9 @@ def strain_map(run: Any, ax: AxesOrNone = None, **options: Any) -> Axes:
     """
     ts, u = history(run, "u", options.pop("ts", None))
     own = {"label": "strain", "site_label": "contact", "sites": np.arange(u.shape[1] - 1) + 0.5}
-    return space_time(_Strains(ts, None, None, units_of(run)), ax, quantity=u[:, :-1] - u[:, 1:], **own | options)
+    return space_time(
+        _Strains(ts, None, None, units_of(run)), ax, quantity=u[:, :-1] - u[:, 1:], **own | options
+    )
 
 
 class _Strains(NamedTuple):

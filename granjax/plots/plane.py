@@ -23,8 +23,16 @@ MANY = 3000
 
 
 def beads(
-    places: Any, values: Any = None, ax: AxesOrNone = None, *, network: Any = None, radius: Scalar | None = None,
-    label: str = "quantity", limit: Scalar | None = None, units: UnitsOrWords = None, colour_bar: bool = True,
+    places: Any,
+    values: Any = None,
+    ax: AxesOrNone = None,
+    *,
+    network: Any = None,
+    radius: Scalar | None = None,
+    label: str = "quantity",
+    limit: Scalar | None = None,
+    units: UnitsOrWords = None,
+    colour_bar: bool = True,
 ) -> Axes:
     """Beads of a lattice of the plane as circles, coloured by a quantity, with the forces between them as lines.
 
@@ -50,7 +58,9 @@ def beads(
     """
     said = units_of(places)
     at, data = flat(places, values)
-    x, *by = drawn_in(units, said, Axis("length", at), *(() if data is None else (Axis(label, data),)))
+    x, *by = drawn_in(
+        units, said, Axis("length", at), *(() if data is None else (Axis(label, data),))
+    )
     ax = axes_or_new(ax, 4.8, 4.2)
     radius = half_spacing(at) if radius is None else float(positive("radius", radius))
     circles = circles_of(ax, scaled_by(at, x.factor), radius * x.factor)
@@ -60,7 +70,11 @@ def beads(
         circles.set_facecolor("0.85")
     else:
         data = scaled_by(data, by[0].factor)
-        top = np.nanmax(np.abs(data)) if limit is None else float(positive("limit", limit)) * by[0].factor
+        top = (
+            np.nanmax(np.abs(data))
+            if limit is None
+            else float(positive("limit", limit)) * by[0].factor
+        )
         norm, name = colours_of(data[None], top or 1.0)
         circles.set(array=data, norm=norm, cmap=name)
         if colour_bar:
@@ -69,26 +83,40 @@ def beads(
     return ax
 
 
-def flat(places: Any, values: Any) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"] | None]:
+def flat(
+    places: Any, values: Any
+) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"] | None]:
     """Places (N, 2) and numbers (N,), `None` of none, of all fields, one after the other."""
     if getattr(places, "lanes", ()):
-        refuse("places", "one lattice", f"a batch of {places.lanes}", "Take a lane, or its positions.")
+        refuse(
+            "places", "one lattice", f"a batch of {places.lanes}", "Take a lane, or its positions."
+        )
     places = getattr(places, "positions", places)
     if places is None:
-        refuse("places", "a lattice with positions, or an array (..., 2)", "a lattice without positions")
+        refuse(
+            "places",
+            "a lattice with positions, or an array (..., 2)",
+            "a lattice without positions",
+        )
     fields = places if isinstance(places, dict) else {"": places}
     held = values if isinstance(values, dict) else {"": values}
     at, data = [], []
     for name, x in fields.items():
         x = numbers("places", x)
         if x.ndim < 2 or x.shape[-1] != 2:
-            more = "Of places in space give two components: positions[:, :2]." if x.shape[-1:] == (3,) else ""
+            more = (
+                "Of places in space give two components: positions[:, :2]."
+                if x.shape[-1:] == (3,)
+                else ""
+            )
             refuse("places", "an array (..., 2)", f"shape {x.shape}", more)
         at.append(x.reshape(-1, 2))
         if values is not None:
             value = numbers("values", held[name], finite=False)
             if value.shape != x.shape[:-1]:
-                refuse("values", f"shape {x.shape[:-1]}, one number per bead", f"shape {value.shape}")
+                refuse(
+                    "values", f"shape {x.shape[:-1]}, one number per bead", f"shape {value.shape}"
+                )
             data.append(value.ravel())
     return np.concatenate(at), np.concatenate(data) if data else None
 
@@ -104,21 +132,39 @@ def half_spacing(at: Float[np.ndarray, "N 2"]) -> float:
 def circles_of(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar) -> EllipseCollection:
     """Circles of one radius at some places."""
     size = np.full(len(at), 2 * radius)
-    circles = EllipseCollection(size, size, np.zeros(len(at)), units="xy", offsets=at, offset_transform=ax.transData,
-                                edgecolor="0.35", linewidth=0.4 if len(at) < MANY else 0)
+    circles = EllipseCollection(
+        size,
+        size,
+        np.zeros(len(at)),
+        units="xy",
+        offsets=at,
+        offset_transform=ax.transData,
+        edgecolor="0.35",
+        linewidth=0.4 if len(at) < MANY else 0,
+    )
     return ax.add_collection(circles)
 
 
 def _lines(ax, network, factor, radius):
-    lines, force = numbers("network.segments", network.segments, 3, finite=False), np.asarray(network.force, float)
+    lines, force = (
+        numbers("network.segments", network.segments, 3, finite=False),
+        np.asarray(network.force, float),
+    )
     drawn = np.isfinite(lines).all((1, 2))
     lines, force = lines[drawn] * factor, force[drawn]
     top = np.abs(force).max(initial=0.0)
     if top > 0:
         shown = np.abs(force) > 1e-3 * top
         tones = np.where(force[shown] >= 0, COLOURS[0], COLOURS[1])
-        ax.add_collection(LineCollection(lines[shown], linewidths=4 * np.abs(force[shown]) / top, colors=tones,
-                                         capstyle="round", zorder=2))
+        ax.add_collection(
+            LineCollection(
+                lines[shown],
+                linewidths=4 * np.abs(force[shown]) / top,
+                colors=tones,
+                capstyle="round",
+                zorder=2,
+            )
+        )
 
 
 def frame(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar, by: Shown) -> None:
@@ -131,7 +177,9 @@ def frame(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar, by: Shown) -> 
     ax.set_ylabel(by.label.replace("length", "y"))
 
 
-def bands(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, colour_bar: bool = True) -> Axes:
+def bands(
+    record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, colour_bar: bool = True
+) -> Axes:
     """Bands along a path through the zone, or those of a strip coloured by the edge to which a wave is bound.
 
     **Arguments:** `record`: anything with `distance`, `omega` (K, bands), `names` and `marks`, such as the result of
@@ -154,8 +202,16 @@ def bands(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, col
     ax = axes_or_new(ax, 5.0, 4.0)
     if strip:
         k, edge = numbers("record.k", record.k, 1), numbers("record.edge", record.edge, 2)
-        shown = ax.scatter(np.broadcast_to(k[:, None], omega.shape), omega, c=edge, s=3, cmap="coolwarm", vmin=-1,
-                           vmax=1, linewidths=0)
+        shown = ax.scatter(
+            np.broadcast_to(k[:, None], omega.shape),
+            omega,
+            c=edge,
+            s=3,
+            cmap="coolwarm",
+            vmin=-1,
+            vmax=1,
+            linewidths=0,
+        )
         ax.set_xlabel("wave number $k$ (rad/cell)")
         ax.set_xlim(k.min(), k.max())
         if colour_bar:
@@ -175,8 +231,14 @@ def bands(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, col
 
 
 def zone(
-    record: Any, band: Count = 0, ax: AxesOrNone = None, *, levels: Count = 12, velocity: bool = False,
-    units: UnitsOrWords = None, colour_bar: bool = True,
+    record: Any,
+    band: Count = 0,
+    ax: AxesOrNone = None,
+    *,
+    levels: Count = 12,
+    velocity: bool = False,
+    units: UnitsOrWords = None,
+    colour_bar: bool = True,
 ) -> Axes:
     """Contours of equal frequency of a band over the Brillouin zone, whose edge is drawn.
 
@@ -197,18 +259,38 @@ def zone(
     True
     """
     q, omega = numbers("record.q", record.q, 3), numbers("record.omega", record.omega, 3)
-    by, place = drawn_in(units, units_of(record), Axis(OMEGA, omega, "rad/s"), Axis("wave number", q, "1/m"))
+    by, place = drawn_in(
+        units, units_of(record), Axis(OMEGA, omega, "rad/s"), Axis("wave number", q, "1/m")
+    )
     w = scaled_by(omega[..., band], by.factor)
     x = scaled_by(q, place.factor)
     ax = axes_or_new(ax, 5.0, 4.2)
-    shown = ax.pcolormesh(x[..., 0], x[..., 1], w, cmap="viridis", shading="nearest", rasterized=True)
-    ax.contour(x[..., 0], x[..., 1], w, levels=whole("levels", levels, 1), colors="white", linewidths=0.7)
+    shown = ax.pcolormesh(
+        x[..., 0], x[..., 1], w, cmap="viridis", shading="nearest", rasterized=True
+    )
+    ax.contour(
+        x[..., 0], x[..., 1], w, levels=whole("levels", levels, 1), colors="white", linewidths=0.7
+    )
     if velocity:
         v = numbers("record.velocity", record.velocity, 4, finite=False)[..., band, :]
         step = max(1, len(x) // 14)
         some = (slice(step // 2, None, step),) * 2
-        ax.quiver(x[some][..., 0], x[some][..., 1], v[some][..., 0], v[some][..., 1], color="white", width=0.004)
-    ax.add_patch(Polygon(scaled_by(np.asarray(record.corners), place.factor), fill=False, edgecolor="black", lw=1.2))
+        ax.quiver(
+            x[some][..., 0],
+            x[some][..., 1],
+            v[some][..., 0],
+            v[some][..., 1],
+            color="white",
+            width=0.004,
+        )
+    ax.add_patch(
+        Polygon(
+            scaled_by(np.asarray(record.corners), place.factor),
+            fill=False,
+            edgecolor="black",
+            lw=1.2,
+        )
+    )
     ax.set_aspect("equal")
     ax.set_xlabel(place.label.replace("wave number", "$q_x$"))
     ax.set_ylabel(place.label.replace("wave number", "$q_y$"))
@@ -218,7 +300,11 @@ def zone(
 
 
 def radial_profile(
-    record: Any, ax: AxesOrNone = None, *, label: str = "quantity", units: UnitsOrWords = None,
+    record: Any,
+    ax: AxesOrNone = None,
+    *,
+    label: str = "quantity",
+    units: UnitsOrWords = None,
 ) -> Axes:
     """Means of rings over the distance from a point, with the span of each ring; of several times from pale to dark.
 
@@ -238,13 +324,17 @@ def radial_profile(
     'energy'
     """
     x = numbers("record.distance", record.distance, 1)
-    mean, low, high = (np.atleast_2d(numbers(f"record.{name}", getattr(record, name)))
-                       for name in ("mean", "lowest", "highest"))
+    mean, low, high = (
+        np.atleast_2d(numbers(f"record.{name}", getattr(record, name)))
+        for name in ("mean", "lowest", "highest")
+    )
     by_x, by_y = drawn_in(units, units_of(record), Axis("distance", x, "m"), Axis(label, mean))
     ax = axes_or_new(ax, 5.4, 3.6)
     x = scaled_by(x, by_x.factor)
     tones = colormaps["viridis"](np.linspace(0.85, 0.15, len(mean)) if len(mean) > 1 else [0.3])
-    for one, bottom, top, tone in zip(*(scaled_by(a, by_y.factor) for a in (mean, low, high)), tones):
+    for one, bottom, top, tone in zip(
+        *(scaled_by(a, by_y.factor) for a in (mean, low, high)), tones
+    ):
         ax.plot(x, one, color=tone, lw=1.4)
         ax.fill_between(x, bottom, top, color=tone, alpha=0.2, lw=0)
     ax.set_xlim(0, x[-1])

@@ -13,13 +13,16 @@ from .style import FAINT, AxesOrNone, axes_or_new, colour
 
 # what is drawn, its label and unit
 AGAINST = {
-    "time": ("seconds", "time of one run", "s"), "evaluations": ("evaluations", "force evaluations of one run", ""),
+    "time": ("seconds", "time of one run", "s"),
+    "evaluations": ("evaluations", "force evaluations of one run", ""),
 }
 MARKS = ("o", "s", "^", "D", "v", "P", "X")
 DEFAULT = "default"
 
 
-def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time", units: UnitsOrWords = None) -> Axes:
+def work_precision(
+    wp: Any, ax: AxesOrNone = None, *, against: str = "time", units: UnitsOrWords = None
+) -> Axes:
     """Error against the work that it takes, both logarithmic: down and to the left is better.
 
     **Arguments:**
@@ -42,12 +45,17 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time", uni
     1
     """
     column, label, unit = AGAINST[one_of("against", against, tuple(AGAINST))]
-    work, error = numbers(f"wp.{column}", getattr(wp, column), 1, finite=False), numbers("wp.error", wp.error, 1, False)
+    work, error = (
+        numbers(f"wp.{column}", getattr(wp, column), 1, finite=False),
+        numbers("wp.error", wp.error, 1, False),
+    )
     method = np.array(wp.method, dtype=object)
     shown = np.asarray(wp.drawn, bool) & np.isfinite(work) & (work > 0) & (error > 0)
     if not shown.any():
         refuse("wp", "a table with points to draw", "none", "Its notes say why; print it.")
-    (by,) = drawn_in("s" if units is None and against == "time" else units, SI, Axis(label, work, unit))
+    (by,) = drawn_in(
+        "s" if units is None and against == "time" else units, SI, Axis(label, work, unit)
+    )
     work, label = scaled_by(work, by.factor), by.label
     ax = axes_or_new(ax, 6.6, 4.0)
     ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the final state")
@@ -56,10 +64,27 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time", uni
         if not own.size:
             continue
         if name == DEFAULT:
-            ax.plot(work[own], error[own], "*", color="black", ms=12, mec="white", mew=0.6, zorder=4, label=name)
+            ax.plot(
+                work[own],
+                error[own],
+                "*",
+                color="black",
+                ms=12,
+                mec="white",
+                mew=0.6,
+                zorder=4,
+                label=name,
+            )
         else:
             style = {"ms": 4, "mec": "white", "mew": 0.4, "lw": 1.2}
-            ax.plot(work[own], error[own], marker=MARKS[i // 7 % 7], color=colour(i), label=name, **style)
+            ax.plot(
+                work[own],
+                error[own],
+                marker=MARKS[i // 7 % 7],
+                color=colour(i),
+                label=name,
+                **style,
+            )
             ax.lines[-1].set_linestyle(("-", "--", ":")[i // 7 % 3])
     _shade(ax, float(wp.floor), float(error[shown].min()))
     ax.grid(True, which="major", color=FAINT, alpha=0.25, lw=0.6)
@@ -73,6 +98,13 @@ def _shade(ax, floor, lowest):
         return
     bottom, top = min(floor, lowest) / 10, ax.get_ylim()[1]
     ax.axhspan(bottom, floor, color=FAINT, alpha=0.3, lw=0, zorder=0)
-    ax.text(0.01, floor, "uncertainty of the reference", transform=ax.get_yaxis_transform(), va="bottom",
-            size="x-small", color="0.35")
+    ax.text(
+        0.01,
+        floor,
+        "uncertainty of the reference",
+        transform=ax.get_yaxis_transform(),
+        va="bottom",
+        size="x-small",
+        color="0.35",
+    )
     ax.set_ylim(bottom, top)

@@ -12,11 +12,37 @@ from ..units.names import family, known_unit, readable, settled
 CYCLES = known_unit("Hz")
 # what a label ends with, and the unit in which numbers in SI are given; "" is a pure number
 _QUANTITIES = {
-    "time": "s", "displacement": "m", "strain": "m", "compression": "m", "overlap": "m", "length": "m",
-    "amplitude": "m", "velocity": "m/s", "speed": "m/s", "group velocity": "1/s", "acceleration": "m/s^2",
-    "force": "N", "load": "N", "energy": "J", "power": "W", "frequency": "Hz", "angular frequency": "rad/s",
-    "damping": "1/s", "rate": "1/s", "stress": "Pa", "pressure": "Pa", "modulus": "Pa", "mass": "kg", "voltage": "V",
-    "site": "", "contact": "", "frame": "", "period": "s", "delay": "s", "bead": "", "wave number": "",
+    "time": "s",
+    "displacement": "m",
+    "strain": "m",
+    "compression": "m",
+    "overlap": "m",
+    "length": "m",
+    "amplitude": "m",
+    "velocity": "m/s",
+    "speed": "m/s",
+    "group velocity": "1/s",
+    "acceleration": "m/s^2",
+    "force": "N",
+    "load": "N",
+    "energy": "J",
+    "power": "W",
+    "frequency": "Hz",
+    "angular frequency": "rad/s",
+    "damping": "1/s",
+    "rate": "1/s",
+    "stress": "Pa",
+    "pressure": "Pa",
+    "modulus": "Pa",
+    "mass": "kg",
+    "voltage": "V",
+    "site": "",
+    "contact": "",
+    "frame": "",
+    "period": "s",
+    "delay": "s",
+    "bead": "",
+    "wave number": "",
 }
 OMEGA = r"angular frequency $\omega$"
 SAID = re.compile(r".*[([][^)\]]+[)\]]\s*$")
@@ -65,7 +91,9 @@ def quantity(label: str) -> str | None:
     return _QUANTITIES[max(fitting, key=len)] if fitting and "/" not in plain else None
 
 
-def drawn_in(units: UnitsOrWords, said: str | None, *axes: Axis, argument: str = "units") -> list[Shown]:
+def drawn_in(
+    units: UnitsOrWords, said: str | None, *axes: Axis, argument: str = "units"
+) -> list[Shown]:
     """How axes are drawn in the units that are asked for.
 
     **Arguments:** `units`: as every plot takes them, below. `said`: what the numbers are counted in, "SI", "scaled", or
@@ -80,22 +108,45 @@ def drawn_in(units: UnitsOrWords, said: str | None, *axes: Axis, argument: str =
     """
     counted = settled(units, said, argument)
     known = [quantity(a.label) if a.unit is None else a.unit for a in axes]
-    known = [None if SAID.match(a.label) else known_unit(unit) if unit else unit for a, unit in zip(axes, known)]
-    left = [word for word in counted.words if not any(unit and unit.dimension == word.dimension for unit in known)]
-    unknown = [i for i, (a, unit) in enumerate(zip(axes, known)) if unit is None and not SAID.match(a.label)]
+    known = [
+        None if SAID.match(a.label) else known_unit(unit) if unit else unit
+        for a, unit in zip(axes, known)
+    ]
+    left = [
+        word
+        for word in counted.words
+        if not any(unit and unit.dimension == word.dimension for unit in known)
+    ]
+    unknown = [
+        i
+        for i, (a, unit) in enumerate(zip(axes, known))
+        if unit is None and not SAID.match(a.label)
+    ]
     if left and len(left) == len(unknown) == 1:
         # what nobody knows is what somebody says, but for a factor of 2 pi
         if left[0].dimension == CYCLES.dimension:
-            refuse(argument, f"a label that says what {axes[unknown[0]].label!r} counts", repr(left[0].name),
-                   "Call the axis 'frequency', of numbers in Hz, or 'angular frequency', of numbers in rad/s.")
+            refuse(
+                argument,
+                f"a label that says what {axes[unknown[0]].label!r} counts",
+                repr(left[0].name),
+                "Call the axis 'frequency', of numbers in Hz, or 'angular frequency', of numbers in rad/s.",
+            )
         known[unknown[0]] = family(left.pop().dimension)[0]
     if left:
         there = dict.fromkeys(f"{a.label} ({unit.name})" for a, unit in zip(axes, known) if unit)
-        none = "None: no label here names a quantity with units" if axes else "None: the axes are pure numbers"
-        refuse(argument, f"units of {', '.join(there)}" if there else none,
-               ", ".join(repr(word.name) for word in left),
-               f"Such as {', '.join(repr(family(u.dimension, u.size)[1].name) for u in known if u and _many(u))}."
-               if any(u and _many(u) for u in known) else "")
+        none = (
+            "None: no label here names a quantity with units"
+            if axes
+            else "None: the axes are pure numbers"
+        )
+        refuse(
+            argument,
+            f"units of {', '.join(there)}" if there else none,
+            ", ".join(repr(word.name) for word in left),
+            f"Such as {', '.join(repr(family(u.dimension, u.size)[1].name) for u in known if u and _many(u))}."
+            if any(u and _many(u) for u in known)
+            else "",
+        )
     return [_drawn(axis, unit, counted) for axis, unit in zip(axes, known)]
 
 
@@ -110,16 +161,26 @@ def _drawn(axis, unit, counted):
     said, sizes, _ = counted
     size = counted.size(unit) if sizes is not None and unit else 1.0
     if said == SI and sizes is not None:
-        return Shown(1 / size, f"{axis.label} ({SCALED})", SCALED) if unit else Shown(1.0, axis.label, "")
+        return (
+            Shown(1 / size, f"{axis.label} ({SCALED})", SCALED)
+            if unit
+            else Shown(1.0, axis.label, "")
+        )
     if said is None or said == SCALED and sizes is None:
-        return Shown(1.0, axis.label if said is None else f"{axis.label} ({SCALED})", "" if said is None else SCALED)
+        return Shown(
+            1.0,
+            axis.label if said is None else f"{axis.label} ({SCALED})",
+            "" if said is None else SCALED,
+        )
     if unit is None:
         return Shown(1.0, axis.label, "")
     own = counted.word(unit.dimension)
     finite = np.abs(np.asarray(axis.numbers, float)[np.isfinite(axis.numbers)])
     largest = float(finite.max(initial=0.0)) * size * unit.size
     angular = unit.dimension == CYCLES.dimension
-    shown_in = own or readable(family(unit.dimension, CYCLES.size if angular else unit.size), largest)
+    shown_in = own or readable(
+        family(unit.dimension, CYCLES.size if angular else unit.size), largest
+    )
     label = axis.label
     if angular:
         label = _cyclic(label) if "Hz" in shown_in.name else _angular(label)
@@ -128,7 +189,9 @@ def _drawn(axis, unit, counted):
 
 def _cyclic(label):
     """A label of angular frequency, as one of frequency."""
-    return re.sub(r"angular frequency|frequency", "frequency", re.sub(r"\s*\$\\omega[^$]*\$", "", label))
+    return re.sub(
+        r"angular frequency|frequency", "frequency", re.sub(r"\s*\$\\omega[^$]*\$", "", label)
+    )
 
 
 def _angular(label):

@@ -16,7 +16,11 @@ COMPONENTS = "xyz"
 
 
 def kink(
-    found: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, barrier: Any = None, units: UnitsOrWords = None,
+    found: Any,
+    axes: Sequence[Axes] | np.ndarray | None = None,
+    *,
+    barrier: Any = None,
+    units: UnitsOrWords = None,
 ) -> np.ndarray:
     """A kink at rest between its wells; beside it its small oscillations, or the Peierls-Nabarro barrier.
 
@@ -91,20 +95,42 @@ def _barrier(ax, barrier, ends, by):
     x = np.linspace(-0.6, 1.1, 171)
     above = scaled_by(ends - ends.min(), by.factor)
     middle, half = above.mean(), (above[0] - above[1]) / 2
-    ax.plot(x, middle + half * np.cos(2 * np.pi * x), "--", color=FAINT, lw=1.0, zorder=1, label="sine through both")
+    ax.plot(
+        x,
+        middle + half * np.cos(2 * np.pi * x),
+        "--",
+        color=FAINT,
+        lw=1.0,
+        zorder=1,
+        label="sine through both",
+    )
     error = scaled_by(float(barrier.error), by.factor)
-    for at, value, tone, name in ((np.array([0, 1]), above[0], COLOURS[0], "on a site"),
-                                  (np.array([-0.5, 0.5]), above[1], COLOURS[1], "on a bond")):
-        ax.errorbar(at, np.full(2, value), error, fmt="o", color=tone, ms=6, capsize=3, zorder=2, label=name)
+    for at, value, tone, name in (
+        (np.array([0, 1]), above[0], COLOURS[0], "on a site"),
+        (np.array([-0.5, 0.5]), above[1], COLOURS[1], "on a bond"),
+    ):
+        ax.errorbar(
+            at, np.full(2, value), error, fmt="o", color=tone, ms=6, capsize=3, zorder=2, label=name
+        )
     ax.set_xlim(-0.6, 1.1)
     ax.set_xlabel("centre of the kink (sites)")
     ax.set_ylabel(f"{by.label.replace('energy', 'energy above the lower kink', 1)}")
     ax.set_ylim(-0.15 * above.max() - error, 1.6 * above.max() + error)
-    ax.legend(loc="upper center", ncols=3, frameon=False, fontsize="small", columnspacing=1.0, handletextpad=0.4)
+    ax.legend(
+        loc="upper center",
+        ncols=3,
+        frameon=False,
+        fontsize="small",
+        columnspacing=1.0,
+        handletextpad=0.4,
+    )
 
 
 def equilibrium(
-    found: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, field: str | None = None,
+    found: Any,
+    axes: Sequence[Axes] | np.ndarray | None = None,
+    *,
+    field: str | None = None,
     units: UnitsOrWords = None,
 ) -> np.ndarray:
     """Where a chain rests, and the loads that hold it: displacements from where it was built, forces from outside.
@@ -125,27 +151,53 @@ def equilibrium(
     ['displacement $u_n$', 'load']
     """
     u, loads = (_chosen(x, field) for x in (found.state[0], found.loads))
-    if u.ndim not in (1, 2) or u.shape != loads.shape or u.ndim == 2 and u.shape[1] > len(COMPONENTS):
-        refuse("found", "a chain's displacements, shape (N,), or (N, components)", f"shape {u.shape}",
-               "Of a plane draw one row: an equilibrium of anything with state, loads, ends and verdict will do.")
+    if (
+        u.ndim not in (1, 2)
+        or u.shape != loads.shape
+        or u.ndim == 2
+        and u.shape[1] > len(COMPONENTS)
+    ):
+        refuse(
+            "found",
+            "a chain's displacements, shape (N,), or (N, components)",
+            f"shape {u.shape}",
+            "Of a plane draw one row: an equilibrium of anything with state, loads, ends and verdict will do.",
+        )
     ends = None if found.ends is None else numbers("found.ends", found.ends, 1)
     forces = np.concatenate([loads.ravel(), [] if ends is None else ends])
-    by_u, by = drawn_in(units, units_of(found), Axis("displacement $u_n$", u, "m"), Axis("load", forces, "N"))
+    by_u, by = drawn_in(
+        units, units_of(found), Axis("displacement $u_n$", u, "m"), Axis("load", forces, "N")
+    )
     u, loads = scaled_by(u, by_u.factor), scaled_by(loads, by.factor)
     axes = several_axes(axes, 1, 2, 8.4, 3.4)
     rest, held = axes.ravel()
     n = np.arange(len(u))
     for k, column in enumerate(u.reshape(len(u), -1).T):
-        rest.plot(n, column, "o-", color=COLOURS[k], ms=4, lw=0.8, mec="white", mew=0.4,
-                  label=COMPONENTS[k] if u.ndim == 2 else None)
+        rest.plot(
+            n,
+            column,
+            "o-",
+            color=COLOURS[k],
+            ms=4,
+            lw=0.8,
+            mec="white",
+            mew=0.4,
+            label=COMPONENTS[k] if u.ndim == 2 else None,
+        )
     rest.axhline(0, color=FAINT, lw=0.8, zorder=0)
     rest.set_title(found.verdict, loc="left")
     for k, column in enumerate(loads.reshape(len(u), -1).T):
         name = "on the sites" if u.ndim == 1 else f"{COMPONENTS[k]}, on the sites"
         held.bar(n, column, 0.8, color=COLOURS[k], label=name)
     if ends is not None:
-        held.plot([-1, len(u)], scaled_by(ends, by.factor), "s", color=COLOURS[1 + (u.ndim == 2)], ms=6,
-                  label="presses on the ends")
+        held.plot(
+            [-1, len(u)],
+            scaled_by(ends, by.factor),
+            "s",
+            color=COLOURS[1 + (u.ndim == 2)],
+            ms=6,
+            label="presses on the ends",
+        )
     held.axhline(0, color=FAINT, lw=0.8, zorder=0)
     held.legend(loc="best", frameon=False)
     if u.ndim == 2:

@@ -30,8 +30,15 @@ FINE, LEAST = 16, 4
 
 
 def shock(
-    run_or_strain: Any, shock: Any = None, ax: AxesOrNone = None, *, problem: Any = None,
-    places: Parameter | None = None, time: Scalar | None = None, over: str = "place", units: UnitsOrWords = None,
+    run_or_strain: Any,
+    shock: Any = None,
+    ax: AxesOrNone = None,
+    *,
+    problem: Any = None,
+    places: Parameter | None = None,
+    time: Scalar | None = None,
+    over: str = "place",
+    units: UnitsOrWords = None,
 ) -> Axes:
     r"""Strain after a step over the place, or over n/t, with edges, plateau and amplitude of a shock.
 
@@ -61,10 +68,20 @@ def shock(
     if time is None and (shock is not None or over == "speed"):
         refuse("time", "that of the strains", "None", "Edges are n/t.")
     x = places if over == "place" else places / time
-    by_x, by_y = drawn_in(units, said, Axis(BOND, x, "") if over == "place" else Axis(SPEED, x, "1/s"),
-                          Axis("strain", strain))
+    by_x, by_y = drawn_in(
+        units,
+        said,
+        Axis(BOND, x, "") if over == "place" else Axis(SPEED, x, "1/s"),
+        Axis("strain", strain),
+    )
     ax = axes_or_new(ax, 6.4, 3.6)
-    ax.plot(scaled_by(x, by_x.factor), scaled_by(strain, by_y.factor), color=COLOURS[0], lw=0.9, label="strain")
+    ax.plot(
+        scaled_by(x, by_x.factor),
+        scaled_by(strain, by_y.factor),
+        color=COLOURS[0],
+        lw=0.9,
+        label="strain",
+    )
     ax.set_xlim(*scaled_by(x[[0, -1]], by_x.factor))
     ax.set_xlabel(by_x.label)
     ax.set_ylabel(by_y.label)
@@ -75,28 +92,72 @@ def shock(
 
 def _mark(ax, shock, along, by_y, strain):
     """Edges, plateau and amplitude; `along`: what a speed is multiplied with to be a place of the picture."""
-    trailing, leading, mean, amplitude = (_number(f"shock.{name}", getattr(shock, name))
-                                          for name in (*EDGES, "mean", "amplitude"))
+    trailing, leading, mean, amplitude = (
+        _number(f"shock.{name}", getattr(shock, name)) for name in (*EDGES, "mean", "amplitude")
+    )
     ahead, way = float(getattr(shock, "ahead", 0.0)), np.sign(leading)
-    level, top = (scaled_by(y, by_y.factor) for y in (mean, ahead + np.copysign(amplitude, mean - ahead)))
-    low, high = (pick([y, *(x for x in (level, top) if np.isfinite(x))]) for pick, y in zip((min, max), ax.get_ylim()))
+    level, top = (
+        scaled_by(y, by_y.factor) for y in (mean, ahead + np.copysign(amplitude, mean - ahead))
+    )
+    low, high = (
+        pick([y, *(x for x in (level, top) if np.isfinite(x))])
+        for pick, y in zip((min, max), ax.get_ylim())
+    )
     ax.set_ylim(low, high + 0.16 * (high - low))
     for name, speed, side in (("trailing edge", trailing, -way), ("leading edge", leading, way)):
         if np.isfinite(speed):
             ax.axvline(along * speed, color=COLOURS[1], ls="--", lw=1.0, zorder=1)
-            ax.annotate(f"{name} ", (along * speed, 1.0), (5 * side, -3), ("data", "axes fraction"), "offset points",
-                        color=COLOURS[1], size="small", va="top", ha="left" if side > 0 else "right")
+            ax.annotate(
+                f"{name} ",
+                (along * speed, 1.0),
+                (5 * side, -3),
+                ("data", "axes fraction"),
+                "offset points",
+                color=COLOURS[1],
+                size="small",
+                va="top",
+                ha="left" if side > 0 else "right",
+            )
     unit = f" {by_y.unit}" if by_y.unit and by_y.unit != "scaled" else ""
     behind = along * (trailing if np.isfinite(trailing) else 0.0)
-    ax.hlines(level, *sorted((0.0, behind)) if behind else ax.get_xlim(), color=COLOURS[2], ls="--", lw=1.2, zorder=3)
-    ax.annotate(f"mean {level:.4g}{unit}", (behind / 2, level), (0, -4), "data", "offset points", color=COLOURS[2],
-                size="small", va="top", ha="center", bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.5})
+    ax.hlines(
+        level,
+        *sorted((0.0, behind)) if behind else ax.get_xlim(),
+        color=COLOURS[2],
+        ls="--",
+        lw=1.2,
+        zorder=3,
+    )
+    ax.annotate(
+        f"mean {level:.4g}{unit}",
+        (behind / 2, level),
+        (0, -4),
+        "data",
+        "offset points",
+        color=COLOURS[2],
+        size="small",
+        va="top",
+        ha="center",
+        bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.5},
+    )
     if np.isfinite(leading) and np.isfinite(top):
         ends = [(along * leading, y) for y in (scaled_by(ahead, by_y.factor), top)]
-        ax.annotate("", *ends, arrowprops={"arrowstyle": "<->", "color": COLOURS[3], "shrinkA": 0, "shrinkB": 0})
-        ax.annotate(f" amplitude {abs(top - ends[0][1]):.4g}{unit}", (along * leading, (top + ends[0][1]) / 2),
-                    (6 * way, 0), "data", "offset points", color=COLOURS[3], size="small",
-                    ha="left" if way > 0 else "right", va="center")
+        ax.annotate(
+            "",
+            *ends,
+            arrowprops={"arrowstyle": "<->", "color": COLOURS[3], "shrinkA": 0, "shrinkB": 0},
+        )
+        ax.annotate(
+            f" amplitude {abs(top - ends[0][1]):.4g}{unit}",
+            (along * leading, (top + ends[0][1]) / 2),
+            (6 * way, 0),
+            "data",
+            "offset points",
+            color=COLOURS[3],
+            size="small",
+            ha="left" if way > 0 else "right",
+            va="center",
+        )
     _room(ax, along * leading, way)
 
 
@@ -110,8 +171,14 @@ def _room(ax, edge, way):
 
 
 def shock_core(
-    run_or_strain: Any, window: Parameter, ax: AxesOrNone = None, *, beside: Mapping[str, Any] | None = None,
-    problem: Any = None, places: Parameter | None = None, units: UnitsOrWords = None,
+    run_or_strain: Any,
+    window: Parameter,
+    ax: AxesOrNone = None,
+    *,
+    beside: Mapping[str, Any] | None = None,
+    problem: Any = None,
+    places: Parameter | None = None,
+    units: UnitsOrWords = None,
 ) -> Axes:
     """A few waves of a shock: the strain of each bond as a dot, and waves through or beside them.
 
@@ -134,7 +201,11 @@ def shock_core(
     low, high = _pair("window", window)
     inside = (places >= low) & (places <= high)
     if inside.sum() < LEAST:
-        refuse("window", f"{LEAST} bonds or more of those from {places[0]:g} to {places[-1]:g}", f"{low:g} to {high:g}")
+        refuse(
+            "window",
+            f"{LEAST} bonds or more of those from {places[0]:g} to {places[-1]:g}",
+            f"{low:g} to {high:g}",
+        )
     curves = {}
     if beside is None:
         fine = np.linspace(*places[inside][[0, -1]], FINE * (inside.sum() - 1) + 1)
@@ -146,21 +217,43 @@ def shock_core(
         curves[name] = x[cut], y[cut]
     by_x, by_y = drawn_in(units, said, Axis(BOND, places, ""), Axis("strain", strain))
     ax = axes_or_new(ax, 5.2, 3.4)
-    ax.plot(places[inside], scaled_by(strain[inside], by_y.factor), "o", color=COLOURS[0], ms=3.5, label="lattice",
-            zorder=3)
+    ax.plot(
+        places[inside],
+        scaled_by(strain[inside], by_y.factor),
+        "o",
+        color=COLOURS[0],
+        ms=3.5,
+        label="lattice",
+        zorder=3,
+    )
     for i, (name, (x, y)) in enumerate(curves.items()):
-        ax.plot(x, scaled_by(y, by_y.factor), DASHES[i % len(DASHES)], color=colour(i + 1), lw=1.2, label=name)
+        ax.plot(
+            x,
+            scaled_by(y, by_y.factor),
+            DASHES[i % len(DASHES)],
+            color=colour(i + 1),
+            lw=1.2,
+            label=name,
+        )
     ax.set_xlim(low, high)
     ax.set_xlabel(by_x.label)
     ax.set_ylabel(by_y.label)
     if beside:
-        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2, frameon=False)
+        ax.legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2, frameon=False
+        )
     return ax
 
 
 def shock_map(
-    record: Any, ax: AxesOrNone = None, *, edges: Mapping[str, Any] | None = None, ts: Parameter | None = None,
-    places: Parameter | None = None, limit: Scalar | None = None, units: UnitsOrWords = None,
+    record: Any,
+    ax: AxesOrNone = None,
+    *,
+    edges: Mapping[str, Any] | None = None,
+    ts: Parameter | None = None,
+    places: Parameter | None = None,
+    limit: Scalar | None = None,
+    units: UnitsOrWords = None,
 ) -> Axes:
     """Map of the strain in space and time, with the lines n = s t of the edges that theories give.
 
@@ -194,16 +287,30 @@ def shock_map(
         lines[name] = [_number(f"edges[{name!r}].{end}", getattr(one, end)) for end in EDGES]
         said = units_of_both(record, one, f"edges[{name!r}]", "map") or said
     by_time, _ = drawn_in(units, said, Axis("time", ts), Axis("strain", strain))
-    ax = space_time(_Map(ts, strain, strain, said), ax, quantity=strain, sites=places, label="strain", site_label=BOND,
-                    limit=limit, units=units)
+    ax = space_time(
+        _Map(ts, strain, strain, said),
+        ax,
+        quantity=strain,
+        sites=places,
+        label="strain",
+        site_label=BOND,
+        limit=limit,
+        units=units,
+    )
     ax.set_xlim(*ax.get_xlim())
     ax.set_ylim(*ax.get_ylim())
     image = (*ax.images, *ax.collections)[0]
     tone = "white" if image.cmap.name.startswith("viridis") else "black"
     for i, (name, speeds) in enumerate(lines.items()):
         for j, speed in enumerate(s for s in speeds if np.isfinite(s)):
-            ax.plot(speed * ts, scaled_by(ts, by_time.factor), DASHES[i % len(DASHES)], color=tone, lw=1.2,
-                    label=None if j else name)
+            ax.plot(
+                speed * ts,
+                scaled_by(ts, by_time.factor),
+                DASHES[i % len(DASHES)],
+                color=tone,
+                lw=1.2,
+                label=None if j else name,
+            )
     if lines:
         ax.legend(loc="lower right", frameon=False, labelcolor=tone)
     return ax
@@ -219,7 +326,11 @@ class _Map(NamedTuple):
 
 
 def modulation(
-    shock: Any, ax: AxesOrNone = None, *, quantity: str = "m", beside: Mapping[str, Any] | None = None,
+    shock: Any,
+    ax: AxesOrNone = None,
+    *,
+    quantity: str = "m",
+    beside: Mapping[str, Any] | None = None,
     units: UnitsOrWords = None,
 ) -> Axes:
     """How the waves of a shock change along it: as measured in windows, over n/t, beside theories.
@@ -258,12 +369,24 @@ def modulation(
         curves[name] = _pair(f"beside[{name!r}]", one, 1, finite=False)
     by_x, by_y = drawn_in(units, units_of(shock), Axis(SPEED, s, "1/s"), Axis(label, values, unit))
     ax = axes_or_new(ax, 5.2, 3.6)
-    ax.plot(scaled_by(s, by_x.factor), scaled_by(values, by_y.factor), "o", color=COLOURS[0], ms=5, label="measured",
-            zorder=3)
+    ax.plot(
+        scaled_by(s, by_x.factor),
+        scaled_by(values, by_y.factor),
+        "o",
+        color=COLOURS[0],
+        ms=5,
+        label="measured",
+        zorder=3,
+    )
     for i, (name, (x, y)) in enumerate(curves.items()):
         order = np.argsort(x)
-        ax.plot(scaled_by(x[order], by_x.factor), scaled_by(y[order], by_y.factor), DASHES[i % len(DASHES)],
-                color=colour(i + 1), label=name)
+        ax.plot(
+            scaled_by(x[order], by_x.factor),
+            scaled_by(y[order], by_y.factor),
+            DASHES[i % len(DASHES)],
+            color=colour(i + 1),
+            label=name,
+        )
     ax.set_xlabel(by_x.label)
     ax.set_ylabel(by_y.label)
     ax.legend(frameon=False)
@@ -286,9 +409,16 @@ def _profile(given, problem, places, time):
     if hasattr(given, "final") and hasattr(given, "ts") and not hasattr(given, "strain"):
         problem = getattr(given, "_problem", None) if problem is None else problem
         if problem is None:
-            refuse("problem", "what was run, as gx.shocks.velocity_shock returns it", "None, and the run does not know")
+            refuse(
+                "problem",
+                "what was run, as gx.shocks.velocity_shock returns it",
+                "None, and the run does not know",
+            )
         strain = problem.strain(given.final.u)
-        places, time = np.arange(len(strain)) - np.asarray(problem.centre, float), np.asarray(given.ts)[-1]
+        places, time = (
+            np.arange(len(strain)) - np.asarray(problem.centre, float),
+            np.asarray(given.ts)[-1],
+        )
     elif hasattr(given, "strain") and hasattr(given, "places") and hasattr(given, "ts"):
         strain, places, time = np.asarray(given.strain)[-1], given.places, np.asarray(given.ts)[-1]
     else:

@@ -127,7 +127,9 @@ def _drawn(argument, made, ending, dpi):
 
 def _moving(argument, made, ending, dpi):
     """An animation's file. Its writers know files alone, so that one is made elsewhere."""
-    writers = {".gif": "pillow"} | {end: "ffmpeg" for end in (".mp4", ".webm") if FFMpegWriter.isAvailable()}
+    writers = {".gif": "pillow"} | {
+        end: "ffmpeg" for end in (".mp4", ".webm") if FFMpegWriter.isAvailable()
+    }
     ending = one_of(argument, ending.lower(), list(writers))
     with tempfile.TemporaryDirectory(prefix="granjax-") as folder:
         place = Path(folder) / f"animation{ending}"
@@ -164,7 +166,11 @@ def axes_or_new(ax: AxesOrNone, width: Scalar = 5.0, height: Scalar = 3.6) -> Ax
 
 
 def several_axes(
-    axes: Sequence[Axes] | np.ndarray | None, rows: Count, columns: Count, width: Scalar, height: Scalar,
+    axes: Sequence[Axes] | np.ndarray | None,
+    rows: Count,
+    columns: Count,
+    width: Scalar,
+    height: Scalar,
 ) -> np.ndarray:
     """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
     if axes is None:

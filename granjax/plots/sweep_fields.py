@@ -37,14 +37,22 @@ class Field(NamedTuple):
     def part(self, index: tuple) -> "Field":
         """The field at an index of its last parameter."""
         parameters = dict(list(self.parameters.items())[:-1])
-        return self._replace(values=self.values[index], failed=self.failed[index], parameters=parameters)
+        return self._replace(
+            values=self.values[index], failed=self.failed[index], parameters=parameters
+        )
 
 
 def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
     """The `Field` of a variable of a dataset."""
     parameters, grid, dims = _parameters(data)
-    known = [key for key, x in data.data_vars.items() if key != REASON and x.dims[: len(dims)] == dims
-             or key != REASON and set(dims) <= set(x.dims)]
+    known = [
+        key
+        for key, x in data.data_vars.items()
+        if key != REASON
+        and x.dims[: len(dims)] == dims
+        or key != REASON
+        and set(dims) <= set(x.dims)
+    ]
     if name is None:
         scalar = [key for key in known if data[key].ndim == len(dims)] or known
         name = next((key for key in scalar if data[key].dtype.kind in "fiuc"), scalar[0])
@@ -52,8 +60,11 @@ def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
     values = np.asarray(x.values)
     if values.dtype.kind in "OS":
         values = values.astype(str)
-    reason = np.asarray(data[REASON].transpose(*dims).values).astype(str) if REASON in data else np.full(
-        values.shape[: len(dims)], "")
+    reason = (
+        np.asarray(data[REASON].transpose(*dims).values).astype(str)
+        if REASON in data
+        else np.full(values.shape[: len(dims)], "")
+    )
     failed = (reason != "") & (reason != NOT_YET)
     if values.dtype.kind == "b":
         known = (reason == "").reshape(reason.shape + (1,) * (values.ndim - reason.ndim))
@@ -65,7 +76,11 @@ def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
     counted = {key: str(data[key].attrs.get("units", "")) for key in names}
     by = _shown({name: values} | parameters, counted, labels, units)
     error = f"{name}_error"
-    errors = np.asarray(data[error].transpose(*dims).values) if error in data and data[error].dims == dims else None
+    errors = (
+        np.asarray(data[error].transpose(*dims).values)
+        if error in data and data[error].dims == dims
+        else None
+    )
     return Field(name, values, failed, parameters, grid, labels, by, errors)
 
 
@@ -73,7 +88,11 @@ def _parameters(data):
     """Values of the parameters by name, whether they span a grid, and the dimensions of the lanes."""
     own = [key for key in data.coords if data[key].ndim == 1]
     if LANE in data.dims:
-        along = {key: np.asarray(data[key].values) for key in own if data[key].dims == (LANE,) and key != LANE}
+        along = {
+            key: np.asarray(data[key].values)
+            for key in own
+            if data[key].dims == (LANE,) and key != LANE
+        }
         return along or {LANE: np.arange(data.sizes[LANE])}, False, (LANE,)
     if REASON in data:
         dims = data[REASON].dims
@@ -81,9 +100,19 @@ def _parameters(data):
         shared = [set(x.dims) for x in data.data_vars.values()] or [set()]
         dims = tuple(key for key in data.dims if key in set.intersection(*shared) and key in own)
     if not dims:
-        refuse("data", "coordinates by the names of the parameters that vary", f"dimensions {tuple(data.dims)}")
-    return {key: np.asarray(data[key].values) if key in data.coords else np.arange(data.sizes[key])
-            for key in dims}, True, dims
+        refuse(
+            "data",
+            "coordinates by the names of the parameters that vary",
+            f"dimensions {tuple(data.dims)}",
+        )
+    return (
+        {
+            key: np.asarray(data[key].values) if key in data.coords else np.arange(data.sizes[key])
+            for key in dims
+        },
+        True,
+        dims,
+    )
 
 
 def _words(data, name):
@@ -93,12 +122,18 @@ def _words(data, name):
 def with_lines(field: Field, lines: str) -> Field:
     """The field with a parameter as its last axis."""
     if not field.grid or len(field.parameters) != 2 or field.values.ndim != 2:
-        refuse("lines", "None, but for a grid of two parameters", f"{lines!r} of {len(field.parameters)}")
+        refuse(
+            "lines",
+            "None, but for a grid of two parameters",
+            f"{lines!r} of {len(field.parameters)}",
+        )
     names = list(field.parameters)
     at = names.index(one_of("lines", lines, names))
     ordered = {names[1 - at]: field.parameters[names[1 - at]], lines: field.parameters[lines]}
     turned = (lambda x: x) if at else np.transpose
-    return field._replace(parameters=ordered, values=turned(field.values), failed=turned(field.failed))
+    return field._replace(
+        parameters=ordered, values=turned(field.values), failed=turned(field.failed)
+    )
 
 
 def _shown(arrays, counted, labels, units):
@@ -115,7 +150,9 @@ def _shown(arrays, counted, labels, units):
 
 
 def places(
-    x: Shaped[np.ndarray, " values"], factor: float = 1.0, drawn: bool = False,
+    x: Shaped[np.ndarray, " values"],
+    factor: float = 1.0,
+    drawn: bool = False,
 ) -> tuple[Float[np.ndarray, " values"], bool]:
     """Places of a parameter's values on an axis, and whether that is logarithmic.
 
@@ -134,12 +171,18 @@ def _spaced(x):
     if len(x) < 3 or x[0] <= 0 or not x[0] < x[-1] < np.inf:
         return False
     steps = np.diff(np.log(x))
-    return bool(np.ptp(steps) <= EVEN * steps.mean() and np.ptp(np.diff(x)) > EVEN * np.diff(x).mean())
+    return bool(
+        np.ptp(steps) <= EVEN * steps.mean() and np.ptp(np.diff(x)) > EVEN * np.diff(x).mean()
+    )
 
 
 def _typical(x):
     """The numbers of which a unit is to make readable ones: of a logarithmic axis its middle."""
-    return np.exp(np.log(x.astype(float)).mean(keepdims=True)) if x.ndim == 1 and (_spaced(x) or _wide(x)) else x
+    return (
+        np.exp(np.log(x.astype(float)).mean(keepdims=True))
+        if x.ndim == 1 and (_spaced(x) or _wide(x))
+        else x
+    )
 
 
 def _wide(x):

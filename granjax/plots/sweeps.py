@@ -24,8 +24,15 @@ KNOWN = {"stable": 0, "unstable": 1, "undecided": 3, "yes": 0, "no": 1}
 
 
 def sweep(
-    data: Any, name: str | None = None, ax: AxesOrNone = None, *, lines: str | None = None, bands: str | None = None,
-    scale: str = "linear", units: UnitsOrWords = None, colour_bar: bool = True,
+    data: Any,
+    name: str | None = None,
+    ax: AxesOrNone = None,
+    *,
+    lines: str | None = None,
+    bands: str | None = None,
+    scale: str = "linear",
+    units: UnitsOrWords = None,
+    colour_bar: bool = True,
 ) -> Axes | AnyArray:
     """Picture of a sweep: a line over one parameter, a map over two, a map each for the values of a third.
 
@@ -63,8 +70,12 @@ def sweep(
     if bands is not None and (count != 1 or not field.grid):
         refuse("bands", "None, but for a line over one parameter of a grid", repr(bands))
     if field.values.ndim > field.failed.ndim and count > 1:
-        refuse("name", "a variable with one value per lane, where several parameters vary", repr(field.name),
-               f"Pick one: data.isel({field.name}_0=0).")
+        refuse(
+            "name",
+            "a variable with one value per lane, where several parameters vary",
+            repr(field.name),
+            f"Pick one: data.isel({field.name}_0=0).",
+        )
     if not field.grid:
         return _scattered(field, ax, scale, colour_bar)
     if lines is not None or count == 1:
@@ -97,7 +108,13 @@ def _lines(field, ax, bands, scale):
         edges = x.min(), x.max()
         ax.set_xlim(edges if edges[0] < edges[1] else None)
     failed = field.failed if field.failed.ndim == 1 else field.failed.any(axis=1)
-    _crosses(ax, x[failed], np.full(np.count_nonzero(failed), 0.03), field.failed, ax.get_xaxis_transform())
+    _crosses(
+        ax,
+        x[failed],
+        np.full(np.count_nonzero(failed), 0.03),
+        field.failed,
+        ax.get_xaxis_transform(),
+    )
     _legend(ax)
     return ax
 
@@ -113,7 +130,14 @@ def _drawn_lines(ax, field, x, order, factor, names):
         ax.plot(x[order], scaled_by(seen, factor), color=colour(i), label=label, lw=1.4, **dots)
     if field.errors is not None and values.shape[1] == 1:
         errors = scaled_by(np.where(np.isfinite(field.errors), np.abs(field.errors), 0.0), factor)
-        ax.errorbar(x[order], scaled_by(values[order, 0], factor), errors[order], fmt="none", ecolor=colour(0), lw=1)
+        ax.errorbar(
+            x[order],
+            scaled_by(values[order, 0], factor),
+            errors[order],
+            fmt="none",
+            ecolor=colour(0),
+            lw=1,
+        )
 
 
 def _each(field, name):
@@ -132,16 +156,23 @@ def _bands(ax, x, words, log, name):
             if words[begin]:
                 tone = tones[found.index(words[begin])]
                 label = None if words[begin] in words[:begin] else words[begin]
-                ax.axvspan(edges[begin], edges[i], color=tone, alpha=0.18, lw=0, label=label, zorder=0)
+                ax.axvspan(
+                    edges[begin], edges[i], color=tone, alpha=0.18, lw=0, label=label, zorder=0
+                )
             begin = i
 
 
 def _kinds(words, name):
     """The different words and their colours: known ones in the order and the colours of `KNOWN`."""
     order = list(KNOWN)
-    found = sorted({str(word) for word in words.flat} - {""}, key=lambda x: (order.index(x) if x in KNOWN else 9, x))
+    found = sorted(
+        {str(word) for word in words.flat} - {""},
+        key=lambda x: (order.index(x) if x in KNOWN else 9, x),
+    )
     if len(found) > WORDS:
-        refuse("name", f"a variable of at most {WORDS} different words", f"{name!r}, with {len(found)}")
+        refuse(
+            "name", f"a variable of at most {WORDS} different words", f"{name!r}, with {len(found)}"
+        )
     known = KNOWN.keys() >= {*found}
     return found, [colour(KNOWN[word] if known else i) for i, word in enumerate(found)]
 
@@ -159,7 +190,13 @@ def _legend(ax):
     said = ax.get_legend_handles_labels()[1]
     if said:
         columns = min(max(ROW // (HANDLE + max(map(len, said))), 1), 4)
-        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, frameon=False)
+        ax.legend(
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=columns,
+            borderaxespad=0.2,
+            frameon=False,
+        )
 
 
 def _colours(field, factor, scale, name="values"):
@@ -170,17 +207,31 @@ def _colours(field, factor, scale, name="values"):
         numbers = np.full(values.shape, np.nan)
         for i, word in enumerate(found):
             numbers[values == word] = i
-        norm = BoundaryNorm(np.arange(len(found) + 1) - 0.5, max(len(found), 1)) if found else Normalize()
+        norm = (
+            BoundaryNorm(np.arange(len(found) + 1) - 0.5, max(len(found), 1))
+            if found
+            else Normalize()
+        )
         return numbers, norm, ListedColormap(tones or [GAP]), found
     numbers = scaled_by(np.where(np.isfinite(values), values, np.nan).astype(float), factor)
     seen = numbers[np.isfinite(numbers)]
     if scale == "log":
         positive = seen[seen > 0]
         low, high = (positive.min(), positive.max()) if positive.size else (0.1, 1.0)
-        return np.where(numbers > 0, numbers, np.nan), LogNorm(low, high if high > low else 10 * low), "viridis", None
+        return (
+            np.where(numbers > 0, numbers, np.nan),
+            LogNorm(low, high if high > low else 10 * low),
+            "viridis",
+            None,
+        )
     if seen.size and seen.min() < 0 < seen.max():
         return numbers, CenteredNorm(halfrange=np.abs(seen).max()), "RdBu_r", None
-    return numbers, Normalize(*((seen.min(), seen.max()) if seen.size else (0.0, 1.0))), "viridis", None
+    return (
+        numbers,
+        Normalize(*((seen.min(), seen.max()) if seen.size else (0.0, 1.0))),
+        "viridis",
+        None,
+    )
 
 
 def _bar(ax, image, label, words):
@@ -195,10 +246,18 @@ def _map(field, ax, scale, colour_bar, coloured=None):
     first, second = field.parameters
     by_x, by_y, by = (field.by[key] for key in (first, second, field.name))
     numbers, norm, colours, words = coloured or _colours(field, by.factor, scale)
-    (x, x_log), (y, y_log) = (places(field.parameters[key], b.factor) for key, b in ((first, by_x), (second, by_y)))
+    (x, x_log), (y, y_log) = (
+        places(field.parameters[key], b.factor) for key, b in ((first, by_x), (second, by_y))
+    )
     rows, columns = np.argsort(x), np.argsort(y)
-    image = ax.pcolormesh(edges_of(x[rows], x_log), edges_of(y[columns], y_log), numbers[np.ix_(rows, columns)].T,
-                          norm=norm, cmap=colours, rasterized=True)
+    image = ax.pcolormesh(
+        edges_of(x[rows], x_log),
+        edges_of(y[columns], y_log),
+        numbers[np.ix_(rows, columns)].T,
+        norm=norm,
+        cmap=colours,
+        rasterized=True,
+    )
     ax.set_facecolor(GAP)
     name_axis(ax.xaxis, field.parameters[first], by_x.label, x_log)
     name_axis(ax.yaxis, field.parameters[second], by_y.label, y_log)
@@ -213,13 +272,21 @@ def _map(field, ax, scale, colour_bar, coloured=None):
 def _panels(field, ax, scale, colour_bar):
     """A map over the first two parameters for each value of the third, of one scale of colours."""
     if len(field.parameters) > 3:
-        refuse("data", "at most three parameters of a grid", f"{len(field.parameters)}",
-               f"Fix some: data.sel({next(reversed(field.parameters))}=..., method='nearest').")
+        refuse(
+            "data",
+            "at most three parameters of a grid",
+            f"{len(field.parameters)}",
+            f"Fix some: data.sel({next(reversed(field.parameters))}=..., method='nearest').",
+        )
     last = next(reversed(field.parameters))
     x = field.parameters[last]
     if len(x) > PANELS:
-        refuse("data", f"at most {PANELS} values of {last!r}, a panel each", f"{len(x)}",
-               f"Pick some: data.isel({last}=slice(None, None, {-(-len(x) // PANELS)})).")
+        refuse(
+            "data",
+            f"at most {PANELS} values of {last!r}, a panel each",
+            f"{len(x)}",
+            f"Pick some: data.isel({last}=slice(None, None, {-(-len(x) // PANELS)})).",
+        )
     axes = _grid(ax, len(x), 3.0, 2.5)
     by = field.by[field.name]
     numbers, *rest = _colours(field, by.factor, scale)
@@ -248,8 +315,13 @@ def _grid(ax, count, width, height):
     columns = 4 if count > 6 else 2 if count in (2, 4) else min(count, 3)
     rows = -(-count // columns)
     with style():
-        made, axes = plt.subplots(rows, columns, figsize=(width * columns + 0.8, height * rows + 0.3),
-                                  layout="constrained", squeeze=False)
+        made, axes = plt.subplots(
+            rows,
+            columns,
+            figsize=(width * columns + 0.8, height * rows + 0.3),
+            layout="constrained",
+            squeeze=False,
+        )
     for spare in axes.flat[count:]:
         spare.remove()
     return axes.ravel()[:count]
@@ -259,8 +331,12 @@ def _scattered(field, ax, scale, colour_bar):
     """Dots of lanes side by side: over one parameter, coloured over two, over each of several."""
     names = list(field.parameters)
     if field.values.ndim > 1:
-        refuse("name", "a variable with one value per lane", repr(field.name),
-               f"Pick one: data.isel({field.name}_0=0).")
+        refuse(
+            "name",
+            "a variable with one value per lane",
+            repr(field.name),
+            f"Pick one: data.isel({field.name}_0=0).",
+        )
     if len(names) == 2:
         return _dots(field, axes_or_new(ax, 5.4, 4.0), names, scale, colour_bar)
     one = len(names) == 1
@@ -282,24 +358,35 @@ def _against(field, ax, name, scale):
         for i in range(len(found)):
             ax.plot(x[y == i], y[y == i], "o", ms=3.5, color=tones[i])
     else:
-        ax.plot(x, scaled_by(np.where(np.isfinite(field.values), field.values, np.nan), by_y.factor), "o", ms=3.5,
-                color=colour(0))
+        ax.plot(
+            x,
+            scaled_by(np.where(np.isfinite(field.values), field.values, np.nan), by_y.factor),
+            "o",
+            ms=3.5,
+            color=colour(0),
+        )
         if scale == "log" and (field.values > 0).any():
             ax.set_yscale("log")
     ax.set_ylabel(by_y.label)
     name_axis(ax.xaxis, field.parameters[name], by_x.label, log)
     failed = field.failed
-    _crosses(ax, x[failed], np.full(np.count_nonzero(failed), 0.03), failed, ax.get_xaxis_transform())
+    _crosses(
+        ax, x[failed], np.full(np.count_nonzero(failed), 0.03), failed, ax.get_xaxis_transform()
+    )
     _legend(ax)
 
 
 def _dots(field, ax, names, scale, colour_bar):
     """Dots over two parameters, coloured by the variable."""
     by_x, by_y, by = (field.by[key] for key in (*names, field.name))
-    (x, x_log), (y, y_log) = (places(field.parameters[key], b.factor, True) for key, b in zip(names, (by_x, by_y)))
+    (x, x_log), (y, y_log) = (
+        places(field.parameters[key], b.factor, True) for key, b in zip(names, (by_x, by_y))
+    )
     numbers, norm, colours, words = _colours(field, by.factor, scale)
     known = np.isfinite(numbers)
-    image = ax.scatter(x[known], y[known], c=numbers[known], norm=norm, cmap=colours, s=18, linewidths=0)
+    image = ax.scatter(
+        x[known], y[known], c=numbers[known], norm=norm, cmap=colours, s=18, linewidths=0
+    )
     name_axis(ax.xaxis, field.parameters[names[0]], by_x.label, x_log)
     name_axis(ax.yaxis, field.parameters[names[1]], by_y.label, y_log)
     _crosses(ax, x[field.failed], y[field.failed], field.failed)

@@ -17,8 +17,13 @@ CLOSED = 1e-6
 
 
 def dispersion(
-    dispersion_record: Any, ax: AxesOrNone = None, *, spectrum: Any = None, floor: Scalar = 1e-6,
-    units: UnitsOrWords = None, colour_bar: bool = True,
+    dispersion_record: Any,
+    ax: AxesOrNone = None,
+    *,
+    spectrum: Any = None,
+    floor: Scalar = 1e-6,
+    units: UnitsOrWords = None,
+    colour_bar: bool = True,
 ) -> Axes:
     """Dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
 
@@ -49,11 +54,19 @@ def dispersion(
     ax = axes_or_new(ax, 5.4, 4.0)
     if spectrum is None:
         span = float(k.min()), float(k.max())
-        ax.set_xlabel("wave number $k$ (rad/site)" if cell == 1 else f"wave number $k$ (rad/cell of {cell} sites)")
+        ax.set_xlabel(
+            "wave number $k$ (rad/site)"
+            if cell == 1
+            else f"wave number $k$ (rad/cell of {cell} sites)"
+        )
         _lines(ax, k, omega, COLOURS[0], lw=1.6)
     else:
-        image, span = _under(ax, spectrum, by.factor,
-                             float(within("floor", floor, 0, 1, open_low=True, open_high=True)))
+        image, span = _under(
+            ax,
+            spectrum,
+            by.factor,
+            float(within("floor", floor, 0, 1, open_low=True, open_high=True)),
+        )
         ax.set_xlabel("wave number $k$ (rad/site)")
         _zones(ax, k, omega, cell, span)
         if colour_bar:
@@ -61,7 +74,15 @@ def dispersion(
     top = 1.15 * float(np.nanmax(omega)) or 1.0
     shaded = False
     for low, high in _gaps(omega):
-        ax.axhspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1.5, label=None if shaded else "gap")
+        ax.axhspan(
+            low,
+            high,
+            color=COLOURS[3],
+            alpha=0.22,
+            lw=0,
+            zorder=1.5,
+            label=None if shaded else "gap",
+        )
         shaded = True
     ax.set_xlim(*span)
     ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), top)
@@ -70,7 +91,9 @@ def dispersion(
     return ax
 
 
-def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True, units: UnitsOrWords = None) -> Axes:
+def floquet_bands(
+    bands: Any, ax: AxesOrNone = None, *, growth: bool = True, units: UnitsOrWords = None
+) -> Axes:
     """Quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, with the growth rate on the right.
 
     **Arguments:** `bands`: anything with `k` (K,), `omega` and `growth` (K, multipliers), `edges` (gaps, 2) or `None`,
@@ -102,7 +125,9 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True, uni
         ax.axvspan(max(low, k[0]), min(high, k[-1]), color=COLOURS[3], alpha=0.22, lw=0, zorder=1)
     half = scaled_by(np.pi / float(bands.period), by.factor)
     cell = int(np.prod(bands.cell))
-    ax.set_xlabel("wave number $k$ (rad/site)" if cell == 1 else f"wave number $k$ (rad/cell of {cell} sites)")
+    ax.set_xlabel(
+        "wave number $k$ (rad/site)" if cell == 1 else f"wave number $k$ (rad/cell of {cell} sites)"
+    )
     ax.set_xlim(k[0], k[-1])
     ax.set_ylim(-1.05 * half, 1.05 * half)
     _ticks(ax, (k[0], k[-1]))
@@ -132,8 +157,12 @@ def _bands(record):
     k = numbers("dispersion_record.k", record.k)
     if k.ndim != 1 or omega.ndim != 2 or len(k) != len(omega) or len(k) < 2:
         got = f"shapes {k.shape} and {omega.shape}"
-        refuse("dispersion_record", "k of shape (K,) and omega (K, bands), of a chain", got,
-               "Draw a path through a plane's zone with plots.profile(path, omega).")
+        refuse(
+            "dispersion_record",
+            "k of shape (K,) and omega (K, bands), of a chain",
+            got,
+            "Draw a path through a plane's zone with plots.profile(path, omega).",
+        )
     order = np.argsort(k)
     return k[order], omega[order], int(np.prod(record.cell))
 
@@ -147,14 +176,20 @@ def _under(ax, spectrum, factor, floor):
     k, w = numbers("spectrum.k", spectrum.k, 1), numbers("spectrum.omega", spectrum.omega, 1)
     power = numbers("spectrum.power", spectrum.power, finite=False)
     if power.shape != (len(k), len(w)):
-        refuse("spectrum.power", f"shape {(len(k), len(w))}, wave numbers by frequencies", f"shape {power.shape}",
-               "Of a batch pick one lane.")
+        refuse(
+            "spectrum.power",
+            f"shape {(len(k), len(w))}, wave numbers by frequencies",
+            f"shape {power.shape}",
+            "Of a batch pick one lane.",
+        )
     top = float(np.nanmax(power))
     if not top > 0:
         refuse("spectrum.power", "some power above zero", f"a largest of {top:g}")
     scaled = np.maximum(power.T / top, floor)
     norm = LogNorm(floor, 1.0)
-    image = ax.pcolormesh(k, factor * w, scaled, norm=norm, cmap="Blues", shading="nearest", rasterized=True, zorder=0)
+    image = ax.pcolormesh(
+        k, factor * w, scaled, norm=norm, cmap="Blues", shading="nearest", rasterized=True, zorder=0
+    )
     half = (k.max() - k.min()) / (2 * max(len(k) - 1, 1))
     return image, (float(k.min() - half), float(k.max() + half))
 
@@ -175,12 +210,18 @@ def _gaps(omega):
     low, high = np.nanmin(omega, 0), np.nanmax(omega, 0)
     least = CLOSED * np.nanmax(np.abs(omega))
     edges = [(0.0, low[0])] + list(zip(high[:-1], low[1:]))
-    return [(float(a), float(b)) for a, b in edges if b - a > least and not (a == 0.0 and b <= 0.05 * high[-1])]
+    return [
+        (float(a), float(b))
+        for a, b in edges
+        if b - a > least and not (a == 0.0 and b <= 0.05 * high[-1])
+    ]
 
 
 def _ticks(ax, span):
     """Ticks at multiples of pi/2, where the span is a zone or half of one."""
-    places = np.arange(np.ceil(span[0] / (np.pi / 2) - 1e-6), np.floor(span[1] / (np.pi / 2) + 1e-6) + 1)
+    places = np.arange(
+        np.ceil(span[0] / (np.pi / 2) - 1e-6), np.floor(span[1] / (np.pi / 2) + 1e-6) + 1
+    )
     if not 2 <= len(places) <= 9:
         return
     ax.set_xticks(places * np.pi / 2, [_name(int(p)) for p in places])

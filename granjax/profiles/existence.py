@@ -51,7 +51,12 @@ def bounds(law: Law, side: int) -> Bounds:
 def _with_tops(law, strains, secant):
     """The same with the places where 2 W/e^2 is largest between its neighbours, to rounding."""
     inner = np.where(np.isfinite(secant), secant, -np.inf)
-    tops = np.flatnonzero((inner[1:-1] > inner[:-2]) & (inner[1:-1] >= inner[2:]) & np.isfinite(secant[2:])) + 1
+    tops = (
+        np.flatnonzero(
+            (inner[1:-1] > inner[:-2]) & (inner[1:-1] >= inner[2:]) & np.isfinite(secant[2:])
+        )
+        + 1
+    )
     for i in tops[np.argsort(-inner[tops])][:MOST]:
         low, high = strains[i - 1], strains[i + 1]
         for _ in range(CLOSER):
@@ -101,9 +106,16 @@ def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:
     if not there:
         where = {1: "in compression", -1: "in tension"}
         stiff = not np.isfinite(found[0].linear)
-        why = "is infinitely stiff at rest, so that no wave is faster than sound" if stiff else (
-            f"does not stiffen {' or '.join(where[one] for one in asked)}")
-        refuse("law", "one that has solitary waves", f"one that {why}",
-               "They need a force that grows faster than the strain: Hertz, FPUT with K3 != 0 or K4 > 0, Toda, p < 1 "
-               "in tension.")
+        why = (
+            "is infinitely stiff at rest, so that no wave is faster than sound"
+            if stiff
+            else (f"does not stiffen {' or '.join(where[one] for one in asked)}")
+        )
+        refuse(
+            "law",
+            "one that has solitary waves",
+            f"one that {why}",
+            "They need a force that grows faster than the strain: Hertz, FPUT with K3 != 0 or K4 > 0, Toda, p < 1 "
+            "in tension.",
+        )
     return there[0]

@@ -36,7 +36,10 @@ FINEST, KINKED = 2.0**-7, 1e-5
 def _powers():
     """Coefficients of (t - 1/2)^k from values at t = 1 - STENCIL, ..., STENCIL: products of odd numbers, exact."""
     odd = 2.0 * np.arange(2 * STENCIL) + 1 - 2 * STENCIL
-    lagrange = [np.poly(np.delete(odd, j))[::-1] / np.prod(odd[j] - np.delete(odd, j)) for j in range(2 * STENCIL)]
+    lagrange = [
+        np.poly(np.delete(odd, j))[::-1] / np.prod(odd[j] - np.delete(odd, j))
+        for j in range(2 * STENCIL)
+    ]
     return np.transpose(lagrange) * 2.0 ** np.arange(2 * STENCIL)[:, None]
 
 
@@ -88,7 +91,9 @@ class Kernels(NamedTuple):
         """z - tent * f + zeta tent * z' at the places, of numbers that are 1 behind the first and 0 beyond the last."""
         ends = np.ones(self.reach), np.zeros(self.reach)
         f, wide = (np.concatenate([ends[0], x, ends[1]]) for x in (f, z))
-        return z - np.convolve(f, self.tent, "valid") + zeta * np.convolve(wide, self.slope, "valid")
+        return (
+            z - np.convolve(f, self.tent, "valid") + zeta * np.convolve(wide, self.slope, "valid")
+        )
 
 
 def _stencils(width):
@@ -121,7 +126,9 @@ def jacobian(kernels: Kernels, slope: np.ndarray, zeta: float, centre: int) -> n
     return bands
 
 
-def newton(force: Callable, zeta: float, apart: float, z: np.ndarray, centre: int) -> tuple[np.ndarray, float]:
+def newton(
+    force: Callable, zeta: float, apart: float, z: np.ndarray, centre: int
+) -> tuple[np.ndarray, float]:
     """z and the residual that is left; `force(z)` gives f and its slope."""
     kernels = Kernels.of(apart)
 
@@ -142,7 +149,10 @@ def newton(force: Callable, zeta: float, apart: float, z: np.ndarray, centre: in
         except np.linalg.LinAlgError:
             break
         share = 1.0
-        while not (new := state(z - share * step))[-1] < size * (1 - share / 4) and share > LEAST_SHARE:
+        while (
+            not (new := state(z - share * step))[-1] < size * (1 - share / 4)
+            and share > LEAST_SHARE
+        ):
             share /= 2
         if not new[-1] < size:
             break
@@ -168,15 +178,19 @@ class Trial(NamedTuple):
 
     def layout(self, apart: float) -> tuple[int, int]:
         """How many places so far apart there are, and which one is the centre."""
-        centre, after = (int(np.ceil((DEEP / rate + BEYOND * max(1.0, apart)) / apart))
-                         for rate in (self.behind.real, self.ahead))
+        centre, after = (
+            int(np.ceil((DEEP / rate + BEYOND * max(1.0, apart)) / apart))
+            for rate in (self.behind.real, self.ahead)
+        )
         return centre + after + 1, centre
 
 
 def smoothed(z: np.ndarray, x: np.ndarray) -> Callable:
     """A function of place through known values: 1 behind them, 0 beyond."""
     spline = CubicSpline(x, z)
-    return lambda y: np.where(y < x[0], 1.0, np.where(y > x[-1], 0.0, spline(np.clip(y, x[0], x[-1]))))
+    return lambda y: np.where(
+        y < x[0], 1.0, np.where(y > x[-1], 0.0, spline(np.clip(y, x[0], x[-1])))
+    )
 
 
 def broad(force: Callable, zeta: float) -> Callable:
@@ -250,7 +264,9 @@ def smoothed_at(front: Front, x: np.ndarray) -> np.ndarray:
     return interpolated(np, coefficients(np, front.z), front.centre, front.apart, x)
 
 
-def moved(front: Front, slope: np.ndarray, zeta: float, force: np.ndarray, more: np.ndarray) -> np.ndarray:
+def moved(
+    front: Front, slope: np.ndarray, zeta: float, force: np.ndarray, more: np.ndarray
+) -> np.ndarray:
     """How z changes (I, P) where f at fixed z changes by `force` (I, P) and zeta by `more` (P,); `slope` is f'(z)."""
     kernels = Kernels.of(front.apart)
     bands = jacobian(kernels, slope, zeta, front.centre)
@@ -307,8 +323,18 @@ class FrontShape(Shape):
     edges: Any
 
     @classmethod
-    def of(cls, law: Any, mass: Any, speed: Any, dashpot: Any, ahead: Any, jump: Any, z: Any, centre: Any, apart: Any,
-           ) -> "FrontShape":
+    def of(
+        cls,
+        law: Any,
+        mass: Any,
+        speed: Any,
+        dashpot: Any,
+        ahead: Any,
+        jump: Any,
+        z: Any,
+        centre: Any,
+        apart: Any,
+    ) -> "FrontShape":
         """From z at places; `law` is measured from the strain ahead."""
         rows = coefficients(jnp, z)
         cells = jnp.asarray(np.vander(_T / 2, 2 * STENCIL, increasing=True)) @ rows
@@ -348,4 +374,8 @@ class FrontShape(Shape):
         inner = jnp.minimum(part, self.apart)
         places = (x + part - inner)[..., None] + inner[..., None] * jnp.asarray((1 + _T) / 2)
         behind = (part - inner) * fine_force(self.law, self.jump)
-        return self.edges[cell.astype(int)] + inner * (self._force(places) @ jnp.asarray(_W / 2)) + behind
+        return (
+            self.edges[cell.astype(int)]
+            + inner * (self._force(places) @ jnp.asarray(_W / 2))
+            + behind
+        )

@@ -33,7 +33,9 @@ def _rules():
     for step in (1, 2):
         own = nodes[::step]
         weights = np.zeros((2, 9))
-        weights[:, ::step] = np.linalg.solve(legendre.legvander(own, len(own) - 1).T, moments[:, : len(own)].T).T
+        weights[:, ::step] = np.linalg.solve(
+            legendre.legvander(own, len(own) - 1).T, moments[:, : len(own)].T
+        ).T
         rules.append(weights)
     return (1 + nodes) / 2, *zip(*rules)
 
@@ -57,9 +59,13 @@ class Medium(NamedTuple):
         """
         law, mass = jax.lax.stop_gradient((self.law, self.mass))
         if traced((law, mass)):
-            refuse("law", "numbers that are known", "traced ones of jax.jit or jax.vmap",
-                   "Look for the wave outside of them: how many panels it takes depends on it. jax.grad and jax.jvp "
-                   "may go through it.")
+            refuse(
+                "law",
+                "numbers that are known",
+                "traced ones of jax.jit or jax.vmap",
+                "Look for the wave outside of them: how many panels it takes depends on it. jax.grad and jax.jvp "
+                "may go through it.",
+            )
         return Medium(law, mass, self.origin)
 
 
@@ -73,12 +79,19 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
         if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
             refuse("law", wanted, f"a lattice of shape {lattice.shape}")
         if lattice.lanes:
-            refuse("law", "one lattice", f"a batch of shape {lattice.lanes}", "Look for the wave of each in a loop.")
+            refuse(
+                "law",
+                "one lattice",
+                f"a batch of shape {lattice.lanes}",
+                "Look for the wave of each in a loop.",
+            )
         law, origin = law_between(lattice, wanted), lattice.origin
         mass = single("law", "masses", lattice.mass)
     else:
         origin, mass = {}, single("mass", "masses", positive("mass", mass))
-    law = jax.tree.map(lambda x: single("law", "parameters", x) if eqx.is_inexact_array(x) else x, law)
+    law = jax.tree.map(
+        lambda x: single("law", "parameters", x) if eqx.is_inexact_array(x) else x, law
+    )
     return Medium(law, mass, origin)
 
 
@@ -90,7 +103,11 @@ def law_between(lattice: Lattice, wanted: str) -> Law:
     # contacts with walls may be others than those between sites
     inner = [(term.without_walls(lattice) or (term,))[0] for term in lattice.terms]
     found = [term.next_neighbours() for term in inner]
-    others = [term for term, one in zip(inner, found) if one is None and not (term.walls() and term.span() == ())]
+    others = [
+        term
+        for term, one in zip(inner, found)
+        if one is None and not (term.walls() and term.span() == ())
+    ]
     own = [one[0] for one in found if one is not None]
     if others or not own:
         names = ", ".join(type(term).__name__ for term in others) or "no bond to the next site"
@@ -104,8 +121,12 @@ def single(argument: str, what: str, x: Any) -> Number:
     if np.ndim(x) == 0:
         return jnp.asarray(x, float)
     if values is not None and not np.ptp(values) <= UNIFORM * np.abs(values).max():
-        refuse(argument, f"a uniform chain, all {what} alike", f"{what} from {values.min():g} to {values.max():g}",
-               "Waves of cells of several masses or laws are gx.travelling.cell_wave's.")
+        refuse(
+            argument,
+            f"a uniform chain, all {what} alike",
+            f"{what} from {values.min():g} to {values.max():g}",
+            "Waves of cells of several masses or laws are gx.travelling.cell_wave's.",
+        )
     return jnp.asarray(x.reshape(-1)[0], float)
 
 
@@ -141,8 +162,10 @@ def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
     parts = [_values(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
-    return tuple(np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
-                 for x in zip(*parts))
+    return tuple(
+        np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
+        for x in zip(*parts)
+    )
 
 
 def one_number(argument: str, x: Any) -> float | None:
@@ -151,5 +174,10 @@ def one_number(argument: str, x: Any) -> float | None:
         return None
     value = concrete(jax.lax.stop_gradient(jnp.asarray(x, float)))
     if value is None:
-        refuse(argument, "a number that is known", "one that jax.jit or jax.vmap traces", "Keep it out of them.")
+        refuse(
+            argument,
+            "a number that is known",
+            "one that jax.jit or jax.vmap traces",
+            "Keep it out of them.",
+        )
     return float(value)

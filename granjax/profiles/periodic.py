@@ -36,7 +36,9 @@ class FourierShape(Shape):
 
     def displacement(self, xi):
         xi = jnp.asarray(xi, float)
-        moved = jnp.sin(self.wavenumbers * (xi[..., None] - 0.5)) @ (self.velocities / self.wavenumbers)
+        moved = jnp.sin(self.wavenumbers * (xi[..., None] - 0.5)) @ (
+            self.velocities / self.wavenumbers
+        )
         return -moved / self.speed - self.mean * xi
 
 
@@ -58,7 +60,11 @@ class Half(NamedTuple):
         halves[-1] = 0.5
         tent = halves * np.sinc(k / (2 * np.pi)) ** 2
         tent[0] = 0
-        return cls(np.linspace(0, wavelength / 2, points + 1), (np.cos(angle) * tent) @ (np.cos(angle) * weights), k)
+        return cls(
+            np.linspace(0, wavelength / 2, points + 1),
+            (np.cos(angle) * tent) @ (np.cos(angle) * weights),
+            k,
+        )
 
     def coefficients(self, f: np.ndarray) -> np.ndarray:
         """Of cos(k x), those of the constant left out."""
@@ -81,7 +87,9 @@ class Train(NamedTuple):
     half: Half
 
 
-def newton(law: Law, mean: float, half: Half, psi: np.ndarray, level: float, amplitude: float | None) -> tuple:
+def newton(
+    law: Law, mean: float, half: Half, psi: np.ndarray, level: float, amplitude: float | None
+) -> tuple:
     """(strains about the mean, m c^2, residual over the amplitude): at that level, or at half of crest less trough."""
     residual = np.inf
     rest = values(law, np.array([mean]))[0][0]
@@ -110,7 +118,12 @@ def newton(law: Law, mean: float, half: Half, psi: np.ndarray, level: float, amp
 
 
 def train(
-    law: Law, mass: float, mean: float, wavelength: float, speed: float | None, amplitude: float | None,
+    law: Law,
+    mass: float,
+    mean: float,
+    wavelength: float,
+    speed: float | None,
+    amplitude: float | None,
 ) -> Train:
     """The wave of a length about a mean strain, at a speed or an amplitude, followed from small ones.
 
@@ -118,8 +131,12 @@ def train(
     """
     stiffness = float(values(law, np.array([mean]))[1][0])
     if not 0 < stiffness < np.inf:
-        refuse("mean", "a strain at which the law is stiff", f"{mean:g}, where its stiffness is {stiffness:g}",
-               "Without a precompression the mean strain has to close the contacts.")
+        refuse(
+            "mean",
+            "a strain at which the law is stiff",
+            f"{mean:g}, where its stiffness is {stiffness:g}",
+            "Without a precompression the mean strain has to close the contacts.",
+        )
     half = Half.of(wavelength, POINTS[0])
     small = stiffness * np.sinc(1 / wavelength) ** 2
     if speed is None:
@@ -138,8 +155,14 @@ def train(
             break
         before = finer, psi
     if not residual < CONVERGED:
-        refuse("law", "one whose periodic wave is found", f"a residual of {residual:.1e} after Newton's method")
-    return Train(psi, float(found), float(residual), max(apart, 4e-16 * float(np.abs(psi).max())), half)
+        refuse(
+            "law",
+            "one whose periodic wave is found",
+            f"a residual of {residual:.1e} after Newton's method",
+        )
+    return Train(
+        psi, float(found), float(residual), max(apart, 4e-16 * float(np.abs(psi).max())), half
+    )
 
 
 def _moved(half, psi, finer):
@@ -151,13 +174,20 @@ def _moved(half, psi, finer):
 def _scale(law, mean, stiffness):
     """A strain over which the stiffness changes by much."""
     steps = 2.0 ** np.arange(-160, 161)
-    slope = np.concatenate([values(law, mean + steps)[1], values(law, mean - steps)[1]]).reshape(2, -1)
+    slope = np.concatenate([values(law, mean + steps)[1], values(law, mean - steps)[1]]).reshape(
+        2, -1
+    )
     with np.errstate(invalid="ignore"):
         changed = ~(np.abs(slope / stiffness - 1) < 0.5).all(0)
     # below the rounding of the mean nothing is known
     changed &= steps > 1e-9 * abs(mean)
     if not changed.any():
-        refuse("law", "one that is not linear", "one whose waves have one speed", "gx.linear tells their frequencies.")
+        refuse(
+            "law",
+            "one that is not linear",
+            "one whose waves have one speed",
+            "gx.linear tells their frequencies.",
+        )
     return float(steps[np.argmax(changed)])
 
 
@@ -166,7 +196,11 @@ def _family(law, mean, half, level) -> Callable:
     psi = np.cos(2 * np.pi * half.places / (2 * half.places[-1]))
 
     def step(amplitude, before):
-        shape, at = (psi * amplitude, level) if before is None else (before[0] * amplitude / before[2], before[1])
+        shape, at = (
+            (psi * amplitude, level)
+            if before is None
+            else (before[0] * amplitude / before[2], before[1])
+        )
         found, at, residual = newton(law, mean, half, shape, at, amplitude)
         return (found, at, amplitude) if residual < 1e-6 else None
 
@@ -175,7 +209,10 @@ def _family(law, mean, half, level) -> Callable:
 
 def _to_amplitude(law, mean, half, level, amplitude):
     step = _family(law, mean, half, level)
-    now, wave = min(amplitude, FIRST * _scale(law, mean, level / np.sinc(0.5 / half.places[-1]) ** 2)), None
+    now, wave = (
+        min(amplitude, FIRST * _scale(law, mean, level / np.sinc(0.5 / half.places[-1]) ** 2)),
+        None,
+    )
     for _ in range(MOST):
         new = step(now, wave)
         if new is None:
@@ -185,8 +222,12 @@ def _to_amplitude(law, mean, half, level, amplitude):
             return wave[0], wave[1]
         now = min(amplitude, now * GROWTH)
     reached = 0.0 if wave is None else wave[2]
-    refuse("amplitude", f"one that the family reaches, up to about {reached:.3g}", f"{amplitude:g}",
-           "Beyond, contacts may open within the wave.")
+    refuse(
+        "amplitude",
+        f"one that the family reaches, up to about {reached:.3g}",
+        f"{amplitude:g}",
+        "Beyond, contacts may open within the wave.",
+    )
 
 
 def _to_speed(law, mass, mean, half, level, speed):
@@ -203,8 +244,13 @@ def _to_speed(law, mass, mean, half, level, speed):
             break
         low, wave, now = new, new, now * GROWTH
     small, last = np.sqrt(level / mass), np.sqrt((wave or (0, level))[1] / mass)
-    refuse("speed", f"one {'above' if last >= small else 'below'} that of small waves of this length, {small:.6g}, "
-           "as far as their family goes", f"{speed:g}", "Amplitudes say which it has: amplitude=...")
+    refuse(
+        "speed",
+        f"one {'above' if last >= small else 'below'} that of small waves of this length, {small:.6g}, "
+        "as far as their family goes",
+        f"{speed:g}",
+        "Amplitudes say which it has: amplitude=...",
+    )
 
 
 def _between(step, low, high, level, wanted):

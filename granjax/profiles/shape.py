@@ -73,13 +73,19 @@ class TentShape(Shape):
     edges: Any
 
     @classmethod
-    def of(cls, law: Law, mass: Any, speed: Any, unit: Any, coefficients: Any, length: Any, decay: Any) -> "TentShape":
+    def of(
+        cls, law: Law, mass: Any, speed: Any, unit: Any, coefficients: Any, length: Any, decay: Any
+    ) -> "TentShape":
         """With the integral of the force beyond every cell's beginning."""
         count = coefficients.shape[0]
         plain = cls(law, mass, speed, unit, coefficients, length, decay, None)
         y = length * (np.arange(count)[:, None] + (1 + _T) / 2)
         parts = length / 2 * (plain._force(y) @ jnp.asarray(_W))
-        beyond = jnp.where(decay > 0, plain._force(jnp.asarray(length * count)) / jnp.where(decay > 0, decay, 1), 0.0)
+        beyond = jnp.where(
+            decay > 0,
+            plain._force(jnp.asarray(length * count)) / jnp.where(decay > 0, decay, 1),
+            0.0,
+        )
         edges = jnp.append(jnp.cumsum(parts[::-1])[::-1] + beyond, beyond)
         return eqx.tree_at(lambda s: s.edges, plain, edges, is_leaf=lambda x: x is None)
 
@@ -112,7 +118,9 @@ class TentShape(Shape):
         # of the interval before xi, from its far end or, behind the wave, from its near one
         ramp = jnp.where(xi >= 0.5, ramp @ jnp.asarray(w * s), ramp @ jnp.asarray(w * (1 - s)))
         beyond = self._beyond(jnp.abs(xi))
-        return (ramp + jnp.where(xi >= 0, beyond, 2 * self.edges[0] - beyond)) / (self.mass * self.speed**2)
+        return (ramp + jnp.where(xi >= 0, beyond, 2 * self.edges[0] - beyond)) / (
+            self.mass * self.speed**2
+        )
 
     def _cell(self, x):
         inside = jnp.minimum(x, self.end)

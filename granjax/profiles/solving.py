@@ -83,13 +83,21 @@ class _Problem(NamedTuple):
             e = self.unit * np.exp(q)
             F, slope, W = values(self.medium.law, e)
             whole = 2 * places.weights @ (e * F / 2 + W)
-            return np.log(whole / self.target), 2 * places.weights * (3 * e * F + e * e * slope) / 2 / whole, 0.0
+            return (
+                np.log(whole / self.target),
+                2 * places.weights * (3 * e * F + e * e * slope) / 2 / whole,
+                0.0,
+            )
 
         return energy
 
 
 def wave_of(
-    medium: Medium, speed: Any = None, amplitude: Any = None, energy: Any = None, side: str | None = None,
+    medium: Medium,
+    speed: Any = None,
+    amplitude: Any = None,
+    energy: Any = None,
+    side: str | None = None,
 ) -> Solved:
     """The solitary wave of one speed, peak strain or energy; of a speed below zero the one that runs to the left.
 
@@ -110,11 +118,19 @@ def _problem(medium, found: Bounds, c, a, E):
     if c is not None:
         level = mass * c * c
         if not abs(c) > sound:
-            wanted = f"one above that of sound, {sound:g} contacts per time" if sound else "one that is not zero"
+            wanted = (
+                f"one above that of sound, {sound:g} contacts per time"
+                if sound
+                else "one that is not zero"
+            )
             refuse("speed", wanted, f"{c:g}", "Slower waves are periodic." if sound else "")
         if found.linear and level / found.linear < 1 + 1e-9:
-            refuse("speed", f"one above that of sound, {sound:g}, by a part in 1e9 or more", f"{c!r}",
-                   "Closer the wave is a soliton of Korteweg and de Vries to all digits.")
+            refuse(
+                "speed",
+                f"one above that of sound, {sound:g}, by a part in 1e9 or more",
+                f"{c!r}",
+                "Closer the wave is a soliton of Korteweg and de Vries to all digits.",
+            )
         unit = reached(medium.law, found, level)
         if unit is None:
             _refuse_fast(medium, found, mass, c)
@@ -122,8 +138,12 @@ def _problem(medium, found: Bounds, c, a, E):
     if a is not None:
         level = float(twice_energy(medium.law, np.array([a]))[0])
         if not np.isfinite(level) or not level > found.linear:
-            refuse("amplitude", "a strain at which the law has stiffened", f"{a:g}",
-                   "There it has ended, or is softer than at rest.")
+            refuse(
+                "amplitude",
+                "a strain at which the law has stiffened",
+                f"{a:g}",
+                "There it has ended, or is softer than at rest.",
+            )
         return _Problem(medium, a, level, found.linear / level, "amplitude", 0.0)
     if not E > 0:
         refuse("energy", "a number above zero", f"{E:g}", "That is the chain at rest.")
@@ -132,8 +152,12 @@ def _problem(medium, found: Bounds, c, a, E):
 
 def _refuse_fast(medium, found, mass, c):
     fastest = np.sqrt(found.secant[np.isfinite(found.secant)].max() / mass)
-    refuse("speed", f"one below {fastest:.6g}", f"{c:g}",
-           "Beyond, the energy that the law stores, at most m c^2 e^2/2, does not balance the motion.")
+    refuse(
+        "speed",
+        f"one below {fastest:.6g}",
+        f"{c:g}",
+        "Beyond, the energy that the law stores, at most m c^2 e^2/2, does not balance the motion.",
+    )
 
 
 def _by_energy(medium, found, E):
@@ -167,7 +191,11 @@ def _guess(rate):
         return 1 / np.cosh(np.clip(rate * x / 2, -300, 300)) ** 2
 
     def compact(x):
-        return np.where(np.abs(x) < 2.5 / rate, np.cos(np.clip(np.pi * rate * x / 5, -np.pi / 2, np.pi / 2)) ** 4, 0.0)
+        return np.where(
+            np.abs(x) < 2.5 / rate,
+            np.cos(np.clip(np.pi * rate * x / 5, -np.pi / 2, np.pi / 2)) ** 4,
+            0.0,
+        )
 
     return bell, compact
 
@@ -193,7 +221,12 @@ def _first(problem):
     half = len(x) // 2
     x, psi = x[half:], psi[half:]
     if not np.isfinite(psi).all() or not psi[0] > 0:
-        refuse("law", "one whose first shape settles", "one whose shape does not", "Try another speed or amplitude.")
+        refuse(
+            "law",
+            "one whose first shape settles",
+            "one whose shape does not",
+            "Try another speed or amplitude.",
+        )
     q = np.log(np.maximum(psi, 1e-300))
     below = q - q[0]
     smooth = CubicSpline(x, q)
@@ -212,7 +245,12 @@ def _first(problem):
     parabola = np.polynomial.Polynomial.fit(x[[i, j, k]], q[[i, j, k]], 2)
     reach = x[k] + np.arange(0, 100 * x[k], 0.1)
     if not parabola.deriv(2)(0) < 0 or not parabola(reach[-1]) < q[0] + DEEPEST:
-        refuse("law", "one whose first shape settles", "one whose shape does not", "Try another speed or amplitude.")
+        refuse(
+            "law",
+            "one whose first shape settles",
+            "one whose shape does not",
+            "Try another speed or amplitude.",
+        )
     end = float(reach[np.argmax(parabola(reach) < q[0] + DEEPEST)])
 
     def first(y):
@@ -226,7 +264,12 @@ def _brought_down(problem, first, level, end):
     places = Places(PLACES[0], end / (PLACES[0] - 1), 0.0)
     q = swept(Tent.of(places), problem.force, first(places.nodes), level)
     last = int(np.argmax(q < q[0] + DEEPEST)) or places.count - 1
-    return CubicSpline(places.nodes[: last + 2], q[: last + 2]), level, 0.0, float(places.nodes[last])
+    return (
+        CubicSpline(places.nodes[: last + 2], q[: last + 2]),
+        level,
+        0.0,
+        float(places.nodes[last]),
+    )
 
 
 def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, float]:
@@ -240,8 +283,12 @@ def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, 
         found = solve(tent, problem.force, first(tent.places.nodes), level, problem.condition(tent))
         if not found.residual < CONVERGED:
             if count == PLACES[-1]:
-                refuse("law", "one whose wave is found", f"a residual of {found.residual:.1e} after Newton's method",
-                       "The search failed, which does not say that there is none. Try another speed or amplitude.")
+                refuse(
+                    "law",
+                    "one whose wave is found",
+                    f"a residual of {found.residual:.1e} after Newton's method",
+                    "The search failed, which does not say that there is none. Try another speed or amplitude.",
+                )
             continue
         places, level = tent.places, found.level
         if problem.held and problem.linear > 0:
@@ -251,7 +298,7 @@ def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, 
             matrix, shift = places.interpolation(y)
             return matrix @ q + shift
 
-        strain, moves = np.exp(found.q), np.abs(np.linalg.inv(found.jacobian))[: count, : count]
+        strain, moves = np.exp(found.q), np.abs(np.linalg.inv(found.jacobian))[:count, :count]
         # what the rounding of each equation's logarithms, and of the level's own digits, does to the strain
         rounding = np.finfo(float).eps * (LAST + problem.exponent(strain[0]) + np.abs(found.q))
         left = left_between(tent, pieces, problem.force, found)
@@ -269,18 +316,30 @@ def _assembled(medium, problem, tent, found, error, numbers):
     if traced((law, mass, numbers)):
         q, level = _implicit(medium, problem, tent, found, numbers)
     square = jnp.exp(level) * problem.level / mass
-    sign = -1.0 if problem.held is None and float(jax.lax.stop_gradient(numbers["speed"])) < 0 else 1.0
+    sign = (
+        -1.0 if problem.held is None and float(jax.lax.stop_gradient(numbers["speed"])) < 0 else 1.0
+    )
     speed = sign * jnp.sqrt(square) if problem.held else jnp.asarray(numbers["speed"], float)
     places = tent.places
     rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
     steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
     shape, energy, compression = _whole(
-        law, mass, speed, jnp.asarray(unit), q, jnp.asarray(places.apart), jnp.asarray(steep))
+        law, mass, speed, jnp.asarray(unit), q, jnp.asarray(places.apart), jnp.asarray(steep)
+    )
     exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
     if traced((law, mass, numbers)):
         rate, exponent = _tails(law, mass * speed**2, rate, exponent, unit)
-    return Solved(shape, found.residual, error, rate if problem.linear > 0 else np.nan, exponent, energy,
-                  mass * speed * compression, compression, places.count)
+    return Solved(
+        shape,
+        found.residual,
+        error,
+        rate if problem.linear > 0 else np.nan,
+        exponent,
+        energy,
+        mass * speed * compression,
+        compression,
+        places.count,
+    )
 
 
 def _tails(law, level, rate, exponent, unit):

@@ -19,7 +19,11 @@ def decay_rate(ratio: float) -> float:
     for _ in range(100):
         with np.errstate(over="ignore"):
             # ln sinh(x)/x = ln root, by Newton in ln x
-            value = np.log(np.sinh(x) / x) - np.log(root) if x > 1e-3 else x * x / 6 - np.log1p(ratio - 1) / 2
+            value = (
+                np.log(np.sinh(x) / x) - np.log(root)
+                if x > 1e-3
+                else x * x / 6 - np.log1p(ratio - 1) / 2
+            )
             slope = 1 / np.tanh(x) - 1 / x if x > 1e-3 else x / 3
         step = value / slope
         x = max(x - step, x / 4)
@@ -30,7 +34,12 @@ def decay_rate(ratio: float) -> float:
 
 @np.errstate(all="ignore")
 def petviashvili(
-    force: Callable, linear: float, half: float, guess: Callable, points: int = POINTS, inertia: Callable | None = None,
+    force: Callable,
+    linear: float,
+    half: float,
+    guess: Callable,
+    points: int = POINTS,
+    inertia: Callable | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """The shape of a wave whose level is 1: psi = tent * f(psi), by the Fourier form.
 
@@ -52,7 +61,9 @@ def petviashvili(
         pull = np.fft.irfft(box * hat[1], points)
         exponent = max((psi @ np.fft.irfft(box * hat[2], points)) / (psi @ pull), LEAST)
         size = psi @ np.fft.irfft((1 - linear * box) * hat[0], points) / (psi @ pull)
-        new = size ** (exponent / (exponent - 1)) * np.fft.irfft(box * hat[1] / (1 - linear * box), points)
+        new = size ** (exponent / (exponent - 1)) * np.fft.irfft(
+            box * hat[1] / (1 - linear * box), points
+        )
         new = np.maximum(new, 0.0)
         if not np.isfinite(new).all() or not new.any():
             return x, psi, np.inf
@@ -64,7 +75,12 @@ def petviashvili(
 
 @np.errstate(all="ignore")
 def normalised(
-    force: Callable, half: float, guess: Callable, peak: float = 1.0, most: int = ITERATIONS, points: int = POINTS,
+    force: Callable,
+    half: float,
+    guess: Callable,
+    peak: float = 1.0,
+    most: int = ITERATIONS,
+    points: int = POINTS,
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """The shape of one peak and its level: psi <- tent * f(psi), scaled to the peak."""
     x = (np.arange(points) - points // 2) * (2 * half / points)

@@ -14,7 +14,17 @@ import numpy as np
 from scipy.optimize import brentq
 
 # of 1 - (x/sinh x)^2 in powers of x^2, and below which |x| they are taken
-_SERIES = (0.0, 1 / 3, -1 / 15, 2 / 189, -1 / 675, 2 / 10395, -1382 / 58046625, 4 / 1403325, -3617 / 10854718875)
+_SERIES = (
+    0.0,
+    1 / 3,
+    -1 / 15,
+    2 / 189,
+    -1 / 675,
+    2 / 10395,
+    -1382 / 58046625,
+    4 / 1403325,
+    -3617 / 10854718875,
+)
 NEAR = 0.3
 # real parts that are looked through one after the other; starts across each, and how far apart along the imaginary axis
 REACHES, ACROSS, APART = (1.5, 3.0, 6.0), 12, 0.3
@@ -54,7 +64,13 @@ def lack_slope(root):
 
 def ahead(short: float, zeta: float) -> float:
     """The decay rate ahead of the front, from 1 - kappa > 0."""
-    return brentq(lambda rate: float(lack(rate)) - short + zeta * rate, 0.0, short / zeta, xtol=1e-300, rtol=1e-15)
+    return brentq(
+        lambda rate: float(lack(rate)) - short + zeta * rate,
+        0.0,
+        short / zeta,
+        xtol=1e-300,
+        rtol=1e-15,
+    )
 
 
 def behind(excess: float, zeta: float) -> complex:
@@ -69,7 +85,13 @@ def _real(excess, zeta):
     places = np.append(0.0, np.geomspace(1e-8, 1.0 + 1e-9, 600) * end)
     below = excess + lack(places) - zeta * places <= 0
     k = int(np.argmax(below))
-    return brentq(lambda x: excess + float(lack(x)) - zeta * x, places[k - 1], places[k], xtol=1e-300, rtol=1e-15)
+    return brentq(
+        lambda x: excess + float(lack(x)) - zeta * x,
+        places[k - 1],
+        places[k],
+        xtol=1e-300,
+        rtol=1e-15,
+    )
 
 
 def _pair(excess, zeta):
@@ -92,16 +114,22 @@ def _complex(excess, zeta, reach):
     bound = 2 * square * zeta + 2 * np.sqrt(square**2 * zeta**2 + square * (1 + excess)) + APART
     width = min(APART, bound / ACROSS, 10 * np.sqrt(excess) / ACROSS)
     highest = min(bound, 2 * np.sqrt(1 + excess) + 4 * np.pi)
-    heights = np.append(np.arange(width, 10 * np.sqrt(excess), width), np.arange(APART, highest, APART))
+    heights = np.append(
+        np.arange(width, 10 * np.sqrt(excess), width), np.arange(APART, highest, APART)
+    )
     near = 2j * np.pi * np.arange(1, 5)
-    z = np.append(near + np.sqrt(near**2 / (1 + excess - zeta * near)),
-                  reach * np.geomspace(1e-3, 0.95, ACROSS)[:, None] + 1j * heights)
+    z = np.append(
+        near + np.sqrt(near**2 / (1 + excess - zeta * near)),
+        reach * np.geomspace(1e-3, 0.95, ACROSS)[:, None] + 1j * heights,
+    )
     with np.errstate(all="ignore"):
         for _ in range(STEPS):
             z = z - (excess + lack(z) - zeta * z) / (lack_slope(z) - zeta)
         left = np.abs(excess + lack(z) - zeta * z)
     size = excess + zeta * np.abs(z)
-    return z[np.isfinite(z) & (left < CONVERGED * size) & (z.imag > REAL * np.abs(z)) & (z.real > 0)]
+    return z[
+        np.isfinite(z) & (left < CONVERGED * size) & (z.imag > REAL * np.abs(z)) & (z.real > 0)
+    ]
 
 
 def critical(excess: float) -> Critical:
@@ -137,7 +165,14 @@ def _crossing(excess, zeta):
         z = a + 1j * b
         first, second = excess + float(lack(a)) - zeta * a, excess + complex(lack(z)) - zeta * z
         slopes = float(lack_slope(a)) - zeta, complex(lack_slope(z)) - zeta
-        matrix = np.array([[slopes[0], 0.0, -a], [slopes[1].real, -slopes[1].imag, -a],
-                           [slopes[1].imag, slopes[1].real, -b]])
-        a, b, zeta = np.array([a, b, zeta]) - np.linalg.solve(matrix, [first, second.real, second.imag])
+        matrix = np.array(
+            [
+                [slopes[0], 0.0, -a],
+                [slopes[1].real, -slopes[1].imag, -a],
+                [slopes[1].imag, slopes[1].real, -b],
+            ]
+        )
+        a, b, zeta = np.array([a, b, zeta]) - np.linalg.solve(
+            matrix, [first, second.real, second.imag]
+        )
     return Critical(float(zeta), float(-np.linalg.solve(matrix, [1.0, 1.0, 0.0])[2]), False)

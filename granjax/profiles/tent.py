@@ -20,15 +20,19 @@ TAIL = -12.0
 # and the least that numbers hold
 LEAST = -690.0
 STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
-_BARY = np.array([1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)])
+_BARY = np.array(
+    [1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)]
+)
 
 
 def rule(pieces: Any = PIECES) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights on (0, 1), that many on each piece between some ends."""
     t, w = np.polynomial.legendre.leggauss(PIECE)
     ends = list(zip(pieces[:-1], pieces[1:]))
-    return (np.concatenate([a + (b - a) * (1 + t) / 2 for a, b in ends]),
-            np.concatenate([(b - a) * w / 2 for a, b in ends]))
+    return (
+        np.concatenate([a + (b - a) * (1 + t) / 2 for a, b in ends]),
+        np.concatenate([(b - a) * w / 2 for a, b in ends]),
+    )
 
 
 RULE = rule()
@@ -76,7 +80,9 @@ class Places(NamedTuple):
         rows = np.where(exact.any(1)[:, None], exact, rows)
         rows = rows / rows.sum(1, keepdims=True)
         starts = np.arange(len(y) + 1) * STENCIL
-        matrix = sparse.csr_matrix((rows.ravel(), np.abs(columns).ravel(), starts), (len(y), self.count))
+        matrix = sparse.csr_matrix(
+            (rows.ravel(), np.abs(columns).ravel(), starts), (len(y), self.count)
+        )
         return matrix, -self.decay * np.maximum(y - self.end, 0.0)
 
     def coefficients(self, q: Any) -> Any:
@@ -89,7 +95,9 @@ class Places(NamedTuple):
             own = np.flatnonzero(np.arange(self.count - 1) - columns[:, 0] == offset)
             gaps = (offset + (1 + at) / 2)[:, None] - np.arange(STENCIL)
             rows = _BARY / gaps
-            rows = np.linalg.solve(np.polynomial.chebyshev.chebvander(at, STENCIL - 1), rows / rows.sum(1)[:, None])
+            rows = np.linalg.solve(
+                np.polynomial.chebyshev.chebvander(at, STENCIL - 1), rows / rows.sum(1)[:, None]
+            )
             found = found.at[own].set(jnp.asarray(q)[np.abs(columns[own])] @ jnp.asarray(rows.T))
         return found
 
@@ -163,7 +171,9 @@ def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.n
     return np.maximum(np.append(left, 0.0), np.append(0.0, left))
 
 
-def solve(tent: Tent, force: Callable, q: np.ndarray, level: float = 0.0, held: Callable | None = None) -> Found:
+def solve(
+    tent: Tent, force: Callable, q: np.ndarray, level: float = 0.0, held: Callable | None = None
+) -> Found:
     """Newton's method for q = ln(tent * f(e^q)) - level.
 
     `force(e)`: f and its slope at strains over the peak's unit. `held(q, level)`: what is zero besides, and its
@@ -179,7 +189,9 @@ def solve(tent: Tent, force: Callable, q: np.ndarray, level: float = 0.0, held: 
         except np.linalg.LinAlgError:
             break
         for k in range(HALVINGS):
-            new = _state(tent, force, q + step[: len(q)] / 2**k, level + (step[len(q) :].sum() / 2**k), held)
+            new = _state(
+                tent, force, q + step[: len(q)] / 2**k, level + (step[len(q) :].sum() / 2**k), held
+            )
             if new[0] < size:
                 break
         else:
@@ -204,5 +216,7 @@ def _state(tent, force, q, level, held):
     if held is not None:
         value, in_q, in_level = held(q, level)
         gap = np.append(gap, value)
-        jacobian = np.block([[jacobian, -np.ones((len(q), 1))], [in_q[None], np.array([[in_level]])]])
+        jacobian = np.block(
+            [[jacobian, -np.ones((len(q), 1))], [in_q[None], np.array([[in_level]])]]
+        )
     return float(np.sqrt(np.mean(gap**2))), q, level, gap, jacobian

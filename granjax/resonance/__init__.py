@@ -19,6 +19,18 @@ ANTI_RESONANCES = (1.0, 0.3428, 0.1548, 0.0901)
 FIRST_RESONANCE = 0.59
 
 __all__ = [
-    "ANTI_RESONANCES", "FIRST_RESONANCE", "Extrema", "Oscillations", "ResonanceMap", "Transmission", "anti_resonance",
-    "contact_forces", "decay_rate", "oscillations", "refine", "resonance_map", "squeeze_count", "transmission",
+    "ANTI_RESONANCES",
+    "FIRST_RESONANCE",
+    "Extrema",
+    "Oscillations",
+    "ResonanceMap",
+    "Transmission",
+    "anti_resonance",
+    "contact_forces",
+    "decay_rate",
+    "oscillations",
+    "refine",
+    "resonance_map",
+    "squeeze_count",
+    "transmission",
 ]

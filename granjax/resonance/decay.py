@@ -70,7 +70,12 @@ def decay_rate(
 def _checked_contacts(contacts):
     a, b = (whole(f"contacts[{i}]", n, 0) for i, n in enumerate(_pair(contacts)))
     if not a < b or (b - a) % 2:
-        refuse("contacts", "two contacts (a, b), a < b, both even or both odd", f"({a}, {b})", "Typical: (200, 600).")
+        refuse(
+            "contacts",
+            "two contacts (a, b), a < b, both even or both odd",
+            f"({a}, {b})",
+            "Typical: (200, 600).",
+        )
     return a, b
 
 
@@ -106,7 +111,12 @@ def anti_resonance(
         for name, x in (("low", low), ("high", high))
     )
     if not low < high:
-        refuse("high", f"a mass ratio above low = {low:g}", f"{high:g}", "Give the interval from small to large.")
+        refuse(
+            "high",
+            f"a mass ratio above low = {low:g}",
+            f"{high:g}",
+            "Give the interval from small to large.",
+        )
     contacts = _checked_contacts(contacts)
     while True:
         ratios = np.linspace(low, high, 2 * LANES)

@@ -37,8 +37,10 @@ class Transmission(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "mass_ratio": Held("mass_ratio", "1"), "transmission": Held("mass_ratio", "1"),
-        "peak_force": Held("mass_ratio", "A^(2/5) (m v^2)^(3/5)"), "reference": Held(None, name="monomer_force"),
+        "mass_ratio": Held("mass_ratio", "1"),
+        "transmission": Held("mass_ratio", "1"),
+        "peak_force": Held("mass_ratio", "A^(2/5) (m v^2)^(3/5)"),
+        "reference": Held(None, name="monomer_force"),
     }
     mass_ratio: Float[np.ndarray, " n"]
     peak_force: Float[np.ndarray, " n"]
@@ -70,9 +72,12 @@ class Extrema(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "resonances": Held("resonance", "1"), "resonance_transmission": Held("resonance", "1"),
-        "anti_resonances": Held("anti_resonance", "1"), "anti_resonance_transmission": Held("anti_resonance", "1"),
-        "local_extrema": Held("local_extremum", "1"), "local_transmission": Held("local_extremum", "1"),
+        "resonances": Held("resonance", "1"),
+        "resonance_transmission": Held("resonance", "1"),
+        "anti_resonances": Held("anti_resonance", "1"),
+        "anti_resonance_transmission": Held("anti_resonance", "1"),
+        "local_extrema": Held("local_extremum", "1"),
+        "local_transmission": Held("local_extremum", "1"),
     }
     resonances: Float[np.ndarray, " k"]
     resonance_transmission: Float[np.ndarray, " k"]
@@ -83,8 +88,10 @@ class Extrema(Result):
 
     @property
     def outcome(self) -> str:
-        return (f"Found resonances: {len(self.resonances)}, anti-resonances: {len(self.anti_resonances)}, "
-                f"other local extrema: {len(self.local_extrema)}.")
+        return (
+            f"Found resonances: {len(self.resonances)}, anti-resonances: {len(self.anti_resonances)}, "
+            f"other local extrema: {len(self.local_extrema)}."
+        )
 
 
 def _run_time(beads):
@@ -127,8 +134,12 @@ def transmission(
     run_time = float(_run_time(beads) if run_time is None else positive("run_time", run_time))
     least = SLOWEST * beads + LEAST_TIME
     if run_time < least:
-        refuse("run_time", f"at least {least:g}, when the pulse has reached the wall", f"{run_time:g}",
-               "A wall that nothing has reached feels no force.")
+        refuse(
+            "run_time",
+            f"at least {least:g}, when the pulse has reached the wall",
+            f"{run_time:g}",
+            "A wall that nothing has reached feels no force.",
+        )
     lanes = ratios if (ratios == 1).any() else np.append(ratios, 1.0)
     forces = _wall_forces(lanes, beads, run_time, progress)
     reference = float(forces[lanes == 1][0])
@@ -167,12 +178,23 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
     ratios, first = np.unique(sweep.mass_ratio, return_index=True)
     values = np.asarray(sweep.transmission)[first]
     if len(ratios) < 3:
-        refuse("sweep", "at least three different mass ratios", f"{len(ratios)}", "An extremum has two neighbours.")
+        refuse(
+            "sweep",
+            "at least three different mass ratios",
+            f"{len(ratios)}",
+            "An extremum has two neighbours.",
+        )
     if not np.isfinite(values).all():
-        refuse("sweep", "a transmission at every ratio", f"{np.count_nonzero(~np.isfinite(values))} that are NaN")
+        refuse(
+            "sweep",
+            "a transmission at every ratio",
+            f"{np.count_nonzero(~np.isfinite(values))} that are NaN",
+        )
     inner = np.arange(1, len(ratios) - 1)
     before, here, after = values[inner - 1], values[inner], values[inner + 1]
-    signs = np.where((here > before) & (here >= after), 1, np.where((here < before) & (here <= after), -1, 0))
+    signs = np.where(
+        (here > before) & (here >= after), 1, np.where((here < before) & (here <= after), -1, 0)
+    )
     found, signs = inner[signs != 0], signs[signs != 0]
     x, T = ratios[found], values[found]
     if len(found):
@@ -192,10 +214,19 @@ def _named(x, T, signs, ends, progress):
     if not (signs < 0).any():
         return lowest, highest
     edges = np.concatenate([[ends[0]], x, [ends[1]]])
-    within = np.linspace(edges[tops], x[tops], LOOKED)[:-1], np.linspace(x[tops], edges[tops + 2], LOOKED)
+    within = (
+        np.linspace(edges[tops], x[tops], LOOKED)[:-1],
+        np.linspace(x[tops], edges[tops + 2], LOOKED),
+    )
     places = np.concatenate(within)
-    rates = decay_rate(places.ravel(), DEPTHS, progress=progress).reshape(places.shape) if len(tops) else places
-    beside = np.stack([np.where(tops > 0, rates[0], np.inf), np.where(tops < len(x) - 1, rates[-1], np.inf)])
+    rates = (
+        decay_rate(places.ravel(), DEPTHS, progress=progress).reshape(places.shape)
+        if len(tops)
+        else places
+    )
+    beside = np.stack(
+        [np.where(tops > 0, rates[0], np.inf), np.where(tops < len(x) - 1, rates[-1], np.inf)]
+    )
     highest[tops] = rates.min(axis=0) < TOUCHES * beside.min(axis=0)
     # groups of minima between anti-resonances
     groups = np.cumsum(highest)
@@ -213,7 +244,9 @@ def _narrowed(sweep, low, high, signs, accuracy, progress):
     each, fractions = np.arange(len(low)), np.arange(1, LANES + 1) / (LANES + 1)
     while True:
         points = low[:, None] + (high - low)[:, None] * fractions
-        forces = _wall_forces(points.ravel(), sweep.beads, sweep.run_time, progress).reshape(points.shape)
+        forces = _wall_forces(points.ravel(), sweep.beads, sweep.run_time, progress).reshape(
+            points.shape
+        )
         best = np.argmax(signs[:, None] * forces, axis=1)
         points = np.concatenate([low[:, None], points, high[:, None]], axis=1)
         low, middle, high = points[each, best], points[each, best + 1], points[each, best + 2]

@@ -24,14 +24,26 @@ LANES = 8
 
 def checked_ratios(ratios: Parameter) -> Float[np.ndarray, " n"]:
     """Mass ratios as a NumPy array (n,), each in (0, 1]."""
-    ratios = np.asarray(within("ratios", ratios, 0, 1, open_low=True, remedy="The ratio is light over heavy."), float)
+    ratios = np.asarray(
+        within("ratios", ratios, 0, 1, open_low=True, remedy="The ratio is light over heavy."),
+        float,
+    )
     if ratios.ndim != 1 or not ratios.size:
-        refuse("ratios", "a list of mass ratios", f"shape {ratios.shape}", f"For one: [{show(ratios)}].")
+        refuse(
+            "ratios",
+            "a list of mass ratios",
+            f"shape {ratios.shape}",
+            f"For one: [{show(ratios)}].",
+        )
     return ratios
 
 
 def peak_forces(
-    ratios: Float[np.ndarray, " n"], beads: Count, boundary: str, bonds: tuple[int, ...], t1: Scalar,
+    ratios: Float[np.ndarray, " n"],
+    beads: Count,
+    boundary: str,
+    bonds: tuple[int, ...],
+    t1: Scalar,
     progress: bool = False,
 ) -> Float[np.ndarray, "bonds n"]:
     """Largest forces of some bonds until t1, shape (bonds, n); NaN for a run that did not complete.
@@ -53,7 +65,13 @@ def _struck(beads, boundary, bonds):
 
     def struck(ratio, t1):
         chain = dimer(beads, ratio, boundary=boundary)
-        run = simulate(chain, impact(chain, 1.0), t1, record={"force": Peak(forces)}, adjoint=diffrax.ForwardMode())
+        run = simulate(
+            chain,
+            impact(chain, 1.0),
+            t1,
+            record={"force": Peak(forces)},
+            adjoint=diffrax.ForwardMode(),
+        )
         return {"force": jnp.where(run.completed, run.recorded["force"], jnp.nan)}
 
     return struck

@@ -65,8 +65,12 @@ class ResonanceMap(Result):
     def held(self) -> dict[str, Held]:
         one, two = self.names
         return {
-            "first": Held(one, "1", one), "second": Held(two, "1", two), "rate": Held(f"{one} {two}", "1"),
-            "force": Held(f"{one} {two}", "A^(2/5) (m v^2)^(3/5)"), "names": Held(None), "kind": Held(None),
+            "first": Held(one, "1", one),
+            "second": Held(two, "1", two),
+            "rate": Held(f"{one} {two}", "1"),
+            "force": Held(f"{one} {two}", "A^(2/5) (m v^2)^(3/5)"),
+            "names": Held(None),
+            "kind": Held(None),
             "cells": Held(None),
         }
 
@@ -79,17 +83,24 @@ class ResonanceMap(Result):
         k, m = np.unravel_index(np.nanargmax(self.rate), self.rate.shape)
         one, two = (name.replace("_", " ") for name in self.names)
         failed = f" {lost} runs failed." if lost else ""
-        return (f"{self.rate.size} chains ({self.kind}): the pulse decays least, by {self.rate[i, j]:.2g} a cell, at "
-                f"{one} {self.first[i]:.4g}, {two} {self.second[j]:.4g}; most, by {self.rate[k, m]:.2g}, at "
-                f"{self.first[k]:.4g}, {self.second[m]:.4g}.{failed}")
+        return (
+            f"{self.rate.size} chains ({self.kind}): the pulse decays least, by {self.rate[i, j]:.2g} a cell, at "
+            f"{one} {self.first[i]:.4g}, {two} {self.second[j]:.4g}; most, by {self.rate[k, m]:.2g}, at "
+            f"{self.first[k]:.4g}, {self.second[m]:.4g}.{failed}"
+        )
 
 
 Cell = Callable[[Any, Any], Any]
 
 
 def resonance_map(
-    kind: str | Cell, first: Parameter, second: Parameter, *, cells: tuple[int, int] = (8, 20),
-    names: tuple[str, str] | None = None, progress: bool = False,
+    kind: str | Cell,
+    first: Parameter,
+    second: Parameter,
+    *,
+    cells: tuple[int, int] = (8, 20),
+    names: tuple[str, str] | None = None,
+    progress: bool = False,
 ) -> ResonanceMap:
     r"""Decay rate of the leading pulse in chains of one kind of cell, over two parameters of the cell.
 
@@ -124,7 +135,13 @@ def resonance_map(
     if not callable(kind):
         one_of("kind", kind, KINDS)
     make = kind if callable(kind) else _trimer if kind == "trimer" else _mixed(int(kind[0]))
-    own = ("second", "third") if kind == "trimer" else ("first", "second") if callable(kind) else ("ratio", "stiffness")
+    own = (
+        ("second", "third")
+        if kind == "trimer"
+        else ("first", "second")
+        if callable(kind)
+        else ("ratio", "stiffness")
+    )
     names = own if names is None else names
     first, second = _row("first", first), _row("second", second)
     a, b = (whole(f"cells[{i}]", n, 0) for i, n in enumerate(cells))
@@ -135,13 +152,17 @@ def resonance_map(
     made = [_cell(make, p, q) for p in first for q in second]
     P = len(made[0][0])
     if any(len(masses) != P for masses, _ in made):
-        refuse("kind", "cells of one size", "cells of several", "Their sizes are that of the program.")
+        refuse(
+            "kind", "cells of one size", "cells of several", "Their sizes are that of the program."
+        )
     masses, stiffness = (np.array(x) for x in zip(*made))
     forces = _forces(masses, stiffness, (a, b), progress)
     shape = len(first), len(second)
     rate = -np.log(forces[1] / forces[0]) / (b - a)
     told = kind if isinstance(kind, str) else getattr(kind, "__name__", "a cell of one's own")
-    return ResonanceMap(first, second, rate.reshape(shape), forces[1].reshape(shape), names, told, (a, b))
+    return ResonanceMap(
+        first, second, rate.reshape(shape), forces[1].reshape(shape), names, told, (a, b)
+    )
 
 
 def _row(argument, x):
@@ -154,10 +175,16 @@ def _row(argument, x):
 def _cell(make, p, q):
     found = make(float(p), float(q))
     if not isinstance(found, tuple) or len(found) != 2:
-        refuse("kind", "a function that gives (masses, stiffnesses)", f"one that gives {described(found)}")
+        refuse(
+            "kind",
+            "a function that gives (masses, stiffnesses)",
+            f"one that gives {described(found)}",
+        )
     masses, stiffness = (np.atleast_1d(np.asarray(positive("kind", x), float)) for x in found)
     if masses.ndim != 1 or masses.shape != stiffness.shape:
-        refuse("kind", "as many stiffnesses as masses", f"shapes {masses.shape} and {stiffness.shape}")
+        refuse(
+            "kind", "as many stiffnesses as masses", f"shapes {masses.shape} and {stiffness.shape}"
+        )
     return masses, stiffness
 
 
@@ -168,9 +195,13 @@ def _forces(masses, stiffness, cells, progress):
     held_in_memory("cells", beads, what="beads")
     # one end of all runs is one loop for many lanes
     until = float(_slow(masses.T, stiffness.T).max()) * (PACE * P * cells[1] + PASSING)
-    lanes = {f"mass_{i}": x for i, x in enumerate(masses.T)} | {f"stiffness_{i}": x for i, x in enumerate(stiffness.T)}
+    lanes = {f"mass_{i}": x for i, x in enumerate(masses.T)} | {
+        f"stiffness_{i}": x for i, x in enumerate(stiffness.T)
+    }
     points = paired(lanes | {"until": np.full(len(masses), until)})
-    found = sweep(_pulse(P, beads, P * cells[0], P * cells[1]), points, chunk=LANES, progress=progress)
+    found = sweep(
+        _pulse(P, beads, P * cells[0], P * cells[1]), points, chunk=LANES, progress=progress
+    )
     return found["forces"].values.T
 
 
@@ -187,10 +218,14 @@ def _pulse(P, beads, first, last):
     def leading(t, y, lattice):
         # what comes long after the leading pulse is not that
         slow, force = _slow(lattice.mass, lattice.terms[0].law.stiffness), contact_force(lattice, y)
-        return jnp.stack([jnp.where(t <= slow * (PACE * n + PASSING), force[n], 0.0) for n in places])
+        return jnp.stack(
+            [jnp.where(t <= slow * (PACE * n + PASSING), force[n], 0.0) for n in places]
+        )
 
     def pulse(p):
-        masses, stiffness = (jnp.stack([p[f"{name}_{i}"] for i in range(P)]) for name in ("mass", "stiffness"))
+        masses, stiffness = (
+            jnp.stack([p[f"{name}_{i}"] for i in range(P)]) for name in ("mass", "stiffness")
+        )
         along = jnp.arange(beads) % P
         lattice = Lattice(masses[along], Bond(Shift(1, "free"), Hertz(stiffness[along[:-1]])))
         run = simulate(lattice, impact(lattice), p["until"], record={"peak": Peak(leading)})

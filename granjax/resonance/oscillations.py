@@ -38,7 +38,9 @@ class Oscillations(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "mass_ratio": Held("mass_ratio", "1"), "count": Held("mass_ratio", "1"), "bead": Held(None),
+        "mass_ratio": Held("mass_ratio", "1"),
+        "count": Held("mass_ratio", "1"),
+        "bead": Held(None),
     }
     mass_ratio: Float[np.ndarray, " n"]
     count: Float[np.ndarray, " n"]
@@ -46,8 +48,10 @@ class Oscillations(Result):
 
     @property
     def outcome(self) -> str:
-        return (f"Light bead {self.bead} swings {np.nanmin(self.count):g} to {np.nanmax(self.count):g} times while its "
-                f"neighbours are squeezed, at {len(self.count)} mass ratios.")
+        return (
+            f"Light bead {self.bead} swings {np.nanmin(self.count):g} to {np.nanmax(self.count):g} times while its "
+            f"neighbours are squeezed, at {len(self.count)} mass ratios."
+        )
 
 
 def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
@@ -82,6 +86,7 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
 @cache
 def _program(beads, bead):
     """Compressions (2, T, 8) of the two contacts of a bead."""
+
     @jax.jit
     def strains(ratios, ts):
         lattice = jax.vmap(lambda ratio: dimer(beads, ratio, boundary="free"), out_axes=-1)(ratios)
@@ -112,7 +117,11 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     """
     left, right = np.asarray(left, float), np.asarray(right, float)
     if left.ndim != 1 or left.shape != right.shape or len(left) < 3:
-        refuse("right", "two rows of compressions of one length, three or more", f"shapes {left.shape}, {right.shape}")
+        refuse(
+            "right",
+            "two rows of compressions of one length, three or more",
+            f"shapes {left.shape}, {right.shape}",
+        )
     approach, z = left + right, (left - right) / 2
     top = int(np.argmax(approach))
     if not np.isfinite(approach).all() or not approach[top] > 0:
@@ -129,7 +138,13 @@ def _turns(z, least):
     turns, way, last = 0, 0, z[0]
     for x in z:
         if way >= 0 and x > last or way <= 0 and x < last:
-            way = way if abs(x - last) < least and not way else int(np.sign(x - last)) if not way else way
+            way = (
+                way
+                if abs(x - last) < least and not way
+                else int(np.sign(x - last))
+                if not way
+                else way
+            )
             last = x if way else last
         elif abs(x - last) > least:
             turns, way, last = turns + 1, -way, x

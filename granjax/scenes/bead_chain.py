@@ -18,8 +18,13 @@ from .chains import check_contacts
 
 
 def beads(
-    materials: str | Material | Sequence[str | Material], radii: Parameter, precompression: Parameter = 0.0, *,
-    cells: Count | None = None, wall: str | Material | Sequence[str | Material] | None = None, boundary: str = "fixed",
+    materials: str | Material | Sequence[str | Material],
+    radii: Parameter,
+    precompression: Parameter = 0.0,
+    *,
+    cells: Count | None = None,
+    wall: str | Material | Sequence[str | Material] | None = None,
+    boundary: str = "fixed",
     damping_time: Scalar | None = None,
 ) -> Lattice:
     r"""Chain of elastic spheres in SI: masses (4/3) pi R^3 rho, Hertz contacts of each pair of neighbours.
@@ -58,10 +63,17 @@ def beads(
         refuse("wall", f"None with boundary={boundary!r}", repr(wall), "Walls stand at fixed ends.")
     bodies, R = _cell(materials, radii)
     count = R.size
-    cells = 1 if cells is None else whole("cells", cells, 1, "It is how often the beads are repeated.")
+    cells = (
+        1 if cells is None else whole("cells", cells, 1, "It is how often the beads are repeated.")
+    )
     sites = count * cells
     if sites < 2:
-        refuse("cells", "at least two beads in all", repr(sites), "Give cells=N, or one material or radius per bead.")
+        refuse(
+            "cells",
+            "at least two beads in all",
+            repr(sites),
+            "Give cells=N, or one material or radius per bead.",
+        )
     mass = bead_mass(bodies, R)
     if R.ndim:
         bodies, R, mass = jax.tree.map(lambda x: jnp.tile(x, cells), (bodies, R, mass))
@@ -75,8 +87,13 @@ def beads(
 
 
 def struck(
-    materials: str | Material | Sequence[str | Material], radii: Parameter, striker: tuple[str | Material, Scalar], *,
-    cells: Count | None = None, wall: str | Material | None = None, damping_time: Scalar | None = None,
+    materials: str | Material | Sequence[str | Material],
+    radii: Parameter,
+    striker: tuple[str | Material, Scalar],
+    *,
+    cells: Count | None = None,
+    wall: str | Material | None = None,
+    damping_time: Scalar | None = None,
 ) -> Lattice:
     r"""Chain of beads at rest before a wall, in SI, with the striker that hits it as site 0.
 
@@ -99,13 +116,19 @@ def struck(
     """
     material, radius = striker
     _, R = _cell(materials, radii)
-    cells = 1 if cells is None else whole("cells", cells, 1, "It is how often the beads are repeated.")
+    cells = (
+        1 if cells is None else whole("cells", cells, 1, "It is how often the beads are repeated.")
+    )
     kinds = [materials] * R.size if isinstance(materials, (str, Material)) else [*materials]
     own = positive("striker", radius, "Its radius is in metres, above zero.")
     R = jnp.concatenate([jnp.ravel(own), jnp.tile(jnp.ravel(R), cells)])
     chain = beads([material, *kinds * cells], R, boundary="free", damping_time=damping_time)
-    behind = hertz_coefficient(kinds[-1], R[-1], kinds[-1] if wall is None else named("wall", wall), jnp.inf)
-    return Lattice(chain.mass, (*chain.terms, Wall(Hertz(behind), "right")), sites=chain.sites, units=SI)
+    behind = hertz_coefficient(
+        kinds[-1], R[-1], kinds[-1] if wall is None else named("wall", wall), jnp.inf
+    )
+    return Lattice(
+        chain.mass, (*chain.terms, Wall(Hertz(behind), "right")), sites=chain.sites, units=SI
+    )
 
 
 def _cell(materials, radii):
@@ -120,7 +143,12 @@ def _cell(materials, radii):
     shapes = {x.shape for x in (R, bodies.young, bodies.poisson, bodies.density)} - {()}
     if len(shapes) > 1 or any(len(shape) > 1 or not shape[0] for shape in shapes):
         got = f"{bodies.young.shape[:1] or 'one'} and {R.shape[:1] or 'one'}"
-        refuse("radii", "as many radii as materials, or one of either", got, "Repeat a cell with cells=N.")
+        refuse(
+            "radii",
+            "as many radii as materials, or one of either",
+            got,
+            "Repeat a cell with cells=N.",
+        )
     shape = shapes.pop() if shapes else ()
     return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), (bodies, R))
 
@@ -133,6 +161,7 @@ def _contacts(bodies, R, sites, boundary, wall):
             return pairs
         pairs = jnp.broadcast_to(pairs, (sites - 1,))
     else:
+
         def pick(index):
             return jax.tree.map(lambda x: x[index], (bodies, R))
 

@@ -54,7 +54,15 @@ def check_each(name: str, x: Parameter, count: int, what: str) -> None:
 
 def _power_chain(sites, mass, stiffness, exponent, precompression, boundary):
     law = _contact(stiffness, exponent, precompression)
-    return _chain(sites, mass, law, boundary, stiffness=stiffness, exponent=exponent, precompression=precompression)
+    return _chain(
+        sites,
+        mass,
+        law,
+        boundary,
+        stiffness=stiffness,
+        exponent=exponent,
+        precompression=precompression,
+    )
 
 
 def _sites(sites):
@@ -62,8 +70,12 @@ def _sites(sites):
 
 
 def monomer(
-    sites: Count, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0, boundary: str = "fixed",
+    sites: Count,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
 ) -> Lattice:
     r"""Chain of equal beads: m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p, d0 = (F0/A)^{1/p}.
 
@@ -93,8 +105,13 @@ def monomer(
 
 
 def pattern(
-    sites: Count, masses: Parameter, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0, boundary: str = "fixed",
+    sites: Count,
+    masses: Parameter,
+    *,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
 ) -> Lattice:
     """Chain whose masses repeat: m_n = masses[n mod len(masses)]; the last cell may be cut short.
 
@@ -108,7 +125,10 @@ def pattern(
     [1.0, 2.96, 1.0, 2.96, 1.0]
     """
     sites = _sites(sites)
-    cell = [positive(f"masses[{i}]", _number(f"masses[{i}]", m), "A bead needs a mass.") for i, m in enumerate(masses)]
+    cell = [
+        positive(f"masses[{i}]", _number(f"masses[{i}]", m), "A bead needs a mass.")
+        for i, m in enumerate(masses)
+    ]
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
     mass = jnp.tile(jnp.stack(cell), -(-sites // len(cell)))[:sites]
@@ -116,8 +136,13 @@ def pattern(
 
 
 def dimer(
-    sites: Count, ratio: Scalar = 0.5, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0, boundary: str = "fixed",
+    sites: Count,
+    ratio: Scalar = 0.5,
+    *,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
 ) -> Lattice:
     """Chain of heavy and light beads in turn: masses 1, ratio, 1, ratio, ...; the heavy one first.
 
@@ -136,13 +161,24 @@ def dimer(
     >>> print(gx.linear.bands(chain).lower.round(4))
     [0.     2.4495]
     """
-    return pattern(sites, (1.0, _ratio("ratio", ratio)), stiffness=stiffness, exponent=exponent,
-                   precompression=precompression, boundary=boundary)
+    return pattern(
+        sites,
+        (1.0, _ratio("ratio", ratio)),
+        stiffness=stiffness,
+        exponent=exponent,
+        precompression=precompression,
+        boundary=boundary,
+    )
 
 
 def trimer(
-    sites: Count, ratios: Parameter = (0.5, 0.25), *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0, boundary: str = "fixed",
+    sites: Count,
+    ratios: Parameter = (0.5, 0.25),
+    *,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
 ) -> Lattice:
     """Chain of three kinds of beads in turn: masses 1, ratios[0], ratios[1], 1, ...
 
@@ -156,14 +192,28 @@ def trimer(
     >>> gx.scenes.trimer(6).mass.tolist()
     [1.0, 0.5, 0.25, 1.0, 0.5, 0.25]
     """
-    second, third = (_ratio(f"ratios[{i}]", _number(f"ratios[{i}]", r)) for i, r in enumerate(ratios))
-    return pattern(sites, (1.0, second, third), stiffness=stiffness, exponent=exponent, precompression=precompression,
-                   boundary=boundary)
+    second, third = (
+        _ratio(f"ratios[{i}]", _number(f"ratios[{i}]", r)) for i, r in enumerate(ratios)
+    )
+    return pattern(
+        sites,
+        (1.0, second, third),
+        stiffness=stiffness,
+        exponent=exponent,
+        precompression=precompression,
+        boundary=boundary,
+    )
 
 
 def n_to_one(
-    sites: Count, beads: Count, ratio: Scalar = 0.5, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0, boundary: str = "fixed",
+    sites: Count,
+    beads: Count,
+    ratio: Scalar = 0.5,
+    *,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
 ) -> Lattice:
     """N:1 chain: `beads` heavy beads of mass 1, then one of mass `ratio`, and so on.
 
@@ -181,13 +231,25 @@ def n_to_one(
     beads = whole("beads", beads, 1, "It counts the heavy beads of a cell.")
     # of a longer cell no light bead is seen
     masses = (1.0,) * min(beads, _sites(sites)) + (_ratio("ratio", ratio),)
-    return pattern(sites, masses, stiffness=stiffness, exponent=exponent, precompression=precompression,
-                   boundary=boundary)
+    return pattern(
+        sites,
+        masses,
+        stiffness=stiffness,
+        exponent=exponent,
+        precompression=precompression,
+        boundary=boundary,
+    )
 
 
 def defects(
-    sites: Count, masses: dict[Count, Scalar], *, mass: Scalar = 1.0, stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed",
+    sites: Count,
+    masses: dict[Count, Scalar],
+    *,
+    mass: Scalar = 1.0,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
 ) -> Lattice:
     """Monomer chain with some beads of another mass.
 
@@ -219,7 +281,11 @@ def defects(
 
 
 def taper(
-    sites: Count, q: Scalar = 0.05, *, stiffness: Scalar = 1.0, precompression: Parameter = 0.0,
+    sites: Count,
+    q: Scalar = 0.05,
+    *,
+    stiffness: Scalar = 1.0,
+    precompression: Parameter = 0.0,
     boundary: str = "fixed",
 ) -> Lattice:
     r"""Tapered chain of spheres of one material: R_{n+1} = (1 - q) R_n.
@@ -239,8 +305,15 @@ def taper(
     """
     sites = _sites(sites)
     if one_of("boundary", boundary, BOUNDARIES) == "periodic":
-        refuse("boundary", "'fixed' or 'free' for a taper", "'periodic'", "The last radius differs from the first.")
-    q = within("q", q, -1, 1, open_low=True, open_high=True, remedy="Radii shrink by the factor 1 - q.")
+        refuse(
+            "boundary",
+            "'fixed' or 'free' for a taper",
+            "'periodic'",
+            "The last radius differs from the first.",
+        )
+    q = within(
+        "q", q, -1, 1, open_low=True, open_high=True, remedy="Radii shrink by the factor 1 - q."
+    )
     A = positive("stiffness", stiffness, "It is the coefficient of the first pair.")
     R = (1 - q) ** jnp.arange(sites)
     # R*_n/R*_0 = R_n/R_0 between beads
@@ -248,12 +321,23 @@ def taper(
     if boundary == "fixed":
         wall = (2 - q) / (1 - q) / 2
         share = jnp.concatenate([R[:1] * wall, share, R[-1:] * wall])
-    return _chain(sites, R**3, Hertz(A * jnp.sqrt(share), precompression), boundary, precompression=precompression)
+    return _chain(
+        sites,
+        R**3,
+        Hertz(A * jnp.sqrt(share), precompression),
+        boundary,
+        precompression=precompression,
+    )
 
 
 def fput(
-    sites: Count, alpha: Parameter | None = None, beta: Parameter | None = None, *, mass: Parameter = 1.0,
-    stiffness: Parameter = 1.0, boundary: str = "fixed",
+    sites: Count,
+    alpha: Parameter | None = None,
+    beta: Parameter | None = None,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    boundary: str = "fixed",
 ) -> Lattice:
     r"""Fermi-Pasta-Ulam-Tsingou chain: F(e) = K e + alpha e^2 + beta e^3 in the compression e = u_n - u_{n+1}.
 
@@ -284,7 +368,12 @@ def fput(
 
 
 def toda(
-    sites: Count, *, mass: Parameter = 1.0, strength: Parameter = 1.0, rate: Parameter = 1.0, boundary: str = "free",
+    sites: Count,
+    *,
+    mass: Parameter = 1.0,
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    boundary: str = "free",
 ) -> Lattice:
     """Toda chain: F(e) = a (exp(b e) - 1); m u_n'' = a exp(b (u_{n-1} - u_n)) - a exp(b (u_n - u_{n+1})).
 

@@ -18,9 +18,20 @@ _DRAWS = {"uniform": jax.random.uniform, "binary": jax.random.rademacher}
 
 
 def disordered(
-    sites: Count, spread: Scalar, seed: Seed = 0, *, of: str = "mass", distribution: str = "uniform",
-    correlation: str = "none", law: Callable[..., Law] | None = None, mass: Scalar = 1.0, stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    spread: Scalar,
+    seed: Seed = 0,
+    *,
+    of: str = "mass",
+    distribution: str = "uniform",
+    correlation: str = "none",
+    law: Callable[..., Law] | None = None,
+    mass: Scalar = 1.0,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     r"""Disordered granular chain (Anderson disorder, random dimers): random masses, radii, stiffnesses or positions.
 
@@ -64,9 +75,16 @@ def disordered(
     remedy = "What is random lies between 1 - spread and 1 + spread times its mean."
     spread = within("spread", _number("spread", spread), 0, 1, open_high=True, remedy=remedy)
     contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
-    draw = one_of("distribution", distribution, tuple(_DRAWS)), one_of("correlation", correlation, CORRELATIONS)
-    x = spread * _noise(contacts if of == "stiffness" else sites, random_key(seed, _MANY), *draw, spread.dtype)
-    m = positive("mass", _number("mass", mass), "It is the mean mass, or that of a bead of mean radius.")
+    draw = (
+        one_of("distribution", distribution, tuple(_DRAWS)),
+        one_of("correlation", correlation, CORRELATIONS),
+    )
+    x = spread * _noise(
+        contacts if of == "stiffness" else sites, random_key(seed, _MANY), *draw, spread.dtype
+    )
+    m = positive(
+        "mass", _number("mass", mass), "It is the mean mass, or that of a bead of mean radius."
+    )
     A = positive("stiffness", stiffness, "Contacts push.")
     if of == "mass":
         m = m * (1 + x)
@@ -76,11 +94,19 @@ def disordered(
     elif of == "stiffness":
         A = A * (1 + x)
     elif law is not None:
-        refuse("law", "None with of='position'", "a law", "Positions change the static force, which a law has made.")
+        refuse(
+            "law",
+            "None with of='position'",
+            "a law",
+            "Positions change the static force, which a law has made.",
+        )
     else:
         precompression = _displaced(x, A, exponent, precompression, boundary)
     if law is None:
-        law, given = _contact(A, exponent, precompression), {"exponent": exponent, "precompression": precompression}
+        law, given = (
+            _contact(A, exponent, precompression),
+            {"exponent": exponent, "precompression": precompression},
+        )
     else:
         law, given = _made(law, A, precompression), {}
     return _chain(sites, m, law, boundary, stiffness=A, **given).counted_in(units)
@@ -98,7 +124,12 @@ def _noise(count, key, distribution, correlation, dtype):
 def _hertzian(exponent, law):
     known = concrete(exponent)
     if law is None and (known is None or (known != 1.5).any()):
-        refuse("exponent", "3/2 with of='radius'", f"{exponent}", "How a contact follows from radii is Hertz's law.")
+        refuse(
+            "exponent",
+            "3/2 with of='radius'",
+            f"{exponent}",
+            "How a contact follows from radii is Hertz's law.",
+        )
 
 
 def _hertz_share(R, boundary):
@@ -113,8 +144,12 @@ def _displaced(x, A, exponent, precompression, boundary):
     """Static forces A d^p of contacts whose beads lie beside their places by x d0/2."""
     known = concrete(precompression)
     if known is not None and not (known > 0).all():
-        refuse("precompression", "a static force above zero with of='position'", f"{precompression}",
-               "Without overlap at rest there is none that positions could change.")
+        refuse(
+            "precompression",
+            "a static force above zero with of='position'",
+            f"{precompression}",
+            "Without overlap at rest there is none that positions could change.",
+        )
     right = jnp.roll(x, -1) if boundary == "periodic" else x[1:]
     change = (x if boundary == "periodic" else x[:-1]) - right
     if boundary == "fixed":
@@ -127,5 +162,7 @@ def _displaced(x, A, exponent, precompression, boundary):
 def _made(law, A, precompression):
     known = concrete(precompression)
     if known is None or (known != 0).any():
-        refuse("precompression", "0 with a law of your own", f"{precompression}", "Give it to the law.")
+        refuse(
+            "precompression", "0 with a law of your own", f"{precompression}", "Give it to the law."
+        )
     return law(A)

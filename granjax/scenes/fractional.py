@@ -63,8 +63,13 @@ def _checked(sites, boundary):
 
 
 def fractional(
-    sites: Count, order: Parameter = 0.5, *, law: Law | None = None, on_site: Law | None = None,
-    mass: Parameter = 1.0, boundary: str = "periodic",
+    sites: Count,
+    order: Parameter = 0.5,
+    *,
+    law: Law | None = None,
+    on_site: Law | None = None,
+    mass: Parameter = 1.0,
+    boundary: str = "periodic",
 ) -> Lattice:
     r"""Fractional lattice: differences of second order replaced by the discrete fractional Laplacian of order s.
 
@@ -96,8 +101,15 @@ def fractional(
 
 
 def fractional_fput(
-    sites: Count, order: Parameter = 0.5, *, alpha: Parameter = 0.25, beta: Parameter = 0.0,
-    nonlinear: str = "all", mass: Parameter = 1.0, stiffness: Parameter = 1.0, boundary: str = "fixed",
+    sites: Count,
+    order: Parameter = 0.5,
+    *,
+    alpha: Parameter = 0.25,
+    beta: Parameter = 0.0,
+    nonlinear: str = "all",
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    boundary: str = "fixed",
 ) -> Lattice:
     r"""Fractional FPUT chain: F(e) = k e + alpha e^2 + beta e^3 with the weights of the fractional Laplacian.
 
@@ -121,13 +133,22 @@ def fractional_fput(
         terms = _weighted(sites, order, Polynomial(stiffness, alpha, beta), boundary)
     else:
         local = Polynomial(jnp.zeros_like(stiffness), alpha, beta)
-        terms = (*_weighted(sites, order, Linear(stiffness), boundary), Bond(Shift(1, boundary), local))
+        terms = (
+            *_weighted(sites, order, Linear(stiffness), boundary),
+            Bond(Shift(1, boundary), local),
+        )
     return Lattice(mass, terms, sites=sites)
 
 
 def fractional_sine_gordon(
-    sites: Count, order: Parameter = 0.5, coupling: Parameter = 1.0, *, mass: Parameter = 1.0,
-    stiffness: Parameter = 1.0, wavenumber: Parameter = 1.0, boundary: str = "periodic",
+    sites: Count,
+    order: Parameter = 0.5,
+    coupling: Parameter = 1.0,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    wavenumber: Parameter = 1.0,
+    boundary: str = "periodic",
 ) -> Lattice:
     r"""Fractional sine-Gordon chain: m u_n'' = -C ((-Delta)^s u)_n - (k/q) sin(q u_n).
 
@@ -151,5 +172,10 @@ def fractional_sine_gordon(
     for name, x in {"stiffness": stiffness, "wavenumber": wavenumber}.items():
         check_each(name, x, sites, "site")
     on_site = Sine(stiffness, wavenumber)
-    terms = _weighted(sites, order, Linear(non_negative("coupling", _number("coupling", coupling), _COUPLED)), boundary)
+    terms = _weighted(
+        sites,
+        order,
+        Linear(non_negative("coupling", _number("coupling", coupling), _COUPLED)),
+        boundary,
+    )
     return Lattice(mass, (*terms, OnSite(on_site)), sites=sites)

@@ -26,8 +26,16 @@ ROUNDING = 1000
 
 
 def magnets(
-    sites: Count, exponent: Scalar = -4.0, *, mass: Parameter = 1.0, stiffness: Scalar = 1.0, spacing: Scalar = 1.0,
-    diameter: Scalar = 0.0, reach: Count | None = None, boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    exponent: Scalar = -4.0,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Scalar = 1.0,
+    spacing: Scalar = 1.0,
+    diameter: Scalar = 0.0,
+    reach: Count | None = None,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     r"""Chain of repelling magnets, each of which repels every other: force A r^p at a distance r, p < 0.
 
@@ -59,12 +67,21 @@ def magnets(
     2.0
     """
     sites, boundary = _sites(sites), one_of("boundary", boundary, BOUNDARIES)
-    p, A, d = _number("exponent", exponent), positive("stiffness", stiffness), positive("spacing", spacing)
+    p, A, d = (
+        _number("exponent", exponent),
+        positive("stiffness", stiffness),
+        positive("spacing", spacing),
+    )
     value, size = concrete(p), concrete(non_negative("diameter", diameter))
     if value is not None and value >= 0:
         refuse("exponent", "p < 0, magnets that repel less further apart", show(value))
     if size is not None and concrete(d) is not None and np.any(size >= concrete(d)):
-        refuse("spacing", f"more than the diameter of a magnet, {show(size)}", show(concrete(d)), "These touch.")
+        refuse(
+            "spacing",
+            f"more than the diameter of a magnet, {show(size)}",
+            show(concrete(d)),
+            "These touch.",
+        )
     power = exponent if isinstance(exponent, (int, float)) else p
     reach, kernel = _kernel(sites, p, reach, boundary)
     beyond = 1 if boundary == "fixed" and reach > 1 else None
@@ -72,8 +89,12 @@ def magnets(
     rest = None
     if boundary != "periodic" and reach > 1:
         rest = d * _rest(sites, power, reach, boundary)
-    return Lattice(mass, LongRange(kernel, law, boundary, takes="strain", beyond=beyond, rest=rest), sites=sites,
-                   units=units)
+    return Lattice(
+        mass,
+        LongRange(kernel, law, boundary, takes="strain", beyond=beyond, rest=rest),
+        sites=sites,
+        units=units,
+    )
 
 
 def _kernel(sites, p, reach, boundary):
@@ -81,15 +102,21 @@ def _kernel(sites, p, reach, boundary):
     most = {"fixed": sites + 1, "free": sites - 1, "periodic": max((sites - 1) // 2, 1)}[boundary]
     reach = most if reach is None else whole("reach", reach, 1)
     if boundary == "periodic" and reach > most:
-        refuse("reach", f"at most {most}, less than half way round a ring of {sites} sites", f"{reach}")
+        refuse(
+            "reach", f"at most {most}, less than half way round a ring of {sites} sites", f"{reach}"
+        )
     return min(reach, most), jnp.arange(1.0, min(reach, most) + 1) ** p
 
 
 def _rest(sites, p, reach, boundary):
     """Displacements from equal spacings at rest, in spacings: they depend on the exponent alone."""
     if sites > MANY:
-        refuse("sites", f"at most {MANY} magnets between ends", f"{sites}",
-               "A ring is at rest in equal spacings: boundary='periodic'; or let them feel next neighbours, reach=1.")
+        refuse(
+            "sites",
+            f"at most {MANY} magnets between ends",
+            f"{sites}",
+            "A ring is at rest in equal spacings: boundary='periodic'; or let them feel next neighbours, reach=1.",
+        )
     value = concrete(p)
     if value is None:
         return _found_rest(sites, p, reach, boundary)
@@ -104,9 +131,12 @@ def _known_rest(sites, p, reach, boundary):
         u, change = step(u, p)
         if change <= SETTLED:
             return u[kept]
-    refuse("exponent", f"magnets that Newton's method brings to rest in {ITERATIONS} steps",
-           f"{sites} magnets of exponent {p:g}, which are not at rest by then",
-           "Take fewer magnets, or a shorter reach: such forces act on the whole chain.")
+    refuse(
+        "exponent",
+        f"magnets that Newton's method brings to rest in {ITERATIONS} steps",
+        f"{sites} magnets of exponent {p:g}, which are not at rest by then",
+        "Take fewer magnets, or a shorter reach: such forces act on the whole chain.",
+    )
 
 
 @partial(jax.jit, static_argnums=(0, 2, 3))
@@ -120,8 +150,10 @@ def _found_rest(sites, p, reach, boundary):
     there = jax.lax.stop_gradient(p)
     settled = max(SETTLED, ROUNDING * float(jnp.finfo(there.dtype).eps))
     u, change, _ = jax.lax.while_loop(
-        lambda x: (x[1] > settled) & (x[2] < ITERATIONS), lambda x: (*step(x[0], there), x[2] + 1),
-        (u + 0 * there, 1 + 0 * there, 0))
+        lambda x: (x[1] > settled) & (x[2] < ITERATIONS),
+        lambda x: (*step(x[0], there), x[2] + 1),
+        (u + 0 * there, 1 + 0 * there, 0),
+    )
     u = jnp.where(change <= settled, u, jnp.nan)
     return jax.lax.scan(lambda u, _: (step(u, p)[0], None), u, None, length=2)[0][kept]
 
@@ -149,8 +181,16 @@ def _towards_rest(numpy, sites, reach, boundary):
 
 
 def long_range(
-    sites: Count, exponent: Scalar = 3.0, *, mass: Parameter = 1.0, stiffness: Scalar = 1.0, alpha: Scalar = 0.0,
-    beta: Scalar = 0.0, reach: Count | None = None, boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    exponent: Scalar = 3.0,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Scalar = 1.0,
+    alpha: Scalar = 0.0,
+    beta: Scalar = 0.0,
+    reach: Count | None = None,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     r"""Chain with long-range interactions: springs to all neighbours, weaker by m^{-s} with their distance m.
 
@@ -171,7 +211,9 @@ def long_range(
     4.0
     """
     sites, boundary = _sites(sites), one_of("boundary", boundary, BOUNDARIES)
-    s = positive("exponent", _number("exponent", exponent), "Interactions weaken with the distance.")
+    s = positive(
+        "exponent", _number("exponent", exponent), "Interactions weaken with the distance."
+    )
     K = positive("stiffness", stiffness, "At rest the springs hold the chain.")
     for name, x in (("alpha", alpha), ("beta", beta)):
         parameter(name, x)

@@ -17,9 +17,18 @@ _TURNS = 1e-9
 
 
 def modulated(
-    sites: Count, amplitude: Parameter = 0.1, omega: Parameter = 2.0, *, shape: str = "cosine", on: str = "bonds",
-    law: Law | None = None, grounding: Parameter = 0.0, damping: Parameter = 0.0, phase: Parameter = 0.0,
-    mass: Parameter = 1.0, boundary: str = "periodic",
+    sites: Count,
+    amplitude: Parameter = 0.1,
+    omega: Parameter = 2.0,
+    *,
+    shape: str = "cosine",
+    on: str = "bonds",
+    law: Law | None = None,
+    grounding: Parameter = 0.0,
+    damping: Parameter = 0.0,
+    phase: Parameter = 0.0,
+    mass: Parameter = 1.0,
+    boundary: str = "periodic",
 ) -> Lattice:
     r"""Chain whose stiffness is modulated in time alone: a phononic time crystal, with gaps in the wave number.
 
@@ -50,9 +59,18 @@ def modulated(
 
 
 def travelling_modulation(
-    sites: Count, amplitude: Parameter = 0.1, omega: Parameter = 0.5, wavelength: Parameter = 3.0, *,
-    shape: str = "cosine", on: str = "bonds", law: Law | None = None, grounding: Parameter = 0.0,
-    damping: Parameter = 0.0, mass: Parameter = 1.0, boundary: str = "periodic",
+    sites: Count,
+    amplitude: Parameter = 0.1,
+    omega: Parameter = 0.5,
+    wavelength: Parameter = 3.0,
+    *,
+    shape: str = "cosine",
+    on: str = "bonds",
+    law: Law | None = None,
+    grounding: Parameter = 0.0,
+    damping: Parameter = 0.0,
+    mass: Parameter = 1.0,
+    boundary: str = "periodic",
 ) -> Lattice:
     r"""Chain whose stiffness is modulated in space and time, by a wave that travels: non-reciprocal bands.
 
@@ -82,8 +100,12 @@ def travelling_modulation(
             refuse("wavelength", "a number of sites, 2 or more in size", repr(value.tolist()))
         turns = sites / float(value)
         if boundary == "periodic" and abs(turns - round(turns)) > _TURNS * sites:
-            refuse("wavelength", f"one that goes into a ring of {sites} sites", repr(float(value)),
-                   "Take as many sites as several wavelengths, or free ends.")
+            refuse(
+                "wavelength",
+                f"one that goes into a ring of {sites} sites",
+                repr(float(value)),
+                "Take as many sites as several wavelengths, or free ends.",
+            )
     # the bond to a left wall comes first
     place = places - (on == "bonds" and boundary == "fixed")
     wave = _wave(shape, amplitude, omega, -2 * np.pi * place / wavelength, places)
@@ -92,11 +114,16 @@ def travelling_modulation(
 
 def _places(sites: Count, on: str, boundary: str) -> tuple:
     """The number of sites, and the numbers of the bonds or sites that are modulated."""
-    sites, walls = _sites(sites), {"fixed": 1, "free": -1}.get(one_of("boundary", boundary, BOUNDARIES), 0)
+    sites, walls = (
+        _sites(sites),
+        {"fixed": 1, "free": -1}.get(one_of("boundary", boundary, BOUNDARIES), 0),
+    )
     return sites, np.arange(sites + walls * (one_of("on", on, ("bonds", "sites")) == "bonds"))
 
 
-def _wave(shape: str, amplitude: Parameter, omega: Parameter, phase: Parameter, places: np.ndarray) -> Callable:
+def _wave(
+    shape: str, amplitude: Parameter, omega: Parameter, phase: Parameter, places: np.ndarray
+) -> Callable:
     check_each("amplitude", amplitude, len(places), "modulated bond or site")
     check_each("phase", phase, len(places), "modulated bond or site")
     omega = positive("omega", _number("omega", omega), "The modulation has a period.")
@@ -104,7 +131,13 @@ def _wave(shape: str, amplitude: Parameter, omega: Parameter, phase: Parameter, 
 
 
 def _chain(
-    sites: int, wave: Callable, on: str, law: Law | None, grounding: Parameter, damping: Parameter, mass: Parameter,
+    sites: int,
+    wave: Callable,
+    on: str,
+    law: Law | None,
+    grounding: Parameter,
+    damping: Parameter,
+    mass: Parameter,
     boundary: str,
 ) -> Lattice:
     bond = Bond(Shift(1, boundary), Linear() if law is None else law)
@@ -114,7 +147,12 @@ def _chain(
     value, still = concrete(grounding), concrete(damping)
     grounded = value is None or bool(np.any(value))
     if on == "sites" and not grounded:
-        refuse("grounding", "a stiffness above zero, which is modulated", "0", "Or modulate on=\"bonds\".")
+        refuse(
+            "grounding",
+            "a stiffness above zero, which is modulated",
+            "0",
+            'Or modulate on="bonds".',
+        )
     site = (OnSite(Linear(grounding)),) if grounded else ()
     terms = (Modulated(bond, wave), *site) if on == "bonds" else (bond, Modulated(site[0], wave))
     lost = (Damping(damping),) if still is None or np.any(still) else ()

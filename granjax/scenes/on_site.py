@@ -23,9 +23,16 @@ def _on_sites(sites, mass, law, on_site, boundary, parameters, per_site):
 
 
 def cradle(
-    sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0, pendulum: Parameter = 1.0, length: Parameter | None = None,
-    law: Law | None = None, boundary: str = "free",
+    sites: Count,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    pendulum: Parameter = 1.0,
+    length: Parameter | None = None,
+    law: Law | None = None,
+    boundary: str = "free",
 ) -> Lattice:
     r"""Newton's cradle: beads that touch, each on a pendulum of its own.
 
@@ -74,8 +81,15 @@ def cradle(
 
 
 def klein_gordon(
-    sites: Count, coupling: Parameter = 0.1, *, alpha: Parameter | None = None, beta: Parameter | None = None,
-    law: Law | None = None, mass: Parameter = 1.0, stiffness: Parameter = 1.0, boundary: str = "free",
+    sites: Count,
+    coupling: Parameter = 0.1,
+    *,
+    alpha: Parameter | None = None,
+    beta: Parameter | None = None,
+    law: Law | None = None,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    boundary: str = "free",
 ) -> Lattice:
     r"""Klein-Gordon chain: oscillators with a nonlinear force on each, and springs between them.
 
@@ -106,7 +120,9 @@ def klein_gordon(
     """
     if law is not None and not (alpha is None and beta is None):
         refuse("law", "a law, or alpha and beta", "both", "Leave one of them out.")
-    stiffness = positive("stiffness", stiffness, "A site that is not held back is a site of another chain.")
+    stiffness = positive(
+        "stiffness", stiffness, "A site that is not held back is a site of another chain."
+    )
     if alpha is None:
         alpha = 0.0
         beta = 1.0 if beta is None else beta
@@ -116,12 +132,19 @@ def klein_gordon(
     on_site = Polynomial(stiffness, alpha, beta) if law is None else law
     coupling = non_negative("coupling", coupling, _COUPLED)
     per_site = {} if law is not None else {"stiffness": stiffness, "alpha": alpha, "beta": beta}
-    return _on_sites(sites, mass, Linear(coupling), on_site, boundary, {"coupling": coupling}, per_site)
+    return _on_sites(
+        sites, mass, Linear(coupling), on_site, boundary, {"coupling": coupling}, per_site
+    )
 
 
 def sine_gordon(
-    sites: Count, coupling: Parameter = 1.0, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
-    wavenumber: Parameter = 1.0, boundary: str = "free",
+    sites: Count,
+    coupling: Parameter = 1.0,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    wavenumber: Parameter = 1.0,
+    boundary: str = "free",
 ) -> Lattice:
     r"""Discrete sine-Gordon (Frenkel-Kontorova) chain: pendula on a torsion spring.
 
@@ -150,8 +173,17 @@ def sine_gordon(
     >>> round(float(gx.measures.energy(chain, kink) / (2 * jnp.pi**2)), 6)  # the one stretched spring
     1.0
     """
-    stiffness = positive("stiffness", stiffness, "A site that is not held back is a site of another chain.")
+    stiffness = positive(
+        "stiffness", stiffness, "A site that is not held back is a site of another chain."
+    )
     wavenumber = positive("wavenumber", wavenumber, "The potential's period is 2 pi/q.")
     coupling = non_negative("coupling", coupling, _COUPLED)
-    return _on_sites(sites, mass, Linear(coupling), Sine(stiffness, wavenumber), boundary, {"coupling": coupling},
-                     {"stiffness": stiffness, "wavenumber": wavenumber})
+    return _on_sites(
+        sites,
+        mass,
+        Linear(coupling),
+        Sine(stiffness, wavenumber),
+        boundary,
+        {"coupling": coupling},
+        {"stiffness": stiffness, "wavenumber": wavenumber},
+    )

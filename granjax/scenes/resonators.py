@@ -17,9 +17,17 @@ _TIE = "A resonator without stiffness is let go: 0 leaves the chain of beads."
 
 
 def mass_in_mass(
-    sites: Count, mass: Parameter = 0.5, stiffness: Parameter = 1.0, *, bead_mass: Parameter = 1.0,
-    contact_stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0,
-    boundary: str = "fixed", law: Law | None = None, units: str = SCALED,
+    sites: Count,
+    mass: Parameter = 0.5,
+    stiffness: Parameter = 1.0,
+    *,
+    bead_mass: Parameter = 1.0,
+    contact_stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
+    law: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Mass-in-mass chain: a locally resonant chain whose beads hold a mass mu on a linear spring kappa.
 
@@ -55,14 +63,34 @@ def mass_in_mass(
     >>> round(float(gap[1]), 6)  # (kappa (1/m + 1/mu))^{1/2}
     1.732051
     """
-    return _resonant(sites, (mass,), (stiffness,), ("resonator",), bead_mass, contact_stiffness, exponent,
-                     precompression, boundary, law, units)
+    return _resonant(
+        sites,
+        (mass,),
+        (stiffness,),
+        ("resonator",),
+        bead_mass,
+        contact_stiffness,
+        exponent,
+        precompression,
+        boundary,
+        law,
+        units,
+    )
 
 
 def mass_with_mass(
-    sites: Count, mass: Parameter = 0.5, stiffness: Parameter = 1.0, *, at: Sequence[Count] | None = None,
-    bead_mass: Parameter = 1.0, contact_stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0, boundary: str = "fixed", law: Law | None = None, units: str = SCALED,
+    sites: Count,
+    mass: Parameter = 0.5,
+    stiffness: Parameter = 1.0,
+    *,
+    at: Sequence[Count] | None = None,
+    bead_mass: Parameter = 1.0,
+    contact_stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
+    law: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Mass-with-mass chain: beads that carry a ring, a mass mu outside of the bead on a linear spring kappa.
 
@@ -84,29 +112,59 @@ def mass_with_mass(
     {'bead': (20,), 'resonator': (1,)}
     """
     if at is None:
-        return _resonant(sites, (mass,), (stiffness,), ("resonator",), bead_mass, contact_stiffness, exponent,
-                         precompression, boundary, law, units)
+        return _resonant(
+            sites,
+            (mass,),
+            (stiffness,),
+            ("resonator",),
+            bead_mass,
+            contact_stiffness,
+            exponent,
+            precompression,
+            boundary,
+            law,
+            units,
+        )
     sites = _sites(sites)
     places = [int(site) for site in at]
-    if any(not -sites <= site < sites for site in places) or len({site % sites for site in places}) < len(places):
-        refuse("at", f"sites from 0 to {sites - 1}, or negative from the end, each once", repr(list(at)))
+    if any(not -sites <= site < sites for site in places) or len(
+        {site % sites for site in places}
+    ) < len(places):
+        refuse(
+            "at",
+            f"sites from 0 to {sites - 1}, or negative from the end, each once",
+            repr(list(at)),
+        )
     places = [site % sites for site in places]
     count = len(places)
-    mu, kappa = positive("mass", mass, "A resonator needs a mass."), non_negative("stiffness", stiffness, _TIE)
+    mu, kappa = (
+        positive("mass", mass, "A resonator needs a mass."),
+        non_negative("stiffness", stiffness, _TIE),
+    )
     check_each("mass", mu, count, "resonator")
     check_each("stiffness", kappa, count, "resonator")
     bead = positive("bead_mass", bead_mass, "A bead needs a mass.")
     masses = {"bead": jnp.broadcast_to(bead, (sites,)), "resonator": jnp.broadcast_to(mu, (count,))}
-    tie = Bond(Pairs(places, range(count), sites=(sites, count), fields=("bead", "resonator")), Linear(kappa))
+    tie = Bond(
+        Pairs(places, range(count), sites=(sites, count), fields=("bead", "resonator")),
+        Linear(kappa),
+    )
     contacts = _contacts(sites, contact_stiffness, exponent, precompression, boundary, law)
     return Lattice(masses, (contacts, tie), units=units)
 
 
 def woodpile(
-    sites: Count, masses: Sequence[Parameter] | Numbers = (0.5, 0.25),
-    stiffnesses: Sequence[Parameter] | Numbers = (1.0, 2.0), *, bead_mass: Parameter = 1.0,
-    contact_stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0,
-    boundary: str = "fixed", law: Law | None = None, units: str = SCALED,
+    sites: Count,
+    masses: Sequence[Parameter] | Numbers = (0.5, 0.25),
+    stiffnesses: Sequence[Parameter] | Numbers = (1.0, 2.0),
+    *,
+    bead_mass: Parameter = 1.0,
+    contact_stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
+    law: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Woodpile: crossed cylindrical rods in a stack, whose bending modes are resonators of the contacts' chain.
 
@@ -132,20 +190,51 @@ def woodpile(
     """
     masses, stiffnesses = tuple(masses), tuple(stiffnesses)
     if len(masses) != len(stiffnesses):
-        refuse("stiffnesses", f"{len(masses)}, as many as masses", f"{len(stiffnesses)}", "Each resonator has both.")
+        refuse(
+            "stiffnesses",
+            f"{len(masses)}, as many as masses",
+            f"{len(stiffnesses)}",
+            "Each resonator has both.",
+        )
     names = tuple(f"resonator_{j + 1}" for j in range(len(masses)))
-    return _resonant(sites, masses, stiffnesses, names, bead_mass, contact_stiffness, exponent, precompression,
-                     boundary, law, units)
+    return _resonant(
+        sites,
+        masses,
+        stiffnesses,
+        names,
+        bead_mass,
+        contact_stiffness,
+        exponent,
+        precompression,
+        boundary,
+        law,
+        units,
+    )
 
 
-def _resonant(sites, masses, stiffnesses, names, bead_mass, contact_stiffness, exponent, precompression, boundary, law,
-              units):
+def _resonant(
+    sites,
+    masses,
+    stiffnesses,
+    names,
+    bead_mass,
+    contact_stiffness,
+    exponent,
+    precompression,
+    boundary,
+    law,
+    units,
+):
     sites = _sites(sites)
     alone = len(names) == 1
     mass = {"bead": positive("bead_mass", bead_mass, "A bead needs a mass.")}
     terms = [_contacts(sites, contact_stiffness, exponent, precompression, boundary, law)]
     for j, (name, mu, kappa) in enumerate(zip(names, masses, stiffnesses)):
-        said = ("mass", "stiffness") if alone and name == "resonator" else (f"masses[{j}]", f"stiffnesses[{j}]")
+        said = (
+            ("mass", "stiffness")
+            if alone and name == "resonator"
+            else (f"masses[{j}]", f"stiffnesses[{j}]")
+        )
         mass[name] = positive(said[0], mu, "A resonator needs a mass.")
         kappa = non_negative(said[1], kappa, _TIE)
         check_each(said[1], kappa, sites, "bead")
@@ -158,9 +247,15 @@ def _resonant(sites, masses, stiffnesses, names, bead_mass, contact_stiffness, e
 def _contacts(sites, stiffness, exponent, precompression, boundary, law):
     one_of("boundary", boundary, BOUNDARIES)
     if law is None:
-        stiffness = positive("contact_stiffness", stiffness, "The contact coefficient A is positive.")
+        stiffness = positive(
+            "contact_stiffness", stiffness, "The contact coefficient A is positive."
+        )
         law = _contact(stiffness, exponent, precompression)
         count = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
-        for name, x in (("contact_stiffness", stiffness), ("exponent", exponent), ("precompression", precompression)):
+        for name, x in (
+            ("contact_stiffness", stiffness),
+            ("exponent", exponent),
+            ("precompression", precompression),
+        ):
             check_each(name, x, count, "contact")
     return Bond(Shift(1, boundary, "bead"), law)

@@ -15,8 +15,14 @@ _SOFT = "0 < p < 1 softens; p = 1 is linear and p > 1 hardens: gx.scenes.monomer
 
 
 def foam(
-    sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
-    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    exponent: Parameter = 0.5,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    precompression: Parameter = 1.0,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     r"""Strain-softening chain: stainless steel cylinders separated by polymer foam.
 
@@ -55,8 +61,14 @@ def foam(
 
 
 def hollow_cylinders(
-    sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
-    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    exponent: Parameter = 0.5,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    precompression: Parameter = 1.0,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     """Strain-softening chain: hollow elliptical cylinders, whose walls bend; dispersive rarefaction shocks.
 
@@ -75,8 +87,14 @@ def hollow_cylinders(
 
 
 def origami(
-    sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
-    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    exponent: Parameter = 0.5,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    precompression: Parameter = 1.0,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     """Strain-softening chain: origami cells (Tachi-Miura polyhedra), each a bond; rarefaction waves, impact mitigation.
 
@@ -96,8 +114,14 @@ def origami(
 
 
 def tensegrity(
-    sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
-    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    exponent: Parameter = 0.5,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    precompression: Parameter = 1.0,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     """Strain-softening chain: lumped masses between tensegrity prisms, which soften or harden by their prestress.
 
@@ -117,8 +141,14 @@ def tensegrity(
 
 
 def alternating(
-    sites: Count, exponents: Parameter = (1.5, 0.5), *, mass: Parameter = 1.0, stiffnesses: Parameter = (1.0, 1.0),
-    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    exponents: Parameter = (1.5, 0.5),
+    *,
+    mass: Parameter = 1.0,
+    stiffnesses: Parameter = (1.0, 1.0),
+    precompression: Parameter = 1.0,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     r"""Chain of equal masses whose contacts alternate between strain hardening and strain softening.
 
@@ -145,11 +175,20 @@ def alternating(
     [1.0, 1.732051]
     """
     sites = _sites(sites)
-    p = positive("exponents", _cell("exponents", exponents), "Magnets, p < 0, have no plus part: use two bonds.")
-    A = positive("stiffnesses", _cell("stiffnesses", stiffnesses), "The contact coefficient A is positive.")
+    p = positive(
+        "exponents",
+        _cell("exponents", exponents),
+        "Magnets, p < 0, have no plus part: use two bonds.",
+    )
+    A = positive(
+        "stiffnesses", _cell("stiffnesses", stiffnesses), "The contact coefficient A is positive."
+    )
     if not p.ndim or A.ndim and A.shape[0] != p.shape[0]:
-        refuse("exponents, stiffnesses", "as many stiffnesses as exponents, in sequences",
-               f"shapes {p.shape} and {A.shape}")
+        refuse(
+            "exponents, stiffnesses",
+            "as many stiffnesses as exponents, in sequences",
+            f"shapes {p.shape} and {A.shape}",
+        )
     contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
     if boundary == "periodic" and sites % p.shape[0]:
         refuse("sites", f"a multiple of {p.shape[0]}, whole cells on a ring", repr(sites))
@@ -164,7 +203,11 @@ def alternating(
 def _cell(name, values):
     """The numbers of one cell in an array."""
     if isinstance(values, (tuple, list)):
-        return jnp.stack([parameter(f"{name}[{i}]", x) for i, x in enumerate(values)]) if values else jnp.zeros(0)
+        return (
+            jnp.stack([parameter(f"{name}[{i}]", x) for i, x in enumerate(values)])
+            if values
+            else jnp.zeros(0)
+        )
     return parameter(name, values)
 
 
@@ -172,5 +215,13 @@ def _softening(sites, exponent, mass, stiffness, precompression, boundary, units
     p = within("exponent", exponent, 0, 1, open_low=True, open_high=True, remedy=_SOFT)
     precompression = positive("precompression", precompression, _STIFF)
     law = PowerLaw(stiffness, exponent if isinstance(exponent, (int, float)) else p, precompression)
-    chain = _chain(sites, mass, law, boundary, stiffness=stiffness, exponent=exponent, precompression=precompression)
+    chain = _chain(
+        sites,
+        mass,
+        law,
+        boundary,
+        stiffness=stiffness,
+        exponent=exponent,
+        precompression=precompression,
+    )
     return chain.counted_in(units)

@@ -29,7 +29,9 @@ class ScaledLattice(NamedTuple):
     __repr__ = told
 
 
-def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | None = None) -> ScaledLattice:
+def scaled(
+    lattice: Lattice, velocity: Scalar | None = None, *, units: Units | None = None
+) -> ScaledLattice:
     r"""A lattice in SI with numbers of order one, and the units that lead back.
 
     Mass unit: the mean mass. Length unit: the overlap at rest d0 = (F0/A)^{1/p} of the mean contact, or where
@@ -58,21 +60,39 @@ def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | N
     if units is None:
         units = _natural_units(lattice, velocity)
     elif velocity is not None:
-        refuse("units", "Units(mass, length, time) without a velocity, or a velocity alone", repr(units))
+        refuse(
+            "units",
+            "Units(mass, length, time) without a velocity, or a velocity alone",
+            repr(units),
+        )
     mass = jax.tree.map(lambda m: m / units.mass, lattice.mass)
     terms = tuple(term.in_units(units) for term in lattice.terms)
     positions = jax.tree.map(lambda x: x / units.length, lattice.positions)
-    converted = eqx.tree_at(lambda c: (c.mass, c.terms, c.positions), lattice, (mass, terms, positions),
-                            is_leaf=lambda x: x is None)
+    converted = eqx.tree_at(
+        lambda c: (c.mass, c.terms, c.positions),
+        lattice,
+        (mass, terms, positions),
+        is_leaf=lambda x: x is None,
+    )
     return ScaledLattice(converted.counted_in(SCALED), units)
 
 
 def _natural_units(lattice, velocity):
     u = lattice.zeros()
-    laws = [c.law for term in lattice.terms for c in term.compressions(jnp.zeros(()), u) if c.place != "site"]
+    laws = [
+        c.law
+        for term in lattice.terms
+        for c in term.compressions(jnp.zeros(()), u)
+        if c.place != "site"
+    ]
     contacts = [part for law in laws for part in law.parts if part.power_law is not None]
     if not contacts:
-        refuse("lattice", "a Hertz or PowerLaw contact to scale with", "none", "Give units=Units(mass, length, time).")
+        refuse(
+            "lattice",
+            "a Hertz or PowerLaw contact to scale with",
+            "none",
+            "Give units=Units(mass, length, time).",
+        )
     law = contacts[0]
     A, p = (jnp.mean(x) for x in law.power_law)
     masses = jax.tree.leaves(lattice.mass)
@@ -84,6 +104,11 @@ def _natural_units(lattice, velocity):
         F0 = jnp.mean(jnp.asarray(law.preload))
         value = concrete(F0)
         if value is not None and not value > 0:
-            refuse("velocity", "the impact's speed in m/s", "None", "Without precompression the chain has no length.")
+            refuse(
+                "velocity",
+                "the impact's speed in m/s",
+                "None",
+                "Without precompression the chain has no length.",
+            )
         length = (F0 / A) ** (1 / p)
     return Units(m, length, jnp.sqrt(m * length / (A * length**p)))

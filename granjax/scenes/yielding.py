@@ -13,8 +13,14 @@ from .chains import _sites, check_contacts
 
 
 def plastic(
-    sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, yield_overlap: Parameter = 0.02,
-    precompression: Parameter = 0.0, boundary: str = "free", units: str = SCALED,
+    sites: Count,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    yield_overlap: Parameter = 0.02,
+    precompression: Parameter = 0.0,
+    boundary: str = "free",
+    units: str = SCALED,
 ) -> Lattice:
     r"""A chain of elastic-plastic spheres (Thornton's): Hertz up to the overlap s_y, then a straight line.
 
@@ -38,9 +44,13 @@ def plastic(
     one_of("boundary", boundary, BOUNDARIES)
     stiffness, yields = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
     F0 = non_negative("precompression", precompression, "A chain under tension falls apart.")
-    check_contacts(sites, boundary, {"stiffness": stiffness, "yield_overlap": yields, "precompression": F0})
+    check_contacts(
+        sites, boundary, {"stiffness": stiffness, "yield_overlap": yields, "precompression": F0}
+    )
     # the overlap that F0 presses virgin contacts to
     first = stiffness * plus_power(yields, 1.5)
-    overlap = jnp.where(F0 > first, yields * (2 * F0 / first + 1) / 3, plus_power(F0 / stiffness, 2 / 3))
+    overlap = jnp.where(
+        F0 > first, yields * (2 * F0 / first + 1) / 3, plus_power(F0 / stiffness, 2 / 3)
+    )
     contacts = PlasticContact(Shift(1, boundary), Thornton(stiffness, yields), overlap)
     return Lattice(parameter("mass", mass), contacts, sites=sites, units=units)

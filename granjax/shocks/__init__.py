@@ -13,6 +13,17 @@ from .scenes import impacts, piston, step, velocity_shock
 from .shock import Shock
 
 __all__ = [
-    "Balances", "DissipativeFront", "Riemann", "Shock", "SpaceTime", "balances", "dissipative_front", "impacts",
-    "measure", "piston", "space_time", "step", "velocity_shock",
+    "Balances",
+    "DissipativeFront",
+    "Riemann",
+    "Shock",
+    "SpaceTime",
+    "balances",
+    "dissipative_front",
+    "impacts",
+    "measure",
+    "piston",
+    "space_time",
+    "step",
+    "velocity_shock",
 ]

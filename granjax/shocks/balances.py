@@ -45,7 +45,8 @@ class Balances(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        f"{kind}_{what}": Held("", unit) for kind, unit in zip(KINDS, UNITS)
+        f"{kind}_{what}": Held("", unit)
+        for kind, unit in zip(KINDS, UNITS)
         for what in ("change", "inflow", "residual", "error")
     } | {"t1": Held(unit="s")}
     strain_change: Numbers
@@ -67,8 +68,14 @@ class Balances(Result):
     @property
     def outcome(self) -> str:
         """Whether the balances close, each to the error of what flowed in."""
-        missed = [kind for kind in KINDS
-                  if np.any(np.abs(getattr(self, f"{kind}_residual")) > np.asarray(getattr(self, f"{kind}_error")))]
+        missed = [
+            kind
+            for kind in KINDS
+            if np.any(
+                np.abs(getattr(self, f"{kind}_residual"))
+                > np.asarray(getattr(self, f"{kind}_error"))
+            )
+        ]
         if missed:
             return f"The balance of {' and '.join(missed)} does not close to the error of the run: give a smaller step."
         return "The balances of strain, momentum and energy close to the error of the run."
@@ -84,11 +91,18 @@ class Inflow(eqx.Module):
         """The three rates by their names, each one number or one per lane."""
         left, right = (_force(lattice, y.u, bond) for bond in (self.first - 1, self.last))
         at_left, at_right = y.v[self.first], y.v[self.last]
-        return {"strain": at_left - at_right, "momentum": left - right, "energy": left * at_left - right * at_right}
+        return {
+            "strain": at_left - at_right,
+            "momentum": left - right,
+            "energy": left * at_left - right * at_right,
+        }
 
 
 def balances(
-    problem: Riemann, t1: Scalar | None = None, box: tuple[int, int] | None = None, **keywords: Any,
+    problem: Riemann,
+    t1: Scalar | None = None,
+    box: tuple[int, int] | None = None,
+    **keywords: Any,
 ) -> Balances:
     """Run a shock and hold what gathers in a box against the fluxes of strain, momentum and energy through its ends.
 
@@ -109,23 +123,33 @@ def balances(
     first, last = _box(problem, box, size)
     t1 = problem.horizon() if t1 is None else t1
     if not keywords.keys() & {"step", "tolerance"}:
-        keywords["step"] = STEP_FRACTION / 2 / frequency_bound(lattice, problem.state, 0.0, t1, GATHERED[0])
+        keywords["step"] = (
+            STEP_FRACTION / 2 / frequency_bound(lattice, problem.state, 0.0, t1, GATHERED[0])
+        )
     run = problem.run(t1, record={"inflow": Integral(Inflow(first, last))}, **keywords)
     y = State(*run.final)
     for i, term in enumerate(lattice.terms):
         if term.next_neighbours() is None:
             force = np.asarray(term.force(run.ts[-1], y.u, y.v, lattice.mass))
             if np.any(force[first : last + 1]):
-                refuse("problem", "bonds to the next site alone inside of the box",
-                       f"terms[{i}] ({type(term).__name__})", "What it takes or gives is no flux through the ends.")
+                refuse(
+                    "problem",
+                    "bonds to the next site alone inside of the box",
+                    f"terms[{i}] ({type(term).__name__})",
+                    "What it takes or gives is no flux through the ends.",
+                )
     before, after = (_content(lattice, state, first, last) for state in (problem.state, y))
     found = {}
     for kind in KINDS:
         inflow, change = run.recorded["inflow"][kind], after[kind][0] - before[kind][0]
         size = before[kind][1] + after[kind][1] + jnp.abs(inflow)
         rounding = ROUNDED * jnp.finfo(change.dtype).eps * size
-        found |= {f"{kind}_change": change, f"{kind}_inflow": inflow, f"{kind}_residual": change - inflow,
-                  f"{kind}_error": run.record_error["inflow"][kind] + rounding}
+        found |= {
+            f"{kind}_change": change,
+            f"{kind}_inflow": inflow,
+            f"{kind}_residual": change - inflow,
+            f"{kind}_error": run.record_error["inflow"][kind] + rounding,
+        }
     return Balances(**found, t1=run.ts[-1], first=first, last=last, **lattice.origin)
 
 
@@ -135,7 +159,9 @@ def _box(problem, box, size):
         low = max(min(int(np.asarray(problem.centre).max()) + 2, size - 3), 1)
         box = low, low + max((size - 2 - low) // 4, 1)
     if len(box) != 2 or not 1 <= box[0] < box[1] <= size - 2:
-        refuse("box", f"its first and its last site, rising, from 1 to {size - 2}", repr(tuple(box)))
+        refuse(
+            "box", f"its first and its last site, rising, from 1 to {size - 2}", repr(tuple(box))
+        )
     return int(box[0]), int(box[1])
 
 
@@ -144,8 +170,12 @@ def _laws(lattice, low, high):
     axes = 1 + len(lattice.lanes)
     for law, boundary in filter(None, (term.next_neighbours() for term in lattice.terms)):
         shift = 1 if boundary == "fixed" else 0
-        yield jax.tree.map(lambda x, shift=shift: x[low + shift : high + shift] if jnp.ndim(x) == axes
-                           and x.shape[0] > 1 else x, law)
+        yield jax.tree.map(
+            lambda x, shift=shift: (
+                x[low + shift : high + shift] if jnp.ndim(x) == axes and x.shape[0] > 1 else x
+            ),
+            law,
+        )
 
 
 def _force(lattice, u, bond):
@@ -158,7 +188,9 @@ def _force(lattice, u, bond):
 def _content(lattice, y, first, last):
     """What the box holds of each kind, and the sum of the sizes of its parts."""
     u, v = y.u[first : last + 1], y.v[first : last + 1]
-    mass = lattice.mass if lattice.mass.ndim == len(lattice.lanes) else lattice.mass[first : last + 1]
+    mass = (
+        lattice.mass if lattice.mass.ndim == len(lattice.lanes) else lattice.mass[first : last + 1]
+    )
     stored = sum(law.energy(u[:-1] - u[1:]) for law in _laws(lattice, first, last))
     momentum, kinetic = mass * v, mass * v * v / 2
     return {

@@ -43,11 +43,23 @@ class DissipativeFront(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "speed": Held("", "1/s"), "behind": Held("", "m"), "ahead": Held("", "m"), "piston": Held("", "m/s"),
-        "dashpot": Held("", "N s/m"), "critical": Held("", "N s/m"), "decay_behind": Held("", "1"),
-        "wavenumber_behind": Held("", "1"), "decay_ahead": Held("", "1"), "overshoot": Held("", "m"),
-        "power": Held("", "W"), "residual": Held("", "1"), "error": Held("", "m"), "mass": Held("", "kg"),
-        "xi": Held("xi", "1"), "strains": Held("xi", "m"), "velocities": Held("xi", "m/s"),
+        "speed": Held("", "1/s"),
+        "behind": Held("", "m"),
+        "ahead": Held("", "m"),
+        "piston": Held("", "m/s"),
+        "dashpot": Held("", "N s/m"),
+        "critical": Held("", "N s/m"),
+        "decay_behind": Held("", "1"),
+        "wavenumber_behind": Held("", "1"),
+        "decay_ahead": Held("", "1"),
+        "overshoot": Held("", "m"),
+        "power": Held("", "W"),
+        "residual": Held("", "1"),
+        "error": Held("", "m"),
+        "mass": Held("", "kg"),
+        "xi": Held("xi", "1"),
+        "strains": Held("xi", "m"),
+        "velocities": Held("xi", "m/s"),
     }
     speed: Number
     behind: Number

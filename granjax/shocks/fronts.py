@@ -42,8 +42,13 @@ class _Step(NamedTuple):
 
 
 def dissipative_front(
-    law: Law | Lattice, behind: Scalar | None = None, ahead: Scalar = 0.0, *, dashpot: Scalar | None = None,
-    piston: Scalar | None = None, mass: Scalar = 1.0,
+    law: Law | Lattice,
+    behind: Scalar | None = None,
+    ahead: Scalar = 0.0,
+    *,
+    dashpot: Scalar | None = None,
+    piston: Scalar | None = None,
+    mass: Scalar = 1.0,
 ) -> DissipativeFront:
     r"""The stationary front of a chain of equal masses, laws and dashpots between neighbours, exact on the lattice.
 
@@ -130,8 +135,12 @@ def _jump(medium, piston):
         reached = values(medium.law, strains)[0] * strains >= wanted
     k = int(np.argmax(reached))
     if not reached.any() or k == 0:
-        refuse("piston", "a velocity that some strain of the law has", f"{piston:g}",
-               "There the force ends, or does not grow.")
+        refuse(
+            "piston",
+            "a velocity that some strain of the law has",
+            f"{piston:g}",
+            "There the force ends, or does not grow.",
+        )
 
     def over(e):
         return values(medium.law, np.array([e]))[0][0] * e / wanted - 1
@@ -148,24 +157,41 @@ def _checked_step(medium, jump, given):
     force, slope, _ = values(law, np.array([jump, 0.0]))
     chord = force[0] / jump
     if not (np.isfinite(chord) and chord > 0 and np.isfinite(slope).all()):
-        refuse("behind", "a strain to which the law's force grows from that ahead, both stiff by finite amounts",
-               f"forces that differ by {force[0]:g} and stiffness {slope[0]:g} behind, {slope[1]:g} ahead")
+        refuse(
+            "behind",
+            "a strain to which the law's force grows from that ahead, both stiff by finite amounts",
+            f"forces that differ by {force[0]:g} and stiffness {slope[0]:g} behind, {slope[1]:g} ahead",
+        )
     excess, short, speed = slope[0] / chord - 1, 1 - slope[1] / chord, np.sqrt(chord / mass)
-    sound = ", ".join(f"{name} {np.sqrt(max(k, 0.0) / mass):.6g}" for name, k in zip(("behind", "ahead"), slope))
+    sound = ", ".join(
+        f"{name} {np.sqrt(max(k, 0.0) / mass):.6g}" for name, k in zip(("behind", "ahead"), slope)
+    )
     if not (excess > ROUNDING and short > ROUNDING):
         other = "below" if jump > 0 else "above"
-        refuse("behind", "a strain whose front is faster than sound ahead and slower than sound behind",
-               f"the speed {speed:.6g} and sound {sound}",
-               f"Such a step spreads out as it runs; of this law there may be fronts from strains {other} that ahead.")
+        refuse(
+            "behind",
+            "a strain whose front is faster than sound ahead and slower than sound behind",
+            f"the speed {speed:.6g} and sound {sound}",
+            f"Such a step spreads out as it runs; of this law there may be fronts from strains {other} that ahead.",
+        )
     if not (excess > LEAST and short > LEAST):
-        refuse("behind", f"a strain whose stiffness differs from the chord's by a part in {1 / LEAST:.0e} or more",
-               f"differences of {excess:.1e} and {short:.1e}",
-               "Such a front is as wide as that, a solution of the equation of Korteweg, de Vries and Burgers.")
+        refuse(
+            "behind",
+            f"a strain whose stiffness differs from the chord's by a part in {1 / LEAST:.0e} or more",
+            f"differences of {excess:.1e} and {short:.1e}",
+            "Such a front is as wide as that, a solution of the equation of Korteweg, de Vries and Burgers.",
+        )
     z = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
     if not (values(law, jump * z)[0] / force[0] < z).all():
-        refuse("behind", "a strain between which and that ahead the force stays on one side of its chord",
-               "one that crosses it", "Such a step falls apart into several waves.")
-    return _Step(excess, short, float(force[0]), jump, float(speed), dashpot / (mass * float(speed)))
+        refuse(
+            "behind",
+            "a strain between which and that ahead the force stays on one side of its chord",
+            "one that crosses it",
+            "Such a step falls apart into several waves.",
+        )
+    return _Step(
+        excess, short, float(force[0]), jump, float(speed), dashpot / (mass * float(speed))
+    )
 
 
 def _trials(step):
@@ -182,21 +208,42 @@ def _solved(law, step, trial, critical):
 
     with np.errstate(all="ignore"):
         shape, residual = solver.followed(force, trial, step.zeta, critical.zeta)
-        found = solver.finished(force, trial(step.zeta), shape) if residual < solver.CONVERGED else None
+        found = (
+            solver.finished(force, trial(step.zeta), shape) if residual < solver.CONVERGED else None
+        )
     if found is None or not found.residual < solver.CONVERGED:
-        refuse("dashpot", "one whose front is found", f"{step.zeta / critical.zeta:.2g} of the critical one",
-               "Of a smaller damping the train of waves behind is longer, and may reach where the law ends.")
+        refuse(
+            "dashpot",
+            "one whose front is found",
+            f"{step.zeta / critical.zeta:.2g} of the critical one",
+            "Of a smaller damping the train of waves behind is longer, and may reach where the law ends.",
+        )
     return found
 
 
 def _recorded(medium, given, known_step, front, critical, root):
     behind, ahead, piston, dashpot = (None if x is None else jnp.asarray(x, float) for x in given)
     law, mass, free = Strained(medium.law, ahead), medium.mass, traced((medium, given))
-    jump = behind - ahead if behind is not None else _implicit_jump(law, mass, known_step.jump, piston)
+    jump = (
+        behind - ahead if behind is not None else _implicit_jump(law, mass, known_step.jump, piston)
+    )
     step = _sides(law, mass, jump, dashpot) if free else _Step(*map(jnp.asarray, known_step))
-    z = _implicit(front, law, (mass, jump, dashpot), known_step) if free else jnp.asarray(solver.padded(front))
-    shape = _whole(law, mass, step.speed, dashpot, ahead, step.jump, z, jnp.asarray(float(front.centre)),
-                   jnp.asarray(front.apart))
+    z = (
+        _implicit(front, law, (mass, jump, dashpot), known_step)
+        if free
+        else jnp.asarray(solver.padded(front))
+    )
+    shape = _whole(
+        law,
+        mass,
+        step.speed,
+        dashpot,
+        ahead,
+        step.jump,
+        z,
+        jnp.asarray(float(front.centre)),
+        jnp.asarray(front.apart),
+    )
     root, rate, limit = _rates(step, known_step, critical, root)
     top = _top(front)
     overshoot = jnp.sign(known_step.jump) * (shape.at("strain", top) - ahead - step.jump)
@@ -210,14 +257,30 @@ def _recorded(medium, given, known_step, front, critical, root):
     # a power of ten: the digits are those of rounding
     share = 10.0 ** max(np.ceil(np.log10(error)), -13.0)
     return DissipativeFront(
-        speed=step.speed, behind=ahead + step.jump, ahead=ahead, piston=step.speed * step.jump, dashpot=dashpot,
-        critical=limit * mass * step.speed, kind=kind, decay_behind=jnp.real(root), wavenumber_behind=jnp.imag(root),
-        decay_ahead=rate, overshoot=overshoot if above else jnp.zeros(()),
-        power=_power(law, step), residual=jnp.asarray(front.residual),
-        error=jnp.asarray(error * abs(known_step.jump)), law=medium.law, mass=mass, xi=xi,
-        strains=shape.at("strain", xi), velocities=shape.at("velocity", xi), _shape=shape, **medium.origin,
+        speed=step.speed,
+        behind=ahead + step.jump,
+        ahead=ahead,
+        piston=step.speed * step.jump,
+        dashpot=dashpot,
+        critical=limit * mass * step.speed,
+        kind=kind,
+        decay_behind=jnp.real(root),
+        wavenumber_behind=jnp.imag(root),
+        decay_ahead=rate,
+        overshoot=overshoot if above else jnp.zeros(()),
+        power=_power(law, step),
+        residual=jnp.asarray(front.residual),
+        error=jnp.asarray(error * abs(known_step.jump)),
+        law=medium.law,
+        mass=mass,
+        xi=xi,
+        strains=shape.at("strain", xi),
+        velocities=shape.at("velocity", xi),
+        _shape=shape,
+        **medium.origin,
         outcome=f"Found to {share:.0e} of its jump; {kind}, with {known_step.zeta / critical.zeta:.4g} of the critical "
-                "dashpot.")
+        "dashpot.",
+    )
 
 
 def _rates(step, known, critical, root):
@@ -225,8 +288,11 @@ def _rates(step, known, critical, root):
     more, less, zeta = step.excess - known.excess, step.short - known.short, step.zeta - known.zeta
     rate = tails.ahead(known.short, known.zeta)
     steep = complex(tails.lack_slope(root)) - known.zeta, float(tails.lack_slope(rate)) + known.zeta
-    return root - (more - root * zeta) / steep[0], rate + (less - rate * zeta) / steep[1], \
-        critical.zeta + critical.slope * more
+    return (
+        root - (more - root * zeta) / steep[0],
+        rate + (less - rate * zeta) / steep[1],
+        critical.zeta + critical.slope * more,
+    )
 
 
 def _top(front):
@@ -244,8 +310,14 @@ def _sides(law, mass, jump, dashpot):
     force = fine_force(law, jump)
     chord = force / jump
     speed = jnp.sqrt(chord / mass)
-    return _Step(law.derivative(jump) / chord - 1, 1 - law.derivative(jnp.zeros(())) / chord, force, jump, speed,
-                 dashpot / (mass * speed))
+    return _Step(
+        law.derivative(jump) / chord - 1,
+        1 - law.derivative(jnp.zeros(())) / chord,
+        force,
+        jump,
+        speed,
+        dashpot / (mass * speed),
+    )
 
 
 @eqx.filter_jit
@@ -262,7 +334,9 @@ def _whole(law, mass, speed, dashpot, ahead, jump, z, centre, apart):
 def _implicit_jump(law, mass, jump, piston):
     """The strain of a piston's front with its derivative."""
     left = fine_force(law, jnp.asarray(jump)) * jump - mass * piston**2
-    slope = jax.lax.stop_gradient(fine_force(law, jnp.asarray(jump)) + jump * law.derivative(jnp.asarray(jump)))
+    slope = jax.lax.stop_gradient(
+        fine_force(law, jnp.asarray(jump)) + jump * law.derivative(jnp.asarray(jump))
+    )
     return jump - (left - jax.lax.stop_gradient(left)) / slope
 
 
@@ -275,7 +349,9 @@ def _implicit(front, law, numbers, known):
     change = np.zeros((len(table), force.shape[1]))
     change[: len(front.z)] = solver.moved(front, slope, known.zeta, force[: len(front.z)], zeta)
     moving = jax.tree.leaves((eqx.filter(law, eqx.is_inexact_array), numbers))
-    return jnp.asarray(table) + sum(row * (x - jax.lax.stop_gradient(x)) for row, x in zip(change.T, moving))
+    return jnp.asarray(table) + sum(
+        row * (x - jax.lax.stop_gradient(x)) for row, x in zip(change.T, moving)
+    )
 
 
 @eqx.filter_jit

@@ -18,20 +18,36 @@ def problem_of(run: Run, problem: Riemann | None) -> Riemann:
     **Raises** ValueError where that is no step in the strain or the velocity, for a batch, and a run that stopped.
     """
     if np.ndim(run.energy_error):
-        refuse("run", "a run of one lattice", f"a batch of shape {np.shape(run.energy_error)}", "One at a time.")
+        refuse(
+            "run",
+            "a run of one lattice",
+            f"a batch of shape {np.shape(run.energy_error)}",
+            "One at a time.",
+        )
     if not bool(run.completed):
         refuse("run", "one that completed", run.outcome)
     problem = run.__dict__.get("_problem") if problem is None else problem
     if problem is not None and problem.kind == "impacts":
-        refuse("problem", "a step, a velocity shock or a piston", "repeated impacts", "See gx.shocks.space_time.")
+        refuse(
+            "problem",
+            "a step, a velocity shock or a piston",
+            "repeated impacts",
+            "See gx.shocks.space_time.",
+        )
     if problem is not None:
         size = np.shape(problem.state.v)
         if np.shape(run.final.v) != size:
-            refuse("problem", f"that of the run, of {np.shape(run.final.v)} sites", f"one of {size}")
+            refuse(
+                "problem", f"that of the run, of {np.shape(run.final.v)} sites", f"one of {size}"
+            )
         return problem
     if run.started is None:
-        refuse("problem", "what was run, as gx.shocks.velocity_shock returns it", "nothing, and the run does not know",
-               "Give it: measure(run, problem).")
+        refuse(
+            "problem",
+            "what was run, as gx.shocks.velocity_shock returns it",
+            "nothing, and the run does not know",
+            "Give it: measure(run, problem).",
+        )
     return _recognised(*run.started)
 
 
@@ -53,8 +69,12 @@ def _recognised(lattice: Lattice, state: State) -> Riemann:
             return Riemann(lattice, state, y[0] - y[-1], steps[0] + 0.5, 0.0, "strain")
     elif not u.any() and any(getattr(term, "motion", None) is not None for term in lattice.terms):
         return Riemann(lattice, state, np.nan, -1.5, 0.0, "piston")
-    refuse("run", "one that begins with a step in the strain or the velocity, or a piston",
-           f"velocities from {show(v.min())} to {show(v.max())}", remedy)
+    refuse(
+        "run",
+        "one that begins with a step in the strain or the velocity, or a piston",
+        f"velocities from {show(v.min())} to {show(v.max())}",
+        remedy,
+    )
 
 
 def medium_before(problem: Riemann) -> Medium:
@@ -63,5 +83,9 @@ def medium_before(problem: Riemann) -> Medium:
         return medium_of(problem.lattice).known
     mass = np.asarray(problem.lattice.mass, float)
     if np.ptp(mass):
-        refuse("problem", "a chain of equal masses", f"masses from {mass.min():g} to {mass.max():g}")
-    return Medium(medium_of(problem.law, float(mass.flat[0])).law, mass.flat[0], problem.lattice.origin).known
+        refuse(
+            "problem", "a chain of equal masses", f"masses from {mass.min():g} to {mass.max():g}"
+        )
+    return Medium(
+        medium_of(problem.law, float(mass.flat[0])).law, mass.flat[0], problem.lattice.origin
+    ).known

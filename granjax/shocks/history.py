@@ -34,8 +34,13 @@ class SpaceTime(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s", "time"), "bonds": Held("bond", "", "bond"), "strain": Held("time bond", "m"),
-        "centre": Held(None), "c": Held(None), "step": Held(None, "s"), "energy_error": Held(None),
+        "ts": Held("time", "s", "time"),
+        "bonds": Held("bond", "", "bond"),
+        "strain": Held("time bond", "m"),
+        "centre": Held(None),
+        "c": Held(None),
+        "step": Held(None, "s"),
+        "energy_error": Held(None),
     }
     ts: Times
     bonds: Counts
@@ -58,8 +63,14 @@ class SpaceTime(Result):
 
 
 def space_time(
-    problem: Riemann, t1: Scalar | None = None, frames: Count = 400, sites: Count | Values = 400, *,
-    step: Scalar | None = None, tolerance: Scalar | None = None, solver: AbstractSolver | None = None,
+    problem: Riemann,
+    t1: Scalar | None = None,
+    frames: Count = 400,
+    sites: Count | Values = 400,
+    *,
+    step: Scalar | None = None,
+    tolerance: Scalar | None = None,
+    solver: AbstractSolver | None = None,
 ) -> SpaceTime:
     """Run a shock and keep a strided map of its strain: the memory is that of the map and of one state.
 
@@ -95,16 +106,28 @@ def space_time(
         rows.append(_row(problem, state.u, bonds))
         run = simulate(lattice, state, high, t0=low, solver=solver, step=step, tolerance=tolerance)
         state, now = State(*run.final), _energy(lattice, high, run.final)
-        lost = jnp.maximum(lost, jnp.abs(now[0] - energy[0]) / jnp.maximum(jnp.abs(energy[0]), now[1]))
+        lost = jnp.maximum(
+            lost, jnp.abs(now[0] - energy[0]) / jnp.maximum(jnp.abs(energy[0]), now[1])
+        )
         seen = _extremes(lattice, high, state.u, seen)
     rows.append(_row(problem, state.u, bonds))
     lost = lost if lattice.conserves else jnp.full_like(lost, jnp.nan)
     told = f"{frames} frames of {len(bonds)} bonds, at time steps of {step or float(run.stats['step']):.4g}."
     if tolerance is None and by_default:
         told += _doubt(lattice, seen, float(t1), state, step)
-    return SpaceTime(ts, bonds, np.stack(rows), problem.centre, problem.c, state,
-                     np.asarray(step if tolerance is None else run.stats["step"]), lost, told, problem.kind,
-                     **lattice.origin)
+    return SpaceTime(
+        ts,
+        bonds,
+        np.stack(rows),
+        problem.centre,
+        problem.c,
+        state,
+        np.asarray(step if tolerance is None else run.stats["step"]),
+        lost,
+        told,
+        problem.kind,
+        **lattice.origin,
+    )
 
 
 def _bonds(sites, count):
@@ -134,12 +157,19 @@ def _energy(lattice: Lattice, t: Scalar, y: State):
 def _extremes(lattice, t, u, seen):
     """The least and the largest compression of each law so far, one number for all bonds or per lane."""
     found = compressions(lattice, t, u)
-    low, high = ([tuple(reduce(x, 0, keepdims=True) if x.ndim > len(lattice.lanes) else x for x in own)
-                  for own in found] for reduce in (jnp.min, jnp.max))
+    low, high = (
+        [
+            tuple(reduce(x, 0, keepdims=True) if x.ndim > len(lattice.lanes) else x for x in own)
+            for own in found
+        ]
+        for reduce in (jnp.min, jnp.max)
+    )
     if seen is None:
         return tuple(low), tuple(high)
-    lower, upper = ([tuple(map(pick, *own)) for own in zip(new, old)]
-                    for pick, new, old in zip((jnp.minimum, jnp.maximum), (low, high), seen))
+    lower, upper = (
+        [tuple(map(pick, *own)) for own in zip(new, old)]
+        for pick, new, old in zip((jnp.minimum, jnp.maximum), (low, high), seen)
+    )
     return tuple(lower), tuple(upper)
 
 

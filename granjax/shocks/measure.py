@@ -52,7 +52,12 @@ class Profile(NamedTuple):
 
 
 def measure(
-    run: Run, problem: Riemann | None = None, *, side: str = "right", theory: str = "toda", points: Count = 11,
+    run: Run,
+    problem: Riemann | None = None,
+    *,
+    side: str = "right",
+    theory: str = "toda",
+    points: Count = 11,
 ) -> Shock:
     r"""Plateau, edges, amplitude and modulation of a dispersive shock, from the last state of a run.
 
@@ -86,7 +91,9 @@ def measure(
     points = whole("points", points, 3, "The trailing edge follows from the waves before it.")
     problem = problem_of(run, problem)
     medium = medium_before(problem)
-    found = _measured(_profile(run, problem, side), problem, medium, theory, points, float(run.stats["step"]))
+    found = _measured(
+        _profile(run, problem, side), problem, medium, theory, points, float(run.stats["step"])
+    )
     for name in ("window", "leading_speed", "leading_place", "trailing_speed", "s", "speeds_of_m"):
         found[name] = found[name] if side == "right" else -found[name]
     return Shock(**found, theory=theory, law=medium.law, mass=medium.mass, **medium.origin)
@@ -102,11 +109,15 @@ def _measured(profile, problem, medium, theory, points, step):
     span = _span(profile, crest, behind, trailing)
     middle = time + span / 2
     s = trailing + (lead / time - trailing) * np.linspace(FROM, TO, points)
-    index = np.unique(np.rint(np.interp(s * middle, profile.places, np.arange(len(profile.places)))).astype(int))
+    index = np.unique(
+        np.rint(np.interp(s * middle, profile.places, np.arange(len(profile.places)))).astype(int)
+    )
     index, points = np.append(index, crest), len(index)
     # adaptive steps may have been longer than those of another solver may be
     step = min(step, STEP / max(sound, behind, fastest))
-    cut = windows(medium, profile.strain, profile.velocity, index, span, max(fastest, lead / time), step)
+    cut = windows(
+        medium, profile.strain, profile.velocity, index, span, max(fastest, lead / time), step
+    )
     speed, speed_error, height, height_error = _crest_in_time(cut, profile, lead / time)
     xi, tau, strains = cut.near()
     waves = [local_wave(xi, tau, profile.sign * strains[..., j]) for j in range(points)]
@@ -118,29 +129,62 @@ def _measured(profile, problem, medium, theory, points, step):
     seen = Seen(places, middle, xi, tau, strains[..., :-1], local)
     fit = modulated(theory, medium, profile.ahead, plateau.mean if plateau.wide else np.nan, seen)
     return dict(
-        time=time, ahead=profile.ahead, sound=sound, mean=plateau.mean, mean_error=plateau.error,
-        window=plateau.window, leading_speed=speed, leading_speed_error=speed_error, leading_place=lead,
-        amplitude=height, amplitude_error=height_error, trailing_speed=edge, trailing_speed_error=edge_error, c=fit.c,
-        s=places / middle, means=local.mean, amplitudes=local.amplitude, wavelengths=2 * np.pi / local.wavenumber,
-        omegas=local.omega, misfits=local.misfit, m=fit.m, m_errors=fit.m_errors, speeds_of_m=fit.speeds,
-        phases=fit.phases, theory_errors=fit.errors, outcome=_told(profile, fit, local, edge))
+        time=time,
+        ahead=profile.ahead,
+        sound=sound,
+        mean=plateau.mean,
+        mean_error=plateau.error,
+        window=plateau.window,
+        leading_speed=speed,
+        leading_speed_error=speed_error,
+        leading_place=lead,
+        amplitude=height,
+        amplitude_error=height_error,
+        trailing_speed=edge,
+        trailing_speed_error=edge_error,
+        c=fit.c,
+        s=places / middle,
+        means=local.mean,
+        amplitudes=local.amplitude,
+        wavelengths=2 * np.pi / local.wavenumber,
+        omegas=local.omega,
+        misfits=local.misfit,
+        m=fit.m,
+        m_errors=fit.m_errors,
+        speeds_of_m=fit.speeds,
+        phases=fit.phases,
+        theory_errors=fit.errors,
+        outcome=_told(profile, fit, local, edge),
+    )
 
 
 def _developed(sound, behind, lead, time, mean):
     """The speed of the trailing edge, about. **Raises** ValueError where there are no waves yet, or never will be."""
     if not np.isfinite(behind) or not behind > 0:
-        refuse("run", "a plateau at which the law is stiff", f"a mean strain of {mean:g}, where it is not",
-               "Contacts have opened behind, or the law ends there.")
+        refuse(
+            "run",
+            "a plateau at which the law is stiff",
+            f"a mean strain of {mean:g}, where it is not",
+            "Contacts have opened behind, or the law ends there.",
+        )
     if not behind > sound:
-        refuse("run", "a shock: faster sound behind than ahead", f"{behind:.12g} behind and {sound:.12g} ahead",
-               "This is a rarefaction, or a linear chain: gx.theory.simple_wave and linear_shock.")
+        refuse(
+            "run",
+            "a shock: faster sound behind than ahead",
+            f"{behind:.12g} behind and {sound:.12g} ahead",
+            "This is a rarefaction, or a linear chain: gx.theory.simple_wave and linear_shock.",
+        )
     trailing = max(2 * sound - behind, 0.0)
     length = np.pi / np.arccos(min(trailing / behind, 1 - 1e-12))
     room = lead - trailing * time
     if not room > WAVES * length:
-        refuse("run", f"a shock of {WAVES} waves or more", f"one in which {max(room, 0) / length:.2g} have room",
-               f"They are {length:.3g} bonds long, and the shock grows by about {behind - sound:.2g} bonds a unit of "
-               "time, or twice that: run it longer.")
+        refuse(
+            "run",
+            f"a shock of {WAVES} waves or more",
+            f"one in which {max(room, 0) / length:.2g} have room",
+            f"They are {length:.3g} bonds long, and the shock grows by about {behind - sound:.2g} bonds a unit of "
+            "time, or twice that: run it longer.",
+        )
     return trailing
 
 
@@ -152,15 +196,26 @@ def _profile(run, problem, side):
     if problem.kind == "piston":
         wall = next(term for term in problem.lattice.terms if term.walls() == ("left",))
         own, speed = wall.compression(time, run.final.u), jax.jvp(wall.motion, (time,), (1.0,))[1]
-        strain, velocity, places = np.append(own, strain), np.append(speed, velocity), np.append(places[0] - 1, places)
+        strain, velocity, places = (
+            np.append(own, strain),
+            np.append(speed, velocity),
+            np.append(places[0] - 1, places),
+        )
     if side == "left":
         strain, velocity, places = strain[::-1], -velocity[::-1], -places[::-1]
     first = np.asarray(problem.strain(problem.state.u), float)[-1 if side == "right" else 0]
     even = np.abs(strain - first) <= QUIET * np.ptp(strain)
-    quiet = np.flatnonzero((np.convolve(even, np.ones(EVEN), "valid") == EVEN) & (places[: 1 - EVEN] > 0))
+    quiet = np.flatnonzero(
+        (np.convolve(even, np.ones(EVEN), "valid") == EVEN) & (places[: 1 - EVEN] > 0)
+    )
     if not np.ptp(strain) > 0 or not quiet.size or quiet[0] < 4 * EVEN:
         got = f"strains from {strain.min():g} to {strain.max():g} up to the {side} end, where {first:g} was"
-        refuse("run", "a shock with quiet bonds before it", got, "A longer chain, or a shorter run; problem.horizon().")
+        refuse(
+            "run",
+            "a shock with quiet bonds before it",
+            got,
+            "A longer chain, or a shorter run; problem.horizon().",
+        )
     # what comes from the end, where the chain is held there, stays beyond
     last = quiet[-1] + EVEN
     behind = strain[(places > 0) & (places <= NEAR * places[quiet[0]] + EVEN)].mean()
@@ -174,8 +229,12 @@ def _leading(profile):
     top = tops(x)
     top = top[(x[top] > CREST * x[profile.places > 0].max()) & (profile.places[top] > 0)]
     if not top.size:
-        refuse("run", "a shock, whose leading crest is the first of many", "a front without a crest",
-               "A rarefaction fan has none; a longer run has one where there is a shock.")
+        refuse(
+            "run",
+            "a shock, whose leading crest is the first of many",
+            "a front without a crest",
+            "A rarefaction fan has none; a longer run has one where there is a shock.",
+        )
     return int(top[-1])
 
 
@@ -203,7 +262,12 @@ def _plateau(problem, profile, medium, lead):
         ends = profile.time * np.array([other, own])
         inner, *others = ((ends.mean() + share * (ends - ends.mean())) for share in (0.5, *SHARES))
         if not np.ptp(inner) > EVEN:
-            refuse("run", f"a plateau of more than {2 * EVEN} bonds", f"one of {np.ptp(ends):.2g}", "Run it longer.")
+            refuse(
+                "run",
+                f"a plateau of more than {2 * EVEN} bonds",
+                f"one of {np.ptp(ends):.2g}",
+                "Run it longer.",
+            )
         mean = _hann(profile, inner)
     # it rings slowly too: several windows, and a factor that means known exactly ask for
     error = DOUBT * max(abs(mean - _hann(profile, other)) for other in others) + 1e-15 * abs(mean)
@@ -223,7 +287,9 @@ def _hann(profile, window):
 
 def _speeds(medium, *strains):
     """Speed of sound at each strain."""
-    return [float(x) for x in np.sqrt(values(medium.law, np.array(strains))[1] / float(medium.mass))]
+    return [
+        float(x) for x in np.sqrt(values(medium.law, np.array(strains))[1] / float(medium.mass))
+    ]
 
 
 def _span(profile, crest, behind, trailing):
@@ -245,7 +311,9 @@ def _crest_in_time(cut, profile, speed):
     there = np.abs(times - n / speed) < 1 / speed + WANDER * ts[-1]
     n, t, h = n[there], times[there], heights[there]
     if len(n) < 3:
-        refuse("run", "a leading crest that passes some bonds", f"{len(n)} of them", "A longer run.")
+        refuse(
+            "run", "a leading crest that passes some bonds", f"{len(n)} of them", "A longer run."
+        )
     slope = lambda part: float(np.polyfit(t[part], n[part], 1)[0])
     whole, half = slope(slice(None)), (len(n) + 1) // 2
     error = max(abs(slope(part) - whole) for part in (slice(half), slice(len(n) - half, None)))
@@ -258,7 +326,9 @@ def _edge(s, local, height, time):
     small = np.isfinite(amplitudes) & (amplitudes > RINGS * height) & (amplitudes < SMALL * height)
     if small.sum() < 4:
         return np.nan, np.nan
-    at = lambda order, part: float(Polynomial.fit(amplitudes[small][part], s[small][part], order)(0.0))
+    at = lambda order, part: float(
+        Polynomial.fit(amplitudes[small][part], s[small][part], order)(0.0)
+    )
     edge = at(2, slice(None))
     if not edge > 0:
         return np.nan, np.nan
@@ -269,8 +339,10 @@ def _edge(s, local, height, time):
 
 def _told(profile, fit, local, edge):
     crests = int(np.isfinite(local.amplitude).sum())
-    told = f"A shock of {'compression' if profile.sign > 0 else 'rarefaction'}; waves found in {crests} of " \
-           f"{local.amplitude.size} windows."
+    told = (
+        f"A shock of {'compression' if profile.sign > 0 else 'rarefaction'}; waves found in {crests} of "
+        f"{local.amplitude.size} windows."
+    )
     if not np.isfinite(edge):
         told += " No trailing edge: the waves reach as far as the step, or tell too little of it."
     misses = np.nanmax(fit.errors, initial=0)

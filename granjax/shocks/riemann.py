@@ -81,7 +81,11 @@ class Riemann(eqx.Module):
         axis = jnp.ndim(u) - 1 - len(self.lattice.lanes)
         size = self.lattice.shape[0]
         if axis < 0 or u.shape[axis] != size:
-            refuse("u", f"displacements of {size} sites, then lanes {self.lattice.lanes}", f"shape {jnp.shape(u)}")
+            refuse(
+                "u",
+                f"displacements of {size} sites, then lanes {self.lattice.lanes}",
+                f"shape {jnp.shape(u)}",
+            )
         u = jnp.asarray(u)
         return _cut(u, axis, 0, size - 1) - _cut(u, axis, 1, size) + self.rest
 
@@ -94,10 +98,18 @@ class Riemann(eqx.Module):
         **Raises** ValueError for a chain with other bonds than to the next site.
         """
         if self._jolt is None:
-            refuse("t1", "a time, for a chain of other forces than those of bonds to the next site", "None",
-                   "How fast they carry is not known here.")
+            refuse(
+                "t1",
+                "a time, for a chain of other forces than those of bonds to the next site",
+                "None",
+                "How fast they carry is not known here.",
+            )
         centre, last = self.centre + 0.5, self.lattice.shape[0] - 1
-        room = jnp.minimum(centre, last - centre) if self.kind in ("velocity", "strain") else last + 0.0 * centre
+        room = (
+            jnp.minimum(centre, last - centre)
+            if self.kind in ("velocity", "strain")
+            else last + 0.0 * centre
+        )
         return _until(self._jolt, room, len(self.lattice.lanes))
 
     def horizon(self) -> Scalar:
@@ -129,7 +141,9 @@ def _cut(u, axis, low, high):
 def _until(jolt, room, lanes):
     fastest = jnp.zeros(())
     for strain, velocity in jolt.into:
-        squared = _stiffest(jolt.law, strain, jolt.mass * velocity**2, jnp.sign(velocity)) / jolt.mass
+        squared = (
+            _stiffest(jolt.law, strain, jolt.mass * velocity**2, jnp.sign(velocity)) / jolt.mass
+        )
         # of bonds that differ the stiffest
         fastest = jnp.maximum(fastest, squared.max(0) if squared.ndim > lanes else squared)
     speed, room = jnp.sqrt(fastest), jnp.maximum(room - SITES, 0) + 0 * fastest
@@ -141,7 +155,9 @@ def _until(jolt, room, lanes):
         near = speed * t + AIRY * jnp.cbrt(speed * t) + VISCOUS * jnp.sqrt(jolt.spread * t) < room
         return jnp.where(near, t, low), jnp.where(near, high, t)
 
-    return jnp.where(jnp.isfinite(latest), jax.lax.fori_loop(0, HALVINGS, halve, (0 * latest, latest))[0], latest)
+    return jnp.where(
+        jnp.isfinite(latest), jax.lax.fori_loop(0, HALVINGS, halve, (0 * latest, latest))[0], latest
+    )
 
 
 def _stiffest(law, strain, work, sign):
@@ -156,11 +172,15 @@ def _stiffest(law, strain, work, sign):
     far = furthest(reachable, zero, 1.0)
     x = jnp.linspace(0, 1, SAMPLES)[1:].reshape((-1,) + (1,) * far.ndim) * far
     chord = (law.force(strain + sign * x) - force) * sign / jnp.where(x > 0, x, 1)
-    return jnp.maximum(law.derivative(strain), jnp.max(jnp.where(jnp.isfinite(chord) & (x > 0), chord, 0), 0))
+    return jnp.maximum(
+        law.derivative(strain), jnp.max(jnp.where(jnp.isfinite(chord) & (x > 0), chord, 0), 0)
+    )
 
 
 def simple_wave_velocity(law: Law, mass: Number, low: Number, high: Number) -> Number:
     """The integral of the sound speed sqrt(F'(y)/m) from one strain to another: the velocity of a simple wave."""
     shape = (-1,) + (1,) * jnp.ndim(high - low)
     y = low + (1 + _PLACES.reshape(shape)) / 2 * (high - low)
-    return jnp.sum(_WEIGHTS.reshape(shape) / 2 * jnp.sqrt(jnp.maximum(law.derivative(y), 0) / mass), 0) * (high - low)
+    return jnp.sum(
+        _WEIGHTS.reshape(shape) / 2 * jnp.sqrt(jnp.maximum(law.derivative(y), 0) / mass), 0
+    ) * (high - low)

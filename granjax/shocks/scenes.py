@@ -83,13 +83,20 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
     middle = inside("centre", (size - 1) // 2 if centre is None else centre, size)
     known = concrete(middle)
     if known is not None and not 1 < known < size - 2:
-        refuse("centre", "a place with two sites or more on either side", show(known), f"The chain has {size} sites.")
+        refuse(
+            "centre",
+            "a place with two sites or more on either side",
+            show(known),
+            f"The chain has {size} sites.",
+        )
     state = velocity_step(chain, c, middle)
     _refuse_ends(chain, state)
     return Riemann(chain, state, c, middle - 0.5, 0.0, "velocity", _jolt(chain, [(0.0, 4 * c)]))
 
 
-def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: Count | None = None) -> Riemann:
+def step(
+    lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: Count | None = None
+) -> Riemann:
     r"""A step in the strain, at rest: y_n = left for n < centre, right for n >= centre; u = v = 0.
 
     Each bond carries the strain that it starts with in its law, gx.laws.Strained(law, left or right, r), so that no
@@ -129,20 +136,38 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
     for i, term in enumerate(lattice.terms):
         found = term.next_neighbours()
         if found is not None:
-            terms.append(Bond(Shift(1, "fixed"), Strained(_alike(found[0], lanes), strain, reference)))
+            terms.append(
+                Bond(Shift(1, "fixed"), Strained(_alike(found[0], lanes), strain, reference))
+            )
         elif tracing.traced(term, lattice)[1].displacement or term.dependence(lattice).time:
-            refuse("lattice", f"{CHAIN}, damping and dashpots", f"terms[{i}] ({type(term).__name__})",
-                   "The far states must be at rest at their strains.")
+            refuse(
+                "lattice",
+                f"{CHAIN}, damping and dashpots",
+                f"terms[{i}] ({type(term).__name__})",
+                "The far states must be at rest at their strains.",
+            )
         else:
             terms.append(term)
     chain = _with(lattice, terms)
     jump = concrete(left - right)
     if jump is not None and not np.all(jump):
-        refuse("left", "another strain than right", show(concrete(left)), "Without a jump nothing moves.")
+        refuse(
+            "left",
+            "another strain than right",
+            show(concrete(left)),
+            "Without a jump nothing moves.",
+        )
     velocity = simple_wave_velocity(law, _least(chain), right, left)
     zeros = chain.zeros()
-    return Riemann(chain, State(zeros, zeros), left - right, jnp.asarray(centre - 0.5, float), strain[1:-1], "strain",
-                   Jolt(law, _least(chain), ((right, velocity), (left, -velocity)), _spread(lattice)))
+    return Riemann(
+        chain,
+        State(zeros, zeros),
+        left - right,
+        jnp.asarray(centre - 0.5, float),
+        strain[1:-1],
+        "strain",
+        Jolt(law, _least(chain), ((right, velocity), (left, -velocity)), _spread(lattice)),
+    )
 
 
 def piston(lattice: Lattice, speed: Parameter) -> Riemann:
@@ -170,12 +195,23 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     contact, free = _over(_law(lattice), lattice, lambda x: x[0]), _opened(lattice)
     chain = _with(free, (*free.terms, Wall(contact, "left", Uniform(speed.astype(lattice.dtype)))))
     zeros = chain.zeros()
-    return Riemann(chain, State(zeros, zeros), speed / 2, jnp.asarray(-1.5), 0.0, "piston",
-                   _jolt(free, [(0.0, 2 * speed)]))
+    return Riemann(
+        chain,
+        State(zeros, zeros),
+        speed / 2,
+        jnp.asarray(-1.5),
+        0.0,
+        "piston",
+        _jolt(free, [(0.0, 2 * speed)]),
+    )
 
 
 def impacts(
-    lattice: Lattice, impulse: Parameter, interval: Parameter, count: Count | None = None, *,
+    lattice: Lattice,
+    impulse: Parameter,
+    interval: Parameter,
+    count: Count | None = None,
+    *,
     duration: Parameter | None = None,
 ) -> Riemann:
     r"""Repeated impacts on the first site of a chain at rest, as of a hammer: each gives it the same momentum.
@@ -210,14 +246,23 @@ def impacts(
         refuse("duration", f"at most the interval, {show(interval)}", show(duration))
     count = math.inf if count is None else count
     free = _opened(lattice)
-    pulses = Pulses(*(x.astype(lattice.dtype) for x in (impulse, interval, duration)),
-                    jnp.asarray(count, lattice.dtype))
+    pulses = Pulses(
+        *(x.astype(lattice.dtype) for x in (impulse, interval, duration)),
+        jnp.asarray(count, lattice.dtype),
+    )
     breaks = Breaks(jnp.stack([jnp.zeros_like(pulses.duration), pulses.duration]), pulses.interval)
     chain = _with(free, (*free.terms, Drive(pulses, 0, breaks=breaks)))
     zeros, law, mass = chain.zeros(), _law(chain), _least(chain)
     single, steady = impulse / mass, _steady_velocity(law, mass, impulse / interval)
-    return Riemann(chain, State(zeros, zeros), impulse, jnp.asarray(-1.0), 0.0, "impacts",
-                   _jolt(free, [(0.0, 2 * jnp.sign(impulse) * jnp.maximum(jnp.abs(single), jnp.abs(steady)))]))
+    return Riemann(
+        chain,
+        State(zeros, zeros),
+        impulse,
+        jnp.asarray(-1.0),
+        0.0,
+        "impacts",
+        _jolt(free, [(0.0, 2 * jnp.sign(impulse) * jnp.maximum(jnp.abs(single), jnp.abs(steady)))]),
+    )
 
 
 def _with(lattice, terms):
@@ -236,15 +281,27 @@ def _between(term, lattice):
     if found is None or found[1] == "free":
         return term
     law, boundary = found
-    return Bond(Shift(1, "free"), _over(law, lattice, (lambda x: x[1:-1]) if boundary == "fixed" else lambda x: x[:-1]))
+    return Bond(
+        Shift(1, "free"),
+        _over(law, lattice, (lambda x: x[1:-1]) if boundary == "fixed" else lambda x: x[:-1]),
+    )
 
 
 def _law(lattice):
     """The law of all bonds to the next site."""
-    laws = [found[0] for found in (term.next_neighbours() for term in lattice.terms) if found is not None]
+    laws = [
+        found[0]
+        for found in (term.next_neighbours() for term in lattice.terms)
+        if found is not None
+    ]
     if not laws:
         names = ", ".join(type(term).__name__ for term in lattice.terms)
-        refuse("lattice", CHAIN, f"one with {names or 'no terms'}", "Bonds to the next site are Bond(Shift(1), law).")
+        refuse(
+            "lattice",
+            CHAIN,
+            f"one with {names or 'no terms'}",
+            "Bonds to the next site are Bond(Shift(1), law).",
+        )
     return sum(laws[1:], laws[0])
 
 
@@ -261,13 +318,18 @@ def _beyond(law, strain, reference):
 
 def _alike(law, lanes):
     """A law of one number for all bonds, where those of all are alike."""
+
     def one(x):
         if jnp.ndim(x) != 1 + lanes:
             return x
         values = concrete(x)
         if values is not None and not np.all(values == values[:1]):
-            refuse("lattice", "bonds that are all alike", f"parameters from {values.min():g} to {values.max():g}",
-                   "At one strain bonds that differ are not in equilibrium.")
+            refuse(
+                "lattice",
+                "bonds that are all alike",
+                f"parameters from {values.min():g} to {values.max():g}",
+                "At one strain bonds that differ are not in equilibrium.",
+            )
         return x[0]
 
     return jax.tree.map(one, law)
@@ -280,7 +342,11 @@ def _steady_velocity(law, mass, force):
     zero = 0 * (law.derivative(0.0) + force)
     strain = furthest(lambda x: law.force(sign * x) * sign <= jnp.abs(force), zero, 1.0)
     reached = jnp.sqrt(jnp.abs(force) * strain / mass)
-    return reached.max(0) if reached.ndim > jnp.ndim(mass) and reached.ndim > jnp.ndim(force) else reached
+    return (
+        reached.max(0)
+        if reached.ndim > jnp.ndim(mass) and reached.ndim > jnp.ndim(force)
+        else reached
+    )
 
 
 def _least(lattice):
@@ -292,7 +358,9 @@ def _least(lattice):
 def _jolt(lattice, into):
     """What the step sends out; `None` for a chain of other bonds as well."""
     others = [term for term in lattice.terms if term.next_neighbours() is None]
-    if len(others) == len(lattice.terms) or any(tracing.traced(term, lattice)[1].displacement for term in others):
+    if len(others) == len(lattice.terms) or any(
+        tracing.traced(term, lattice)[1].displacement for term in others
+    ):
         return None
     return Jolt(_law(lattice), _least(lattice), tuple(into), _spread(lattice))
 
@@ -315,9 +383,12 @@ def _refuse_ends(lattice, state):
             continue
         force = np.abs(np.asarray(term.force(0.0, state.v, state.v, lattice.mass)))
         if np.any(force[[0, -1]] > ROUNDED * force.max(initial=0)):
-            refuse("lattice", "a chain whose halves may translate, free at its ends",
-                   f"terms[{i}] ({type(term).__name__}), which acts on its ends then",
-                   "Take it out, write it with Shift(.., 'free'), or use gx.shocks.piston, where the chain rests.")
+            refuse(
+                "lattice",
+                "a chain whose halves may translate, free at its ends",
+                f"terms[{i}] ({type(term).__name__}), which acts on its ends then",
+                "Take it out, write it with Shift(.., 'free'), or use gx.shocks.piston, where the chain rests.",
+            )
 
 
 def _site(name, centre, size):

@@ -30,7 +30,9 @@ class Seen(NamedTuple):
     def only(self, some: np.ndarray, ahead: float) -> "Seen":
         """Some of the windows, their strains from that ahead."""
         local = LocalWave(*(x[some] for x in self.local))
-        return Seen(self.places[some], self.time, self.xi, self.tau, self.strains[..., some] - ahead, local)
+        return Seen(
+            self.places[some], self.time, self.xi, self.tau, self.strains[..., some] - ahead, local
+        )
 
 
 class Modulated(NamedTuple):
@@ -80,15 +82,19 @@ class Theory(NamedTuple):
     wave: object
 
 
-THEORIES = {"toda": Theory("Toda", toda, _toda_constants, _toda_c, _toda_wave),
-            "kdv": Theory("KdV", kdv, _kdv_constants, _kdv_c, _kdv_wave)}
+THEORIES = {
+    "toda": Theory("Toda", toda, _toda_constants, _toda_c, _toda_wave),
+    "kdv": Theory("KdV", kdv, _kdv_constants, _kdv_c, _kdv_wave),
+}
 
 
 def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> Modulated:
     """The theory's waves in every window; NaN, and a reason, where it has none."""
     own, none = THEORIES[theory], np.full(seen.places.shape, np.nan)
     K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, jnp.asarray(ahead))))
-    told = lambda why: Modulated(np.nan, none, none, none, none, none, f"Not compared with {own.name}: {why}")
+    told = lambda why: Modulated(
+        np.nan, none, none, none, none, none, f"Not compared with {own.name}: {why}"
+    )
     if not (np.isfinite(K2) and K2 > 0 and np.isfinite(K3)):
         return told("the chain ahead has no sound.")
     if not np.isfinite(mean):
@@ -121,7 +127,9 @@ def _parameters(theory, c, numbers, seen, start):
     """
     frames, _, count = seen.strains.shape
     half, local = (frames + 1) // 2, seen.local
-    turns = (local.wavenumber * seen.xi[:, None] - local.omega * seen.tau[:, None, None]) / (2 * np.pi)
+    turns = (local.wavenumber * seen.xi[:, None] - local.omega * seen.tau[:, None, None]) / (
+        2 * np.pi
+    )
     weights = np.ones((frames, 1, 3, 1))
     weights[half:, :, 1], weights[: frames - half, :, 2] = 0, 0
     scale = np.abs(seen.strains).max((0, 1))
@@ -129,14 +137,24 @@ def _parameters(theory, c, numbers, seen, start):
     def rest(p):
         # (all frames or a half of them, windows)
         x, crest = p.reshape(2, 3, count)
-        wave = np.asarray(_periodic(theory, turns[:, :, None] - crest, 1 / (1 + np.exp(-x)), c, numbers))
+        wave = np.asarray(
+            _periodic(theory, turns[:, :, None] - crest, 1 / (1 + np.exp(-x)), c, numbers)
+        )
         return (weights * (wave - seen.strains[:, :, None]) / scale).ravel()
 
     own = np.arange(3 * count)
     sparsity = np.kron(np.ones((frames * len(seen.xi), 1)), np.eye(len(own)))
-    first = np.stack([np.log(start / (1 - start)), seen.local.crest * local.wavenumber / (2 * np.pi)])
-    found = least_squares(rest, np.repeat(first, 3, 0).ravel(), jac_sparsity=np.tile(sparsity, 2), xtol=1e-9,
-                          ftol=1e-12, max_nfev=40)
+    first = np.stack(
+        [np.log(start / (1 - start)), seen.local.crest * local.wavenumber / (2 * np.pi)]
+    )
+    found = least_squares(
+        rest,
+        np.repeat(first, 3, 0).ravel(),
+        jac_sparsity=np.tile(sparsity, 2),
+        xtol=1e-9,
+        ftol=1e-12,
+        max_nfev=40,
+    )
     m = 1 / (1 + np.exp(-found.x.reshape(2, 3, count)[0]))
     # between the halves m moves on, evenly
     return m[0], np.abs(m[1:].mean(0) - m[0])
@@ -146,7 +164,9 @@ def _phases(own, c, constants, seen):
     """Theta_0 of the theory's modulated wave that is nearest in every window, and what remains at most."""
     phases = 2 * np.pi * np.arange(STARTS) / STARTS
     n, t = seen.places + seen.xi[:, None], seen.time + seen.tau[:, None, None]
-    wave = np.asarray(own.formulas.shock_wave(n[..., None], t[..., None], c, phase=phases, **constants).strain)
+    wave = np.asarray(
+        own.formulas.shock_wave(n[..., None], t[..., None], c, phase=phases, **constants).strain
+    )
     # the wave is periodic in its phase
     series, order = np.fft.rfft(wave, axis=-1) / STARTS, np.arange(STARTS // 2 + 1)
     twice = np.where((order == 0) | (order == STARTS // 2), 1, 2)
@@ -155,8 +175,12 @@ def _phases(own, c, constants, seen):
         own_series, strains = series[:, :, j] * twice, seen.strains[..., j]
         at = lambda phase: (own_series @ np.exp(1j * order * phase)).real - strains
         best = phases[np.argmin(np.sum((wave[:, :, j] - strains[..., None]) ** 2, (0, 1)))]
-        near = minimize_scalar(lambda x: np.sum(at(x) ** 2), bounds=(best - 0.2, best + 0.2), method="bounded",
-                               options={"xatol": 1e-6})
+        near = minimize_scalar(
+            lambda x: np.sum(at(x) ** 2),
+            bounds=(best - 0.2, best + 0.2),
+            method="bounded",
+            options={"xatol": 1e-6},
+        )
         found.append((near.x % (2 * np.pi), np.abs(at(near.x)).max()))
     return np.array(found).T
 

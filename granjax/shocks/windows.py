@@ -41,7 +41,12 @@ class Windows(NamedTuple):
 
 
 def windows(
-    medium: Medium, strain: np.ndarray, velocity: np.ndarray, places: np.ndarray, span: float, fastest: float,
+    medium: Medium,
+    strain: np.ndarray,
+    velocity: np.ndarray,
+    places: np.ndarray,
+    span: float,
+    fastest: float,
     step: float,
 ) -> Windows:
     """Each window of the strains (N - 1,) and velocities (N,), run on for a time with free ends, by steps of a length.
@@ -53,7 +58,9 @@ def windows(
     index = np.clip(places + np.arange(-half, half + 1)[:, None], 0, len(strain) - 1)
     sites = np.clip(places + np.arange(-half, half + 2)[:, None], 0, len(velocity) - 1)
     u = np.concatenate([np.zeros((1, len(places))), -np.cumsum(strain[index], 0)])
-    chain = jax.vmap(lambda m: Lattice(m, (Bond(Shift(1, "free"), medium.law),), sites=2 * half + 2), out_axes=-1)
+    chain = jax.vmap(
+        lambda m: Lattice(m, (Bond(Shift(1, "free"), medium.law),), sites=2 * half + 2), out_axes=-1
+    )
     lattice = chain(jnp.broadcast_to(medium.mass, (len(places),)))
     state = State(u - u.mean(0), velocity[sites] - velocity[sites].mean(0))
     run = simulate(lattice, state, span, step=step, save_at=FRAMES)
@@ -83,8 +90,14 @@ def local_wave(xi: np.ndarray, tau: np.ndarray, strains: np.ndarray) -> LocalWav
     start = _guess(tau, strains)
     if start is None:
         return NONE
-    drift = np.stack([np.ones_like(strains), np.broadcast_to(xi, strains.shape), np.broadcast_to(
-        tau[:, None], strains.shape)], -1).reshape(-1, 3)
+    drift = np.stack(
+        [
+            np.ones_like(strains),
+            np.broadcast_to(xi, strains.shape),
+            np.broadcast_to(tau[:, None], strains.shape),
+        ],
+        -1,
+    ).reshape(-1, 3)
     drift = drift / np.abs(drift).max(0)
     flat = strains.ravel()
 
@@ -95,7 +108,9 @@ def local_wave(xi: np.ndarray, tau: np.ndarray, strains: np.ndarray) -> LocalWav
         return a, basis @ a - flat
 
     scale = np.ptp(strains)
-    found = least_squares(lambda p: fitted(p)[1] / scale, start, x_scale=np.abs(start) + 1e-3, xtol=1e-10, max_nfev=60)
+    found = least_squares(
+        lambda p: fitted(p)[1] / scale, start, x_scale=np.abs(start) + 1e-3, xtol=1e-10, max_nfev=60
+    )
     a, rest = fitted(found.x)
     angle = 2 * np.pi / SAMPLES * np.outer(np.arange(SAMPLES), np.arange(1, HARMONICS + 1))
     wave = np.cos(angle) @ a[3 : 3 + HARMONICS] + np.sin(angle) @ a[3 + HARMONICS :]

@@ -12,6 +12,14 @@ from .splitting import (
 )
 
 __all__ = [
-    "AbstractNystrom", "AbstractSplitting", "KahanLi8", "RKN1210", "RKN86", "SRKN11b", "SRKN14a", "SRKN6b",
-    "SofroniouSpaletta10", "VelocityVerlet",
+    "AbstractNystrom",
+    "AbstractSplitting",
+    "KahanLi8",
+    "RKN1210",
+    "RKN86",
+    "SRKN11b",
+    "SRKN14a",
+    "SRKN6b",
+    "SofroniouSpaletta10",
+    "VelocityVerlet",
 ]

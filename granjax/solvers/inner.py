@@ -19,7 +19,11 @@ ROUNDING = 1e-13
 
 
 def weights(
-    A: np.ndarray, c: np.ndarray, nodes: np.ndarray, step: Scalar = 1.5, further: int = 4,
+    A: np.ndarray,
+    c: np.ndarray,
+    nodes: np.ndarray,
+    step: Scalar = 1.5,
+    further: int = 4,
 ) -> tuple[np.ndarray, int]:
     r"""Weights w, one row per node, and the order of the error of the positions that they give.
 
@@ -84,7 +88,9 @@ def _trees(A, c, grades):
             products[g] += [power[g - low] * d for d in errors[low]]
             products[g] += [
                 power[g - low - other] * d * e
-                for other in range(low, g - low + 1) for d in errors[low] for e in errors[other]
+                for other in range(low, g - low + 1)
+                for d in errors[low]
+                for e in errors[other]
             ]
         products[g] = [x for x in products[g] if np.any(x)]
     return [[p, *x] for p, x in zip(power, products)]

@@ -77,7 +77,14 @@ class Bootstrapped(diffrax.AbstractLocalInterpolation):
 
 
 def bootstrapped(
-    t0: Scalar, t1: Scalar, y0: StateLike, y1: StateLike, a0: Pytree, a1: Pytree, acceleration: Callable, rounds: Count,
+    t0: Scalar,
+    t1: Scalar,
+    y0: StateLike,
+    y1: StateLike,
+    a0: Pytree,
+    a1: Pytree,
+    acceleration: Callable,
+    rounds: Count,
 ) -> Bootstrapped:
     """Dense output from the ends of any step and 2 + 4 + ... + 2 `rounds` more accelerations.
 
@@ -100,12 +107,21 @@ def bootstrapped(
 
         def inside(take, less, a, *low):
             k = h.astype(a.dtype)
-            return k * k * sum(x * y for x, y in zip(take, a)) - sum(x * y for x, y in zip(less, low))
+            return k * k * sum(x * y for x, y in zip(take, a)) - sum(
+                x * y for x, y in zip(less, low)
+            )
 
         rows = zip(fit.take.tolist(), fit.less.tolist())
-        path = Bootstrapped(t0, t1, y0, low, tuple(
-            jax.tree.map(lambda *x, take=take, less=less: inside(take, less, *x), inner, *low) for take, less in rows
-        ))
+        path = Bootstrapped(
+            t0,
+            t1,
+            y0,
+            low,
+            tuple(
+                jax.tree.map(lambda *x, take=take, less=less: inside(take, less, *x), inner, *low)
+                for take, less in rows
+            ),
+        )
     return path
 
 
@@ -145,7 +161,9 @@ def correction(m: int) -> Correction:
     inner = (np.sort(inner) + 1) / 2
     pairs = [(i, j) for i in range(m + 2) for j in range(i + 1, m + 2)]
     choices = [np.delete(inner, pair) for pair in pairs]
-    nodes = min(choices, key=lambda c: (round(np.abs(np.linalg.inv(_second(c))).sum(1).max(), 9), c.sum()))
+    nodes = min(
+        choices, key=lambda c: (round(np.abs(np.linalg.inv(_second(c))).sum(1).max(), 9), c.sum())
+    )
     powers = np.stack([(k + 2) * (k + 1) * nodes**k for k in range(4)], 1)
     take = np.linalg.inv(_second(nodes))
     return Correction(nodes, take, take @ powers)

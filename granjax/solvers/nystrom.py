@@ -77,7 +77,9 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
         stages = _stages(type(self))
         kept = solver_state
         if made_jump is not False:
-            kept = jax.lax.cond(made_jump, lambda: system.start(t0 * direction, y0), lambda: solver_state)
+            kept = jax.lax.cond(
+                made_jump, lambda: system.start(t0 * direction, y0), lambda: solver_state
+            )
         step = _Step(system, t0, t1, direction, y0)
         k, y1, kept = _march(stages, step, kept)
         error = pair(y0, _sum(stages.be, k, step.h, 2), _sum(stages.bpe, k, step.h, 1))
@@ -136,8 +138,10 @@ def _refuse_velocity(field, t, y, args):
     _, read = dce_jaxpr(traced, [True] * len(traced.outvars))
     if any(read):
         refuse(
-            "solver", "an acceleration that depends on positions and time alone",
-            "a vector field whose acceleration reads the velocity", "Use solver=diffrax.Dopri8() with tolerance=....",
+            "solver",
+            "an acceleration that depends on positions and time alone",
+            "a vector field whose acceleration reads the velocity",
+            "Use solver=diffrax.Dopri8() with tolerance=....",
         )
 
 
@@ -179,7 +183,9 @@ class _Step(NamedTuple):
 
         A branch a row: what follows is traced once, and every sum has its own row's numbers alone, as constants.
         """
-        return lambda i, k: jax.lax.switch(i, [partial(self._place, *row) for row in zip(c, weights)], k)
+        return lambda i, k: jax.lax.switch(
+            i, [partial(self._place, *row) for row in zip(c, weights)], k
+        )
 
     def _place(self, c, weights, k):
         moved = jax.tree.map(lambda u, v: u + self.h.astype(u.dtype) * float(c) * v, *self.y0)
@@ -203,7 +209,11 @@ def _stages(cls):
     if np.abs(table.A[-1] - table.b).max() < 1e-14:
         return _Stages(table.A, table.c, table.b, table.bp, table.be, table.bpe)
     A = np.pad(np.vstack([table.A, table.b]), ((0, 0), (0, 1)))
-    return _Stages(A, np.append(table.c, 1.0), *(np.append(w, 0.0) for w in (table.b, table.bp, table.be, table.bpe)))
+    return _Stages(
+        A,
+        np.append(table.c, 1.0),
+        *(np.append(w, 0.0) for w in (table.b, table.bp, table.be, table.bpe)),
+    )
 
 
 def _march(stages, step, kept):
@@ -221,12 +231,16 @@ def _march(stages, step, kept):
         kept, a = step.force(kept, time, u)
         return (_write(k, a, i), u, kept), None
 
-    (k, u1, kept), _ = jax.lax.scan(stage, (k, u0, kept), (np.arange(1, count), step.times(stages.c)[1:]))
+    (k, u1, kept), _ = jax.lax.scan(
+        stage, (k, u0, kept), (np.arange(1, count), step.times(stages.c)[1:])
+    )
     return k, pair(step.y0, u1, jax.tree.map(jnp.add, v0, _sum(stages.bp, k, step.h, 1))), kept
 
 
 def _write(k, a, i):
-    return jax.tree.map(lambda k, a: jax.lax.dynamic_update_index_in_dim(k, a.astype(k.dtype), i, 0), k, a)
+    return jax.tree.map(
+        lambda k, a: jax.lax.dynamic_update_index_in_dim(k, a.astype(k.dtype), i, 0), k, a
+    )
 
 
 def _sum(weights, k, h, power):

@@ -74,10 +74,19 @@ def stability(solver: diffrax.AbstractSolver | type, until: Scalar = 16.0) -> St
     """
     count, near = evaluations(solver), _near_zero(solver)
     limit = stability_limit(solver)
-    interval = 0.0 if near == "amplifies" else next((w.start for w in _first(solver, ROUNDING)), np.inf)
+    interval = (
+        0.0 if near == "amplifies" else next((w.start for w in _first(solver, ROUNDING)), np.inf)
+    )
     name = _kind(solver).__name__
     return Stability(
-        name, limit, refused_from(solver), interval, near, count, float(limit / count), windows(solver, until)
+        name,
+        limit,
+        refused_from(solver),
+        interval,
+        near,
+        count,
+        float(limit / count),
+        windows(solver, until),
     )
 
 
@@ -157,7 +166,8 @@ def windows(solver: diffrax.AbstractSolver | type, until: Scalar, growth: Scalar
     starts, ends = np.flatnonzero(~above[:-1] & above[1:]), np.flatnonzero(above[:-1] & ~above[1:])
     edge = lambda k: _bisect(solver, z_before[k], z[k], growth)
     return tuple(
-        Window(edge(i), edge(j) if j < len(z) else float(until), float(rate[i:j].max())) for i, j in zip(starts, ends)
+        Window(edge(i), edge(j) if j < len(z) else float(until), float(rate[i:j].max()))
+        for i, j in zip(starts, ends)
     )
 
 
@@ -185,7 +195,9 @@ def _known(kind):
 
 
 def _matrix(a, b, c, d):
-    return np.moveaxis(np.array(np.broadcast_arrays(a, b, c, d)), 0, -1).reshape(np.shape(a) + (2, 2))
+    return np.moveaxis(np.array(np.broadcast_arrays(a, b, c, d)), 0, -1).reshape(
+        np.shape(a) + (2, 2)
+    )
 
 
 def _composed(table, z):
@@ -205,7 +217,9 @@ def _nystrom(table, z):
     one = np.ones_like(table.c)
     left = np.eye(len(one)) + z**2 * table.A
     U = np.linalg.solve(left, np.stack([one + 0 * z[..., 0], table.c * z[..., 0]], -1))
-    rest = np.concatenate([-(z**2) * (table.b @ U)[..., None, :], -z * (table.bp @ U)[..., None, :]], -2)
+    rest = np.concatenate(
+        [-(z**2) * (table.b @ U)[..., None, :], -z * (table.bp @ U)[..., None, :]], -2
+    )
     z = z[..., 0, 0]
     return _matrix(np.ones_like(z), z, np.zeros_like(z), np.ones_like(z)) + rest
 
@@ -219,7 +233,9 @@ def _runge_kutta(tableau, z):
     if tableau.a_diagonal is not None:
         A += np.diag(tableau.a_diagonal)
     iz = 1j * z[..., None]
-    stages = np.linalg.solve(np.eye(count) - iz[..., None] * A, np.ones(z.shape + (count, 1)))[..., 0]
+    stages = np.linalg.solve(np.eye(count) - iz[..., None] * A, np.ones(z.shape + (count, 1)))[
+        ..., 0
+    ]
     return _rotation(1 + (iz * stages) @ np.asarray(tableau.b_sol))
 
 
@@ -263,7 +279,9 @@ def _log_radius(R):
         return np.log(np.abs(np.linalg.eigvals(R)).max(-1))
     D, mean = _discriminant(R), np.abs(R[..., 0, 0] + R[..., 1, 1]) / 2
     inside = np.where(D > 0, 1.0, _determinant(R))
-    return np.where(D > 0, np.log(mean + np.sqrt(np.maximum(D, 0))), np.log(np.maximum(inside, 1e-300)) / 2)
+    return np.where(
+        D > 0, np.log(mean + np.sqrt(np.maximum(D, 0))), np.log(np.maximum(inside, 1e-300)) / 2
+    )
 
 
 def places(solver: diffrax.AbstractSolver | type, until: Scalar) -> np.ndarray:

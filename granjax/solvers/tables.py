@@ -50,5 +50,8 @@ def nystrom(name: str) -> Nystrom:
     """Table of a Runge-Kutta-Nystrom pair by the name of its class."""
     t = _read()["nystrom"][name]
     return Nystrom(
-        *(_numbers(t[key]) for key in ("A", "b", "bp", "be", "bpe", "c")), t["order"], t["embedded_order"], t["source"]
+        *(_numbers(t[key]) for key in ("A", "b", "bp", "be", "bpe", "c")),
+        t["order"],
+        t["embedded_order"],
+        t["source"],
     )

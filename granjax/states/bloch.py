@@ -19,9 +19,15 @@ MEET, ROUNDING = 1e-9, 1e-12
 
 
 def bloch_packet(
-    lattice: Lattice, k: Parameter | str, width: Parameter, *, band: Count | tuple[Count, ...] | None = None,
-    polarisation: Parameter | dict[str, Parameter] | None = None, centre: Parameter | None = None,
-    amplitude: Parameter = 0.01, cell: Cell | None = None,
+    lattice: Lattice,
+    k: Parameter | str,
+    width: Parameter,
+    *,
+    band: Count | tuple[Count, ...] | None = None,
+    polarisation: Parameter | dict[str, Parameter] | None = None,
+    centre: Parameter | None = None,
+    amplitude: Parameter = 0.01,
+    cell: Cell | None = None,
 ) -> State:
     r"""A Gaussian packet of Bloch waves, which runs as the linear lattice has it: in chains of any cell, in the plane.
 
@@ -55,8 +61,12 @@ def bloch_packet(
     9.2
     """
     if traced((lattice, k, polarisation)):
-        refuse("lattice", "a lattice, k and polarisation that are known", "traced ones",
-               "Differentiate by amplitude, width or centre; bands that meet have no derivative.")
+        refuse(
+            "lattice",
+            "a lattice, k and polarisation that are known",
+            "traced ones",
+            "Differentiate by amplitude, width or centre; bands that meet have no derivative.",
+        )
     found = unit_cell(lattice, cell)
     axes, sites = len(found.cell), grid(lattice)
     if any(n % c for n, c in zip(sites, found.cell)):
@@ -67,11 +77,18 @@ def bloch_packet(
     squared, waves = _waves(found, _mesh(counts))
     scale = float(jnp.abs(squared).max())
     if float(squared.min()) < -ROUNDING * scale:
-        refuse("lattice", "one that is stable at rest", "omega^2 below zero", "Its packet would grow, not run.")
+        refuse(
+            "lattice",
+            "one that is stable at rest",
+            "omega^2 below zero",
+            "Its packet would grow, not run.",
+        )
     bands = _chosen(band, squared.shape[-1])
     start = _polarisation(found, k, bands, polarisation, scale)
     place = _cells(lattice, found.cell, counts, vectors)
-    c = parameter("centre", place.reshape(-1, place.shape[-1]).mean(0) if centre is None else centre)
+    c = parameter(
+        "centre", place.reshape(-1, place.shape[-1]).mean(0) if centre is None else centre
+    )
     if np.ndim(c) == 0 and place.shape[-1] == 1:
         c = c.reshape(1)
     if c.shape != place.shape[-1:]:
@@ -97,14 +114,18 @@ def _point(k, vectors, axes):
 
 def _mesh(counts):
     """Wave numbers of the ring of cells, (cells..., axes)."""
-    return jnp.stack(jnp.meshgrid(*(2 * np.pi * np.fft.fftfreq(n) for n in counts), indexing="ij"), -1)
+    return jnp.stack(
+        jnp.meshgrid(*(2 * np.pi * np.fft.fftfreq(n) for n in counts), indexing="ij"), -1
+    )
 
 
 @eqx.filter_jit
 def _waves(found, k):
     matrices = jax.vmap(found.dynamical_matrix)(k.reshape(-1, k.shape[-1]))
     squared, vectors = jnp.linalg.eigh(matrices)
-    return squared.reshape(k.shape[:-1] + squared.shape[1:]), vectors.reshape(k.shape[:-1] + vectors.shape[1:])
+    return squared.reshape(k.shape[:-1] + squared.shape[1:]), vectors.reshape(
+        k.shape[:-1] + vectors.shape[1:]
+    )
 
 
 def _chosen(band, size):
@@ -113,7 +134,12 @@ def _chosen(band, size):
         return None
     numbers = [whole("band", b, 0) for b in (band if isinstance(band, tuple) else (band,))]
     if len(set(numbers)) < len(numbers) or max(numbers) >= size:
-        refuse("band", f"whole numbers below {size}, each once", repr(band), "Bands are counted from 0.")
+        refuse(
+            "band",
+            f"whole numbers below {size}, each once",
+            repr(band),
+            "Bands are counted from 0.",
+        )
     return tuple(numbers)
 
 
@@ -125,14 +151,22 @@ def _polarisation(found, k, bands, given, scale):
     if bands is None and size == 1:
         return root * np.ones(1)
     if bands is None:
-        refuse("polarisation", f"the displacements of a cell, or band=0 ... {size - 1}", "None",
-               f"This lattice has {size} bands.")
+        refuse(
+            "polarisation",
+            f"the displacements of a cell, or band=0 ... {size - 1}",
+            "None",
+            f"This lattice has {size} bands.",
+        )
     squared, q = (np.asarray(x) for x in _waves(found, jnp.asarray(k)[None]))
     first, apart = bands[0], np.abs(squared[0] - squared[0, bands[0]])
     others = [n for n in range(size) if n != first and apart[n] <= MEET * scale]
     if others:
-        refuse("polarisation", f"which of the waves of bands {sorted([first, *others])}", "None",
-               "They meet at k; give the displacements of a cell.")
+        refuse(
+            "polarisation",
+            f"which of the waves of bands {sorted([first, *others])}",
+            "None",
+            "They meet at k; give the displacements of a cell.",
+        )
     p = q[0, :, first] / root
     return root * p / p[np.argmax(np.abs(p))]
 
@@ -142,11 +176,15 @@ def _given_polarisation(found, given):
     vector = () if found.dimension is None else (found.dimension,)
     wanted = found.cell + vector
     parts = []
-    for name, x in ([(n, given[n]) for n in names] if names else [(None, given)]):
+    for name, x in [(n, given[n]) for n in names] if names else [(None, given)]:
         x = np.asarray(x)
         called = "polarisation" if name is None else f"polarisation[{name!r}]"
         if x.size != int(np.prod(wanted)) or not np.all(np.isfinite(x)):
-            refuse(called, f"finite numbers of shape {wanted}", f"shape {x.shape}" if x.size < 9 else show(x))
+            refuse(
+                called,
+                f"finite numbers of shape {wanted}",
+                f"shape {x.shape}" if x.size < 9 else show(x),
+            )
         parts.append(x.reshape((int(np.prod(found.cell)),) + ((-1,) if vector else (1,))))
     p = np.concatenate(parts, -1).reshape(-1)
     largest = np.abs(p).max()
@@ -160,7 +198,11 @@ def _cells(lattice, cell, counts, vectors):
     numbers = np.moveaxis(np.indices(counts), 0, -1).astype(float)
     if vectors is None:
         return numbers
-    first = next(iter(lattice.positions.values())) if isinstance(lattice.positions, dict) else lattice.positions
+    first = (
+        next(iter(lattice.positions.values()))
+        if isinstance(lattice.positions, dict)
+        else lattice.positions
+    )
     return numbers @ vectors + np.asarray(concrete(first))[(0,) * len(counts)]
 
 

@@ -13,7 +13,9 @@ from ..types import Count, Parameter
 from .places import chain_only
 
 
-def normal_mode(lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, phase: Parameter = 0.0) -> State:
+def normal_mode(
+    lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, phase: Parameter = 0.0
+) -> State:
     r"""One normal mode phi of the linearised lattice: u = a cos(phase) phi, v = -omega a sin(phase) phi.
 
     The largest component of phi in modulus is 1, so `amplitude` is the largest displacement; the first component of a
@@ -34,12 +36,22 @@ def normal_mode(lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, 
     """
     size, lanes = sum(_sizes(lattice)), lattice.lanes
     if not -size <= index < size:
-        refuse("index", f"a whole number within {-size} ... {size - 1}", repr(index), "Modes are counted from 0.")
+        refuse(
+            "index",
+            f"a whole number within {-size} ... {size - 1}",
+            repr(index),
+            "Modes are counted from 0.",
+        )
     amplitude, phase = per_lane("amplitude", amplitude, lanes), per_lane("phase", phase, lanes)
     stiffness, mass = _matrices(lattice, size)
     values = concrete(stiffness)
     if values is not None and not np.any(values):
-        refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", "Give its contacts a precompression.")
+        refuse(
+            "lattice",
+            "a linear stiffness",
+            "none (a sonic vacuum)",
+            "Give its contacts a precompression.",
+        )
     root = jnp.sqrt(mass)
     symmetric = stiffness / root[..., :, None] / root[..., None, :]
     squares, vectors = jnp.linalg.eigh(symmetric)
@@ -71,7 +83,9 @@ def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> Sta
     """
     size = chain_only(lattice, "sine_mode")
     if whole("k", k, 1) > size:
-        refuse("k", f"a whole number from 1 to {size}", repr(k), "A chain has as many modes as sites.")
+        refuse(
+            "k", f"a whole number from 1 to {size}", repr(k), "A chain has as many modes as sites."
+        )
     n = jnp.arange(1, size + 1).reshape((-1,) + (1,) * len(lattice.lanes))
     # k n taken modulo the period in whole numbers, so that high modes lose no digits
     shape = jnp.sin(jnp.pi / (size + 1) * (k * n % (2 * (size + 1))))
@@ -89,7 +103,9 @@ def _matrices(lattice, size):
     def column(unit):
         unit = unit.reshape((-1,) + (1,) * len(lattice.lanes))
         push = _shaped(lattice, jnp.broadcast_to(unit, (size,) + lattice.lanes))
-        return _flat(lattice, jax.jvp(lambda u: lattice.force(time, u, zeros), (zeros,), (push,))[1])
+        return _flat(
+            lattice, jax.jvp(lambda u: lattice.force(time, u, zeros), (zeros,), (push,))[1]
+        )
 
     stiffness = -jax.vmap(column, out_axes=1)(jnp.eye(size, dtype=jax.tree.leaves(zeros)[0].dtype))
     mass = _flat(lattice, jax.tree.map(lambda m, z: m + z, lattice.mass, zeros))
@@ -108,7 +124,9 @@ def _shaped(lattice, flat):
     """Inverse of `_flat`, in the lattice's type."""
     leaves, structure = jax.tree.flatten(lattice.template())
     parts = jnp.split(flat, np.cumsum(_sizes(lattice))[:-1])
-    return jax.tree.unflatten(structure, [p.reshape(s.shape).astype(s.dtype) for p, s in zip(parts, leaves)])
+    return jax.tree.unflatten(
+        structure, [p.reshape(s.shape).astype(s.dtype) for p, s in zip(parts, leaves)]
+    )
 
 
 def _sizes(lattice):

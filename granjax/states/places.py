@@ -27,7 +27,12 @@ def site_of(lattice: Lattice, site: Any, field: str | None) -> tuple[int, ...]:
     index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
     if len(index) != len(shape) or any(not -n <= i < n for i, n in zip(index, shape)):
         ranges = ", ".join(f"{-n} ... {n - 1}" for n in shape)
-        refuse("site", f"an index for each axis, within {ranges}", repr(site), "Sites are counted from 0.")
+        refuse(
+            "site",
+            f"an index for each axis, within {ranges}",
+            repr(site),
+            "Sites are counted from 0.",
+        )
     return tuple(map(operator.index, index))
 
 

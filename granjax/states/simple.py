@@ -24,7 +24,9 @@ def rest(lattice: Lattice) -> State:
     return State(lattice.zeros(), lattice.zeros())
 
 
-def impact(lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: str | None = None) -> State:
+def impact(
+    lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: str | None = None
+) -> State:
     """One site moves, all else is at rest in equilibrium: what a striker leaves behind.
 
     **Arguments:**
@@ -59,7 +61,10 @@ def impact(lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: s
 
 
 def radial_impact(
-    lattice: Lattice, velocity: Parameter, radius: Scalar, centre: Parameter | None = None,
+    lattice: Lattice,
+    velocity: Parameter,
+    radius: Scalar,
+    centre: Parameter | None = None,
 ) -> State:
     r"""Sites of the plane within a distance of a point move away from it, all else is at rest: what a burst leaves.
 
@@ -79,24 +84,44 @@ def radial_impact(
     ([0.0, -0.1], [0.0, 0.1])
     """
     places = lattice.positions
-    if places is None or lattice.fields or lattice.lanes or (lattice.dimension or 1) < places.shape[-1]:
-        refuse("lattice", "one lattice of one field that moves in the plane, with positions", "another one")
+    if (
+        places is None
+        or lattice.fields
+        or lattice.lanes
+        or (lattice.dimension or 1) < places.shape[-1]
+    ):
+        refuse(
+            "lattice",
+            "one lattice of one field that moves in the plane, with positions",
+            "another one",
+        )
     radius, V, size = positive("radius", radius), parameter("velocity", velocity), places.shape[-1]
     c = places.reshape(-1, size).mean(0) if centre is None else parameter("centre", centre)
     if c.shape != (size,) or V.shape:
-        refuse("centre, velocity", f"a point of {size} numbers, and one number", f"shapes {c.shape}, {V.shape}")
+        refuse(
+            "centre, velocity",
+            f"a point of {size} numbers, and one number",
+            f"shapes {c.shape}, {V.shape}",
+        )
     away = places - c
     squared = (away**2).sum(-1, keepdims=True)
     there = (squared > (EDGE * radius) ** 2) & (squared <= radius**2 * (1 + EDGE))
     known = concrete(there)
     if known is not None and not known.any():
-        refuse("radius", "one within which sites lie", show(radius), "Spacings are those of lattice.positions.")
+        refuse(
+            "radius",
+            "one within which sites lie",
+            show(radius),
+            "Spacings are those of lattice.positions.",
+        )
     v = jnp.where(there, V * away / jnp.sqrt(jnp.where(there, squared, 1)), 0)
     zeros = lattice.zeros()
     return State(zeros, zeros.at[..., :size].set(v.astype(zeros.dtype)))
 
 
-def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velocity: Parameter = 0.0) -> State:
+def random(
+    lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velocity: Parameter = 0.0
+) -> State:
     """Displacements and velocities uniform in [-displacement, displacement) and [-velocity, velocity), seeded.
 
     **Arguments:** `seed`: a whole number or a `jax.random` key; the same seed gives the same state. `displacement` [m]
@@ -144,5 +169,8 @@ def _draw(lattice, key, amplitude, distribution):
     template = lattice.template()
     leaves, structure = jax.tree.flatten(template)
     keys = jax.random.split(key, len(leaves))
-    drawn = [distribution(k, s.shape, s.dtype) * jnp.asarray(amplitude, s.dtype) for k, s in zip(keys, leaves)]
+    drawn = [
+        distribution(k, s.shape, s.dtype) * jnp.asarray(amplitude, s.dtype)
+        for k, s in zip(keys, leaves)
+    ]
     return jax.tree.unflatten(structure, drawn)

@@ -32,8 +32,13 @@ class Chain(NamedTuple):
 
 
 def toda_soliton(
-    lattice: Lattice, k: Parameter | None = None, *, speed: Parameter | None = None,
-    amplitude: Parameter | None = None, centre: Parameter | None = None, direction: str = "right",
+    lattice: Lattice,
+    k: Parameter | None = None,
+    *,
+    speed: Parameter | None = None,
+    amplitude: Parameter | None = None,
+    centre: Parameter | None = None,
+    direction: str = "right",
 ) -> State:
     """The soliton of the Toda chain that has the same K2, K3 and mass: exact in a Toda chain, near in any other.
 
@@ -64,8 +69,11 @@ def toda_soliton(
         if k is not None or (speed is None) == (amplitude is None):
             several = k is not None or speed is not None
             refuse("k, speed, amplitude", "one of the three", "several" if several else "none")
-        k = toda.wavenumber(speed=_one(lattice, "speed", speed), amplitude=_one(lattice, "amplitude", amplitude),
-                            **constants)
+        k = toda.wavenumber(
+            speed=_one(lattice, "speed", speed),
+            amplitude=_one(lattice, "amplitude", amplitude),
+            **constants,
+        )
     k = per_lane("k", k, lattice.lanes, positive)
     wave = partial(toda.soliton, k=k, centre=centre, direction=direction, **constants)
     y, v, u = wave(n, 0.0)
@@ -73,8 +81,12 @@ def toda_soliton(
 
 
 def kdv_soliton(
-    lattice: Lattice, *, speed: Parameter | None = None, amplitude: Parameter | None = None,
-    centre: Parameter | None = None, direction: str = "right",
+    lattice: Lattice,
+    *,
+    speed: Parameter | None = None,
+    amplitude: Parameter | None = None,
+    centre: Parameter | None = None,
+    direction: str = "right",
 ) -> State:
     """The soliton of the Korteweg-de Vries equation of the chain: right for waves just above the speed of sound.
 
@@ -89,13 +101,30 @@ def kdv_soliton(
     0.2
     """
     chain, n, centre = _places("kdv_soliton", lattice, centre, direction)
-    given = dict(speed=_one(lattice, "speed", speed), amplitude=_one(lattice, "amplitude", amplitude))
+    given = dict(
+        speed=_one(lattice, "speed", speed), amplitude=_one(lattice, "amplitude", amplitude)
+    )
     # strains and their rates, summed from the last site on
     (y, v, u), (rate, *_) = jax.jvp(
-        lambda t: tuple(kdv.soliton(n, t, chain.K2, chain.K3, mass=chain.mass, centre=centre, direction=direction,
-                                    **given)), (jnp.zeros(()),), (jnp.ones(()),))
-    u, v = (x[-1:] + jnp.concatenate([jnp.cumsum(part[-2::-1], 0)[::-1], jnp.zeros_like(x[-1:])])
-            for x, part in ((u, y), (v, rate)))
+        lambda t: tuple(
+            kdv.soliton(
+                n,
+                t,
+                chain.K2,
+                chain.K3,
+                mass=chain.mass,
+                centre=centre,
+                direction=direction,
+                **given,
+            )
+        ),
+        (jnp.zeros(()),),
+        (jnp.ones(()),),
+    )
+    u, v = (
+        x[-1:] + jnp.concatenate([jnp.cumsum(part[-2::-1], 0)[::-1], jnp.zeros_like(x[-1:])])
+        for x, part in ((u, y), (v, rate))
+    )
     return _held(lattice, chain, y, u, v)
 
 
@@ -112,17 +141,33 @@ def _places(what, lattice, centre, direction):
     differs, K2, K3 = (concrete(x) for x in (chain.differs, chain.K2, chain.K3))
     if differs is not None:
         if np.any(K2 <= 0):
-            refuse("lattice", "a linear stiffness", "none" if np.all(K2 == 0) else "one below zero",
-                   "Give its contacts a precompression; in a sonic vacuum there is no speed of sound.")
+            refuse(
+                "lattice",
+                "a linear stiffness",
+                "none" if np.all(K2 == 0) else "one below zero",
+                "Give its contacts a precompression; in a sonic vacuum there is no speed of sound.",
+            )
         # a ramp is as high as the chain is long
         if np.any(differs > (UNIFORM + 8 * size * np.finfo(lattice.dtype).eps) * K2):
-            refuse("lattice", f"a uniform chain of next neighbours alone, for {what}", "another",
-                   "Springs on the sites, bonds of longer reach, patterns and disorder have other waves.")
+            refuse(
+                "lattice",
+                f"a uniform chain of next neighbours alone, for {what}",
+                "another",
+                "Springs on the sites, bonds of longer reach, patterns and disorder have other waves.",
+            )
         if np.any(K3 == 0):
-            refuse("lattice", "a force with a quadratic part, K3 other than zero", "K3 = 0",
-                   "Neither equation is near such a chain; see states.solitary_wave.")
-    centre = per_lane("centre", (size if direction == "right" else 3 * size) / 4 if centre is None else centre,
-                      lattice.lanes, partial(within, low=0, high=size - 1))
+            refuse(
+                "lattice",
+                "a force with a quadratic part, K3 other than zero",
+                "K3 = 0",
+                "Neither equation is near such a chain; see states.solitary_wave.",
+            )
+    centre = per_lane(
+        "centre",
+        (size if direction == "right" else 3 * size) / 4 if centre is None else centre,
+        lattice.lanes,
+        partial(within, low=0, high=size - 1),
+    )
     return chain, jnp.arange(size, dtype=float).reshape((-1,) + (1,) * len(lattice.lanes)), centre
 
 
@@ -155,19 +200,35 @@ def _uniform(lattice):
     basis = jnp.where(n == 0, 1.0, 0.0)
     around = jnp.abs(jax.jvp(force, (zeros,), (basis,))[1][-1])
     floor = UNIFORM * K2
-    return Chain(K2, K3, mass[mid], jnp.abs(moved[0]) > floor, jnp.abs(moved[-1]) > floor, around > floor, differs)
+    return Chain(
+        K2,
+        K3,
+        mass[mid],
+        jnp.abs(moved[0]) > floor,
+        jnp.abs(moved[-1]) > floor,
+        around > floor,
+        differs,
+    )
 
 
 def _held(lattice, chain, y, u, v):
     """The state whose ends stay where walls or the ring hold them."""
     crest, edge = concrete(jnp.abs(y).max(0)), concrete(jnp.maximum(jnp.abs(y[0]), jnp.abs(y[-1])))
     if crest is not None and np.any(edge > OUTSIDE * crest):
-        refuse("lattice", "a chain that is longer than the wave", f"one with {show(np.max(edge / crest))} of its crest "
-               "at an end", "Take a longer chain, another centre, or a larger wave, which is shorter.")
+        refuse(
+            "lattice",
+            "a chain that is longer than the wave",
+            f"one with {show(np.max(edge / crest))} of its crest at an end",
+            "Take a longer chain, another centre, or a larger wave, which is shorter.",
+        )
     size, total = len(u), u[0] - u[-1]
     n = jnp.arange(size, dtype=u.dtype).reshape((-1,) + (1,) * (u.ndim - 1))
     both = chain.left & chain.right
     u = u - jnp.where(chain.left, u[0], 0.0)
-    u = u + jnp.where(both, total * (n + 1) / (size + 1), 0.0) + jnp.where(chain.ring, total * n / size, 0.0)
+    u = (
+        u
+        + jnp.where(both, total * (n + 1) / (size + 1), 0.0)
+        + jnp.where(chain.ring, total * n / size, 0.0)
+    )
     zeros = lattice.zeros()
     return State((zeros + u).astype(zeros.dtype), (zeros + v).astype(zeros.dtype))

@@ -8,7 +8,9 @@ from ..types import Parameter
 from .places import chain_only, inside
 
 
-def strain_step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, centre: Parameter | None = None) -> State:
+def strain_step(
+    lattice: Lattice, left: Parameter, right: Parameter = 0.0, centre: Parameter | None = None
+) -> State:
     r"""A step in the strain, at rest: y_n = u_n - u_{n+1} = `left` for n < centre, `right` for n >= centre; v = 0.
 
     The last site stays at u = 0 and the displacements follow from it, u_n = sum of y_j over j >= n. With right = 0 all

@@ -37,8 +37,12 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
     both = [{field: _of(data, variables, name, field) for field in fields} for name in ("u", "v")]
     said = data.attrs.get("units")
     if lattice.units and said in ("SI", "scaled") and said != lattice.units:
-        refuse("data", f"numbers in {lattice.units}, as those of the lattice", f"numbers in {said}",
-               "run.in_units(...) and gx.Units lead from one to the other.")
+        refuse(
+            "data",
+            f"numbers in {lattice.units}, as those of the lattice",
+            f"numbers in {said}",
+            "run.in_units(...) and gx.Units lead from one to the other.",
+        )
     made = []
     for name, parts in zip(("u", "v"), both):
         count = next(iter(parts.values())).sizes["time"]

@@ -9,7 +9,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, described, one_of, parameter, per_lane, positive, refuse, show, within
+from ..checks import (
+    concrete,
+    described,
+    one_of,
+    parameter,
+    per_lane,
+    positive,
+    refuse,
+    show,
+    within,
+)
 from ..lattice import Lattice, State
 from ..profiles import medium_of, wave_of
 from ..programs import by_rows
@@ -20,8 +30,14 @@ UNIFORM = 1e-6
 
 
 def wave_packet(
-    lattice: Lattice, k: Parameter, centre: Parameter | None = None, width: Parameter = 10.0,
-    amplitude: Parameter = 0.01, *, omega: Parameter | Callable[[Any], Any] | None = None, direction: str = "right",
+    lattice: Lattice,
+    k: Parameter,
+    centre: Parameter | None = None,
+    width: Parameter = 10.0,
+    amplitude: Parameter = 0.01,
+    *,
+    omega: Parameter | Callable[[Any], Any] | None = None,
+    direction: str = "right",
 ) -> State:
     r"""A Gaussian wave packet that runs one way: u_n = a exp(-(n - n0)^2/(2 w^2)) cos(k (n - n0)).
 
@@ -55,10 +71,17 @@ def wave_packet(
     size = chain_only(lattice, "wave_packet")
     lanes = lattice.lanes
     k = per_lane("k", k, lanes, partial(within, low=0, high=np.pi, open_low=True, open_high=True))
-    width, amplitude = per_lane("width", width, lanes, positive), per_lane("amplitude", amplitude, lanes)
+    width, amplitude = (
+        per_lane("width", width, lanes, positive),
+        per_lane("amplitude", amplitude, lanes),
+    )
     sign = 1 if one_of("direction", direction, ("right", "left")) == "right" else -1
-    centre = per_lane("centre", (size if sign > 0 else 3 * size) / 4 if centre is None else centre, lanes)
-    if concrete(centre) is not None and not np.all((concrete(centre) >= 0) & (concrete(centre) <= size - 1)):
+    centre = per_lane(
+        "centre", (size if sign > 0 else 3 * size) / 4 if centre is None else centre, lanes
+    )
+    if concrete(centre) is not None and not np.all(
+        (concrete(centre) >= 0) & (concrete(centre) <= size - 1)
+    ):
         refuse("centre", f"a place within 0 ... {size - 1}", show(concrete(centre)))
     zeros = lattice.zeros()
     x = _column(jnp.arange(size, dtype=float), lattice) - centre
@@ -68,14 +91,23 @@ def wave_packet(
         v = per_lane("omega", omega, lanes, positive) * envelope * jnp.sin(k * x)
     else:
         q = _column(2 * jnp.pi * jnp.fft.rfftfreq(size), lattice)
-        frequency = _local_frequency(lattice, q, k) if omega is None else _given_frequency(omega, q, u.shape[1:])
+        frequency = (
+            _local_frequency(lattice, q, k)
+            if omega is None
+            else _given_frequency(omega, q, u.shape[1:])
+        )
         v = by_rows(jnp.fft.irfft, -1j * frequency * by_rows(jnp.fft.rfft, u, axis=0), size, axis=0)
     return State((zeros + u).astype(zeros.dtype), (zeros + sign * v).astype(zeros.dtype))
 
 
 def solitary_wave(
-    lattice: Lattice, centre: Parameter | None = None, *, speed: Scalar | None = None, amplitude: Scalar | None = None,
-    energy: Scalar | None = None, side: str | None = None,
+    lattice: Lattice,
+    centre: Parameter | None = None,
+    *,
+    speed: Scalar | None = None,
+    amplitude: Scalar | None = None,
+    energy: Scalar | None = None,
+    side: str | None = None,
 ) -> State:
     """A chain in which its own solitary wave runs, exact on the lattice: `gx.travelling.solitary_wave` says which.
 
@@ -95,13 +127,22 @@ def solitary_wave(
     1.487359
     """
     sites = chain_only(lattice, "solitary_wave")
-    given = [name for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy)) if x is not None]
+    given = [
+        name
+        for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy))
+        if x is not None
+    ]
     if len(given) != 1:
         refuse("speed, amplitude, energy", "exactly one of them", ", ".join(given) or "none")
     centre = parameter("centre", (sites - 2) / 2 if centre is None else centre)
     value = concrete(centre)
     if value is not None and (value.shape or not 0 <= value <= sites - 2):
-        refuse("centre", f"a number within 0 ... {sites - 2}", show(value), "Contacts are counted from 0.")
+        refuse(
+            "centre",
+            f"a number within 0 ... {sites - 2}",
+            show(value),
+            "Contacts are counted from 0.",
+        )
     shape = wave_of(medium_of(lattice), speed, amplitude, energy, side).shape
     xi, dtype = jnp.arange(sites) - centre, lattice.zeros().dtype
     return State(*(shape.at(name, xi).astype(dtype) for name in ("displacement", "velocity")))
@@ -126,10 +167,17 @@ def _local_frequency(lattice, q, k):
     squares, carrier, wrong = _local_squares(lattice, q, k)
     carrier, wrong = concrete(carrier), concrete(wrong)
     if carrier is not None and not np.all(carrier > 0):
-        refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", "Give its contacts a precompression.")
+        refuse(
+            "lattice",
+            "a linear stiffness",
+            "none (a sonic vacuum)",
+            "Give its contacts a precompression.",
+        )
     if wrong is not None and np.any(wrong > UNIFORM * carrier):
         refuse(
-            "omega", "the wave's frequency", "None",
+            "omega",
+            "the wave's frequency",
+            "None",
             "This chain is not uniform, so its own stiffness does not say; give a number or omega(q).",
         )
     return jnp.sqrt(jnp.maximum(squares, 0))

@@ -13,4 +13,15 @@ from .slip import Slip
 from .stencil import Shift, Stencil
 from .stretch import Stretch
 
-__all__ = ["Along", "BOUNDARIES", "LinearMap", "Pairs", "Shift", "Slip", "Stencil", "StrainMap", "Stretch", "WALL"]
+__all__ = [
+    "Along",
+    "BOUNDARIES",
+    "LinearMap",
+    "Pairs",
+    "Shift",
+    "Slip",
+    "Stencil",
+    "StrainMap",
+    "Stretch",
+    "WALL",
+]

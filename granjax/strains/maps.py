@@ -132,18 +132,27 @@ class InOtherUnits(StrainMap):
 def spectral_radius(product: Callable, lattice: Any):
     """Largest |eigenvalue| of M^{-1/2} K M^{-1/2}, by power iteration, for a linear map product(w) = K w."""
     root = jax.tree.map(jnp.sqrt, lattice.mass)
-    w = jax.tree.map(lambda s: np.random.default_rng(0).normal(size=s.shape).astype(s.dtype), lattice.template())
+    w = jax.tree.map(
+        lambda s: np.random.default_rng(0).normal(size=s.shape).astype(s.dtype), lattice.template()
+    )
 
     def power(_, state):
         w, _ = state
         pulled = product(jax.tree.map(jnp.divide, w, root))
-        pulled = {name: pulled.get(name, jnp.zeros_like(x)) for name, x in w.items()} if isinstance(w, dict) else pulled
+        pulled = (
+            {name: pulled.get(name, jnp.zeros_like(x)) for name, x in w.items()}
+            if isinstance(w, dict)
+            else pulled
+        )
         w = jax.tree.map(jnp.divide, pulled, root)
         size = jnp.sqrt(sum(jnp.sum(x * x) for x in jax.tree.leaves(w)))
         return jax.tree.map(lambda x: x / jnp.where(size > 0, size, 1), w), size
 
     norm = np.sqrt(sum(np.sum(x * x) for x in jax.tree.leaves(w)))
-    start = jax.tree.map(lambda x: jnp.asarray(x / norm.astype(x.dtype)), w), jnp.zeros((), lattice.dtype)
+    start = (
+        jax.tree.map(lambda x: jnp.asarray(x / norm.astype(x.dtype)), w),
+        jnp.zeros((), lattice.dtype),
+    )
     return MARGIN * jax.lax.fori_loop(0, POWER_STEPS, power, start)[1]
 
 
@@ -206,7 +215,10 @@ class TwoEnds(LinearMap):
     def joins(self, numbers: Any) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the sites, NumPy arrays over them, at the tails and at the heads of all bonds; -1 for a wall."""
         names = (None, None) if self.fields is None else self.fields
-        return tuple(self._joins(numbers if name is None else numbers[name], end) for end, name in enumerate(names))
+        return tuple(
+            self._joins(numbers if name is None else numbers[name], end)
+            for end, name in enumerate(names)
+        )
 
     def _ends(self, u):
         if self.fields is None:

@@ -40,21 +40,38 @@ class Pairs(TwoEnds):
     fields: tuple[str, str] | None = eqx.field(static=True)
 
     def __init__(
-        self, tail: Values, head: Values, *, sites: Site | None = None,
-        fields: str | Sequence[str] | None = None, weights: tuple[Parameter, Parameter] | None = None,
+        self,
+        tail: Values,
+        head: Values,
+        *,
+        sites: Site | None = None,
+        fields: str | Sequence[str] | None = None,
+        weights: tuple[Parameter, Parameter] | None = None,
     ):
         self.fields = checked_fields(fields)
-        self.weights = None if weights is None else tuple(positive(f"weights[{i}]", w) for i, w in enumerate(weights))
+        self.weights = (
+            None
+            if weights is None
+            else tuple(positive(f"weights[{i}]", w) for i, w in enumerate(weights))
+        )
         self.tail, self.head = _indices("tail", tail), _indices("head", head)
         if len(self.tail) != len(self.head):
             refuse("head", f"{len(self.tail)} indices, as many as tails", f"{len(self.head)}")
         within = self.fields is None or self.fields[0] == self.fields[1]
         if within and any(t == h for t, h in zip(self.tail, self.head)):
-            refuse("head", "another site than the tail", "the same", "A site has no bond to itself.")
+            refuse(
+                "head", "another site than the tail", "the same", "A site has no bond to itself."
+            )
         least = max(self.tail) + 1, max(self.head) + 1
         if within:
             least = (max(least),) * 2
-        given = least if sites is None else tuple(sites) if isinstance(sites, (tuple, list)) else (sites,) * 2
+        given = (
+            least
+            if sites is None
+            else tuple(sites)
+            if isinstance(sites, (tuple, list))
+            else (sites,) * 2
+        )
         given = tuple(whole("sites", g) for g in given)
         if any(g < n for g, n in zip(given, least)):
             refuse("sites", f"at least {max(least)}, the largest index and one", repr(sites))
@@ -64,7 +81,12 @@ class Pairs(TwoEnds):
         index = np.array((self.tail, self.head)[end])
         sites = self.sites[end]
         if x.shape[0] != sites:
-            refuse("sites", f"{x.shape[0]}, the lattice's number of sites", f"{sites}", "Give Pairs(..., sites=...).")
+            refuse(
+                "sites",
+                f"{x.shape[0]}, the lattice's number of sites",
+                f"{sites}",
+                "Give Pairs(..., sites=...).",
+            )
         chosen = x[np.where(index == WALL, 0, index)]
         if (index == WALL).any():
             there = (index != WALL).astype(x.dtype).reshape((-1,) + (1,) * (x.ndim - 1))

@@ -45,7 +45,12 @@ class Slip(Directed):
     def __init__(self, pairs: TwoEnds, vector: Parameter):
         super().__init__(pairs, vector)
         if self.components != 2:
-            refuse("vector", "a vector of two components", f"{self.components}", "Beads turn in the plane alone.")
+            refuse(
+                "vector",
+                "a vector of two components",
+                f"{self.components}",
+                "Beads turn in the plane alone.",
+            )
 
     def strain(self, u):
         D, R, rest, along, *_ = self._geometry(u)
@@ -58,6 +63,10 @@ class Slip(Directed):
         # a bead's inertia is J in m R^2: with weights J w of its displacements and w of its turning, both rows of
         # |B|^T k |B| w are at most (1 + J) k (w_tail + w_head) over the smaller of its masses
         axis = lattice.axes
-        parts = [jnp.min(m, axis) / jnp.max(m, axis) for m in jax.tree.leaves(lattice.mass) if jnp.ndim(m) > axis]
+        parts = [
+            jnp.min(m, axis) / jnp.max(m, axis)
+            for m in jax.tree.leaves(lattice.mass)
+            if jnp.ndim(m) > axis
+        ]
         J = jnp.max(jnp.stack([jnp.max(x) for x in parts])) if parts else 1.0
         return self.pairs.stiffness_bound(lattice, (1 + J) * k)

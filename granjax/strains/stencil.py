@@ -29,13 +29,17 @@ class _Grid(LinearMap):
 
     def _cut_out(self, x, offset):
         """The sites at one offset of all bonds; zero at a wall."""
-        for axis, (k, (low, high), boundary) in enumerate(zip(offset, self._reaches(), self.boundary)):
+        for axis, (k, (low, high), boundary) in enumerate(
+            zip(offset, self._reaches(), self.boundary)
+        ):
             x = _select(x, axis, k, low, high, boundary)
         return x
 
     def _put_back(self, f, offset):
         """Transpose of `_cut_out`."""
-        for axis, (k, (low, high), boundary) in enumerate(zip(offset, self._reaches(), self.boundary)):
+        for axis, (k, (low, high), boundary) in enumerate(
+            zip(offset, self._reaches(), self.boundary)
+        ):
             f = _return(f, axis, k, low, high, boundary)
         return f
 
@@ -43,7 +47,9 @@ class _Grid(LinearMap):
         return tuple(high - low for low, high in self._reaches())
 
     def walls(self):
-        fixed = any(b == "fixed" and high > low for b, (low, high) in zip(self.boundary, self._reaches()))
+        fixed = any(
+            b == "fixed" and high > low for b, (low, high) in zip(self.boundary, self._reaches())
+        )
         return ("left", "right") if fixed else ()
 
 
@@ -53,7 +59,9 @@ def _select(x, axis, k, low, high, boundary):
     before, after = k - low, high - k
     if boundary == "fixed":
         return _pad(x, axis, after, before)
-    return jax.lax.slice_in_dim(x, before, x.shape[axis] - after, axis=axis) if before or after else x
+    return (
+        jax.lax.slice_in_dim(x, before, x.shape[axis] - after, axis=axis) if before or after else x
+    )
 
 
 def _return(f, axis, k, low, high, boundary):
@@ -61,7 +69,11 @@ def _return(f, axis, k, low, high, boundary):
         return f if k == 0 else jnp.roll(f, k, axis)
     before, after = k - low, high - k
     if boundary == "fixed":
-        return jax.lax.slice_in_dim(f, after, f.shape[axis] - before, axis=axis) if before or after else f
+        return (
+            jax.lax.slice_in_dim(f, after, f.shape[axis] - before, axis=axis)
+            if before or after
+            else f
+        )
     return _pad(f, axis, before, after)
 
 
@@ -112,13 +124,21 @@ class Shift(_Grid, TwoEnds):
     fields: tuple[str, str] | None = eqx.field(static=True)
 
     def __init__(
-        self, offset: Site = 1, boundary: str | Sequence[str] = "fixed", fields: str | Sequence[str] | None = None,
+        self,
+        offset: Site = 1,
+        boundary: str | Sequence[str] = "fixed",
+        fields: str | Sequence[str] | None = None,
     ):
         self.offset = _offsets(offset)
         self.boundary = _boundaries(boundary, len(self.offset))
         self.fields = checked_fields(fields)
         if not any(self.offset) and (self.fields is None or self.fields[0] == self.fields[1]):
-            refuse("offset", "a step that is not zero within one field", repr(offset), "A site has no bond to itself.")
+            refuse(
+                "offset",
+                "a step that is not zero within one field",
+                repr(offset),
+                "A site has no bond to itself.",
+            )
 
     def _reaches(self):
         return [(min(k, 0), max(k, 0)) for k in self.offset]
@@ -132,8 +152,11 @@ class Shift(_Grid, TwoEnds):
             if boundary == "periodic":
                 x = np.roll(x, -own, axis)
             elif boundary == "fixed":
-                x = np.pad(x, [(most - own, own - least) if i == axis else (0, 0) for i in range(x.ndim)],
-                           constant_values=-1)
+                x = np.pad(
+                    x,
+                    [(most - own, own - least) if i == axis else (0, 0) for i in range(x.ndim)],
+                    constant_values=-1,
+                )
             else:
                 x = np.take(x, np.arange(own - least, x.shape[axis] - most + own), axis)
         return x

@@ -31,7 +31,10 @@ class Directed(StrainMap):
         Component by component: an array whose last axis has two entries is several times as slow to go through.
         """
         whole = self.pairs.strain(u)
-        D = [jax.lax.index_in_dim(whole, i, self.pairs.axes, keepdims=False) for i in range(self.components)]
+        D = [
+            jax.lax.index_in_dim(whole, i, self.pairs.axes, keepdims=False)
+            for i in range(self.components)
+        ]
         R = self._vectors(D[0].shape)
         rest = jnp.sqrt(sum(r * r for r in R))
         along = sum(r * d for r, d in zip(R, D))
@@ -42,7 +45,9 @@ class Directed(StrainMap):
         return D, R, rest, along, square, length, e
 
     def _component(self, u, i):
-        return jax.tree.map(lambda x: jax.lax.index_in_dim(x, i, self.pairs.axes, keepdims=False), u)
+        return jax.tree.map(
+            lambda x: jax.lax.index_in_dim(x, i, self.pairs.axes, keepdims=False), u
+        )
 
     def _vectors(self, bonds):
         """The components of R, for bonds (and lanes) of a shape."""
@@ -112,9 +117,13 @@ class Stretch(Directed):
     def ends(self, places, u):
         D, R, *_ = self._geometry(u)
         (tail, head), axis = self.pairs._ends(places), self.pairs.axes
-        R, D = (jnp.stack([jnp.broadcast_to(x, D[0].shape) for x in parts], axis) for parts in (R, D))
+        R, D = (
+            jnp.stack([jnp.broadcast_to(x, D[0].shape) for x in parts], axis) for parts in (R, D)
+        )
         there, _ = self.pairs._ends(jax.tree.map(jnp.ones_like, places))
-        moved, pushed = (jax.lax.slice_in_dim(x, 0, self.components, axis=axis) for x in self.pairs._ends(u))
+        moved, pushed = (
+            jax.lax.slice_in_dim(x, 0, self.components, axis=axis) for x in self.pairs._ends(u)
+        )
         # of a bond around a ring the head is where the bond leads, of a wall at the tail where it comes from
         tail = jnp.where(there > 0, tail + moved, head + pushed - (R - D))
         return tail, tail + R - D

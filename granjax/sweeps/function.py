@@ -56,7 +56,9 @@ def by_keywords(function: Callable, names: tuple[str, ...]) -> bool:
     except (TypeError, ValueError):
         return True
     free = any(p.kind is p.VAR_KEYWORD for p in wanted)
-    plain = [p for p in wanted if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    plain = [
+        p for p in wanted if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
+    ]
     needed, known = {p.name for p in plain if p.default is p.empty}, {p.name for p in plain}
     if needed <= set(names) and (free or set(names) <= known):
         return True
@@ -77,7 +79,12 @@ def packed(function: Callable) -> bytes:
         return by.dumps(function)
     except Exception as error:
         remedy = "pip install 'granjax[cluster]' sends lambdas; open files and locks within the function."
-        refuse("function", "one that can be sent to another process", f"one that cannot ({error})", remedy)
+        refuse(
+            "function",
+            "one that can be sent to another process",
+            f"one that cannot ({error})",
+            remedy,
+        )
 
 
 # a process keeps it, so that it compiles once
@@ -120,12 +127,17 @@ def _by_program(task, function, values, points, together, rows):
             continue
         size = min(task.width, 1 << (len(group) - 1).bit_length())
         filled = group + group[-1:] * (size - len(group))
-        arrays = {name: x[0] if name in task.shared else x[filled] for name, x in values.items()
-                  if name not in task.static}
+        arrays = {
+            name: x[0] if name in task.shared else x[filled]
+            for name, x in values.items()
+            if name not in task.static
+        }
         found = jax.device_get(run(np.arange(size), arrays))
         for row, i in enumerate(group):
             whole = eqx.combine(jax.tree.map(lambda x, row=row: x[row], found), rest)
-            rows[i] = columns({name: whole[name] for name in order} if order else whole, name_of(function))
+            rows[i] = columns(
+                {name: whole[name] for name in order} if order else whole, name_of(function)
+            )
 
 
 def kinds(values: dict[str, np.ndarray]) -> tuple:
@@ -134,7 +146,9 @@ def kinds(values: dict[str, np.ndarray]) -> tuple:
 
 
 @lru_cache(maxsize=64)
-def program(function: Callable, keywords: bool, static: tuple, shared: tuple, kinds: tuple) -> tuple:
+def program(
+    function: Callable, keywords: bool, static: tuple, shared: tuple, kinds: tuple
+) -> tuple:
     """A compiled function of many points, what it returns that is no array, and the order of the names.
 
     **Raises** what tracing does, and ValueError for a function that computes something else when it is traced again.
@@ -154,7 +168,12 @@ def program(function: Callable, keywords: bool, static: tuple, shared: tuple, ki
         return [*_numbers(traced), *_numbers(jax.tree.leaves(kept[0]))]
 
     if numbers() != numbers():
-        refuse("function", "one that computes the same each time", "other numbers when it is called again", DRAWS)
+        refuse(
+            "function",
+            "one that computes the same each time",
+            "other numbers when it is called again",
+            DRAWS,
+        )
     axes = {name: None if name in shared else 0 for name, _ in kinds if name not in known}
     # the numbers of the points, which nothing reads, are mapped where all parameters are shared or static
     return jax.jit(jax.vmap(lambda _, values: one(values), (0, axes))), *kept
@@ -218,18 +237,27 @@ def call(function: Callable, point: Mapping[str, Any], keywords: bool) -> Any:
 def said(error: BaseException) -> str:
     """An error in a line."""
     text = " ".join(str(error).split())[:400]
-    return text if isinstance(error, (ValueError, RuntimeError)) and text else f"{type(error).__name__}: {text}"
+    return (
+        text
+        if isinstance(error, (ValueError, RuntimeError)) and text
+        else f"{type(error).__name__}: {text}"
+    )
 
 
 def _not_finite(row):
-    bad = [name for name, (x, _) in row.items() if x.dtype.kind in "fc" and not np.isfinite(x).all()]
+    bad = [
+        name for name, (x, _) in row.items() if x.dtype.kind in "fc" and not np.isfinite(x).all()
+    ]
     return f"Not finite: {', '.join(bad[:4])}{', ...' if len(bad) > 4 else ''}." if bad else ""
 
 
 def _stacked(rows, reasons):
     """The rows of points as a `Chunk`: NaN, or "", for those that failed or whose names or shapes are others."""
     first = next((row for row in rows if row), {})
-    empty = {name: ("", object) if x.dtype.kind == "U" else (np.nan, x.dtype) for name, (x, _) in first.items()}
+    empty = {
+        name: ("", object) if x.dtype.kind == "U" else (np.nan, x.dtype)
+        for name, (x, _) in first.items()
+    }
     found = {name: np.full((len(rows), *x.shape), *empty[name]) for name, (x, _) in first.items()}
     for i, row in enumerate(rows):
         if row is None:
@@ -259,10 +287,14 @@ def columns(value: Any, name: str) -> dict[str, tuple[np.ndarray, dict]]:
         x = np.asarray(x)
         if x.dtype.kind not in "biufcU":
             got = f"{key or 'one'} of {described(value)}"
-            refuse("function", "one that returns numbers, words, arrays, dicts of them or results", got)
+            refuse(
+                "function", "one that returns numbers, words, arrays, dicts of them or results", got
+            )
         found[key or name] = (x if x.dtype.kind in "fcU" else x.astype(float)), told
     if not found:
-        refuse("function", "one that returns numbers or words", f"one that returns {described(value)}")
+        refuse(
+            "function", "one that returns numbers or words", f"one that returns {described(value)}"
+        )
     return found
 
 
@@ -275,13 +307,27 @@ def _entries(value, name) -> Iterator[tuple[str, Any, dict]]:
     elif hasattr(value, "data_vars"):
         for key, x in value.variables.items():
             if x.dtype.kind != "O" and key not in ("site", "component", "field"):
-                yield f"{name}_{key}" if name else key, x.values, {"dims": list(x.dims), **_units(x)}
+                yield (
+                    f"{name}_{key}" if name else key,
+                    x.values,
+                    {"dims": list(x.dims), **_units(x)},
+                )
         for key, x in value.attrs.items():
-            if isinstance(x, (bool, int, float, str, np.number)) and key not in KNOWN and not key.endswith("_units"):
-                told = {"units": value.attrs[f"{key}_units"]} if f"{key}_units" in value.attrs else {}
+            if (
+                isinstance(x, (bool, int, float, str, np.number))
+                and key not in KNOWN
+                and not key.endswith("_units")
+            ):
+                told = (
+                    {"units": value.attrs[f"{key}_units"]} if f"{key}_units" in value.attrs else {}
+                )
                 yield f"{name}_{key}" if name else key, x, told
     elif hasattr(value, "dims"):
-        yield name or str(value.name or ""), value.values, {"dims": list(value.dims), **_units(value)}
+        yield (
+            name or str(value.name or ""),
+            value.values,
+            {"dims": list(value.dims), **_units(value)},
+        )
     elif isinstance(value, (tuple, list)) and not all(np.ndim(x) == 0 for x in value):
         for i, x in enumerate(value):
             yield from _entries(x, f"{name or 'value'}_{i}")

@@ -47,7 +47,9 @@ class Points:
         return {name: x.item() for name, x in self.values(np.array([lane])).items()}
 
     def __repr__(self) -> str:
-        return called(self.design, {name: f"{numbers(x)} ({len(x)})" for name, x in self.axes.items()})
+        return called(
+            self.design, {name: f"{numbers(x)} ({len(x)})" for name, x in self.axes.items()}
+        )
 
 
 Parameters: TypeAlias = Mapping[str, Any] | Sequence[Mapping[str, Any]] | Points
@@ -65,10 +67,16 @@ def points_of(parameters: Parameters) -> Points:
         return Points(axes, "grid")
     rows = list(parameters)
     if not rows or not all(isinstance(row, Mapping) for row in rows):
-        refuse("parameters", "a dict from names to values, or a list of dicts", described(parameters))
+        refuse(
+            "parameters", "a dict from names to values, or a list of dicts", described(parameters)
+        )
     if any(row.keys() != rows[0].keys() for row in rows):
         odd = next(i for i, row in enumerate(rows) if row.keys() != rows[0].keys())
-        refuse("parameters", f"{', '.join(rows[0])} in every dict", f"{', '.join(rows[odd]) or 'none'} in number {odd}")
+        refuse(
+            "parameters",
+            f"{', '.join(rows[0])} in every dict",
+            f"{', '.join(rows[odd]) or 'none'} in number {odd}",
+        )
     return paired({name: [row[name] for row in rows] for name in rows[0]})
 
 
@@ -88,7 +96,12 @@ def paired(parameters: dict[str, Values]) -> Points:
     lengths = {name: len(x) for name, x in axes.items()}
     if not axes or len(set(lengths.values())) != 1:
         got = ", ".join(f"{name} of {n}" for name, n in lengths.items()) or "none"
-        refuse("parameters", "lists of one length", got, "A dict given to gx.sweep itself means all combinations.")
+        refuse(
+            "parameters",
+            "lists of one length",
+            got,
+            "A dict given to gx.sweep itself means all combinations.",
+        )
     return Points(axes, "list")
 
 
@@ -120,7 +133,10 @@ def random(bounds: dict[str, tuple], count: Count, *, seed: Seed = 0) -> Points:
         # of a number of points that is no power of two
         warnings.simplefilter("ignore", UserWarning)
         unit = qmc.Sobol(len(bounds), seed=seed).random(count)
-    return Points({_name(name): _between(name, pair, x) for (name, pair), x in zip(bounds.items(), unit.T)}, "list")
+    return Points(
+        {_name(name): _between(name, pair, x) for (name, pair), x in zip(bounds.items(), unit.T)},
+        "list",
+    )
 
 
 def _between(name, pair, x):
@@ -129,7 +145,11 @@ def _between(name, pair, x):
         refuse(f"bounds[{name!r}]", '(low, high) or (low, high, "log")', repr(pair))
     low, high = pair[:2]
     for end in (low, high):
-        if not isinstance(end, (int, float, np.number)) or isinstance(end, bool) or not np.isfinite(end):
+        if (
+            not isinstance(end, (int, float, np.number))
+            or isinstance(end, bool)
+            or not np.isfinite(end)
+        ):
             refuse(f"bounds[{name!r}]", "two finite numbers", repr(pair))
     if not low < high:
         refuse(f"bounds[{name!r}]", "low below high", repr(pair))
@@ -145,7 +165,12 @@ def _name(name):
     if not isinstance(name, str) or not name.isidentifier():
         refuse("parameters", "names that a function's arguments can have", repr(name))
     if name in TAKEN:
-        refuse("parameters", f"other names than {', '.join(sorted(TAKEN))}", repr(name), "These are a sweep's own.")
+        refuse(
+            "parameters",
+            f"other names than {', '.join(sorted(TAKEN))}",
+            repr(name),
+            "These are a sweep's own.",
+        )
     return name
 
 
@@ -158,8 +183,12 @@ def _row(name, x):
     if x.dtype == object and x.ndim == 1 and all(isinstance(word, str) for word in x):
         x = x.astype(str)
     if x.ndim != 1 or not x.size or x.dtype.kind not in "biufU":
-        refuse(f"parameters[{name!r}]", "a row of numbers or words", f"{x.dtype} of shape {x.shape}",
-               "A number that all lanes share belongs into the function; of several arrays sweep their number.")
+        refuse(
+            f"parameters[{name!r}]",
+            "a row of numbers or words",
+            f"{x.dtype} of shape {x.shape}",
+            "A number that all lanes share belongs into the function; of several arrays sweep their number.",
+        )
     if x.dtype.kind == "f":
         x = x.astype(float)
         if not np.isfinite(x).all():

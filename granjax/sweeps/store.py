@@ -21,8 +21,21 @@ NOT_YET = "not computed yet"
 class Target:
     """Arrays by name over the design, and which of its blocks are there; in memory."""
 
-    def __init__(self, points: Points, chunk: tuple[int, ...], blocks: list, units: dict[str, str], attrs: dict):
-        self.points, self.chunk, self.blocks, self.units, self.attrs = points, chunk, blocks, units, attrs
+    def __init__(
+        self,
+        points: Points,
+        chunk: tuple[int, ...],
+        blocks: list,
+        units: dict[str, str],
+        attrs: dict,
+    ):
+        self.points, self.chunk, self.blocks, self.units, self.attrs = (
+            points,
+            chunk,
+            blocks,
+            units,
+            attrs,
+        )
         self.arrays, self.dims, self.waiting = {}, {}, []
         self.done = np.zeros(len(blocks), bool)
 
@@ -56,7 +69,10 @@ class Target:
         for name, x in chunk.columns.items():
             told, key, own = chunk.told[name], self._key(name), x.shape[1:]
             dims = told.get("dims", [f"{key}_{k}" for k in range(len(own))])
-            taken = [dim in self.points.dims or sizes.setdefault(dim, n) != n for dim, n in zip(dims, own)]
+            taken = [
+                dim in self.points.dims or sizes.setdefault(dim, n) != n
+                for dim, n in zip(dims, own)
+            ]
             dims = [f"{key}_{dim}" if other else dim for dim, other in zip(dims, taken)]
             unit = self.units.get(name, told.get("units"))
             self.dims[key] = (*self.points.dims, *dims), {} if unit is None else {"units": unit}
@@ -98,7 +114,9 @@ class Store(Target):
         if source and found.attrs["source"] and source != found.attrs["source"]:
             warnings.warn(
                 f"The source of the function has changed since the store {root} was begun, and what is in it was "
-                "computed by the earlier one. Give another store to compute everything anew.", stacklevel=3)
+                "computed by the earlier one. Give another store to compute everything anew.",
+                stacklevel=3,
+            )
         keys = [name for name in found if name not in self.points.axes and name != "done"]
         self.arrays = {key: found[key] for key in keys}
         self.flags = found["done"]
@@ -111,7 +129,9 @@ class Store(Target):
         self.group = zarr.open_group(self.root, mode=mode, zarr_format=2, attributes=self.attrs)
         for name, (dims, x, attrs) in self.coordinates.items():
             self.dims[name] = dims, attrs
-            self._made(name, x.shape, x.shape, np.dtype(object) if x.dtype.kind == "U" else x.dtype)[...] = x
+            self._made(
+                name, x.shape, x.shape, np.dtype(object) if x.dtype.kind == "U" else x.dtype
+            )[...] = x
         super()._begin(chunk)
         zarr.consolidate_metadata(self.group.store)
         self.flags = self._made("done", self.done.shape, self.done.shape, np.dtype(bool))
@@ -125,10 +145,17 @@ class Store(Target):
 
     def _made(self, key, shape, chunks, dtype):
         dims, attrs = self.dims.get(key, (("chunk",), {}))
-        fill = complex(np.nan, np.nan) if dtype.kind == "c" else np.nan if dtype.kind == "f" else None
+        fill = (
+            complex(np.nan, np.nan) if dtype.kind == "c" else np.nan if dtype.kind == "f" else None
+        )
         return self.group.create_array(
-            key, shape=shape, chunks=tuple(max(n, 1) for n in chunks), dtype=str if dtype.kind == "O" else dtype,
-            fill_value=fill, attributes={"_ARRAY_DIMENSIONS": list(dims), **attrs})
+            key,
+            shape=shape,
+            chunks=tuple(max(n, 1) for n in chunks),
+            dtype=str if dtype.kind == "O" else dtype,
+            fill_value=fill,
+            attributes={"_ARRAY_DIMENSIONS": list(dims), **attrs},
+        )
 
     def _write(self, number, chunk):
         super()._write(number, chunk)
@@ -137,13 +164,17 @@ class Store(Target):
     def dataset(self) -> xarray.Dataset:
         """What there is; values are read when they are asked for."""
         found = xarray.open_zarr(self.root, chunks=None, consolidated=True)
-        return _spelt(found[[*(name for name in self.arrays if name != "reason"), "reason"]]).assign_attrs(self.attrs)
+        return _spelt(
+            found[[*(name for name in self.arrays if name != "reason"), "reason"]]
+        ).assign_attrs(self.attrs)
 
 
 def _spelt(data):
     """Words as NumPy's own, whatever the store or the version made of them."""
     kinds = {name: x for name, x in data.variables.items() if x.dtype.kind not in "biufcU"}
-    return data.assign({name: (x.dims, np.array(x.values.tolist(), str), x.attrs) for name, x in kinds.items()})
+    return data.assign(
+        {name: (x.dims, np.array(x.values.tolist(), str), x.attrs) for name, x in kinds.items()}
+    )
 
 
 def opened(root: str):
@@ -155,9 +186,17 @@ def opened(root: str):
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        refuse("store", "a new path, or the store of this sweep", f"{root!r}, which is neither ({error})")
+        refuse(
+            "store",
+            "a new path, or the store of this sweep",
+            f"{root!r}, which is neither ({error})",
+        )
     if "sweep" not in group.attrs and list(group):
-        refuse("store", "a new path, or the store of this sweep", f"{root!r}, a zarr group that holds something else")
+        refuse(
+            "store",
+            "a new path, or the store of this sweep",
+            f"{root!r}, a zarr group that holds something else",
+        )
     return group
 
 
@@ -168,8 +207,20 @@ def refuse_another(root: str, there: dict, here: dict) -> None:
     if list(before) != list(now):
         differ = [f"the parameters {', '.join(before)} instead of {', '.join(now)}"]
     else:
-        differ = [f"{name} {row(before[name])} instead of {row(x)}" for name, x in now.items() if x != before[name]]
-    differ += [f"{name} {there[name]} instead of {x}" for name, x in here.items()
-               if name != "parameters" and there[name] != x]
+        differ = [
+            f"{name} {row(before[name])} instead of {row(x)}"
+            for name, x in now.items()
+            if x != before[name]
+        ]
+    differ += [
+        f"{name} {there[name]} instead of {x}"
+        for name, x in here.items()
+        if name != "parameters" and there[name] != x
+    ]
     if differ:
-        refuse("store", "the store of this sweep", f"{root!r}, which holds {'; '.join(differ)}", "Give another store.")
+        refuse(
+            "store",
+            "the store of this sweep",
+            f"{root!r}, which holds {'; '.join(differ)}",
+            "Give another store.",
+        )

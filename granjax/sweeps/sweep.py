@@ -33,8 +33,13 @@ AHEAD, WORKERS = 2, 16
 
 
 def sweep(
-    function: Callable[..., Any], parameters: Parameters, *, store: str | Path | None = None,
-    chunk: Count | None = None, executor: Any = None, progress: bool = True,
+    function: Callable[..., Any],
+    parameters: Parameters,
+    *,
+    store: str | Path | None = None,
+    chunk: Count | None = None,
+    executor: Any = None,
+    progress: bool = True,
     units: dict[str, str] | None = None,
 ) -> xarray.Dataset:
     r"""Compute a function of parameters at all of their values; kept and resumed where `store` is given.
@@ -87,20 +92,34 @@ def sweep(
         refuse("executor", "an executor", described(executor), remedy)
     if getattr(getattr(executor, "_mp_context", None), "get_start_method", str)() == "fork":
         remedy = 'Give ProcessPoolExecutor(N, multiprocessing.get_context("spawn")).'
-        refuse("executor", "processes that start afresh", "forked ones, which JAX's threads do not survive", remedy)
+        refuse(
+            "executor",
+            "processes that start afresh",
+            "forked ones, which JAX's threads do not survive",
+            remedy,
+        )
     points = points_of(parameters)
     keywords = own.by_keywords(function, tuple(points.axes))
-    shared = tuple(name for name, x in points.axes.items() if points.count > 1 and (x == x[0]).all())
+    shared = tuple(
+        name for name, x in points.axes.items() if points.count > 1 and (x == x[0]).all()
+    )
     static = _static(function, keywords, points, shared)
     root = None if store is None else os.fspath(store).removeprefix("file://")
     shape = _chunk(root, chunk, points, static)
     cuts = [range(0, n, size) for n, size in zip(points.shape, shape)]
-    blocks = [tuple(slice(i, min(i + size, n)) for i, size, n in zip(at, shape, points.shape))
-              for at in itertools.product(*cuts)]
-    identity = {"parameters": {name: x.tolist() for name, x in points.axes.items()}, "design": points.design,
-                "chunk": list(shape)}
+    blocks = [
+        tuple(slice(i, min(i + size, n)) for i, size, n in zip(at, shape, points.shape))
+        for at in itertools.product(*cuts)
+    ]
+    identity = {
+        "parameters": {name: x.tolist() for name, x in points.axes.items()},
+        "design": points.design,
+        "chunk": list(shape),
+    }
     arguments = points, shape, blocks, dict(units or {}), _attributes(function)
-    target = Target(*arguments) if root is None else Store(root, identity, _source(function), *arguments)
+    target = (
+        Target(*arguments) if root is None else Store(root, identity, _source(function), *arguments)
+    )
     sent = b"" if executor is None else own.packed(function)
     task = own.Task(sent, keywords, static, shared, chunk or math.prod(shape))
     todo = [i for i in range(len(blocks)) if not target.done[i]]
@@ -141,7 +160,11 @@ def _chunk(root, chunk, points, static):
         if len(kept) == len(points.shape):
             return tuple(kept)
     if chunk is None:
-        room = -(-points.count // KEPT) if static is None else min(max(points.count // CHUNKS, LEAST), MOST)
+        room = (
+            -(-points.count // KEPT)
+            if static is None
+            else min(max(points.count // CHUNKS, LEAST), MOST)
+        )
     else:
         room = whole("chunk", chunk, 1)
     shape = []
@@ -155,9 +178,13 @@ def _chunk(root, chunk, points, static):
 
 def _results(task, function, executor, values):
     """(number, chunk) as they are finished; what has not begun is taken back when something goes wrong."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     mine = executor is None
-    if mine and (task.static is None or min(cores, len(values)) < 2 or jax.default_backend() != "cpu"):
+    if mine and (
+        task.static is None or min(cores, len(values)) < 2 or jax.default_backend() != "cpu"
+    ):
         yield from ((i, own.computed(task, function, x)) for i, x in values.items())
         return
     executor = ThreadPoolExecutor(cores) if mine else executor
@@ -175,7 +202,8 @@ def _results(task, function, executor, values):
         raise RuntimeError(
             "A process of the executor died, and the sweep stopped. What was finished is in the store, if there is "
             "one: make a new executor and call again. If no process has begun, put the call under "
-            '`if __name__ == "__main__":`.') from error
+            '`if __name__ == "__main__":`.'
+        ) from error
     finally:
         for future in flying:
             future.cancel()
@@ -191,7 +219,11 @@ def _source(function):
 
 
 def _attributes(function):
-    versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__, "numpy": np.__version__}
+    versions = {
+        "granjax": sys.modules["granjax"].__version__,
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+    }
     commit = _commit()
     return {"function": own.name_of(function), **versions, **({"commit": commit} if commit else {})}
 
@@ -204,7 +236,9 @@ def _commit():
             return told["vcs_info"]["commit_id"]
         root = Path(__file__).parents[2]
         command = ["git", "-C", str(root), "rev-parse", "HEAD"]
-        return subprocess.check_output(command, text=True).strip() if (root / ".git").exists() else ""
+        return (
+            subprocess.check_output(command, text=True).strip() if (root / ".git").exists() else ""
+        )
     except (metadata.PackageNotFoundError, OSError, subprocess.SubprocessError):
         return ""
 
@@ -215,6 +249,8 @@ def _outcome(points, reasons):
     bad = np.flatnonzero(reasons != "")
     if not bad.size:
         return f"{said}."
-    at = ", ".join(f"{name} = {x:.6g}" if isinstance(x, float) else f"{name} = {x}"
-                   for name, x in points.at(int(bad[0])).items())
+    at = ", ".join(
+        f"{name} = {x:.6g}" if isinstance(x, float) else f"{name} = {x}"
+        for name, x in points.at(int(bad[0])).items()
+    )
     return f"{said}; {bad.size} marked, the first at {at}: {reasons[bad[0]]}"

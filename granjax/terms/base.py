@@ -95,7 +95,9 @@ class Term(Dimensional):
     """
 
     @abc.abstractmethod
-    def force(self, t: Number, u: Displacements, v: Displacements, mass: Displacements | Number) -> Displacements:
+    def force(
+        self, t: Number, u: Displacements, v: Displacements, mass: Displacements | Number
+    ) -> Displacements:
         """Force on the sites at time t."""
 
     def energy(self, t: Number, u: Displacements) -> Any:
@@ -113,16 +115,26 @@ class Term(Dimensional):
             return energy
         size = sum(x.size for x in jax.tree.leaves(u))
         if size > DENSE:
-            refuse("lattice", f"at most {DENSE} displacements where {type(self).__name__} has no `site_energy`",
-                   f"{size}", "Write its `site_energy`.")
+            refuse(
+                "lattice",
+                f"at most {DENSE} displacements where {type(self).__name__} has no `site_energy`",
+                f"{size}",
+                "Write its `site_energy`.",
+            )
         lanes, own = len(lattice.lanes), energy.ndim - len(lattice.lanes)
         # lanes do not mix, so the derivatives of their sum are those of each
         slopes = jax.jacrev(lambda u: self.energy(t, u).sum(tuple(range(own, own + lanes))))(u)
         weights = jax.tree.map(lambda x: x * x + jnp.finfo(x.dtype).tiny, slopes)
         whole = sum(w.sum(tuple(range(own, w.ndim - lanes))) for w in jax.tree.leaves(weights))
         share = energy / whole
-        return jax.tree.map(lambda w: jnp.sum(share.reshape(share.shape[:own] + (1,) * (w.ndim - lanes - own)
-                                                            + share.shape[own:]) * w, tuple(range(own))), weights)
+        return jax.tree.map(
+            lambda w: jnp.sum(
+                share.reshape(share.shape[:own] + (1,) * (w.ndim - lanes - own) + share.shape[own:])
+                * w,
+                tuple(range(own)),
+            ),
+            weights,
+        )
 
     def energy_gap(self, lattice: Any, t: Number, u: Displacements) -> Numbers:
         """How far the force is from the slope of the energy, relative: |dE + F.w|/(sum of |dE| and |F w|), along one w.
@@ -136,18 +148,32 @@ class Term(Dimensional):
             return x.sum(tuple(range(x.ndim - lanes)))
 
         def along(force):
-            return [force[name] * w[name] for name in force] if isinstance(force, dict) else [force * w]
+            return (
+                [force[name] * w[name] for name in force]
+                if isinstance(force, dict)
+                else [force * w]
+            )
 
         w = jax.tree.map(lambda x: _irregular(x, x.ndim - lanes), u)
         _, change = jax.jvp(lambda u: self.energy(t, u), (u,), (w,))
         # displacements are known to their rounding alone, and a motion all alike has no force beyond what that makes
-        far = jnp.max(jnp.stack([jnp.max(jnp.abs(x), tuple(range(x.ndim - lanes))) for x in jax.tree.leaves(u)]), 0)
+        far = jnp.max(
+            jnp.stack(
+                [jnp.max(jnp.abs(x), tuple(range(x.ndim - lanes))) for x in jax.tree.leaves(u)]
+            ),
+            0,
+        )
         still = jax.tree.map(jnp.zeros_like, u)
-        force, uncertain = jax.jvp(lambda u: self.force(t, u, still, lattice.mass), (u,),
-                                   (jax.tree.map(lambda x: far * x, w),))
+        force, uncertain = jax.jvp(
+            lambda u: self.force(t, u, still, lattice.mass),
+            (u,),
+            (jax.tree.map(lambda x: far * x, w),),
+        )
         parts = jax.tree.leaves(change) + along(force)
         size = sum(total(jnp.abs(x)) for x in parts)
-        held = [jnp.broadcast_to(c.law.preload, c.compression.shape) for c in self.compressions(t, u)]
+        held = [
+            jnp.broadcast_to(c.law.preload, c.compression.shape) for c in self.compressions(t, u)
+        ]
         rounded = sum(total(jnp.abs(x)) for x in held + along(uncertain))
         rounding = 16 * jnp.finfo(size.dtype).eps * rounded
         missed = jnp.maximum(jnp.abs(sum(total(x) for x in parts)) - rounding, 0)
@@ -173,7 +199,11 @@ class Term(Dimensional):
         found = self.compressions(jnp.zeros((), lattice.dtype), lattice.zeros())
         if not found:
             return None if self.dependence(lattice).displacement else False
-        known = {None if c.law.opens and c.overlap is None else c.law.opens for c in found if c.place != "site"}
+        known = {
+            None if c.law.opens and c.overlap is None else c.law.opens
+            for c in found
+            if c.place != "site"
+        }
         return None if None in known else True in known
 
     def at(self, t: Number) -> Any:
@@ -214,7 +244,11 @@ class Term(Dimensional):
     def linearised(self, lattice: Any, t: Number, u: Displacements, v: Displacements) -> Any:
         """The term's tangent about a state, as a term of one more trailing lane; `None` where it has none."""
         reads = self.dependence(lattice)
-        return Tangent(self, t, u, v, lattice.mass, reads) if reads.displacement or reads.velocity else None
+        return (
+            Tangent(self, t, u, v, lattice.mass, reads)
+            if reads.displacement or reads.velocity
+            else None
+        )
 
     def exact_damping(self) -> tuple | None:
         """(field, rate) of a linear damping of sites, which a splitting solver takes exactly, or `None`."""
@@ -240,7 +274,9 @@ class Term(Dimensional):
         """The term that holds these internal variables."""
         return self
 
-    def advanced(self, variables: dict[str, Numbers], step: Number, y0: Any, y1: Any) -> dict[str, Numbers]:
+    def advanced(
+        self, variables: dict[str, Numbers], step: Number, y0: Any, y1: Any
+    ) -> dict[str, Numbers]:
         """The internal variables after a time step from the state y0 to y1."""
         return variables
 
@@ -277,6 +313,7 @@ class Term(Dimensional):
 
     def stiffness_changes(self, lattice: Any) -> bool:
         """Whether dF/du at rest depends on time."""
+
         def slope(term, t, u, w, v, mass):
             return jax.jvp(lambda u: term.force(t, u, v, mass), (u,), (w,))[1]
 
@@ -302,7 +339,9 @@ class Term(Dimensional):
         """
         if not self.dependence(lattice).displacement:
             return jnp.zeros((), lattice.dtype)
-        return jnp.max(jnp.abs(jnp.asarray(factor, lattice.dtype))) * largest_eigenvalue(self, lattice, reach)
+        return jnp.max(jnp.abs(jnp.asarray(factor, lattice.dtype))) * largest_eigenvalue(
+            self, lattice, reach
+        )
 
     def excitation(self, lattice: Any, ts: Numbers) -> Excitation:
         """What drives the lattice from outside during the times `ts`."""
@@ -338,8 +377,12 @@ def put(x: Number, field: str | None):
 def _irregular(like, axes):
     """Numbers between -1 and 1 without pattern over the leading axes, of the shape of an array."""
     size = int(np.prod(like.shape[:axes]))
-    x = np.cos(np.arange(size) ** 2 * 0.6180339887498949 + np.arange(size)).reshape(like.shape[:axes])
-    return jnp.broadcast_to(x.reshape(x.shape + (1,) * (like.ndim - axes)), like.shape).astype(like.dtype)
+    x = np.cos(np.arange(size) ** 2 * 0.6180339887498949 + np.arange(size)).reshape(
+        like.shape[:axes]
+    )
+    return jnp.broadcast_to(x.reshape(x.shape + (1,) * (like.ndim - axes)), like.shape).astype(
+        like.dtype
+    )
 
 
 def wider(tree: Pytree):
@@ -358,7 +401,9 @@ class Tangent(Term):
     reads: Dependence = eqx.field(static=True)
 
     def force(self, t, u, v, mass):
-        _, slope = jax.linearize(lambda u, v: self.term.force(self.t, u, v, self.mass), self.u, self.v)
+        _, slope = jax.linearize(
+            lambda u, v: self.term.force(self.t, u, v, self.mass), self.u, self.v
+        )
         return each_tangent(slope, self.reads)(u, v)
 
     def dependence(self, lattice):
@@ -372,7 +417,9 @@ def each_tangent(function: Callable, reads: Dependence, axis: int = -1):
 
     def one_by_one(*tangents):
         first = jax.tree.map(lambda x: jnp.moveaxis(x, axis, 0), tangents)
-        return jax.tree.map(lambda x: jnp.moveaxis(x, 0, axis), jax.lax.map(lambda x: function(*x), first))
+        return jax.tree.map(
+            lambda x: jnp.moveaxis(x, 0, axis), jax.lax.map(lambda x: function(*x), first)
+        )
 
     return one_by_one
 
@@ -385,8 +432,13 @@ class MeasuredFrom(Term):
     start: Any
 
     def _moved(self, u):
-        return jax.tree.map(lambda s, x: jnp.broadcast_to(s.reshape(s.shape + (1,) * (x.ndim - s.ndim)), x.shape) + x,
-                            self.start, u)
+        return jax.tree.map(
+            lambda s, x: (
+                jnp.broadcast_to(s.reshape(s.shape + (1,) * (x.ndim - s.ndim)), x.shape) + x
+            ),
+            self.start,
+            u,
+        )
 
     def force(self, t, u, v, mass):
         still = jax.tree.map(jnp.zeros_like, u)
@@ -403,14 +455,21 @@ class MeasuredFrom(Term):
 
     def preload_force(self, u):
         still = jax.tree.map(jnp.zeros_like, u)
-        force, held = self.term.force(jnp.zeros(()), self._moved(still), still, 1.0), self.term.preload_force(u)
+        force, held = (
+            self.term.force(jnp.zeros(()), self._moved(still), still, 1.0),
+            self.term.preload_force(u),
+        )
         return force if held is None else jax.tree.map(jnp.add, force, held)
 
     def compressions(self, t, u):
         start = self._moved(jax.tree.map(jnp.zeros_like, u))
         found = zip(self.term.compressions(t, self._moved(u)), self.term.compressions(t, start))
-        return tuple(c._replace(law=Strained(c.law, s.compression), compression=c.compression - s.compression)
-                     for c, s in found)
+        return tuple(
+            c._replace(
+                law=Strained(c.law, s.compression), compression=c.compression - s.compression
+            )
+            for c, s in found
+        )
 
     def linearised(self, lattice, t, u, v):
         return self.term.linearised(lattice, t, self._moved(u), v)
@@ -460,7 +519,9 @@ class Multiplied(Term):
         return None if force is None else jax.tree.map(lambda f: self.factor * f, force)
 
     def compressions(self, t, u):
-        return tuple(c._replace(law=Scaled(c.law, self.factor)) for c in self.term.compressions(t, u))
+        return tuple(
+            c._replace(law=Scaled(c.law, self.factor)) for c in self.term.compressions(t, u)
+        )
 
     def stiffness_bound(self, lattice, reach, factor=1.0):
         return self.term.stiffness_bound(lattice, reach, factor * self.factor)
@@ -494,7 +555,9 @@ class InOtherUnits(Term):
         return self.term.remembers()
 
     def force(self, t, u, v, mass):
-        force = self.term.force(t * self.units.time, *self.units.state_to_si((u, v)), _times(mass, self.units.mass))
+        force = self.term.force(
+            t * self.units.time, *self.units.state_to_si((u, v)), _times(mass, self.units.mass)
+        )
         return _times(force, 1 / self.units.force)
 
     def energy(self, t, u):
@@ -503,8 +566,12 @@ class InOtherUnits(Term):
 
     def compressions(self, t, u):
         found = self.term.compressions(t * self.units.time, _times(u, self.units.length))
-        return tuple(c._replace(law=c.law.in_units(self.units), compression=c.compression / self.units.length)
-                     for c in found)
+        return tuple(
+            c._replace(
+                law=c.law.in_units(self.units), compression=c.compression / self.units.length
+            )
+            for c in found
+        )
 
     def jumps(self):
         return tuple(b.in_units(self.units) for b in self.term.jumps())

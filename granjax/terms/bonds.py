@@ -29,7 +29,9 @@ class Joined(Term):
         with jax.ensure_compile_time_eval():
             answers = np.stack([np.ravel(_strain(strain_map, move)) for move in moves], -1)
             random = np.random.default_rng(0)
-            other = jax.tree.map(lambda x: random.uniform(0.5, 1.5, x.shape).astype(x.dtype), moves[0])
+            other = jax.tree.map(
+                lambda x: random.uniform(0.5, 1.5, x.shape).astype(x.dtype), moves[0]
+            )
             size = np.max(np.abs(_strain(strain_map, other)), initial=0.0)
         return np.where(np.abs(answers) > RESISTS * size, answers, 0)
 
@@ -73,7 +75,9 @@ class Bond(Joined):
 
     def preload_force(self, u):
         e, transpose = jax.vjp(self.strain_map.strain, jax.tree.map(jnp.zeros_like, u))
-        return jax.tree.map(jnp.negative, transpose(jnp.broadcast_to(self.law.preload, e.shape).astype(e.dtype))[0])
+        return jax.tree.map(
+            jnp.negative, transpose(jnp.broadcast_to(self.law.preload, e.shape).astype(e.dtype))[0]
+        )
 
     def site_energy(self, lattice, t, u):
         bonds = self.energy(t, u)
@@ -94,12 +98,16 @@ class Bond(Joined):
     def linearised(self, lattice, t, u, v):
         if not self.strain_map.linear:
             return super().linearised(lattice, t, u, v)
-        return eqx.tree_at(lambda term: term.law, wider(self), spring(self.law, self.strain_map.strain(u)))
+        return eqx.tree_at(
+            lambda term: term.law, wider(self), spring(self.law, self.strain_map.strain(u))
+        )
 
     def measured_from(self, lattice, u):
         if not self.strain_map.linear:
             return super().measured_from(lattice, u)
-        return eqx.tree_at(lambda term: term.law, self, Strained(self.law, self.strain_map.strain(u)))
+        return eqx.tree_at(
+            lambda term: term.law, self, Strained(self.law, self.strain_map.strain(u))
+        )
 
     def next_neighbours(self, field=None):
         boundary = self.strain_map.next_neighbours(field)
@@ -126,7 +134,9 @@ class Bond(Joined):
 
     def stiffness_bound(self, lattice, reach, factor=1.0):
         k = factor * reach.stiffest(self.law, 0)
-        if lattice.dimension is not None and jnp.ndim(k) > self.strain_map.axes + len(lattice.lanes):
+        if lattice.dimension is not None and jnp.ndim(k) > self.strain_map.axes + len(
+            lattice.lanes
+        ):
             k = jnp.max(k, axis=self.strain_map.axes)
         largest = jnp.max(jnp.asarray(factor, lattice.dtype))
         k = k + largest * self.strain_map.turning(lattice, self.law)
@@ -250,7 +260,11 @@ class Modulated(Term):
 
     def between(self, low, high):
         inner = eqx.tree_at(lambda x: x.term, self, self.term.between(low, high))
-        return inner if jumps_of(self.modulation, self.breaks) is None else held(inner, "modulation", low, high)
+        return (
+            inner
+            if jumps_of(self.modulation, self.breaks) is None
+            else held(inner, "modulation", low, high)
+        )
 
     def remembers(self):
         return self.term.remembers()

@@ -36,7 +36,10 @@ class Damping(Term):
     field: str | None = eqx.field(static=True)
 
     def __init__(self, rate: Parameter, field: str | None = None):
-        self.rate, self.field = non_negative("rate", rate, "A negative rate would feed the lattice."), field
+        self.rate, self.field = (
+            non_negative("rate", rate, "A negative rate would feed the lattice."),
+            field,
+        )
 
     def force(self, t, u, v, mass):
         if self.field is None:
@@ -130,7 +133,9 @@ class ViscousContact(_Viscous):
     """
 
     dimensions = {
-        "strain_map": PART, "coefficient": lambda term: (1, -1 - term.exponent, 1), "overlap": (0, 1, 0),
+        "strain_map": PART,
+        "coefficient": lambda term: (1, -1 - term.exponent, 1),
+        "overlap": (0, 1, 0),
     }
     strain_map: StrainMap
     coefficient: jax.Array
@@ -138,10 +143,17 @@ class ViscousContact(_Viscous):
     exponent: float = eqx.field(static=True)
 
     def __init__(
-        self, strain_map: StrainMap, coefficient: Parameter, exponent: Scalar = 0.5, overlap: Parameter = 0.0,
+        self,
+        strain_map: StrainMap,
+        coefficient: Parameter,
+        exponent: Scalar = 0.5,
+        overlap: Parameter = 0.0,
     ):
         self.strain_map = strain_map
-        self.coefficient, self.overlap = non_negative("coefficient", coefficient), non_negative("overlap", overlap)
+        self.coefficient, self.overlap = (
+            non_negative("coefficient", coefficient),
+            non_negative("overlap", overlap),
+        )
         self.exponent = float(positive("exponent", exponent))
 
     def force(self, t, u, v, mass):
@@ -178,7 +190,11 @@ class BrilliantovContact(Bond):
     dissipative_time: jax.Array
 
     def __init__(
-        self, strain_map: StrainMap, stiffness: Parameter, dissipative_time: Parameter, precompression: Parameter = 0.0,
+        self,
+        strain_map: StrainMap,
+        stiffness: Parameter,
+        dissipative_time: Parameter,
+        precompression: Parameter = 0.0,
     ):
         super().__init__(strain_map, Hertz(stiffness, precompression))
         self.dissipative_time = non_negative("dissipative_time", dissipative_time)
@@ -200,7 +216,9 @@ class BrilliantovContact(Bond):
         """What the preloads take from the sites at rest."""
         rest = jax.tree.map(jnp.zeros_like, u)
         e = self.strain_map.strain(rest)
-        return self.strain_map.pull(rest, jnp.broadcast_to(self.law.preload, e.shape).astype(e.dtype))
+        return self.strain_map.pull(
+            rest, jnp.broadcast_to(self.law.preload, e.shape).astype(e.dtype)
+        )
 
     def linearised(self, lattice, t, u, v):
         return Term.linearised(self, lattice, t, u, v)
@@ -252,8 +270,12 @@ class CaputoDamping(Term):
 
     def check(self, name, lattice):
         if jnp.ndim(self.order) > len(lattice.lanes):
-            refuse(name, "one order for all sites", f"orders of shape {jnp.shape(self.order)}",
-                   "Several dampings may stand side by side, each of some fields.")
+            refuse(
+                name,
+                "one order for all sites",
+                f"orders of shape {jnp.shape(self.order)}",
+                "Several dampings may stand side by side, each of some fields.",
+            )
 
     def per_vector(self, axes):
         return one_a_vector(self, axes)
@@ -298,8 +320,12 @@ class Drag(Term):
 
     def check(self, name, lattice):
         if lattice.dimension is not None:
-            refuse(name, "a lattice with scalar displacements", f"vectors of {lattice.dimension}",
-                   "In the plane drag couples the components: write a term of your own.")
+            refuse(
+                name,
+                "a lattice with scalar displacements",
+                f"vectors of {lattice.dimension}",
+                "In the plane drag couples the components: write a term of your own.",
+            )
 
     def span(self):
         return ()

@@ -70,18 +70,46 @@ class LongRange(Term):
     beyond: int | None = eqx.field(static=True)
     _kept: "_Kept | None"
 
-    def __init__(self, kernel: Parameter, law: Law, boundary: str = "fixed", *, takes: str = "displacement",
-                 field: str | None = None, beyond: Count | None = None, rest: Parameter | None = None):
-        self.kernel, self.law, self.field, self._kept = parameter("kernel", kernel), law, field, None
-        self.beyond = None if beyond is None else whole("beyond", beyond, 1, "Without any the chain is free.")
+    def __init__(
+        self,
+        kernel: Parameter,
+        law: Law,
+        boundary: str = "fixed",
+        *,
+        takes: str = "displacement",
+        field: str | None = None,
+        beyond: Count | None = None,
+        rest: Parameter | None = None,
+    ):
+        self.kernel, self.law, self.field, self._kept = (
+            parameter("kernel", kernel),
+            law,
+            field,
+            None,
+        )
+        self.beyond = (
+            None if beyond is None else whole("beyond", beyond, 1, "Without any the chain is free.")
+        )
         self.rest = None if rest is None else parameter("rest", rest)
         if self.kernel.ndim != 1 or not self.kernel.size:
-            refuse("kernel", "a row of weights, one for each offset from 1 on", f"shape {self.kernel.shape}")
-        self.boundary, self.takes = one_of("boundary", boundary, BOUNDARIES), one_of("takes", takes, TAKES)
+            refuse(
+                "kernel",
+                "a row of weights, one for each offset from 1 on",
+                f"shape {self.kernel.shape}",
+            )
+        self.boundary, self.takes = (
+            one_of("boundary", boundary, BOUNDARIES),
+            one_of("takes", takes, TAKES),
+        )
 
     def check(self, name, lattice):
         if lattice.axes != 1:
-            refuse(name, "a chain", f"a lattice with {lattice.axes} axes", "Write a term of your own for a grid.")
+            refuse(
+                name,
+                "a chain",
+                f"a lattice with {lattice.axes} axes",
+                "Write a term of your own for a grid.",
+            )
         if any(jnp.ndim(x) > len(lattice.lanes) for x in jax.tree.leaves(self.law)):
             refuse(name, "a law with single numbers, the same for all bonds", "one with arrays")
 
@@ -113,14 +141,22 @@ class LongRange(Term):
 
     def _nearest(self):
         """The law of the bonds to the next site, as they are at rest."""
-        law = self.law if self.rest is None else Strained(self.law, _strains(self.rest, self.boundary))
+        law = (
+            self.law
+            if self.rest is None
+            else Strained(self.law, _strains(self.rest, self.boundary))
+        )
         return Scaled(law, self.kernel[:1])
 
     def scaled(self, factor):
         if jnp.ndim(factor) > self.kernel.ndim - 1:
             return super().scaled(factor)
-        return eqx.tree_at(lambda x: (x.law, x._kept), self, (Scaled(self.law, factor), None),
-                           is_leaf=lambda x: x is None)
+        return eqx.tree_at(
+            lambda x: (x.law, x._kept),
+            self,
+            (Scaled(self.law, factor), None),
+            is_leaf=lambda x: x is None,
+        )
 
     @property
     def _powers(self):
@@ -132,7 +168,9 @@ class LongRange(Term):
         if self.rest is None:
             return put(self._sums(x).force(self.law), self.field)
         rest = self._at_rest(x)
-        held = self._sums(rest).force(self.law) if self._kept is None else _spread(self._kept.held, x)
+        held = (
+            self._sums(rest).force(self.law) if self._kept is None else _spread(self._kept.held, x)
+        )
         return put(self._sums(rest + x).force(self.law) - held, self.field)
 
     def for_run(self, lattice):
@@ -141,7 +179,9 @@ class LongRange(Term):
         x = get(lattice.zeros(), self.field)
         weights = {} if self._powers is None else plain._sums(x).known()
         held = None if self.rest is None else plain._sums(self._at_rest(x)).force(self.law)
-        return eqx.tree_at(lambda x: x._kept, self, _Kept(weights, held), is_leaf=lambda x: x is None)
+        return eqx.tree_at(
+            lambda x: x._kept, self, _Kept(weights, held), is_leaf=lambda x: x is None
+        )
 
     def energy(self, t, u):
         x = get(u, self.field)
@@ -227,7 +267,9 @@ class LongRange(Term):
             k = reach.stiffest(Scaled(self._nearest().law, first), 0)
             return jnp.max(k, 0, keepdims=True) / first * c / m
         if isinstance(reach, Reached):
-            offsets = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
+            offsets = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape(
+                (-1,) + (1,) * (c.ndim - 1)
+            )
             low, high = jnp.min(reach.low[0], 0) * offsets, jnp.max(reach.high[0], 0) * offsets
             return c * steepest(self.law, jnp.minimum(low, 0), jnp.maximum(high, 0))
         return reach.stiffest(Scaled(self.law, c), 0)
@@ -244,7 +286,10 @@ class LongRangeTangent(Term):
         return self.term.dependence(lattice)._replace(energy=False)
 
     def force(self, t, u, v, mass):
-        return put(self.term._sums(self.about).slope(self.term.law, get(u, self.term.field)), self.term.field)
+        return put(
+            self.term._sums(self.about).slope(self.term.law, get(u, self.term.field)),
+            self.term.field,
+        )
 
 
 class _Bonds(NamedTuple):
@@ -257,14 +302,24 @@ class _Bonds(NamedTuple):
     beyond: int | None
 
     def force(self, law):
-        return self._sum(lambda e, own, c, m: c * law.force(e / m), lambda left, right: left - right)
+        return self._sum(
+            lambda e, own, c, m: c * law.force(e / m), lambda left, right: left - right
+        )
 
     def slope(self, law, w):
-        return self._sum(lambda e, own, c, m: c * law.derivative(e / m) / m * own, lambda left, right: left - right, w)
+        return self._sum(
+            lambda e, own, c, m: c * law.derivative(e / m) / m * own,
+            lambda left, right: left - right,
+            w,
+        )
 
     def energy(self, law):
         """Half of each bond's at either end, all of it where the other end is at rest beyond the chain."""
-        return self._sum(lambda e, own, c, m: c * m * law.energy(e / m), lambda left, right: left + right, halves=True)
+        return self._sum(
+            lambda e, own, c, m: c * m * law.energy(e / m),
+            lambda left, right: left + right,
+            halves=True,
+        )
 
     def _sum(self, bond, joined, w=None, halves=False):
         """Each bond is looked at once, at column k + count for a left end at k, and is added to both of its sites."""
@@ -337,7 +392,9 @@ class _Powers(NamedTuple):
         total = self._sum([(K / (2 * (k + 1)), k + 1, k) for k, K in self.powers.items()])
         if self.boundary != "fixed":
             return total
-        return total + sum(K / (k + 1) / 2 * self._beyond(k) * self.x ** (k + 1) for k, K in self.powers.items())
+        return total + sum(
+            K / (k + 1) / 2 * self._beyond(k) * self.x ** (k + 1) for k, K in self.powers.items()
+        )
 
     def slope(self, law, w):
         parts = [(-K * k, k - 1, k) for k, K in self.powers.items()]
@@ -355,8 +412,14 @@ class _Powers(NamedTuple):
                     total = total + factor * x**p * _spread(self._known(k)[1], x)
                     continue
                 if b not in transforms:
-                    transforms[b] = forth(jnp.broadcast_to(x**b if w is None else x**b * w, shape), self.boundary)
-                part = jnp.asarray(factor)[..., None] * behind(self._known(k)[0], len(shape)) * transforms[b]
+                    transforms[b] = forth(
+                        jnp.broadcast_to(x**b if w is None else x**b * w, shape), self.boundary
+                    )
+                part = (
+                    jnp.asarray(factor)[..., None]
+                    * behind(self._known(k)[0], len(shape))
+                    * transforms[b]
+                )
                 columns[p - b] = columns.get(p - b, 0) + part
         for a, column in columns.items():
             total = total + x**a * back(column, len(x), self.boundary).astype(x.dtype)
@@ -387,7 +450,9 @@ class _Powers(NamedTuple):
     def _beyond(self, k):
         c, parity = self._weights(k)
         inside = _bonds_within(c, self.x.shape[0], "free", None)
-        right, left = (a - b for a, b in zip(_bonds_within(c, self.x.shape[0], "fixed", self.beyond), inside))
+        right, left = (
+            a - b for a, b in zip(_bonds_within(c, self.x.shape[0], "fixed", self.beyond), inside)
+        )
         return right + parity * left
 
 

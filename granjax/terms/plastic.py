@@ -42,7 +42,11 @@ class PlasticContact(Bond):
     _memory: ClassVar[dict[str, str]] = {"largest_overlap": "m"}
 
     def __init__(
-        self, strain_map: StrainMap, law: PlasticLaw, overlap: Parameter = 0.0, largest: Parameter | None = None,
+        self,
+        strain_map: StrainMap,
+        law: PlasticLaw,
+        overlap: Parameter = 0.0,
+        largest: Parameter | None = None,
     ):
         overlap = non_negative("overlap", overlap, "A chain under tension falls apart.")
         largest = overlap if largest is None else parameter("largest", largest)
@@ -74,7 +78,9 @@ class PlasticContact(Bond):
         (u0, v0), (u1, v1) = y0, y1
         s0, s1 = (self.law.rest + self.strain_map.strain(u) for u in (u0, u1))
         slopes = step * self.strain_map.rate(u0, v0), step * self.strain_map.rate(u1, v1)
-        return {"largest_overlap": jnp.maximum(variables["largest_overlap"], _highest(s0, s1, *slopes))}
+        return {
+            "largest_overlap": jnp.maximum(variables["largest_overlap"], _highest(s0, s1, *slopes))
+        }
 
     def lost(self, variables):
         law = self.recalling(variables).law

@@ -50,12 +50,18 @@ class Reach(eqx.Module):
     def opens(self, law: Any) -> Flags:
         """Whether some contact of the law may open."""
         overlaps = [law.overlap(x) for x in self._ends(law)]
-        return jnp.any(jnp.stack([jnp.min(s) <= 0 for s in overlaps if s is not None] or [jnp.zeros((), bool)]))
+        return jnp.any(
+            jnp.stack([jnp.min(s) <= 0 for s in overlaps if s is not None] or [jnp.zeros((), bool)])
+        )
 
     def _ends(self, law):
-        like = jax.eval_shape(lambda e: law.force(e) + 0 * self.energy[0], jnp.zeros_like(self.energy[0]))
+        like = jax.eval_shape(
+            lambda e: law.force(e) + 0 * self.energy[0], jnp.zeros_like(self.energy[0])
+        )
         sign = jnp.asarray([-1.0, 1.0], like.dtype).reshape((2,) + (1,) * len(like.shape))
-        energy = self.energy.reshape(sign.shape[: sign.ndim + 1 - self.energy.ndim] + self.energy.shape[1:])
+        energy = self.energy.reshape(
+            sign.shape[: sign.ndim + 1 - self.energy.ndim] + self.energy.shape[1:]
+        )
         shared = None
         if self.displacement is not None:
             share = self.displacement.reshape(sign.shape)
@@ -117,7 +123,9 @@ def furthest(reachable: Callable, zero: Numbers, sign: Numbers | float):
         high = jnp.where(inside == doubling, jnp.where(doubling, 2 * x, x), high)
         return jnp.where(inside, x, low), high, inside
 
-    low, *_ = jax.lax.fori_loop(0, DOUBLED + 1 + HALVED, closer, (zero, start, jnp.ones(zero.shape, bool)))
+    low, *_ = jax.lax.fori_loop(
+        0, DOUBLED + 1 + HALVED, closer, (zero, start, jnp.ones(zero.shape, bool))
+    )
     return sign * jnp.where(low >= start, low, 0)
 
 
@@ -149,7 +157,9 @@ def largest_eigenvalue(term: Any, lattice: Any, reach: Reach | Reached) -> Any:
         return largest
 
     def further():
-        return jnp.max(jax.lax.map(lambda direction: eigenvalue(within(direction)), _directions(lattice)))
+        return jnp.max(
+            jax.lax.map(lambda direction: eigenvalue(within(direction)), _directions(lattice))
+        )
 
     return jnp.maximum(largest, jax.lax.cond(energy > 0, further, lambda: zero))
 

@@ -64,8 +64,13 @@ class OnSite(Term):
         return eqx.tree_at(lambda term: term.law, self, spring(self.law, get(u, self.field)))
 
     def resists(self, lattice, moves):
-        return np.stack([np.concatenate([np.ravel(x) for x in jax.tree.leaves(get(move, self.field))])
-                         for move in moves], -1)
+        return np.stack(
+            [
+                np.concatenate([np.ravel(x) for x in jax.tree.leaves(get(move, self.field))])
+                for move in moves
+            ],
+            -1,
+        )
 
     def span(self):
         return ()
@@ -104,7 +109,11 @@ class Drive(Term):
     field: str | None = eqx.field(static=True)
 
     def __init__(
-        self, waveform: Waveform, site: Site = 0, field: str | None = None, breaks: Parameter | Breaks | None = None,
+        self,
+        waveform: Waveform,
+        site: Site = 0,
+        field: str | None = None,
+        breaks: Parameter | Breaks | None = None,
     ):
         self.waveform = as_module(waveform)
         self.site = tuple(site) if isinstance(site, (tuple, list)) else (site,)
@@ -129,8 +138,14 @@ class Drive(Term):
         sites = sites.get(self.field, ()) if isinstance(sites, dict) else sites
         if len(self.site) != len(sites) or any(not -n <= i < n for i, n in zip(self.site, sites)):
             refuse(name, f"a site of a lattice of {sites}", f"site {self.site}")
-        if lattice.dimension is not None and jax.eval_shape(self.waveform, jnp.zeros(())).shape != (lattice.dimension,):
-            refuse(name, f"a waveform that gives a vector of {lattice.dimension}", "one of another shape")
+        if lattice.dimension is not None and jax.eval_shape(self.waveform, jnp.zeros(())).shape != (
+            lattice.dimension,
+        ):
+            refuse(
+                name,
+                f"a waveform that gives a vector of {lattice.dimension}",
+                "one of another shape",
+            )
 
     def excitation(self, lattice, ts):
         zero = jnp.zeros((), lattice.dtype)

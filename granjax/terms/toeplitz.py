@@ -15,8 +15,11 @@ def neighbour_sums(c, x, parity, boundary):
     `c` (M,), for offsets 1 to M, and `x` (N, ...): lanes last, of which those of `c` are the first. Beyond the ends of
     a chain x is zero; around a ring (`boundary` "periodic") every offset counts, as often as it goes around.
     """
-    return back(behind(spectrum(c, x.shape[0], parity, boundary, x.dtype), x.ndim) * forth(x, boundary), x.shape[0],
-                boundary)
+    return back(
+        behind(spectrum(c, x.shape[0], parity, boundary, x.dtype), x.ndim) * forth(x, boundary),
+        x.shape[0],
+        boundary,
+    )
 
 
 def spectrum(c, n, parity, boundary, dtype):
@@ -33,8 +36,10 @@ def spectrum(c, n, parity, boundary, dtype):
 
 def behind(spectrum, ndim):
     """A spectrum as complex numbers for arrays of so many axes, frequencies last as `forth` has them."""
-    real, imag = (None if x is None else jnp.moveaxis(x.reshape(x.shape + (1,) * (ndim - x.ndim)), 0, -1)
-                  for x in spectrum)
+    real, imag = (
+        None if x is None else jnp.moveaxis(x.reshape(x.shape + (1,) * (ndim - x.ndim)), 0, -1)
+        for x in spectrum
+    )
     return real if imag is None else 1j * imag if real is None else jax.lax.complex(real, imag)
 
 
@@ -79,7 +84,9 @@ def _laid_out(c, n, parity):
 def _turn(n, dtype):
     """The weights w^j."""
     length = smooth(n)
-    return np.exp(0.5j * np.pi * np.arange(length) / length).astype(jnp.result_type(dtype, np.complex64))
+    return np.exp(0.5j * np.pi * np.arange(length) / length).astype(
+        jnp.result_type(dtype, np.complex64)
+    )
 
 
 def smooth(n):

@@ -52,8 +52,12 @@ def traced(term: Any, lattice: Any):
 def reads(term: Any, lattice: Any) -> Dependence:
     """What a term says that its force reads, and what tracing finds that it reads besides."""
     said, found = term.dependence(lattice), traced(term, lattice)[1]
-    return said._replace(**{name: getattr(said, name) or getattr(found, name)
-                            for name in ("time", "displacement", "velocity")})
+    return said._replace(
+        **{
+            name: getattr(said, name) or getattr(found, name)
+            for name in ("time", "displacement", "velocity")
+        }
+    )
 
 
 def time_of(lattice: Any):
@@ -89,17 +93,24 @@ def used(function: Callable, arguments: tuple, places: tuple = (1,)):
     arguments = jax.tree.map(_abstract, arguments)
     dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
     closed, shapes = jax.make_jaxpr(
-        lambda dynamic: function(*eqx.combine(dynamic, static)), return_shape=True)(dynamic)
+        lambda dynamic: function(*eqx.combine(dynamic, static)), return_shape=True
+    )(dynamic)
     _, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.out_avals))
     used = jax.tree.unflatten(jax.tree.structure(dynamic), used)
-    return shapes, _holds(closed.jaxpr, "fft"), *(any(jax.tree.leaves(used[place])) for place in places)
+    return (
+        shapes,
+        _holds(closed.jaxpr, "fft"),
+        *(any(jax.tree.leaves(used[place])) for place in places),
+    )
 
 
 def _holds(jaxpr, primitive):
     """Whether a traced program holds an operation, in whatever it calls too."""
     parameters = jax.tree.leaves([list(eqn.params.values()) for eqn in jaxpr.eqns])
     inner = [getattr(x, "jaxpr", x) for x in parameters if isinstance(x, (ClosedJaxpr, Jaxpr))]
-    return any(eqn.primitive.name == primitive for eqn in jaxpr.eqns) or any(_holds(part, primitive) for part in inner)
+    return any(eqn.primitive.name == primitive for eqn in jaxpr.eqns) or any(
+        _holds(part, primitive) for part in inner
+    )
 
 
 def _shapes(function, arguments):
@@ -122,9 +133,14 @@ def stand_in(x: Number):
 def answers_to(moves: list, term: Any, mass: Displacements | Number, template: Pytree):
     """dF/du along some displacements, (scales, n, moves), each relative to the answer to a random one."""
     random = np.random.default_rng(0)
-    where, other = (jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template) for _ in range(2))
+    where, other = (
+        jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template)
+        for _ in range(2)
+    )
     with jax.ensure_compile_time_eval():
-        return np.stack([_answers(moves, term, mass, where, other, jnp.asarray(scale)) for scale in SCALES])
+        return np.stack(
+            [_answers(moves, term, mass, where, other, jnp.asarray(scale)) for scale in SCALES]
+        )
 
 
 @eqx.filter_jit

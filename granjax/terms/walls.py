@@ -47,8 +47,13 @@ class Wall(Term):
     field: str | None = eqx.field(static=True)
 
     def __init__(
-        self, law: Law, side: str = "right", motion: Waveform | None = None, support: Parameter | None = None,
-        field: str | None = None, breaks: Parameter | Breaks | None = None,
+        self,
+        law: Law,
+        side: str = "right",
+        motion: Waveform | None = None,
+        support: Parameter | None = None,
+        field: str | None = None,
+        breaks: Parameter | Breaks | None = None,
     ):
         self.law = law if support is None else Yielding(law, support)
         self.side = one_of("side", side, ("left", "right"))
@@ -64,8 +69,12 @@ class Wall(Term):
 
     def check(self, name, lattice):
         if lattice.axes != 1 or lattice.dimension is not None:
-            refuse(name, "a chain with scalar displacements", f"a lattice of shape {lattice.shape}",
-                   "Hold ends by bonds.")
+            refuse(
+                name,
+                "a chain with scalar displacements",
+                f"a lattice of shape {lattice.shape}",
+                "Hold ends by bonds.",
+            )
 
     def dependence(self, lattice):
         return Dependence(time=self.motion is not None, displacement=True, energy=True)
@@ -93,7 +102,10 @@ class Wall(Term):
 
     def _put(self, value, u):
         x = jnp.zeros_like(get(u, self.field))
-        return put(x.at[0 if self.side == "left" else -1].set(jnp.asarray(value).astype(x.dtype)), self.field)
+        return put(
+            x.at[0 if self.side == "left" else -1].set(jnp.asarray(value).astype(x.dtype)),
+            self.field,
+        )
 
     def compressions(self, t, u):
         return (Compression(self.law, jnp.asarray(self.compression(t, u))[None], "wall"),)
@@ -102,7 +114,12 @@ class Wall(Term):
         return self._still(self.law)
 
     def _still(self, law):
-        return eqx.tree_at(lambda x: (x.law, x.motion, x.breaks), self, (law, None, None), is_leaf=lambda x: x is None)
+        return eqx.tree_at(
+            lambda x: (x.law, x.motion, x.breaks),
+            self,
+            (law, None, None),
+            is_leaf=lambda x: x is None,
+        )
 
     def scaled(self, factor):
         return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))

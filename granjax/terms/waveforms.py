@@ -55,7 +55,9 @@ class Harmonic(eqx.Module):
     mean: jax.Array
     __repr__ = told
 
-    def __init__(self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0):
+    def __init__(
+        self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0
+    ):
         self.amplitude, self.omega = parameter("amplitude", amplitude), parameter("omega", omega)
         self.phase, self.mean = parameter("phase", phase), parameter("mean", mean)
 
@@ -96,7 +98,9 @@ class Breaks(Dimensional):
         """
         times, slack = sign * self.times, ULPS * jnp.finfo(self.times.dtype).eps
         if self.period is not None:
-            count = jnp.floor((t - times) / self.period + slack * (1 + jnp.abs(t) / self.period)) + 1
+            count = (
+                jnp.floor((t - times) / self.period + slack * (1 + jnp.abs(t) / self.period)) + 1
+            )
             times = times + count * self.period
         return jnp.min(jnp.where(times > t + slack * jnp.abs(t), times, jnp.inf))
 
@@ -106,7 +110,10 @@ class Breaks(Dimensional):
         low, high = t0 + slack * jnp.abs(t0), t1 - slack * jnp.abs(t1)
         if self.period is None:
             return jnp.sum((times > low) & (times < high)).astype(times.dtype)
-        before, until = jnp.ceil((high - times) / self.period) - 1, jnp.floor((low - times) / self.period)
+        before, until = (
+            jnp.ceil((high - times) / self.period) - 1,
+            jnp.floor((low - times) / self.period),
+        )
         return jnp.sum(jnp.maximum(before - until, 0))
 
 
@@ -135,10 +142,17 @@ class Square(eqx.Module):
     __repr__ = told
 
     def __init__(
-        self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0,
+        self,
+        amplitude: Parameter,
+        omega: Parameter,
+        phase: Parameter = 0.0,
+        mean: Parameter = 0.0,
         share: Parameter = 0.5,
     ):
-        self.amplitude, self.omega = parameter("amplitude", amplitude), positive("omega", omega, "It has a period.")
+        self.amplitude, self.omega = (
+            parameter("amplitude", amplitude),
+            positive("omega", omega, "It has a period."),
+        )
         self.phase, self.mean = parameter("phase", phase), parameter("mean", mean)
         self.share = within("share", share, 0, 1, open_low=True, open_high=True)
 
@@ -154,8 +168,12 @@ class Square(eqx.Module):
     def breaks(self) -> Breaks:
         """The times at which it jumps."""
         period = 2 * jnp.pi / self.omega
-        return Breaks(jnp.stack(jnp.broadcast_arrays(-self._turns * period, (self.share - self._turns) * period)),
-                      period)
+        return Breaks(
+            jnp.stack(
+                jnp.broadcast_arrays(-self._turns * period, (self.share - self._turns) * period)
+            ),
+            period,
+        )
 
 
 def next_break(breaks: tuple, t: Number, sign: Number = 1) -> Number:

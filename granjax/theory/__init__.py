@@ -32,6 +32,18 @@ from .fitting import FittedEdges, shock_edges
 from .relaxation import mittag_leffler
 
 __all__ = [
-    "FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "localisation", "long_wave", "mittag_leffler", "nls",
-    "restitution", "shock_edges", "simple_wave", "stokes", "toda",
+    "FittedEdges",
+    "compacton",
+    "elliptic",
+    "kdv",
+    "linear_shock",
+    "localisation",
+    "long_wave",
+    "mittag_leffler",
+    "nls",
+    "restitution",
+    "shock_edges",
+    "simple_wave",
+    "stokes",
+    "toda",
 ]

@@ -38,14 +38,23 @@ def _one_given(given, above, sound):
     """The only one of several numbers that is not None, and its name; above a floor. `sound`: what sets its speed."""
     names = [name for name, x in given.items() if x is not None]
     if len(names) != 1:
-        refuse(", ".join(given), "one of these", ", ".join(names) or "none", "Each says how large the wave is.")
+        refuse(
+            ", ".join(given),
+            "one of these",
+            ", ".join(names) or "none",
+            "Each says how large the wave is.",
+        )
     name = names[0]
     array, floor = parameter(name, given[name]), concrete(above[name])
     value = concrete(array)
     if value is not None and floor is not None and not np.all(value > floor):
         slow = name == "speed"
-        refuse(name, f"numbers above {show(floor)}" + ", the speed of sound" * slow, show(value),
-               f"A solitary wave is faster than sound, whose speed {sound} set." if slow else "")
+        refuse(
+            name,
+            f"numbers above {show(floor)}" + ", the speed of sound" * slow,
+            show(value),
+            f"A solitary wave is faster than sound, whose speed {sound} set." if slow else "",
+        )
     return name, array
 
 
@@ -56,8 +65,11 @@ def _direction_of(direction):
 
 def _stiffnesses(K2, K3, mass, remedy):
     """K2 > 0, K3 other than zero, mass > 0, as arrays."""
-    K2, K3, mass = positive("K2", K2, "A chain without linear stiffness has no sound."), parameter("K3", K3), positive(
-        "mass", mass)
+    K2, K3, mass = (
+        positive("K2", K2, "A chain without linear stiffness has no sound."),
+        parameter("K3", K3),
+        positive("mass", mass),
+    )
     value = concrete(K3)
     if value is not None and np.any(value == 0):
         refuse("K3", "numbers other than zero", show(value), remedy)
@@ -85,5 +97,9 @@ def _toda_constants(strength, rate, mass):
     positive("mass", m)
     signs = concrete(a), concrete(b)
     if all(x is not None for x in signs) and not np.all(signs[0] * signs[1] > 0):
-        refuse("strength, rate", "two numbers of one sign, not zero", f"{show(signs[0])} and {show(signs[1])}")
+        refuse(
+            "strength, rate",
+            "two numbers of one sign, not zero",
+            f"{show(signs[0])} and {show(signs[1])}",
+        )
     return a, b, m

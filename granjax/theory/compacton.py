@@ -30,7 +30,13 @@ __all__ = ["Compacton", "ahnert_pikovsky", "nesterenko", "rosenau_hyman"]
 # of the tanh-sinh quadrature: nodes, and how far they reach; steps of Newton's method on what is nearly linear
 _REACH = np.linspace(-3.1, 3.1, 50)
 NODES = (1 + np.tanh(np.pi / 2 * np.sinh(_REACH))) / 2
-WEIGHTS = (_REACH[1] - _REACH[0]) * np.pi / 4 * np.cosh(_REACH) / np.cosh(np.pi / 2 * np.sinh(_REACH)) ** 2
+WEIGHTS = (
+    (_REACH[1] - _REACH[0])
+    * np.pi
+    / 4
+    * np.cosh(_REACH)
+    / np.cosh(np.pi / 2 * np.sinh(_REACH)) ** 2
+)
 NEWTON = 12
 
 
@@ -55,7 +61,12 @@ class Compacton(NamedTuple):
 
 
 def nesterenko(
-    x: Parameter, p: Parameter = 1.5, *, speed: Parameter = 1.0, stiffness: Parameter = 1.0, mass: Parameter = 1.0
+    x: Parameter,
+    p: Parameter = 1.5,
+    *,
+    speed: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> Compacton:
     """The compacton of the long-wave equation of the displacements; Hertz: (25/16) c^4 cos^4((2/5)^{1/2} x).
 
@@ -72,7 +83,12 @@ def nesterenko(
 
 
 def ahnert_pikovsky(
-    x: Parameter, p: Parameter = 1.5, *, speed: Parameter = 1.0, stiffness: Parameter = 1.0, mass: Parameter = 1.0
+    x: Parameter,
+    p: Parameter = 1.5,
+    *,
+    speed: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> Compacton:
     """The compacton of the long-wave equation of the strains; Hertz: (36/25) c^4 cos^4(x/3^{1/2}).
 
@@ -88,7 +104,9 @@ def ahnert_pikovsky(
     return _chain(x, p, 2 * p / (p + 1), jnp.sqrt(3.0) * (p - 1) / p, speed, stiffness, mass)
 
 
-def rosenau_hyman(x: Parameter, m: Parameter = 2.0, n: Parameter = 2.0, *, speed: Parameter = 1.0) -> Numbers:
+def rosenau_hyman(
+    x: Parameter, m: Parameter = 2.0, n: Parameter = 2.0, *, speed: Parameter = 1.0
+) -> Numbers:
     r"""The compacton of K(m, n), u_t + (u^m)_x + (u^n)_xxx = 0, at x - c t; m, n > 1.
 
     Its top is a = (c (m + n)/(n + 1))^{1/(m - 1)}. K(n, n): a cos^{2/(n - 1)}((n - 1) x/(2 n)), K(2, 2) has
@@ -120,7 +138,9 @@ def _of_powers(x, m, n, c):
 
     def nearer(_, psi):
         reached = psi * _mean(psi, g) ** (1 / g)
-        return jnp.clip(psi - (reached - target) * (reached / jnp.sin(psi)) ** (g - 1), 0.1 * psi, jnp.pi / 2)
+        return jnp.clip(
+            psi - (reached - target) * (reached / jnp.sin(psi)) ** (g - 1), 0.1 * psi, jnp.pi / 2
+        )
 
     psi = jax.lax.fori_loop(0, NEWTON, nearer, jnp.minimum(target, jnp.pi / 2))
     return jnp.where(inside, top * jnp.sin(psi) ** (2 / (m - 1)), 0.0)
@@ -143,13 +163,25 @@ def _sinc(z):
 
 
 def _exponent(name, p):
-    return within(name, p, 1, np.inf, open_low=True, remedy="A force that is linear or softer has no compacton.")
+    return within(
+        name,
+        p,
+        1,
+        np.inf,
+        open_low=True,
+        remedy="A force that is linear or softer has no compacton.",
+    )
 
 
 def _chain(x, p, top, b, speed, stiffness, mass):
-    speed, stiffness, mass = positive("speed", speed), positive("stiffness", stiffness), positive("mass", mass)
+    speed, stiffness, mass = (
+        positive("speed", speed),
+        positive("stiffness", stiffness),
+        positive("mass", mass),
+    )
     x, p, top, b, speed, stiffness, mass = _numbers(
-        x=x, p=p, top=top, b=b, speed=speed, stiffness=stiffness, mass=mass)
+        x=x, p=p, top=top, b=b, speed=speed, stiffness=stiffness, mass=mass
+    )
     return Compacton(*_cosines(x, p, top, b, speed, mass / stiffness))
 
 
@@ -159,6 +191,8 @@ def _cosines(x, p, top, b, c, ratio):
 
     def profile(x):
         inside = jnp.abs(b * x) < jnp.pi / 2
-        return jnp.where(inside, height * jnp.cos(jnp.where(inside, b * x, 0.0)) ** (2 / (p - 1)), 0.0)
+        return jnp.where(
+            inside, height * jnp.cos(jnp.where(inside, b * x, 0.0)) ** (2 / (p - 1)), 0.0
+        )
 
     return profile(x), c * profile(x - 0.5), jnp.pi / (2 * b)

@@ -132,7 +132,9 @@ def F(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
     return _F(phi, m1)
 
 
-def incomplete_E(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
+def incomplete_E(
+    phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
+) -> Numbers:
     """Incomplete integral of the second kind E(phi, m) = int_0^phi (1 - m sin^2)^{1/2}. As `F`, but always finite.
 
     **Example:**
@@ -168,7 +170,9 @@ def _arguments(m, m1, **others):
     if (m is None) == (m1 is None):
         refuse("m, m1", "one of the two", "both" if m1 is not None else "none", "m1 is 1 - m.")
     name, given = ("m", m) if m1 is None else ("m1", m1)
-    given = within(name, given, 0, 1, remedy="The parameter is m = k^2; real solutions have it in [0, 1].")
+    given = within(
+        name, given, 0, 1, remedy="The parameter is m = k^2; real solutions have it in [0, 1]."
+    )
     return [parameter(key, x) for key, x in others.items()], 1 - given if m1 is None else given
 
 
@@ -177,8 +181,12 @@ def _resolved(u, m1):
     value, other = concrete(u), concrete(m1)
     most = 0.1 / float(jnp.finfo(u.dtype).eps)
     if value is not None and other is not None and np.any((np.abs(value) > most) & (other > 0)):
-        refuse("u", f"numbers below {most:.3g} in size, but at m = 1", show(value),
-               "Beyond, the rounding of u itself passes through periods. Take it modulo 4 K(m).")
+        refuse(
+            "u",
+            f"numbers below {most:.3g} in size, but at m = 1",
+            show(value),
+            "Beyond, the rounding of u itself passes through periods. Take it modulo 4 K(m).",
+        )
     return u
 
 
@@ -186,5 +194,10 @@ def _characteristic(n):
     n = parameter("n", n)
     value = concrete(n)
     if value is not None and not np.all(value <= 1):
-        refuse("n", "numbers not above 1", show(value), "Beyond 1 the integrand has a pole; no principal value.")
+        refuse(
+            "n",
+            "numbers not above 1",
+            show(value),
+            "Beyond 1 the integrand has a pole; no principal value.",
+        )
     return n

@@ -44,8 +44,14 @@ def _nome(m1):
     return jnp.exp(-jnp.pi * _K(1 - m1) / _K(m1))
 
 
-_sloped(_nome, lambda m1: -((jnp.pi / (2 * _K(m1))) ** 2) / m1 * jnp.where(
-    m1 < 1, _nome(m1) / jnp.where(m1 < 1, 1 - m1, 1.0), 1 / 16))
+_sloped(
+    _nome,
+    lambda m1: (
+        -((jnp.pi / (2 * _K(m1))) ** 2)
+        / m1
+        * jnp.where(m1 < 1, _nome(m1) / jnp.where(m1 < 1, 1 - m1, 1.0), 1 / 16)
+    ),
+)
 
 
 def _log_theta(u, m1):
@@ -56,12 +62,15 @@ def _log_theta(u, m1):
     q, z = _nome(jnp.where(round_, m1, 1.0)), jnp.pi * r / jnp.where(round_, K, 1.0)
     by_cosines = jnp.log1p(
         sum(-4 * (-1) ** n * q ** (n * n) * jnp.sin(n * z / 2) ** 2 for n in range(1, TERMS))
-        / (1 + sum(2 * (-1) ** n * q ** (n * n) for n in range(1, TERMS))))
+        / (1 + sum(2 * (-1) ** n * q ** (n * n) for n in range(1, TERMS)))
+    )
     other = jnp.where(round_, 1.0, other)
     x, log_q = jnp.pi * r / (2 * other), jnp.where(m1 > 0, -jnp.pi * K / other, -jnp.inf)
     log_q = jnp.where(round_, -1.0, log_q)
     series = (1 + jnp.exp(-2 * x)) / 2 + sum(
-        jnp.exp((n * n + n) * log_q + 2 * n * x) * (1 + jnp.exp(-(4 * n + 2) * x)) / 2 for n in range(1, TERMS))
+        jnp.exp((n * n + n) * log_q + 2 * n * x) * (1 + jnp.exp(-(4 * n + 2) * x)) / 2
+        for n in range(1, TERMS)
+    )
     at_0 = 1 + sum(jnp.exp((n * n + n) * log_q) for n in range(1, TERMS))
     square = jnp.where(m1 > 0, jnp.pi * r * r / (4 * K * other), 0.0)
     return jnp.where(round_, by_cosines, x - square + jnp.log(series / at_0))
@@ -75,11 +84,19 @@ def _in_period(r, m1):
     far = w > K / 2
     w = jnp.where(far, K - w, w)
     round_ = m1 > 0.5
-    s, c, d = (jnp.where(round_, x, y) for x, y in zip(
-        _by_sines(w, jnp.where(round_, K, 1.0), jnp.where(round_, other, 1.0)),
-        _by_exponentials(w, jnp.where(round_, 1.0, K), jnp.where(round_, 1.0, other))))
+    s, c, d = (
+        jnp.where(round_, x, y)
+        for x, y in zip(
+            _by_sines(w, jnp.where(round_, K, 1.0), jnp.where(round_, other, 1.0)),
+            _by_exponentials(w, jnp.where(round_, 1.0, K), jnp.where(round_, 1.0, other)),
+        )
+    )
     root, safe = jnp.sqrt(m1), jnp.where(far, d, 1.0)
-    s, c, d = jnp.where(far, c / safe, s), jnp.where(far, root * s / safe, c), jnp.where(far, root / safe, d)
+    s, c, d = (
+        jnp.where(far, c / safe, s),
+        jnp.where(far, root * s / safe, c),
+        jnp.where(far, root / safe, d),
+    )
     return jnp.sign(r) * s, c, d
 
 
@@ -96,15 +113,23 @@ def _by_sines(w, K, other):
         one, two = one + (-1) ** n * q ** (n * n + n) * odd, two + q ** (n * n + n) * even
     three, four, two_0, three_0, four_0 = _constants(q, cosines)
     one, two = one * jnp.sin(z), two * jnp.cos(z)
-    return three_0 * one / (two_0 * four), four_0 * two / (two_0 * four), four_0 * three / (three_0 * four)
+    return (
+        three_0 * one / (two_0 * four),
+        four_0 * two / (two_0 * four),
+        four_0 * three / (three_0 * four),
+    )
 
 
 def _constants(q, cosines):
     """theta_3, theta_4, and theta_2 (over 2 q^{1/4}), theta_3, theta_4 at zero."""
     terms = [(q ** (n * n), (-1) ** n, cosines[n]) for n in range(1, TERMS)]
-    return (1 + 2 * sum(a * c for a, _, c in terms), 1 + 2 * sum(s * a * c for a, s, c in terms),
-            sum(q ** (n * n + n) for n in range(TERMS)), 1 + 2 * sum(a for a, _, _ in terms),
-            1 + 2 * sum(s * a for a, s, _ in terms))
+    return (
+        1 + 2 * sum(a * c for a, _, c in terms),
+        1 + 2 * sum(s * a * c for a, s, c in terms),
+        sum(q ** (n * n + n) for n in range(TERMS)),
+        1 + 2 * sum(a for a, _, _ in terms),
+        1 + 2 * sum(s * a for a, s, _ in terms),
+    )
 
 
 def _by_exponentials(w, K, other):
@@ -122,7 +147,11 @@ def _by_exponentials(w, K, other):
         three, four = three + more, four + (-1) ** n * more
     one, two, near = -jnp.expm1(-2 * x) * one / 2, two / 2, jnp.exp(-x)
     *_, two_0, three_0, four_0 = _constants(q, [1.0] * TERMS)
-    return three_0 * one / (four_0 * two), two_0 * near * four / (four_0 * two), two_0 * near * three / (three_0 * two)
+    return (
+        three_0 * one / (four_0 * two),
+        two_0 * near * four / (four_0 * two),
+        two_0 * near * three / (three_0 * two),
+    )
 
 
 @partial(_in_period.defjvp, symbolic_zeros=True)
@@ -146,7 +175,9 @@ def _slopes_in_m(s, c, d, m1):
     """Derivatives in m, from that of the amplitude, -dn int_0^u (sn/dn)^2/2."""
     flat = _flat(d)
     safe = jnp.where(flat, 1.0, d)
-    turn = jnp.where(flat, -jnp.sign(s) / (4 * d), -safe * s**3 * _RD(jnp.where(flat, 1.0, c), 1.0, safe) / 6)
+    turn = jnp.where(
+        flat, -jnp.sign(s) / (4 * d), -safe * s**3 * _RD(jnp.where(flat, 1.0, c), 1.0, safe) / 6
+    )
     # finite, so that a tangent that is zero stays so
     turn = jnp.clip(turn, -jnp.finfo(turn.dtype).max, jnp.finfo(turn.dtype).max)
     first = jnp.where(flat, -jnp.sign(s) / 4, c * jnp.where(flat, 0.0, turn))

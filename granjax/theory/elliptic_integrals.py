@@ -20,6 +20,7 @@ def _duplicated(a, b, c, step, start):
 
     Roots are what is given: an argument that passes zero, such as cos^2 phi, then has a derivative there.
     """
+
     def once(i, carry):
         (x, y, z), (a, b, c), gathered = carry
         shift = a * b + b * c + c * a
@@ -51,7 +52,9 @@ def _RD(a, b, c):
         total, factor = gathered
         return total + factor / (roots[2] * (z + shift)), factor / 4
 
-    (x, y, z), _, (total, factor) = _duplicated(a, b, c, step, (jnp.zeros_like(a), jnp.ones_like(a)))
+    (x, y, z), _, (total, factor) = _duplicated(
+        a, b, c, step, (jnp.zeros_like(a), jnp.ones_like(a))
+    )
     mean = (x + y + 3 * z) / 5
     X, Y = 1 - x / mean, 1 - y / mean
     return factor * _fifth(X, Y, -(X + Y) / 3) / (mean * jnp.sqrt(mean)) + 3 * total
@@ -86,8 +89,23 @@ def _fifth(X, Y, Z):
 
 
 def _series(E2, E3, E4, E5):
-    high = 45 * E2 * E2 * E3 / 272 - 9 * (E3 * E4 + E2 * E5) / 68 - E2**3 / 16 + 3 * E3**2 / 40 + 3 * E2 * E4 / 20
-    return 1 - 3 * E2 / 14 + E3 / 6 + 9 * E2 * E2 / 88 - 3 * E4 / 22 - 9 * E2 * E3 / 52 + 3 * E5 / 26 + high
+    high = (
+        45 * E2 * E2 * E3 / 272
+        - 9 * (E3 * E4 + E2 * E5) / 68
+        - E2**3 / 16
+        + 3 * E3**2 / 40
+        + 3 * E2 * E4 / 20
+    )
+    return (
+        1
+        - 3 * E2 / 14
+        + E3 / 6
+        + 9 * E2 * E2 / 88
+        - 3 * E4 / 22
+        - 9 * E2 * E3 / 52
+        + 3 * E5 / 26
+        + high
+    )
 
 
 def _arc(e):
@@ -115,10 +133,13 @@ def _arctan(x):
 
 def _sloped(function, slope):
     """Give a function of m1 a slope, which may be infinite where m1 = 0."""
+
     @partial(function.defjvp, symbolic_zeros=True)
     def _(primals, tangents):
         value, (change,) = function(*primals), tangents
-        return value, jnp.zeros_like(value) if isinstance(change, SymbolicZero) else slope(*primals) * change
+        return value, jnp.zeros_like(value) if isinstance(change, SymbolicZero) else slope(
+            *primals
+        ) * change
 
 
 def _positive(m1):
@@ -129,8 +150,12 @@ def _positive(m1):
 
 @jax.custom_jvp
 def _K(m1):
-    a, b = jax.lax.fori_loop(0, MEANS, lambda i, ab: ((ab[0] + ab[1]) / 2, jnp.sqrt(ab[0] * ab[1])),
-                             (jnp.ones_like(m1), _positive(m1)[1]))
+    a, b = jax.lax.fori_loop(
+        0,
+        MEANS,
+        lambda i, ab: ((ab[0] + ab[1]) / 2, jnp.sqrt(ab[0] * ab[1])),
+        (jnp.ones_like(m1), _positive(m1)[1]),
+    )
     return jnp.where(m1 != 0, jnp.pi / (a + b), jnp.inf)
 
 
@@ -199,5 +224,7 @@ def _third(n, s, c, d, m1):
     p = jnp.sqrt(c * c + jnp.where(below, m1 / (1 - v), 1 - n) * s * s)
     other = first + jnp.where(below, (m - v) / (1 - v), n) / 3 * s**3 * _RJ(c, d, 1.0, p)
     angle = _arctan(jnp.sqrt(-v * (m - v) / (1 - v)) * s * c / d)
-    turned = (-v * m1 / (1 - v) * other + m * first) / (m - v) + jnp.sqrt(-v / ((m - v) * (1 - v))) * angle
+    turned = (-v * m1 / (1 - v) * other + m * first) / (m - v) + jnp.sqrt(
+        -v / ((m - v) * (1 - v))
+    ) * angle
     return jnp.where(below, turned, other)

@@ -42,7 +42,8 @@ STRONG = (
     "{}: the waves behind would be shorter than two sites, and there is no trailing edge of this kind. The leading "
     "speed is that of a solitary wave: exact of Toda's chain; of contacts without sound ahead 0.13 and 0.04 % below "
     "simulated ones for p = 3/2 and 2, 0.3 % above for p = 3. The mean is the simple wave's and too large: there by "
-    "1.2, 3.3 and 15 %, of Toda's chain by 2 ln(1 + c) - ln 4c (scaled).")
+    "1.2, 3.3 and 15 %, of Toda's chain by 2 ln(1 + c) - ln 4c (scaled)."
+)
 
 
 class FittedEdges(Result):
@@ -72,9 +73,15 @@ class FittedEdges(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "trailing_speed": Held("", "1/s"), "leading_speed": Held("", "1/s"), "mean": Held("", "m"),
-        "sound": Held("", "1/s"), "trailing_excess": Held("", "1"), "leading_excess": Held("", "1"),
-        "error": Held("", "1"), "wave_speed": Held("", "1/s"), "amplitude": Held("", "m"),
+        "trailing_speed": Held("", "1/s"),
+        "leading_speed": Held("", "1/s"),
+        "mean": Held("", "m"),
+        "sound": Held("", "1/s"),
+        "trailing_excess": Held("", "1"),
+        "leading_excess": Held("", "1"),
+        "error": Held("", "1"),
+        "wave_speed": Held("", "1/s"),
+        "amplitude": Held("", "m"),
     }
     trailing_speed: Number
     leading_speed: Number
@@ -89,7 +96,12 @@ class FittedEdges(Result):
 
 
 def shock_edges(
-    law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0, wave: bool = False,
+    law: Law | Lattice,
+    c: Scalar,
+    mass: Scalar = 1.0,
+    *,
+    ahead: Scalar = 0.0,
+    wave: bool = False,
 ) -> FittedEdges:
     r"""Edges of the shock v_n = -2c sign(n) of a chain, by dispersive-shock fitting.
 
@@ -121,13 +133,18 @@ def shock_edges(
     path = _path_to(medium.known, c, ahead, "shock")
     if not path.growth > 0:
         refuse("c", "a jump that changes the speed of sound by what numbers resolve", f"{path.c:g}")
-    mean, sound, trailing, leading = _excesses(
-        medium.law, medium.mass, c, ahead, *path.arrays)
+    mean, sound, trailing, leading = _excesses(medium.law, medium.mass, c, ahead, *path.arrays)
     speeds, front = [sound * (1 + trailing), sound * (1 + leading)], (None, None)
-    sentences = [f"Found to {path.error:.0e} of what the formulas say, which are exact of Toda's chain alone."]
+    sentences = [
+        f"Found to {path.error:.0e} of what the formulas say, which are exact of Toda's chain alone."
+    ]
     strong = not path.growth < BINARY - 1
     if strong or wave:
-        fit = max(0.8 * path.behind, 1.05 * path.sound) if strong else float(jax.lax.stop_gradient(speeds[1]))
+        fit = (
+            max(0.8 * path.behind, 1.05 * path.sound)
+            if strong
+            else float(jax.lax.stop_gradient(speeds[1]))
+        )
         *front, told = _front(medium, c, ahead, path, fit)
         apart = float(jax.lax.stop_gradient(front[0])) / fit - 1
         sentences.append(told)
@@ -137,13 +154,28 @@ def shock_edges(
         sentences.append("wave=True tells how far to trust them elsewhere.")
     if strong:
         speeds = [jnp.full((), jnp.nan), front[0]]
-        trailing, leading = speeds[0], front[0] / sound - 1 if path.sound > 0 else jnp.full((), jnp.inf)
-        sentences[0] = STRONG.format(f"The speed of sound grows {path.growth + 1:.4g} times, which is twofold or more"
-                                     if path.sound else "Ahead there is no sound")
+        trailing, leading = (
+            speeds[0],
+            front[0] / sound - 1 if path.sound > 0 else jnp.full((), jnp.inf),
+        )
+        sentences[0] = STRONG.format(
+            f"The speed of sound grows {path.growth + 1:.4g} times, which is twofold or more"
+            if path.sound
+            else "Ahead there is no sound"
+        )
     return FittedEdges(
-        trailing_speed=speeds[0], leading_speed=speeds[1], mean=mean, sound=sound, trailing_excess=trailing,
-        leading_excess=leading, error=jnp.asarray(path.error), wave_speed=front[0], amplitude=front[1],
-        outcome=" ".join(sentences), **medium.origin)
+        trailing_speed=speeds[0],
+        leading_speed=speeds[1],
+        mean=mean,
+        sound=sound,
+        trailing_excess=trailing,
+        leading_excess=leading,
+        error=jnp.asarray(path.error),
+        wave_speed=front[0],
+        amplitude=front[1],
+        outcome=" ".join(sentences),
+        **medium.origin,
+    )
 
 
 @eqx.filter_jit
@@ -153,7 +185,9 @@ def _excesses(law, mass, c, ahead, width, nodes, weights, close):
     low, high = law.derivative(ahead), law.derivative(ahead + width)
     at = ahead + width * nodes
     bend = jax.jvp(law.derivative, (at,), (jnp.ones_like(at),))[1]
-    grown = jnp.where(close > 0, width * (weights @ bend), high - low) / jnp.where(low > 0, low, 1.0)
+    grown = jnp.where(close > 0, width * (weights @ bend), high - low) / jnp.where(
+        low > 0, low, 1.0
+    )
     log = jnp.log1p(grown) / 2
     # of the wave number 2q of the leading wave: cosh^2 q = V_-/V_+
     twice = 2 * jnp.arcsinh(jnp.sqrt(jnp.expm1(log)))
@@ -165,7 +199,11 @@ def _front(medium, c, ahead, path, guess):
 
     By secants for the logarithm of the velocity over that of the speed above sound's.
     """
-    own = medium if path.ahead == 0 and not traced(ahead) else medium._replace(law=_Before(medium.law, ahead))
+    own = (
+        medium
+        if path.ahead == 0 and not traced(ahead)
+        else medium._replace(law=_Before(medium.law, ahead))
+    )
     sound, side = path.sound, "compression" if path.c > 0 else "tension"
     wanted, points = PEAK * abs(path.c), []
     try:
@@ -182,7 +220,9 @@ def _front(medium, c, ahead, path, guess):
         return jnp.full((), jnp.nan), jnp.full((), jnp.nan), f"No solitary wave was found: {error}"
     speed = jnp.asarray(guess)
     if traced((own.law, own.mass, c)):
-        (_, amplitude), (steeper, taller) = jax.jvp(lambda s: _wave(own.known, s, side), (speed,), (jnp.ones(()),))
+        (_, amplitude), (steeper, taller) = jax.jvp(
+            lambda s: _wave(own.known, s, side), (speed,), (jnp.ones(()),)
+        )
         velocity, higher = _wave(own, speed, side)
         gap = jnp.abs(velocity) - PEAK * jnp.abs(c)
         moved = -(gap - jax.lax.stop_gradient(gap)) / jnp.abs(steeper)

@@ -47,8 +47,20 @@ from .kdv_shock import STRAIGHT, Modulation, modulation, modulus, shock_wave, ve
 from .self_similar import ShockEdges, ShockWave
 
 __all__ = [
-    "ChainWave", "Modulation", "Scales", "ShockEdges", "ShockWave", "amplitude", "cnoidal", "modulation", "modulus",
-    "scales", "shock_wave", "soliton", "speed", "velocity_shock",
+    "ChainWave",
+    "Modulation",
+    "Scales",
+    "ShockEdges",
+    "ShockWave",
+    "amplitude",
+    "cnoidal",
+    "modulation",
+    "modulus",
+    "scales",
+    "shock_wave",
+    "soliton",
+    "speed",
+    "velocity_shock",
 ]
 
 # (d/2)/sinh(d/2) = 1 - d^2/24 + ...
@@ -116,8 +128,16 @@ def amplitude(speed: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 
 
 
 def soliton(
-    n: Parameter, t: Parameter, K2: Parameter, K3: Parameter, *, speed: Parameter | None = None,
-    amplitude: Parameter | None = None, mass: Parameter = 1.0, centre: Parameter = 0.0, direction: str = "right",
+    n: Parameter,
+    t: Parameter,
+    K2: Parameter,
+    K3: Parameter,
+    *,
+    speed: Parameter | None = None,
+    amplitude: Parameter | None = None,
+    mass: Parameter = 1.0,
+    centre: Parameter = 0.0,
+    direction: str = "right",
 ) -> ChainWave:
     r"""The soliton y = 3 (K2/K3) d sech^2((6 d)^{1/2} (n - centre -+ c t)), c = sigma (1 + d).
 
@@ -139,13 +159,24 @@ def soliton(
     """
     sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
     excess = _excess({"speed": speed, "amplitude": amplitude}, sound, unit)
-    n, t, centre, excess, unit, sound = _numbers(n=n, t=t, centre=centre, speed=excess, K3=unit, K2=sound)
+    n, t, centre, excess, unit, sound = _numbers(
+        n=n, t=t, centre=centre, speed=excess, K3=unit, K2=sound
+    )
     return ChainWave(*_soliton(n, t, centre, excess, unit, sound, sign))
 
 
 def cnoidal(
-    n: Parameter, t: Parameter, r1: Parameter, r2: Parameter, r3: Parameter, K2: Parameter, K3: Parameter, *,
-    mass: Parameter = 1.0, centre: Parameter = 0.0, direction: str = "right",
+    n: Parameter,
+    t: Parameter,
+    r1: Parameter,
+    r2: Parameter,
+    r3: Parameter,
+    K2: Parameter,
+    K3: Parameter,
+    *,
+    mass: Parameter = 1.0,
+    centre: Parameter = 0.0,
+    direction: str = "right",
 ) -> ChainWave:
     r"""The periodic wave y = (K2/K3) [r1 + r2 - r3 + 2 (r3 - r1) dn^2(2 (r3 - r1)^{1/2} (n - centre -+ c t), m)].
 
@@ -164,7 +195,8 @@ def cnoidal(
     """
     sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
     n, t, centre, r1, r2, r3, unit, sound = _numbers(
-        n=n, t=t, centre=centre, r1=r1, r2=r2, r3=r3, K3=unit, K2=sound)
+        n=n, t=t, centre=centre, r1=r1, r2=r2, r3=r3, K3=unit, K2=sound
+    )
     values = concrete(r1), concrete(r2), concrete(r3)
     if all(x is not None for x in values):
         one, two, three = values
@@ -179,8 +211,12 @@ def _excess(given, sound, unit):
         given["amplitude"] = parameter("amplitude", given["amplitude"])
         values = concrete(given["amplitude"]), concrete(unit)
         if all(x is not None for x in values) and np.any(values[0] * values[1] <= 0):
-            refuse("amplitude", "strains of the sign of K3", show(values[0]),
-                   "Waves of compression have K3 > 0, waves of rarefaction K3 < 0.")
+            refuse(
+                "amplitude",
+                "strains of the sign of K3",
+                show(values[0]),
+                "Waves of compression have K3 > 0, waves of rarefaction K3 < 0.",
+            )
     name, value = _one_given(given, {"speed": sound, "amplitude": -np.inf}, "K2 and mass")
     return value / sound - 1 if name == "speed" else value / (3 * unit)
 
@@ -239,4 +275,6 @@ def _derivatives(s, first, second, excess):
 
 def _of_sites(s, integral):
     """Velocity over the speed, and displacement, of half a site ahead: of what differences of sites give s."""
-    return sum(a * x for a, x in zip(HALF_STEP, s[::2])), -sum(a * x for a, x in zip(HALF_STEP, (integral, *s[1::2])))
+    return sum(a * x for a, x in zip(HALF_STEP, s[::2])), -sum(
+        a * x for a, x in zip(HALF_STEP, (integral, *s[1::2]))
+    )

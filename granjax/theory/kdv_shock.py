@@ -15,7 +15,17 @@ from ..types import Numbers, Parameter
 from .chain_wave import _numbers, _stiffnesses
 from .elliptic_functions import _jacobi
 from .elliptic_integrals import _E, _K
-from .self_similar import ShockEdges, ShockWave, _complement, _excess, _modulus_of, _phase, _places, _steep, _turn
+from .self_similar import (
+    ShockEdges,
+    ShockWave,
+    _complement,
+    _excess,
+    _modulus_of,
+    _phase,
+    _places,
+    _steep,
+    _turn,
+)
 
 STRAIGHT = "Without K3 a chain has no KdV equation; of K4 alone it has the modified one."
 
@@ -70,7 +80,9 @@ def velocity_shock(c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter =
     return ShockEdges(sound * (1 - C), sound * (1 + 2 * C / 3), unit * C, 2 * unit * C)
 
 
-def modulation(m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Modulation:
+def modulation(
+    m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0
+) -> Modulation:
     r"""The periodic wave inside the dispersive shock of `velocity_shock`, and the speed n/t at which it stands.
 
         r1 = 0,  r2 = C m,  r3 = C,   (n/t)/sigma = 1 + C S(m),   S = (1 + m)/3 - (2/3) m (1 - m) K/(E - (1 - m) K)
@@ -90,7 +102,9 @@ def modulation(m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: P
     return Modulation(*_modulation(1 - _modulus_of(m), C, sound, unit))
 
 
-def modulus(speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:
+def modulus(
+    speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0
+) -> Numbers:
     """The parameter m of the periodic wave at speed = n/t, the inverse of `modulation(m, c, K2, K3).speed`.
 
     **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m in (0, 1) between the edges, 0
@@ -107,7 +121,13 @@ def modulus(speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: 
 
 
 def shock_wave(
-    n: Parameter, t: Parameter, c: Parameter, K2: Parameter, K3: Parameter, *, mass: Parameter = 1.0,
+    n: Parameter,
+    t: Parameter,
+    c: Parameter,
+    K2: Parameter,
+    K3: Parameter,
+    *,
+    mass: Parameter = 1.0,
     phase: Parameter | None = None,
 ) -> ShockWave:
     r"""The dispersive shock of `velocity_shock` as a wave: plateau, modulated periodic wave, strain 0 ahead.
@@ -138,9 +158,13 @@ def _scaled(c, K2, K3, mass):
     C = 2 * c * K3 / (K2 * sound)
     value = concrete(C)
     if value is not None and not np.all((value > 0) & (value < 1)):
-        refuse("c", "C = 2 c K3/(K2 (K2/mass)^(1/2)) in (0, 1)", show(value),
-               "Of the other sign there is a rarefaction, or where K3 < 0 a compression that spreads; a shock as "
-               "strong as C = 1 is no long, weak wave.")
+        refuse(
+            "c",
+            "C = 2 c K3/(K2 (K2/mass)^(1/2)) in (0, 1)",
+            show(value),
+            "Of the other sign there is a rarefaction, or where K3 < 0 a compression that spreads; a shock as "
+            "strong as C = 1 is no long, weak wave.",
+        )
     return C, sound, K2 / K3
 
 

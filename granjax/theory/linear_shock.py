@@ -32,7 +32,9 @@ WIDTHS, MORE = 8.0, 24
 LEAST = 64
 
 
-def velocity_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
+def velocity_step(
+    n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0
+) -> Numbers:
     """Strain of bond n, between the sites n and n + 1, at time t after v_n = -2c sign(n), sign(0) = 0.
 
     **Arguments:** `n`: whole numbers; `t` >= 0 [s]; `c` [m/s]; `K2` > 0 [N/m]; `mass` > 0 [kg]: arrays that broadcast,
@@ -50,7 +52,9 @@ def velocity_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0,
     return 2 * c / w * _at(n, w * t, "velocity")
 
 
-def strain_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
+def strain_step(
+    n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0
+) -> Numbers:
     """Strain of bond n at time t after y_n = c for n <= 0, zero for n > 0, of a chain at rest.
 
     **Arguments**, **Raises**: as `velocity_step`, `c` [m]. **Returns:** y [m]. Typical: c = 1: 1/2 near n = 0 at late
@@ -68,11 +72,19 @@ def strain_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, m
 
 def _given(n, t, c, K2, mass):
     """The numbers as arrays, n of whole numbers, and (K2/m)^{1/2}."""
-    n, t, c = parameter("n", n), non_negative("t", t, "Before t = 0 the chain is at rest."), parameter("c", c)
+    n, t, c = (
+        parameter("n", n),
+        non_negative("t", t, "Before t = 0 the chain is at rest."),
+        parameter("c", c),
+    )
     K2, mass = positive("K2", K2), positive("mass", mass)
     whole = concrete(n)
     if whole is None or not np.array_equal(whole, np.round(whole)):
-        refuse("n", "whole numbers, those of bonds, that are known", "traced ones" if whole is None else show(whole))
+        refuse(
+            "n",
+            "whole numbers, those of bonds, that are known",
+            "traced ones" if whole is None else show(whole),
+        )
     return n, t, c, jnp.sqrt(K2 / mass)
 
 
@@ -80,8 +92,12 @@ def _at(n, x, kind):
     """The sum at bonds n and w t = x, of their shapes broadcast: a transform for each x, one after the other."""
     known = concrete(jax.lax.stop_gradient(x))
     if known is None:
-        refuse("t", "times that are known, and K2 and mass", "ones that jax.jit or jax.vmap traces",
-               "jax.grad and jax.jvp may go through it.")
+        refuse(
+            "t",
+            "times that are known, and K2 and mass",
+            "ones that jax.jit or jax.vmap traces",
+            "jax.grad and jax.jvp may go through it.",
+        )
     most = known.max(initial=0.0)
     reach = most + WIDTHS * most ** (1 / 3) + MORE
     points = max(LEAST, 1 << int(np.ceil(np.log2(2 * reach))))
@@ -89,7 +105,9 @@ def _at(n, x, kind):
     # axes along which x varies lead
     x = x.reshape((1,) * (len(shape) - x.ndim) + x.shape)
     axes = sorted(range(len(shape)), key=lambda k: x.shape[k] == 1)
-    bonds = jnp.transpose(jnp.broadcast_to(n, shape), axes).reshape(x.size, int(np.prod(shape)) // max(x.size, 1))
+    bonds = jnp.transpose(jnp.broadcast_to(n, shape), axes).reshape(
+        x.size, int(np.prod(shape)) // max(x.size, 1)
+    )
     found = _transformed(bonds, x.reshape(-1), points, kind)
     return jnp.transpose(found.reshape([shape[k] for k in axes]), np.argsort(axes))
 
@@ -98,7 +116,10 @@ def _at(n, x, kind):
 def _transformed(bonds, x, points, kind):
     k = np.arange(points)
     # as right near pi as it is near 0; there next to nothing, in float32 too
-    sine, turn = np.sin(np.pi / points * np.minimum(k, points - k)), np.exp(-1j * np.pi / points * k)
+    sine, turn = (
+        np.sin(np.pi / points * np.minimum(k, points - k)),
+        np.exp(-1j * np.pi / points * k),
+    )
     sine[0] = 1e-30
 
     def velocity(x):

@@ -22,8 +22,13 @@ __all__ = ["lyapunov_exponent"]
 
 
 def lyapunov_exponent(
-    omega: Parameter, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, mass_deviation: Parameter = 0.0,
-    compliance_deviation: Parameter = 0.0, correlations: Parameter = (),
+    omega: Parameter,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    mass_deviation: Parameter = 0.0,
+    compliance_deviation: Parameter = 0.0,
+    correlations: Parameter = (),
 ) -> Numbers:
     """Inverse localisation length gamma [1/site] of the amplitude; the energy decays twice as fast.
 
@@ -45,7 +50,10 @@ def lyapunov_exponent(
     [0.001333 0.006667]
     """
     omega = non_negative("omega", omega, "It is an angular frequency.")
-    mass, stiffness = positive("mass", mass), positive("stiffness", stiffness, "At rest the springs hold the chain.")
+    mass, stiffness = (
+        positive("mass", mass),
+        positive("stiffness", stiffness, "At rest the springs hold the chain."),
+    )
     variance = non_negative("mass_deviation", mass_deviation) ** 2
     variance = variance + non_negative("compliance_deviation", compliance_deviation) ** 2
     c = parameter("correlations", correlations)
@@ -54,7 +62,12 @@ def lyapunov_exponent(
     x = mass * omega**2 / stiffness / 4
     known = concrete(x)
     if known is not None and not (known < 1).all():
-        refuse("omega", "frequencies within the band, below 2 (K/m)^{1/2}", show(omega), "Above it no wave travels.")
+        refuse(
+            "omega",
+            "frequencies within the band, below 2 (K/m)^{1/2}",
+            show(omega),
+            "Above it no wave travels.",
+        )
     k = 2 * jnp.arcsin(jnp.sqrt(x))
     r = jnp.arange(1, c.size + 1)
     spectrum = 1 + 2 * (c * jnp.cos(2 * k[..., None] * r)).sum(-1)

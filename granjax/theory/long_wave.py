@@ -36,7 +36,9 @@ __all__ = ["FORMS", "omega_squared", "regularised_wave", "residual", "travelling
 FORMS = ("displacement", "strain", "regularised")
 
 
-def omega_squared(k: Parameter, form: str, *, K2: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
+def omega_squared(
+    k: Parameter, form: str, *, K2: Parameter = 1.0, mass: Parameter = 1.0
+) -> Numbers:
     """Square of the frequency of a linear wave: (K2/m) k^2 (1 - k^2/12), of `"regularised"` (K2/m) k^2/(1 + k^2/12).
 
     That of the chain is (4 K2/m) sin^2(k/2). **Arguments:** `k` [rad/site]; `form`: of `FORMS`; `K2` = F'(0).
@@ -53,7 +55,12 @@ def omega_squared(k: Parameter, form: str, *, K2: Parameter = 1.0, mass: Paramet
 
 
 def regularised_wave(
-    x: Parameter, p: Parameter = 1.5, *, speed: Parameter = 1.0, stiffness: Parameter = 1.0, mass: Parameter = 1.0
+    x: Parameter,
+    p: Parameter = 1.5,
+    *,
+    speed: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> compacton.Compacton:
     r"""The solitary wave of the regularised equation, a sech^{2/(p-1)}(3^{1/2} (p-1) x), a^{p-1} = m c^2 (p + 1)/(2 A).
 
@@ -66,8 +73,14 @@ def regularised_wave(
     1.5625
     """
     p = compacton._exponent("p", p)
-    speed, stiffness, mass = positive("speed", speed), positive("stiffness", stiffness), positive("mass", mass)
-    return compacton.Compacton(*_regularised(*_numbers(x=x, p=p, speed=speed, stiffness=stiffness, mass=mass)))
+    speed, stiffness, mass = (
+        positive("speed", speed),
+        positive("stiffness", stiffness),
+        positive("mass", mass),
+    )
+    return compacton.Compacton(
+        *_regularised(*_numbers(x=x, p=p, speed=speed, stiffness=stiffness, mass=mass))
+    )
 
 
 @jax.jit
@@ -78,7 +91,13 @@ def _regularised(x, p, c, stiffness, mass):
 
 
 def travelling_residual(
-    profile: Callable, x: Parameter, force: Callable, speed: Parameter, form: str, *, mass: Parameter = 1.0
+    profile: Callable,
+    x: Parameter,
+    force: Callable,
+    speed: Parameter,
+    form: str,
+    *,
+    mass: Parameter = 1.0,
 ) -> Numbers:
     r"""What a wave y = profile(n - c t) leaves of an equation, integrated twice: m c^2 y - F(y) - R/12 [N].
 
@@ -103,8 +122,11 @@ def travelling_residual(
     def left(x, c, m):
         y, slope, bend = profile(x), jax.grad(profile)(x), jax.grad(jax.grad(profile))(x)
         F1, F2 = jax.grad(force)(y), jax.grad(jax.grad(force))(y)
-        second = {"displacement": F1 * bend + F2 * slope**2 / 2, "strain": F1 * bend + F2 * slope**2,
-                  "regularised": m * c**2 * bend}[form]
+        second = {
+            "displacement": F1 * bend + F2 * slope**2 / 2,
+            "strain": F1 * bend + F2 * slope**2,
+            "regularised": m * c**2 * bend,
+        }[form]
         return m * c**2 * y - force(y) - second / 12
 
     if not place.size:
@@ -114,7 +136,13 @@ def travelling_residual(
 
 
 def residual(
-    y: Parameter, y_tt: Parameter, force: Callable, form: str, *, spacing: Scalar, mass: Parameter = 1.0
+    y: Parameter,
+    y_tt: Parameter,
+    force: Callable,
+    form: str,
+    *,
+    spacing: Scalar,
+    mass: Parameter = 1.0,
 ) -> Numbers:
     r"""What a field leaves of an equation, m y_tt - d_x^2 [F + R/12] [N], by spectral derivatives in a periodic box.
 
@@ -131,13 +159,18 @@ def residual(
     True
     """
     one_of("form", form, FORMS)
-    y, y_tt, mass, spacing = parameter("y", y), parameter("y_tt", y_tt), positive("mass", mass), positive(
-        "spacing", spacing)
+    y, y_tt, mass, spacing = (
+        parameter("y", y),
+        parameter("y_tt", y_tt),
+        positive("mass", mass),
+        positive("spacing", spacing),
+    )
     k = (2 * np.pi * np.fft.rfftfreq(len(y))).reshape(-1, *[1] * (y.ndim - 1)) / spacing
     # the shortest wave has no slope
     odd = jnp.asarray(1j * k).at[-1 if len(y) % 2 == 0 else len(k) :].set(0)
     derivative = lambda f, symbol: by_rows(
-        jnp.fft.irfft, symbol * by_rows(jnp.fft.rfft, f, axis=0), len(y), axis=0)
+        jnp.fft.irfft, symbol * by_rows(jnp.fft.rfft, f, axis=0), len(y), axis=0
+    )
     F = force(y)
     if form == "regularised":
         return mass * y_tt - derivative(F, -(k**2)) - mass / 12 * derivative(y_tt, -(k**2))

@@ -38,7 +38,15 @@ from ..types import Count, Number, Parameter, Scalar
 from .nls_coefficients import B, Coefficients, band_edges, coefficients
 
 __all__ = [
-    "B", "Coefficients", "Profile", "band_edges", "bright", "bright_profile", "coefficients", "dark", "dark_profile",
+    "B",
+    "Coefficients",
+    "Profile",
+    "band_edges",
+    "bright",
+    "bright_profile",
+    "coefficients",
+    "dark",
+    "dark_profile",
     "growth_rate",
 ]
 
@@ -62,7 +70,12 @@ def bright(
 
 
 def dark(
-    X: Number, T: Number, kappa: Number, nu2: Number, nu3: Number, X0: Number = 0.0,
+    X: Number,
+    T: Number,
+    kappa: Number,
+    nu2: Number,
+    nu3: Number,
+    X0: Number = 0.0,
     nu3_force: Number | None = None,
 ) -> Complex[Array, "..."]:
     r"""Black soliton: Y = (kappa/nu3)^{1/2} tanh[(-nu3_force kappa/(2 nu2 nu3))^{1/2} (X - X0)] exp(i kappa T).
@@ -86,7 +99,9 @@ def dark(
     return amplitude * jnp.tanh(width * (X - X0)) * jnp.exp(1j * kappa * T)
 
 
-def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) -> Float[Array, "..."]:
+def growth_rate(
+    Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number
+) -> Float[Array, "..."]:
     r"""Growth per unit T of a modulation e^{iQX} of a uniform wave: [nu2 Q^2 (2 nu3 |Y|^2 - nu2 Q^2)]^{1/2}.
 
     Zero where the bracket is not positive. Largest, nu3 |Y|^2, at Q^2 = nu3 |Y|^2/nu2.
@@ -100,7 +115,9 @@ def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) ->
     >>> print(gx.theory.nls.growth_rate([0.1, 0.2], 0.1, nu2=1.0, nu3=1.0).round(6))
     [0.01 0.  ]
     """
-    Q, amplitude, nu2, nu3 = map(parameter, ("Q", "amplitude", "nu2", "nu3"), (Q, amplitude, nu2, nu3))
+    Q, amplitude, nu2, nu3 = map(
+        parameter, ("Q", "amplitude", "nu2", "nu3"), (Q, amplitude, nu2, nu3)
+    )
     square = nu2 * Q**2 * (2 * nu3 * amplitude**2 - nu2 * Q**2)
     # what is not a number, such as a traced one, stays so
     stable = square <= 0
@@ -124,8 +141,12 @@ class Profile(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "strain": Held("site"), "mean_strain": Held("site"), "displacement": Held("site"),
-        "inverse_width": Held(unit="1/cell"), "omega": Held(unit="rad/s"), "kappa": Held(unit="rad/s"),
+        "strain": Held("site"),
+        "mean_strain": Held("site"),
+        "displacement": Held("site"),
+        "inverse_width": Held(unit="1/cell"),
+        "omega": Held(unit="rad/s"),
+        "kappa": Held(unit="rad/s"),
     }
     strain: Float[Array, " N"]
     mean_strain: Float[Array, " N"]
@@ -172,7 +193,9 @@ def bright_profile(
     """
     kappa = _kappa(coefficients, omega)
     amplitude, width = _bright(kappa, coefficients.nu2, coefficients.nu3_force, coefficients.omega)
-    strains = _profile(coefficients, _sech, amplitude, width, 0.0, *_places(coefficients, cells, centre))
+    strains = _profile(
+        coefficients, _sech, amplitude, width, 0.0, *_places(coefficients, cells, centre)
+    )
     return Profile(*strains, amplitude, width, kappa + coefficients.omega, kappa)
 
 
@@ -222,23 +245,34 @@ def _signs(kappa, nu2, nu3, nu3_force, focusing, linear):
     """
     same = nu3_force is nu3
     given = kappa, nu2, nu3, nu3_force = tuple(
-        map(parameter, ("kappa", "nu2", "nu3", "nu3_force"), (kappa, nu2, nu3, nu3_force)))
+        map(parameter, ("kappa", "nu2", "nu3", "nu3_force"), (kappa, nu2, nu3, nu3_force))
+    )
     values = [concrete(x) for x in given]
     if any(value is None for value in values):
         return given
     shift, two, three, force = values
     wanted, other = ("bright", "dark") if focusing == 1 else ("dark", "bright")
     if not (np.sign(two * force) == focusing).all():
-        signs = [f"{'>' if (x > 0).all() else '<' if (x < 0).all() else 'about'} 0" for x in (force, two)]
+        signs = [
+            f"{'>' if (x > 0).all() else '<' if (x < 0).all() else 'about'} 0" for x in (force, two)
+        ]
         name = "nu3" if same else "nu3_force"
-        refuse(f"nu2, {name}", f"a pair with {wanted} solitons", f"{name} = {_short(force)} and nu2 = {_short(two)}",
-               f"{name} {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.")
+        refuse(
+            f"nu2, {name}",
+            f"a pair with {wanted} solitons",
+            f"{name} = {_short(force)} and nu2 = {_short(two)}",
+            f"{name} {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.",
+        )
     if not (shift * three > 0).all():
         remedy = f"The nonlinearity {'raises' if (three > 0).all() else 'lowers'} the frequency of this wave."
         if linear is not None:
             side = "above" if (three > 0).all() else "below"
-            refuse("omega", f"a frequency {side} {_short(concrete(linear))}, that of the linear wave",
-                   _short(concrete(linear) + shift), remedy)
+            refuse(
+                "omega",
+                f"a frequency {side} {_short(concrete(linear))}, that of the linear wave",
+                _short(concrete(linear) + shift),
+                remedy,
+            )
         refuse("kappa", f"a shift of the sign of nu3 = {_short(three)}", _short(shift), remedy)
     return given
 
@@ -250,14 +284,18 @@ def _short(x):
 def _kappa(coefficients, omega):
     k, resonant = concrete(coefficients.k), concrete(coefficients.resonant)
     if k is not None and abs(np.sin(k)) > 1e-9:
-        refuse("coefficients", "those of k = 0 or pi, where a packet stands still", f"k = {show(k)}")
+        refuse(
+            "coefficients", "those of k = 0 or pi, where a packet stands still", f"k = {show(k)}"
+        )
     if resonant is not None and resonant:
         refuse("coefficients", "an envelope equation", "none", coefficients.outcome)
     return parameter("omega", omega) - coefficients.omega
 
 
 def _places(coefficients, cells, centre):
-    return cells, parameter("centre", (len(coefficients.mode) * cells - 1) / 2 if centre is None else centre)
+    return cells, parameter(
+        "centre", (len(coefficients.mode) * cells - 1) / 2 if centre is None else centre
+    )
 
 
 @eqx.filter_jit

@@ -38,10 +38,20 @@ class Coefficients(Result):
 
     held: ClassVar[dict[str, Held]] = {
         **{name: Held("lane ... site") for name in ("mode", "harmonic_mode")},
-        **{name: Held("lane ... bond") for name in (
-            "strain", "strain_slope", "mean_strain", "mean_strain_force", "harmonic_strain")},
+        **{
+            name: Held("lane ... bond")
+            for name in (
+                "strain",
+                "strain_slope",
+                "mean_strain",
+                "mean_strain_force",
+                "harmonic_strain",
+            )
+        },
         **{name: Held("lane") for name in ("nu2", "nu3", "nu3_force", "resonant", "bond")},
-        "k": Held("lane", "rad"), "omega": Held("lane", "rad/s"), "group_velocity": Held("lane", "1/s"),
+        "k": Held("lane", "rad"),
+        "omega": Held("lane", "rad/s"),
+        "group_velocity": Held("lane", "1/s"),
     }
     k: Float[Array, "*lanes"]
     omega: Float[Array, "*lanes"]
@@ -79,7 +89,12 @@ class Coefficients(Result):
 
 
 def coefficients(
-    mass: Parameter, K2: Parameter, K3: Parameter, K4: Parameter, k: Scalar, branch: Count = 0,
+    mass: Parameter,
+    K2: Parameter,
+    K3: Parameter,
+    K4: Parameter,
+    k: Scalar,
+    branch: Count = 0,
     constraint: str = "force",
 ) -> Coefficients:
     r"""Coefficients of the envelope equation at one wave number of one branch.
@@ -119,16 +134,25 @@ def coefficients(
     omega, touches = concrete(found.omega), concrete(touches)
     if touches is not None and touches:
         remedy = "Give another k, or the smallest cell of the chain."
-        refuse("k", "one simple branch", f"{show(k)}, where branch {branch} touches another", remedy)
+        refuse(
+            "k", "one simple branch", f"{show(k)}, where branch {branch} touches another", remedy
+        )
     if omega is not None and np.isnan(omega):
-        refuse("k", "a wave that oscillates", f"{show(k)}, where omega = 0", "Long waves: use Korteweg-de Vries.")
+        refuse(
+            "k",
+            "a wave that oscillates",
+            f"{show(k)}, where omega = 0",
+            "Long waves: use Korteweg-de Vries.",
+        )
     return found
 
 
 def _cell(mass, K2, K3=0.0, K4=0.0):
     """Masses and coefficients of one cell, (P,) each."""
     arrays = {"mass": positive("mass", mass), "K3": parameter("K3", K3), "K4": parameter("K4", K4)}
-    arrays["K2"] = positive("K2", K2, "A bond without linear stiffness carries no linear wave; give precompression.")
+    arrays["K2"] = positive(
+        "K2", K2, "A bond without linear stiffness carries no linear wave; give precompression."
+    )
     sites = max(array.size for array in arrays.values())
     for name, array in arrays.items():
         if array.ndim > 1 or array.size not in (1, sites):
@@ -220,8 +244,20 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
         return jnp.where(resonant, jnp.inf, third.sum() / (2 * omega * jnp.sum(mass * _square(e))))
 
     found = Coefficients(
-        k, omega, velocity, -curvature / 2, nu3(mean), nu3(mean_force), e, s, s1, mean, mean_force,
-        *(jnp.where(resonant, jnp.inf, second) for second in (U2, Y2)), resonant, bond,
+        k,
+        omega,
+        velocity,
+        -curvature / 2,
+        nu3(mean),
+        nu3(mean_force),
+        e,
+        s,
+        s1,
+        mean,
+        mean_force,
+        *(jnp.where(resonant, jnp.inf, second) for second in (U2, Y2)),
+        resonant,
+        bond,
     )
     return found, touches
 
@@ -237,7 +273,12 @@ def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Flo
     >>> round(float(gx.theory.nls.B(1.5, 0.375, -0.0625)), 6)  # Hertz with d0 = A = 1: dark breathers
     -0.459279
     """
-    K2, mass, K3, K4 = positive("K2", K2), positive("mass", mass), parameter("K3", K3), parameter("K4", K4)
+    K2, mass, K3, K4 = (
+        positive("K2", K2),
+        positive("mass", mass),
+        parameter("K3", K3),
+        parameter("K4", K4),
+    )
     return (3 * K2 * K4 - 4 * K3**2) / (K2 * jnp.sqrt(K2 * mass))
 
 

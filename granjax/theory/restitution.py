@@ -42,7 +42,10 @@ def thornton(speed: Parameter, yield_speed: Parameter) -> Number:
 
 
 def viscoelastic(
-    speed: Parameter, stiffness: Parameter, dissipative_time: Parameter, reduced_mass: Parameter = 0.5,
+    speed: Parameter,
+    stiffness: Parameter,
+    dissipative_time: Parameter,
+    reduced_mass: Parameter = 0.5,
 ) -> Number:
     r"""Viscoelastic spheres whose dissipation is weak.
 
@@ -61,6 +64,9 @@ def viscoelastic(
     0.97748
     """
     speed, stiffness = non_negative("speed", speed), positive("stiffness", stiffness)
-    time, mass = non_negative("dissipative_time", dissipative_time), positive("reduced_mass", reduced_mass)
+    time, mass = (
+        non_negative("dissipative_time", dissipative_time),
+        positive("reduced_mass", reduced_mass),
+    )
     x = 1.5 * time * (stiffness / mass) ** 0.4 * speed**0.2
     return 1 - FIRST * x + 0.6 * (FIRST * x) ** 2

@@ -82,7 +82,9 @@ def _turn(phase, m1, c):
     """What a phase adds to the argument of Jacobi's functions; ahead of all crests, where m1 = 0, their last flank."""
     phase = _phase(m1, c) if phase is None else phase
     phase = phase - 2 * jnp.pi * jnp.round(phase / (2 * jnp.pi))
-    return jnp.where(m1 != 0, phase * _K(jnp.where(m1 != 0, m1, 1.0)), FAR * jnp.abs(phase)) / jnp.pi
+    return (
+        jnp.where(m1 != 0, phase * _K(jnp.where(m1 != 0, m1, 1.0)), FAR * jnp.abs(phase)) / jnp.pi
+    )
 
 
 def _excess(m1, c):
@@ -107,7 +109,9 @@ def _integral(function, dtype):
     # further ones would overflow in float32
     squares = jnp.asarray(SQUARES[SQUARES < float(jnp.finfo(dtype).max) ** 0.4], dtype)
     first = STEP / 2 * function(squares[0])
-    return jax.lax.fori_loop(1, len(squares), lambda i, total: total + STEP * function(squares[i]), first)
+    return jax.lax.fori_loop(
+        1, len(squares), lambda i, total: total + STEP * function(squares[i]), first
+    )
 
 
 def _phase(m1, c):
@@ -121,12 +125,20 @@ def _phase(m1, c):
     """
     inside, ends = (m1 != 0) & (m1 != 1), jnp.where(m1 == 0, 3 * jnp.pi / 2, jnp.pi)
     m1 = jnp.where(inside, m1, 0.5)
-    share, span, reached = 1 + c * m1, (1 + c) * m1, ANGLES[-1] > float(jnp.finfo(m1.dtype).eps) ** 2
+    share, span, reached = (
+        1 + c * m1,
+        (1 + c) * m1,
+        ANGLES[-1] > float(jnp.finfo(m1.dtype).eps) ** 2,
+    )
     low, logs, weights = (jnp.asarray(x[reached], m1.dtype) for x in ANGLES)
 
     def add(i, total):
         # share times (x - E2)/2c, (x - E1)/2(1 + c), (x + E2)/2, (E4 - x)/2c, x/(1 + c)
-        a, b, d = 1 - m1 + span * low[i], 1 + c * m1 * low[i], jnp.maximum(1 - c * c * m1, 0.0) + c * span * low[i]
+        a, b, d = (
+            1 - m1 + span * low[i],
+            1 + c * m1 * low[i],
+            jnp.maximum(1 - c * c * m1, 0.0) + c * span * low[i],
+        )
         square = 16 * a * b * d * m1 / (share * (1 - c * m1 + 2 * c * m1 * low[i])) ** 2
         return total + weights[i] * (jnp.log(square) + logs[i]) / (2 * jnp.sqrt(a * b))
 
@@ -162,9 +174,15 @@ def _complement(x, c):
     gap = jnp.where(inside, (high - x) / (high - low), 0.5)
 
     def nearer(_, y):
-        value, slope = jax.jvp(lambda y: (high - _excess(jnp.exp(-y), c)) / (high - low), (y,), (jnp.ones_like(y),))
+        value, slope = jax.jvp(
+            lambda y: (high - _excess(jnp.exp(-y), c)) / (high - low), (y,), (jnp.ones_like(y),)
+        )
         value = jnp.maximum(value, tiny)
-        return jnp.clip(y - value * jnp.log(value / gap) / jnp.minimum(slope, -tiny), first, 9 + first - jnp.log(tiny))
+        return jnp.clip(
+            y - value * jnp.log(value / gap) / jnp.minimum(slope, -tiny),
+            first,
+            9 + first - jnp.log(tiny),
+        )
 
     first = -jnp.log(last)
     y = jax.lax.fori_loop(0, NEWTON, nearer, first - 1.2 * jnp.log(gap))

@@ -64,7 +64,11 @@ def _slopes(law, e):
     first = law.derivative(e)
     second = jax.jvp(law.derivative, (e,), (jnp.ones_like(e),))[1]
     overlap = law.overlap(e)
-    return first, second, jnp.ones(e.shape) if overlap is None else jnp.broadcast_to(overlap, e.shape)
+    return (
+        first,
+        second,
+        jnp.ones(e.shape) if overlap is None else jnp.broadcast_to(overlap, e.shape),
+    )
 
 
 def _slopes_at(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,8 +77,10 @@ def _slopes_at(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
     parts = [_slopes(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
-    first, second, overlap = (np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
-                              for x in zip(*parts))
+    first, second, overlap = (
+        np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
+        for x in zip(*parts)
+    )
     with np.errstate(invalid="ignore"):
         there = (overlap > 0) & (first > 0) & np.isfinite(first)
     return np.where(there, first, np.nan), np.where(there, second, np.nan)
@@ -102,7 +108,9 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
     ends, kept = np.stack([edges[:-1], edges[1:]], 1), []
     whole = np.zeros(2)
     for level in range(HALVINGS):
-        nodes, weights = (np.concatenate([_placed(ends, rule)[k] for rule in (0, 1)], 1) for k in (0, 1))
+        nodes, weights = (
+            np.concatenate([_placed(ends, rule)[k] for rule in (0, 1)], 1) for k in (0, 1)
+        )
         first, second = _slopes_at(law, ahead + width * nodes)
         with np.errstate(over="ignore", invalid="ignore"):
             sums = np.stack([np.sqrt(first / mass) * weights, second * weights])
@@ -115,11 +123,21 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
         # the worst ones alone, so that a law that is rough everywhere ends
         if bad.sum() > MOST:
             bad[np.argsort(-(apart / np.maximum(whole, 1e-300)[:, None]).max(0))[MOST:]] = False
-        kept.append((nodes[~bad, :FINE], weights[~bad, :FINE], first[~bad, :FINE], second[~bad, :FINE], apart[:, ~bad]))
+        kept.append(
+            (
+                nodes[~bad, :FINE],
+                weights[~bad, :FINE],
+                first[~bad, :FINE],
+                second[~bad, :FINE],
+                apart[:, ~bad],
+            )
+        )
         if not bad.any():
             break
         middle = ends[bad].mean(1)
-        ends = np.concatenate([np.stack([ends[bad, 0], middle], 1), np.stack([middle, ends[bad, 1]], 1)])
+        ends = np.concatenate(
+            [np.stack([ends[bad, 0], middle], 1), np.stack([middle, ends[bad, 1]], 1)]
+        )
     nodes, weights, first, second = (np.concatenate([x[k].ravel() for x in kept]) for k in range(4))
     apart = np.concatenate([x[4] for x in kept], 1).sum(1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -134,20 +152,35 @@ def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Pat
     c, ahead = one_number("c", c), one_number("ahead", ahead)
     law, mass, side = medium.law, float(medium.mass), 1 if c > 0 else -1
     if c == 0:
-        refuse("c", "a number other than zero", "0", "Without a jump of the velocity the chain stays at rest.")
+        refuse(
+            "c",
+            "a number other than zero",
+            "0",
+            "Without a jump of the velocity the chain stays at rest.",
+        )
     low = _at_rest(law, ahead)
     strains, first, second = _scan(law, ahead, side)
     if kind is not None:
         _refuse_other(kind, side * second, c)
     if low == 0 and (side * second[second != 0][:1] < 0).any():
-        refuse("law", "one of finite stiffness ahead", f"one that is infinitely stiff at a strain of {ahead:g}")
-    width, (nodes, weights, _, bend, errors) = _width(law, mass, ahead, side, 2 * abs(c), strains, first)
+        refuse(
+            "law",
+            "one of finite stiffness ahead",
+            f"one that is infinitely stiff at a strain of {ahead:g}",
+        )
+    width, (nodes, weights, _, bend, errors) = _width(
+        law, mass, ahead, side, 2 * abs(c), strains, first
+    )
     bends = side * bend * {"shock": 1, "fan": -1, None: 0}[kind]
     if not bends.min() >= -BENT * np.abs(bends).max():
         order = np.argsort(nodes)
         turn = ahead + width * nodes[order][np.argmax(bends[order] < -BENT * np.abs(bends).max())]
-        refuse("law", f"one that bends one way between the states {ahead:g} and {ahead + width:g}",
-               f"an inflection near {turn:.4g}", f"What starts there is no single {kind}, but several waves.")
+        refuse(
+            "law",
+            f"one that bends one way between the states {ahead:g} and {ahead + width:g}",
+            f"an inflection near {turn:.4g}",
+            f"What starts there is no single {kind}, but several waves.",
+        )
     high = float(_slopes_at(law, np.array([ahead + width]))[0][0])
     direct, summed = high - low, width * weights @ bend
     rough = 2 * _rounding() * (high + low) / abs(direct) if direct else np.inf
@@ -155,16 +188,36 @@ def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Pat
     with np.errstate(divide="ignore"):
         growth = np.expm1(np.log1p(np.divide(summed if close else direct, low)) / 2)
     error = max(errors[0], errors[1] if close else rough, 8 * _rounding())
-    return Path(c, ahead, width, nodes, weights, np.sqrt(low / mass), np.sqrt(high / mass), growth, close, float(error))
+    return Path(
+        c,
+        ahead,
+        width,
+        nodes,
+        weights,
+        np.sqrt(low / mass),
+        np.sqrt(high / mass),
+        growth,
+        close,
+        float(error),
+    )
 
 
 def _at_rest(law, ahead):
     """F' ahead, which may be zero; refused where it is below, infinite or that of an open contact."""
     first, _, overlap = (float(x[0]) for x in _slopes(law, jnp.full(CHUNK, ahead)))
     if overlap < 0:
-        refuse("ahead", "a strain at which the contacts are closed", f"{ahead:g}", "Across a gap no sound runs.")
+        refuse(
+            "ahead",
+            "a strain at which the contacts are closed",
+            f"{ahead:g}",
+            "Across a gap no sound runs.",
+        )
     if not 0 <= first < np.inf:
-        refuse("law", "one of finite stiffness ahead", f"one with a stiffness of {first:g} at a strain of {ahead:g}")
+        refuse(
+            "law",
+            "one of finite stiffness ahead",
+            f"one with a stiffness of {first:g} at a strain of {ahead:g}",
+        )
     return first
 
 
@@ -187,9 +240,18 @@ def _refuse_other(kind, bends, c):
     way = "compression" if c > 0 else "tension"
     if not len(bent):
         stiff = "one that is linear" if len(bends) else f"one without stiffness in {way}"
-        refuse("law", f"one that stiffens or softens in {way}", stiff, "A linear chain: gx.theory.linear_shock.")
+        refuse(
+            "law",
+            f"one that stiffens or softens in {way}",
+            stiff,
+            "A linear chain: gx.theory.linear_shock.",
+        )
     if (bent[0] > 0) != (kind == "shock"):
-        made = ("a rarefaction: the law softens in " if kind == "shock" else "a shock: the law stiffens in ") + way
+        made = (
+            "a rarefaction: the law softens in "
+            if kind == "shock"
+            else "a shock: the law stiffens in "
+        ) + way
         other = "gx.theory.simple_wave.fan" if kind == "shock" else "gx.theory.shock_edges"
         wanted = f"a number {'below' if c > 0 else 'above'} zero, which makes a {kind}"
         refuse("c", wanted, f"{c:g}, which makes {made}", f"Or ask {other} for that.")
@@ -209,7 +271,11 @@ def _width(law, mass, ahead, side, jump, strains, first):
         found = _quadrature(law, mass, ahead, side * at)
         speed = np.sqrt(found[2] / mass)
         gap = at * (found[1] @ speed) - jump
-        if np.isfinite(gap) and abs(gap) <= 2 * _rounding() * jump or high - low <= 2 * _rounding() * high:
+        if (
+            np.isfinite(gap)
+            and abs(gap) <= 2 * _rounding() * jump
+            or high - low <= 2 * _rounding() * high
+        ):
             break
         if gap < 0:
             low = at
@@ -220,8 +286,12 @@ def _width(law, mass, ahead, side, jump, strains, first):
     if not np.isfinite(gap) or ended and not abs(gap) <= 1e-9 * jump:
         last = _quadrature(law, mass, ahead, side * low)
         reached = low * (last[1] @ np.sqrt(last[2] / mass)) / 2 * side
-        refuse("c", f"a number {'below' if side > 0 else 'above'} {reached:.6g}", f"{side * jump / 2:g}",
-               f"At a strain of {ahead + side * low:.6g} the law ends: a contact opens, magnets meet, or it is soft.")
+        refuse(
+            "c",
+            f"a number {'below' if side > 0 else 'above'} {reached:.6g}",
+            f"{side * jump / 2:g}",
+            f"At a strain of {ahead + side * low:.6g} the law ends: a contact opens, magnets meet, or it is soft.",
+        )
     return side * at, found
 
 
@@ -231,7 +301,9 @@ def _speed_of(square: Numbers) -> Numbers:
     return jnp.where(stiff, jnp.sqrt(jnp.where(stiff, square, 1.0)), 0.0)
 
 
-def _width_of(law: Law, mass: Any, c: Any, ahead: Any, width: Any, nodes: Numbers, weights: Numbers) -> Numbers:
+def _width_of(
+    law: Law, mass: Any, c: Any, ahead: Any, width: Any, nodes: Numbers, weights: Numbers
+) -> Numbers:
     """The distance `width` again, by Newton's method, so that it has the derivatives of what it solves."""
     for _ in range(2):
         whole = width * (weights @ _speed_of(law.derivative(ahead + width * nodes) / mass))

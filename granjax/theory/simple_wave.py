@@ -61,7 +61,12 @@ def _mean(law, mass, c, ahead, width, nodes, weights):
 
 
 def fan(
-    speed: Parameter, law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0,
+    speed: Parameter,
+    law: Law | Lattice,
+    c: Scalar,
+    mass: Scalar = 1.0,
+    *,
+    ahead: Scalar = 0.0,
 ) -> Numbers:
     """Strain at the places n = speed t of the two rarefactions that v_n = -2c sign(n) makes.
 
@@ -80,13 +85,27 @@ def fan(
     speed, c, ahead = parameter("speed", speed), parameter("c", c), parameter("ahead", ahead)
     known = concrete(jax.lax.stop_gradient(speed))
     if known is None:
-        refuse("speed", "speeds that are known", "ones that jax.jit or jax.vmap traces", "jax.grad may go through it.")
+        refuse(
+            "speed",
+            "speeds that are known",
+            "ones that jax.jit or jax.vmap traces",
+            "jax.grad may go through it.",
+        )
     path = _path_to(medium.known, c, ahead, "fan")
     share = _solved(medium.known, path, np.abs(known).ravel())
     inside = (np.abs(known) <= path.sound) & (np.abs(known) >= path.behind)
     behind = jnp.asarray(np.abs(known) < path.behind)
-    return _fan(medium.law, medium.mass, c, ahead, speed, jnp.asarray(path.width * share.reshape(known.shape)),
-                jnp.asarray(inside), behind, *path.arrays[:3])
+    return _fan(
+        medium.law,
+        medium.mass,
+        c,
+        ahead,
+        speed,
+        jnp.asarray(path.width * share.reshape(known.shape)),
+        jnp.asarray(inside),
+        behind,
+        *path.arrays[:3],
+    )
 
 
 def _solved(medium, path, speeds):
@@ -94,7 +113,10 @@ def _solved(medium, path, speeds):
     low, high = np.zeros(len(speeds)), np.ones(len(speeds))
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        slower = _slopes_at(medium.law, path.ahead + path.width * middle)[0] < float(medium.mass) * speeds**2
+        slower = (
+            _slopes_at(medium.law, path.ahead + path.width * middle)[0]
+            < float(medium.mass) * speeds**2
+        )
         low, high = np.where(slower, low, middle), np.where(slower, middle, high)
     return (low + high) / 2
 
@@ -106,12 +128,18 @@ def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weig
     for _ in range(2):
         stiff, bend = jax.jvp(law.derivative, (ahead + further,), (jnp.ones_like(further),))
         usable = inside & (bend != 0)
-        further = further - jnp.where(usable, (stiff - mass * speed**2) / jnp.where(usable, bend, 1.0), 0.0)
+        further = further - jnp.where(
+            usable, (stiff - mass * speed**2) / jnp.where(usable, bend, 1.0), 0.0
+        )
     return ahead + jnp.where(inside, further, jnp.where(behind, width, 0.0))
 
 
 def power_law_mean(
-    c: Parameter, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, rest: Parameter = 0.0, mass: Parameter = 1.0,
+    c: Parameter,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    rest: Parameter = 0.0,
+    mass: Parameter = 1.0,
 ) -> Numbers:
     r"""`mean` of a contact A [d0 + y]^p in closed form: y = [d0^r + 2 r c (m/(p A))^{1/2}]^{1/r} - d0, 2r = p + 1.
 
@@ -135,7 +163,12 @@ def power_law_mean(
     if not traced((share, d0)):
         grown = np.where(concrete(squeezed), concrete(share) + 1, concrete(c))
         if np.any(grown < 0):
-            refuse("c", "numbers at which contacts stay closed", show(c), "At -d0^r (p A/m)^{1/2}/(2r) they open.")
+            refuse(
+                "c",
+                "numbers at which contacts stay closed",
+                show(c),
+                "At -d0^r (p A/m)^{1/2}/(2r) they open.",
+            )
     closed = squeezed & (share > -1)
     near = base * jnp.expm1(jnp.log1p(jnp.where(closed, share, 0.0)) / r)
     free = ~squeezed & (more > 0)

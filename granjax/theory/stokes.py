@@ -62,12 +62,22 @@ class StokesWave(NamedTuple):
     def strain(self, theta: Parameter) -> Numbers:
         """y at phases theta = k n - omega t, which broadcast with the wave's numbers [m]."""
         theta = jnp.asarray(theta, float)
-        waves = self.first * jnp.cos(theta) + self.second * jnp.cos(2 * theta) + self.third * jnp.cos(3 * theta)
+        waves = (
+            self.first * jnp.cos(theta)
+            + self.second * jnp.cos(2 * theta)
+            + self.third * jnp.cos(3 * theta)
+        )
         return self.mean_strain + waves
 
 
 def wave(
-    k: Parameter, amplitude: Parameter, K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0, *,
+    k: Parameter,
+    amplitude: Parameter,
+    K2: Parameter,
+    K3: Parameter,
+    K4: Parameter,
+    mass: Parameter = 1.0,
+    *,
     constraint: str = "length",
 ) -> StokesWave:
     """The periodic wave of a wave number and an amplitude, to the third order.
@@ -89,10 +99,24 @@ def wave(
     -0.4593
     """
     length = one_of("constraint", constraint, ("length", "force")) == "length"
-    k = within("k", k, 0.0, float(jnp.pi), open_low=True, remedy="Others are the same wave, or its mirror image.")
-    a, K2, K3, K4, m = (check(name, x) for check, name, x in (
-        (parameter, "amplitude", amplitude), (positive, "K2", K2), (parameter, "K3", K3), (parameter, "K4", K4),
-        (positive, "mass", mass)))
+    k = within(
+        "k",
+        k,
+        0.0,
+        float(jnp.pi),
+        open_low=True,
+        remedy="Others are the same wave, or its mirror image.",
+    )
+    a, K2, K3, K4, m = (
+        check(name, x)
+        for check, name, x in (
+            (parameter, "amplitude", amplitude),
+            (positive, "K2", K2),
+            (parameter, "K3", K3),
+            (parameter, "K4", K4),
+            (positive, "mass", mass),
+        )
+    )
     return _wave(k, a, K2, K3, K4, m, jnp.asarray(length))
 
 
@@ -108,5 +132,9 @@ def _wave(k, a, K2, K3, K4, m, length):
     grown = (2 * K3 * mean + K3 * second + 0.75 * K4 * a**2) / K2
     shift = linear * jnp.expm1(jnp.log1p(grown) / 2)
     omega, size = linear + shift, jnp.where(a == 0, 1.0, a)
-    error = 2 * ((second / size) ** 2 + jnp.abs(third / size) + (K3 * a / K2) ** 2 + jnp.abs(K4 * a**2 / K2))
-    return StokesWave(omega, shift, omega / k, 2 * jnp.pi / k, mean, K2 * (mean + whole), a, second, third, error)
+    error = 2 * (
+        (second / size) ** 2 + jnp.abs(third / size) + (K3 * a / K2) ** 2 + jnp.abs(K4 * a**2 / K2)
+    )
+    return StokesWave(
+        omega, shift, omega / k, 2 * jnp.pi / k, mean, K2 * (mean + whole), a, second, third, error
+    )

@@ -37,15 +37,41 @@ import numpy as np
 from ..checks import concrete, parameter, positive, refuse, show
 from ..printing import told
 from ..types import Numbers, Parameter
-from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sinh_less, _stiffnesses, _toda_constants
+from .chain_wave import (
+    ChainWave,
+    _direction_of,
+    _numbers,
+    _one_given,
+    _sinh_less,
+    _stiffnesses,
+    _toda_constants,
+)
 from .self_similar import ShockEdges, ShockWave
 from .toda_periodic import PeriodicNumbers, lax_eigenvalues, periodic_numbers, periodic_wave
 from .toda_shock import Modulation, modulation, modulus, shock_wave, velocity_shock
 
 __all__ = [
-    "ChainWave", "Modulation", "PeriodicNumbers", "ShockEdges", "ShockWave", "TodaConstants", "amplitude", "energy",
-    "lax_eigenvalues", "matched", "modulation", "modulus", "periodic_numbers", "periodic_wave", "phase_shifts",
-    "shock_wave", "soliton", "speed", "two_solitons", "velocity_shock", "wavenumber",
+    "ChainWave",
+    "Modulation",
+    "PeriodicNumbers",
+    "ShockEdges",
+    "ShockWave",
+    "TodaConstants",
+    "amplitude",
+    "energy",
+    "lax_eigenvalues",
+    "matched",
+    "modulation",
+    "modulus",
+    "periodic_numbers",
+    "periodic_wave",
+    "phase_shifts",
+    "shock_wave",
+    "soliton",
+    "speed",
+    "two_solitons",
+    "velocity_shock",
+    "wavenumber",
 ]
 
 # of the inversion of a monotonic function from a guess that is never far
@@ -86,7 +112,9 @@ def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
 # ------------------------------------------------------------------------------------------------------------ solitons
 
 
-def speed(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
+def speed(
+    k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
+) -> Numbers:
     """Speed of a soliton, sinh k/k times that of sound (a b/m)^{1/2} [sites/s]. **Arguments:** `k` > 0 [1/site].
 
     **Example:**
@@ -124,8 +152,13 @@ def energy(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0) ->
 
 
 def wavenumber(
-    *, speed: Parameter | None = None, amplitude: Parameter | None = None, energy: Parameter | None = None,
-    strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
+    *,
+    speed: Parameter | None = None,
+    amplitude: Parameter | None = None,
+    energy: Parameter | None = None,
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> Numbers:
     """Wave number k of the soliton of a given speed, amplitude or energy: the inverse of those functions.
 
@@ -144,10 +177,15 @@ def wavenumber(
         amplitude = given["amplitude"] = parameter("amplitude", amplitude)
         values = concrete(amplitude), concrete(b)
         if all(x is not None for x in values) and np.any(values[0] * values[1] <= 0):
-            refuse("amplitude", "strains of the sign of the rate", show(values[0]),
-                   "Waves of compression have K3 > 0, waves of rarefaction K3 < 0.")
-    name, value = _one_given(given, {"speed": sound, "amplitude": -np.inf, "energy": 0.0},
-                              "strength, rate and mass")
+            refuse(
+                "amplitude",
+                "strains of the sign of the rate",
+                show(values[0]),
+                "Waves of compression have K3 > 0, waves of rarefaction K3 < 0.",
+            )
+    name, value = _one_given(
+        given, {"speed": sound, "amplitude": -np.inf, "energy": 0.0}, "strength, rate and mass"
+    )
     return _wavenumber(name, value * {"speed": 1 / sound, "amplitude": b, "energy": b / a}[name])
 
 
@@ -158,9 +196,15 @@ def _wavenumber(name, value):
         return jnp.log1p(more + jnp.sqrt(more * (more + 2)))
     target = jnp.log(value)
     if name == "speed":
-        return _solved(lambda k: jnp.log1p(_sinh_less(k) / k), target, target + jnp.sqrt(6 * target))
+        return _solved(
+            lambda k: jnp.log1p(_sinh_less(k) / k), target, target + jnp.sqrt(6 * target)
+        )
     small = value < 1
-    guess = jnp.where(small, jnp.cbrt(6 * jnp.where(small, value, 1.0)), jnp.arcsinh(value + 2 * jnp.arcsinh(value)))
+    guess = jnp.where(
+        small,
+        jnp.cbrt(6 * jnp.where(small, value, 1.0)),
+        jnp.arcsinh(value + 2 * jnp.arcsinh(value)),
+    )
     return _solved(lambda x: jnp.log(_sinh_less(x)), target, guess) / 2
 
 
@@ -173,8 +217,15 @@ def _solved(function, target, x):
 
 
 def soliton(
-    n: Parameter, t: Parameter, k: Parameter, *, centre: Parameter = 0.0, direction: str = "right",
-    strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
+    n: Parameter,
+    t: Parameter,
+    k: Parameter,
+    *,
+    centre: Parameter = 0.0,
+    direction: str = "right",
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> ChainWave:
     """One soliton, exp(b y) - 1 = sinh^2 k sech^2(k (n - centre) -+ (a b/m)^{1/2} t sinh k).
 
@@ -196,12 +247,23 @@ def soliton(
     """
     sign, k = _direction_of(direction), _wave_number("k", k)
     n, t, k, centre = _numbers(n=n, t=t, k=k, centre=centre)
-    return ChainWave(*_solitons(n, t, (k,), (sign,), (centre,), (), *_toda_constants(strength, rate, mass)))
+    return ChainWave(
+        *_solitons(n, t, (k,), (sign,), (centre,), (), *_toda_constants(strength, rate, mass))
+    )
 
 
 def two_solitons(
-    n: Parameter, t: Parameter, k1: Parameter, k2: Parameter, *, centre1: Parameter, centre2: Parameter,
-    head_on: bool = False, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
+    n: Parameter,
+    t: Parameter,
+    k1: Parameter,
+    k2: Parameter,
+    *,
+    centre1: Parameter,
+    centre2: Parameter,
+    head_on: bool = False,
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> ChainWave:
     """Two solitons that pass through each other.
 
@@ -217,14 +279,22 @@ def two_solitons(
     0.867562
     """
     k1, k2 = _pair(k1, k2, head_on)
-    n, t, k1, k2, centre1, centre2 = _numbers(n=n, t=t, k1=k1, k2=k2, centre1=centre1, centre2=centre2)
+    n, t, k1, k2, centre1, centre2 = _numbers(
+        n=n, t=t, k1=k1, k2=k2, centre1=centre1, centre2=centre2
+    )
     meeting = _log_meeting(k1, k2, head_on)
     # before they meet, the one behind feels the other as passed
     behind = (True, False) if head_on else (k1 > k2, k1 < k2)
-    starts = tuple(c - jnp.where(first, meeting / (2 * k), 0.0) for c, first, k in
-                   ((centre1, behind[0], k1), (centre2, behind[1], k2)))
+    starts = tuple(
+        c - jnp.where(first, meeting / (2 * k), 0.0)
+        for c, first, k in ((centre1, behind[0], k1), (centre2, behind[1], k2))
+    )
     signs = 1.0, -1.0 if head_on else 1.0
-    return ChainWave(*_solitons(n, t, (k1, k2), signs, starts, (meeting,), *_toda_constants(strength, rate, mass)))
+    return ChainWave(
+        *_solitons(
+            n, t, (k1, k2), signs, starts, (meeting,), *_toda_constants(strength, rate, mass)
+        )
+    )
 
 
 def phase_shifts(k1: Parameter, k2: Parameter, *, head_on: bool = False) -> tuple[Numbers, Numbers]:
@@ -253,7 +323,12 @@ def _wave_number(name, k):
     k = positive(name, k)
     value, most = concrete(k), 0.49 * np.log(float(jnp.finfo(k.dtype).max))
     if value is not None and np.any(value > most):
-        refuse(name, f"numbers below {most:.0f}", show(value), "Beyond, exp(2k) passes the largest number.")
+        refuse(
+            name,
+            f"numbers below {most:.0f}",
+            show(value),
+            "Beyond, exp(2k) passes the largest number.",
+        )
     return k
 
 
@@ -261,7 +336,9 @@ def _pair(k1, k2, head_on):
     k1, k2 = _wave_number("k1", k1), _wave_number("k2", k2)
     values = concrete(k1), concrete(k2)
     if not head_on and all(x is not None for x in values) and np.any(values[0] == values[1]):
-        refuse("k1, k2", "two that differ", show(values[0]), "Two solitons of one speed never meet.")
+        refuse(
+            "k1, k2", "two that differ", show(values[0]), "Two solitons of one speed never meet."
+        )
     return k1, k2
 
 
@@ -283,8 +360,18 @@ def _solitons(n, t, ks, signs, centres, meetings, a, b, m):
     logs = jnp.stack(jnp.broadcast_arrays(*map(log, sets)))
     # weights of the sets at site n; one site earlier each weighs exp(2 k_S) as much
     p = jax.nn.softmax(logs, 0)
-    k, omega = [total(S, ks) for S in sets], [total(S, [s * jnp.sinh(k) for k, s in zip(ks, signs)]) for S in sets]
-    strain = jnp.log1p(sum(4 * p[i] * p[j] * jnp.sinh(k[i] - k[j]) ** 2 for i, j in combinations(range(len(sets)), 2)))
+    k, omega = (
+        [total(S, ks) for S in sets],
+        [total(S, [s * jnp.sinh(k) for k, s in zip(ks, signs)]) for S in sets],
+    )
+    strain = jnp.log1p(
+        sum(
+            4 * p[i] * p[j] * jnp.sinh(k[i] - k[j]) ** 2
+            for i, j in combinations(range(len(sets)), 2)
+        )
+    )
     more = sum(p[i] * jnp.expm1(2 * k[i]) for i in range(1, len(sets)))
-    velocity = sum(2 * omega[i] * p[i] * (jnp.expm1(2 * k[i]) - more) / (1 + more) for i in range(1, len(sets)))
+    velocity = sum(
+        2 * omega[i] * p[i] * (jnp.expm1(2 * k[i]) - more) / (1 + more) for i in range(1, len(sets))
+    )
     return strain / b, velocity * rate / b, jnp.log1p(more) / b

@@ -41,8 +41,17 @@ class PeriodicNumbers(NamedTuple):
 
 
 def periodic_wave(
-    n: Parameter, t: Parameter, E1: Parameter, E2: Parameter, E3: Parameter, E4: Parameter, *,
-    centre: Parameter = 0.0, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
+    n: Parameter,
+    t: Parameter,
+    E1: Parameter,
+    E2: Parameter,
+    E3: Parameter,
+    E4: Parameter,
+    *,
+    centre: Parameter = 0.0,
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> ChainWave:
     r"""The four-parameter family of periodic travelling waves, in scaled numbers (a = b = m = 1).
 
@@ -72,8 +81,14 @@ def periodic_wave(
 
 
 def periodic_numbers(
-    E1: Parameter, E2: Parameter, E3: Parameter, E4: Parameter, *,
-    strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
+    E1: Parameter,
+    E2: Parameter,
+    E3: Parameter,
+    E4: Parameter,
+    *,
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> PeriodicNumbers:
     """Wavelength, period, speed and means of `periodic_wave`. **Arguments**, **Raises**: as there.
 
@@ -95,7 +110,9 @@ def _ends(*Es):
     if all(x is not None for x in values):
         one, two, three, four = values
         if not np.all((one < two) & (two <= three) & (three <= four) & (two < four)):
-            refuse("E1, E2, E3, E4", "E1 < E2 <= E3 <= E4, and E2 < E4", ", ".join(map(show, values)))
+            refuse(
+                "E1, E2, E3, E4", "E1 < E2 <= E3 <= E4, and E2 < E4", ", ".join(map(show, values))
+            )
     return tuple(arrays)
 
 
@@ -103,8 +120,18 @@ def _shape(E1, E2, E3, E4):
     """m1, omega, F and the coefficients of exp y and of mu, of the ends of the bands."""
     square = (E4 - E2) * (E3 - E1)
     m1 = (E2 - E1) * (E4 - E3) / square
-    s, c, d = jnp.sqrt((E4 - E2) / (E4 - E1)), jnp.sqrt((E2 - E1) / (E4 - E1)), jnp.sqrt((E2 - E1) / (E3 - E1))
-    return m1, jnp.sqrt(square), s * _RF(c, d, 1.0), ((E4 - E3 + E2 - E1) / 2) ** 2, (E3 - E2) * (E4 - E1)
+    s, c, d = (
+        jnp.sqrt((E4 - E2) / (E4 - E1)),
+        jnp.sqrt((E2 - E1) / (E4 - E1)),
+        jnp.sqrt((E2 - E1) / (E3 - E1)),
+    )
+    return (
+        m1,
+        jnp.sqrt(square),
+        s * _RF(c, d, 1.0),
+        ((E4 - E3 + E2 - E1) / 2) ** 2,
+        (E3 - E2) * (E4 - E1),
+    )
 
 
 def _mean_velocity(E1, E2, E3, E4):
@@ -135,16 +162,29 @@ def _of_ends(Es, a, b, m):
     rate = jnp.sqrt(a * b / m)
     m1, omega, F, bottom, depth = _shape(*Es)
     K = _K(m1)
-    return (K / F, 2 * K / (omega * rate), omega * rate / (2 * F), m1, _mean_strain(*Es) / b,
-            _mean_velocity(*Es) * rate / b, jnp.log(bottom + depth) / b, jnp.log(bottom) / b)
+    return (
+        K / F,
+        2 * K / (omega * rate),
+        omega * rate / (2 * F),
+        m1,
+        _mean_strain(*Es) / b,
+        _mean_velocity(*Es) * rate / b,
+        jnp.log(bottom + depth) / b,
+        jnp.log(bottom) / b,
+    )
 
 
 # --------------------------------------------------------------------------------------------------------- Lax's matrix
 
 
 def lax_eigenvalues(
-    strain: Parameter, velocity: Parameter, *, boundary: str = "free",
-    strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
+    strain: Parameter,
+    velocity: Parameter,
+    *,
+    boundary: str = "free",
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> Numbers:
     r"""Eigenvalues of the Lax matrix of N sites, ascending: v_n/2 on its diagonal, exp(y_n/2)/2 beside it (scaled).
 
@@ -172,7 +212,11 @@ def lax_eigenvalues(
         refuse("velocity", f"an array over {least} sites or more", f"shape {velocity.shape}")
     wanted = (len(velocity) - (not ring), *velocity.shape[1:])
     if strain.shape != wanted:
-        refuse("strain", f"shape {wanted}, for a velocity of shape {velocity.shape}", f"shape {strain.shape}")
+        refuse(
+            "strain",
+            f"shape {wanted}, for a velocity of shape {velocity.shape}",
+            f"shape {strain.shape}",
+        )
     a, b, m = _toda_constants(strength, rate, mass)
     for name, x in (("strength", a), ("rate", b), ("mass", m)):
         if x.shape not in ((), velocity.shape[1:]):

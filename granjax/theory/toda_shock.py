@@ -89,7 +89,12 @@ def velocity_shock(
 
 
 def modulation(
-    m: Parameter, c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
+    m: Parameter,
+    c: Parameter,
+    *,
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> Modulation:
     r"""The periodic wave inside the dispersive shock of `velocity_shock`, and the speed n/t at which it stands.
 
@@ -111,16 +116,29 @@ def modulation(
     c, rate, b = _scaled(c, strength, rate, mass)
     m = _modulus_of(m)
     values = concrete(m), concrete(c)
-    if all(x is not None for x in values) and np.any(1 - values[0] > (1 + ROUNDING) * np.asarray(_last(values[1]))):
-        refuse("m", f"numbers from 1 - 1/C^2 on, where C = {SCALED} > 1", show(values[0]),
-               "There the shock begins, with a wave of two sites.")
+    if all(x is not None for x in values) and np.any(
+        1 - values[0] > (1 + ROUNDING) * np.asarray(_last(values[1]))
+    ):
+        refuse(
+            "m",
+            f"numbers from 1 - 1/C^2 on, where C = {SCALED} > 1",
+            show(values[0]),
+            "There the shock begins, with a wave of two sites.",
+        )
     # m alone sets m1: what rounding puts below the least m has no slope
     m1 = 1 - m
-    return Modulation(*_modulation(m1 + jax.lax.stop_gradient(jnp.minimum(m1, _last(c)) - m1), c, rate, b))
+    return Modulation(
+        *_modulation(m1 + jax.lax.stop_gradient(jnp.minimum(m1, _last(c)) - m1), c, rate, b)
+    )
 
 
 def modulus(
-    speed: Parameter, c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
+    speed: Parameter,
+    c: Parameter,
+    *,
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> Numbers:
     """The parameter m of the periodic wave at speed = n/t, the inverse of `modulation(m, c).speed`.
 
@@ -139,8 +157,14 @@ def modulus(
 
 
 def shock_wave(
-    n: Parameter, t: Parameter, c: Parameter, *, phase: Parameter | None = None,
-    strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
+    n: Parameter,
+    t: Parameter,
+    c: Parameter,
+    *,
+    phase: Parameter | None = None,
+    strength: Parameter = 1.0,
+    rate: Parameter = 1.0,
+    mass: Parameter = 1.0,
 ) -> ShockWave:
     r"""The dispersive shock of `velocity_shock` as a wave: plateau or middle, modulated periodic wave, strain 0 ahead.
 
@@ -181,8 +205,12 @@ def _scaled(c, strength, rate, mass):
     c = c * b / rate
     value = concrete(c)
     if value is not None and not np.all((value > 0) & np.isfinite(value)):
-        refuse("c", f"{SCALED} above zero, and finite", show(value),
-               "Otherwise the chain is pulled apart, and has a rarefaction.")
+        refuse(
+            "c",
+            f"{SCALED} above zero, and finite",
+            show(value),
+            "Otherwise the chain is pulled apart, and has a rarefaction.",
+        )
     return c, rate, b
 
 
@@ -198,7 +226,9 @@ def _numbers_of(m1, c):
 def _strains(m1, low, depth):
     """Mean, crest and trough; the mean as an integral, of which no digits cancel where c is small."""
     inside = jnp.where(m1 != 0, m1, 1.0)
-    mean = _integral(lambda S: jnp.log1p(low + depth / (1 + S)) / jnp.sqrt(1 + inside * S), m1.dtype) / _K(inside)
+    mean = _integral(
+        lambda S: jnp.log1p(low + depth / (1 + S)) / jnp.sqrt(1 + inside * S), m1.dtype
+    ) / _K(inside)
     return jnp.where(m1 != 0, mean, 0.0), jnp.log1p(low + depth), jnp.log1p(low)
 
 

@@ -36,9 +36,17 @@ class Averages(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held("", "rad/s"), "wavenumber": Held("", "rad"), "mean_strain": Held("", "m"),
-        "mean_force": Held("", "N"), "kinetic": Held("", "J"), "potential": Held("", "J"), "energy": Held("", "J"),
-        "lagrangian": Held("", "J"), "action": Held("", "J s"), "energy_flux": Held("", "W"), "error": Held("", "1"),
+        "omega": Held("", "rad/s"),
+        "wavenumber": Held("", "rad"),
+        "mean_strain": Held("", "m"),
+        "mean_force": Held("", "N"),
+        "kinetic": Held("", "J"),
+        "potential": Held("", "J"),
+        "energy": Held("", "J"),
+        "lagrangian": Held("", "J"),
+        "action": Held("", "J s"),
+        "energy_flux": Held("", "W"),
+        "error": Held("", "1"),
     }
     omega: Number
     wavenumber: Number
@@ -55,7 +63,14 @@ class Averages(Result):
 
 
 def averages_of(
-    shape: Shape, law: Law, mass: float, speed: float, wavelength: float, points: int, error: float, origin: dict,
+    shape: Shape,
+    law: Law,
+    mass: float,
+    speed: float,
+    wavelength: float,
+    points: int,
+    error: float,
+    origin: dict,
 ) -> Averages:
     """Averages by the trapezoidal rule on so many points, which is exact of a Fourier form but for the law's curve."""
     xi = wavelength / points * np.arange(points)
@@ -65,8 +80,20 @@ def averages_of(
     k = 2 * np.pi / wavelength
     kinetic, potential = mass / 2 * np.mean(own**2), np.mean(W)
     numbers = dict(
-        omega=k * speed, wavenumber=k, mean_strain=strain.mean(), mean_force=F.mean(), kinetic=kinetic,
-        potential=potential, energy=kinetic + potential, lagrangian=kinetic - potential,
-        action=2 * kinetic / (k * speed), energy_flux=np.mean(F * ahead), error=error)
-    return Averages(**{name: jnp.asarray(x) for name, x in numbers.items()},
-                    outcome=f"Averages over {wavelength:.6g} contacts, right to {error:.0e} or so.", **origin)
+        omega=k * speed,
+        wavenumber=k,
+        mean_strain=strain.mean(),
+        mean_force=F.mean(),
+        kinetic=kinetic,
+        potential=potential,
+        energy=kinetic + potential,
+        lagrangian=kinetic - potential,
+        action=2 * kinetic / (k * speed),
+        energy_flux=np.mean(F * ahead),
+        error=error,
+    )
+    return Averages(
+        **{name: jnp.asarray(x) for name, x in numbers.items()},
+        outcome=f"Averages over {wavelength:.6g} contacts, right to {error:.0e} or so.",
+        **origin,
+    )

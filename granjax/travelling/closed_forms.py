@@ -32,8 +32,12 @@ class ClosedForms(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "speed": Held("speed", "1/s"), "sound": Held("", "1/s"), "amplitude": Held("speed", "m"),
-        "kdv_error": Held("speed", "1"), "toda_error": Held("speed", "1"), "exact_error": Held("speed", "1"),
+        "speed": Held("speed", "1/s"),
+        "sound": Held("", "1/s"),
+        "amplitude": Held("speed", "m"),
+        "kdv_error": Held("speed", "1"),
+        "toda_error": Held("speed", "1"),
+        "exact_error": Held("speed", "1"),
     }
     speed: Numbers
     sound: Number
@@ -72,11 +76,19 @@ def closed_forms(law: Law | Lattice, speed: Parameter, *, mass: Scalar = 1.0) ->
     medium = medium_of(law, mass)
     K2, K3, *_ = taylor(medium.law)
     if not np.asarray(K2) > 0:
-        refuse("law", "one with linear stiffness, K2 > 0", f"K2 = {float(K2):g}",
-               "Without precompression there is no sound, which both closed forms stand on.")
+        refuse(
+            "law",
+            "one with linear stiffness, K2 > 0",
+            f"K2 = {float(K2):g}",
+            "Without precompression there is no sound, which both closed forms stand on.",
+        )
     if float(K3) == 0:
-        refuse("law", "one with K3, which sets the width of both solitons", "K3 = 0",
-               "Waves of a symmetric force are solitons of the modified equation.")
+        refuse(
+            "law",
+            "one with K3, which sets the width of both solitons",
+            "K3 = 0",
+            "Waves of a symmetric force are solitons of the modified equation.",
+        )
     sound = float(np.sqrt(K2 / medium.mass))
     rows = [_row(law, mass, c, float(K2), float(K3), float(medium.mass)) for c in speeds]
     return ClosedForms(speeds, np.asarray(sound), *map(np.array, zip(*rows)), **medium.origin)
@@ -89,6 +101,9 @@ def _row(law, mass, speed, K2, K3, m):
     exact, peak = np.asarray(wave.strain(x)), abs(float(wave.amplitude))
     constants = toda.matched(K2, K3)._asdict() | {"mass": m}
     k = toda.wavenumber(speed=abs(speed), **constants)
-    forms = (kdv.soliton(x, 0.0, K2, K3, speed=abs(speed), mass=m).strain, toda.soliton(x, 0.0, k, **constants).strain)
+    forms = (
+        kdv.soliton(x, 0.0, K2, K3, speed=abs(speed), mass=m).strain,
+        toda.soliton(x, 0.0, k, **constants).strain,
+    )
     errors = [np.abs(np.asarray(form) - exact).max() / peak for form in forms]
     return wave.amplitude, *errors, float(wave.error) / peak

@@ -63,13 +63,28 @@ class Collision(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "meeting": Held(None, "s"), "phase": Held("", "1"), "meeting_place": Held("", "1"), "shifts": Held("wave", "1"),
-        "shift_errors": Held("wave", "1"), "kdv_shifts": Held("wave", "1"), "toda_shifts": Held("wave", "1"),
-        "speeds": Held("wave", "1/s"), "speeds_after": Held("wave", "1/s"), "speed_errors": Held("wave", "1/s"),
-        "amplitudes": Held("wave", "m"), "amplitudes_after": Held("wave", "m"), "amplitude_errors": Held("wave", "m"),
-        "energy": Held(None, "J"), "radiated": Held("", "J"), "radiated_error": Held("", "J"),
-        "separation": Held("", "1"), "least_separation": Held(None, "1"), "misfits": Held("wave", "1"),
-        "times": Held("found", "s"), "places": Held("wave found", "1"), "run": Held(None),
+        "meeting": Held(None, "s"),
+        "phase": Held("", "1"),
+        "meeting_place": Held("", "1"),
+        "shifts": Held("wave", "1"),
+        "shift_errors": Held("wave", "1"),
+        "kdv_shifts": Held("wave", "1"),
+        "toda_shifts": Held("wave", "1"),
+        "speeds": Held("wave", "1/s"),
+        "speeds_after": Held("wave", "1/s"),
+        "speed_errors": Held("wave", "1/s"),
+        "amplitudes": Held("wave", "m"),
+        "amplitudes_after": Held("wave", "m"),
+        "amplitude_errors": Held("wave", "m"),
+        "energy": Held(None, "J"),
+        "radiated": Held("", "J"),
+        "radiated_error": Held("", "J"),
+        "separation": Held("", "1"),
+        "least_separation": Held(None, "1"),
+        "misfits": Held("wave", "1"),
+        "times": Held("found", "s"),
+        "places": Held("wave found", "1"),
+        "run": Held(None),
     }
     kind: str
     meeting: float
@@ -123,7 +138,12 @@ class Course(NamedTuple):
 
 
 def collide(
-    first: Wave, second: Wave, *, phase: Parameter = 0.0, tolerance: Scalar = 1e-7, step: Scalar | None = None,
+    first: Wave,
+    second: Wave,
+    *,
+    phase: Parameter = 0.0,
+    tolerance: Scalar = 1e-7,
+    step: Scalar | None = None,
     progress: bool = False,
 ) -> Collision:
     r"""Two solitary waves of one chain meet: where each is afterwards, beside where it would be alone.
@@ -173,8 +193,10 @@ def collide(
         courses = [_course(waves, parted, longer, x) for x in np.ravel(phases)]
         runs = _runs(waves, courses, phases.shape, step, progress)
         both = [-np.diff(np.reshape(run.us, (*run.us.shape[:2], -1)), axis=1) for run in runs]
-        found = [_measured(waves, course, parted, runs[0], [x[..., k] for x in both])
-                 for k, course in enumerate(courses)]
+        found = [
+            _measured(waves, course, parted, runs[0], [x[..., k] for x in both])
+            for k, course in enumerate(courses)
+        ]
         if all(one.shift_errors.max() <= tolerance for one in found):
             break
     return _together(found) if phases.ndim else found[0]
@@ -183,14 +205,20 @@ def collide(
 def _together(each):
     """The collisions at several phases as one, the phases last."""
     common = {name for name, held in Collision.held.items() if held.axes is None} | {"kind"}
-    fields = {name: getattr(each[0], name) if name in common else np.stack([getattr(one, name) for one in each], -1)
-              for name in ("kind", *Collision.held)}
+    fields = {
+        name: getattr(each[0], name)
+        if name in common
+        else np.stack([getattr(one, name) for one in each], -1)
+        for name in ("kind", *Collision.held)
+    }
     shifts, errors = fields["shifts"], fields["shift_errors"]
     parted = ~np.isnan(shifts[0])
     said = f"At {parted.sum()} of {len(each)} phases they have parted"
     if parted.any():
         ranges = (f"{x.min():.6g} to {x.max():.6g}" for x in shifts[:, parted])
-        said += f"; shifts from {' and from '.join(ranges)}, to {errors[:, parted].max():.1e} contacts"
+        said += (
+            f"; shifts from {' and from '.join(ranges)}, to {errors[:, parted].max():.1e} contacts"
+        )
     why = [each[np.argmin(parted)].outcome] if not parted.all() else []
     return Collision(**fields, outcome=" ".join([f"{said}.", *why]), _mark=each[0].run._mark)
 
@@ -199,10 +227,17 @@ def _runs(waves, courses, lanes, step, progress):
     """With a step, and with twice as much; a lane for each course, or one course alone."""
     course, shape = courses[0], (-1, *lanes)
     made = lambda m: Lattice(m, Bond(Shift(1, "free"), waves[0].law), sites=course.sites)
-    lattice = jax.vmap(made, out_axes=-1)(np.full(lanes, waves[0].mass)) if lanes else made(waves[0].mass)
+    lattice = (
+        jax.vmap(made, out_axes=-1)(np.full(lanes, waves[0].mass)) if lanes else made(waves[0].mass)
+    )
     lattice = lattice.counted_in(waves[0].units or lattice.units)
-    parts = [[wave.state(course.sites, start) for wave, start in zip(waves, one.starts)] for one in courses]
-    state = State(*(jnp.stack([sum(y[i] for y in pair) for pair in parts], -1).reshape(shape) for i in (0, 1)))
+    parts = [
+        [wave.state(course.sites, start) for wave, start in zip(waves, one.starts)]
+        for one in courses
+    ]
+    state = State(
+        *(jnp.stack([sum(y[i] for y in pair) for pair in parts], -1).reshape(shape) for i in (0, 1))
+    )
     if step is None:
         step = STEP / course.longer**0.5 / (2 * course.sound)
     # twice the step is to fit between two frames
@@ -214,12 +249,20 @@ def _runs(waves, courses, lanes, step, progress):
 def _of_one_chain(first, second):
     media = [(wave.law, wave.mass) for wave in (first, second)]
     if not eqx.tree_equal(*media, rtol=SAME, typematch=False) or first.units != second.units:
-        refuse("second", "a wave of the same law, mass and units as the first", "another chain",
-               "Both are of solitary_wave(law, ...) with one law.")
+        refuse(
+            "second",
+            "a wave of the same law, mass and units as the first",
+            "another chain",
+            "Both are of solitary_wave(law, ...) with one law.",
+        )
     one, two = float(first.speed), float(second.speed)
     if abs(one - two) <= SAME * abs(one):
-        refuse("second", "a speed other than the first's", f"{two:g} of both",
-               "Two waves of one speed never meet; for one to the left take speed=-c.")
+        refuse(
+            "second",
+            "a speed other than the first's",
+            f"{two:g} of both",
+            "Two waves of one speed never meet; for one to the left take speed=-c.",
+        )
 
 
 def _course(waves, parted, longer, phase):
@@ -233,44 +276,81 @@ def _course(waves, parted, longer, phase):
     margin = parted + BEYOND
     sites = shared_size(int(np.ceil(np.ptp(ends) + 2 * margin)) + 4)
     place = np.ceil(margin - ends.min()) + phase % 1
-    return Course(place - speeds * meeting, speeds, meeting, (1 + longer) * meeting, sites, longer, phase, sound)
+    return Course(
+        place - speeds * meeting,
+        speeds,
+        meeting,
+        (1 + longer) * meeting,
+        sites,
+        longer,
+        phase,
+        sound,
+    )
 
 
 def _measured(waves, course, parted, run, both):
     """What became of the waves, by the strains of both runs."""
     ts, meeting = np.asarray(run.ts, float), course.meeting
     share = MORE / (1 + MORE)
-    early, late = ts <= share * meeting * (1 + SAME), ts >= course.time - share * (course.time - meeting) * (1 + SAME)
+    early, late = (
+        ts <= share * meeting * (1 + SAME),
+        ts >= course.time - share * (course.time - meeting) * (1 + SAME),
+    )
     sooner, later = [x[early] for x in both], [x[late] for x in both]
     free = course.places(ts)
     before = [tracked(w, ts[early], *sooner, x[early]) for w, x in zip(waves, free)]
-    after = [tracked(w, ts[late], *later, _highest(w, later[0], x[late], parted)) for w, x in zip(waves, free)]
+    after = [
+        tracked(w, ts[late], *later, _highest(w, later[0], x[late], parted))
+        for w, x in zip(waves, free)
+    ]
     after, besides, lost = zip(*(_own(track, later) for track in after))
     lines = np.array([[track.at(meeting) for track in tracks] for tracks in (before, after)])
     shifts, errors = lines[1, :, 0] - lines[0, :, 0], LEFT * lines[..., 1].sum(0)
-    amplitudes, energies = (np.array([number_of(*pair, name) for pair in zip(after, besides)])
-                            for name in ("amplitude", "energy"))
+    amplitudes, energies = (
+        np.array([number_of(*pair, name) for pair in zip(after, besides)])
+        for name in ("amplitude", "energy")
+    )
     misfits = np.array([track.misfit for track in after])
     separation = float(np.min(np.abs(after[0].places - after[1].places)))
     told = _apart(misfits, separation, parted, lost)
     if told:
-        shifts, errors, amplitudes, energies = (np.full_like(x, np.nan) for x in (shifts, errors, amplitudes, energies))
+        shifts, errors, amplitudes, energies = (
+            np.full_like(x, np.nan) for x in (shifts, errors, amplitudes, energies)
+        )
     kdv, toda_shifts, reasons = predicted(*waves)
     energy = float(sum(float(w.energy) for w in waves))
     of = lambda name: np.array([float(getattr(w, name)) for w in waves])
     speeds = np.array([[track.speed, track.speed_error] for track in after])
-    told = told or f"They have parted, by {separation:.4g} contacts; shifts to {errors.max():.1e} contacts."
+    told = (
+        told
+        or f"They have parted, by {separation:.4g} contacts; shifts to {errors.max():.1e} contacts."
+    )
     return Collision(
-        kind=_kind(waves), meeting=meeting, phase=float(course.phase % 1),
+        kind=_kind(waves),
+        meeting=meeting,
+        phase=float(course.phase % 1),
         meeting_place=float(course.places(np.array([meeting]))[0, 0]),
-        shifts=shifts, shift_errors=errors, kdv_shifts=kdv, toda_shifts=toda_shifts, speeds=of("speed"),
-        speeds_after=speeds[:, 0], speed_errors=speeds[:, 1], amplitudes=of("amplitude"),
-        amplitudes_after=amplitudes[:, 0], amplitude_errors=amplitudes[:, 1], energy=energy,
-        radiated=float(energy - energies[:, 0].sum()), radiated_error=float(energies[:, 1].sum()),
-        separation=separation, least_separation=float(parted), misfits=misfits,
+        shifts=shifts,
+        shift_errors=errors,
+        kdv_shifts=kdv,
+        toda_shifts=toda_shifts,
+        speeds=of("speed"),
+        speeds_after=speeds[:, 0],
+        speed_errors=speeds[:, 1],
+        amplitudes=of("amplitude"),
+        amplitudes_after=amplitudes[:, 0],
+        amplitude_errors=amplitudes[:, 1],
+        energy=energy,
+        radiated=float(energy - energies[:, 0].sum()),
+        radiated_error=float(energies[:, 1].sum()),
+        separation=separation,
+        least_separation=float(parted),
+        misfits=misfits,
         times=np.concatenate([ts[early], ts[late]]),
-        places=np.stack([np.concatenate([b.places, a.places]) for b, a in zip(before, after)]), run=run,
-        outcome=" ".join([told, *reasons]), _mark=waves[0]._mark,
+        places=np.stack([np.concatenate([b.places, a.places]) for b, a in zip(before, after)]),
+        run=run,
+        outcome=" ".join([told, *reasons]),
+        _mark=waves[0]._mark,
     )
 
 
@@ -281,7 +361,9 @@ def _kind(waves):
 def _highest(wave, strains, free, parted):
     """The contact of the largest strain of the wave's sign, within half the distance of where it would be alone."""
     near = np.abs(np.arange(strains.shape[1]) - free[:, None]) < parted / 2
-    return np.argmax(np.where(near, np.sign(float(wave.amplitude)) * strains, -np.inf), 1).astype(float)
+    return np.argmax(np.where(near, np.sign(float(wave.amplitude)) * strains, -np.inf), 1).astype(
+        float
+    )
 
 
 def _own(track, strains):
@@ -297,11 +379,15 @@ def _apart(misfits, separation, parted, lost):
     if any(lost):
         return f"No shift: what leaves is no solitary wave. {next(filter(None, lost))}"
     if not separation > 0.8 * parted:
-        return (f"No shift: the waves have not parted, {separation:.4g} contacts are between them and {parted:.4g} "
-                "would be needed.")
+        return (
+            f"No shift: the waves have not parted, {separation:.4g} contacts are between them and {parted:.4g} "
+            "would be needed."
+        )
     if not (misfits < MISFIT).all():
-        return (f"No shift: what leaves differs from a solitary wave by {np.nanmax(misfits):.1%} of its peak: other "
-                "waves are still about it.")
+        return (
+            f"No shift: what leaves differs from a solitary wave by {np.nanmax(misfits):.1%} of its peak: other "
+            "waves are still about it."
+        )
     return ""
 
 
@@ -313,7 +399,11 @@ def predicted(first: Wave, second: Wave) -> tuple[np.ndarray, np.ndarray, list[s
     if not (np.isfinite(K2) and K2 > 0):
         return none, none, ["KdV and Toda say nothing of a chain without sound."]
     if K3 == 0 or any(K3 * float(wave.amplitude) < 0 for wave in waves):
-        return none, none, ["KdV and Toda have no such waves: K3 of this chain is zero or of the other sign."]
+        return (
+            none,
+            none,
+            ["KdV and Toda have no such waves: K3 of this chain is zero or of the other sign."],
+        )
     sound, speeds = np.sqrt(K2 / float(first.mass)), np.array([float(wave.speed) for wave in waves])
     way, head_on = np.sign(speeds[0]), _kind(waves) == "head-on"
     constants = dict(zip(("strength", "rate"), toda.matched(K2, K3)), mass=first.mass)

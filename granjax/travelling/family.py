@@ -34,9 +34,15 @@ class WaveFamily(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "speed": Held("wave", "1/s"), "amplitude": Held("wave", "m"), "energy": Held("wave", "J"),
-        "momentum": Held("wave", "N s"), "compression": Held("wave", "m"), "width": Held("wave", "1"),
-        "energy_slope": Held("wave", "J s"), "error": Held("wave", "m"), "turns": Held("turn", "1/s"),
+        "speed": Held("wave", "1/s"),
+        "amplitude": Held("wave", "m"),
+        "energy": Held("wave", "J"),
+        "momentum": Held("wave", "N s"),
+        "compression": Held("wave", "m"),
+        "width": Held("wave", "1"),
+        "energy_slope": Held("wave", "J s"),
+        "error": Held("wave", "m"),
+        "turns": Held("turn", "1/s"),
     }
     speed: Float[np.ndarray, " P"]
     amplitude: Float[np.ndarray, " P"]
@@ -52,8 +58,13 @@ class WaveFamily(Result):
 
 
 def family(
-    law: Law | Lattice, *, speed: Parameter | None = None, amplitude: Parameter | None = None,
-    energy: Parameter | None = None, mass: Scalar = 1.0, side: str | None = None,
+    law: Law | Lattice,
+    *,
+    speed: Parameter | None = None,
+    amplitude: Parameter | None = None,
+    energy: Parameter | None = None,
+    mass: Scalar = 1.0,
+    side: str | None = None,
 ) -> WaveFamily:
     """Solitary waves of a law, or of a uniform chain, at several speeds, amplitudes or energies.
 
@@ -70,7 +81,11 @@ def family(
     >>> round(float(high.energy / low.energy), 4)  # 2^10
     1024.0
     """
-    given = {name: x for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy)) if x is not None}
+    given = {
+        name: x
+        for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy))
+        if x is not None
+    }
     if len(given) != 1:
         refuse("speed, amplitude, energy", "exactly one of them", ", ".join(given) or "none")
     if side is not None:
@@ -82,17 +97,45 @@ def family(
 
         def numbers_of(x):
             found["wave"] = solved = wave_of(medium, **{name: x}, side=side)
-            return solved.shape.speed, solved.energy, solved.shape.strain(0.0), solved.momentum, solved.compression
+            return (
+                solved.shape.speed,
+                solved.energy,
+                solved.shape.strain(0.0),
+                solved.momentum,
+                solved.compression,
+            )
 
         values, slopes = jax.jvp(numbers_of, (jnp.asarray(x),), (jnp.ones(()),))
         solved = jax.lax.stop_gradient(found["wave"].shape)
-        rows.append([*map(float, values), 2 * half_width(solved, float(solved.end)), float(slopes[1] / slopes[0]),
-                     found["wave"].error])
+        rows.append(
+            [
+                *map(float, values),
+                2 * half_width(solved, float(solved.end)),
+                float(slopes[1] / slopes[0]),
+                found["wave"].error,
+            ]
+        )
     c, E, peak, momentum, compression, width, slope, error = np.array(rows).T
     turns = _zeros(np.abs(c), slope * np.sign(c))
-    told = f"{len(rows)} waves; " + (f"dE/dc passes zero near c = {', '.join(f'{x:.4g}' for x in turns)}."
-                                     if len(turns) else "their energy has no turn.")
-    return WaveFamily(c, peak, E, momentum, compression, width, slope, error, turns, medium.law, told, **medium.origin)
+    told = f"{len(rows)} waves; " + (
+        f"dE/dc passes zero near c = {', '.join(f'{x:.4g}' for x in turns)}."
+        if len(turns)
+        else "their energy has no turn."
+    )
+    return WaveFamily(
+        c,
+        peak,
+        E,
+        momentum,
+        compression,
+        width,
+        slope,
+        error,
+        turns,
+        medium.law,
+        told,
+        **medium.origin,
+    )
 
 
 def _shown(numbers):

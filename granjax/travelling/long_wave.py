@@ -110,8 +110,14 @@ def _symbol(w, spacing):
 
 
 def long_wave(
-    law: Law, strain: Parameter, rate: Parameter | None = None, *, spacing: Scalar, speed: Scalar | None = None,
-    mass: Scalar = 1.0, form: str = "regularised",
+    law: Law,
+    strain: Parameter,
+    rate: Parameter | None = None,
+    *,
+    spacing: Scalar,
+    speed: Scalar | None = None,
+    mass: Scalar = 1.0,
+    form: str = "regularised",
 ) -> LongWave:
     r"""The equation m y_tt = d_x^2 F(y) + (m/12) d_x^2 y_tt in a periodic box, ready for `gx.simulate`.
 
@@ -148,20 +154,38 @@ def long_wave(
     (96,)
     """
     if one_of("form", form, FORMS) != "regularised":
-        refuse("form", "'regularised'", repr(form), "The linear branch of this equation turns negative beyond k = "
-               "sqrt(12), omega^2 = (K2/m) k^2 (1 - k^2/12): its short waves grow, the finer the grid the faster. "
-               "theory.long_wave has its residual.")
-    y, spacing, mass = parameter("strain", strain), positive("spacing", spacing), positive("mass", mass)
+        refuse(
+            "form",
+            "'regularised'",
+            repr(form),
+            "The linear branch of this equation turns negative beyond k = "
+            "sqrt(12), omega^2 = (K2/m) k^2 (1 - k^2/12): its short waves grow, the finer the grid the faster. "
+            "theory.long_wave has its residual.",
+        )
+    y, spacing, mass = (
+        parameter("strain", strain),
+        positive("spacing", spacing),
+        positive("mass", mass),
+    )
     if y.ndim != 1 or len(y) < LEAST:
         refuse("strain", f"an array over {LEAST} places or more", f"shape {y.shape}")
     for leaf in jax.tree.leaves(eqx.filter(law, eqx.is_inexact_array)):
         if jnp.ndim(leaf):
-            refuse("law", "one of single numbers", f"a parameter of shape {jnp.shape(leaf)}", "All places are alike.")
+            refuse(
+                "law",
+                "one of single numbers",
+                f"a parameter of shape {jnp.shape(leaf)}",
+                "All places are alike.",
+            )
     rate = _rate(y, rate, speed, spacing)
     mean = jnp.mean(y)
     strain_map = SpectralStrain(spacing, mean)
     lattice = Lattice(mass * spacing, Bond(strain_map, Scaled(law, spacing)), sites=len(y))
-    return LongWave(lattice, State(_moved(y - mean, spacing), _moved(rate, spacing)), spacing * jnp.arange(len(y)))
+    return LongWave(
+        lattice,
+        State(_moved(y - mean, spacing), _moved(rate, spacing)),
+        spacing * jnp.arange(len(y)),
+    )
 
 
 def _rate(y, rate, speed, spacing):
@@ -170,13 +194,20 @@ def _rate(y, rate, speed, spacing):
     if speed is not None:
         k = 2 * np.pi * np.fft.rfftfreq(len(y))
         k[-1] *= len(y) % 2
-        return -parameter("speed", speed) * jnp.fft.irfft(1j * k / spacing * jnp.fft.rfft(y), len(y))
+        return -parameter("speed", speed) * jnp.fft.irfft(
+            1j * k / spacing * jnp.fft.rfft(y), len(y)
+        )
     if rate is None:
         return jnp.zeros_like(y)
     rate = jnp.broadcast_to(jnp.asarray(rate, float), y.shape)
     value = concrete(rate)
     if value is not None and abs(value.mean()) > STILL * np.abs(value).max():
-        refuse("rate", "one of mean zero", show(value.mean()), "A periodic box keeps its length. Take off the mean.")
+        refuse(
+            "rate",
+            "one of mean zero",
+            show(value.mean()),
+            "A periodic box keeps its length. Take off the mean.",
+        )
     return rate
 
 

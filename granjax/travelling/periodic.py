@@ -38,9 +38,18 @@ class PeriodicWave(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "speed": Held("", "1/s"), "wavelength": Held("", "1"), "mean": Held("", "m"), "amplitude": Held("", "m"),
-        "crest": Held("", "m"), "trough": Held("", "m"), "energy": Held("", "J"), "residual": Held("", "1"),
-        "error": Held("", "m"), "mass": Held("", "kg"), "xi": Held("xi", "1"), "strains": Held("xi", "m"),
+        "speed": Held("", "1/s"),
+        "wavelength": Held("", "1"),
+        "mean": Held("", "m"),
+        "amplitude": Held("", "m"),
+        "crest": Held("", "m"),
+        "trough": Held("", "m"),
+        "energy": Held("", "J"),
+        "residual": Held("", "1"),
+        "error": Held("", "m"),
+        "mass": Held("", "kg"),
+        "xi": Held("xi", "1"),
+        "strains": Held("xi", "m"),
         "velocities": Held("xi", "m/s"),
     }
     speed: Number
@@ -87,12 +96,19 @@ class PeriodicWave(Result):
         points = AVERAGED * (len(self._shape.wavenumbers) + 1)
         error = max(float(self.error / self.amplitude), points**0.5 * np.finfo(float).eps)
         origin = {"_mark": self._mark, "_space": self._space}
-        return averages_of(self._shape, self.law, float(self.mass), c, length, points, error, origin)
+        return averages_of(
+            self._shape, self.law, float(self.mass), c, length, points, error, origin
+        )
 
 
 def periodic_wave(
-    law: Law | Lattice, wavelength: Scalar, *, speed: Scalar | None = None, amplitude: Scalar | None = None,
-    mean: Scalar = 0.0, mass: Scalar = 1.0,
+    law: Law | Lattice,
+    wavelength: Scalar,
+    *,
+    speed: Scalar | None = None,
+    amplitude: Scalar | None = None,
+    mean: Scalar = 0.0,
+    mass: Scalar = 1.0,
 ) -> PeriodicWave:
     r"""A periodic travelling wave of a chain of equal masses with one law between neighbours, exact on the lattice.
 
@@ -115,13 +131,27 @@ def periodic_wave(
     if (speed is None) == (amplitude is None):
         refuse("speed, amplitude", "exactly one of them", "none" if speed is None else "both")
     if traced((law, wavelength, speed, amplitude, mean, mass)):
-        refuse("law", "numbers that are known", "traced ones",
-               "Periodic waves are followed from small ones and have no derivatives; solitary ones do.")
+        refuse(
+            "law",
+            "numbers that are known",
+            "traced ones",
+            "Periodic waves are followed from small ones and have no derivatives; solitary ones do.",
+        )
     medium = medium_of(law, mass)
-    L, c, a = (one_number(*x) for x in (("wavelength", wavelength), ("speed", speed), ("amplitude", amplitude)))
+    L, c, a = (
+        one_number(*x)
+        for x in (("wavelength", wavelength), ("speed", speed), ("amplitude", amplitude))
+    )
     if not L > 2:
-        refuse("wavelength", "more than two contacts", f"{L:g}", "Shorter waves are the same on a lattice.")
-    remedy = "To the left runs its mirror image, of beads with the other velocity." if a is None else ""
+        refuse(
+            "wavelength",
+            "more than two contacts",
+            f"{L:g}",
+            "Shorter waves are the same on a lattice.",
+        )
+    remedy = (
+        "To the left runs its mirror image, of beads with the other velocity." if a is None else ""
+    )
     positive("speed" if a is None else "amplitude", c if a is None else a, remedy)
     m, s = float(medium.mass), one_number("mean", mean)
     found = train(medium.law, m, s, L, c, a)
@@ -133,16 +163,35 @@ def _recorded(medium, found, wavelength, mean, mass):
     c, k = np.sqrt(found.level / mass), half.wavenumbers[1:]
     F, _, W = values(medium.law, mean + psi)
     b = np.sinc(k / (2 * np.pi)) * half.coefficients(F) / (mass * c)
-    shape = FourierShape(*map(jnp.asarray, (c, mean + (psi[0] - half.coefficients(psi).sum()), k,
-                                            half.coefficients(psi), b)))
+    shape = FourierShape(
+        *map(
+            jnp.asarray,
+            (c, mean + (psi[0] - half.coefficients(psi).sum()), k, half.coefficients(psi), b),
+        )
+    )
     weights = np.full(len(psi), wavelength / (len(psi) - 1))
     weights[[0, -1]] /= 2
     xi = np.linspace(-wavelength / 2, wavelength / 2, TABLE)
     amplitude = (psi[0] - psi[-1]) / 2
     numbers = dict(
-        speed=c, wavelength=wavelength, mean=mean, amplitude=amplitude, crest=mean + psi[0], trough=mean + psi[-1],
-        energy=weights @ W + mass * wavelength / 4 * b @ b, residual=found.residual, error=found.error)
+        speed=c,
+        wavelength=wavelength,
+        mean=mean,
+        amplitude=amplitude,
+        crest=mean + psi[0],
+        trough=mean + psi[-1],
+        energy=weights @ W + mass * wavelength / 4 * b @ b,
+        residual=found.residual,
+        error=found.error,
+    )
     return PeriodicWave(
-        **{name: jnp.asarray(x) for name, x in numbers.items()}, law=medium.law, mass=medium.mass, xi=xi,
-        strains=shape.at("strain", xi), velocities=shape.at("velocity", xi), _shape=shape,
-        outcome=f"Found to {found.error / abs(amplitude):.1e} of its amplitude.", **medium.origin)
+        **{name: jnp.asarray(x) for name, x in numbers.items()},
+        law=medium.law,
+        mass=medium.mass,
+        xi=xi,
+        strains=shape.at("strain", xi),
+        velocities=shape.at("velocity", xi),
+        _shape=shape,
+        outcome=f"Found to {found.error / abs(amplitude):.1e} of its amplitude.",
+        **medium.origin,
+    )

@@ -47,11 +47,20 @@ class Reflection(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "delay": Held("", "s"), "delay_error": Held("", "s"), "speeds": Held("", "1/s"),
-        "speed_errors": Held("", "1/s"), "amplitudes": Held("", "m"), "amplitude_errors": Held("", "m"),
-        "energies": Held("", "J"), "energy_errors": Held("", "J"), "misfits": Held("", "1"),
-        "speed": Held(None, "1/s"), "amplitude": Held(None, "m"), "energy": Held(None, "J"),
-        "distance": Held(None, "1"), "run": Held(None),
+        "delay": Held("", "s"),
+        "delay_error": Held("", "s"),
+        "speeds": Held("", "1/s"),
+        "speed_errors": Held("", "1/s"),
+        "amplitudes": Held("", "m"),
+        "amplitude_errors": Held("", "m"),
+        "energies": Held("", "J"),
+        "energy_errors": Held("", "J"),
+        "misfits": Held("", "1"),
+        "speed": Held(None, "1/s"),
+        "amplitude": Held(None, "m"),
+        "energy": Held(None, "J"),
+        "distance": Held(None, "1"),
+        "run": Held(None),
     }
     delay: Numbers
     delay_error: Numbers
@@ -71,7 +80,11 @@ class Reflection(Result):
 
 
 def reflect(
-    wave: Wave, wall: Law | None = None, *, distance: Count | None = None, step: Scalar | None = None,
+    wave: Wave,
+    wall: Law | None = None,
+    *,
+    distance: Count | None = None,
+    step: Scalar | None = None,
     progress: bool = False,
 ) -> Reflection:
     r"""A solitary wave is sent against the wall at the end of its chain: when and as what it comes back.
@@ -122,8 +135,13 @@ def reflect(
             break
     columns = np.array(found).reshape(scene.lanes + (9,))
     return Reflection(
-        *(np.asarray(columns[..., i]) for i in range(9)), speed=float(wave.speed), amplitude=float(wave.amplitude),
-        energy=float(wave.energy), distance=distance, run=runs[0], outcome=_told(scene, columns[..., 1], lost),
+        *(np.asarray(columns[..., i]) for i in range(9)),
+        speed=float(wave.speed),
+        amplitude=float(wave.amplitude),
+        energy=float(wave.energy),
+        distance=distance,
+        run=runs[0],
+        outcome=_told(scene, columns[..., 1], lost),
         _mark=runs[0]._mark,
     )
 
@@ -151,12 +169,19 @@ class _Scene:
         """With a step, and with twice as much."""
         lattice, state = self._lattice(), self.wave.state(self.sites, self.start)
         # the beads ahead of the wave are at rest in place, as the wall is
-        state = State(*(jnp.broadcast_to(x.reshape((-1,) + (1,) * len(self.lanes)), x.shape + self.lanes)
-                        for x in state))
+        state = State(
+            *(
+                jnp.broadcast_to(x.reshape((-1,) + (1,) * len(self.lanes)), x.shape + self.lanes)
+                for x in state
+            )
+        )
         if step is None:
             step = STEP / float(frequency_bound(lattice, state, 0.0, time))
         step = min(step, time / (2 * (FRAMES - 1)))
-        return [simulate(lattice, state, time, step=h, save_at=FRAMES, progress=progress) for h in (step, 2 * step)]
+        return [
+            simulate(lattice, state, time, step=h, save_at=FRAMES, progress=progress)
+            for h in (step, 2 * step)
+        ]
 
     def _lattice(self):
         bond, units = Bond(Shift(1, "free"), self.wave.law), self.wave.units
@@ -167,7 +192,9 @@ class _Scene:
 
         if not self.lanes:
             return made(self.wall)
-        over = jax.tree.map(lambda x: 0 if eqx.is_array(x) and x.shape == self.lanes else None, self.wall)
+        over = jax.tree.map(
+            lambda x: 0 if eqx.is_array(x) and x.shape == self.lanes else None, self.wall
+        )
         return jax.vmap(made, in_axes=(over,), out_axes=-1)(self.wall)
 
 
@@ -182,7 +209,9 @@ def _returned(scene, runs, lane):
     at = (lane,) if scene.lanes else ()
     both = [-np.diff(np.asarray(run.us, float)[(..., *at)], axis=1) for run in runs]
     first = ts <= scene.before
-    sent = tracked(wave, ts[first], *(x[first] for x in both), scene.start + float(wave.speed) * ts[first])
+    sent = tracked(
+        wave, ts[first], *(x[first] for x in both), scene.start + float(wave.speed) * ts[first]
+    )
     frames, guesses, past = _leading(scene, ts, np.sign(float(wave.amplitude)) * both[0])
     if not past or len(frames) < LEAST:
         return none, LATE
@@ -193,10 +222,21 @@ def _returned(scene, runs, lane):
     except ValueError as error:
         return none, f"what comes back is no solitary wave: {error}"
     if not back.misfit < MISFIT:
-        return none, f"what comes back differs from a solitary wave by {back.misfit:.1%} of its peak"
+        return (
+            none,
+            f"what comes back differs from a solitary wave by {back.misfit:.1%} of its peak",
+        )
     (came, early), (left, late) = sent.passes(scene.mirror), back.passes(scene.mirror)
     amplitude, energy = (number_of(back, beside, name) for name in ("amplitude", "energy"))
-    return [left - came, early + late, -back.speed, back.speed_error, *amplitude, *energy, back.misfit], ""
+    return [
+        left - came,
+        early + late,
+        -back.speed,
+        back.speed_error,
+        *amplitude,
+        *energy,
+        back.misfit,
+    ], ""
 
 
 def _leading(scene, ts, strains):
@@ -218,10 +258,16 @@ def _told(scene, errors, lost):
     if not why:
         said = f"Came back; delays to {np.max(errors):.1e} of their unit."
     else:
-        some = f"Of {sum(map(bool, lost))} of {scene.count} walls" if scene.count > 1 else "Of this wall"
+        some = (
+            f"Of {sum(map(bool, lost))} of {scene.count} walls"
+            if scene.count > 1
+            else "Of this wall"
+        )
         said = f"{some} nothing is known: {'; '.join(why)}. A larger distance lets waves part."
     loads = [float(np.max(np.asarray(law.preload))) for law in (scene.wall, scene.wave.law)]
     if abs(loads[0] - loads[1]) > 1e-9 * max(map(abs, loads)):
-        said += (f" The wall's static force {loads[0]:.4g} is not the chain's {loads[1]:.4g}: a constant load on the "
-                 "last bead holds the difference.")
+        said += (
+            f" The wall's static force {loads[0]:.4g} is not the chain's {loads[1]:.4g}: a constant load on the "
+            "last bead holds the difference."
+        )
     return said

@@ -17,8 +17,15 @@ TABLE, REACH = 257, 20.0
 
 
 def solitary_wave(
-    law: Law | Lattice, *, speed: Scalar | None = None, amplitude: Scalar | None = None, energy: Scalar | None = None,
-    mass: Scalar = 1.0, side: str | None = None, resonator: Resonator | None = None, spacing: Scalar | None = None,
+    law: Law | Lattice,
+    *,
+    speed: Scalar | None = None,
+    amplitude: Scalar | None = None,
+    energy: Scalar | None = None,
+    mass: Scalar = 1.0,
+    side: str | None = None,
+    resonator: Resonator | None = None,
+    spacing: Scalar | None = None,
 ) -> Wave | CellWave:
     r"""The solitary wave of a chain of equal masses with one law between neighbours, exact on the lattice.
 
@@ -53,20 +60,35 @@ def solitary_wave(
     >>> round(float(wave.amplitude), 6)
     1.487359
     """
-    given = [name for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy)) if x is not None]
+    given = [
+        name
+        for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy))
+        if x is not None
+    ]
     if len(given) != 1:
-        refuse("speed, amplitude, energy", "exactly one of them", ", ".join(given) or "none",
-               "One number says which wave of the family.")
+        refuse(
+            "speed, amplitude, energy",
+            "exactly one of them",
+            ", ".join(given) or "none",
+            "One number says which wave of the family.",
+        )
     if side is not None:
         one_of("side", side, ("compression", "tension"))
     if spacing is not None:
         if speed is None:
-            refuse("spacing", "None without a speed", show(spacing), "Only a speed is counted in it.")
+            refuse(
+                "spacing", "None without a speed", show(spacing), "Only a speed is counted in it."
+            )
         speed = speed / positive("spacing", spacing, "It is a length, such as a bead's diameter.")
     medium = medium_of(law, mass)
     if resonator is not None:
         if given != ["speed"]:
-            refuse(given[0], "a speed, for beads with a resonator", given[0], "Its stiffness goes with the speed.")
+            refuse(
+                given[0],
+                "a speed, for beads with a resonator",
+                given[0],
+                "Its stiffness goes with the speed.",
+            )
         return alone_with_resonators(medium.law, medium.mass, speed, resonator)
     found = wave_of(medium, speed, amplitude, energy, side)
     return _recorded(medium, found)
@@ -81,18 +103,33 @@ def _recorded(medium, found: Solved) -> Wave:
     xi = np.linspace(-reach, reach, TABLE)
     amplitude = shape.at("strain", 0.0)
     return Wave(
-        speed=shape.speed, amplitude=amplitude, energy=found.energy, momentum=found.momentum,
-        compression=found.compression, width=implicit_width(shape, half_width(known, end)),
-        decay=jnp.asarray(found.decay), exponent=jnp.asarray(found.exponent), residual=jnp.asarray(found.residual),
-        error=jnp.asarray(found.error), law=medium.law, mass=medium.mass, xi=xi,
-        strains=shape.at("strain", xi), velocities=shape.at("velocity", xi),
-        outcome=_told(found, amplitude, decay, exponent), _shape=shape, **medium.origin,
+        speed=shape.speed,
+        amplitude=amplitude,
+        energy=found.energy,
+        momentum=found.momentum,
+        compression=found.compression,
+        width=implicit_width(shape, half_width(known, end)),
+        decay=jnp.asarray(found.decay),
+        exponent=jnp.asarray(found.exponent),
+        residual=jnp.asarray(found.residual),
+        error=jnp.asarray(found.error),
+        law=medium.law,
+        mass=medium.mass,
+        xi=xi,
+        strains=shape.at("strain", xi),
+        velocities=shape.at("velocity", xi),
+        outcome=_told(found, amplitude, decay, exponent),
+        _shape=shape,
+        **medium.origin,
     )
 
 
 def _told(found, amplitude, decay, exponent):
-    tail = (f"exp(-{decay:.6g} |xi|)" if np.isfinite(decay)
-            else f"double exponential, of exponent {exponent:.6g}")
+    tail = (
+        f"exp(-{decay:.6g} |xi|)"
+        if np.isfinite(decay)
+        else f"double exponential, of exponent {exponent:.6g}"
+    )
     if traced(amplitude):
         return f"Found; its tail is {tail}."
     share = found.error / abs(float(amplitude))

@@ -51,7 +51,9 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
     e = e - e.mean()
     u = jnp.concatenate([jnp.zeros(1), -jnp.cumsum(e)[:-1]])
     units = {} if wave.units is None else {"units": wave.units}
-    lattice = Lattice(wave.mass, Bond(Shift(1, "periodic"), Strained(wave.law, s)), sites=sites, **units)
+    lattice = Lattice(
+        wave.mass, Bond(Shift(1, "periodic"), Strained(wave.law, s)), sites=sites, **units
+    )
     v = wave.velocity(xi)
     return lattice, State(u - u.mean(), v - v.mean())
 
@@ -61,8 +63,12 @@ def _sites_of(wave):
     strains = np.abs(np.asarray(wave.strain(np.arange(LONGEST // 2 + 1.0))))
     half = int(np.argmax(strains < CLOSED * peak)) if strains[-1] < CLOSED * peak else None
     if half is None:
-        refuse("sites", f"the number of a ring, where more than {LONGEST} are needed to hold all of the tail", "None",
-               "Give one; the matrix has twice as many rows, and the ring's wave is another one.")
+        refuse(
+            "sites",
+            f"the number of a ring, where more than {LONGEST} are needed to hold all of the tail",
+            "None",
+            "Give one; the matrix has twice as many rows, and the ring's wave is another one.",
+        )
     return max(SHORTEST, 2 * half)
 
 
@@ -85,10 +91,14 @@ def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: An
     >>> guess.u.shape
     (14,)
     """
-    return orbit(lattice, guess, 1 / abs(speed), symmetry=Translation(1 if speed > 0 else -1), **keywords)
+    return orbit(
+        lattice, guess, 1 / abs(speed), symmetry=Translation(1 if speed > 0 else -1), **keywords
+    )
 
 
-def stability(wave: Any, sites: Count | None = None, ends: str | None = None, **keywords: Any) -> Floquet:
+def stability(
+    wave: Any, sites: Count | None = None, ends: str | None = None, **keywords: Any
+) -> Floquet:
     r"""Multipliers of a wave over the time in which it runs one site: of S^-1 D y(1/c), with errors and a verdict.
 
     `ends="ring"`: the wave is set on a `ring`, refined there by Newton's method and judged as any orbit is, with Krein
@@ -119,7 +129,12 @@ def stability(wave: Any, sites: Count | None = None, ends: str | None = None, **
         found = wave_orbit(lattice, state, float(wave.speed)).floquet(**keywords)
         return _judged(found, wave, lattice.shape[0])
     if keywords:
-        refuse("keywords", "none where the far states are held", ", ".join(keywords), 'They belong to ends="ring".')
+        refuse(
+            "keywords",
+            "none where the far states are held",
+            ", ".join(keywords),
+            'They belong to ends="ring".',
+        )
     return _held(wave, _sites_of(wave) if sites is None else sites)
 
 
@@ -167,12 +182,29 @@ def _held(wave, sites):
     if radius < 1:
         error[inside] = np.minimum(error[inside], np.abs(multipliers[inside]) + radius)
         verdict = STABLE
-        outcome = (f"On a chain of {sites} sites with held ends: every perturbation that does not change the place or "
-                   f"the speed falls behind the wave, since all other multipliers are below {radius:.4g} in modulus. "
-                   "2 multipliers at +1 are those of symmetry.")
+        outcome = (
+            f"On a chain of {sites} sites with held ends: every perturbation that does not change the place or "
+            f"the speed falls behind the wave, since all other multipliers are below {radius:.4g} in modulus. "
+            "2 multipliers at +1 are those of symmetry."
+        )
     unsigned = np.full(len(multipliers), np.nan)
-    return Floquet(fine / weights[:, None] * weights, multipliers, vectors / weights[:, None], error, unsigned, np.nan,
-                   about, 2, verdict, outcome, period, int(steps), None, state, **lattice.origin)
+    return Floquet(
+        fine / weights[:, None] * weights,
+        multipliers,
+        vectors / weights[:, None],
+        error,
+        unsigned,
+        np.nan,
+        about,
+        2,
+        verdict,
+        outcome,
+        period,
+        int(steps),
+        None,
+        state,
+        **lattice.origin,
+    )
 
 
 def _radius(matrix, about):

@@ -52,7 +52,10 @@ class Track(NamedTuple):
     def _others(self):
         half = (len(self.times) + 1) // 2
         parts = slice(half), slice(len(self.times) - half, None)
-        return [*((self.times[part], self.places[part]) for part in parts), (self.times, self.coarse)]
+        return [
+            *((self.times[part], self.places[part]) for part in parts),
+            (self.times, self.coarse),
+        ]
 
 
 def reach_of(wave: Wave, share: float) -> float:
@@ -63,7 +66,9 @@ def reach_of(wave: Wave, share: float) -> float:
     return x
 
 
-def tracked(wave: Wave, times: np.ndarray, strains: np.ndarray, coarse: np.ndarray, guesses: np.ndarray) -> Track:
+def tracked(
+    wave: Wave, times: np.ndarray, strains: np.ndarray, coarse: np.ndarray, guesses: np.ndarray
+) -> Track:
     """A wave followed through frames of strains (T, contacts), also of a coarser run, from a guess for each frame."""
     places, misfit = fitted(wave, strains, guesses)
     return Track(wave, times, places, fitted(wave, coarse, places)[0], misfit)
@@ -75,13 +80,19 @@ def of_own_speed(track: Track, strains: np.ndarray, coarse: np.ndarray) -> tuple
     **Raises** ValueError where the law has no wave of that speed, or the track is of no wave.
     """
     if not track.misfit < 1:
-        refuse("wave", "one that is nearest to the strains", f"a misfit of {track.misfit:.1%} of its peak")
+        refuse(
+            "wave",
+            "one that is nearest to the strains",
+            f"a misfit of {track.misfit:.1%} of its peak",
+        )
     for _ in range(ROUNDS):
         wave, speed = track.wave, track.speed
         own = float(wave.speed)
         side = "compression" if float(wave.amplitude) > 0 else "tension"
         close = abs(speed / own - 1) < NEAR
-        beside = solitary_wave(wave.law, speed=own * (1 + NEAR) if close else speed, mass=wave.mass, side=side)
+        beside = solitary_wave(
+            wave.law, speed=own * (1 + NEAR) if close else speed, mass=wave.mass, side=side
+        )
         if close:
             return track, beside
         track = tracked(beside, track.times, strains, coarse, track.places)

@@ -47,10 +47,20 @@ class Wave(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "speed": Held("", "1/s"), "amplitude": Held("", "m"), "energy": Held("", "J"), "momentum": Held("", "N s"),
-        "compression": Held("", "m"), "width": Held("", "1"), "decay": Held("", "1"), "exponent": Held("", "1"),
-        "residual": Held("", "1"), "error": Held("", "m"), "mass": Held("", "kg"), "xi": Held("xi", "1"),
-        "strains": Held("xi", "m"), "velocities": Held("xi", "m/s"),
+        "speed": Held("", "1/s"),
+        "amplitude": Held("", "m"),
+        "energy": Held("", "J"),
+        "momentum": Held("", "N s"),
+        "compression": Held("", "m"),
+        "width": Held("", "1"),
+        "decay": Held("", "1"),
+        "exponent": Held("", "1"),
+        "residual": Held("", "1"),
+        "error": Held("", "m"),
+        "mass": Held("", "kg"),
+        "xi": Held("xi", "1"),
+        "strains": Held("xi", "m"),
+        "velocities": Held("xi", "m/s"),
     }
     speed: Number
     amplitude: Number
@@ -92,7 +102,9 @@ class Wave(Result):
         xi = np.arange(sites) - middle
         return State(self.displacement(xi), self.velocity(xi))
 
-    def floquet(self, sites: Count | None = None, ends: str | None = None, **keywords: Any) -> Floquet:
+    def floquet(
+        self, sites: Count | None = None, ends: str | None = None, **keywords: Any
+    ) -> Floquet:
         """Stability over the time in which it runs one site: `granjax.travelling.stability`."""
         return stability(self, sites, ends, **keywords)
 

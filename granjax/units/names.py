@@ -18,20 +18,38 @@ SI, SCALED = "SI", "scaled"
 _MARKS = {SI: 1.0, SCALED: 0.0, None: math.nan}
 # size in SI, and powers of force, length, time, angle, voltage; a cycle is 2 pi rad, so 1 Hz is 2 pi rad/s
 _BASES = {
-    "s": (1.0, (0, 0, 1, 0, 0)), "Hz": (2 * math.pi, (0, 0, -1, 1, 0)), "rad": (1.0, (0, 0, 0, 1, 0)),
-    "m": (1.0, (0, 1, 0, 0, 0)), "N": (1.0, (1, 0, 0, 0, 0)), "J": (1.0, (1, 1, 0, 0, 0)),
-    "W": (1.0, (1, 1, -1, 0, 0)), "Pa": (1.0, (1, -2, 0, 0, 0)), "g": (1e-3, (1, -1, 2, 0, 0)),
+    "s": (1.0, (0, 0, 1, 0, 0)),
+    "Hz": (2 * math.pi, (0, 0, -1, 1, 0)),
+    "rad": (1.0, (0, 0, 0, 1, 0)),
+    "m": (1.0, (0, 1, 0, 0, 0)),
+    "N": (1.0, (1, 0, 0, 0, 0)),
+    "J": (1.0, (1, 1, 0, 0, 0)),
+    "W": (1.0, (1, 1, -1, 0, 0)),
+    "Pa": (1.0, (1, -2, 0, 0, 0)),
+    "g": (1e-3, (1, -1, 2, 0, 0)),
     "V": (1.0, (0, 0, 0, 0, 1)),
 }
 _PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12}
 # those that pictures choose from, of each dimension, and those that are proposed for what is not known
 _READ = (
-    ("s", "ms", "us", "ns"), ("Hz", "kHz", "MHz", "mHz"), ("rad/s", "krad/s", "Mrad/s"), ("1/s", "1/ms", "1/us"),
-    ("m", "mm", "um", "nm", "pm"), ("m/s", "mm/s", "km/s", "um/s", "nm/s"), ("m/s^2", "mm/s^2", "km/s^2"),
-    ("N", "mN", "kN", "uN"), ("J", "mJ", "kJ", "uJ", "nJ", "pJ"), ("W", "mW", "kW", "uW"), ("Pa", "kPa", "MPa", "GPa"),
-    ("kg", "g", "mg"), ("N/m", "kN/m", "MN/m", "GN/m"), ("V", "mV", "kV", "uV"),
+    ("s", "ms", "us", "ns"),
+    ("Hz", "kHz", "MHz", "mHz"),
+    ("rad/s", "krad/s", "Mrad/s"),
+    ("1/s", "1/ms", "1/us"),
+    ("m", "mm", "um", "nm", "pm"),
+    ("m/s", "mm/s", "km/s", "um/s", "nm/s"),
+    ("m/s^2", "mm/s^2", "km/s^2"),
+    ("N", "mN", "kN", "uN"),
+    ("J", "mJ", "kJ", "uJ", "nJ", "pJ"),
+    ("W", "mW", "kW", "uW"),
+    ("Pa", "kPa", "MPa", "GPa"),
+    ("kg", "g", "mg"),
+    ("N/m", "kN/m", "MN/m", "GN/m"),
+    ("V", "mV", "kV", "uV"),
 )
-_FACTOR = re.compile(r"\s*([*/·⋅]?)\s*(1|[A-Za-z]+)(?:\^?(\{[^}]*\}|\([^)]*\)|[+-]?\d+(?:\.\d+)?))?")
+_FACTOR = re.compile(
+    r"\s*([*/·⋅]?)\s*(1|[A-Za-z]+)(?:\^?(\{[^}]*\}|\([^)]*\)|[+-]?\d+(?:\.\d+)?))?"
+)
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 
 
@@ -70,7 +88,10 @@ def known_unit(word: str) -> Named | None:
             return None
         power, at = -power if found[1] == "/" else power, found.end()
         try:
-            size, powers = size * one[0] ** float(power), [x + power * y for x, y in zip(powers, one[1])]
+            size, powers = (
+                size * one[0] ** float(power),
+                [x + power * y for x, y in zip(powers, one[1])],
+            )
         except OverflowError:
             return None
     return Named(word.strip(), size, tuple(powers)) if text and 0 < size < math.inf else None
@@ -90,9 +111,14 @@ def named_unit(argument: str, word: str) -> Named:
     found = known_unit(word)
     if found is None:
         every = [name for names in _READ for name in names]
-        near = difflib.get_close_matches(word, every, 3, 0.5) or difflib.get_close_matches(
-            word.lower(), [name.lower() for name in every], 3, 0.5) or ["us", "kHz", "mm/s", "N"]
-        refuse(argument, "the name of a unit", repr(word), f"Nearest: {', '.join(map(repr, near))}.")
+        near = (
+            difflib.get_close_matches(word, every, 3, 0.5)
+            or difflib.get_close_matches(word.lower(), [name.lower() for name in every], 3, 0.5)
+            or ["us", "kHz", "mm/s", "N"]
+        )
+        refuse(
+            argument, "the name of a unit", repr(word), f"Nearest: {', '.join(map(repr, near))}."
+        )
     return found
 
 
@@ -171,28 +197,43 @@ def settled(units: UnitsOrWords, said: str | None, argument: str = "units") -> C
     turns them into scaled ones. **Raises** ValueError for units that the numbers cannot have.
     """
     kind, sizes, words = asked_for(units, argument)
-    remedy = ("Give the Units that leads back to SI beside it, gx.Units() where the numbers are those of SI, or say so "
-              "of the lattice: lattice.counted_in('SI'), gx.Lattice(..., units='SI').")
+    remedy = (
+        "Give the Units that leads back to SI beside it, gx.Units() where the numbers are those of SI, or say so "
+        "of the lattice: lattice.counted_in('SI'), gx.Lattice(..., units='SI')."
+    )
     if said == SCALED and sizes is None and (kind == SI or words):
         refuse(argument, "None or 'scaled' for scaled numbers", repr(units), remedy)
     if said == SI and kind == SCALED:
-        refuse(argument, "units of numbers in SI", repr(units), "A Units counts them in scaled numbers.")
+        refuse(
+            argument,
+            "units of numbers in SI",
+            repr(units),
+            "A Units counts them in scaled numbers.",
+        )
     # of scaled numbers and a Units "SI" is where they go
     if said != SCALED or sizes is None:
         said = kind or said or (SCALED if sizes is not None else SI if words else None)
     if words and said == SI and sizes is not None:
-        refuse(argument, "words, or a Units, which turns numbers in SI into scaled ones", repr(units))
+        refuse(
+            argument, "words, or a Units, which turns numbers in SI into scaled ones", repr(units)
+        )
     if words and said == SCALED and sizes is None:
         refuse(argument, "a Units beside words, for scaled numbers", repr(units), remedy)
     return Counted(said, sizes, words)
 
 
-def asked_for(units: UnitsOrWords, argument: str = "units") -> tuple[str | None, Units | None, list[Named]]:
+def asked_for(
+    units: UnitsOrWords, argument: str = "units"
+) -> tuple[str | None, Units | None, list[Named]]:
     """("SI" or "scaled", a `Units`, the units that are named) of what somebody asks for."""
     every = [] if units is None else [units] if isinstance(units, (str, Units)) else list(units)
     kinds = [x for x in every if isinstance(x, str) and x in (SI, SCALED)]
     if len(kinds) > 1 or sum(isinstance(x, Units) for x in every) > 1:
-        refuse(argument, "words such as 'us', ('kHz', 'mm/s'), 'SI' or 'scaled', and one Units at most", repr(units))
+        refuse(
+            argument,
+            "words such as 'us', ('kHz', 'mm/s'), 'SI' or 'scaled', and one Units at most",
+            repr(units),
+        )
     words = [named_unit(argument, x) for x in every if not isinstance(x, Units) and x not in kinds]
     for i, word in enumerate(words):
         for other in words[:i]:

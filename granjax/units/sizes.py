@@ -31,7 +31,11 @@ class Units(eqx.Module):
     time: jax.Array
 
     def __init__(self, mass: Parameter = 1.0, length: Parameter = 1.0, time: Parameter = 1.0):
-        self.mass, self.length, self.time = positive("mass", mass), positive("length", length), positive("time", time)
+        self.mass, self.length, self.time = (
+            positive("mass", mass),
+            positive("length", length),
+            positive("time", time),
+        )
 
     def __repr__(self) -> str:
         names = {"mass": "kg", "length": "m", "time": "s"}
@@ -102,14 +106,22 @@ class Dimensional(eqx.Module):
         super().__init_subclass__(**keywords)
         for name in vars(cls).get("__annotations__", {}):
             if callable(getattr(super(cls, cls), name, None)):
-                refuse(f"{cls.__name__}.{name}", "a field of a name of its own", "the name of a method of its kind")
+                refuse(
+                    f"{cls.__name__}.{name}",
+                    "a field of a name of its own",
+                    "the name of a method of its kind",
+                )
 
     def in_units(self, units: Units) -> Any:
         """The same with arguments and results counted in `units`."""
         dimensions = vars(type(self)).get("dimensions")
         if dimensions is None:
             return self._wrapped(units)
-        fields = [field.name for field in dataclasses.fields(self) if not field.metadata.get("static", False)]
+        fields = [
+            field.name
+            for field in dataclasses.fields(self)
+            if not field.metadata.get("static", False)
+        ]
         names = [name for name in fields if getattr(self, name) is not None]
         if not names:
             return self
@@ -123,10 +135,16 @@ class Dimensional(eqx.Module):
 
 def _counted(value, powers, owner, units):
     if powers is PART:
-        return tuple(v.in_units(units) for v in value) if isinstance(value, tuple) else value.in_units(units)
+        return (
+            tuple(v.in_units(units) for v in value)
+            if isinstance(value, tuple)
+            else value.in_units(units)
+        )
     if isinstance(powers, Signal):
         return InUnits(value, units.time, units.of(*powers))
-    return jax.tree.map(lambda x: x / units.of(*(powers(owner) if callable(powers) else powers)), value)
+    return jax.tree.map(
+        lambda x: x / units.of(*(powers(owner) if callable(powers) else powers)), value
+    )
 
 
 class InUnits(eqx.Module):

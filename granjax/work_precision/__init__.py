@@ -10,4 +10,13 @@ from .measuring import machine, measure
 from .scene import Reference, work_precision
 from .table import WorkPrecision
 
-__all__ = ["Advice", "Ladder", "Reference", "WorkPrecision", "distance", "machine", "measure", "work_precision"]
+__all__ = [
+    "Advice",
+    "Ladder",
+    "Reference",
+    "WorkPrecision",
+    "distance",
+    "machine",
+    "measure",
+    "work_precision",
+]

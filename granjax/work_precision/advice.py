@@ -72,30 +72,62 @@ def advise(table: Result, asked: Scalar) -> Advice:
     asked = float(positive("error", asked))
     known = [i for i in range(len(table.method)) if table.drawn[i] and table.method[i] != DEFAULT]
     if not known:
-        refuse("error", "a table with points to choose from", "one where nothing is drawn", "The notes say why.")
+        refuse(
+            "error",
+            "a table with points to choose from",
+            "one where nothing is drawn",
+            "The notes say why.",
+        )
     if asked < table.least_error:
         remedy = "The reference itself is no better."
-        refuse("error", f"at least {number(table.least_error)}, four times the floor", number(asked), remedy)
+        refuse(
+            "error",
+            f"at least {number(table.least_error)}, four times the floor",
+            number(asked),
+            remedy,
+        )
     found = [_bracket(table, name, asked) for name in table.methods if name != DEFAULT]
     found = sorted((one for one in found if one is not None), key=lambda one: one.seconds)[:FASTEST]
     if not found:
         best = min(known, key=lambda i: table.error[i])
         remedy = f"The best point: {table.method[best]}, {table.parameter[best]} {number(table.value[best])}."
-        refuse("error", f"at least {number(table.error[best])}, the smallest in the table", number(asked), remedy)
-    default = [_point(table, i) for i, name in enumerate(table.method) if name == DEFAULT and table.drawn[i]][:1]
+        refuse(
+            "error",
+            f"at least {number(table.error[best])}, the smallest in the table",
+            number(asked),
+            remedy,
+        )
+    default = [
+        _point(table, i)
+        for i, name in enumerate(table.method)
+        if name == DEFAULT and table.drawn[i]
+    ][:1]
     others = [_point(table, i) for i in known if table.error[i] <= asked]
     if table.ladders:
         # the clock drifts: what is compared is timed in the same turns
         others = sorted(others, key=lambda one: one.seconds)[:FASTEST]
-        timed = _timed(table, [*(_approached(table, one, asked) for one in found), *default, *others])
-        found, default, others = timed[: len(found)], timed[len(found) : -len(others)], timed[-len(others) :]
+        timed = _timed(
+            table, [*(_approached(table, one, asked) for one in found), *default, *others]
+        )
+        found, default, others = (
+            timed[: len(found)],
+            timed[len(found) : -len(others)],
+            timed[-len(others) :],
+        )
     best = min(found, key=lambda one: one.seconds)
     # what luck has made good at this scene is better at this scene all the same
     while better := [one for one in default + others if _beats(one, best)]:
         best = min(better, key=lambda one: one.seconds)
     without_choice = (default[0].error, default[0].seconds) if default else (math.nan, math.nan)
     return Advice(
-        asked, best.name, best.parameter, best.value, best.error, best.seconds, best.evaluations, *without_choice,
+        asked,
+        best.name,
+        best.parameter,
+        best.value,
+        best.error,
+        best.seconds,
+        best.evaluations,
+        *without_choice,
         best.ladder and best.ladder.solver,
     )
 

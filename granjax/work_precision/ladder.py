@@ -58,14 +58,20 @@ def checked_ladders(ladders: Sequence[Ladder]) -> tuple[Ladder, ...]:
         twice = next(name for name in names if names.count(name) > 1)
         refuse("ladders", "a name of its own for each", f"{twice!r} twice")
     return tuple(
-        ladder._replace(values=ladder.values if ladder.name == DEFAULT else checked_values(ladder.name, ladder.values))
+        ladder._replace(
+            values=ladder.values
+            if ladder.name == DEFAULT
+            else checked_values(ladder.name, ladder.values)
+        )
         for ladder in ladders
     )
 
 
 def checked_values(name: str, values: Parameter) -> tuple[float, ...]:
     """Steps or tolerances as a tuple of floats, the coarsest first."""
-    array = np.atleast_1d(real(f"steps of {name}", values, "finite numbers above zero, such as [0.1, 0.05]"))
+    array = np.atleast_1d(
+        real(f"steps of {name}", values, "finite numbers above zero, such as [0.1, 0.05]")
+    )
     if array.ndim != 1 or not array.size or not np.all(np.isfinite(array) & (array > 0)):
         got = show(array) if array.ndim == 1 and not np.isnan(array).all() else repr(values)[:60]
         refuse(f"steps of {name}", "finite numbers above zero, such as [0.1, 0.05]", got)
@@ -148,7 +154,10 @@ def distance(state: Pytree, reference: Pytree) -> float:
     **Raises** ValueError where shapes differ.
     """
     state, reference = _parts("state", state), _parts("reference", reference)
-    shapes = [[x.shape for x in part] for part in state], [[x.shape for x in part] for part in reference]
+    shapes = (
+        [[x.shape for x in part] for part in state],
+        [[x.shape for x in part] for part in reference],
+    )
     if shapes[0] != shapes[1]:
         refuse("reference", f"arrays of the shapes {shapes[0]}, those of the state", f"{shapes[1]}")
     # NumPy's maximum keeps a NaN, Python's own may lose it

@@ -27,8 +27,13 @@ _ROOT = Path(__file__).parents[2]
 
 
 def measure(
-    ladders: Sequence[Ladder], reference: Pytree, floor: Scalar = math.nan, repeats: Count = 5, *,
-    longest: Scalar = math.inf, note: str = "",
+    ladders: Sequence[Ladder],
+    reference: Pytree,
+    floor: Scalar = math.nan,
+    repeats: Count = 5,
+    *,
+    longest: Scalar = math.inf,
+    note: str = "",
 ) -> WorkPrecision:
     """Error, time and force evaluations of every value of every ladder, against one reference.
 
@@ -50,7 +55,12 @@ def measure(
     ladders, repeats = checked_ladders(ladders), whole("repeats", repeats, 1)
     if floor < 0 or floor > LARGEST_FLOOR:
         remedy = "A reference of that uncertainty tells nothing; end the run earlier."
-        refuse("floor", f"a number from 0 to {LARGEST_FLOOR:g}, or NaN where it is not known", f"{floor:g}", remedy)
+        refuse(
+            "floor",
+            f"a number from 0 to {LARGEST_FLOOR:g}, or NaN where it is not known",
+            f"{floor:g}",
+            remedy,
+        )
     ladders = tuple(x if x.compile_seconds is not None else warmed(x)[0] for x in ladders)
     climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
     points = [(ladder, *rung) for ladder, rungs in zip(ladders, climbed) for rung in rungs]
@@ -61,15 +71,21 @@ def measure(
         parameter=tuple(ladder.parameter for ladder, *_ in points),
         value=np.array([value for _, value, *_ in points]),
         error=np.array([error for *_, error in points]),
-        seconds=seconds, fastest=fastest,
+        seconds=seconds,
+        fastest=fastest,
         evaluations=np.array([called.evaluations for _, _, called, _ in points]),
         steps=np.array([called.steps for _, _, called, _ in points]),
-        drawn=np.array([not note for note in notes]), note=tuple(notes),
+        drawn=np.array([not note for note in notes]),
+        note=tuple(notes),
         methods=tuple(ladder.name for ladder in ladders),
         compile_seconds=np.array([ladder.compile_seconds for ladder in ladders]),
         limit=np.array([ladder.limit for ladder in ladders]),
-        floor=float(floor), repeats=repeats, reference_note=note, machine=machine(),
-        ladders=ladders, reference=reference,
+        floor=float(floor),
+        repeats=repeats,
+        reference_note=note,
+        machine=machine(),
+        ladders=ladders,
+        reference=reference,
     )
 
 
@@ -84,7 +100,9 @@ def _climb(ladder, reference, floor, longest):
         smallest = error if error < smallest else smallest
         stalled = smallest < ASYMPTOTIC and waited == PATIENCE
         # once may be another process that had the processor
-        slow = ladder.stops and called.seconds > longest and once(ladder.call, value).seconds > longest
+        slow = (
+            ladder.stops and called.seconds > longest and once(ladder.call, value).seconds > longest
+        )
         if ladder.stops and (error < DRAWN * floor or slow or stalled):
             break
     return rungs
@@ -122,10 +140,14 @@ def machine() -> dict[str, str | int | None]:
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
-        "processor": _processor(), "cores": cores, "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(), **{name: _version(name) for name in _PACKAGES},
+        "processor": _processor(),
+        "cores": cores,
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        **{name: _version(name) for name in _PACKAGES},
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), "commit": _commit(),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "commit": _commit(),
     }
 
 
@@ -146,7 +168,17 @@ def _version(name):
 def _commit():
     if not (_ROOT / ".git").exists():
         return None
-    command = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*"]
+    command = [
+        "git",
+        "-C",
+        str(_ROOT),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=12",
+        "--exclude",
+        "*",
+    ]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
     except (OSError, subprocess.TimeoutExpired):

@@ -45,10 +45,18 @@ OTHER_MESH = 1.3
 
 
 def work_precision(
-    lattice: Lattice, state: StateLike, t1: Scalar,
+    lattice: Lattice,
+    state: StateLike,
+    t1: Scalar,
     solvers: diffrax.AbstractSolver | Sequence | Mapping[str, diffrax.AbstractSolver] | None = None,
-    steps: Parameter | Mapping[str, Parameter] | None = None, *, t0: Scalar = 0.0, reference: Pytree = None,
-    uncertainty: Parameter | None = None, repeats: Count = 5, longest: Scalar | None = None, tangents: bool = False,
+    steps: Parameter | Mapping[str, Parameter] | None = None,
+    *,
+    t0: Scalar = 0.0,
+    reference: Pytree = None,
+    uncertainty: Parameter | None = None,
+    repeats: Count = 5,
+    longest: Scalar | None = None,
+    tangents: bool = False,
 ) -> WorkPrecision:
     r"""Error at t1 against the time of `simulate`, and against force evaluations, for many solvers.
 
@@ -98,7 +106,10 @@ def work_precision(
     solvers = checked_solvers(solvers, lattice)
     steps = checked_steps(steps, solvers)
     given = _given(reference, uncertainty, state, tangents)
-    warm = [warmed(ladder) for ladder in solver_ladders(lattice, state, t0, t1, solvers, steps, tangents)]
+    warm = [
+        warmed(ladder)
+        for ladder in solver_ladders(lattice, state, t0, t1, solvers, steps, tangents)
+    ]
     ladders = [ladder for ladder, _ in warm] + [default_ladder(lattice, state, t0, t1, tangents)]
     longest = _longest([seconds for _, seconds in warm]) if longest is None else longest
     found = find_reference(lattice, state, t0, t1) if given is None else given
@@ -116,11 +127,17 @@ def _given(reference, uncertainty, state, tangents):
     """The reference that was given, or `None`."""
     if reference is None and not tangents:
         if uncertainty is not None:
-            refuse("uncertainty", "a reference beside it", f"reference=None, uncertainty={uncertainty!r}")
+            refuse(
+                "uncertainty",
+                "a reference beside it",
+                f"reference=None, uncertainty={uncertainty!r}",
+            )
         return None
     size = sum(x.size for x in jax.tree.leaves(state))
     if tangents and np.shape(reference) != (size, size):
-        refuse("reference", f"a map of tangents, shape {(size, size)}", f"shape {np.shape(reference)}")
+        refuse(
+            "reference", f"a map of tangents, shape {(size, size)}", f"shape {np.shape(reference)}"
+        )
     reference = np.asarray(reference) if tangents else tuple(reference)
     if not math.isfinite(distance(np.zeros((size, size)) if tangents else state, reference)):
         refuse("reference", "finite numbers", "some that are not", "Look for NaN or infinity.")
@@ -128,7 +145,12 @@ def _given(reference, uncertainty, state, tangents):
         return Reference(reference, math.nan, "given, of unknown uncertainty")
     uncertainty = float(np.max(non_negative("uncertainty", uncertainty)))
     if uncertainty > LARGEST_FLOOR:
-        refuse("uncertainty", f"at most {LARGEST_FLOOR:g}", f"{uncertainty:g}", "A worse reference tells nothing.")
+        refuse(
+            "uncertainty",
+            f"at most {LARGEST_FLOOR:g}",
+            f"{uncertainty:g}",
+            "A worse reference tells nothing.",
+        )
     return Reference(reference, uncertainty, "given")
 
 
@@ -166,7 +188,10 @@ def find_reference(lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar) -> R
         trial = run(first, {"tolerance": FIRST_TOLERANCE})
         if splits(lattice) and not np.any(trial.contact_opened):
             second = SofroniouSpaletta10()
-            step = min(FIRST_STEP * stable_step(second, highest_frequency(lattice, state, t0, t1)), (t1 - t0) / 4)
+            step = min(
+                FIRST_STEP * stable_step(second, highest_frequency(lattice, state, t0, t1)),
+                (t1 - t0) / 4,
+            )
         found = _refined(run, (first, second), step, least_tolerance(lattice))
     except RuntimeError as error:
         raise RuntimeError(f"No reference: a run of high order fails. {error}") from None
@@ -198,7 +223,9 @@ def _refined(run, solvers, step, least):
             break
     state, how = best
     others = [{name: OTHER_MESH * x for name, x in own.items()} for own in how]
-    floor = max([smallest] + [distance(run(solver, x).final, state) for solver, x in zip(solvers, others)])
+    floor = max(
+        [smallest] + [distance(run(solver, x).final, state) for solver, x in zip(solvers, others)]
+    )
     note = " and ".join(_named(solver, x) for solver, x in zip(solvers, how))
     return Reference(jax.tree.map(np.asarray, state), floor, note)
 

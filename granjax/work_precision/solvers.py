@@ -51,11 +51,17 @@ def reads_velocity(lattice: Lattice) -> bool:
 
 def sensible_solvers(lattice: Lattice) -> Solvers:
     """A dict from name to solver: all that take the lattice, and diffrax's Tsit5 and Dopri8."""
-    kinds = (SPLITTING if splits(lattice) else ()) + (() if reads_velocity(lattice) else NYSTROM) + DIFFRAX
+    kinds = (
+        (SPLITTING if splits(lattice) else ())
+        + (() if reads_velocity(lattice) else NYSTROM)
+        + DIFFRAX
+    )
     return {kind.__name__: kind() for kind in kinds}
 
 
-def checked_solvers(solvers: diffrax.AbstractSolver | Sequence | Mapping | None, lattice: Lattice) -> Solvers:
+def checked_solvers(
+    solvers: diffrax.AbstractSolver | Sequence | Mapping | None, lattice: Lattice
+) -> Solvers:
     """A dict from name to solver. **Raises** ValueError for what is no solver."""
     if solvers is None:
         return sensible_solvers(lattice)
@@ -66,25 +72,44 @@ def checked_solvers(solvers: diffrax.AbstractSolver | Sequence | Mapping | None,
     for name, solver in named:
         if not isinstance(solver, diffrax.AbstractSolver):
             got = getattr(solver, "__name__", None) or repr(solver)[:60]
-            refuse("solvers", "solvers, such as gx.SRKN11b()", got, "Solvers are instances: write the brackets.")
+            refuse(
+                "solvers",
+                "solvers, such as gx.SRKN11b()",
+                got,
+                "Solvers are instances: write the brackets.",
+            )
         name = type(solver).__name__ if name is None else name
         if name in found or name == DEFAULT:
             remedy = "Give a dict from names to solvers."
-            refuse("solvers", "solvers of different names", f"{name!r}{' twice' if name in found else ''}", remedy)
+            refuse(
+                "solvers",
+                "solvers of different names",
+                f"{name!r}{' twice' if name in found else ''}",
+                remedy,
+            )
         found[name] = solver
     return found
 
 
-def checked_steps(steps: Parameter | Mapping | None, solvers: Solvers) -> dict[str, tuple[float, ...]]:
+def checked_steps(
+    steps: Parameter | Mapping | None, solvers: Solvers
+) -> dict[str, tuple[float, ...]]:
     """A dict from name to values, for the solvers that the user gave values for."""
     if steps is None:
         return {}
     if not isinstance(steps, dict):
         nested = isinstance(steps, list | tuple) and any(np.ndim(x) for x in steps)
         if nested and len(steps) != len(solvers):
-            refuse("steps", f"one list per solver ({len(solvers)}), or one list for all", f"{len(steps)} lists")
+            refuse(
+                "steps",
+                f"one list per solver ({len(solvers)}), or one list for all",
+                f"{len(steps)} lists",
+            )
         steps = dict(zip(solvers, steps)) if nested else dict.fromkeys(solvers, steps)
-    return {one_of("steps", name, tuple(solvers)): checked_values(name, values) for name, values in steps.items()}
+    return {
+        one_of("steps", name, tuple(solvers)): checked_values(name, values)
+        for name, values in steps.items()
+    }
 
 
 def adaptive(solver: diffrax.AbstractSolver) -> bool:
@@ -93,7 +118,13 @@ def adaptive(solver: diffrax.AbstractSolver) -> bool:
 
 
 def solver_ladders(
-    lattice: Lattice, state: Pytree, t0: float, t1: float, solvers: Solvers, steps: Mapping, tangents: bool = False
+    lattice: Lattice,
+    state: Pytree,
+    t0: float,
+    t1: float,
+    solvers: Solvers,
+    steps: Mapping,
+    tangents: bool = False,
 ) -> list[Ladder]:
     """One `Ladder` per solver of a dict; its values from the dict `steps`, or down from the stability limit."""
     omega = highest_frequency(lattice, state, t0, t1)
@@ -113,7 +144,9 @@ def solver_ladders(
     return ladders
 
 
-def default_ladder(lattice: Lattice, state: Pytree, t0: float, t1: float, tangents: bool = False) -> Ladder:
+def default_ladder(
+    lattice: Lattice, state: Pytree, t0: float, t1: float, tangents: bool = False
+) -> Ladder:
     """What `simulate` does without any choice; its compile time is not measured, as it shares a solver's."""
     call = _call(lattice, state, t0, t1, None, None, tangents)
     return Ladder(DEFAULT, "step", (np.nan,), call, compile_seconds=np.nan)
@@ -146,7 +179,13 @@ def _tangent_call(lattice, state, t0, t1, solver, parameter):
 
         def flow(y):
             run = simulate(
-                lattice, State(*restore(y)), t1, t0=t0, solver=solver, adjoint=diffrax.ForwardMode(), **chosen
+                lattice,
+                State(*restore(y)),
+                t1,
+                t0=t0,
+                solver=solver,
+                adjoint=diffrax.ForwardMode(),
+                **chosen,
             )
             return ravel_pytree(tuple(run.final))[0], run.stats
 
@@ -195,4 +234,6 @@ def _steps(solver, limit, span):
     table = getattr(type(solver), "table", None)
     order = ORDER if table is None else table().order
     first = min(FIRST_STEP * limit, span / LEAST_INTERVALS)
-    return dict.fromkeys(float(f"{h:.3g}") for h in first * 10.0 ** (-np.arange(MOST_STEPS) / order))
+    return dict.fromkeys(
+        float(f"{h:.3g}") for h in first * 10.0 ** (-np.arange(MOST_STEPS) / order)
+    )

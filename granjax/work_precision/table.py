@@ -55,10 +55,17 @@ class WorkPrecision(Result):
     """
 
     _else: ClassVar[str | None] = SI
-    held: ClassVar[dict[str, Held]] = {name: Held("point") for name in (*_COLUMNS, *_WORDS, "drawn")} | {
-        "seconds": Held("point", "s"), "fastest": Held("point", "s"), "methods": Held("method_name", "", "method_name"),
-        "compile_seconds": Held("method_name", "s"), "limit": Held("method_name"), "order": Held("method_name"),
-        "order_error": Held("method_name"), "reference_note": Held(None, "", "reference"),
+    held: ClassVar[dict[str, Held]] = {
+        name: Held("point") for name in (*_COLUMNS, *_WORDS, "drawn")
+    } | {
+        "seconds": Held("point", "s"),
+        "fastest": Held("point", "s"),
+        "methods": Held("method_name", "", "method_name"),
+        "compile_seconds": Held("method_name", "s"),
+        "limit": Held("method_name"),
+        "order": Held("method_name"),
+        "order_error": Held("method_name"),
+        "reference_note": Held(None, "", "reference"),
     }
     method: tuple[str, ...] = eqx.field(static=True)
     parameter: tuple[str, ...] = eqx.field(static=True)
@@ -102,8 +109,12 @@ class WorkPrecision(Result):
 
     def _order(self, name, limit):
         own = [
-            i for i, method in enumerate(self.method)
-            if method == name and self.drawn[i] and self.parameter[i] == "step" and self.value[i] <= limit / 2
+            i
+            for i, method in enumerate(self.method)
+            if method == name
+            and self.drawn[i]
+            and self.parameter[i] == "step"
+            and self.value[i] <= limit / 2
         ]
         # the number of steps knows how far a step was shortened to fit
         steps = 1 / self.steps[own] if np.all(np.isfinite(self.steps[own])) else self.value[own]
@@ -138,7 +149,11 @@ class WorkPrecision(Result):
             yield from (self._line(i, before) for i, before in zip(own, [None, *own]))
 
     def _line(self, i, before):
-        start = f"  {self.parameter[i]:<10}{number(self.value[i]):<10}" if math.isfinite(self.value[i]) else f"{'':22}"
+        start = (
+            f"  {self.parameter[i]:<10}{number(self.value[i]):<10}"
+            if math.isfinite(self.value[i])
+            else f"{'':22}"
+        )
         if math.isfinite(self.error[i]):
             start += f"error {self.error[i]:<10.2e}"
         if not self.drawn[i]:
@@ -148,7 +163,9 @@ class WorkPrecision(Result):
         return f"{start}{seconds_in_words(self.seconds[i]):<11}{forces}"
 
     def _fields(self) -> Iterator[tuple[str, object]]:
-        yield from ((name, x) for name, x in super()._fields() if name not in ("ladders", "reference"))
+        yield from (
+            (name, x) for name, x in super()._fields() if name not in ("ladders", "reference")
+        )
         orders = np.array([self.orders[name] for name in self.methods]).reshape(-1, 2)
         yield from zip(("order", "order_error"), orders.T)
 
@@ -157,16 +174,28 @@ class WorkPrecision(Result):
         names = ("method", "parameter", *_COLUMNS, "drawn", "note")
         rows = zip(*(getattr(self, name) for name in names))
         methods = [
-            {"name": name, "compile_seconds": compiling, "limit": limit, "order": order, "order_error": uncertain}
+            {
+                "name": name,
+                "compile_seconds": compiling,
+                "limit": limit,
+                "order": order,
+                "order_error": uncertain,
+            }
             for (name, (order, uncertain)), compiling, limit in zip(
                 self.orders.items(), self.compile_seconds, self.limit
             )
         ]
         points = [dict(zip(names, row)) for row in rows]
-        return _plain({
-            "floor": self.floor, "reference": self.reference_note, "repeats": self.repeats, "machine": self.machine,
-            "methods": methods, "points": points,
-        })
+        return _plain(
+            {
+                "floor": self.floor,
+                "reference": self.reference_note,
+                "repeats": self.repeats,
+                "machine": self.machine,
+                "methods": methods,
+                "points": points,
+            }
+        )
 
     def to_json(self, indent: int | None = None) -> str:
         """`to_dict` as one JSON object, a string."""
@@ -185,7 +214,9 @@ class WorkPrecision(Result):
             compile_seconds=_numbers(m["compile_seconds"] for m in methods),
             limit=np.nan_to_num(_numbers(m["limit"] for m in methods), nan=np.inf),
             floor=float(_numbers([data["floor"]])[0]),
-            reference_note=data["reference"], repeats=data["repeats"], machine=dict(data["machine"]),
+            reference_note=data["reference"],
+            repeats=data["repeats"],
+            machine=dict(data["machine"]),
         )
 
 

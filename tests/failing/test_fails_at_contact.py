@@ -23,7 +23,9 @@ MASSES = np.linspace(1.0, 1.3, LANES)
 def beads(F0):
     """Sixteen chains with free ends: one chain's error is irregular, the geometric mean of all is not."""
     F0 = jnp.asarray(F0)
-    return jax.vmap(lambda m: gx.scenes.monomer(8, m, precompression=F0 * m, boundary="free"), out_axes=-1)(MASSES)
+    return jax.vmap(
+        lambda m: gx.scenes.monomer(8, m, precompression=F0 * m, boundary="free"), out_axes=-1
+    )(MASSES)
 
 
 def struck(speed):
@@ -35,13 +37,19 @@ def end(solver, chains, state, evaluations):
     """Displacements at T by steps that take about so many forces; times are arrays, so that it compiles once."""
     t0, t1, h = (jnp.asarray(t) for t in (0.0, T, T / np.round(evaluations / solver.evaluations())))
     how = dict(args=chains, adjoint=diffrax.ForwardMode(), max_steps=None)
-    return np.asarray(diffrax.diffeqsolve(diffrax.ODETerm(gx.vector_field), solver(), t0, t1, h, state, **how).ys.u[0])
+    return np.asarray(
+        diffrax.diffeqsolve(
+            diffrax.ODETerm(gx.vector_field), solver(), t0, t1, h, state, **how
+        ).ys.u[0]
+    )
 
 
 def order(solver, chains, state, evaluations):
     """Slope of the mean log error over the log of the number of forces, against 30 times finer steps or more."""
     fine = end(solver, chains, state, 4e5)
-    errors = [np.log(np.abs(end(solver, chains, state, n) - fine).max(0)).mean() for n in evaluations]
+    errors = [
+        np.log(np.abs(end(solver, chains, state, n) - fine).max(0)).mean() for n in evaluations
+    ]
     return -np.polyfit(np.log(evaluations), errors, 1)[0]
 
 
@@ -49,15 +57,21 @@ NOMINAL = {s: s.table().order for s in SPLITTING}
 IMPACT = np.geomspace(800, 12000, 9)
 # between the limit of stability and rounding
 SMOOTH = {
-    gx.VelocityVerlet: (800, 1600, 3200), gx.SRKN6b: (600, 900, 1400), gx.SRKN11b: (440, 620, 880),
-    gx.SRKN14a: (420, 600, 840), gx.KahanLi8: (700, 900, 1200), gx.SofroniouSpaletta10: (740, 950, 1260),
+    gx.VelocityVerlet: (800, 1600, 3200),
+    gx.SRKN6b: (600, 900, 1400),
+    gx.SRKN11b: (440, 620, 880),
+    gx.SRKN14a: (420, 600, 840),
+    gx.KahanLi8: (700, 900, 1200),
+    gx.SofroniouSpaletta10: (740, 950, 1260),
 }
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("solver", [
-    s if s is gx.SRKN11b else pytest.param(s, marks=pytest.mark.slow) for s in SPLITTING
-], ids=lambda s: s.__name__)
+@pytest.mark.parametrize(
+    "solver",
+    [s if s is gx.SRKN11b else pytest.param(s, marks=pytest.mark.slow) for s in SPLITTING],
+    ids=lambda s: s.__name__,
+)
 def test_order_is_lost_where_contacts_open(solver):
     kept = order(solver, beads(1.0), struck(0.2), SMOOTH[solver])
     lost = order(solver, beads(0.0), struck(1.0), IMPACT)
@@ -86,7 +100,9 @@ def test_a_peak_seen_at_accepted_steps_is_not_the_peak():
     state, record = gx.states.impact(chain), {"peak": gx.Peak(force_of)}
     run = gx.simulate(chain, state, 8.0, tolerance=1e-8, record=record, save_at="steps")
     fine = gx.simulate(chain, state, 8.0, step=0.002, record=record).recorded["peak"]
-    at_steps = np.max([force_of(t, gx.State(u, v), chain) for t, u, v in zip(run.ts, run.us, run.vs)], axis=0)
+    at_steps = np.max(
+        [force_of(t, gx.State(u, v), chain) for t, u, v in zip(run.ts, run.us, run.vs)], axis=0
+    )
     # contacts 1 to 6, which the pulse has passed
     naive, ours = (np.abs(peak - fine)[:6] / fine[:6] for peak in (at_steps, run.recorded["peak"]))
     assert np.median(naive) > 1e-3
@@ -101,9 +117,13 @@ BEADS = 4
 def taylor(hy, state, t1):
     """Heyoka's Taylor integrator on the precompressed chain between walls: state, outcome, energy error."""
     u, v = (hy.make_vars(*[f"{name}{i}" for i in range(BEADS)]) for name in "uv")
-    overlaps = [1.0 + (u[i - 1] if i else 0.0) - (u[i] if i < BEADS else 0.0) for i in range(BEADS + 1)]
+    overlaps = [
+        1.0 + (u[i - 1] if i else 0.0) - (u[i] if i < BEADS else 0.0) for i in range(BEADS + 1)
+    ]
     forces = [hy.select(hy.gt(s, 0.0), s**1.5, 0.0) for s in overlaps]
-    equations = [(u[i], v[i]) for i in range(BEADS)] + [(v[i], forces[i] - forces[i + 1]) for i in range(BEADS)]
+    equations = [(u[i], v[i]) for i in range(BEADS)] + [
+        (v[i], forces[i] - forces[i + 1]) for i in range(BEADS)
+    ]
     integrator = hy.taylor_adaptive(equations, np.concatenate(state).tolist(), tol=1e-15)
     outcome = integrator.propagate_until(t1)[0]
     return np.array(integrator.state[:BEADS]), outcome

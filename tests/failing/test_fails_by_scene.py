@@ -30,8 +30,16 @@ def test_a_batch_is_paced_by_its_slowest_lane():
     def solve(ratio):
         state = gx.states.impact(dimer(ratio, 1.0))
         return diffrax.diffeqsolve(
-            diffrax.ODETerm(field), gx.RKN86(), 0.0, 10.0, None, state, args=ratio, max_steps=None,
-            stepsize_controller=diffrax.PIDController(rtol=1e-7, atol=1e-7), adjoint=diffrax.ForwardMode(),
+            diffrax.ODETerm(field),
+            gx.RKN86(),
+            0.0,
+            10.0,
+            None,
+            state,
+            args=ratio,
+            max_steps=None,
+            stepsize_controller=diffrax.PIDController(rtol=1e-7, atol=1e-7),
+            adjoint=diffrax.ForwardMode(),
         ).ys
 
     def work(function, batches):
@@ -59,7 +67,9 @@ def test_lanes_of_one_lattice_have_steps_of_their_own():
     alone = []
     for ratio in ratios:
         chain = dimer(ratio, 0.0)
-        alone.append(int(gx.simulate(chain, gx.states.impact(chain), 10.0, tolerance=1e-7).stats["steps"]))
+        alone.append(
+            int(gx.simulate(chain, gx.states.impact(chain), 10.0, tolerance=1e-7).stats["steps"])
+        )
     assert each.tolist() == alone
     # at a fixed step the lanes cost what they cost alone
     fixed = gx.simulate(chains, gx.states.impact(chains), 10.0, step=0.05)
@@ -76,9 +86,15 @@ def test_error_at_a_time_means_nothing_in_chaos_and_an_average_does():
     nudged = gx.State(state.u, state.v.at[3].add(1e-14))
     record = {"kinetic": gx.Integral(lambda t, y, lattice: lattice.kinetic_energy(y.v)[None])}
     t1, whole = 3000.0, float(chain.energy(0.0, *state))
-    ways = ((state, gx.SRKN11b(), 0.1), (state, gx.SRKN11b(), 0.05), (state, gx.SRKN6b(), 0.05),
-            (nudged, gx.SRKN11b(), 0.1))
-    runs = [gx.simulate(chain, y, t1, solver=solver, step=h, record=record) for y, solver, h in ways]
+    ways = (
+        (state, gx.SRKN11b(), 0.1),
+        (state, gx.SRKN11b(), 0.05),
+        (state, gx.SRKN6b(), 0.05),
+        (nudged, gx.SRKN11b(), 0.1),
+    )
+    runs = [
+        gx.simulate(chain, y, t1, solver=solver, step=h, record=record) for y, solver, h in ways
+    ]
     assert max(float(run.energy_error) for run in runs) < 2e-4
     size = np.abs(runs[0].final.u).max()
     apart = [np.abs(run.final.u - runs[0].final.u).max() for run in runs[1:]]

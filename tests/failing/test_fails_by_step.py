@@ -19,7 +19,9 @@ def dimer(ratio, F0):
 CHAIN = dimer(1.0, 1.0)
 STATE = gx.states.random(CHAIN, 1, displacement=0.3)  # contacts stay closed
 START = np.asarray(STATE.u), np.asarray(STATE.v)
-OMEGA = np.sqrt(6) * np.cos(np.pi / (2 * (N + 1)))  # of a chain between walls, stiffness 3/2: the highest
+OMEGA = np.sqrt(6) * np.cos(
+    np.pi / (2 * (N + 1))
+)  # of a chain between walls, stiffness 3/2: the highest
 
 
 # the same chain by hand --------------------------------------------------------------------------------------------
@@ -99,7 +101,9 @@ def test_adaptive_steps_destroy_a_symplectic_method():
     half = len(varied) // 2
     assert varied.max() > 10 * fixed.max() and varied.max() > 1.5 * varied[:half].max()
     assert fixed.max() < 1.1 * fixed[:half].max()
-    with pytest.raises(ValueError, match="a fixed step with VelocityVerlet.*A symplectic method loses its virtue"):
+    with pytest.raises(
+        ValueError, match="a fixed step with VelocityVerlet.*A symplectic method loses its virtue"
+    ):
         gx.simulate(CHAIN, STATE, t1, solver=gx.VelocityVerlet(), tolerance=tolerance)
 
 
@@ -152,7 +156,9 @@ def test_float32_has_a_floor():
     (coarse, fine), (coarse32, fine32) = errors["float64"], errors["float32"]
     assert coarse / fine > 1e6
     assert fine32 > 1e-7 and fine32 > coarse32 / 3 and fine32 < 1e-5
-    with pytest.raises(ValueError, match="tolerance: expected at least 1.9e-06, what float32 holds"):
+    with pytest.raises(
+        ValueError, match="tolerance: expected at least 1.9e-06, what float32 holds"
+    ):
         gx.simulate(*small, 1.0, tolerance=1e-6)
 
 
@@ -164,7 +170,10 @@ def test_light_masses_set_the_step():
     equal, light = dimer(1.0, 1.0), dimer(0.01, 1.0)
 
     def runs(**how):
-        return [gx.simulate(chain, gx.states.impact(chain), 100.0, save_at=FRAMES, **how) for chain in (equal, light)]
+        return [
+            gx.simulate(chain, gx.states.impact(chain), 100.0, save_at=FRAMES, **how)
+            for chain in (equal, light)
+        ]
 
     by_hand, chosen = runs(step=0.17), runs()
     naive, ours = ([float(run.energy_error) for run in both] for both in (by_hand, chosen))

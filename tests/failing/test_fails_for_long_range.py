@@ -13,8 +13,10 @@ CENTRE, FAR = N // 2, np.arange(20, 201)
 def test_an_fft_without_room_joins_the_ends_of_a_chain():
     kernel = np.arange(1.0, 40) ** -2
     u = jnp.zeros(40).at[0].set(0.1)
-    naive, ours = (gx.Lattice(1.0, gx.LongRange(kernel, gx.Linear(), boundary), sites=40).force(0.0, u, 0 * u)
-                   for boundary in ("periodic", "free"))
+    naive, ours = (
+        gx.Lattice(1.0, gx.LongRange(kernel, gx.Linear(), boundary), sites=40).force(0.0, u, 0 * u)
+        for boundary in ("periodic", "free")
+    )
     true = 0.1 * kernel
     np.testing.assert_allclose(ours[1:], true, rtol=0, atol=1e-13)
     assert naive[-1] > 100 * true[-1]

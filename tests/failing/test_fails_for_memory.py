@@ -56,6 +56,8 @@ def test_a_largest_overlap_at_the_ends_of_steps():
     """Where a contact turns within a step and where it opens, energy goes astray: of the order of the step's square."""
     missed = [bounced(steps) for steps in (100, 1000)]
     assert missed[0] > 1e-4 and missed[1] > 1e-8
-    lattice = gx.Lattice(2.0, gx.PlasticContact(gx.Shift(1, "free"), gx.WaltonBraun(1.0, 3.0)), sites=2)
+    lattice = gx.Lattice(
+        2.0, gx.PlasticContact(gx.Shift(1, "free"), gx.WaltonBraun(1.0, 3.0)), sites=2
+    )
     run = gx.simulate(lattice, gx.states.impact(lattice), 9.0)
     assert run.energy_error < 1e-9 and run.stats["steps"] < 150

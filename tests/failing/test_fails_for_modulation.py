@@ -18,7 +18,8 @@ def test_a_step_that_resonates_with_the_modulation_misses_the_growth():
 
     def naive(steps):
         _, monodromy = gx.Flow(steps, gx.VelocityVerlet()).derivative(
-            gx.State(ring.zeros(), ring.zeros()), 0.0, period, ring)
+            gx.State(ring.zeros(), ring.zeros()), 0.0, period, ring
+        )
         return np.abs(np.linalg.eigvals(np.asarray(monodromy))).max()
 
     # a stable step, of half a radian each way: on the unit circle but for the rounding of the double +1 of k = 0
@@ -29,5 +30,7 @@ def test_a_step_that_resonates_with_the_modulation_misses_the_growth():
     off = np.abs(few.multipliers[0]) - growth
     assert abs(off) < 0.01 and abs(off) <= few.error[0]
     run = gx.simulate(ring, found.state(ring), 10 * period)
-    grown = np.linalg.norm(np.asarray(run.final.u)) / np.linalg.norm(np.asarray(found.state(ring).u))
+    grown = np.linalg.norm(np.asarray(run.final.u)) / np.linalg.norm(
+        np.asarray(found.state(ring).u)
+    )
     assert abs(np.log(grown) / 10 - np.log(growth)) < 1e-6

@@ -12,8 +12,10 @@ def test_a_static_force_is_more_than_the_stiffness_that_it_gives():
     """The bands of contacts under load, by the stiffness of each alone: wrong by the transverse -F0/L."""
     F0 = 0.2
     stiffness = 1.5 * F0 ** (1 / 3)
-    under, springs = (gx.scenes.triangular(6, 6, boundary="periodic", **own) for own in (
-        {"exponent": 1.5, "precompression": F0}, {"stiffness": stiffness}))
+    under, springs = (
+        gx.scenes.triangular(6, 6, boundary="periodic", **own)
+        for own in ({"exponent": 1.5, "precompression": F0}, {"stiffness": stiffness})
+    )
     ours, naive = (np.asarray(gx.linear.dispersion(x, K).omega_squared) for x in (under, springs))
     assert np.abs(ours - 4.5 * (stiffness - F0)).max() < 1e-12
     assert (naive / ours - 1).min() > 0.25
@@ -41,7 +43,10 @@ def test_a_compact_state_is_lost_where_sites_are_not_equal():
     kept, lost = (gx.simulate(x, start, 60.0, step=0.1) for x in (equal, unequal))
 
     def outside(run):
-        return max(np.abs(np.asarray(u))[np.asarray(start.u[name]) == 0].max() for name, u in run.final.u.items())
+        return max(
+            np.abs(np.asarray(u))[np.asarray(start.u[name]) == 0].max()
+            for name, u in run.final.u.items()
+        )
 
     assert outside(kept) < 1e-13 and outside(lost) > 1e-2
 
@@ -49,7 +54,9 @@ def test_a_compact_state_is_lost_where_sites_are_not_equal():
 @pytest.mark.study
 def test_what_travels_alone_in_a_chain_spreads_in_the_plane():
     """One bead is struck in a sonic vacuum: the chain's pulse keeps its speed, the hexagon's front decays."""
-    chain = gx.simulate(gx.scenes.monomer(40), gx.states.impact(gx.scenes.monomer(40)), 40.0, save_at=801)
+    chain = gx.simulate(
+        gx.scenes.monomer(40), gx.states.impact(gx.scenes.monomer(40)), 40.0, save_at=801
+    )
     peaks = np.abs(np.asarray(chain.vs)).max(0)[10:30]
     assert np.ptp(peaks) < 1e-3 * peaks.mean()
     crystal = gx.scenes.hexagon(8, exponent=1.5)

@@ -56,7 +56,12 @@ def test_compactons_as_initial_data_shed_what_the_wave_does_not(wave):
     sites, centre, travel = 60, 12.0, 30
     lattice = gx.scenes.monomer(sites, boundary="free")
     left = {}
-    for name, top, rate in (("Nesterenko", 25 / 16, 0.4**0.5), ("Ahnert-Pikovsky", 36 / 25, 3**-0.5), ("wave", 0, 0)):
+    for name, top, rate in (
+        ("Nesterenko", 25 / 16, 0.4**0.5),
+        ("Ahnert-Pikovsky", 36 / 25, 3**-0.5),
+        ("wave", 0, 0),
+    ):
+
         def strain(x):
             inside = np.abs(rate * x) < np.pi / 2
             return np.where(inside, top * np.cos(np.where(inside, rate * x, 0)) ** 4, 0.0)

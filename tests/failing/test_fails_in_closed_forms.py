@@ -13,7 +13,12 @@ from granjax.theory import elliptic
 
 def exact(u, m1):
     with mp.workdps(50):
-        return np.array([[float(mp.ellipfun(kind, x, m=1 - mp.mpf(m1))) for x in u] for kind in ("sn", "cn", "dn")])
+        return np.array(
+            [
+                [float(mp.ellipfun(kind, x, m=1 - mp.mpf(m1))) for x in u]
+                for kind in ("sn", "cn", "dn")
+            ]
+        )
 
 
 def test_scipy_s_ellipj_loses_its_period_near_m_of_one():
@@ -22,7 +27,10 @@ def test_scipy_s_ellipj_loses_its_period_near_m_of_one():
     K = float(elliptic.K(m1=m1))
     u = np.linspace(0, 2 * K, 9)
     want = exact(u, m1)
-    theirs, ours = np.array(scipy.special.ellipj(u, 1 - m1)[:3]), np.array(elliptic.jacobi(u, 1 - m1))
+    theirs, ours = (
+        np.array(scipy.special.ellipj(u, 1 - m1)[:3]),
+        np.array(elliptic.jacobi(u, 1 - m1)),
+    )
     assert np.abs(theirs - want).max() > 0.99
     assert np.abs(ours - want).max() < 1e-13
 
@@ -47,7 +55,9 @@ def test_scipy_s_ellipj_ends_a_dispersive_shock_after_one_crest():
     z = np.asarray(2 * n * elliptic.K(m1=m1) / at.wavelength)
     strain = lambda cn: np.log(low + (high - low) * np.asarray(cn) ** 2)
     want = strain(exact(z, m1)[1])
-    assert np.abs(strain(scipy.special.ellipj(z, 1 - m1)[1]) - want)[15:].max() > 0.99 * at.amplitude
+    assert (
+        np.abs(strain(scipy.special.ellipj(z, 1 - m1)[1]) - want)[15:].max() > 0.99 * at.amplitude
+    )
     E = at.E1, at.E2, at.E3, at.E4
     np.testing.assert_allclose(gx.theory.toda.periodic_wave(n, 0.0, *E).strain, want, atol=1e-5)
     np.testing.assert_allclose(strain(elliptic.jacobi(z, m1=m1).cn), want, atol=1e-13)
@@ -58,14 +68,23 @@ def test_kdv_s_shock_is_no_toda_shock_at_a_half():
     """Edge 1 %, mean 23 %, crest 44 % too much; in the middle as wrong as the wave is high, where Toda's is right."""
     c, sites, t = 0.5, 301, 90.0
     exact_, kdv = gx.theory.toda.velocity_shock(c), gx.theory.kdv.velocity_shock(c, 1.0, 0.5)
-    np.testing.assert_allclose(np.array(kdv) / np.array(exact_) - 1, [0, 0.0138, 0.2332, 0.4427], atol=1e-4)
+    np.testing.assert_allclose(
+        np.array(kdv) / np.array(exact_) - 1, [0, 0.0138, 0.2332, 0.4427], atol=1e-4
+    )
     chain, x = gx.scenes.toda(sites, boundary="free"), np.arange(sites - 1) + 0.5 - sites // 2
     v = -2 * c * np.sign(np.arange(sites) - sites // 2)
     run = gx.simulate(chain, (np.zeros(sites), v), t, step=0.1, solver=gx.SRKN11b())
-    strain, middle = np.asarray(gx.measures.strain(chain, run.final)), np.abs(np.abs(x) / t - 0.9) < 0.25
-    apart = {name: np.abs(strain - wave.strain)[middle].max() for name, wave in (
-        ("toda", gx.theory.toda.shock_wave(np.abs(x), t, c)),
-        ("kdv", gx.theory.kdv.shock_wave(np.abs(x), t, c, 1.0, 0.5)))}
+    strain, middle = (
+        np.asarray(gx.measures.strain(chain, run.final)),
+        np.abs(np.abs(x) / t - 0.9) < 0.25,
+    )
+    apart = {
+        name: np.abs(strain - wave.strain)[middle].max()
+        for name, wave in (
+            ("toda", gx.theory.toda.shock_wave(np.abs(x), t, c)),
+            ("kdv", gx.theory.kdv.shock_wave(np.abs(x), t, c, 1.0, 0.5)),
+        )
+    }
     assert apart["toda"] < 0.03 and apart["kdv"] > 0.8
     assert strain[np.abs(x) < 15].mean() == pytest.approx(float(exact_.mean), rel=2e-3)
     assert 0.9 * exact_.amplitude < strain.max() < exact_.amplitude < 0.7 * kdv.amplitude
@@ -88,13 +107,22 @@ def test_kdv_and_toda_beyond_their_range():
 
 @pytest.mark.study
 def test_a_kdv_soliton_at_a_fifth_above_sound_sheds_a_fifth_of_its_crest():
-    chain, speed, centre, sites = gx.scenes.monomer(220, precompression=1.0, boundary="free"), 1.2 * SOUND, 50.0, 100
+    chain, speed, centre, sites = (
+        gx.scenes.monomer(220, precompression=1.0, boundary="free"),
+        1.2 * SOUND,
+        50.0,
+        100,
+    )
 
     def after(state):
         """Crest after so many sites over that at the start; the largest strain left behind, over the crest."""
         run = gx.simulate(chain, state, sites / speed, step=0.05, solver=gx.SRKN11b(), save_at=2)
         first, last = (np.asarray(gx.measures.strain(chain, y)) for y in (state, run.final))
-        return last.max() / first.max(), np.abs(last[: last.argmax() - 15]).max() / last.max(), last.argmax()
+        return (
+            last.max() / first.max(),
+            np.abs(last[: last.argmax() - 15]).max() / last.max(),
+            last.argmax(),
+        )
 
     kept, left, _ = after(gx.travelling.solitary_wave(HERTZ, speed=speed).state(220, centre))
     assert kept == pytest.approx(1, abs=1e-9) and left < 1e-9

@@ -24,6 +24,7 @@ EXACT = np.array([1.5 * 0.3**0.5, 0.75 * 0.3**-0.5, -0.375 * 0.3**-1.5])
 
 def derivatives(force):
     """Orders 1 to 3 (rows) by reverse mode at open, touching and closed contact (columns)."""
+
     @jax.jit
     def all_orders(x):
         orders, f = [], force
@@ -80,7 +81,11 @@ def test_an_impact_that_misses_has_no_gradient():
 
 N, PERIOD = 8, 2 * np.pi
 # all beads swing together with frequency 1, and the contacts, 24 times as fast, stay at rest: a linear tangent flow
-RING = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1000.0, 1.0)), gx.OnSite(gx.Linear(1.0))), sites=N)
+RING = gx.Lattice(
+    1.0,
+    (gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1000.0, 1.0)), gx.OnSite(gx.Linear(1.0))),
+    sites=N,
+)
 SWING = np.concatenate([np.full(N, 0.5), np.zeros(N)])
 J = np.block([[np.zeros((N, N)), np.eye(N)], [-np.eye(N), np.zeros((N, N))]])
 TOLERANCE = 1e-8
@@ -124,12 +129,22 @@ def test_tangents_inside_the_error_norm_hold(exact):
     def variational(t, y, args):
         (u, U), (v, V) = y
         a = lambda u: RING.acceleration(t, u, u)
-        return (v, V), (a(u), jax.vmap(lambda d: jax.jvp(a, (u,), (d,))[1], in_axes=-1, out_axes=-1)(U))
+        return (v, V), (
+            a(u),
+            jax.vmap(lambda d: jax.jvp(a, (u,), (d,))[1], in_axes=-1, out_axes=-1)(U),
+        )
 
     eye = np.eye(N), np.zeros((N, N))
     y = (jnp.asarray(SWING[:N]), jnp.hstack(eye)), (jnp.asarray(SWING[N:]), jnp.hstack(eye[::-1]))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(variational), gx.RKN86(), 0.0, PERIOD, None, y, adjoint=diffrax.ForwardMode(), max_steps=None,
+        diffrax.ODETerm(variational),
+        gx.RKN86(),
+        0.0,
+        PERIOD,
+        None,
+        y,
+        adjoint=diffrax.ForwardMode(),
+        max_steps=None,
         stepsize_controller=diffrax.PIDController(rtol=TOLERANCE, atol=TOLERANCE),
     )
     (_, U), (_, V) = solution.ys

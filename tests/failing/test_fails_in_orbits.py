@@ -31,15 +31,26 @@ def test_newton_at_a_given_frequency_falls_to_rest_from_a_small_guess(breather):
     shape = np.asarray(gx.linear.normal_modes(DIMER).modes)[:, -1]
 
     def found(amplitude):
-        guess = half.guess(gx.State(jnp.asarray(amplitude * shape / np.abs(shape).max()), DIMER.zeros()))
-        root = newton(half.residual, guess, (DIMER, breather.period), linearise=half.linearise, tolerance=1e-11)
+        guess = half.guess(
+            gx.State(jnp.asarray(amplitude * shape / np.abs(shape).max()), DIMER.zeros())
+        )
+        root = newton(
+            half.residual,
+            guess,
+            (DIMER, breather.period),
+            linearise=half.linearise,
+            tolerance=1e-11,
+        )
         return float(np.abs(root.x[:N]).max())
 
     # the shape is right and Newton converges, to the orbit of amplitude zero
     assert max(found(0.1), found(0.2)) < 1e-12
     assert found(0.4) == pytest.approx(0.487690114, abs=1e-8)
     # the family begins at zero, and leaves it
-    assert np.abs(breather.state.u).max() == pytest.approx(0.487690114, abs=1e-8) and breather.residual < 1e-11
+    assert (
+        np.abs(breather.state.u).max() == pytest.approx(0.487690114, abs=1e-8)
+        and breather.residual < 1e-11
+    )
 
 
 # a fold -------------------------------------------------------------------------------------------------------------
@@ -48,9 +59,16 @@ def test_newton_at_a_given_frequency_falls_to_rest_from_a_small_guess(breather):
 def duffing(omega):
     """Two sites that move alike: x'' + x'/20 + x + x^3/10 = cos(omega t)/10."""
     drive = gx.Harmonic(0.1, omega)
-    return gx.Lattice(jnp.ones(2), (
-        gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3)), gx.OnSite(gx.Polynomial(1.0, 0.0, 0.1)),
-        gx.Damping(0.05), gx.Drive(drive, 0), gx.Drive(drive, 1)))
+    return gx.Lattice(
+        jnp.ones(2),
+        (
+            gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3)),
+            gx.OnSite(gx.Polynomial(1.0, 0.0, 0.1)),
+            gx.Damping(0.05),
+            gx.Drive(drive, 0),
+            gx.Drive(drive, 1),
+        ),
+    )
 
 
 def period_of(omega):
@@ -80,8 +98,11 @@ def test_natural_continuation_ends_at_a_fold():
 @pytest.mark.study
 def test_multipliers_through_an_adaptive_mesh_are_garbage():
     # all beads swing together with frequency 1; contacts, up to 77 times as fast, stay at rest
-    ring = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1000.0, 1.0)), gx.OnSite(gx.Linear(1.0))),
-                      sites=4)
+    ring = gx.Lattice(
+        1.0,
+        (gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1000.0, 1.0)), gx.OnSite(gx.Linear(1.0))),
+        sites=4,
+    )
     start, period = np.array([0.5] * 4 + [0.0] * 4), 2 * np.pi
     omega = np.asarray(gx.linear.normal_modes(ring).omega)
 
@@ -106,8 +127,11 @@ def test_multipliers_through_an_adaptive_mesh_are_garbage():
 
 def test_the_monodromy_matrix_of_a_long_unstable_orbit_loses_its_small_multipliers():
     sites, period = 4, 32.0
-    pendula = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2)), gx.OnSite(gx.Sine(1.0, 1.0))),
-                         sites=sites)
+    pendula = gx.Lattice(
+        1.0,
+        (gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2)), gx.OnSite(gx.Sine(1.0, 1.0))),
+        sites=sites,
+    )
     upright = gx.State(jnp.full(sites, jnp.pi), jnp.zeros(sites))
     growth = np.sqrt(1 - 0.4 * (1 - np.cos(np.pi * np.arange(sites) / sites)))
     exact = np.exp(period * np.sort([*growth, *-growth]))
@@ -135,10 +159,17 @@ def test_a_fixed_threshold_calls_the_multipliers_of_symmetry_unstable(breather):
         outside = np.flatnonzero(np.abs(fl.multipliers) > 1 + 1e-6)
         assert len(outside) and np.abs(fl.multipliers[outside] - 1).max() < 1e-3
         # nor do other step sizes know it better than that
-        assert np.all(np.abs(fl.multipliers[outside] - 1) < fl.error[outside]) and not len(fl.unstable)
+        assert np.all(np.abs(fl.multipliers[outside] - 1) < fl.error[outside]) and not len(
+            fl.unstable
+        )
     split = [np.abs(fl.multipliers).max() - 1 for fl in by_steps.values()]
     assert split[0] > 5e-4 and split[-1] < 5e-5
     # three step sizes know the others to the resolution from twelve steps on
-    assert [fl.verdict for fl in by_steps.values()] == ["undecided", "undecided", "stable", "stable"]
+    assert [fl.verdict for fl in by_steps.values()] == [
+        "undecided",
+        "undecided",
+        "stable",
+        "stable",
+    ]
     fine = breather.floquet()
     assert fine.verdict == "stable" and np.abs(np.abs(fine.multipliers) - 1).max() < 1e-6

@@ -46,12 +46,25 @@ class CaputoRun(Result):
         if concrete(self.error) is None:
             return "Not known while traced."
         if not np.isfinite(self.error):
-            return "The solution is not finite: it grew beyond all bounds, or the steps are too long."
-        return "Completed." if self.residual < 1e-8 else "Newton's method has not converged in some step: more steps."
+            return (
+                "The solution is not finite: it grew beyond all bounds, or the steps are too long."
+            )
+        return (
+            "Completed."
+            if self.residual < 1e-8
+            else "Newton's method has not converged in some step: more steps."
+        )
 
 
 def caputo(
-    field: VectorField, y: Pytree, t1: Scalar, *, order: Scalar, steps: Count = 200, t0: Scalar = 0.0, args: Any = None,
+    field: VectorField,
+    y: Pytree,
+    t1: Scalar,
+    *,
+    order: Scalar,
+    steps: Count = 200,
+    t0: Scalar = 0.0,
+    args: Any = None,
     grading: Scalar | None = None,
 ) -> CaputoRun:
     r"""Solve D^a y = f(t, y, args), y(t0) = y0, with Caputo's derivative of order 0 < a < 1 in time.
@@ -82,8 +95,12 @@ def caputo(
     order = _inside("order", order)
     steps = whole("steps", steps, 4)
     if steps % 2:
-        refuse("steps", "an even number, as a second run with half of them tells the error", f"{steps}")
-    grading = jnp.minimum((2 - order) / order, 12.0) if grading is None else parameter("grading", grading)
+        refuse(
+            "steps", "an even number, as a second run with half of them tells the error", f"{steps}"
+        )
+    grading = (
+        jnp.minimum((2 - order) / order, 12.0) if grading is None else parameter("grading", grading)
+    )
     y = jax.tree.map(lambda x: parameter("y", x), y)
     # plain numbers are inputs of what is compiled, not a part of it
     args = jax.tree.map(lambda x: jnp.asarray(x) if type(x) in (int, float, complex) else x, args)
@@ -109,15 +126,20 @@ def _solved(field, y, t0, t1, order, grading, steps, args):
     fine, residual = _marched(f, flat, ends, order)
     coarse, _ = _marched(f, flat, ends[::2], order)
     # away from the start; the order is approached from below
-    error = jnp.max(jnp.abs(fine[::2] - coarse)) / (2 ** (0.8 * jnp.minimum(2 - order, grading)) - 1)
+    error = jnp.max(jnp.abs(fine[::2] - coarse)) / (
+        2 ** (0.8 * jnp.minimum(2 - order, grading)) - 1
+    )
     # within the first steps, which the coarse run does not see: what the scheme makes of t^a there
-    error += jnp.max(jnp.abs(fine[1] - flat)) * (jnp.exp(-gammaln(1 + order) - gammaln(2 - order)) - 1)
+    error += jnp.max(jnp.abs(fine[1] - flat)) * (
+        jnp.exp(-gammaln(1 + order) - gammaln(2 - order)) - 1
+    )
     error = jnp.where(jnp.all(jnp.isfinite(fine)), error, jnp.nan)
     return CaputoRun(t0 + ends, jax.vmap(unravel)(fine), error, residual)
 
 
 def _newton(residual, start):
     """The root of a step, and the last change over the size of the solution."""
+
     def improve(state):
         x, _, k = state
         move = jnp.linalg.solve(jax.jacfwd(residual)(x), residual(x))
@@ -125,7 +147,9 @@ def _newton(residual, start):
         return x - move, size, k + 1
 
     begin = start, jnp.asarray(jnp.inf, start.dtype), 0
-    x, left, _ = jax.lax.while_loop(lambda s: (s[1] > SETTLED) & (s[2] < ITERATIONS), improve, begin)
+    x, left, _ = jax.lax.while_loop(
+        lambda s: (s[1] > SETTLED) & (s[2] < ITERATIONS), improve, begin
+    )
     return x, left
 
 

@@ -47,15 +47,24 @@ def missed(order: Number, step: Number, count: int) -> Numbers:
 
 @eqx.filter_jit
 def march(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, save_ts: Times | None, steps: int,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    save_ts: Times | None,
+    steps: int,
 ) -> Run:
     """Integrate and reduce; everything checked. A `RunWithMemory` without its names."""
     h, u0, v0 = (t1 - t0) / steps, *state
-    damped = [term.fractional_damping() for term in lattice.terms if term.fractional_damping() is not None]
+    damped = [
+        term.fractional_damping() for term in lattice.terms if term.fractional_damping() is not None
+    ]
     orders = [jnp.asarray(order, lattice.dtype) for _, order, _ in damped]
     tables, misses = ([table(order, h, steps) for order in orders] for table in (weights, missed))
     rates = dict(damping_rates(lattice, v0))
-    plain = [t for t in lattice.terms if t.fractional_damping() is None and t.exact_damping() is None]
+    plain = [
+        t for t in lattice.terms if t.fractional_damping() is None and t.exact_damping() is None
+    ]
 
     def forces(t, u, v):
         return lattice.total([term.force(t, u, v, lattice.mass) for term in plain], u)
@@ -71,12 +80,22 @@ def march(
     def correction(n):
         """What step n still has to take from the momenta."""
         own = [v0 if field is None else {field: v0[field]} for field, *_ in damped]
-        parts = [jax.tree.map(lambda v: c * miss[n] * v, v) for v, miss, (*_, c) in zip(own, misses, damped)]
+        parts = [
+            jax.tree.map(lambda v: c * miss[n] * v, v)
+            for v, miss, (*_, c) in zip(own, misses, damped)
+        ]
         return lattice.total(parts, v0)
 
     def own_rate(name):
         """c b_0 of all dampings of a field."""
-        return sum((c * inner[0] for (field, _, c), (inner, _) in zip(damped, tables) if field in (None, name)), 0.0)
+        return sum(
+            (
+                c * inner[0]
+                for (field, _, c), (inner, _) in zip(damped, tables)
+                if field in (None, name)
+            ),
+            0.0,
+        )
 
     def slowed(half, pushed):
         def one(name, half, pushed, m):
@@ -89,18 +108,24 @@ def march(
 
     def power(t, u, v, a):
         """Of the terms that keep no energy: of all forces, m a v, less those that do."""
-        kept = [term.force(t, u, v, lattice.mass) for term in plain if reads(term, lattice).conserves]
+        kept = [
+            term.force(t, u, v, lattice.mass) for term in plain if reads(term, lattice).conserves
+        ]
         rest = jax.tree.map(lambda m, a, f: m * a - f, lattice.mass, a, lattice.total(kept, u))
         return sum(jax.tree.leaves(jax.tree.map(lambda f, v: _over_sites(f * v, lattice), rest, v)))
 
     def given(momenta, before, after):
         """The work of momenta that change velocities from before to after."""
-        sums = jax.tree.map(lambda p, a, b: _over_sites(p * (a + b) / 2, lattice), momenta, before, after)
+        sums = jax.tree.map(
+            lambda p, a, b: _over_sites(p * (a + b) / 2, lattice), momenta, before, after
+        )
         return sum(jax.tree.leaves(sums))
 
     def energy(t, u, v):
         stored = [term.energy(t, u) for term in plain if reads(term, lattice).conserves]
-        return lattice.kinetic_energy(v) + sum(_over_sites(e, lattice) for x in stored for e in jax.tree.leaves(x))
+        return lattice.kinetic_energy(v) + sum(
+            _over_sites(e, lattice) for x in stored for e in jax.tree.leaves(x)
+        )
 
     def step(carry, n):
         u, v, a, us, vs, work, before, worst = carry
@@ -120,25 +145,57 @@ def march(
     begin = energy(t0, u0, v0)
     rated = {name: 0.0 if rate is None else rate for name, rate in rates.items()}
     named = lambda x: x if isinstance(x, dict) else {None: x}
-    a0 = {name: f / m - rated[name] * v for (name, f), m, v in zip(
-        named(forces(t0, u0, v0)).items(), named(lattice.mass).values(), named(v0).values())}
+    a0 = {
+        name: f / m - rated[name] * v
+        for (name, f), m, v in zip(
+            named(forces(t0, u0, v0)).items(), named(lattice.mass).values(), named(v0).values()
+        )
+    }
     a0 = a0 if isinstance(u0, dict) else a0[None]
     none = jnp.zeros(lattice.lanes, lattice.dtype)
-    us, vs = (_written(jax.tree.map(lambda x: jnp.zeros((steps + 1, *x.shape), x.dtype), x), x, 0) for x in (u0, v0))
+    us, vs = (
+        _written(jax.tree.map(lambda x: jnp.zeros((steps + 1, *x.shape), x.dtype), x), x, 0)
+        for x in (u0, v0)
+    )
     first = power(t0, u0, v0, a0)
-    carry, (works, overlaps) = jax.lax.scan(step, (u0, v0, a0, us, vs, none, first, none), jnp.arange(steps))
+    carry, (works, overlaps) = jax.lax.scan(
+        step, (u0, v0, a0, us, vs, none, first, none), jnp.arange(steps)
+    )
     u, v, _, us, vs, work, _, worst = carry
     final = State(u, v)
     ts = t1[None] if save_ts is None else save_ts
     frames = _frames((us, vs), jnp.concatenate([none[None], works]), ts, t0, h, steps)
-    scale = jnp.maximum(jnp.maximum(jnp.abs(begin), lattice.kinetic_energy(v0)), jnp.max(jnp.abs(works), axis=0))
+    scale = jnp.maximum(
+        jnp.maximum(jnp.abs(begin), lattice.kinetic_energy(v0)), jnp.max(jnp.abs(works), axis=0)
+    )
     code = jnp.where(finite(final), COMPLETED, NOT_FINITE)
-    stats = {"steps": jnp.asarray(steps), "accepted": jnp.asarray(steps), "rejected": jnp.asarray(0), "step": h,
-             "force_evaluations": jnp.asarray(steps + 1.0)}
+    stats = {
+        "steps": jnp.asarray(steps),
+        "accepted": jnp.asarray(steps),
+        "rejected": jnp.asarray(0),
+        "step": h,
+        "force_evaluations": jnp.asarray(steps + 1.0),
+    }
     margin = jnp.where(jnp.min(overlaps, axis=0) < 0, -1.0, jnp.inf)
-    return RunWithMemory(ts, *frames[:2], final, {}, worst / jnp.where(scale > 0, scale, 1), margin, {}, code, stats,
-                         None, "", "", "", "looked at at the ends of steps alone", 0.0, work=frames[2],
-                         _space=lattice.space)
+    return RunWithMemory(
+        ts,
+        *frames[:2],
+        final,
+        {},
+        worst / jnp.where(scale > 0, scale, 1),
+        margin,
+        {},
+        code,
+        stats,
+        None,
+        "",
+        "",
+        "",
+        "looked at at the ends of steps alone",
+        0.0,
+        work=frames[2],
+        _space=lattice.space,
+    )
 
 
 def _convolved(x, inner, first, n):
@@ -158,7 +215,11 @@ def _written(xs, x, n):
 def _overlap(lattice, t, u):
     overlaps = _overlaps(lattice, t, u)
     found = [s.min(tuple(range(s.ndim - len(lattice.lanes)))) for s in overlaps]
-    return jnp.min(jnp.stack(found), axis=0) if found else jnp.full(lattice.lanes, jnp.inf, lattice.dtype)
+    return (
+        jnp.min(jnp.stack(found), axis=0)
+        if found
+        else jnp.full(lattice.lanes, jnp.inf, lattice.dtype)
+    )
 
 
 def _frames(motion, works, ts, t0, h, steps):

@@ -26,28 +26,50 @@ TOLERANCE = 1e-11
 
 def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[str, Any]) -> Run:
     """The run of `simulate` where forces read the past, with those of its keywords that such runs have."""
-    t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps = keywords.values()
+    t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps = (
+        keywords.values()
+    )
     state, (t0, t1) = checked_state(lattice, state), checked_times(t0, t1)
     remedy = "Terms that remember are carried by a solver of their own; save_at= keeps what happens on the way."
     if solver is not None:
-        refuse("solver", "None for a lattice whose forces read the past", type(solver).__name__, remedy)
+        refuse(
+            "solver", "None for a lattice whose forces read the past", type(solver).__name__, remedy
+        )
     if record:
         refuse("record", "None for a lattice whose forces read the past", "records", remedy)
     if adjoint is not None and not isinstance(adjoint, diffrax.ForwardMode):
-        refuse("adjoint", "None or diffrax.ForwardMode(), as such a run has forward derivatives (jax.jvp, jax.jacfwd)",
-               type(adjoint).__name__)
+        refuse(
+            "adjoint",
+            "None or diffrax.ForwardMode(), as such a run has forward derivatives (jax.jvp, jax.jacfwd)",
+            type(adjoint).__name__,
+        )
     unknown = facts(lattice).traced or traced((state, t0, t1, step, tolerance, save_at))
     if throw and unknown:
-        refuse("throw", "None or False under a transformation", "True",
-               "What becomes of a traced run is not known yet.")
+        refuse(
+            "throw",
+            "None or False under a transformation",
+            "True",
+            "What becomes of a traced run is not known yet.",
+        )
     save_ts, _, every = checked_save_at(save_at, t0, t1, state)
     if every:
-        refuse("save_at", "times or a number of them, for a lattice whose forces read the past", "'steps'")
+        refuse(
+            "save_at",
+            "times or a number of them, for a lattice whose forces read the past",
+            "'steps'",
+        )
     fractional = any(term.fractional_damping() is not None for term in lattice.terms)
     for i, term in enumerate(lattice.terms):
-        if term.remembers() and (term.fractional_damping() if fractional else term.variables(lattice)) is None:
-            refuse(f"terms[{i}] ({type(term).__name__})", "a term whose memory has a solver here", "one that has none",
-                   "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.")
+        if (
+            term.remembers()
+            and (term.fractional_damping() if fractional else term.variables(lattice)) is None
+        ):
+            refuse(
+                f"terms[{i}] ({type(term).__name__})",
+                "a term whose memory has a solver here",
+                "one that has none",
+                "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.",
+            )
     if fractional:
         return _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw)
     dtype, step = facts(lattice).dtype, checked_size("step", step)
@@ -58,11 +80,24 @@ def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[s
     if tolerance is None:
         tolerance = max(TOLERANCE, least)
     elif not traced(tolerance) and not least <= tolerance < 1:
-        refuse("tolerance", f"from {least:.1e}, what {dtype} holds, to below 1", show(np.asarray(tolerance)))
+        refuse(
+            "tolerance",
+            f"from {least:.1e}, what {dtype} holds, to below 1",
+            show(np.asarray(tolerance)),
+        )
     longest = None if step is None else number(step, dtype)
     save_ts = None if save_ts is None else jax.numpy.asarray(save_ts, dtype)
-    run = integrate(lattice, state, number(t0, dtype), number(t1, dtype), number(tolerance, dtype), longest, save_ts,
-                    max_steps, progress)
+    run = integrate(
+        lattice,
+        state,
+        number(t0, dtype),
+        number(t1, dtype),
+        number(tolerance, dtype),
+        longest,
+        save_ts,
+        max_steps,
+        progress,
+    )
     said = "traced" if traced(tolerance) else show(np.asarray(tolerance))
     choice = f"adaptive steps that carry internal variables, tolerance {said}"
     run = named(run, "Dopri8", choice, "", mark=lattice._mark)
@@ -72,23 +107,50 @@ def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[s
 def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
     """The run of a lattice with Caputo damping, by equal steps."""
     if tolerance is not None:
-        refuse("tolerance", "None with Caputo damping, whose steps are equal", show(np.asarray(tolerance)),
-               "Give step=; the error falls with its square.")
-    others = [type(term).__name__ for term in lattice.terms if term.fractional_damping() is None
-              and term.exact_damping() is None and reads(term, lattice).velocity]
+        refuse(
+            "tolerance",
+            "None with Caputo damping, whose steps are equal",
+            show(np.asarray(tolerance)),
+            "Give step=; the error falls with its square.",
+        )
+    others = [
+        type(term).__name__
+        for term in lattice.terms
+        if term.fractional_damping() is None
+        and term.exact_damping() is None
+        and reads(term, lattice).velocity
+    ]
     if others:
-        refuse("lattice", "no force of velocities beside CaputoDamping and Damping", ", ".join(others))
+        refuse(
+            "lattice", "no force of velocities beside CaputoDamping and Damping", ", ".join(others)
+        )
     step, dtype = checked_size("step", step), facts(lattice).dtype
     if traced((step, t0, t1)):
-        refuse("step, t0, t1", "known numbers, which say how many steps of history are kept", "traced ones")
-    omega = concrete(frequency_bound(lattice, state, t0, t1)) if step is None or not traced((lattice, state)) else None
+        refuse(
+            "step, t0, t1",
+            "known numbers, which say how many steps of history are kept",
+            "traced ones",
+        )
+    omega = (
+        concrete(frequency_bound(lattice, state, t0, t1))
+        if step is None or not traced((lattice, state))
+        else None
+    )
     if step is None:
         if omega is None or not omega > 0:
-            refuse("step", "a time step, where the highest frequency is not known or zero", "None",
-                   f"h omega = {STEP_FRACTION} is usual with Caputo damping.")
+            refuse(
+                "step",
+                "a time step, where the highest frequency is not known or zero",
+                "None",
+                f"h omega = {STEP_FRACTION} is usual with Caputo damping.",
+            )
         step = STEP_FRACTION / float(omega)
     elif omega is not None and step * omega >= 2:
-        refuse("step", f"below {2 / float(omega):.3g}, where velocity Verlet is stable", show(np.asarray(step)))
+        refuse(
+            "step",
+            f"below {2 / float(omega):.3g}, where velocity Verlet is stable",
+            show(np.asarray(step)),
+        )
     refuse_unresolved(t0, t1, step, dtype)
     steps = max(math.ceil((t1 - t0) / step * (1 - 1e-9)), 2)
     held_frames("step", steps, state, "steps of history")
@@ -100,7 +162,13 @@ def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
 def _completed(lattice, run, throw):
     known = not traced(run.code)
     if not traced(run):
-        run = named(run, run.solver, run.choice, passing(lattice, run.ts, run.us, run.final.u), mark=run._mark)
+        run = named(
+            run,
+            run.solver,
+            run.choice,
+            passing(lattice, run.ts, run.us, run.final.u),
+            mark=run._mark,
+        )
     if known and not (np.asarray(run.code) == COMPLETED).all() and (throw is None or throw):
         raise RuntimeError(run.outcome)
     return run

@@ -36,7 +36,9 @@ class RunWithMemory(Run):
     """
 
     _table: ClassVar[dict[str, Held]] = {
-        **Run._table, "lost": Held("time", "J"), "work": Held("time", "J"),
+        **Run._table,
+        "lost": Held("time", "J"),
+        "work": Held("time", "J"),
     }
     lattice: Lattice | None = None
     memory: dict[str, Numbers] | None = None
@@ -60,7 +62,9 @@ class RunWithMemory(Run):
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         yield from super()._fields()
-        yield from ((name, x) for name, x in (("lost", self.lost), ("work", self.work)) if x is not None)
+        yield from (
+            (name, x) for name, x in (("lost", self.lost), ("work", self.work)) if x is not None
+        )
         yield from (self.memory or {}).items()
 
     def _rows(self) -> Iterator[tuple[str, str]]:

@@ -77,7 +77,9 @@ class Record(eqx.Module):
         """The quantity, a floating array or a tree of them."""
         q = _called(self.quantity, t, y, lattice)
         leaves = jax.tree.leaves(q)
-        if not leaves or not all(isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating) for x in leaves):
+        if not leaves or not all(
+            isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating) for x in leaves
+        ):
             refuse("record", f"{FORMS} that returns floating arrays", repr(q))
         return q
 
@@ -211,7 +213,15 @@ class Arrival(Record):
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
         zero = jnp.zeros_like(q)
         at_once = q >= self._threshold(q)
-        return at_once, q, (zero + t).astype(q.dtype), zero, zero, zero, jnp.zeros((count, *q.shape), q.dtype)
+        return (
+            at_once,
+            q,
+            (zero + t).astype(q.dtype),
+            zero,
+            zero,
+            zero,
+            jnp.zeros((count, *q.shape), q.dtype),
+        )
 
     def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
         found = carried[0]
@@ -221,7 +231,9 @@ class Arrival(Record):
         low, high, top = jax.lax.cond(close, lambda: self._bracket(found, still), lambda: never)
         crossed = ~found & (high < jnp.inf)
         now = t0, step, low, high, q
-        kept = [jnp.where(crossed, new, old).astype(old.dtype) for new, old in zip(now, carried[2:])]
+        kept = [
+            jnp.where(crossed, new, old).astype(old.dtype) for new, old in zip(now, carried[2:])
+        ]
         return found | crossed, jnp.maximum(carried[1], top), *kept
 
     def _threshold(self, q):
@@ -236,7 +248,9 @@ class Arrival(Record):
         def with_tops():
             found = tops(q, near)
             reached = [jnp.where(top.height >= threshold, top.place, jnp.inf) for top in found]
-            return reduce(jnp.minimum, reached, high), reduce(jnp.maximum, (top.height for top in found), q.max(0))
+            return reduce(jnp.minimum, reached, high), reduce(
+                jnp.maximum, (top.height for top in found), q.max(0)
+            )
 
         hidden = jnp.any(~found & higher(q, near, threshold))
         high, top = jax.lax.cond(hidden, with_tops, lambda: (high, q.max(0)))

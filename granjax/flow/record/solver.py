@@ -27,7 +27,9 @@ class _Carried(NamedTuple):
 
 def leaf_by_leaf(function: Callable, carried: Pytree) -> Pytree:
     """A function of what a record carries, over the arrays of its quantity."""
-    return jax.tree.map(lambda c: function(c.kept), carried, is_leaf=lambda x: isinstance(x, _Carried))
+    return jax.tree.map(
+        lambda c: function(c.kept), carried, is_leaf=lambda x: isinstance(x, _Carried)
+    )
 
 
 class Recorded(Wrapped):
@@ -47,23 +49,36 @@ class Recorded(Wrapped):
         for name, record in self.records.items():
             q = record.value(jnp.asarray(t0), y0, args)
             carried[name] = jax.tree.map(
-                lambda q, record=record: _Carried(q if record.sampled else None, record.start(t0, q, count)), q)
+                lambda q, record=record: _Carried(
+                    q if record.sampled else None, record.start(t0, q, count)
+                ),
+                q,
+            )
         return self.solver.init(terms, t0, t1, y0, args), carried
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, carried = solver_state
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
         sampled = {name: record for name, record in self.records.items() if record.sampled}
-        found = {name: record.value(t1, y1, args) for name, record in self.records.items() if not record.sampled}
+        found = {
+            name: record.value(t1, y1, args)
+            for name, record in self.records.items()
+            if not record.sampled
+        }
         # behind a jump in time a step starts with another value than the one before has ended with
         first = 0 if args.breaks else 1
         if sampled:
             lattice = inside(args, t0, t1) if args.breaks else args
             path = self._path(terms, t0, t1, y0, y1, dense, lattice)
-            times = jnp.minimum(t0 + (lobatto(self._count(terms)).x[first:] + 1) / 2 * (t1 - t0), t1)
+            times = jnp.minimum(
+                t0 + (lobatto(self._count(terms)).x[first:] + 1) / 2 * (t1 - t0), t1
+            )
 
             def values(t):
-                return {name: record.value(t, path.evaluate(t), lattice) for name, record in sampled.items()}
+                return {
+                    name: record.value(t, path.evaluate(t), lattice)
+                    for name, record in sampled.items()
+                }
 
             # a loop, because XLA would fuse the dense output's coefficients into each of their many readers
             found |= jax.lax.map(values, times)
@@ -75,7 +90,9 @@ class Recorded(Wrapped):
             return _Carried(q[-1], record.follow(old.kept, t0, t1 - t0, whole))
 
         carried = {
-            name: jax.tree.map(lambda q, old, record=record: follow(record, q, old), found[name], carried[name])
+            name: jax.tree.map(
+                lambda q, old, record=record: follow(record, q, old), found[name], carried[name]
+            )
             for name, record in self.records.items()
         }
         return y1, error, dense, (own, carried), result
@@ -98,4 +115,6 @@ class Recorded(Wrapped):
             a0, a1 = own.a0, own.a1
         else:
             a0, a1 = acceleration(t0, y0), acceleration(t1, y1)
-        return bootstrapped(t0, t1, y0, y1, a0, a1, acceleration, max(0, (self.solver.order(terms) - 4) // 2))
+        return bootstrapped(
+            t0, t1, y0, y1, a0, a1, acceleration, max(0, (self.solver.order(terms) - 4) // 2)
+        )

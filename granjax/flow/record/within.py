@@ -119,13 +119,24 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
 
 def _guess_by_highest(q, x, until):
     """The top of the parabola about the highest sample, with one division."""
-    bend, rise, at, top = 0 * q[0], 0 * q[0], jnp.full_like(q[0], x[1]), jnp.full_like(q[0], -jnp.inf)
+    bend, rise, at, top = (
+        0 * q[0],
+        0 * q[0],
+        jnp.full_like(q[0], x[1]),
+        jnp.full_like(q[0], -jnp.inf),
+    )
     middle = q[1]
     for j in range(1, len(x) - 1):
         left, right = x[j] - x[j - 1], x[j + 1] - x[j]
         before, after = (q[j] - q[j - 1]) * (1 / left), (q[j + 1] - q[j]) * (1 / right)
         # the outermost stand for the ends too
-        own = jnp.maximum(q[j], q[0]) if j == 1 else jnp.maximum(q[j], q[-1]) if j == len(x) - 2 else q[j]
+        own = (
+            jnp.maximum(q[j], q[0])
+            if j == 1
+            else jnp.maximum(q[j], q[-1])
+            if j == len(x) - 2
+            else q[j]
+        )
         above = (own > top) & (x[j - 1] <= until)
         top = jnp.where(above, own, top)
         bend = jnp.where(above, (after - before) * (2 / (left + right)), bend)
@@ -166,7 +177,9 @@ def tops(q: Numbers, guesses: list[Guess]) -> list[Guess]:
     return found
 
 
-def crossing(c: list[Numbers], threshold: Parameter, low: Numbers, high: Numbers, there: Flags) -> Numbers:
+def crossing(
+    c: list[Numbers], threshold: Parameter, low: Numbers, high: Numbers, there: Flags
+) -> Numbers:
     """Where a series rises through a threshold between two places, at which it is below and not below it."""
     moving = slope(c)
     still, first, low, high = jax.lax.stop_gradient((c, moving, low, high))
@@ -183,5 +196,9 @@ def crossing(c: list[Numbers], threshold: Parameter, low: Numbers, high: Numbers
     # two steps more from a fixed place carry the first and the second derivative
     for _ in range(2):
         rise = value(moving, x)
-        x = x - jnp.where(there & (rise > 0), (value(c, x) - threshold) / jnp.where(there & (rise > 0), rise, 1), 0)
+        x = x - jnp.where(
+            there & (rise > 0),
+            (value(c, x) - threshold) / jnp.where(there & (rise > 0), rise, 1),
+            0,
+        )
     return jnp.clip(x, low, high)

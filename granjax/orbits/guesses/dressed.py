@@ -35,7 +35,13 @@ class Dressed(NamedTuple):
         """What the other fields answer to a displacement 1 of the chain's at omega^2 = x, and which they are."""
         b = self.fields.index(self.field)
         r = [i for i in range(len(self.fields)) if i != b]
-        return b, r, -np.linalg.lstsq(self.tie[np.ix_(r, r)] - x * np.diag(self.mass[r]), self.tie[r, b], rcond=None)[0]
+        return (
+            b,
+            r,
+            -np.linalg.lstsq(
+                self.tie[np.ix_(r, r)] - x * np.diag(self.mass[r]), self.tie[r, b], rcond=None
+            )[0],
+        )
 
     def excess(self, x: float) -> float:
         """G at omega^2 = x."""
@@ -54,8 +60,11 @@ class Dressed(NamedTuple):
         omega = self.tops[branch]
         ratio = m * c.omega / (omega * self.slope(omega**2))
         scaled = (ratio * x for x in (c.nu2, c.nu3, c.nu3_force, c.group_velocity))
-        return eqx.tree_at(lambda c: (c.omega, c.nu2, c.nu3, c.nu3_force, c.group_velocity), c,
-                           (jnp.asarray(omega), *scaled))
+        return eqx.tree_at(
+            lambda c: (c.omega, c.nu2, c.nu3, c.nu3_force, c.group_velocity),
+            c,
+            (jnp.asarray(omega), *scaled),
+        )
 
     def state(self, profile: nls.Profile) -> State:
         """A breather of the chain's field and what the others do, at rest."""
@@ -72,8 +81,12 @@ def dressed(lattice: Lattice) -> Dressed | None:
     """The chain of a lattice of several fields, or `None` where it is no uniform one with free linear resonators."""
     if not lattice.fields or lattice.axes != 1 or lattice.dimension:
         return None
-    found = [(i, name, *bonds) for i, term in enumerate(lattice.terms) for name in lattice.fields
-             if (bonds := term.next_neighbours(name)) is not None]
+    found = [
+        (i, name, *bonds)
+        for i, term in enumerate(lattice.terms)
+        for name in lattice.fields
+        if (bonds := term.next_neighbours(name)) is not None
+    ]
     try:
         cell = unit_cell(lattice)
     except ValueError:
@@ -82,9 +95,13 @@ def dressed(lattice: Lattice) -> Dressed | None:
         return None
     (own, field, law, boundary), fields = found[0], tuple(sorted(lattice.fields))
     coefficients = [np.asarray(x) for x in taylor(law)]
-    if not np.all(coefficients[0] > 0) or any(np.ptp(x) > ROUNDING * np.abs(x).max() for x in coefficients):
+    if not np.all(coefficients[0] > 0) or any(
+        np.ptp(x) > ROUNDING * np.abs(x).max() for x in coefficients
+    ):
         return None
-    if not _linear(eqx.tree_at(lambda x: x.terms, lattice, lattice.terms[:own] + lattice.terms[own + 1 :])):
+    if not _linear(
+        eqx.tree_at(lambda x: x.terms, lattice, lattice.terms[:own] + lattice.terms[own + 1 :])
+    ):
         return None
     mass, b = np.asarray(cell.mass), fields.index(field)
     tie = np.asarray(cell.coupling)[cell.shells.index((0,))] * np.sqrt(mass[:, None] * mass)
@@ -101,7 +118,9 @@ def _linear(rest):
     rng, zero = np.random.default_rng(0), rest.zeros()
     u = jax.tree.map(lambda s: jnp.asarray(rng.uniform(-1, 1, s.shape), s.dtype), rest.template())
     force = jax.vmap(lambda size: rest.force(0.0, jax.tree.map(lambda x: size * x, u), zero))
-    for once, twice in zip(*(jax.tree.leaves(force(jnp.asarray(sizes))) for sizes in (SIZES, -2 * SIZES))):
+    for once, twice in zip(
+        *(jax.tree.leaves(force(jnp.asarray(sizes))) for sizes in (SIZES, -2 * SIZES))
+    ):
         once, twice = np.asarray(once), np.asarray(twice)
         if np.any(np.abs(twice + 2 * once).max(1) > ROUNDING * np.abs(once).max(1)):
             return False

@@ -64,7 +64,10 @@ def cell_of(lattice: Lattice) -> tuple | None:
     (sites,) = lattice.sites
     left = 1 if boundary == "fixed" else 0
     mass = np.broadcast_to(np.asarray(lattice.mass), (sites,))[:size]
-    parts = [np.asarray(x) if np.ndim(x) == 0 else np.asarray(x)[left : left + size] for x in coefficients]
+    parts = [
+        np.asarray(x) if np.ndim(x) == 0 else np.asarray(x)[left : left + size]
+        for x in coefficients
+    ]
     return mass, *(np.broadcast_to(x, (size,)) for x in parts)
 
 
@@ -87,10 +90,23 @@ def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
         return []
     if chain is not None:  # at k = 0, the lower edges, no bond is strained
         below = np.flatnonzero((0 < chain.tops) & (chain.tops <= omega))[-1:]
-        return [Edge(np.pi, int(b), float(chain.tops[b]), True, chain.coefficients(int(b))) for b in below]
-    edges = [(k, b, w, True) for b, (k, w) in enumerate(zip(np.ravel(found.upper_k), upper)) if w <= omega]
-    edges = edges[-1:] + [
-        (k, b, w, False) for b, (k, w) in enumerate(zip(np.ravel(found.lower_k), lower)) if w >= omega > 0][:1]
+        return [
+            Edge(np.pi, int(b), float(chain.tops[b]), True, chain.coefficients(int(b)))
+            for b in below
+        ]
+    edges = [
+        (k, b, w, True)
+        for b, (k, w) in enumerate(zip(np.ravel(found.upper_k), upper))
+        if w <= omega
+    ]
+    edges = (
+        edges[-1:]
+        + [
+            (k, b, w, False)
+            for b, (k, w) in enumerate(zip(np.ravel(found.lower_k), lower))
+            if w >= omega > 0
+        ][:1]
+    )
     edges = [(_at_symmetry(k), b, float(w), above) for k, b, w, above in edges]
     return [Edge(k, b, w, above, nls.coefficients(*cell, k, b)) for k, b, w, above in edges]
 
@@ -168,7 +184,10 @@ def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) ->
     if cell is None and chain is None:
         refuse("guess", NO_CELL, "'dark'", NEEDS)
     found = bands(lattice)
-    tops = [(b, float(w), float(k)) for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))]
+    tops = [
+        (b, float(w), float(k))
+        for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))
+    ]
     branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
     k = _at_symmetry(k)
     boundary = lattice.terms[0].next_neighbours()[1] if chain is None else chain.boundary
@@ -233,6 +252,10 @@ def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
         nu2, nu3 = float(c.nu2), float(c.nu3_force)
         relation = "<" if nu3 < 0 else ">"
         what = f"{name} = {nu3:.6g} {relation} 0 with nu2 = {nu2:.6g} at omega = {edge.omega:.6g}"
-        said.append(f"{what}: only dark" if not c.focusing else f"{what}: bright, but on the other side of the edge")
+        said.append(
+            f"{what}: only dark"
+            if not c.focusing
+            else f"{what}: bright, but on the other side of the edge"
+        )
     remedy = "; ".join(said) + "." if said else "No gap holds this frequency."
     refuse("omega", "a frequency at which the lattice has bright breathers", f"{omega:.6g}", remedy)

@@ -38,7 +38,11 @@ BESIDE = 3
 
 
 def single_site(
-    lattice: Lattice, omega: Scalar, sites: Site | Sequence[Site], *, amplitudes: Sequence[Scalar] | None = None,
+    lattice: Lattice,
+    omega: Scalar,
+    sites: Site | Sequence[Site],
+    *,
+    amplitudes: Sequence[Scalar] | None = None,
     field: str | None = None,
 ) -> State:
     r"""A breather about the named sites, from the anticontinuous limit where it is near.
@@ -142,7 +146,10 @@ def _forces(lattice, u):
     """Of raveled displacements, raveled."""
     back = ravel_pytree(lattice.zeros())[1]
     mass = ravel_pytree(spread_mass(lattice))[0]
-    return mass * ravel_pytree(lattice.acceleration(jnp.zeros((), u.dtype), back(u), lattice.zeros()))[0]
+    return (
+        mass
+        * ravel_pytree(lattice.acceleration(jnp.zeros((), u.dtype), back(u), lattice.zeros()))[0]
+    )
 
 
 @eqx.filter_jit
@@ -174,7 +181,9 @@ def _harmonics_of_forces(lattice, u, us):
     """Mean and first harmonic of every site's force over a period, by the trapezoidal rule over half of it."""
     forces = jax.vmap(lambda u: _forces(lattice, u))(jnp.concatenate([u[None], us]))
     weights = jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS
-    return weights @ forces, 2 * (weights * jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)) @ forces
+    return weights @ forces, 2 * (
+        weights * jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)
+    ) @ forces
 
 
 class _Limit(eqx.Module):
@@ -197,7 +206,12 @@ class _Limit(eqx.Module):
 def _together(lattice, omega, u):
     """Displacements at rest of the whole limit, from each site alone."""
     moving, scale, omega = (jnp.asarray(x, u.dtype) for x in (u != 0, np.abs(u).max(), omega))
-    return scale * newton(_Limit(moving, scale, omega, shifts(lattice)), u / scale, lattice, tolerance=1e-11).x
+    return (
+        scale
+        * newton(
+            _Limit(moving, scale, omega, shifts(lattice)), u / scale, lattice, tolerance=1e-11
+        ).x
+    )
 
 
 def _follow(lattice, omega, moving, u):
@@ -229,7 +243,10 @@ def _balanced(lattice, omega, start):
 
     def rest(a, x):
         """The nonlinear part of the first harmonic."""
-        return 2 / FRAMES * cosines @ jax.vmap(lambda u: _forces(lattice, u))(motion(a, x)) + stiffness @ a
+        return (
+            2 / FRAMES * cosines @ jax.vmap(lambda u: _forces(lattice, u))(motion(a, x))
+            + stiffness @ a
+        )
 
     def centred(a, x):
         """One step of Newton's method to where the mean forces vanish."""
@@ -244,7 +261,9 @@ def _balanced(lattice, omega, start):
         x = centred(a, x)
         pull = rest(a, x)
         # N(s a) = s^p N(a), the mean being of second order
-        degree = 1 + jnp.log((a @ rest(STRETCH * a, STRETCH**2 * x)) / (STRETCH * (a @ pull))) / jnp.log(STRETCH)
+        degree = 1 + jnp.log(
+            (a @ rest(STRETCH * a, STRETCH**2 * x)) / (STRETCH * (a @ pull))
+        ) / jnp.log(STRETCH)
         degree = jnp.clip(degree, *DEGREES)
         after = jax.scipy.linalg.lu_solve(linear, -pull)
         size = (a @ (mass * omega**2 * a - stiffness @ a)) / (a @ -pull)
@@ -255,7 +274,9 @@ def _balanced(lattice, omega, start):
         i, _, _, change = carry
         return (i < ROUNDS) & (change > SETTLED)
 
-    _, a, x, change = jax.lax.while_loop(goes_on, round, (0, start, jnp.zeros_like(start), jnp.ones((), start.dtype)))
+    _, a, x, change = jax.lax.while_loop(
+        goes_on, round, (0, start, jnp.zeros_like(start), jnp.ones((), start.dtype))
+    )
     return x, a, change
 
 
@@ -313,7 +334,9 @@ def _amplitude(lattice, omega, place, sign):
                 return None
             if before[-1] * now[-1] <= 0:
                 try:
-                    found = brentq(lambda a: velocities(a)[-1], low, top, xtol=1e-14 * low, rtol=1e-14)
+                    found = brentq(
+                        lambda a: velocities(a)[-1], low, top, xtol=1e-14 * low, rtol=1e-14
+                    )
                 except ValueError:  # not finite on the way
                     return None
                 # a later return belongs to a faster motion
@@ -326,11 +349,16 @@ def _amplitude(lattice, omega, place, sign):
     above = np.asarray(_secants(lattice, one, jnp.asarray(grid))) / (mass[place] * omega**2) - 1
     # below where it is linear a force may be rounding alone
     small = float(_stiffness(lattice)[place, place]) / (mass[place] * omega**2) - 1
-    linear = np.convolve(np.abs(above - small) <= LINEAR * (1 + abs(small)), np.ones(RUN), "valid") == RUN
+    linear = (
+        np.convolve(np.abs(above - small) <= LINEAR * (1 + abs(small)), np.ones(RUN), "valid")
+        == RUN
+    )
     begin = int(np.argmax(linear))
     grid, above = grid[begin:], above[begin:]
     finite = np.isfinite(above)
-    crosses = np.flatnonzero(finite[:-1] & (~finite[1:] | (above[:-1] * np.where(finite[1:], above[1:], 1) <= 0)))
+    crosses = np.flatnonzero(
+        finite[:-1] & (~finite[1:] | (above[:-1] * np.where(finite[1:], above[1:], 1) <= 0))
+    )
     for i in crosses:
         found = between(grid[i] / ABOUT, grid[i + 1] * ABOUT)
         if found is not None:
@@ -341,5 +369,9 @@ def _amplitude(lattice, omega, place, sign):
 
 
 def _refuse_alone(omega):
-    refuse("omega", "a frequency that the site alone can have", f"{omega:.6g}",
-           "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.")
+    refuse(
+        "omega",
+        "a frequency that the site alone can have",
+        f"{omega:.6g}",
+        "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.",
+    )

@@ -7,6 +7,20 @@ from .packing import packing
 from .rotating import rotating_chain
 
 __all__ = [
-    "aubry_andre", "diamond", "hexagon", "honeycomb", "junction", "kagome", "lieb", "network", "packing", "quadrupole",
-    "rotating_chain", "sawtooth", "square", "ssh", "stub", "triangular",
+    "aubry_andre",
+    "diamond",
+    "hexagon",
+    "honeycomb",
+    "junction",
+    "kagome",
+    "lieb",
+    "network",
+    "packing",
+    "quadrupole",
+    "rotating_chain",
+    "sawtooth",
+    "square",
+    "ssh",
+    "stub",
+    "triangular",
 ]

@@ -38,25 +38,51 @@ class Motion(NamedTuple):
     pull: Law | None = None
 
 
-def motion_of(laws: tuple, out_of_plane: bool, rotation: bool, tangential: Any, inertia: Any) -> Motion:
+def motion_of(
+    laws: tuple, out_of_plane: bool, rotation: bool, tangential: Any, inertia: Any
+) -> Motion:
     """What the sites do, with Mindlin's tangential stiffness where none is given."""
     if not rotation:
         if tangential is not None:
-            refuse("tangential", "None without rotation=True", repr(tangential), "Beads that do not turn do not slip.")
+            refuse(
+                "tangential",
+                "None without rotation=True",
+                repr(tangential),
+                "Beads that do not turn do not slip.",
+            )
         return Motion(None if out_of_plane else 2)
     if out_of_plane:
-        refuse("rotation", "False where sites move out of the plane", "True", "Beads turn in the plane.")
+        refuse(
+            "rotation",
+            "False where sites move out of the plane",
+            "True",
+            "Beads turn in the plane.",
+        )
     if isinstance(tangential, Law):
         return Motion(3, tangential, inertia)
     if tangential is None:
         tangential = mindlin(0.3) * laws[0].derivative(jnp.zeros(()))
-    return Motion(3, Linear(positive("tangential", tangential, "Without static load contacts slide: give F0 > 0.")),
-                  inertia)
+    return Motion(
+        3,
+        Linear(
+            positive("tangential", tangential, "Without static load contacts slide: give F0 > 0.")
+        ),
+        inertia,
+    )
 
 
 def built(
-    cell: Cell, counts: tuple, laws: tuple, motion: Motion, *, mass: Any, spacing: Any, boundary: Any, outline: Any,
-    on_site: dict | None, units: str,
+    cell: Cell,
+    counts: tuple,
+    laws: tuple,
+    motion: Motion,
+    *,
+    mass: Any,
+    spacing: Any,
+    boundary: Any,
+    outline: Any,
+    on_site: dict | None,
+    units: str,
 ) -> Lattice:
     """A lattice of cells: on a grid where it is a parallelogram of whole cells, else on a graph."""
     spacing = positive("spacing", _number("spacing", spacing), "It is the length of a bond.")
@@ -64,7 +90,10 @@ def built(
     if isinstance(outline, str) and outline == "cells":
         boundaries = _boundaries(boundary, len(counts))
         sites = {name: counts for name in cell.sites}
-        pairs = [Shift(tie.offset, boundaries, None if cell.alone else (tie.tail, tie.head)) for tie in cell.ties]
+        pairs = [
+            Shift(tie.offset, boundaries, None if cell.alone else (tie.tail, tie.head))
+            for tie in cell.ties
+        ]
         positions = positions_of(cell, counts)
     else:
         one_of("boundary", boundary, ("fixed", "free"))
@@ -82,8 +111,14 @@ def built(
     positions = {name: spacing * x for name, x in positions.items()}
     masses, positions = (x["a"] if cell.alone else x for x in (masses, positions))
     alike = len(set(sites.values())) == 1
-    return Lattice(masses, tuple(terms), sites=next(iter(sites.values())) if alike else None,
-                   dimension=motion.components, positions=positions, units=units)
+    return Lattice(
+        masses,
+        tuple(terms),
+        sites=next(iter(sites.values())) if alike else None,
+        dimension=motion.components,
+        positions=positions,
+        units=units,
+    )
 
 
 def _check_bonds(pairs, law, sites, alone):
@@ -92,7 +127,9 @@ def _check_bonds(pairs, law, sites, alone):
     wanted = jax.eval_shape(pairs.strain, template["a"] if alone else template).shape
     for x in jax.tree.leaves(law):
         if np.ndim(x) and np.shape(x) != wanted:
-            refuse("stiffness", f"one number, or one per bond, shape {wanted}", f"shape {np.shape(x)}")
+            refuse(
+                "stiffness", f"one number, or one per bond, shape {wanted}", f"shape {np.shape(x)}"
+            )
 
 
 def _boundaries(boundary, axes):
@@ -129,7 +166,11 @@ def _bonds(pairs, law, vector, motion):
 
 def _masses(cell, mass, sites, motion):
     """From name to masses, one for each site, and each component where it turns."""
-    given = {name: mass[name] for name in cell.sites} if isinstance(mass, dict) else dict.fromkeys(cell.sites, mass)
+    given = (
+        {name: mass[name] for name in cell.sites}
+        if isinstance(mass, dict)
+        else dict.fromkeys(cell.sites, mass)
+    )
     found, alike = {}, len(set(sites.values())) == 1
     for name, m in given.items():
         m = positive("mass" if m is mass else f"mass[{name!r}]", m, "A bead needs a mass.")
@@ -151,8 +192,14 @@ def laws_of(cell: Cell, law: Any, stiffness: Any, exponent: Any, precompression:
         if len(laws) != count:
             refuse("law", f"a law, or {count}, one per bond of the cell", f"{len(laws)}")
         return laws
-    numbers = [_each(name, x, count) for name, x in (
-        ("stiffness", stiffness), ("exponent", exponent), ("precompression", precompression))]
+    numbers = [
+        _each(name, x, count)
+        for name, x in (
+            ("stiffness", stiffness),
+            ("exponent", exponent),
+            ("precompression", precompression),
+        )
+    ]
     return tuple(_law(*x) for x in zip(*numbers))
 
 
@@ -181,6 +228,9 @@ def grounded(cell: Cell, laws: tuple, ground: Any, equal: bool, law: Law | None)
         k = own.derivative(jnp.zeros(()))
         for end in (tie.tail, tie.head):
             held[end] = held[end] + k
-    ground, most = non_negative("ground", ground), jnp.max(jnp.stack(list(map(jnp.asarray, held.values()))))
+    ground, most = (
+        non_negative("ground", ground),
+        jnp.max(jnp.stack(list(map(jnp.asarray, held.values())))),
+    )
     springs = {name: Linear(ground + (most - k if equal else 0)) for name, k in held.items()}
     return {name: spring if law is None else spring + law for name, spring in springs.items()}

@@ -30,53 +30,88 @@ class Cell(NamedTuple):
     def spans(self):
         """The vector from tail to head of every tie, (ties, 2)."""
         a = np.array(self.vectors)
-        ends = [(np.array(self.sites[tie.tail]), np.array(self.sites[tie.head]), tie.offset) for tie in self.ties]
+        ends = [
+            (np.array(self.sites[tie.tail]), np.array(self.sites[tie.head]), tie.offset)
+            for tie in self.ties
+        ]
         return np.array([head + np.array(offset) @ a - tail for tail, head, offset in ends])
 
     def coordination(self):
         """Number of bonds of every site."""
-        return {name: sum((tie.tail == name) + (tie.head == name) for tie in self.ties) for name in self.sites}
+        return {
+            name: sum((tie.tail == name) + (tie.head == name) for tie in self.ties)
+            for name in self.sites
+        }
 
 
 def _honeycomb():
     a = np.array([[2 * ROOT, 0.0], [ROOT, 1.5]])
     sites = {"a": (0.0, 0.0), "b": tuple(a.sum(0) / 3)}
-    return Cell(tuple(map(tuple, a)), sites, (Tie("a", "b", (0, 0)), Tie("b", "a", (1, 0)), Tie("b", "a", (0, 1))))
+    return Cell(
+        tuple(map(tuple, a)),
+        sites,
+        (Tie("a", "b", (0, 0)), Tie("b", "a", (1, 0)), Tie("b", "a", (0, 1))),
+    )
 
 
 TRIANGULAR = Cell(
-    ((1.0, 0.0), (HALF, ROOT)), {"a": (0.0, 0.0)},
+    ((1.0, 0.0), (HALF, ROOT)),
+    {"a": (0.0, 0.0)},
     (Tie("a", "a", (1, 0)), Tie("a", "a", (0, 1)), Tie("a", "a", (-1, 1))),
 )
-SQUARE = Cell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, (Tie("a", "a", (1, 0)), Tie("a", "a", (0, 1))))
+SQUARE = Cell(
+    ((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, (Tie("a", "a", (1, 0)), Tie("a", "a", (0, 1)))
+)
 HONEYCOMB = _honeycomb()
 KAGOME = Cell(
-    ((2.0, 0.0), (1.0, 2 * ROOT)), {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (HALF, ROOT)},
-    (Tie("a", "b", (0, 0)), Tie("a", "c", (0, 0)), Tie("b", "c", (0, 0)),
-     Tie("b", "a", (1, 0)), Tie("c", "a", (0, 1)), Tie("c", "b", (-1, 1))),
+    ((2.0, 0.0), (1.0, 2 * ROOT)),
+    {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (HALF, ROOT)},
+    (
+        Tie("a", "b", (0, 0)),
+        Tie("a", "c", (0, 0)),
+        Tie("b", "c", (0, 0)),
+        Tie("b", "a", (1, 0)),
+        Tie("c", "a", (0, 1)),
+        Tie("c", "b", (-1, 1)),
+    ),
 )
 LIEB = Cell(
-    ((2.0, 0.0), (0.0, 2.0)), {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
+    ((2.0, 0.0), (0.0, 2.0)),
+    {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
     (Tie("a", "b", (0, 0)), Tie("a", "c", (0, 0)), Tie("b", "a", (1, 0)), Tie("c", "a", (0, 1))),
 )
 # the square of Benalcazar, Bernevig and Hughes: four sites, bonds within the cell first
 QUADRUPOLE = Cell(
-    ((2.0, 0.0), (0.0, 2.0)), {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0), "d": (1.0, 1.0)},
-    (Tie("a", "b", (0, 0)), Tie("c", "d", (0, 0)), Tie("a", "c", (0, 0)), Tie("b", "d", (0, 0)),
-     Tie("b", "a", (1, 0)), Tie("d", "c", (1, 0)), Tie("c", "a", (0, 1)), Tie("d", "b", (0, 1))),
+    ((2.0, 0.0), (0.0, 2.0)),
+    {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0), "d": (1.0, 1.0)},
+    (
+        Tie("a", "b", (0, 0)),
+        Tie("c", "d", (0, 0)),
+        Tie("a", "c", (0, 0)),
+        Tie("b", "d", (0, 0)),
+        Tie("b", "a", (1, 0)),
+        Tie("d", "c", (1, 0)),
+        Tie("c", "a", (0, 1)),
+        Tie("d", "b", (0, 1)),
+    ),
 )
 # chains, drawn in the plane
 CHAIN = Cell(((1.0, 0.0),), {"a": (0.0, 0.0)}, (Tie("a", "a", (1,)),))
 SAWTOOTH = Cell(
-    ((1.0, 0.0),), {"a": (0.0, 0.0), "b": (HALF, ROOT)},
+    ((1.0, 0.0),),
+    {"a": (0.0, 0.0), "b": (HALF, ROOT)},
     (Tie("a", "a", (1,)), Tie("a", "b", (0,)), Tie("b", "a", (1,))),
 )
 STUB = Cell(
-    ((2.0, 0.0),), {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
+    ((2.0, 0.0),),
+    {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
     (Tie("a", "b", (0,)), Tie("b", "a", (1,)), Tie("a", "c", (0,))),
 )
 DIAMOND = Cell(
-    ((2.0, 0.0),), {"a": (0.0, 0.0), "b": (1.0, 1.0), "c": (1.0, -1.0)},
+    ((2.0, 0.0),),
+    {"a": (0.0, 0.0), "b": (1.0, 1.0), "c": (1.0, -1.0)},
     (Tie("a", "b", (0,)), Tie("a", "c", (0,)), Tie("b", "a", (1,)), Tie("c", "a", (1,))),
 )
-SSH = Cell(((2.0, 0.0),), {"a": (0.0, 0.0), "b": (1.0, 0.0)}, (Tie("a", "b", (0,)), Tie("b", "a", (1,))))
+SSH = Cell(
+    ((2.0, 0.0),), {"a": (0.0, 0.0), "b": (1.0, 0.0)}, (Tie("a", "b", (0,)), Tie("b", "a", (1,)))
+)

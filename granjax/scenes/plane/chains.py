@@ -16,9 +16,16 @@ from .cells import DIAMOND, SAWTOOTH, SSH, STUB
 
 
 def ssh(
-    cells: Count, k1: Parameter = 1.0, k2: Parameter = 2.0, *, mass: Parameter = 1.0,
-    law: Sequence[Law] | None = None, boundary: str = "fixed", ground: Scalar | None = None,
-    on_site: Law | None = None, units: str = SCALED,
+    cells: Count,
+    k1: Parameter = 1.0,
+    k2: Parameter = 2.0,
+    *,
+    mass: Parameter = 1.0,
+    law: Sequence[Law] | None = None,
+    boundary: str = "fixed",
+    ground: Scalar | None = None,
+    on_site: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Chain of Su, Schrieffer and Heeger: springs k1 within cells of two sites and k2 between cells.
 
@@ -48,9 +55,18 @@ GOLDEN = (5**0.5 - 1) / 2
 
 
 def aubry_andre(
-    sites: Count, modulation: Scalar = 1.0, *, ratio: Scalar = GOLDEN, phase: Scalar = 0.0, stiffness: Scalar = 1.0,
-    ground: Scalar = 2.0, mass: Scalar = 1.0, law: Law | None = None, on_site: Law | None = None,
-    boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    modulation: Scalar = 1.0,
+    *,
+    ratio: Scalar = GOLDEN,
+    phase: Scalar = 0.0,
+    stiffness: Scalar = 1.0,
+    ground: Scalar = 2.0,
+    mass: Scalar = 1.0,
+    law: Law | None = None,
+    on_site: Law | None = None,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     r"""Quasi-periodic chain of Aubry, Andre and Harper: springs to the ground that vary as a cosine.
 
@@ -81,14 +97,25 @@ def aubry_andre(
     wave = jnp.cos(2 * jnp.pi * parameter("ratio", ratio) * n + parameter("phase", phase))
     spring = Linear(held + parameter("modulation", modulation) * wave)
     bond = Linear(positive("stiffness", stiffness)) if law is None else law
-    terms = (Bond(Shift(1, boundary), bond), OnSite(spring if on_site is None else spring + on_site))
+    terms = (
+        Bond(Shift(1, boundary), bond),
+        OnSite(spring if on_site is None else spring + on_site),
+    )
     return Lattice(positive("mass", mass, "A bead needs a mass."), terms, sites=count, units=units)
 
 
 def sawtooth(
-    cells: Count, stiffness: Parameter = 1.0, *, tooth: Scalar | None = None, mass: Parameter = 1.0,
-    law: Sequence[Law] | None = None, boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True,
-    on_site: Law | None = None, units: str = SCALED,
+    cells: Count,
+    stiffness: Parameter = 1.0,
+    *,
+    tooth: Scalar | None = None,
+    mass: Parameter = 1.0,
+    law: Sequence[Law] | None = None,
+    boundary: str = "periodic",
+    ground: Scalar = 0.0,
+    equal: bool = True,
+    on_site: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Sawtooth chain: a chain of sites `a`, and a site `b` above each bond, bound to both of its ends.
 
@@ -118,9 +145,15 @@ def sawtooth(
 
 
 def stub(
-    cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, *, mass: Parameter = 1.0,
+    cells: Count,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
+    *,
+    mass: Parameter = 1.0,
     law: Sequence[Law] | None = None,
-    boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True, on_site: Law | None = None,
+    boundary: str = "periodic",
+    ground: Scalar = 0.0,
+    equal: bool = True,
+    on_site: Law | None = None,
     units: str = SCALED,
 ) -> Lattice:
     r"""Stub chain: a chain a, b, a, b, ... with a site `c` on each `a`.
@@ -136,13 +169,29 @@ def stub(
     >>> gx.linear.flat_bands(gx.scenes.stub(8)).omega_squared.round(6)
     array([3.])
     """
-    return _chain(STUB, cells, laws_of(STUB, law, stiffness, 1, 0.0), mass, boundary, ground, on_site, equal, units)
+    return _chain(
+        STUB,
+        cells,
+        laws_of(STUB, law, stiffness, 1, 0.0),
+        mass,
+        boundary,
+        ground,
+        on_site,
+        equal,
+        units,
+    )
 
 
 def diamond(
-    cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, *, mass: Parameter = 1.0,
+    cells: Count,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
+    *,
+    mass: Parameter = 1.0,
     law: Sequence[Law] | None = None,
-    boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True, on_site: Law | None = None,
+    boundary: str = "periodic",
+    ground: Scalar = 0.0,
+    equal: bool = True,
+    on_site: Law | None = None,
     units: str = SCALED,
 ) -> Lattice:
     r"""Diamond chain: squares that share corners; `a` is bound to `b` and `c` of its own cell and of the last.
@@ -166,5 +215,15 @@ def _chain(cell, cells, laws, mass, boundary, ground, on_site, equal, units):
     cells, springs = whole("cells", cells, 1), None
     if ground is not None or on_site is not None:
         springs = grounded(cell, laws, 0.0 if ground is None else ground, equal, on_site)
-    return built(cell, (cells,), laws, Motion(None), mass=mass, spacing=1.0, boundary=boundary, outline="cells",
-                 on_site=springs, units=units)
+    return built(
+        cell,
+        (cells,),
+        laws,
+        Motion(None),
+        mass=mass,
+        spacing=1.0,
+        boundary=boundary,
+        outline="cells",
+        on_site=springs,
+        units=units,
+    )

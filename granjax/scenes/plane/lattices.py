@@ -12,12 +12,24 @@ from .cells import HONEYCOMB, KAGOME, LIEB, QUADRUPOLE, SQUARE, TRIANGULAR
 
 
 def square(
-    n: Count, m: Count | None = None, *, mass: Parameter = 1.0,
-    stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
-    precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
-    boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells", out_of_plane: bool = False,
-    rotation: bool = False, tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE,
-    ground: Scalar | None = None, on_site: Law | None = None, units: str = SCALED,
+    n: Count,
+    m: Count | None = None,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
+    exponent: Parameter = 1.0,
+    precompression: Parameter = 0.0,
+    law: Law | Sequence[Law] | None = None,
+    spacing: Scalar = 1.0,
+    boundary: str | Sequence[str] = "fixed",
+    outline: str | Callable = "cells",
+    out_of_plane: bool = False,
+    rotation: bool = False,
+    tangential: Scalar | Law | None = None,
+    inertia: Scalar = SPHERE,
+    ground: Scalar | None = None,
+    on_site: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Square lattice: each site is bound to its 4 neighbours, of which bonds are distances in the plane.
 
@@ -59,17 +71,47 @@ def square(
     >>> gx.linear.dispersion(crystal, [np.pi, 0.0]).omega_squared.round(6)   # -4 f and 4 K
     Array([0.4, 4. ], dtype=float64)
     """
-    return _plane(SQUARE, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
-                  out_of_plane, rotation, tangential, inertia, units, ground, on_site)
+    return _plane(
+        SQUARE,
+        n,
+        m,
+        mass,
+        stiffness,
+        exponent,
+        precompression,
+        law,
+        spacing,
+        boundary,
+        outline,
+        out_of_plane,
+        rotation,
+        tangential,
+        inertia,
+        units,
+        ground,
+        on_site,
+    )
 
 
 def triangular(
-    n: Count, m: Count | None = None, *, mass: Parameter = 1.0,
-    stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
-    precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
-    boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells", out_of_plane: bool = False,
-    rotation: bool = False, tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE,
-    ground: Scalar | None = None, on_site: Law | None = None, units: str = SCALED,
+    n: Count,
+    m: Count | None = None,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
+    exponent: Parameter = 1.0,
+    precompression: Parameter = 0.0,
+    law: Law | Sequence[Law] | None = None,
+    spacing: Scalar = 1.0,
+    boundary: str | Sequence[str] = "fixed",
+    outline: str | Callable = "cells",
+    out_of_plane: bool = False,
+    rotation: bool = False,
+    tangential: Scalar | Law | None = None,
+    inertia: Scalar = SPHERE,
+    ground: Scalar | None = None,
+    on_site: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Triangular lattice, the hexagonal packing of beads: each site is bound to 6 neighbours, axes at 60 degrees.
 
@@ -85,16 +127,45 @@ def triangular(
     >>> gx.linear.dispersion(crystal, [np.pi, 0.0]).omega_squared.round(6)   # at M
     Array([2., 6.], dtype=float64)
     """
-    return _plane(TRIANGULAR, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
-                  out_of_plane, rotation, tangential, inertia, units, ground, on_site)
+    return _plane(
+        TRIANGULAR,
+        n,
+        m,
+        mass,
+        stiffness,
+        exponent,
+        precompression,
+        law,
+        spacing,
+        boundary,
+        outline,
+        out_of_plane,
+        rotation,
+        tangential,
+        inertia,
+        units,
+        ground,
+        on_site,
+    )
 
 
 def hexagon(
-    rings: Count, *, mass: Parameter = 1.0, stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
-    precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
-    boundary: str = "fixed", out_of_plane: bool = False, rotation: bool = False,
-    tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE, ground: Scalar | None = None,
-    on_site: Law | None = None, units: str = SCALED,
+    rings: Count,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
+    exponent: Parameter = 1.0,
+    precompression: Parameter = 0.0,
+    law: Law | Sequence[Law] | None = None,
+    spacing: Scalar = 1.0,
+    boundary: str = "fixed",
+    out_of_plane: bool = False,
+    rotation: bool = False,
+    tangential: Scalar | Law | None = None,
+    inertia: Scalar = SPHERE,
+    ground: Scalar | None = None,
+    on_site: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     """A hexagon of the triangular lattice: 3 r (r + 1) + 1 sites, u of shape (sites, 2); `triangular` with an outline.
 
@@ -107,17 +178,47 @@ def hexagon(
     (61, 2)
     """
     rings = whole("rings", rings, 1)
-    return _plane(TRIANGULAR, rings, None, mass, stiffness, exponent, precompression, law, spacing, boundary, "hexagon",
-                  out_of_plane, rotation, tangential, inertia, units, ground, on_site)
+    return _plane(
+        TRIANGULAR,
+        rings,
+        None,
+        mass,
+        stiffness,
+        exponent,
+        precompression,
+        law,
+        spacing,
+        boundary,
+        "hexagon",
+        out_of_plane,
+        rotation,
+        tangential,
+        inertia,
+        units,
+        ground,
+        on_site,
+    )
 
 
 def honeycomb(
-    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
+    n: Count,
+    m: Count | None = None,
+    *,
+    mass: Parameter | dict[str, Parameter] = 1.0,
     stiffness: Parameter | Sequence[Parameter] = 1.0,
-    exponent: Parameter = 1.0, precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None,
-    spacing: Scalar = 1.0, boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells",
-    out_of_plane: bool = False, rotation: bool = False, tangential: Scalar | Law | None = None,
-    inertia: Scalar = SPHERE, ground: Scalar | None = None, on_site: Law | None = None, units: str = SCALED,
+    exponent: Parameter = 1.0,
+    precompression: Parameter = 0.0,
+    law: Law | Sequence[Law] | None = None,
+    spacing: Scalar = 1.0,
+    boundary: str | Sequence[str] = "fixed",
+    outline: str | Callable = "cells",
+    out_of_plane: bool = False,
+    rotation: bool = False,
+    tangential: Scalar | Law | None = None,
+    inertia: Scalar = SPHERE,
+    ground: Scalar | None = None,
+    on_site: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Honeycomb lattice: two sites `a`, `b` in a cell, each bound to 3 of the other kind, axes at 60 degrees.
 
@@ -133,17 +234,47 @@ def honeycomb(
     >>> gx.linear.dispersion(crystal, [2 * np.pi / 3, 4 * np.pi / 3]).omega_squared.round(6)   # the Dirac point
     Array([3., 3.], dtype=float64)
     """
-    return _plane(HONEYCOMB, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
-                  out_of_plane, rotation, tangential, inertia, units, ground, on_site)
+    return _plane(
+        HONEYCOMB,
+        n,
+        m,
+        mass,
+        stiffness,
+        exponent,
+        precompression,
+        law,
+        spacing,
+        boundary,
+        outline,
+        out_of_plane,
+        rotation,
+        tangential,
+        inertia,
+        units,
+        ground,
+        on_site,
+    )
 
 
 def kagome(
-    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
+    n: Count,
+    m: Count | None = None,
+    *,
+    mass: Parameter | dict[str, Parameter] = 1.0,
     stiffness: Parameter | Sequence[Parameter] = 1.0,
-    exponent: Parameter = 1.0, precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None,
-    spacing: Scalar = 1.0, boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells",
-    out_of_plane: bool = False, rotation: bool = False, tangential: Scalar | Law | None = None,
-    inertia: Scalar = SPHERE, ground: Scalar | None = None, on_site: Law | None = None, units: str = SCALED,
+    exponent: Parameter = 1.0,
+    precompression: Parameter = 0.0,
+    law: Law | Sequence[Law] | None = None,
+    spacing: Scalar = 1.0,
+    boundary: str | Sequence[str] = "fixed",
+    outline: str | Callable = "cells",
+    out_of_plane: bool = False,
+    rotation: bool = False,
+    tangential: Scalar | Law | None = None,
+    inertia: Scalar = SPHERE,
+    ground: Scalar | None = None,
+    on_site: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Kagome lattice: three sites in a cell, triangles that share corners, 4 bonds at each site.
 
@@ -160,17 +291,47 @@ def kagome(
     >>> gx.linear.flat_bands(crystal).omega_squared.round(6)   # 4 K - K E, E = -2
     array([6.])
     """
-    return _plane(KAGOME, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
-                  out_of_plane, rotation, tangential, inertia, units, ground, on_site)
+    return _plane(
+        KAGOME,
+        n,
+        m,
+        mass,
+        stiffness,
+        exponent,
+        precompression,
+        law,
+        spacing,
+        boundary,
+        outline,
+        out_of_plane,
+        rotation,
+        tangential,
+        inertia,
+        units,
+        ground,
+        on_site,
+    )
 
 
 def lieb(
-    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
+    n: Count,
+    m: Count | None = None,
+    *,
+    mass: Parameter | dict[str, Parameter] = 1.0,
     stiffness: Parameter | Sequence[Parameter] = 1.0,
-    exponent: Parameter = 1.0, precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None,
-    spacing: Scalar = 1.0, boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells",
-    out_of_plane: bool = True, rotation: bool = False, tangential: Scalar | Law | None = None,
-    inertia: Scalar = SPHERE, ground: Scalar | None = 0.0, on_site: Law | None = None, equal: bool = True,
+    exponent: Parameter = 1.0,
+    precompression: Parameter = 0.0,
+    law: Law | Sequence[Law] | None = None,
+    spacing: Scalar = 1.0,
+    boundary: str | Sequence[str] = "fixed",
+    outline: str | Callable = "cells",
+    out_of_plane: bool = True,
+    rotation: bool = False,
+    tangential: Scalar | Law | None = None,
+    inertia: Scalar = SPHERE,
+    ground: Scalar | None = 0.0,
+    on_site: Law | None = None,
+    equal: bool = True,
     units: str = SCALED,
 ) -> Lattice:
     r"""Lieb lattice: a square lattice with a site on each edge; corner `a` has 4 bonds, edges `b` and `c` have 2.
@@ -187,14 +348,40 @@ def lieb(
     >>> gx.linear.flat_bands(crystal).omega_squared.round(6)   # 4 K
     array([4.])
     """
-    return _plane(LIEB, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
-                  out_of_plane, rotation, tangential, inertia, units, ground, on_site, equal and out_of_plane)
+    return _plane(
+        LIEB,
+        n,
+        m,
+        mass,
+        stiffness,
+        exponent,
+        precompression,
+        law,
+        spacing,
+        boundary,
+        outline,
+        out_of_plane,
+        rotation,
+        tangential,
+        inertia,
+        units,
+        ground,
+        on_site,
+        equal and out_of_plane,
+    )
 
 
 def quadrupole(
-    n: Count, m: Count | None = None, k1: Scalar = 1.0, k2: Scalar = 2.0, *,
-    mass: Parameter | dict[str, Parameter] = 1.0, boundary: str | Sequence[str] = "fixed", ground: Scalar = 0.0,
-    on_site: Law | None = None, units: str = SCALED,
+    n: Count,
+    m: Count | None = None,
+    k1: Scalar = 1.0,
+    k2: Scalar = 2.0,
+    *,
+    mass: Parameter | dict[str, Parameter] = 1.0,
+    boundary: str | Sequence[str] = "fixed",
+    ground: Scalar = 0.0,
+    on_site: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Quadrupole lattice of Benalcazar, Bernevig and Hughes: squares of four sites, k1 within and k2 between cells.
 
@@ -216,16 +403,55 @@ def quadrupole(
     inner, outer = positive("k1", k1), positive("k2", k2)
     laws = tuple(Linear(k) for k in (inner, inner, inner, -inner, outer, outer, outer, -outer))
     springs = grounded(QUADRUPOLE, laws, ground, True, on_site)
-    return built(QUADRUPOLE, (n, n if m is None else m), laws, Motion(None), mass=mass, spacing=1.0,
-                 boundary=boundary, outline="cells", on_site=springs, units=units)
+    return built(
+        QUADRUPOLE,
+        (n, n if m is None else m),
+        laws,
+        Motion(None),
+        mass=mass,
+        spacing=1.0,
+        boundary=boundary,
+        outline="cells",
+        on_site=springs,
+        units=units,
+    )
 
 
-def _plane(cell, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline, out_of_plane,
-           rotation, tangential, inertia, units, ground=None, on_site=None, equal=False):
+def _plane(
+    cell,
+    n,
+    m,
+    mass,
+    stiffness,
+    exponent,
+    precompression,
+    law,
+    spacing,
+    boundary,
+    outline,
+    out_of_plane,
+    rotation,
+    tangential,
+    inertia,
+    units,
+    ground=None,
+    on_site=None,
+    equal=False,
+):
     laws = laws_of(cell, law, stiffness, exponent, precompression)
     motion = motion_of(laws, out_of_plane, rotation, tangential, inertia)
     springs = None
     if ground is not None or on_site is not None:
         springs = grounded(cell, laws, 0.0 if ground is None else ground, equal, on_site)
-    return built(cell, (n, n if m is None else m), laws, motion, mass=mass, spacing=spacing, boundary=boundary,
-                 outline=outline, on_site=springs, units=units)
+    return built(
+        cell,
+        (n, n if m is None else m),
+        laws,
+        motion,
+        mass=mass,
+        spacing=spacing,
+        boundary=boundary,
+        outline=outline,
+        on_site=springs,
+        units=units,
+    )

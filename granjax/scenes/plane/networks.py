@@ -50,16 +50,34 @@ class _Guides(NamedTuple):
         terms = [Bond(Pairs(tails, heads, sites=total), laws(guides))] if tails else []
         if self.meetings:
             last, first, owners = (list(x) for x in zip(*self.meetings))
-            pairs = Pairs([starts[i + 1] - 1 for i in last], [starts[i] for i in first], sites=total,
-                          weights=self.weights)
+            pairs = Pairs(
+                [starts[i + 1] - 1 for i in last],
+                [starts[i] for i in first],
+                sites=total,
+                weights=self.weights,
+            )
             terms.append(Bond(pairs, laws(owners)))
-        return Lattice(mass, tuple(terms), sites=None if np.ndim(mass) else total, positions=positions, units=units)
+        return Lattice(
+            mass,
+            tuple(terms),
+            sites=None if np.ndim(mass) else total,
+            positions=positions,
+            units=units,
+        )
 
 
 def junction(
-    stem: Count, branches: Sequence[Count], *, angles: Sequence | None = None, mass: Parameter = 1.0,
-    stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed",
-    law: Law | None = None, units: str = SCALED,
+    stem: Count,
+    branches: Sequence[Count],
+    *,
+    angles: Sequence | None = None,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
+    law: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Y-junction: a chain of beads whose last one touches the first of each of several chains, all in guides.
 
@@ -97,16 +115,27 @@ def junction(
     turned = [_number(f"angles[{i}]", a) for i, a in enumerate(turned)]
     known = [concrete(a) for a in turned]
     if any(a is not None and not np.cos(a) > 0 for a in known):
-        refuse("angles", "angles within -pi/2 ... pi/2", repr(known), "A bead does not push backwards.")
+        refuse(
+            "angles", "angles within -pi/2 ... pi/2", repr(known), "A bead does not push backwards."
+        )
     cosines = jnp.cos(jnp.stack(turned))
     one_of("boundary", boundary, ("fixed", "free"))
     law = _contact(stiffness, exponent, precompression) if law is None else law
     out = list(range(1, len(counts) + 1))
     fixed = boundary == "fixed"
-    guides = _Guides([stem, *counts], [(0, i, i) for i in out], (cosines, jnp.ones(len(counts))), [0] * fixed,
-                     out * fixed)
-    return guides.lattice(mass, lambda _: law,
-                          _positions(stem, counts, np.array([0.0 if a is None else a for a in known])), units)
+    guides = _Guides(
+        [stem, *counts],
+        [(0, i, i) for i in out],
+        (cosines, jnp.ones(len(counts))),
+        [0] * fixed,
+        out * fixed,
+    )
+    return guides.lattice(
+        mass,
+        lambda _: law,
+        _positions(stem, counts, np.array([0.0 if a is None else a for a in known])),
+        units,
+    )
 
 
 def _positions(stem, counts, angles):
@@ -120,9 +149,17 @@ def _positions(stem, counts, angles):
 
 
 def network(
-    nodes: Parameter | dict[str, Parameter], edges: Sequence, beads: Count | Sequence[Count] = 10, *,
-    mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0,
-    boundary: str = "fixed", law: Law | None = None, units: str = SCALED,
+    nodes: Parameter | dict[str, Parameter],
+    edges: Sequence,
+    beads: Count | Sequence[Count] = 10,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0,
+    boundary: str = "fixed",
+    law: Law | None = None,
+    units: str = SCALED,
 ) -> Lattice:
     r"""Network: chains of beads in straight guides between nodes of the plane or of space.
 
@@ -161,13 +198,19 @@ def network(
     ((24,), (24, 3))
     """
     names = list(nodes) if isinstance(nodes, dict) else None
-    at = parameter("nodes", jnp.stack([jnp.asarray(x, float) for x in nodes.values()]) if names else nodes)
+    at = parameter(
+        "nodes", jnp.stack([jnp.asarray(x, float) for x in nodes.values()]) if names else nodes
+    )
     if at.ndim != 2 or at.shape[-1] not in (2, 3) or not len(at):
         refuse("nodes", "positions (nodes, 2) or (nodes, 3)", f"shape {at.shape}")
     known = concrete(jax.lax.stop_gradient(at))
     if known is None:
-        refuse("nodes", "positions that are known", "traced ones", "Which guides touch follows from them: leave jit "
-               "and vmap; jax.grad may stay.")
+        refuse(
+            "nodes",
+            "positions that are known",
+            "traced ones",
+            "Which guides touch follows from them: leave jit and vmap; jax.grad may stay.",
+        )
     ends = [_ends(f"edges[{i}]", edge, names, len(at)) for i, edge in enumerate(edges)]
     several = not isinstance(beads, (int, np.integer))
     counts = [whole("beads", n, 1) for n in (beads if several else [beads] * len(ends))]
@@ -184,14 +227,21 @@ def network(
     for name, x in given.items():
         shapes = [(), (len(ends),)] + [(sum(counts),)] * (name == "mass")
         if np.shape(x)[:1] not in shapes:
-            refuse(name, f"one number, or an array of shape {' or '.join(map(str, shapes[1:]))}", f"{np.shape(x)}")
+            refuse(
+                name,
+                f"one number, or an array of shape {' or '.join(map(str, shapes[1:]))}",
+                f"{np.shape(x)}",
+            )
     if np.ndim(mass) and np.shape(mass)[0] == len(ends):
         mass = jnp.asarray(mass)[np.repeat(np.arange(len(ends)), counts)]
 
     def laws(owners):
         if law is not None:
             return law
-        own = [jnp.asarray(x)[np.array(owners)] if np.ndim(x) else x for x in (stiffness, precompression)]
+        own = [
+            jnp.asarray(x)[np.array(owners)] if np.ndim(x) else x
+            for x in (stiffness, precompression)
+        ]
         return _contact(own[0], exponent, own[1])
 
     along = [(np.arange(n) + 0.5)[:, None] / n for n in counts]
@@ -219,10 +269,13 @@ def _meet(counts, tail, head, direction, fixed):
         lost = [*come[~touching.any(1)], *leave[~touching.any(0)]]
         if lost:
             i = int(lost[0])
-            refuse("edges", "guides whose ends touch another within 90 degrees, at nodes where guides begin and end",
-                   f"edges[{i}], ({tail[i]}, {head[i]}), which touches none at node {node}",
-                   "At a right angle a rigid contact passes no force on at first order: turn the guide, or the "
-                   "direction in which it is counted, or end it at a node of its own.")
+            refuse(
+                "edges",
+                "guides whose ends touch another within 90 degrees, at nodes where guides begin and end",
+                f"edges[{i}], ({tail[i]}, {head[i]}), which touches none at node {node}",
+                "At a right angle a rigid contact passes no force on at first order: turn the guide, or the "
+                "direction in which it is counted, or end it at a node of its own.",
+            )
         for i, j in zip(*np.nonzero(touching)):
             kind = 0 if len(come) == 1 else 1 if len(leave) == 1 else 2
             halved.append(kind)
@@ -232,6 +285,10 @@ def _meet(counts, tail, head, direction, fixed):
         last, first, _ = np.array(meetings).T
         cosine = (direction[last] * direction[first]).sum(-1)
         kind, half = np.array(halved), jnp.sqrt((1 + cosine) / 2)
-        weights = (jnp.where(kind == 0, cosine, jnp.where(kind == 1, 1.0, half)),
-                   jnp.where(kind == 0, 1.0, jnp.where(kind == 1, cosine, half)))
-    return _Guides(counts, meetings, weights, sorted(begin) if fixed else [], sorted(end) if fixed else [])
+        weights = (
+            jnp.where(kind == 0, cosine, jnp.where(kind == 1, 1.0, half)),
+            jnp.where(kind == 0, 1.0, jnp.where(kind == 1, cosine, half)),
+        )
+    return _Guides(
+        counts, meetings, weights, sorted(begin) if fixed else [], sorted(end) if fixed else []
+    )

@@ -39,7 +39,9 @@ class Cut(NamedTuple):
 def positions_of(cell: Cell, counts: tuple, corner: Any = 0) -> dict:
     """Places of the sites of a parallelogram of cells, by name: (cells..., 2), in lengths of a bond."""
     index = np.moveaxis(np.indices(counts), 0, -1) + corner
-    return {name: index @ np.array(cell.vectors) + np.array(site) for name, site in cell.sites.items()}
+    return {
+        name: index @ np.array(cell.vectors) + np.array(site) for name, site in cell.sites.items()
+    }
 
 
 def cut(cell: Cell, counts: tuple, outline: str | Callable) -> Cut:
@@ -53,7 +55,12 @@ def cut(cell: Cell, counts: tuple, outline: str | Callable) -> Cut:
     slanted = abs(cell.vectors[1][0]) > 1e-9 if len(cell.vectors) > 1 else False
     if outline == "hexagon":
         if not slanted:
-            refuse("outline", "'rectangle', or a function of positions", "'hexagon'", "The cells are square.")
+            refuse(
+                "outline",
+                "'rectangle', or a function of positions",
+                "'hexagon'",
+                "The cells are square.",
+            )
         rings = counts[0]
         counts, corner = (2 * rings + 1, 2 * rings + 1), (-rings, -rings)
         i, j = np.indices(counts) - rings
@@ -96,6 +103,10 @@ def _open_to_the_rim(cell, number):
 def _asked(outline, x):
     inside = np.asarray(outline(x))
     if inside.shape != x.shape[:-1] or inside.dtype != bool:
-        refuse("outline", f"a function from positions (..., 2) to whether they are inside, of shape {x.shape[:-1]}",
-               f"{inside.dtype} of shape {inside.shape}", "Write lambda x: numpy.hypot(x[..., 0], x[..., 1]) < 10.")
+        refuse(
+            "outline",
+            f"a function from positions (..., 2) to whether they are inside, of shape {x.shape[:-1]}",
+            f"{inside.dtype} of shape {inside.shape}",
+            "Write lambda x: numpy.hypot(x[..., 0], x[..., 1]) < 10.",
+        )
     return inside

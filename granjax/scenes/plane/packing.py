@@ -15,8 +15,15 @@ ARRANGEMENTS = {"hexagonal": TRIANGULAR, "square": SQUARE, "honeycomb": HONEYCOM
 
 
 def packing(
-    material: str | Material, radius: Scalar, n: Count, m: Count | None = None, precompression: Scalar = 0.0, *,
-    arrangement: str = "hexagonal", rotation: bool = False, boundary: str | Sequence[str] = "fixed",
+    material: str | Material,
+    radius: Scalar,
+    n: Count,
+    m: Count | None = None,
+    precompression: Scalar = 0.0,
+    *,
+    arrangement: str = "hexagonal",
+    rotation: bool = False,
+    boundary: str | Sequence[str] = "fixed",
     outline: str | Callable = "cells",
 ) -> Lattice:
     r"""Equal elastic spheres in the plane, in SI: masses (4/3) pi R^3 rho, Hertz contacts, A as in `gx.scenes.beads`.
@@ -45,7 +52,22 @@ def packing(
     motion = Motion(2)
     if rotation:
         if plain_zero(precompression):
-            refuse("precompression", "F0 > 0 with rotation=True", "0", "Without static load contacts slide.")
+            refuse(
+                "precompression",
+                "F0 > 0 with rotation=True",
+                "0",
+                "Without static load contacts slide.",
+            )
         motion = Motion(3, Linear(mindlin(body.poisson) * law.derivative(0.0 * R)), SPHERE)
-    return built(cell, (n, n if m is None else m), (law,) * len(cell.ties), motion, mass=bead_mass(body, R),
-                 spacing=2 * R, boundary=boundary, outline=outline, on_site=None, units=SI)
+    return built(
+        cell,
+        (n, n if m is None else m),
+        (law,) * len(cell.ties),
+        motion,
+        mass=bead_mass(body, R),
+        spacing=2 * R,
+        boundary=boundary,
+        outline=outline,
+        on_site=None,
+        units=SI,
+    )

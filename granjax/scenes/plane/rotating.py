@@ -13,10 +13,20 @@ from .cells import CHAIN
 
 
 def rotating_chain(
-    sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Scalar = 0.01, law: Law | None = None, tangential: Scalar | Law | None = None,
-    bending: Scalar | Law = 0.0, attraction: Scalar = 0.0, inertia: Scalar = SPHERE, spacing: Scalar = 1.0,
-    boundary: str = "fixed", units: str = SCALED,
+    sites: Count,
+    *,
+    mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5,
+    precompression: Scalar = 0.01,
+    law: Law | None = None,
+    tangential: Scalar | Law | None = None,
+    bending: Scalar | Law = 0.0,
+    attraction: Scalar = 0.0,
+    inertia: Scalar = SPHERE,
+    spacing: Scalar = 1.0,
+    boundary: str = "fixed",
+    units: str = SCALED,
 ) -> Lattice:
     r"""Straight chain of beads that turn: u = (u_x, u_y, s) of each, s = R theta anticlockwise, R = L/2.
 
@@ -69,8 +79,18 @@ def rotating_chain(
         motion = motion._replace(rolling=rolling)
     if not plain_zero(attraction):
         motion = motion._replace(pull=_Pull(non_negative("attraction", attraction)))
-    return built(CHAIN, (sites,), laws, motion, mass=mass, spacing=spacing, boundary=boundary, outline="cells",
-                 on_site=None, units=units)
+    return built(
+        CHAIN,
+        (sites,),
+        laws,
+        motion,
+        mass=mass,
+        spacing=spacing,
+        boundary=boundary,
+        outline="cells",
+        on_site=None,
+        units=units,
+    )
 
 
 class _Pull(Law):

@@ -3,4 +3,11 @@
 from .public import CellWave, alone_with_resonators, cell_wave, tail_free
 from .resonator import Resonator, tail_free_stiffness
 
-__all__ = ["CellWave", "Resonator", "alone_with_resonators", "cell_wave", "tail_free", "tail_free_stiffness"]
+__all__ = [
+    "CellWave",
+    "Resonator",
+    "alone_with_resonators",
+    "cell_wave",
+    "tail_free",
+    "tail_free_stiffness",
+]

@@ -22,14 +22,28 @@ def repeated_in(lattice: Lattice) -> tuple[Law, np.ndarray, dict]:
     masses and bonds repeat at least twice.
     """
     wanted = "a chain of bonds between neighbours that repeats"
-    if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None or lattice.lanes:
-        refuse("law", wanted, f"a lattice of shape {lattice.shape}, lanes {lattice.lanes}", "One chain at a time.")
+    if (
+        lattice.fields is not None
+        or lattice.axes != 1
+        or lattice.dimension is not None
+        or lattice.lanes
+    ):
+        refuse(
+            "law",
+            wanted,
+            f"a lattice of shape {lattice.shape}, lanes {lattice.lanes}",
+            "One chain at a time.",
+        )
     law, (sites,) = law_between(lattice, wanted), lattice.sites
     rows = [np.broadcast_to(np.asarray(lattice.mass, float), sites)]
     rows += [np.asarray(x) for x in jax.tree.leaves(law) if np.ndim(x) and np.shape(x)[0] > 1]
-    period = next((p for p in range(1, sites // 2 + 1) if all(_repeats(row, p) for row in rows)), None)
+    period = next(
+        (p for p in range(1, sites // 2 + 1) if all(_repeats(row, p) for row in rows)), None
+    )
     if period is None:
-        refuse("law", wanted, f"{sites} sites that do not", "Give the law and the masses of a cell.")
+        refuse(
+            "law", wanted, f"{sites} sites that do not", "Give the law and the masses of a cell."
+        )
     return jax.tree.map(lambda x: _of_cell(x, period), law), rows[0][:period], lattice.origin
 
 

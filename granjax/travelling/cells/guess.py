@@ -106,7 +106,11 @@ def struck(chain: Chain, top: Peak) -> Struck | None:
         after += e[P * (LAST + 5)] > 0.05 * top.strain.mean() or after > 0
     history = np.maximum(np.array(seen), 0.0)
     t = step * np.arange(len(history))
-    return _measured(chain, t, history, P) if np.isfinite(history).all() and history.max() > 0 else None
+    return (
+        _measured(chain, t, history, P)
+        if np.isfinite(history).all() and history.max() > 0
+        else None
+    )
 
 
 def _measured(chain, t, history, P):

@@ -17,7 +17,17 @@ from .from_lattice import repeated_in
 from .resonator import Resonator
 from .system import fourier
 from .tail import margin, periodic
-from .wave import SILENT, Found, Given, chain_of, error_of, of_one_site, on_a_box, velocities, without_tail
+from .wave import (
+    SILENT,
+    Found,
+    Given,
+    chain_of,
+    error_of,
+    of_one_site,
+    on_a_box,
+    velocities,
+    without_tail,
+)
 
 # the speed over the sound speed from which on a box holds the wave
 LEAST_MARGIN = 1.004
@@ -56,10 +66,17 @@ class CellWave(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "speed": Held(None, "1/s"), "masses": Held("place", "kg"), "amplitude": Held(None, "m"),
-        "ripple": Held(None, "m"), "wavenumber": Held(None, "rad"), "linear_wavenumber": Held(None, "rad"),
-        "energy": Held(None, "J"), "error": Held(None, "m"), "xi": Held("xi", "1"),
-        "strains": Held("place xi", "m"), "velocities": Held("place xi", "m/s"),
+        "speed": Held(None, "1/s"),
+        "masses": Held("place", "kg"),
+        "amplitude": Held(None, "m"),
+        "ripple": Held(None, "m"),
+        "wavenumber": Held(None, "rad"),
+        "linear_wavenumber": Held(None, "rad"),
+        "energy": Held(None, "J"),
+        "error": Held(None, "m"),
+        "xi": Held("xi", "1"),
+        "strains": Held("place xi", "m"),
+        "velocities": Held("place xi", "m/s"),
     }
     speed: float
     masses: Float[np.ndarray, " P"]
@@ -101,7 +118,10 @@ class CellWave(Result):
         if self.resonator is None:
             return State(u, v)
         velocity, stretch = swinging(self.velocities, self.xi, self.speed, self.resonator)
-        inner = {"u": u - self._along(stretch, sites, centre), "v": self._along(velocity, sites, centre)}
+        inner = {
+            "u": u - self._along(stretch, sites, centre),
+            "v": self._along(velocity, sites, centre),
+        }
         return State({"bead": u, "resonator": inner["u"]}, {"bead": v, "resonator": inner["v"]})
 
     def _along(self, table, count, centre):
@@ -136,7 +156,11 @@ def swinging(velocities, xi, speed, resonator):
 
 
 def cell_wave(
-    law: Law | Lattice, masses: Parameter | None = None, *, speed: Scalar, resonator: Resonator | None = None,
+    law: Law | Lattice,
+    masses: Parameter | None = None,
+    *,
+    speed: Scalar,
+    resonator: Resonator | None = None,
     throw: bool = True,
 ) -> CellWave:
     r"""The wave of a given speed in a chain whose masses and laws repeat with a cell of P sites.
@@ -184,15 +208,21 @@ def cell_wave(
     if not given.chain.K2.any():
         return dataclasses.replace(_in_vacuum(law, given, speed, resonator, throw), **origin)
     _faster_than_sound(given.chain, speed)
-    return dataclasses.replace(_result(on_a_box(given.chain), given, speed, resonator, None, throw), **origin)
+    return dataclasses.replace(
+        _result(on_a_box(given.chain), given, speed, resonator, None, throw), **origin
+    )
 
 
 def _faster_than_sound(chain, speed):
     over = margin(chain)
     if over < LEAST_MARGIN:
         sound = speed / over
-        refuse("speed", f"supersonic, at least {LEAST_MARGIN} times the speed of sound, {LEAST_MARGIN * sound:.6g}",
-               f"{speed:.6g}", f"The speed of sound is {sound:.6g} sites per time; slower waves of this kind radiate.")
+        refuse(
+            "speed",
+            f"supersonic, at least {LEAST_MARGIN} times the speed of sound, {LEAST_MARGIN * sound:.6g}",
+            f"{speed:.6g}",
+            f"The speed of sound is {sound:.6g} sites per time; slower waves of this kind radiate.",
+        )
 
 
 def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Resonator) -> CellWave:
@@ -203,9 +233,12 @@ def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Reso
     wave = cell_wave(law, [mass], speed=speed, resonator=resonator)
     if wave.ripple:
         nearest = float(resonator.tail_free(float(speed), float(mass)))
-        refuse("resonator", f"a stiffness of {nearest:.12g} or another `tail_free_stiffness`",
-               f"{float(resonator.stiffness):.12g}",
-               f"Here the wave has a ripple, of {wave.ripple / wave.amplitude:.2g} of its peak: travelling.cell_wave.")
+        refuse(
+            "resonator",
+            f"a stiffness of {nearest:.12g} or another `tail_free_stiffness`",
+            f"{float(resonator.stiffness):.12g}",
+            f"Here the wave has a ripple, of {wave.ripple / wave.amplitude:.2g} of its peak: travelling.cell_wave.",
+        )
     return wave
 
 
@@ -214,16 +247,27 @@ def _in_vacuum(law, given, speed, resonator, throw):
     if P == 1:
         return _result(of_one_site(given.chain), given, speed, resonator, None, throw)
     if resonator is not None:
-        refuse("resonator", "None for a cell of several sites without a stiffness at rest", repr(resonator),
-               "Give equal masses or a precompression.")
+        refuse(
+            "resonator",
+            "None for a cell of several sites without a stiffness at rest",
+            repr(resonator),
+            "Give equal masses or a precompression.",
+        )
     if P > 2 or given.chain.mirror is None:
-        refuse("masses", "one or two sites in the smallest cell, mirrored by a bead or a contact",
-               f"{P} that have {'no such mirror' if given.chain.mirror is None else 'one'}",
-               "Without a stiffness at rest a wave then needs two parameters to be right; give a precompression.")
+        refuse(
+            "masses",
+            "one or two sites in the smallest cell, mirrored by a bead or a contact",
+            f"{P} that have {'no such mirror' if given.chain.mirror is None else 'one'}",
+            "Without a stiffness at rest a wave then needs two parameters to be right; give a precompression.",
+        )
     ratio = given.masses.min() / given.masses.max()
     if ratio == 1:
-        refuse("law", "one law, or a stiffness ratio at which a wave exists", "two laws between equal beads",
-               "`tail_free(lambda r: (law of ratio r, masses), low, high, speed=...)` finds such ratios.")
+        refuse(
+            "law",
+            "one law, or a stiffness ratio at which a wave exists",
+            "two laws between equal beads",
+            "`tail_free(lambda r: (law of ratio r, masses), low, high, speed=...)` finds such ratios.",
+        )
     heavy, light = given.masses.max(), np.argmin(given.masses)
 
     def masses(p):
@@ -231,21 +275,40 @@ def _in_vacuum(law, given, speed, resonator, throw):
         at[light] = p * heavy
         return at
 
-    found = without_tail(lambda p: chain_of(law, masses(p), speed).chain, 0.9 * ratio, min(1.1 * ratio, 1.0), (0.5,))
+    found = without_tail(
+        lambda p: chain_of(law, masses(p), speed).chain, 0.9 * ratio, min(1.1 * ratio, 1.0), (0.5,)
+    )
     near = None if isinstance(found, str) else found.solved.parameter
     if near is None or abs(near / ratio - 1) > NEAR:
         nearest = "none is within 10 % of it" if near is None else f"the nearest is {near:.12g}"
-        refuse("masses", "a ratio at which a wave travels without loss in a chain without precompression",
-               f"{ratio:.12g}", f"Here a pulse decays (gx.resonance.decay_rate), since light beads rattle behind it; "
-               f"{nearest}. tail_free finds such ratios, a precompression gives a ripple.")
+        refuse(
+            "masses",
+            "a ratio at which a wave travels without loss in a chain without precompression",
+            f"{ratio:.12g}",
+            f"Here a pulse decays (gx.resonance.decay_rate), since light beads rattle behind it; "
+            f"{nearest}. tail_free finds such ratios, a precompression gives a ripple.",
+        )
     own = Given(found.box.chain, masses(near).mean(), masses(near))
-    return _result(found, own, speed, None, None, throw, abs(near / ratio - 1),
-                   f" The masses are those of the anti-resonance, {near:.12g}, {near / ratio - 1:+.1e} from what was "
-                   "given.")
+    return _result(
+        found,
+        own,
+        speed,
+        None,
+        None,
+        throw,
+        abs(near / ratio - 1),
+        f" The masses are those of the anti-resonance, {near:.12g}, {near / ratio - 1:+.1e} from what was "
+        "given.",
+    )
 
 
 def tail_free(
-    cell: Callable[[Any], Any], low: Scalar, high: Scalar, *, speed: Scalar, throw: bool = True,
+    cell: Callable[[Any], Any],
+    low: Scalar,
+    high: Scalar,
+    *,
+    speed: Scalar,
+    throw: bool = True,
 ) -> CellWave:
     r"""The wave that travels without loss, and the parameter between `low` and `high` at which it does.
 
@@ -284,16 +347,26 @@ def tail_free(
 
     ends = [given(p).chain for p in (low, (low + high) / 2, high)]
     if ends[1].mirror is None or len(ends[1].masses) == 1:
-        refuse("cell", "a cell of several sites, mirrored by a bead or a contact", "one that is not",
-               "Where masses and stiffnesses both alternate, two parameters have to be right.")
+        refuse(
+            "cell",
+            "a cell of several sites, mirrored by a bead or a contact",
+            "one that is not",
+            "Where masses and stiffnesses both alternate, two parameters have to be right.",
+        )
     if not ends[1].K2.any() and len(ends[1].masses) > 2:
-        refuse("cell", "two sites in a cell without a stiffness at rest", f"{len(ends[1].masses)}",
-               "A wave then needs two parameters to be right; give a precompression.")
+        refuse(
+            "cell",
+            "two sites in a cell without a stiffness at rest",
+            f"{len(ends[1].masses)}",
+            "A wave then needs two parameters to be right; give a precompression.",
+        )
     for chain in ends:
         _faster_than_sound(chain, speed)
     found = without_tail(lambda p: given(p).chain, low, high)
     near = None if isinstance(found, str) else found.solved.parameter
-    found = _result(found, given((low + high) / 2 if near is None else near), speed, None, near, throw)
+    found = _result(
+        found, given((low + high) / 2 if near is None else near), speed, None, near, throw
+    )
     return dataclasses.replace(found, **origin)
 
 
@@ -317,9 +390,24 @@ def _result(found: Found | str, given: Given, speed, resonator, p, throw, off=0.
         raise RuntimeError(outcome)
     energy = np.nan if ripple or np.isnan(ripple) else _energy(found, given, speed, v, resonator)
     return CellWave(
-        speed, given.masses, top, ripple, None if carried is None else carried.wavenumber,
-        None if found.ripple is None else found.ripple.wavenumber, p, energy, found.solved.residual, error, box.x,
-        phi, v, outcome, bool(found.solved.converged), resonator, found.core)
+        speed,
+        given.masses,
+        top,
+        ripple,
+        None if carried is None else carried.wavenumber,
+        None if found.ripple is None else found.ripple.wavenumber,
+        p,
+        energy,
+        found.solved.residual,
+        error,
+        box.x,
+        phi,
+        v,
+        outcome,
+        bool(found.solved.converged),
+        resonator,
+        found.core,
+    )
 
 
 def _top(box, phi):
@@ -335,8 +423,24 @@ def _top(box, phi):
 
 def _none(why, given, speed, resonator):
     nothing = np.full((len(given.masses), 1), np.nan)
-    return CellWave(speed, given.masses, np.nan, np.nan, None, None, None, np.nan, np.nan, np.nan, np.zeros(1), nothing,
-                    nothing, f"No wave was found: {why}.", False, resonator)
+    return CellWave(
+        speed,
+        given.masses,
+        np.nan,
+        np.nan,
+        None,
+        None,
+        None,
+        np.nan,
+        np.nan,
+        np.nan,
+        np.zeros(1),
+        nothing,
+        nothing,
+        f"No wave was found: {why}.",
+        False,
+        resonator,
+    )
 
 
 def _energy(found, given, speed, v, resonator):
@@ -345,11 +449,17 @@ def _energy(found, given, speed, v, resonator):
     nodes, weights = np.polynomial.legendre.leggauss(24)
     # s^3 takes the root of an opening contact to a smooth function
     s = (nodes + 1) / 2
-    work = sum(w / 2 * 3 * q**2 * found.box.chain.force(q**3 * phi) * phi for q, w in zip(s, weights))
+    work = sum(
+        w / 2 * 3 * q**2 * found.box.chain.force(q**3 * phi) * phi for q, w in zip(s, weights)
+    )
     density = given.masses[:, None] * v**2 / 2 + given.mass * speed**2 * work
     if resonator is not None:
         velocity, stretch = swinging(v, box.x, speed, resonator)
-        density = density + float(resonator.mass) * velocity**2 / 2 + float(resonator.stiffness) * stretch**2 / 2
+        density = (
+            density
+            + float(resonator.mass) * velocity**2 / 2
+            + float(resonator.stiffness) * stretch**2 / 2
+        )
     return float(density.sum() * 2 * box.half / box.points / len(given.masses))
 
 
@@ -358,9 +468,13 @@ def _outcome(found, ripple, top, p, given):
     if not found.solved.converged:
         return f"Newton's method stopped at a residual of {found.solved.residual:.1e}."
     if np.isnan(ripple):
-        return (f"A wave with {found.waves} linear waves that keep pace with it; its ripple is of its box, and not the "
-                "smallest there is.")
+        return (
+            f"A wave with {found.waves} linear waves that keep pace with it; its ripple is of its box, and not the "
+            "smallest there is."
+        )
     if ripple == 0:
         return f"A wave that travels without loss{at}: no ripple."
-    return (f"A wave with a ripple of {ripple / top:.2g} of its peak, wave number {found.tail.wavenumber:.7g} (linear "
-            f"{found.ripple.wavenumber:.7g}): alone it would lose energy.")
+    return (
+        f"A wave with a ripple of {ripple / top:.2g} of its peak, wave number {found.tail.wavenumber:.7g} (linear "
+        f"{found.ripple.wavenumber:.7g}): alone it would lose energy."
+    )

@@ -38,7 +38,9 @@ class Resonator(eqx.Module):
         return tail_free_stiffness(speed, self.mass, mass, int(n))
 
 
-def tail_free_stiffness(speed: Number, resonator_mass: Number, mass: Number = 1.0, count: Count = 1) -> Number:
+def tail_free_stiffness(
+    speed: Number, resonator_mass: Number, mass: Number = 1.0, count: Count = 1
+) -> Number:
     r"""Stiffness of resonators that swing `count` times, exactly, while a wave of speed c runs on by one bead.
 
     kappa = (2 pi n c)^2 mu m/(mu + m) [N/m]: then a bead's two contacts cancel in what they leave in it, at any law:

@@ -178,7 +178,9 @@ def _solve(J, residual):
         return None
 
 
-def newton_with(box_of: Callable, row: Callable, phi, parameter, reach, tolerance=1e-12, max_steps=14) -> Solved:
+def newton_with(
+    box_of: Callable, row: Callable, phi, parameter, reach, tolerance=1e-12, max_steps=14
+) -> Solved:
     """Strains and a parameter p of a symmetric chain, on which one more equation row(box) @ strains = 0 is laid.
 
     **Arguments:** `box_of`: p to `Box`; `row`: box to (P N,); `reach`: the most that p changes in a step.

@@ -37,7 +37,9 @@ def ripples(chain: Chain) -> list[Ripple]:
         nu, kappa = chain.resonator
         # a bead and its resonator that swing alone: a ripple is the nearer to that, the less the contacts feel of it
         swing = np.sqrt(kappa / nu + kappa / chain.masses)[:, None]
-        k = np.unique(np.append(k, swing * (1 + np.outer([-1, 1], np.geomspace(1e-13, 1e-2, 56)).ravel())))
+        k = np.unique(
+            np.append(k, swing * (1 + np.outer([-1, 1], np.geomspace(1e-13, 1e-2, 56)).ravel()))
+        )
         k = k[np.abs(kappa - nu * k**2) > 1e-9 * kappa]
     found = []
     excess = _excess(chain, k)[0]
@@ -125,11 +127,15 @@ def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
         columns = periodic(y, k)
         found = np.linalg.lstsq(columns, strain.T, rcond=None)[0]
         left = strain.T - columns @ found
-        amplitude = np.vdot(ripple.shape, found[1] - 1j * found[1 + HARMONICS]) / np.vdot(ripple.shape, ripple.shape)
+        amplitude = np.vdot(ripple.shape, found[1] - 1j * found[1 + HARMONICS]) / np.vdot(
+            ripple.shape, ripple.shape
+        )
         if np.abs(amplitude) <= 1e-9 * np.abs(phi).max():
             break
         # what the columns themselves cannot take up of the change with k
-        turned = np.concatenate([order * found[1 + HARMONICS :].T, -order * found[1 : 1 + HARMONICS].T], 1).T
+        turned = np.concatenate(
+            [order * found[1 + HARMONICS :].T, -order * found[1 : 1 + HARMONICS].T], 1
+        ).T
         along = y[:, None] * (columns[:, 1:] @ turned)
         along -= columns @ np.linalg.lstsq(columns, along, rcond=None)[0]
         k += np.sum(along * left) / np.sum(along**2)
@@ -138,6 +144,7 @@ def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
 
 def ripple_row(ripple: Ripple, core: float):
     """box -> the row that takes strains (P N,) to the real amplitude of a ripple that its mirror makes itself."""
+
     def row(box):
         y, at = tail(box, np.arange(box.shape[0] * box.points).reshape(box.shape), core)
         out = np.zeros(box.shape[0] * box.points)
@@ -154,5 +161,3 @@ def drift_row(box):
     out = np.zeros(box.shape[0] * box.points)
     out[: box.points] = hat[-np.arange(box.points) % box.points]
     return out
-
-

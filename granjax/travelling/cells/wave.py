@@ -43,7 +43,9 @@ def elementwise(law: Law, P: int, order: int, unit: float):
     """NumPy's force (order 0) or slope (1) of a law over a unit: (P, X) to (P, X)."""
 
     def of(e):
-        width = next((n for n in COLUMNS if n >= e.shape[1]), -(-e.shape[1] // COLUMNS[-1]) * COLUMNS[-1])
+        width = next(
+            (n for n in COLUMNS if n >= e.shape[1]), -(-e.shape[1] // COLUMNS[-1]) * COLUMNS[-1]
+        )
         padded = np.zeros((P, width))
         padded[:, : e.shape[1]] = e
         return np.asarray(_forces(law, padded)[order])[:, : e.shape[1]] / unit
@@ -63,25 +65,46 @@ def chain_of(law: Law, masses, speed: float, resonator=None) -> Given:
     """The chain of a law and the masses of a cell; its smallest period and its mirror are found here."""
     masses = np.atleast_1d(np.asarray(positive("masses", masses), float))
     if masses.ndim != 1:
-        refuse("masses", "one row of masses, those of a cell", f"shape {masses.shape}", "One wave at a time.")
+        refuse(
+            "masses",
+            "one row of masses, those of a cell",
+            f"shape {masses.shape}",
+            "One wave at a time.",
+        )
     P, mass = len(masses), masses.mean()
     wrong = [np.shape(x) for x in jax.tree.leaves(law) if np.shape(x) not in ((), (1,), (P,))]
     if wrong:
-        refuse("law", f"parameters that are numbers or one per bond of the cell, ({P},)", f"shape {wrong[0]}",
-               "One wave at a time.")
+        refuse(
+            "law",
+            f"parameters that are numbers or one per bond of the cell, ({P},)",
+            f"shape {wrong[0]}",
+            "One wave at a time.",
+        )
     unit = mass * speed**2
     force, slope = (elementwise(law, P, order, unit) for order in (0, 1))
     K2 = slope(np.zeros((P, 1)))[:, 0]
-    attached = None if resonator is None else (float(resonator.mass) / mass, float(resonator.stiffness) / unit)
+    attached = (
+        None
+        if resonator is None
+        else (float(resonator.mass) / mass, float(resonator.stiffness) / unit)
+    )
     chain = Chain(masses / mass, force, slope, K2, attached, None)
     if not (np.all(np.isfinite(K2) & (K2 >= 0)) and (np.all(K2 > 0) or not K2.any())):
-        refuse("law", "a stiffness at rest that is finite, above zero at all bonds or zero at all", show(K2 * unit))
+        refuse(
+            "law",
+            "a stiffness at rest that is finite, above zero at all bonds or zero at all",
+            show(K2 * unit),
+        )
     period = next(d for d in range(1, P + 1) if P % d == 0 and _repeats(chain, d))
     own = np.arange(period)
     if period < P:
+
         def cut(f):
             return lambda e: f(np.tile(e, (P // period, 1)))[:period]
-        chain = chain._replace(masses=chain.masses[own], force=cut(force), slope=cut(slope), K2=K2[own])
+
+        chain = chain._replace(
+            masses=chain.masses[own], force=cut(force), slope=cut(slope), K2=K2[own]
+        )
     return Given(chain._replace(mirror=_mirror(chain)), mass, masses[own])
 
 
@@ -96,13 +119,17 @@ def _same(one, other):
 
 
 def _repeats(chain, d):
-    return _same(chain.masses, np.roll(chain.masses, d)) and _same(*(lambda f: (f, np.roll(f, d, 0)))(_samples(chain)))
+    return _same(chain.masses, np.roll(chain.masses, d)) and _same(
+        *(lambda f: (f, np.roll(f, d, 0)))(_samples(chain))
+    )
 
 
 def _mirror(chain):
     own, forces = np.arange(len(chain.masses)), _samples(chain)
     for s in own:
-        if _same(chain.masses[(s - own) % len(own)], chain.masses) and _same(forces[(s - 1 - own) % len(own)], forces):
+        if _same(chain.masses[(s - own) % len(own)], chain.masses) and _same(
+            forces[(s - 1 - own) % len(own)], forces
+        ):
             return int(s)
     return None
 
@@ -130,8 +157,10 @@ def on_a_box(chain: Chain) -> Found | str:
     if 2 * half * POINTS * len(chain.masses) > MOST:
         return f"it takes a box of {2 * half:.3g} sites, for its core or for its ripple, which is too long"
     if margin(chain) > FASTEST:
-        return (f"at {margin(chain):.3g} times the speed of sound the chain is almost without a stiffness at rest, and "
-                "the wave is beyond this method's reach; leave out the precompression")
+        return (
+            f"at {margin(chain):.3g} times the speed of sound the chain is almost without a stiffness at rest, and "
+            "the wave is beyond this method's reach; leave out the precompression"
+        )
     started = _started(chain, half)
     if isinstance(started, str) and margin(chain) > 1.05 * SLOW:
         started = _iterated(chain, half) or _sped_up(chain, half) or started
@@ -189,14 +218,20 @@ def _started(chain, half):
 
     def blended(part):
         masses = (1 - part) * total + part * chain.masses
-        own = None if chain.resonator is None or not part else (part * chain.resonator[0], part * chain.resonator[1])
+        own = (
+            None
+            if chain.resonator is None or not part
+            else (part * chain.resonator[0], part * chain.resonator[1])
+        )
         return chain._replace(masses=masses, resonator=own)
 
     box = _box(blended(0.0), half, POINTS)
     solved = newton(box, pulse(blended(0.0), box, top))
     height = np.abs(solved.phi).max()
     # a chain that is compressed alike everywhere is a solution as well
-    if not (solved.converged and 0.2 < height / np.abs(top.strain).max() < 5 and _rest(solved) < FLAT):
+    if not (
+        solved.converged and 0.2 < height / np.abs(top.strain).max() < 5 and _rest(solved) < FLAT
+    ):
         return f"Newton's method did not reach a wave of the chain of equal masses (residual {solved.residual:.1e})"
     part, step = 0.0, 1.0 if np.ptp(chain.masses) < 0.5 and chain.resonator is None else 0.25
     while part < 1:
@@ -209,8 +244,10 @@ def _started(chain, half):
             # a box that the ripple fits has no wave: another length does not fit it
             step, half = step / 2, half + 0.13
         else:
-            return (f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
-                    "search failed, which does not say that there is none; the ripple may be as strong as the wave")
+            return (
+                f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
+                "search failed, which does not say that there is none; the ripple may be as strong as the wave"
+            )
     return box, solved
 
 
@@ -233,7 +270,13 @@ def _iterated(chain, half):
         return sign * chain.force(e)[0], chain.slope(e)[0]
 
     _, psi, change = petviashvili(
-        force, float(chain.K2[0]), half, lambda x: guess, box.points, lambda k: heaviness(quiet, k)[0])
+        force,
+        float(chain.K2[0]),
+        half,
+        lambda x: guess,
+        box.points,
+        lambda k: heaviness(quiet, k)[0],
+    )
     solved = newton(box, sign * psi[None])
     return (box, solved) if change < ASTRAY and solved.converged and _rest(solved) < 1 else None
 
@@ -242,8 +285,12 @@ def faster(chain, factor):
     """The same chain for a wave that many times as fast."""
     square = factor**2
     own = None if chain.resonator is None else (chain.resonator[0], chain.resonator[1] / square)
-    return chain._replace(force=lambda e: chain.force(e) / square, slope=lambda e: chain.slope(e) / square,
-                          K2=chain.K2 / square, resonator=own)
+    return chain._replace(
+        force=lambda e: chain.force(e) / square,
+        slope=lambda e: chain.slope(e) / square,
+        K2=chain.K2 / square,
+        resonator=own,
+    )
 
 
 def _sped_up(chain, half):
@@ -283,15 +330,25 @@ def _smallest(chain, box, solved, ripple, core):
         for part in (1, -1, 0.5, -0.5):
             if len(lengths) == 3:
                 break
-            one, at = _again(chain, best[0], best[1].phi, best[0].half + part * np.pi / (3 * k), density)
+            one, at = _again(
+                chain, best[0], best[1].phi, best[0].half + part * np.pi / (3 * k), density
+            )
             if at.converged:
-                lengths, sizes = [*lengths, one.half], [*sizes, np.abs(fit(one, at.phi, ripple, core).amplitude)]
+                lengths, sizes = (
+                    [*lengths, one.half],
+                    [*sizes, np.abs(fit(one, at.phi, ripple, core).amplitude)],
+                )
         if len(lengths) < 3:
             break
         phase = 2 * k * np.array(lengths)
-        A, B, C = np.linalg.solve(np.stack([np.ones(3), np.cos(phase), np.sin(phase)], 1), 1 / np.array(sizes) ** 2)
-        half = best[0].half + (np.arctan2(C, B) / (2 * k) - best[0].half + np.pi / (2 * k)) % (np.pi / k) - \
-            np.pi / (2 * k)
+        A, B, C = np.linalg.solve(
+            np.stack([np.ones(3), np.cos(phase), np.sin(phase)], 1), 1 / np.array(sizes) ** 2
+        )
+        half = (
+            best[0].half
+            + (np.arctan2(C, B) / (2 * k) - best[0].half + np.pi / (2 * k)) % (np.pi / k)
+            - np.pi / (2 * k)
+        )
         one, at = _again(chain, best[0], best[1].phi, half, density)
         if not at.converged:
             break
@@ -320,6 +377,7 @@ def without_tail(chain_at, low: float, high: float, parts=(0.5, 0.2, 0.8)) -> Fo
             continue
         box, phi, speed, row, core = begun
         for goal in np.unique([speed, 1.0])[:: 1 if speed < 1 else -1]:
+
             def box_of(p, goal=goal):
                 return Box(faster(chain_at(p), goal), box.half, box.points)
 
@@ -329,8 +387,11 @@ def without_tail(chain_at, low: float, high: float, parts=(0.5, 0.2, 0.8)) -> Fo
             p, phi = solved.parameter, solved.phi
         if solved.converged and low <= p <= high and np.abs(phi).max() > 0:
             return Found(box_of(p), solved, None, None, core, 0)
-        why = (f"Newton's method went to {p:.6g}, outside of the interval" if solved.converged else
-               f"Newton's method stopped at a residual of {solved.residual:.1e}")
+        why = (
+            f"Newton's method went to {p:.6g}, outside of the interval"
+            if solved.converged
+            else f"Newton's method stopped at a residual of {solved.residual:.1e}"
+        )
     return why
 
 
@@ -372,14 +433,20 @@ def of_one_site(chain: Chain) -> Found | str:
     first, phi, _, _, core = begun
     if chain.resonator is None:
         solved = newton(first, phi)
-        return Found(first, solved, None, None, core, 0) if solved.converged else "Newton's method did not converge"
+        return (
+            Found(first, solved, None, None, core, 0)
+            if solved.converged
+            else "Newton's method did not converge"
+        )
     nu, kappa = chain.resonator
     ripple = Ripple(float(np.sqrt(kappa * (1 + nu) / nu)), np.ones(1, complex))
     # as far from the lengths that the ripple fits as can be, four wavelengths beyond the core
     count = np.ceil(2 * core * ripple.wavenumber / (2 * np.pi)) + 8
     half = (count + 0.5) * np.pi / ripple.wavenumber
     box = _box(chain, half, max(10, 2 * ripple.wavenumber))
-    solved = newton(box, fourier(phi, first.half, np.clip(box.x, -first.half, first.half)), max_steps=30)
+    solved = newton(
+        box, fourier(phi, first.half, np.clip(box.x, -first.half, first.half)), max_steps=30
+    )
     if not solved.converged or not 0.3 < np.abs(solved.phi).max() / np.abs(phi).max() < 3:
         return f"Newton's method did not reach a pulse from that of beads of the whole mass ({solved.residual:.1e})"
     return _smallest(chain, box, solved, ripple, core)
