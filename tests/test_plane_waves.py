@@ -83,7 +83,7 @@ def test_packets_are_refused_in_a_sentence(dimer):
     for match, call in (
         ("They meet at k", lambda: gx.states.bloch_packet(honeycomb, "K", 2.0, band=0)),
         ("This lattice has 2 bands", lambda: gx.states.bloch_packet(dimer, 1.0, 5.0)),
-        ("a name among", lambda: gx.states.bloch_packet(honeycomb, "Q", 2.0, band=0)),
+        ("k: expected one of 'G'", lambda: gx.states.bloch_packet(honeycomb, "Q", 2.0, band=0)),
         ("whole numbers below 2", lambda: gx.states.bloch_packet(dimer, 1.0, 5.0, band=2)),
         (
             "Its packet would grow",

@@ -409,9 +409,8 @@ def test_a_path_and_the_density_of_states():
     edges = np.linspace(0, top, 51)
     exact = 2 / np.pi * np.diff(np.arcsin(np.minimum(edges / top, 1))) / np.diff(edges)
     assert (np.abs(density.density - exact) < density.error + 1e-9).all()
-    for wrong in ("GQ", "G"):
-        with pytest.raises(ValueError, match="points"):
-            gx.linear.path(crystal, wrong)
+    with pytest.raises(ValueError, match="points: expected names among"):
+        gx.linear.path(crystal, "GQ")
 
 
 def test_corners_of_the_quadrupole_lattice():

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Complex, Float, Inexact
 
-from ..checks import one_of, positive, refuse, whole
+from ..checks import one_of, positive, refuse, unmasked, whole
 from ..flow import Run
 from ..results import Held, Result
 from ..types import AnyArray, Count, Parameter, Scalar
@@ -156,7 +156,7 @@ def snapshots(run: Run, velocities: bool = True) -> Float[np.ndarray, "T n"]:
 
 
 def _checked(snapshots):
-    y = np.asarray(snapshots)
+    y = np.asarray(unmasked("snapshots", snapshots))
     y = y if y.dtype.kind == "c" else y.astype(float)
     if y.ndim != 2 or len(y) < 2 or not y.any() or not np.isfinite(y).all():
         refuse(
