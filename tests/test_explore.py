@@ -185,10 +185,6 @@ BAD = [
         lambda: gx.explore(dimer, quantity=lambda t, y, lattice: y.v[0], frames=8),
         "quantity: expected a number for",
     ),
-    (
-        lambda: gx.explore(lambda load=1.0: load),
-        "scene: expected a function that returns a Lattice",
-    ),
     (lambda: gx.explore(dimer, ratio=1.5, frames=8), "ratio: expected numbers in"),
     (
         lambda: gx.explore(jax.vmap(lambda r: dimer(r, 0.0), out_axes=-1)(np.array([0.1, 0.2]))),

@@ -666,5 +666,5 @@ def test_a_smooth_gauge_is_closed_up_to_the_zak_phase():
     assert "hardly overlap" in coarse.outcome
     with pytest.raises(ValueError, match="four wave numbers"):
         gx.linear.smooth_gauge(own[:3])
-    with pytest.raises(ValueError, match="shape"):
+    with pytest.raises(ValueError, match="broadcasting"):
         gx.linear.smooth_gauge(own, [1.0, 1.0, 1.0])
