@@ -17,17 +17,6 @@ import equinox as eqx
 import jaxtyping
 
 jaxtyped = jaxtyping.jaxtyped
-_on = [True]
-
-
-@contextlib.contextmanager
-def off():
-    """Nothing is checked inside: input meets what it meets at a user's."""
-    before, _on[0] = _on[0], False
-    try:
-        yield
-    finally:
-        _on[0] = before
 
 
 # a whole number is a real one too, as for static checkers
@@ -48,8 +37,6 @@ def light(target=None, *, typechecker=None):
 
     @functools.wraps(target)
     def call(*args, **kwargs):
-        if not _on[0]:
-            return target(*args, **kwargs)
         try:
             return strict()(*args, **kwargs)
         except jaxtyping.TypeCheckError as error:
@@ -71,7 +58,7 @@ def _fields_checked(cls):
         if not hints:
             hints.append(_hints(cls))
         with jaxtyped("context"):
-            for name, hint in hints[0].items() if _on[0] else ():
+            for name, hint in hints[0].items():
                 value = getattr(self, name)
                 if not beartype.door.is_bearable(value, hint, conf=TOWER):
                     raise jaxtyping.TypeCheckError(

@@ -36,13 +36,6 @@ class Cell(NamedTuple):
         ]
         return np.array([head + np.array(offset) @ a - tail for tail, head, offset in ends])
 
-    def coordination(self):
-        """Number of bonds of every site."""
-        return {
-            name: sum((tie.tail == name) + (tie.head == name) for tie in self.ties)
-            for name in self.sites
-        }
-
 
 def _honeycomb():
     a = np.array([[2 * ROOT, 0.0], [ROOT, 1.5]])
