@@ -334,3 +334,21 @@ def test_loads_that_do_not_balance_are_borne_and_the_outcome_says_so():
     pressed = gx.equilibrium(chain, loads=jnp.array([0.5, 0, 0, -0.5]))
     np.testing.assert_allclose(-np.diff(pressed.state.u), 1.5 ** (2 / 3) - 1, rtol=1e-12)
     np.testing.assert_allclose(pressed.ends, 1.5, rtol=1e-13)
+
+
+@pytest.mark.slow
+def test_lanes_by_vmap():
+    stiffness = jnp.asarray([1.0, 2.0, 4.0])
+    batch = jax.vmap(lambda A: gx.scenes.monomer(5, stiffness=A, precompression=1.0), out_axes=-1)(
+        stiffness
+    )
+    found = jax.vmap(
+        lambda lattice: gx.equilibrium(lattice, loads=jnp.full(5, 0.02)).state.u,
+        in_axes=-1,
+        out_axes=-1,
+    )(batch)
+    for lane, A in enumerate(stiffness):
+        alone = gx.equilibrium(
+            gx.scenes.monomer(5, stiffness=A, precompression=1.0), loads=jnp.full(5, 0.02)
+        )
+        np.testing.assert_allclose(found[:, lane], alone.state.u, rtol=1e-11)

@@ -645,3 +645,13 @@ def test_times_that_are_far_but_told_apart_are_those_of_the_drive(t0):
 
     want = solve_ivp(field, (0, 4.0), np.zeros(4), method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     assert np.abs(np.concatenate(run.final) - want).max() < 3e-9
+
+
+@pytest.mark.study
+def test_a_run_of_plain_numbers_inside_jit(closed):
+    chain, state = closed
+    for how in ({}, {"step": 0.1}, {"step": 0.1, "save_at": 5}, {"tolerance": 1e-9}):
+        inside = jax.jit(lambda x, how=how: x * gx.simulate(chain, state, 2.0, **how).final.u)(2.0)
+        assert np.allclose(
+            inside, 2 * gx.simulate(chain, state, 2.0, **how).final.u, rtol=0, atol=1e-13
+        )

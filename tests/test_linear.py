@@ -626,3 +626,24 @@ def test_bands_of_a_sonic_vacuum_say_so(make):
     assert not np.any(found.upper) and "sonic vacuum" in found.outcome
     with pytest.raises(ValueError, match="sonic vacuum"):
         gx.linear.sound_speed(make())
+
+
+def test_folded_bands_touch():
+    assert linear.bands(springs(np.ones(12)), cell=3).gaps == []
+
+
+def test_shapes_of_modes():
+    assert linear.normal_modes(triangular()).modes.shape == (5, 6, 2, 60)
+    parts = linear.normal_modes(mass_in_mass()).modes
+    assert parts["bead"].shape == parts["core"].shape == (12, 24)
+
+
+@pytest.mark.slow
+def test_waves_inside_jit():
+    chain = two_masses(12)
+    expected = linear.dispersion(chain, WAVES).omega
+    np.testing.assert_allclose(
+        jax.jit(lambda k: linear.dispersion(chain, k).omega)(WAVES), expected, atol=1e-12
+    )
+    given = jax.jit(lambda chain, k: linear.dispersion(chain, k, cell=2).omega)
+    np.testing.assert_allclose(given(chain, WAVES), expected, atol=1e-12)

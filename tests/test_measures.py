@@ -534,3 +534,11 @@ def test_a_sensor_needs_neighbours():
     chain = gx.scenes.mass_in_mass(6, 0.5, 1.0)
     rest = gx.states.rest(chain)
     assert gx.measures.sensor_force(chain, rest, field="bead").shape == (6,)
+
+
+def test_sensors_in_a_batch():
+    chains = jax.vmap(lambda F0: gx.scenes.monomer(5, precompression=F0), out_axes=-1)(
+        jnp.array([0.5, 2.0])
+    )
+    found = gx.measures.sensor_force(chains, gx.states.rest(chains))
+    np.testing.assert_allclose(found, np.broadcast_to([0.5, 2.0], (5, 2)), rtol=1e-14)

@@ -992,3 +992,104 @@ def test_the_outcome_of_a_run_names_beads_that_pass_through_one_another():
     assert run.outcome.startswith("Completed") and "Bonds are fixed" in run.outcome
     slow = gx.simulate(crystal, gx.State(crystal.zeros(), 0.01 * v), 6.0, save_at=25)
     assert "bond" not in slow.outcome
+
+
+def test_beads_of_two_sizes_on_a_graph_and_a_chain_on_a_line():
+    # a packing of two sizes: the radii follow from who is in touch with whom
+    R = np.array([1.0, 1.0, 0.5, 0.7, 0.4])
+    x = [np.zeros(2), np.array([2.0, 0.0])]
+    for a, b, r in ((0, 1, R[2]), (1, 2, R[3]), (0, 2, R[4])):
+        # the third bead touches both, above their line
+        p, q, d1, d2 = x[a], x[b], R[a] + r, R[b] + r
+        d = np.linalg.norm(q - p)
+        along = (d1**2 - d2**2 + d**2) / (2 * d)
+        e = (q - p) / d
+        h = np.sqrt(d1**2 - along**2)
+        side = np.array([-e[1], e[0]])
+        x.append(
+            p
+            + along * e
+            + h * (side if (a, b) != (1, 2) else -side) * (1 if (a, b) != (1, 2) else 1)
+        )
+    x = np.stack(x)
+    pairs = [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3), (0, 4), (2, 4)]
+    tail, head = np.array(pairs).T
+    assert np.abs(np.linalg.norm(x[tail] - x[head], axis=1) - R[tail] - R[head]).max() < 1e-12
+    bond = gx.Bond(gx.Stretch(gx.Pairs(tail, head), x[head] - x[tail]), gx.Hertz())
+    packing = gx.Lattice(R**3, bond, dimension=2, positions=x)
+    joined = np.zeros((5, 5), bool)
+    joined[tail, head] = joined[head, tail] = True
+    for size in (0.0, 0.1, 0.3, 0.6, 1.0):
+        u = size * RNG.normal(size=x.shape)
+        many, _, _ = overlapping(x + u, joined, R)
+        assert bool(said(packing, u)) == bool(many)
+    # on a line the first and the third bead meet where the one between is pressed through
+    line = gx.Lattice(
+        1.0,
+        gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()),
+        sites=5,
+        positions=2.0 * np.arange(5.0)[:, None],
+    )
+    assert said(line, [0, 0.9, 0, 0, 0]) == said(line, [1.0, 0, -0.9, 0, 0]) == ""
+    assert "site 0 and site 2, 1.9 apart where they touch at 2." in said(line, [1.1, 0, -1.0, 0, 0])
+    folded = scenes.rotating_chain(4, boundary="free")
+    u = np.zeros((4, 3))
+    u[2, :2], u[3, :2] = [-1.5, 0.8], [-1.0, 1.5]
+    assert "at t = 1: site 0 and site 2, 0.943 apart" in said(folded, 0 * u, u + [0, 0, 7.0])
+
+
+def test_long_waves_of_the_triangular_lattice_are_isotropic():
+    crystal = scenes.triangular(7, 7, boundary="fixed")
+    vectors = np.array([[1.0, 0.0], [0.5, 0.75**0.5]])
+    for angle in (0.0, 0.4, 1.1):
+        q = 1e-4 * np.array([np.cos(angle), np.sin(angle)])
+        found = squares(crystal, vectors @ q) / 1e-8
+        assert np.abs(found - [3 / 8, 9 / 8]).max() < 1e-7
+
+
+class Everywhere(gx.Term):
+    """A force of one's own that may join any sites."""
+
+    def force(self, t, u, v, mass):
+        return -1e-3 * (u - u.mean(0))
+
+
+def test_nothing_is_said_of_scenes_without_beads_and_the_lane_is_named():
+    far = lambda x: 3 * RNG.normal(size=x.shape)
+    springs, alone = scenes.square(4), scenes.monomer(6)
+    own = gx.Lattice(
+        1.0,
+        (*scenes.hexagon(1, exponent=1.5).terms, Everywhere()),
+        sites=7,
+        dimension=2,
+        positions=scenes.hexagon(1).positions,
+    )
+    assert said(springs, far(springs)) == said(alone, far(alone)) == said(own, far(own)) == ""
+    # beads at rest all around, which those that move may meet too
+    wall = scenes.hexagon(1, exponent=1.5)
+    x = np.asarray(wall.positions)
+    grid = [
+        x[3] + [i + j / 2, j * 0.75**0.5]
+        for i in range(-3, 4)
+        for j in range(-3, 4)
+        if abs(i + j) < 3
+    ]
+    ring = np.array([p for p in grid if 0.1 < np.linalg.norm(p - x, axis=1).min() < 1.1])
+    assert len(ring) == 12
+    seen = set()
+    for shift in (0.3, 0.6, 0.9, 1.5):
+        through = np.zeros(wall.shape)
+        through[0] = shift * np.array([0.5, -(0.75**0.5)])
+        unbound = ring[np.linalg.norm(ring - x[0], axis=1) > 1.1]
+        met = np.linalg.norm(unbound - x[0] - through[0], axis=1).min() < 1
+        assert ("site 0 and a bead of the wall" in said(wall, through)) == met
+        seen.add(bool(met))
+    assert seen == {True, False}
+    batch = jax.vmap(
+        lambda A: scenes.square(3, stiffness=A, exponent=1.5, boundary="free"), out_axes=-1
+    )(jnp.ones(3))
+    u = np.zeros((3, 3, 2, 3))
+    u[0, 0, :, 1] = 0.6
+    assert "in lane 1: site (0, 0) and site (1, 1)" in said(batch, 0 * u, u)
+    run = jax.jit(lambda v: gx.simulate(wall, gx.State(wall.zeros(), v), 0.1, step=0.1).final.u)
+    assert run(jnp.zeros(wall.shape)).shape == wall.shape

@@ -432,3 +432,25 @@ def loaded():
 def test_bad_input_gets_a_sentence(call, words):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+def test_float32():
+    chain = scenes.dimer(6, 0.4, precompression=1.0).astype(jnp.float32)
+    assert chain.mass.dtype == jnp.float32
+    assert chain.acceleration(0.0, chain.zeros(), chain.zeros()).dtype == jnp.float32
+
+
+def test_scaled_vectors_turn_with_their_bonds():
+    chain = gx.Lattice(
+        2e-3,
+        (gx.Bond(gx.Stretch(gx.Shift(1, "periodic"), [3e-3, 0]), gx.Hertz(1e9, 2.0)),),
+        sites=5,
+        dimension=2,
+    )
+    small, units = scenes.scaled(chain)
+    u, v = random_state(small, 0.5)
+    a = chain.acceleration(0.0, *units.state_to_si(gx.State(u, v)))
+    scaled_a = small.acceleration(0.0, u, v)
+    np.testing.assert_allclose(
+        a / units.acceleration, scaled_a, atol=1e-11 * float(jnp.abs(scaled_a).max())
+    )

@@ -692,3 +692,24 @@ def test_derivative_is_that_of_finite_differences(solver, options):
     _, slope_here = value(0.0)
     e = 1e-5
     assert abs((value(e)[0] - value(-e)[0]) / (2 * e) - slope_here) < 1e-8 * abs(slope_here)
+
+
+@pytest.mark.study
+@pair
+def test_adaptive_vmap(solver):
+    # errors of a step well above what rounding, which differs, makes of them
+    def alone(mass):
+        found = solve(
+            solver(),
+            smooth(),
+            2.0,
+            None,
+            chain(mass),
+            stepsize_controller=diffrax.PIDController(rtol=1e-6, atol=1e-6),
+        )
+        return last(found)
+
+    masses = jnp.asarray([1.0, 1.5])
+    mapped = jax.vmap(alone)(masses)
+    for i, mass in enumerate(masses):
+        assert np.abs(flat(jax.tree.map(lambda x: x[i], mapped)) - flat(alone(mass))).max() < 1e-13
