@@ -176,6 +176,13 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
     return place
 
 
+def cores() -> int:
+    """Give the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def clear() -> None:
     """Let go of all compiled programs and of what is kept beside them, and hand the memory back to the system.
 

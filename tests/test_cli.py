@@ -58,8 +58,8 @@ def test_resonance_from_a_shell(tmp_path):
 @pytest.mark.study
 def test_the_command_makes_a_device_of_every_core(tmp_path):
     code = (
-        "import jax; from granjax.cli.commands import _cores, _prepare; _prepare(False); "
-        "print(jax.device_count() == _cores())"
+        "import jax; from granjax.cli.commands import _prepare; from granjax.tuning import cores; _prepare(False); "
+        "print(jax.device_count() == cores())"
     )
     environment = {k: v for k, v in os.environ.items() if k != "JAX_NUM_CPU_DEVICES"}
     done = subprocess.run(

@@ -14,7 +14,7 @@ from typing import NoReturn
 
 import granjax as gx
 
-from ..tuning import keep_compiled
+from ..tuning import cores, keep_compiled
 from .output import OUTCOMES, START, complain, pointed, say, see
 from .resonance import add_resonance
 
@@ -105,11 +105,6 @@ def _prepare(cache):
     )
     if not chosen:
         try:
-            jax.config.update("jax_num_cpu_devices", _cores())
+            jax.config.update("jax_num_cpu_devices", cores())
         except RuntimeError:
             complain("JAX has started already, so the cores stay as they are shared.")
-
-
-def _cores():
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

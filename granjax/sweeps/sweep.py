@@ -19,6 +19,7 @@ import xarray
 
 from ..checks import described, refuse, whole
 from ..programs import bar
+from ..tuning import cores
 from ..types import Count
 from . import function as own
 from .points import Parameters, points_of
@@ -178,16 +179,13 @@ def _chunk(root, chunk, points, static):
 
 def _results(task, function, executor, values):
     """(number, chunk) as they are finished; what has not begun is taken back when something goes wrong."""
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    mine = executor is None
+    mine, workers = executor is None, cores()
     if mine and (
-        task.static is None or min(cores, len(values)) < 2 or jax.default_backend() != "cpu"
+        task.static is None or min(workers, len(values)) < 2 or jax.default_backend() != "cpu"
     ):
         yield from ((i, own.computed(task, function, x)) for i, x in values.items())
         return
-    executor = ThreadPoolExecutor(cores) if mine else executor
+    executor = ThreadPoolExecutor(workers) if mine else executor
     flying, left = {}, iter(values.items())
     try:
         while True:

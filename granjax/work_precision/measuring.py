@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..checks import refuse, whole
+from ..tuning import cores
 from ..types import Count, Pytree, Scalar
 from .ladder import ASYMPTOTIC, Ladder, checked_ladders, distance, in_turns, once, warmed
 from .table import DRAWN, LARGEST_FLOOR, WorkPrecision
@@ -138,10 +139,9 @@ def machine() -> dict[str, str | int | None]:
     `commit` is that of the checkout that granjax runs from, with `-dirty` where files differ from it; `None` where it
     is installed without one.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "processor": _processor(),
-        "cores": cores,
+        "cores": cores(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         **{name: _version(name) for name in _PACKAGES},
