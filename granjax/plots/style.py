@@ -2,10 +2,11 @@
 
 import contextlib
 import io
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import matplotlib
 import numpy as np
@@ -18,6 +19,8 @@ from matplotlib.figure import Figure
 from ..checks import one_of, positive, refuse
 from ..files import target, write
 from ..types import Count, Scalar
+from ..units import SCALED, SI
+from ..units.names import family, known_unit, readable
 
 AxesOrNone: TypeAlias = Axes | None
 """Axes to draw into, `None` for those of a new figure."""
@@ -26,6 +29,10 @@ AxesOrNone: TypeAlias = Axes | None
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#000000")
 DASHES = ("-", "--", "-.", ":")
 FAINT = "0.55"
+HERTZ = known_unit("Hz")
+# a label that ends with a unit
+BRACKET = re.compile(r"(.*\S)\s*[([]([^)\]]+)[)\]]\s*$")
+OMEGA = r"angular frequency $\omega$"
 
 _STYLE = {
     "font.size": 10.0,
@@ -196,3 +203,63 @@ def add_colour_bar(ax: Axes, image: object, label: str, extend: str = "neither")
     if letters:
         bar.ax.tick_params(labelsize=letters[0].get_size())
     return bar
+
+
+class Shown(NamedTuple):
+    """How an axis is drawn: what its numbers are multiplied with, its label, the unit's name ("" for none).
+
+    Called with numbers it gives those that are drawn.
+    """
+
+    factor: float
+    label: str
+    unit: str
+
+    def __call__(self, x: Any) -> np.ndarray:
+        return self.factor * np.asarray(x, float)
+
+
+def units_of(*results: Any) -> str | None:
+    """What the numbers of results (`None` for none) are counted in, "SI" or "scaled"; `None` where none says.
+
+    **Raises** ValueError where one is in SI and another scaled, which make no picture together.
+    """
+    found = {getattr(x, "units", None) for x in results} & {SI, SCALED}
+    if len(found) > 1:
+        raise ValueError(
+            "One picture takes results that are all in SI or all scaled; got some of each."
+        )
+    return found.pop() if found else None
+
+
+def shown(label: str, x: Any, unit: str | None = None, units: str | None = None) -> Shown:
+    """Choose one prefix for an axis from the range of its numbers.
+
+    **Arguments:** `label`: without the unit; or with it, "force (N)", where `unit` is `None`. `x`: the numbers, or the
+    largest of them; a variable of a dataset says its own unit. `unit`: that of the numbers in SI; "" of a pure number,
+    `None` where it is not known. `units`: what they are counted in, "SI", "scaled" or `None`, as `units_of` says.
+
+    A base unit of SI gets a prefix, and rad/s become Hz; any other unit is drawn as it is.
+    """
+    own, bracket = getattr(x, "attrs", {}).get("units"), BRACKET.match(label)
+    if own is not None:
+        unit, units = own, SCALED if own == SCALED else SI
+    elif unit is None and bracket:
+        label, unit, units = bracket[1], bracket[2], SI
+    if unit == "" or units is None:
+        return Shown(1.0, label, "")
+    if units == SCALED:
+        return Shown(1.0, f"{label} ({SCALED})", "")
+    known = unit and known_unit(unit)
+    if not known:
+        return Shown(1.0, f"{label} ({unit})" if unit else label, unit or "")
+    chosen = known
+    if known.size in (1.0, HERTZ.size):
+        size = HERTZ.size if known.dimension == HERTZ.dimension else known.size
+        among = family(known.dimension, size)
+        numbers = np.abs(np.asarray(x, float))
+        largest = numbers[np.isfinite(numbers)].max(initial=0.0) * known.size
+        chosen = readable(among, float(largest)) if len(among) > 1 else known
+    if "Hz" in chosen.name:
+        label = re.sub(r"angular frequency( \$\\omega[^$]*\$)?", "frequency", label)
+    return Shown(known.size / chosen.size, f"{label} ({chosen.label})", chosen.label)
