@@ -173,7 +173,7 @@ def equilibrium(
     - `guess`: displacements (or a `State`) where Newton's method begins, by default u = 0.
     - `max_steps`: of Newton's method. `throw`: raise where there is no rest; `None` does so outside of transformations.
 
-    **Returns:** `Equilibrium` (`gx.plots.equilibrium`); a saddle says so. Differentiable in parameters and loads, in
+    **Returns:** `Equilibrium`; a saddle says so. Differentiable in parameters and loads, in
     both modes. Cost: n^3 for n displacements, up to 4000; beyond that a lattice that already rests.
     **Raises** ValueError for a batch (`jax.vmap(gx.equilibrium, in_axes=-1)`), and a guess at which a force is not
     finite, as of magnets that touch; RuntimeError where no state of rest is found.

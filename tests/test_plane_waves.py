@@ -232,13 +232,3 @@ def test_a_radial_front_falls_and_slows_down_where_a_planar_one_does_neither():
     assert abs(float(plane.exponent)) < 0.01
     with pytest.raises(ValueError, match="within which sites lie"):
         gx.states.radial_impact(hexagon, 1.0, 0.5)
-
-
-def test_pictures_of_rings():
-    crystal = gx.scenes.hexagon(4)
-    r = np.linalg.norm(np.asarray(crystal.positions), axis=1)
-    ax = gx.plots.radial_profile(
-        gx.measures.radial_profile(crystal, np.stack([r, r**2])), label="energy"
-    )
-    assert len(ax.lines) == 2 and np.allclose(ax.lines[0].get_ydata(), ax.lines[0].get_xdata())
-    assert ax.get_ylabel().startswith("energy")

@@ -1,5 +1,6 @@
 """Plots return the Axes that they were given, and show the numbers that they were given."""
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -10,9 +11,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
+import xarray  # noqa: E402
 from matplotlib.animation import FuncAnimation  # noqa: E402
+from PIL import Image  # noqa: E402
 
 import granjax as gx  # noqa: E402
+from granjax.plots.style import shown, units_of  # noqa: E402
 
 plots = gx.plots
 
@@ -62,7 +66,7 @@ def test_a_real_run_and_its_displacements(ax):
     assert colour_bar(ax).get_ylabel() == "displacement (scaled)"
 
 
-@pytest.mark.parametrize("draw", [gx.plots.space_time, gx.plots.traces, gx.plots.strain_map])
+@pytest.mark.parametrize("draw", [gx.plots.space_time, gx.plots.traces])
 def test_the_end_alone_is_no_history(ax, draw):
     chain = gx.scenes.monomer(6)
     run = gx.simulate(chain, gx.states.impact(chain), 1.0, step=0.1)
@@ -150,9 +154,7 @@ def test_traces_are_stacked_by_their_span(ax, record):
 
 def test_the_scale_bar_has_the_height_that_it_names(ax):
     ts = np.linspace(0, 1, 5)
-    plots.traces(
-        ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, units="m/s", label="velocity"
-    )
+    plots.traces(ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, label="velocity (m/s)")
     bottom, top = ax.lines[-1].get_ydata()
     assert top - bottom == pytest.approx(2.0)
     assert ax.texts[0].get_text() == "velocity 2 m/s"
@@ -166,32 +168,11 @@ def test_traces_laid_over_each_other_have_a_legend(ax, record):
         ax,
         offset=0,
         labels=["first", "third"],
-        units="m/s",
-        label="velocity",
+        label="velocity (m/s)",
     )
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), record.vs[:, 2])
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["site first", "site third"]
     assert ax.get_ylabel() == "velocity (m/s)"
-
-    ((dict(offset=-1.0), "offset"),)
-
-
-def test_a_profile_has_a_logarithmic_inset(ax):
-    x = np.linspace(-3, 3, 25)
-    y = np.stack([np.exp(-(x**2)), -2 * x * np.exp(-(x**2))], 1)
-    nodes = np.arange(-3.0, 4.0)
-    got = plots.profile(
-        x, y, ax, labels=["strain", "slope"], points=(nodes, -np.exp(-(nodes**2))), floor=1e-5
-    )
-    assert got is ax
-    inset = ax.child_axes[0]
-    assert inset.get_yscale() == "log" and inset.get_ylim()[0] == 1e-5
-    np.testing.assert_array_equal(ax.lines[1].get_ydata(), y[:, 1])
-    np.testing.assert_array_equal(inset.lines[1].get_ydata(), np.abs(y[:, 1]))
-    assert np.all(inset.lines[2].get_ydata() > 0)
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["strain", "slope"]
-
-    ((([0, 1], [0.0, 1.0]), dict(floor=0.0), "floor"),)
 
 
 def test_transmission_is_drawn_over_rising_ratios(ax):
@@ -332,19 +313,98 @@ def test_whatever_a_plot_returns_is_saved(tmp_path):
         plots.save(film, tmp_path / "film.png")
 
 
-def test_waves_of_a_cell_and_maps_of_resonances():
+def test_a_wave_as_each_contact_of_its_cell_sees_it():
     wave = gx.travelling.tail_free(lambda ratio: (gx.Hertz(), [1.0, ratio]), 0.33, 0.36, speed=1.0)
-    ax = gx.plots.cell_wave(wave)
+    ax = gx.plots.wave(wave)
     assert len(ax.lines) == 2 and ax.get_ylabel().startswith("strain") and len(ax.child_axes) == 1
     assert ax.lines[0].get_ydata().max() == pytest.approx(wave.amplitude, rel=1e-2)
-    assert not gx.plots.cell_wave(wave, tail=False, units="mm").child_axes
-    first, second = np.array([0.2, 0.4, 0.6]), np.array([0.5, 1.0])
-    rate = np.array([[0.2, 0.1], [0.0, 0.3], [np.nan, 0.1]])
-    found = gx.resonance.ResonanceMap(
-        first, second, rate, rate, ("ratio", "stiffness"), "2:1", (8, 20)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["contact 0", "contact 1"]
+
+
+# --------------------------------------------------------------------------------------------------------------- units
+
+
+TURNED = r"angular frequency $\omega$"
+
+
+@pytest.mark.parametrize(
+    "label, x, unit, units, want",
+    [
+        ("time", [0.0, 2e-4, np.nan], "s", "SI", (1e6, "time (µs)", "µs")),
+        ("time", [0.0, 2e-4], "s", "scaled", (1.0, "time (scaled)", "")),
+        ("time", [0.0, 2e-4], "s", None, (1.0, "time", "")),
+        (TURNED, [1e5], "rad/s", "SI", (1e-3 / (2 * np.pi), "frequency (kHz)", "kHz")),
+        (TURNED, [1e5], "rad/s", "scaled", (1.0, f"{TURNED} (scaled)", "")),
+        ("m", [0.5], "", "SI", (1.0, "m", "")),
+        ("force (N)", [2e-3], None, None, (1e3, "force (mN)", "mN")),
+        ("force (N)", [2e-3], None, "scaled", (1.0, "force (scaled)", "")),
+        ("force (lb)", [2e-3], None, "scaled", (1.0, "force (lb)", "lb")),
+        ("force (mN)", [2e-3], None, "SI", (1.0, "force (mN)", "mN")),
+    ],
+)
+def test_an_axis_has_one_prefix(label, x, unit, units, want):
+    got = shown(label, np.array(x), unit, units)
+    assert got[1:] == want[1:] and got.factor == pytest.approx(want[0], rel=1e-12)
+
+
+def test_a_variable_of_a_dataset_says_its_unit(ax):
+    data = xarray.Dataset(
+        {
+            "v": (("time", "site"), [[0.0, 1.0], [2.0, 3.0]], {"units": "mm/s"}),
+            "force": (
+                ("time", "site"),
+                [[0.0, 0.1], [0.2, 0.3]],
+                {"units": "N", "long_name": "contact force"},
+            ),
+        },
+        {"time": ("time", [0.0, 5.0], {"units": "us"})},
+        {"units": "SI"},
     )
-    ax = gx.plots.resonance_map(found, marks=1)
-    assert ax.lines[0].get_xydata().tolist() == [[0.4, 0.5]] and "mass ratio" in ax.get_xlabel()
-    np.testing.assert_array_equal(
-        np.ma.filled(ax.collections[0].get_array(), np.nan).reshape(2, 3), rate.T
-    )
+    plots.space_time(data, ax)
+    assert ax.get_ylabel() == "time (µs)" and colour_bar(ax).get_ylabel() == "velocity (mm/s)"
+    np.testing.assert_array_equal(ax.images[0].get_array(), data.v)
+    np.testing.assert_array_equal(ax.images[0].get_extent()[2:], [-2.5, 7.5])
+    force = plots.space_time(data, quantity="force").images[0]
+    assert force.colorbar.ax.get_ylabel() == "contact force (mN)"
+    np.testing.assert_allclose(force.get_array(), 1e3 * data.force)
+    lines = plots.traces(data, "force", [1]).lines
+    np.testing.assert_allclose(lines[0].get_ydata(), [100.0, 300.0])
+
+
+def test_results_in_si_and_scaled_make_no_picture_together():
+    with pytest.raises(ValueError, match="all in SI or all scaled"):
+        units_of(SimpleNamespace(units="SI"), None, SimpleNamespace(units="scaled"))
+
+
+# ---------------------------------------------------------------------------------------------------- beads and films
+
+
+def test_a_network_of_forces_has_a_key_and_hides_no_bead(ax):
+    places = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0), indexing="ij"), -1)
+    # one bond that pushes, one that pulls, one to a wall outside of the beads
+    segments = np.array([[[0, 0], [1, 0]], [[1, 1], [2, 1]], [[3, 2], [4.5, 2]]], float)
+    network = SimpleNamespace(segments=segments, force=np.array([2.0, -1.0, 0.5]))
+    plots.beads(places, np.ones((4, 3)), ax, network=network)
+    lines = ax.collections[1]
+    circle = ax.transData.transform([[0, 0], [1, 0]])
+    across = (circle[1] - circle[0])[0] * 72 / ax.figure.dpi
+    assert max(lines.get_linewidths()) < 0.4 * across
+    np.testing.assert_allclose(lines.get_linewidths() / lines.get_linewidths()[0], [1, 0.5, 0.25])
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["force 2", "pull 1"]
+    assert ax.get_xlim()[1] > 4.5  # the wall's bond is seen whole
+
+
+def test_every_frame_of_a_film_is_as_bright_as_the_first(tmp_path):
+    ts = np.linspace(0, 1, 4)
+    run = Record(ts, None, np.sin(ts[:, None] + np.arange(12.0)))
+    places = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0), indexing="ij"), -1)
+    for name, film in (
+        ("chain", plots.film(run)),
+        ("plane", plots.film(run, places, quantity=np.reshape(run.vs, (4, 4, 3)))),
+    ):
+        with Image.open(plots.save(film, tmp_path / f"{name}.gif", dpi=50)) as made:
+            light = []
+            for i in range(made.n_frames):
+                made.seek(i)
+                light.append(np.asarray(made.convert("RGB")).mean())
+        assert made.n_frames == 4 and np.ptp(light) < 3 < 200 < min(light)

@@ -208,11 +208,15 @@ def test_a_part_ends_at_the_bifurcation_that_was_located(axes, family, given):
     plots.branch(family, axes[0], marks=marks)
     for ax in axes[0]:
         parts = [line for line in ax.lines if len(line.get_xdata()) > 2]
+        tops = [line for line in ax.lines if line.get_label() == "extremum of energy"]
+        assert [line.get_xdata() for line in tops] == [pytest.approx([0.83], abs=2e-4)] * (
+            given != "numbers"
+        )
         ends = [line.get_xdata()[[0, -1]] for line in parts]
         np.testing.assert_allclose(ends, [(1.0, 0.86), (0.86, 0.63), (0.63, 0.6)], atol=2e-4)
         assert [line.get_linestyle() for line in parts] == ["-", "--", "-"]
     if given == "marks":
-        assert [line.get_xdata()[0] for line in axes[0, 0].lines[3:]] == [0.86, 0.83, 0.63]
+        assert [line.get_xdata()[0] for line in axes[0, 0].lines[4:]] == [0.86, 0.63]
     # two in one step: which of them it is nobody knows
     plots.branch(family, axes[1], marks=[0.86, 0.82, 0.63])
     ends = [line.get_xdata()[[0, -1]] for line in axes[1, 0].lines[:3]]
@@ -251,18 +255,13 @@ def sweep():
 
 
 def test_both_ways_and_what_lies_between(ax, sweep):
-    assert (
-        plots.hysteresis(
-            sweep, ax, units=("Hz", "mm/s"), x_label="frequency", y_label="rms velocity"
-        )
-        is ax
-    )
+    assert plots.hysteresis(sweep, ax, x_label="frequency (Hz)", y_label="rms velocity (m/s)") is ax
     for label, way, colour, mark in (("up", sweep.up, BLUE, ">"), ("down", sweep.down, RED, "<")):
         shown, tone, line = points(ax, label)
-        np.testing.assert_array_equal(shown, np.column_stack([sweep.values, 1e3 * way.response]))
+        np.testing.assert_array_equal(shown, np.column_stack([sweep.values, way.response]))
         assert (tone, line.get_marker()) == (colour.lower(), mark)
     np.testing.assert_allclose(spans(ax), [(1.6, 2.4)])
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency (Hz)", "rms velocity (mm/s)")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency (Hz)", "rms velocity (m/s)")
 
 
 def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
@@ -275,7 +274,10 @@ def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
         SimpleNamespace(kind="fold", p=2.45, after=0),
         SimpleNamespace(kind="fold", p=1.55, after=2),
     )
-    plots.hysteresis(sweep, ax, orbits=orbits, y_label="force", units="mN")
+    sweep.up.response, sweep.down.response, orbits.response = (
+        1e-3 * x for x in (sweep.up.response, sweep.down.response, orbits.response)
+    )
+    plots.hysteresis(sweep, ax, orbits=orbits, y_label="force (N)")
     parts = ax.lines[:-2]
     assert [line.get_linestyle() for line in parts] == ["-", "--", ":", ":", "-"]
     assert [parts[i].get_label() for i in (0, 1, 3)] == [
@@ -285,25 +287,17 @@ def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
     ]
     # stable up to where the curve turns, and unstable from there
     turn = parts[0].get_xydata()[-1]
-    np.testing.assert_allclose(turn, [2.4, 3e3], rtol=1e-12)
+    np.testing.assert_allclose(turn, [2.4, 3], rtol=1e-12)
     np.testing.assert_array_equal(parts[1].get_xydata()[0], turn)
-    np.testing.assert_allclose(parts[2].get_xydata()[[0, -1]], [[2.4, 3e3], [1.6, 4e3]])
+    np.testing.assert_allclose(parts[2].get_xydata()[[0, -1]], [[2.4, 3], [1.6, 4]])
     assert max(line.get_zorder() for line in parts) <= min(
         line.get_zorder() for line in ax.lines[-2:]
     )
 
-    ((([1.0, 2.0, 3.0], [1.0, 2.0], None), "values.*2 rising numbers"),)
 
-
-# --------------------------------------------------------------------------------------------------------------- strain
-
-
-def test_a_map_of_strain_shows_differences_between_the_sites(ax):
-    u = np.array([[0.0, 1.0, 3.0], [2.0, 2.0, -1.0]])
-    run = SimpleNamespace(ts=np.array([0.0, 0.5]), us=u, vs=0 * u)
-    assert plots.strain_map(run, ax, units=("s", "um")) is ax
-    image = ax.images[0]
-    np.testing.assert_allclose(image.get_array(), [[-1e6, -2e6], [0.0, 3e6]])
-    # a pixel is centred on its contact, n + 1/2
-    np.testing.assert_allclose(image.get_extent(), (0.0, 2.0, -0.25, 0.75))
-    assert ax.get_xlabel() == "contact" and image.colorbar.ax.get_ylabel() == "strain (µm)"
+def test_energies_that_are_alike_fill_the_picture(axes, family):
+    family.energy = 1 + 1e-3 * np.array([0.0, 1.0, 3.0, 2.0, 1.0])
+    plots.branch(family, axes[0])
+    low, high = axes[0, 0].get_ylim()
+    assert 0.999 < low < 1 and 1.003 < high < 1.004
+    assert axes[0, 1].get_ylim()[0] == 0

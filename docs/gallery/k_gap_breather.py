@@ -20,4 +20,9 @@ ring = gx.scenes.modulated(6, 0.1, 2.0, shape="square", law=gx.Polynomial(1.0, 0
 breather = gx.breathers.k_gap_breather(ring, np.pi, np.pi / 3, progress=False)
 number = float(breather.energy[1] / breather.energy[0])
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
-gx.plots.gap_breather(breather, ax)
+since = np.asarray(breather.ts - breather.ts[0])
+ax.semilogy(breather.ts, breather.energy, "o-", ms=3, label="once a period")
+grown = breather.energy[0] * np.exp(2 * float(breather.growth) * since)
+ax.semilogy(breather.ts, grown, "--", label="linear waves")
+ax.set(xlabel="time (scaled)", ylabel="energy (scaled)", ylim=(None, 5 * breather.energy.max()))
+ax.legend(frameon=False)

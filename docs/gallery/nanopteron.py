@@ -21,4 +21,4 @@ sound = (1.5 / 0.75) ** 0.5
 wave = gx.travelling.cell_wave(law, masses, speed=1.1 * sound)
 number = float(wave.wavenumber)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
-gx.plots.cell_wave(wave, ax)
+gx.plots.wave(wave, ax)

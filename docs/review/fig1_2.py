@@ -28,17 +28,20 @@ def make():
 
     contact = np.arange(0, len(xi), POINTS)
     ax = plt.figure(figsize=(6.4, 4.4), layout="constrained").subplots()
-    gx.plots.profile(
-        xi,
-        np.stack([strain, slope, nesterenko, ahnert], -1),
-        ax,
-        labels=["exact", "its slope", "Nesterenko", "Ahnert-Pikovsky"],
-        units="scaled",
-        floor=1e-30,
-        points=(xi[contact], strain[contact]),
-        points_label="lattice",
-        x_label=r"$\xi = n - c\,t$",
-    )
+    tail = ax.inset_axes([0.7, 0.6, 0.29, 0.38])
+    curves = {
+        "exact": strain,
+        "its slope": slope,
+        "Nesterenko": nesterenko,
+        "Ahnert-Pikovsky": ahnert,
+    }
+    for (name, y), dash in zip(curves.items(), ("-", "--", "-.", ":")):
+        ax.plot(xi, y, dash, label=name)
+        tail.semilogy(xi, np.abs(y), dash, lw=1)
+    ax.plot(xi[contact], strain[contact], "o", label="lattice")
+    tail.set_ylim(1e-30, 10)
+    ax.set(xlabel=r"$\xi = n - c\,t$", ylabel="strain (scaled)")
+    ax.legend(loc="upper left", frameon=False)
     top, five, three = (REACH * POINTS + n * POINTS for n in (0, 5, 3))
     missed = np.abs(slope - np.gradient(strain, xi)).max()
     return {

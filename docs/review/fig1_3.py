@@ -35,21 +35,15 @@ def make():
 
     canvas = plt.figure(figsize=(9.2, 3.8), layout="constrained")
     left, right = canvas.subplots(1, 2, width_ratios=(1.15, 1))
-    options = {"label": "strain", "site_label": "contact $n$", "units": "scaled"}
+    options = {"label": "strain", "site_label": "contact $n$"}
     gx.plots.space_time(strains, left, ts=run.ts, **options)
     left.set_title("Strain of every contact")
     end, last, xi = START + TRAVEL, strains[-1], np.linspace(-6, 6, 385)
-    gx.plots.profile(
-        xi,
-        wave.strain(xi),
-        right,
-        labels="exact",
-        floor=1e-12,
-        units="scaled",
-        x_label=r"$\xi = n - n_0 - c\,t$",
-        points=(np.arange(-6, 7), last[end - 6 : end + 7]),
-        points_label=f"simulated, $t = {TRAVEL}$",
-    )
+    right.plot(xi, wave.strain(xi), label="exact")
+    nodes = np.arange(-6, 7)
+    right.plot(nodes, last[end - 6 : end + 7], "o", label=f"simulated, $t = {TRAVEL}$")
+    right.set(xlabel=r"$\xi = n - n_0 - c\,t$", ylabel="strain (scaled)")
+    right.legend(frameon=False)
     right.set_title(f"Profile after {TRAVEL} contacts")
 
     n = np.arange(START + 1, end)

@@ -16,7 +16,7 @@ def make():
     metres = float(speed) * 2 * STEEL[1]
     ax = plt.figure(figsize=(5.4, 4.0), layout="constrained").subplots()
     limit = 1.05 * PEAK * STEEL[2]
-    gx.plots.space_time(run, ax, units=("us", "m/s"), site_label="bead", limit=limit)
+    gx.plots.space_time(run, ax, site_label="bead", limit=limit)
     ax.text(0.97, 0.05, f"pulse {metres:.0f} m/s", transform=ax.transAxes, ha="right", color="0.2")
     ax.set_title("Velocity of every bead")
     return {

@@ -51,8 +51,9 @@ def draw(first, kind):
     _, run, second, _ = struck()
     until = slice(0, np.searchsorted(run.ts, 100 * second), 4)
     ax = plt.figure(figsize=(5.6, 4.6), layout="constrained").subplots()
-    beads, options = np.arange(first, 85, 8), {"label": "velocity", "site_label": "bead"}
-    gx.plots.traces(run.ts[until], run.vs[until], beads, ax, units=("ms", "m/s"), **options)
+    beads, options = np.arange(first, 85, 8), {"label": "velocity (m/s)", "site_label": "bead"}
+    gx.plots.traces(1e3 * run.ts[until], run.vs[until], beads, ax, **options)
+    ax.set_xlabel("time (ms)")
     ax.set_title(rf"{kind} beads, every fourth of them, $\varepsilon = {RATIO}$")
 
 

@@ -129,7 +129,7 @@ def evolve(
     - `tolerance`: of |psi_n|, over the root of the norm. `progress`: a bar with the time left, after two seconds, of
       what takes long.
 
-    **Returns:** `Evolution`; its picture is `gx.plots.evolution`, and its `outcome` says how well it is known. It
+    **Returns:** `Evolution`; its `outcome` says how well it is known. It
     differentiates in both modes in the start and in the numbers of the equation: then the step must be given.
     **Raises** ValueError for another shape, times out of order, a step that is not above zero.
 

@@ -111,7 +111,7 @@ def radial_profile(
     by `gx.measures.along(gx.measures.site_energy, lattice, run)`; a dict of such for fields. `centre`: a point (2,)
     [m], `None` for the middle of the positions. `width` > 0 of a ring [m]; `None` is the least distance of two sites.
 
-    **Returns:** `RadialProfile`, for `gx.plots.radial_profile`; means are differentiable in the quantity.
+    **Returns:** `RadialProfile`; means are differentiable in the quantity.
     **Raises** ValueError for a lattice without positions, a batch, or shapes that do not fit.
 
     **Example:**

@@ -118,7 +118,7 @@ def k_gap_breather(
       `tolerance`. `solver`: KahanLi8 by default (Dopri8 where a force reads velocities).
       `progress`: a bar of each run of the search, with the time left, after two seconds.
 
-    **Returns:** `GapBreather` (`gx.plots.gap_breather`). What radiates into other waves stays out of the wave and shows
+    **Returns:** `GapBreather`. What radiates into other waves stays out of the wave and shows
     in `stray`.
     **Raises** ValueError for a k outside every k-gap, a lattice that is no ring for it or is linear, a batch,
     and a motion that never comes back (damped, or with contacts that open for good).

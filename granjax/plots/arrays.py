@@ -1,15 +1,18 @@
 """What the plots are given, as NumPy arrays of known shape."""
 
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import one_of, parameter, real, refuse, show
+from ..checks import parameter, real, refuse, show
 from ..types import Parameter
+from .style import said_by, units_of
 
 Samples: TypeAlias = Parameter | np.ma.MaskedArray
 """Numbers to draw; what is masked is a gap."""
+
+LABELS = {"u": ("displacement", "m"), "v": ("velocity", "m/s")}
 
 
 def numbers(
@@ -17,11 +20,12 @@ def numbers(
 ) -> Float[np.ndarray, "..."]:
     """A floating NumPy array; with `finite=False` NaN and infinity pass, as gaps in the picture."""
     if finite:
-        array = np.asarray(parameter(argument, x))
+        array = np.asarray(parameter(argument, np.asarray(x)))
     else:
         # what is masked is a gap, as NaN is
         array = real(
-            argument, x.astype(float).filled(np.nan) if isinstance(x, np.ma.MaskedArray) else x
+            argument,
+            x.astype(float).filled(np.nan) if isinstance(x, np.ma.MaskedArray) else np.asarray(x),
         )
     if ndim is not None and array.ndim != ndim:
         names = {0: "one number", 1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
@@ -37,72 +41,52 @@ def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
     return x
 
 
-class _Stored:
-    """A run that was saved, as one: `ts`, `us`, `vs` of a dataset with `time`, `u`, `v`, read when they are drawn."""
+class History(NamedTuple):
+    """A quantity over time: times (T,) or `None`, numbers (T, ...), what they are, their unit, what is counted in."""
 
-    names: ClassVar = {"ts": "time", "us": "u", "vs": "v"}
-
-    def __init__(self, data):
-        self.data = data
-
-    def __getattr__(self, name):
-        key = self.names.get(name, "")
-        if key not in self.data:
-            raise AttributeError(name)
-        return self.data[key].values
-
-    @property
-    def units(self):
-        return getattr(self.data, "units", None)
+    ts: Any
+    data: Any
+    label: str
+    unit: str | None
+    units: str | None
 
 
-def is_stored(x: Any) -> bool:
-    """Whether it is a dataset of a run, as `run.to_xarray()` gives it: `time`, and `u` or `v`."""
-    held = getattr(x, "data_vars", ())
-    return "time" in getattr(x, "variables", ()) and ("u" in held or "v" in held)
+def history(run_or_array: Any, quantity: Any, label: str | None = None) -> History:
+    """A quantity of a run, of the dataset of one, or an array, which is the quantity.
 
-
-def opened(x: Any) -> Any:
-    """A run, as it is or as a dataset holds it."""
-    return _Stored(x) if is_stored(x) else x
-
-
-def is_run(x: Any) -> bool:
-    """Whether it is a run: anything with ts, us and vs, or a dataset of one."""
-    return is_stored(x) or all(hasattr(x, name) for name in ("ts", "us", "vs"))
-
-
-def history(run_or_array: Any, quantity: Any, ts: Any) -> tuple[Any, Float[np.ndarray, "T N"]]:
-    """Times (or `None`) and data (T, N) of a run and one of its quantities, or of an array."""
-    if not is_run(run_or_array):
-        if not (isinstance(quantity, str) and quantity == "v"):
-            refuse(
-                "quantity",
-                "nothing beside an array, which is the quantity",
-                repr(quantity)[:60],
-                "Give the array alone, or a run and quantity='u', 'v' or an array.",
-            )
-        return ts, numbers("run_or_array", run_or_array, 2, finite=False)
-    run = opened(run_or_array)
-    if np.size(run.ts) == 1:
+    `quantity`: "u", "v", another variable of a dataset, or an array over the times. **Raises** ValueError for a run
+    that saved a single time, and for a quantity that it does not have.
+    """
+    stored = "time" in getattr(run_or_array, "variables", ())
+    if not stored and not hasattr(run_or_array, "ts"):
+        return History(None, run_or_array, label or "quantity", None, units_of(run_or_array))
+    ts = run_or_array["time"] if stored else run_or_array.ts
+    if np.size(ts) == 1:
         refuse(
-            "run_or_array",
+            "run",
             "a run with several frames",
             "one that saved a single time",
             "Give simulate the number of frames, such as save_at=401.",
         )
-    ts = run.ts if ts is None else ts
+    name, unit, data = "quantity", None, quantity
     if isinstance(quantity, str):
-        data = run.us if one_of("quantity", quantity, ("u", "v")) == "u" else run.vs
-        if isinstance(data, dict):
-            names = ", ".join(map(repr, data))
-            refuse(
-                "quantity",
-                "an array where a cell holds several fields",
-                repr(quantity),
-                f"Fields {names}: quantity=run.{quantity}s[...].",
-            )
-    else:
-        data = quantity
-    data = numbers("quantity", data, 2, finite=False)
-    return ts, data
+        name, unit = LABELS.get(quantity, (quantity, None))
+        held = run_or_array if stored else {"u": run_or_array.us, "v": run_or_array.vs}
+        if quantity not in held:
+            refuse("quantity", "one of 'u', 'v', a variable of a dataset", repr(quantity))
+        data = held[quantity]
+        name = name if unit else str(getattr(data, "attrs", {}).get("long_name", name))
+    return History(ts, data, label or name, *said_by(data, unit, units_of(run_or_array)))
+
+
+def frames_of(data: Any, argument: str = "quantity") -> Float[np.ndarray, "T N"]:
+    """The numbers (T, N) of a history of a chain with one number per site."""
+    if isinstance(data, dict):
+        names = ", ".join(map(repr, data))
+        refuse(
+            argument,
+            "an array where a cell holds several fields",
+            f"fields {names}",
+            "Pick one: quantity=run.vs[...].",
+        )
+    return numbers(argument, data, 2, finite=False)

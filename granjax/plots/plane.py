@@ -1,25 +1,33 @@
-"""The plane: beads as circles with their forces, bands along a path, the zone's frequencies."""
+"""Beads of the plane as circles with the forces between them; films of runs, of chains and of the plane."""
 
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from matplotlib import colormaps
+from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
-from matplotlib.patches import Polygon
+from matplotlib.lines import Line2D
 
 from ..checks import positive, refuse, whole
 from ..types import Count, Scalar
-from ..units import UnitsOrWords
-from .arrays import numbers
-from .histories import colours_of
-from .quantities import OMEGA, Axis, Shown, drawn_in, scaled_by, units_of
-from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new
+from .arrays import frames_of, history, numbers
+from .histories import SIGNED, colours_of
+from .style import (
+    COLOURS,
+    AxesOrNone,
+    add_colour_bar,
+    axes_or_new,
+    figure,
+    shown,
+    style,
+    units_of,
+)
 
 CLOSED = 1e-9
 # beads whose outlines would hide them
 MANY = 3000
+# width of the line of the largest force: of a bead, and at most [points]
+SHARE, WIDEST = 0.3, 3.5
 
 
 def beads(
@@ -31,7 +39,6 @@ def beads(
     radius: Scalar | None = None,
     label: str = "quantity",
     limit: Scalar | None = None,
-    units: UnitsOrWords = None,
     colour_bar: bool = True,
 ) -> Axes:
     """Beads of a lattice of the plane as circles, coloured by a quantity, with the forces between them as lines.
@@ -41,11 +48,10 @@ def beads(
     - `places`: anything with `positions`, such as a `Lattice`; or an array (..., 2), or a dict of such.
     - `values`: one number for each bead, shaped as the places without their last axis (a dict of such for fields), such
       as the energies of `gx.measures.site_energy`; `None` draws the beads alone. `label`: what they are; one that ends
-      with a known word, "kinetic energy", has units. `limit` > 0: the value of the full colour.
+      with a unit of SI, "energy (J)", gets a prefix. `limit` > 0: the value of the full colour.
     - `network`: anything with `segments` (bonds, 2, 2) and `force` (bonds,), such as `gx.measures.force_network`: lines
-      as wide as the force is large, of the second colour where it pulls.
+      as wide as the force is large, of the second colour where it pulls, with a key of the largest.
     - `radius`: of the circles, in the unit of the places; half of the least distance by default.
-    - `units`: as in `granjax.plots`.
 
     **Returns:** the Axes; the circles are `ax.collections[0]`. **Raises** ValueError for shapes that do not fit.
 
@@ -56,288 +62,209 @@ def beads(
     >>> len(ax.collections[0].get_offsets())
     3
     """
-    said = units_of(places)
-    at, data = flat(places, values)
-    x, *by = drawn_in(
-        units, said, Axis("length", at), *(() if data is None else (Axis(label, data),))
-    )
+    at, radius = _places(places, radius)
+    by = shown("x", at, "m", units_of(places))
     ax = axes_or_new(ax, 4.8, 4.2)
-    radius = half_spacing(at) if radius is None else float(positive("radius", radius))
-    circles = circles_of(ax, scaled_by(at, x.factor), radius * x.factor)
+    circles = _circles(ax, by(at), by.factor * radius)
+    lines = np.zeros((0, 2, 2))
     if network is not None:
-        _lines(ax, network, x.factor, radius * x.factor)
-    if data is None:
+        lines = by(numbers("network.segments", network.segments, 3, finite=False))
+    _frame(ax, np.concatenate([by(at), lines.reshape(-1, 2)]), by.factor * radius, by.label)
+    if network is not None:
+        _lines(ax, lines, network.force, by.factor * radius, units_of(places))
+    if values is None:
         circles.set_facecolor("0.85")
-    else:
-        data = scaled_by(data, by[0].factor)
-        top = (
-            np.nanmax(np.abs(data))
-            if limit is None
-            else float(positive("limit", limit)) * by[0].factor
-        )
-        norm, name = colours_of(data[None], top or 1.0)
-        circles.set(array=data, norm=norm, cmap=name)
-        if colour_bar:
-            add_colour_bar(ax, circles, by[0].label)
-    frame(ax, scaled_by(at, x.factor), radius * x.factor, x)
+        return ax
+    data = _numbers(values, places, ())
+    of_values = shown(label, data, None, units_of(places))
+    top = float(np.nanmax(np.abs(data))) if limit is None else float(positive("limit", limit))
+    norm, name = colours_of(of_values(data)[None], of_values.factor * top or 1.0)
+    circles.set(array=of_values(data), norm=norm, cmap=name)
+    if colour_bar:
+        add_colour_bar(ax, circles, of_values.label)
     return ax
 
 
-def flat(
-    places: Any, values: Any
-) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"] | None]:
-    """Places (N, 2) and numbers (N,), `None` of none, of all fields, one after the other."""
+def _fields(places):
+    """Places by the name of their field; "" of the only one."""
     if getattr(places, "lanes", ()):
-        refuse(
-            "places", "one lattice", f"a batch of {places.lanes}", "Take a lane, or its positions."
-        )
+        refuse("places", "one lattice", f"a batch of {places.lanes}", "Take a lane.")
     places = getattr(places, "positions", places)
-    if places is None:
-        refuse(
-            "places",
-            "a lattice with positions, or an array (..., 2)",
-            "a lattice without positions",
-        )
     fields = places if isinstance(places, dict) else {"": places}
-    held = values if isinstance(values, dict) else {"": values}
-    at, data = [], []
-    for name, x in fields.items():
-        x = numbers("places", x)
-        if x.ndim < 2 or x.shape[-1] != 2:
-            more = (
-                "Of places in space give two components: positions[:, :2]."
-                if x.shape[-1:] == (3,)
-                else ""
+    for x in fields.values():
+        if np.shape(x)[-1:] != (2,) or np.ndim(x) < 2:
+            refuse(
+                "places",
+                "a lattice with positions in the plane, or an array (..., 2)",
+                "none" if x is None else f"shape {np.shape(x)}",
+                "Of places in space give two components: positions[:, :2]." * (x is not None),
             )
-            refuse("places", "an array (..., 2)", f"shape {x.shape}", more)
-        at.append(x.reshape(-1, 2))
-        if values is not None:
-            value = numbers("values", held[name], finite=False)
-            if value.shape != x.shape[:-1]:
-                refuse(
-                    "values", f"shape {x.shape[:-1]}, one number per bead", f"shape {value.shape}"
-                )
-            data.append(value.ravel())
-    return np.concatenate(at), np.concatenate(data) if data else None
+    return fields
 
 
-def half_spacing(at: Float[np.ndarray, "N 2"]) -> float:
-    """Half of the least distance between some of the beads and all others."""
+def _places(places, radius):
+    """Places (N, 2) of all fields, and the radius of a bead, half of the least distance where none is given."""
+    at = np.concatenate([numbers("places", x).reshape(-1, 2) for x in _fields(places).values()])
+    if radius is not None:
+        return at, float(positive("radius", radius))
     some = at[:: max(1, len(at) // 64)]
     apart = np.linalg.norm(some[:, None] - at, axis=-1)
     apart[apart < CLOSED * (np.ptp(at) or 1.0)] = np.inf
-    return float(apart.min()) / 2 if np.isfinite(apart.min()) else 0.5
+    return at, float(apart.min()) / 2 if np.isfinite(apart.min()) else 0.5
 
 
-def circles_of(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar) -> EllipseCollection:
+def _numbers(values, places, times, length=False):
+    """Numbers (times, N) of all fields, one after the other; `length`: of vectors their length."""
+    columns = []
+    for name, x in _fields(places).items():
+        shape = (*times, *np.shape(x)[:-1])
+        value = numbers("values", values[name] if name else values, finite=False)
+        if length and value.ndim == len(shape) + 1:
+            value = np.linalg.norm(value[..., :2], axis=-1)
+        if value.shape != shape:
+            refuse("values", f"shape {shape}, one number per bead", f"shape {value.shape}")
+        columns.append(value.reshape(*times, -1))
+    return np.concatenate(columns, -1)
+
+
+def _circles(ax, at, radius) -> EllipseCollection:
     """Circles of one radius at some places."""
     size = np.full(len(at), 2 * radius)
-    circles = EllipseCollection(
-        size,
-        size,
-        np.zeros(len(at)),
-        units="xy",
-        offsets=at,
-        offset_transform=ax.transData,
-        edgecolor="0.35",
-        linewidth=0.4 if len(at) < MANY else 0,
-    )
-    return ax.add_collection(circles)
-
-
-def _lines(ax, network, factor, radius):
-    lines, force = (
-        numbers("network.segments", network.segments, 3, finite=False),
-        np.asarray(network.force, float),
-    )
-    drawn = np.isfinite(lines).all((1, 2))
-    lines, force = lines[drawn] * factor, force[drawn]
-    top = np.abs(force).max(initial=0.0)
-    if top > 0:
-        shown = np.abs(force) > 1e-3 * top
-        tones = np.where(force[shown] >= 0, COLOURS[0], COLOURS[1])
-        ax.add_collection(
-            LineCollection(
-                lines[shown],
-                linewidths=4 * np.abs(force[shown]) / top,
-                colors=tones,
-                capstyle="round",
-                zorder=2,
-            )
+    return ax.add_collection(
+        EllipseCollection(
+            size,
+            size,
+            np.zeros(len(at)),
+            units="xy",
+            offsets=at,
+            offset_transform=ax.transData,
+            edgecolor="0.35",
+            linewidth=0.4 if len(at) < MANY else 0,
         )
+    )
 
 
-def frame(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar, by: Shown) -> None:
-    """Limits about all beads, equal scales, labels x and y."""
-    low, high = at.min(0) - 1.5 * radius, at.max(0) + 1.5 * radius
-    ax.set_xlim(low[0], high[0])
-    ax.set_ylim(low[1], high[1])
-    ax.set_aspect("equal")
-    ax.set_xlabel(by.label.replace("length", "x"))
-    ax.set_ylabel(by.label.replace("length", "y"))
+def _lines(ax, lines, force, radius, units):
+    """Forces as lines over the beads, so thin that these can be seen, and a key that says how large the widest is."""
+    by = shown("force", force, "N", units)
+    force = by(force)
+    top = np.nanmax(np.abs(force), initial=0.0)
+    drawn = np.isfinite(lines).all((1, 2)) & (np.abs(force) > 1e-3 * top)
+    lines, force = lines[drawn], force[drawn]
+    if not len(force):
+        return
+    ax.figure.draw_without_rendering()
+    across = np.diff(ax.transData.transform([[0.0, 0.0], [2 * radius, 0.0]])[:, 0])[0]
+    widest = min(WIDEST, max(0.8, SHARE * across * 72 / ax.figure.dpi))
+    tones = np.where(force >= 0, "0.1", COLOURS[1])
+    width = widest * np.abs(force) / top
+    ax.add_collection(LineCollection(lines, linewidths=width, colors=tones, zorder=2))
+    keys = []
+    for tone, word, of in (("0.1", "force", force[force >= 0]), (COLOURS[1], "pull", -force)):
+        largest = of.max(initial=0.0)
+        if largest > 0:
+            name = f"{word} {largest:.3g} {by.unit or '(scaled)' * (units is not None)}".strip()
+            keys.append(Line2D([], [], color=tone, lw=widest * largest / top, label=name))
+    ax.legend(handles=keys, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
+    ax.get_legend().set_frame_on(False)
 
 
-def bands(
-    record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, colour_bar: bool = True
-) -> Axes:
-    """Bands along a path through the zone, or those of a strip coloured by the edge to which a wave is bound.
+def _frame(ax, at, radius, label):
+    """Limits about all beads and bonds, equal scales, labels x and y."""
+    low, high = np.nanmin(at, 0) - 1.5 * radius, np.nanmax(at, 0) + 1.5 * radius
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    ax.set(xlabel=label, ylabel="y" + label[1:])
 
-    **Arguments:** `record`: anything with `distance`, `omega` (K, bands), `names` and `marks`, such as the result of
-    `gx.linear.path`; or with `k`, `omega` and `edge` (K, bands), such as that of `gx.linear.ribbon`. `units`: `"kHz"`,
-    as in `granjax.plots`.
 
-    **Returns:** the Axes; of a path `ax.lines` begins with the bands, of a strip `ax.collections[0]` are its waves.
+def film(
+    run: Any,
+    places: Any = None,
+    *,
+    quantity: Any = "v",
+    limit: Scalar | None = None,
+    label: str | None = None,
+    frames: Count | None = None,
+    rate: Count = 20,
+    move: Scalar = 0.0,
+    radius: Scalar | None = None,
+    ax: AxesOrNone = None,
+) -> FuncAnimation:
+    """A film of a run: a chain as a curve over its sites, a lattice of the plane as beads.
+
+    `gx.plots.save(film(run, lattice), "impact.gif")`, or .mp4 where ffmpeg is installed.
+
+    **Arguments:**
+
+    - `run`: anything with `ts`, `us`, `vs`, of more than one time, or the dataset of one.
+    - `places`: of the plane, as in `beads`; `None` for a chain.
+    - `quantity`: `"v"`, `"u"` (of vectors in the plane their length), or an array over times and sites.
+    - `limit` > 0: of the colour or the axis, the largest of all frames by default. `label`: as in `beads`.
+    - `frames`: how many, spread over the times; all by default. `rate` a second. `move`: beads are drawn displaced by
+      so many times u. `radius`: as in `beads`. `ax`: where it is drawn, by default in a figure of its own.
+
+    **Returns:** an animation of matplotlib's, for `gx.plots.save`. **Raises** ValueError for a run of one time, and
+    shapes that do not fit.
 
     **Example:**
 
-    >>> strip = gx.scenes.honeycomb(4, 6, out_of_plane=True, boundary=("periodic", "free"))
-    >>> ax = gx.plots.bands(gx.linear.ribbon(strip, np.linspace(0, 2 * np.pi, 13)))
-    >>> ax.get_xlabel()
-    'wave number $k$ (rad/cell)'
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11)
+    >>> gx.plots.save(gx.plots.film(run, frames=2), "impact.gif").name
+    'impact.gif'
     """
-    strip = hasattr(record, "edge")
-    omega = numbers("record.omega", record.omega, 2)
-    (by,) = drawn_in(units, units_of(record), Axis(OMEGA, omega, "rad/s"))
-    omega = scaled_by(omega, by.factor)
-    ax = axes_or_new(ax, 5.0, 4.0)
-    if strip:
-        k, edge = numbers("record.k", record.k, 1), numbers("record.edge", record.edge, 2)
-        shown = ax.scatter(
-            np.broadcast_to(k[:, None], omega.shape),
-            omega,
-            c=edge,
-            s=3,
-            cmap="coolwarm",
-            vmin=-1,
-            vmax=1,
-            linewidths=0,
-        )
-        ax.set_xlabel("wave number $k$ (rad/cell)")
-        ax.set_xlim(k.min(), k.max())
-        if colour_bar:
-            add_colour_bar(ax, shown, "place across the strip")
+    found = history(run, quantity, label)
+    by_time = shown("time", found.ts, "s", found.units)
+    ts = by_time(found.ts)
+    if places is None:
+        data = frames_of(found.data)
     else:
-        x = numbers("record.distance", record.distance, 1)
-        for band in omega.T:
-            ax.plot(x, band, color=COLOURS[0])
-        marks = x[np.asarray(record.marks, int)]
-        for mark in marks[1:-1]:
-            ax.axvline(mark, color=FAINT, lw=0.6, zorder=0)
-        ax.set_xticks(marks, [r"$\Gamma$" if name == "G" else name for name in record.names])
-        ax.set_xlim(x[0], x[-1])
-    ax.set_ylim(min(0.0, 1.05 * float(np.nanmin(omega))), 1.05 * float(np.nanmax(omega)) or 1.0)
-    ax.set_ylabel(by.label)
-    return ax
+        data = _numbers(found.data, places, (len(ts),), isinstance(quantity, str))
+    if len(data) != len(ts):
+        refuse("quantity", f"{len(ts)} frames, one per time of the run", f"shape {data.shape}")
+    top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(limit)
+    by = shown(found.label, top, found.unit, found.units)
+    data, top = by(data), top * by.factor
+    if ax is None:  # of a figure that no notebook shows beside the film
+        with style():
+            ax = figure(*((5.4, 3.0) if places is None else (4.8, 4.2))).subplots()
+    title = ax.set_title(" ")
+    if places is None:
+        (line,) = ax.plot(data[0], "o-", ms=2.5, lw=0.8, color=COLOURS[0])
+        low = 0.0 if np.nanmin(data) >= -SIGNED * top else -top
+        ax.set(xlabel="site", ylabel=by.label, ylim=(1.08 * low, 1.08 * top))
+        show = lambda i: line.set_ydata(data[i])
+    else:
+        show = _moving(ax, run, places, radius, move, data, top, by, found.units)
+
+    def frame(i):
+        show(i)
+        title.set_text(f"t = {ts[i]:.4g} {by_time.unit}".rstrip())
+
+    count = len(ts) if frames is None else min(whole("frames", frames, 2), len(ts))
+    chosen = np.unique(np.round(np.linspace(0, len(ts) - 1, count)).astype(int))
+    pause = 1000 / whole("rate", rate, 1)
+    return FuncAnimation(ax.figure, frame, frames=chosen, interval=pause, blit=False)
 
 
-def zone(
-    record: Any,
-    band: Count = 0,
-    ax: AxesOrNone = None,
-    *,
-    levels: Count = 12,
-    velocity: bool = False,
-    units: UnitsOrWords = None,
-    colour_bar: bool = True,
-) -> Axes:
-    """Contours of equal frequency of a band over the Brillouin zone, whose edge is drawn.
+def _moving(ax, run, places, radius, move, data, top, by, units):
+    """Beads drawn as they are at first, and the function that shows a later frame."""
+    at, radius = _places(places, radius)
+    place = shown("x", at, "m", units_of(places) or units)
+    at, radius = place(at), place.factor * radius
+    circles = _circles(ax, at, radius)
+    norm, name = colours_of(data, top)
+    circles.set(norm=norm, cmap=name, array=data[0])
+    add_colour_bar(ax, circles, by.label)
+    shift = np.zeros((len(data), 1, 2))
+    if move:
+        us = history(run, "u").data
+        each = [np.asarray(us[key] if key else us, float) for key in _fields(places)]
+        shift = np.concatenate([x[..., :2].reshape(len(data), -1, 2) for x in each], 1)
+        shift = float(move) * place(shift)
+    _frame(ax, at, radius, place.label)
 
-    **Arguments:** `record`: anything with `q` (n, m, 2), `omega` (n, m, bands), `velocity` (n, m, bands, 2) and
-    `corners` (c, 2), such as the result of `gx.linear.zone_map`. `band`: counted from the lowest. `levels`: how many
-    contours. `velocity`: whether arrows show the group velocity. `units`: `"kHz"`, as in `granjax.plots`.
+    def show(i):
+        circles.set_array(data[i])
+        circles.set_offsets(at + shift[i])
 
-    **Returns:** the Axes; the frequencies are `ax.collections[0]`.
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> q = np.stack(np.meshgrid(*[np.linspace(-np.pi, np.pi, 9)] * 2, indexing="ij"), axis=-1)
-    >>> omega = 2 * np.sqrt(np.sin(q / 2) ** 2 @ np.ones((2, 1)))  # a square of springs
-    >>> corners = np.pi * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    >>> ax = gx.plots.zone(SimpleNamespace(q=q, omega=omega, velocity=0 * q[:, :, None], corners=corners))
-    >>> len(ax.collections) > 1  # colours and contours
-    True
-    """
-    q, omega = numbers("record.q", record.q, 3), numbers("record.omega", record.omega, 3)
-    by, place = drawn_in(
-        units, units_of(record), Axis(OMEGA, omega, "rad/s"), Axis("wave number", q, "1/m")
-    )
-    w = scaled_by(omega[..., band], by.factor)
-    x = scaled_by(q, place.factor)
-    ax = axes_or_new(ax, 5.0, 4.2)
-    shown = ax.pcolormesh(
-        x[..., 0], x[..., 1], w, cmap="viridis", shading="nearest", rasterized=True
-    )
-    ax.contour(
-        x[..., 0], x[..., 1], w, levels=whole("levels", levels, 1), colors="white", linewidths=0.7
-    )
-    if velocity:
-        v = numbers("record.velocity", record.velocity, 4, finite=False)[..., band, :]
-        step = max(1, len(x) // 14)
-        some = (slice(step // 2, None, step),) * 2
-        ax.quiver(
-            x[some][..., 0],
-            x[some][..., 1],
-            v[some][..., 0],
-            v[some][..., 1],
-            color="white",
-            width=0.004,
-        )
-    ax.add_patch(
-        Polygon(
-            scaled_by(np.asarray(record.corners), place.factor),
-            fill=False,
-            edgecolor="black",
-            lw=1.2,
-        )
-    )
-    ax.set_aspect("equal")
-    ax.set_xlabel(place.label.replace("wave number", "$q_x$"))
-    ax.set_ylabel(place.label.replace("wave number", "$q_y$"))
-    if colour_bar:
-        add_colour_bar(ax, shown, by.label)
-    return ax
-
-
-def radial_profile(
-    record: Any,
-    ax: AxesOrNone = None,
-    *,
-    label: str = "quantity",
-    units: UnitsOrWords = None,
-) -> Axes:
-    """Means of rings over the distance from a point, with the span of each ring; of several times from pale to dark.
-
-    **Arguments:** `record`: anything with `distance` (rings,), `mean`, `lowest` and `highest` ([times], rings), such as
-    the result of `gx.measures.radial_profile`. `label`: of the quantity; one that ends with a known word, "energy", has
-    units. `units`: `("mm", "uJ")`, as in `granjax.plots`.
-
-    **Returns:** the Axes; the means are `ax.lines`.
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> rings = SimpleNamespace(distance=np.arange(1.0, 5.0), mean=1 / np.arange(1.0, 5.0), lowest=np.zeros(4),
-    ...                         highest=np.ones(4))
-    >>> ax = gx.plots.radial_profile(rings, label="energy")
-    >>> ax.get_ylabel()
-    'energy'
-    """
-    x = numbers("record.distance", record.distance, 1)
-    mean, low, high = (
-        np.atleast_2d(numbers(f"record.{name}", getattr(record, name)))
-        for name in ("mean", "lowest", "highest")
-    )
-    by_x, by_y = drawn_in(units, units_of(record), Axis("distance", x, "m"), Axis(label, mean))
-    ax = axes_or_new(ax, 5.4, 3.6)
-    x = scaled_by(x, by_x.factor)
-    tones = colormaps["viridis"](np.linspace(0.85, 0.15, len(mean)) if len(mean) > 1 else [0.3])
-    for one, bottom, top, tone in zip(
-        *(scaled_by(a, by_y.factor) for a in (mean, low, high)), tones
-    ):
-        ax.plot(x, one, color=tone, lw=1.4)
-        ax.fill_between(x, bottom, top, color=tone, alpha=0.2, lw=0)
-    ax.set_xlim(0, x[-1])
-    ax.set_xlabel(by_x.label)
-    ax.set_ylabel(by_y.label)
-    return ax
+    return show

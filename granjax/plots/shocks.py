@@ -286,16 +286,15 @@ def shock_map(
     for name, one in (edges or {}).items():
         lines[name] = [_number(f"edges[{name!r}].{end}", getattr(one, end)) for end in EDGES]
         said = units_of_both(record, one, f"edges[{name!r}]", "map") or said
-    by_time, _ = drawn_in(units, said, Axis("time", ts), Axis("strain", strain))
+    by_time, _ = drawn_in(None, said, Axis("time", ts), Axis("strain", strain))
     ax = space_time(
         _Map(ts, strain, strain, said),
         ax,
         quantity=strain,
         sites=places,
-        label="strain",
+        label="strain (m)",
         site_label=BOND,
         limit=limit,
-        units=units,
     )
     ax.set_xlim(*ax.get_xlim())
     ax.set_ylim(*ax.get_ylim())

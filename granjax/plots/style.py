@@ -101,7 +101,7 @@ def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
 
     **Example:**
 
-    >>> ax = gx.plots.profile(np.arange(5.0), np.arange(5.0) ** 2, inset="none")
+    >>> ax = gx.plots.transmission([0.3, 0.6, 1.0], [0.6, 0.2, 1.0])
     >>> gx.plots.save(ax, "square.png").name
     'square.png'
     """
@@ -180,13 +180,12 @@ def several_axes(
     height: Scalar,
 ) -> np.ndarray:
     """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
-    if axes is None:
-        import matplotlib.pyplot as plt
+    if axes is not None:
+        return np.asarray(axes, dtype=object)
+    import matplotlib.pyplot as plt
 
-        with style():
-            return plt.subplots(rows, columns, figsize=(width, height), layout="constrained")[1]
-    axes = np.asarray(axes, dtype=object)
-    return axes
+    with style():
+        return plt.subplots(rows, columns, figsize=(width, height), layout="constrained")[1]
 
 
 def colour(i: Count) -> str:
@@ -232,20 +231,29 @@ def units_of(*results: Any) -> str | None:
     return found.pop() if found else None
 
 
+def said_by(x: Any, unit: str | None, units: str | None) -> tuple[str | None, str | None]:
+    """The unit of numbers, and what they are counted in: what a variable of a dataset says itself goes first."""
+    own = getattr(x, "attrs", {}).get("units")
+    return (unit, units) if own is None else (own, SCALED if own == SCALED else SI)
+
+
 def shown(label: str, x: Any, unit: str | None = None, units: str | None = None) -> Shown:
     """Choose one prefix for an axis from the range of its numbers.
 
-    **Arguments:** `label`: without the unit; or with it, "force (N)", where `unit` is `None`. `x`: the numbers, or the
-    largest of them; a variable of a dataset says its own unit. `unit`: that of the numbers in SI; "" of a pure number,
-    `None` where it is not known. `units`: what they are counted in, "SI", "scaled" or `None`, as `units_of` says.
+    **Arguments:** `label`: without the unit; or with the one of SI, "force (N)", where `unit` is `None`. `x`: the
+    numbers, or the largest of them; a variable of a dataset says its own unit. `unit`: that of the numbers in SI; ""
+    of a pure number, `None` where it is not known. `units`: what they are counted in, "SI", "scaled" or `None`, as
+    `units_of` says.
 
     A base unit of SI gets a prefix, and rad/s become Hz; any other unit is drawn as it is.
     """
-    own, bracket = getattr(x, "attrs", {}).get("units"), BRACKET.match(label)
-    if own is not None:
-        unit, units = own, SCALED if own == SCALED else SI
-    elif unit is None and bracket:
-        label, unit, units = bracket[1], bracket[2], SI
+    unit, units = said_by(x, unit, units)
+    bracket = BRACKET.match(label)
+    if unit is None and bracket:
+        label, unit = bracket[1], bracket[2]
+        known = known_unit(unit)
+        # "force (N)" of a scaled result is scaled; any other unit is drawn as it is
+        units = units if units and known and known.size in (1.0, HERTZ.size) else SI
     if unit == "" or units is None:
         return Shown(1.0, label, "")
     if units == SCALED:

@@ -1,22 +1,29 @@
-"""Travelling waves: a profile with its slope, how far closed forms are from it, what a wall sends back; fronts."""
+"""Travelling waves and fronts with their tails; kinks with their barrier."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
-from ..checks import one_of, positive, within
-from ..types import Numbers, Parameter, Scalar
-from ..units import UnitsOrWords
+from ..types import Numbers, Scalar
 from .arrays import numbers
-from .curves import profile
-from .quantities import Axis, drawn_in, quantity, scaled_by, units_of
-from .style import COLOURS, FAINT, AxesOrNone, axes_or_new
+from .style import (
+    COLOURS,
+    DASHES,
+    FAINT,
+    OMEGA,
+    AxesOrNone,
+    axes_or_new,
+    colour,
+    several_axes,
+    shown,
+    units_of,
+)
 
-# of e that a front's tails are drawn over; what is drawn of a family, and the unit of its numbers in SI
-POWERS = 8.0
-MEASURED = {"energy": "J", "amplitude": "m", "momentum": "N s", "compression": "m", "width": ""}
+# of e that a front's tails are drawn over; of its largest strain what belongs to the core of a wave
+POWERS, CORE = 8.0, 0.02
 
 
 def wave(
@@ -24,21 +31,22 @@ def wave(
     ax: AxesOrNone = None,
     *,
     beside: Mapping[str, Numbers] | None = None,
-    slope: bool = True,
     floor: Scalar = 1e-16,
-    units: UnitsOrWords = None,
 ) -> Axes:
-    """Strain of a travelling wave over the place, its slope, the lattice's contacts as dots, and the tail in an inset.
+    """Strain of a travelling wave or a front over the place, the lattice's contacts as dots, and the tails in insets.
 
     **Arguments:**
 
     - `wave_record`: anything with `xi` (X,), `strain(xi)`, `velocity(xi)` and `speed`, such as the result of
-      `gx.travelling.solitary_wave`.
-    - `beside`: dict from a name to strains (X,) at `wave_record.xi`, such as compactons. `slope`: whether
-      d strain/d xi = (v(xi + 1) - v(xi))/c is drawn, per contact.
-    - `floor`: lowest decade of the inset, a share of the largest value. `units`: `"um"`, as in `granjax.plots`.
+      `gx.travelling.solitary_wave`, whose slope d strain/d xi = (v(xi + 1) - v(xi))/c is drawn too; with `strains`
+      (P, X), as each contact of a cell sees the wave, such as that of `gx.travelling.cell_wave`; or with `behind`,
+      `ahead`, `decay_behind`, `decay_ahead`, such as that of `gx.shocks.dissipative_front`.
+    - `beside`: dict from a name to strains (X,) at `wave_record.xi`, such as compactons.
+    - `floor`: lowest decade of a wave's inset, a share of the largest value.
 
-    **Returns:** the Axes; the inset is `ax.child_axes[0]`, the curves `ax.lines`: strain, slope, what is beside, dots.
+    **Returns:** the Axes; the curves are `ax.lines`: strain, slope, what is beside, dots. `ax.child_axes` are the
+    insets: absolute values of a wave; how far a front is from the state behind and from that ahead, with the slopes
+    at which these fall.
 
     **Example:**
 
@@ -46,286 +54,152 @@ def wave(
     >>> ax.child_axes[0].get_yscale()  # the tail
     'log'
     """
-    xi = numbers("wave_record.xi", wave_record.xi, 1)
-    curves = {"strain": wave_record.strain(xi)}
-    if slope:
-        velocity = wave_record.velocity
-        curves["slope, per contact"] = (
-            np.asarray(velocity(xi + 1)) - np.asarray(velocity(xi))
-        ) / wave_record.speed
-    for name, y in (beside or {}).items():
-        y = numbers(f"beside[{name!r}]", y)
-        curves[name] = y
-    nodes = np.arange(np.ceil(xi.min()), np.floor(xi.max()) + 1)
-    return profile(
-        xi,
-        np.stack([np.asarray(y) for y in curves.values()], -1),
-        ax,
-        labels=list(curves),
-        points=(nodes, np.asarray(wave_record.strain(nodes))),
-        points_label="contacts",
-        floor=floor,
-        x_label=r"place $\xi = n - c\,t$ (contacts)",
-        y_label="strain",
-        units=units if units is not None else units_of(wave_record),
-    )
-
-
-def front(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> Axes:
-    """Strain of a front over the place, the lattice's contacts as dots, both far states, and both tails in insets.
-
-    **Arguments:** `record`: anything with `xi` (X,), `strain(xi)`, `behind`, `ahead`, `decay_behind`, `decay_ahead`,
-    `wavenumber_behind` and `kind`, such as the result of `gx.shocks.dissipative_front`. `units`: `"um"`, as in
-    `granjax.plots`.
-
-    **Returns:** the Axes; `ax.child_axes[0]` shows how far the strain is from that behind over the places, on a
-    logarithmic axis, and the slope at which it falls, `ax.child_axes[1]` the same ahead.
-
-    **Example:**
-
-    >>> ax = gx.plots.front(gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=0.3))
-    >>> len(ax.child_axes)  # both tails
-    2
-    """
-    end = np.abs(numbers("record.xi", record.xi, 1)).max()
-    # as far ahead as behind: room for the insets
-    xi = np.linspace(-end, end, 2 * len(record.xi))
-    y, behind, ahead = (
-        np.asarray(x, float) for x in (record.strain(xi), record.behind, record.ahead)
-    )
-    by_x, by_y = drawn_in(
-        units, units_of(record), Axis(r"place $\xi = n - s\,t$ (contacts)", xi), Axis("strain", y)
-    )
-    ax = axes_or_new(ax, 6.4, 4.0)
-    nodes = np.arange(np.ceil(-end), np.floor(end) + 1)
-    ax.plot(xi, scaled_by(y, by_y.factor), color=COLOURS[0])
-    ax.plot(
-        nodes,
-        scaled_by(np.asarray(record.strain(nodes)), by_y.factor),
-        "o",
-        color=COLOURS[2],
-        ms=4,
-        mec="white",
-        mew=0.5,
-        label="contacts",
-    )
-    for level in (behind, ahead):
-        ax.axhline(scaled_by(level, by_y.factor), color=FAINT, lw=0.8, ls=":", zorder=0)
-    rates = float(record.decay_behind), float(record.decay_ahead)
-    name = (
-        rf"behind: $\lambda$ = {rates[0]:.4g}"
-        + rf", $k$ = {float(record.wavenumber_behind):.4g}" * (record.kind == "oscillatory"),
-        rf"ahead: $\mu$ = {rates[1]:.4g}",
-    )
-    for k, (level, rate, side) in enumerate(
-        ((behind, rates[0], xi < 0), (ahead, -rates[1], xi > 0))
-    ):
-        small = ax.inset_axes([0.07 + 0.55 * k, 0.16 + 0.38 * k, 0.36, 0.36])
-        side &= np.abs(rate * xi) < POWERS
-        x, d = xi[side], scaled_by(np.abs(y - level)[side], by_y.factor)
-        _tail(small, x, d, rate, name[k])
-    ax.set_xlabel(by_x.label)
-    ax.set_ylabel(by_y.label)
-    ax.set_xlim(-end, end)
+    record = wave_record
+    xi, is_front = numbers("wave_record.xi", record.xi, 1), hasattr(record, "decay_behind")
+    is_cell = np.ndim(getattr(record, "strains", 0)) == 2
+    end = np.abs(xi).max()
+    if is_cell:
+        curves = {f"contact {j}": row for j, row in enumerate(np.asarray(record.strains))}
+    else:
+        xi = np.linspace(-end, end, 2 * len(xi)) if is_front else xi
+        curves = {"strain": np.asarray(record.strain(xi))}
+    core = max(np.abs(xi[np.abs(y) > CORE * np.abs(y).max()]).max() for y in curves.values())
+    if not is_front and not is_cell:
+        v = record.velocity
+        rise = np.asarray(v(xi + 1)) - np.asarray(v(xi))
+        curves["slope, per contact"] = rise / float(record.speed)
+    curves |= {name: numbers(f"beside[{name!r}]", y, 1) for name, y in (beside or {}).items()}
+    by = shown("strain", np.stack(list(curves.values())), "m", units_of(record))
+    curves = {name: by(y) for name, y in curves.items()}
+    ax = axes_or_new(ax, 5.4, 3.8)
+    _curves(ax, xi, curves)
+    if not is_cell:
+        nodes = np.arange(np.ceil(xi.min()), np.floor(xi.max()) + 1)
+        dots = {"color": COLOURS[2], "ms": 4.5, "mec": "white", "mew": 0.5, "zorder": 3}
+        ax.plot(nodes, by(record.strain(nodes)), "o", label="contacts", **dots)
+    reach = end if is_front else min(max(3 * core, 3.0), end)
+    ax.set_xlim(-reach, reach)
+    ax.set_xlabel(rf"place $\xi = n - {'s' if is_front else 'c'}\,t$ (contacts)")
+    ax.set_ylabel(by.label)
+    if is_front:
+        _front_tails(ax, record, by, xi, curves["strain"])
+        return ax
+    low, top = ax.get_ylim()
+    ax.set_ylim(low, top + 0.35 * (top - low))  # room for the legend and the tail
+    ax.legend(loc="upper left", frameon=False)
+    tail = ax.inset_axes([0.71, 0.6, 0.28, 0.37])
+    _curves(tail, xi, {name: np.abs(y) for name, y in curves.items()}, 0.7)
+    largest = max(np.nanmax(np.abs(y)) for y in curves.values()) or 1.0
+    tail.set(yscale="log", ylim=(floor * largest, 10 * largest), xlim=(xi.min(), xi.max()))
+    tail.xaxis.set_major_locator(MaxNLocator(3))
+    tail.tick_params(labelsize=7)
+    tail.patch.set_alpha(0.9)
     return ax
 
 
-def _tail(ax, x, d, rate, name):
-    """What is left of a far state, and the slope at which its envelope falls."""
-    ax.semilogy(x, np.where(d > 0, d, np.nan), color=COLOURS[0], lw=1.0)
-    line = np.exp(rate * x)
-    ax.semilogy(
-        x,
-        line * np.nanmax((d / line)[np.abs(rate * x) > np.abs(rate * x).max() / 2]),
-        "--",
-        color=COLOURS[1],
-        lw=1.0,
-    )
-    ax.set_ylim(0.3 * d[d > 0].min() if (d > 0).any() else None, 3 * d.max())
-    ax.set_title(name, fontsize=8)
-    ax.tick_params(labelsize=7)
-    ax.patch.set_alpha(0.9)
+def _curves(ax, x, curves, scale=1.0):
+    for i, (name, y) in enumerate(curves.items()):
+        ax.plot(x, y, DASHES[i % len(DASHES)], color=colour(i), lw=1.6 * scale, label=name)
 
 
-def wave_errors(
-    record: Any, ax: AxesOrNone = None, *, floor: Scalar = 1e-12, units: UnitsOrWords = None
-) -> Axes:
-    """Errors of closed forms against the exact wave over how much faster than sound it is, both logarithmic.
-
-    **Arguments:** `record`: anything with `speed` (S,), `sound`, and `kdv_error`, `toda_error` (S,), relative to the
-    peak, such as the result of `gx.travelling.closed_forms`. `floor`: lowest error drawn. `units`: both axes are pure
-    numbers, so that it changes nothing; words that name a unit are refused.
-
-    **Returns:** the Axes. **Raises** ValueError for a `floor` outside (0, 1).
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> found = SimpleNamespace(speed=np.array([1.01, 1.1]), sound=1.0, kdv_error=np.array([0.013, 0.12]),
-    ...                         toda_error=np.array([1e-6, 1e-5]))
-    >>> gx.plots.wave_errors(found).get_yscale()
-    'log'
-    """
-    floor = float(within("floor", floor, 0, 1, open_low=True, open_high=True))
-    faster = np.abs(numbers("record.speed", record.speed, 1)) / float(record.sound) - 1
-    label = r"speed over that of sound, less one, $c/c_0 - 1$"
-    by, _ = drawn_in(
-        units, None, Axis(label, faster, ""), Axis("largest error over the peak", np.ones(1), "")
-    )
-    ax = axes_or_new(ax, 5.2, 3.8)
-    order = np.argsort(faster)
-    for tone, mark, name, values in (
-        (COLOURS[1], "s--", "Korteweg-de Vries", record.kdv_error),
-        (COLOURS[0], "o-", "Toda", record.toda_error),
-    ):
-        values = numbers("record", values, 1, finite=False)[order]
-        ax.plot(
-            scaled_by(faster[order], by.factor),
-            np.maximum(values, floor),
-            mark,
-            color=tone,
-            ms=4,
-            label=name,
+def _front_tails(ax, record, by, xi, y):
+    """What is left of both far states, and the slopes at which the envelopes fall."""
+    behind, ahead = float(record.decay_behind), float(record.decay_ahead)
+    waves = rf", $k$ = {float(record.wavenumber_behind):.4g}" * (record.kind == "oscillatory")
+    for k, (far, rate, side, name) in enumerate(
+        (
+            (record.behind, behind, xi < 0, rf"behind: $\lambda$ = {behind:.4g}{waves}"),
+            (record.ahead, -ahead, xi > 0, rf"ahead: $\mu$ = {ahead:.4g}"),
         )
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlabel(label)
-    ax.set_ylabel("largest error of the strain over the peak")
-    ax.legend(frameon=False)
-    return ax
+    ):
+        level = float(by(far))
+        ax.axhline(level, color=FAINT, lw=0.8, ls=":", zorder=0)
+        side = side & (np.abs(rate * xi) < POWERS)
+        x, d, line = xi[side], np.abs(y - level)[side], np.exp(rate * xi[side])
+        outer = np.abs(rate * x) > np.abs(rate * x).max() / 2
+        tail = ax.inset_axes([0.07 + 0.55 * k, 0.16 + 0.38 * k, 0.36, 0.36])
+        tail.semilogy(x, np.where(d > 0, d, np.nan), color=COLOURS[0], lw=1.0)
+        tail.semilogy(x, line * np.nanmax((d / line)[outer]), "--", color=COLOURS[1], lw=1.0)
+        tail.set_ylim(d[d > 0].min() / 3, 3 * d.max())
+        tail.tick_params(labelsize="x-small")
+        tail.set_title(name, size="x-small")
 
 
-def wave_family(
-    record: Any,
-    ax: AxesOrNone = None,
+def kink(
+    found: Any,
+    axes: Sequence[Axes] | np.ndarray | None = None,
     *,
-    quantity: str = "energy",
-    units: UnitsOrWords = None,
-) -> Axes:
-    """A quantity of a family of waves over their speed, with the speeds at which the energy turns marked.
-
-    **Arguments:** `record`: anything with `speed` (P,), `turns` and the quantity (P,), such as the result of
-    `gx.travelling.family`. `quantity`: `"energy"`, `"amplitude"`, `"momentum"`, `"compression"` or `"width"`.
-    `units`: `"kHz"`, `"um"`, as in `granjax.plots`; a speed counts contacts per time.
-
-    **Returns:** the Axes. **Raises** ValueError for another quantity.
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> c = np.array([1.0, 1.5, 2.0])
-    >>> ax = gx.plots.wave_family(SimpleNamespace(speed=c, energy=2.8235 * c**10, turns=np.array([])))
-    >>> ax.get_ylabel()
-    'energy'
-    """
-    one_of("quantity", quantity, tuple(MEASURED))
-    speed, y = (
-        numbers("record.speed", record.speed, 1),
-        numbers(f"record.{quantity}", getattr(record, quantity), 1),
-    )
-    turns = numbers("record.turns", record.turns, 1)
-    by_x, by_y = drawn_in(
-        units,
-        units_of(record),
-        Axis("speed, contacts per time", speed, "1/s"),
-        Axis(quantity, y, MEASURED[quantity]),
-    )
-    ax = axes_or_new(ax, 5.2, 3.6)
-    order = np.argsort(speed)
-    ax.plot(
-        scaled_by(speed[order], by_x.factor),
-        scaled_by(y[order], by_y.factor),
-        "o-",
-        ms=4,
-        color=COLOURS[0],
-    )
-    for i, turn in enumerate(turns):
-        ax.axvline(
-            scaled_by(turn, by_x.factor), color=COLOURS[1], ls=":", label=None if i else "dE/dc = 0"
-        )
-    if turns.size:
-        ax.legend(frameon=False)
-    ax.set_xlabel(by_x.label)
-    ax.set_ylabel(by_y.label)
-    return ax
-
-
-def reflection(
-    record: Any,
-    stiffness: Parameter,
-    ax: AxesOrNone = None,
-    *,
-    rigid: Any = None,
-    x_label: str = "stiffness of the wall's contact",
-    units: UnitsOrWords = None,
-) -> Axes:
-    """Delay (left axis) and amplitude (right axis) of the wave that a wall reflects, over the wall's stiffness.
+    barrier: Any = None,
+) -> np.ndarray:
+    """A kink at rest between its wells; beside it its small oscillations, or the Peierls-Nabarro barrier.
 
     **Arguments:**
 
-    - `record`: anything with `delay`, `delay_error`, `amplitudes` (B,) and `amplitude`, such as the result of
-      `gx.travelling.reflect`. `stiffness` (B,) > 0: what the lanes of the wall were made of; Young's moduli with
-      `x_label="modulus"`, whose units then are drawn as well.
-    - `rigid`: a record of a rigid wall, drawn as the lines that the curves approach.
-    - `units`: `"us"`, `("um", "GPa")`, as in `granjax.plots`.
+    - `found`: a `Kink`, the result of `gx.kinks.kink`, or anything with `state` (u, v), `energy`, `omega` (N,),
+      `growth` and `verdict`; where it grows the frequency is drawn at zero.
+    - `barrier`: the result of `gx.kinks.peierls_nabarro`, or anything with `site`, `bond`, `barrier` and `error`: its
+      two energies are then drawn over the place of the centre, with the sine through both to guide the eye.
+    - `axes`: two Axes; by default those of a new figure.
 
-    **Returns:** the Axes of the delay, with error bars; that of the amplitude over `record.amplitude`, the wave's own,
-    is `ax.child_axes[0]`.
+    **Returns:** the two Axes, (2,) or as given; the profile is `axes[0].lines[0]`.
 
     **Example:**
 
     >>> from types import SimpleNamespace
-    >>> found = SimpleNamespace(delay=np.array([0.5, 0.1]), delay_error=np.zeros(2),
-    ...                         amplitudes=np.array([0.9, 0.95]), amplitude=1.0)
-    >>> ax = gx.plots.reflection(found, [0.1, 1.0])
-    >>> ax.child_axes[0].get_ylabel()
-    'reflected amplitude / that sent'
+    >>> n = np.arange(20) - 9.5
+    >>> found = SimpleNamespace(state=gx.State(4 * np.arctan(np.exp(n)), 0 * n), energy=8.0,
+    ...                         omega=np.linspace(0.1, 2.0, 20), growth=0.0, verdict="stable")
+    >>> axes = gx.plots.kink(found)
+    >>> len(axes[0].lines[0].get_xdata())
+    20
     """
-    over = np.asarray(positive("stiffness", stiffness))
-    measured = "delay", "delay_error", "amplitudes"
-    delay, error, amplitude = (
-        numbers(f"record.{name}", getattr(record, name), finite=False) for name in measured
-    )
-    by_x, by_y = drawn_in(
-        units,
-        units_of(record),
-        Axis(x_label, over, quantity(x_label) or ""),
-        Axis("delay", delay, "s"),
-    )
-    ax = axes_or_new(ax, 5.6, 3.8)
-    order = np.argsort(over)
-    x, y = scaled_by(over[order], by_x.factor), scaled_by(delay[order], by_y.factor)
-    ax.errorbar(
-        x, y, scaled_by(error[order], by_y.factor), fmt="o-", ms=4, color=COLOURS[0], label="delay"
-    )
-    beside = ax.inset_axes([0, 0, 1, 1])
-    beside.patch.set_alpha(0.0)
-    beside.yaxis.tick_right()
-    beside.yaxis.set_label_position("right")
-    beside.plot(
-        x,
-        amplitude[order] / float(record.amplitude),
-        "s--",
-        ms=4,
-        color=COLOURS[1],
-        label="amplitude",
-    )
-    beside.tick_params(axis="x", which="both", bottom=False, labelbottom=False)
-    beside.set_ylabel("reflected amplitude / that sent")
-    if rigid is not None:
-        ax.axhline(scaled_by(float(rigid.delay), by_y.factor), color=COLOURS[0], lw=0.8, ls=":")
-        beside.axhline(
-            float(rigid.amplitudes) / float(rigid.amplitude), color=COLOURS[1], lw=0.8, ls=":"
-        )
-    for one in (ax, beside):
-        one.set_xscale("log")
-    beside.set_xlim(ax.get_xlim())
-    ax.set_xlabel(by_x.label)
-    ax.set_ylabel(by_y.label)
-    ax.legend(
-        [*ax.containers, *beside.lines[:1]],
-        ["delay", "amplitude"],
-        frameon=False,
-        loc="center right",
-    )
-    return ax
+    units = units_of(found, barrier)
+    by = shown("displacement $u_n$", found.state[0], "m", units)
+    u = by(numbers("found.state.u", found.state[0], 1))
+    axes = several_axes(axes, 1, 2, 8.4, 3.4)
+    profile, other = axes.ravel()
+    profile.plot(np.arange(len(u)), u, "o-", color=COLOURS[0], ms=4, lw=0.8, mec="white", mew=0.4)
+    for well in (u[0], u[-1]):
+        profile.axhline(well, color=FAINT, lw=0.8, ls=":", zorder=0)
+    # what lies between the wells, with as much on either side
+    inside = np.flatnonzero(np.abs(np.diff(u)) > 1e-3 * np.abs(u[-1] - u[0]))
+    low, high = (inside[0], inside[-1] + 1) if len(inside) else (0, len(u) - 1)
+    more = max(3, high - low)
+    profile.set_xlim(max(low - more, 0) - 0.5, min(high + more, len(u) - 1) + 0.5)
+    profile.set_xlabel("site $n$")
+    profile.set_ylabel(by.label)
+    by = shown("energy", found.energy, "J", units)
+    energy = f"{found.verdict}, energy {float(by(found.energy)):.5g} {by.unit}"
+    profile.set_title(energy.strip(), loc="left")
+    if barrier is not None:
+        _barrier(other, barrier, units)
+        return axes
+    by = shown(OMEGA, found.omega, "rad/s", units)
+    omega = by(numbers("found.omega", found.omega, 1))
+    other.plot(omega, ".", color=COLOURS[0], ms=4)
+    name = "unstable, drawn at zero" if found.growth else "Peierls-Nabarro frequency"
+    other.plot([0], omega[:1], "o", color=COLOURS[1], ms=6, label=name)
+    other.set_ylim(0, 1.1 * omega.max())
+    other.set_xlabel("mode")
+    other.set_ylabel(by.label)
+    other.legend(loc="lower right", frameon=False)
+    return axes
+
+
+def _barrier(ax, barrier, units):
+    """Energies of the kink on a site and on a bond, above the lower one."""
+    ends = np.array([float(barrier.site), float(barrier.bond)])
+    by = shown("energy above the lower kink", ends - ends.min(), "J", units)
+    above, error, x = by(ends - ends.min()), float(by(barrier.error)), np.linspace(-0.6, 1.1, 171)
+    sine = above.mean() + (above[0] - above[1]) / 2 * np.cos(2 * np.pi * x)
+    ax.plot(x, sine, "--", color=FAINT, lw=1.0, zorder=1, label="sine through both")
+    for at, value, tone, name in (
+        ([0, 1], above[0], COLOURS[0], "on a site"),
+        ([-0.5, 0.5], above[1], COLOURS[1], "on a bond"),
+    ):
+        ax.errorbar(at, [value] * 2, error, fmt="o", color=tone, ms=6, capsize=3, label=name)
+    ax.set_xlim(-0.6, 1.1)
+    ax.set_ylim(-0.15 * above.max() - error, 1.7 * above.max() + error)
+    ax.set_xlabel("centre of the kink (sites)")
+    ax.set_ylabel(by.label)
+    ax.legend(loc="upper center", ncols=2, frameon=False, columnspacing=1.0, handletextpad=0.4)

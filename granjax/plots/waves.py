@@ -1,17 +1,27 @@
-"""Dispersion with the spectrum of a simulation under it; Floquet-Bloch bands with their growth."""
+"""Waves of lattices: dispersion with a spectrum under it, Floquet-Bloch bands, bands of the plane, transmission."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.patches import Polygon
 
 from ..checks import refuse, within
-from ..types import Scalar
-from ..units import UnitsOrWords
-from .arrays import numbers
-from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of, units_of_both
-from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
+from ..types import Count, Parameter, Scalar
+from .arrays import Samples, numbers
+from .style import (
+    COLOURS,
+    FAINT,
+    OMEGA,
+    AxesOrNone,
+    add_colour_bar,
+    axes_or_new,
+    colour,
+    shown,
+    units_of,
+)
 
 CLOSED = 1e-6
 
@@ -22,7 +32,6 @@ def dispersion(
     *,
     spectrum: Any = None,
     floor: Scalar = 1e-6,
-    units: UnitsOrWords = None,
     colour_bar: bool = True,
 ) -> Axes:
     """Dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
@@ -35,7 +44,6 @@ def dispersion(
     - `spectrum`: anything with `k` (S,) [rad per site], `omega` (W,) and `power` (S, W), such as the result of
       `gx.measures.spectrum`; drawn on a logarithmic scale down to `floor` in (0, 1) of its largest power. The axis is
       then the wave number per site, with the bands repeated over the zones that the spectrum spans.
-    - `units`: `"kHz"` or `"rad/s"`, as in `granjax.plots`.
 
     **Returns:** the Axes; `ax.lines` holds the bands, the spectrum is `ax.collections[0]`.
     **Raises** ValueError for the record of a lattice with more than one axis.
@@ -47,132 +55,60 @@ def dispersion(
     >>> len(ax.lines)  # two bands
     2
     """
-    k, omega, cell = _bands(dispersion_record)
-    said = units_of_both(dispersion_record, spectrum, "spectrum", "dispersion")
-    (by,) = drawn_in(units, said, Axis(OMEGA, omega, "rad/s"))
-    omega = scaled_by(omega, by.factor)
-    ax = axes_or_new(ax, 5.4, 4.0)
-    if spectrum is None:
-        span = float(k.min()), float(k.max())
-        ax.set_xlabel(
-            "wave number $k$ (rad/site)"
-            if cell == 1
-            else f"wave number $k$ (rad/cell of {cell} sites)"
-        )
-        _lines(ax, k, omega, COLOURS[0], lw=1.6)
-    else:
-        image, span = _under(
-            ax,
-            spectrum,
-            by.factor,
-            float(within("floor", floor, 0, 1, open_low=True, open_high=True)),
-        )
-        ax.set_xlabel("wave number $k$ (rad/site)")
-        _zones(ax, k, omega, cell, span)
-        if colour_bar:
-            add_colour_bar(ax, image, "power (relative)")
-    top = 1.15 * float(np.nanmax(omega)) or 1.0
-    shaded = False
-    for low, high in _gaps(omega):
-        ax.axhspan(
-            low,
-            high,
-            color=COLOURS[3],
-            alpha=0.22,
-            lw=0,
-            zorder=1.5,
-            label=None if shaded else "gap",
-        )
-        shaded = True
-    ax.set_xlim(*span)
-    ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), top)
-    _ticks(ax, span)
-    ax.set_ylabel(by.label)
-    return ax
-
-
-def floquet_bands(
-    bands: Any, ax: AxesOrNone = None, *, growth: bool = True, units: UnitsOrWords = None
-) -> Axes:
-    """Quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, with the growth rate on the right.
-
-    **Arguments:** `bands`: anything with `k` (K,), `omega` and `growth` (K, multipliers), `edges` (gaps, 2) or `None`,
-    `period`, `cell`, such as the result of `gx.linear.floquet_bands`. `growth`: whether the largest growth rate is
-    drawn, on an axis of its own. `units`: `"kHz"`, `"rad/s"`, `"1/ms"`, as in `granjax.plots`.
-
-    **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
-    growth is `ax.child_axes[0]`. **Raises** ValueError for the record of several axes.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
-    >>> ax = gx.plots.floquet_bands(gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi))
-    >>> ax.child_axes[0].get_ylabel()
-    'growth rate (scaled)'
-    """
-    omega = numbers("bands.omega", bands.omega, 2)
-    k, rate = numbers("bands.k", bands.k, 1), numbers("bands.growth", bands.growth, 2)
-    axes = [Axis(OMEGA, omega, "rad/s"), Axis("growth rate", rate, "1/s")][: 1 + growth]
-    by, *grown = drawn_in(units, units_of(bands), *axes)
-    ax = axes_or_new(ax, 5.4, 4.0)
-    order = np.argsort(k)
-    k, omega, rate = k[order], omega[order], rate[order]
-    grows = np.asarray(bands.grows)[order] if hasattr(bands, "grows") else rate > 0
-    along = np.broadcast_to(k[:, None], omega.shape)
-    for which, tone in ((~grows, COLOURS[0]), (grows, COLOURS[1])):
-        ax.plot(along[which], scaled_by(omega[which], by.factor), ".", ms=3, color=tone, zorder=2)
-    for low, high in () if bands.edges is None else np.asarray(bands.edges):
-        ax.axvspan(max(low, k[0]), min(high, k[-1]), color=COLOURS[3], alpha=0.22, lw=0, zorder=1)
-    half = scaled_by(np.pi / float(bands.period), by.factor)
-    cell = int(np.prod(bands.cell))
-    ax.set_xlabel(
-        "wave number $k$ (rad/site)" if cell == 1 else f"wave number $k$ (rad/cell of {cell} sites)"
-    )
-    ax.set_xlim(k[0], k[-1])
-    ax.set_ylim(-1.05 * half, 1.05 * half)
-    _ticks(ax, (k[0], k[-1]))
-    ax.set_ylabel(by.label)
-    if growth:
-        _growth(ax, k, scaled_by(np.maximum(rate.max(-1), 0), grown[0].factor), grown[0].label)
-    return ax
-
-
-def _growth(ax, k, rate, label):
-    """The largest growth over k, on an axis of its own at the right."""
-    right = ax.inset_axes((0, 0, 1, 1), sharex=ax)
-    right.patch.set_visible(False)
-    right.plot(k, rate, color=COLOURS[2], lw=1.2)
-    right.set_ylim(0, 2.5 * float(rate.max()) or 1.0)
-    right.yaxis.tick_right()
-    right.yaxis.set_label_position("right")
-    right.xaxis.set_visible(False)
-    right.spines["right"].set_visible(True)
-    right.spines["right"].set_color(COLOURS[2])
-    right.tick_params(axis="y", colors=COLOURS[2])
-    right.set_ylabel(label, color=COLOURS[2])
-
-
-def _bands(record):
-    omega = numbers("dispersion_record.omega", record.omega, finite=False)
-    k = numbers("dispersion_record.k", record.k)
-    if k.ndim != 1 or omega.ndim != 2 or len(k) != len(omega) or len(k) < 2:
-        got = f"shapes {k.shape} and {omega.shape}"
+    record = dispersion_record
+    k, omega = np.asarray(record.k), numbers("dispersion_record.omega", record.omega, finite=False)
+    if k.ndim != 1 or omega.shape[:-1] != k.shape or len(k) < 2:
         refuse(
             "dispersion_record",
             "k of shape (K,) and omega (K, bands), of a chain",
-            got,
-            "Draw a path through a plane's zone with plots.profile(path, omega).",
+            f"shapes {k.shape} and {omega.shape}",
+            "Draw a path through a plane's zone with plots.bands(linear.path(...)).",
         )
-    order = np.argsort(k)
-    return k[order], omega[order], int(np.prod(record.cell))
+    by = shown(OMEGA, record.omega, "rad/s", units_of(record, spectrum))
+    order, cell = np.argsort(k), int(np.prod(record.cell))
+    k, omega = k[order], by(omega[order])
+    ax = axes_or_new(ax, 5.4, 4.0)
+    if spectrum is None:
+        span = k[0], k[-1]
+        _along(ax, cell, span)
+        ax.plot(k, omega, color=COLOURS[0], lw=1.6, zorder=2)
+    else:
+        low = float(within("floor", floor, 0, 1, open_low=True, open_high=True))
+        image, span = _under(ax, spectrum, by, low)
+        _along(ax, 1, span)
+        _zones(ax, k, omega, cell, span)
+        if colour_bar:
+            add_colour_bar(ax, image, "power (relative)")
+    for i, (low, high) in enumerate(_gaps(omega)):
+        name = None if i else "gap"
+        ax.axhspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1.5, label=name)
+    ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), 1.15 * float(np.nanmax(omega)) or 1.0)
+    ax.set_ylabel(by.label)
+    return ax
 
 
-def _lines(ax, k, omega, tone, **options):
-    for band in omega.T:
-        ax.plot(k, band, color=tone, zorder=2, **options)
+def _along(ax, cell, span):
+    """An axis of wave numbers, with ticks at multiples of pi/2 where it is a zone or half of one."""
+    per = "site" if cell == 1 else f"cell of {cell} sites"
+    ax.set_xlabel(f"wave number $k$ (rad/{per})")
+    ax.set_xlim(*span)
+    first, last = (float(k) / (np.pi / 2) for k in span)
+    places = np.arange(np.ceil(first - 1e-6), np.floor(last + 1e-6) + 1)
+    if 2 <= len(places) <= 9:
+        ax.set_xticks(places * np.pi / 2, [_name(int(p)) for p in places])
 
 
-def _under(ax, spectrum, factor, floor):
+def _name(halves):
+    """A multiple of pi/2 in words of TeX."""
+    if halves == 0:
+        return "0"
+    sign, n = ("-" if halves < 0 else ""), abs(halves)
+    if n % 2 == 0:
+        return rf"${sign}{'' if n == 2 else n // 2}\pi$"
+    return rf"${sign}{'' if n == 1 else n}\pi/2$"
+
+
+def _under(ax, spectrum, by, floor):
     k, w = numbers("spectrum.k", spectrum.k, 1), numbers("spectrum.omega", spectrum.omega, 1)
     power = numbers("spectrum.power", spectrum.power, finite=False)
     if power.shape != (len(k), len(w)):
@@ -182,13 +118,10 @@ def _under(ax, spectrum, factor, floor):
             f"shape {power.shape}",
             "Of a batch pick one lane.",
         )
-    top = float(np.nanmax(power))
-    if not top > 0:
-        refuse("spectrum.power", "some power above zero", f"a largest of {top:g}")
-    scaled = np.maximum(power.T / top, floor)
+    share = np.maximum(power.T / np.nanmax(power), floor)
     norm = LogNorm(floor, 1.0)
     image = ax.pcolormesh(
-        k, factor * w, scaled, norm=norm, cmap="Blues", shading="nearest", rasterized=True, zorder=0
+        k, by(w), share, norm=norm, cmap="Blues", shading="nearest", rasterized=True, zorder=0
     )
     half = (k.max() - k.min()) / (2 * max(len(k) - 1, 1))
     return image, (float(k.min() - half), float(k.max() + half))
@@ -203,7 +136,7 @@ def _zones(ax, k, omega, cell, span):
     zone = 2 * np.pi
     reach = int(np.ceil(max(map(abs, span)) * cell / zone)) if cell > 1 else 0
     for shift in range(-reach, reach + 1):
-        _lines(ax, (k + zone * shift) / cell, omega, COLOURS[1], lw=0.8)
+        ax.plot((k + zone * shift) / cell, omega, color=COLOURS[1], lw=0.8, zorder=2)
 
 
 def _gaps(omega):
@@ -217,20 +150,194 @@ def _gaps(omega):
     ]
 
 
-def _ticks(ax, span):
-    """Ticks at multiples of pi/2, where the span is a zone or half of one."""
-    places = np.arange(
-        np.ceil(span[0] / (np.pi / 2) - 1e-6), np.floor(span[1] / (np.pi / 2) + 1e-6) + 1
-    )
-    if not 2 <= len(places) <= 9:
-        return
-    ax.set_xticks(places * np.pi / 2, [_name(int(p)) for p in places])
+def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True) -> Axes:
+    """Quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, with the growth rate on the right.
+
+    **Arguments:** `bands`: anything with `k` (K,), `omega` and `growth` (K, multipliers), `edges` (gaps, 2) or `None`,
+    `period`, `cell`, such as the result of `gx.linear.floquet_bands`. `growth`: whether the largest growth rate is
+    drawn, on an axis of its own.
+
+    **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
+    growth is `ax.child_axes[0]`. **Raises** ValueError for the record of several axes.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
+    >>> ax = gx.plots.floquet_bands(gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi))
+    >>> ax.child_axes[0].get_ylabel()
+    'growth rate (scaled)'
+    """
+    k, rate = numbers("bands.k", bands.k, 1), numbers("bands.growth", bands.growth, 2)
+    by = shown(OMEGA, bands.omega, "rad/s", units_of(bands))
+    omega = by(numbers("bands.omega", bands.omega, 2))
+    order = np.argsort(k)
+    k, omega, rate = k[order], omega[order], rate[order]
+    grows = np.asarray(bands.grows)[order] if hasattr(bands, "grows") else rate > 0
+    along = np.broadcast_to(k[:, None], omega.shape)
+    ax = axes_or_new(ax, 5.4, 4.0)
+    for which, tone in ((~grows, COLOURS[0]), (grows, COLOURS[1])):
+        ax.plot(along[which], omega[which], ".", ms=3, color=tone, zorder=2)
+    for low, high in () if bands.edges is None else np.asarray(bands.edges):
+        ax.axvspan(max(low, k[0]), min(high, k[-1]), color=COLOURS[3], alpha=0.22, lw=0, zorder=1)
+    half = float(by(np.pi / float(bands.period)))
+    _along(ax, int(np.prod(bands.cell)), (k[0], k[-1]))
+    ax.set_ylim(-1.05 * half, 1.05 * half)
+    ax.set_ylabel(by.label)
+    if growth:
+        by = shown("growth rate", bands.growth, "1/s", units_of(bands))
+        right = beside(ax, COLOURS[2])
+        largest = by(np.maximum(rate.max(-1), 0))
+        right.plot(k, largest, color=COLOURS[2], lw=1.2)
+        right.set_ylim(0, 2.5 * float(largest.max()) or 1.0)
+        right.set_ylabel(by.label, color=COLOURS[2])
+    return ax
 
 
-def _name(halves):
-    if halves == 0:
-        return "0"
-    sign, n = ("-" if halves < 0 else ""), abs(halves)
-    if n % 2 == 0:
-        return rf"${sign}{'' if n == 2 else n // 2}\pi$"
-    return rf"${sign}{'' if n == 1 else n}\pi/2$"
+def beside(ax: Axes, tone: str) -> Axes:
+    """Axes over others, with the same x and a y of their own at the right, in a colour."""
+    right = ax.inset_axes((0, 0, 1, 1), sharex=ax)
+    right.patch.set_visible(False)
+    right.yaxis.tick_right()
+    right.yaxis.set_label_position("right")
+    right.xaxis.set_visible(False)
+    right.spines["right"].set_visible(True)
+    right.spines["right"].set_color(tone)
+    right.tick_params(axis="y", colors=tone)
+    return right
+
+
+def bands(record: Any, ax: AxesOrNone = None, *, colour_bar: bool = True) -> Axes:
+    """Bands along a path through the zone, or those of a strip coloured by the edge to which a wave is bound.
+
+    **Arguments:** `record`: anything with `distance`, `omega` (K, bands), `names` and `marks`, such as the result of
+    `gx.linear.path`; or with `k`, `omega` and `edge` (K, bands), such as that of `gx.linear.ribbon`.
+
+    **Returns:** the Axes; of a path `ax.lines` begins with the bands, of a strip `ax.collections[0]` are its waves.
+
+    **Example:**
+
+    >>> strip = gx.scenes.honeycomb(4, 6, out_of_plane=True, boundary=("periodic", "free"))
+    >>> ax = gx.plots.bands(gx.linear.ribbon(strip, np.linspace(0, 2 * np.pi, 13)))
+    >>> ax.get_xlabel()
+    'wave number $k$ (rad/cell)'
+    """
+    by = shown(OMEGA, record.omega, "rad/s", units_of(record))
+    omega = by(numbers("record.omega", record.omega, 2))
+    ax = axes_or_new(ax, 5.0, 4.0)
+    if hasattr(record, "edge"):
+        x, edge = numbers("record.k", record.k, 1), numbers("record.edge", record.edge, 2)
+        options = {"c": edge, "s": 3, "cmap": "coolwarm", "vmin": -1, "vmax": 1, "linewidths": 0}
+        strip = ax.scatter(np.broadcast_to(x[:, None], omega.shape), omega, **options)
+        ax.set_xlabel("wave number $k$ (rad/cell)")
+        if colour_bar:
+            add_colour_bar(ax, strip, "place across the strip")
+    else:
+        x = numbers("record.distance", record.distance, 1)
+        ax.plot(x, omega, color=COLOURS[0])
+        marks = x[np.asarray(record.marks, int)]
+        for mark in marks[1:-1]:
+            ax.axvline(mark, color=FAINT, lw=0.6, zorder=0)
+        ax.set_xticks(marks, [r"$\Gamma$" if name == "G" else name for name in record.names])
+    ax.set_xlim(x.min(), x.max())
+    ax.set_ylim(min(0.0, 1.05 * float(np.nanmin(omega))), 1.05 * float(np.nanmax(omega)) or 1.0)
+    ax.set_ylabel(by.label)
+    return ax
+
+
+def zone(
+    record: Any,
+    band: Count = 0,
+    ax: AxesOrNone = None,
+    *,
+    levels: Count = 12,
+    velocity: bool = False,
+    colour_bar: bool = True,
+) -> Axes:
+    """Contours of equal frequency of a band over the Brillouin zone, whose edge is drawn.
+
+    **Arguments:** `record`: anything with `q` (n, m, 2), `omega` (n, m, bands), `velocity` (n, m, bands, 2) and
+    `corners` (c, 2), such as the result of `gx.linear.zone_map`. `band`: counted from the lowest. `levels`: how many
+    contours. `velocity`: whether arrows show the group velocity.
+
+    **Returns:** the Axes; the frequencies are `ax.collections[0]`.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> q = np.stack(np.meshgrid(*[np.linspace(-np.pi, np.pi, 9)] * 2, indexing="ij"), axis=-1)
+    >>> omega = 2 * np.sqrt(np.sin(q / 2) ** 2 @ np.ones((2, 1)))  # a square of springs
+    >>> corners = np.pi * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    >>> ax = gx.plots.zone(SimpleNamespace(q=q, omega=omega, velocity=0 * q[:, :, None], corners=corners))
+    >>> len(ax.collections) > 1  # colours and contours
+    True
+    """
+    by = shown(OMEGA, record.omega, "rad/s", units_of(record))
+    place = shown("wave number", record.q, "1/m", units_of(record))
+    x, y = np.moveaxis(place(numbers("record.q", record.q, 3)), -1, 0)
+    w = by(numbers("record.omega", record.omega, 3))[..., band]
+    ax = axes_or_new(ax, 5.0, 4.2)
+    image = ax.pcolormesh(x, y, w, cmap="viridis", shading="nearest", rasterized=True)
+    ax.contour(x, y, w, levels=levels, colors="white", linewidths=0.7)
+    if velocity:
+        v = numbers("record.velocity", record.velocity, 4, finite=False)[..., band, :]
+        step = max(1, len(x) // 14)
+        some = (slice(step // 2, None, step),) * 2
+        ax.quiver(x[some], y[some], v[some][..., 0], v[some][..., 1], color="white", width=0.004)
+    ax.add_patch(Polygon(place(record.corners), fill=False, edgecolor="black", lw=1.2))
+    ax.set_aspect("equal")
+    ax.set_xlabel(place.label.replace("wave number", "$q_x$"))
+    ax.set_ylabel(place.label.replace("wave number", "$q_y$"))
+    if colour_bar:
+        add_colour_bar(ax, image, by.label)
+    return ax
+
+
+def transmission(
+    mass_ratio: Parameter,
+    transmission: Samples,
+    ax: AxesOrNone = None,
+    *,
+    resonances: Parameter | None = None,
+    anti_resonances: Parameter | None = None,
+    label: str | Sequence[str] | None = None,
+    y_label: str = "transmitted force / that of the monomer",
+) -> Axes:
+    """Transmitted force of a dimer chain over the mass ratio, relative to the monomer's.
+
+    **Arguments:** `mass_ratio`: light over heavy, (R,), in (0, 1]; `transmission`: (R,), or (R, C) for C curves;
+    `resonances`, `anti_resonances`: mass ratios to mark, with dashed and dotted lines; `label`: of the curve, or one
+    per curve; `y_label`: of the axis; one with a unit, "peak force (N)", says that nothing is relative.
+
+    **Returns:** the Axes. **Raises** ValueError for ratios outside (0, 1] or shapes that do not fit.
+
+    **Example:**
+
+    >>> ax = gx.plots.transmission([0.3, 0.6, 1.0], [0.6, 0.2, 1.0], resonances=[0.59])
+    >>> ax.get_xlabel().startswith("mass ratio")
+    True
+    """
+    ratios = np.asarray(within("mass_ratio", mass_ratio, 0, 1, open_low=True))
+    by = shown(y_label, transmission)
+    values = by(numbers("transmission", transmission, finite=False)).reshape(len(ratios), -1)
+    labels = [label] * values.shape[1] if label is None or isinstance(label, str) else label
+    ax = axes_or_new(ax, 5.6, 3.6)
+    order = np.argsort(ratios)
+    for i, (column, name) in enumerate(zip(values.T, labels)):
+        ax.plot(ratios[order], column[order], color=colour(i), label=name)
+    for places, name, tone, dash in (
+        (resonances, "resonance", COLOURS[1], "--"),
+        (anti_resonances, "anti-resonance", COLOURS[2], ":"),
+    ):
+        for i, place in enumerate(np.ravel([] if places is None else places)):
+            ax.axvline(place, color=tone, ls=dash, lw=1.2, zorder=1, label=None if i else name)
+    ax.set_xlabel(r"mass ratio $\varepsilon$ (light / heavy)")
+    ax.set_ylabel(by.label)
+    ax.set_xlim(0, 1.01)
+    ax.set_ylim(0, 1.12 * max(0.0 if by.unit else 1.0, float(np.nanmax(values))))
+    if not by.unit:
+        ax.axhline(1.0, color=FAINT, lw=0.8, zorder=0)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, frameon=False
+        )
+    return ax

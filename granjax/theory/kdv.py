@@ -11,13 +11,15 @@ laboratory knows, a speed or an amplitude. Waves are of compression for K3 > 0, 
 **Velocity and displacement** are those of a lattice whose strain is exactly that of KdV and travels: u_n - u_{n+1} =
 y_n and v_n - v_{n+1} = dy_n/dt, by the series of (d/2)/sinh(d/2) to d^6, right to the eighth power of the width.
 
+    import matplotlib.pyplot as plt
     import numpy as np
     K2, K3, K4 = gx.laws.taylor(gx.Hertz(precompression=1.0))
     wave = gx.theory.kdv.soliton(np.arange(100), 0.0, K2, K3, speed=1.02 * K2**0.5, centre=50.0)
-    gx.plots.profile(np.arange(100), wave.strain, x_label="contact", y_label="strain")
+    plt.plot(np.arange(100), wave.strain)
 
 The dispersive shock of a law beside that of Toda's chain, which needs no long waves:
 
+    import matplotlib.pyplot as plt
     import numpy as np
     K2, K3, K4 = gx.laws.taylor(gx.Hertz(precompression=1.0))
     strength, rate = gx.theory.toda.matched(K2, K3)
@@ -25,7 +27,7 @@ The dispersive shock of a law beside that of Toda's chain, which needs no long w
     kdv = gx.theory.kdv.shock_wave(n, t, c, K2, K3)
     toda = gx.theory.toda.shock_wave(n, t, c, strength=strength, rate=rate)
     strains = np.stack([kdv.strain, toda.strain], -1)
-    gx.plots.profile(n, strains, labels=["KdV", "Toda"], inset="none", x_label="contact")
+    plt.plot(n, strains, label=["KdV", "Toda"])
 
 Source: D. J. Korteweg, G. de Vries, Phil. Mag. 39, 422 (1895); N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240
 (1965); for chains G. Friesecke, R. L. Pego, Nonlinearity 12, 1601 (1999).

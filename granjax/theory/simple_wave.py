@@ -9,10 +9,11 @@ Where V falls on the way from the one ahead to y_- the wave is a fan, V(y(n/t)) 
 rises there is a dispersive shock (`shock_edges`), whose plateau is y_- exactly of Toda's chain and nearly so
 elsewhere: precompressed Hertz (d0 = 1/2, sound 1), c = 0.1, 0.3, 0.5: 9e-6, 2e-4, 7e-4 above what was simulated.
 
+    import matplotlib.pyplot as plt
     import numpy as np
     n, t = np.arange(-100, 100), 80.0
     y = gx.theory.simple_wave.fan(n / t, gx.Toda(), -0.2)
-    gx.plots.profile(n, y, x_label="bond", y_label="strain")
+    plt.plot(n, y)
 
 Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley, 1974).
 """

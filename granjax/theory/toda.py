@@ -16,11 +16,12 @@ found them: every function below is exact, in arrays that broadcast, differentia
 
 The dispersive shock that two halves leave which meet with the velocities 2c and -2c, for 0 < c (b m/a)^{1/2} < 1:
 
+    import matplotlib.pyplot as plt
     import numpy as np
     edges = gx.theory.toda.velocity_shock(0.3)
     n, t = np.arange(300) + 0.5, 200.0
     shock = gx.theory.toda.shock_wave(n, t, 0.3)
-    gx.plots.profile(n, shock.strain, inset="none", x_label="contact")
+    plt.plot(n, shock.strain)
 
 Source: M. Toda, Theory of Nonlinear Lattices (Springer, 1989); R. Hirota, J. Phys. Soc. Jpn. 35, 286 (1973);
 H. Flaschka, Phys. Rev. B 9, 1924 (1974); G. Biondini, C. Chong, P. Kevrekidis, Physica D 469, 134315 (2024).
