@@ -15,8 +15,7 @@ import granjax as gx
 from granjax import linear, measures
 from granjax.newton import newton
 from granjax.results import Held, Result
-from granjax.work_precision import Ladder
-from granjax.work_precision.measuring import measure
+from granjax.work_precision import Ladder, measure
 
 N, T = 5, np.linspace(0.0, 2.0, 33)
 
