@@ -205,11 +205,12 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         own,
         own,
         errors,
-        how="",
+        how="a second run",
         _lanes=() if first else lanes,
         _space=(1, 0),
     )
-    data = dataclasses.replace(run, error=error).to_xarray(lanes=named)
+    run = dataclasses.replace(run, error=error)
+    data = run.to_xarray(lanes=named)
     assert data.error_u.dims == data.u.dims and data.error_last.dims == wanted
     assert data.u.dims == ((*wanted, "time", "site") if first else ("time", "site", *wanted))
     assert (
