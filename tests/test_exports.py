@@ -1,5 +1,6 @@
 """Results go to xarray and to files of every format, and come back as the same Dataset."""
 
+import dataclasses
 import functools
 import re
 from typing import ClassVar
@@ -13,6 +14,7 @@ from scipy.io import loadmat
 
 import granjax as gx
 from granjax import linear, measures
+from granjax.flow.run import Errors
 from granjax.newton import newton
 from granjax.results import Held, Result
 from granjax.work_precision import Ladder, measure
@@ -149,10 +151,8 @@ def batch(ts, us, lanes, space=(1, 0), **recorded):
         recorded=recorded,
         energy_error=np.full(lanes, 0.5),
         _margin=np.ones(lanes),
-        _short={},
         code=np.zeros((), int),
         stats={"steps": np.full(lanes, 9), "rejected": np.zeros((), int)},
-        failed_at=None,
         solver="SRKN6b",
         choice="",
         remark="",
@@ -161,10 +161,7 @@ def batch(ts, us, lanes, space=(1, 0), **recorded):
         _space=space,
         _mark=1.0,
     )
-    made = object.__new__(gx.Run)
-    for name, x in (known | {"_confirmation": None}).items():
-        object.__setattr__(made, name, x)
-    return made
+    return gx.Run(**known)
 
 
 RATIOS, LOADS, NAMES_ = (
@@ -196,11 +193,24 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         us, ts = np.ones((F, *shape)), own
     peak = np.ones((*lanes, N + 1) if first else (N + 1, *lanes))
     run = batch(ts, us, lanes, peak=peak, last=np.ones(lanes), site=np.ones(lanes))
-    object.__setattr__(
-        run, "_known_error", {"site": np.ones(lanes), "last": np.ones(lanes), "peak": peak}
+    errors = {"site": np.ones(lanes), "last": np.ones(lanes), "peak": peak}
+    energy = np.ones((*lanes, F) if first else (F, *lanes))
+    own = np.ones(lanes)
+    error = Errors(
+        us,
+        us,
+        gx.State(us[..., 0, :], us[..., 0, :]) if first else gx.State(us[0], us[0]),
+        energy,
+        own,
+        own,
+        errors,
+        how="a second run",
+        _lanes=() if first else lanes,
+        _space=(1, 0),
     )
+    run = dataclasses.replace(run, error=error)
     data = run.to_xarray(lanes=named)
-    assert data.peak.dims == data.peak_error.dims
+    assert data.error_u.dims == data.u.dims and data.error_last.dims == wanted
     assert data.u.dims == ((*wanted, "time", "site") if first else ("time", "site", *wanted))
     assert (
         data.energy_error.dims

@@ -126,7 +126,9 @@ def balances(
         keywords["step"] = (
             STEP_FRACTION / 2 / frequency_bound(lattice, problem.state, 0.0, t1, GATHERED[0])
         )
-    run = problem.run(t1, record={"inflow": Integral(Inflow(first, last))}, **keywords)
+    run = problem.run(
+        t1, record={"inflow": Integral(Inflow(first, last))}, confirm=True, **keywords
+    )
     y = State(*run.final)
     for i, term in enumerate(lattice.terms):
         if term.next_neighbours() is None:
@@ -148,7 +150,7 @@ def balances(
             f"{kind}_change": change,
             f"{kind}_inflow": inflow,
             f"{kind}_residual": change - inflow,
-            f"{kind}_error": run.record_error["inflow"][kind] + rounding,
+            f"{kind}_error": run.error.records["inflow"][kind] + rounding,
         }
     return Balances(**found, t1=run.ts[-1], first=first, last=last, **lattice.origin)
 
