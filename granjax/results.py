@@ -25,14 +25,44 @@ Lanes: TypeAlias = dict[str, Values] | None
 """The parameters that the lanes of a batch were swept over, by name, `None` where they have no names."""
 
 
+def array(
+    doc: str = "", unit: str = "", axes: str | None = None, *, name: str = "", **options: Any
+) -> Any:
+    """A field of a result: its description, its unit in SI, its axes, its name in a file if it has another there.
+
+    Axes are read off an annotation that names them, `Float[np.ndarray, "point mode"]`, where they are not given.
+    `options` are those of `equinox.field`.
+    """
+    return eqx.field(metadata={"held": Held(axes, unit, name, doc)}, **options)
+
+
+def part(doc: str = "", axes: str | None = None, *, name: str = "", **options: Any) -> Any:
+    """A field that is a `State`, or a result within, whose variables have the name of the field in front."""
+    return array(doc, STATE, axes, name=name, **options)
+
+
+def note(doc: str = "", unit: str = "", *, name: str = "", **options: Any) -> Any:
+    """A field that a dataset has as an attribute, whatever its shape; a result within is left out."""
+    return eqx.field(metadata={"held": Held(None, unit, name, doc), "note": True}, **options)
+
+
+def _axes(hint: Any) -> str:
+    """The axes that an annotation names, without lanes."""
+    words = getattr(hint, "dim_str", "").split()
+    if words or not get_args(hint):
+        return "" if "..." in words else " ".join(x for x in words if x[0] not in "*_123456789")
+    return next(filter(None, map(_axes, get_args(hint))), "")
+
+
 class Result(eqx.Module):
     """What a computation returns.
 
     `outcome` says in a sentence what became of it. Printing shows numbers as numbers and arrays by shape and range.
     `to_xarray()` gives the arrays with named axes, units and where they come from; `save` writes them to a file.
 
-    To add one: fields with their types, `outcome` as a field or a property, and for arrays with names of their own
-    a line each in the table `held`, with their units in SI. What comes from a lattice has its `_mark`, or it as a field
+    To add one: fields with their types, each `= array("What it is.", "m/s", "time site")` (a `State`: `part`, what is
+    an attribute in a file: `note`), and `outcome`, a field or a property; properties that a file has too are named in
+    `exported`. What comes from a lattice has its `_mark`, or it as a field
     `lattice`: where that is not in SI, files say "scaled" in place of a unit. What has neither is counted in what
     nobody knows, and files give no units; a class that is always in SI says so by `_else = SI`.
 
@@ -47,12 +77,35 @@ class Result(eqx.Module):
     """
 
     outcome: eqx.AbstractVar[str]
-    held: ClassVar[dict[str, Held]] = {}
+    exported: ClassVar[dict[str, Held]] = {}
     # what a result without a mark is counted in, "SI" for what `held` says; `None` where nobody knows
     _else: ClassVar[str | None] = None
     # of the lattice that it comes from: its units; axes that count sites, and components of a vector at each
     _mark: Any = eqx.field(default=None, kw_only=True, repr=False)
     _space: tuple[int, int] | None = eqx.field(static=True, kw_only=True, default=None)
+
+    def __init_subclass__(cls, **keywords):
+        super().__init_subclass__(**keywords)
+        own = {}
+        for name, hint in vars(cls).get("__annotations__", {}).items():
+            told = getattr(vars(cls).get(name), "metadata", {})
+            if "held" in told:
+                axes = told["held"].axes
+                fixed = axes is not None or "note" in told
+                own[name] = told["held"] if fixed else told["held"]._replace(axes=_axes(hint))
+        cls._described = {**getattr(cls, "_described", {}), **own, **cls.exported}
+        rows = [
+            f"- `{name}`{f' ({x.axes})' if x.axes else ''}{f' [{x.unit}]' if x.unit else ''}: {x.doc}"
+            for name, x in own.items()
+            if x.doc
+        ]
+        if rows:
+            cls.__doc__ = "\n    ".join([f"{cls.__doc__ or ''}\n", "**Fields:**", "", *rows, ""])
+
+    @property
+    def held(self) -> dict[str, Held]:
+        """What each field is: axes, unit, name in a file, description."""
+        return self._described
 
     @property
     def units(self) -> str | None:
@@ -92,41 +145,30 @@ class Result(eqx.Module):
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         """Names and values of the fields that are shown and kept, without the outcome and what is not there."""
-        for name in (field.name for field in dataclasses.fields(self)):
-            if name == "outcome" or name[0] == "_":
-                continue
-            value = getattr(self, name)
-            if value is not None:
-                yield name, value
+        for name in (*(field.name for field in dataclasses.fields(self)), *self.exported):
+            if name != "outcome" and name[0] != "_" and getattr(self, name) is not None:
+                yield name, getattr(self, name)
 
     def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        """How the arrays lie: lanes as its lattice's mark has them, else what all have beyond the axes of the table.
+        """How the arrays lie: lanes as its lattice's mark has them, else what all have beyond axes that are named.
 
-        The latter come first, as `jax.vmap` has them; a result that keeps lanes behind what it counts says so here.
+        The latter come last, or first, as `jax.vmap` has them.
         """
         marked = lanes_of(self._known_mark, space)
         if marked is not None:
             return Layout(*space, *marked)
-        arrays = {
-            name: (np.shape(fields[name]), axes)
-            for name, (axes, *_) in self.held.items()
-            if axes is not None and _is_array(fields.get(name))
-        }
-        plain = [
-            (shape, axes.split())
-            for shape, axes in arrays.values()
-            if "site" not in axes and "..." not in axes
-        ]
-        more = {len(shape) - len(own) for shape, own in plain}
+        known, over = [], []
+        for name, held in self.held.items():
+            if held.axes is not None and _is_array(fields.get(name)):
+                plain = "site" not in held.axes and "..." not in held.axes
+                (known if plain else over).append((np.shape(fields[name]), len(held.axes.split())))
+        more = {len(shape) - own for shape, own in known}
         count = max(more.pop(), 0) if len(more) == 1 else 0
-        first = {shape[:count] for shape, _ in plain}
-        last = {shape[len(shape) - count :] for shape, _ in plain}
-        over = [shape for shape, axes in arrays.values() if "site" in axes]
-        behind = first == last and over and all({x[len(x) - count :]} == last for x in over)
-        space = space or (None, 0)
-        if len(first) == 1 and not (behind and any({x[:count]} != first for x in over)):
-            return Layout(*space, first.pop(), count)
-        return Layout(*space, last.pop()) if len(last) == 1 else Layout(*space)
+        last = {shape[len(shape) - count :] for shape, _ in known + over}
+        first = {shape[:count] for shape, _ in known}
+        if not count or len(last) == 1:
+            return Layout(*(space or (None, 0)), last.pop() if count else ())
+        return Layout(*(space or (None, 0)), *((first.pop(), count) if len(first) == 1 else ()))
 
     def to_xarray(self, *, lanes: Lanes = None) -> "xarray.Dataset":
         """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.

@@ -202,7 +202,8 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
     )
     data = run.to_xarray(lanes=named)
     assert data.peak.dims == data.peak_error.dims
-    assert data.u.dims == ((*wanted, "time", "site") if first else ("time", "site", *wanted))
+    assert data.u.dims == ("time", "site", *wanted)
+    assert np.all(data.u == 1.0) and np.array_equal(data.time, own)
     assert (
         data.energy_error.dims
         == data["last"].dims
@@ -211,7 +212,7 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         == wanted
     )
     assert data.time.dims == ("time",) and data.attrs["stats_rejected"] == 0
-    assert data.peak.dims == ((*wanted, "peak_0") if first else ("peak_0", *wanted))
+    assert data.peak.dims == ("peak_0", *wanted)
     for name, values in (named or {}).items():
         assert np.array_equal(data[name], values) and name in data.coords
     for ending in ("nc", "mat"):
@@ -222,7 +223,7 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
 def test_times_of_their_own_of_each_lane_are_kept():
     run = batch(np.outer([1.0, 2.0], np.arange(F)), np.ones((2, F, N)), (2,))
     data = run.to_xarray(lanes={"speed": [1.0, 2.0]})
-    assert data.times.dims == ("speed", "time") and "time" not in data.variables
+    assert data.times.dims == ("time", "speed") and "time" not in data.variables
     behind = batch(np.outer(np.arange(F), [1.0, 2.0]), np.ones((F, N, 2)), (2,)).to_xarray()
     assert behind.times.dims == ("time", "lane") and behind.u.dims == ("time", "site", "lane")
 
@@ -258,17 +259,21 @@ def test_batches_of_other_results_are_named_too():
     modes = jax.tree.map(lambda *x: np.stack(x), *[made("NormalModes")] * 3).to_xarray(
         lanes={"ratio": RATIOS}
     )
-    assert modes.omega.dims == ("ratio", "mode") and modes.modes.dims == ("ratio", "site", "mode")
+    assert modes.omega.dims == ("mode", "ratio") and modes.modes.dims == ("site", "mode", "ratio")
     chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(
         RATIOS
     )
-    for last, dims in ((0, ("ratio", "site", "mode")), (-1, ("site", "mode", "ratio"))):
-        modes = jax.vmap(linear.normal_modes, in_axes=-1, out_axes=last)(chains)
-        assert modes.to_xarray(lanes={"ratio": RATIOS}).modes.dims == dims
+    first, last = (
+        jax.vmap(linear.normal_modes, in_axes=-1, out_axes=axis)(chains).to_xarray(
+            lanes={"ratio": RATIOS}
+        )
+        for axis in (0, -1)
+    )
+    assert first.equals(last) and last.modes.dims == ("site", "mode", "ratio")
     waves = jax.tree.map(lambda *x: np.stack(x), *[made("Dispersion")] * 3).to_xarray(
         lanes={"ratio": RATIOS}
     )
-    assert waves.omega.dims == ("ratio", "wave", "band") and waves.k.dims == ("ratio", "wave")
+    assert waves.omega.dims == ("wave", "band", "ratio") and waves.k.dims == ("wave", "ratio")
     peaks = measures.Peaks(np.ones((N, 3)), np.ones((N, 3)))
     assert peaks.to_xarray(lanes={"ratio": RATIOS}).heights.dims == ("site", "ratio")
     front = measures.Front(np.ones(3), np.ones(3), np.ones((N, 3))).to_xarray(
@@ -279,8 +284,8 @@ def test_batches_of_other_results_are_named_too():
         lanes={"load": [1.0, 2.0]}
     )
     assert orbit.state_u.dims == orbit.error_state_u.dims == (
-        "load",
         "site",
+        "load",
     ) and orbit.omega.dims == ("load",)
 
 
