@@ -88,6 +88,17 @@ def lanes_of(mark: Any, space: tuple[int, int] | None) -> tuple[tuple[int, ...],
     return ((*shape[: places[0]], *shape[places[0] + own :]), places[0]) if places else None
 
 
+def along_waves(result: Any) -> dict[str, Held]:
+    """The fields of bands with as many axes for the wave as `k` has: none where it is one number."""
+    lanes = lanes_of(result._mark, result._space)
+    count = result.omega.ndim - 1 - len(lanes[0] if lanes else ())
+    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
+    return {
+        name: held if held.axes is None else held._replace(axes=held.axes.replace("wave", wave))
+        for name, held in result._described.items()
+    }
+
+
 def laid(
     axes: str, name: str, x: np.ndarray, layout: Layout, lanes: tuple[str, ...], site: str = "site"
 ) -> tuple[list[str], np.ndarray]:
