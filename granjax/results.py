@@ -42,7 +42,7 @@ def part(doc: str = "", axes: str | None = None, *, name: str = "", **options: A
 
 
 def note(doc: str = "", unit: str = "", *, name: str = "", **options: Any) -> Any:
-    """A field that a dataset has as an attribute, whatever its shape; a result within is left out."""
+    """A field that a dataset has as an attribute, whatever its shape; results and states within are left out."""
     return eqx.field(metadata={"held": Held(None, unit, name, doc), "note": True}, **options)
 
 
@@ -198,7 +198,7 @@ class Result(eqx.Module):
         for field, value in fields.items():
             held = self.held.get(field, Held())
             name, records = held.name or field, _records(types.get(field), value)
-            if isinstance(value, Result):
+            if isinstance(value, Result) or held.axes is None and hasattr(value, "_asdict"):
                 within |= {} if held.axes is None else {name: value}
             elif (
                 isinstance(value, dict)
