@@ -1,8 +1,11 @@
 """Results go to xarray and to files of every format, and come back as the same Dataset."""
 
+import dataclasses
 import functools
+import importlib
+import pkgutil
 import re
-from typing import ClassVar
+import typing
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +17,7 @@ from scipy.io import loadmat
 import granjax as gx
 from granjax import linear, measures
 from granjax.newton import newton
-from granjax.results import Held, Result
+from granjax.results import Result, array
 from granjax.work_precision import Ladder
 from granjax.work_precision.measuring import measure
 
@@ -138,6 +141,80 @@ def test_a_result_goes_out_and_comes_back(name, tmp_path):
         )
     for ending in ("nc", "mat"):
         assert comes_back(result.save(tmp_path / f"{name}.{ending}"), data), ending
+
+
+def kinds():
+    """Every class of results whose fields say what they are."""
+    for module in pkgutil.walk_packages(gx.__path__, "granjax."):
+        if "plots" not in module.name and not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    found, inner = set(), [Result]
+    while inner:
+        inner = [kind for one in inner for kind in one.__subclasses__()]
+        found |= {
+            kind for kind in inner if kind.__module__.startswith("granjax") and kind._described
+        }
+    return sorted(found, key=lambda kind: f"{kind.__module__}.{kind.__name__}")
+
+
+def blank(kind):
+    """A result of a class, with arrays that have the axes that its fields tell."""
+    sizes = {}
+
+    def value(hint, axes):
+        own = [word for word in (axes or "").split() if word != "..."]
+        shape = [3 if x == "site" else sizes.setdefault(x, len(sizes) + 4) for x in own]
+        if hint in (str, int, float, bool):
+            return hint(1)
+        if hint is gx.State:
+            return gx.State(np.ones(shape), np.full(shape, 2.0))
+        if isinstance(hint, type) and issubclass(hint, Result):
+            return None if "_fields" in vars(hint) else blank(hint)
+        if typing.get_origin(hint) is tuple:
+            words = typing.get_args(hint)[0] is str
+            return tuple(f"word{k}" for k in range(*shape or (2,))) if words else ()
+        known = [
+            x
+            for x in map(value, typing.get_args(hint), [axes] * 9)
+            if isinstance(x, (Result, gx.State))
+        ]
+        whole = "int64" in str(getattr(hint, "dtypes", ""))
+        x = np.arange(np.prod(shape, dtype=int), dtype=int if whole else float).reshape(shape)
+        return known[0] if known else x
+
+    told = kind._described
+    made = {x.name: (x.type, told.get(x.name)) for x in dataclasses.fields(kind)}
+    made |= {name: (object, held) for name, held in kind.exported.items()}
+    values = {name: value(hint, held.axes) for name, (hint, held) in made.items() if held}
+    empty = {name: None for name in made if name not in values}
+    whole = type(
+        kind.__name__, (kind,), {"__annotations__": {}, **{x: None for x in kind.exported}}
+    )
+    whole = type(kind.__name__, (whole,), {"outcome": "Found."})
+    result = object.__new__(whole)
+    for name, x in (empty | values | {"outcome": "Found."}).items():
+        if name in kind.exported or name == "outcome":
+            type.__setattr__(whole, name, x)
+        else:
+            object.__setattr__(result, name, x)
+    return result
+
+
+@pytest.mark.parametrize("kind", kinds(), ids=lambda kind: kind.__name__)
+def test_every_kind_of_result_goes_out_and_comes_back(kind, tmp_path):
+    assert all(x.doc for name, x in kind._described.items() if name not in kind.exported)
+    if "_fields" in vars(kind):
+        return  # what a file holds of it is no list of its fields: among those that are made
+    result = blank(kind)
+    legible(repr(result))
+    data = result.to_xarray()
+    for name, held in result.held.items():
+        wanted = [x for x in (held.axes or "").split() if x != "..."]
+        x = next((data.get(y) for y in (held.name or name, f"{name}_real") if y in data), None)
+        if wanted and x is not None:
+            assert {x.split("_")[0] for x in wanted} <= {axis.split("_")[0] for axis in x.dims}
+            assert name in kind.exported or x.attrs["long_name"] == held.doc
+    assert comes_back(result.save(tmp_path / "result.nc"), data)
 
 
 def batch(ts, us, lanes, space=(1, 0), **recorded):
@@ -317,9 +394,8 @@ def test_vectors_of_the_plane_and_fields_of_a_cell_are_named(tmp_path):
 
 
 class Named(Result):
-    held: ClassVar = {"values": Held("site"), "words": Held("word")}
-    values: object
-    words: object
+    values: object = array(axes="site")
+    words: object = array(axes="word")
     parameters: object
     outcome: str = "Found."
 
