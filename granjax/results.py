@@ -3,6 +3,7 @@
 import dataclasses
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, get_args, get_origin
 
@@ -140,7 +141,7 @@ class Result(eqx.Module):
 
     def _unit(self, name: str) -> str:
         """The unit in which a field is counted; nothing where it is scaled."""
-        unit = by_name.settled(None, self.units).conversion(self.held.get(name, Held()).unit)[1]
+        unit = _attributes(self.units, self.held.get(name, Held()).unit).get("units", "")
         return "" if unit in (SCALED, STATE) else unit
 
     def _fields(self) -> Iterator[tuple[str, object]]:
@@ -190,10 +191,18 @@ class Result(eqx.Module):
 
         fields = dict(self._fields())
         layout = self._layout(fields, space)
-        layout = layout if lanes is None else self._with_lanes(layout, fields, lanes)
+        if lanes is not None and not layout.lanes and layout.sites is None:
+            # those that the user names, where they end all that has axes to spare
+            sizes = tuple(np.size(x) for x in lanes.values())
+            over = [
+                np.shape(fields[field])
+                for field, (axes, *_) in self.held.items()
+                if axes is not None and _is_array(fields.get(field)) and _more(fields[field], axes)
+            ]
+            if over and all(len(x) > len(sizes) and x[-len(sizes) :] == sizes for x in over):
+                layout = Layout(lanes=sizes)
         names, swept = lanes_named(lanes, layout.lanes)
-        counted = by_name.settled(None, self.units)
-        table = Table(layout, names, lambda unit: _attributes(counted, unit))
+        table = Table(layout, names, partial(_attributes, self.units))
         types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
         for field, value in fields.items():
             held = self.held.get(field, Held())
@@ -226,19 +235,6 @@ class Result(eqx.Module):
             data = _joined(data, name, own._dataset(lanes if alike else None, space))
         return data
 
-    def _with_lanes(self, layout, fields, lanes):
-        """The layout; where it knows of no lanes, those that the user names and that end what has axes to spare."""
-        if layout.lanes or layout.sites is not None:
-            return layout
-        sizes = tuple(np.size(x) for x in lanes.values())
-        over = [
-            np.shape(fields[name])
-            for name, (axes, *_) in self.held.items()
-            if axes is not None and _is_array(fields.get(name)) and _more(fields[name], axes)
-        ]
-        fits = over and all(len(x) > len(sizes) and x[len(x) - len(sizes) :] == sizes for x in over)
-        return Layout(lanes=sizes) if fits else layout
-
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
         """`to_xarray(lanes=lanes)` with its numbers counted in other units.
 
@@ -262,7 +258,8 @@ class Result(eqx.Module):
             unit = told.get("si_units", told.get("units", ""))
             factor, name = counted.conversion(unit)
             taken.update(word.name for word in counted.words if word.name == name)
-            return x * factor if factor != 1 else x, _attributes(counted, unit) if unit else stays
+            own = {"units": name} | ({"si_units": unit} if name == SCALED else {})
+            return x * factor if factor != 1 else x, own if unit else stays
 
         for name, x in data.variables.items():
             values, told = (
@@ -325,10 +322,12 @@ class Result(eqx.Module):
         return save(self.to_xarray(lanes=lanes), path)
 
 
-def _attributes(counted: by_name.Counted, unit: str) -> dict[str, str]:
-    """The attributes that say what numbers are counted in whose unit in SI is known."""
-    said = counted.conversion(unit)[1]
-    return ({"units": said} if said else {}) | ({"si_units": unit} if said == SCALED else {})
+def _attributes(counted: str | None, unit: str) -> dict[str, str]:
+    """The attributes of numbers whose unit in SI is known, counted in "SI", "scaled" or nobody knows what."""
+    known = by_name.known_unit(unit)
+    if known is None or not any(known.dimension) or counted == SI:
+        return {"units": unit} if unit else {}
+    return {"units": SCALED, "si_units": unit} if counted == SCALED else {}
 
 
 def _more(x, axes):
