@@ -23,9 +23,9 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+from machine import machine
 
 import granjax as gx
-from granjax.work_precision import machine
 
 HERE = Path(__file__).parent
 ADJOINTS = {

@@ -26,12 +26,13 @@ import jax.numpy as jnp
 import numpy as np
 import scenes
 from curves import chart, figures
+from machine import as_dict, machine
 from peers import PACKAGES
 from peers.tangents import METHODS, Orbit
 from precision import AGREEMENT, disagreeing, versions
 
 import granjax as gx
-from granjax.work_precision import Ladder, machine, measure
+from granjax.work_precision import Ladder, measure
 
 HERE = Path(__file__).parent
 MODULES = ("tangents", "taylor_tangents")
@@ -113,15 +114,16 @@ def monodromy(options):
             continue
         ladders += [peer(scene, name, *x, counts, options.quick) for name, x in found.items()]
     reference = parts(np.asarray(scene.reference))
-    table = measure(
-        ladders,
-        reference,
-        scene.uncertainty,
-        1 if options.quick else options.repeats,
-        longest=2.0,
-        note=scene.note,
-    ).to_dict()
-    del table["machine"]
+    table = as_dict(
+        measure(
+            ladders,
+            reference,
+            scene.uncertainty,
+            1 if options.quick else options.repeats,
+            longest=2.0,
+            note=scene.note,
+        )
+    )
     return {
         "title": scene.title,
         "t1": scene.t1,

@@ -23,12 +23,12 @@ import numpy as np
 import peers
 import scenes
 from curves import by_method, chart, figures
+from machine import as_dict, machine
 from peers.chain import SPLITTING
 from peers.native import compiler
 
 import granjax as gx
-from granjax.work_precision import Ladder, machine, measure
-from granjax.work_precision.solvers import highest_frequency, stable_step
+from granjax.work_precision import Ladder, highest_frequency, measure, stable_step
 
 HERE = Path(__file__).parent
 SCENES = {"impact": "impact", "smooth": "smooth", "sweep": "dimer_sweep"}
@@ -100,16 +100,16 @@ def measured(name, options):
         *(others(scene, *x, options.quick) for x in found.items()),
     ]
     repeats = 1 if options.quick else options.repeats
-    table = measure(
-        ladders,
-        tuple(scene.reference),
-        scene.uncertainty,
-        repeats,
-        longest=LONGEST[name],
-        note=scene.note,
-    ).to_dict()
-    # `machine` says it once for all scenes
-    del table["machine"]
+    table = as_dict(
+        measure(
+            ladders,
+            tuple(scene.reference),
+            scene.uncertainty,
+            repeats,
+            longest=LONGEST[name],
+            note=scene.note,
+        )
+    )
     ratios = [p["seconds"] / p["fastest"] for p in table["points"] if p["drawn"]]
     return {
         "title": scene.title,

@@ -28,9 +28,9 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from machine import machine
 
 import granjax as gx
-from granjax.work_precision import machine
 
 HERE = Path(__file__).parent
 BEADS, TIME, BATCH = 101, 400.0, 64

@@ -1,8 +1,8 @@
 """`design`: parameters that make a scalar of a simulation, of modes or of bands as small or as large as it gets."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from .checks import described, one_of, parameter, refuse, within
 from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
 from .parameters import Bounds, Coordinates
-from .results import Held, Result
+from .results import Result, array
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
 
 MODES = ("forward", "reverse")
@@ -23,13 +23,10 @@ FEW = 20
 
 
 class Design(Result):
-    """What `design` returns: the best point that it met. It prints itself.
+    """What `design` returns: the best point that it met.
 
-    **Fields:** `parameters`: dict. `value`, `start_value`: the objective there and at the start. `history`,
-    `gradient_norm` (max_steps + 1,): the objective and the largest entry of its gradient in the free coordinates at
-    every point, the start first, NaN after the last one. `start_gradient` (P,): in the order of `names`. `iterations`:
-    how many were made. `every`: best value of each start (S,), NaN for one without a gradient. `code`: 0 converged,
-    1 stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
+    `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite
+    at the start.
 
     **Example:**
 
@@ -38,23 +35,26 @@ class Design(Result):
     (1.0, 0, ('x',))
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "history": Held("point"),
-        "gradient_norm": Held("point"),
-        "start_gradient": Held("parameter"),
-        "every": Held("start"),
-        "names": Held("parameter", "", "parameter"),
-    }
-    parameters: dict[str, Numbers]
-    value: Float[AnyArray, ""]
-    start_value: Float[AnyArray, ""]
-    history: Float[AnyArray, " points"]
-    gradient_norm: Float[AnyArray, " points"]
-    start_gradient: Float[AnyArray, " P"]
-    iterations: Integer[AnyArray, ""]
-    every: Numbers
-    code: Integer[AnyArray, ""]
-    names: tuple[str, ...] = eqx.field(static=True)
+    parameters: dict[str, Numbers] = array("The parameters, by name.")
+    value: Float[AnyArray, ""] = array("The objective at the best point.")
+    start_value: Float[AnyArray, ""] = array("The objective at the start.")
+    history: Float[AnyArray, " point"] = array(
+        "The objective at every point, the start first, NaN after the last one."
+    )
+    gradient_norm: Float[AnyArray, " point"] = array(
+        "The largest entry of the gradient in the free coordinates at every point."
+    )
+    start_gradient: Float[AnyArray, " parameter"] = array(
+        "The gradient at the start, in the order of `names`."
+    )
+    iterations: Integer[AnyArray, ""] = array("The number of iterations.")
+    every: Numbers = array(
+        "The best value of each start, NaN for one without a gradient.", axes="start"
+    )
+    code: Integer[AnyArray, ""] = array("How the search ended.")
+    names: tuple[str, ...] = array(
+        "The names of the parameters.", axes="parameter", name="parameter", static=True
+    )
 
     @property
     def outcome(self) -> str:
@@ -84,11 +84,6 @@ class Design(Result):
         }[code]
         still = _listed(self.names, slopes == 0)
         return sentence + (f" At the start it does not feel {still}." if still else "")
-
-    def _rows(self) -> Iterator[tuple[str, str]]:
-        for name, x in self.parameters.items():
-            yield name, np.array2string(np.asarray(x), precision=6, threshold=8)
-        yield "outcome", self.outcome
 
 
 def design(

@@ -1,7 +1,6 @@
 """Where a lattice rests: by Newton's method, with the loads that hold it."""
 
 from collections.abc import Sequence
-from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -13,7 +12,7 @@ from .checks import one_of, refuse, traced
 from .lattice import Lattice, State
 from .lattice.model import check_shape as _check_shape
 from .newton import newton
-from .results import STATE, Held, Result
+from .results import Result, array, note, part
 from .types import AnyArray, Count, Displacements, Numbers
 
 # unknowns up to which Newton's method has a dense derivative
@@ -25,14 +24,6 @@ HOLDS = ("ends", "loads", "nothing")
 class Equilibrium(Result):
     """A state of rest, and what holds the lattice there.
 
-    **Fields:** `state`: displacements, from where the lattice was built, and velocities, which are zero. `loads`: the
-    forces from outside that hold each site, beside walls: of the shape of the displacements, zero where nothing holds.
-    `ends`: (2,) the forces that press on the left and right end of a chain, of its walls or else loads, compression
-    positive; `None` where a term does not know its walls. `residual`: the largest force that is left over on a site;
-    `largest`: the largest force there is, of a contact or of a term on a site. `stiffness`: the least eigenvalue of the
-    stiffness of all that can move (uniform displacements of a ring left out), below zero at a saddle; `error` of it.
-    `lattice`: the lattice measured from there, which rests at u = 0.
-
     **Example:**
 
     >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=3)
@@ -41,24 +32,30 @@ class Equilibrium(Result):
     (Array([-0.5,  0.5], dtype=float64), 0.5858)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "state": Held("site ...", STATE),
-        "loads": Held("site ...", "N"),
-        "ends": Held("end", "N"),
-        "residual": Held("", "N"),
-        "largest": Held("", "N"),
-        "stiffness": Held("", "N/m"),
-        "error": Held("", "N/m"),
-        "lattice": Held(None),
-    }
-    state: State
-    loads: Displacements
-    ends: Numbers | None
-    residual: Numbers
-    largest: Numbers
-    stiffness: Numbers | None
-    error: Numbers | None
-    lattice: Lattice
+    state: State = part(
+        "Displacements, from where the lattice was built, and velocities, which are zero.",
+        "site ...",
+    )
+    loads: Displacements = array(
+        "The forces from outside that hold each site, beside walls; zero where nothing holds it.",
+        "N",
+        "site ...",
+    )
+    ends: Numbers | None = array(
+        "The forces on the left and right end of a chain, compression positive; `None` "
+        "where a term does not know its walls.",
+        "N",
+        "end",
+    )
+    residual: Numbers = array("The largest force that is left over on a site.", "N")
+    largest: Numbers = array("The largest force of a contact, or of a term on a site.", "N")
+    stiffness: Numbers | None = array(
+        "The least eigenvalue of the stiffness (uniform displacements of a ring left out), "
+        "negative at a saddle.",
+        "N/m",
+    )
+    error: Numbers | None = array("The error of `stiffness`.", "N/m")
+    lattice: Lattice = note("The lattice measured from there, which rests at u = 0.")
     _code: str = eqx.field(static=True)
     _remark: str = eqx.field(static=True)
 

@@ -1,7 +1,5 @@
 """Kinks: what joins two wells of the force on the sites, at rest, over the Peierls-Nabarro barrier, and moving."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ import numpy as np
 from .checks import refuse
 from .lattice import Lattice, State, spread_mass
 from .newton import newton
-from .results import STATE, Held, Result
+from .results import Result, array, part
 from .types import Number, Numbers, Scalar
 
 # of the largest force on the way from well to well: what is none, and what Newton's method leaves
@@ -30,12 +28,6 @@ FAR = 12
 class Kink(Result):
     """A kink at rest: F(u) = 0 with one well far left and another far right.
 
-    **Fields:** `state`: (N,) at rest. `energy`: above that of the left well. `error` (N,), `energy_error`: estimated
-    distances from the truth. `omega` (N,): frequencies of small oscillations, ascending; where the kink is unstable
-    the first are zero and `growth` is its rate [1/s], else zero. The lowest one of a stable kink is the
-    Peierls-Nabarro frequency. `residual`: largest force over that on the way between the wells. `verdict`: "stable",
-    "unstable" or "undecided" (its curvature is not known from zero: a chain near the continuum). `outcome`.
-
     **Example:**
 
     >>> chain = gx.scenes.sine_gordon(20)
@@ -44,32 +36,30 @@ class Kink(Result):
     ('unstable', True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "state": Held("site", STATE),
-        "energy": Held(unit="J"),
-        "error": Held("site", "m"),
-        "energy_error": Held(unit="J"),
-        "omega": Held("mode", "rad/s"),
-        "growth": Held(unit="1/s"),
-        "residual": Held(unit="1"),
-    }
-    state: State
-    energy: Number
-    error: Numbers
-    energy_error: Number
-    omega: Numbers
-    growth: Number
-    residual: Number
-    verdict: str = eqx.field(static=True)
+    state: State = part("The kink at rest.", "site")
+    energy: Number = array("The energy above that of the left well.", "J")
+    error: Numbers = array(
+        "The estimated distance of each displacement from the truth.", "m", "site"
+    )
+    energy_error: Number = array("The estimated distance of the energy from the truth.", "J")
+    omega: Numbers = array(
+        "The frequencies of small oscillations, ascending, zero where the kink is unstable;"
+        " the lowest one of a stable kink is the Peierls-Nabarro frequency.",
+        "rad/s",
+        "mode",
+    )
+    growth: Number = array("The growth rate of an unstable kink, else zero.", "1/s")
+    residual: Number = array("The largest force over that on the way between the wells.", "1")
+    verdict: str = array(
+        '"stable", "unstable" or "undecided" (the curvature is not known from zero: a chain'
+        " near the continuum).",
+        static=True,
+    )
     outcome: str = eqx.field(static=True)
 
 
 class PeierlsNabarro(Result):
     """The barrier against moving a kink by a site.
-
-    **Fields:** `barrier`: energy of the kink that is higher less that of the lower one; `error` of it. `site`,
-    `bond`: energies of the kinks centred on a site and on a bond. `omega`: of small oscillations of the lower one in
-    its valley, the Peierls-Nabarro frequency. `outcome`: which is the lower one.
 
     **Example:**
 
@@ -78,18 +68,14 @@ class PeierlsNabarro(Result):
     'The kink rests on a bond; the other one is unstable.'
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "barrier": Held(unit="J"),
-        "error": Held(unit="J"),
-        "site": Held(unit="J"),
-        "bond": Held(unit="J"),
-        "omega": Held(unit="rad/s"),
-    }
-    barrier: Number
-    error: Number
-    site: Number
-    bond: Number
-    omega: Number
+    barrier: Number = array("The energy of the higher kink less that of the lower one.", "J")
+    error: Number = array("The error of the barrier.", "J")
+    site: Number = array("The energy of the kink centred on a site.", "J")
+    bond: Number = array("The energy of the kink centred on a bond.", "J")
+    omega: Number = array(
+        "The Peierls-Nabarro frequency: of small oscillations of the lower kink in its valley.",
+        "rad/s",
+    )
     outcome: str = eqx.field(static=True)
 
 

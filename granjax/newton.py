@@ -1,7 +1,7 @@
 """Newton's method for a square system, with outcomes as values and derivatives by the implicit function theorem."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import described, refuse, traced
-from .results import Held, Result
+from .results import Result, array
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE = range(4)
@@ -19,11 +19,9 @@ FLAT = 1e-6
 
 
 class Root(Result):
-    """Where Newton's method ended: its best iterate, whatever came of it.
+    """Where Newton's method ended: its best iterate.
 
-    **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)| of the iterate before the
-    finishing step. `first`: that of the guess. `iterations`: Jacobians evaluated. `code`: 0 converged, 1 stalled,
-    2 steps spent, 3 not finite.
+    `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
 
     **Example:**
 
@@ -32,14 +30,13 @@ class Root(Result):
     (True, 5, Array([[2.8284]], dtype=float64))
     """
 
-    held: ClassVar[dict[str, Held]] = {"x": Held("unknown"), "jacobian": Held("equation unknown")}
-    x: Numbers
-    jacobian: Numbers
-    residual: Numbers
-    first: Numbers
-    iterations: Counts
-    code: Counts
-    tolerance: Numbers
+    x: Numbers = array("The iterate.", axes="unknown")
+    jacobian: Numbers = array("dF/dx at the iterate.", axes="equation unknown")
+    residual: Numbers = array("max |F(x)| of the iterate before the finishing step.")
+    first: Numbers = array("max |F(x)| of the guess.")
+    iterations: Counts = array("The number of Jacobians that were evaluated.")
+    code: Counts = array("How the iteration ended.")
+    tolerance: Numbers = array("The residual that was asked for.")
 
     @property
     def converged(self) -> Flags:

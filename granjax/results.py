@@ -3,6 +3,7 @@
 import dataclasses
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, get_args, get_origin
 
@@ -25,14 +26,44 @@ Lanes: TypeAlias = dict[str, Values] | None
 """The parameters that the lanes of a batch were swept over, by name, `None` where they have no names."""
 
 
+def array(
+    doc: str = "", unit: str = "", axes: str | None = None, *, name: str = "", **options: Any
+) -> Any:
+    """A field of a result: its description, its unit in SI, its axes, its name in a file if it has another there.
+
+    Axes are read off an annotation that names them, `Float[np.ndarray, "point mode"]`, where they are not given.
+    `options` are those of `equinox.field`.
+    """
+    return eqx.field(metadata={"held": Held(axes, unit, name, doc)}, **options)
+
+
+def part(doc: str = "", axes: str | None = None, *, name: str = "", **options: Any) -> Any:
+    """A field that is a `State`, or a result within, whose variables have the name of the field in front."""
+    return array(doc, STATE, axes, name=name, **options)
+
+
+def note(doc: str = "", unit: str = "", *, name: str = "", **options: Any) -> Any:
+    """A field that a dataset has as an attribute, whatever its shape; results and states within are left out."""
+    return eqx.field(metadata={"held": Held(None, unit, name, doc), "note": True}, **options)
+
+
+def _axes(hint: Any) -> str:
+    """The axes that an annotation names, without lanes."""
+    words = getattr(hint, "dim_str", "").split()
+    if words or not get_args(hint):
+        return "" if "..." in words else " ".join(x for x in words if x[0] not in "*_123456789")
+    return next(filter(None, map(_axes, get_args(hint))), "")
+
+
 class Result(eqx.Module):
     """What a computation returns.
 
     `outcome` says in a sentence what became of it. Printing shows numbers as numbers and arrays by shape and range.
     `to_xarray()` gives the arrays with named axes, units and where they come from; `save` writes them to a file.
 
-    To add one: fields with their types, `outcome` as a field or a property, and for arrays with names of their own
-    a line each in the table `held`, with their units in SI. What comes from a lattice has its `_mark`, or it as a field
+    To add one: fields with their types, each `= array("What it is.", "m/s", "time site")` (a `State`: `part`, what is
+    an attribute in a file: `note`), and `outcome`, a field or a property; properties that a file has too are named in
+    `exported`. What comes from a lattice has its `_mark`, or it as a field
     `lattice`: where that is not in SI, files say "scaled" in place of a unit. What has neither is counted in what
     nobody knows, and files give no units; a class that is always in SI says so by `_else = SI`.
 
@@ -47,12 +78,35 @@ class Result(eqx.Module):
     """
 
     outcome: eqx.AbstractVar[str]
-    held: ClassVar[dict[str, Held]] = {}
+    exported: ClassVar[dict[str, Held]] = {}
     # what a result without a mark is counted in, "SI" for what `held` says; `None` where nobody knows
     _else: ClassVar[str | None] = None
     # of the lattice that it comes from: its units; axes that count sites, and components of a vector at each
     _mark: Any = eqx.field(default=None, kw_only=True, repr=False)
     _space: tuple[int, int] | None = eqx.field(static=True, kw_only=True, default=None)
+
+    def __init_subclass__(cls, **keywords):
+        super().__init_subclass__(**keywords)
+        own = {}
+        for name, hint in vars(cls).get("__annotations__", {}).items():
+            told = getattr(vars(cls).get(name), "metadata", {})
+            if "held" in told:
+                axes = told["held"].axes
+                fixed = axes is not None or "note" in told
+                own[name] = told["held"] if fixed else told["held"]._replace(axes=_axes(hint))
+        cls._described = {**getattr(cls, "_described", {}), **own, **cls.exported}
+        rows = [
+            f"- `{name}`{f' ({x.axes})' if x.axes else ''}{f' [{x.unit}]' if x.unit else ''}: {x.doc}"
+            for name, x in own.items()
+            if x.doc
+        ]
+        if rows:
+            cls.__doc__ = "\n    ".join([f"{cls.__doc__ or ''}\n", "**Fields:**", "", *rows, ""])
+
+    @property
+    def held(self) -> dict[str, Held]:
+        """What each field is: axes, unit, name in a file, description."""
+        return self._described
 
     @property
     def units(self) -> str | None:
@@ -87,46 +141,35 @@ class Result(eqx.Module):
 
     def _unit(self, name: str) -> str:
         """The unit in which a field is counted; nothing where it is scaled."""
-        unit = by_name.settled(None, self.units).conversion(self.held.get(name, Held()).unit)[1]
+        unit = _attributes(self.units, self.held.get(name, Held()).unit).get("units", "")
         return "" if unit in (SCALED, STATE) else unit
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         """Names and values of the fields that are shown and kept, without the outcome and what is not there."""
-        for name in (field.name for field in dataclasses.fields(self)):
-            if name == "outcome" or name[0] == "_":
-                continue
-            value = getattr(self, name)
-            if value is not None:
-                yield name, value
+        for name in (*(field.name for field in dataclasses.fields(self)), *self.exported):
+            if name != "outcome" and name[0] != "_" and getattr(self, name) is not None:
+                yield name, getattr(self, name)
 
     def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        """How the arrays lie: lanes as its lattice's mark has them, else what all have beyond the axes of the table.
+        """How the arrays lie: lanes as its lattice's mark has them, else what all have beyond axes that are named.
 
-        The latter come first, as `jax.vmap` has them; a result that keeps lanes behind what it counts says so here.
+        The latter come last, or first, as `jax.vmap` has them.
         """
         marked = lanes_of(self._known_mark, space)
         if marked is not None:
             return Layout(*space, *marked)
-        arrays = {
-            name: (np.shape(fields[name]), axes)
-            for name, (axes, *_) in self.held.items()
-            if axes is not None and _is_array(fields.get(name))
-        }
-        plain = [
-            (shape, axes.split())
-            for shape, axes in arrays.values()
-            if "site" not in axes and "..." not in axes
-        ]
-        more = {len(shape) - len(own) for shape, own in plain}
+        known, over = [], []
+        for name, held in self.held.items():
+            if held.axes is not None and _is_array(fields.get(name)):
+                plain = "site" not in held.axes and "..." not in held.axes
+                (known if plain else over).append((np.shape(fields[name]), len(held.axes.split())))
+        more = {len(shape) - own for shape, own in known}
         count = max(more.pop(), 0) if len(more) == 1 else 0
-        first = {shape[:count] for shape, _ in plain}
-        last = {shape[len(shape) - count :] for shape, _ in plain}
-        over = [shape for shape, axes in arrays.values() if "site" in axes]
-        behind = first == last and over and all({x[len(x) - count :]} == last for x in over)
-        space = space or (None, 0)
-        if len(first) == 1 and not (behind and any({x[:count]} != first for x in over)):
-            return Layout(*space, first.pop(), count)
-        return Layout(*space, last.pop()) if len(last) == 1 else Layout(*space)
+        last = {shape[len(shape) - count :] for shape, _ in known + over}
+        first = {shape[:count] for shape, _ in known}
+        if not count or len(last) == 1:
+            return Layout(*(space or (None, 0)), last.pop() if count else ())
+        return Layout(*(space or (None, 0)), *((first.pop(), count) if len(first) == 1 else ()))
 
     def to_xarray(self, *, lanes: Lanes = None) -> "xarray.Dataset":
         """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.
@@ -148,15 +191,23 @@ class Result(eqx.Module):
 
         fields = dict(self._fields())
         layout = self._layout(fields, space)
-        layout = layout if lanes is None else self._with_lanes(layout, fields, lanes)
+        if lanes is not None and not layout.lanes and layout.sites is None:
+            # those that the user names, where they end all that has axes to spare
+            sizes = tuple(np.size(x) for x in lanes.values())
+            over = [
+                np.shape(fields[field])
+                for field, (axes, *_) in self.held.items()
+                if axes is not None and _is_array(fields.get(field)) and _more(fields[field], axes)
+            ]
+            if over and all(len(x) > len(sizes) and x[-len(sizes) :] == sizes for x in over):
+                layout = Layout(lanes=sizes)
         names, swept = lanes_named(lanes, layout.lanes)
-        counted = by_name.settled(None, self.units)
-        table = Table(layout, names, lambda unit: _attributes(counted, unit))
+        table = Table(layout, names, partial(_attributes, self.units))
         types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
         for field, value in fields.items():
             held = self.held.get(field, Held())
             name, records = held.name or field, _records(types.get(field), value)
-            if isinstance(value, Result):
+            if isinstance(value, Result) or held.axes is None and hasattr(value, "_asdict"):
                 within |= {} if held.axes is None else {name: value}
             elif (
                 isinstance(value, dict)
@@ -184,19 +235,6 @@ class Result(eqx.Module):
             data = _joined(data, name, own._dataset(lanes if alike else None, space))
         return data
 
-    def _with_lanes(self, layout, fields, lanes):
-        """The layout; where it knows of no lanes, those that the user names and that end what has axes to spare."""
-        if layout.lanes or layout.sites is not None:
-            return layout
-        sizes = tuple(np.size(x) for x in lanes.values())
-        over = [
-            np.shape(fields[name])
-            for name, (axes, *_) in self.held.items()
-            if axes is not None and _is_array(fields.get(name)) and _more(fields[name], axes)
-        ]
-        fits = over and all(len(x) > len(sizes) and x[len(x) - len(sizes) :] == sizes for x in over)
-        return Layout(lanes=sizes) if fits else layout
-
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
         """`to_xarray(lanes=lanes)` with its numbers counted in other units.
 
@@ -220,7 +258,8 @@ class Result(eqx.Module):
             unit = told.get("si_units", told.get("units", ""))
             factor, name = counted.conversion(unit)
             taken.update(word.name for word in counted.words if word.name == name)
-            return x * factor if factor != 1 else x, _attributes(counted, unit) if unit else stays
+            own = {"units": name} | ({"si_units": unit} if name == SCALED else {})
+            return x * factor if factor != 1 else x, own if unit else stays
 
         for name, x in data.variables.items():
             values, told = (
@@ -283,10 +322,12 @@ class Result(eqx.Module):
         return save(self.to_xarray(lanes=lanes), path)
 
 
-def _attributes(counted: by_name.Counted, unit: str) -> dict[str, str]:
-    """The attributes that say what numbers are counted in whose unit in SI is known."""
-    said = counted.conversion(unit)[1]
-    return ({"units": said} if said else {}) | ({"si_units": unit} if said == SCALED else {})
+def _attributes(counted: str | None, unit: str) -> dict[str, str]:
+    """The attributes of numbers whose unit in SI is known, counted in "SI", "scaled" or nobody knows what."""
+    known = by_name.known_unit(unit)
+    if known is None or not any(known.dimension) or counted == SI:
+        return {"units": unit} if unit else {}
+    return {"units": SCALED, "si_units": unit} if counted == SCALED else {}
 
 
 def _more(x, axes):

@@ -12,7 +12,7 @@ sites are called one cell, as `gx.linear.unit_cell` has them.
 
 from collections.abc import Callable, Sequence
 from itertools import product
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,7 +24,7 @@ from .lattice import Lattice
 from .linear import unit_cell
 from .linear.zone import lattice_vectors as _vectors
 from .linear.zone import named_points as _named_points
-from .results import Held, Result
+from .results import Result, array, note
 from .types import AnyArray, Cell, Count, Number, Numbers, Parameter
 
 # a gap that is less, of the largest omega^2, is closed
@@ -228,12 +228,6 @@ def _overlap(q, after):
 class Zak(Result):
     """Zak phases of the bands of a chain, or of a plane along one axis.
 
-    **Fields:** `phase` (bands,) or (bands, K) in (-pi, pi]: Berry phase of each band over the zone, NaN for one that
-    touches others. `below` (bands - 1,) or (bands - 1, K): of all bands below each gap together, NaN where bands touch
-    there; it counts, over pi and in a chain with a centre of inversion, the states at an end. `error`: how much a mesh
-    of half as many points differs. `k` (K,): the wave number along the other axis, `None` of a chain. `faults`: a
-    sentence for each gap that leaves no number.
-
     **Example:**
 
     >>> found = gx.topology.zak(gx.scenes.ssh(8, 2.0, 1.0, boundary="periodic"))
@@ -241,18 +235,25 @@ class Zak(Result):
     True
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "phase": Held("band ...", "rad"),
-        "below": Held("gap ...", "rad"),
-        "error": Held(unit="rad"),
-        "k": Held("wave", "rad"),
-        "faults": Held(None),
-    }
-    phase: Numbers
-    below: Numbers
-    error: Number
-    k: Numbers | None = None
-    faults: tuple[str, ...] = eqx.field(static=True, default=())
+    phase: Numbers = array(
+        "The Berry phase of each band over the zone in (-pi, pi], NaN for a band that "
+        "touches others.",
+        "rad",
+        "band ...",
+    )
+    below: Numbers = array(
+        "The phase of all bands below each gap together, NaN where bands touch; over pi, in"
+        " a chain with a centre of inversion, it counts the states at an end.",
+        "rad",
+        "gap ...",
+    )
+    error: Number = array("How much a mesh of half as many points differs.", "rad")
+    k: Numbers | None = array(
+        "The wave number along the other axis, `None` for a chain.", "rad", "wave", default=None
+    )
+    faults: tuple[str, ...] = note(
+        "A sentence for each gap that leaves no number.", static=True, default=()
+    )
 
     @property
     def outcome(self) -> str:
@@ -436,10 +437,7 @@ def _two_kinds(bound):
 class BerryCurvature(Result):
     """Berry curvature of bands of the plane, by plaquettes of a mesh over the zone.
 
-    **Fields:** `k` (n, n, 2): the corners of plaquettes, phases per cell [rad]. `flux` (n, n): the flux through each,
-    summed over the finer ones into which it was cut; its sum over 2 pi is the Chern number, `chern`, a whole number to
-    rounding; NaN where bands touch. `curvature`: the flux over the plaquette's area in phases. `band`: which. `gap`:
-    the least that was met, over the largest omega^2; `nearest` (2,): its k. `fault`: why there is no number.
+    The sum of the flux over 2 pi is the Chern number, `chern`, a whole number to rounding.
 
     **Example:**
 
@@ -449,21 +447,21 @@ class BerryCurvature(Result):
     (True, (12, 12))
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "k": Held("first second axis", "rad"),
-        "flux": Held("first second", "rad"),
-        "curvature": Held("first second"),
-        "band": Held(None),
-        "gap": Held(unit="1"),
-        "nearest": Held("axis", "rad"),
-        "fault": Held(None),
-    }
-    k: Numbers
-    flux: Numbers
-    band: tuple[int, ...] = eqx.field(static=True)
-    gap: Number = np.inf
-    nearest: Numbers | None = None
-    fault: str = eqx.field(static=True, default="")
+    k: Numbers = array(
+        "The corners of the plaquettes, phases per cell.", "rad", "first second axis"
+    )
+    flux: Numbers = array(
+        "The flux through each plaquette, summed over the finer ones into which it was cut;"
+        " NaN where bands touch.",
+        "rad",
+        "first second",
+    )
+    band: tuple[int, ...] = note("The bands.", static=True)
+    gap: Number = array(
+        "The least gap that was met, over the largest omega^2.", "1", default=np.inf
+    )
+    nearest: Numbers | None = array("The k of the least gap.", "rad", "axis", default=None)
+    fault: str = note("Why there is no number.", static=True, default="")
 
     @property
     def curvature(self) -> Numbers:
@@ -638,10 +636,6 @@ def _distance(k, place):
 class Polarisation(Result):
     """Bulk polarisation of bands of the plane: where, of a cell, their Wannier centres are.
 
-    **Fields:** `polarisation` (2,) in [0, 1): p_1 and p_2 along the lattice vectors, in cells, summed over the bands.
-    `centres` (2, n, bands) in [0, 1): Wannier centres along each axis over the phase `k` (n,) [rad] along the other
-    one. `error`: how much a mesh of half as many points differs. `band`: which.
-
     **Example:**
 
     >>> crystal = gx.scenes.kagome(6, out_of_plane=True, stiffness=(1, 1, 1, 3, 3, 3), boundary="periodic")
@@ -650,18 +644,16 @@ class Polarisation(Result):
     array([0.333333, 0.333333])
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "polarisation": Held("axis"),
-        "centres": Held("axis wave band"),
-        "k": Held("wave", "rad"),
-        "error": Held(""),
-        "band": Held(None),
-    }
-    polarisation: Numbers
-    centres: Numbers
-    k: Numbers
-    error: Number
-    band: tuple[int, ...] = eqx.field(static=True)
+    polarisation: Numbers = array(
+        "p_1 and p_2 along the lattice vectors in [0, 1), in cells, summed over the bands.",
+        axes="axis",
+    )
+    centres: Numbers = array(
+        "The Wannier centres along each axis in [0, 1).", axes="axis wave band"
+    )
+    k: Numbers = array("The phase along the other axis.", "rad", "wave")
+    error: Number = array("How much a mesh of half as many points differs.")
+    band: tuple[int, ...] = note("The bands.", static=True)
 
     @property
     def outcome(self) -> str:

@@ -15,7 +15,7 @@ FIELD, COMPONENT, LANE = "field", "component", "lane"
 
 
 class Held(NamedTuple):
-    """What a field of a result holds: its axes, words with a space between; its unit; its name in a file.
+    """What a field of a result is: its axes, words with a space between; its unit; its name in a file; its description.
 
     `axes=None` makes an attribute of it instead of a variable, and leaves out a result within. A variable of the one
     axis that has its name is a coordinate. `site` stands for all axes of a lattice: `site`, `site_1` on a grid,
@@ -26,6 +26,7 @@ class Held(NamedTuple):
     axes: str | None = ""
     unit: str = ""
     name: str = ""
+    doc: str = ""
 
 
 # the unit of a `State`, which has two
@@ -65,12 +66,14 @@ class Layout(NamedTuple):
             word for own in (before + after).split() for word in (sites if own == "site" else [own])
         ]
 
-    def batched(self, shape: tuple[int, ...], own: int | None) -> bool:
-        """Whether an array of so many axes of its own has the lanes beside them."""
-        count, last = len(self.lanes), len(self.lanes) - self.first
-        if not count or len(shape) < count or len(shape) == own:
-            return False
-        return (*shape[: self.first], *shape[len(shape) - last :]) == self.lanes
+    def lanes_last(self, x: np.ndarray, own: int | None) -> tuple[np.ndarray, bool]:
+        """An array of so many axes of its own with its lanes at the end, and whether it has any."""
+        first, shape, behind = self.first, x.shape, x.ndim - len(self.lanes) + self.first
+        if not self.lanes or behind < first or x.ndim == own:
+            return x, False
+        if (*shape[:first], *shape[behind:]) != self.lanes:
+            return x, False
+        return np.moveaxis(x, range(first), range(behind - first, behind)), True
 
 
 def lanes_of(mark: Any, space: tuple[int, int] | None) -> tuple[tuple[int, ...], int] | None:
@@ -85,20 +88,31 @@ def lanes_of(mark: Any, space: tuple[int, int] | None) -> tuple[tuple[int, ...],
     return ((*shape[: places[0]], *shape[places[0] + own :]), places[0]) if places else None
 
 
-def axes_of(
-    axes: str, name: str, shape: tuple[int, ...], layout: Layout, lanes: tuple[str, ...], site: str
-) -> list:
-    """Names of an array's axes: those of the table of its result, lanes, and `NAME_k` where none is known."""
+def along_waves(result: Any) -> dict[str, Held]:
+    """The fields of bands with as many axes for the wave as `k` has: none where it is one number."""
+    lanes = lanes_of(result._mark, result._space)
+    count = result.omega.ndim - 1 - len(lanes[0] if lanes else ())
+    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
+    return {
+        name: held if held.axes is None else held._replace(axes=held.axes.replace("wave", wave))
+        for name, held in result._described.items()
+    }
+
+
+def laid(
+    axes: str, name: str, x: np.ndarray, layout: Layout, lanes: tuple[str, ...], site: str = "site"
+) -> tuple[list[str], np.ndarray]:
+    """Names of an array's axes, those that its result tells, then lanes, and the array in their order."""
     words = layout.words(axes)
     own = None if words is None else len(words)
-    batched = layout.batched(shape, own)
-    count = len(shape) - batched * len(lanes)
+    x, batched = layout.lanes_last(x, own)
+    count = x.ndim - batched * len(lanes)
     named = words if count == own else _counted(axes, name, count)
     named = [
         word.replace("site", site, 1) if word.partition("_")[0] == "site" else word
         for word in named
     ]
-    return [*lanes[: layout.first], *named, *lanes[layout.first :]] if batched else named
+    return [*named, *(lanes if batched else ())], x
 
 
 def _counted(axes, name, count):
@@ -171,13 +185,14 @@ class Table:
         self, layout: Layout, lanes: tuple[str, ...], units: Callable[[str], dict[str, str]]
     ):
         self.layout, self.lanes, self.units, self.fields = layout, lanes, units, []
-        self.variables, self.attributes = {}, {}
+        self.variables, self.attributes, self.doc = {}, {}, {}
         self.axes, self.own = dict(zip(lanes, layout.lanes)), set()
 
     def add(
         self, name: str, value: Any, held: Held, more: Mapping[str, Held] = MappingProxyType({})
     ) -> None:
         """What a field of a result holds: an array, or a dict or named tuple of such, `more` of whose parts."""
+        self.doc = {"long_name": held.doc} if held.doc else {}
         for key, x in _arrays(name, value, "site" in (held.axes or "").split()):
             self.own |= {word for word in (held.axes or "").split() if word != "..."}
             unit = (
@@ -188,12 +203,7 @@ class Table:
             if isinstance(x, dict):
                 self._over_fields(key, x, held.axes, unit)
             elif held.axes is not None and x.ndim or self.lanes and x.shape == self.layout.lanes:
-                self._put(
-                    key,
-                    axes_of(held.axes or "", key, x.shape, self.layout, self.lanes, "site"),
-                    x,
-                    unit,
-                )
+                self._put(key, *laid(held.axes or "", key, x, self.layout, self.lanes), unit)
             else:
                 parts = _parts(key, x.astype(int) if x.dtype == bool else x)
                 # a list of one is one in netCDF
@@ -206,23 +216,20 @@ class Table:
 
     def _over_fields(self, key, fields, over, unit):
         """Fields of one shape along an axis, others as variables of their own."""
-        named = [
-            axes_of(over, f"{key}_{field}", x.shape, self.layout, self.lanes, f"site_{field}")
+        found = [
+            laid(over, f"{key}_{field}", x, self.layout, self.lanes, f"site_{field}")
             for field, x in fields.items()
         ]
         alike = len({x.shape for x in fields.values()}) == 1 and self.fields in ([], [*fields])
         if not alike:
-            for (field, x), axes in zip(fields.items(), named):
-                self._put(f"{key}_{field}", axes, x, unit)
+            for field, own in zip(fields, found):
+                self._put(f"{key}_{field}", *own, unit)
             return
         self.fields = [*fields]
-        axes = axes_of(
-            over, key, next(iter(fields.values())).shape, self.layout, self.lanes, "site"
-        )
+        axes, _ = laid(over, key, next(iter(fields.values())), self.layout, self.lanes)
         place = axes.index("site") if "site" in axes else 0
-        self._put(
-            key, [*axes[:place], FIELD, *axes[place:]], np.stack([*fields.values()], place), unit
-        )
+        stacked = np.stack([x for _, x in found], place)
+        self._put(key, [*axes[:place], FIELD, *axes[place:]], stacked, unit)
 
     def _put(self, key, axes, x, unit):
         axes = [
@@ -231,7 +238,7 @@ class Table:
         ]
         self.axes |= dict(zip(axes, x.shape))
         for part, y in _parts(key, x).items():
-            self.variables[part] = axes, y, self.units(unit)
+            self.variables[part] = axes, y, self.units(unit) | self.doc
 
     def finished(self, swept: dict) -> tuple[dict, dict]:
         """Variables and coordinates, those of the lanes among them."""

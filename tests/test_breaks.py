@@ -236,7 +236,7 @@ def test_records_of_a_run_that_may_have_missed_a_pulse_are_not_known_and_breaks_
         )
         chain = gx.Lattice(1.0, (spring, drive), sites=N)
         record = {"peak": gx.Peak(lambda t, y, lattice: y.u[2])}
-        return gx.simulate(chain, gx.states.rest(chain), 8.0, record=record, **how)
+        return gx.simulate(chain, gx.states.rest(chain), 8.0, record=record, confirm=True, **how)
 
     K = 2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
     A = np.block([[np.zeros((N, N)), np.eye(N)], [-K, np.zeros((N, N))]])
@@ -247,13 +247,13 @@ def test_records_of_a_run_that_may_have_missed_a_pulse_are_not_known_and_breaks_
     highest = max((expm(s * A) @ blow)[2] for s in np.linspace(0, 8.0 - WHEN, 2001))
     for how in ({"step": 0.1}, {"tolerance": 1e-9}):
         told = run(edges, **how)
-        assert "has a pulse" not in told.outcome and np.isfinite(told.record_error["peak"])
+        assert "has a pulse" not in told.outcome and np.isfinite(told.error.records["peak"])
         # the blow has a width: second order in it
-        assert abs(told.recorded["peak"] - highest) <= told.record_error["peak"] + WIDTH**2
+        assert abs(told.recorded["peak"] - highest) <= told.error.records["peak"] + WIDTH**2
         assert np.abs(np.concatenate(told.final) - want).max() < WIDTH**2
         missed = run(None, **how)
         if np.abs(np.concatenate(missed.final) - want).max() > 0.1:
-            assert "has a pulse" in missed.outcome and np.isinf(missed.record_error["peak"])
+            assert "has a pulse" in missed.outcome and np.isinf(missed.error.records["peak"])
 
 
 @pytest.mark.slow

@@ -197,7 +197,6 @@ BAD = (
         ),
         "save_at",
     ),
-    ("snapshots masked", lambda: gx.identify.dmd(np.ma.stack([MASKED, MASKED]), 1.0), "snapshots"),
     ("radius complex", lambda: gx.materials.hertz_coefficient("steel 316", 1j), "radius"),
     (
         "a displacement per site",

@@ -151,8 +151,9 @@ def wall_force(ratio, site):
         gx.states.impact(lattice),
         4.0,
         record={"force": gx.Peak(gx.measures.contact_force)},
+        confirm=True,
     )
-    return {"force": run.recorded["force"][site], "error": run.record_error["force"][site]}
+    return {"force": run.recorded["force"][site], "error": run.error.records["force"][site]}
 
 
 def sweep(seed):

@@ -2,7 +2,6 @@
 
 import contextlib
 import resource
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import xarray as xr
 
 import granjax as gx
 from granjax import files, plots
-from granjax.cli import UNREAD, main
+from granjax.cli import main
 from granjax.results import Held, Result
 
 ARGUMENTS = ["resonance", "--beads", "11", "--ratios", "12"]
@@ -42,19 +41,6 @@ class Sample(Result):
 
 
 SMALL, LARGE = Sample(np.arange(3.0)), Sample(np.random.default_rng(0).normal(size=2000))
-
-
-@pytest.fixture
-def computed(monkeypatch):
-    """`granjax resonance` without its computation."""
-    from granjax.resonance.finite import Extrema, Transmission
-
-    ratios = np.linspace(0.05, 1, 13)[1:]
-    sweep = Transmission(ratios, ratios, ratios, 1.0, 11, 20.0)
-    extrema = Extrema(*(np.array([x]) for x in (0.4, 0.7, 0.9, 1.0, 0.6, 0.8)))
-    monkeypatch.setattr(gx.resonance, "transmission", lambda *arguments, **keywords: sweep)
-    monkeypatch.setattr(gx.resonance, "refine", lambda *arguments, **keywords: extrema)
-    return monkeypatch
 
 
 def complaints(captured):
@@ -132,27 +118,3 @@ def test_the_place_is_looked_at_before_anything_is_computed(out, tmp_path, capsy
     assert main([*ARGUMENTS, "--out", out]) == 2
     (line,) = complaints(capsys.readouterr())
     assert line.startswith("granjax: --out: expected")
-
-
-@pytest.mark.parametrize(
-    "error, code, said",
-    [
-        (BrokenPipeError(32, "Broken pipe"), UNREAD, []),
-        (
-            OSError(28, "No space left on device"),
-            1,
-            ["granjax: standard output could not be written (No space left on device)"],
-        ),
-    ],
-)
-def test_standard_output_that_takes_nothing(error, code, said, tmp_path, capsys, computed):
-    class Closed:
-        def write(self, text):
-            raise error
-
-        flush = write
-
-    computed.setattr(sys, "stdout", Closed())
-    assert main([*ARGUMENTS, "--out", str(tmp_path)]) == code
-    assert names(tmp_path) == ["resonance.nc", "resonance.png"], "the files are there all the same"
-    assert complaints(capsys.readouterr()) == said

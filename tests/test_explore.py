@@ -1,6 +1,5 @@
 """Sliders and their map, without a notebook: what moves, what is refused, what is compiled; the rest in a kernel."""
 
-import io
 import sys
 
 import jax
@@ -10,10 +9,9 @@ matplotlib.use("Agg")
 
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
-from PIL import Image  # noqa: E402
 
 import granjax as gx  # noqa: E402
-from granjax.notebook import explorer as module  # noqa: E402
+from granjax import notebook as module  # noqa: E402
 
 ipywidgets = pytest.importorskip("ipywidgets")
 _heard = []
@@ -34,11 +32,7 @@ def notebook(monkeypatch):
 
 
 def shown(explorer):
-    return np.asarray(explorer.image.get_array())
-
-
-def picture(explorer):
-    return np.asarray(Image.open(io.BytesIO(explorer.widget.children[-2].value)))
+    return np.asarray(explorer.figure.axes[0].images[0].get_array())
 
 
 def dimer(ratio, precompression):
@@ -54,42 +48,33 @@ def explorer(notebook):
 def test_the_map_follows_and_nothing_compiles(explorer):
     assert explorer.values == {"ratio": 0.5, "precompression": 0.0, "amplitude": 1.0}
     np.testing.assert_allclose(shown(explorer), explorer.run.vs)
-    image, before, heard = explorer.image, picture(explorer), len(_heard)
-    for values in (
-        {"ratio": 0.3},
-        {"precompression": 0.5, "amplitude": 0.1},
-        {"precompression": 0.0, "ratio": 1.0},
-    ):
+    # once more, by programs for a map of one sign or of both
+    explorer.move(precompression=0.25)
+    for values in ({"ratio": 0.3}, {"precompression": 0.5, "amplitude": 0.1}, {"ratio": 1.0}):
+        heard = len(_heard)
         explorer.move(**values)
         now = explorer.values
-        assert values.items() <= now.items() and len(_heard) == heard and explorer.image is image
+        assert values.items() <= now.items() and len(_heard) == heard
         chain = dimer(now["ratio"], now["precompression"])
         run = gx.simulate(chain, gx.states.impact(chain, now["amplitude"]), 6.0, save_at=12)
-        heard = len(_heard)
         np.testing.assert_allclose(shown(explorer), run.vs, atol=1e-9 * now["amplitude"])
         np.testing.assert_allclose(explorer.lattice.mass, chain.mass)
-        assert image.norm.vmax == pytest.approx(np.abs(run.vs).max())
-    assert picture(explorer).shape == before.shape and (picture(explorer) != before).any()
     # as a front end does: a slider's value is set
     explorer.sliders["ratio"].value = 0.25
     np.testing.assert_allclose(explorer.lattice.mass[1], 0.25)
-    assert min(explorer.seconds.values()) > 0
 
 
 def test_it_reads_well(explorer):
     text = repr(explorer)
-    assert "mass ratio      0.5, from 0.05 to 1" in text and "Completed at t = 6" in text
+    assert "ratio           0.5" in text and "Completed at t = 6" in text
     bundle = explorer._repr_mimebundle_()
     assert {"application/vnd.jupyter.widget-view+json", "image/png", "text/plain"} <= bundle.keys()
-    assert [slider.description for slider in explorer.sliders.values()] == [
-        "mass ratio",
-        "precompression",
-        "impact velocity",
-    ]
+    names = ["ratio", "precompression", "amplitude"]
+    assert [slider.description for slider in explorer.sliders.values()] == names
 
 
 @pytest.mark.slow
-def test_what_is_refused_is_said_below_the_map(notebook):
+def test_what_is_refused_is_said(notebook):
     def scene(ratio, share=1.0):
         if share > 2:
             raise ZeroDivisionError("no share")
@@ -97,55 +82,43 @@ def test_what_is_refused_is_said_below_the_map(notebook):
 
     explorer = gx.explore(scene, 6.0, ratio=(0.5, 1.4), frames=12)
     explorer.move(ratio=0.9)
-    last = shown(explorer)
     for values, sentence in (
         ({"ratio": 1.2}, "ratio: expected numbers in (0, 1], got 1.2."),
         ({"ratio": 0.9, "share": 3.0}, "ZeroDivisionError: no share"),
     ):
         explorer.move(**values)
-        assert (
-            explorer.said.startswith(sentence)
-            and sentence.split(",")[0] in explorer.widget.children[-1].value
-        )
-        assert explorer.image.get_alpha() < 0.5
-        np.testing.assert_array_equal(shown(explorer), last)
+        assert explorer.said.startswith(sentence)
         with pytest.raises(RuntimeError, match="The present values have no run"):
             explorer.run
     explorer.move(share=1.0)
-    assert explorer.said.startswith("Completed") and explorer.image.get_alpha() == 1
+    assert explorer.said.startswith("Completed") and explorer.run.completed
 
 
 @pytest.mark.slow
-def test_runs_that_stop_are_said(notebook, monkeypatch):
+def test_runs_that_stop_are_said(notebook):
     explorer = gx.explore(dimer, 6.0, frames=12)
-    monkeypatch.setattr(explorer._scenery, "_most", 20)
+    explorer._runs["max_steps"] = 20
     explorer.move(precompression=0.8, amplitude=10.0, ratio=0.05)
     assert (
-        explorer.said.startswith("Stopped before t1 = 6:") and np.isnan(shown(explorer)[-1]).all()
+        explorer.said.startswith("Stopped after 20 steps") and np.isnan(shown(explorer)[-1]).all()
     )
 
 
-@pytest.mark.study
-def test_a_lattice_in_si(notebook):
-    chain = gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4, precompression=20.0)
-    explorer = gx.explore(chain, quantity="force", frames=12, units="ms")
-    assert explorer.values["precompression"] == pytest.approx(20.0)
-    assert explorer.sliders["precompression"].description == "precompression (N)"
-    assert explorer.sliders["amplitude"].description == "impact velocity (m/s)"
-    light = float(chain.mass.min() / chain.mass.max())
-    assert explorer.values["ratio"] == pytest.approx(light)
-    axes = explorer.image.axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("contact", "time (ms)")
-    explorer.move(precompression=40.0, ratio=0.5)
+@pytest.mark.slow
+def test_a_scene_in_si(notebook):
+    def beads(precompression=20.0):
+        kinds = ["steel 316", "PTFE"]
+        return gx.scenes.beads(kinds, 9.5e-3, cells=4, precompression=precompression)
+
+    explorer = gx.explore(beads, quantity="force", frames=12)
+    axes = explorer.figure.axes[0]
+    assert axes.get_xlabel() == "contact" and axes.get_ylabel() in ("time (ms)", "time (µs)")
+    explorer.move(precompression=40.0)
     np.testing.assert_allclose(shown(explorer)[0], 40.0)
-    assert explorer.image.colorbar.ax.get_ylabel() == "contact force (N)"
-    np.testing.assert_allclose(explorer.lattice.mass.min() / explorer.lattice.mass.max(), 0.5)
-    np.testing.assert_allclose(
-        chain.mass, gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4).mass
-    )
+    assert explorer.figure.axes[1].get_ylabel() == "contact force (N)"
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_states_whole_numbers_and_fixed_arguments(notebook):
     explorer = gx.explore(
         gx.scenes.monomer,
@@ -158,16 +131,15 @@ def test_states_whole_numbers_and_fixed_arguments(notebook):
     )
     assert explorer.values == {"sites": 4, "amplitude": 1.0}
     explorer.move(sites=7, amplitude=2.0)
-    assert shown(explorer).shape == (8, 7) and explorer.image.get_extent()[:2] == [-0.5, 6.5]
     np.testing.assert_allclose(shown(explorer)[0], 0.2 * np.arange(7))
     np.testing.assert_allclose(explorer.state.u, 0.2 * np.arange(7))
 
-    def pair(p):
-        chain = gx.scenes.monomer(4, precompression=p["load"])
+    def pair(load):
+        chain = gx.scenes.monomer(4, precompression=load)
         return chain, gx.states.impact(chain, 0.5)
 
     explorer = gx.explore(
-        pair, 3.0, load=(0.01, 100), frames=8, quantity=lambda t, y, lattice: y.v**2
+        pair, 3.0, load=(0.01, 100.0, "log"), frames=8, quantity=lambda t, y, lattice: y.v**2
     )
     assert explorer.values == {"load": pytest.approx(1.0)}
     assert shown(explorer)[0].max() == pytest.approx(0.25) and np.shape(explorer.run.vs) == (8, 4)
@@ -187,11 +159,13 @@ BAD = [
     ),
     (lambda: gx.explore(dimer, ratio=1.5, frames=8), "ratio: expected numbers in"),
     (
-        lambda: gx.explore(jax.vmap(lambda r: dimer(r, 0.0), out_axes=-1)(np.array([0.1, 0.2]))),
+        lambda: gx.explore(
+            lambda load=1.0: jax.vmap(lambda r: dimer(r, load), out_axes=-1)(np.array([0.1, 0.2]))
+        ),
         "one lattice at a time",
     ),
     (
-        lambda: gx.explore(gx.scenes.monomer(4), 1.0, state=gx.states.rest),
+        lambda: gx.explore(lambda: gx.scenes.monomer(4), 1.0, state=gx.states.rest),
         "step: expected a time step",
     ),
 ]
@@ -211,12 +185,8 @@ def test_a_value_beyond_a_slider_is_refused(explorer):
 
 
 def test_without_a_notebook_it_says_what_to_install(monkeypatch):
-    with pytest.raises(
-        ImportError, match=r"expected a notebook.*pip install 'granjax\[notebook\]'"
-    ):
+    with pytest.raises(ImportError, match=r"needs a notebook.*pip install 'granjax\[notebook\]'"):
         gx.explore(dimer)
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
-    with pytest.raises(
-        ImportError, match=r"expected ipywidgets, got none.*pip install 'granjax\[notebook\]'"
-    ):
+    with pytest.raises(ImportError, match=r"needs ipywidgets.*pip install 'granjax\[notebook\]'"):
         gx.explore(dimer)

@@ -1,8 +1,11 @@
 """Results go to xarray and to files of every format, and come back as the same Dataset."""
 
+import dataclasses
 import functools
+import importlib
+import pkgutil
 import re
-from typing import ClassVar
+import typing
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +16,10 @@ from scipy.io import loadmat
 
 import granjax as gx
 from granjax import linear, measures
+from granjax.flow.run import Errors
 from granjax.newton import newton
-from granjax.results import Held, Result
-from granjax.work_precision import Ladder
-from granjax.work_precision.measuring import measure
+from granjax.results import Result, array
+from granjax.work_precision import Ladder, measure
 
 N, T = 5, np.linspace(0.0, 2.0, 33)
 
@@ -140,6 +143,80 @@ def test_a_result_goes_out_and_comes_back(name, tmp_path):
         assert comes_back(result.save(tmp_path / f"{name}.{ending}"), data), ending
 
 
+def kinds():
+    """Every class of results whose fields say what they are."""
+    for module in pkgutil.walk_packages(gx.__path__, "granjax."):
+        if "plots" not in module.name and not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    found, inner = set(), [Result]
+    while inner:
+        inner = [kind for one in inner for kind in one.__subclasses__()]
+        found |= {
+            kind for kind in inner if kind.__module__.startswith("granjax") and kind._described
+        }
+    return sorted(found, key=lambda kind: f"{kind.__module__}.{kind.__name__}")
+
+
+def blank(kind):
+    """A result of a class, with arrays that have the axes that its fields tell."""
+    sizes = {}
+
+    def value(hint, axes):
+        own = [word for word in (axes or "").split() if word != "..."]
+        shape = [3 if x == "site" else sizes.setdefault(x, len(sizes) + 4) for x in own]
+        if hint in (str, int, float, bool):
+            return hint(1)
+        if hint is gx.State:
+            return gx.State(np.ones(shape), np.full(shape, 2.0))
+        if isinstance(hint, type) and issubclass(hint, Result):
+            return None if "_fields" in vars(hint) else blank(hint)
+        if typing.get_origin(hint) is tuple:
+            words = typing.get_args(hint)[0] is str
+            return tuple(f"word{k}" for k in range(*shape or (2,))) if words else ()
+        known = [
+            x
+            for x in map(value, typing.get_args(hint), [axes] * 9)
+            if isinstance(x, (Result, gx.State))
+        ]
+        whole = "int64" in str(getattr(hint, "dtypes", ""))
+        x = np.arange(np.prod(shape, dtype=int), dtype=int if whole else float).reshape(shape)
+        return known[0] if known else x
+
+    told = kind._described
+    made = {x.name: (x.type, told.get(x.name)) for x in dataclasses.fields(kind)}
+    made |= {name: (object, held) for name, held in kind.exported.items()}
+    values = {name: value(hint, held.axes) for name, (hint, held) in made.items() if held}
+    empty = {name: None for name in made if name not in values}
+    whole = type(
+        kind.__name__, (kind,), {"__annotations__": {}, **{x: None for x in kind.exported}}
+    )
+    whole = type(kind.__name__, (whole,), {"outcome": "Found."})
+    result = object.__new__(whole)
+    for name, x in (empty | values | {"outcome": "Found."}).items():
+        if name in kind.exported or name == "outcome":
+            type.__setattr__(whole, name, x)
+        else:
+            object.__setattr__(result, name, x)
+    return result
+
+
+@pytest.mark.parametrize("kind", kinds(), ids=lambda kind: kind.__name__)
+def test_every_kind_of_result_goes_out_and_comes_back(kind, tmp_path):
+    assert all(x.doc for name, x in kind._described.items() if name not in kind.exported)
+    if "_fields" in vars(kind):
+        return  # what a file holds of it is no list of its fields: among those that are made
+    result = blank(kind)
+    legible(repr(result))
+    data = result.to_xarray()
+    for name, held in result.held.items():
+        wanted = [x for x in (held.axes or "").split() if x != "..."]
+        x = next((data.get(y) for y in (held.name or name, f"{name}_real") if y in data), None)
+        if wanted and x is not None:
+            assert {x.split("_")[0] for x in wanted} <= {axis.split("_")[0] for axis in x.dims}
+            assert name in kind.exported or x.attrs["long_name"] == held.doc
+    assert comes_back(result.save(tmp_path / "result.nc"), data)
+
+
 def batch(ts, us, lanes, space=(1, 0), **recorded):
     """A run of such arrays, as `simulate` returns it."""
     known = dict(
@@ -150,10 +227,8 @@ def batch(ts, us, lanes, space=(1, 0), **recorded):
         recorded=recorded,
         energy_error=np.full(lanes, 0.5),
         _margin=np.ones(lanes),
-        _short={},
         code=np.zeros((), int),
         stats={"steps": np.full(lanes, 9), "rejected": np.zeros((), int)},
-        failed_at=None,
         solver="SRKN6b",
         choice="",
         remark="",
@@ -162,10 +237,7 @@ def batch(ts, us, lanes, space=(1, 0), **recorded):
         _space=space,
         _mark=1.0,
     )
-    made = object.__new__(gx.Run)
-    for name, x in (known | {"_confirmation": None}).items():
-        object.__setattr__(made, name, x)
-    return made
+    return gx.Run(**known)
 
 
 RATIOS, LOADS, NAMES_ = (
@@ -197,12 +269,26 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         us, ts = np.ones((F, *shape)), own
     peak = np.ones((*lanes, N + 1) if first else (N + 1, *lanes))
     run = batch(ts, us, lanes, peak=peak, last=np.ones(lanes), site=np.ones(lanes))
-    object.__setattr__(
-        run, "_known_error", {"site": np.ones(lanes), "last": np.ones(lanes), "peak": peak}
+    errors = {"site": np.ones(lanes), "last": np.ones(lanes), "peak": peak}
+    energy = np.ones((*lanes, F) if first else (F, *lanes))
+    each = np.ones(lanes)
+    error = Errors(
+        us,
+        us,
+        gx.State(us[..., 0, :], us[..., 0, :]) if first else gx.State(us[0], us[0]),
+        energy,
+        each,
+        each,
+        errors,
+        how="a second run",
+        _lanes=() if first else lanes,
+        _space=(1, 0),
     )
+    run = dataclasses.replace(run, error=error)
     data = run.to_xarray(lanes=named)
-    assert data.peak.dims == data.peak_error.dims
-    assert data.u.dims == ((*wanted, "time", "site") if first else ("time", "site", *wanted))
+    assert data.error_u.dims == data.u.dims and data.error_last.dims == wanted
+    assert data.u.dims == ("time", "site", *wanted)
+    assert np.all(data.u == 1.0) and np.array_equal(data.time, own)
     assert (
         data.energy_error.dims
         == data["last"].dims
@@ -211,7 +297,7 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         == wanted
     )
     assert data.time.dims == ("time",) and data.attrs["stats_rejected"] == 0
-    assert data.peak.dims == ((*wanted, "peak_0") if first else ("peak_0", *wanted))
+    assert data.peak.dims == ("peak_0", *wanted)
     for name, values in (named or {}).items():
         assert np.array_equal(data[name], values) and name in data.coords
     for ending in ("nc", "mat"):
@@ -222,7 +308,7 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
 def test_times_of_their_own_of_each_lane_are_kept():
     run = batch(np.outer([1.0, 2.0], np.arange(F)), np.ones((2, F, N)), (2,))
     data = run.to_xarray(lanes={"speed": [1.0, 2.0]})
-    assert data.times.dims == ("speed", "time") and "time" not in data.variables
+    assert data.times.dims == ("time", "speed") and "time" not in data.variables
     behind = batch(np.outer(np.arange(F), [1.0, 2.0]), np.ones((F, N, 2)), (2,)).to_xarray()
     assert behind.times.dims == ("time", "lane") and behind.u.dims == ("time", "site", "lane")
 
@@ -258,17 +344,21 @@ def test_batches_of_other_results_are_named_too():
     modes = jax.tree.map(lambda *x: np.stack(x), *[made("NormalModes")] * 3).to_xarray(
         lanes={"ratio": RATIOS}
     )
-    assert modes.omega.dims == ("ratio", "mode") and modes.modes.dims == ("ratio", "site", "mode")
+    assert modes.omega.dims == ("mode", "ratio") and modes.modes.dims == ("site", "mode", "ratio")
     chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(
         RATIOS
     )
-    for last, dims in ((0, ("ratio", "site", "mode")), (-1, ("site", "mode", "ratio"))):
-        modes = jax.vmap(linear.normal_modes, in_axes=-1, out_axes=last)(chains)
-        assert modes.to_xarray(lanes={"ratio": RATIOS}).modes.dims == dims
+    first, last = (
+        jax.vmap(linear.normal_modes, in_axes=-1, out_axes=axis)(chains).to_xarray(
+            lanes={"ratio": RATIOS}
+        )
+        for axis in (0, -1)
+    )
+    assert first.equals(last) and last.modes.dims == ("site", "mode", "ratio")
     waves = jax.tree.map(lambda *x: np.stack(x), *[made("Dispersion")] * 3).to_xarray(
         lanes={"ratio": RATIOS}
     )
-    assert waves.omega.dims == ("ratio", "wave", "band") and waves.k.dims == ("ratio", "wave")
+    assert waves.omega.dims == ("wave", "band", "ratio") and waves.k.dims == ("wave", "ratio")
     peaks = measures.Peaks(np.ones((N, 3)), np.ones((N, 3)))
     assert peaks.to_xarray(lanes={"ratio": RATIOS}).heights.dims == ("site", "ratio")
     front = measures.Front(np.ones(3), np.ones(3), np.ones((N, 3))).to_xarray(
@@ -279,8 +369,8 @@ def test_batches_of_other_results_are_named_too():
         lanes={"load": [1.0, 2.0]}
     )
     assert orbit.state_u.dims == orbit.error_state_u.dims == (
-        "load",
         "site",
+        "load",
     ) and orbit.omega.dims == ("load",)
 
 
@@ -312,9 +402,8 @@ def test_vectors_of_the_plane_and_fields_of_a_cell_are_named(tmp_path):
 
 
 class Named(Result):
-    held: ClassVar = {"values": Held("site"), "words": Held("word")}
-    values: object
-    words: object
+    values: object = array(axes="site")
+    words: object = array(axes="word")
     parameters: object
     outcome: str = "Found."
 

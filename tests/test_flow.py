@@ -508,7 +508,7 @@ def deepest(chain, state, t1):
 def test_a_contact_that_opens_between_steps_is_seen(seeds=5):
     """Random starts, scaled until the closest approach is a little off zero; default step and a loose tolerance."""
     chain = gx.scenes.monomer(4, precompression=1.0)
-    traced = jax.jit(lambda state: gx.simulate(chain, state, 4.0).contact_opened)
+    traced = jax.jit(lambda state: gx.simulate(chain, state, 4.0, confirm=True).contact_opened)
     missed = 0
     for seed in range(seeds):
         start = gx.states.random(chain, seed, velocity=1.0)
@@ -522,8 +522,8 @@ def test_a_contact_that_opens_between_steps_is_seen(seeds=5):
             want = deepest(chain, state, 4.0) < 0
             assert bool(traced(state)) == want
             for how in ({}, {"tolerance": 1e-5}):
-                run = gx.simulate(chain, state, 4.0, **how)
-                missed += want and not bool(run._margin < 0)
+                run = gx.simulate(chain, state, 4.0, confirm=True, **how)
+                missed += want and not bool(gx.simulate(chain, state, 4.0, **how).contact_opened)
                 assert bool(run.contact_opened) == want and run.opening == ("yes" if want else "no")
                 assert "smallest overlap" in repr(run)
     assert missed > seeds / 2  # by the ends of the steps alone
@@ -536,10 +536,10 @@ def test_an_opening_within_the_error_is_unsure(closed):
         1.0, (gx.Wall(gx.PowerLaw(1.0, 1.0, 1.0), "left"), gx.OnSite(gx.Linear(1e-9))), sites=2
     )
     state = gx.State(jnp.zeros(2), jnp.asarray([1.0, 0.0]))
-    run = gx.simulate(lattice, state, 3.0, step=0.3)
+    run = gx.simulate(lattice, state, 3.0, step=0.3, confirm=True)
     assert run.opening == "unsure" and "contact opened unsure" in repr(run)
     far = gx.simulate(*closed, 2.0)
-    assert far.opening == "no" and "_found" not in vars(far)
+    assert far.opening == "no" and far.error is None
     assert jax.tree.map(lambda x: x, run).opening == "unsure"  # what a transformation leaves
 
 
@@ -548,8 +548,10 @@ def test_a_long_given_step_is_always_looked_between():
     """Its ends keep 1.013 of how far they came, and between them the contact is 0.24 to 0.33 open."""
     lattice = gx.scenes.monomer(2, precompression=1.0)
     speed = 0.55 * 1.1 * float(np.max(gx.linear.normal_modes(lattice).omega))
-    run = gx.simulate(lattice, gx.State(np.zeros(2), speed * np.array([1.0, -1.0])), 2.9, step=1.45)
-    assert run._margin > 1 and run.opening == "yes"
+    state = gx.State(np.zeros(2), speed * np.array([1.0, -1.0]))
+    ends = gx.simulate(lattice, state, 2.9, step=1.45)
+    assert ends._margin > 1 and ends.opening == "unsure"
+    assert gx.simulate(lattice, state, 2.9, step=1.45, confirm=True).opening == "yes"
 
 
 class Rounded(gx.Law):

@@ -8,7 +8,7 @@ from scipy.interpolate import BSpline
 
 import granjax as gx
 from granjax import Drag, ViscousContact
-from granjax.identify import library, physics_informed, regression
+from granjax.identify import library, regression
 from granjax.laws import Network, Scaled, Spline
 
 N = 8
@@ -431,60 +431,3 @@ def test_a_library_refuses_what_it_does_not_hold():
         library(WALLS, powers=(4,))
     with pytest.raises(ValueError, match="dissipation"):
         library(WALLS, dissipation=("w",))
-
-
-# --------------------------------------------------------------------------------------------- physics-informed network
-
-SENSORS = [1, 3, 4]
-
-
-def _small(parameters):
-    contacts = gx.Bond(WALLS, gx.Hertz(parameters["stiffness"], 1.0))
-    return gx.Lattice(np.ones(6), (contacts, gx.Damping(parameters["damping"])))
-
-
-@pytest.mark.study
-def test_a_network_finds_stiffness_and_damping_from_three_sensors():
-    """Under 1 % of noise: the stiffness to 2e-3, the damping to 2e-2, the motion of all sites to 1 % of its largest."""
-    chain = _small({"stiffness": 1.0, "damping": 0.08})
-    state = gx.states.impact(chain, velocity=0.3)
-    run = gx.simulate(chain, state, 12.0, save_at=121)
-    v = _noisy(np.asarray(run.vs)[:, SENSORS], 0.01)
-    found = physics_informed(
-        _small,
-        {"stiffness": 1.4, "damping": 0.2},
-        run.ts,
-        v,
-        sites=SENSORS,
-        state=state,
-        bounds={"stiffness": (0.0, None), "damping": (0.0, None)},
-        max_steps=2000,
-        refine=600,
-    )
-    np.testing.assert_allclose(found.parameters["stiffness"], 1.0, rtol=2e-3)
-    np.testing.assert_allclose(found.parameters["damping"], 0.08, rtol=2e-2)
-    assert 5e-3 < found.misfit < 1.1e-2 and found.residual < 5e-3
-    assert found.loss.shape == (2600,) and found.loss[-1] < 1e-2 * found.loss[0]
-    u, v, a = jax.vmap(found.motion.state)(run.ts)
-    np.testing.assert_allclose(u, run.us, rtol=0, atol=1e-2 * float(jnp.abs(run.us).max()))
-    # v and a are the derivatives of u
-    h = 1e-4
-    after, before = (found.motion(run.ts[7] + s * h) for s in (1, -1))
-    np.testing.assert_allclose((after - before) / (2 * h), v[7], rtol=0, atol=1e-6)
-    np.testing.assert_allclose((after - 2 * u[7] + before) / h**2, a[7], rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    "bad, word",
-    [
-        (dict(velocity=np.ones((5, 2))), "velocity"),
-        (dict(sites=[6]), "sites"),
-        (dict(bounds={"damping": (1, 2)}), "damping"),
-    ],
-)
-def test_bad_input_of_a_network_is_refused(bad, word):
-    good = dict(
-        start={"stiffness": 1.0, "damping": 0.1}, times=np.arange(5.0), velocity=np.ones((5, 6))
-    )
-    with pytest.raises(ValueError, match=word):
-        physics_informed(_small, **(good | bad))

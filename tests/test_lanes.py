@@ -52,18 +52,26 @@ def agree(run, k, one, atol=1e-13):
 def test_records_and_their_errors_are_those_of_each_lane():
     lattice, state = batch(dimer, RATIOS)
     thresholds = np.linspace(0.05, 0.1, 5)
-    run = gx.simulate(lattice, state, END, save_at=TIMES, record=record(thresholds), **HOW)
-    assert run.recorded["peak"].shape == run.record_error["peak"].shape == (SITES + 1, 5)
+    run = gx.simulate(
+        lattice, state, END, save_at=TIMES, record=record(thresholds), confirm=True, **HOW
+    )
+    assert run.recorded["peak"].shape == run.error.records["peak"].shape == (SITES + 1, 5)
     assert run.contact_opened.shape == (5,) and run.opening == "yes"
     for k in (0, 4):
         alone = dimer(RATIOS[k])
         one = gx.simulate(
-            alone, gx.states.impact(alone), END, save_at=TIMES, record=record(thresholds[k]), **HOW
+            alone,
+            gx.states.impact(alone),
+            END,
+            save_at=TIMES,
+            record=record(thresholds[k]),
+            confirm=True,
+            **HOW,
         )
         agree(run, k, one)
-        for name, error in one.record_error.items():
+        for name, error in one.error.records.items():
             np.testing.assert_allclose(
-                run.record_error[name][..., k], error, rtol=1e-6, atol=1e-6 * np.max(error)
+                run.error.records[name][..., k], error, rtol=1e-6, atol=1e-6 * np.max(error)
             )
 
 

@@ -50,14 +50,14 @@ def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, 
         "peak": gx.Peak(place),
         "integral": gx.Integral(square),
     }
-    run = gx.simulate(*site, T1, record=record, **method)
+    run = gx.simulate(*site, T1, record=record, confirm=True, **method)
     true = {
         "arrival": np.pi + np.arcsin(THRESHOLDS),
         "peak": 1.0,
         "integral": T1 / 2 - np.sin(2 * T1) / 4,
     }
     for name, expected in true.items():
-        gap, error = np.abs(run.recorded[name] - expected), run.record_error[name]
+        gap, error = np.abs(run.recorded[name] - expected), run.error.records[name]
         assert np.all(gap < error) and np.all(error < within * (100 if name == "arrival" else 1)), (
             name,
             gap,
@@ -69,8 +69,8 @@ def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, 
 def test_a_threshold_within_the_error_of_the_top_is_open(site):
     # Verlet's amplitude is 1/sqrt(1 - h^2/4) = 1.005 for 1: what lies between may be passed or not
     wait = {"arrival": gx.Arrival(thrice, np.array([0.9, 1.006, 1.2]))}
-    run = gx.simulate(*site, T1, solver=gx.VelocityVerlet(), step=0.2, record=wait)
-    found, error = run.recorded["arrival"], run.record_error["arrival"]
+    run = gx.simulate(*site, T1, solver=gx.VelocityVerlet(), step=0.2, record=wait, confirm=True)
+    found, error = run.recorded["arrival"], run.error.records["arrival"]
     assert np.isfinite(found[0]) and np.isnan(found[1:]).all()
     assert error[0] < 0.1 and error[1] == np.inf and np.isnan(error[2])
 
@@ -123,9 +123,14 @@ def test_every_measure_is_recordable_in_either_order(site):
         ),
     }
     run = gx.simulate(
-        lattice, state, 4.0, step=0.2, record={name: gx.Peak(q) for name, q in measures.items()}
+        lattice,
+        state,
+        4.0,
+        step=0.2,
+        record={name: gx.Peak(q) for name, q in measures.items()},
+        confirm=True,
     )
-    top, error = run.recorded, run.record_error
+    top, error = run.recorded, run.error.records
     assert top["kinetic"].shape == () and abs(top["kinetic"] - 0.5) < 1e-7
     assert top["own"].shape == (2,) and np.array_equal(top["own"], top["plain"])
     # a tree is followed array by array, and its errors with it
@@ -137,7 +142,7 @@ def test_every_measure_is_recordable_in_either_order(site):
 
 
 def test_a_name_of_an_error_is_not_a_name_of_a_record(site):
-    record = {"x": gx.Peak(place), "x_error": gx.Peak(place)}
+    record = {"x": gx.Peak(place), "error_x": gx.Peak(place)}
     with pytest.raises(ValueError, match="record: expected names other than"):
         gx.simulate(*site, 1.0, step=0.1, record=record)
 
@@ -153,22 +158,22 @@ def test_errors_pass_through_transformations(site):
 
     def run(speed):
         return gx.simulate(
-            lattice, gx.State(state.u, speed * state.v), 5.0, step=0.5, record=record
+            lattice, gx.State(state.u, speed * state.v), 5.0, step=0.5, record=record, confirm=True
         )
 
     one = run(1.0)
-    error = one.record_error
+    error = one.error.records
     assert np.isnan(one.recorded["never"]) and np.isnan(error["never"]) and 0 < error["when"] < 1e-5
 
     def both(speed):
         found = run(speed)
-        return found, found.record_error
+        return found, found.error.records
 
     after, within = jax.jit(both)(1.0)
     mapped_after, mapped = jax.vmap(both)(jnp.array([1.0, 1.3]))
     for name in ("peak", "when"):
-        at_first = mapped[name][0], mapped_after.record_error[name][0]
-        for other in (within[name], after.record_error[name], *at_first):
+        at_first = mapped[name][0], mapped_after.error.records[name][0]
+        for other in (within[name], after.error.records[name], *at_first):
             np.testing.assert_allclose(other, error[name], rtol=1e-3, atol=1e-14)
 
     def peak(speed):
@@ -179,8 +184,8 @@ def test_errors_pass_through_transformations(site):
     np.testing.assert_allclose(slopes, (1.0, 0.0), atol=1e-6)
     data = one.to_xarray()
     assert (
-        data.attrs["peak_error"] == float(error["peak"])
-        and run(1.0).record_error["peak"] == error["peak"]
+        data.attrs["error_peak"] == float(error["peak"])
+        and run(1.0).error.records["peak"] == error["peak"]
     )
 
 
@@ -216,12 +221,13 @@ def test_lanes_and_float32(site):
         "force": gx.Peak(gx.measures.contact_force),
         "low": gx.Lowest(gx.measures.contact_force),
     }
-    run = gx.simulate(chains, state, 3.0, step=0.2, record=record)
+    how = {"step": 0.2, "record": record, "confirm": True}
+    run = gx.simulate(chains, state, 3.0, **how)
     small = jax.tree.map(lambda x: x.astype(jnp.float32), state)
-    single = gx.simulate(chains.astype("float32"), small, 3.0, step=0.2, record=record)
+    single = gx.simulate(chains.astype("float32"), small, 3.0, **how)
     for name in record:
-        error = single.record_error[name]
-        assert run.recorded[name].shape == run.record_error[name].shape == (5, 2)
+        error = single.error.records[name]
+        assert run.recorded[name].shape == run.error.records[name].shape == (5, 2)
         assert error.dtype == single.recorded[name].dtype == jnp.float32
         assert np.all(np.abs(single.recorded[name] - run.recorded[name]) < error + 2e-6)
     assert np.all(run.recorded["low"] <= 1) and np.all(run.recorded["force"] >= 1)
@@ -229,23 +235,8 @@ def test_lanes_and_float32(site):
 
 @pytest.mark.slow
 def test_a_run_with_records_is_pickled(site):
-    run = gx.simulate(*site, 2.0, step=0.5, record={"peak": gx.Peak(place)})
+    run = gx.simulate(*site, 2.0, step=0.5, record={"peak": gx.Peak(place)}, confirm=True)
     back = pickle.loads(pickle.dumps(run))
-    assert back.recorded == run.recorded and back.record_error == run.record_error
+    assert back.recorded == run.recorded and back.error.records == run.error.records
     run = gx.simulate(*site, 2.0, step=0.5, record={"peak": gx.Peak(lambda t, y, lattice: y.u[0])})
     assert pickle.loads(pickle.dumps(run)).recorded == run.recorded
-
-
-@pytest.mark.study
-def test_lanes_that_stand_behind_leave_the_errors_out_of_a_dataset(site):
-    lattice, state = site
-    run = jax.vmap(
-        lambda v: gx.simulate(
-            lattice, gx.State(state.u, v * state.v), 2.0, step=0.5, record={"peak": gx.Peak(place)}
-        ),
-        out_axes=-1,
-    )(jnp.array([1.0, 2.0, 3.0]))
-    data = run.to_xarray()
-    assert "peak" in data and "peak_error" not in data
-    with pytest.raises(ValueError, match="record_error"):
-        run.record_error

@@ -206,11 +206,37 @@ def compared(name, seed, kinds_of):
         gx.State(jnp.asarray(made.u), jnp.asarray(made.v)),
         made.t1,
         record=record,
+        save_at=9,
+        confirm=True,
         **options,
     )
     for key, (expected, scale) in true.items():
-        found, error = np.atleast_1d(run.recorded[key]), np.atleast_1d(run.record_error[key])
+        found, error = np.atleast_1d(run.recorded[key]), np.atleast_1d(run.error.records[key])
         yield from zip([key] * len(expected), found, expected, error, scale)
+    yield from saved(made, truth, run)
+
+
+def saved(made, truth, run):
+    """The same of the states that were saved, of the end and of the energy."""
+    y = truth.path(np.asarray(run.ts))
+    u, v = y[:SITES].T, y[SITES:].T
+    largest = [
+        np.abs(x).max() for x in (truth.path(truth.fine)[:SITES], truth.path(truth.fine)[SITES:])
+    ]
+    lattice = made.lattice()
+    energy = [
+        [lattice.energy(0.0, *x) for x in zip(*states)] for states in ((run.us, run.vs), (u, v))
+    ]
+    parts = {
+        "u": (run.us, u, run.error.us, largest[0]),
+        "v": (run.vs, v, run.error.vs, largest[1]),
+        "end of u": (run.final.u, u[-1], run.error.final.u, largest[0]),
+        "end of v": (run.final.v, v[-1], run.error.final.v, largest[1]),
+        "energy": (*energy, run.error.energy, np.max(energy)),
+    }
+    for key, (found, expected, error, scale) in parts.items():
+        rows = (np.ravel(x) for x in (found, expected, error))
+        yield from ((key, *row, scale) for row in zip(*rows))
 
 
 def judged(name, seeds, kinds_of=KINDS):

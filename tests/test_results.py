@@ -5,22 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from jaxtyping import Complex
 
 import granjax as gx
 from granjax.orbits import Bifurcation
-from granjax.results import Held, Result
+from granjax.results import Result, array, note, part
 
 
 class Sample(Result):
     _else: ClassVar = "SI"
-    held: ClassVar = {
-        "ts": Held("time", "s", "time"),
-        "us": Held("time site", "m", "u"),
-        "roots": Held("root"),
-    }
-    ts: object
-    us: object
-    roots: object
+    ts: object = array("The times.", "s", "time", name="time")
+    us: object = array("The displacements.", "m", "time site", name="u")
+    roots: Complex[np.ndarray, " root"] = array("The roots.")
     outcome: str = "Found."
     count: int = 3
     missing: object = None
@@ -48,6 +44,14 @@ def test_a_result_has_named_axes_units_and_an_origin(sample):
         "count": 3,
     }
     assert wanted.items() <= data.attrs.items() and not any("held" in name for name in data.attrs)
+
+
+def test_a_field_says_what_it_is_once(sample):
+    data = sample.to_xarray()
+    assert data.time.attrs == {"units": "s", "long_name": "The times."}
+    assert data.u_bead.attrs["long_name"] == "The displacements."
+    told = "- `roots` (root): The roots."
+    assert told in Sample.__doc__ and "- `ts` (time) [s]: The times." in Sample.__doc__
 
 
 def test_a_result_is_read_back_from_its_file(sample, tmp_path):
@@ -102,12 +106,11 @@ def test_axes_that_share_a_size_share_a_name_and_no_others():
 
 
 class Rich(Result):
-    held: ClassVar = {"state": Held("site"), "changes": Held("change"), "parts": Held(None)}
-    state: gx.State
-    changes: tuple[Bifurcation, ...]
+    state: gx.State = part(axes="site")
+    changes: tuple[Bifurcation, ...] = array(axes="change")
     first: Sample
     second: Sample
-    parts: Sample
+    parts: Sample = note()
     outcome: str = "Found."
 
 

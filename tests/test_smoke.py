@@ -177,8 +177,6 @@ def test_a_fit_finds_what_made_the_data(tmp_path):
     assert law.force(0.1)[0] == pytest.approx(
         1.2 * ((1 / 1.2) ** (2 / 3) + 0.1) ** 1.5 - 1, rel=1e-4
     )
-    modes = gx.identify.dmd(gx.identify.snapshots(run), times[1])
-    assert modes.misfit < 1e-2
 
 
 def test_a_design_lowers_its_objective():

@@ -192,11 +192,13 @@ def test_records_have_errors_and_laws_of_ones_own_keep_lanes_apart():
             "top": gx.Peak(lambda t, y, lattice: jnp.max(y.u)),
             "part": gx.Peak(lambda t, y, l: y.v / y.v.std()),
         }
-        run = gx.simulate(chain, gx.states.impact(chain), 3.0, step=0.01, record=record)
+        run = gx.simulate(
+            chain, gx.states.impact(chain), 3.0, step=0.01, record=record, confirm=True
+        )
         return {
             "top": run.recorded["top"],
             "part": run.recorded["part"],
-            "error": run.record_error["top"],
+            "error": run.error.records["top"],
         }
 
     data = sweep(over, {"k": [0.5, 1.0, 2.0]})

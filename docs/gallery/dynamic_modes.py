@@ -1,8 +1,8 @@
 """Dynamic modes: frequencies of a chain from two of its masses
 
 A chain of Su, Schrieffer and Heeger swings at random, and the first masses of two cells are watched. Without any
-model the decomposition of the delayed snapshots finds all twenty frequencies, with the two in the gap, which are a
-thousandth apart.
+model the decomposition of the delayed snapshots, by PyDMD, finds all twenty frequencies, with the two in the gap,
+which are a thousandth apart.
 
 :systems: dynamic mode decomposition
 :part: Data
@@ -14,6 +14,8 @@ thousandth apart.
 
 import matplotlib.pyplot as plt
 import numpy as np
+from pydmd import DMD
+from pydmd.preprocessing import hankel_preprocessing
 
 import granjax as gx
 
@@ -21,9 +23,11 @@ chain = gx.scenes.ssh(10, 1.0, 2.0)
 run = gx.simulate(
     chain, gx.states.random(chain, seed=0), 120.0, save_at=401, solver=gx.SRKN14a(), step=0.05
 )
-seen = gx.identify.snapshots(run)[:, :2]
-found = gx.identify.dmd(seen, 0.3, delays=150)
-omega = np.sort(found.omega.imag[found.omega.imag > 1e-3])
+seen = np.asarray(run.us["a"])[:, :2]
+# snapshots lie along the last axis, each stacked with the 149 that follow; twenty frequencies need forty modes
+found = hankel_preprocessing(DMD(svd_rank=40, exact=True), d=150).fit(seen.T)
+omega = np.log(found.eigs).imag / 0.3
+omega = np.sort(omega[omega > 1e-3])
 number = float(omega[9] ** 2)
 known = gx.linear.normal_modes(chain).omega
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]

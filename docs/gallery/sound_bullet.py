@@ -60,8 +60,8 @@ def bullet(lattice, channels, focus, t1, force, duration, direction=1.0):
 
     def crests(start, weight, end):
         lanes = jax.vmap(pushed, out_axes=-1)(jnp.asarray(start), jnp.asarray(weight))
-        run = gx.simulate(lanes, gx.states.rest(lanes), end, record=record)
-        return [np.asarray(x) for x in (*run.recorded.values(), run.record_error["height"])]
+        run = gx.simulate(lanes, gx.states.rest(lanes), end, record=record, confirm=True)
+        return [np.asarray(x) for x in (*run.recorded.values(), run.error.records["height"])]
 
     alone, when, error = crests(np.zeros((n + 1, n)), np.vstack([np.eye(n), np.ones(n)]), t1)
     delay = when[:n].max() - when[:n]

@@ -1,13 +1,13 @@
 """What continuation returns: a branch and the special points on it."""
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ..printing import told
-from ..results import Held, Result
+from ..results import Result, array
 
 
 class Special(NamedTuple):
@@ -32,9 +32,7 @@ class Special(NamedTuple):
 
 
 class Curve(Result):
-    """A branch: `x` (P, n), `p` (P,), unit tangents (P, n + 1), what was found on it, and why it ended.
-
-    `newton`: Jacobians taken in all. `outcome`: a sentence.
+    """A branch, what was found on it, and why it ended.
 
     **Example:**
 
@@ -43,16 +41,11 @@ class Curve(Result):
     ((40, 1), array([1.]), 'The 40 points that were asked for.')
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "x": Held("point unknown"),
-        "p": Held("point"),
-        "tangents": Held("point tangent"),
-    }
-    x: Float[np.ndarray, "P n"]
-    p: Float[np.ndarray, " P"]
-    tangents: Float[np.ndarray, "P n_and_p"]
-    special: tuple[Special, ...]
-    newton: int
+    x: Float[np.ndarray, "point unknown"] = array("The unknowns of every point.")
+    p: Float[np.ndarray, " point"] = array("The parameter of every point.")
+    tangents: Float[np.ndarray, "point tangent"] = array("Unit tangents.")
+    special: tuple[Special, ...] = array("The special points, in the order of the branch.")
+    newton: int = array("The number of Jacobians that were taken.")
     outcome: str = eqx.field(static=True)
 
     @property

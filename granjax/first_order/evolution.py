@@ -1,7 +1,6 @@
 """Runs of first-order lattices, each with its error."""
 
 import itertools
-from typing import ClassVar
 
 import diffrax
 import equinox as eqx
@@ -13,7 +12,7 @@ from ..checks import positive, refuse, show, traced
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..programs import bar, compiled
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
 from ..variables import Layout
 from .equations import Equation, check_shape, field
@@ -34,12 +33,6 @@ ROUNDED = 4
 class Evolution(Result):
     """A run of a first-order lattice: what `gx.first_order.evolve` returns.
 
-    **Fields:** `ts` (T,), `psis` (T, N, *lanes): the times and psi there. `error` (T, *lanes): the largest distance, of
-    any site, to a run with steps of twice the length, so an upper bound where steps are short enough, and what becomes
-    of rounding at the start, which chaos makes grow. `norm`, `energy`
-    (T, *lanes); `norm_error`, `energy_error`: how far they moved at most, over the norm and over max(|H|, sum
-    |psi| |dH/dpsi*|). `step`: the time step. `tolerance`: what was asked for.
-
     **Example:**
 
     >>> chain = gx.first_order.DNLS(20, coupling=1.0, nonlinearity=0.0)
@@ -48,26 +41,23 @@ class Evolution(Result):
     ((5, 20), True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s", "time"),
-        "psis": Held("time site", "", "psi"),
-        "error": Held("time"),
-        "norm": Held("time"),
-        "energy": Held("time"),
-        "norm_error": Held(None),
-        "energy_error": Held(None),
-        "step": Held(unit="s"),
-    }
-    ts: Times
-    psis: Amplitudes
-    error: Numbers
-    norm: Numbers
-    energy: Numbers
-    norm_error: Numbers
-    energy_error: Numbers
-    step: Number
-    tolerance: Number
-    solver: str
+    ts: Times = array("The times.", "s", "time", name="time")
+    psis: Amplitudes = array("The amplitudes psi.", axes="time site", name="psi")
+    error: Numbers = array(
+        "The largest distance, of any site, to a run with steps of twice the length: an "
+        "upper bound where steps are short enough; and what becomes of rounding at the "
+        "start, which chaos makes grow.",
+        axes="time",
+    )
+    norm: Numbers = array("The norm.", axes="time")
+    energy: Numbers = array("The energy H.", axes="time")
+    norm_error: Numbers = note("How far the norm moved at most, over the norm.")
+    energy_error: Numbers = note(
+        "How far the energy moved at most, over max(|H|, sum |psi| |dH/dpsi*|)."
+    )
+    step: Number = array("The time step.", "s")
+    tolerance: Number = array("The tolerance that was asked for.")
+    solver: str = array("The name of the solver.")
 
     def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
         lanes, mapped = np.shape(self.norm_error), np.ndim(self.ts) - 1

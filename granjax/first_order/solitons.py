@@ -1,7 +1,5 @@
 """Standing solitons of first-order lattices, from the limit of no coupling."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +7,7 @@ import numpy as np
 
 from ..checks import one_of, parameter, refuse, traced
 from ..newton import Root, newton
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Number, Numbers, Parameter, Scalar
 from .equations import DNLS, Equation
 
@@ -22,10 +20,6 @@ LOCALISED = 0.05
 class Soliton(Result):
     """A standing solution psi_n(t) = phi_n exp(-i omega t): what `gx.first_order.soliton` returns.
 
-    **Fields:** `psi` (N,): phi, real. `omega`: its frequency. `norm`, `energy`. `residual`: max |dH/dpsi* - omega psi|
-    over |omega| max |psi|. `error`: the length of the next Newton step over max |psi|. `tail`: |phi| at the sites
-    farthest from its highest one, over the highest.
-
     **Example:**
 
     >>> found = gx.first_order.soliton(gx.first_order.DNLS(20), omega=-1.0)
@@ -33,14 +27,13 @@ class Soliton(Result):
     'Found: it is localised and stands still.'
     """
 
-    held: ClassVar[dict[str, Held]] = {"psi": Held("site"), "omega": Held(unit="rad/s")}
-    psi: Numbers
-    omega: Number
-    norm: Number
-    energy: Number
-    residual: Number
-    error: Number
-    tail: Number
+    psi: Numbers = array("The real amplitudes phi.", axes="site")
+    omega: Number = array("The frequency.", "rad/s")
+    norm: Number = array("The norm.")
+    energy: Number = array("The energy.")
+    residual: Number = array("max |dH/dpsi* - omega psi| over |omega| max |psi|.")
+    error: Number = array("The length of the next Newton step over max |psi|.")
+    tail: Number = array("|phi| at the sites farthest from the highest one, over the highest.")
     outcome: str
 
 

@@ -1,7 +1,7 @@
 """Self-trapping: from which nonlinearity on a site keeps what it had."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import positive, refuse, within
 from ..checks import tolerance as checked_tolerance
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Number, Numbers, Scalar
 from .evolution import evolve
 
@@ -22,9 +22,6 @@ ROUNDS = 20
 class SelfTrapping(Result):
     """Where self-trapping begins: what `gx.first_order.self_trapping` returns.
 
-    **Fields:** `nonlinearity`: the threshold; `error`: half of the bracket that is left. `tried` (K,) and `kept` (K,):
-    all nonlinearities, in order, and the least share of the norm on the site. `t1`: the time that was waited for.
-
     **Example:**
 
     >>> dimer = lambda chi: gx.first_order.DNLS(2, 1.0, chi, boundary="fixed")
@@ -33,17 +30,12 @@ class SelfTrapping(Result):
     (True, True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "tried": Held("tried"),
-        "kept": Held("tried"),
-        "t1": Held(unit="s"),
-    }
-    nonlinearity: Number
-    error: Number
-    tried: Numbers
-    kept: Numbers
-    share: Number
-    t1: Number
+    nonlinearity: Number = array("The threshold.")
+    error: Number = array("Half of the bracket that is left.")
+    tried: Numbers = array("All nonlinearities that were tried, in order.", axes="tried")
+    kept: Numbers = array("The least share of the norm on the site at each of them.", axes="tried")
+    share: Number = array("The share that counts as trapped.")
+    t1: Number = array("The time until which the motion was followed.", "s")
     outcome: str
 
 

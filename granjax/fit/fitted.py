@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..lattice import Lattice
-from ..results import Held, Result
+from ..results import Held, Result, array
 from ..types import AnyArray, Count, Numbers
 from .determined import Direction
 from .problem import Problem
@@ -17,19 +16,7 @@ from .traces import Traces
 
 
 class Fit(Result):
-    r"""Parameters that bring a scene closest to its traces. It prints itself.
-
-    - `parameters`: dict, as the start. `names`: one for every number of it, in the order of `covariance` (P, P), that
-      of Gauss and Newton, (J^T J)^{-1} with residuals in units of sigma; infinite for what the data do not see.
-    - `residuals`: per trace (T, S), (signal - data)/sigma, zero where a sample is missing; `signals`: per trace, what
-      the fitted scene shows. `chi_square`: sum of their squares; `samples`: how many there are.
-    - `noise`: standard deviation of the residuals where no sigma was given, else 1.
-    - `undetermined`: sentences naming what the data do not determine, empty where they determine all. `directions`:
-      combinations of parameters with their relative deviations, the least known first; relative to `sizes` (P,), the
-      parameters themselves, or their starts where the data say no more than that a parameter is near zero.
-    - `iterations`, `code`, `outcome`: of the minimiser. `step_error`: change of the signals, in units of sigma, when
-      the time step is halved. `return_error`: what integrating back to the start misses, relative; `adjoint`: what the
-      derivatives were taken with. `starts`: chi_square that every start reached.
+    r"""Parameters that bring a scene closest to its traces.
 
     **Example:**
 
@@ -41,26 +28,42 @@ class Fit(Result):
     (('stiffness',), 11, True)
     """
 
-    parameters: dict[str, Numbers]
-    covariance: Float[AnyArray, "P P"]
-    names: tuple[str, ...] = eqx.field(static=True)
-    signals: tuple[Float[AnyArray, "_ _"], ...]
-    residuals: tuple[Float[AnyArray, "_ _"], ...]
-    samples: int = eqx.field(static=True)
-    noise: float = eqx.field(static=True)
-    undetermined: tuple[str, ...] = eqx.field(static=True)
-    directions: tuple[Direction, ...]
-    sizes: Float[AnyArray, " P"]
-    remarks: tuple[str, ...] = eqx.field(static=True)
-    iterations: int = eqx.field(static=True)
-    code: int = eqx.field(static=True)
-    step: float = eqx.field(static=True)
-    step_error: float = eqx.field(static=True)
-    return_error: float = eqx.field(static=True)
-    adjoint: str = eqx.field(static=True)
-    starts: tuple[float, ...] = eqx.field(static=True)
-    traces: tuple[Traces, ...]
-    problem: Problem
+    parameters: dict[str, Numbers] = array("The fitted parameters, a dict as the start.")
+    covariance: Float[AnyArray, "P P"] = array(
+        "The covariance of Gauss and Newton, (J^T J)^{-1} with residuals in units of sigma,"
+        " in the order of `names`; infinite for what the data do not see.",
+    )
+    names: tuple[str, ...] = array("A name for every number of the parameters.", static=True)
+    signals: tuple[Float[AnyArray, "_ _"], ...] = array("What the fitted scene shows, per trace.")
+    residuals: tuple[Float[AnyArray, "_ _"], ...] = array(
+        "(signal - data)/sigma per trace, zero where a sample is missing."
+    )
+    samples: int = array("The number of samples.", static=True)
+    noise: float = array(
+        "The standard deviation of the residuals where no sigma was given, else 1.", static=True
+    )
+    undetermined: tuple[str, ...] = array(
+        "Sentences that name what the data do not determine.", static=True
+    )
+    directions: tuple[Direction, ...] = array(
+        "Combinations of parameters with their relative deviations, the least known first."
+    )
+    sizes: Float[AnyArray, " P"] = array(
+        "The parameters that deviations are relative to; their starts where a parameter is "
+        "near zero to within its error.",
+    )
+    remarks: tuple[str, ...] = array("What else the outcome says.", static=True)
+    iterations: int = array("The number of iterations of the minimiser.", static=True)
+    code: int = array("How the minimiser ended.", static=True)
+    step: float = array("The time step.", static=True)
+    step_error: float = array(
+        "The change of the signals, in units of sigma, when the time step is halved.", static=True
+    )
+    return_error: float = array("What integrating back to the start misses, relative.", static=True)
+    adjoint: str = array("How the derivatives were taken.", static=True)
+    starts: tuple[float, ...] = array("The chi_square that every start reached.", static=True)
+    traces: tuple[Traces, ...] = array("The traces.")
+    problem: Problem = array("The problem of least squares.")
 
     @property
     def lattice(self) -> Lattice:

@@ -17,7 +17,7 @@ from jax.custom_batching import custom_vmap
 from ..lattice import State, vector_field
 from ..programs import joined, parted
 from .integrate import integrate
-from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Run
+from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
 TRACED_STEPS = 2**24
@@ -25,7 +25,7 @@ TRACED_STEPS = 2**24
 TRIED, AGREE = 3, 1e-5
 
 
-def batched(*arguments: Any, own_step: bool) -> Run:
+def batched(*arguments: Any, own_step: bool) -> Found:
     """`integrate`, whose lanes come last where `jax.vmap` maps it.
 
     `own_step`: each lane's step may be replaced by that of the stiffest lane, because nobody has given it.
@@ -69,14 +69,16 @@ def batched(*arguments: Any, own_step: bool) -> Run:
         t0, t1, tolerance, save_ts, (solver, _, *rest, dips) = joined(fixed, shared)
         begin, how = (lattice, state, t0, t1, dt, tolerance), (solver, diffrax.ForwardMode(), *rest)
         # nothing is differentiated here
-        run = batched(*begin, save_ts, records, *how, False, own_step=own_step)
+        run = batched(
+            *begin, save_ts, records, *how, None if dips is None else False, own_step=own_step
+        )
         found = parted(run)[1]
         found[place.code] = jnp.where(
             good, code_of_each(run.code, run.final, lattice.lanes), TOO_MANY_STEPS
         )
         if dips:
             # looking between steps takes half as long as the run: XLA drops this one where nobody reads what it saw
-            found[place._margin] = batched(*begin, None, {}, *how, True, own_step=own_step)._margin
+            found[place.margin] = batched(*begin, None, {}, *how, True, own_step=own_step).margin
         over = [jnp.ndim(x) > n for x, n in zip(found, ndims)]
         return [jnp.moveaxis(x, -1, 0) if own else x for x, own in zip(found, over)], over
 
@@ -97,13 +99,12 @@ def code_of_each(code: Any, final: State, lanes: tuple[int, ...]) -> Any:
     return jnp.where(finite, jnp.where(code == NOT_FINITE, COMPLETED, code), NOT_FINITE)
 
 
-def without_the_lost(run: Run, lanes: tuple[int, ...]) -> Run:
+def without_the_lost(run: Found, lanes: tuple[int, ...]) -> Found:
     """The run with NaN for the numbers of lanes that did not complete, since nothing is raised while tracing."""
     good = code_of_each(run.code, run.final, lanes) == COMPLETED
     lost = lambda tree: jax.tree.map(lambda x: jnp.where(good, x, jnp.nan), tree)
-    for name in ("us", "vs", "final", "recorded", "energy_error"):
-        object.__setattr__(run, name, lost(getattr(run, name)))
-    return run
+    names = "us", "vs", "final", "recorded", "energy_error"
+    return run._replace(**{name: lost(getattr(run, name)) for name in names})
 
 
 def _behind(x, own, size):

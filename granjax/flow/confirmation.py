@@ -1,108 +1,129 @@
-"""The errors of records: a run again, by finer steps."""
-
-import pickle
-from functools import partial
-from typing import Any
+"""The errors of a run: the run again, by finer steps."""
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..checks import refuse, traced
-from ..lattice import vector_field
-from ..programs import joined, parted
-from ..types import Flags
+from ..checks import traced
+from ..lattice import Lattice, State, vector_field
+from ..programs import compiled
+from ..types import Flags, Number, StateLike, Times
 from .batching import batched
 from .control import tighter
+from .integrate import overlaps
 from .march import march
+from .run import Errors, Found
 
-# a run with records is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second
-# one where contacts opened, as errors of order 5/2 that come and go with the mesh may be alike twice
+# a run is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second one where
+# contacts opened, as errors of order 5/2 that come and go with the mesh may be alike twice
 TIGHTER = 100
 SHORTER = 2, 4
-# the part of the largest gap over a record's entries that every entry's error has at least: gaps may vanish by chance
+# the part of the largest gap over the entries of an array that every entry's error has at least, as gaps may vanish by
+# chance; and the gap, over the motion, from which on an entry's own says nothing, as both runs have lost each other
 SHARED = 0.1
+APART = 0.1
+# over the gap between the smallest overlaps of both
+COVER = 2.0
+# units of rounding that a number is known to at best
+ROUNDED = 8
 
 
-class Confirmation(eqx.Module):
-    """What it takes to run again by finer steps, and the error of records that follows.
+def confirmed(
+    lattice: Lattice,
+    state: StateLike,
+    t0: Number,
+    t1: Number,
+    dt: Number | None,
+    tolerance: Number | None,
+    save_ts: Times | None,
+    records: dict,
+    solver: diffrax.AbstractSolver,
+    first: Found,
+    good: Flags,
+) -> Errors:
+    """The errors of what was found by steps of `dt`, or to a tolerance; infinite where it is not `good`.
 
-    The error is the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, as contacts
-    that open leave little more), doubled, and a tenth of the largest gap over the entries, and rounding. It covers
-    the run's own error, that of the dense output, and that of the record.
+    They are the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, as contacts that
+    open leave little more), doubled, and a tenth of the largest gap over the entries (at any time so far), and
+    rounding. They cover the run's own error, that of the dense output, and that of the records.
     """
-
-    arrays: list
-    static: tuple = eqx.field(static=True)
-    shapes: tuple = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, *arguments: Any) -> Any:
-        """From lattice, state, t0, t1, dt, tolerance, records and solver of `integrate`."""
-        static, arrays = parted(arguments)
-        return cls(arrays, static, tuple(np.shape(x) for x in arrays))
-
-    def __reduce__(self):
-        # a structure of JAX's does not come back the same; what holds a lambda leaves no confirmation behind
-        arguments = joined(self.static, self.arrays)
-        try:
-            pickle.dumps(arguments)
-        except (pickle.PicklingError, AttributeError, TypeError):
-            return type(None), ()
-        return _restored, (arguments, self.shapes)
-
-    @property
-    def tells(self):
-        """Whether lanes of `jax.vmap`, if any, stand in front."""
-        mapped = np.ndim(self.arrays[0]) - len(self.shapes[0])
-        return all(np.shape(x)[mapped:] == shape for x, shape in zip(self.arrays, self.shapes))
-
-    def errors(self, recorded: dict, short: dict, completed: Flags, opened: Flags) -> dict:
-        """The error of each record, of its shape; infinite where a run did not complete. `opened`: any contact."""
-        function, mapped = self._errors, np.ndim(self.arrays[0]) - len(self.shapes[0])
-        if not self.tells:
-            remedy = "Read it inside of the function that is mapped."
-            refuse(
-                "record_error",
-                "a run by itself, or many behind jax.vmap with out_axes=0",
-                "another one",
-                remedy,
-            )
-        for _ in range(mapped):
-            function = jax.vmap(function)
-        return function(*jax.lax.stop_gradient((self.arrays, recorded, short, completed, opened)))
-
-    def _errors(self, arrays, recorded, short, completed, opened):
-        lattice, state, t0, t1, dt, tolerance, records, solver = joined(self.static, arrays)
-        if dt is not None:
-            dt = dt / jnp.where(jnp.any(opened), *SHORTER[::-1]).astype(dt.dtype)
-        tolerance = None if tolerance is None else tighter(tolerance, TIGHTER, lattice.dtype)
-        rest = solver, diffrax.ForwardMode(), None, False, False, False, False
-        go = partial(batched, own_step=False) if traced((arrays, opened)) else march
-        finer = go(lattice, state, t0, t1, dt, tolerance, None, records, *rest)
-        order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)
-        good = completed & finer.completed
-        error = partial(_error, 2 / (1 - 0.5**order), lanes, good)
-        return {
-            name: jax.tree.map(
-                error, recorded[name], finer.recorded[name], short[name], finer._short[name]
-            )
-            for name in recorded
-        }
+    known = lattice, state, t0, t1, dt, tolerance, save_ts, records, first, good
+    lattice, state, t0, t1, dt, tolerance, save_ts, records, first, good = jax.lax.stop_gradient(
+        known
+    )
+    if tolerance is not None:
+        tolerance = tighter(tolerance, TIGHTER, lattice.dtype)
+        how = f"a second run with a tolerance {TIGHTER} times smaller"
+    else:
+        opened = jnp.any(first.margin < 0)
+        dt = dt / jnp.where(opened, *SHORTER[::-1]).astype(dt.dtype)
+        how = "a second run with shorter steps"
+    rest = solver, diffrax.ForwardMode(), None, False, False, False, None
+    begin = lattice, state, t0, t1, dt, tolerance, save_ts, records
+    if traced((begin, first, good)):
+        second = batched(*begin, *rest, own_step=True)
+    else:
+        second = march(*begin, *rest)
+    order = min(solver.order(diffrax.ODETerm(vector_field)), 2)
+    found = _errors(lattice, state, t0, first, second, good, 2 / (1 - 0.5**order))
+    return Errors(
+        *found,
+        how=how,
+        _lanes=lattice.lanes,
+        _space=lattice.space,
+        _mark=lattice._mark,
+    )
 
 
-def _restored(arguments, shapes):
-    static, arrays = parted(arguments)
-    return Confirmation(arrays, static, shapes)
+@compiled
+def _errors(lattice, state, t0, first, second, good, factor):
+    """The fields of `Errors`."""
+    lanes, good = len(lattice.lanes), good & second.completed
+    saved = lambda x, y: _saved(factor, lanes, good, x, y)
+    us, vs = (jax.tree.map(saved, getattr(first, x), getattr(second, x)) for x in ("us", "vs"))
+    at_end = jax.tree.map(lambda x, y: saved(x[None], y[None])[0], first.final, second.final)
+
+    def energies(found):
+        frames = found.ts, found.us, found.vs
+        return jax.lax.map(lambda frame: lattice.energy(*frame), frames)
+
+    own = energies(first)
+    energy = saved(own, energies(second))
+    if lattice.conserves:
+        energy = jnp.maximum(energy, jnp.abs(own - lattice.energy(t0, state.u, state.v)))
+    error = lambda *x: _recorded(factor, lanes, good, *x)
+    records = {
+        name: jax.tree.map(error, x, second.recorded[name], first.short[name], second.short[name])
+        for name, x in first.recorded.items()
+    }
+    closest = second.closest
+    there = jnp.isfinite(closest) & jnp.isfinite(first.closest)
+    missed = COVER * jnp.where(there, jnp.abs(closest - first.closest), 0)
+    for overlap in overlaps(lattice, t0, lattice.zeros()):
+        missed += ROUNDED * jnp.finfo(missed.dtype).eps * jnp.max(jnp.abs(overlap))
+    missed = jnp.where(good & ~jnp.isnan(closest + first.closest), missed, jnp.inf)
+    return us, vs, State(*at_end), energy, closest, missed, records
 
 
-def _error(factor, lanes, good, x, finer, short, finer_short):
+def _saved(factor, lanes, good, x, finer):
+    """The error of (T, sites..., lanes...)."""
+    gap, over = jnp.abs(x - finer), tuple(range(1, x.ndim - lanes))
+    known = jnp.where(jnp.isfinite(gap), gap, 0)
+    largest = jax.lax.cummax(jnp.max(known, axis=over, keepdims=True), axis=0)
+    size = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
+    scale = jnp.max(size, axis=(0, *over), keepdims=True)
+    lost = jnp.minimum(largest / jnp.where(scale > 0, APART * scale, 1), 1)
+    rounding = ROUNDED * jnp.finfo(x.dtype).eps * scale
+    error = factor * known + (SHARED + factor * lost) * largest + rounding
+    return jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
+
+
+def _recorded(factor, lanes, good, x, finer, short, finer_short):
+    """The error of a record, whose axes are its own."""
     gap = jnp.abs(x - finer)
     known = jnp.where(jnp.isfinite(gap), gap, 0)
     largest = jnp.max(known, axis=tuple(range(max(x.ndim - lanes, 0))), keepdims=True, initial=0)
-    rounding = 8 * jnp.finfo(x.dtype).eps * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
+    rounding = ROUNDED * jnp.finfo(x.dtype).eps * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
     error = factor * known + SHARED * largest + rounding
     error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
     # what both runs never saw arrive, and by more than they are known to, has no time that could be wrong

@@ -162,11 +162,7 @@ def checked_records(record: Any) -> dict:
     if record is None:
         return {}
     for name in record:
-        if (
-            name in RESERVED
-            or name.startswith(("u_", "v_"))
-            or name.removesuffix("_error") in {*record} - {name}
-        ):
-            taken = f"Taken: {', '.join(RESERVED)}, and NAME_error."
+        if name in RESERVED or name.startswith(("u_", "v_", "error_")):
+            taken = f"Taken: {', '.join(RESERVED)}, and error_NAME."
             refuse("record", "names other than those of a run's own results", repr(name), taken)
     return dict(record)

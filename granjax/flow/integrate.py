@@ -14,8 +14,9 @@ from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
 from .control import Scales, StepControl, least_step
+from .dispatch import facts
 from .lanes import by_groups, each_lane
-from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
+from .record import CLOSEST, EXTREMES, AtEnds, Lowest, Recorded, leaf_by_leaf
 from .record.dips import Dips
 from .run import (
     COMPLETED,
@@ -25,7 +26,7 @@ from .run import (
     STEP_TOO_SMALL,
     TOO_MANY_STEPS,
     UNRESOLVED,
-    Run,
+    Found,
     finite,
 )
 from .stiffness import chosen, compressions, frequency_bound, reached_frequency
@@ -52,12 +53,12 @@ def integrate(
     every: bool,
     progress: bool,
     watch: bool = False,
-    dips: bool = False,
-) -> Run:
-    """Integrate and reduce; everything checked, everything chosen. A `Run` without its names.
+    dips: bool | None = False,
+) -> Found:
+    """Integrate and reduce; everything checked, everything chosen.
 
     `watch`: follow every compression, for the highest frequency that the run reaches. `dips`: look for openings between
-    steps too, where no second run can. Adaptive steps are each lane's own.
+    steps too, by cubics; `None` by the dense output. Adaptive steps are each lane's own.
     """
 
     def run(lattice, state, records, progress=False):
@@ -77,11 +78,14 @@ def own_records(
     t0: Scalar,
     records: dict,
     watch: bool,
-    dips: bool = False,
+    dips: bool | None = False,
 ) -> dict:
     """The records of a run with those that it keeps for itself."""
-    closest = Dips(_overlap_and_rate) if dips else AtEnds(smallest_overlap)
-    records = {**records, CLOSEST: closest} if _overlaps(lattice, t0, state.u) else records
+    if dips is None:
+        closest = Lowest(_still_overlap)
+    else:
+        closest = Dips(_overlap_and_rate) if dips else AtEnds(smallest_overlap)
+    records = {**records, CLOSEST: closest} if overlaps(lattice, t0, state.u) else records
     return {**records, EXTREMES: AtEnds(_compressions)} if watch else records
 
 
@@ -191,8 +195,8 @@ def reduced(
     solver: diffrax.AbstractSolver,
     watch: bool,
     part: Part,
-) -> Run:
-    """The `Run` of all its parts."""
+) -> Found:
+    """What was found in all parts of a run."""
     size = dt if tolerance is None else tolerance
     (state, t0, t1), (ts, ys, _, final, carried, steps, accepted, rejected, code) = begin, part
     recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
@@ -222,22 +226,9 @@ def reduced(
         energy_error = jnp.where(
             gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error
         )
-    names = "", "", "", unseen(lattice), 0.0
-    return Run(
-        ts,
-        ys.u,
-        ys.v,
-        final,
-        recorded,
-        energy_error,
-        margin,
-        short,
-        code,
-        stats,
-        None,
-        *names,
-        _space=lattice.space,
-    )
+    least = jnp.full(lattice.lanes, jnp.inf) if closest is None else _least(lattice, closest)
+    found = ts, ys.u, ys.v, final, recorded, energy_error, margin, least, short, code, stats
+    return Found(*found)
 
 
 def _ready(solver, adjoint):
@@ -247,7 +238,7 @@ def _ready(solver, adjoint):
     return solver
 
 
-def _overlaps(lattice, t, u):
+def overlaps(lattice, t, u):
     """The overlaps of the contacts that can open, of bonds and walls."""
     found = [
         c.overlap for term in lattice.terms for c in term.compressions(t, u) if c.place != "site"
@@ -257,11 +248,15 @@ def _overlaps(lattice, t, u):
 
 def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
     """The overlaps of all contacts that can open, one array."""
-    overlaps = _overlaps(lattice, t, y.u)
-    if len(overlaps) == 1:
-        return overlaps[0]
+    found = overlaps(lattice, t, y.u)
+    if len(found) == 1:
+        return found[0]
     lanes = len(lattice.lanes)
-    return jnp.concatenate([s.reshape((-1,) + s.shape[s.ndim - lanes :]) for s in overlaps])
+    return jnp.concatenate([s.reshape((-1,) + s.shape[s.ndim - lanes :]) for s in found])
+
+
+def _still_overlap(t, y, lattice):
+    return jax.lax.stop_gradient(smallest_overlap(t, y, lattice))
 
 
 def _overlap_and_rate(t, y, lattice):
@@ -286,7 +281,12 @@ def _margin(lattice, t0, smallest):
     margin = jnp.where(
         moved > 0, smallest / jnp.where(moved > 0, moved, 1), jnp.where(smallest < 0, -1.0, jnp.inf)
     )
-    return jnp.min(margin, axis=tuple(range(smallest.ndim - len(lattice.lanes))), initial=jnp.inf)
+    return _least(lattice, margin)
+
+
+def _least(lattice, x):
+    """The least of all contacts, per lane."""
+    return jnp.min(x, axis=tuple(range(x.ndim - len(lattice.lanes))), initial=jnp.inf)
 
 
 def _meant(t0, t1, size):
@@ -308,9 +308,11 @@ def _code(result, final):
 
 def unseen(lattice: Lattice) -> str:
     """The names of the terms that may have contacts of which nobody knows whether they open."""
-    return ", ".join(
-        dict.fromkeys(type(term).__name__ for term in lattice.terms if term.opens(lattice) is None)
-    )
+    known = facts(lattice).known
+    if "unseen" not in known:
+        names = [type(term).__name__ for term in lattice.terms if term.opens(lattice) is None]
+        known["unseen"] = ", ".join(dict.fromkeys(names))
+    return known["unseen"]
 
 
 def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:

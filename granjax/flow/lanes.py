@@ -16,7 +16,7 @@ from ..lattice import Lattice
 from ..terms import Term
 from ..tuning import lanes_abreast
 from ..types import AnyArray, Number, Pytree, Scalar, StateLike
-from .run import Run
+from .run import Found
 
 # what lanes that fill up the last group may cost, over all lanes
 FILLING = 0.1
@@ -24,8 +24,8 @@ FILLING = 0.1
 
 def each_lane(
     function: Callable, lattice: Lattice, state: StateLike, records: dict, t0: Number
-) -> Run:
-    """The `Run` of all lanes from `function(lattice, state, records)`, which gives that of one, one after another."""
+) -> Found:
+    """What `function(lattice, state, records)` finds of each lane, one after another."""
     parts, build = apart(lattice, state, records)
 
     def one(parts):
@@ -114,7 +114,7 @@ def _module(x):
     return jnp if isinstance(x, jax.core.Tracer) else np
 
 
-def together(run: Run) -> Run:
+def together(run: Found) -> Found:
     """A run whose `ts` (T, lanes...) are those of each lane with the times that all share.
 
     What a lane that stopped would have to show at a time that another one came to is NaN.
@@ -132,7 +132,7 @@ def together(run: Run) -> Run:
         )
 
     us, vs = jax.tree.map(seen, (run.us, run.vs))
-    return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, (ts, us, vs))
+    return run._replace(ts=ts, us=us, vs=vs)
 
 
 def refuse_lanes_within(t0: Scalar, one: tuple, every: tuple) -> None:

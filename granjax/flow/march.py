@@ -21,7 +21,7 @@ from .dispatch import facts
 from .integrate import Part, integrate, own_records, part_of, reduced
 from .lanes import apart, refuse_lanes_within, together
 from .record import Record
-from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Run
+from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # seconds that an evaluation of the forces takes, and more for each number of a state: about, and at the least
 TAKES, LEAST = (5e-8, 1e-9), (2e-8, 2e-11)
@@ -54,8 +54,8 @@ def march(
     every: bool,
     progress: bool,
     watch: bool = False,
-    dips: bool = False,
-) -> Run:
+    dips: bool | None = False,
+) -> Found:
     """`integrate`, and where nothing is traced what takes long in pieces, between which Ctrl-C is heard.
 
     Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
@@ -103,7 +103,7 @@ def march(
         if limit == max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
             return run
     begin, how = (state, t0, t1), (dt, tolerance, save_ts, records, solver)
-    return _in_pieces(lattice, begin, ends, budget, max_steps, *how, progress, watch)
+    return _in_pieces(lattice, begin, ends, budget, max_steps, *how, progress, watch, dips)
 
 
 def _steps(count, dtype):
@@ -222,7 +222,7 @@ def _lane_by_lane(
                     width = 1
                     continue
                 ts = np.repeat(np.asarray(found.ts)[:, None], width, 1)
-                found = eqx.tree_at(lambda r: r.ts, found, ts)
+                found = found._replace(ts=ts)
                 found = jax.tree.map(lambda x, skip=done - first: np.asarray(x)[..., skip:], found)
             else:
                 found = wait(run(march, [x[..., first] for x in parts], max_steps))
@@ -254,11 +254,12 @@ def _in_pieces(
     solver,
     progress,
     watch,
+    dips,
 ):
     """Pieces between `ends`, numbers of steps; or where these are none as many as it takes, of `budget` steps each."""
     number = facts(lattice).dtype.type
     state, t0, t1 = begin = begin[0], *(number(float(t)) for t in begin[1:])
-    records = own_records(lattice, state, t0, records, watch)
+    records = own_records(lattice, state, t0, records, watch, dips)
     wanted, width = None if save_ts is None else np.asarray(save_ts), 0
     if wanted is not None:
         places = [number(t0 + (t1 - t0) * (k / ends[-1])) for k in ends[1:-1]]
@@ -314,10 +315,9 @@ def _in_pieces(
     else:
         ts, ys = _filled(wanted, kept, taken, lost)
     part = Part(ts, ys, t, state, carried or {}, *counts, code)
-    run = _reduced(lattice, begin, dt, tolerance, records, solver, watch, part)
+    found = _reduced(lattice, begin, dt, tolerance, records, solver, watch, part)
     # where it may be looked for what went wrong
-    object.__setattr__(run, "_last", last)
-    return run
+    return found._replace(last=last)
 
 
 def _tell_long(begin, t, t1, steps, seconds):

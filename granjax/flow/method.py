@@ -18,7 +18,7 @@ from ..types import Number, Scalar, StateLike
 from .control import least_tolerance, refuse_unresolved
 from .dispatch import facts
 from .inputs import checked_size
-from .run import Run
+from .run import Found
 from .stiffness import chosen, frequency_bound, gathered_frequency, linear_frequency, softens
 
 # h omega of the default step
@@ -207,7 +207,7 @@ def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> No
         refuse_unresolved(t0, t1, STEP_FRACTION / omega, facts(lattice).dtype)
 
 
-def passed(solver: diffrax.AbstractSolver | type, run: Run, step: Number) -> Any:
+def passed(solver: diffrax.AbstractSolver | type, run: Found, step: Number) -> Any:
     """The highest frequency that a run at the default step has reached, where it passed the bound; else `None`."""
     omega = run.stats["omega"]
     if isinstance(omega, jax.core.Tracer):
@@ -263,7 +263,7 @@ def doubts(
     step: Scalar | None,
     tolerance: Any,
     solver: diffrax.AbstractSolver,
-    run: Run,
+    run: Found,
 ) -> str:
     """Remarks on a run that has ended: a loose tolerance, much energy lost, an energy that is none; empty without."""
     said = []

@@ -12,7 +12,7 @@ from ..printing import told
 from ..solvers import AbstractSplitting
 from ..types import Count, Counts, Number, Scalar, StateLike, Times
 from .integrate import integrate
-from .run import Run
+from .run import Found
 from .stepping import Flow, check_moved, check_steps
 
 _FORWARD = diffrax.ForwardMode()
@@ -135,7 +135,7 @@ def reversible(
     solver: diffrax.AbstractSolver,
     limit: int | None,
     progress: bool,
-) -> Run:
+) -> Found:
     """`integrate` with the derivative of `Reversible`; moved = (lattice, state, adjoint)."""
     lattice, state, _ = moved
     return integrate(

@@ -1,15 +1,16 @@
 """The record of a run."""
 
+import dataclasses
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, traced
-from ..lattice import State
+from ..checks import concrete
+from ..lattice import Lattice, State
 from ..results import Held, Result
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 from ..variables import Layout
@@ -31,12 +32,67 @@ WHY = {
 }
 
 
+class Errors(Result):
+    """How far the numbers of a run may be from the truth: `run.error`, from a second run at another step.
+
+    - `us`, `vs` (T, N), `final`, `records`: of the shape and in the unit of `run.us`, `vs`, `final` and `recorded`.
+      `energy` (T,): of the energy at the saved times [J].
+    - `overlap`: the smallest overlap of a contact that can open, found between steps, per lane; below zero it opened,
+      infinite where there is no such contact. `overlap_error`: its error [m].
+    - `how`: what the second run was.
+
+    Infinite where one of both runs has not completed, only one of them has seen an `Arrival`, or a pulse of a drive may
+    lie between the steps of both; NaN for an `Arrival` that did not happen. They have no derivative.
+    """
+
+    _table: ClassVar[dict[str, Held]] = {
+        "us": Held("time site", "m", "u"),
+        "vs": Held("time site", "m/s", "v"),
+        "final": Held("site", "m, m/s"),
+        "energy": Held("time", "J"),
+        "overlap": Held("", "m"),
+        "overlap_error": Held("", "m"),
+    }
+    us: Displacements
+    vs: Displacements
+    final: State
+    energy: Numbers
+    overlap: Numbers
+    overlap_error: Numbers
+    records: dict[str, Pytree]
+    how: str = eqx.field(static=True)
+    _lanes: tuple[int, ...] = eqx.field(static=True, kw_only=True, default=())
+
+    @property
+    def held(self) -> dict[str, Held]:
+        """Axes and units."""
+        return self._table
+
+    @property
+    def outcome(self) -> str:
+        """The largest errors, in a sentence (only where they are not traced)."""
+        if isinstance(self.energy, jax.core.Tracer):
+            return "Not known while traced."
+        u, v = (max(float(np.max(x)) for x in jax.tree.leaves(tree)) for tree in (self.us, self.vs))
+        return f"displacements within {u:.2g}, velocities within {v:.2g}, by {self.how}"
+
+    def _fields(self) -> Iterator[tuple[str, object]]:
+        own = ("us", "vs", "final", "energy", "overlap", "overlap_error", "how")
+        yield from ((name, getattr(self, name)) for name in own)
+        taken = {*own, "outcome"}
+        yield from ((f"record_{k}" if k in taken else k, x) for k, x in self.records.items())
+
+    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
+        lanes, mapped = np.shape(self.overlap), np.ndim(self.energy) - 1 - len(self._lanes)
+        return Layout(*(space or (None, 0)), lanes, mapped)
+
+
 class Run(Result):
     """What `simulate` returns. It prints itself.
 
     - `ts` (T,), `us`, `vs` (T, N): times, displacements and velocities that were saved (T = 1, the end, by default).
-    - `final`: `State` at the last time, of a lane that stopped where it did; `recorded`: dict of the records' results,
-      `record_error`: of their errors.
+    - `final`: `State` at the last time, of a lane that stopped where it did; `recorded`: dict of the records' results.
+    - `error`: `Errors` of all of them, with `simulate(..., confirm=True)`; else `None`.
     - `energy_error`: largest |E - E0|/max(|E0|, kinetic energy) over the saved times, NaN where a term does not keep
       the energy (says so, or its force is not the slope of its energy); shape of the lanes.
     - `contact_opened`: whether any contact was open, one that never closed included; `opening`: the same in a word,
@@ -44,6 +100,7 @@ class Run(Result):
     - `outcome`: a sentence. It also names beads that have no bond and overlap, at the saved times or at the end,
       where a scene knows the size of its beads by its positions and contacts: bonds are fixed, and such beads
       pass through one another.
+    - `started`: (lattice, state) that it began with, or the problem that made them; `None` of a traced one.
     - `completed`: whether the run reached t1 with finite numbers: each lane where they have
       steps of their own (what a lane that stopped would have to show at later times is NaN), else every lane.
     - `met`: where magnets met, (bond, number of its term, time, lane, () where the outcome names it); else `None`.
@@ -79,61 +136,32 @@ class Run(Result):
     recorded: dict[str, Pytree]
     energy_error: Numbers
     _margin: Numbers
-    _short: dict[str, Pytree]
     code: Counts
     stats: dict[str, Number]
-    failed_at: tuple[float, float, tuple[int, ...]] | None
-    solver: str = eqx.field(static=True)
-    choice: str = eqx.field(static=True)
-    remark: str = eqx.field(static=True)
-    unseen: str = eqx.field(static=True)
-    _zone: float = eqx.field(static=True)
-    _confirmation: Any = None
+    failed_at: tuple[float, float, tuple[int, ...]] | None = None
     met: tuple[int, int, float, tuple[int, ...]] | None = None
+    error: Errors | None = None
+    started: Any = None
+    solver: str = eqx.field(static=True, default="")
+    choice: str = eqx.field(static=True, default="")
+    remark: str = eqx.field(static=True, default="")
+    unseen: str = eqx.field(static=True, default="")
+    _zone: float = eqx.field(static=True, default=0.0)
 
     @property
     def held(self) -> dict[str, Held]:
-        """Axes and units; the error of a record has the axes of the record."""
-        lanes, held = np.ndim(self.energy_error), dict(self._table)
-        for name, said in self._names.items():
-            own = 0 if isinstance(self.recorded[name], dict) else _axes(self.recorded[name]) - lanes
-            held[f"{said}_error"] = Held(" ".join(f"{said}_{k}" for k in range(own)))
-        return held
+        """Axes and units; a cell's displacements are a dict of fields."""
+        return self._table
 
     @property
     def _names(self):
         """The names of the records in a file, where a run has names of its own too."""
-        taken = {*self._table, "opening", "stats", "solver", "choice"}
-        return {
-            name: f"recorded_{name}" if {name, f"{name}_error"} & taken else name
-            for name in self.recorded
-        }
+        taken = {*self._table, "opening", "stats", "solver", "choice", "error"}
+        return {name: f"recorded_{name}" if name in taken else name for name in self.recorded}
 
     @property
     def completed(self) -> Flags:
         return self.code == COMPLETED
-
-    @property
-    def record_error(self) -> dict[str, Pytree]:
-        """The error of each record, of its shape and in its unit: how far it may be from the truth.
-
-        Found by a second run with steps of half the length (a quarter where contacts opened; or a tolerance 100 times
-        smaller), when it is first asked for, by `to_xarray` too: a run whose errors nobody reads costs nothing more. It
-        covers the error of the run and what is lost between its steps. NaN for an `Arrival` that did not happen;
-        infinite where only one of the two runs has seen it, or both missed it by no more than they are known to, or
-        one has not completed, or where a pulse of a drive may lie between the steps of both. Under `jax.jit` it is
-        part of the program where it is read; it has no derivative. A pickled run has lost it where a record holds a
-        lambda and nobody had asked for it.
-        """
-        known = self.__dict__.get("_known_error")
-        if known is None and self._confirmation is None:
-            return {}
-        if known is None:
-            good = self.completed & ("_hidden" not in self.__dict__)
-            known = self._confirmation.errors(self.recorded, self._short, good, self._margin < 0)
-            if not traced(known):
-                object.__setattr__(self, "_known_error", known)
-        return known
 
     @property
     def outcome(self) -> str:
@@ -158,59 +186,40 @@ class Run(Result):
         return f"{sentence} {self.remark}".strip()
 
     @property
-    def started(self) -> tuple[Any, State] | None:
-        """The lattice and the state that the run began with; `None` of one that was traced or has been stored."""
-        look = self.__dict__.get("_look")
-        return None if look is None else look.args[:2]
-
-    @property
     def contact_opened(self) -> Flags:
         """Whether a contact was open at any time, per lane; `opening` says how sure that is.
 
-        Where at the ends of the steps a contact came near it, two more runs decide when this is first read: between
-        steps, by steps of half the length. Under a transformation the cubic through both ends of each step says it.
+        With `confirm=True` by the finer run, found between steps; else at the ends of the steps; under a
+        transformation also on the cubic through both ends of each step.
         """
-        found = self._approach
-        return (
-            self._margin < 0
-            if found is None
-            else jnp.where(self._near, found[0] < 0, self._margin < 0)
-        )
+        return self._margin < 0 if self.error is None else self.error.overlap < 0
 
     @property
     def opening(self) -> str:
         """Whether a contact opened, in a word: yes, no, unsure, unknown.
 
-        Unsure where the closest approach is within its error of zero, or could not be looked at between steps; unknown
-        where a law or a term does not say when its contacts open.
+        Unsure where the closest approach is within its error of zero, which `confirm=True` finds, or comes so near at
+        the ends of steps that it may be otherwise between them; unknown where a law or a term does not say when its
+        contacts open.
         """
-        closest, error = (0.0, np.inf) if self._approach is None else self._approach
-        sure = np.where(self._near, np.abs(closest) > error, True)
-        if np.any(sure & np.asarray(self.contact_opened)):
+        if self.error is None:
+            sure = (self._margin <= -OPENED) | (self._margin >= self._zone)
+        else:
+            # what has not come nearer than at rest has not opened
+            sure = np.abs(self.error.overlap) > self.error.overlap_error
+            sure = sure | (np.asarray(self._margin) == np.inf)
+        if np.any(np.asarray(sure) & np.asarray(self.contact_opened)):
             return "yes"
         return "unsure" if not np.all(sure) else "unknown" if self.unseen else "no"
-
-    @property
-    def _near(self):
-        return (self._margin > -OPENED) & (self._margin < self._zone)
-
-    @property
-    def _approach(self):
-        """(the closest approach, its error), per lane; `None` where no contact came near, or nothing can be run."""
-        look = self.__dict__.get("_look")
-        if look is None or not np.any(self._near):
-            return None
-        if "_found" not in self.__dict__:
-            object.__setattr__(self, "_found", jax.tree.map(np.asarray, look()))
-        return self.__dict__["_found"]
 
     def _approach_in_words(self):
         if self.opening == "unknown":
             return f" ({self.unseen})"
-        if self._approach is None:
+        if self.error is None or not np.any(np.isfinite(self.error.overlap)):
             return ""
-        closest, error = (np.ravel(x)[np.argmin(self._approach[0])] for x in self._approach)
-        return f" (smallest overlap {closest:.3g}, known to {error:.1g})"
+        closest = np.ravel(self.error.overlap)
+        error = np.ravel(self.error.overlap_error)[np.argmin(closest)]
+        return f" (smallest overlap {closest.min():.3g}, known to {error:.1g})"
 
     def _met_in_words(self):
         bond, term, time, lane = self.met
@@ -238,6 +247,8 @@ class Run(Result):
         lost = float(np.fmax.reduce(self.energy_error, axis=None))
         yield "energy error", "no energy is kept" if np.isnan(lost) else f"{lost:.2g}"
         yield "contact opened", self.opening + self._approach_in_words()
+        if self.error is not None:
+            yield "error", self.error.outcome
         yield (
             "saved",
             f"{self.ts.shape[-1]} times"
@@ -264,12 +275,9 @@ class Run(Result):
             "choice",
         )
         yield from ((name, getattr(self, name)) for name in own)
-        names = self._names
-        yield from ((names[name], x) for name, x in self.recorded.items())
-        if self._confirmation is None or self._confirmation.tells:
-            yield from (
-                (f"{names[name]}_error", error) for name, error in self.record_error.items()
-            )
+        yield from ((self._names[name], x) for name, x in self.recorded.items())
+        if self.error is not None:
+            yield "error", self.error
 
     def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
         """Lanes are those of the energy's error: behind the sites, and of `jax.vmap` before them."""
@@ -278,21 +286,55 @@ class Run(Result):
         return Layout(*(space or (None, 0)), lanes, first)
 
 
-def _axes(x):
-    """Axes of an array; none of what is no array, such as a tuple of unequal parts."""
-    return np.ndim(x) if hasattr(x, "shape") else 0
+class Found(NamedTuple):
+    """What the compiled part of a run returns, of which a `Run` is made.
 
-
-def named(
-    run: Run, solver: str, choice: str, remark: str, zone: float = 0.0, mark: Any = None
-) -> Run:
-    """A run that a compiled function has just returned, with its names and the mark of its units.
-
-    Written into it, which nobody else holds yet: making a Module anew takes longer than a short run.
+    `margin`: the least overlap over how far it came from rest, per lane; `closest`: the least overlap; `short`: how far
+    what records wait for has stayed below it; `last`: the state and times at which its last piece began.
     """
-    zone, names = zone or run._zone, {"solver": solver, "choice": choice, "remark": remark}
-    for field, value in (*names.items(), ("_zone", zone), ("_mark", mark)):
-        object.__setattr__(run, field, value)
+
+    ts: Times
+    us: Displacements
+    vs: Displacements
+    final: State
+    recorded: dict[str, Pytree]
+    energy_error: Numbers
+    margin: Numbers
+    closest: Numbers
+    short: dict[str, Pytree]
+    code: Counts
+    stats: dict[str, Number]
+    last: tuple | None = None
+
+    @property
+    def completed(self) -> Flags:
+        """As of a `Run`."""
+        return self.code == COMPLETED
+
+
+# of what is found, what is a field of a run by the same name
+FILLED = frozenset(Found._fields) & {field.name for field in dataclasses.fields(Run)}
+
+
+_FIELDS = [f.name for f in dataclasses.fields(Run) if not f.metadata.get("static")]
+_STRUCTURES: dict = {}
+MOST_STRUCTURES = 256
+
+
+def run_of(found: Found, lattice: Lattice, names: tuple, more: tuple = ()) -> Run:
+    """The `Run` of what was found. `names`: solver, choice, remark, unseen, zone; `more`: pairs, of other fields."""
+    key = names, lattice.space
+    own = found._asdict() | {"_margin": found.margin, "_mark": lattice._mark} | dict(more)
+    fields = [own.get(name) for name in _FIELDS]
+    structure = _STRUCTURES.get(key)
+    # filling a structure takes a tenth of the time that calling the class takes
+    if structure is not None:
+        return jax.tree.unflatten(structure, fields)
+    named = dict(zip(("solver", "choice", "remark", "unseen", "_zone"), names))
+    run = Run(**dict(zip(_FIELDS, fields)), **named, _space=lattice.space)
+    if len(_STRUCTURES) >= MOST_STRUCTURES:
+        _STRUCTURES.clear()
+    _STRUCTURES[key] = jax.tree.structure(run, is_leaf=lambda x: x is not run)
     return run
 
 

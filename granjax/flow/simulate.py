@@ -1,11 +1,8 @@
 """`simulate`: from a lattice and a state to a run, over diffrax."""
 
-import dataclasses
 import math
-from functools import partial
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,10 +12,10 @@ from ..lattice import Lattice, State
 from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .batching import TRACED_STEPS, batched, without_the_lost
-from .confirmation import Confirmation
+from .confirmation import confirmed
 from .dispatch import facts
 from .inputs import checked_records, checked_save_at, checked_state, checked_times, held_frames
-from .integrate import integrate
+from .integrate import integrate, unseen
 from .lanes import apart
 from .march import in_pieces, march, refuse_endless
 from .meeting import meeting, passing
@@ -33,10 +30,9 @@ from .method import (
     passed,
     refuse_far,
 )
-from .opening import approach
 from .record import Record
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
-from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, named
+from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 
 SAVED_STEPS = 2**16
 # a contact that kept more than this part of how far it came, at the ends of steps, did not open between them: at the
@@ -74,6 +70,7 @@ def simulate(
     tolerance: Scalar | None = None,
     save_at: Parameter | str | None = None,
     record: dict[str, Record] | None = None,
+    confirm: bool = False,
     adjoint: diffrax.AbstractAdjoint | Reversible | None = None,
     progress: bool = False,
     throw: bool | None = None,
@@ -101,8 +98,11 @@ def simulate(
       its own, as in a call by itself; a fixed `step` is shared by all.
     - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,
       the end of every step (of one lattice, or of lanes that share a fixed one).
-    - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps; each
-      with its error in `run.record_error`. They take functions `(t, y, lattice)` and measures `(lattice, y, t)`.
+    - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps. They
+      take functions `(t, y, lattice)` and measures `(lattice, y, t)`.
+    - `confirm`: run a second time, with steps of half the length (a quarter where contacts opened; or a tolerance 100
+      times smaller), for `run.error`: that of what was saved, of the records, of the energy; and look between steps
+      whether a contact opened. It takes about four times as long. The error has no derivative.
     - `adjoint`: `None` for derivatives in both modes; or diffrax's `ForwardMode`, `DirectAdjoint` or
       `RecursiveCheckpointAdjoint` (reverse mode alone, cheaper there); or `Reversible()` (reverse mode alone, memory
       independent of the number of steps, for scenes that integrate back to where they came from).
@@ -137,6 +137,10 @@ def simulate(
     -0.0711
     """
     given = t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps
+    if confirm and (facts(lattice).remembers or isinstance(adjoint, Reversible)):
+        without = "forces that read the past" if facts(lattice).remembers else "Reversible"
+        remedy = "Compare runs by two steps yourself."
+        refuse("confirm", f"False with {without}", "True", remedy)
     if facts(lattice).remembers:
         return with_memory(lattice, state, t1, dict(zip(KEYWORDS, given)))
     state = checked_state(lattice, state)
@@ -151,6 +155,9 @@ def simulate(
     if every and tolerance is not None and lattice.lanes:
         remedy = "Give times, or step= for steps that lanes share."
         refuse("save_at", "times, where each lane has steps of its own", "'steps'", remedy)
+    if every and confirm and unknown:
+        remedy = "Steps of two lengths end at other times: give times."
+        refuse("confirm", "False under a transformation with save_at='steps'", "True", remedy)
     records = checked_records(record)
     if tolerance is None:
         dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
@@ -164,7 +171,7 @@ def simulate(
         checked_reversible(lattice, solver, records, every)
         adjoint = _FORWARD
     # an adjoint that is asked for by name is asked for its memory, of which looking between steps takes as much again
-    dips = unknown and adjoint is None
+    dips = None if confirm else unknown and adjoint is None
     adjoint, limit = _adjoint(adjoint, unknown, every, steps, max_steps)
     if every:
         held_frames("save_at" if max_steps is None else "max_steps", limit, state, "steps")
@@ -197,42 +204,37 @@ def simulate(
         )
         choice += ", taken again: energy gathered beyond the bound at the start"
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
-        rest = records, solver, adjoint, limit, every, progress, watch
+        rest = records, solver, adjoint, limit, every, progress, watch, dips
         run = march(lattice, state, *span, dt, tolerance, save_ts, *rest)
-    zone = _zone(lattice, dt, step, tolerance, unknown, dips)
-    run = named(run, type(solver).__name__, choice, remark, zone, lattice._mark)
+    found, more = run, {}
     if unknown and throw is None:
-        run = without_the_lost(run, lattice.lanes)
-    if records:
+        found = without_the_lost(found, lattice.lanes)
+    known = not isinstance(found.code, jax.core.Tracer)
+    if every and known:
+        found = _cut(found)
+        save_ts = found.ts
+    hidden = ""
+    if known and not unknown:
+        hidden = missed(lattice, t0, t1, found.stats["step"], tolerance)
+        said = doubts(lattice, state, t0, t1, step, tolerance, solver, found)
+        met = passing(lattice, found.ts, found.us, found.final.u)
+        remark = " ".join(filter(None, (remark, hidden, said, met)))
+        more["started"] = lattice, state
+    if confirm:
         # lanes of `jax.vmap` may have had a shorter step than their own
-        taken = run.stats["step"] if unknown and tolerance is None else dt
-        confirmation = Confirmation.of(lattice, state, *span, taken, tolerance, records, solver)
-        object.__setattr__(run, "_confirmation", confirmation)
-    if isinstance(run.code, jax.core.Tracer):
-        return run
-    if every:
-        run = _cut(run)
-    if not unknown:
-        hidden = missed(lattice, t0, t1, run.stats["step"], tolerance)
-        said = doubts(lattice, state, t0, t1, step, tolerance, solver, run)
-        remark = " ".join(
-            filter(None, (hidden, said, passing(lattice, run.ts, run.us, run.final.u)))
-        )
-        if remark:
-            run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
-        if hidden:
-            object.__setattr__(run, "_hidden", True)
-    code = np.asarray(run.code)
-    if not (code == COMPLETED).all():
-        if code.max() in (NOT_FINITE, STEP_TOO_SMALL):
-            run = _located(run, lattice, (state, *span), dt, tolerance, solver)
-        if throw is None or throw:
-            raise RuntimeError(run.outcome)
-    elif not unknown:
-        # no field: what goes through a transformation has lost it
-        object.__setattr__(
-            run, "_look", partial(approach, lattice, state, *span, dt, tolerance, solver)
-        )
+        taken = found.stats["step"] if unknown and tolerance is None else dt
+        good = found.completed & (not hidden)
+        how = taken, tolerance, save_ts, records, solver
+        more["error"] = confirmed(lattice, state, *span, *how, found, good)
+    code = np.asarray(found.code) if known else None
+    failed = known and not (code == COMPLETED).all()
+    if failed and code.max() in (NOT_FINITE, STEP_TOO_SMALL):
+        more |= _located(found, lattice, (state, *span), dt, tolerance, solver)
+    zone = _zone(lattice, dt, step, tolerance, unknown, dips)
+    names = type(solver).__name__, choice, remark, unseen(lattice), zone
+    run = run_of(found, lattice, names, tuple(more.items()))
+    if failed and (throw is None or throw):
+        raise RuntimeError(run.outcome)
     return run
 
 
@@ -287,13 +289,13 @@ def _cut(run):
     kept = jax.tree.map(
         lambda x: jax.device_put(np.asarray(x)[:count], where(x)), (run.ts, run.us, run.vs)
     )
-    return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, kept)
+    return run._replace(ts=kept[0], us=kept[1], vs=kept[2])
 
 
 def _located(run, lattice, begin, dt, tolerance, solver):
-    """The run with where and when it failed, and where magnets met: again with frames, twice closer."""
+    """Where and when a run failed, and where magnets met: again with frames, twice closer."""
     # of its last piece; of a batch the first lane of which that is so
-    state, *span = run.__dict__.get("_last", begin)
+    state, *span = run.last or begin
     code, sizes = np.asarray(run.code), np.ravel(run.stats["step"])
     if code.ndim:
         parts, build = apart(lattice, state)
@@ -302,7 +304,7 @@ def _located(run, lattice, begin, dt, tolerance, solver):
     rest = {}, solver, diffrax.ForwardMode(), None, False, False
     if code.max() == STEP_TOO_SMALL:
         again = integrate(lattice, state, *span, dt, tolerance, None, *rest)
-        return dataclasses.replace(run, met=meeting(lattice, again.final, float(again.ts[-1]), 0.0))
+        return {"met": meeting(lattice, again.final, float(again.ts[-1]), 0.0)}
     low, high = map(float, span)
     last = state
     for _ in range(2):
@@ -315,4 +317,4 @@ def _located(run, lattice, begin, dt, tolerance, solver):
         high, low = float(ts[first]), float(ts[first - 1]) if first else low
         last = jax.tree.map(lambda x: x[first - 1], State(again.us, again.vs)) if first else last
     met = meeting(lattice, last, low, high - low + 2 * float(sizes[0]))
-    return dataclasses.replace(run, failed_at=(low, high, sites), met=met)
+    return {"failed_at": (low, high, sites), "met": met}

@@ -2,17 +2,13 @@
 
 `law` finds the force law of contacts, of a formula or of free shape, and `compare` says which of several models the
 traces speak for; both by `granjax.fit`, as `wall_modulus` does for the wall at the end of a chain. Without a fit of
-trajectories: `dmd` finds frequencies and decay rates from snapshots of any sensors, without a model. `regression` finds
-which terms act, and how strongly, from motion seen at every site; `library` offers it granjax's own terms as
-candidates. `physics_informed` finds parameters from a few sensors by a network that obeys the equation of motion.
-`planar_ode` fits y'' = f(y) to a travelling wave or the interior of a shock.
+trajectories, `regression` finds which terms act, and how strongly, from motion seen at every site; `library` offers
+it granjax's own terms as candidates. `planar_ode` fits y'' = f(y) to a travelling wave or the interior of a shock.
 """
 
 from .compare import Comparison, compare
-from .dmd import DynamicModes, dmd, hard_threshold, snapshots
 from .families import Series
 from .law import ForceLaw, law
-from .pinn import Motion, PhysicsInformed, physics_informed
 from .planar import Equilibrium, PlanarODE, planar_ode
 from .planar_orbits import PlanarOrbit
 from .regression import Coefficient, Regression, library, regression
@@ -21,24 +17,17 @@ from .wall import WallModulus, wall_modulus
 __all__ = [
     "Coefficient",
     "Comparison",
-    "DynamicModes",
     "Equilibrium",
     "ForceLaw",
-    "Motion",
-    "PhysicsInformed",
     "PlanarODE",
     "PlanarOrbit",
     "Regression",
     "Series",
     "WallModulus",
     "compare",
-    "dmd",
-    "hard_threshold",
     "law",
     "library",
-    "physics_informed",
     "planar_ode",
     "regression",
-    "snapshots",
     "wall_modulus",
 ]

@@ -1,9 +1,7 @@
 """Models of one experiment beside each other: which of them the traces speak for, and whether any describes them."""
 
 from collections.abc import Sequence
-from typing import ClassVar
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Integer
 
@@ -11,7 +9,7 @@ from ..checks import one_of, positive
 from ..fit import Fit, Traces, fit
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Parameter, Scalar, Scene
 
 # probability of chi^2 below which even the best model does not describe the data
@@ -19,14 +17,9 @@ IMPLAUSIBLE = 0.01
 
 
 class Comparison(Result):
-    r"""What `compare` returns, models in rising order of BIC. It prints itself.
+    r"""What `compare` returns, models in rising order of BIC.
 
-    - `names` (M,); `fits`: dict from name to `Fit`. `parameters`, `chi_square` (M,): how many numbers each moved, and
-      -2 log likelihood at its best, up to a constant that is the same for all.
-    - `aic`, `bic` (M,): chi^2 + 2P and chi^2 + P log n. `weights` (M,): of Akaike, exp(-Delta AIC/2) over their sum.
-    - `best`: the name of the least BIC; `margin`: by how much the next one's is larger; `decided`: whether by more
-      than `level`. `probability`: of a chi^2 as large as the best one's where its model is right; NaN where no sigma
-      was given.
+    AIC is chi^2 + 2P and BIC chi^2 + P log n.
 
     **Example:**
 
@@ -38,17 +31,21 @@ class Comparison(Result):
     (('linear',), [1.0])
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        name: Held("model") for name in ("parameters", "chi_square", "aic", "bic")
-    } | {"names": Held("model", "", "model")}
-    names: tuple[str, ...] = eqx.field(static=True)
-    fits: dict[str, Fit]
-    parameters: Integer[np.ndarray, " M"]
-    chi_square: Float[np.ndarray, " M"]
-    aic: Float[np.ndarray, " M"]
-    bic: Float[np.ndarray, " M"]
-    level: float
-    probability: float
+    names: tuple[str, ...] = array(
+        "The names of the models.", axes="model", name="model", static=True
+    )
+    fits: dict[str, Fit] = array("The `Fit` of each model.")
+    parameters: Integer[np.ndarray, " model"] = array("The number of parameters of each model.")
+    chi_square: Float[np.ndarray, " model"] = array(
+        "-2 log likelihood at the best parameters, up to a constant that all models share."
+    )
+    aic: Float[np.ndarray, " model"] = array("Akaike's criterion.")
+    bic: Float[np.ndarray, " model"] = array("The Bayesian criterion.")
+    level: float = array("The difference of BIC above which the comparison is decided.")
+    probability: float = array(
+        "The probability of a chi^2 as large as the best model's where that model is right;"
+        " NaN without a sigma."
+    )
 
     @property
     def best(self) -> str:

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -19,7 +18,7 @@ from ..flow import Lowest, Peak, simulate
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..parameters import Bounds
-from ..results import Held, Result
+from ..results import Held, Result, array
 from ..types import Count, Parameter, Scalar
 from .families import LawScene, law_scene, starting_law
 
@@ -30,12 +29,7 @@ BACK = 1e-3
 
 
 class ForceLaw(Result):
-    """What `law` returns.
-
-    - `law`: the identified `Law`; `fit`: the `Fit`, with the numbers of the law and other parameters; `scene`: the
-      scene as a function of their dict.
-    - `strain_range`: (least, largest) strain of any bond that the law acts on, along the fitted run [m]. Outside of it
-      nothing is claimed.
+    """What `law` returns; outside of `strain_range` nothing is claimed.
 
     **Example:**
 
@@ -48,15 +42,14 @@ class ForceLaw(Result):
     [0.1, nan]
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "strain": Held("strain", "m"),
-        "strain_range": Held("end", "m"),
-        **{name: Held("strain", "N") for name in ("force", "low", "high")},
-    }
-    law: Law
-    fit: Fit
-    strain_range: tuple[float, float]
-    scene: LawScene
+    law: Law = array("The identified `Law`.")
+    fit: Fit = array("The `Fit`, with the numbers of the law and other parameters.")
+    strain_range: tuple[float, float] = array(
+        "The least and the largest strain of any bond that the law acts on, along the fitted run.",
+        "m",
+        "end",
+    )
+    scene: LawScene = array("The scene as a function of the parameters.")
 
     def force(
         self, e: Parameter
@@ -82,6 +75,12 @@ class ForceLaw(Result):
         e = np.linspace(*self.strain_range, whole("points", points, 2))
         force, deviation = self.force(e)
         return e, force, force - deviations * deviation, force + deviations * deviation
+
+    @property
+    def held(self) -> dict[str, Held]:
+        """What each field is; a file has the force over the strain range too."""
+        curves = {name: Held("strain", "N") for name in ("force", "low", "high")}
+        return super().held | curves | {"strain": Held("strain", "m")}
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         yield from super()._fields()

@@ -1,7 +1,7 @@
 """`planar_ode`: a planar equation y'' = f(y) for measured waves, and its orbits."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from ..checks import parameter, refuse, whole
 from ..printing import told
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Numbers, Parameter, Scalar
 from .planar_fit import LEAST, Train, first, fit, growth, split
 from .planar_orbits import TABLE, PlanarOrbit, Way
@@ -43,12 +43,7 @@ class Equilibrium(NamedTuple):
 class PlanarODE(Result):
     """What `planar_ode` returns: y'' = f(y) + drift y', f = sum c_k y^k.
 
-    **Fields:** `coefficients` c_k and their standard errors `errors` (K,) [m^(1-k)]; `covariance` (K, K). `drift` and
-    its `drift_error`, `None` where none was asked for. `misfit`: rms of the data less the fitted trajectories, per
-    degree of freedom, and its standard error `misfit_error` [m]; `correlation`: of neighbouring residuals, near 0 of
-    noise, near 1 where the equation is a model. `equilibria`; `crest`, `trough`: of the data [m];
-    `wavelength`: of the data. `xi`, `strains`, `fitted`: the data and what was fitted, `slopes`: y' of that, (P,);
-    `window`: which window each belongs to. `outcome`: a sentence. `homoclinic()` and `periodic()` give orbits.
+    `homoclinic()` and `periodic()` give orbits.
 
     **Example:**
 
@@ -58,38 +53,30 @@ class PlanarODE(Result):
     (1.5, True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "coefficients": Held("power"),
-        "errors": Held("power"),
-        "covariance": Held("power power_"),
-        "misfit": Held("", "m"),
-        "misfit_error": Held("", "m"),
-        "crest": Held("", "m"),
-        "trough": Held("", "m"),
-        "xi": Held("point", "1"),
-        "strains": Held("point", "m"),
-        "fitted": Held("point", "m"),
-        "slopes": Held("point", "m"),
-        "window": Held("point"),
-        "equilibria": Held("equilibrium"),
-    }
-    coefficients: Float[np.ndarray, " power"]
-    errors: Float[np.ndarray, " power"]
-    covariance: Float[np.ndarray, "power power"]
-    drift: float | None
-    drift_error: float | None
-    misfit: float
-    misfit_error: float
-    correlation: float
-    equilibria: tuple[Equilibrium, ...]
-    crest: float
-    trough: float
-    wavelength: float
-    xi: Float[np.ndarray, " point"]
-    strains: Float[np.ndarray, " point"]
-    fitted: Float[np.ndarray, " point"]
-    slopes: Float[np.ndarray, " point"]
-    window: np.ndarray
+    coefficients: Float[np.ndarray, " power"] = array("The coefficients c_k, in m^(1-k).")
+    errors: Float[np.ndarray, " power"] = array("Standard errors of the coefficients.")
+    covariance: Float[np.ndarray, "power power_"] = array("The covariance of the coefficients.")
+    drift: float | None = array("The drift, `None` where none was asked for.")
+    drift_error: float | None = array("The standard error of the drift.")
+    misfit: float = array(
+        "The rms of the data less the fitted trajectories, per degree of freedom.", "m"
+    )
+    misfit_error: float = array("The standard error of the misfit.", "m")
+    correlation: float = array(
+        "The correlation of neighbouring residuals, near 0 for noise, near 1 where the "
+        "equation is a model."
+    )
+    equilibria: tuple[Equilibrium, ...] = array(
+        "The equilibria of the equation.", axes="equilibrium"
+    )
+    crest: float = array("The highest strain of the data.", "m")
+    trough: float = array("The lowest strain of the data.", "m")
+    wavelength: float = array("The wavelength of the data.")
+    xi: Float[np.ndarray, " point"] = array("The places of the data.", "1")
+    strains: Float[np.ndarray, " point"] = array("The strains of the data.", "m")
+    fitted: Float[np.ndarray, " point"] = array("The fitted strains.", "m")
+    slopes: Float[np.ndarray, " point"] = array("The slope y' of the fitted strains.", "m")
+    window: np.ndarray = array("The window that each point belongs to.", axes="point")
     outcome: str = eqx.field(static=True)
     # f of scaled strains and places: (y - middle)/half, xi/length
     _scaled: Any = eqx.field(kw_only=True, repr=False)

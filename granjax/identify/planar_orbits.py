@@ -1,13 +1,13 @@
 """Orbits of y'' = f(y) for a polynomial f, by quadrature: p^2/2 = G(y) - G(end), G' = f, less both ends."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from numpy.polynomial import polynomial
 
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Parameter
 
 # pieces of half of an orbit, their nodes, steps of Newton's method for a place; end of a homoclinic orbit, table
@@ -18,11 +18,6 @@ _T, _W = np.polynomial.legendre.leggauss(NODES)
 class PlanarOrbit(Result):
     """An orbit of a planar equation y'' = f(y), a crest or its trough at xi = 0, beside the measured wave.
 
-    **Fields:** `kind`: "homoclinic" or "periodic". `crest`, `trough`: highest and lowest strain [m]; a homoclinic orbit
-    falls to one of them. `wavelength` (infinite of a homoclinic orbit), `energy`: y'^2/2 - int_0^y f [m^2]. `decay`:
-    rate of a homoclinic orbit's tail. `distance`: rms of the measured wave less the orbit, over the wave about the
-    highest crest, at the best place [m]; `shift`: that place. `xi`, `strains`: a table; `strain(xi)` gives any place.
-
     **Example:**
 
     >>> xi = np.linspace(-6.0, 6.0, 61)
@@ -31,23 +26,23 @@ class PlanarOrbit(Result):
     ('homoclinic', 1.5, 1.0)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "crest": Held("", "m"),
-        "trough": Held("", "m"),
-        "distance": Held("", "m"),
-        "xi": Held("xi", "1"),
-        "strains": Held("xi", "m"),
-    }
-    kind: str = eqx.field(static=True)
-    crest: float
-    trough: float
-    wavelength: float
-    energy: float
-    decay: float | None
-    distance: float
-    shift: float
-    xi: Float[np.ndarray, " xi"]
-    strains: Float[np.ndarray, " xi"]
+    kind: str = array('"homoclinic" or "periodic".', static=True)
+    crest: float = array(
+        "The highest strain; a homoclinic orbit falls to the crest or the trough.", "m"
+    )
+    trough: float = array("The lowest strain.", "m")
+    wavelength: float = array("The wavelength, infinite for a homoclinic orbit.")
+    energy: float = array("y'^2/2 - int_0^y f, in m^2.")
+    decay: float | None = array("The decay rate of a homoclinic orbit's tail.")
+    distance: float = array(
+        "The rms of the measured wave less the orbit about the highest crest, at the best place.",
+        "m",
+    )
+    shift: float = array("The best place.")
+    xi: Float[np.ndarray, " xi"] = array("The places of the table.", "1")
+    strains: Float[np.ndarray, " xi"] = array(
+        "The strains of the table; `strain(xi)` gives any place.", "m"
+    )
     outcome: str = eqx.field(static=True)
     _way: Any = eqx.field(kw_only=True, repr=False)
 

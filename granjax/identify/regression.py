@@ -1,7 +1,7 @@
 """Sparse regression of the forces of a lattice on a library of terms."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from ..fit.judge import STRUCTURED, structure
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
 from ..printing import told
-from ..results import Held, Result
+from ..results import Result, array
 from ..strains import StrainMap
 from ..terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
 from ..types import Count, Displacements, Parameter, Scalar, Times
@@ -46,13 +46,6 @@ class Coefficient(NamedTuple):
 class Regression(Result):
     """What `regression` returns.
 
-    - `coefficients`: dict from the names of the terms that were kept to `Coefficient(value, error, share)`;
-      `dropped`: names of the others. `covariance` (kept, kept), in the order of `coefficients`.
-    - `r_squared`: 1 - |residual|^2/|a - mean|^2. `noise`: rms of the residual, per degree of freedom [m/s^2].
-    - `condition`: of the kept columns at unit length; a large one says that they stand for each other.
-    - `lattice`: the `Lattice` of the terms with their coefficients and the known ones, ready to simulate; `None` where
-      a coefficient has a sign that its term refuses, which `outcome`, a sentence, names.
-
     **Example:**
 
     >>> terms = gx.identify.library(gx.Shift(1, "fixed"), dissipation=["v"])
@@ -64,18 +57,23 @@ class Regression(Result):
     (('e^2', '[e]_+^1.5', 'u', 'u^3', 'v'), 1.0)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "covariance": Held("term term_"),
-        "dropped": Held("dropped"),
-        "noise": Held(unit="m/s^2"),
-    }
-    coefficients: dict[str, Coefficient]
-    dropped: tuple[str, ...]
-    covariance: Float[np.ndarray, "kept kept"]
-    r_squared: float
-    noise: float
-    condition: float
-    lattice: Lattice | None
+    coefficients: dict[str, Coefficient] = array(
+        "`Coefficient(value, error, share)` of each term that was kept, by name."
+    )
+    dropped: tuple[str, ...] = array("The names of the terms that were dropped.", axes="dropped")
+    covariance: Float[np.ndarray, "term term_"] = array(
+        "The covariance of the coefficients, in their order."
+    )
+    r_squared: float = array("1 - |residual|^2/|a - mean|^2.")
+    noise: float = array("The rms of the residual, per degree of freedom.", "m/s^2")
+    condition: float = array(
+        "The condition number of the kept columns at unit length; large where they stand "
+        "for each other."
+    )
+    lattice: Lattice | None = array(
+        "The `Lattice` of the terms and the known ones; `None` where a term refuses the "
+        "sign of its coefficient."
+    )
     outcome: str = eqx.field(static=True)
 
 

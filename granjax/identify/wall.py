@@ -15,7 +15,7 @@ from ..fit.problem import Start
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, hertz_coefficient
-from ..results import SI, Held, Result
+from ..results import SI, Result, array
 from ..terms import Wall
 from ..types import Count, Numbers, Parameter, Scalar
 
@@ -24,13 +24,6 @@ NAME = "modulus"
 
 class WallModulus(Result):
     """What `wall_modulus` returns.
-
-    - `modulus`, `deviation`: Young's modulus E of the wall and its standard deviation [Pa], at the given Poisson ratio.
-    - `plane_modulus`: E/(1 - nu^2) [Pa], which is what the data determine, without a Poisson ratio of the wall.
-    - `reduced_modulus`: E* of the contact [Pa]; `stiffness`: A of the contact [N/m^{3/2}]. Both stand on the bead's
-      material too. `relative`: relative standard deviations of `plane_modulus`, `reduced_modulus`, `stiffness` in turn.
-    - `scanned`, `chi_square` (n,): moduli that were looked at first [Pa], and how far each is from the data.
-    - `fit`: the `Fit`, with other parameters that were fitted; `outcome`.
 
     **Example:**
 
@@ -45,25 +38,27 @@ class WallModulus(Result):
     """
 
     _else: ClassVar[str | None] = SI
-    held: ClassVar[dict[str, Held]] = {
-        "modulus": Held(unit="Pa"),
-        "deviation": Held(unit="Pa"),
-        "plane_modulus": Held(unit="Pa"),
-        "reduced_modulus": Held(unit="Pa"),
-        "stiffness": Held(unit="N/m^{3/2}"),
-        "relative": Held("quantity", "1"),
-        "scanned": Held("scanned", "Pa"),
-        "chi_square": Held("scanned", "1"),
-    }
-    modulus: float
-    deviation: float
-    plane_modulus: float
-    reduced_modulus: float
-    stiffness: float
-    relative: Float[np.ndarray, "3"]
-    scanned: Float[np.ndarray, " n"]
-    chi_square: Float[np.ndarray, " n"]
-    fit: Fit
+    modulus: float = array("Young's modulus E of the wall at the given Poisson ratio.", "Pa")
+    deviation: float = array("The standard deviation of the modulus.", "Pa")
+    plane_modulus: float = array(
+        "E/(1 - nu^2), which the data determine without a Poisson ratio of the wall.", "Pa"
+    )
+    reduced_modulus: float = array(
+        "E* of the contact, which depends on the bead's material too.", "Pa"
+    )
+    stiffness: float = array(
+        "The stiffness A of the contact, which depends on the bead's material too.", "N/m^{3/2}"
+    )
+    relative: Float[np.ndarray, "3"] = array(
+        "Relative standard deviations of `plane_modulus`, `reduced_modulus` and `stiffness`.",
+        "1",
+        "quantity",
+    )
+    scanned: Float[np.ndarray, " scanned"] = array("The moduli that were tried first.", "Pa")
+    chi_square: Float[np.ndarray, " scanned"] = array(
+        "How far each scanned modulus is from the data.", "1"
+    )
+    fit: Fit = array("The `Fit`, with other parameters that were fitted.")
 
     @property
     def outcome(self) -> str:

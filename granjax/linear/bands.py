@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from math import prod
-from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -11,7 +10,7 @@ import numpy as np
 
 from ..checks import concrete, refuse
 from ..lattice import Lattice
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..types import Count, Numbers
 from .cell import unit_cell
 from .modes import signed_root
@@ -27,9 +26,7 @@ VACUUM = (
 class Bands(Result):
     """Edges of the bands, in the order of omega.
 
-    **Fields:** `lower`, `upper`: (bands,) [rad/s]. `lower_k`, `upper_k`: phases per cell at which they lie, (bands,)
-    or (bands, axes) (one of several equal places). `cell`: sites per cell along each axis. `gaps`: the complete gaps,
-    a list of pairs (low, high), as NumPy numbers; bands that touch leave none.
+    `gaps` is the list of complete gaps, pairs (low, high); bands that touch leave none.
 
     **Example:**
 
@@ -38,18 +35,15 @@ class Bands(Result):
     [1.7321, 2.4495]
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "lower": Held("band", "rad/s"),
-        "upper": Held("band", "rad/s"),
-        "lower_k": Held("band", "rad"),
-        "upper_k": Held("band", "rad"),
-        "cell": Held(None),
-    }
-    lower: Numbers
-    upper: Numbers
-    lower_k: Numbers
-    upper_k: Numbers
-    cell: tuple[int, ...] = eqx.field(static=True)
+    lower: Numbers = array("The lower edge of each band.", "rad/s", "band")
+    upper: Numbers = array("The upper edge of each band.", "rad/s", "band")
+    lower_k: Numbers = array(
+        "The phase per cell at the lower edge, one of several equal places.", "rad", "band"
+    )
+    upper_k: Numbers = array(
+        "The phase per cell at the upper edge, one of several equal places.", "rad", "band"
+    )
+    cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
     @property
     def gaps(self) -> list[tuple[float, float]]:

@@ -7,9 +7,9 @@ import numpy as np
 
 from ..checks import parameter, refuse
 from ..lattice import Lattice
-from ..results import Held, Result
+from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from ..variables import lanes_of
+from ..variables import along_waves
 from .cell import unit_cell
 from .modes import signed_root
 
@@ -19,19 +19,10 @@ DEGENERATE = 4096
 class Dispersion(Result):
     """omega(k) of every band, in the order of omega at each k.
 
-    **Fields**, with `k` of shape (k...,) for a chain and (k..., d) for a lattice of d axes:
-
-    - `k`: phase advance per unit cell [rad].
-    - `omega`: (k..., bands) [rad/s]; sign(omega^2) |omega^2|^{1/2}, negative where the lattice is unstable.
-      `omega_squared`: the same before the root.
-    - `vectors`: Bloch vectors, (k..., cell..., [vector], bands), or a dict of such for named fields, normalised with
-      the mass over the cell. The wave is u_j(R) = vectors_j exp(i (k . R - omega t)), R the number of the cell.
-    - `group_velocity`: d omega/dk [cells per time], (k..., bands) or (k..., bands, d).
-    - `curvature`: d^2 omega/dk^2 [cells^2 per time], (k..., bands) or the Hessian (k..., bands, d, d).
-    - `cell`: sites per cell along each axis: times `cell` for sites per time.
-
-    Both derivatives are exact (perturbation theory). They are NaN where they do not exist: at omega = 0, where an
-    acoustic band has a corner (see `sound_speed`), and where bands cross. Bands that stay together keep theirs.
+    `k` has the shape (k...,) for a chain and (k..., d) for a lattice of d axes; the derivatives have d, or d and d, as
+    their last axes then. The wave is u_j(R) = vectors_j exp(i (k . R - omega t)), R the number of the cell. Both
+    derivatives are exact (perturbation theory). They are NaN where they do not exist: at omega = 0, where an acoustic
+    band has a corner (see `sound_speed`), and where bands cross. Bands that stay together keep theirs.
 
     **Example:**
 
@@ -40,29 +31,26 @@ class Dispersion(Result):
     [[0.866]]
     """
 
-    k: Numbers
-    omega: Numbers
-    omega_squared: Numbers
-    vectors: ComplexNumbers | dict[str, ComplexNumbers]
-    group_velocity: Numbers
-    curvature: Numbers
-    cell: tuple[int, ...] = eqx.field(static=True)
+    k: Numbers = array("The phase advance per unit cell.", "rad", "wave")
+    omega: Numbers = array(
+        "sign(omega^2) |omega^2|^{1/2}, negative where the lattice is unstable.",
+        "rad/s",
+        "wave band",
+    )
+    omega_squared: Numbers = array("omega^2.", "rad^2/s^2", "wave band")
+    vectors: ComplexNumbers | dict[str, ComplexNumbers] = array(
+        "Bloch vectors, normalised with the mass over the cell.", axes="wave site ... band"
+    )
+    group_velocity: Numbers = array("d omega/dk, in cells per time.", "1/s", "wave band")
+    curvature: Numbers = array("d^2 omega/dk^2, in cells^2 per time.", "1/s", "wave band")
+    cell: tuple[int, ...] = note(
+        "The number of sites per cell along each axis; times `cell` for sites per time.",
+        static=True,
+    )
 
     @property
     def held(self) -> dict[str, Held]:
-        """Axes and units, as many for the wave as `k` has: none where it is one number."""
-        lanes = lanes_of(self._mark, self._space)
-        count = self.omega.ndim - 1 - len(lanes[0] if lanes else ())
-        wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
-        return {
-            "k": Held(wave, "rad"),
-            "omega": Held(f"{wave} band", "rad/s"),
-            "omega_squared": Held(f"{wave} band", "rad^2/s^2"),
-            "vectors": Held(f"{wave} site ... band"),
-            "group_velocity": Held(f"{wave} band", "1/s"),
-            "curvature": Held(f"{wave} band", "1/s"),
-            "cell": Held(None),
-        }
+        return along_waves(self)
 
     @property
     def outcome(self) -> str:

@@ -1,14 +1,11 @@
 """Waves of a given frequency: the wave numbers, real and complex, that a lattice carries them with."""
 
-from typing import ClassVar
-
-import equinox as eqx
 import numpy as np
 from scipy.linalg import eig
 
 from ..checks import parameter, refuse
 from ..lattice import Lattice
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
 from .cell import unit_cell
 
@@ -19,9 +16,7 @@ LARGEST, REAL = 1e8, 1e-7
 class ComplexBands(Result):
     """Complex wave numbers of given frequencies.
 
-    **Fields:** `omega` (W,) [rad/s]. `k` (W, waves), complex [rad per cell]: u ~ exp(i k R); Im k > 0 decays along the
-    axis, real ones travel; in the order of |Im k|, NaN where a frequency has fewer. `residual` (W, waves): what is left
-    of (D(k) - omega^2) q, relative. `axis`, `across`: along which, and the phase along the other axis [rad].
+    u ~ exp(i k R); Im k > 0 decays along the axis, real ones travel.
 
     **Example:**
 
@@ -30,20 +25,18 @@ class ComplexBands(Result):
     ((1, 2), True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "omega": Held("frequency", "rad/s"),
-        "k": Held("frequency wave", "rad"),
-        "residual": Held("frequency wave", "1"),
-        "across": Held(unit="rad"),
-        "axis": Held(None),
-        "cell": Held(None),
-    }
-    omega: Numbers
-    k: ComplexNumbers
-    residual: Numbers
-    across: Number
-    axis: int = eqx.field(static=True)
-    cell: tuple[int, ...] = eqx.field(static=True)
+    omega: Numbers = array("The frequencies.", "rad/s", "frequency")
+    k: ComplexNumbers = array(
+        "The wave numbers per cell in the order of |Im k|, NaN where a frequency has fewer.",
+        "rad",
+        "frequency wave",
+    )
+    residual: Numbers = array(
+        "What is left of (D(k) - omega^2) q, relative.", "1", "frequency wave"
+    )
+    across: Number = array("The phase along the other axis.", "rad")
+    axis: int = note("The axis along which the waves run.", static=True)
+    cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
     @property
     def decay(self) -> Numbers:

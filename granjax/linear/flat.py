@@ -1,16 +1,14 @@
 """Flat bands: where omega does not depend on k, and the compact states of which they are made."""
 
 from itertools import product
-from typing import ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import null_space
 
 from ..checks import refuse
 from ..lattice import Lattice, State
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..types import AnyArray, Cell, Count, Numbers
 from .cell import UnitCell, by_sites, unit_cell
 from .stiffness import unpack
@@ -21,12 +19,7 @@ MESH = {1: 48, 2: 12, 3: 6}
 
 
 class FlatBands(Result):
-    """The flat bands of a lattice, and a compact state of each frequency.
-
-    **Fields:** `omega`, `omega_squared` (flat,) [rad/s]. `width` (flat,): by how much omega^2 varies over the zone.
-    `degeneracy`: how many bands have that frequency. Of each frequency one compact state, `state(lattice, number)`:
-    `support`: on how many degrees of freedom it lives; `residual`: what of (D - omega^2) q is left, relative to the
-    largest stiffness.
+    """The flat bands of a lattice, and a compact state of each frequency, `state(lattice, number)`.
 
     **Example:**
 
@@ -35,26 +28,20 @@ class FlatBands(Result):
     [3] [1]
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "omega": Held("flat", "rad/s"),
-        "omega_squared": Held("flat", "rad^2/s^2"),
-        "width": Held("flat", "rad^2/s^2"),
-        "degeneracy": Held("flat"),
-        "support": Held("flat"),
-        "residual": Held("flat", "1"),
-        "cell": Held(None),
-        "fields": Held(None),
-    }
-    omega: Numbers
-    omega_squared: Numbers
-    width: Numbers
-    degeneracy: AnyArray
-    support: AnyArray
-    residual: Numbers
+    omega: Numbers = array("The frequency of each flat band.", "rad/s", "flat")
+    omega_squared: Numbers = array("omega^2 of each flat band.", "rad^2/s^2", "flat")
+    width: Numbers = array("How much omega^2 varies over the zone.", "rad^2/s^2", "flat")
+    degeneracy: AnyArray = array("The number of bands that have that frequency.", axes="flat")
+    support: AnyArray = array(
+        "The number of degrees of freedom on which the compact state lives.", axes="flat"
+    )
+    residual: Numbers = array(
+        "What is left of (D - omega^2) q, relative to the largest stiffness.", "1", "flat"
+    )
     _states: tuple
-    cell: tuple[int, ...] = eqx.field(static=True)
-    fields: tuple[str, ...] | None = eqx.field(static=True)
-    dimension: int | None = eqx.field(static=True)
+    cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
+    fields: tuple[str, ...] | None = note("The names of the fields of a cell.", static=True)
+    dimension: int | None = array("The number of components of a displacement.", static=True)
 
     @property
     def outcome(self) -> str:

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,10 +11,10 @@ from scipy.optimize import linear_sum_assignment
 from ..checks import parameter, positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
-from ..results import Held, Result
+from ..results import Held, Result, array, note
 from ..tuning import one_thread
 from ..types import Cell, ComplexNumbers, Count, Displacements, Number, Numbers, Parameter, Scalar
-from ..variables import lanes_of
+from ..variables import along_waves
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
 from .stiffness import unpack
@@ -35,20 +34,9 @@ NEAR = 1e-3
 class FloquetBands(Result):
     r"""Waves u(t) exp(i k . R) of a lattice that is modulated with period T: (u, v) -> rho (u, v) after T.
 
-    **Fields**, with `k` of shape (k...,) for a chain and (k..., d) for a lattice of d axes; P the degrees of freedom of
-    a cell:
-
-    - `k`: phase advance per unit cell [rad].
-    - `multipliers`: Bloch multipliers rho, (k..., 2P), the largest modulus first; `error`: how far each may be from the
-      truth, from two step sizes, the rounding, and its condition.
-    - `growth`: log|rho|/T [1/s], (k..., 2P). `omega`: quasi-frequencies -arg(rho)/T in [-pi/T, pi/T) [rad/s]; others
-      differ by multiples of 2 pi/T. Both are known to `error`/(|rho| T).
-    - `displacements`, `velocities`: the waves at t0, (k..., cell..., [vector], 2P) or dicts of such for named fields,
-      with sum m/m_mean (|u|^2 + |T v/2 pi|^2) = 1 over the cell.
-    - `edges`: (gaps, 2), wave numbers between which some wave grows, `edge_error` (gaps, 2) their errors;
-      `fastest_k`, `fastest` (gaps,): where in a gap waves grow fastest, and the rate [1/s]. `None` where `k` is one
-      number, has several axes, or is traced.
-    - `period`, `t0`, `steps` of a period; `cell`: sites per cell along each axis.
+    `k` has the shape (k...,) for a chain and (k..., d) for a lattice of d axes; a cell of P degrees of freedom has 2P
+    multipliers. Waves are normalised by sum m/m_mean (|u|^2 + |T v/2 pi|^2) = 1 over the cell. `growth` and `omega` are
+    known to `error`/(|rho| T). Edges of gaps are `None` where `k` is one number, has several axes, or is traced.
 
     **Example:**
 
@@ -58,45 +46,47 @@ class FloquetBands(Result):
     ((13, 2), 0.032)
     """
 
-    k: Numbers
-    multipliers: ComplexNumbers
-    error: Numbers
-    growth: Numbers
-    omega: Numbers
-    displacements: ComplexNumbers | dict[str, ComplexNumbers]
-    velocities: ComplexNumbers | dict[str, ComplexNumbers]
-    edges: Numbers | None
-    edge_error: Numbers | None
-    fastest_k: Numbers | None
-    fastest: Numbers | None
-    period: Number
-    t0: Number
-    steps: Any
-    cell: tuple[int, ...] = eqx.field(static=True)
+    k: Numbers = array("The phase advance per unit cell.", "rad", "wave")
+    multipliers: ComplexNumbers = array(
+        "Bloch multipliers rho, the largest modulus first.",
+        "1",
+        "wave multiplier",
+        name="multiplier",
+    )
+    error: Numbers = array(
+        "The distance of each multiplier from the truth, from two step sizes, the rounding,"
+        " and its condition.",
+        "1",
+        "wave multiplier",
+    )
+    growth: Numbers = array("log|rho|/T.", "1/s", "wave multiplier")
+    omega: Numbers = array(
+        "Quasi-frequencies -arg(rho)/T in [-pi/T, pi/T); others differ by multiples of 2 pi/T.",
+        "rad/s",
+        "wave multiplier",
+    )
+    displacements: ComplexNumbers | dict[str, ComplexNumbers] = array(
+        "The displacements of the waves at t0.", axes="wave site ... multiplier"
+    )
+    velocities: ComplexNumbers | dict[str, ComplexNumbers] = array(
+        "The velocities of the waves at t0.", "1/s", "wave site ... multiplier"
+    )
+    edges: Numbers | None = array(
+        "The wave numbers between which some wave grows.", "rad", "gap side"
+    )
+    edge_error: Numbers | None = array("The errors of the edges.", "rad", "gap side")
+    fastest_k: Numbers | None = array(
+        "The wave number at which waves of a gap grow fastest.", "rad", "gap"
+    )
+    fastest: Numbers | None = array("The rate of the fastest growth in a gap.", "1/s", "gap")
+    period: Number = array("The period T of the modulation.", "s")
+    t0: Number = array("The time at which the period begins.", "s")
+    steps: Any = array("The number of steps of a period.")
+    cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
     @property
     def held(self) -> dict[str, Held]:
-        """Axes and units, as many for the wave as `k` has: none where it is one number."""
-        lanes = lanes_of(self._mark, self._space)
-        count = self.omega.ndim - 1 - len(lanes[0] if lanes else ())
-        wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
-        of = f"{wave} multiplier"
-        return {
-            "k": Held(wave, "rad"),
-            "multipliers": Held(of, "1", "multiplier"),
-            "error": Held(of, "1"),
-            "growth": Held(of, "1/s"),
-            "omega": Held(of, "rad/s"),
-            "displacements": Held(f"{wave} site ... multiplier"),
-            "velocities": Held(f"{wave} site ... multiplier", "1/s"),
-            "edges": Held("gap side", "rad"),
-            "edge_error": Held("gap side", "rad"),
-            "fastest_k": Held("gap", "rad"),
-            "fastest": Held("gap", "1/s"),
-            "period": Held(unit="s"),
-            "t0": Held(unit="s"),
-            "cell": Held(None),
-        }
+        return along_waves(self)
 
     @property
     def gaps(self) -> list[tuple[float, float]]:

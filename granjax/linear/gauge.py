@@ -1,6 +1,6 @@
 """Phases of Bloch vectors: parallel transport from each wave number to the next."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Amplitudes, ComplexNumbers, Numbers, Parameter
 
 # overlaps below this lead nowhere: bands cross, or the mesh is too coarse
@@ -76,10 +76,7 @@ def _nearest(before, x, together):
 class SmoothGauge(Result):
     """Bloch vectors around the zone of a chain, each in phase with the one before.
 
-    **Fields:** `vectors` (K, ..., bands): the overlap of each with the next is real and positive; from the last to the
-    first it has the phase -`phase`. `phase` (bands,) in (-pi, pi]: the Berry (Zak) phase. `overlap` (bands,): the least
-    |overlap| of neighbours, one on a fine mesh. `periodic`: the vectors with the phase shared out evenly over the mesh,
-    smooth all around the zone and back.
+    `periodic` are the vectors with the phase shared out evenly over the mesh, smooth all around the zone and back.
 
     **Example:**
 
@@ -91,14 +88,13 @@ class SmoothGauge(Result):
     array([-1., -1.])
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "vectors": Held("wave site ... band"),
-        "phase": Held("band", "rad"),
-        "overlap": Held("band"),
-    }
-    vectors: ComplexNumbers | dict[str, ComplexNumbers]
-    phase: Numbers
-    overlap: Numbers
+    vectors: ComplexNumbers | dict[str, ComplexNumbers] = array(
+        "Bloch vectors; the overlap of each with the next is real and positive, that of the"
+        " last with the first has the phase -`phase`.",
+        axes="wave site ... band",
+    )
+    phase: Numbers = array("The Berry (Zak) phase in (-pi, pi].", "rad", "band")
+    overlap: Numbers = array("The least |overlap| of neighbours, one on a fine mesh.", axes="band")
 
     @property
     def periodic(self) -> ComplexNumbers | dict[str, ComplexNumbers]:

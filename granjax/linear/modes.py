@@ -1,7 +1,5 @@
 """Normal modes of a finite lattice."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..lattice import Lattice, spread_mass
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import AnyArray, Displacements, Number, Numbers
 from .stiffness import at_rest, refuse_one_way, stiffness_product
 
@@ -28,11 +26,8 @@ def signed_root(squared: Numbers, scale: Number, size: int) -> Numbers:
 class NormalModes(Result):
     """Normal modes of a finite lattice, in the order of omega^2.
 
-    **Fields:** `omega_squared`: (modes,) [rad^2/s^2]; negative where the lattice is unstable at u = 0. `omega`:
-    (modes,) [rad/s]; sign(omega^2) |omega^2|^{1/2}, so that an unstable mode shows, as in phonon codes, a negative
-    frequency: minus its growth rate. Values of omega^2 that are rounding give exactly 0. `modes`: (sites..., modes),
-    with a vector axis before the modes in the plane, or a dict of such for named fields; normalised with the mass:
-    sum m phi_a phi_b = 1 for a = b, else 0.
+    The modes are normalised with the mass: sum m phi_a phi_b = 1 for a = b, else 0. Values of omega^2 that are rounding
+    give exactly 0.
 
     **Example:**
 
@@ -41,14 +36,13 @@ class NormalModes(Result):
     ((20, 20), 1.0)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "omega": Held("mode", "rad/s"),
-        "omega_squared": Held("mode", "rad^2/s^2"),
-        "modes": Held("site ... mode"),
-    }
-    omega: Float[AnyArray, " modes"]
-    omega_squared: Float[AnyArray, " modes"]
-    modes: Displacements
+    omega: Float[AnyArray, " mode"] = array(
+        "sign(omega^2) |omega^2|^{1/2}; minus the growth rate of an unstable mode.", "rad/s"
+    )
+    omega_squared: Float[AnyArray, " mode"] = array(
+        "omega^2, negative where the lattice is unstable at u = 0.", "rad^2/s^2"
+    )
+    modes: Displacements = array("The modes over the sites.", axes="site ... mode")
 
     @property
     def outcome(self) -> str:

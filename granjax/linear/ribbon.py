@@ -1,7 +1,5 @@
 """Strips of a lattice of the plane: their bands, and which of them run along an edge."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +7,7 @@ import numpy as np
 
 from ..checks import parameter, refuse, whole
 from ..lattice import Lattice
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
 from .cell import (
     TIGHT,
@@ -35,12 +33,6 @@ EQUAL = 1e-10
 class RibbonBands(Result):
     """Bands of a strip, periodic along one axis and with its own ends along the other.
 
-    **Fields:** `k` (K,): phase per cell along the strip [rad]. `omega`, `omega_squared` (K, bands) [rad/s]. `modes`:
-    Bloch vectors over the width, (K, width, [vector], bands), or a dict of such; normalised with the masses. `edge`
-    (K, bands): where across the strip the wave's energy of motion is, from -1 (all at the first site) to 1 (the last).
-    `participation` (K, bands): over how many sites of the width it is spread, (sum e)^2/sum e^2. `axis`: along which
-    the strip runs; `width`: sites across it.
-
     Waves that are nearly degenerate, such as those at the two edges of a symmetric strip, are combined to waves at
     different places across it, the eigenvectors of the place within their subspace: where their omega^2 differ by less
     than 1e-4 of the largest |D| and by less than a hundredth of what parts them from the waves beside them. By no more
@@ -54,24 +46,23 @@ class RibbonBands(Result):
     ((1, 12), 0)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "k": Held("wave", "rad"),
-        "omega": Held("wave band", "rad/s"),
-        "omega_squared": Held("wave band", "rad^2/s^2"),
-        "modes": Held("wave across ... band"),
-        "edge": Held("wave band"),
-        "participation": Held("wave band"),
-        "axis": Held(None),
-        "width": Held(None),
-    }
-    k: Numbers
-    omega: Numbers
-    omega_squared: Numbers
-    modes: ComplexNumbers | dict[str, ComplexNumbers]
-    edge: Numbers
-    participation: Numbers
-    axis: int = eqx.field(static=True)
-    width: int = eqx.field(static=True)
+    k: Numbers = array("The phase per cell along the strip.", "rad", "wave")
+    omega: Numbers = array("The frequencies.", "rad/s", "wave band")
+    omega_squared: Numbers = array("omega^2.", "rad^2/s^2", "wave band")
+    modes: ComplexNumbers | dict[str, ComplexNumbers] = array(
+        "Bloch vectors over the width, normalised with the masses.", axes="wave across ... band"
+    )
+    edge: Numbers = array(
+        "Where across the strip the kinetic energy of the wave is, from -1 (all at the "
+        "first site) to 1 (the last).",
+        axes="wave band",
+    )
+    participation: Numbers = array(
+        "The number of sites of the width over which the wave is spread, (sum e)^2/sum e^2.",
+        axes="wave band",
+    )
+    axis: int = note("The axis along which the strip runs.", static=True)
+    width: int = note("The number of sites across the strip.", static=True)
 
     @property
     def outcome(self) -> str:

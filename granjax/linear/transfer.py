@@ -1,7 +1,5 @@
 """Localisation length of waves in disordered chains, by transfer matrices over many realisations."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +7,7 @@ import numpy as np
 
 from ..checks import concrete, described, positive, refuse, show
 from ..lattice import Lattice, spread_mass
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Flags, Number, Parameter
 from .stiffness import lanes_at_rest, products
 
@@ -23,9 +21,7 @@ LOOSE = 1e6
 class LocalisationLength(Result):
     """What `localisation_length` returns.
 
-    - `omega` [rad/s], `gamma`: Lyapunov exponent, the inverse localisation length of the amplitude [1/site]; `error`:
-      its standard error; `length`: 1/gamma [sites]. All of the shape of omega.
-    - `resolved`: whether gamma is more than twice its error. `sites`, `samples`: of how many chains of which length.
+    `length` is 1/gamma [sites]; `resolved` says where gamma is more than twice its error.
 
     **Example:**
 
@@ -35,18 +31,15 @@ class LocalisationLength(Result):
     (True, 500, 16)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "omega": Held("omega", "rad/s"),
-        "gamma": Held("omega", "1"),
-        "error": Held("omega", "1"),
-        "length": Held("omega", "1"),
-        "resolved": Held("omega"),
-    }
-    omega: Number
-    gamma: Number
-    error: Number
-    sites: int
-    samples: int
+    omega: Number = array("The frequencies.", "rad/s", "omega")
+    gamma: Number = array(
+        "The Lyapunov exponent, the inverse localisation length of the amplitude, per site.",
+        "1",
+        "omega",
+    )
+    error: Number = array("The standard error of gamma.", "1", "omega")
+    sites: int = array("The number of sites of each chain.")
+    samples: int = array("The number of chains.")
 
     @property
     def length(self) -> Number:

@@ -1,6 +1,6 @@
 """The Brillouin zone of a lattice: its lattice vectors, points with a name, bands along a path, density of states."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ from scipy.spatial import Voronoi
 
 from ..checks import concrete, parameter, refuse, whole
 from ..lattice import Lattice
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
 from .cell import unit_cell
 from .dispersion import DEGENERATE, dispersion
@@ -62,13 +62,9 @@ def named_points(vectors: np.ndarray | None, axes: int) -> dict:
 class PathBands(Result):
     """Bands along a path through the Brillouin zone.
 
-    **Fields:** `names`: of the path's points; `marks` (points,): their places in the arrays. `k` (K, axes): phases per
-    cell [rad]. `distance` (K,): along the path, [1/m] of a lattice with positions, else [rad]. `omega`,
-    `omega_squared` (K, bands) [rad/s]. `vectors`: Bloch vectors, (K, cell..., [vector], bands) or a dict of such, whose
-    phases follow each band: sum conj(x) m y of each with the one before is real and positive along the path; where
-    bands change places, with that one which it continues, and where they are together the basis is the nearest one.
-    `slope` (K, bands): d omega / d distance, the group velocity along the path [m/s]; NaN where bands cross. `cell`:
-    sites per cell along each axis.
+    The phases of the Bloch vectors follow each band: sum conj(x) m y of each with the one before is real and positive
+    along the path; where bands change places, with that one which it continues, and where they are together the basis
+    is the nearest one.
 
     **Example:**
 
@@ -77,26 +73,23 @@ class PathBands(Result):
     (('G', 'K', 'M', 'G'), (41, 1, 1, 2, 2))
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "k": Held("place axis", "rad"),
-        "distance": Held("place", "1/m"),
-        "omega": Held("place band", "rad/s"),
-        "omega_squared": Held("place band", "rad^2/s^2"),
-        "vectors": Held("place site ... band"),
-        "slope": Held("place band", "m/s"),
-        "marks": Held("point"),
-        "names": Held(None),
-        "cell": Held(None),
-    }
-    names: tuple[str, ...] = eqx.field(static=True)
-    marks: Any
-    k: Numbers
-    distance: Numbers
-    omega: Numbers
-    omega_squared: Numbers
-    vectors: ComplexNumbers | dict[str, ComplexNumbers]
-    slope: Numbers
-    cell: tuple[int, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = note("The names of the points of the path.", static=True)
+    marks: Any = array("The places of the points in the arrays.", axes="point")
+    k: Numbers = array("The phases per cell.", "rad", "place axis")
+    distance: Numbers = array(
+        "The distance along the path, in rad for a lattice without positions.", "1/m", "place"
+    )
+    omega: Numbers = array("The frequencies.", "rad/s", "place band")
+    omega_squared: Numbers = array("omega^2.", "rad^2/s^2", "place band")
+    vectors: ComplexNumbers | dict[str, ComplexNumbers] = array(
+        "Bloch vectors.", axes="place site ... band"
+    )
+    slope: Numbers = array(
+        "The group velocity along the path, d omega/d distance; NaN where bands cross.",
+        "m/s",
+        "place band",
+    )
+    cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
     @property
     def outcome(self) -> str:
@@ -210,10 +203,6 @@ def _letters(points, known):
 class DensityOfStates(Result):
     """Density of states g(omega): how many of the bands' waves lie within a band of frequencies, over its width.
 
-    **Fields:** `omega` (W,): the middles of bins [rad/s]; `density` (W,), a mean over each bin [s]: its integral over
-    omega is the number of bands; `error` (W,): from a zone of half as many points, the most of near
-    bins; `points`: along each axis.
-
     **Example:**
 
     >>> found = gx.linear.density_of_states(gx.scenes.monomer(20, precompression=1.0, boundary="periodic"), bins=20)
@@ -221,16 +210,18 @@ class DensityOfStates(Result):
     1.0
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "omega": Held("frequency", "rad/s"),
-        "density": Held("frequency", "s"),
-        "error": Held("frequency", "s"),
-        "points": Held(None),
-    }
-    omega: Numbers
-    density: Numbers
-    error: Numbers
-    points: int = eqx.field(static=True)
+    omega: Numbers = array("The middles of the bins.", "rad/s", "frequency")
+    density: Numbers = array(
+        "The mean of g over each bin; its integral over omega is the number of bands.",
+        "s",
+        "frequency",
+    )
+    error: Numbers = array(
+        "The error of the density, from a zone of half as many points, the largest of near bins.",
+        "s",
+        "frequency",
+    )
+    points: int = note("The number of points along each axis of the zone.", static=True)
 
     @property
     def outcome(self) -> str:
@@ -320,9 +311,6 @@ def _below(pieces, e):
 class ZoneMap(Result):
     """Frequencies of all bands over the Brillouin zone, on a rectangle of wave vectors around it.
 
-    **Fields:** `q` (n, n, 2) [rad/m]; `omega` (n, n, bands) [rad/s]; `velocity` (n, n, bands, 2): group velocity
-    [m/s], NaN where bands cross or omega = 0; `corners` (c, 2): of the first zone.
-
     **Example:**
 
     >>> found = gx.linear.zone_map(gx.scenes.square(6, precompression=-0.1, boundary="periodic"), 9)
@@ -330,16 +318,12 @@ class ZoneMap(Result):
     [[3.1416, 3.1416], [-3.1416, 3.1416], [-3.1416, -3.1416], [3.1416, -3.1416]]
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "q": Held("first second axis", "1/m"),
-        "omega": Held("first second band", "rad/s"),
-        "velocity": Held("first second band axis", "m/s"),
-        "corners": Held("corner axis", "1/m"),
-    }
-    q: Numbers
-    omega: Numbers
-    velocity: Numbers
-    corners: Numbers
+    q: Numbers = array("The wave vectors.", "1/m", "first second axis")
+    omega: Numbers = array("The frequencies.", "rad/s", "first second band")
+    velocity: Numbers = array(
+        "The group velocity, NaN where bands cross or omega = 0.", "m/s", "first second band axis"
+    )
+    corners: Numbers = array("The corners of the first zone.", "1/m", "corner axis")
 
     @property
     def outcome(self) -> str:

@@ -1,13 +1,11 @@
 """Fronts: when a pulse arrives at each site, when it peaks there, and how fast it runs."""
 
-from typing import ClassVar
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, refuse, show, within
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Number, Numbers, Parameter, Scalar
 
 ROOT_STEPS = 12
@@ -24,9 +22,8 @@ class Peaks(Result):
     '8 of 8 maxima lie inside the record.'
     """
 
-    held: ClassVar[dict[str, Held]] = {"times": Held("site", "s"), "heights": Held("site")}
-    times: Numbers
-    heights: Numbers
+    times: Numbers = array("The time of the maximum.", "s", "site")
+    heights: Numbers = array("The height of the maximum.", axes="site")
 
     @property
     def outcome(self) -> str:
@@ -36,7 +33,7 @@ class Peaks(Result):
 
 
 class Front(Result):
-    """Speed of a front [sites/time], its standard error, and the arrival times that it was fitted to.
+    """Speed of a front, and the arrival times that it was fitted to.
 
     **Example:**
 
@@ -46,14 +43,9 @@ class Front(Result):
     'A line through 8 of 8 arrivals.'
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "speed": Held(unit="1/s"),
-        "error": Held(unit="1/s"),
-        "arrivals": Held("site", "s"),
-    }
-    speed: Number
-    error: Number
-    arrivals: Numbers
+    speed: Number = array("The speed in sites per time.", "1/s")
+    error: Number = array("The standard error of the speed.", "1/s")
+    arrivals: Numbers = array("The arrival times.", "s", "site")
 
     @property
     def outcome(self) -> str:

@@ -5,13 +5,13 @@ from typing import ClassVar
 import numpy as np
 
 from ..checks import non_negative, parameter, positive, refuse, show, whole
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Numbers, Parameter, Scalar
 from ..units import SI, Units
 
 
 class Trace(Result):
-    """A sampled signal: time (S,) [s] and velocity (S,) + trailing axes [m/s].
+    """A sampled signal.
 
     **Example:**
 
@@ -24,9 +24,8 @@ class Trace(Result):
     """
 
     _else: ClassVar[str | None] = SI
-    held: ClassVar[dict[str, Held]] = {"time": Held("time", "s"), "velocity": Held("time", "m/s")}
-    time: Numbers
-    velocity: Numbers
+    time: Numbers = array("The times of the samples.", "s", "time")
+    velocity: Numbers = array("The velocity.", "m/s", "time")
 
     @property
     def outcome(self) -> str:

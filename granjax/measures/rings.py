@@ -1,14 +1,12 @@
 """Waves that spread from a point of the plane: how far their energy is, their rings, how their front falls."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..checks import concrete, parameter, positive, refuse, traced
 from ..lattice import Lattice
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
 from .energies import site_energy
 from .networks import placed
@@ -60,10 +58,6 @@ def _point(name, given, size):
 class RadialProfile(Result):
     """A quantity against the distance from a point of the plane, at one time or several.
 
-    **Fields:** `distance` (rings,): mean distance of the sites of each ring [m]. `mean`, `lowest`, `highest`
-    ([times], rings) over these sites, as the quantity. `crest` ([times],): the distance of the ring whose mean is the
-    largest [m]; `error`: half of the width of a ring, within which the crest is known.
-
     **Example:**
 
     >>> crystal = gx.scenes.square(9)
@@ -73,20 +67,12 @@ class RadialProfile(Result):
     (2.1574, 0.5)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "distance": Held("distance", "m"),
-        "mean": Held("... distance"),
-        "lowest": Held("... distance"),
-        "highest": Held("... distance"),
-        "crest": Held("...", "m"),
-        "error": Held(unit="m"),
-    }
-    distance: Numbers
-    mean: Numbers
-    lowest: Numbers
-    highest: Numbers
-    crest: Numbers
-    error: Number
+    distance: Numbers = array("The mean distance of the sites of each ring.", "m", "distance")
+    mean: Numbers = array("The mean of the quantity over each ring.", axes="... distance")
+    lowest: Numbers = array("The lowest value on each ring.", axes="... distance")
+    highest: Numbers = array("The highest value on each ring.", axes="... distance")
+    crest: Numbers = array("The distance of the ring whose mean is the largest.", "m", "...")
+    error: Number = array("Half of the width of a ring, within which the crest is known.", "m")
 
     @property
     def outcome(self) -> str:
@@ -172,10 +158,6 @@ def _spacing(at):
 class FrontDecay(Result):
     """How the amplitude of a front falls with the distance from where it began: amplitude ~ distance^exponent.
 
-    **Fields:** `distance` (n,) [m], `amplitude` (n,): as given, and its root mean square over sites at one distance.
-    `exponent`, `error`: of the straight line through their logarithms, with its standard error; `drift`: the exponent
-    of the further half less that of the nearer one, zero for a power law.
-
     **Example:**
 
     >>> crystal = gx.scenes.square(9)
@@ -185,18 +167,15 @@ class FrontDecay(Result):
     [1.0, 2.0, 3.0, 4.0]
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "distance": Held("distance", "m"),
-        "amplitude": Held("distance"),
-        "exponent": Held(unit="1"),
-        "error": Held(unit="1"),
-        "drift": Held(unit="1"),
-    }
-    distance: Numbers
-    amplitude: Numbers
-    exponent: Number
-    error: Number
-    drift: Number
+    distance: Numbers = array("The distances.", "m", "distance")
+    amplitude: Numbers = array(
+        "The amplitude, its root mean square over sites at one distance.", axes="distance"
+    )
+    exponent: Number = array("The slope of the straight line through the logarithms.", "1")
+    error: Number = array("The standard error of the exponent.", "1")
+    drift: Number = array(
+        "The exponent of the further half less that of the nearer one, zero for a power law.", "1"
+    )
 
     @property
     def outcome(self) -> str:

@@ -1,12 +1,10 @@
 """Spectra: power over wave number and frequency, and over time and frequency."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, parameter, positive, refuse
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Numbers, Parameter, Scalar
 from ..units import names
 
@@ -14,7 +12,7 @@ WINDOWS = ("hann", "none")
 
 
 class Spectrum(Result):
-    """Power over wave number k (K,) [rad/site], rising in [-pi, pi], and angular frequency omega (W,) >= 0.
+    """Power over wave number and angular frequency.
 
     **Example:**
 
@@ -24,14 +22,9 @@ class Spectrum(Result):
     '20 wave numbers, 201 frequencies up to 31.4159.'
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "k": Held("k", "rad"),
-        "omega": Held("omega", "rad/s"),
-        "power": Held("k omega"),
-    }
-    k: Numbers
-    omega: Numbers
-    power: Numbers
+    k: Numbers = array("The wave numbers per site, rising in [-pi, pi].", "rad", "k")
+    omega: Numbers = array("The angular frequencies, from zero on.", "rad/s", "omega")
+    power: Numbers = array("The power.", axes="k omega")
 
     @property
     def outcome(self) -> str:
@@ -40,7 +33,7 @@ class Spectrum(Result):
 
 
 class Spectrogram(Result):
-    """Power density over time (S,) and angular frequency omega (W,) [rad/time]; power (S, W) + trailing axes.
+    """Power density over time and angular frequency.
 
     **Example:**
 
@@ -52,14 +45,9 @@ class Spectrogram(Result):
     (13, 51)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "time": Held("time", "s"),
-        "omega": Held("omega", "rad/s"),
-        "power": Held("time omega"),
-    }
-    time: Numbers
-    omega: Numbers
-    power: Numbers
+    time: Numbers = array("The middles of the windows.", "s", "time")
+    omega: Numbers = array("The angular frequencies.", "rad/s", "omega")
+    power: Numbers = array("The power density.", axes="time omega")
 
     @property
     def outcome(self) -> str:

@@ -1,7 +1,5 @@
 """Periodically forced chains, period by period, until what is seen once a period repeats."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,7 +13,7 @@ from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..measures import contacts
-from ..results import STATE, Held, Result
+from ..results import Result, array, part
 from ..solvers import SRKN11b
 from ..types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
 from .orbit import forced_orbit
@@ -45,18 +43,8 @@ SAFETY = 4
 class Attractor(Result):
     """Where a forced chain has settled; what `settle` returns.
 
-    - `state`: at phase 0, that is t = 0 modulo the period; `period`: T of the forcing; `periods`: how many were run.
-    - `multiple`: the motion repeats after that many periods, 1 to 4; 0 where it did not within the budget.
-    - `change`: last relative change over `multiple` periods (over one where that is 0); `changes` (periods,): over
-      one period, all along the run.
-    - `ts`, `us`, `vs`: one repetition, every step, from phase 0 on: (S,), (S, N), (S, N); sixteen periods where
-      nothing repeats. A field's name leads to its array where a cell holds several.
-    - `amplitude` (N,): largest speed of each site in it. `peak_force` (contacts,): largest contact force, F0 + F(e),
-      all bonds in the order of the terms, then walls. `energy`: mean energy.
-    - `state_error`, `amplitude_error`, `peak_force_error`, `energy_error`: estimated distances from the true motion, by
-      what settles from there with half as many steps, and by what either still changes; NaN where nothing
-      repeats, or half the steps settle to nothing.
-    - `outcome`: what became of the motion, a sentence.
+    Errors are estimated distances from the true motion, by what settles from there with half as many steps, and by what
+    either still changes; NaN where nothing repeats, or half the steps settle to nothing.
 
     **Example:**
 
@@ -66,37 +54,40 @@ class Attractor(Result):
     ((64, 3), [1.0024, 1.0024, 1.0068, 1.0068])
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "state_error": Held("site", STATE),
-        "amplitude_error": Held("site", "m/s"),
-        "peak_force_error": Held("contact", "N"),
-        "energy_error": Held(unit="J"),
-        "state": Held("site", STATE),
-        "period": Held(unit="s"),
-        "changes": Held("run", "1"),
-        "ts": Held("time", "s", "time"),
-        "us": Held("time site", "m", "u"),
-        "vs": Held("time site", "m/s", "v"),
-        "amplitude": Held("site", "m/s"),
-        "peak_force": Held("contact", "N"),
-        "energy": Held(unit="J"),
-    }
-    state: State
-    period: float
-    periods: int
-    multiple: int
-    change: float
-    changes: Float[np.ndarray, " periods"]
-    ts: Times
-    us: Displacements
-    vs: Displacements
-    amplitude: Displacements
-    peak_force: Numbers
-    energy: Numbers
-    state_error: State
-    amplitude_error: Displacements
-    peak_force_error: Numbers
-    energy_error: Numbers
+    state: State = part("The state at phase 0, that is t = 0 modulo the period.", "site")
+    period: float = array("The period T of the forcing.", "s")
+    periods: int = array("The number of periods that were run.")
+    multiple: int = array(
+        "The number of periods after which the motion repeats, 1 to 4; 0 where it did not "
+        "within the budget."
+    )
+    change: float = array(
+        "The last relative change over `multiple` periods (over one where that is 0)."
+    )
+    changes: Float[np.ndarray, " run"] = array(
+        "The relative change over each period of the run.", "1"
+    )
+    ts: Times = array(
+        "The times of every step of one repetition, from phase 0 on; of sixteen periods "
+        "where nothing repeats.",
+        "s",
+        "time",
+        name="time",
+    )
+    us: Displacements = array("The displacements at these times.", "m", "time site", name="u")
+    vs: Displacements = array("The velocities at these times.", "m/s", "time site", name="v")
+    amplitude: Displacements = array("The largest speed of each site.", "m/s", "site")
+    peak_force: Numbers = array(
+        "The largest contact force F0 + F(e) of all bonds in the order of the terms, then "
+        "of walls.",
+        "N",
+        "contact",
+    )
+    energy: Numbers = array("The mean energy.", "J")
+    state_error: State = part("The error of the state.", "site")
+    amplitude_error: Displacements = array("The error of the amplitude.", "m/s", "site")
+    peak_force_error: Numbers = array("The error of the peak force.", "N", "contact")
+    energy_error: Numbers = array("The error of the energy.", "J")
     outcome: str = eqx.field(static=True)
 
     @property

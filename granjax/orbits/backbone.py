@@ -1,6 +1,6 @@
 """Backbone curves: how the frequency of a normal mode changes with its amplitude, to leading order."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from ..checks import refuse, traced
 from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
 from ..linear.stiffness import at_rest
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Displacements, Number, Scalar, StateLike
 from .repeats import checked_state
 
@@ -26,11 +26,6 @@ class Backbone(Result):
     u(t) = a shape cos(omega t) + a^2 (constant + second cos(2 omega t)) + O(a^3), a the largest displacement of the
     first harmonic.
 
-    **Fields:** `omega`, `omega_squared`: of the mode [rad/s]. `curvature`: d omega^2/d a^2 at a = 0; `quartic`,
-    `cubic`: its parts from the third derivative of the force and from the second one, squared; `error`: rounding of it.
-    `shape`, `constant`, `second`: displacements. `limit`: the amplitude at which a correction of the
-    shape is as large as the mode itself: the curve holds well below it; infinite where the shape needs none.
-
     **Example:**
 
     >>> found = gx.breathers.backbone(gx.scenes.klein_gordon(5, 0.02), 0)
@@ -38,28 +33,25 @@ class Backbone(Result):
     1.03
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "omega": Held(unit="rad/s"),
-        "omega_squared": Held(unit="rad^2/s^2"),
-        "curvature": Held(unit="rad^2/s^2/m^2"),
-        "quartic": Held(unit="rad^2/s^2/m^2"),
-        "cubic": Held(unit="rad^2/s^2/m^2"),
-        "error": Held(unit="rad^2/s^2/m^2"),
-        "limit": Held(unit="m"),
-        "shape": Held("site ...", "1"),
-        "constant": Held("site ...", "1/m"),
-        "second": Held("site ...", "1/m"),
-    }
-    omega: Number
-    omega_squared: Number
-    curvature: Number
-    quartic: Number
-    cubic: Number
-    error: Number
-    limit: Number
-    shape: Displacements
-    constant: Displacements
-    second: Displacements
+    omega: Number = array("The frequency of the mode.", "rad/s")
+    omega_squared: Number = array("omega_0^2 of the mode.", "rad^2/s^2")
+    curvature: Number = array("d omega^2/d a^2 at a = 0.", "rad^2/s^2/m^2")
+    quartic: Number = array(
+        "The part of the curvature from the third derivative of the force.", "rad^2/s^2/m^2"
+    )
+    cubic: Number = array(
+        "The part of the curvature from the second derivative of the force, squared.",
+        "rad^2/s^2/m^2",
+    )
+    error: Number = array("The rounding of the curvature.", "rad^2/s^2/m^2")
+    limit: Number = array(
+        "The amplitude at which a correction of the shape is as large as the mode itself: "
+        "the curve holds well below it; infinite where the shape needs no correction.",
+        "m",
+    )
+    shape: Displacements = array("The shape of the mode.", "1", "site ...")
+    constant: Displacements = array("The constant correction of the shape.", "1/m", "site ...")
+    second: Displacements = array("The second harmonic of the shape.", "1/m", "site ...")
 
     @property
     def outcome(self) -> str:

@@ -1,6 +1,5 @@
 """A branch of periodic orbits over a parameter, and the bifurcations on it."""
 
-from collections.abc import Iterator
 from typing import ClassVar
 
 import equinox as eqx
@@ -13,7 +12,7 @@ from ..continuation import Curve
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..newton import Root
-from ..results import STATE, Held, Result
+from ..results import Held, Result, array, part
 from ..types import Count, Displacements
 from .confirm import OrbitError
 from .floquet import decide
@@ -26,28 +25,33 @@ FOLD, BRANCH_POINT, DOUBLING, TORUS = "fold", "branch point", "period doubling",
 class Bifurcation(Result):
     """A change along a parameter.
 
-    - `kind`: "fold" (dp = 0), "branch point" (another branch crosses, as where a symmetry breaks), "period doubling"
-      (a multiplier -1), "Neimark-Sacker" (a complex pair on the unit circle); of conservative families also "real pair
-      at +1", "Krein collision" and "extremum of energy"; of a sweep "repetition".
-    - `p`: value of the parameter. `after`: index of the point before it. `state`: of the orbit there, at t0.
-    - `multiplier`: on the unit circle, of a pair the one above the real axis; as far as its modulus is from 1, so far
-      was it located. `before`, `behind`: what the kind counts on the two sides: real pairs beyond +1 or -1, complex
-      quadruples; of a sweep the periods after which the motion repeats, 0 where it does not.
-
     **Example:**
 
     >>> gx.breathers.Bifurcation("fold", p=1.2, after=3)
     Bifurcation(Fold at p = 1.2)
     """
 
-    held: ClassVar[dict[str, Held]] = {"state": Held("site", STATE)}
-    kind: str = eqx.field(static=True)
-    p: float
-    after: int
-    state: State | None = None
-    multiplier: complex | None = None
-    before: int | None = None
-    behind: int | None = None
+    kind: str = array(
+        '"fold" (dp = 0), "branch point" (another branch crosses), "period doubling" (a '
+        'multiplier -1), "Neimark-Sacker" (a complex pair on the unit circle); of '
+        'conservative families also "real pair at +1", "Krein collision" and "extremum of '
+        'energy"; of a sweep "repetition".',
+        static=True,
+    )
+    p: float = array("The value of the parameter.")
+    after: int = array("The index of the point before it.")
+    state: State | None = part("The state of the orbit there, at t0.", "site", default=None)
+    multiplier: complex | None = array(
+        "The multiplier on the unit circle, of a pair the one above the real axis; its "
+        "modulus differs from 1 by as much as it is located to.",
+        default=None,
+    )
+    before: int | None = array(
+        "What the kind counts before: real pairs beyond +1 or -1, complex quadruples; of a "
+        "sweep the periods after which the motion repeats, 0 where it does not.",
+        default=None,
+    )
+    behind: int | None = array("What the kind counts behind.", default=None)
 
     def __repr__(self) -> str:
         return f"Bifurcation({self.outcome[:-1]})"
@@ -60,15 +64,9 @@ class Bifurcation(Result):
 
 
 class Branch(Result):
-    r"""Orbits along a parameter, P of them, as `family`, `anticontinuous` or `forced_branch` has found them.
+    r"""Orbits along a parameter, as `family`, `anticontinuous` or `forced_branch` has found them.
 
-    **Fields:** `p` (P,): the parameter, of a family of breathers their frequency, from the anticontinuous limit the
-    coupling. `periods` (P,). `states` at t0, a
-    `State` of (P, N). `energy` (P,) at t0. `response` (P,): the chosen number, of a forced branch. `state_error`,
-    `energy_error`, `response_error`: estimated distances from the truth, in the same units. `multipliers` (P, 2n), the
-    largest modulus first, and `error` of each. `step_error` (P,): change of the tangent map when the steps are doubled.
-    `verdict`: P words "stable", "unstable", "undecided", or "" where they were not computed.
-    `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why it ended. `t0`.
+    P points; errors are estimated distances from the truth, in the units of what they are of.
 
     **Example:**
 
@@ -80,67 +78,45 @@ class Branch(Result):
     [0.0001, 0.0003, 0.0009]
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "p": Held("point"),
-        "periods": Held("point", "s", "period"),
-        "states": Held("point site", STATE, "state"),
-        "energy": Held("point", "J"),
-        "response": Held("point"),
-        "state_error": Held("point site", STATE),
-        "energy_error": Held("point", "J"),
-        "response_error": Held("point"),
-        "multipliers": Held("point multiplier", "1", "multiplier"),
-        "error": Held("point multiplier", "1"),
-        "step_error": Held("point", "1"),
-        "verdict": Held("point"),
-        "bifurcations": Held("bifurcation"),
+    p: Float[np.ndarray, " point"] = array(
+        "The parameter: of a family of breathers their frequency, from the anticontinuous "
+        "limit the coupling."
+    )
+    periods: Float[np.ndarray, " point"] = array("The period of each orbit.", "s", name="period")
+    states: State = part("The state of each orbit at t0.", "point site", name="state")
+    energy: Float[np.ndarray, " point"] = array("The energy of each orbit at t0.", "J")
+    response: Float[np.ndarray, " point"] | None = array(
+        "The chosen number of each orbit of a forced branch."
+    )
+    state_error: State = part("The error of each state.", "point site")
+    energy_error: Float[np.ndarray, " point"] = array("The error of each energy.", "J")
+    response_error: Float[np.ndarray, " point"] | None = array("The error of each response.")
+    multipliers: Inexact[np.ndarray, "point multiplier"] = array(
+        "The Floquet multipliers of each orbit, the largest modulus first.", "1", name="multiplier"
+    )
+    error: Float[np.ndarray, "point multiplier"] = array("The error of each multiplier.", "1")
+    step_error: Float[np.ndarray, " point"] = array(
+        "The change of the tangent map when the steps are doubled.", "1"
+    )
+    verdict: Shaped[np.ndarray, " point"] = array(
+        '"stable", "unstable" or "undecided", or "" where the multipliers were not computed.'
+    )
+    bifurcations: tuple[Bifurcation, ...] = array(
+        "The bifurcations in the order of the branch.", axes="bifurcation"
+    )
+    outcome: str = eqx.field(static=True)
+    t0: float = array("The time at which the orbits begin.")
+    exported: ClassVar[dict[str, Held]] = {
         "omega": Held("point", "rad/s"),
         "amplitude": Held("point", "m"),
         "folds": Held(None),
     }
-    p: Float[np.ndarray, " P"]
-    periods: Float[np.ndarray, " P"]
-    states: State
-    energy: Float[np.ndarray, " P"]
-    response: Float[np.ndarray, " P"] | None
-    state_error: State
-    energy_error: Float[np.ndarray, " P"]
-    response_error: Float[np.ndarray, " P"] | None
-    multipliers: Inexact[np.ndarray, "P two_n"]
-    error: Float[np.ndarray, "P two_n"]
-    step_error: Float[np.ndarray, " P"]
-    verdict: Shaped[np.ndarray, " P"]
-    bifurcations: tuple[Bifurcation, ...]
-    outcome: str = eqx.field(static=True)
-    t0: float
     _flow: Flow
     _family: Family
     _curve: Curve
 
     def __len__(self) -> int:
         return len(self.p)
-
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        yield from super()._fields()
-        yield from ((name, getattr(self, name)) for name in ("omega", "amplitude", "folds"))
-
-    def _rows(self) -> Iterator[tuple[str, str]]:
-        yield "points", str(len(self))
-        for name in ("p", "omega", "energy", "amplitude", "response"):
-            x, error = getattr(self, name), getattr(self, f"{name}_error", None)
-            if x is not None:
-                known = "" if error is None else f", known to {self._told(name, np.max(error))}"
-                yield name, f"{x[0]:.6g} ... {self._told(name, x[-1])}{known}"
-        if np.isfinite(self.multipliers).all():
-            yield "multipliers", f"largest modulus {np.abs(self.multipliers[:, 0]).max():.6g}"
-        kinds, counts = np.unique(self.verdict, return_counts=True)
-        yield (
-            "verdict",
-            ", ".join(f"{n} {kind or 'not computed'}" for kind, n in zip(kinds, counts)),
-        )
-        for one in self.bifurcations:
-            yield "bifurcation", one.outcome
-        yield "outcome", self.outcome
 
     @property
     def omega(self) -> Float[np.ndarray, " P"]:

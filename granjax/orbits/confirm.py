@@ -1,6 +1,6 @@
 """The error of an orbit: what a second step size makes of it, and steps that are doubled until the two agree."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from ..checks import refuse
 from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
-from ..results import STATE, Held, Result
+from ..results import Result, array, part
 from ..types import Count, Number, Numbers, Pytree, Scalar
 from .repeats import largest
 
@@ -35,20 +35,13 @@ SHARED = 0.1
 class OrbitError(Result):
     """Estimated distance of an orbit from the true one at the same frequency (or energy), from two step sizes.
 
-    **Fields:** `state`: of every entry, a `State` [units of u and v]. `energy` [J], `omega` [rad/s], `period` [s]: zero
-    where they were asked for. NaN where Newton's method did not converge.
+    Zero where a number was asked for, NaN where Newton's method did not converge.
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "state": Held("site", STATE),
-        "energy": Held(unit="J"),
-        "omega": Held(unit="rad/s"),
-        "period": Held(unit="s"),
-    }
-    state: State
-    energy: Number
-    omega: Number
-    period: Number
+    state: State = part("The error of every entry of the state.", "site")
+    energy: Number = array("The error of the energy.", "J")
+    omega: Number = array("The error of the frequency.", "rad/s")
+    period: Number = array("The error of the period.", "s")
 
     @property
     def outcome(self) -> str:

@@ -1,6 +1,6 @@
 """Floquet theory: the monodromy matrix of a periodic orbit, its multipliers with errors, and what follows from them."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from ..checks import tolerance as checked_tolerance
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
 from ..programs import compiled
-from ..results import Held, Result
+from ..results import Result, array
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Pytree, Scalar
@@ -41,21 +41,10 @@ TWICE = 2
 class Floquet(Result):
     r"""Stability of a T-periodic orbit: a perturbation obeys V(t + T) = M V(t).
 
-    **Fields:**
-
-    - `monodromy`: M, (2n, 2n), over the raveled (u, v). `multipliers`: its eigenvalues rho (2n,), the largest
-      modulus first; `vectors`: eigenvectors (du, dv) in columns, of norm 1 with du times sqrt(m/m_mean) and dv times
-      sqrt(m/m_mean) T/2 pi (m_mean the geometric mean; of a flow without masses dv times T/2 pi where the state is a
-      pair). Errors, conditions and defects are of M in these weights, where it has no units.
-    - `error`: of each multiplier, from three step sizes, how far the orbit of the exact flow may lie from the state (as
-      the state fails to return), and its condition number; it grows like a square root where multipliers meet, as those
-      at +1 do.
-    - `krein`: signature +1, -1, or 0 off the circle and for those of symmetry (NaN for a flow without masses).
-    - `defect`: max |M^T J M - exp(-gamma T) J|; it is blind to time errors. `step_error`: the norm
-      to which the steps leave M known.
-    - `expected`: how many multipliers symmetry puts at +1; these are left out of the verdict.
-    - `verdict`: "stable", "unstable" or "undecided"; `outcome` says why.
-    - `period`, `steps`, `state`, `rate` (of uniform damping: multipliers pair as rho rho' = exp(-gamma T)).
+    The monodromy M is over the raveled (u, v). Eigenvectors (du, dv) are columns of norm 1 with du times sqrt(m/m_mean)
+    and dv times sqrt(m/m_mean) T/2 pi (m_mean the geometric mean; of a flow without masses dv times T/2 pi where the
+    state is a pair). Errors, conditions and defects are of M in these weights, where it has no units. Multipliers pair
+    as rho rho' = exp(-gamma T), gamma the `rate`.
 
     **Example:**
 
@@ -65,29 +54,33 @@ class Floquet(Result):
     ('stable', (6, 6))
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "monodromy": Held("row column"),
-        "multipliers": Held("multiplier", "1", "multiplier"),
-        "vectors": Held("row multiplier", "", "vector"),
-        "error": Held("multiplier", "1"),
-        "krein": Held("multiplier", "1"),
-        "period": Held(unit="s"),
-        "rate": Held(unit="1/s"),
-    }
-    monodromy: Float[np.ndarray, "two_n two_n"]
-    multipliers: Inexact[np.ndarray, " two_n"]
-    vectors: Inexact[np.ndarray, "two_n two_n"]
-    error: Float[np.ndarray, " two_n"]
-    krein: Float[np.ndarray, " two_n"]
-    defect: float
-    step_error: float
-    expected: int
-    verdict: str = eqx.field(static=True)
+    monodromy: Float[np.ndarray, "row column"] = array("The monodromy M.")
+    multipliers: Inexact[np.ndarray, " multiplier"] = array(
+        "The eigenvalues rho of M, the largest modulus first.", "1", name="multiplier"
+    )
+    vectors: Inexact[np.ndarray, "row multiplier"] = array("The eigenvectors.", name="vector")
+    error: Float[np.ndarray, " multiplier"] = array(
+        "The error of each multiplier, from three step sizes, how far the exact orbit may "
+        "lie from the state, and its condition number; it grows like a square root where "
+        "multipliers meet, as those at +1 do.",
+        "1",
+    )
+    krein: Float[np.ndarray, " multiplier"] = array(
+        "The signature +1, -1, or 0 off the circle and for multipliers of symmetry (NaN for"
+        " a flow without masses).",
+        "1",
+    )
+    defect: float = array("max |M^T J M - exp(-gamma T) J|, which is blind to time errors.")
+    step_error: float = array("The norm to which the steps leave M known.")
+    expected: int = array(
+        "The number of multipliers that symmetry puts at +1; they are left out of the verdict."
+    )
+    verdict: str = array('"stable", "unstable" or "undecided".', static=True)
     outcome: str = eqx.field(static=True)
-    period: float
-    steps: int
-    rate: float | None
-    state: Pytree
+    period: float = array("The period T.", "s")
+    steps: int = array("The number of steps of a period.")
+    rate: float | None = array("The rate of uniform damping.", "1/s")
+    state: Pytree = array("The state of the orbit.")
 
     @property
     def exponents(self) -> Complex[np.ndarray, " two_n"]:

@@ -1,6 +1,6 @@
 """Breathers of gaps in the wave number: waves that grow out of rest, saturate and return, localised in time."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import FloquetBands, floquet_bands
 from ..programs import bar
-from ..results import Held, Result
+from ..results import Result, array
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Displacements, Numbers, Scalar
@@ -38,12 +38,6 @@ RETURNS = 1e-3
 class GapBreather(Result):
     """A wave of a k-gap that grows, saturates by nonlinearity, and returns: periodic in space, localised in time.
 
-    **Fields:** `ts` (periods + 1,) [s], once a period; there `us`, `vs` (periods + 1, sites) or dicts, `energy` [J] and
-    `amplitude`, the largest displacement [m]. `k`: wave number; `growth`: log|rho|/T of the linear wave [1/s].
-    `returned`: the energy at the end over that at the start, less 1; `error`: how well that is known, from two step
-    sizes. `stray`: of the state at the end, what is not the linear wave that decays (norm over norm). `period`,
-    `steps` of it. `outcome` says how it grew and whether it came back.
-
     **Example:**
 
     >>> ring = gx.scenes.modulated(6, 0.3, 2.0, law=gx.Polynomial(1.0, 0.0, 1.0))
@@ -52,31 +46,20 @@ class GapBreather(Result):
     (0.0748, True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s"),
-        "us": Held("time site ...", "m"),
-        "vs": Held("time site ...", "m/s"),
-        "energy": Held("time", "J"),
-        "amplitude": Held("time", "m"),
-        "k": Held(unit="rad"),
-        "growth": Held(unit="1/s"),
-        "returned": Held(unit="1"),
-        "error": Held(unit="1"),
-        "stray": Held(unit="1"),
-        "period": Held(unit="s"),
-    }
-    ts: Numbers
-    us: Displacements
-    vs: Displacements
-    energy: Numbers
-    amplitude: Numbers
-    k: float
-    growth: float
-    returned: float
-    error: float
-    stray: float
-    period: float
-    steps: int
+    ts: Numbers = array("The times, once a period.", "s", "time")
+    us: Displacements = array("The displacements at these times.", "m", "time site ...")
+    vs: Displacements = array("The velocities at these times.", "m/s", "time site ...")
+    energy: Numbers = array("The energy at these times.", "J", "time")
+    amplitude: Numbers = array("The largest displacement at these times.", "m", "time")
+    k: float = array("The wave number.", "rad")
+    growth: float = array("log|rho|/T of the linear wave.", "1/s")
+    returned: float = array("The energy at the end over that at the start, less 1.", "1")
+    error: float = array("The error of `returned`, from two step sizes.", "1")
+    stray: float = array(
+        "What of the state at the end is not the linear wave that decays (norm over norm).", "1"
+    )
+    period: float = array("The period of the modulation.", "s")
+    steps: int = array("The number of steps of a period.")
     outcome: str = eqx.field(static=True)
 
     @property

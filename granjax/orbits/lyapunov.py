@@ -1,7 +1,5 @@
 """Lyapunov exponents of a lattice, forced or free, by renormalised tangents."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +12,7 @@ from ..checks import positive, refuse, whole
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State
-from ..results import STATE, Held, Result
+from ..results import Result, array, part
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
 from .attractors import slowly, steps_per_period
@@ -25,12 +23,6 @@ from .steps import fixed_step_solver
 class Lyapunov(Result):
     """What `lyapunov` returns.
 
-    - `exponents` (k,): from the largest down [1/time]. `uncertainty` (k,): the standard error of the mean over the
-      windows plus the difference between the first and the second half of the run.
-    - `rates` (P, k): growth rate over each interval. `state`: at the end.
-    - `verdict`: "chaotic", "periodic", "quasi-periodic", "regular", "at rest", "not finite", or "undecided", where
-      the exponent is zero within its uncertainty and a stable orbit is near; `outcome` says why.
-
     **Example:**
 
     >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
@@ -40,17 +32,22 @@ class Lyapunov(Result):
     ((40, 6), -0.5)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "exponents": Held("exponent", "1/s"),
-        "uncertainty": Held("exponent", "1/s"),
-        "rates": Held("run exponent", "1/s"),
-        "state": Held("site", STATE),
-    }
-    exponents: Float[np.ndarray, " k"]
-    uncertainty: Float[np.ndarray, " k"]
-    rates: Float[np.ndarray, "P k"]
-    state: State
-    verdict: str = eqx.field(static=True)
+    exponents: Float[np.ndarray, " exponent"] = array(
+        "The exponents, from the largest down.", "1/s"
+    )
+    uncertainty: Float[np.ndarray, " exponent"] = array(
+        "The standard error of the mean over the windows plus the difference between the "
+        "first and the second half of the run.",
+        "1/s",
+    )
+    rates: Float[np.ndarray, "run exponent"] = array("The growth rate over each interval.", "1/s")
+    state: State = part("The state at the end.", "site")
+    verdict: str = array(
+        '"chaotic", "periodic", "quasi-periodic", "regular", "at rest", "not finite", or '
+        '"undecided" (the exponent is zero within its uncertainty and a stable orbit is '
+        "near).",
+        static=True,
+    )
     outcome: str = eqx.field(static=True)
 
     @property

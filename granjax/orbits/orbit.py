@@ -15,7 +15,7 @@ from ..checks import concrete, positive, refuse, traced
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
-from ..results import STATE, Held, Result
+from ..results import Held, Result, array, note, part
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
@@ -33,7 +33,7 @@ AT_REST, FELL, SPREAD = 1e-6, 4, 5
 
 
 class OrbitRun(Result):
-    """One period of an orbit at equal distances, without its end: `ts` (F,), `us` and `vs` (F, N).
+    """One period of an orbit at equal distances, without its end.
 
     Means over these frames are integrals over the period to the accuracy of a Fourier series.
 
@@ -45,14 +45,9 @@ class OrbitRun(Result):
     ((16, 3), 2.0)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s", "time"),
-        "us": Held("time site", "m", "u"),
-        "vs": Held("time site", "m/s", "v"),
-    }
-    ts: Times
-    us: Displacements
-    vs: Displacements
+    ts: Times = array("The times.", "s", "time", name="time")
+    us: Displacements = array("The displacements.", "m", "time site", name="u")
+    vs: Displacements = array("The velocities.", "m/s", "time site", name="v")
 
     @property
     def outcome(self) -> str:
@@ -62,11 +57,6 @@ class OrbitRun(Result):
 
 class Orbit(Result):
     """A periodic orbit of a lattice, driven or not: y(t0 + T) = S y(t0).
-
-    **Fields:** `state`: at `t0`; a breather is at rest there. `period`: T. `lattice`. `root`: how Newton's method
-    ended. `flow`: steps and solver over a period. `symmetry`: S; after T times its order the state itself returns.
-    `error`: estimated distance from the true orbit, from two step sizes, with `state`, `energy`, `omega`, `period`.
-    `remark`: what else the outcome says, of a breather how many cells share its energy.
 
     **Example:**
 
@@ -79,22 +69,27 @@ class Orbit(Result):
     [0.0005, -0.0239, 1.1182, -0.0239, 0.0005]
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "state": Held("site", STATE),
-        "period": Held(unit="s"),
+    exported: ClassVar[dict[str, Held]] = {
         "omega": Held(unit="rad/s"),
         "energy": Held(unit="J"),
-        "t0": Held(unit="s"),
     }
-    state: State
-    period: Number
-    lattice: Lattice
-    root: Root
-    flow: Flow
-    t0: Number
-    symmetry: Symmetry = Symmetry()
-    error: OrbitError | None = None
-    remark: str = eqx.field(static=True, default="")
+    state: State = part("The state at `t0`; a breather is at rest there.", "site")
+    period: Number = array("The period T.", "s")
+    lattice: Lattice = array("The lattice.")
+    root: Root = note("How Newton's method ended.")
+    flow: Flow = array("The steps and the solver over a period.")
+    t0: Number = array("The time at which the orbit begins.", "s")
+    symmetry: Symmetry = array(
+        "S; after T times its order the state itself returns.", default=Symmetry()
+    )
+    error: OrbitError | None = array(
+        "The estimated distance from the true orbit, from two step sizes.", default=None
+    )
+    remark: str = array(
+        "What else the outcome says, of a breather how many cells share its energy.",
+        static=True,
+        default="",
+    )
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         yield "state", self.state

@@ -1,7 +1,7 @@
 """Response curves: the attractor followed up and down a parameter, with its jumps and its hysteresis."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,7 +17,7 @@ from ..lattice import State
 from ..measures import rms_velocity
 from ..printing import told
 from ..programs import shared_size
-from ..results import STATE, Held, Result
+from ..results import Result, array, note, part
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
 from .attractors import errors_of, follow, otherwise, steps_per_period
@@ -59,11 +59,8 @@ class Jump(NamedTuple):
 class Way(Result):
     """One way of a sweep, in the order of `Sweep.values` whichever way it went.
 
-    - `response` (P,): the chosen number. `velocity` (P, N): root mean square of each site's. `energy` (P,): mean.
-    - `multiple` (P,): periods after which the motion repeats, 0 where it does not. `periods` (P,): run at each value.
-    - `response_error` (P,), `velocity_error` (P, N), `energy_error` (P,): estimated distances from the true motion, as
-      of `settle`; NaN where nothing repeats, or half the steps settle to nothing.
-    - `states`: at phase 0, (P, N). `jumps`, `bifurcations`: tuples of `Jump` and `Bifurcation`, as they were met.
+    Errors are estimated distances from the true motion, as of `settle`; NaN where nothing repeats, or half the steps
+    settle to nothing.
 
     **Example:**
 
@@ -74,30 +71,23 @@ class Way(Result):
     ((3, 3), ())
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "response": Held("value"),
-        "velocity": Held("value site", "m/s"),
-        "energy": Held("value", "J"),
-        "response_error": Held("value"),
-        "velocity_error": Held("value site", "m/s"),
-        "energy_error": Held("value", "J"),
-        "multiple": Held("value"),
-        "periods": Held("value"),
-        "states": Held("value site", STATE, "state"),
-        "jumps": Held("jump"),
-        "bifurcations": Held("bifurcation"),
-    }
-    response: Float[np.ndarray, " P"]
-    velocity: Displacements
-    energy: Float[np.ndarray, " P"]
-    response_error: Float[np.ndarray, " P"]
-    velocity_error: Displacements
-    energy_error: Float[np.ndarray, " P"]
-    multiple: Integer[np.ndarray, " P"]
-    periods: Integer[np.ndarray, " P"]
-    states: State
-    jumps: tuple[Jump, ...]
-    bifurcations: tuple[Bifurcation, ...]
+    response: Float[np.ndarray, " value"] = array("The chosen number at each value.")
+    velocity: Displacements = array(
+        "The root mean square velocity of each site.", "m/s", "value site"
+    )
+    energy: Float[np.ndarray, " value"] = array("The mean energy.", "J")
+    response_error: Float[np.ndarray, " value"] = array("The error of the response.")
+    velocity_error: Displacements = array("The error of the velocity.", "m/s", "value site")
+    energy_error: Float[np.ndarray, " value"] = array("The error of the energy.", "J")
+    multiple: Integer[np.ndarray, " value"] = array(
+        "The periods after which the motion repeats, 0 where it does not."
+    )
+    periods: Integer[np.ndarray, " value"] = array("The number of periods that were run.")
+    states: State = part("The states at phase 0.", "value site", name="state")
+    jumps: tuple[Jump, ...] = array("The jumps, as they were met.", axes="jump")
+    bifurcations: tuple[Bifurcation, ...] = array(
+        "The bifurcations, as they were met.", axes="bifurcation"
+    )
 
     @property
     def outcome(self) -> str:
@@ -110,11 +100,7 @@ class Way(Result):
 
 
 class Sweep(Result):
-    """What `sweep` returns: `values` (P,) ascending, the two ways `up` and `down`, and where they differ.
-
-    `down`: `None` where that way was not run. `hysteresis`: a list of pairs (low, high), intervals of the parameter in
-    which the way up and the way down have settled differently; their ends are jumps where there is one beside, else
-    values of the sweep.
+    """What `sweep` returns: the two ways, and where they differ.
 
     **Example:**
 
@@ -125,14 +111,16 @@ class Sweep(Result):
     ([], [1, 1, 1], [1, 1, 1])
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "values": Held("value", "", "value"),
-        "hysteresis": Held(None),
-    }
-    values: Float[np.ndarray, " P"]
-    up: Way
-    down: Way | None
-    hysteresis: list
+    values: Float[np.ndarray, " value"] = array(
+        "The values of the parameter, ascending.", name="value"
+    )
+    up: Way = array("The way up.")
+    down: Way | None = array("The way down, `None` where it was not run.")
+    hysteresis: list = note(
+        "Intervals (low, high) of the parameter in which the two ways have settled "
+        "differently; their ends are jumps where there is one beside, else values of the "
+        "sweep."
+    )
 
     @property
     def outcome(self) -> str:

@@ -406,7 +406,7 @@ def _pair(argument, given, ndim=0, finite=True):
 def _profile(given, problem, places, time):
     """Places, strains, time (`None` where nobody says) and units of what is drawn."""
     if hasattr(given, "final") and hasattr(given, "ts") and not hasattr(given, "strain"):
-        problem = getattr(given, "_problem", None) if problem is None else problem
+        problem = getattr(given, "started", None) if problem is None else problem
         if problem is None:
             refuse(
                 "problem",

@@ -1,13 +1,10 @@
 """Transmission of a finite dimer chain to a rigid wall, and its extrema over the mass ratio."""
 
-from typing import ClassVar
-
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ..checks import held_in_memory, positive, refuse, tolerance, whole
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..types import Count, Parameter, Scalar
 from .decay import decay_rate
 from .lanes import LANES, checked_ratios, peak_forces
@@ -26,9 +23,6 @@ TOUCHES = 0.2
 class Transmission(Result):
     """What `transmission` returns.
 
-    - `mass_ratio` (n,); `peak_force` (n,): largest force on the wall; `transmission` (n,): that over the monomer's.
-    - `reference`: the monomer's peak force; `beads`; `run_time`: until when the wall was watched.
-
     **Example:**
 
     >>> sweep = gx.resonance.transmission([0.5, 0.7, 1.0], beads=5)
@@ -36,18 +30,16 @@ class Transmission(Result):
     (5, (3,))
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "mass_ratio": Held("mass_ratio", "1"),
-        "transmission": Held("mass_ratio", "1"),
-        "peak_force": Held("mass_ratio", "A^(2/5) (m v^2)^(3/5)"),
-        "reference": Held(None, name="monomer_force"),
-    }
-    mass_ratio: Float[np.ndarray, " n"]
-    peak_force: Float[np.ndarray, " n"]
-    transmission: Float[np.ndarray, " n"]
-    reference: float
-    beads: int = eqx.field(static=True)
-    run_time: float = eqx.field(static=True)
+    mass_ratio: Float[np.ndarray, " mass_ratio"] = array("The mass ratios.", "1")
+    peak_force: Float[np.ndarray, " mass_ratio"] = array(
+        "The largest force on the wall.", "A^(2/5) (m v^2)^(3/5)"
+    )
+    transmission: Float[np.ndarray, " mass_ratio"] = array(
+        "The largest force on the wall over that of the monomer.", "1"
+    )
+    reference: float = note("The peak force of the monomer.", name="monomer_force")
+    beads: int = array("The number of beads.", static=True)
+    run_time: float = array("The time until which the wall was watched.", static=True)
 
     @property
     def outcome(self) -> str:
@@ -57,11 +49,9 @@ class Transmission(Result):
 
 
 class Extrema(Result):
-    """What `refine` returns: minima (`resonances`) and maxima (`anti_resonances`) of the transmission, (k,) each.
+    """What `refine` returns: minima and maxima of the transmission, in ascending ratios.
 
-    Two resonances have an anti-resonance between them, where the leading pulse does not decay. `local_extrema`: other
-    minima and maxima, ripples of a finite chain. `resonance_transmission`, `anti_resonance_transmission`,
-    `local_transmission`: the transmission there. Ratios ascend.
+    Two resonances have an anti-resonance between them, where the leading pulse does not decay.
 
     **Example:**
 
@@ -71,20 +61,24 @@ class Extrema(Result):
     [1.0]
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "resonances": Held("resonance", "1"),
-        "resonance_transmission": Held("resonance", "1"),
-        "anti_resonances": Held("anti_resonance", "1"),
-        "anti_resonance_transmission": Held("anti_resonance", "1"),
-        "local_extrema": Held("local_extremum", "1"),
-        "local_transmission": Held("local_extremum", "1"),
-    }
-    resonances: Float[np.ndarray, " k"]
-    resonance_transmission: Float[np.ndarray, " k"]
-    anti_resonances: Float[np.ndarray, " m"]
-    anti_resonance_transmission: Float[np.ndarray, " m"]
-    local_extrema: Float[np.ndarray, " l"] = eqx.field(default_factory=lambda: np.zeros(0))
-    local_transmission: Float[np.ndarray, " l"] = eqx.field(default_factory=lambda: np.zeros(0))
+    resonances: Float[np.ndarray, " resonance"] = array("The mass ratios of the minima.", "1")
+    resonance_transmission: Float[np.ndarray, " resonance"] = array(
+        "The transmission at the minima.", "1"
+    )
+    anti_resonances: Float[np.ndarray, " anti_resonance"] = array(
+        "The mass ratios of the maxima.", "1"
+    )
+    anti_resonance_transmission: Float[np.ndarray, " anti_resonance"] = array(
+        "The transmission at the maxima.", "1"
+    )
+    local_extrema: Float[np.ndarray, " local_extremum"] = array(
+        "Other minima and maxima, ripples of a finite chain.",
+        "1",
+        default_factory=lambda: np.zeros(0),
+    )
+    local_transmission: Float[np.ndarray, " local_extremum"] = array(
+        "The transmission at the other extrema.", "1", default_factory=lambda: np.zeros(0)
+    )
 
     @property
     def outcome(self) -> str:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +13,7 @@ from ..flow import Peak, simulate
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..measures import contact_force
-from ..results import Held, Result
+from ..results import Held, Result, array, note
 from ..states import impact
 from ..strains import Shift
 from ..sweeps import paired, sweep
@@ -42,10 +41,6 @@ def _trimer(second, third):
 class ResonanceMap(Result):
     """What `resonance_map` returns.
 
-    - `rate` (p, q): decay rate of the leading pulse per cell; 0 where it travels without loss, NaN where a run failed.
-    - `force` (p, q): its largest contact force in the last of the cells.
-    - `first` (p,), `second` (q,): the parameters, `names` what they are; `kind`; `cells`: between which it was read.
-
     **Example:**
 
     >>> record = gx.resonance.resonance_map("2:1", [0.5, 1.0], [1.0], cells=(2, 4))
@@ -53,25 +48,29 @@ class ResonanceMap(Result):
     ((2, 1), ('ratio', 'stiffness'))
     """
 
-    first: Float[np.ndarray, " p"]
-    second: Float[np.ndarray, " q"]
-    rate: Float[np.ndarray, "p q"]
-    force: Float[np.ndarray, "p q"]
-    names: tuple[str, str] = eqx.field(static=True)
-    kind: str = eqx.field(static=True)
-    cells: tuple[int, int] = eqx.field(static=True)
+    first: Float[np.ndarray, " first"] = array("The values of the first parameter.", "1")
+    second: Float[np.ndarray, " second"] = array("The values of the second parameter.", "1")
+    rate: Float[np.ndarray, "first second"] = array(
+        "The decay rate of the leading pulse per cell; 0 where it travels without loss, NaN"
+        " where a run failed.",
+        "1",
+    )
+    force: Float[np.ndarray, "first second"] = array(
+        "The largest contact force of the pulse in the last of the cells.", "A^(2/5) (m v^2)^(3/5)"
+    )
+    names: tuple[str, str] = note("What the two parameters are.", static=True)
+    kind: str = note("The kind of the chain.", static=True)
+    cells: tuple[int, int] = note("The cells between which the decay was read.", static=True)
 
     @property
     def held(self) -> dict[str, Held]:
-        one, two = self.names
+        named = dict(zip(("first", "second"), self.names))
         return {
-            "first": Held(one, "1", one),
-            "second": Held(two, "1", two),
-            "rate": Held(f"{one} {two}", "1"),
-            "force": Held(f"{one} {two}", "A^(2/5) (m v^2)^(3/5)"),
-            "names": Held(None),
-            "kind": Held(None),
-            "cells": Held(None),
+            name: x._replace(
+                axes=x.axes and " ".join(named[word] for word in x.axes.split()),
+                name=named.get(name, ""),
+            )
+            for name, x in self._described.items()
         }
 
     @property

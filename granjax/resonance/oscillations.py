@@ -1,7 +1,6 @@
 """How often a light bead swings between its heavy neighbours while a pulse squeezes them."""
 
 from functools import cache
-from typing import ClassVar
 
 import diffrax
 import jax
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from ..checks import held_in_memory, refuse, whole
 from ..flow import simulate
 from ..programs import wait
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..scenes import dimer
 from ..states import impact
 from ..types import Count, Parameter
@@ -25,10 +24,7 @@ FRAMES = 2400
 
 
 class Oscillations(Result):
-    """What `oscillations` returns, for each `mass_ratio` (n,).
-
-    `count` (n,): swings of the light bead during one squeeze, to half a swing: 1, 2, 3, 4 at the anti-resonances 1,
-    0.342846, 0.154751, 0.090128. `bead`: its number.
+    """What `oscillations` returns, for each mass ratio.
 
     **Example:**
 
@@ -37,14 +33,13 @@ class Oscillations(Result):
     ([1.0], 5)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "mass_ratio": Held("mass_ratio", "1"),
-        "count": Held("mass_ratio", "1"),
-        "bead": Held(None),
-    }
-    mass_ratio: Float[np.ndarray, " n"]
-    count: Float[np.ndarray, " n"]
-    bead: int
+    mass_ratio: Float[np.ndarray, " mass_ratio"] = array("The mass ratios.", "1")
+    count: Float[np.ndarray, " mass_ratio"] = array(
+        "Swings of the light bead during one squeeze, to half a swing: 1, 2, 3, 4 at the "
+        "anti-resonances 1, 0.342846, 0.154751, 0.090128.",
+        "1",
+    )
+    bead: int = note("The number of the bead.")
 
     @property
     def outcome(self) -> str:

@@ -1,6 +1,6 @@
 """What flows into a box of a chain against what gathers there."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,12 +12,11 @@ from ..flow import Integral
 from ..flow.method import GATHERED, STEP_FRACTION
 from ..flow.stiffness import frequency_bound
 from ..lattice import Lattice, State
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Number, Numbers, Scalar
 from .riemann import Riemann
 
 KINDS = "strain", "momentum", "energy"
-UNITS = "m", "N s", "J"
 # units of rounding of a sum, over the sum of the sizes of its parts
 ROUNDED = 8
 
@@ -32,9 +31,7 @@ class Balances(Result):
     - momentum, sum of m v_n: f_{first-1} - f_last;
     - energy, sum of m v_n^2/2 and of the bonds' energies: f_{first-1} v_first - f_last v_last.
 
-    `..._change`: what it holds at the end less what at the start; `..._inflow`: the flux through both ends,
-    integrated over time along the run; `..._residual`: their difference; `..._error`: of the inflow, by a run of half
-    the step, and of the rounding of the sums. Numbers, or one per lane.
+    Errors are found by a run of half the step, and from the rounding of the sums. Numbers, or one per lane.
 
     **Example:**
 
@@ -44,26 +41,27 @@ class Balances(Result):
     (True, 20, 24)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        f"{kind}_{what}": Held("", unit)
-        for kind, unit in zip(KINDS, UNITS)
-        for what in ("change", "inflow", "residual", "error")
-    } | {"t1": Held(unit="s")}
-    strain_change: Numbers
-    strain_inflow: Numbers
-    strain_residual: Numbers
-    strain_error: Numbers
-    momentum_change: Numbers
-    momentum_inflow: Numbers
-    momentum_residual: Numbers
-    momentum_error: Numbers
-    energy_change: Numbers
-    energy_inflow: Numbers
-    energy_residual: Numbers
-    energy_error: Numbers
-    t1: Number
-    first: int = eqx.field(static=True)
-    last: int = eqx.field(static=True)
+    strain_change: Numbers = array("Strain at the end less at the start.", "m")
+    strain_inflow: Numbers = array(
+        "Strain that flowed in through both ends, integrated along the run.", "m"
+    )
+    strain_residual: Numbers = array("Strain that is missing, change less inflow.", "m")
+    strain_error: Numbers = array("Strain by which the inflow may err.", "m")
+    momentum_change: Numbers = array("Momentum at the end less at the start.", "N s")
+    momentum_inflow: Numbers = array(
+        "Momentum that flowed in through both ends, integrated along the run.", "N s"
+    )
+    momentum_residual: Numbers = array("Momentum that is missing, change less inflow.", "N s")
+    momentum_error: Numbers = array("Momentum by which the inflow may err.", "N s")
+    energy_change: Numbers = array("Energy at the end less at the start.", "J")
+    energy_inflow: Numbers = array(
+        "Energy that flowed in through both ends, integrated along the run.", "J"
+    )
+    energy_residual: Numbers = array("Energy that is missing, change less inflow.", "J")
+    energy_error: Numbers = array("Energy by which the inflow may err.", "J")
+    t1: Number = array("The end of the run.", "s")
+    first: int = array("The first site of the box.", static=True)
+    last: int = array("The last site of the box.", static=True)
 
     @property
     def outcome(self) -> str:
@@ -126,7 +124,9 @@ def balances(
         keywords["step"] = (
             STEP_FRACTION / 2 / frequency_bound(lattice, problem.state, 0.0, t1, GATHERED[0])
         )
-    run = problem.run(t1, record={"inflow": Integral(Inflow(first, last))}, **keywords)
+    run = problem.run(
+        t1, record={"inflow": Integral(Inflow(first, last))}, confirm=True, **keywords
+    )
     y = State(*run.final)
     for i, term in enumerate(lattice.terms):
         if term.next_neighbours() is None:
@@ -148,7 +148,7 @@ def balances(
             f"{kind}_change": change,
             f"{kind}_inflow": inflow,
             f"{kind}_residual": change - inflow,
-            f"{kind}_error": run.record_error["inflow"][kind] + rounding,
+            f"{kind}_error": run.error.records["inflow"][kind] + rounding,
         }
     return Balances(**found, t1=run.ts[-1], first=first, last=last, **lattice.origin)
 

@@ -1,14 +1,12 @@
 """`DissipativeFront`: a stationary front as a result."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import numpy as np
 
 from ..lattice import State
 from ..laws import Law
 from ..profiles.front import FrontShape
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Number, Numbers, Parameter, Scalar
 
 
@@ -16,21 +14,8 @@ class DissipativeFront(Result):
     r"""A front that runs without changing its shape: strain y(n - s t) of contact n, from `behind` to `ahead`.
 
     m s^2 (y - ahead) = tent * (F(y) - F(ahead) - eta s y'), tent(x) = [1 - |x|]_+; the beads ahead are at rest. At xi =
-    0 the strain is half way between both states, for the first time as the front comes.
-
-    **Fields:**
-
-    - `speed`: s, contacts per time [1/s]; m s^2 = [F]/[y], whatever the dashpot. `behind`, `ahead`: strains [m];
-      `piston`: velocity of the beads behind, s [y] [m/s].
-    - `dashpot`: eta; `critical`: the one above which the strain behind comes to rest without oscillating [N s/m].
-      `kind`: "oscillatory" or "monotone", by that.
-    - `decay_behind`, `wavenumber_behind`: lambda and k of the slowest part behind, exp(lambda xi) cos(k xi), xi < 0;
-      `decay_ahead`: of exp(-mu xi) ahead [1].
-    - `overshoot`: how far the strain goes beyond `behind` [m]. `power`: what the dashpots take [W].
-    - `residual`: what the equation leaves, over the jump; `error`: estimated distance of the strain from the truth, by
-      two resolutions [m].
-    - `xi`, `strains`, `velocities`: a table, for pictures and files; `strain(xi)` gives any place.
-    - `law`, `mass`: of the chain.
+    0 the strain is half way between both states, for the first time as the front comes. m s^2 = [F]/[y], whatever the
+    dashpot. Behind, the slowest part is exp(lambda xi) cos(k xi), xi < 0; ahead it is exp(-mu xi).
 
     Differentiable once in the parameters of the law, the mass, the strains (or the piston) and the dashpot, by the
     implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around it are refused.
@@ -42,44 +27,29 @@ class DissipativeFront(Result):
     (0.394869, 'oscillatory')
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "speed": Held("", "1/s"),
-        "behind": Held("", "m"),
-        "ahead": Held("", "m"),
-        "piston": Held("", "m/s"),
-        "dashpot": Held("", "N s/m"),
-        "critical": Held("", "N s/m"),
-        "decay_behind": Held("", "1"),
-        "wavenumber_behind": Held("", "1"),
-        "decay_ahead": Held("", "1"),
-        "overshoot": Held("", "m"),
-        "power": Held("", "W"),
-        "residual": Held("", "1"),
-        "error": Held("", "m"),
-        "mass": Held("", "kg"),
-        "xi": Held("xi", "1"),
-        "strains": Held("xi", "m"),
-        "velocities": Held("xi", "m/s"),
-    }
-    speed: Number
-    behind: Number
-    ahead: Number
-    piston: Number
-    dashpot: Number
-    critical: Number
-    kind: str = eqx.field(static=True)
-    decay_behind: Number
-    wavenumber_behind: Number
-    decay_ahead: Number
-    overshoot: Number
-    power: Number
-    residual: Number
-    error: Number
-    law: Law
-    mass: Number
-    xi: Numbers
-    strains: Numbers
-    velocities: Numbers
+    speed: Number = array("The speed s in contacts per time.", "1/s")
+    behind: Number = array("The strain behind.", "m")
+    ahead: Number = array("The strain ahead.", "m")
+    piston: Number = array("The velocity of the beads behind, s [y].", "m/s")
+    dashpot: Number = array("The dashpot eta.", "N s/m")
+    critical: Number = array(
+        "The dashpot above which the strain behind comes to rest without oscillating.", "N s/m"
+    )
+    kind: str = array('"oscillatory" or "monotone".', static=True)
+    decay_behind: Number = array("lambda.", "1")
+    wavenumber_behind: Number = array("k.", "1")
+    decay_ahead: Number = array("mu.", "1")
+    overshoot: Number = array("How far the strain goes beyond `behind`.", "m")
+    power: Number = array("The power that the dashpots take.", "W")
+    residual: Number = array("What the equation leaves, over the jump.", "1")
+    error: Number = array(
+        "The estimated distance of the strain from the truth, by two resolutions.", "m"
+    )
+    law: Law = array("The law of the contacts.")
+    mass: Number = array("The mass of the beads.", "kg")
+    xi: Numbers = array("The places of the table.", "1", "xi")
+    strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
+    velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
     outcome: str
     _shape: FrontShape = eqx.field(kw_only=True, repr=False)
 

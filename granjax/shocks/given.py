@@ -26,7 +26,9 @@ def problem_of(run: Run, problem: Riemann | None) -> Riemann:
         )
     if not bool(run.completed):
         refuse("run", "one that completed", run.outcome)
-    problem = run.__dict__.get("_problem") if problem is None else problem
+    problem = (
+        (run.started if isinstance(run.started, Riemann) else None) if problem is None else problem
+    )
     if problem is not None and problem.kind == "impacts":
         refuse(
             "problem",

@@ -1,7 +1,5 @@
 """Where a shock is when: a strided map of the strain, made without keeping the trajectory."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -12,18 +10,13 @@ from ..flow import simulate
 from ..flow.method import PASSED, STEP_FRACTION, checked_method, fixed_step
 from ..flow.stiffness import compressions, reached_frequency
 from ..lattice import Lattice, State
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..types import Count, Counts, Number, Numbers, Scalar, Times, Values
 from .riemann import Riemann
 
 
 class SpaceTime(Result):
-    """A map of the strain: `strain` (T, B) and lanes, at the times `ts` (T,) and the `bonds` (B,), by their indices.
-
-    - `centre`: place of the step on the scale of bonds, so that n/t of the theory is `places/t`. `kind`, `c`: those of
-      the `Riemann` problem.
-    - `final`: the `State` at t1. `step`: the time step, the longest where a tolerance was given.
-    - `energy_error`: as of a `Run`, at the times of the map; NaN where a term does not keep the energy.
+    """A map of the strain at the times `ts` and the `bonds`, by their indices.
 
     **Example:**
 
@@ -33,33 +26,26 @@ class SpaceTime(Result):
     ((6, 39), 'velocity')
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s", "time"),
-        "bonds": Held("bond", "", "bond"),
-        "strain": Held("time bond", "m"),
-        "centre": Held(None),
-        "c": Held(None),
-        "step": Held(None, "s"),
-        "energy_error": Held(None),
-    }
-    ts: Times
-    bonds: Counts
-    strain: Numbers
-    centre: Number
-    c: Number
-    final: State
-    step: Number
-    energy_error: Numbers
+    ts: Times = array("The times.", "s", "time", name="time")
+    bonds: Counts = array("The indices of the bonds.", axes="bond", name="bond")
+    strain: Numbers = array("The strain.", "m", "time bond")
+    centre: Number = note(
+        "The place of the step on the scale of bonds, so that n/t of the theory is `places/t`."
+    )
+    c: Number = note("The velocity c of the `Riemann` problem.")
+    final: State = note("The `State` at t1.")
+    step: Number = note("The time step, the longest where a tolerance was given.", "s")
+    energy_error: Numbers = note(
+        "The error of the energy as of a `Run`, at the times of the map; NaN where a term "
+        "does not keep the energy."
+    )
     outcome: str = eqx.field(static=True)
-    kind: str = eqx.field(static=True)
+    kind: str = array("The kind of the `Riemann` problem.", static=True)
 
     @property
     def places(self) -> Numbers:
         """Distance of the bonds from the step, bond - centre, (B,), and lanes where these have centres of their own."""
         return np.subtract.outer(np.asarray(self.bonds, float), np.asarray(self.centre))
-
-    def _fields(self):
-        yield from ((name, value) for name, value in super()._fields() if name != "final")
 
 
 def space_time(

@@ -1,5 +1,6 @@
 """The initial data of a shock, and how long a chain serves them."""
 
+import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
@@ -129,8 +130,7 @@ class Riemann(eqx.Module):
         The run remembers its problem, which `gx.shocks.measure` reads.
         """
         run = simulate(self.lattice, self.state, self.horizon() if t1 is None else t1, **keywords)
-        object.__setattr__(run, "_problem", self)
-        return run
+        return dataclasses.replace(run, started=self)
 
 
 def _cut(u, axis, low, high):

@@ -15,8 +15,6 @@ Exact of the Toda chain, and near elsewhere; `wave=True` asks a solitary wave fo
 Source: G. A. El, Chaos 15, 037103 (2005); G. A. El, M. A. Hoefer, Physica D 333, 11 (2016).
 """
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -26,7 +24,7 @@ from ..checks import parameter, refuse, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of, wave_of
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Number, Scalar
 from .chain_wave import _sinh_less
 from .simple_states import _path_to, _speed_of, _width_of
@@ -49,14 +47,9 @@ STRONG = (
 class FittedEdges(Result):
     """Edges of a dispersive shock that runs to the right, by `shock_edges`.
 
-    **Fields:** `trailing_speed` s_- and `leading_speed` s_+ [sites/s]; `sound`: V_+ ahead; `trailing_excess` s_-/V_+ -
-    1, below zero, and `leading_excess` s_+/V_+ - 1, with their digits where c is small; `mean`: strain behind [m].
-    `error`: estimated relative distance of the excesses and of mean - ahead from what the formulas say.
-
-    Asked for by `wave=True`, else `None`: `wave_speed`, of the solitary wave whose beads reach the velocity 4c, and
-    `amplitude`, its strain above that ahead [m]. It is exact of the Toda chain as s_+ is, and elsewhere nearer to what
-    was simulated (leading crests until t = 1000, extrapolated by 1/t), so that the distance of the two speeds is about
-    what the fit misses:
+    The speed of the solitary wave is exact of the Toda chain as s_+ is, and elsewhere nearer to what was simulated
+    (leading crests until t = 1000, extrapolated by 1/t), so that the distance of the two speeds is about what the fit
+    misses:
 
     | law, c | s_+ | wave | simulated | mean | simulated |
     |---|---|---|---|---|---|
@@ -72,26 +65,25 @@ class FittedEdges(Result):
     (0.81093, True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "trailing_speed": Held("", "1/s"),
-        "leading_speed": Held("", "1/s"),
-        "mean": Held("", "m"),
-        "sound": Held("", "1/s"),
-        "trailing_excess": Held("", "1"),
-        "leading_excess": Held("", "1"),
-        "error": Held("", "1"),
-        "wave_speed": Held("", "1/s"),
-        "amplitude": Held("", "m"),
-    }
-    trailing_speed: Number
-    leading_speed: Number
-    mean: Number
-    sound: Number
-    trailing_excess: Number
-    leading_excess: Number
-    error: Number
-    wave_speed: Number | None
-    amplitude: Number | None
+    trailing_speed: Number = array("The trailing speed s_-.", "1/s")
+    leading_speed: Number = array("The leading speed s_+.", "1/s")
+    mean: Number = array("The strain behind.", "m")
+    sound: Number = array("The speed of sound V_+ ahead.", "1/s")
+    trailing_excess: Number = array("s_-/V_+ - 1, negative, with its digits where c is small.", "1")
+    leading_excess: Number = array("s_+/V_+ - 1, with its digits where c is small.", "1")
+    error: Number = array(
+        "The estimated relative distance of the excesses and of mean - ahead from what the "
+        "formulas say.",
+        "1",
+    )
+    wave_speed: Number | None = array(
+        "The speed of the solitary wave whose beads reach the velocity 4c, `None` without "
+        "`wave=True`.",
+        "1/s",
+    )
+    amplitude: Number | None = array(
+        "The strain of that wave above the strain ahead, `None` without `wave=True`.", "m"
+    )
     outcome: str
 
 

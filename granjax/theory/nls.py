@@ -24,8 +24,6 @@ Source: G. Huang, B. Hu, Phys. Rev. B 57, 5746 (1998); C. Chong, P. G. Kevrekidi
 Crystals (Springer, 2018). The fixed-length relation is tested against periodic orbits of rings.
 """
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -33,7 +31,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ..checks import concrete, parameter, refuse, show
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Number, Parameter, Scalar
 from .nls_coefficients import B, Coefficients, band_edges, coefficients
 
@@ -127,11 +125,6 @@ def growth_rate(
 class Profile(Result):
     """A breather at a turning point (all velocities zero), to second order in its amplitude; N sites.
 
-    - `strain` (N,): y_i = u_i - u_{i+1} of the bond to the right of site i; the last one leads out of the chain.
-    - `mean_strain` (N,): its part that does not oscillate. `displacement` (N,): sites, with `strain` as differences.
-    - `amplitude`: |Y|, at the centre (bright) or far from it (dark); `inverse_width`: per cell.
-    - `omega`: frequency of the breather; `kappa`: that less the linear one.
-
     **Example:**
 
     >>> found = gx.theory.nls.coefficients(1.0, 1.5, 0.375, -0.0625, np.pi)
@@ -140,21 +133,18 @@ class Profile(Result):
     ((41,), -0.024495)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "strain": Held("site"),
-        "mean_strain": Held("site"),
-        "displacement": Held("site"),
-        "inverse_width": Held(unit="1/cell"),
-        "omega": Held(unit="rad/s"),
-        "kappa": Held(unit="rad/s"),
-    }
-    strain: Float[Array, " N"]
-    mean_strain: Float[Array, " N"]
-    displacement: Float[Array, " N"]
-    amplitude: Float[Array, ""]
-    inverse_width: Float[Array, ""]
-    omega: Float[Array, ""]
-    kappa: Float[Array, ""]
+    strain: Float[Array, " site"] = array(
+        "y_i = u_i - u_{i+1} of the bond to the right of site i; the last one leads out of "
+        "the chain."
+    )
+    mean_strain: Float[Array, " site"] = array("The part of the strain that does not oscillate.")
+    displacement: Float[Array, " site"] = array(
+        "The displacements of the sites, whose differences are `strain`."
+    )
+    amplitude: Float[Array, ""] = array("|Y|, at the centre (bright) or far from it (dark).")
+    inverse_width: Float[Array, ""] = array("The inverse width of the envelope.", "1/cell")
+    omega: Float[Array, ""] = array("The frequency of the breather.", "rad/s")
+    kappa: Float[Array, ""] = array("The frequency of the breather less the linear one.", "rad/s")
 
     @property
     def outcome(self) -> str:

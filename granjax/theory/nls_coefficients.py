@@ -1,7 +1,5 @@
 """Coefficients of the envelope equation of a periodic chain; `nls` says which equation."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
 from ..checks import concrete, one_of, parameter, per_lane, positive, refuse, show
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Parameter, Scalar
 
 # relative distances of omega^2, in units of rounding, below which branches touch and a harmonic lies on a branch
@@ -21,14 +19,6 @@ ORDERS = 2
 class Coefficients(Result):
     """What `coefficients` returns, for Y as in the text of `nls`; P bonds and sites per cell.
 
-    - `k`, `omega` [rad/s], `group_velocity` d omega/dk [cells/s], `nu2` [cells^2/s].
-    - `nu3` [1/(length^2 s)]: under the constraint; `nu3_force`: at constant force, that of every modulated envelope.
-    - `mode` (P,): displacements per Y; `strain` (P,): strains per Y, s_j; `strain_slope` (P,): ds/dk.
-    - `mean_strain` (P,): per |Y|^2, under the constraint; `mean_strain_force` (P,): at constant force.
-    - `harmonic_mode`, `harmonic_strain` (P,): second harmonic per Y^2, on e^{2i(kn + omega t)}.
-    - `resonant`: whether 2k, 2 omega is a wave of the chain that the second harmonic feeds. `nu3` is then infinite.
-    - `bond`: where s_j is real and positive; the bond that is strained most, the first of equals.
-
     **Example:**
 
     >>> found = gx.theory.nls.coefficients(1.0, 1.5, 0.375, -0.0625, np.pi)
@@ -36,38 +26,42 @@ class Coefficients(Result):
     (2.44949, -0.459279)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        **{name: Held("lane ... site") for name in ("mode", "harmonic_mode")},
-        **{
-            name: Held("lane ... bond")
-            for name in (
-                "strain",
-                "strain_slope",
-                "mean_strain",
-                "mean_strain_force",
-                "harmonic_strain",
-            )
-        },
-        **{name: Held("lane") for name in ("nu2", "nu3", "nu3_force", "resonant", "bond")},
-        "k": Held("lane", "rad"),
-        "omega": Held("lane", "rad/s"),
-        "group_velocity": Held("lane", "1/s"),
-    }
-    k: Float[Array, "*lanes"]
-    omega: Float[Array, "*lanes"]
-    group_velocity: Float[Array, "*lanes"]
-    nu2: Float[Array, "*lanes"]
-    nu3: Float[Array, "*lanes"]
-    nu3_force: Float[Array, "*lanes"]
-    mode: Complex[Array, "*lanes P"]
-    strain: Complex[Array, "*lanes P"]
-    strain_slope: Complex[Array, "*lanes P"]
-    mean_strain: Float[Array, "*lanes P"]
-    mean_strain_force: Float[Array, "*lanes P"]
-    harmonic_mode: Complex[Array, "*lanes P"]
-    harmonic_strain: Complex[Array, "*lanes P"]
-    resonant: Bool[Array, "*lanes"]
-    bond: Integer[Array, "*lanes"]
+    k: Float[Array, "*lanes"] = array("The wave number.", "rad", "lane")
+    omega: Float[Array, "*lanes"] = array("The frequency.", "rad/s", "lane")
+    group_velocity: Float[Array, "*lanes"] = array("d omega/dk, in cells per time.", "1/s", "lane")
+    nu2: Float[Array, "*lanes"] = array("nu2, in cells^2 per time.", axes="lane")
+    nu3: Float[Array, "*lanes"] = array(
+        "nu3 under the constraint, in 1/(length^2 time).", axes="lane"
+    )
+    nu3_force: Float[Array, "*lanes"] = array(
+        "nu3 at constant force, that of every modulated envelope.", axes="lane"
+    )
+    mode: Complex[Array, "*lanes P"] = array("The displacements per Y.", axes="lane ... site")
+    strain: Complex[Array, "*lanes P"] = array("The strains s_j per Y.", axes="lane ... bond")
+    strain_slope: Complex[Array, "*lanes P"] = array("ds/dk.", axes="lane ... bond")
+    mean_strain: Float[Array, "*lanes P"] = array(
+        "The mean strain per |Y|^2, under the constraint.", axes="lane ... bond"
+    )
+    mean_strain_force: Float[Array, "*lanes P"] = array(
+        "The mean strain per |Y|^2, at constant force.", axes="lane ... bond"
+    )
+    harmonic_mode: Complex[Array, "*lanes P"] = array(
+        "The second harmonic of the displacements per Y^2, on e^{2i(kn + omega t)}.",
+        axes="lane ... site",
+    )
+    harmonic_strain: Complex[Array, "*lanes P"] = array(
+        "The second harmonic of the strains per Y^2.", axes="lane ... bond"
+    )
+    resonant: Bool[Array, "*lanes"] = array(
+        "Whether 2k, 2 omega is a wave of the chain that the second harmonic feeds; `nu3` "
+        "is then infinite.",
+        axes="lane",
+    )
+    bond: Integer[Array, "*lanes"] = array(
+        "The bond whose s_j is real and positive: the one that is strained most, the first "
+        "of equals.",
+        axes="lane",
+    )
 
     @property
     def focusing(self) -> Bool[Array, "*lanes"]:
@@ -153,10 +147,10 @@ def _cell(mass, K2, K3=0.0, K4=0.0):
     arrays["K2"] = positive(
         "K2", K2, "A bond without linear stiffness carries no linear wave; give precompression."
     )
-    sites = max(array.size for array in arrays.values())
-    for name, array in arrays.items():
-        if array.ndim > 1 or array.size not in (1, sites):
-            refuse(name, f"a scalar or shape ({sites},), as another has", f"shape {array.shape}")
+    sites = max(x.size for x in arrays.values())
+    for name, x in arrays.items():
+        if x.ndim > 1 or x.size not in (1, sites):
+            refuse(name, f"a scalar or shape ({sites},), as another has", f"shape {x.shape}")
     return [jnp.broadcast_to(arrays[name], (sites,)) for name in ("mass", "K2", "K3", "K4")]
 
 

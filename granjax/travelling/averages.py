@@ -1,14 +1,12 @@
 r"""Averages of a periodic wave over its wavelength: what modulation theory is made of."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 import numpy as np
 
 from ..laws import Law
 from ..profiles import Shape
 from ..profiles.medium import values
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Number
 
 
@@ -22,11 +20,6 @@ class Averages(Result):
     of the means. With the Lagrangian L(omega, k, y) of the family, J = dL/d omega, S/omega = -dL/dk, F = -dL/dy: so one
     table of a family has all derivatives of its modulation equations, and a check on itself.
 
-    **Fields:** `omega` [rad/s], `wavenumber` k [rad/site]; per site: `mean_strain` y [m], `mean_force` F beyond the
-    preload [N], `kinetic`, `potential` (from the law's own rest) and `energy`, their sum [J]; `lagrangian`, their
-    difference [J]; `action` J = 2 `kinetic`/omega [J s]; `energy_flux` S, work that a bond does on the bead ahead of it
-    [W]. `error`: estimated relative distance from the truth.
-
     **Example:**
 
     >>> wave = gx.travelling.periodic_wave(gx.Toda(), 6.0, amplitude=0.2)
@@ -35,30 +28,17 @@ class Averages(Result):
     True
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "omega": Held("", "rad/s"),
-        "wavenumber": Held("", "rad"),
-        "mean_strain": Held("", "m"),
-        "mean_force": Held("", "N"),
-        "kinetic": Held("", "J"),
-        "potential": Held("", "J"),
-        "energy": Held("", "J"),
-        "lagrangian": Held("", "J"),
-        "action": Held("", "J s"),
-        "energy_flux": Held("", "W"),
-        "error": Held("", "1"),
-    }
-    omega: Number
-    wavenumber: Number
-    mean_strain: Number
-    mean_force: Number
-    kinetic: Number
-    potential: Number
-    energy: Number
-    lagrangian: Number
-    action: Number
-    energy_flux: Number
-    error: Number
+    omega: Number = array("The angular frequency.", "rad/s")
+    wavenumber: Number = array("The wave number k per site.", "rad")
+    mean_strain: Number = array("The mean strain y.", "m")
+    mean_force: Number = array("The mean force F beyond the preload.", "N")
+    kinetic: Number = array("The kinetic energy per site.", "J")
+    potential: Number = array("The potential energy per site, from the law's own rest.", "J")
+    energy: Number = array("The energy per site.", "J")
+    lagrangian: Number = array("The kinetic energy less the potential energy, per site.", "J")
+    action: Number = array("J = 2 `kinetic`/omega per site.", "J s")
+    energy_flux: Number = array("S, the power of a bond on the bead ahead of it.", "W")
+    error: Number = array("The estimated relative distance from the truth.", "1")
     outcome: str
 
 

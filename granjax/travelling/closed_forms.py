@@ -1,14 +1,12 @@
 """How far closed forms are from the exact wave: the solitons of Korteweg and de Vries, and of Toda."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from ..checks import refuse
 from ..lattice import Lattice
 from ..laws import Law, taylor
 from ..profiles import medium_of
-from ..results import Held, Result
+from ..results import Result, array
 from ..theory import kdv, toda
 from ..types import Number, Numbers, Parameter, Scalar
 from .solitary import solitary_wave
@@ -20,9 +18,7 @@ FINENESS = 16
 class ClosedForms(Result):
     """Errors of the solitons of KdV and of Toda, of the exact wave's speed, over several speeds.
 
-    - `speed` (S,) [1/s]; `sound`: c_0 [1/s]; `amplitude` (S,): peak strain of the exact wave [m].
-    - `kdv_error`, `toda_error` (S,): max |y - phi|/max |phi| over all places. `exact_error` (S,): to which the exact
-      wave is known, in the same way.
+    An error is max |y - phi|/max |phi| over all places.
 
     **Example:**
 
@@ -31,20 +27,12 @@ class ClosedForms(Result):
     (True, 1.0)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "speed": Held("speed", "1/s"),
-        "sound": Held("", "1/s"),
-        "amplitude": Held("speed", "m"),
-        "kdv_error": Held("speed", "1"),
-        "toda_error": Held("speed", "1"),
-        "exact_error": Held("speed", "1"),
-    }
-    speed: Numbers
-    sound: Number
-    amplitude: Numbers
-    kdv_error: Numbers
-    toda_error: Numbers
-    exact_error: Numbers
+    speed: Numbers = array("The speeds of the waves.", "1/s", "speed")
+    sound: Number = array("The speed of sound c_0.", "1/s")
+    amplitude: Numbers = array("The peak strain of the exact wave.", "m", "speed")
+    kdv_error: Numbers = array("The error of the soliton of KdV.", "1", "speed")
+    toda_error: Numbers = array("The error of the soliton of Toda.", "1", "speed")
+    exact_error: Numbers = array("The error to which the exact wave is known.", "1", "speed")
 
     @property
     def outcome(self) -> str:

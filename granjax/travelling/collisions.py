@@ -1,6 +1,6 @@
 """Two waves that meet: phase shifts, speeds and energies after it, beside those of Korteweg-de Vries and of Toda."""
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from ..lattice import Lattice, State
 from ..laws import taylor
 from ..profiles.medium import values
 from ..programs import shared_size
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..strains import Shift
 from ..terms import Bond
 from ..theory import toda
@@ -36,19 +36,6 @@ TAIL, ROUNDING, SAME = 1e-6, 1e-15, 1e-12
 class Collision(Result):
     """What `collide` returns; the first of two numbers is of the first wave.
 
-    - `kind`: "overtaking" or "head-on". `meeting`: when the waves would have met as points [s], and `meeting_place`:
-      where [contacts]. `phase`: the part of that place beyond a contact, as it was given.
-    - `shifts` (2,): how far each is along n beyond where it would be alone, at `meeting`, by straight lines through
-      its places before and after [contacts]; NaN where they have not parted. `shift_errors`: distance from the truth,
-      by either half of the frames and by twice the time step.
-    - `kdv_shifts`, `toda_shifts` (2,): those of the solitons of the same speeds, of Korteweg and de Vries (overtaking
-      alone) and of the Toda chain of the same K2 and K3; NaN where there is none, for the reason in `outcome`.
-    - `speeds`, `speeds_after` [1/s], `speed_errors`; `amplitudes`, `amplitudes_after` [m], `amplitude_errors`.
-    - `radiated`: energy that neither wave has afterwards [J]; `radiated_error`. `energy`: of both, before.
-    - `separation`: least distance between the two in the frames after they met, and `least_separation`: from which on
-      they have parted [contacts]. `misfits` (2,): what the waves leave of the strains about them, over their peaks.
-    - `times`, `places` (2, T): where each was found. `run`: the run, for pictures.
-
     Of several phases all arrays, and the numbers but those of both waves before, have these as their last axis.
 
     **Example:**
@@ -62,53 +49,57 @@ class Collision(Result):
     2.9939
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "meeting": Held(None, "s"),
-        "phase": Held("", "1"),
-        "meeting_place": Held("", "1"),
-        "shifts": Held("wave", "1"),
-        "shift_errors": Held("wave", "1"),
-        "kdv_shifts": Held("wave", "1"),
-        "toda_shifts": Held("wave", "1"),
-        "speeds": Held("wave", "1/s"),
-        "speeds_after": Held("wave", "1/s"),
-        "speed_errors": Held("wave", "1/s"),
-        "amplitudes": Held("wave", "m"),
-        "amplitudes_after": Held("wave", "m"),
-        "amplitude_errors": Held("wave", "m"),
-        "energy": Held(None, "J"),
-        "radiated": Held("", "J"),
-        "radiated_error": Held("", "J"),
-        "separation": Held("", "1"),
-        "least_separation": Held(None, "1"),
-        "misfits": Held("wave", "1"),
-        "times": Held("found", "s"),
-        "places": Held("wave found", "1"),
-        "run": Held(None),
-    }
-    kind: str
-    meeting: float
-    phase: Number
-    meeting_place: Number
-    shifts: Float[np.ndarray, "2 ..."]
-    shift_errors: Float[np.ndarray, "2 ..."]
-    kdv_shifts: Float[np.ndarray, "2 ..."]
-    toda_shifts: Float[np.ndarray, "2 ..."]
-    speeds: Float[np.ndarray, "2 ..."]
-    speeds_after: Float[np.ndarray, "2 ..."]
-    speed_errors: Float[np.ndarray, "2 ..."]
-    amplitudes: Float[np.ndarray, "2 ..."]
-    amplitudes_after: Float[np.ndarray, "2 ..."]
-    amplitude_errors: Float[np.ndarray, "2 ..."]
-    energy: float
-    radiated: Number
-    radiated_error: Number
-    separation: Number
-    least_separation: float
-    misfits: Float[np.ndarray, "2 ..."]
-    times: Float[np.ndarray, " found"]
-    places: Float[np.ndarray, "2 found ..."]
-    run: Run
+    kind: str = array('"overtaking" or "head-on".')
+    meeting: float = note("The time at which the waves would have met as points.", "s")
+    phase: Number = array("The part of `meeting_place` beyond a contact, as it was given.", "1")
+    meeting_place: Number = array("The place where the waves would have met, in contacts.", "1")
+    shifts: Float[np.ndarray, "2 ..."] = array(
+        "How far each wave is along n beyond where it would be alone, at `meeting`, by "
+        "straight lines through its places before and after; NaN where the waves have not "
+        "parted.",
+        "1",
+        "wave",
+    )
+    shift_errors: Float[np.ndarray, "2 ..."] = array(
+        "The distance of the shifts from the truth, by either half of the frames and by "
+        "twice the time step.",
+        "1",
+        "wave",
+    )
+    kdv_shifts: Float[np.ndarray, "2 ..."] = array(
+        "The shifts of the solitons of Korteweg and de Vries of the same speeds (overtaking"
+        " alone).",
+        "1",
+        "wave",
+    )
+    toda_shifts: Float[np.ndarray, "2 ..."] = array(
+        "The shifts of the solitons of the Toda chain of the same K2 and K3.", "1", "wave"
+    )
+    speeds: Float[np.ndarray, "2 ..."] = array("The speeds before.", "1/s", "wave")
+    speeds_after: Float[np.ndarray, "2 ..."] = array("The speeds after.", "1/s", "wave")
+    speed_errors: Float[np.ndarray, "2 ..."] = array("The errors of the speeds.", "1/s", "wave")
+    amplitudes: Float[np.ndarray, "2 ..."] = array("The amplitudes before.", "m", "wave")
+    amplitudes_after: Float[np.ndarray, "2 ..."] = array("The amplitudes after.", "m", "wave")
+    amplitude_errors: Float[np.ndarray, "2 ..."] = array(
+        "The errors of the amplitudes.", "m", "wave"
+    )
+    energy: float = note("The energy of both waves before.", "J")
+    radiated: Number = array("The energy that neither wave has afterwards.", "J")
+    radiated_error: Number = array("The error of the radiated energy.", "J")
+    separation: Number = array(
+        "The least distance between the two waves in the frames after they met, in contacts.", "1"
+    )
+    least_separation: float = note(
+        "The separation from which on the waves have parted, in contacts.", "1"
+    )
+    misfits: Float[np.ndarray, "2 ..."] = array(
+        "What the waves leave of the strains about them, over their peaks.", "1", "wave"
+    )
+    times: Float[np.ndarray, " found"] = array("The times of the frames.", "s")
+    places: Float[np.ndarray, "2 found ..."] = array(
+        "The place of each wave in each frame.", "1", "wave found"
+    )
+    run: Run = note("The run.")
     outcome: str
 
 
@@ -204,12 +195,12 @@ def collide(
 
 def _together(each):
     """The collisions at several phases as one, the phases last."""
-    common = {name for name, held in Collision.held.items() if held.axes is None} | {"kind"}
+    common = {name for name, x in Collision._described.items() if x.axes is None} | {"kind"}
     fields = {
         name: getattr(each[0], name)
         if name in common
         else np.stack([getattr(one, name) for one in each], -1)
-        for name in ("kind", *Collision.held)
+        for name in Collision._described
     }
     shifts, errors = fields["shifts"], fields["shift_errors"]
     parted = ~np.isnan(shifts[0])

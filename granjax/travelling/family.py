@@ -1,7 +1,5 @@
 """`family`: solitary waves over their speed, amplitude or energy, and where their energy turns."""
 
-from typing import ClassVar
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,17 +9,16 @@ from ..checks import one_of, refuse
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of, wave_of
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Parameter, Scalar
 from .wave import half_width
 
 
 class WaveFamily(Result):
-    r"""Solitary waves of one law (P,), in the order in which they were asked for: fields as those of `Wave`.
+    r"""Solitary waves of one law, in the order in which they were asked for.
 
-    `energy_slope`: dE/dc, by the implicit function theorem. Where it passes zero, at the speeds `turns`, waves gain or
-    lose their stability: one pair of multipliers of `Wave.floquet` is at +1 there, and waves on the side where energy
-    falls with speed are unstable.
+    Where `energy_slope` passes zero, at the speeds `turns`, waves gain or lose their stability: one pair of multipliers
+    of `Wave.floquet` is at +1 there, and waves on the side where energy falls with speed are unstable.
 
     **Example:**
 
@@ -33,27 +30,22 @@ class WaveFamily(Result):
     2.7136
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "speed": Held("wave", "1/s"),
-        "amplitude": Held("wave", "m"),
-        "energy": Held("wave", "J"),
-        "momentum": Held("wave", "N s"),
-        "compression": Held("wave", "m"),
-        "width": Held("wave", "1"),
-        "energy_slope": Held("wave", "J s"),
-        "error": Held("wave", "m"),
-        "turns": Held("turn", "1/s"),
-    }
-    speed: Float[np.ndarray, " P"]
-    amplitude: Float[np.ndarray, " P"]
-    energy: Float[np.ndarray, " P"]
-    momentum: Float[np.ndarray, " P"]
-    compression: Float[np.ndarray, " P"]
-    width: Float[np.ndarray, " P"]
-    energy_slope: Float[np.ndarray, " P"]
-    error: Float[np.ndarray, " P"]
-    turns: Float[np.ndarray, " turns"]
-    law: Law
+    speed: Float[np.ndarray, " wave"] = array("The speed of each wave in contacts per time.", "1/s")
+    amplitude: Float[np.ndarray, " wave"] = array("The largest strain.", "m")
+    energy: Float[np.ndarray, " wave"] = array("The energy.", "J")
+    momentum: Float[np.ndarray, " wave"] = array("The momentum.", "N s")
+    compression: Float[np.ndarray, " wave"] = array("int phi.", "m")
+    width: Float[np.ndarray, " wave"] = array(
+        "The number of contacts between the places where the strain is half of the amplitude.", "1"
+    )
+    energy_slope: Float[np.ndarray, " wave"] = array(
+        "dE/dc, by the implicit function theorem.", "J s"
+    )
+    error: Float[np.ndarray, " wave"] = array(
+        "The estimated distance of the strain from the truth.", "m"
+    )
+    turns: Float[np.ndarray, " turn"] = array("The speeds at which the slope passes zero.", "1/s")
+    law: Law = array("The law of the contacts.")
     outcome: str
 
 

@@ -1,7 +1,5 @@
 """`periodic_wave`: trains of waves about a mean strain."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +10,7 @@ from ..laws import Law
 from ..profiles import Shape, medium_of
 from ..profiles.medium import one_number, values
 from ..profiles.periodic import FourierShape, train
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Number, Numbers, Parameter, Scalar
 from .averages import Averages, averages_of
 
@@ -25,11 +23,6 @@ class PeriodicWave(Result):
 
     m c^2 (phi - mean) = tent * F(phi) less its mean, in the frame in which the beads' mean velocity is zero.
 
-    **Fields:** `speed` [1/s], `wavelength` (contacts), `mean` strain, `crest` and `trough`, `amplitude` = (crest -
-    trough)/2 [m]; `energy` of a wavelength, from the law's own rest [J]; `residual` of the equation over the amplitude;
-    `error`: estimated distance of the strain from the truth, by two resolutions [m]; `xi`, `strains`, `velocities`: a
-    table; `law`, `mass`.
-
     **Example:**
 
     >>> wave = gx.travelling.periodic_wave(gx.Toda(), 6.0, amplitude=0.2)
@@ -37,35 +30,22 @@ class PeriodicWave(Result):
     (0.4, True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "speed": Held("", "1/s"),
-        "wavelength": Held("", "1"),
-        "mean": Held("", "m"),
-        "amplitude": Held("", "m"),
-        "crest": Held("", "m"),
-        "trough": Held("", "m"),
-        "energy": Held("", "J"),
-        "residual": Held("", "1"),
-        "error": Held("", "m"),
-        "mass": Held("", "kg"),
-        "xi": Held("xi", "1"),
-        "strains": Held("xi", "m"),
-        "velocities": Held("xi", "m/s"),
-    }
-    speed: Number
-    wavelength: Number
-    mean: Number
-    amplitude: Number
-    crest: Number
-    trough: Number
-    energy: Number
-    residual: Number
-    error: Number
-    law: Law
-    mass: Number
-    xi: Numbers
-    strains: Numbers
-    velocities: Numbers
+    speed: Number = array("The speed c in contacts per time.", "1/s")
+    wavelength: Number = array("The wavelength in contacts.", "1")
+    mean: Number = array("The mean strain.", "m")
+    amplitude: Number = array("(crest - trough)/2.", "m")
+    crest: Number = array("The highest strain.", "m")
+    trough: Number = array("The lowest strain.", "m")
+    energy: Number = array("The energy of a wavelength, from the law's own rest.", "J")
+    residual: Number = array("What the equation leaves, over the amplitude.", "1")
+    error: Number = array(
+        "The estimated distance of the strain from the truth, by two resolutions.", "m"
+    )
+    law: Law = array("The law of the contacts.")
+    mass: Number = array("The mass of the beads.", "kg")
+    xi: Numbers = array("The places of the table.", "1", "xi")
+    strains: Numbers = array("The strains of the table.", "m", "xi")
+    velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
     outcome: str
     _shape: Shape = eqx.field(kw_only=True, repr=False)
 

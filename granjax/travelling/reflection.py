@@ -1,6 +1,6 @@
 """A wave that meets the end of its chain: delay, amplitude and energy of what comes back, over the end's stiffness."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from ..flow import Run, frequency_bound, simulate
 from ..lattice import Lattice, State
 from ..laws import Law, taylor
 from ..programs import shared_size
-from ..results import Held, Result
+from ..results import Result, array, note
 from ..strains import Shift
 from ..terms import Bond, Wall
 from ..types import Count, Numbers, Scalar
@@ -28,13 +28,8 @@ AGAIN, FAINT = 3, 1e-3
 class Reflection(Result):
     """What `reflect` returns; arrays over the lanes of the wall, or single numbers.
 
-    - `delay`: of the leading reflected wave at the last bead, against an ideal mirror there that turns a wave at once
-      and as it is [s]; below zero it is early, as at a rigid end. `delay_error`: distance from the truth, by either
-      half of the frames and by twice the time step. NaN where no solitary wave came back, for the reason in `outcome`.
-    - `speeds` [1/s], `amplitudes` [m], `energies` [J] of the reflected wave, with `speed_errors`, `amplitude_errors`,
-      `energy_errors`; `speed`, `amplitude`, `energy` of the one that was sent. What it has lost is in other waves.
-    - `misfits`: what the reflected wave leaves of the strains about it, over its peak.
-    - `distance`: from the last bead, at which it was followed on [contacts]; `run`: the run, for pictures.
+    NaN where no solitary wave came back, for the reason in `outcome`. What the reflected wave has lost is in other
+    waves.
 
     **Example:**
 
@@ -46,36 +41,33 @@ class Reflection(Result):
     2.9939
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "delay": Held("", "s"),
-        "delay_error": Held("", "s"),
-        "speeds": Held("", "1/s"),
-        "speed_errors": Held("", "1/s"),
-        "amplitudes": Held("", "m"),
-        "amplitude_errors": Held("", "m"),
-        "energies": Held("", "J"),
-        "energy_errors": Held("", "J"),
-        "misfits": Held("", "1"),
-        "speed": Held(None, "1/s"),
-        "amplitude": Held(None, "m"),
-        "energy": Held(None, "J"),
-        "distance": Held(None, "1"),
-        "run": Held(None),
-    }
-    delay: Numbers
-    delay_error: Numbers
-    speeds: Numbers
-    speed_errors: Numbers
-    amplitudes: Numbers
-    amplitude_errors: Numbers
-    energies: Numbers
-    energy_errors: Numbers
-    misfits: Numbers
-    speed: float
-    amplitude: float
-    energy: float
-    distance: int
-    run: Run
+    delay: Numbers = array(
+        "The delay of the leading reflected wave at the last bead against an ideal mirror "
+        "there; negative where it is early, as at a rigid end.",
+        "s",
+    )
+    delay_error: Numbers = array(
+        "The distance of the delay from the truth, by either half of the frames and by "
+        "twice the time step.",
+        "s",
+    )
+    speeds: Numbers = array("The speed of the reflected wave.", "1/s")
+    speed_errors: Numbers = array("The error of the speed.", "1/s")
+    amplitudes: Numbers = array("The amplitude of the reflected wave.", "m")
+    amplitude_errors: Numbers = array("The error of the amplitude.", "m")
+    energies: Numbers = array("The energy of the reflected wave.", "J")
+    energy_errors: Numbers = array("The error of the energy.", "J")
+    misfits: Numbers = array(
+        "What the reflected wave leaves of the strains about it, over its peak.", "1"
+    )
+    speed: float = note("The speed of the wave that was sent.", "1/s")
+    amplitude: float = note("The amplitude of the wave that was sent.", "m")
+    energy: float = note("The energy of the wave that was sent.", "J")
+    distance: int = note(
+        "The distance from the last bead at which the reflected wave was followed, in contacts.",
+        "1",
+    )
+    run: Run = note("The run.")
     outcome: str
 
 

@@ -1,6 +1,6 @@
 """`Wave`: a solitary wave as a result."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from ..lattice import State
 from ..laws import Law
 from ..orbits.floquet import Floquet
 from ..profiles import Shape
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Count, Number, Numbers, Parameter, Scalar
 from .stability import stability
 
@@ -22,19 +22,6 @@ class Wave(Result):
 
     m c^2 phi = tent * F(phi), tent(x) = [1 - |x|]_+. Places xi = n - c t count contacts; the beads ahead of the wave
     are at rest, and each has moved by `compression` when it has passed.
-
-    **Fields:**
-
-    - `speed`: c, contacts per time [1/s]; below zero it runs to the left.
-    - `amplitude`: phi(0), the largest strain, below zero for tension [m]. `width`: contacts between the places where
-      the strain is half of that. `compression`: int phi [m].
-    - `energy`: int (phi F/2 + W) [J]; kinetic energy is int phi F/2. `momentum`: m c int phi [N s].
-    - `decay`: kappa of the tail exp(-kappa |xi|); NaN for a tail that falls faster than that (no sound at rest), ln
-      phi(xi + 1) = `exponent` ln phi(xi) in the main, so ln |ln phi| grows as xi ln(exponent); NaN where `decay` is.
-    - `residual`: what the equation leaves between the places of the solution, by finer integrals, relative to the
-      strain. `error`: estimated distance of the strain from the truth [m], from that and from rounding.
-    - `xi`, `strains`, `velocities`: a table, for pictures and files; `strain(xi)` gives any place.
-    - `law`, `mass`: what it runs through.
 
     Differentiable once in the parameters of the law, the mass and the given speed, amplitude or energy, by the implicit
     function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around the search are refused.
@@ -46,37 +33,34 @@ class Wave(Result):
     (2.823487, 0.583929)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "speed": Held("", "1/s"),
-        "amplitude": Held("", "m"),
-        "energy": Held("", "J"),
-        "momentum": Held("", "N s"),
-        "compression": Held("", "m"),
-        "width": Held("", "1"),
-        "decay": Held("", "1"),
-        "exponent": Held("", "1"),
-        "residual": Held("", "1"),
-        "error": Held("", "m"),
-        "mass": Held("", "kg"),
-        "xi": Held("xi", "1"),
-        "strains": Held("xi", "m"),
-        "velocities": Held("xi", "m/s"),
-    }
-    speed: Number
-    amplitude: Number
-    energy: Number
-    momentum: Number
-    compression: Number
-    width: Number
-    decay: Number
-    exponent: Number
-    residual: Number
-    error: Number
-    law: Law
-    mass: Number
-    xi: Numbers
-    strains: Numbers
-    velocities: Numbers
+    speed: Number = array(
+        "The speed c in contacts per time; negative where the wave runs to the left.", "1/s"
+    )
+    amplitude: Number = array("The largest strain phi(0), negative for tension.", "m")
+    energy: Number = array("int (phi F/2 + W); the kinetic energy is int phi F/2.", "J")
+    momentum: Number = array("m c int phi.", "N s")
+    compression: Number = array("int phi.", "m")
+    width: Number = array(
+        "The number of contacts between the places where the strain is half of the amplitude.", "1"
+    )
+    decay: Number = array(
+        "kappa of the tail exp(-kappa |xi|); NaN for a tail that falls faster (no sound at rest).",
+        "1",
+    )
+    exponent: Number = array(
+        "ln phi(xi + 1) / ln phi(xi) of a tail that falls faster than an exponential; NaN "
+        "where there is a `decay`.",
+        "1",
+    )
+    residual: Number = array(
+        "What the equation leaves between the places of the solution, relative to the strain.", "1"
+    )
+    error: Number = array("The estimated distance of the strain from the truth.", "m")
+    law: Law = array("The law of the contacts.")
+    mass: Number = array("The mass of the beads.", "kg")
+    xi: Numbers = array("The places of the table.", "1", "xi")
+    strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
+    velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
     outcome: str
     _shape: Shape = eqx.field(kw_only=True, repr=False)
 

@@ -9,10 +9,9 @@ from ...lattice import Lattice, State
 from ...lattice.split import damping_rates
 from ...terms.tracing import reads
 from ...types import Number, Numbers, Scalar, StateLike, Times
-from ..integrate import _overlaps
-from ..run import COMPLETED, NOT_FINITE, Run, finite
+from ..integrate import overlaps
+from ..run import COMPLETED, NOT_FINITE, Found, finite
 from .internal import _over_sites
-from .run import RunWithMemory
 
 # h omega of the default step, whose square is the error
 STEP_FRACTION = 0.02
@@ -53,8 +52,8 @@ def march(
     t1: Scalar,
     save_ts: Times | None,
     steps: int,
-) -> Run:
-    """Integrate and reduce; everything checked. A `RunWithMemory` without its names."""
+) -> tuple[Found, dict]:
+    """Integrate and reduce; everything checked. What is found, and what else a `RunWithMemory` has."""
     h, u0, v0 = (t1 - t0) / steps, *state
     damped = [
         term.fractional_damping() for term in lattice.terms if term.fractional_damping() is not None
@@ -158,7 +157,7 @@ def march(
         for x in (u0, v0)
     )
     first = power(t0, u0, v0, a0)
-    carry, (works, overlaps) = jax.lax.scan(
+    carry, (works, seen) = jax.lax.scan(
         step, (u0, v0, a0, us, vs, none, first, none), jnp.arange(steps)
     )
     u, v, _, us, vs, work, _, worst = carry
@@ -176,26 +175,10 @@ def march(
         "step": h,
         "force_evaluations": jnp.asarray(steps + 1.0),
     }
-    margin = jnp.where(jnp.min(overlaps, axis=0) < 0, -1.0, jnp.inf)
-    return RunWithMemory(
-        ts,
-        *frames[:2],
-        final,
-        {},
-        worst / jnp.where(scale > 0, scale, 1),
-        margin,
-        {},
-        code,
-        stats,
-        None,
-        "",
-        "",
-        "",
-        "looked at at the ends of steps alone",
-        0.0,
-        work=frames[2],
-        _space=lattice.space,
-    )
+    margin = jnp.where(jnp.min(seen, axis=0) < 0, -1.0, jnp.inf)
+    least, lost = jnp.min(seen, axis=0), worst / jnp.where(scale > 0, scale, 1)
+    found = Found(ts, *frames[:2], final, {}, lost, margin, least, {}, code, stats)
+    return found, {"work": frames[2], "unseen": "looked at at the ends of steps alone"}
 
 
 def _convolved(x, inner, first, n):
@@ -213,8 +196,8 @@ def _written(xs, x, n):
 
 
 def _overlap(lattice, t, u):
-    overlaps = _overlaps(lattice, t, u)
-    found = [s.min(tuple(range(s.ndim - len(lattice.lanes)))) for s in overlaps]
+    seen = overlaps(lattice, t, u)
+    found = [s.min(tuple(range(s.ndim - len(lattice.lanes)))) for s in seen]
     return (
         jnp.min(jnp.stack(found), axis=0)
         if found

@@ -16,10 +16,11 @@ from ..dispatch import facts
 from ..inputs import checked_save_at, checked_size, checked_state, checked_times, held_frames
 from ..meeting import passing
 from ..method import number, refuse_far
-from ..run import COMPLETED, Run, named
+from ..run import COMPLETED, FILLED, Run
 from ..stiffness import frequency_bound
 from .damped import STEP_FRACTION, march
 from .internal import integrate
+from .run import RunWithMemory
 
 TOLERANCE = 1e-11
 
@@ -100,8 +101,7 @@ def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[s
     )
     said = "traced" if traced(tolerance) else show(np.asarray(tolerance))
     choice = f"adaptive steps that carry internal variables, tolerance {said}"
-    run = named(run, "Dopri8", choice, "", mark=lattice._mark)
-    return _completed(lattice, run, throw)
+    return _completed(lattice, run, "Dopri8", choice, throw)
 
 
 def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
@@ -156,19 +156,23 @@ def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
     held_frames("step", steps, state, "steps of history")
     run = march(lattice, state, number(t0, dtype), number(t1, dtype), save_ts, steps)
     choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ h^2"
-    return _completed(lattice, named(run, "velocity Verlet", choice, "", mark=lattice._mark), throw)
+    return _completed(lattice, run, "velocity Verlet", choice, throw)
 
 
-def _completed(lattice, run, throw):
-    known = not traced(run.code)
-    if not traced(run):
-        run = named(
-            run,
-            run.solver,
-            run.choice,
-            passing(lattice, run.ts, run.us, run.final.u),
-            mark=run._mark,
-        )
+def _completed(lattice, run, solver, choice, throw):
+    found, own = run
+    known = not traced(found.code)
+    filled = {name: x for name, x in found._asdict().items() if name in FILLED}
+    run = RunWithMemory(
+        **filled,
+        **own,
+        _margin=found.margin,
+        solver=solver,
+        choice=choice,
+        remark="" if traced(run) else passing(lattice, found.ts, found.us, found.final.u),
+        _mark=lattice._mark,
+        _space=lattice.space,
+    )
     if known and not (np.asarray(run.code) == COMPLETED).all() and (throw is None or throw):
         raise RuntimeError(run.outcome)
     return run

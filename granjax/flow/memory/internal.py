@@ -15,9 +15,8 @@ from ...terms.tracing import reads
 from ...types import Number, Pytree, Scalar, StateLike, Times
 from ..breaks import one_sided
 from ..control import StepControl, largest
-from ..integrate import _code, _overlaps
-from ..run import Run
-from .run import RunWithMemory
+from ..integrate import _code, overlaps
+from ..run import Found
 
 # of a run: what the first step would be with a tolerance of 1; times at which drives are looked at
 FIRST, SAMPLES = 0.01, 257
@@ -150,7 +149,7 @@ def integrate(
     save_ts: Times | None,
     max_steps: int | None,
     progress: bool,
-) -> Run:
+) -> tuple[Found, dict]:
     """Integrate and reduce; everything checked. A `RunWithMemory` without its names; lanes share their steps."""
     start = _begin(lattice, state)
     norm, first = _Speeds(_speed(lattice, start, t0, t1)), FIRST * (t1 - t0)
@@ -223,38 +222,25 @@ def _reduced(lattice, state, span, start, found):
         jnp.zeros_like(ys.work),
     )
     memory, kinds = _named(lattice, ys.memory)
-    overlaps = jax.lax.map(lambda ty: _smallest(lattice, *ty), (ts, ys))
-    margin = jnp.where(jnp.min(overlaps, axis=0) < 0, -1.0, jnp.inf)
+    least = jax.lax.map(lambda ty: _smallest(lattice, *ty), (ts, ys))
+    margin = jnp.where(jnp.min(least, axis=0) < 0, -1.0, jnp.inf)
     stats = {
         **counts,
         "step": (t1 - t0) / jnp.maximum(counts["accepted"], 1),
         "force_evaluations": jnp.nan,
     }
     state = State(final.u, final.v)
-    return RunWithMemory(
-        ts,
-        ys.u,
-        ys.v,
-        state,
-        {},
-        missed,
-        margin,
-        {},
-        code,
-        stats,
-        None,
-        "",
-        "",
-        "",
-        "looked at at the saved times alone",
-        0.0,
-        lattice=recalled(lattice, final.memory),
-        memory=memory,
-        lost=lost,
-        work=ys.work,
-        _kinds=kinds,
-        _space=lattice.space,
-    )
+    least = jnp.min(least, axis=0)
+    found = Found(ts, ys.u, ys.v, state, {}, missed, margin, least, {}, code, stats)
+    own = {
+        "lattice": recalled(lattice, final.memory),
+        "memory": memory,
+        "lost": lost,
+        "work": ys.work,
+        "_kinds": kinds,
+        "unseen": "looked at at the saved times alone",
+    }
+    return found, own
 
 
 def _over_frames(lost, variables, lattice):
@@ -276,8 +262,8 @@ def _named(lattice: Lattice, memory: Pytree) -> tuple[dict, tuple]:
 
 def _smallest(lattice, t, y):
     """The least overlap of all contacts, per lane."""
-    overlaps = _overlaps(recalled(lattice, y.memory), t, y.u)
-    found = [s.min(tuple(range(s.ndim - len(lattice.lanes)))) for s in overlaps]
+    seen = overlaps(recalled(lattice, y.memory), t, y.u)
+    found = [s.min(tuple(range(s.ndim - len(lattice.lanes)))) for s in seen]
     return (
         jnp.min(jnp.stack(found), axis=0)
         if found

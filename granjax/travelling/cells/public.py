@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ...checks import positive, refuse
 from ...lattice import Lattice, State
 from ...laws import Law
-from ...results import Held, Result
+from ...results import Result, array, note
 from ...types import Count, Parameter, Scalar
 from .from_lattice import repeated_in
 from .resonator import Resonator
@@ -41,21 +41,8 @@ class CellWave(Result):
     """A wave of a chain whose cell holds P sites: the strain of contact n is phi_j(n - c t), j = n mod P.
 
     Contact n lies between the sites n and n + 1; xi = n - c t counts sites, of a contact and of a bead alike, as in
-    `Wave`. A wave that a bead or a contact mirrors does so at xi = 0 of the contacts.
-
-    **Fields:**
-
-    - `speed`: c, sites (not cells) per time [1/s]; `masses` (P,) [kg], of the smallest cell.
-    - `amplitude`: the largest strain in size [m].
-    - `ripple`: amplitude of the linear wave that runs along [m], the largest strain of a contact; zero in a wave that
-      travels alone; NaN where several run along. `wavenumber`: of the ripple as measured in the tail [rad/site];
-      `linear_wavenumber`: of the linear wave, omega(k) = c k; they differ by the ripple's square.
-    - `parameter`: that of `tail_free`.
-    - `energy` [J], a mean over the places of the wave in a cell; NaN with a ripple, whose energy has no bound.
-    - `residual`: what the equations leave, over the amplitude; `error`: estimated distance of the strains from the
-      truth [m].
-    - `xi` (X,), `strains`, `velocities` (P, X): a table, on the box where it was solved; `strain` and `velocity` give
-      any place, beyond the box its own ripple continued, whose misfit `error` includes.
+    `Wave`. A wave that a bead or a contact mirrors does so at xi = 0 of the contacts. `strain` and `velocity` give any
+    place; beyond the box where the wave was solved its own ripple continues, whose misfit `error` includes.
 
     **Example:**
 
@@ -65,35 +52,35 @@ class CellWave(Result):
     (2, True)
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "speed": Held(None, "1/s"),
-        "masses": Held("place", "kg"),
-        "amplitude": Held(None, "m"),
-        "ripple": Held(None, "m"),
-        "wavenumber": Held(None, "rad"),
-        "linear_wavenumber": Held(None, "rad"),
-        "energy": Held(None, "J"),
-        "error": Held(None, "m"),
-        "xi": Held("xi", "1"),
-        "strains": Held("place xi", "m"),
-        "velocities": Held("place xi", "m/s"),
-    }
-    speed: float
-    masses: Float[np.ndarray, " P"]
-    amplitude: float
-    ripple: float
-    wavenumber: float | None
-    linear_wavenumber: float | None
-    parameter: float | None
-    energy: float
-    residual: float
-    error: float
-    xi: Float[np.ndarray, " X"]
-    strains: Float[np.ndarray, "P X"]
-    velocities: Float[np.ndarray, "P X"]
+    speed: float = note("The speed c in sites (not cells) per time.", "1/s")
+    masses: Float[np.ndarray, " place"] = array("The masses of the smallest cell.", "kg")
+    amplitude: float = note("The largest strain in size.", "m")
+    ripple: float = note(
+        "The largest strain of the linear wave that runs along; zero in a wave that travels"
+        " alone, NaN where several run along.",
+        "m",
+    )
+    wavenumber: float | None = note(
+        "The wave number of the ripple per site, as measured in the tail.", "rad"
+    )
+    linear_wavenumber: float | None = note(
+        "The wave number of the linear wave, omega(k) = c k; it differs by the ripple's square.",
+        "rad",
+    )
+    parameter: float | None = array("The parameter of `tail_free`.")
+    energy: float = note(
+        "The energy, a mean over the places of the wave in a cell; NaN with a ripple, whose"
+        " energy has no bound.",
+        "J",
+    )
+    residual: float = array("What the equations leave, over the amplitude.")
+    error: float = note("The estimated distance of the strains from the truth.", "m")
+    xi: Float[np.ndarray, " xi"] = array("The places of the table.", "1")
+    strains: Float[np.ndarray, "place xi"] = array("The strains of the table.", "m")
+    velocities: Float[np.ndarray, "place xi"] = array("The velocities of the table.", "m/s")
     outcome: str = eqx.field(static=True)
-    converged: bool = eqx.field(static=True)
-    resonator: Resonator | None = None
+    converged: bool = array("Whether Newton's method converged.", static=True)
+    resonator: Resonator | None = array("The resonator in each bead.", default=None)
     # how far the core reaches, beyond which there is the ripple alone
     _core: float = eqx.field(static=True, default=0.0)
 

@@ -1,0 +1,304 @@
+"""In a notebook: sliders for the numbers of a scene, above a space-time map that follows them."""
+
+import base64
+import html
+import inspect
+import math
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import measures, states
+from .checks import described, is_whole, one_of, positive, refuse, whole
+from .flow import Run, frequency_bound, linear_frequency, simulate
+from .lattice import Lattice, State
+from .plots import drawn, figure, space_time, style
+from .types import Count, Quantity, Scalar, Scene, StateLike
+
+INSTALL = "pip install 'granjax[notebook]'"
+MAPS = {
+    "v": ("velocity", "site", lambda t, y, lattice: y.v),
+    "u": ("displacement", "site", lambda t, y, lattice: y.u),
+    "force": (
+        "contact force",
+        "contact",
+        lambda t, y, lattice: measures.contact_force(lattice, y, t),
+    ),
+    "strain": ("strain", "contact", lambda t, y, lattice: measures.strain(lattice, y)),
+    "energy": ("energy", "site", lambda t, y, lattice: measures.site_energy(lattice, y, t)),
+}
+# of a slider whose ends are not given
+LEAST_RATIO = 0.05
+DECADE = 10.0
+AMPLITUDES = (0.01, 10.0, "log")
+# a wave crosses about so many sites in a radian of the highest frequency
+PACE = 0.25
+# over the linear frequencies, what no wave reaches: the bound of a law whose stiffness has none
+FLOORLESS = 1e3
+# an update may take so many times the steps of the first run
+ROOM = 8
+SIZE = (5.8, 4.3)
+
+
+def explore(
+    scene: Callable,
+    t1: Scalar | None = None,
+    *,
+    state: StateLike | Scene | None = None,
+    quantity: str | Quantity = "v",
+    frames: Count = 240,
+    tolerance: Scalar | None = None,
+    **parameters: Any,
+) -> "Explorer":
+    r"""Sliders for the parameters of a scene, above a space-time map that follows them, in a notebook.
+
+    A value that is refused, and a run that does not complete, say so below the map.
+
+    **Arguments:**
+
+    - `scene`: a function of named numbers that returns a `Lattice`, or a pair of it and a `State`, such as
+      `gx.scenes.dimer` or a lambda.
+    - `t1`: end of the runs; by default about what a wave takes to cross the lattice at first.
+    - `state`: the start, whose displacements and velocities the slider `amplitude` multiplies: a `State`, or a function
+      of the lattice. `None`: an impact on site 0, whose velocity is `amplitude`.
+    - `quantity`: `"v"`, `"u"`, `"force"`, `"strain"`, `"energy"` (of each site), or a function `(t, y, lattice)` that
+      returns a number for each place.
+    - `frames`: rows of the map. `tolerance`: as in `simulate`.
+    - Parameters by name: `ratio=(0.1, 1.0)` is a slider, `load=(1, 1e3, "log")` one by the logarithm, whole numbers
+      `sites=(20, 100)` one of whole numbers, which compiles once for each; any other value is fixed. What is not named
+      has a slider where it is called `ratio` or `precompression`, and where a function of your own gives it a floating
+      number.
+
+    **Returns:** an `Explorer`, which a notebook shows; `.run`, `.lattice`, `.state`, `.values` are the present ones.
+    **Raises** ImportError outside of a notebook and without ipywidgets, saying what to install; ValueError for names
+    that the scene does not have, and for first values that it refuses.
+
+    **Example:**
+
+    >>> scene = lambda ratio=0.5: gx.scenes.dimer(20, ratio=ratio)
+    >>> view = gx.explore(scene, 20.0, ratio=(0.1, 1.0))  # in a notebook  # doctest: +SKIP
+    """
+    widgets = _widgets()
+    if not callable(quantity):
+        quantity = MAPS[one_of("quantity", quantity, MAPS)]
+    else:
+        quantity = (getattr(quantity, "__name__", "quantity").strip("<>"), "place", quantity)
+    t1 = None if t1 is None else float(positive("t1", t1))
+    ranges, fixed = _ranges(scene, parameters)
+    runs = {"save_at": whole("frames", frames, 2), "tolerance": tolerance, "throw": False}
+    return Explorer(widgets, scene, ranges, fixed, state, t1, quantity, runs)
+
+
+def _widgets():
+    """The package ipywidgets, where a notebook shows it."""
+    try:
+        import ipywidgets
+    except ImportError:
+        raise ImportError(f"gx.explore needs ipywidgets. Install it: {INSTALL}.") from None
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    if getattr(shell, "kernel", None) is None:
+        raise ImportError(
+            f"gx.explore needs a notebook. Call it in Jupyter; {INSTALL} installs what it needs."
+        )
+    return ipywidgets
+
+
+def _ranges(scene, given):
+    """({name: (low, high), (low, high, "log")} with the first values, what is fixed) of a function."""
+    found = inspect.signature(scene).parameters
+    known = {name: p.default for name, p in found.items() if p.kind is not p.VAR_KEYWORD}
+    own = not str(getattr(inspect.unwrap(scene), "__module__", "")).startswith("granjax.")
+    if len(known) == len(found):
+        for name in given:
+            one_of("parameter", name, [*known, "amplitude"])
+    ranges, fixed = {}, {}
+    for name in dict.fromkeys([*known, *given]):
+        default, x = known.get(name, inspect.Parameter.empty), given.get(name)
+        number = isinstance(default, float)
+        if isinstance(x, (tuple, list)):
+            ranges[name] = _range(name, x, default)
+        elif name in given:
+            fixed[name] = x
+        elif name == "ratio":
+            ranges[name] = ((LEAST_RATIO, 1.0), default if number else 0.5)
+        elif name == "precompression":
+            value = default if number else 0.0
+            ranges[name] = ((0.0, 4 * value or 1.0), value)
+        elif default is inspect.Parameter.empty or own and number and default <= 0:
+            refuse(name, "a range or a value", "none", f"Such as {name}=(1.0, 10.0).")
+        elif own and number:
+            ranges[name] = ((default / DECADE, default * DECADE, "log"), default)
+    return ranges, fixed
+
+
+def _range(name, x, default):
+    """A range that was given, and the value that its slider begins with."""
+    low, high, log = x[0], x[1], len(x) > 2 and x[2] == "log"
+    if not (np.isfinite([low, high]).all() and low < high and (low > 0 or not log)):
+        remedy = "A logarithmic slider begins above zero." if log else ""
+        refuse(name, "two finite numbers, the lower one first", described(x), remedy)
+    if isinstance(default, (int, float)) and low <= default <= high:
+        return tuple(x), default
+    middle = math.sqrt(low * high) if log else (low + high) / 2
+    return tuple(x), low if is_whole(low) and is_whole(high) and not log else middle
+
+
+class Explorer:
+    """Sliders and a map. `gx.explore` makes one, and a notebook shows it as the last line of a cell.
+
+    - `values`: the present values by name; `move(ratio=0.4)` sets some, as dragging does.
+    - `lattice`, `state`, `run`: what is shown, for further work. RuntimeError where the present values have no run.
+    - `said`: the sentence below the map. `figure`: matplotlib's; `widget`: all of it, `sliders`: those of ipywidgets.
+    """
+
+    def __init__(
+        self,
+        widgets: Any,
+        scene: Callable,
+        ranges: dict,
+        fixed: dict,
+        state: StateLike | Scene | None,
+        t1: Scalar | None,
+        quantity: tuple,
+        runs: dict,
+    ):
+        self._scene, self._fixed, self._start = scene, fixed, state
+        self._quantity, self._runs, self.t1 = quantity, runs, t1
+        first = {name: value for name, (_, value) in ranges.items()}
+        lattice, _, paired = self._built(first)
+        if not paired and "amplitude" not in {*ranges, *fixed}:
+            ranges["amplitude"] = (AMPLITUDES, 1.0)
+        self._compute({name: value for name, (_, value) in ranges.items()})
+        self._runs["max_steps"] = ROOM * max(int(np.max(self._shown[2].stats["steps"])), 1000)
+        self.sliders = {name: _slider(widgets, name, *each) for name, each in ranges.items()}
+        self._line = widgets.HTML()
+        shown = widgets.interactive_output(self._follow, self.sliders)
+        self.widget = widgets.VBox([*self.sliders.values(), shown, self._line])
+
+    @property
+    def values(self) -> dict[str, float | int]:
+        """The present values of the sliders, in the scene's units."""
+        return {name: slider.value for name, slider in self.sliders.items()}
+
+    def move(self, **values: Scalar) -> None:
+        """Set some sliders. **Raises** ValueError for a slider that is not there, or a value beyond its ends."""
+        for name, x in values.items():
+            slider = self.sliders[one_of("slider", name, self.sliders)]
+            base = getattr(slider, "base", None)
+            low, high = (end if base is None else base**end for end in (slider.min, slider.max))
+            if not low <= x <= high:
+                refuse(name, f"a number from {low:.6g} to {high:.6g}", described(x))
+            slider.value = x
+
+    @property
+    def lattice(self) -> Lattice:
+        """The present lattice."""
+        return self._present(0)
+
+    @property
+    def state(self) -> State:
+        """The state that the present run began with."""
+        return self._present(1)
+
+    @property
+    def run(self) -> Run:
+        """The present run, with the frames of the map."""
+        return self._present(2)
+
+    def _present(self, i):
+        if self._shown is None:
+            raise RuntimeError(f"The present values have no run. {self.said}")
+        return self._shown[i]
+
+    def __repr__(self) -> str:
+        rows = [f"{name:<16}{x:.6g}" for name, x in self.values.items()]
+        return "\n".join([*rows, f"{'t1':<16}{self.t1:.6g}", f"{'outcome':<16}{self.said}"])
+
+    def _repr_mimebundle_(self, **options: Any) -> dict:
+        bundle = self.widget._repr_mimebundle_(**options) or {}
+        # for where a stored notebook is read without a kernel
+        picture = base64.b64encode(drawn(self.figure, ".png", dpi=100)).decode()
+        return bundle | {"text/plain": repr(self), "image/png": picture}
+
+    def _built(self, values):
+        """Lattice, state, and whether the scene itself gave the state. Numbers are arrays: none compiles anew."""
+        values = {k: jnp.asarray(x) if isinstance(x, float) else x for k, x in values.items()}
+        values = self._fixed | values
+        known = inspect.signature(self._scene).parameters
+        amplitude = 1.0 if "amplitude" in known else values.pop("amplitude", 1.0)
+        lattice = self._scene(**values)
+        if not isinstance(lattice, Lattice):
+            lattice, state = lattice
+            return lattice, State(*state), True
+        if lattice.lanes:
+            refuse("scene", "one lattice at a time", f"one of {lattice.lanes} lanes")
+        if self._start is None:
+            return lattice, states.impact(lattice, amplitude), False
+        state = self._start(lattice) if callable(self._start) else self._start
+        return lattice, jax.tree.map(lambda x: amplitude * jnp.asarray(x), State(*state)), False
+
+    def _compute(self, values):
+        """The run of some values. **Raises** ValueError for what the scene refuses."""
+        self._shown = None
+        lattice, state, _ = self._built(values)
+        if self.t1 is None:
+            self.t1 = _crossing(lattice, state)
+        run = simulate(lattice, state, self.t1, **self._runs)
+        label, place, measure = self._quantity
+        data = measures.along(lambda lattice, y, t: measure(t, y, lattice), lattice, run)
+        if not hasattr(data, "ndim") or data.ndim != 2:
+            remedy = "Such as quantity=lambda t, y, lattice: y.v[:, 0]."
+            refuse("quantity", "a number for each place on a line", described(data), remedy)
+        # a run that stopped early has nothing for its last frames
+        data = np.where(np.isfinite(data), data, np.nan)
+        self._shown = lattice, state, run
+        self.said = run.outcome
+        self.figure = figure(*SIZE)
+        with style():
+            ax = self.figure.subplots()
+            times = np.linspace(0.0, self.t1, len(data))
+            space_time(run, ax, quantity=data, ts=times, label=label, site_label=place)
+
+    def _follow(self, **values):
+        """Compute what the sliders say and show it, or say why there is nothing to show."""
+        from IPython.display import display
+
+        try:
+            self._compute(values)
+            display(self.figure)
+        except Exception as error:  # whatever a scene of the user's raises for these values
+            kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+            self.said = f"{kind}{error}"
+        self._line.value = html.escape(self.said)
+
+
+def _crossing(lattice, state):
+    """About the time that a wave takes to cross a lattice."""
+    omega = float(frequency_bound(lattice, state, 0.0, 1.0))
+    linear = float(linear_frequency(lattice))
+    omega = linear if linear > 0 and not omega < FLOORLESS * linear else omega
+    if not (omega > 0 and math.isfinite(omega)):
+        refuse("t1", "the end of the runs", "None", "No frequency of the scene says it.")
+    sites = max(max(x.shape[: lattice.axes]) for x in jax.tree.leaves(lattice.zeros()))
+    return float(f"{sites / (PACE * omega):.2g}")
+
+
+def _slider(widgets, name, ends, value):
+    """The slider of ipywidgets for a range."""
+    low, high, *log = ends
+    told = {
+        "value": value,
+        "description": name.replace("_", " "),
+        "style": {"description_width": "160px"},
+        "layout": widgets.Layout(width="580px", max_width="100%"),
+    }
+    if log:
+        low, high = math.log10(low), math.log10(high)
+        return widgets.FloatLogSlider(min=low, max=high, step=(high - low) / 200, **told)
+    if is_whole(low) and is_whole(high) and is_whole(value):
+        return widgets.IntSlider(min=low, max=high, **told)
+    return widgets.FloatSlider(min=low, max=high, step=(high - low) / 200, **told)

@@ -1,0 +1,878 @@
+"""Work and precision: the error of many methods against the time they take, on any scene.
+
+`work_precision` does it for a lattice and solvers; `measure` for any `Ladder`, which is a name, a
+list of steps or tolerances and a function that computes the final state with one of them.
+"""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import ClassVar, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .checks import one_of, positive, real, refuse, show, whole
+from .flow import frequency_bound, linear_frequency, simulate
+from .flow.control import least_tolerance
+from .flow.dispatch import facts
+from .flow.inputs import checked_state, checked_times
+from .lattice import Lattice
+from .results import SI, Held, Result
+from .solvers import (
+    RKN86,
+    RKN1210,
+    KahanLi8,
+    SofroniouSpaletta10,
+    SRKN6b,
+    SRKN11b,
+    SRKN14a,
+    VelocityVerlet,
+)
+from .solvers.stability import stability_limit
+from .types import Count, Parameter, Pytree, Scalar, StateLike
+
+__all__ = ["Advice", "Ladder", "WorkPrecision", "distance", "measure", "work_precision"]
+
+DEFAULT = "default"
+SPLITTING = (VelocityVerlet, SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10)
+NYSTROM = (RKN86, RKN1210)
+DIFFRAX = (diffrax.Tsit5, diffrax.Dopri8)
+
+# tolerances of an adaptive solver, down to what the floating type holds
+TOLERANCES = tuple(float(f"1e-{k}") for k in range(2, 15))
+# the first step of a ladder, over the longest stable one: just inside
+FIRST_STEP = 0.95
+# steps of a ladder at most; the fewest that a run is divided into; order where a solver has no table
+MOST_STEPS = 48
+LEAST_INTERVALS = 4
+ORDER = 4
+
+# errors below this many floors (uncertainties of the reference) are neither drawn nor used
+DRAWN = 4.0
+# a worse reference tells nothing
+LARGEST_FLOOR = 1e-3
+# where an error is small enough to fall as a power of the step, and far enough above the floor
+ASYMPTOTIC = 1e-2
+CLEAR = 10.0
+# values without a smaller error after which rounding has taken over
+STALLED = 4
+# what the timed calls of a point may take altogether [s]
+ENOUGH = 3.0
+# a ladder ends where a call takes this many times as long as a coarse one, or this long [s] ...
+LONGER = 20.0
+AT_LEAST = 0.1
+# ... and where 20 times is more than 1 s, four times
+SLOW = 1.0
+LITTLE_LONGER = 4.0
+
+# the reference: its first tolerance, its first step over the stability limit, the next over it
+REFERENCE_TOLERANCE = 1e-9
+REFERENCE_STEP = 0.25
+SHORTER = 2.0**-0.5
+MOST_LEVELS = 14
+# levels without gain before the search ends, twice as many where nothing agrees yet; what is a gain
+PATIENCE = 2
+GAIN = 0.7
+# steps and tolerances of the confirming runs, over those that they confirm
+OTHER_MESH = 1.3
+
+# an advised error lies between a third of what was asked and that, where a run in 8 trials hits it
+NEAR = 3.0
+TRIALS = 8
+# methods, and points of the table, that are timed once more for an advice
+FASTEST = 3
+
+
+class Ladder(NamedTuple):
+    """One method and the values of its step or tolerance, for `measure`.
+
+    - `name`: of the method; `parameter`: `"step"` or `"tolerance"`; `values`: its values.
+    - `call(value)`: computes the final state, and returns `(state, evaluations)` or
+      `(state, evaluations, steps)`: the state a pair (u, v) or any tree of arrays like the
+      reference, force evaluations and steps numbers, or `None` where they are not known. It may
+      compile on its first call. A ValueError or RuntimeError marks the point alone.
+    - `stops`: whether the ladder ends where its error reaches the floor or has not fallen for four
+      values, or where one call takes too long; otherwise every value is tried.
+    - `limit`: the longest stable step; orders are read off below half of it.
+    - `solver`: the solver that `gx.simulate` takes, where there is one, for the advice.
+
+    A ladder called `"default"` is what happens without any choice; the advice compares with it.
+    """
+
+    name: str
+    parameter: str
+    values: Parameter
+    call: Callable[[float], tuple]
+    stops: bool = False
+    limit: float = np.inf
+    solver: object = None
+
+
+class Advice(Result):
+    """A method and its step or tolerance for an error; printed, it says so in words.
+
+    - `asked`: the error that was asked for; `method`, `parameter`, `value`: what to use,
+      `"default"` and NaN where that is no choice at all.
+    - `error`, `seconds`, `evaluations`: what that gave when it was run (evaluations NaN where they
+      are not known).
+    - `default_error`, `default_seconds`: what no choice at all gives; NaN where that is not in the
+      table.
+    - `solver`: the solver, where it is one of `gx.simulate`'s.
+    """
+
+    _else: ClassVar[str | None] = SI
+    held: ClassVar[dict[str, Held]] = {
+        "seconds": Held(unit="s"),
+        "default_seconds": Held(unit="s"),
+    }
+    asked: float
+    method: str = eqx.field(static=True)
+    parameter: str = eqx.field(static=True)
+    value: float
+    error: float
+    seconds: float
+    evaluations: float
+    default_error: float = math.nan
+    default_seconds: float = math.nan
+    solver: diffrax.AbstractSolver | None = None
+
+    @property
+    def keywords(self) -> dict[str, object]:
+        """For `gx.simulate(lattice, state, t1, **advice.keywords)`; empty for the default."""
+        if self.method == DEFAULT:
+            return {}
+        solver = {} if self.solver is None else {"solver": self.solver}
+        return {**solver, self.parameter: self.value}
+
+    @property
+    def outcome(self) -> str:
+        cost = f"{_time(self.seconds)} (error {self.error:.3g})"
+        if self.method == DEFAULT:
+            return f"For {self.asked:.3g}: the default, {cost}."
+        sentence = f"For {self.asked:.3g}: {self.method}, {self.parameter} {self.value!r}, {cost}"
+        if math.isfinite(self.default_error):
+            seconds = _time(self.default_seconds)
+            sentence += f"; the default would give {self.default_error:.3g} in {seconds}"
+        return sentence + "."
+
+    def __repr__(self) -> str:
+        return self.outcome
+
+
+class WorkPrecision(Result):
+    """Error, time and force evaluations of many methods at many steps and tolerances.
+
+    One entry a point (P,):
+
+    - `method`, `parameter` (`"step"` or `"tolerance"`), `value`: what was run. The method
+      `"default"` is `gx.simulate` without any choice; its value is NaN.
+    - `error`: dimensionless, see `distance`. `seconds`: median wall time of a call [s], nothing
+      compiled; `fastest`: the shortest. `evaluations`: of the force; `steps`; both NaN where they
+      are not known.
+    - `drawn`: whether the point says something; `note`: why not (refused, failed, below the floor).
+
+    One entry a method (M,):
+
+    - `methods`: names; `compile_seconds`: what the first call took beyond the second; `limit`: the
+      longest stable step; `order`, `order_error`: the observed order and its standard error, see
+      `observed_order`; NaN for tolerances.
+
+    And for all:
+
+    - `floor`: uncertainty of the reference, the distance of two independent runs; nothing below
+      four floors (`least_error`) is drawn. NaN where the reference was given without one.
+    - `reference`, `reference_note`: what errors are measured against, and how it came about.
+    - `repeats`: timed calls a point. `ladders`: what was measured, for `advice` to run more of it.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=2)
+    >>> state = gx.State(jnp.ones(2), jnp.ones(2))
+    >>> table = gx.work_precision(chain, state, 2 * np.pi, gx.SRKN6b(), [0.1, 0.05],
+    ...                           reference=state, repeats=1)
+    >>> table.methods, table.value[:2]
+    (('SRKN6b', 'default'), array([0.1 , 0.05]))
+    """
+
+    _else: ClassVar[str | None] = SI
+    held: ClassVar[dict[str, Held]] = {
+        name: Held("point")
+        for name in ("value", "error", "evaluations", "steps")
+        + ("method", "parameter", "note", "drawn")
+    } | {
+        "seconds": Held("point", "s"),
+        "fastest": Held("point", "s"),
+        "methods": Held("method_name", "", "method_name"),
+        "compile_seconds": Held("method_name", "s"),
+        "limit": Held("method_name"),
+        "order": Held("method_name"),
+        "order_error": Held("method_name"),
+        "reference_note": Held(None, "", "reference"),
+    }
+    method: tuple[str, ...] = eqx.field(static=True)
+    parameter: tuple[str, ...] = eqx.field(static=True)
+    value: Float[np.ndarray, " P"]
+    error: Float[np.ndarray, " P"]
+    seconds: Float[np.ndarray, " P"]
+    fastest: Float[np.ndarray, " P"]
+    evaluations: Float[np.ndarray, " P"]
+    steps: Float[np.ndarray, " P"]
+    drawn: Bool[np.ndarray, " P"]
+    note: tuple[str, ...] = eqx.field(static=True)
+    methods: tuple[str, ...] = eqx.field(static=True)
+    compile_seconds: Float[np.ndarray, " M"]
+    limit: Float[np.ndarray, " M"]
+    order: Float[np.ndarray, " M"]
+    order_error: Float[np.ndarray, " M"]
+    floor: float
+    repeats: int = eqx.field(static=True)
+    reference_note: str = eqx.field(static=True)
+    ladders: tuple[Ladder, ...] = eqx.field(static=True, default=())
+    reference: Pytree = None
+
+    @property
+    def outcome(self) -> str:
+        return (
+            f"{np.count_nonzero(self.drawn)} of {len(self.drawn)} points of {len(self.methods)} "
+            f"methods say something; reference: {self.reference_note or 'given'}."
+        )
+
+    @property
+    def least_error(self) -> float:
+        """Four floors: the smallest error that is drawn; 0 where the floor is not known."""
+        return DRAWN * self.floor if math.isfinite(self.floor) else 0.0
+
+    @property
+    def orders(self) -> dict[str, tuple[float, float]]:
+        """Dict from method to (observed order, its standard error)."""
+        return dict(zip(self.methods, zip(self.order.tolist(), self.order_error.tolist())))
+
+    def advice(self, error: Scalar) -> Advice:
+        """Say what to use for an error that you can live with, in the measure of `distance`.
+
+        The fastest three methods are tried at values between their measured points until a run has
+        shown an error between `error`/3 and `error`, and timed in turns. Where there is none (the
+        longest stable step is better; one step fewer is worse), the coarsest value that is good
+        enough. What is promised (`.error`, `.seconds`) has been measured, and neither the default
+        nor a point of the table, the fastest of them timed in the same turns, is both faster and at
+        least as good.
+
+        **Returns:** `Advice`; `str` of it says so in words, `gx.simulate(..., **advice.keywords)`
+        follows it. **Raises** ValueError for an error below four floors, or below all that was
+        measured.
+        """
+        asked = float(positive("error", error))
+        points = [self._point(i, asked) for i in np.flatnonzero(self.drawn)]
+        known = [one for one in points if one.method != DEFAULT]
+        good = sorted((one for one in known if one.error <= asked), key=_seconds)
+        if not known:
+            got = "one where nothing is drawn"
+            refuse("error", "a table with points to choose from", got, "The notes say why.")
+        if asked < self.least_error:
+            least = f"at least {self.least_error:.3g}, four times the floor"
+            refuse("error", least, f"{asked:.3g}", "The reference itself is no better.")
+        if not good:
+            best = min(known, key=lambda one: one.error)
+            remedy = f"The best point: {best.method}, {best.parameter} {best.value:.3g}."
+            least = f"at least {best.error:.3g}, the smallest in the table"
+            refuse("error", least, f"{asked:.3g}", remedy)
+        names = dict.fromkeys(one.method for one in good)
+        brackets = sorted((_bracket(known, name) for name in names), key=lambda x: x[0].seconds)
+        found = [self._approached(*bracket) for bracket in brackets[:FASTEST]]
+        others = [one for one in points if one.method == DEFAULT] + good[:FASTEST]
+        # the clock drifts: what is compared is timed in the same turns
+        calls = [(self._ladder(one.method).call, one.value) for one in found + others]
+        timed = [
+            dataclasses.replace(one, seconds=float(seconds))
+            for one, seconds in zip(found + others, _in_turns(calls, self.repeats)[0])
+        ]
+        best = min(timed[: len(found)], key=_seconds)
+        timed += good[FASTEST:]
+        # what luck has made good at this scene is better at this scene all the same
+        while better := [one for one in timed[len(found) :] if _beats(one, best)]:
+            best = min(better, key=_seconds)
+        told = {"solver": self._ladder(best.method).solver}
+        for one in timed:
+            if one.method == DEFAULT:
+                told |= {"default_error": one.error, "default_seconds": one.seconds}
+        return dataclasses.replace(best, **told)
+
+    def _ladder(self, name):
+        return next(ladder for ladder in self.ladders if ladder.name == name)
+
+    def _point(self, i, asked):
+        """A measured point as an advice."""
+        numbers = (float(x[i]) for x in (self.value, self.error, self.seconds, self.evaluations))
+        return Advice(asked, self.method[i], self.parameter[i], *numbers)
+
+    def _approached(self, one, coarse):
+        """The advice whose error a run has shown to lie within [asked/3, asked], to three digits.
+
+        Regula falsi in the logarithms, halved where it creeps. Where no run hits (a few steps of
+        high order, of which one less is too few), the coarsest that is good enough.
+        """
+        if coarse is None:
+            return one
+        call, asked = self._ladder(one.method).call, one.asked
+        above, below = (coarse.value, coarse.error), (one.value, one.error)
+        aim = math.log(asked / math.sqrt(NEAR))
+        for trial in range(TRIALS):
+            span = math.log(above[1]) - math.log(max(below[1], 1e-300))
+            share = (math.log(above[1]) - aim) / span
+            share = 0.5 if trial % 3 == 2 else min(max(share, 0.1), 0.9)
+            value = float(f"{above[0] * (below[0] / above[0]) ** share:.2e}")
+            called = _once(call, value)
+            error = math.nan if called.note else distance(called.state, self.reference)
+            if error > asked or math.isnan(error):
+                above = value, error if math.isfinite(error) else max(above[1], 1.0)
+                continue
+            below, found = (value, error), {"error": error, "evaluations": called.evaluations}
+            one = dataclasses.replace(one, value=value, **found)
+            if error >= asked / NEAR:
+                break
+        return one
+
+    def __repr__(self) -> str:
+        known = f"floor {self.floor:.3g}" if math.isfinite(self.floor) else "floor not known"
+        lines = [f"reference: {self.reference_note or 'given'}; {known}"]
+        for name, compiling in zip(self.methods, self.compile_seconds):
+            order, uncertain = self.orders[name]
+            observed = f", order {order:.2f} +- {uncertain:.2f}" if math.isfinite(order) else ""
+            compiled = f", compiled in {_time(compiling)}" if compiling > 1e-3 else ""
+            lines.append(f"{name}{observed}{compiled}")
+            lines += [self._line(i) for i, own in enumerate(self.method) if own == name]
+        return "\n".join(lines)
+
+    def _line(self, i):
+        value, error, forces = self.value[i], self.error[i], self.evaluations[i]
+        start = f"  {self.parameter[i]:<10}{value:<10.3g}" if math.isfinite(value) else " " * 22
+        start += f"error {error:<10.2e}" if math.isfinite(error) else ""
+        if not self.drawn[i]:
+            return start + " ".join(self.note[i].split())
+        counted = f"{forces:.0f} forces" if math.isfinite(forces) else ""
+        return f"{start}{_time(self.seconds[i]):<11}{counted}"
+
+    def _fields(self) -> Iterator[tuple[str, object]]:
+        shown = super()._fields()
+        return (field for field in shown if field[0] not in ("ladders", "reference"))
+
+
+def work_precision(
+    lattice: Lattice,
+    state: StateLike,
+    t1: Scalar,
+    solvers: diffrax.AbstractSolver | Sequence | Mapping[str, diffrax.AbstractSolver] | None = None,
+    steps: Parameter | Mapping[str, Parameter] | None = None,
+    *,
+    t0: Scalar = 0.0,
+    reference: Pytree = None,
+    uncertainty: Parameter | None = None,
+    repeats: Count = 5,
+    longest: Scalar | None = None,
+) -> WorkPrecision:
+    r"""Measure the error at t1 against the time of `simulate`, and against force evaluations.
+
+    The error is dimensionless: the largest over sites of |u - u_ref| / max |u_ref| and
+    |v - v_ref| / max |v_ref|.
+
+    **Arguments:**
+
+    - `lattice`, `state`, `t1`, `t0`: the scene, as for `simulate`.
+    - `solvers`: list of solvers, granjax's or diffrax's, or a dict from names of yours to them.
+      `None`: VelocityVerlet, SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10 where the
+      scene splits, RKN86 and RKN1210 where no force reads the velocity, diffrax's Tsit5 and Dopri8
+      always.
+    - `steps`: what they are tried with: one list for all (steps for solvers of fixed step,
+      tolerances for adaptive ones), a list of lists, or a dict from a solver's name to its list.
+      `None`, or a name that is not in the dict: steps from the stability limit down in ratios of
+      10^(1/order), tolerances in decades from 1e-2, until the error reaches the floor or falls no
+      more, or a call takes longer than `longest`.
+    - `reference`: the final state, a `State` or a pair; `uncertainty`: its, in the measure of the
+      error; `None` if not known, and then nothing is held back. `None`: two independent runs of
+      high order, refined until their distance stops falling; that is the floor.
+    - `repeats`: timed calls of each point, of which the median counts (fewer where they add up to
+      more than 3 s); solvers take turns. `longest` [s]; `None`: 20 times what solvers take at
+      their coarsest, but at least 0.1 s, and where that is more than 1 s four times.
+
+    **Returns:** `WorkPrecision`: print it, `.advice(error)`, `.orders`, `.floor`, `.to_xarray()`;
+    `gx.plots.work_precision` draws it. Nothing below four floors is drawn or used. Refused and
+    failed points stay, with a sentence.
+
+    **Raises** ValueError for input that cannot be meant; RuntimeError where two runs of high order
+    do not agree to 1e-3, so that the scene has no reference at t1: chains without precompression
+    amplify rounding until nothing is left of it.
+
+    Typical: ten solvers compile in 10 s; then a chain of 100 beads takes some seconds.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=2)
+    >>> state = gx.State(jnp.ones(2), jnp.ones(2))
+    >>> table = gx.work_precision(chain, state, 2 * np.pi, gx.SRKN6b(), [0.1, 0.05],
+    ...                           reference=state, repeats=1)
+    >>> round(table.error[0] / table.error[1])
+    16
+    """
+    state = checked_state(lattice, state)
+    t0, t1 = (float(t) for t in checked_times(t0, t1))
+    solvers = _solvers(solvers, lattice)
+    steps = _steps(steps, solvers)
+    if reference is None:
+        reference, floor, note = find_reference(lattice, state, t0, t1)
+    else:
+        reference, floor = tuple(reference), _uncertainty(uncertainty)
+        distance(state, reference)
+        note = "given, of unknown uncertainty" if uncertainty is None else "given"
+    omega = highest_frequency(lattice, state, t0, t1)
+    ladders = []
+    for name, solver in solvers.items():
+        adaptive = isinstance(solver, diffrax.AbstractAdaptiveSolver)
+        parameter, limit = "tolerance" if adaptive else "step", stable_step(solver, omega)
+        values = steps.get(name) or _sensible_values(solver, limit, t1 - t0, lattice.dtype)
+        call = _call(lattice, state, t0, t1, solver, parameter)
+        ladders.append(Ladder(name, parameter, values, call, name not in steps, limit, solver))
+    call = _call(lattice, state, t0, t1, None, None)
+    ladders.append(Ladder(DEFAULT, "step", (math.nan,), call))
+    return measure(ladders, reference, floor, repeats, longest=longest, note=note)
+
+
+def measure(
+    ladders: Sequence[Ladder],
+    reference: Pytree,
+    uncertainty: Scalar | None = None,
+    repeats: Count = 5,
+    *,
+    longest: Scalar | None = None,
+    note: str = "",
+) -> WorkPrecision:
+    """Measure error, time and evaluations of every value of every ladder, against one reference.
+
+    First every ladder is called, for its compile time, its errors and its counts. Then all points
+    are called `repeats` times in turns (A B C A B C), and the median wall time of a call counts.
+
+    **Arguments:**
+
+    - `ladders`: list of `Ladder`. `reference`: what all of them approximate, a tree like their
+      states: a pair (u, v), or any tuple of arrays; `uncertainty`: its, the floor of the table, in
+      the measure of `distance`; `None` or NaN where nobody knows it.
+    - `repeats`, `longest`: as for `work_precision`. `note`: what the reference is, in words.
+
+    **Returns:** `WorkPrecision`. **Raises** ValueError for two ladders of one name, an uncertainty
+    above 1e-3 (no reference), a state of other shapes than the reference.
+    """
+    repeats, floor = whole("repeats", repeats, 1), _uncertainty(uncertainty)
+    ladders = tuple(
+        ladder._replace(values=_values(ladder.name, ladder.values)) for ladder in ladders
+    )
+    names = tuple(ladder.name for ladder in ladders)
+    if twice := [name for name in names if names.count(name) > 1]:
+        refuse("ladders", "a name of its own for each", f"{twice[0]!r} twice")
+    warm = [_warmed(ladder) for ladder in ladders]
+    if longest is None:
+        coarsest = [x for name, (_, x) in zip(names, warm) if name != DEFAULT and np.isfinite(x)]
+        usual = float(np.median(coarsest)) if coarsest else 0.0
+        longest = max(AT_LEAST, min(LONGER * usual, SLOW), LITTLE_LONGER * usual)
+    points, orders = [], []
+    for ladder in ladders:
+        rungs = _climb(ladder, reference, floor, float(positive("longest", longest)))
+        points += [(ladder, k, *rung) for k, rung in enumerate(rungs)]
+        orders.append(_order(ladder, rungs, floor))
+    own, _, value, called, error, note_of = zip(*points)
+    seconds, fastest = _times(points, repeats)
+    order, order_error = np.array(orders).T
+    return WorkPrecision(
+        method=tuple(ladder.name for ladder in own),
+        parameter=tuple(ladder.parameter for ladder in own),
+        value=np.array(value),
+        error=np.array(error),
+        seconds=seconds,
+        fastest=fastest,
+        evaluations=np.array([x.evaluations for x in called]),
+        steps=np.array([x.steps for x in called]),
+        drawn=np.array([not why for why in note_of]),
+        note=note_of,
+        methods=names,
+        compile_seconds=np.array([compiling for compiling, _ in warm]),
+        limit=np.array([ladder.limit for ladder in ladders]),
+        order=order,
+        order_error=order_error,
+        floor=floor,
+        repeats=repeats,
+        reference_note=note,
+        ladders=ladders,
+        reference=reference,
+    )
+
+
+def distance(state: Pytree, reference: Pytree) -> float:
+    r"""Measure the largest error of a state, each of its parts by its own scale.
+
+        error = max over parts x of  max |x - x_ref| / max |x_ref|
+
+    Parts are u and v of a pair; an array that is not in a tuple is one part, and so is a dict of
+    fields. A part that passes through zero at the final time has a small scale and so a large
+    error: end runs elsewhere.
+
+    **Arguments:** two trees of arrays of equal shapes. **Returns:** a float; NaN where the state is
+    not finite. **Raises** ValueError where shapes differ.
+    """
+    state, reference = _parts("state", state), _parts("reference", reference)
+    shapes, wanted = ([[x.shape for x in part] for part in y] for y in (reference, state))
+    if shapes != wanted:
+        refuse("reference", f"arrays of the shapes {wanted}, those of the state", f"{shapes}")
+    # NumPy's maximum keeps a NaN, Python's own may lose it
+    return float(np.max([_relative(x, y) for x, y in zip(state, reference)]))
+
+
+def _parts(argument, tree):
+    parts = tree if isinstance(tree, (tuple, list)) else (tree,)
+    return [[real(argument, x) for x in jax.tree.leaves(part)] for part in parts]
+
+
+def _relative(part, reference):
+    apart = np.max([np.max(np.abs(x - y), initial=0.0) for x, y in zip(part, reference)])
+    scale = np.max([np.max(np.abs(y), initial=0.0) for y in reference])
+    return apart / scale if scale > 0 else apart
+
+
+def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[float, float]:
+    r"""Find the slope of log(error) over log(step), by least squares, and its standard error.
+
+    Only errors below 1e-2 and above ten floors count; where the error rises again towards the
+    shortest steps, so that rounding has taken over, only those before, and above ten times the
+    smallest.
+
+    **Arguments:** `steps`, `errors` (P,); `floor`: uncertainty of the reference, or NaN.
+    **Returns:** (order, standard error), NaN where fewer than three points are left.
+    """
+    along = np.argsort(steps)[::-1]
+    steps, errors = np.asarray(steps)[along], np.asarray(errors)[along]
+    keep = np.isfinite(errors) & (errors > 0) & (errors < ASYMPTOTIC)
+    if np.isfinite(floor):
+        keep &= errors > CLEAR * floor
+    if keep.any():
+        least = int(np.argmin(np.where(keep, errors, np.inf)))
+        if keep[least + 1 :].any():
+            keep &= (errors > CLEAR * errors[least]) & (np.arange(len(errors)) < least)
+    if np.count_nonzero(keep) < 3:
+        return math.nan, math.nan
+    x, y = np.log(steps[keep]), np.log(errors[keep])
+    x = x - x.mean()
+    spread = x @ x
+    slope = float(x @ y / spread)
+    rest = y - y.mean() - slope * x
+    return slope, float(np.sqrt(rest @ rest / (len(x) - 2) / spread))
+
+
+def _order(ladder, rungs, floor):
+    """The observed order between half the stability limit and the floor."""
+    if ladder.parameter != "step":
+        return math.nan, math.nan
+    rungs = [rung for rung in rungs if not rung[3] and rung[0] <= ladder.limit / 2]
+    counts = np.array([called.steps for _, called, _, _ in rungs])
+    # the number of steps knows how far a step was shortened to fit
+    steps = 1 / counts if np.all(np.isfinite(counts)) else [value for value, *_ in rungs]
+    return observed_order(steps, [error for _, _, error, _ in rungs], floor)
+
+
+class _Called(NamedTuple):
+    """What one call gave: its state, its counts, its wall time [s], a sentence where it failed."""
+
+    state: object
+    evaluations: float
+    steps: float
+    seconds: float
+    note: str
+
+
+def _once(call, value):
+    """Call and wait for the result; a ValueError or RuntimeError becomes a note."""
+    start = time.perf_counter()
+    try:
+        state, *counts = jax.block_until_ready(call(value))
+    except (ValueError, RuntimeError) as error:
+        return _Called(None, math.nan, math.nan, time.perf_counter() - start, str(error))
+    seconds = time.perf_counter() - start
+    counts = [math.nan if x is None else float(np.max(x)) for x in (*counts, None)[:2]]
+    return _Called(state, *counts, seconds, "")
+
+
+def _warmed(ladder):
+    """(Seconds of compiling, those of a warm call) of the coarsest value that works."""
+    compiling = 0.0
+    for value in ladder.values:
+        first, second = _once(ladder.call, value), _once(ladder.call, value)
+        compiling = max(compiling, first.seconds - second.seconds)
+        if not second.note:
+            return compiling, second.seconds
+    return compiling, math.nan
+
+
+def _climb(ladder, reference, floor, longest):
+    """(value, called, error, why it is not drawn) of the values, as far as the ladder goes."""
+    rungs, smallest, waited = [], math.inf, 0
+    for value in ladder.values:
+        called = _once(ladder.call, value)
+        error = math.nan if called.note else distance(called.state, reference)
+        rungs.append((value, called._replace(state=None), error, _judged(error, floor, called)))
+        waited = 0 if error < smallest else waited + 1
+        smallest = error if error < smallest else smallest
+        stalled = smallest < ASYMPTOTIC and waited == STALLED
+        if ladder.stops and (error < DRAWN * floor or stalled):
+            break
+        # once may be another process that had the processor
+        if ladder.stops and called.seconds > longest:
+            if _once(ladder.call, value).seconds > longest:
+                break
+    return rungs
+
+
+def _judged(error, floor, called):
+    """Why a point is not drawn, or nothing."""
+    if called.note:
+        return called.note
+    if not math.isfinite(error):
+        return "The state is not finite."
+    if error < DRAWN * floor:
+        return f"Below {DRAWN:g} times the reference's uncertainty."
+    return "An error above 1: everything is wrong." if error > 1 else ""
+
+
+def _times(points, repeats):
+    """Median and shortest wall times (2, points) [s] of what is drawn, rung by rung; or NaN."""
+    order = sorted((i for i, x in enumerate(points) if not x[-1]), key=lambda i: points[i][1])
+    seconds = np.full((2, len(points)), np.nan)
+    calls = [(points[i][0].call, points[i][2]) for i in order]
+    seconds[:, order] = _in_turns(calls, repeats, [points[i][3].seconds for i in order])
+    return seconds
+
+
+def _in_turns(calls, repeats, known=None):
+    """Median and shortest wall times (2, calls) [s] of pairs (call, value) that take turns.
+
+    Each is called `repeats` times, or until its times add up to `ENOUGH`; a time that was `known`
+    before will do where it is more than that.
+    """
+    spent = [[x] if x > ENOUGH else [] for x in known or [0.0] * len(calls)]
+    for _ in range(repeats):
+        for (call, value), times in zip(calls, spent):
+            if sum(times) < ENOUGH:
+                times.append(_once(call, value).seconds)
+    return np.array([[np.median(times), np.min(times)] for times in spent]).reshape(-1, 2).T
+
+
+def _seconds(one):
+    return one.seconds
+
+
+def _bracket(points, name):
+    """The coarsest point from which on all are good enough, its coarser neighbour or `None`."""
+    own = sorted((one for one in points if one.method == name), key=lambda one: -one.value)
+    good = np.array([one.error <= one.asked for one in own])
+    # a dip among larger errors is luck; where rounding spoils the finest, the first has to do
+    k = 0 if good.all() else int(np.flatnonzero(~good)[-1]) + 1
+    k = int(np.argmax(good)) if k == len(own) else k
+    one = own[k]
+    if k == 0 or one.error >= one.asked / NEAR:
+        return one, None
+    coarse = own[k - 1]
+    share = math.log(one.asked / one.error) / math.log(coarse.error / one.error)
+    seconds = one.seconds * (coarse.seconds / one.seconds) ** share
+    return dataclasses.replace(one, seconds=seconds), coarse
+
+
+def _beats(one, other):
+    """Whether it is both better and faster; where a finer value seems faster, the clock errs."""
+    finer = one.method == other.method and one.value <= other.value
+    return one.error <= other.error and one.seconds < other.seconds and not finer
+
+
+def _time(seconds):
+    """A time with its unit: 1.9 ms."""
+    if not math.isfinite(seconds):
+        return "no time"
+    unit, name = next(((u, n) for u, n in ((1.0, "s"), (1e-3, "ms")) if seconds >= u), (1e-6, "us"))
+    return f"{seconds / unit:.3g} {name}"
+
+
+def _uncertainty(x):
+    """The uncertainty of a reference, NaN where nobody knows it."""
+    x = math.nan if x is None else float(np.max(x))
+    if x < 0 or x > LARGEST_FLOOR:
+        remedy = "A worse reference tells nothing; end the run earlier."
+        refuse("uncertainty", f"a number from 0 to {LARGEST_FLOOR:g}", f"{x:g}", remedy)
+    return x
+
+
+def _values(name, values):
+    """Steps or tolerances as a tuple of floats, the coarsest first."""
+    array = np.atleast_1d(real(f"steps of {name}", values))
+    if name != DEFAULT and not (array.size and np.all(np.isfinite(array) & (array > 0))):
+        expected = "finite numbers above zero, such as [0.1, 0.05]"
+        refuse(f"steps of {name}", expected, show(array))
+    return tuple(float(x) for x in np.unique(array)[::-1])
+
+
+def _solvers(solvers, lattice):
+    """A dict from name to solver."""
+    if solvers is None:
+        return sensible_solvers(lattice)
+    if isinstance(solvers, diffrax.AbstractSolver):
+        solvers = [solvers]
+    if not isinstance(solvers, Mapping):
+        named = [(type(solver).__name__, solver) for solver in solvers]
+    else:
+        named = solvers.items()
+    found = {}
+    for name, solver in named:
+        if not isinstance(solver, diffrax.AbstractSolver):
+            got = getattr(solver, "__name__", repr(solver))
+            remedy = "Solvers are instances: write the brackets."
+            refuse("solvers", "solvers, such as gx.SRKN11b()", got, remedy)
+        if name in found:
+            remedy = "Give a dict from names to solvers."
+            refuse("solvers", "solvers of different names", f"{name!r} twice", remedy)
+        found[name] = solver
+    return found
+
+
+def _steps(steps, solvers):
+    """A dict from name to values, for the solvers that the user gave values for."""
+    if steps is None:
+        return {}
+    if not isinstance(steps, Mapping):
+        nested = isinstance(steps, list | tuple) and any(np.ndim(x) for x in steps)
+        if nested and len(steps) != len(solvers):
+            expected = f"one list per solver ({len(solvers)}), or one list for all"
+            refuse("steps", expected, f"{len(steps)} lists")
+        steps = dict(zip(solvers, steps)) if nested else dict.fromkeys(solvers, steps)
+    return {one_of("steps", name, solvers): _values(name, x) for name, x in steps.items()}
+
+
+def sensible_solvers(lattice: Lattice) -> dict[str, diffrax.AbstractSolver]:
+    """Name all solvers that take the lattice, and diffrax's Tsit5 and Dopri8."""
+    known = facts(lattice)
+    kinds = SPLITTING if known.splits else ()
+    kinds += () if known.reads_velocity else NYSTROM
+    return {kind.__name__: kind() for kind in kinds + DIFFRAX}
+
+
+def highest_frequency(lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar) -> float:
+    """Find the highest linear frequency; the bound at this energy where that is zero; 0 for neither."""
+    omega = float(np.max(linear_frequency(lattice)))
+    if omega > 0:
+        return omega
+    try:
+        return float(np.max(frequency_bound(lattice, state, t0, t1)))
+    except ValueError:
+        return 0.0
+
+
+def stable_step(solver: diffrax.AbstractSolver, omega: Scalar) -> float:
+    """Find the longest stable step of a solver; infinity where none is known, or it has no end."""
+    limit = stability_limit(solver)
+    return limit / omega if limit and omega > 0 else math.inf
+
+
+def _sensible_values(solver, limit, span, dtype):
+    """Tolerances in decades, or steps down from the limit in ratios of 10^(1/order)."""
+    if isinstance(solver, diffrax.AbstractAdaptiveSolver):
+        return tuple(x for x in TOLERANCES if x > least_tolerance(dtype))
+    table = getattr(type(solver), "table", None)
+    order = ORDER if table is None else table().order
+    first = min(FIRST_STEP * limit, span / LEAST_INTERVALS)
+    return tuple(float(f"{first * 10.0 ** (-k / order):.3g}") for k in range(MOST_STEPS))
+
+
+def _call(lattice, state, t0, t1, solver, parameter):
+    """A function of the step or tolerance: the final state, force evaluations and steps."""
+
+    def final(value):
+        chosen = {} if parameter is None else {parameter: value}
+        run = simulate(lattice, state, t1, t0=t0, solver=solver, **chosen)
+        # the mean over lanes
+        stats, kind = jax.tree.map(np.mean, run.stats), getattr(diffrax, run.solver, None)
+        forces = stats["force_evaluations"]
+        if isinstance(kind, type) and issubclass(kind, diffrax.AbstractERK):
+            # diffrax's explicit methods do not count their forces
+            forces = stats["steps"] * (kind.tableau.num_stages - bool(kind.tableau.fsal))
+        return run.final, forces, stats["steps"]
+
+    return final
+
+
+def find_reference(
+    lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar
+) -> tuple[Pytree, float, str]:
+    r"""Refine two runs by methods of high order until their distance stops falling.
+
+    The first is RKN1210, or Dopri8 where a force reads the velocity. The second is of another
+    family: SofroniouSpaletta10 at fixed steps, where the lattice splits and no contact opens;
+    elsewhere, as every fixed step has order 5/2 at contact opening, another adaptive pair: RKN86,
+    or Tsit5 where a force reads the velocity. Then both run once more on another mesh, so that no
+    chance agreement passes: the floor is the largest distance of the other three from the first. In
+    float64, whatever the type of the lattice, unless JAX is held to float32.
+
+    **Returns:** (final state, floor, what the runs were). **Raises** RuntimeError where they do not
+    agree to 1e-3, or one does not complete.
+    """
+    wide = jnp.zeros(()).dtype
+    lattice, state = lattice.astype(wide), jax.tree.map(lambda x: jnp.asarray(x, wide), state)
+    known = facts(lattice)
+
+    def end(solver, how):
+        return simulate(lattice, state, t1, t0=t0, solver=solver, **how)
+
+    first = diffrax.Dopri8() if known.reads_velocity else RKN1210()
+    second = diffrax.Tsit5() if known.reads_velocity else RKN86()
+    step = None
+    try:
+        trial = end(first, {"tolerance": REFERENCE_TOLERANCE})
+        if known.splits and not np.any(trial.contact_opened):
+            second = SofroniouSpaletta10()
+            limit = stable_step(second, highest_frequency(lattice, state, t0, t1))
+            step = min(REFERENCE_STEP * limit, (t1 - t0) / LEAST_INTERVALS)
+        found, floor, note = _refined(end, (first, second), step, least_tolerance(wide))
+    except RuntimeError as error:
+        raise RuntimeError(f"No reference: a run of high order fails. {error}") from None
+    if not floor <= LARGEST_FLOOR:
+        raise RuntimeError(
+            f"No reference exists at t1 = {t1:g}: {note} differ by {floor:.3g}, and finer ones no "
+            "less. Such a trajectory amplifies rounding (chaos), or an unstable scene its errors: "
+            "end the run earlier, or compare averages."
+        )
+    return found, floor, note
+
+
+def _refined(end, solvers, step, least):
+    """The pair of runs with the smallest distance among ever finer ones, confirmed on another mesh."""
+    smallest, best, waited = math.inf, None, 0
+    for level in range(MOST_LEVELS):
+        tolerance = {"tolerance": max(REFERENCE_TOLERANCE * 10.0**-level, least)}
+        how = tolerance, tolerance if step is None else {"step": step * SHORTER**level}
+        try:
+            ends = [end(solver, own).final for solver, own in zip(solvers, how)]
+        except RuntimeError:
+            if best is None:
+                raise
+            break
+        apart = distance(ends[1], ends[0])
+        waited = 0 if apart < GAIN * smallest else waited + 1
+        if apart < smallest:
+            smallest, best = apart, (ends[0], how)
+        if waited == (PATIENCE if smallest <= LARGEST_FLOOR else 2 * PATIENCE):
+            break
+    state, how = best
+    note, floor = [], smallest
+    for solver, own in zip(solvers, how):
+        ((parameter, value),) = own.items()
+        other = end(solver, {parameter: OTHER_MESH * value}).final
+        floor = max(floor, distance(other, state))
+        note.append(f"{type(solver).__name__} at {parameter} {value:.3g}")
+    return jax.tree.map(np.asarray, state), floor, " and ".join(note)
