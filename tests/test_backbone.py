@@ -77,14 +77,14 @@ def test_a_curve_differentiates_and_its_second_harmonic_may_be_no_mode():
 @pytest.mark.slow
 def test_a_breather_of_a_klein_gordon_square():
     scene = lambda c: scenes.square(
-        7,
+        5,
         law=gx.Linear(c),
         out_of_plane=True,
         boundary="free",
         ground=1.0,
         on_site=gx.Polynomial(0.0, 0.0, 1.0),
     )
-    branch = gx.breathers.anticontinuous(scene, 0.05, 1.6, (3, 3), points=12)
+    branch = gx.breathers.anticontinuous(scene, 0.05, 1.6, (2, 2), points=12)
     orbit = branch.orbit(-1)
     crystal = scene(0.05)
     refined = breather(crystal, 1.6, orbit.state)

@@ -223,20 +223,22 @@ def test_magnets_that_are_felt_far_away_rest_or_are_refused():
 
 @pytest.mark.slow
 def test_eight_magnets_of_swept_exponents_run_as_alone_and_are_differentiated():
-    def final(p, **keywords):
-        chain = gx.scenes.magnets(4, p)
-        return gx.simulate(
-            chain, gx.states.impact(chain, velocity=0.1), 2.0, step=0.05, **keywords
-        ).final.u
+    def final(chain):
+        return gx.simulate(chain, gx.states.impact(chain, velocity=0.1), 2.0, step=0.05).final.u
 
-    exponents = jnp.linspace(-4.5, -2.7, 8)
-    chains = jax.vmap(lambda p: gx.scenes.magnets(4, p), out_axes=-1)(exponents)
-    together = gx.simulate(chains, gx.states.impact(chains, velocity=0.1), 2.0, step=0.05).final.u
-    np.testing.assert_allclose(together[:, 3], final(float(exponents[3])), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(together[:, 3], jax.jit(final)(exponents[3]), rtol=0, atol=1e-12)
-    slope = (final(-4.0 + 1e-4) - final(-4.0 - 1e-4)) / 2e-4
-    np.testing.assert_allclose(jax.jacfwd(final)(-4.0), slope, rtol=1e-5)
-    np.testing.assert_allclose(jax.grad(lambda p: final(p)[2])(-4.0), slope[2], rtol=1e-5)
+    def of(p):
+        return final(gx.scenes.magnets(4, p))
+
+    # the third to fifth are a difference
+    p, h = -4.0, 1e-4
+    exponents = jnp.array([-4.5, -4.2, p - h, p, p + h, -3.5, -3.1, -2.7])
+    together = final(jax.vmap(lambda p: gx.scenes.magnets(4, p), out_axes=-1)(exponents))
+    np.testing.assert_allclose(together[:, 3], of(p), rtol=0, atol=1e-12)
+    value, forwards = jax.jit(lambda p: jax.jvp(of, (p,), (1.0,)))(p)
+    np.testing.assert_allclose(together[:, 3], value, rtol=0, atol=1e-12)
+    slope = (together[:, 4] - together[:, 2]) / (2 * h)
+    np.testing.assert_allclose(forwards, slope, rtol=1e-5)
+    np.testing.assert_allclose(jax.jit(jax.grad(lambda p: of(p)[2]))(p), slope[2], rtol=1e-5)
 
 
 @pytest.mark.slow
