@@ -1,7 +1,7 @@
 """The derivative of what comes out of a run, with its error."""
 
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse
-from ..results import Held, Result
+from ..results import Result, array
 from ..types import Numbers, Pytree, Scalar
 
 # steps, in those that are asked for; the last is the one whose derivative is returned
@@ -23,10 +23,6 @@ UNSETTLED = 1e-3
 class Derivative(Result):
     """A derivative and its error.
 
-    - `value`: the derivative at half the step, of the structure that `jax.jacfwd` gives; `error`: of the same, its
-      estimated distance from the derivative of the true motion. `slopes`: one value for each of `ladder`, steps [s].
-    - `relative`: the largest error over the largest value. `outcome`: a sentence.
-
     **Example:**
 
     >>> def end(stiffness, step):
@@ -37,11 +33,15 @@ class Derivative(Result):
     (array([0.05 , 0.045, 0.04 , 0.035, 0.03 , 0.025]), True)
     """
 
-    held: ClassVar[dict[str, Held]] = {"ladder": Held("step", "s")}
-    value: Pytree
-    error: Pytree
-    slopes: Pytree
-    ladder: Numbers
+    value: Pytree = array(
+        "The derivative at half the step, of the structure that `jax.jacfwd` gives."
+    )
+    error: Pytree = array(
+        "The estimated distance of the derivative from that of the true motion, of the same"
+        " structure."
+    )
+    slopes: Pytree = array("The derivative at each step of `ladder`.")
+    ladder: Numbers = array("The steps.", "s", "step")
 
     @property
     def relative(self) -> float:

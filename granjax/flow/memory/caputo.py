@@ -1,6 +1,6 @@
 """Vector fields with Caputo's derivative in time: D^a y = f(t, y), with the whole history."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,9 +10,8 @@ from jax.flatten_util import ravel_pytree
 from jax.scipy.special import gammaln
 
 from ...checks import concrete, held_in_memory, parameter, refuse, whole, within
-from ...results import Result
+from ...results import Result, array
 from ...types import Count, Number, Pytree, Scalar, Times, VectorField
-from ...variables import Held
 from ..inputs import checked_times
 
 # of Newton's method at each step: most iterations, and where they end, over the size of the solution
@@ -22,11 +21,6 @@ ITERATIONS, SETTLED = 20, 1e-13
 class CaputoRun(Result):
     """What `caputo` returns.
 
-    - `ts` (T + 1,), `ys`: times and solution, of the structure of y with the times first.
-    - `error`: how far it may be from the truth, in the largest entry and at any time: from a second run with half the
-      steps, and of the start, t^a, from the first step. `residual`: the largest change that Newton's method left, over
-      the size of the solution.
-
     **Example:**
 
     >>> run = gx.caputo(lambda t, y, args: -y, 1.0, 1.0, order=0.5)
@@ -34,11 +28,15 @@ class CaputoRun(Result):
     ('Completed.', (201,), True)
     """
 
-    held: ClassVar[dict[str, Held]] = {"ts": Held("time", "s", "time"), "ys": Held("time ...")}
-    ts: Times
-    ys: Pytree
-    error: Number
-    residual: Number
+    ts: Times = array("The times.", "s", "time", name="time")
+    ys: Pytree = array("The solution, of the structure of y with the times first.", axes="time ...")
+    error: Number = array(
+        "The largest distance from the truth, in any entry and at any time: from a second "
+        "run with half the steps, and of the start, t^a, from the first step."
+    )
+    residual: Number = array(
+        "The largest change that Newton's method left, over the size of the solution."
+    )
 
     @property
     def outcome(self) -> str:
