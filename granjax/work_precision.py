@@ -19,7 +19,6 @@ from jaxtyping import Bool, Float
 
 from .checks import one_of, positive, real, refuse, show, whole
 from .flow import frequency_bound, linear_frequency, simulate
-from .flow.control import least_tolerance
 from .flow.dispatch import facts
 from .flow.inputs import checked_state, checked_times
 from .lattice import Lattice
@@ -480,7 +479,7 @@ def measure(
         longest = max(AT_LEAST, min(LONGER * usual, SLOW), LITTLE_LONGER * usual)
     points, orders = [], []
     for ladder in ladders:
-        rungs = _climb(ladder, reference, floor, float(positive("longest", longest)))
+        rungs = _climb(ladder, reference, floor, longest)
         points += [(ladder, k, *rung) for k, rung in enumerate(rungs)]
         orders.append(_order(ladder, rungs, floor))
     own, _, value, called, error, note_of = zip(*points)
@@ -780,10 +779,15 @@ def stable_step(solver: diffrax.AbstractSolver, omega: Scalar) -> float:
     return limit / omega if limit and omega > 0 else math.inf
 
 
+def _least(dtype):
+    """The smallest tolerance; at 16 rounding units references are worse than at 20."""
+    return 20 * float(jnp.finfo(dtype).eps)
+
+
 def _sensible_values(solver, limit, span, dtype):
     """Tolerances in decades, or steps down from the limit in ratios of 10^(1/order)."""
     if isinstance(solver, diffrax.AbstractAdaptiveSolver):
-        return tuple(x for x in TOLERANCES if x > least_tolerance(dtype))
+        return tuple(x for x in TOLERANCES if x > _least(dtype))
     table = getattr(type(solver), "table", None)
     order = ORDER if table is None else table().order
     first = min(FIRST_STEP * limit, span / LEAST_INTERVALS)
@@ -838,7 +842,7 @@ def find_reference(
             second = SofroniouSpaletta10()
             limit = stable_step(second, highest_frequency(lattice, state, t0, t1))
             step = min(REFERENCE_STEP * limit, (t1 - t0) / LEAST_INTERVALS)
-        found, floor, note = _refined(end, (first, second), step, least_tolerance(wide))
+        found, floor, note = _refined(end, (first, second), step, _least(wide))
     except RuntimeError as error:
         raise RuntimeError(f"No reference: a run of high order fails. {error}") from None
     if not floor <= LARGEST_FLOOR:
