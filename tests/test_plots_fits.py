@@ -18,6 +18,7 @@ class Trace(NamedTuple):
     times: object
     data: object
     sensors: object
+    unit: str
 
 
 class Result(NamedTuple):
@@ -27,6 +28,7 @@ class Result(NamedTuple):
     parameters: dict
     covariance: object
     names: tuple
+    units: str = "SI"
 
 
 def record():
@@ -37,8 +39,8 @@ def record():
     data[0][4, 1] = np.nan
     residuals = [np.where(np.isfinite(d), (s - d) / 0.1, 0.0) for s, d in zip(signals, data)]
     traces = (
-        Trace(times, data[0], ["velocity of site 2", "velocity of site 5"]),
-        Trace(times, data[1], ["force of contact 0"]),
+        Trace(times, data[0], ["velocity of site 2", "velocity of site 5"], "m/s"),
+        Trace(times, data[1], ["force of contact 0"], "N"),
     )
     # deviations 0.2 and 3e8, correlation 0.5
     covariance = [[0.04, 3e7], [3e7, 9e16]]
@@ -60,22 +62,21 @@ def closed():
 
 def test_every_sensor_has_its_data_its_fit_and_its_residuals():
     result = record()
-    axes = fits.fit(result, units=("ms", "mm/s"))
+    axes = fits.fit(result)
     assert axes.shape == (2, 3)
     sensors = [(0, 0), (0, 1), (1, 0)]
     for (upper, lower), (k, s) in zip(axes.T, sensors):
         data, fitted = upper.lines
-        size = 1.0 if k else 1e3
         np.testing.assert_allclose(data.get_xdata(), 1e3 * result.traces[k].times)
-        np.testing.assert_allclose(data.get_ydata(), size * result.traces[k].data[:, s])
-        np.testing.assert_allclose(fitted.get_ydata(), size * result.signals[k][:, s])
+        np.testing.assert_allclose(data.get_ydata(), result.traces[k].data[:, s])
+        np.testing.assert_allclose(fitted.get_ydata(), result.signals[k][:, s])
         known = np.isfinite(result.traces[k].data[:, s])
         np.testing.assert_array_equal(lower.lines[0].get_ydata(), result.residuals[k][known, s])
         assert (
             upper.get_title() == result.traces[k].sensors[s] and lower.get_xlabel() == "time (ms)"
         )
     assert len(axes[1, 1].lines[0].get_xdata()) == 29
-    assert (axes[0, 0].get_ylabel(), axes[0, 2].get_ylabel()) == ("velocity (mm/s)", "force (N)")
+    assert (axes[0, 0].get_ylabel(), axes[0, 2].get_ylabel()) == ("velocity (m/s)", "force (N)")
     assert axes[1, 0].get_ylabel() == r"residual / $\sigma$"
 
 
@@ -83,7 +84,7 @@ def test_chosen_sensors_go_into_given_axes():
     given = plt.figure().subplots(2, 1)
     axes = fits.fit(record(), given, sensors=[2])
     assert axes.shape == (2, 1) and axes[0, 0] is given[0] and axes[1, 0] is given[1]
-    assert given[0].get_title() == "force of contact 0" and given[0].get_ylabel() == "force"
+    assert given[0].get_title() == "force of contact 0" and given[0].get_ylabel() == "force (N)"
 
 
 def test_corner_finds_parameters_by_their_names():
@@ -127,22 +128,3 @@ def test_corner_refuses_what_it_cannot_draw():
         ValueError, match="result: expected parameters that the data determine, .* of damping"
     ):
         fits.corner(blind)
-
-
-def test_a_law_is_drawn_over_its_strains_and_nowhere_else():
-    strain = np.linspace(-0.4, 1.1, 20)
-    force = (1 + strain) ** 1.5 - 1
-    given = plt.figure().subplots()
-    ax = fits.law(strain, force, force - 0.1, force + 0.2, given, truth=force, band="one deviation")
-    assert ax is given and ax.get_xlim() == (-0.4, 1.1)
-    np.testing.assert_array_equal(ax.lines[0].get_xydata(), np.column_stack([strain, force]))
-    band = ax.collections[0].get_paths()[0].vertices
-    assert band[:, 0].min() == -0.4 and band[:, 0].max() == 1.1
-    np.testing.assert_allclose(
-        [band[:, 1].min(), band[:, 1].max()], [force[0] - 0.1, force[-1] + 0.2]
-    )
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == [
-        "one deviation",
-        "identified",
-        "true",
-    ]

@@ -108,43 +108,6 @@ def test_a_rarefaction_shock_has_its_crest_below(strain, places):
     assert ax.get_ylim()[0] <= -0.9
 
 
-def test_dots_of_a_zoom_lie_on_their_spline_and_on_what_is_beside(strain, places):
-    window = (50.0, 70.0)
-    ax = plots.shock_core(strain, window, places=places)
-    dots, spline = ax.lines
-    assert dots.get_xdata().min() >= 50 and dots.get_xdata().max() <= 70
-    np.testing.assert_allclose(
-        np.interp(dots.get_xdata(), *spline.get_data()), dots.get_ydata(), atol=1e-12
-    )
-    fine = np.linspace(40, 80, 401)
-    beside = {
-        "Toda": (fine, np.asarray(toda.shock_wave(fine, TIME, C).strain)),
-        "zero": (fine, 0 * fine),
-    }
-    ax = plots.shock_core(strain, window, places=places, beside=beside)
-    np.testing.assert_allclose(
-        np.interp(dots.get_xdata(), *ax.lines[1].get_data()), dots.get_ydata(), atol=0.02
-    )
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["lattice", "Toda", "zero"]
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_edges_run_over_the_map(places, sign):
-    ts = np.linspace(0, TIME, 13)
-    record = Map(np.where(places < ts[:, None], sign * 0.5, 0.0), ts, places)
-    edges = {"KdV": kdv.velocity_shock(0.3, 1.0, 0.5), "none": toda.ShockEdges(NAN, 1.2, 0.5, 0.9)}
-    ax = plots.shock_map(record, edges=edges)
-    trailing, leading, other = ax.lines
-    np.testing.assert_allclose(trailing.get_data(), (0.7 * ts, ts))
-    np.testing.assert_allclose(leading.get_data(), (1.2 * ts, ts))
-    assert (
-        trailing.get_linestyle() == leading.get_linestyle() == "-" and other.get_linestyle() == "--"
-    )
-    assert ax.get_xlim() == pytest.approx((0, 100)) and ax.get_ylabel() == "time"
-    again = plots.shock_map(record.strain, ts=ts, places=places, limit=0.4)
-    assert again.images[0].norm.vmax - again.images[0].norm.vmin == pytest.approx(0.4)
-
-
 @pytest.mark.parametrize("quantity", ["m", "mean", "amplitude", "wavelength"])
 def test_modulation_beside_a_theory(quantity):
     m = np.linspace(0.0, 1.0, 7)
@@ -167,12 +130,7 @@ def test_modulation_beside_a_theory(quantity):
         (lambda y, n: plots.shock(y, places=n[:5]), "places: expected 100 rising numbers"),
         (
             lambda y, n: plots.shock(Map(y[None], [1.0], n, "scaled"), Seen()),
-            "shock: expected one in scaled numbers",
-        ),
-        (lambda y, n: plots.shock_core(y, (3.0, 5.0)), "window: expected 4 bonds or more"),
-        (
-            lambda y, n: plots.shock_map(y[None], ts=[1.0, 2.0], places=n),
-            "ts: expected 1 rising numbers",
+            "all in SI or all scaled",
         ),
         (lambda y, n: plots.modulation(Seen(), quantity="speed"), "quantity: expected one of"),
     ],

@@ -21,4 +21,8 @@ chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=340)
 shock = gx.shocks.space_time(gx.shocks.velocity_shock(chain, 0.3), 130.0, frames=101)
 number = float(np.average(shock.strain[-1, 120:220], weights=np.hanning(100)))
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
-gx.plots.shock_map(shock, ax, edges={"fitting": gx.theory.shock_edges(law, 0.3)})
+gx.plots.space_time(shock.strain, ax, ts=shock.ts, sites=shock.places, label="strain (scaled)")
+edges = gx.theory.shock_edges(law, 0.3)
+for speed in (edges.trailing_speed, edges.leading_speed):
+    ax.plot(speed * shock.ts, shock.ts, "w-", lw=1.2)
+ax.set(xlim=shock.places[[0, -1]], xlabel="bond from the step $n$", ylabel="time (scaled)")

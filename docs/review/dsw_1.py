@@ -34,7 +34,7 @@ def stepped():
     law = gx.Hertz(1.0, 1.0)
     sound = lambda y: float(law.derivative(y)) ** 0.5
     sites = 2 * (int(1.15 * sound(STRAIN) * TIME) + SPARE)
-    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), law),), sites=sites, units="scaled")
+    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), law),), sites=sites)
     problem = gx.shocks.step(chain, STRAIN)
     strain = np.asarray(problem.strain(problem.run(TIME).final.u))
     places = np.arange(strain.size) - float(problem.centre)
@@ -53,7 +53,7 @@ def stepped():
 def make():
     places, strain, edges = stepped()
     ax = plt.figure(figsize=(7.2, 3.8), layout="constrained").subplots()
-    gx.plots.shock(strain, edges, ax, places=places, time=TIME, units="scaled")
+    gx.plots.shock(strain, edges, ax, places=places, time=TIME)
     return {"largest strain of the shock": (strain[places > 0].max(), 3.736772586, 1e-6)}
 
 

@@ -7,8 +7,7 @@ The expected value is that of an independent integration by SciPy's DOP853 at 1e
 import matplotlib.pyplot as plt
 import numpy as np
 from dsw_1 import TIME, crests, stepped
-
-import granjax as gx
+from scipy.interpolate import CubicSpline
 
 # from the trailing edge (0) to the leading one (1), and bonds to either side
 ZOOMS = {"trailing": 0.17, "leading": 0.85}
@@ -21,7 +20,11 @@ def make():
     for ax, (name, x) in zip(axes, ZOOMS.items()):
         middle = TIME * (edges.trailing_speed + x * (edges.leading_speed - edges.trailing_speed))
         window = middle - ASIDE, middle + ASIDE
-        gx.plots.shock_core(strain, window, ax, places=places, units="scaled")
+        near = (places > window[0]) & (places < window[1])
+        fine = np.linspace(*places[near][[0, -1]], 16 * (near.sum() - 1) + 1)
+        ax.plot(places[near], strain[near], "o", ms=3.5)
+        ax.plot(fine, CubicSpline(places, strain)(fine), lw=1.2)
+        ax.set(xlabel="bond from the step $n$", ylabel="strain (scaled)")
         ax.set_title(f"Near the {name} edge")
     top = crests(places, strain)[0]
     length = np.diff(top[(top > window[0]) & (top < window[1])]).mean()

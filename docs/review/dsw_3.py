@@ -44,15 +44,17 @@ def draw(name, edges, wave):
     places, strain = collided()
     canvas = plt.figure(figsize=(9.6, 3.8), layout="constrained")
     whole, zoom = canvas.subplots(1, 2, width_ratios=(1.5, 1))
-    gx.plots.shock(strain, edges, whole, places=places, time=TIME, units="scaled")
+    gx.plots.shock(strain, edges, whole, places=places, time=TIME)
     whole.set_title(f"Edges, mean and amplitude of {name}", pad=8)
     near = np.abs(places - TIME) < 13
     first, last = places[near][[0, -1]]
     fine = np.linspace(first, last, 16 * (near.sum() - 1) + 1)
     waves = np.asarray(wave(fine[:, None], 2 * np.pi * np.arange(360) / 360).strain)
     best = waves[:, ((waves[::16] - strain[near, None]) ** 2).sum(0).argmin()]
-    window, wave = (first - 0.5, last + 0.5), {name: (fine, best)}
-    gx.plots.shock_core(strain, window, zoom, beside=wave, places=places, units="scaled")
+    zoom.plot(places[near], strain[near], "o", ms=3.5, label="lattice")
+    zoom.plot(fine, best, label=name)
+    zoom.set(xlabel="bond from the step $n$", ylabel="strain (scaled)")
+    zoom.legend(frameon=False)
 
 
 def make():

@@ -17,7 +17,19 @@ LAST = 300.0
 def make():
     seen = gx.shocks.space_time(pushed(), LAST, 160, np.arange(int(1.25 * LAST)), step=0.4)
     ax = plt.figure(figsize=(6.4, 4.4), layout="constrained").subplots()
-    gx.plots.shock_map(seen, ax, edges={"KdV": KDV, "Toda": TODA}, units="scaled")
+    gx.plots.space_time(
+        seen.strain,
+        ax,
+        ts=seen.ts,
+        sites=seen.places,
+        label="strain (scaled)",
+        site_label="bond from the step $n$",
+    )
+    for name, edges, dash in (("KdV", KDV, "-"), ("Toda", TODA, "--")):
+        for speed, label in ((edges.trailing_speed, name), (edges.leading_speed, None)):
+            ax.plot(speed * seen.ts, seen.ts, dash, color="white", lw=1.2, label=label)
+    ax.set(xlim=(seen.places[0], seen.places[-1]), ylabel="time (scaled)")
+    ax.legend(loc="lower right", frameon=False, labelcolor="white")
     top = crests(np.asarray(seen.places), np.asarray(seen.strain[-1]))[0]
     return {"place of the leading crest over time": (top[-1] / LAST, 1.037302677, 1e-6)}
 

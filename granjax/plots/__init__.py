@@ -11,12 +11,12 @@ Colour maps are perceptually uniform, or diverge evenly from white at zero; line
 can be told apart by colour-blind eyes.
 """
 
-from .fits import corner, fit, law, planar
+from .fits import corner, fit
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis
 from .plane import beads, film
 from .precision import work_precision
-from .shocks import modulation, shock, shock_core, shock_map
+from .shocks import modulation, shock
 from .style import COLOURS, drawn, figure, save, style
 from .sweeps import sweep
 from .travelling import kink, wave
@@ -38,13 +38,9 @@ __all__ = [
     "floquet_circle",
     "hysteresis",
     "kink",
-    "law",
     "modulation",
-    "planar",
     "save",
     "shock",
-    "shock_core",
-    "shock_map",
     "space_time",
     "style",
     "sweep",

@@ -6,23 +6,19 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
-from ..units import SI, UnitsOrWords
 from .arrays import numbers
-from .quantities import Axis, drawn_in, scaled_by
 from .style import FAINT, AxesOrNone, axes_or_new, colour
 
-# what is drawn, its label and unit
+# what is drawn, and its label
 AGAINST = {
-    "time": ("seconds", "time of one run", "s"),
-    "evaluations": ("evaluations", "force evaluations of one run", ""),
+    "time": ("seconds", "time of one run (s)"),
+    "evaluations": ("evaluations", "force evaluations of one run"),
 }
 MARKS = ("o", "s", "^", "D", "v", "P", "X")
 DEFAULT = "default"
 
 
-def work_precision(
-    wp: Any, ax: AxesOrNone = None, *, against: str = "time", units: UnitsOrWords = None
-) -> Axes:
+def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> Axes:
     """Error against the work that it takes, both logarithmic: down and to the left is better.
 
     **Arguments:**
@@ -30,8 +26,7 @@ def work_precision(
     - `wp`: what `gx.work_precision` returns, or any table with one entry a point: `method`, `error`, `seconds`,
       `evaluations`, `drawn`; with `methods`, their names in order, and `floor`, the uncertainty of the reference, which
       is shaded (NaN: none). A method named `"default"` is a star.
-    - `against`: `"time"` or `"evaluations"`; methods that do not count those are left out. `units`: `"ms"` of the
-      time, as in `granjax.plots`; seconds by default.
+    - `against`: `"time"` or `"evaluations"`; methods that do not count those are left out.
 
     **Returns:** the Axes; one line per method in `ax.lines`. **Raises** ValueError for anything else to draw against,
     or a table where no point is drawn.
@@ -44,7 +39,7 @@ def work_precision(
     >>> len(gx.plots.work_precision(table).lines)
     1
     """
-    column, label, unit = AGAINST[one_of("against", against, tuple(AGAINST))]
+    column, label = AGAINST[one_of("against", against, tuple(AGAINST))]
     work, error = (
         numbers(f"wp.{column}", getattr(wp, column), 1, finite=False),
         numbers("wp.error", wp.error, 1, False),
@@ -53,10 +48,6 @@ def work_precision(
     shown = np.asarray(wp.drawn, bool) & np.isfinite(work) & (work > 0) & (error > 0)
     if not shown.any():
         refuse("wp", "a table with points to draw", "none", "Its notes say why; print it.")
-    (by,) = drawn_in(
-        "s" if units is None and against == "time" else units, SI, Axis(label, work, unit)
-    )
-    work, label = scaled_by(work, by.factor), by.label
     ax = axes_or_new(ax, 6.6, 4.0)
     ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the final state")
     for i, name in enumerate(wp.methods):

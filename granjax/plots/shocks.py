@@ -1,19 +1,15 @@
-"""Dispersive shocks: the strain with its edges, a few waves of it, its modulation, edges in space and time."""
+"""Dispersive shocks: the strain with its edges, and its modulation."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy.interpolate import CubicSpline
 
 from ..checks import one_of, positive, refuse
 from ..types import Parameter, Scalar
-from ..units import UnitsOrWords
 from .arrays import numbers, rising
-from .histories import space_time
-from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
-from .style import COLOURS, DASHES, AxesOrNone, axes_or_new, colour
+from .style import COLOURS, DASHES, AxesOrNone, axes_or_new, colour, shown, units_of
 
 BOND, SPEED = r"bond from the step $n$", r"speed $n/t$, bonds per time"
 OVER = ("place", "speed")
@@ -25,8 +21,6 @@ QUANTITIES = {
     "amplitude": ("amplitudes", "amplitude", "strain, crest less trough", "m"),
     "wavelength": ("wavelengths", "wavelength", "wavelength (bonds)", ""),
 }
-# points of a line from bond to bond; bonds of a zoom at least
-FINE, LEAST = 16, 4
 
 
 def shock(
@@ -38,7 +32,6 @@ def shock(
     places: Parameter | None = None,
     time: Scalar | None = None,
     over: str = "place",
-    units: UnitsOrWords = None,
 ) -> Axes:
     r"""Strain after a step over the place, or over n/t, with edges, plateau and amplitude of a shock.
 
@@ -49,7 +42,7 @@ def shock(
     - `shock`: anything with `trailing_speed`, `leading_speed`, `mean` and `amplitude`, such as `gx.shocks.measure(run)`
       or a theory's `velocity_shock(c)`: its edges are dashed, its mean and its amplitude drawn and written beside.
     - `places` (B,), rising: of strains, from the step; `time`: theirs, needed where edges are drawn or `over="speed"`.
-    - `over`: "place" or "speed". `units`: `"um"`, as in `granjax.plots`; a speed counts bonds per time.
+    - `over`: "place" or "speed", which counts bonds per time.
 
     **Returns:** the Axes; the strain is `ax.lines[0]`. **Raises** ValueError for a batch.
 
@@ -63,28 +56,15 @@ def shock(
     """
     one_of("over", over, OVER)
     places, strain, time, said = _profile(run_or_strain, problem, places, time)
-    if shock is not None:
-        said = units_of_both(run_or_strain, shock, "shock", "run") or said
+    said = units_of(run_or_strain, shock) or said
     if time is None and (shock is not None or over == "speed"):
         refuse("time", "that of the strains", "None", "Edges are n/t.")
     x = places if over == "place" else places / time
-    by_x, by_y = drawn_in(
-        units,
-        said,
-        Axis(BOND, x, "") if over == "place" else Axis(SPEED, x, "1/s"),
-        Axis("strain", strain),
-    )
+    by_x = shown(BOND, x, "") if over == "place" else shown(SPEED, x, "1/s", said)
+    by_y = shown("strain", strain, "m", said)
     ax = axes_or_new(ax, 6.4, 3.6)
-    ax.plot(
-        scaled_by(x, by_x.factor),
-        scaled_by(strain, by_y.factor),
-        color=COLOURS[0],
-        lw=0.9,
-        label="strain",
-    )
-    ax.set_xlim(*scaled_by(x[[0, -1]], by_x.factor))
-    ax.set_xlabel(by_x.label)
-    ax.set_ylabel(by_y.label)
+    ax.plot(by_x(x), by_y(strain), color=COLOURS[0], lw=0.9, label="strain")
+    ax.set(xlim=by_x(x[[0, -1]]), xlabel=by_x.label, ylabel=by_y.label)
     if shock is not None:
         _mark(ax, shock, by_x.factor * (time if over == "place" else 1.0), by_y, strain)
     return ax
@@ -96,9 +76,7 @@ def _mark(ax, shock, along, by_y, strain):
         _number(f"shock.{name}", getattr(shock, name)) for name in (*EDGES, "mean", "amplitude")
     )
     ahead, way = float(getattr(shock, "ahead", 0.0)), np.sign(leading)
-    level, top = (
-        scaled_by(y, by_y.factor) for y in (mean, ahead + np.copysign(amplitude, mean - ahead))
-    )
+    level, top = by_y([mean, ahead + np.copysign(amplitude, mean - ahead)])
     low, high = (
         pick([y, *(x for x in (level, top) if np.isfinite(x))])
         for pick, y in zip((min, max), ax.get_ylim())
@@ -141,7 +119,7 @@ def _mark(ax, shock, along, by_y, strain):
         bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.5},
     )
     if np.isfinite(leading) and np.isfinite(top):
-        ends = [(along * leading, y) for y in (scaled_by(ahead, by_y.factor), top)]
+        ends = [(along * leading, y) for y in (float(by_y(ahead)), top)]
         ax.annotate(
             "",
             *ends,
@@ -170,167 +148,12 @@ def _room(ax, edge, way):
     ax.set_xlim(*(low, max(high, edge + space)) if way > 0 else (min(low, edge - space), high))
 
 
-def shock_core(
-    run_or_strain: Any,
-    window: Parameter,
-    ax: AxesOrNone = None,
-    *,
-    beside: Mapping[str, Any] | None = None,
-    problem: Any = None,
-    places: Parameter | None = None,
-    units: UnitsOrWords = None,
-) -> Axes:
-    """A few waves of a shock: the strain of each bond as a dot, and waves through or beside them.
-
-    **Arguments:**
-
-    - `run_or_strain`, `problem`, `places`: as of `shock`. `window`: a pair, the first and the last place that is shown.
-    - `beside`: dict from a name to a pair (places (X,), strains (X,)), rising, such as modulated waves of KdV and
-      Toda, `gx.theory.toda.shock_wave(n, t, c).strain`; `None` draws the interpolating spline through the dots.
-
-    **Returns:** the Axes; the dots are `ax.lines[0]`. **Raises** ValueError for a window of fewer than four bonds.
-
-    **Example:**
-
-    >>> n = np.arange(20.0)
-    >>> ax = gx.plots.shock_core(0.1 + 0.05 * np.cos(n), (0.0, 12.0), places=n)
-    >>> len(ax.lines[0].get_xdata())
-    13
-    """
-    places, strain, _, said = _profile(run_or_strain, problem, places, None)
-    low, high = _pair("window", window)
-    inside = (places >= low) & (places <= high)
-    if inside.sum() < LEAST:
-        refuse(
-            "window",
-            f"{LEAST} bonds or more of those from {places[0]:g} to {places[-1]:g}",
-            f"{low:g} to {high:g}",
-        )
-    curves = {}
-    if beside is None:
-        fine = np.linspace(*places[inside][[0, -1]], FINE * (inside.sum() - 1) + 1)
-        curves["spline"] = fine, CubicSpline(places, strain)(fine)
-    for name, given in (beside or {}).items():
-        x, y = _pair(f"beside[{name!r}]", given, 1)
-        x = rising(f"beside[{name!r}]", x, y.size)
-        cut = (x >= low) & (x <= high)
-        curves[name] = x[cut], y[cut]
-    by_x, by_y = drawn_in(units, said, Axis(BOND, places, ""), Axis("strain", strain))
-    ax = axes_or_new(ax, 5.2, 3.4)
-    ax.plot(
-        places[inside],
-        scaled_by(strain[inside], by_y.factor),
-        "o",
-        color=COLOURS[0],
-        ms=3.5,
-        label="lattice",
-        zorder=3,
-    )
-    for i, (name, (x, y)) in enumerate(curves.items()):
-        ax.plot(
-            x,
-            scaled_by(y, by_y.factor),
-            DASHES[i % len(DASHES)],
-            color=colour(i + 1),
-            lw=1.2,
-            label=name,
-        )
-    ax.set_xlim(low, high)
-    ax.set_xlabel(by_x.label)
-    ax.set_ylabel(by_y.label)
-    if beside:
-        ax.legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2, frameon=False
-        )
-    return ax
-
-
-def shock_map(
-    record: Any,
-    ax: AxesOrNone = None,
-    *,
-    edges: Mapping[str, Any] | None = None,
-    ts: Parameter | None = None,
-    places: Parameter | None = None,
-    limit: Scalar | None = None,
-    units: UnitsOrWords = None,
-) -> Axes:
-    """Map of the strain in space and time, with the lines n = s t of the edges that theories give.
-
-    **Arguments:**
-
-    - `record`: a `SpaceTime`, or anything with `strain` (T, B), `ts` and `places`; or strains (T, B), with `ts` (T,)
-      and `places` (B,) beside them.
-    - `edges`: dict from a name to anything with `trailing_speed` and `leading_speed`, such as a theory's
-      `velocity_shock(c)` or a `Shock`: the first solid, the second dashed. A speed that is NaN is left out.
-    - `limit`: strain of the full colour; `units`: `("us", "nm")`, as in `granjax.plots`.
-
-    **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` where places are uneven), the lines
-    `ax.lines`. **Raises** ValueError for a batch, or shapes that do not fit.
-
-    **Example:**
-
-    >>> t, n = np.arange(5.0), np.arange(-10.0, 11.0)
-    >>> edges = gx.theory.kdv.velocity_shock(0.05, 1.0, 0.5)
-    >>> ax = gx.plots.shock_map(0.1 * (n < t[:, None]), ts=t, places=n, edges={"KdV": edges})
-    >>> len(ax.lines)  # the trailing edge and the leading one
-    2
-    """
-    if ts is None and places is None:
-        strain, ts, places = record.strain, record.ts, record.places
-    else:
-        strain = record
-    strain = numbers("record", strain, 2, finite=False)
-    ts, places = rising("ts", ts, strain.shape[0]), rising("places", places, strain.shape[1])
-    lines, said = {}, units_of(record)
-    for name, one in (edges or {}).items():
-        lines[name] = [_number(f"edges[{name!r}].{end}", getattr(one, end)) for end in EDGES]
-        said = units_of_both(record, one, f"edges[{name!r}]", "map") or said
-    by_time, _ = drawn_in(None, said, Axis("time", ts), Axis("strain", strain))
-    ax = space_time(
-        _Map(ts, strain, strain, said),
-        ax,
-        quantity=strain,
-        sites=places,
-        label="strain (m)",
-        site_label=BOND,
-        limit=limit,
-    )
-    ax.set_xlim(*ax.get_xlim())
-    ax.set_ylim(*ax.get_ylim())
-    image = (*ax.images, *ax.collections)[0]
-    tone = "white" if image.cmap.name.startswith("viridis") else "black"
-    for i, (name, speeds) in enumerate(lines.items()):
-        for j, speed in enumerate(s for s in speeds if np.isfinite(s)):
-            ax.plot(
-                speed * ts,
-                scaled_by(ts, by_time.factor),
-                DASHES[i % len(DASHES)],
-                color=tone,
-                lw=1.2,
-                label=None if j else name,
-            )
-    if lines:
-        ax.legend(loc="lower right", frameon=False, labelcolor=tone)
-    return ax
-
-
-class _Map(NamedTuple):
-    """What `space_time` takes for a run."""
-
-    ts: Any
-    us: Any
-    vs: Any
-    units: str | None
-
-
 def modulation(
     shock: Any,
     ax: AxesOrNone = None,
     *,
     quantity: str = "m",
     beside: Mapping[str, Any] | None = None,
-    units: UnitsOrWords = None,
 ) -> Axes:
     """How the waves of a shock change along it: as measured in windows, over n/t, beside theories.
 
@@ -341,7 +164,6 @@ def modulation(
     - `quantity`: "m", "mean", "amplitude" (crest less trough) or "wavelength".
     - `beside`: dict from a name to anything with `speed` (X,) and the quantity (X,), such as
       `gx.theory.toda.modulation(m, c)`; or to a pair (speeds, values).
-    - `units`: `("1/ms", "nm")`, as in `granjax.plots`.
 
     **Returns:** the Axes; what was measured is `ax.lines[0]`.
 
@@ -365,29 +187,16 @@ def modulation(
         if not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
             one = one.speed, getattr(one, field)
         # where m = 1 a wavelength is infinite
-        curves[name] = _pair(f"beside[{name!r}]", one, 1, finite=False)
-    by_x, by_y = drawn_in(units, units_of(shock), Axis(SPEED, s, "1/s"), Axis(label, values, unit))
+        curves[name] = [numbers(f"beside[{name!r}]", x, 1, finite=False) for x in one]
+    said = units_of(shock)
+    by_x, by_y = shown(SPEED, s, "1/s", said), shown(label, values, unit, said)
     ax = axes_or_new(ax, 5.2, 3.6)
-    ax.plot(
-        scaled_by(s, by_x.factor),
-        scaled_by(values, by_y.factor),
-        "o",
-        color=COLOURS[0],
-        ms=5,
-        label="measured",
-        zorder=3,
-    )
+    ax.plot(by_x(s), by_y(values), "o", color=COLOURS[0], ms=5, label="measured", zorder=3)
     for i, (name, (x, y)) in enumerate(curves.items()):
         order = np.argsort(x)
-        ax.plot(
-            scaled_by(x[order], by_x.factor),
-            scaled_by(y[order], by_y.factor),
-            DASHES[i % len(DASHES)],
-            color=colour(i + 1),
-            label=name,
-        )
-    ax.set_xlabel(by_x.label)
-    ax.set_ylabel(by_y.label)
+        dash = DASHES[i % len(DASHES)]
+        ax.plot(by_x(x[order]), by_y(y[order]), dash, color=colour(i + 1), label=name)
+    ax.set(xlabel=by_x.label, ylabel=by_y.label)
     ax.legend(frameon=False)
     return ax
 
@@ -395,12 +204,6 @@ def modulation(
 def _number(argument, x):
     """One number, or NaN."""
     return float(numbers(argument, x, 0, finite=False))
-
-
-def _pair(argument, given, ndim=0, finite=True):
-    """Two arrays of a pair."""
-    first, second = given
-    return numbers(argument, first, ndim, finite), numbers(argument, second, ndim, finite)
 
 
 def _profile(given, problem, places, time):

@@ -8,9 +8,8 @@ from matplotlib.axis import Axis as OneAxis
 from matplotlib.ticker import NullFormatter
 
 from ..checks import one_of, refuse
-from ..units import SCALED, SI, UnitsOrWords
-from ..units.names import known_unit
-from .quantities import Axis, Shown, drawn_in, scaled_by
+from ..units import SCALED, SI
+from .style import Shown, shown
 
 REASON, LANE, NOT_YET = "reason", "lane", "not computed yet"
 EVEN = 1e-6
@@ -34,15 +33,8 @@ class Field(NamedTuple):
     by: dict[str, Shown]
     errors: np.ndarray | None = None
 
-    def part(self, index: tuple) -> "Field":
-        """The field at an index of its last parameter."""
-        parameters = dict(list(self.parameters.items())[:-1])
-        return self._replace(
-            values=self.values[index], failed=self.failed[index], parameters=parameters
-        )
 
-
-def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
+def field_of(data: Any, name: str | None) -> Field:
     """The `Field` of a variable of a dataset."""
     parameters, grid, dims = _parameters(data)
     known = [
@@ -73,8 +65,10 @@ def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
     values = np.abs(values) if values.dtype.kind == "c" else values
     names = [name, *parameters]
     labels = {key: _words(data, key) for key in names} | {name: label}
-    counted = {key: str(data[key].attrs.get("units", "")) for key in names}
-    by = _shown({name: values} | parameters, counted, labels, units)
+    arrays = {name: values} | parameters
+    by = {
+        key: _axis_of(labels[key], arrays[key], data[key].attrs.get("units", "")) for key in names
+    }
     error = f"{name}_error"
     errors = (
         np.asarray(data[error].transpose(*dims).values)
@@ -136,22 +130,15 @@ def with_lines(field: Field, lines: str) -> Field:
     )
 
 
-def _shown(arrays, counted, labels, units):
-    """How the axes of some names are drawn."""
-    axes = []
-    for key, unit in counted.items():
-        x = _typical(arrays[key]) if arrays[key].dtype.kind in "fiu" else np.zeros(1)
-        known = unit and known_unit(unit) and arrays[key].dtype.kind in "fiu"
-        said = f"{labels[key]} ({unit})" if unit and not known else labels[key]
-        axes.append(Axis(said, x, unit if known else ""))
-    every = [unit for unit in counted.values() if unit]
-    said = SI if any(axis.unit for axis in axes) else SCALED if SCALED in every else None
-    return dict(zip(counted, drawn_in(units, said, *axes)))
+def _axis_of(label, x, unit):
+    """How an axis is drawn, whose numbers have a unit."""
+    numbers = _typical(x) if x.dtype.kind in "fiu" else np.zeros(1)
+    return shown(label, numbers, unit, SCALED if unit == SCALED else SI)
 
 
 def places(
     x: Shaped[np.ndarray, " values"],
-    factor: float = 1.0,
+    by: Shown,
     drawn: bool = False,
 ) -> tuple[Float[np.ndarray, " values"], bool]:
     """Places of a parameter's values on an axis, and whether that is logarithmic.
@@ -161,7 +148,7 @@ def places(
     if x.dtype.kind not in "fiu":
         found = list(dict.fromkeys(x.tolist()))
         return np.array([found.index(value) for value in x.tolist()], float), False
-    x = scaled_by(x.astype(float), factor)
+    x = by(x)
     return x, _wide(x) if drawn else _spaced(x)
 
 

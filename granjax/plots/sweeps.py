@@ -1,4 +1,4 @@
-"""Sweeps: lines over one parameter, maps over two, small multiples over three, dots of a list."""
+"""Sweeps: lines over one parameter, maps over two, dots of a list."""
 
 from typing import Any
 
@@ -7,15 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, CenteredNorm, ListedColormap, LogNorm, Normalize
 
 from ..checks import one_of, refuse
-from ..types import AnyArray
-from ..units import UnitsOrWords
-from .quantities import scaled_by
-from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new, colour, style
+from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new, colour
 from .sweep_fields import edges_of, field_of, name_axis, places, with_lines
 
 SCALES = ("linear", "log")
-# values of an own axis that are lines of one picture, values of a parameter that are panels, words with a colour each
-PANELS, WORDS = 16, len(COLOURS)
+# words with a colour each
+WORDS = len(COLOURS)
 GAP = "0.85"
 # letters in a row of a legend, and of what stands before each label
 ROW, HANDLE = 64, 6
@@ -31,13 +28,12 @@ def sweep(
     lines: str | None = None,
     bands: str | None = None,
     scale: str = "linear",
-    units: UnitsOrWords = None,
     colour_bar: bool = True,
-) -> Axes | AnyArray:
-    """Picture of a sweep: a line over one parameter, a map over two, a map each for the values of a third.
+) -> Axes:
+    """Picture of a sweep: a line over one parameter, a map over two.
 
-    Lanes of a list or a random design are dots: over one parameter, coloured over two, and over each of several. Words
-    are bands, cells or dots of a colour each. A lane that failed is a cross, and what is not known a gap. Axes are
+    Lanes of a list or a random design are dots: over one parameter, or coloured over two. Words are bands, cells or
+    dots of a colour each. A lane that failed is a cross, and what is not known a gap. Axes are
     logarithmic where their values are spaced so.
 
     **Arguments:**
@@ -49,10 +45,12 @@ def sweep(
       the sweep holds that.
     - `lines`: a parameter of a grid whose values are a line each, in place of an axis of a map.
     - `bands`: of a line, the variable of words that colours its background, such as a verdict.
-    - `scale`: of the variable, `"linear"` or `"log"`. `units`: `("kHz", "mm/s")`, as in `granjax.plots`.
+    - `scale`: of the variable, `"linear"` or `"log"`.
 
-    **Returns:** the Axes; of several panels an array of them. The map is `ax.collections[0]`, the lines `ax.lines`.
-    **Raises** ValueError for a name that is not there, for more than three parameters, and Axes for several panels.
+    Of more parameters fix some, `data.sel(load=1.0)`; small multiples are xarray's, `data.peak.plot(col="load")`.
+
+    **Returns:** the Axes. The map is `ax.collections[0]`, the lines `ax.lines`.
+    **Raises** ValueError for a name that is not there, and for more than two parameters.
 
     **Example:**
 
@@ -63,8 +61,11 @@ def sweep(
     ('ratio', 'cutoff')
     """
     one_of("scale", scale, SCALES)
-    field = field_of(data, name, units)
+    field = field_of(data, name)
     count = len(field.parameters)
+    if count > 2:
+        remedy = "Fix some: data.sel(load=1.0, method='nearest')."
+        refuse("data", "one or two parameters that vary", f"{count}", remedy)
     if lines is not None:
         field = with_lines(field, lines)
     if bands is not None and (count != 1 or not field.grid):
@@ -80,9 +81,7 @@ def sweep(
         return _scattered(field, ax, scale, colour_bar)
     if lines is not None or count == 1:
         return _lines(field, ax, None if bands is None else field_of(data, bands), scale)
-    if count == 2:
-        return _map(field, axes_or_new(ax, 5.4, 4.0), scale, colour_bar)
-    return _panels(field, ax, scale, colour_bar)
+    return _map(field, axes_or_new(ax, 5.4, 4.0), scale, colour_bar)
 
 
 def _lines(field, ax, bands, scale):
@@ -90,7 +89,7 @@ def _lines(field, ax, bands, scale):
     names = list(field.parameters)
     by_x, by_y = field.by[names[0]], field.by[field.name]
     ax = axes_or_new(ax, 5.4, 3.6)
-    x, log = places(field.parameters[names[0]], by_x.factor)
+    x, log = places(field.parameters[names[0]], by_x)
     order = np.argsort(x)
     if bands is not None:
         _bands(ax, x[order], bands.values[order], log, bands.name)
@@ -99,7 +98,7 @@ def _lines(field, ax, bands, scale):
         ax.set_yticks([])
         ax.set_ylabel(by_y.label)
     else:
-        _drawn_lines(ax, field, x, order, by_y.factor, names)
+        _drawn_lines(ax, field, x, order, by_y, names)
         ax.set_ylabel(by_y.label)
         if scale == "log" and (field.values > 0).any():
             ax.set_yscale("log")
@@ -119,7 +118,7 @@ def _lines(field, ax, bands, scale):
     return ax
 
 
-def _drawn_lines(ax, field, x, order, factor, names):
+def _drawn_lines(ax, field, x, order, by, names):
     values = field.values.reshape(len(x), -1)
     said = [None] if values.shape[1] == 1 else [str(i) for i in range(values.shape[1])]
     if len(names) == 2:
@@ -127,23 +126,17 @@ def _drawn_lines(ax, field, x, order, factor, names):
     dots = {"marker": "o", "ms": 3} if len(x) <= 64 else {}
     for i, label in enumerate(said):
         seen = np.where(np.isfinite(values[order, i]), values[order, i], np.nan)
-        ax.plot(x[order], scaled_by(seen, factor), color=colour(i), label=label, lw=1.4, **dots)
+        ax.plot(x[order], by(seen), color=colour(i), label=label, lw=1.4, **dots)
     if field.errors is not None and values.shape[1] == 1:
-        errors = scaled_by(np.where(np.isfinite(field.errors), np.abs(field.errors), 0.0), factor)
-        ax.errorbar(
-            x[order],
-            scaled_by(values[order, 0], factor),
-            errors[order],
-            fmt="none",
-            ecolor=colour(0),
-            lw=1,
-        )
+        errors = by(np.where(np.isfinite(field.errors), np.abs(field.errors), 0.0))
+        y = by(values[order, 0])
+        ax.errorbar(x[order], y, errors[order], fmt="none", ecolor=colour(0), lw=1)
 
 
 def _each(field, name):
     """Each value of a parameter in words."""
     by, x = field.by[name], field.parameters[name]
-    said = [f"{value:.4g}" for value in scaled_by(x, by.factor)] if x.dtype.kind in "fiu" else x
+    said = [f"{value:.4g}" for value in by(x)] if x.dtype.kind in "fiu" else x
     return [f"{field.labels[name]} {value} {by.unit}".rstrip() for value in said]
 
 
@@ -199,7 +192,7 @@ def _legend(ax):
         )
 
 
-def _colours(field, factor, scale, name="values"):
+def _colours(field, by, scale):
     """Numbers to be coloured, their norm and map, and the words that they stand for."""
     values = field.values
     if values.dtype.kind == "U":
@@ -213,7 +206,7 @@ def _colours(field, factor, scale, name="values"):
             else Normalize()
         )
         return numbers, norm, ListedColormap(tones or [GAP]), found
-    numbers = scaled_by(np.where(np.isfinite(values), values, np.nan).astype(float), factor)
+    numbers = by(np.where(np.isfinite(values), values, np.nan))
     seen = numbers[np.isfinite(numbers)]
     if scale == "log":
         positive = seen[seen > 0]
@@ -241,13 +234,13 @@ def _bar(ax, image, label, words):
         bar.ax.tick_params(length=0)
 
 
-def _map(field, ax, scale, colour_bar, coloured=None):
+def _map(field, ax, scale, colour_bar):
     """A map over two parameters, the first to the right."""
     first, second = field.parameters
     by_x, by_y, by = (field.by[key] for key in (first, second, field.name))
-    numbers, norm, colours, words = coloured or _colours(field, by.factor, scale)
+    numbers, norm, colours, words = _colours(field, by, scale)
     (x, x_log), (y, y_log) = (
-        places(field.parameters[key], b.factor) for key, b in ((first, by_x), (second, by_y))
+        places(field.parameters[key], b) for key, b in ((first, by_x), (second, by_y))
     )
     rows, columns = np.argsort(x), np.argsort(y)
     image = ax.pcolormesh(
@@ -269,66 +262,8 @@ def _map(field, ax, scale, colour_bar, coloured=None):
     return ax
 
 
-def _panels(field, ax, scale, colour_bar):
-    """A map over the first two parameters for each value of the third, of one scale of colours."""
-    if len(field.parameters) > 3:
-        refuse(
-            "data",
-            "at most three parameters of a grid",
-            f"{len(field.parameters)}",
-            f"Fix some: data.sel({next(reversed(field.parameters))}=..., method='nearest').",
-        )
-    last = next(reversed(field.parameters))
-    x = field.parameters[last]
-    if len(x) > PANELS:
-        refuse(
-            "data",
-            f"at most {PANELS} values of {last!r}, a panel each",
-            f"{len(x)}",
-            f"Pick some: data.isel({last}=slice(None, None, {-(-len(x) // PANELS)})).",
-        )
-    axes = _grid(ax, len(x), 3.0, 2.5)
-    by = field.by[field.name]
-    numbers, *rest = _colours(field, by.factor, scale)
-    said = _each(field, last)
-    for i, one in enumerate(axes):
-        part = field.part(np.index_exp[:, :, i])
-        _map(part, one, scale, False, (numbers[:, :, i], *rest))
-        if one.get_legend():
-            one.get_legend().remove()
-        failed = f", {np.count_nonzero(part.failed)} failed" if part.failed.any() else ""
-        one.set_title(said[i] + failed, fontsize="medium")
-    if colour_bar:
-        bar = axes[0].figure.colorbar(axes[0].collections[0], ax=list(axes), pad=0.02)
-        bar.set_label(by.label)
-        if rest[2]:
-            bar.set_ticks(np.arange(len(rest[2])), labels=rest[2])
-    return axes
-
-
-def _grid(ax, count, width, height):
-    """Axes of panels in a new figure, as many as there are."""
-    if ax is not None:
-        refuse("ax", f"None where the picture has {count} panels of its own", "Axes")
-    import matplotlib.pyplot as plt
-
-    columns = 4 if count > 6 else 2 if count in (2, 4) else min(count, 3)
-    rows = -(-count // columns)
-    with style():
-        made, axes = plt.subplots(
-            rows,
-            columns,
-            figsize=(width * columns + 0.8, height * rows + 0.3),
-            layout="constrained",
-            squeeze=False,
-        )
-    for spare in axes.flat[count:]:
-        spare.remove()
-    return axes.ravel()[:count]
-
-
 def _scattered(field, ax, scale, colour_bar):
-    """Dots of lanes side by side: over one parameter, coloured over two, over each of several."""
+    """Dots of lanes side by side: over one parameter, or coloured over two."""
     names = list(field.parameters)
     if field.values.ndim > 1:
         refuse(
@@ -339,17 +274,9 @@ def _scattered(field, ax, scale, colour_bar):
         )
     if len(names) == 2:
         return _dots(field, axes_or_new(ax, 5.4, 4.0), names, scale, colour_bar)
-    one = len(names) == 1
-    axes = [axes_or_new(ax, 5.4, 3.6)] if one else _grid(ax, len(names), 3.0, 2.5)
-    for name, each in zip(names, axes):
-        _against(field, each, name, scale)
-    return axes[0] if one else axes
-
-
-def _against(field, ax, name, scale):
-    """The variable over one of the parameters."""
+    (name,), ax = names, axes_or_new(ax, 5.4, 3.6)
     by_x, by_y = field.by[name], field.by[field.name]
-    x, log = places(field.parameters[name], by_x.factor, True)
+    x, log = places(field.parameters[name], by_x, True)
     if field.values.dtype.kind == "U":
         found, tones = _kinds(field.values, field.name)
         y = np.array([found.index(word) if word else np.nan for word in field.values])
@@ -360,7 +287,7 @@ def _against(field, ax, name, scale):
     else:
         ax.plot(
             x,
-            scaled_by(np.where(np.isfinite(field.values), field.values, np.nan), by_y.factor),
+            by_y(np.where(np.isfinite(field.values), field.values, np.nan)),
             "o",
             ms=3.5,
             color=colour(0),
@@ -374,15 +301,16 @@ def _against(field, ax, name, scale):
         ax, x[failed], np.full(np.count_nonzero(failed), 0.03), failed, ax.get_xaxis_transform()
     )
     _legend(ax)
+    return ax
 
 
 def _dots(field, ax, names, scale, colour_bar):
     """Dots over two parameters, coloured by the variable."""
     by_x, by_y, by = (field.by[key] for key in (*names, field.name))
     (x, x_log), (y, y_log) = (
-        places(field.parameters[key], b.factor, True) for key, b in zip(names, (by_x, by_y))
+        places(field.parameters[key], b, True) for key, b in zip(names, (by_x, by_y))
     )
-    numbers, norm, colours, words = _colours(field, by.factor, scale)
+    numbers, norm, colours, words = _colours(field, by, scale)
     known = np.isfinite(numbers)
     image = ax.scatter(
         x[known], y[known], c=numbers[known], norm=norm, cmap=colours, s=18, linewidths=0
