@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import ClassVar, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +21,7 @@ from .flow import frequency_bound, linear_frequency, simulate
 from .flow.dispatch import facts
 from .flow.inputs import checked_state, checked_times
 from .lattice import Lattice
-from .results import SI, Held, Result
+from .results import SI, Result, array
 from .solvers import (
     RKN86,
     RKN1210,
@@ -114,32 +113,21 @@ class Ladder(NamedTuple):
 
 
 class Advice(Result):
-    """A method and its step or tolerance for an error; printed, it says so in words.
-
-    - `asked`: the error that was asked for; `method`, `parameter`, `value`: what to use,
-      `"default"` and NaN where that is no choice at all.
-    - `error`, `seconds`, `evaluations`: what that gave when it was run (evaluations NaN where they
-      are not known).
-    - `default_error`, `default_seconds`: what no choice at all gives; NaN where that is not in the
-      table.
-    - `solver`: the solver, where it is one of `gx.simulate`'s.
-    """
+    """A method and its step or tolerance for an error; printed, it says so in words."""
 
     _else: ClassVar[str | None] = SI
-    held: ClassVar[dict[str, Held]] = {
-        "seconds": Held(unit="s"),
-        "default_seconds": Held(unit="s"),
-    }
-    asked: float
-    method: str = eqx.field(static=True)
-    parameter: str = eqx.field(static=True)
-    value: float
-    error: float
-    seconds: float
-    evaluations: float
-    default_error: float = math.nan
-    default_seconds: float = math.nan
-    solver: diffrax.AbstractSolver | None = None
+    asked: float = array("The error that was asked for")
+    method: str = array('What to use; `"default"` where that is no choice at all', static=True)
+    parameter: str = array('`"step"` or `"tolerance"`', static=True)
+    value: float = array("Its value; NaN for the default")
+    error: float = array("What that gave when it was run")
+    seconds: float = array("How long that took", "s")
+    evaluations: float = array("Its evaluations of the force; NaN where they are not known")
+    default_error: float = array("What no choice at all gives; NaN if unknown", default=math.nan)
+    default_seconds: float = array("How long that takes", "s", default=math.nan)
+    solver: diffrax.AbstractSolver | None = array(
+        "The solver, where it is one of `gx.simulate`'s", default=None
+    )
 
     @property
     def keywords(self) -> dict[str, object]:
@@ -167,28 +155,6 @@ class Advice(Result):
 class WorkPrecision(Result):
     """Error, time and force evaluations of many methods at many steps and tolerances.
 
-    One entry a point (P,):
-
-    - `method`, `parameter` (`"step"` or `"tolerance"`), `value`: what was run. The method
-      `"default"` is `gx.simulate` without any choice; its value is NaN.
-    - `error`: dimensionless, see `distance`. `seconds`: median wall time of a call [s], nothing
-      compiled; `fastest`: the shortest. `evaluations`: of the force; `steps`; both NaN where they
-      are not known.
-    - `drawn`: whether the point says something; `note`: why not (refused, failed, below the floor).
-
-    One entry a method (M,):
-
-    - `methods`: names; `compile_seconds`: what the first call took beyond the second; `limit`: the
-      longest stable step; `order`, `order_error`: the observed order and its standard error, see
-      `observed_order`; NaN for tolerances.
-
-    And for all:
-
-    - `floor`: uncertainty of the reference, the distance of two independent runs; nothing below
-      four floors (`least_error`) is drawn. NaN where the reference was given without one.
-    - `reference`, `reference_note`: what errors are measured against, and how it came about.
-    - `repeats`: timed calls a point. `ladders`: what was measured, for `advice` to run more of it.
-
     **Example:**
 
     >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=2)
@@ -200,40 +166,39 @@ class WorkPrecision(Result):
     """
 
     _else: ClassVar[str | None] = SI
-    held: ClassVar[dict[str, Held]] = {
-        name: Held("point")
-        for name in ("value", "error", "evaluations", "steps")
-        + ("method", "parameter", "note", "drawn")
-    } | {
-        "seconds": Held("point", "s"),
-        "fastest": Held("point", "s"),
-        "methods": Held("method_name", "", "method_name"),
-        "compile_seconds": Held("method_name", "s"),
-        "limit": Held("method_name"),
-        "order": Held("method_name"),
-        "order_error": Held("method_name"),
-        "reference_note": Held(None, "", "reference"),
-    }
-    method: tuple[str, ...] = eqx.field(static=True)
-    parameter: tuple[str, ...] = eqx.field(static=True)
-    value: Float[np.ndarray, " P"]
-    error: Float[np.ndarray, " P"]
-    seconds: Float[np.ndarray, " P"]
-    fastest: Float[np.ndarray, " P"]
-    evaluations: Float[np.ndarray, " P"]
-    steps: Float[np.ndarray, " P"]
-    drawn: Bool[np.ndarray, " P"]
-    note: tuple[str, ...] = eqx.field(static=True)
-    methods: tuple[str, ...] = eqx.field(static=True)
-    compile_seconds: Float[np.ndarray, " M"]
-    limit: Float[np.ndarray, " M"]
-    order: Float[np.ndarray, " M"]
-    order_error: Float[np.ndarray, " M"]
-    floor: float
-    repeats: int = eqx.field(static=True)
-    reference_note: str = eqx.field(static=True)
-    ladders: tuple[Ladder, ...] = eqx.field(static=True, default=())
-    reference: Pytree = None
+    method: tuple[str, ...] = array(
+        "What was run; `default` is `gx.simulate` without any choice", axes="point", static=True
+    )
+    parameter: tuple[str, ...] = array("`step` or `tolerance`", axes="point", static=True)
+    value: Float[np.ndarray, " point"] = array("Its value; NaN for the default")
+    error: Float[np.ndarray, " point"] = array("Error, dimensionless, see `distance`")
+    seconds: Float[np.ndarray, " point"] = array("Median wall time of a call, compiled", "s")
+    fastest: Float[np.ndarray, " point"] = array("Shortest wall time of a call", "s")
+    evaluations: Float[np.ndarray, " point"] = array("Evaluations of the force; NaN if unknown")
+    steps: Float[np.ndarray, " point"] = array("Steps; NaN where they are not known")
+    drawn: Bool[np.ndarray, " point"] = array("Whether the point says something")
+    note: tuple[str, ...] = array(
+        "Why it does not: refused, failed, below the floor", axes="point", static=True
+    )
+    methods: tuple[str, ...] = array(
+        "Names of the methods", axes="method_name", name="method_name", static=True
+    )
+    compile_seconds: Float[np.ndarray, " method_name"] = array(
+        "What the first call took beyond the second", "s"
+    )
+    limit: Float[np.ndarray, " method_name"] = array("Longest stable step")
+    order: Float[np.ndarray, " method_name"] = array("Observed order, see `observed_order`")
+    order_error: Float[np.ndarray, " method_name"] = array("Its standard error")
+    floor: float = array(
+        "Uncertainty of the reference, the distance of two independent runs: nothing below four "
+        "of it (`least_error`) is drawn; NaN where it is not known"
+    )
+    repeats: int = array("Timed calls of a point", static=True)
+    reference_note: str = array("How the reference came about", name="reference", static=True)
+    ladders: tuple[Ladder, ...] = array(
+        "What was measured, for `advice` to run more of it", static=True, default=()
+    )
+    reference: Pytree = array("What errors are measured against", default=None)
 
     @property
     def outcome(self) -> str:
