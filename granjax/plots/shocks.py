@@ -292,7 +292,7 @@ def shock_map(
         ax,
         quantity=strain,
         sites=places,
-        label="strain (m)",
+        label="strain (m)" if said else "strain",
         site_label=BOND,
         limit=limit,
     )
