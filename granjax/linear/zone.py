@@ -243,7 +243,7 @@ def density_of_states(
 
     **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis of the zone, even,
     `None` for 512 of a chain and 96 of a plane. `cell`: as in `unit_cell`. **Returns:** `DensityOfStates`, for
-    `gx.plots.profile`. **Raises** ValueError for a lattice with three axes, and where `unit_cell` does.
+    `plt.plot(found.omega, found.density)`. **Raises** ValueError for a lattice with three axes, and where `unit_cell` does.
 
     **Example:**
 
