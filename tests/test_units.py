@@ -289,9 +289,9 @@ def test_a_map_in_si(runs):
     assert labels(ax) == ["site", "time (µs)", "velocity (mm/s)"]
     assert labels(plots.traces(si, offset=0))[:2] == ["time (µs)", "velocity (mm/s)"]
     assert labels(plots.space_time(scaled)) == ["site", "time (scaled)", "velocity (scaled)"]
-    asked = plots.space_time(si.in_units("ms", "m/s"))
-    assert labels(asked) == ["site", "time (ms)", "velocity (m/s)"]
-    np.testing.assert_allclose(asked.images[0].get_array(), si.vs, rtol=1e-12)
+    asked = plots.space_time(si.in_units("ms", "um/s"))
+    assert labels(asked) == ["site", "time (ms)", "velocity (µm/s)"]
+    np.testing.assert_allclose(asked.images[0].get_array(), 1e6 * si.vs, rtol=1e-12)
 
 
 def test_frequency_in_cycles():

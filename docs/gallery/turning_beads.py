@@ -22,4 +22,7 @@ number = float(turning.omega_squared[0, 2]) / (1.5 * 1e-3 ** (1 / 3))
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 gx.plots.bands(turning, ax)
 ax.plot(still.distance, still.omega, "k--", lw=1)
+ax.lines[0].set_label("beads that turn")
+ax.lines[-1].set_label("beads that do not")
+ax.legend(loc="upper center", frameon=False)
 ax.set_title(f"rotation at $k = 0$: $m\\omega^2/K_2$ = {number:.4f}")

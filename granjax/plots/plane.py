@@ -27,7 +27,7 @@ CLOSED = 1e-9
 # beads whose outlines would hide them
 MANY = 3000
 # width of the line of the largest force: of a bead, and at most [points]
-SHARE, WIDEST = 0.3, 3.5
+SHARE, WIDEST = 0.13, 2.5
 
 
 def beads(
@@ -153,9 +153,9 @@ def _lines(ax, lines, force, radius, units):
     lines, force = lines[drawn], force[drawn]
     if not len(force):
         return
-    ax.figure.draw_without_rendering()
+    ax.apply_aspect()
     across = np.diff(ax.transData.transform([[0.0, 0.0], [2 * radius, 0.0]])[:, 0])[0]
-    widest = min(WIDEST, max(0.8, SHARE * across * 72 / ax.figure.dpi))
+    widest = min(WIDEST, max(0.4, SHARE * across * 72 / ax.figure.dpi))
     tones = np.where(force >= 0, "0.1", COLOURS[1])
     width = widest * np.abs(force) / top
     ax.add_collection(LineCollection(lines, linewidths=width, colors=tones, zorder=2))

@@ -67,7 +67,7 @@ def wave(
     if not is_front and not is_cell:
         v = record.velocity
         rise = np.asarray(v(xi + 1)) - np.asarray(v(xi))
-        curves["slope, per contact"] = rise / float(record.speed)
+        curves["slope"] = rise / float(record.speed)
     curves |= {name: numbers(f"beside[{name!r}]", y, 1) for name, y in (beside or {}).items()}
     by = shown("strain", np.stack(list(curves.values())), "m", units_of(record))
     curves = {name: by(y) for name, y in curves.items()}
@@ -86,7 +86,7 @@ def wave(
         return ax
     low, top = ax.get_ylim()
     ax.set_ylim(low, top + 0.35 * (top - low))  # room for the legend and the tail
-    ax.legend(loc="upper left", frameon=False)
+    ax.legend(loc="upper left", frameon=False, fontsize="small", handlelength=1.4)
     tail = ax.inset_axes([0.71, 0.6, 0.28, 0.37])
     _curves(tail, xi, {name: np.abs(y) for name, y in curves.items()}, 0.7)
     largest = max(np.nanmax(np.abs(y)) for y in curves.values()) or 1.0
