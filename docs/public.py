@@ -1,4 +1,4 @@
-"""The public names of granjax: what the reference lists, and of what each docstring has an example."""
+"""The public names of granjax: what the reference lists, and of which docstrings the examples run."""
 
 import inspect
 from collections.abc import Iterator

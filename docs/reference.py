@@ -235,7 +235,7 @@ def overview(names: Names) -> str:
     lines = [
         "# Reference",
         "",
-        "Every public name, its types and an example. In the examples `gx` is granjax,",
+        "Every public name and its types, with an example where one looks first. In the examples `gx` is granjax,",
         "`np` NumPy, `jnp` `jax.numpy`, `plt` `matplotlib.pyplot`. What the words of the types mean is [on a page",
         "of its own](types).",
         "",

@@ -27,12 +27,6 @@ class Design(Result):
 
     `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite
     at the start.
-
-    **Example:**
-
-    >>> found = gx.design(lambda p: (p["x"] - 2) ** 2, {"x": 1.0}, bounds={"x": (0.0, 5.0)})
-    >>> float(found.start_value), int(found.code), found.names
-    (1.0, 0, ('x',))
     """
 
     parameters: dict[str, Numbers] = array("The parameters, by name.")
@@ -164,11 +158,6 @@ def smooth_peak(
     each quantity between steps, smooth but for such changes.
 
     **Arguments:** `values`; those below zero count as zero. `power`: p > 1, typical 20 ... 100. `axis`: `None` for all.
-
-    **Example:**
-
-    >>> round(float(gx.smooth_peak(jnp.array([1.0, 2.0, 3.0]), power=100)), 4)
-    2.9672
     """
     values = jnp.maximum(parameter("values", values), 0)
     power = within("power", power, 1, np.inf, open_low=True, open_high=True)

@@ -22,15 +22,7 @@ HOLDS = ("ends", "loads", "nothing")
 
 
 class Equilibrium(Result):
-    """A state of rest, and what holds the lattice there.
-
-    **Example:**
-
-    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=3)
-    >>> rest = gx.equilibrium(chain, loads=jnp.array([0.0, 1.0, 0.0]))
-    >>> rest.ends.round(4), round(float(rest.stiffness), 4)
-    (Array([-0.5,  0.5], dtype=float64), 0.5858)
-    """
+    """A state of rest, and what holds the lattice there."""
 
     state: State = part(
         "Displacements, from where the lattice was built, and velocities, which are zero.",

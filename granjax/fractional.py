@@ -11,13 +11,7 @@ from .types import Count, Numbers, Parameter
 
 
 def checked_order(order: Parameter) -> jax.Array:
-    """The order s of a fractional Laplacian, in (0, 1].
-
-    **Example:**
-
-    >>> float(gx.fractional.checked_order(0.5))
-    0.5
-    """
+    """The order s of a fractional Laplacian, in (0, 1]."""
     return within(
         "order",
         order,
@@ -40,13 +34,6 @@ def kernel(order: Parameter, offsets: Count) -> Numbers:
     **Arguments:** `order`: s in (0, 1], a number, or one per lane (*lanes), traced or not: it may be differentiated.
     `offsets`: M >= 1. **Returns:** (M, *lanes), all positive for s < 1, their tail ~ m^{-1-2s}. **Raises** ValueError
     for s outside (0, 1]. Rounding: below 1e-14 sqrt(M) of each. Source: Ciaurri et al., Adv. Math. 330, 688 (2018).
-
-    **Example:**
-
-    >>> np.array(gx.fractional.kernel(0.5, 3)).round(6).tolist()
-    [0.424413, 0.084883, 0.036378]
-    >>> np.array(gx.fractional.kernel(1.0, 3)).round(6).tolist()
-    [1.0, 0.0, 0.0]
     """
     s, count = checked_order(order), whole("offsets", offsets, 1)
     m = jnp.arange(1, count, dtype=s.dtype).reshape(-1, *[1] * s.ndim)
@@ -55,25 +42,13 @@ def kernel(order: Parameter, offsets: Count) -> Numbers:
 
 
 def total(order: Parameter) -> Numbers:
-    """Sum of all weights on both sides, Gamma(1 + 2s)/Gamma(1 + s)^2: what holds a site whose neighbours are fixed.
-
-    **Example:**
-
-    >>> round(float(gx.fractional.total(0.5)), 6)  # 4/pi
-    1.27324
-    """
+    """Sum of all weights on both sides, Gamma(1 + 2s)/Gamma(1 + s)^2: what holds a site whose neighbours are fixed."""
     s = jnp.asarray(order)
     return jnp.exp(gammaln(1 + 2 * s) - 2 * gammaln(1 + s))
 
 
 def symbol(order: Parameter, k: Parameter) -> Numbers:
-    """(4 sin^2(k/2))^s at wave numbers k of any shape; the order's lanes come last.
-
-    **Example:**
-
-    >>> float(gx.fractional.symbol(0.5, np.pi)), float(gx.fractional.symbol(1.0, np.pi))
-    (2.0, 4.0)
-    """
+    """(4 sin^2(k/2))^s at wave numbers k of any shape; the order's lanes come last."""
     s = checked_order(order)
     k = jnp.asarray(k, s.dtype)
     x = 4 * jnp.sin(k.reshape(*k.shape, *[1] * s.ndim) / 2) ** 2
@@ -82,13 +57,7 @@ def symbol(order: Parameter, k: Parameter) -> Numbers:
 
 
 def wave_numbers(sites: Count) -> np.ndarray:
-    """Wave numbers 2 pi j/N of a ring, j = 0 ... N-1, exactly paired about pi.
-
-    **Example:**
-
-    >>> (gx.fractional.wave_numbers(4) / np.pi).tolist()
-    [0.0, 0.5, 1.0, 0.5]
-    """
+    """Wave numbers 2 pi j/N of a ring, j = 0 ... N-1, exactly paired about pi."""
     j = np.arange(sites)
     return 2 * np.pi * np.minimum(j, sites - j) / sites
 
@@ -98,11 +67,6 @@ def ring_kernel(order: Parameter, sites: Count) -> Numbers:
 
     The inverse Fourier transform of the symbol, so that omega^2 = (4 sin^2(k/2))^s at the wave numbers of the ring.
     Shape (N-1, *lanes); the weight of m is that of N-m.
-
-    **Example:**
-
-    >>> np.array(gx.fractional.ring_kernel(0.5, 4)).round(6).tolist()
-    [0.5, 0.207107, 0.5]
     """
     sites = whole("sites", sites, 2)
     values = symbol(order, wave_numbers(sites))
@@ -117,12 +81,6 @@ def to_the_right(order: Parameter, sites: Count) -> Numbers:
     """The part of `ring_kernel` that goes to the right, sum_{j >= 0} K(m + j N), m = 1, ..., N-1; N - m has the rest.
 
     What a law needs that tells left from right, such as alpha e^2.
-
-    **Example:**
-
-    >>> right = gx.fractional.to_the_right(0.5, 4)
-    >>> np.array(right + right[::-1]).round(6).tolist()
-    [0.5, 0.207107, 0.5]
     """
     s, sites = checked_order(order), whole("sites", sites, 2)
     both = ring_kernel(s, sites)

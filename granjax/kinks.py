@@ -26,15 +26,7 @@ FAR = 12
 
 
 class Kink(Result):
-    """A kink at rest: F(u) = 0 with one well far left and another far right.
-
-    **Example:**
-
-    >>> chain = gx.scenes.sine_gordon(20)
-    >>> found = gx.kinks.kink(chain, 2 * np.pi, centre=10)
-    >>> found.verdict, bool(found.growth > 0)
-    ('unstable', True)
-    """
+    """A kink at rest: F(u) = 0 with one well far left and another far right."""
 
     state: State = part("The kink at rest.", "site")
     energy: Number = array("The energy above that of the left well.", "J")
@@ -59,14 +51,7 @@ class Kink(Result):
 
 
 class PeierlsNabarro(Result):
-    """The barrier against moving a kink by a site.
-
-    **Example:**
-
-    >>> found = gx.kinks.peierls_nabarro(gx.scenes.sine_gordon(20), 2 * np.pi)
-    >>> found.outcome
-    'The kink rests on a bond; the other one is unstable.'
-    """
+    """The barrier against moving a kink by a site."""
 
     barrier: Number = array("The energy of the higher kink less that of the lower one.", "J")
     error: Number = array("The error of the barrier.", "J")
@@ -197,13 +182,6 @@ def moving(
 
     **Arguments:** `velocity`: V [sites/s], |V| < c0. The others as in `kink`; `centre` is any place.
     **Returns:** a `State`, to `gx.simulate`. **Raises** ValueError for |V| >= c0, and as `kink`.
-
-    **Example:**
-
-    >>> chain = gx.scenes.sine_gordon(20)
-    >>> state = gx.kinks.moving(chain, 0.5, 2 * np.pi)
-    >>> round(float(gx.measures.energy(chain, state)), 4)  # 8/sqrt(1 - V^2) = 9.24 in the continuum
-    9.0434
     """
     rest = kink(lattice, right, left)
     speed, top = float(velocity), _long_waves(lattice, float(left))

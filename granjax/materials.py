@@ -141,13 +141,7 @@ def material(name: str | Material) -> Material:
 
 
 def named(argument: str, name: str | Material) -> Material:
-    """As `material`, for an argument of another name, which the sentence says.
-
-    **Example:**
-
-    >>> float(gx.materials.named("wall", "rigid").young)
-    inf
-    """
+    """As `material`, for an argument of another name, which the sentence says."""
     if isinstance(name, Material):
         return name
     known = _PLAIN.get(_plain(name))
@@ -169,13 +163,7 @@ def named(argument: str, name: str | Material) -> Material:
 
 
 def stack(materials: Sequence[str | Material]) -> Material:
-    """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names.
-
-    **Example:**
-
-    >>> gx.materials.stack(["steel 316", "PTFE"] * 2).density.tolist()
-    [8000.0, 2200.0, 8000.0, 2200.0]
-    """
+    """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names."""
     bodies = [named(f"materials[{i}]", m) for i, m in enumerate(materials)]
     young, poisson, density = (
         jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density")
@@ -266,11 +254,6 @@ def yield_overlap(
     contacts that are plastic all over; materials and radii as in `hertz_coefficient`. **Returns:** s_y, for
     `gx.Thornton(stiffness, s_y)`. Typical: 3e-6 m for steel beads of 1 cm radius and 1.6e9 Pa. **Raises** ValueError
     as `hertz_coefficient` does. Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
-
-    **Example:**
-
-    >>> round(float(gx.materials.yield_overlap(1.6e9, "steel 316", 1e-2)) * 1e6, 4)
-    2.8085
     """
     first = named("material_1", material_1)
     second = first if material_2 is None else named("material_2", material_2)
@@ -336,13 +319,6 @@ def crossed_cylinders(
     **Returns:** A [N/m^{3/2}]. **Raises** ValueError for a radius that is not above zero, an angle outside
     (0, pi/2], or two rigid bodies.
     Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; Khatri, Ngo, Daraio, Granular Matter 14, 63 (2012).
-
-    **Example:**
-
-    >>> crossed = gx.materials.crossed_cylinders("steel 316", 5e-3)
-    >>> on_plane = gx.materials.hertz_coefficient("steel 316", 5e-3, "steel 316", jnp.inf)
-    >>> round(float(crossed / on_plane), 6)
-    1.0
     """
     first = named("material_1", material_1)
     second = first if material_2 is None else named("material_2", material_2)

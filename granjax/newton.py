@@ -22,12 +22,6 @@ class Root(Result):
     """Where Newton's method ended: its best iterate.
 
     `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
-
-    **Example:**
-
-    >>> root = gx.newton.newton(lambda x, a: x**2 - a, [1.0], 2.0)
-    >>> bool(root.converged), int(root.iterations), root.jacobian.round(4)
-    (True, 5, Array([[2.8284]], dtype=float64))
     """
 
     x: Numbers = array("The iterate.", axes="unknown")
@@ -165,13 +159,7 @@ def _by_forward_mode(residual):
 
 
 def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
-    """F(x, ...), as many numbers as unknowns.
-
-    **Example:**
-
-    >>> gx.newton.evaluated(lambda x, a: a * x**2, jnp.array([1.0, 3.0]), 2.0)
-    Array([ 2., 18.], dtype=float64)
-    """
+    """F(x, ...), as many numbers as unknowns."""
     found = residual(x, *others)
     if not isinstance(found, (jax.Array, np.ndarray)) or found.shape != x.shape:
         refuse(
@@ -255,13 +243,6 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
 
 
 def nearby(x: Numbers, step: Numbers) -> Numbers:
-    """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite).
-
-    **Example:**
-
-    >>> x = jnp.array([1.0])
-    >>> bool(gx.newton.nearby(x, 1e-7 * x) > x), bool(gx.newton.nearby(x, 0.1 * x) > x)
-    (True, False)
-    """
+    """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite)."""
     small = jnp.max(jnp.abs(step), initial=0) <= FLAT * jnp.max(jnp.abs(x), initial=0)
     return jnp.where(small, x + step, x)

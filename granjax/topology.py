@@ -226,14 +226,7 @@ def _overlap(q, after):
 
 
 class Zak(Result):
-    """Zak phases of the bands of a chain, or of a plane along one axis.
-
-    **Example:**
-
-    >>> found = gx.topology.zak(gx.scenes.ssh(8, 2.0, 1.0, boundary="periodic"))
-    >>> bool(abs(found.below[0]) < 1e-12)   # k1 > k2: no state at an end
-    True
-    """
+    """Zak phases of the bands of a chain, or of a plane along one axis."""
 
     phase: Numbers = array(
         "The Berry phase of each band over the zone in (-pi, pi], NaN for a band that "
@@ -438,13 +431,6 @@ class BerryCurvature(Result):
     """Berry curvature of bands of the plane, by plaquettes of a mesh over the zone.
 
     The sum of the flux over 2 pi is the Chern number, `chern`, a whole number to rounding.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.honeycomb(6, mass={"a": 1.0, "b": 1.2}, out_of_plane=True, boundary="periodic")
-    >>> found = gx.topology.berry_curvature(crystal, points=12)
-    >>> bool(abs(found.chern) < 1e-12), found.curvature.shape
-    (True, (12, 12))
     """
 
     k: Numbers = array(
@@ -591,13 +577,6 @@ def valley_chern(
     **Arguments:** `valley`: a named point, "K" or "K'", or phases per cell (2,); its partner is minus it. The others as
     of `berry_curvature`. **Returns:** the number; NaN where bands touch, of which `berry_curvature(...).outcome` says
     where. **Raises** ValueError as there, and for a point that is its own minus.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.honeycomb(6, mass={"a": 1.0, "b": 1.02}, out_of_plane=True, boundary="periodic")
-    >>> at, other = (gx.topology.valley_chern(crystal, valley=valley) for valley in ("K", "K'"))
-    >>> round(abs(at), 3), abs(at + other) < 1e-10
-    (0.488, True)
     """
     waves = _waves_of(lattice, cell, 2)
     mesh, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
@@ -634,15 +613,7 @@ def _distance(k, place):
 
 
 class Polarisation(Result):
-    """Bulk polarisation of bands of the plane: where, of a cell, their Wannier centres are.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.kagome(6, out_of_plane=True, stiffness=(1, 1, 1, 3, 3, 3), boundary="periodic")
-    >>> found = gx.topology.polarisation(crystal, (1, 2))
-    >>> found.polarisation.round(6)   # of the two bands above the gap
-    array([0.333333, 0.333333])
-    """
+    """Bulk polarisation of bands of the plane: where, of a cell, their Wannier centres are."""
 
     polarisation: Numbers = array(
         "p_1 and p_2 along the lattice vectors in [0, 1), in cells, summed over the bands.",
@@ -686,12 +657,6 @@ def polarisation(
     **Returns:** `Polarisation`. **Raises** ValueError for bands that touch others, bands with a Chern number, whose
     centres wind, a mesh on which centres jump, and where `unit_cell` does. Source: King-Smith, Vanderbilt, Phys. Rev.
     B 47, 1651 (1993); Ezawa, Phys. Rev. Lett. 120, 026801 (2018).
-
-    **Example:**
-
-    >>> crystal = gx.scenes.kagome(6, out_of_plane=True, stiffness=(1, 1, 1, 3, 3, 3), boundary="periodic")
-    >>> gx.topology.polarisation(crystal).polarisation.round(6)
-    array([0.666667, 0.666667])
     """
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 6)
@@ -784,11 +749,6 @@ def quadrupole(
     others, of which `berry_curvature(lattice, bands).outcome` says where. **Raises** ValueError for Wannier bands that
     touch. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
     (2017).
-
-    **Example:**
-
-    >>> gx.topology.quadrupole(gx.scenes.quadrupole(6, k1=0.5, k2=2.0, boundary="periodic"))
-    (0.5, 0.5)
     """
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)

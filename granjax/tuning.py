@@ -191,14 +191,6 @@ def clear() -> None:
     Call it between the parts of a long study, or in a notebook, where many shapes were met; a loop over one shape keeps
     nothing. What was computed before stays as it is. The next call of anything compiles again, functions of your own
     under `jax.jit` included; what `keep_compiled` has on disk is read from there.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11)
-    >>> gx.clear()
-    >>> run.us.shape
-    (11, 20)
     """
     import equinox
     import jax

@@ -14,13 +14,6 @@ class Special(NamedTuple):
     """A point found on a branch: `kind` "fold" or "branch point", `x`, `p`, and `after`, the index of the point before.
 
     `directions`: unit tangents (x, p) of the branches that meet at a branch point, the traced one first.
-
-    **Example:**
-
-    >>> curve = gx.continuation.continuation(lambda x, p, args: x**2 + p - 1, [1.0], 0.0, until=(-1.0, 2.0))
-    >>> fold, = curve.special
-    >>> fold.kind, round(fold.p, 4), abs(float(fold.x[0])) < 1e-6
-    ('fold', 1.0, True)
     """
 
     kind: str
@@ -32,14 +25,7 @@ class Special(NamedTuple):
 
 
 class Curve(Result):
-    """A branch, what was found on it, and why it ended.
-
-    **Example:**
-
-    >>> curve = gx.continuation.continuation(lambda x, p, args: x**2 + p**2 - 1, [1.0], 0.0, arclength=0.1, points=40)
-    >>> curve.x.shape, curve.folds.round(4), curve.outcome
-    ((40, 1), array([1.]), 'The 40 points that were asked for.')
-    """
+    """A branch, what was found on it, and why it ended."""
 
     x: Float[np.ndarray, "point unknown"] = array("The unknowns of every point.")
     p: Float[np.ndarray, " point"] = array("The parameter of every point.")

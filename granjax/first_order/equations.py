@@ -23,16 +23,6 @@ class Equation(eqx.Module):
 
     To add one, give it `sites` and write `energy`, real and free of the phase of psi (then the norm is kept);
     `gradient` where it is cheaper than automatic differentiation. `gx.first_order.field` is its vector field.
-
-    **Example:**
-
-    >>> class Ring(gx.first_order.Equation):
-    ...     sites: int
-    ...     def energy(self, psi):
-    ...         return jnp.sum(jnp.abs(psi - jnp.roll(psi, 1)) ** 2)
-    >>> wave = np.array([1, 1j, -1, -1j] * 5)
-    >>> np.array(Ring(20).gradient(wave) / wave).round(6).real[:3].tolist()
-    [2.0, 2.0, 2.0]
     """
 
     sites: eqx.AbstractVar[int]
@@ -81,15 +71,7 @@ def check_shape(psi: Any, equation: Any) -> None:
 
 
 def field(t: Any, psi: Amplitudes, equation: Equation) -> Amplitudes:
-    """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax.
-
-    **Example:**
-
-    >>> chain = gx.first_order.DNLS(20, coupling=1.0, nonlinearity=0.0)
-    >>> wave = np.array([1, -1] * 10) + 0j
-    >>> np.array(gx.first_order.field(0.0, wave, chain)).imag[:2].tolist()
-    [-4.0, 4.0]
-    """
+    """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax."""
     check_shape(psi, equation)
     return -1j * equation.gradient(psi)
 
@@ -217,12 +199,6 @@ def electrical(
     held at U = 0, a free end is open.
     **Returns:** `DNLS`; psi [V]. **Raises** ValueError as `DNLS`, and for L1, L2, C not above zero.
     Typical: L1 = 680 uH, L2 = 330 uH, C = 788 pF. Source: Molina, Phys. Rev. E 104, 024219 (2021).
-
-    **Example:**
-
-    >>> chain = gx.first_order.electrical(20, inductance=4.0, ground=1.0)
-    >>> round(float(chain.coupling), 6)
-    0.125
     """
     inductance, ground = positive("inductance", inductance), positive("ground", ground)
     omega = (ground * positive("capacitance", capacitance)) ** -0.5
@@ -340,11 +316,6 @@ def tau_0(exponent: Parameter = 1.5) -> Numbers:
     r"""tau_0 = 2^{1-p} sqrt(pi) Gamma(p/2 + 3/2)/Gamma(p/2 + 1), 1.5450622310844768 for Hertz's p = 3/2.
 
     The first harmonic of [cos]_+^p, which makes the contact force of beads that swing an effective one.
-
-    **Example:**
-
-    >>> round(float(gx.first_order.tau_0()), 6)
-    1.545062
     """
     p = positive("exponent", exponent)
     gamma = jax.scipy.special.gammaln

@@ -31,15 +31,7 @@ ROUNDED = 4
 
 
 class Evolution(Result):
-    """A run of a first-order lattice: what `gx.first_order.evolve` returns.
-
-    **Example:**
-
-    >>> chain = gx.first_order.DNLS(20, coupling=1.0, nonlinearity=0.0)
-    >>> run = gx.first_order.evolve(chain, np.eye(20)[10], 1.0, save_at=5)
-    >>> run.densities.shape, bool(run.norm_error < 1e-12)
-    ((5, 20), True)
-    """
+    """A run of a first-order lattice: what `gx.first_order.evolve` returns."""
 
     ts: Times = array("The times.", "s", "time", name="time")
     psis: Amplitudes = array("The amplitudes psi.", axes="time site", name="psi")

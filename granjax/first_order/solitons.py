@@ -18,14 +18,7 @@ LOCALISED = 0.05
 
 
 class Soliton(Result):
-    """A standing solution psi_n(t) = phi_n exp(-i omega t): what `gx.first_order.soliton` returns.
-
-    **Example:**
-
-    >>> found = gx.first_order.soliton(gx.first_order.DNLS(20), omega=-1.0)
-    >>> found.outcome
-    'Found: it is localised and stands still.'
-    """
+    """A standing solution psi_n(t) = phi_n exp(-i omega t): what `gx.first_order.soliton` returns."""
 
     psi: Numbers = array("The real amplitudes phi.", axes="site")
     omega: Number = array("The frequency.", "rad/s")

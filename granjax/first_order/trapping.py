@@ -20,15 +20,7 @@ ROUNDS = 20
 
 
 class SelfTrapping(Result):
-    """Where self-trapping begins: what `gx.first_order.self_trapping` returns.
-
-    **Example:**
-
-    >>> dimer = lambda chi: gx.first_order.DNLS(2, 1.0, chi, boundary="fixed")
-    >>> found = gx.first_order.self_trapping(dimer, 3.0, 5.0, 10.0, tolerance=0.03, frames=50)
-    >>> found.tried.shape == found.kept.shape, bool(found.error < 0.2)
-    (True, True)
-    """
+    """Where self-trapping begins: what `gx.first_order.self_trapping` returns."""
 
     nonlinearity: Number = array("The threshold.")
     error: Number = array("Half of the bracket that is left.")
@@ -62,13 +54,6 @@ def self_trapping(
     threshold. `frames`: how often is looked.
     **Returns:** `SelfTrapping`. **Raises** ValueError where `low` traps too, or `high` does not. Sources: Kenkre,
     Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
-
-    **Example:**
-
-    >>> dimer = lambda chi: gx.first_order.DNLS(2, 1.0, chi, boundary="fixed")
-    >>> found = gx.first_order.self_trapping(dimer, 3.0, 5.0, 10.0, tolerance=0.03, frames=50)
-    >>> round(float(found.nonlinearity), 1)
-    4.0
     """
     low, high = float(positive("low", low)), float(positive("high", high))
     if not low < high:

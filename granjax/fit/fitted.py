@@ -16,17 +16,7 @@ from .traces import Traces
 
 
 class Fit(Result):
-    r"""Parameters that bring a scene closest to its traces.
-
-    **Example:**
-
-    >>> scene = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(p["stiffness"])), sites=2)
-    >>> times = np.linspace(0.0, 5.0, 11)
-    >>> traces = gx.Traces(times, displacement=np.cos(np.sqrt(1.2) * times), sites=0, sigma=1e-3)
-    >>> found = gx.fit(scene, {"stiffness": 1.0}, traces, state=gx.State(np.ones(2), np.zeros(2)))
-    >>> found.names, found.samples, bool(found.deviations["stiffness"] < 1e-3)
-    (('stiffness',), 11, True)
-    """
+    r"""Parameters that bring a scene closest to its traces."""
 
     parameters: dict[str, Numbers] = array("The fitted parameters, a dict as the start.")
     covariance: Float[AnyArray, "P P"] = array(

@@ -21,17 +21,7 @@ UNSETTLED = 1e-3
 
 
 class Derivative(Result):
-    """A derivative and its error.
-
-    **Example:**
-
-    >>> def end(stiffness, step):
-    ...     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(stiffness)), sites=2)
-    ...     return gx.simulate(chain, gx.states.impact(chain), 1.0, step=step).final.u[0]
-    >>> slope = gx.derivative(end, 1.0, 0.05)
-    >>> slope.ladder.round(3), bool(slope.relative < 1e-9)
-    (array([0.05 , 0.045, 0.04 , 0.035, 0.03 , 0.025]), True)
-    """
+    """A derivative and its error."""
 
     value: Pytree = array(
         "The derivative at half the step, of the structure that `jax.jacfwd` gives."

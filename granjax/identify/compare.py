@@ -20,15 +20,6 @@ class Comparison(Result):
     r"""What `compare` returns, models in rising order of BIC.
 
     AIC is chi^2 + 2P and BIC chi^2 + P log n.
-
-    **Example:**
-
-    >>> bonds = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Linear(p["K"])), sites=2)
-    >>> state, ts = gx.State(np.zeros(2), np.array([0.5, -0.5])), np.linspace(0.0, 5.0, 51)
-    >>> traces = gx.Traces(ts, velocity=0.5 * np.cos(np.sqrt(2.0) * ts), sites=0, sigma=1e-3)
-    >>> found = gx.identify.compare({"linear": (bonds, {"K": 1.1})}, traces, state=state, step=0.05)
-    >>> found.names, found.weights.tolist()
-    (('linear',), [1.0])
     """
 
     names: tuple[str, ...] = array(

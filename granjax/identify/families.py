@@ -24,12 +24,6 @@ class Series(Law):
     `force`: F_s > 0 [N], about the largest that occur, so that the c_k are of order one. The linear stiffness is
     c_1 F_s/e_s. Far beyond the strains that it was fitted to its force may fall, and a run escape.
     **Raises** ValueError for e_s, F_s <= 0 or no coefficient.
-
-    **Example:**
-
-    >>> law = gx.identify.Series([1.0, 0.0, 0.5], strain=2.0, force=4.0)
-    >>> float(law.force(1.0))
-    2.25
     """
 
     dimensions = {"_coefficients": (0, 0, 0), "strain": (0, 1, 0), "scale": (1, 0, 0)}

@@ -29,18 +29,7 @@ BACK = 1e-3
 
 
 class ForceLaw(Result):
-    """What `law` returns; outside of `strain_range` nothing is claimed.
-
-    **Example:**
-
-    >>> scene = lambda law: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=2)
-    >>> state, ts = gx.State(np.zeros(2), np.array([0.5, -0.5])), np.linspace(0.0, 5.0, 51)
-    >>> traces = gx.Traces(ts, velocity=0.5 * np.cos(np.sqrt(2.0) * ts), sites=0, sigma=1e-3)
-    >>> found = gx.identify.law(scene, gx.Linear(1.1), traces, state=state, stages=1, step=0.05)
-    >>> force, deviation = found.force([0.1, 9.0])
-    >>> force.round(4).tolist()
-    [0.1, nan]
-    """
+    """What `law` returns; outside of `strain_range` nothing is claimed."""
 
     law: Law = array("The identified `Law`.")
     fit: Fit = array("The `Fit`, with the numbers of the law and other parameters.")

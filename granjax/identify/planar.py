@@ -24,15 +24,7 @@ PARTS = 4.0
 
 
 class Equilibrium(NamedTuple):
-    """A strain at which f = 0: a "saddle" (f' > 0) or a "centre", and the rate or wave number |f'|^{1/2}.
-
-    **Example:**
-
-    >>> xi = np.linspace(-6.0, 6.0, 61)
-    >>> found = gx.identify.planar_ode(xi, 1.5 / np.cosh(xi / 2) ** 2, degree=2)
-    >>> [(rest.kind, round(rest.rate, 4)) for rest in found.equilibria]
-    [('saddle', 1.0), ('centre', 1.0)]
-    """
+    """A strain at which f = 0: a "saddle" (f' > 0) or a "centre", and the rate or wave number |f'|^{1/2}."""
 
     strain: float
     kind: str
@@ -44,13 +36,6 @@ class PlanarODE(Result):
     """What `planar_ode` returns: y'' = f(y) + drift y', f = sum c_k y^k.
 
     `homoclinic()` and `periodic()` give orbits.
-
-    **Example:**
-
-    >>> xi = np.linspace(-6.0, 6.0, 61)
-    >>> found = gx.identify.planar_ode(xi, 1.5 / np.cosh(xi / 2) ** 2, degree=2)
-    >>> round(float(found.crest), 4), bool(found.misfit < 1e-6)
-    (1.5, True)
     """
 
     coefficients: Float[np.ndarray, " power"] = array("The coefficients c_k, in m^(1-k).")

@@ -16,15 +16,7 @@ _T, _W = np.polynomial.legendre.leggauss(NODES)
 
 
 class PlanarOrbit(Result):
-    """An orbit of a planar equation y'' = f(y), a crest or its trough at xi = 0, beside the measured wave.
-
-    **Example:**
-
-    >>> xi = np.linspace(-6.0, 6.0, 61)
-    >>> orbit = gx.identify.planar_ode(xi, 1.5 / np.cosh(xi / 2) ** 2, degree=2).homoclinic()
-    >>> orbit.kind, round(float(orbit.crest), 4), round(float(orbit.decay), 4)
-    ('homoclinic', 1.5, 1.0)
-    """
+    """An orbit of a planar equation y'' = f(y), a crest or its trough at xi = 0, beside the measured wave."""
 
     kind: str = array('"homoclinic" or "periodic".', static=True)
     crest: float = array(

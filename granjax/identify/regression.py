@@ -28,14 +28,7 @@ MOST = 10_000
 
 
 class Coefficient(NamedTuple):
-    """A coefficient that was found, its standard error, and the rms of its accelerations over that of all.
-
-    **Example:**
-
-    >>> found = gx.identify.Coefficient(value=1.5, error=0.01, share=0.9)
-    >>> found.value / found.error
-    150.0
-    """
+    """A coefficient that was found, its standard error, and the rms of its accelerations over that of all."""
 
     value: float
     error: float
@@ -44,18 +37,7 @@ class Coefficient(NamedTuple):
 
 
 class Regression(Result):
-    """What `regression` returns.
-
-    **Example:**
-
-    >>> terms = gx.identify.library(gx.Shift(1, "fixed"), dissipation=["v"])
-    >>> chain = gx.Lattice(1.0, (terms["e"](1.0), terms["e^3"](0.5)), sites=20)
-    >>> u, v = np.random.default_rng(0).normal(size=(2, 8, 20))
-    >>> a = jax.vmap(chain.acceleration)(np.arange(8.0), u, v)
-    >>> found = gx.identify.regression(np.ones(20), terms, np.arange(8.0), u, v, a)
-    >>> found.dropped, round(found.r_squared, 6)
-    (('e^2', '[e]_+^1.5', 'u', 'u^3', 'v'), 1.0)
-    """
+    """What `regression` returns."""
 
     coefficients: dict[str, Coefficient] = array(
         "`Coefficient(value, error, share)` of each term that was kept, by name."

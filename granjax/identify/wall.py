@@ -23,19 +23,7 @@ NAME = "modulus"
 
 
 class WallModulus(Result):
-    """What `wall_modulus` returns.
-
-    **Example:**
-
-    >>> walled = gx.scenes.beads("steel 316", 9.53e-3, cells=3, wall=gx.materials.Material("bone", 10e9, 0.3, 1900.0))
-    >>> run = gx.simulate(walled, gx.states.impact(walled, 0.4), 2e-4, step=1e-6, save_at=41)
-    >>> traces = gx.Traces(run.ts, velocity=run.vs[:, 1], sites=1)
-    >>> chain = gx.scenes.beads("steel 316", 9.53e-3, cells=3, boundary="free")
-    >>> known = {"material": "steel 316", "radius": 9.53e-3, "start": 15e9, "scan": 3, "step": 1e-6}
-    >>> found = gx.identify.wall_modulus(chain, traces, state=gx.states.impact(chain, 0.4), **known)
-    >>> round(found.plane_modulus / 1e9, 3), found.scanned.shape  # E/(1 - nu^2)
-    (10.989, (3,))
-    """
+    """What `wall_modulus` returns."""
 
     _else: ClassVar[str | None] = SI
     modulus: float = array("Young's modulus E of the wall at the given Poisson ratio.", "Pa")

@@ -491,12 +491,5 @@ def _sum(parts, like):
 
 
 def spread_mass(lattice: Lattice) -> Displacements:
-    """Mass of every degree of freedom, of the structure of the displacements, where `lattice.mass` may be one number.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(3, mass=2.0)
-    >>> chain.mass.shape, gx.lattice.spread_mass(chain).tolist()
-    ((), [2.0, 2.0, 2.0])
-    """
+    """Mass of every degree of freedom, of the structure of the displacements; `lattice.mass` may be one number."""
     return jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros())

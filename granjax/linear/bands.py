@@ -27,12 +27,6 @@ class Bands(Result):
     """Edges of the bands, in the order of omega.
 
     `gaps` is the list of complete gaps, pairs (low, high); bands that touch leave none.
-
-    **Example:**
-
-    >>> found = gx.linear.bands(gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic"))
-    >>> [round(float(edge), 4) for edge in found.gaps[0]]  # 3^{1/2}, 6^{1/2}
-    [1.7321, 2.4495]
     """
 
     lower: Numbers = array("The lower edge of each band.", "rad/s", "band")

@@ -38,12 +38,6 @@ class UnitCell(eqx.Module):
 
     **Fields:** `cell`: sites of the cell along each axis. `shells`: the R of the neighbours, R = 0 among them.
     `coupling`: (shells, P, P) [1/s^2]. `mass`: (P,), with P = sites of the cell times fields times dimension.
-
-    **Example:**
-
-    >>> cell = gx.linear.unit_cell(gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic"))
-    >>> cell.cell, cell.mass.tolist()
-    ((2,), [1.0, 0.5])
     """
 
     coupling: jax.Array
@@ -112,13 +106,6 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     **Raises** ValueError for a batch, modulated stiffness, gyroscopic forces, a lattice without a period (disorder, a
     defect, a taper), a `cell` that is no period, a lattice too short to tell, forces without an energy (K not
     symmetric).
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> cell = gx.linear.unit_cell(chain)
-    >>> cell.coupling.shape, len(cell.shells)
-    ((3, 2, 2), 3)
     """
     lattice = at_rest(lattice)
     sites = grid(lattice)

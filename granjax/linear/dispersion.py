@@ -23,12 +23,6 @@ class Dispersion(Result):
     their last axes then. The wave is u_j(R) = vectors_j exp(i (k . R - omega t)), R the number of the cell. Both
     derivatives are exact (perturbation theory). They are NaN where they do not exist: at omega = 0, where an acoustic
     band has a corner (see `sound_speed`), and where bands cross. Bands that stay together keep theirs.
-
-    **Example:**
-
-    >>> relation = gx.linear.dispersion(gx.scenes.monomer(20, precompression=1.0), [np.pi / 2])
-    >>> print(relation.group_velocity.round(4))  # (K2/m)^{1/2} cos(k/2)
-    [[0.866]]
     """
 
     k: Numbers = array("The phase advance per unit cell.", "rad", "wave")

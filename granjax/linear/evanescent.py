@@ -17,12 +17,6 @@ class ComplexBands(Result):
     """Complex wave numbers of given frequencies.
 
     u ~ exp(i k R); Im k > 0 decays along the axis, real ones travel.
-
-    **Example:**
-
-    >>> found = gx.linear.complex_bands(gx.scenes.monomer(20, precompression=1.0), [1.0])
-    >>> found.k.shape, bool((found.residual < 1e-10).all())
-    ((1, 2), True)
     """
 
     omega: Numbers = array("The frequencies.", "rad/s", "frequency")

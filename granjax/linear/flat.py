@@ -19,14 +19,7 @@ MESH = {1: 48, 2: 12, 3: 6}
 
 
 class FlatBands(Result):
-    """The flat bands of a lattice, and a compact state of each frequency, `state(lattice, number)`.
-
-    **Example:**
-
-    >>> found = gx.linear.flat_bands(gx.scenes.stub(6, boundary="periodic"))
-    >>> print(found.support, found.degeneracy)
-    [3] [1]
-    """
+    """The flat bands of a lattice, and a compact state of each frequency, `state(lattice, number)`."""
 
     omega: Numbers = array("The frequency of each flat band.", "rad/s", "flat")
     omega_squared: Numbers = array("omega^2 of each flat band.", "rad^2/s^2", "flat")

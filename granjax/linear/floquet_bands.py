@@ -37,13 +37,6 @@ class FloquetBands(Result):
     `k` has the shape (k...,) for a chain and (k..., d) for a lattice of d axes; a cell of P degrees of freedom has 2P
     multipliers. Waves are normalised by sum m/m_mean (|u|^2 + |T v/2 pi|^2) = 1 over the cell. `growth` and `omega` are
     known to `error`/(|rho| T). Edges of gaps are `None` where `k` is one number, has several axes, or is traced.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
-    >>> found = gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi)
-    >>> found.multipliers.shape, round(float(found.growth.max()), 3)
-    ((13, 2), 0.032)
     """
 
     k: Numbers = array("The phase advance per unit cell.", "rad", "wave")

@@ -77,15 +77,6 @@ class SmoothGauge(Result):
     """Bloch vectors around the zone of a chain, each in phase with the one before.
 
     `periodic` are the vectors with the phase shared out evenly over the mesh, smooth all around the zone and back.
-
-    **Example:**
-
-    >>> k = 2 * np.pi * np.arange(32) / 32
-    >>> waves = gx.linear.dispersion(gx.scenes.ssh(8, 1.0, 2.0, boundary="periodic"), k)
-    >>> q = gx.linear.smooth_gauge(waves.vectors).periodic
-    >>> link = sum(x[-1].conj() * x[0] for x in q.values()).sum(0)   # from the last to the first
-    >>> (np.angle(link) * 32 / np.pi).round(6)   # the phase pi is shared out
-    array([-1., -1.])
     """
 
     vectors: ComplexNumbers | dict[str, ComplexNumbers] = array(
@@ -130,14 +121,6 @@ def smooth_gauge(
 
     **Returns:** `SmoothGauge`; a phase is that of `gx.topology.zak` on the same mesh. **Raises** ValueError for fewer
     than four wave numbers, masses that do not fit. Source: Resta, Rev. Mod. Phys. 66, 899 (1994).
-
-    **Example:**
-
-    >>> k = 2 * np.pi * np.arange(32) / 32
-    >>> waves = gx.linear.dispersion(gx.scenes.ssh(8, 1.0, 2.0, boundary="periodic"), k)
-    >>> found = gx.linear.smooth_gauge(waves.vectors)
-    >>> [round(abs(float(x)) / np.pi, 6) for x in found.phase]
-    [1.0, 1.0]
     """
     leaves = jax.tree.leaves(vectors)
     if any(

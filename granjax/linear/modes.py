@@ -28,12 +28,6 @@ class NormalModes(Result):
 
     The modes are normalised with the mass: sum m phi_a phi_b = 1 for a = b, else 0. Values of omega^2 that are rounding
     give exactly 0.
-
-    **Example:**
-
-    >>> found = gx.linear.normal_modes(gx.scenes.monomer(20, precompression=1.0))
-    >>> found.modes.shape, round(float((found.modes[:, 0] ** 2).sum()), 6)
-    ((20, 20), 1.0)
     """
 
     omega: Float[AnyArray, " mode"] = array(

@@ -37,13 +37,6 @@ class RibbonBands(Result):
     different places across it, the eigenvectors of the place within their subspace: where their omega^2 differ by less
     than 1e-4 of the largest |D| and by less than a hundredth of what parts them from the waves beside them. By no more
     than that difference such `modes` miss (D - omega^2) q = 0; they beat over more than about 10^4 periods.
-
-    **Example:**
-
-    >>> strip = gx.scenes.honeycomb(4, 6, out_of_plane=True, boundary=("periodic", "free"))
-    >>> found = gx.linear.ribbon(strip, [np.pi])
-    >>> found.edge.shape, found.axis
-    ((1, 12), 0)
     """
 
     k: Numbers = array("The phase per cell along the strip.", "rad", "wave")

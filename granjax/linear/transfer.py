@@ -22,13 +22,6 @@ class LocalisationLength(Result):
     """What `localisation_length` returns.
 
     `length` is 1/gamma [sites]; `resolved` says where gamma is more than twice its error.
-
-    **Example:**
-
-    >>> chains = jax.vmap(lambda n: gx.scenes.disordered(500, 0.3, n, law=gx.Linear), out_axes=-1)(jnp.arange(16))
-    >>> found = gx.linear.localisation_length(chains, 1.0)
-    >>> bool(found.resolved), found.sites, found.samples
-    (True, 500, 16)
     """
 
     omega: Number = array("The frequencies.", "rad/s", "omega")

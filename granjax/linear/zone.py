@@ -65,12 +65,6 @@ class PathBands(Result):
     The phases of the Bloch vectors follow each band: sum conj(x) m y of each with the one before is real and positive
     along the path; where bands change places, with that one which it continues, and where they are together the basis
     is the nearest one.
-
-    **Example:**
-
-    >>> found = gx.linear.path(gx.scenes.triangular(6, 6, boundary="periodic"), "GKMG", count=40)
-    >>> found.names, found.vectors.shape
-    (('G', 'K', 'M', 'G'), (41, 1, 1, 2, 2))
     """
 
     names: tuple[str, ...] = note("The names of the points of the path.", static=True)
@@ -201,14 +195,7 @@ def _letters(points, known):
 
 
 class DensityOfStates(Result):
-    """Density of states g(omega): how many of the bands' waves lie within a band of frequencies, over its width.
-
-    **Example:**
-
-    >>> found = gx.linear.density_of_states(gx.scenes.monomer(20, precompression=1.0, boundary="periodic"), bins=20)
-    >>> round(float((found.density * np.diff(found.omega).mean()).sum()), 6)   # one band
-    1.0
-    """
+    """Density of states g(omega): how many of the bands' waves lie within a band of frequencies, over its width."""
 
     omega: Numbers = array("The middles of the bins.", "rad/s", "frequency")
     density: Numbers = array(
@@ -310,14 +297,7 @@ def _below(pieces, e):
 
 
 class ZoneMap(Result):
-    """Frequencies of all bands over the Brillouin zone, on a rectangle of wave vectors around it.
-
-    **Example:**
-
-    >>> found = gx.linear.zone_map(gx.scenes.square(6, precompression=-0.1, boundary="periodic"), 9)
-    >>> found.corners.round(4).tolist()
-    [[3.1416, 3.1416], [-3.1416, 3.1416], [-3.1416, -3.1416], [3.1416, -3.1416]]
-    """
+    """Frequencies of all bands over the Brillouin zone, on a rectangle of wave vectors around it."""
 
     q: Numbers = array("The wave vectors.", "1/m", "first second axis")
     omega: Numbers = array("The frequencies.", "rad/s", "first second band")

@@ -12,13 +12,6 @@ def contacts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> list:
     """The contacts at a state: `Compression`s, bonds in the order of the terms, then walls in theirs.
 
     Each has its `law`, `compression` [m], total `force` [N] and `overlap` [m].
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20, precompression=1.0)
-    >>> (found,) = gx.measures.contacts(chain, gx.states.rest(chain))
-    >>> found.place, found.force.shape
-    ('bond', (21,))
     """
     u, _ = parts(lattice, y, t)
     found = [c for term in lattice.terms for c in term.compressions(t, u)]
@@ -116,13 +109,6 @@ def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0)
     """Overlap of every contact, d0 + e for a power law; not above zero where it is open [m].
 
     **Arguments and shapes:** as in `strain`. **Raises** ValueError also for a law that cannot open.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20, precompression=1.0)
-    >>> state = gx.State(jnp.zeros(20).at[0].set(0.44), jnp.zeros(20))
-    >>> np.array(gx.measures.overlap(chain, state)[:3]).round(6).tolist()
-    [0.56, 1.44, 1.0]
     """
     contact = _contact(lattice, y, t, bond)
     value = contact.overlap

@@ -30,40 +30,18 @@ def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
 
 
 def potential_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> state = gx.State(jnp.zeros(20).at[0].set(1.0), jnp.zeros(20))
-    >>> round(float(gx.measures.potential_energy(chain, state)), 6)
-    0.4
-    """
+    """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes."""
     u, _ = parts(lattice, y, t)
     return lattice.potential_energy(t, u) + jnp.zeros(lattice.lanes, lattice.dtype)
 
 
 def kinetic_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> float(gx.measures.kinetic_energy(chain, gx.states.impact(chain, velocity=2.0)))
-    2.0
-    """
+    """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read."""
     return lattice.kinetic_energy(parts(lattice, y, t)[1])
 
 
 def momentum(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> float(gx.measures.momentum(chain, gx.states.impact(chain, velocity=2.0)))
-    2.0
-    """
+    """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read."""
     _, v = parts(lattice, y, t)
     axes = tuple(range(lattice.axes))
     return sum(jax.tree.leaves(jax.tree.map(lambda m, v: (m * v).sum(axes), lattice.mass, v)))
@@ -80,12 +58,6 @@ def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
         run = gx.simulate(chain, gx.states.impact(chain), 3.0, tolerance=1e-10, record={"work": work})
 
     **Raises** ValueError for a state of another shape than the lattice's.
-
-    **Example:**
-
-    >>> chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Damping(0.1)), sites=20)
-    >>> round(float(gx.measures.power(chain, gx.states.impact(chain))), 6)
-    -0.1
     """
     u, v = parts(lattice, y, t)
     terms = [term for term in lattice.terms if not reads(term, lattice).conserves]
@@ -155,14 +127,6 @@ def species_energy(
     **Arguments:** `species`: one label per site, numbers or names (`["heavy", "light"] * 50`, a mask); `None` for the
     fields of a cell. **Returns:** a dict from label to energy, of the shape of the lanes; the values sum to `energy`.
     **Raises** ValueError for labels that are not one per site, or fields together with labels.
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> state = gx.State(jnp.zeros(20), jnp.ones(20))
-    >>> shares = gx.measures.species_energy(chain, state, species=["heavy", "light"] * 10)
-    >>> {name: float(energy) for name, energy in shares.items()}
-    {'heavy': 5.0, 'light': 2.5}
     """
     share = site_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))

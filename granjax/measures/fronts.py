@@ -12,15 +12,7 @@ ROOT_STEPS = 12
 
 
 class Peaks(Result):
-    """Time and height of the highest maximum of every site, shape of one frame; NaN where it lies at an end.
-
-    **Example:**
-
-    >>> ts, n = np.linspace(0.0, 10.0, 101), np.arange(8)
-    >>> peaks = gx.measures.peak_times(ts, np.exp(-((ts[:, None] - 2 - n / 2) ** 2)))
-    >>> peaks.outcome
-    '8 of 8 maxima lie inside the record.'
-    """
+    """Time and height of the highest maximum of every site, shape of one frame; NaN where it lies at an end."""
 
     times: Numbers = array("The time of the maximum.", "s", "site")
     heights: Numbers = array("The height of the maximum.", axes="site")
@@ -33,15 +25,7 @@ class Peaks(Result):
 
 
 class Front(Result):
-    """Speed of a front, and the arrival times that it was fitted to.
-
-    **Example:**
-
-    >>> ts, n = np.linspace(0.0, 10.0, 101), np.arange(8)
-    >>> front = gx.measures.front_speed(ts, np.exp(-((ts[:, None] - 2 - n / 2) ** 2)))
-    >>> front.outcome
-    'A line through 8 of 8 arrivals.'
-    """
+    """Speed of a front, and the arrival times that it was fitted to."""
 
     speed: Number = array("The speed in sites per time.", "1/s")
     error: Number = array("The standard error of the speed.", "1/s")
@@ -106,13 +90,6 @@ def peak_times(ts: Parameter, q: Parameter) -> Peaks:
 
     **Arguments:** as in `arrival_times`. **Returns:** `Peaks`, with NaN where the highest frame is the first or last.
     **Raises** ValueError for times that do not rise or are not one per frame, or fewer than three frames.
-
-    **Example:**
-
-    >>> ts, n = np.linspace(0.0, 10.0, 101), np.arange(8)
-    >>> peaks = gx.measures.peak_times(ts, np.exp(-((ts[:, None] - 2 - n / 2) ** 2)))
-    >>> np.array(peaks.times[:3]).round(4).tolist(), np.array(peaks.heights[:3]).round(4).tolist()
-    ([2.0, 2.5, 3.0], [1.0, 1.0, 1.0])
     """
     ts, q = _history(ts, q, 3)
     return _maxima(ts, q)

@@ -39,14 +39,5 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
 
 
 def rms_velocity(lattice: Lattice, u: Displacements, v: Displacements, t: Numbers) -> Number:
-    """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> ts = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
-    >>> v = np.sin(ts)[:, None] * np.ones(20)
-    >>> round(float(gx.measures.rms_velocity(chain, 0 * v, v, ts)), 6)
-    0.707107
-    """
+    """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches."""
     return jnp.sqrt(jnp.mean(ravel_pytree(v)[0] ** 2))

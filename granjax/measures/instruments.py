@@ -11,17 +11,7 @@ from ..units import SI, Units
 
 
 class Trace(Result):
-    """A sampled signal.
-
-    **Example:**
-
-    >>> ts = np.linspace(0.0, 1.0, 51)
-    >>> trace = gx.measures.velocity_trace(ts, np.sin(ts)[:, None], bead=0, sampling=20.0)
-    >>> trace
-    time           shape (21), 0 ... 1 s
-    velocity       shape (21), 0 ... 0.841471 m/s
-    outcome        21 samples over 1 s.
-    """
+    """A sampled signal."""
 
     _else: ClassVar[str | None] = SI
     time: Numbers = array("The times of the samples.", "s", "time")

@@ -14,11 +14,6 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
 
     **Arguments:** `weights`: such as energies, or squares of a mode's displacements times mass; `axis`: one axis of
     the sites, or several. **Returns:** the array without these axes; NaN where all weights are zero.
-
-    **Example:**
-
-    >>> float(gx.measures.participation([1.0, 1.0, 1.0, 1.0])), float(gx.measures.participation([4.0, 0.0, 0.0, 0.0]))
-    (4.0, 1.0)
     """
     weights = parameter("weights", weights)
     return weights.sum(axis) ** 2 / (weights * weights).sum(axis)
@@ -41,14 +36,7 @@ def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Num
 
 
 def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> float(gx.measures.energy_centre(chain, gx.states.impact(chain, site=7)))
-    7.0
-    """
+    """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid."""
     e = _cell_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))
     centres = [(n * e).sum(axes) / e.sum(axes) for n in _places(lattice, e)]
@@ -60,13 +48,6 @@ def second_moment(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
 
     On a grid the sum over both axes. Grows as t^2 where energy runs freely, stays bounded where it is localised.
     **Returns:** shape of the lanes; NaN for a lattice at rest.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> state = gx.State(jnp.zeros(20), jnp.zeros(20).at[jnp.array([5, 9])].set(1.0))
-    >>> float(gx.measures.second_moment(chain, state))
-    4.0
     """
     e = _cell_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))

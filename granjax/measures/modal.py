@@ -16,14 +16,6 @@ def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[
     (N, M) + lanes. With vectors or several fields N counts all displacements, in the order of `jax.tree.leaves` of
     `u`, each flattened. **Returns:** (a, a_dot), each (M,) + lanes.
     **Raises** ValueError for modes whose first axis is not the number of displacements.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20, precompression=1.0)
-    >>> modes = gx.linear.normal_modes(chain).modes
-    >>> a, rate = gx.measures.modal_amplitudes(chain, gx.states.sine_mode(chain, k=3), modes)
-    >>> int(jnp.argmax(jnp.abs(a))), round(float(a @ a), 4)
-    (2, 10.5)
     """
     u, v = parts(lattice, y)
     modes = parameter("modes", modes)

@@ -13,15 +13,7 @@ from .states_of import parts
 
 
 class ForceNetwork(NamedTuple):
-    """The bonds of a lattice at a state: `segments` (bonds, 2, d), where they are [m]; `force` (bonds,) in each [N].
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(5)
-    >>> network = gx.measures.force_network(crystal, gx.states.rest(crystal))
-    >>> network.segments.shape
-    (60, 2, 2)
-    """
+    """The bonds of a lattice at a state: `segments` (bonds, 2, d), where they are [m]; `force` (bonds,) in each [N]."""
 
     segments: jax.Array
     force: jax.Array
@@ -87,14 +79,6 @@ def angular_momentum(
     **Arguments:** `centre`: c (2,) [m]; `radius`: R [m] of beads that turn. **Returns:** a number [kg m^2/s]; it stays
     in a lattice with free ends, whose bonds push along themselves and slip nowhere under a rotation. **Raises**
     ValueError for a lattice without positions or of scalar displacements, beads that turn without a radius.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(5, boundary="free")
-    >>> x, y = np.moveaxis(np.array(crystal.positions), -1, 0)
-    >>> turning = gx.State(crystal.zeros(), np.stack([-y, x], -1))
-    >>> float(gx.measures.angular_momentum(crystal, turning)), float(np.sum(x**2 + y**2))
-    (300.0, 300.0)
     """
     places = placed(lattice, "an angular momentum")
     u, v = parts(lattice, y, t)
@@ -126,13 +110,6 @@ def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     same ends. Their `gx.terms.Grip` lets go where its contact opens: T is then zero, and so is the ratio. It is
     infinite where a `Bond` of a slip pulls at an open contact. Typical friction coefficients: 0.1 ... 0.8.
     **Returns:** a number, shape of the lanes. **Raises** ValueError for a lattice without such pairs.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(5, exponent=1.5, precompression=1.0, rotation=True, tangential=0.8)
-    >>> state = gx.State(crystal.zeros().at[2, 2, 2].set(0.1), crystal.zeros())
-    >>> round(float(gx.measures.slip_ratio(crystal, state)), 4)
-    0.08
     """
     u, _ = parts(lattice, y, t)
     forces = [

@@ -26,13 +26,6 @@ def energy_radius(
 
     **Arguments:** `centre`: c (d,) [m]; `None` is the mean place of the energy. **Returns:** a number; NaN at rest.
     **Raises** ValueError for a lattice without positions, or a batch.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(5)
-    >>> state = gx.states.radial_impact(crystal, velocity=0.1, radius=1.0)
-    >>> round(float(gx.measures.energy_radius(crystal, state)), 6)
-    1.0
     """
     places = placed(lattice, "a radius")
     e, places = site_energy(lattice, y, t), {"": places} if not isinstance(places, dict) else places
@@ -56,16 +49,7 @@ def _point(name, given, size):
 
 
 class RadialProfile(Result):
-    """A quantity against the distance from a point of the plane, at one time or several.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(9)
-    >>> distance = np.linalg.norm(np.indices((9, 9)) - 4, axis=0)
-    >>> profile = gx.measures.radial_profile(crystal, np.exp(-((distance - 2) ** 2)))
-    >>> round(float(profile.crest), 4), float(profile.error)
-    (2.1574, 0.5)
-    """
+    """A quantity against the distance from a point of the plane, at one time or several."""
 
     distance: Numbers = array("The mean distance of the sites of each ring.", "m", "distance")
     mean: Numbers = array("The mean of the quantity over each ring.", axes="... distance")
@@ -156,16 +140,7 @@ def _spacing(at):
 
 
 class FrontDecay(Result):
-    """How the amplitude of a front falls with the distance from where it began: amplitude ~ distance^exponent.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(9)
-    >>> distance = np.linalg.norm(np.indices((9, 9)) - 4, axis=0)
-    >>> decay = gx.measures.front_decay(crystal, np.maximum(distance, 1) ** -0.5, site=(4, 4), direction=[1.0, 0.0])
-    >>> np.array(decay.distance).round(6).tolist()
-    [1.0, 2.0, 3.0, 4.0]
-    """
+    """How the amplitude of a front falls with the distance from where it began: amplitude ~ distance^exponent."""
 
     distance: Numbers = array("The distances.", "m", "distance")
     amplitude: Numbers = array(
@@ -212,14 +187,6 @@ def front_decay(
     **Returns:** `FrontDecay`; exponents are differentiable in the amplitudes. **Raises** ValueError for a lattice
     without positions, a shape that does not fit, and fewer than four distances. Source: Leonard, Fraternali, Daraio,
     Exp. Mech. 53, 327 (2013); Awasthi, Smith, Geubelle, Lambros, Mech. Mater. 54, 100 (2012).
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(9)
-    >>> distance = np.linalg.norm(np.indices((9, 9)) - 4, axis=0)
-    >>> decay = gx.measures.front_decay(crystal, np.maximum(distance, 1) ** -0.5, site=(4, 4), direction=[1.0, 0.0])
-    >>> round(float(decay.exponent), 6)
-    -0.5
     """
     places = placed(lattice, "distances")
     if isinstance(places, dict):

@@ -12,15 +12,7 @@ WINDOWS = ("hann", "none")
 
 
 class Spectrum(Result):
-    """Power over wave number and angular frequency.
-
-    **Example:**
-
-    >>> ts, n = 0.1 * np.arange(400), np.arange(20)
-    >>> found = gx.measures.spectrum(np.cos(np.pi / 2 * n - np.pi * ts[:, None]), 0.1)
-    >>> found.outcome
-    '20 wave numbers, 201 frequencies up to 31.4159.'
-    """
+    """Power over wave number and angular frequency."""
 
     k: Numbers = array("The wave numbers per site, rising in [-pi, pi].", "rad", "k")
     omega: Numbers = array("The angular frequencies, from zero on.", "rad/s", "omega")
@@ -33,17 +25,7 @@ class Spectrum(Result):
 
 
 class Spectrogram(Result):
-    """Power density over time and angular frequency.
-
-    **Example:**
-
-    >>> ts = 0.1 * np.arange(400)
-    >>> found = gx.measures.spectrogram(np.cos(2.0 * ts), 0.1, window=10.0)
-    >>> found.outcome
-    '13 windows, 51 frequencies up to 31.4159.'
-    >>> found.power.shape
-    (13, 51)
-    """
+    """Power density over time and angular frequency."""
 
     time: Numbers = array("The middles of the windows.", "s", "time")
     omega: Numbers = array("The angular frequencies.", "rad/s", "omega")

@@ -45,13 +45,6 @@ class Attractor(Result):
 
     Errors are estimated distances from the true motion, by what settles from there with half as many steps, and by what
     either still changes; NaN where nothing repeats, or half the steps settle to nothing.
-
-    **Example:**
-
-    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
-    >>> found = gx.driven.settle(chain, gx.states.rest(chain), 2 * np.pi / 0.5, steps=64)
-    >>> found.us.shape, found.peak_force.round(4).tolist()
-    ((64, 3), [1.0024, 1.0024, 1.0068, 1.0068])
     """
 
     state: State = part("The state at phase 0, that is t = 0 modulo the period.", "site")

@@ -25,12 +25,6 @@ class Backbone(Result):
 
     u(t) = a shape cos(omega t) + a^2 (constant + second cos(2 omega t)) + O(a^3), a the largest displacement of the
     first harmonic.
-
-    **Example:**
-
-    >>> found = gx.breathers.backbone(gx.scenes.klein_gordon(5, 0.02), 0)
-    >>> round(float(found.omega_at(0.2)) ** 2, 6)
-    1.03
     """
 
     omega: Number = array("The frequency of the mode.", "rad/s")

@@ -23,13 +23,7 @@ FOLD, BRANCH_POINT, DOUBLING, TORUS = "fold", "branch point", "period doubling",
 
 
 class Bifurcation(Result):
-    """A change along a parameter.
-
-    **Example:**
-
-    >>> gx.breathers.Bifurcation("fold", p=1.2, after=3)
-    Bifurcation(Fold at p = 1.2)
-    """
+    """A change along a parameter."""
 
     kind: str = array(
         '"fold" (dp = 0), "branch point" (another branch crosses), "period doubling" (a '
@@ -67,15 +61,6 @@ class Branch(Result):
     r"""Orbits along a parameter, as `family`, `anticontinuous` or `forced_branch` has found them.
 
     P points; errors are estimated distances from the truth, in the units of what they are of.
-
-    **Example:**
-
-    >>> chain = gx.scenes.klein_gordon(5, 0.02)
-    >>> branch = gx.breathers.family(chain, points=3, arclength=0.3, steps=64, stability=False)
-    >>> len(branch), branch.u.shape
-    (3, (3, 5))
-    >>> branch.energy.round(4).tolist()
-    [0.0001, 0.0003, 0.0009]
     """
 
     p: Float[np.ndarray, " point"] = array(

@@ -319,13 +319,6 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
 
     Of the unit cell where there is one; else of the extended modes of the finite lattice: runs of neighbours closer
     than 8 mean spacings, of modes that spread over a fifth of the sites.
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> bands, omega = gx.breathers.bands_of(chain)
-    >>> bands.round(4).tolist()
-    [[0.0, 1.7321], [2.4495, 3.0]]
     """
     modes = normal_modes(lattice)
     omega = np.asarray(modes.omega)
@@ -380,16 +373,6 @@ def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tupl
 
     `None` where no harmonic meets a wave. Where all forces are odd, F(-u) = -F(u), as of `scenes.sine_gordon`, a
     breather is its own negative half a period later: it has no even harmonics, and these do not count.
-
-    **Example:**
-
-    >>> chain = gx.scenes.klein_gordon(5, 0.02)
-    >>> gx.breathers.resonant_harmonic(chain, 1.4) is None
-    True
-    >>> gx.breathers.resonant_harmonic(chain, 0.51) is None  # 2 omega lies in the band, but the forces are odd
-    True
-    >>> gx.breathers.resonant_harmonic(chain, 0.34)[0]
-    3
     """
     intervals, discrete = bands_of(lattice)
     top = max(intervals.max(initial=0.0), discrete.max())

@@ -45,13 +45,6 @@ class Floquet(Result):
     and dv times sqrt(m/m_mean) T/2 pi (m_mean the geometric mean; of a flow without masses dv times T/2 pi where the
     state is a pair). Errors, conditions and defects are of M in these weights, where it has no units. Multipliers pair
     as rho rho' = exp(-gamma T), gamma the `rate`.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(3, precompression=1.0)
-    >>> found = gx.floquet.floquet(chain, gx.states.rest(chain), period=1.0)
-    >>> found.verdict, found.monodromy.shape
-    ('stable', (6, 6))
     """
 
     monodromy: Float[np.ndarray, "row column"] = array("The monodromy M.")
@@ -115,14 +108,6 @@ def decide(
     The `expected` ones nearest to +1 are left out. Unstable: one lies outside the circle by more than its error.
     Undecided: an error above `resolution` could hide such a one. Stable: neither; in a conservative lattice every
     multiplier then lies on the circle within its error, in a damped one inside.
-
-    **Example:**
-
-    >>> verdict, why = gx.floquet.decide(np.array([1.2, 1 / 1.2]), np.full(2, 1e-6), expected=0, conserves=True)
-    >>> verdict
-    'unstable'
-    >>> why
-    'A real multiplier of modulus 1.2 +- 1.0e-06 lies outside the unit circle.'
     """
     resolution = float(within("resolution", resolution, 0, 1, open_high=True))
     rest = np.delete(np.arange(len(multipliers)), np.argsort(np.abs(multipliers - 1))[:expected])
@@ -431,13 +416,6 @@ def multipliers(
     at 96 steps a period, 5 % at 384, of one that opens by 1 % of its compression), so take it by `gx.derivative`,
     whose error covers the truth: `gx.derivative(lambda p, step: ..., p, period / 48)` with `steps = 2 *
     jnp.round(period / step / 2).astype(int)` for the `Flow` and for the orbit.
-
-    **Example:**
-
-    >>> pair = gx.Lattice(1.0, (gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 2.0, mean=1.0)),), sites=2)
-    >>> rho = gx.floquet.multipliers(gx.Flow(64), gx.states.rest(pair), 0.0, np.pi, pair)
-    >>> np.sort(np.array(rho).real).round(6).tolist()
-    [-1.081682, -1.081682, -0.924487, -0.924487]
     """
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
     return jnp.linalg.eigvals(monodromy)

@@ -36,15 +36,7 @@ RETURNS = 1e-3
 
 
 class GapBreather(Result):
-    """A wave of a k-gap that grows, saturates by nonlinearity, and returns: periodic in space, localised in time.
-
-    **Example:**
-
-    >>> ring = gx.scenes.modulated(6, 0.3, 2.0, law=gx.Polynomial(1.0, 0.0, 1.0))
-    >>> found = gx.breathers.k_gap_breather(ring, np.pi, np.pi / 3, amplitude=0.1, steps=64, tolerance=1e-2)
-    >>> round(float(found.growth), 4), bool(found.energy.max() > 30 * found.energy[0])
-    (0.0748, True)
-    """
+    """A wave of a k-gap that grows, saturates by nonlinearity, and returns: periodic in space, localised in time."""
 
     ts: Numbers = array("The times, once a period.", "s", "time")
     us: Displacements = array("The displacements at these times.", "m", "time site ...")

@@ -74,14 +74,6 @@ def leading(
     **Raises** ValueError in a sonic vacuum without `steps`, for a period or steps not above zero, and for a state that
     does not return, as far as these steps and half of them tell; RuntimeError where Arnoldi's method does not
     converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
-
-    **Example:**
-
-    >>> stiffness = np.where(np.arange(20) == 10, -1.0, 1.0)
-    >>> chain = gx.Lattice(1.0, (gx.OnSite(gx.Polynomial(stiffness, 0.0, 0.0)),), sites=20)
-    >>> found = gx.floquet.leading(chain, gx.states.rest(chain), 1.0, count=1)
-    >>> round(float(abs(found.multipliers[0])), 6)  # e
-    2.718282
     """
     tolerance = checked_tolerance("tolerance", tolerance)
     period, state = one_period(lattice, period), checked_state(lattice, state)

@@ -34,13 +34,6 @@ class Localisation(NamedTuple):
     oscillation, two thirds for a wave between walls, down to four ninths in the plane. `cells`: how many there are.
     `dip`: the least energy of a cell over the largest on the poorer of its sides; 1 or more without a dip. `axes`: in
     how many directions waves run.
-
-    **Example:**
-
-    >>> chain = gx.scenes.klein_gordon(5, 0.02)
-    >>> found = gx.breathers.localisation(chain, gx.State(jnp.zeros(5).at[2].set(0.1), jnp.zeros(5)))
-    >>> found.bright, found.dark, round(found.participation, 3)
-    (True, False, 1.039)
     """
 
     participation: float
@@ -86,14 +79,7 @@ class Localisation(NamedTuple):
 
 
 def localisation(lattice: Lattice, state: StateLike) -> Localisation:
-    """The `Localisation` of a state at rest.
-
-    **Example:**
-
-    >>> chain = gx.scenes.klein_gordon(5, 0.02)
-    >>> print(gx.breathers.localisation(chain, gx.State(0.1 * jnp.ones(5), jnp.zeros(5))))
-    5 of 5 cells share its energy
-    """
+    """The `Localisation` of a state at rest."""
     energies = _cell_energies(lattice, checked_state(one_lattice(lattice), state))
     # a graph of beads that move in the plane fills it
     axes = max(energies.ndim, min(lattice.dimension or 1, 2))

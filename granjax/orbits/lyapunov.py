@@ -21,16 +21,7 @@ from .steps import fixed_step_solver
 
 
 class Lyapunov(Result):
-    """What `lyapunov` returns.
-
-    **Example:**
-
-    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
-    >>> rest = gx.states.rest(chain)
-    >>> found = gx.driven.lyapunov(chain, rest, 4 * np.pi, periods=40, transient=10, number=6, steps=64)
-    >>> found.rates.shape, round(float(found.exponents[0] + found.exponents[-1]), 2)  # -gamma
-    ((40, 6), -0.5)
-    """
+    """What `lyapunov` returns."""
 
     exponents: Float[np.ndarray, " exponent"] = array(
         "The exponents, from the largest down.", "1/s"

@@ -36,13 +36,6 @@ class OrbitRun(Result):
     """One period of an orbit at equal distances, without its end.
 
     Means over these frames are integrals over the period to the accuracy of a Fourier series.
-
-    **Example:**
-
-    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
-    >>> run = gx.forced.forced_orbit(chain, 2 * np.pi / 0.5, steps=64).run(16)
-    >>> run.us.shape, round(float(run.ts[1]) * 8 / np.pi, 4)
-    ((16, 3), 2.0)
     """
 
     ts: Times = array("The times.", "s", "time", name="time")
@@ -56,18 +49,7 @@ class OrbitRun(Result):
 
 
 class Orbit(Result):
-    """A periodic orbit of a lattice, driven or not: y(t0 + T) = S y(t0).
-
-    **Example:**
-
-    >>> chain = gx.scenes.klein_gordon(5, 0.02)
-    >>> guess = gx.breathers.guesses.single_site(chain, 1.4, 2)
-    >>> found = gx.breathers.breather(chain, 1.4, guess, steps=64)
-    >>> found.remark
-    '1.03 of 5 cells share its energy.'
-    >>> np.array(found.state.u).round(4).tolist()
-    [0.0005, -0.0239, 1.1182, -0.0239, 0.0005]
-    """
+    """A periodic orbit of a lattice, driven or not: y(t0 + T) = S y(t0)."""
 
     exported: ClassVar[dict[str, Held]] = {
         "omega": Held(unit="rad/s"),

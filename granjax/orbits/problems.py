@@ -38,14 +38,6 @@ class Shooting(eqx.Module):
     which the orbit begins.
 
     The scene of `residual`, `linearise` and `slopes` is the pair (lattice, period).
-
-    **Example:**
-
-    >>> chain = gx.scenes.klein_gordon(5, 0.0, alpha=0.0, beta=0.0)
-    >>> problem = gx.orbits.Shooting.half(chain, gx.Flow(64, gx.KahanLi8()))
-    >>> x = problem.guess(gx.State(0.1 * jnp.ones(5), jnp.zeros(5)))
-    >>> bool(jnp.abs(problem.residual(x, (chain, 2 * np.pi))).max() < 1e-9)
-    True
     """
 
     flow: Flow

@@ -31,12 +31,6 @@ def spectrum(
     distance to the nearest eigenvalue of `coarse` in a one-to-one matching; plus the rounding of M by the eigenvalue's
     condition. At a double multiplier the condition makes it a square root. |dM| is `uncertain`, plus `moved`: what else
     M is not known to. The effect y^H dM x itself may be small by accident, above all where contacts open.
-
-    **Example:**
-
-    >>> rho, vectors, error = gx.floquet.spectrum(np.array([[2.0, 1.0], [0.0, 0.5]]))
-    >>> rho.real.round(6).tolist(), bool(error.max() < 1e-12)
-    ([2.0, 0.5], True)
     """
     fine, coarse, coarser = (None if x is None else np.asarray(x) for x in (fine, coarse, coarser))
     return known_spectrum(
@@ -117,12 +111,6 @@ def product_multipliers(factors: Parameter) -> Inexact[np.ndarray, " n"]:
     times the largest within one factor, so that the more factors, the better.
 
     **Arguments:** `factors`: (m, N, N), the first applied first. **Returns:** (N,), the largest modulus first.
-
-    **Example:**
-
-    >>> rho = gx.floquet.product_multipliers(np.array([np.diag([1e10, 1e-10])] * 2))
-    >>> [f"{x:.3g}" for x in rho.real.tolist()]
-    ['1e+20', '1e-20']
     """
     factors = [np.asarray(factor) for factor in factors]
     roots = np.linalg.eigvals(_cyclic(factors))
@@ -173,15 +161,6 @@ def reversible_multipliers(
     1 + 2 B^T C. They are simple where the multipliers are double (at +-1), and carry no square root of the error.
 
     **Returns:** half-traces mu (n,), multipliers rho (2n,), the largest modulus first, and the error of each rho.
-
-    **Example:**
-
-    >>> half = np.array([[np.cos(1.0), np.sin(1.0)], [-np.sin(1.0), np.cos(1.0)]])
-    >>> traces, rho, error = gx.floquet.reversible_multipliers(half)
-    >>> traces.real.round(6).tolist()  # cos 2
-    [-0.416147]
-    >>> np.angle(rho).round(6).tolist()
-    [-2.0, 2.0]
     """
     half, coarse, coarser = (None if x is None else np.asarray(x) for x in (half, coarse, coarser))
     n = len(half) // 2

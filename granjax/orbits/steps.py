@@ -41,12 +41,6 @@ def default_steps(
     A multiple of `multiple`; a number, or an array where the lattice or the period is traced. In a sonic vacuum, where
     that frequency is zero, omega_max is the bound at the energy of a `guess`. **Raises** ValueError there without one,
     unless the steps are `doubled` by the caller as need be.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20, precompression=1.0)
-    >>> gx.orbits.default_steps(chain, 2 * np.pi), gx.orbits.default_steps(chain, 2 * np.pi, multiple=8)
-    (52, 56)
     """
     turned = period * linear_frequency(lattice)
     known = concrete(turned)
@@ -111,14 +105,6 @@ def history(
 
     Times and states have a leading axis and leave the end out; `flow` has the steps of one period. Every period begins
     at the same phase, so that what is periodic does not drift by the rounding of the time.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20, precompression=1.0)
-    >>> flow = gx.Flow(64, gx.SRKN6b())
-    >>> end, ts, ys = gx.orbits.history(flow, chain, gx.states.impact(chain, 0.1), 0.0, 5.0, frames=16)
-    >>> ts.shape, ys.u.shape
-    ((16,), (16, 20))
     """
     between = Flow(-(-flow.steps // frames), flow.solver)
     length = period / frames

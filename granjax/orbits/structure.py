@@ -35,13 +35,6 @@ def structure(lattice: Lattice) -> Structure:
     Expected at +1: for an orbit of an autonomous, conservative lattice two (phase and energy), and two more for every
     free displacement (position and momentum): four for a chain with free ends or a ring, two between walls; none where
     it is driven or damped, but the free displacement of a damped or driven chain, which keeps one (or two).
-
-    **Example:**
-
-    >>> gx.floquet.structure(gx.scenes.monomer(20, boundary="free")).expected
-    4
-    >>> gx.floquet.structure(gx.scenes.monomer(20)).expected
-    2
     """
     masses = zip(jax.tree.leaves(lattice.mass), jax.tree.leaves(lattice.template()))
     mass = np.concatenate([np.broadcast_to(m, x.shape).ravel() for m, x in masses])

@@ -41,14 +41,7 @@ AGAIN = 6
 
 
 class Jump(NamedTuple):
-    """A jump of the response at `value`: `before` and `after` it, in the direction of the sweep.
-
-    **Example:**
-
-    >>> jump = gx.driven.Jump(value=1.2, before=0.5, after=0.1)
-    >>> jump.before > jump.after
-    True
-    """
+    """A jump of the response at `value`: `before` and `after` it, in the direction of the sweep."""
 
     value: float
     before: float
@@ -61,14 +54,6 @@ class Way(Result):
 
     Errors are estimated distances from the true motion, as of `settle`; NaN where nothing repeats, or half the steps
     settle to nothing.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(3, precompression=1.0)
-    >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
-    >>> way = gx.driven.sweep(make, [0.01, 0.02, 0.03], 2 * np.pi / 0.5, steps=64, down=False).up
-    >>> way.velocity.shape, way.jumps
-    ((3, 3), ())
     """
 
     response: Float[np.ndarray, " value"] = array("The chosen number at each value.")
@@ -100,16 +85,7 @@ class Way(Result):
 
 
 class Sweep(Result):
-    """What `sweep` returns: the two ways, and where they differ.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(3, precompression=1.0)
-    >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
-    >>> found = gx.driven.sweep(make, [0.01, 0.02, 0.03], 2 * np.pi / 0.5, steps=64)
-    >>> found.hysteresis, found.up.multiple.tolist(), found.down.multiple.tolist()
-    ([], [1, 1, 1], [1, 1, 1])
-    """
+    """What `sweep` returns: the two ways, and where they differ."""
 
     values: Float[np.ndarray, " value"] = array(
         "The values of the parameter, ascending.", name="value"

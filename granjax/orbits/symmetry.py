@@ -22,14 +22,6 @@ class Symmetry(eqx.Module):
     with it, so that compressions are reflected. `cells` counts places along the first axis of every field.
 
     `Translation(1)`, `Mirror()` and `Sign()` make one, and `a @ b` is b, then a.
-
-    **Example:**
-
-    >>> S = gx.orbits.Translation(1) @ gx.orbits.Sign()
-    >>> S
-    Sign() @ Translation(1)
-    >>> S(jnp.array([1.0, 2.0, 3.0])).tolist()
-    [-3.0, -1.0, -2.0]
     """
 
     cells: int = eqx.field(static=True, default=0)
@@ -93,13 +85,7 @@ def Mirror() -> Symmetry:
 
 
 def Sign() -> Symmetry:
-    """The motion is its own negative half of its full period later, in lattices of odd forces.
-
-    **Example:**
-
-    >>> gx.orbits.Sign()(jnp.array([1.0, 2.0, 3.0])).tolist()
-    [-1.0, -2.0, -3.0]
-    """
+    """The motion is its own negative half of its full period later, in lattices of odd forces."""
     return Symmetry(sign=-1)
 
 
@@ -109,13 +95,6 @@ def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
     k = 1 for a chain with free ends or a ring, 0 with a wall or a site potential; in the plane one a free direction.
     Fields that no term joins move each for themselves. Asked of the terms, whatever their parameters, so that a traced
     lattice has them too.
-
-    **Example:**
-
-    >>> gx.orbits.shifts(gx.scenes.monomer(3, boundary="free")).tolist()
-    [[1.0], [1.0], [1.0]]
-    >>> gx.orbits.shifts(gx.scenes.monomer(3)).shape
-    (3, 0)
     """
     known = facts(lattice).known
     if "shifts" not in known:

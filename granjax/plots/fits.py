@@ -119,14 +119,6 @@ def corner(
 
     **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
     (parameters that are not determined).
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> found = SimpleNamespace(parameters={"stiffness": 1.0, "damping": 0.02}, names=["stiffness", "damping"],
-    ...                         covariance=np.diag([1e-4, 1e-6]))
-    >>> gx.plots.corner(found, truths={"stiffness": 1.01, "damping": 0.02}).shape
-    (2, 2)
     """
     # a tree of parameters may have been sorted on the way: their places are those of their names
     order = sorted(

@@ -124,15 +124,6 @@ def breather(
     - `field`: which is shown, where a cell holds several; by default `"bead"`.
 
     **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields without a name of one, lanes.
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> fl = SimpleNamespace(multipliers=np.exp([0.5j, -0.5j, 1j, -1j]), vectors=np.eye(4), krein=[1, -1, 1, -1],
-    ...                      error=np.zeros(4), expected=0, rate=0.0, period=2.0)
-    >>> axes = gx.plots.breather(SimpleNamespace(state=gx.State(np.array([0.1, -0.1]), np.zeros(2))), fl)
-    >>> axes.shape
-    (2, 2)
     """
     fl, units = breather.floquet() if fl is None else fl, units_of(breather)
     axes = several_axes(axes, 2, 2, 8.4, 6.4)
@@ -357,12 +348,6 @@ def hysteresis(
       (m/s)", gets a prefix.
 
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
-
-    **Example:**
-
-    >>> ax = gx.plots.hysteresis(([1.0, 2.0, 3.0], [0.1, 0.2, 0.9], [0.1, 0.7, 0.9]), x_label="frequency")
-    >>> ax.get_xlabel()
-    'frequency'
     """
     values, up, down, intervals = _ways(sweep)
     units = units_of(sweep, orbits)

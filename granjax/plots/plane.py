@@ -204,13 +204,6 @@ def film(
 
     **Returns:** an animation of matplotlib's, for `gx.plots.save`. **Raises** ValueError for a run of one time, and
     shapes that do not fit.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11)
-    >>> gx.plots.save(gx.plots.film(run, frames=2), "impact.gif").name
-    'impact.gif'
     """
     found = history(run, quantity, label)
     by_time = shown("time", found.ts, "s", found.units)

@@ -30,14 +30,6 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
 
     **Returns:** the Axes; one line per method in `ax.lines`. **Raises** ValueError for anything else to draw against,
     or a table where no point is drawn.
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> table = SimpleNamespace(method=["SRKN6b", "SRKN6b"], error=[1e-4, 1e-8], seconds=[0.01, 0.05],
-    ...                         evaluations=[1e3, 6e3], drawn=[True, True], methods=["SRKN6b"], floor=np.nan)
-    >>> len(gx.plots.work_precision(table).lines)
-    1
     """
     column, label = AGAINST[one_of("against", against, tuple(AGAINST))]
     work, error = (

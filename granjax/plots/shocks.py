@@ -166,15 +166,6 @@ def modulation(
       `gx.theory.toda.modulation(m, c)`; or to a pair (speeds, values).
 
     **Returns:** the Axes; what was measured is `ax.lines[0]`.
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> wave = gx.theory.toda.modulation(0.5, 0.5)
-    >>> shock = SimpleNamespace(s=np.array([wave.speed]), amplitudes=np.array([wave.amplitude]))
-    >>> ax = gx.plots.modulation(shock, quantity="amplitude")
-    >>> ax.get_ylabel()
-    'strain, crest less trough'
     """
     measured, field, label, unit = QUANTITIES[one_of("quantity", quantity, tuple(QUANTITIES))]
     s = numbers("shock.s", shock.s, 1)

@@ -77,12 +77,6 @@ def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
 
     **Arguments:** `width`, `height` [inch]. **Returns:** a matplotlib `Figure` that lays itself out.
     **Raises** ValueError for sizes that are not above zero.
-
-    **Example:**
-
-    >>> fig = gx.plots.figure(4.0, 3.0)
-    >>> fig.get_size_inches().tolist()
-    [4.0, 3.0]
     """
     size = float(positive("width", width)), float(positive("height", height))
     with style():
@@ -110,13 +104,7 @@ def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
 
 
 def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
-    """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it.
-
-    **Example:**
-
-    >>> gx.plots.drawn(plt.figure(), ".pdf")[:4]
-    b'%PDF'
-    """
+    """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it."""
     return _drawn("ending", made, ending, dpi)
 
 

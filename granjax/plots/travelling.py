@@ -47,12 +47,6 @@ def wave(
     **Returns:** the Axes; the curves are `ax.lines`: strain, slope, what is beside, dots. `ax.child_axes` are the
     insets: absolute values of a wave; how far a front is from the state behind and from that ahead, with the slopes
     at which these fall.
-
-    **Example:**
-
-    >>> ax = gx.plots.wave(gx.travelling.solitary_wave(gx.Hertz(), speed=1.0))
-    >>> ax.child_axes[0].get_yscale()  # the tail
-    'log'
     """
     record = wave_record
     xi, is_front = numbers("wave_record.xi", record.xi, 1), hasattr(record, "decay_behind")
@@ -142,16 +136,6 @@ def kink(
     - `axes`: two Axes; by default those of a new figure.
 
     **Returns:** the two Axes, (2,) or as given; the profile is `axes[0].lines[0]`.
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> n = np.arange(20) - 9.5
-    >>> found = SimpleNamespace(state=gx.State(4 * np.arctan(np.exp(n)), 0 * n), energy=8.0,
-    ...                         omega=np.linspace(0.1, 2.0, 20), growth=0.0, verdict="stable")
-    >>> axes = gx.plots.kink(found)
-    >>> len(axes[0].lines[0].get_xdata())
-    20
     """
     units = units_of(found, barrier)
     by = shown("displacement $u_n$", found.state[0], "m", units)

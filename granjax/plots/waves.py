@@ -159,13 +159,6 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True) -> 
 
     **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
     growth is `ax.child_axes[0]`. **Raises** ValueError for the record of several axes.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
-    >>> ax = gx.plots.floquet_bands(gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi))
-    >>> ax.child_axes[0].get_ylabel()
-    'growth rate (scaled)'
     """
     k, rate = numbers("bands.k", bands.k, 1), numbers("bands.growth", bands.growth, 2)
     by = shown(OMEGA, bands.omega, "rad/s", units_of(bands))
@@ -213,13 +206,6 @@ def bands(record: Any, ax: AxesOrNone = None, *, colour_bar: bool = True) -> Axe
     `gx.linear.path`; or with `k`, `omega` and `edge` (K, bands), such as that of `gx.linear.ribbon`.
 
     **Returns:** the Axes; of a path `ax.lines` begins with the bands, of a strip `ax.collections[0]` are its waves.
-
-    **Example:**
-
-    >>> strip = gx.scenes.honeycomb(4, 6, out_of_plane=True, boundary=("periodic", "free"))
-    >>> ax = gx.plots.bands(gx.linear.ribbon(strip, np.linspace(0, 2 * np.pi, 13)))
-    >>> ax.get_xlabel()
-    'wave number $k$ (rad/cell)'
     """
     by = shown(OMEGA, record.omega, "rad/s", units_of(record))
     omega = by(numbers("record.omega", record.omega, 2))
@@ -260,16 +246,6 @@ def zone(
     contours. `velocity`: whether arrows show the group velocity.
 
     **Returns:** the Axes; the frequencies are `ax.collections[0]`.
-
-    **Example:**
-
-    >>> from types import SimpleNamespace
-    >>> q = np.stack(np.meshgrid(*[np.linspace(-np.pi, np.pi, 9)] * 2, indexing="ij"), axis=-1)
-    >>> omega = 2 * np.sqrt(np.sin(q / 2) ** 2 @ np.ones((2, 1)))  # a square of springs
-    >>> corners = np.pi * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    >>> ax = gx.plots.zone(SimpleNamespace(q=q, omega=omega, velocity=0 * q[:, :, None], corners=corners))
-    >>> len(ax.collections) > 1  # colours and contours
-    True
     """
     by = shown(OMEGA, record.omega, "rad/s", units_of(record))
     place = shown("wave number", record.q, "1/m", units_of(record))
@@ -309,12 +285,6 @@ def transmission(
     per curve; `y_label`: of the axis; one with a unit, "peak force (N)", says that nothing is relative.
 
     **Returns:** the Axes. **Raises** ValueError for ratios outside (0, 1] or shapes that do not fit.
-
-    **Example:**
-
-    >>> ax = gx.plots.transmission([0.3, 0.6, 1.0], [0.6, 0.2, 1.0], resonances=[0.59])
-    >>> ax.get_xlabel().startswith("mass ratio")
-    True
     """
     ratios = np.asarray(within("mass_ratio", mass_ratio, 0, 1, open_low=True))
     by = shown(y_label, transmission)

@@ -27,12 +27,6 @@ def contact_forces(
 
     **Returns:** a NumPy array (c, n), in units of A^(2/5) (m v^2)^(3/5). **Raises** ValueError for ratios outside
     (0, 1] or a contact that is no whole number. Typical: 0.63955 for the monomer, 0.30190 at ratio 1/2, contact 20.
-
-    **Example:**
-
-    >>> forces = gx.resonance.contact_forces([1.0, 0.5], [20])
-    >>> print(forces.round(4))
-    [[0.6396 0.3019]]
     """
     ratios = checked_ratios(ratios)
     bonds = tuple(whole(f"contacts[{i}]", n, 0) for i, n in enumerate(np.atleast_1d(contacts)))

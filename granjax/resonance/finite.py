@@ -21,14 +21,7 @@ TOUCHES = 0.2
 
 
 class Transmission(Result):
-    """What `transmission` returns.
-
-    **Example:**
-
-    >>> sweep = gx.resonance.transmission([0.5, 0.7, 1.0], beads=5)
-    >>> sweep.beads, sweep.peak_force.shape
-    (5, (3,))
-    """
+    """What `transmission` returns."""
 
     mass_ratio: Float[np.ndarray, " mass_ratio"] = array("The mass ratios.", "1")
     peak_force: Float[np.ndarray, " mass_ratio"] = array(
@@ -52,13 +45,6 @@ class Extrema(Result):
     """What `refine` returns: minima and maxima of the transmission, in ascending ratios.
 
     Two resonances have an anti-resonance between them, where the leading pulse does not decay.
-
-    **Example:**
-
-    >>> sweep = gx.resonance.transmission([0.5, 0.7, 1.0], beads=5)
-    >>> found = gx.resonance.refine(sweep, accuracy=0.02)
-    >>> [round(float(x), 6) for x in found.anti_resonance_transmission]
-    [1.0]
     """
 
     resonances: Float[np.ndarray, " resonance"] = array("The mass ratios of the minima.", "1")
@@ -161,12 +147,6 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
     progress bar.
 
     **Returns:** `Extrema`. **Raises** ValueError for fewer than three different ratios or transmissions that are NaN.
-
-    **Example:**
-
-    >>> sweep = gx.resonance.transmission([0.5, 0.7, 1.0], beads=5)
-    >>> gx.resonance.refine(sweep, accuracy=0.02).anti_resonances.tolist()  # the monomer
-    [1.0]
     """
     accuracy = float(tolerance("accuracy", accuracy, 1, 1e-4))
     ratios, first = np.unique(sweep.mass_ratio, return_index=True)

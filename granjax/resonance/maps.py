@@ -39,14 +39,7 @@ def _trimer(second, third):
 
 
 class ResonanceMap(Result):
-    """What `resonance_map` returns.
-
-    **Example:**
-
-    >>> record = gx.resonance.resonance_map("2:1", [0.5, 1.0], [1.0], cells=(2, 4))
-    >>> record.rate.shape, record.names
-    ((2, 1), ('ratio', 'stiffness'))
-    """
+    """What `resonance_map` returns."""
 
     first: Float[np.ndarray, " first"] = array("The values of the first parameter.", "1")
     second: Float[np.ndarray, " second"] = array("The values of the second parameter.", "1")

@@ -24,14 +24,7 @@ FRAMES = 2400
 
 
 class Oscillations(Result):
-    """What `oscillations` returns, for each mass ratio.
-
-    **Example:**
-
-    >>> found = gx.resonance.oscillations([1.0], bead=5)
-    >>> found.mass_ratio.tolist(), found.bead
-    ([1.0], 5)
-    """
+    """What `oscillations` returns, for each mass ratio."""
 
     mass_ratio: Float[np.ndarray, " mass_ratio"] = array("The mass ratios.", "1")
     count: Float[np.ndarray, " mass_ratio"] = array(
@@ -58,12 +51,6 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
     **Returns:** `Oscillations`; NaN where a run did not complete. Between anti-resonances the count passes through half
     a swing more. **Raises** ValueError for ratios outside (0, 1] or a bead that is not light.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
-
-    **Example:**
-
-    >>> found = gx.resonance.oscillations([1.0], bead=5)
-    >>> found.count.tolist()  # once
-    [1.0]
     """
     ratios, bead = checked_ratios(ratios), whole("bead", bead, 1)
     if bead % 2 == 0:
@@ -102,13 +89,6 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     **Arguments:** `left`, `right` (T,): compressions, of one pulse, in the order of time (or of -xi of a wave), dense
     enough to show the swings. **Returns:** a multiple of 1/2; NaN for numbers that are none.
     **Raises** ValueError for arrays that are not two such rows.
-
-    **Example:**
-
-    >>> t = np.linspace(-3, 3, 601)
-    >>> squeeze, z = np.exp(-t**2), 0.1 * np.sin(3 * np.pi * t) * np.exp(-t**2)
-    >>> gx.resonance.squeeze_count(squeeze + z, squeeze - z)
-    7.0
     """
     left, right = np.asarray(left, float), np.asarray(right, float)
     if left.ndim != 1 or left.shape != right.shape or len(left) < 3:

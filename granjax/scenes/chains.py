@@ -118,11 +118,6 @@ def pattern(
     **Arguments:** `masses`: the masses of one cell, m > 0, numbers or traced; the others as in `monomer`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ring that the cell does not fill.
-
-    **Example:**
-
-    >>> gx.scenes.pattern(5, (1.0, 2.96)).mass.tolist()
-    [1.0, 2.96, 1.0, 2.96, 1.0]
     """
     sites = _sites(sites)
     cell = [
@@ -186,11 +181,6 @@ def trimer(
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for ratios that are not two in (0, 1].
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
-
-    **Example:**
-
-    >>> gx.scenes.trimer(6).mass.tolist()
-    [1.0, 0.5, 0.25, 1.0, 0.5, 0.25]
     """
     second, third = (
         _ratio(f"ratios[{i}]", _number(f"ratios[{i}]", r)) for i, r in enumerate(ratios)
@@ -222,11 +212,6 @@ def n_to_one(
 
     **Returns:** a `Lattice`. **Raises** ValueError as `dimer` does, and for N < 1.
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
-
-    **Example:**
-
-    >>> gx.scenes.n_to_one(6, 2, ratio=0.5).mass.tolist()
-    [1.0, 1.0, 0.5, 1.0, 1.0, 0.5]
     """
     beads = whole("beads", beads, 1, "It counts the heavy beads of a cell.")
     # of a longer cell no light bead is seen

@@ -119,12 +119,6 @@ def fractional_fput(
     **Arguments:** `alpha` [N/m^2], `beta` [N/m^3], `stiffness`: k > 0 [N/m], one number each; the others as in
     `fractional`. **Returns:** a `Lattice`. **Raises** ValueError as `fractional`, and for k not above zero.
     Source: Macias-Diaz, Bountis, Commun. Nonlinear Sci. Numer. Simul. 102, 105917 (2021).
-
-    **Example:**
-
-    >>> chain = gx.scenes.fractional_fput(31, order=1.0)  # `fput`
-    >>> round(float(gx.linear.normal_modes(chain).omega[0]), 6)  # 2 sin(pi/64)
-    0.098135
     """
     sites = _checked(sites, boundary)
     stiffness = positive("stiffness", _number("stiffness", stiffness))
@@ -159,12 +153,6 @@ def fractional_sine_gordon(
     per site. The others as in `fractional`; a kink needs free ends.
     **Returns:** a `Lattice`. **Raises** ValueError as `fractional` and `sine_gordon`.
     Source: Alfimov, Pierantozzi, Vazquez, Fractional Differentiation and its Applications, 644 (2004).
-
-    **Example:**
-
-    >>> chain = gx.scenes.fractional_sine_gordon(20, order=0.5)
-    >>> print(gx.linear.normal_modes(chain).omega_squared[jnp.array([0, -1])].round(6))  # 1 and 1 + 4^{1/2}
-    [1. 3.]
     """
     sites = _checked(sites, boundary)
     stiffness = positive("stiffness", stiffness)

@@ -83,14 +83,6 @@ def travelling_modulation(
     **Returns:** a `Lattice`. **Raises** ValueError as `modulated` does, for |L| < 2, and for a ring that L does not
     divide.
     Source: Swinteck, Matsuo, Runge, Vasseur, Lucas, Deymier, J. Appl. Phys. 118, 063103 (2015).
-
-    **Example:**
-
-    >>> crystal = gx.scenes.travelling_modulation(12, amplitude=0.1, omega=0.5, wavelength=3)
-    >>> y = gx.State((-1.0) ** jnp.arange(12), jnp.zeros(12))
-    >>> now, later = (gx.vector_field(t, y, crystal).v for t in (0.0, 4 * np.pi / 3))  # a third of its period
-    >>> bool(jnp.allclose(later, -jnp.roll(now, 1)))  # the stiffness has moved on by a site
-    True
     """
     sites, places = _places(sites, on, boundary)
     wavelength = _number("wavelength", wavelength)

@@ -104,12 +104,6 @@ def mass_with_mass(
     **Raises** ValueError as `mass_in_mass` does, for a bead outside of the chain or named twice.
     Source: Gantzounis, Serra-Garcia, Homma, Mendoza, Daraio, J. Appl. Phys. 114, 093514 (2013); Kevrekidis, Vainchtein,
     Serra Garcia, Daraio, Phys. Rev. E 87, 042911 (2013).
-
-    **Example:**
-
-    >>> chain = gx.scenes.mass_with_mass(20, at=[10])
-    >>> {name: mass.shape for name, mass in chain.mass.items()}
-    {'bead': (20,), 'resonator': (1,)}
     """
     if at is None:
         return _resonant(

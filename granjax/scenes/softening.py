@@ -50,12 +50,6 @@ def foam(
     **Returns:** a `Lattice`. The defaults are scaled and measured on nothing: with p = 1/2, A = F0 = m = 1 K2 = 1/2.
     **Raises** ValueError as `monomer` does, for p outside (0, 1), and for F0 = 0.
     Source: Herbold, Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
-
-    **Example:**
-
-    >>> chain = gx.scenes.foam(20)
-    >>> round(float(gx.linear.sound_speed(chain)), 6)  # (1/2)^{1/2}
-    0.707107
     """
     return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
 
@@ -103,12 +97,6 @@ def origami(
 
     **Returns:** a `Lattice`. Source: Yasuda, Chong, Charalampidis, Kevrekidis, Yang, Phys. Rev. E 93, 043004 (2016);
     Yasuda, Miyazawa, Charalampidis, Chong, Kevrekidis, Yang, Sci. Adv. 5, eaau2835 (2019).
-
-    **Example:**
-
-    >>> chain = gx.scenes.origami(20, precompression=0.25)
-    >>> round(float(gx.linear.sound_speed(chain)), 6)  # (2 F0)^{-1/2}
-    1.414214
     """
     return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
 
@@ -166,13 +154,6 @@ def alternating(
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for exponents that are not positive, lengths that
     differ, F0 = 0 where a contact softens. Typical: exponents (3/2, 1/2).
     Source: Lee, Charalampidis, Xing, Chong, Kevrekidis, Phys. Rev. E 107, 054208 (2023).
-
-    **Example:**
-
-    >>> chain = gx.scenes.alternating(20, boundary="periodic")
-    >>> gap, = gx.linear.bands(chain).gaps
-    >>> [round(float(edge), 6) for edge in gap]  # (2 K)^{1/2} of K = 1/2 and 3/2
-    [1.0, 1.732051]
     """
     sites = _sites(sites)
     p = positive(

@@ -14,15 +14,7 @@ from ..units import SCALED, Units
 
 
 class ScaledLattice(NamedTuple):
-    """A lattice in scaled numbers, and the units that lead back to SI.
-
-    **Example:**
-
-    >>> beads = gx.scenes.beads("steel 316", 9.53e-3, precompression=10.0, cells=20, boundary="periodic")
-    >>> found = gx.scenes.scaled(beads)
-    >>> round(float(found.lattice.mass), 6), round(float(found.units.force), 6)
-    (1.0, 10.0)
-    """
+    """A lattice in scaled numbers, and the units that lead back to SI."""
 
     lattice: Lattice
     units: Units

@@ -32,13 +32,6 @@ class Balances(Result):
     - energy, sum of m v_n^2/2 and of the bonds' energies: f_{first-1} v_first - f_last v_last.
 
     Errors are found by a run of half the step, and from the rounding of the sums. Numbers, or one per lane.
-
-    **Example:**
-
-    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
-    >>> found = gx.shocks.balances(problem, 5.0, step=0.05)
-    >>> bool(abs(found.energy_residual) < 1e-6), found.first, found.last
-    (True, 20, 24)
     """
 
     strain_change: Numbers = array("Strain at the end less at the start.", "m")

@@ -19,12 +19,6 @@ class DissipativeFront(Result):
 
     Differentiable once in the parameters of the law, the mass, the strains (or the piston) and the dashpot, by the
     implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around it are refused.
-
-    **Example:**
-
-    >>> front = gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=0.3)
-    >>> round(float(front.critical), 6), front.kind
-    (0.394869, 'oscillatory')
     """
 
     speed: Number = array("The speed s in contacts per time.", "1/s")

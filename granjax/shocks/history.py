@@ -16,15 +16,7 @@ from .riemann import Riemann
 
 
 class SpaceTime(Result):
-    """A map of the strain at the times `ts` and the `bonds`, by their indices.
-
-    **Example:**
-
-    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
-    >>> record = gx.shocks.space_time(problem, 5.0, frames=6, step=0.05)
-    >>> record.strain.shape, record.kind
-    ((6, 39), 'velocity')
-    """
+    """A map of the strain at the times `ts` and the `bonds`, by their indices."""
 
     ts: Times = array("The times.", "s", "time", name="time")
     bonds: Counts = array("The indices of the bonds.", axes="bond", name="bond")
@@ -70,13 +62,6 @@ def space_time(
     `step`, `tolerance`, `solver`: as in `gx.simulate`.
     **Returns:** `SpaceTime`. **Raises** ValueError for bonds that are not there; RuntimeError where the run does not
     complete.
-
-    **Example:**
-
-    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
-    >>> record = gx.shocks.space_time(problem, 5.0, frames=6, step=0.05)
-    >>> record.ts.tolist(), round(float(record.strain[-1].max()), 2)
-    ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], 0.23)
     """
     bonds = _bonds(sites, problem.lattice.shape[0] - 1)
     lattice, state = problem

@@ -48,12 +48,6 @@ class Riemann(eqx.Module):
     - `centre`: place of the step on the scale of bonds, bond n being that between sites n and n + 1:
       x = n - centre, and n/t of the theory is x/t.
     - `rest`: strain of each bond at u = 0, (N - 1,), or 0.0.
-
-    **Example:**
-
-    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
-    >>> problem.kind, float(problem.centre), problem.state.v.shape
-    ('velocity', 18.5, (40,))
     """
 
     lattice: Lattice

@@ -113,12 +113,6 @@ def step(
     **Returns:** `Riemann`, its `centre` half way between the bonds centre - 1 and centre.
     **Raises** ValueError for what is no chain, bonds that differ or do not lead to the next site, on-site forces, equal
     strains, those at which the law has no force, or a centre outside the chain.
-
-    **Example:**
-
-    >>> problem = gx.shocks.step(gx.scenes.toda(40), 0.2)
-    >>> print(problem.strain(problem.state.u)[18:22])
-    [0.2 0.  0.  0. ]
     """
     size = chain_only(lattice, "step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
@@ -227,12 +221,6 @@ def impacts(
     **Raises** ValueError for what is no chain of bonds to the next site, an impulse of zero, times not above zero or a
     duration beyond the interval.
     Source: E. B. Herbold, V. F. Nesterenko, Phys. Rev. E 75, 021304 (2007).
-
-    **Example:**
-
-    >>> problem = gx.shocks.impacts(gx.scenes.toda(40), 0.1, 2.0, count=3)
-    >>> problem.kind, float(problem.c), float(problem.centre)
-    ('impacts', 0.1, -1.0)
     """
     chain_only(lattice, "impacts")
     impulse = per_lane("impulse", impulse, lattice.lanes)

@@ -16,15 +16,6 @@ class Shock(Result):
     as t grows is further: by about 1/t, and of the crest by less and less. NaN where nothing tells an edge. In each
     window inside the shock the wave nearest to the strains is found, whatever the law; NaN where fewer than two crests
     pass. To the left all speeds and places are negative.
-
-    **Example:**
-
-    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(200), 0.5)
-    >>> shock = gx.shocks.measure(problem.run(step=0.1), points=3)
-    >>> round(shock.mean, 2), shock.theory  # 2 ln 1.5 = 0.81
-    (0.81, 'toda')
-    >>> problem.kind, float(problem.c)
-    ('velocity', 0.5)
     """
 
     time: float = array("The time t.", "s")

@@ -30,15 +30,6 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
 
     Dense output asks for `inside` more forces a step. A solve that saves nothing between its steps does not pay them:
     what nobody reads is not compiled.
-
-    **Example:**
-
-    >>> class Fine(gx.solvers.AbstractNystrom):
-    ...     inside = 3
-    ...     @classmethod
-    ...     def table(cls): return gx.RKN86.table()
-    >>> Fine.evaluations(), Fine.table().order
-    (8, 8)
     """
 
     term_structure: ClassVar = diffrax.AbstractTerm
@@ -109,13 +100,6 @@ class RKN1210(AbstractNystrom):
     """Dormand, El-Mikkawy and Prince's RKN 12(10), 17 forces a step, for smooth scenes below 1e-8.
 
     Dense output of degree 12 from seven more forces. Source: IMA J. Numer. Anal. 7, 423 (1987).
-
-    **Example:**
-
-    >>> flow = gx.Flow(20, gx.RKN1210(), lambda t, y, args: (y[1], -y[0]))
-    >>> u, v = flow((jnp.array([1.0]), jnp.array([0.0])), 0.0, 2 * jnp.pi, None)
-    >>> abs(float(v[0])) < 1e-12
-    True
     """
 
     inside: ClassVar[int] = 7

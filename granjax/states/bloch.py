@@ -52,13 +52,6 @@ def bloch_packet(
     (bands that meet have no derivative), bands that meet at k without a polarisation, a lattice that is unstable at
     rest, and where `unit_cell` does: no period, lanes. Typical: w = 5 ... 15 spacings.
     Source: Peleg, Bartal, Freedman, Manela, Segev, Christodoulides, Phys. Rev. Lett. 98, 103901 (2007).
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> state = gx.states.bloch_packet(chain, 2.0, width=1.5, band=0)
-    >>> round(float(gx.measures.energy_centre(chain, state)), 1)
-    9.2
     """
     if traced((lattice, k, polarisation)):
         refuse(

@@ -74,12 +74,6 @@ def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> Sta
 
     **Arguments:** `k`: 1 ... N, the number of half waves; `amplitude`: a, a number or one per lane [m].
     **Raises** ValueError for a lattice that is no plain chain, or k outside 1 ... N.
-
-    **Example:**
-
-    >>> chain = gx.scenes.fput(31, alpha=0.25)
-    >>> round(float(gx.measures.energy(chain, gx.states.sine_mode(chain))), 8)
-    0.07704437
     """
     size = chain_only(lattice, "sine_mode")
     if whole("k", k, 1) > size:

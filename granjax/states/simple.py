@@ -75,13 +75,6 @@ def radial_impact(
     **Arguments:** `velocity`: V [m/s]; `radius` [m]; `centre`: c (2,) [m], `None` for the middle of the positions.
     **Raises** ValueError for a lattice without positions or with displacements that are numbers, a batch, fields, or no
     site that moves. Typical: a radius of 1 ... 5 spacings.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(5)
-    >>> state = gx.states.radial_impact(crystal, velocity=0.1, radius=1.0)
-    >>> state.v[2, 1].tolist(), state.v[2, 3].tolist()
-    ([0.0, -0.1], [0.0, 0.1])
     """
     places = lattice.positions
     if (
@@ -148,13 +141,6 @@ def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
     component of each site is half of it. All energy is kinetic at first, so a linear lattice settles at half this
     temperature. `seed`: as in `random`.
     **Raises** ValueError for a temperature that is negative, not finite or of another shape, or a seed that is none.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20, precompression=1.0)
-    >>> state = gx.states.thermal(chain, temperature=0.01, seed=1)
-    >>> round(float(gx.measures.kinetic_energy(chain, state)) / 20, 4)
-    0.0055
     """
     width = jnp.sqrt(per_lane("temperature", temperature, lattice.lanes, non_negative))
     drawn = _draw(lattice, random_key(seed), width, jax.random.normal)

@@ -92,13 +92,6 @@ def kdv_soliton(
 
     The strain of each bond is that of `theory.kdv.soliton` and the velocities are those with which it travels.
     **Arguments**, ends, **Raises**: as `toda_soliton`, with `speed` or `amplitude`.
-
-    **Example:**
-
-    >>> chain = gx.scenes.toda(40)
-    >>> state = gx.states.kdv_soliton(chain, amplitude=0.2, centre=20)
-    >>> round(float(gx.measures.strain(chain, state)[20]), 4)
-    0.2
     """
     chain, n, centre = _places("kdv_soliton", lattice, centre, direction)
     given = dict(

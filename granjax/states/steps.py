@@ -23,13 +23,6 @@ def strain_step(
     **Arguments:** `left`, `right`: strains, positive in compression [m], numbers or one per lane; `centre`: bond where
     the step lies, from 0 to N - 1, `None` for the middle, (N-1)//2.
     **Raises** ValueError for a lattice that is no plain chain, strains not finite, or a centre outside the chain.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20, precompression=1.0, boundary="free")
-    >>> state = gx.states.strain_step(chain, left=0.2, centre=10)
-    >>> np.array(gx.measures.strain(chain, state)[8:12]).round(6).tolist()
-    [0.2, 0.2, 0.0, 0.0]
     """
     size = chain_only(lattice, "strain_step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)

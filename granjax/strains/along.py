@@ -19,12 +19,6 @@ class Along(LinearMap):
 
     **Shapes:** `u` (sites..., components, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a direction
     that is no vector.
-
-    **Example:**
-
-    >>> rolling = gx.strains.Along(gx.Shift(1, "free"), (0.0, 0.0, 1.0))
-    >>> rolling.strain(jnp.array([[0.0, 0.0, 0.3], [0.0, 0.0, 0.1]])).round(6)
-    Array([0.2], dtype=float64)
     """
 
     dimensions = {"pairs": PART, "direction": (0, 0, 0)}

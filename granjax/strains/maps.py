@@ -157,13 +157,7 @@ def spectral_radius(product: Callable, lattice: Any):
 
 
 class LinearMap(StrainMap):
-    """A map that is a sum of selected sites, each with a weight, and its transpose.
-
-    **Example:**
-
-    >>> [isinstance(x, gx.strains.LinearMap) for x in (gx.Shift(1), gx.Stretch(gx.Shift(1), (1.0, 0.0)))]
-    [True, False]
-    """
+    """A map that is a sum of selected sites, each with a weight, and its transpose."""
 
     linear: ClassVar[bool] = True
 

@@ -31,12 +31,6 @@ class Slip(Directed):
     **Shapes:** `u` (sites..., 3, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a vector that is none
     of the plane. Source: Mindlin, J. Appl. Mech. 16, 259 (1949); Merkel, Tournat, Gusev, Phys. Rev. E 82, 031305
     (2010).
-
-    **Example:**
-
-    >>> slip = gx.strains.Slip(gx.Shift(1, "free"), (1.0, 0.0))
-    >>> slip.strain(jnp.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1]])).round(6)   # both turn the same way
-    Array([0.2], dtype=float64)
     """
 
     dimensions = {"pairs": PART, "vector": (0, 1, 0)}

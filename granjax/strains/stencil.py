@@ -185,12 +185,6 @@ class Stencil(_Grid):
 
     **Shapes:** for largest and least offset k_max, k_min: `u` (N,) to `e` (N + k_max - k_min,), (N - (k_max - k_min),)
     or (N,). **Raises** ValueError for parts that are no such triples, offsets of unlike length, or no part.
-
-    **Example:**
-
-    >>> bend = gx.strains.Stencil([(None, -1, 1.0), (None, 0, -2.0), (None, 1, 1.0)], "free")
-    >>> bend.strain(jnp.array([0.0, 1.0, 4.0, 9.0]))
-    Array([2., 2.], dtype=float64)
     """
 
     dimensions = {"weights": (0, 0, 0)}

@@ -20,12 +20,6 @@ class Points:
     - `design`: `"grid"`, all combinations, the last parameter running fastest; or `"list"`, one value of each a lane.
     - `axes`: {name: values}, of a grid the coordinates along each axis, of a list one value a lane.
     - `shape`, `dims`: of the results; `count`: how many lanes there are.
-
-    **Example:**
-
-    >>> points = gx.sweeps.Points({"ratio": np.array([0.5, 1.0]), "load": np.array([1.0, 2.0, 3.0])}, "grid")
-    >>> points.shape, points.count, points.at(1)
-    ((2, 3), 6, {'ratio': 0.5, 'load': 2.0})
     """
 
     def __init__(self, axes: dict[str, np.ndarray], design: str):

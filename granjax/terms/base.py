@@ -24,13 +24,6 @@ class Compression(NamedTuple):
     """What a law of a term acts on at a time: `compression` [m] of all its bonds, or of its sites.
 
     `place`: "bond" (between sites), "wall" (a site and a wall: one value) or "site" (no contact).
-
-    **Example:**
-
-    >>> bond = gx.Bond(gx.Shift(1, "free"), gx.Hertz(precompression=1.0))
-    >>> contact, = bond.compressions(0.0, jnp.array([3.0, 0.0]))
-    >>> contact.compression, contact.force, contact.overlap
-    (Array([3.], dtype=float64), Array([8.], dtype=float64), Array([4.], dtype=float64))
     """
 
     law: Law
@@ -56,15 +49,7 @@ class Compression(NamedTuple):
 
 
 class Excitation(NamedTuple):
-    """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall.
-
-    **Example:**
-
-    >>> drive = gx.Drive(gx.Harmonic(0.5, omega=2.0))
-    >>> found = drive.excitation(gx.scenes.monomer(20), jnp.linspace(0.0, 5.0, 101))
-    >>> float(found.force)
-    0.5
-    """
+    """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall."""
 
     force: jax.Array
     displacement: jax.Array

@@ -165,16 +165,6 @@ class Grip(Bond):
     **Arguments:** `strain_map`: x, a `gx.strains.Slip`, or the `gx.strains.Along` of two turns that roll; `law`: V and
     its force; `contact`: the `Bond` along the line of centres, with as many bonds, whose law says the overlap. A law
     that cannot open (a spring, glue) never lets go.
-
-    **Example:**
-
-    >>> pairs = gx.Shift(1, "free")
-    >>> contact = gx.Bond(gx.Stretch(pairs, (1.0, 0.0)), gx.Hertz(precompression=0.001))   # pressed in by 0.01
-    >>> grip = gx.terms.Grip(gx.strains.Slip(pairs, (1.0, 0.0)), gx.Linear(2.0), contact)
-    >>> turned = jnp.array([[0.0, 0.0, 0.004], [0.0, 0.0, 0.0]])
-    >>> apart = turned.at[1, 0].set(0.02)
-    >>> [round(float(grip.force(0.0, u, 0 * u, 1.0)[0, 2]), 6) + 0 for u in (turned, apart)]
-    [-0.008, 0.0]
     """
 
     dimensions = {"strain_map": PART, "law": PART, "contact": PART}

@@ -124,12 +124,6 @@ class ViscousContact(_Viscous):
     **Arguments:** `strain_map`; `coefficient`: c >= 0, scalar or one per bond; `exponent`: q > 0, 1/2 for
     viscoelastic spheres; `overlap`: d0 >= 0 at equilibrium [m]. **Raises** ValueError for c, d0 < 0 or q <= 0.
     Splitting solvers refuse it, as they do a dashpot. Source: Kuwabara, Kono, Jpn. J. Appl. Phys. 26, 1230 (1987).
-
-    **Example:**
-
-    >>> contact = gx.ViscousContact(gx.Shift(1, "free"), 0.1)
-    >>> contact.force(0.0, jnp.array([4.0, 0.0]), jnp.array([1.0, 0.0]), 1.0)
-    Array([-0.2,  0.2], dtype=float64)
     """
 
     dimensions = {
@@ -175,15 +169,6 @@ class BrilliantovContact(Bond):
     Dopri8. Typical: tau (A/m)^{2/5} V^{1/5} = 0.01 ... 0.3. **Raises** ValueError for A <= 0, tau or F0 < 0.
     Source: N. V. Brilliantov et al., Phys. Rev. E 53, 5382 (1996); T. Schwager, T. Poeschel, Phys. Rev. E 78, 051304
     (2008).
-
-    **Example:**
-
-    >>> contact = gx.BrilliantovContact(gx.Shift(1, "free"), stiffness=1.0, dissipative_time=0.1)
-    >>> u, v = jnp.array([1.0, 0.0]), jnp.array([1.0, 0.0])
-    >>> contact.force(0.0, u, v, 1.0)
-    Array([-1.15,  1.15], dtype=float64)
-    >>> bool(contact.force(0.0, u, -10 * v, 1.0).any())
-    False
     """
 
     dimensions = {"strain_map": PART, "law": PART, "dissipative_time": (0, 0, 1)}
@@ -300,13 +285,6 @@ class Drag(Term):
 
     **Arguments:** `coefficient`: c >= 0 [kg/m], scalar or one per site. **Raises** ValueError for c < 0. Splitting
     solvers refuse it.
-
-    **Example:**
-
-    >>> chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), gx.Drag(0.1)), sites=20)
-    >>> v, a = gx.vector_field(0.0, gx.states.impact(chain, velocity=2.0), chain)
-    >>> round(float(a[0]), 4)
-    -0.4
     """
 
     dimensions = {"coefficient": (1, -2, 2)}

@@ -52,12 +52,6 @@ class LongRange(Term):
     by loads on its sites alone (`Lattice.unbalanced`): `gx.equilibrium` finds where it rests without them.
     **Raises** ValueError for a kernel that is no row of numbers, a law with parameters of its own for each bond, and a
     lattice that is no chain. Source: Flach, Phys. Rev. E 58, R4116 (1998); Chong et al., Phys. Rev. Lett. 131, 117201.
-
-    **Example:**
-
-    >>> chain = gx.Lattice(1.0, gx.LongRange([1.0, 0.25], gx.Linear(), "periodic"), sites=20)
-    >>> round(float(gx.linear.sound_speed(chain)), 4)
-    1.4142
     """
 
     dimensions = {"kernel": (0, 0, 0), "law": PART, "rest": (0, 1, 0)}

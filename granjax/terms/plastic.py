@@ -28,14 +28,6 @@ class PlasticContact(Bond):
     `gx.PlasticLaw` of one's own; `overlap`: d0 >= 0 at equilibrium [m], zero without precompression; `largest`: P at
     the start, `None` for d0 (virgin contacts). Numbers or one per bond.
     **Raises** ValueError for d0 < 0, P < d0, or what is no such law.
-
-    **Example:**
-
-    >>> contact = gx.PlasticContact(gx.Shift(1, "free"), gx.WaltonBraun(1.0, 4.0))
-    >>> chain = gx.Lattice(1.0, contact, sites=2)
-    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0)
-    >>> run.final.v.round(4)
-    Array([0.25, 0.75], dtype=float64)
     """
 
     dimensions = {"strain_map": PART, "law": PART}

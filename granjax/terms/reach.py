@@ -26,13 +26,6 @@ class Reach(eqx.Module):
     `force`: what a drive pushes with. `displacement` (2,): what a wall that moves leaves to each bond, to extend it and
     to press it together, `None` where nothing moves, and `width`: the bonds whose energy of that may gather in one.
     `ts`: times at which changing parameters are looked at. `u`: displacements at the start.
-
-    **Example:**
-
-    >>> reach = gx.terms.Reach(energy=jnp.array([0.5, 0.5]), force=jnp.array(0.0), displacement=None, width=1,
-    ...                        ts=jnp.zeros(1), u=jnp.zeros(20))
-    >>> round(float(reach.stiffest(gx.Hertz(), 0)), 4), round(1.5 * 1.25**0.2, 4)
-    (1.5685, 1.5685)
     """
 
     energy: jax.Array
@@ -77,15 +70,7 @@ class Reach(eqx.Module):
 
 
 class Reached(eqx.Module):
-    """The least and the largest compressions, `low` and `high`, of every law of a term that a run has seen.
-
-    **Example:**
-
-    >>> reached = gx.terms.Reached(low=(jnp.array(0.0),), high=(jnp.array(4.0),), ts=jnp.zeros(1), u=jnp.zeros(20),
-    ...                            energy=jnp.zeros(2))
-    >>> round(float(reached.stiffest(gx.Hertz(), 0)), 4)
-    3.0
-    """
+    """The least and the largest compressions, `low` and `high`, of every law of a term that a run has seen."""
 
     low: tuple
     high: tuple

@@ -22,14 +22,6 @@ class Dependence(NamedTuple):
     """What a force reads: `time`, `displacement`, `velocity`; and whether the term stores an `energy`.
 
     `transforms`: it holds an FFT, which XLA compiles for the CPU in some memory layouts only: no batches by `vmap`.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> gx.Damping(0.1).dependence(chain)
-    Dependence(time=False, displacement=False, velocity=True, energy=False, transforms=False)
-    >>> chain.terms[0].dependence(chain).conserves
-    True
     """
 
     time: bool = False

@@ -21,12 +21,6 @@ class Function(eqx.Module):
 
     It must be pure, as JAX asks: a global number that it reads is compiled into the first run and kept. Values that are
     swept, changed or differentiated belong in a Module, like `Harmonic`.
-
-    **Example:**
-
-    >>> waveform = gx.terms.Function(jnp.cos)
-    >>> float(waveform(0.0)), gx.Drive(jnp.cos).waveform == waveform
-    (1.0, True)
     """
 
     function: Callable = eqx.field(static=True)
@@ -70,14 +64,6 @@ class Breaks(Dimensional):
 
     **Arguments:** `times` [s]: a number or a list, in any order; `period` [s]: those and all that lie whole periods
     away, `None` for those alone. **Raises** ValueError for no time, times that are not finite, period <= 0.
-
-    **Example:**
-
-    >>> breaks = gx.Breaks([0.0, 1.0], period=2.0)
-    >>> bond = gx.Bond(gx.Shift(1, "periodic"), gx.Linear())
-    >>> layers = gx.Modulated(bond, lambda t: jnp.where(t % 2 < 1, 1.1, 0.9), breaks=breaks)
-    >>> float(breaks.after(2.5))
-    3.0
     """
 
     dimensions = {"times": (0, 0, 1), "period": (0, 0, 1)}
@@ -126,12 +112,6 @@ class Square(eqx.Module):
     **Arguments:** `amplitude`; `omega`: angular frequency [rad/s]; `phase` [rad]; `mean`: 1 for a modulation of
     stiffness; `share` in (0, 1), 1/2 for equal layers. Numbers, or arrays over the bonds (one omega for all of them).
     **Raises** ValueError for omega <= 0, a share outside (0, 1).
-
-    **Example:**
-
-    >>> stiffness = gx.Square(0.1, omega=jnp.pi, mean=1.0)
-    >>> [round(float(stiffness(t)), 4) for t in (0.5, 1.5, 2.5)]
-    [1.1, 0.9, 1.1]
     """
 
     amplitude: jax.Array

@@ -19,13 +19,6 @@ class Averages(Result):
 
     of the means. With the Lagrangian L(omega, k, y) of the family, J = dL/d omega, S/omega = -dL/dk, F = -dL/dy: so one
     table of a family has all derivatives of its modulation equations, and a check on itself.
-
-    **Example:**
-
-    >>> wave = gx.travelling.periodic_wave(gx.Toda(), 6.0, amplitude=0.2)
-    >>> means = wave.averages()
-    >>> abs(float(means.kinetic + means.potential - means.energy)) < 1e-12
-    True
     """
 
     omega: Number = array("The angular frequency.", "rad/s")

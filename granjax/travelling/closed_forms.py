@@ -19,12 +19,6 @@ class ClosedForms(Result):
     """Errors of the solitons of KdV and of Toda, of the exact wave's speed, over several speeds.
 
     An error is max |y - phi|/max |phi| over all places.
-
-    **Example:**
-
-    >>> found = gx.travelling.closed_forms(gx.Toda(), [1.1])
-    >>> bool(found.toda_error[0] < 1e-9), float(found.sound)
-    (True, 1.0)
     """
 
     speed: Numbers = array("The speeds of the waves.", "1/s", "speed")

@@ -37,16 +37,6 @@ class Collision(Result):
     """What `collide` returns; the first of two numbers is of the first wave.
 
     Of several phases all arrays, and the numbers but those of both waves before, have these as their last axis.
-
-    **Example:**
-
-    >>> fast = gx.travelling.solitary_wave(gx.Toda(), speed=2.0)
-    >>> slow = gx.travelling.solitary_wave(gx.Toda(), speed=-1.8)
-    >>> found = gx.travelling.collide(fast, slow, tolerance=1e-2)
-    >>> found.kind, abs(found.radiated) < 1e-5
-    ('head-on', True)
-    >>> round(float(fast.amplitude), 4)  # before and after
-    2.9939
     """
 
     kind: str = array('"overtaking" or "head-on".')

@@ -19,15 +19,6 @@ class WaveFamily(Result):
 
     Where `energy_slope` passes zero, at the speeds `turns`, waves gain or lose their stability: one pair of multipliers
     of `Wave.floquet` is at +1 there, and waves on the side where energy falls with speed are unstable.
-
-    **Example:**
-
-    >>> wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
-    >>> found = gx.travelling.family(gx.Hertz(), speed=[1.0, 2.0])
-    >>> round(float(found.energy_slope[0] / wave.energy), 4)  # energies grow as c^10
-    10.0
-    >>> round(float(wave.momentum), 4)
-    2.7136
     """
 
     speed: Float[np.ndarray, " wave"] = array("The speed of each wave in contacts per time.", "1/s")

@@ -25,14 +25,6 @@ class LongWave(NamedTuple):
     """A scene of the regularised equation: `places` (X,) [sites], the `lattice` of them and a `state` to start from.
 
     `gx.measures.strain(lattice, y)` is the strain at the places, `lattice.terms[0].strain_map.rate(u, v)` its rate.
-
-    **Example:**
-
-    >>> x = jnp.arange(-12, 12, 0.25)
-    >>> wave = gx.theory.long_wave.regularised_wave(x).strain
-    >>> scene = gx.travelling.long_wave(gx.Hertz(), wave, spacing=0.25, speed=1.0)
-    >>> round(float(gx.measures.strain(scene.lattice, scene.state).max()), 4), scene.places.shape
-    (1.5625, (96,))
     """
 
     lattice: Lattice
@@ -57,15 +49,6 @@ class SpectralStrain(StrainMap):
     What moves, w, is (1 - d_x^2/12)^{1/2} times the displacement: m w_tt = -(de/dw)^T F(y) is m y_tt = d_x^2 F(y) +
     (m/12) d_x^2 y_tt. A wave number k pulls with k^2/(1 + k^2/12), never more than 12, where the chain has
     4 sin^2(k/2). `spacing` [sites] of the places; `mean` strain [m], which a box of one length keeps.
-
-    **Example:**
-
-    >>> x = jnp.arange(-12, 12, 0.25)
-    >>> wave = gx.theory.long_wave.regularised_wave(x).strain
-    >>> scene = gx.travelling.long_wave(gx.Hertz(), wave, spacing=0.25, speed=1.0)
-    >>> strain_map = scene.lattice.terms[0].strain_map
-    >>> round(float(strain_map.mean), 6), round(float(strain_map.spacing), 6)
-    (0.100234, 0.25)
     """
 
     dimensions = {"spacing": (0, 0, 0), "mean": (0, 1, 0)}

@@ -22,12 +22,6 @@ class PeriodicWave(Result):
     r"""A train of waves, strain phi(n - c t) of contact n with a length of `wavelength` contacts, a crest at xi = 0.
 
     m c^2 (phi - mean) = tent * F(phi) less its mean, in the frame in which the beads' mean velocity is zero.
-
-    **Example:**
-
-    >>> wave = gx.travelling.periodic_wave(gx.Toda(), 6.0, amplitude=0.2)
-    >>> round(float(wave.crest - wave.trough), 6), bool(wave.error < 1e-9)
-    (0.4, True)
     """
 
     speed: Number = array("The speed c in contacts per time.", "1/s")

@@ -30,15 +30,6 @@ class Reflection(Result):
 
     NaN where no solitary wave came back, for the reason in `outcome`. What the reflected wave has lost is in other
     waves.
-
-    **Example:**
-
-    >>> wave = gx.travelling.solitary_wave(gx.Toda(), speed=2.0)
-    >>> found = gx.travelling.reflect(wave)
-    >>> round(float(found.amplitudes / wave.amplitude), 6)  # a rigid wall gives all of it back
-    1.0
-    >>> round(float(wave.amplitude), 4)
-    2.9939
     """
 
     delay: Numbers = array(

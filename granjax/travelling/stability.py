@@ -35,13 +35,6 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
 
     **Arguments:** `sites`: `None` is as many as bring the strain half-way round to 1e-10 of the peak.
     **Raises** ValueError where more than 200 are needed (a wave little faster than sound), or fewer than 12 asked.
-
-    **Example:**
-
-    >>> wave = gx.travelling.solitary_wave(gx.Toda(), speed=2.0)
-    >>> lattice, state = gx.travelling.ring(wave)
-    >>> state.u.shape, round(float(gx.linear.sound_speed(lattice)), 3)  # of a ring that the wave shortens
-    ((14,), 1.168)
     """
     sites = _sites_of(wave) if sites is None else sites
     s, centre = wave.compression / sites, sites // 2
@@ -81,15 +74,6 @@ def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: An
     **Arguments:** `lattice`: a ring of equal cells. `guess`: a state near the wave, such as that of `ring(wave)`, or of
     a lattice that is near. `speed`: c, sites per time, below zero to the left. `keywords`: of `gx.orbits.orbit`.
     **Returns:** `Orbit`. **Raises** as `gx.orbits.orbit` does, and ValueError for a speed of zero.
-
-    **Example:**
-
-    >>> ring, guess = gx.travelling.ring(gx.travelling.solitary_wave(gx.Toda(), speed=2.0))
-    >>> orbit = gx.travelling.wave_orbit(ring, guess, 2.0)
-    >>> float(orbit.period)
-    0.5
-    >>> guess.u.shape
-    (14,)
     """
     return orbit(
         lattice, guess, 1 / abs(speed), symmetry=Translation(1 if speed > 0 else -1), **keywords

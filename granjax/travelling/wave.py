@@ -25,12 +25,6 @@ class Wave(Result):
 
     Differentiable once in the parameters of the law, the mass and the given speed, amplitude or energy, by the implicit
     function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around the search are refused.
-
-    **Example:**
-
-    >>> wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
-    >>> round(float(wave.energy), 6), round(float(wave.strain(1.0)), 6)
-    (2.823487, 0.583929)
     """
 
     speed: Number = array(

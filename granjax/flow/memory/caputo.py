@@ -19,14 +19,7 @@ ITERATIONS, SETTLED = 20, 1e-13
 
 
 class CaputoRun(Result):
-    """What `caputo` returns.
-
-    **Example:**
-
-    >>> run = gx.caputo(lambda t, y, args: -y, 1.0, 1.0, order=0.5)
-    >>> run.outcome, run.ts.shape, bool(run.error < 1e-3)
-    ('Completed.', (201,), True)
-    """
+    """What `caputo` returns."""
 
     ts: Times = array("The times.", "s", "time", name="time")
     ys: Pytree = array("The solution, of the structure of y with the times first.", axes="time ...")

@@ -25,14 +25,6 @@ class RunWithMemory(Run):
       counts `lost`: what the balance misses. NaN where the work is not known.
 
     Whether a contact opened is looked at at the saved times alone.
-
-    **Example:**
-
-    >>> contact = gx.PlasticContact(gx.Shift(1, "free"), gx.WaltonBraun(1.0, 4.0))
-    >>> chain = gx.Lattice(1.0, contact, sites=2)
-    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0)
-    >>> round(float(run.lost[-1]), 4), round(float(run.memory["largest_overlap"][-1, 0]), 4)
-    (0.1875, 0.7071)
     """
 
     _table: ClassVar[dict[str, Held]] = {

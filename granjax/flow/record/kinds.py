@@ -133,16 +133,7 @@ class Peak(Record):
 
 
 class Lowest(Peak):
-    """Smallest value of a quantity over the run, elementwise, found between steps as `Peak` finds the largest.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> record = {"impulse": gx.Integral(gx.measures.contact_force), "lowest": gx.Lowest(gx.measures.strain)}
-    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, record=record)
-    >>> round(float(run.recorded["lowest"][1]), 4)
-    -0.2255
-    """
+    """Smallest value of a quantity over the run, elementwise, found between steps as `Peak` finds the largest."""
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
         return super().start(t, -q, count)
@@ -158,14 +149,6 @@ class PeakTime(Peak):
     """When a quantity is the largest, elementwise, found between steps as `Peak` finds how large: the first of equals.
 
     **Arguments:** `quantity`: as in `Peak`.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20)
-    >>> record = {"when": gx.PeakTime(lambda t, y, lattice: y.v)}
-    >>> run = gx.simulate(chain, gx.states.impact(chain), 8.0, step=0.05, record=record)
-    >>> bool((jnp.diff(run.recorded["when"][1:4]) > 0).all())  # the pulse comes to one bead after the other
-    True
     """
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:

@@ -41,15 +41,7 @@ class Edge(NamedTuple):
 
 
 def cell_of(lattice: Lattice) -> tuple | None:
-    """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none.
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> mass, K2, K3, K4 = gx.breathers.guesses.cell_of(chain)
-    >>> mass.tolist(), K2.round(6).tolist()
-    ([1.0, 0.5], [1.5, 1.5])
-    """
+    """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none."""
     found = lattice.terms[0].next_neighbours() if len(lattice.terms) == 1 else None
     if found is None or lattice.fields or lattice.axes != 1 or lattice.dimension:
         return None
@@ -72,15 +64,7 @@ def cell_of(lattice: Lattice) -> tuple | None:
 
 
 def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
-    """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell.
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> edges = gx.breathers.guesses.edges_beside(chain, 2.3)
-    >>> [(round(edge.omega, 4), edge.above) for edge in edges]
-    [(1.7321, True), (2.4495, False)]
-    """
+    """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell."""
     cell, chain = cell_of(lattice), dressed(lattice)
     if cell is None and chain is None:
         return []
@@ -118,27 +102,13 @@ def _at_symmetry(k):
 
 
 def supports_bright(edge: Edge) -> bool:
-    """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way.
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> [gx.breathers.guesses.supports_bright(edge) for edge in gx.breathers.guesses.edges_beside(chain, 2.3)]
-    [False, True]
-    """
+    """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
     c = edge.coefficients
     return bool(c.focusing) and (float(c.nu3_force) > 0) == edge.above
 
 
 def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
-    """Frequency of the edge from which the bright or dark breathers at omega come.
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> round(float(gx.breathers.guesses.edge_of(chain, 2.3, "bright")), 4)
-    2.4495
-    """
+    """Frequency of the edge from which the bright or dark breathers at omega come."""
     if one_of("kind", kind, ("bright", "dark")) == "dark":
         upper = np.asarray(bands(lattice).upper)
         return float(upper[np.argmin(np.abs(upper - omega))])
@@ -150,13 +120,6 @@ def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) 
     """The envelope's bright breather of a chain at a frequency in a gap, `State` at rest.
 
     **Raises** ValueError where no edge of that gap has one.
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> state = gx.breathers.bright_guess(chain, 2.0, centre=11)
-    >>> int(jnp.argmax(jnp.abs(state.u)))
-    11
     """
     if cell_of(lattice) is None and dressed(lattice) is None:
         refuse("guess", NO_CELL, "'bright'", NEEDS)
@@ -172,13 +135,6 @@ def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) ->
 
     Ends at constant force (free) or at fixed length (walls, a ring) as the chain has them. **Raises** ValueError where
     the edge above omega has no dark breathers, and for a lattice that is no periodic chain of next neighbours.
-
-    **Example:**
-
-    >>> chain = gx.scenes.monomer(20, precompression=1.0, boundary="periodic")
-    >>> state = gx.breathers.dark_guess(chain, 0.99 * np.sqrt(6), centre=9.5)
-    >>> gx.breathers.localisation(chain, state).dark
-    True
     """
     cell, chain = cell_of(lattice), dressed(lattice)
     if cell is None and chain is None:
@@ -233,17 +189,7 @@ def _size(lattice):
 
 
 def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
-    """Say why a chain has no bright breather at a frequency.
-
-    **Example:**
-
-    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
-    >>> try:
-    ...     gx.breathers.guesses.refuse_bright(chain, 4.0)
-    ... except ValueError as refused:
-    ...     print(str(refused).split(",")[0])
-    omega: expected a frequency at which the lattice has bright breathers
-    """
+    """Say why a chain has no bright breather at a frequency."""
     edges = edges_beside(lattice, omega)
     said = []
     for edge in edges:

@@ -84,13 +84,6 @@ def aubry_andre(
     **Returns:** a `Lattice`, u of shape (N,). All numbers are differentiable but `sites`. **Raises** ValueError for
     numbers outside these ranges. Source: Aubry, Andre, Ann. Israel Phys. Soc. 3, 133 (1980); Martinez, Porter,
     Kevrekidis, Phil. Trans. R. Soc. A 376, 20170139 (2018).
-
-    **Example:**
-
-    >>> chain = gx.scenes.aubry_andre(89, 4.0, ground=4.0)
-    >>> mode = gx.linear.normal_modes(chain).modes[:, 44]   # falls off as exp(-gamma |n|), gamma = log(V/2K)
-    >>> bool((mode**4).sum() > 0.2)
-    True
     """
     count, held = whole("sites", sites, 2), non_negative("ground", ground)
     n = jnp.arange(count)
@@ -163,11 +156,6 @@ def stub(
 
     **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b within the cell, between cells, a-c.
     **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
-
-    **Example:**
-
-    >>> gx.linear.flat_bands(gx.scenes.stub(8)).omega_squared.round(6)
-    array([3.])
     """
     return _chain(
         STUB,
@@ -201,11 +189,6 @@ def diamond(
 
     **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b, a-c, b-a', c-a'.
     **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
-
-    **Example:**
-
-    >>> gx.linear.flat_bands(gx.scenes.diamond(8)).omega_squared.round(6)
-    array([4.])
     """
     laws = laws_of(DIAMOND, law, stiffness, 1, 0.0)
     return _chain(DIAMOND, cells, laws, mass, boundary, ground, on_site, equal, units)

@@ -171,11 +171,6 @@ def hexagon(
 
     **Arguments:** `rings`: r >= 1 around the bead in the middle, whose number is half of all. The others as of
     `square`; `boundary`: `"fixed"` or `"free"`. **Returns:** a `Lattice`. **Raises** ValueError as `square` does.
-
-    **Example:**
-
-    >>> gx.scenes.hexagon(4, exponent=1.5).shape
-    (61, 2)
     """
     rings = whole("rings", rings, 1)
     return _plane(
@@ -341,12 +336,6 @@ def lieb(
 
     **Arguments:** as of `square` and `honeycomb`. `equal`: whether edges get the on-site springs that corners need not
     (out of plane alone). **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `square` does.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.lieb(6, boundary="periodic")
-    >>> gx.linear.flat_bands(crystal).omega_squared.round(6)   # 4 K
-    array([4.])
     """
     return _plane(
         LIEB,
@@ -392,13 +381,6 @@ def quadrupole(
     **Arguments:** `n`, `m`: cells; `k1`, `k2` > 0; the others as in `honeycomb`. **Returns:** a `Lattice` of the fields
     `a`, `b`, `c`, `d`. **Raises** ValueError as `square` does. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
     (2017); Serra-Garcia et al., Nature 555, 342 (2018).
-
-    **Example:**
-
-    >>> crystal = gx.scenes.quadrupole(4, k1=0.5, k2=2.0)
-    >>> squared = gx.linear.normal_modes(crystal).omega_squared
-    >>> int((abs(squared - 5.0) < 0.2).sum())   # one state at each corner
-    4
     """
     inner, outer = positive("k1", k1), positive("k2", k2)
     laws = tuple(Linear(k) for k in (inner, inner, inner, -inner, outer, outer, outer, -outer))

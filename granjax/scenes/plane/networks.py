@@ -99,13 +99,6 @@ def junction(
     branches[0]`, ... **Raises** ValueError for fewer than two beads in the stem, one in a branch, or an angle beyond.
     Source: Daraio, Ngo, Nesterenko, Fraternali, Phys. Rev. E 82, 036603 (2010); Leonard, Ponson, Daraio, Phys. Rev. E
     86, 031305 (2012).
-
-    **Example:**
-
-    >>> fork = gx.scenes.junction(6, (9, 9), angles=(0.4, -0.4))
-    >>> force = fork.force(0.0, jnp.zeros(24).at[5].set(0.1), jnp.zeros(24))   # the stem's last bead pushes
-    >>> force[jnp.array([5, 6, 15])].round(4)   # (0.1 cos(0.4))^(3/2) on each branch
-    Array([-0.0515,  0.028 ,  0.028 ], dtype=float64)
     """
     stem = whole("stem", stem, 2)
     counts = [whole(f"branches[{i}]", n, 1) for i, n in enumerate(branches)]

@@ -39,12 +39,6 @@ def packing(
     **Returns:** a `Lattice` in SI with positions. **Raises** ValueError for a radius that is not above zero, F0 < 0,
     rotation without a load. Source: Leonard, Fraternali, Daraio, Exp. Mech. 53, 327 (2013); Tournat, Perez-Arjona,
     Merkel, Sanchez-Morcillo, Gusev, New J. Phys. 13, 073042 (2011).
-
-    **Example:**
-
-    >>> crystal = gx.scenes.packing("steel 316", 5e-3, 3, precompression=10.0, outline="hexagon")
-    >>> crystal.shape, crystal.units
-    ((37, 2), 'SI')
     """
     cell = ARRANGEMENTS[one_of("arrangement", arrangement, list(ARRANGEMENTS))]
     body, R = named("material", material), positive("radius", radius, "A radius is in metres.")

@@ -43,13 +43,6 @@ class CellWave(Result):
     Contact n lies between the sites n and n + 1; xi = n - c t counts sites, of a contact and of a bead alike, as in
     `Wave`. A wave that a bead or a contact mirrors does so at xi = 0 of the contacts. `strain` and `velocity` give any
     place; beyond the box where the wave was solved its own ripple continues, whose misfit `error` includes.
-
-    **Example:**
-
-    >>> cell = lambda ratio: (gx.Hertz(), [1.0, ratio])
-    >>> wave = gx.travelling.tail_free(cell, 0.33, 0.35, speed=1.0)
-    >>> wave.strains.shape[0], bool(wave.converged)  # contacts of a cell
-    (2, True)
     """
 
     speed: float = note("The speed c in sites (not cells) per time.", "1/s")

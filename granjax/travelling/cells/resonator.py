@@ -13,12 +13,6 @@ class Resonator(eqx.Module):
     """A mass mu [kg] that a linear spring kappa [N/m] ties to its bead: mu w'' = kappa (u - w).
 
     **Raises** ValueError for a mass or a stiffness that is not above zero.
-
-    **Example:**
-
-    >>> resonator = gx.Resonator(mass=0.1, stiffness=1.0)
-    >>> round(float(resonator.swing()), 4), round(float(resonator.tail_free(speed=1.0)), 4)
-    (3.3166, 3.5889)
     """
 
     mass: jax.Array
@@ -48,11 +42,6 @@ def tail_free_stiffness(
 
     **Returns:** an array of the shape of the arguments. mu = 0.1, m = c = n = 1: 3.5889470549.
     **Raises** ValueError for a speed or a mass that is not above zero.
-
-    **Example:**
-
-    >>> round(float(gx.travelling.tail_free_stiffness(1.0, 0.1)), 6)
-    3.588947
     """
     speed, heavy = positive("speed", speed), positive("mass", mass)
     inner, count = positive("resonator_mass", resonator_mass), count
