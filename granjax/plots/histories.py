@@ -84,7 +84,8 @@ def space_time(
     ax.set_xlabel(site_label)
     ax.set_ylabel(by_time.label)
     if sites is None or np.all(2 * x % 1 == 0):
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        # few enough for a journal's column
+        ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     if ts is None:
         ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     for spine in ax.spines.values():

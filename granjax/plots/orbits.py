@@ -273,6 +273,8 @@ def branch(
         ax.set_ylim(0 if high - low > 0.5 * high else low - 0.1 * (high - low or 1), None)
         ax.set_ylim(None, high + 0.06 * (high - ax.get_ylim()[0]))
         ax.set_xlabel(over.label)
+        # few enough for a journal's column: frequencies have many digits
+        ax.locator_params(axis="x", nbins=5)
         ax.set_ylabel(by.label)
     if axes.ravel()[0].get_legend_handles_labels()[0]:
         axes.ravel()[0].legend(loc="best", frameon=False)
