@@ -129,7 +129,7 @@ class Run(Result):
         "stats_step": Held(unit="s"),
         "stats_omega": Held(unit="rad/s"),
     }
-    ts: Times
+    ts: Numbers
     us: Displacements
     vs: Displacements
     final: State

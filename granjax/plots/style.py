@@ -202,7 +202,7 @@ class Shown(NamedTuple):
     label: str
     unit: str
 
-    def __call__(self, x: Any) -> np.ndarray:
+    def __call__(self, x: Any) -> np.ndarray | float:
         return self.factor * np.asarray(x, float)
 
 
