@@ -46,10 +46,11 @@ def scale(material, radius, striker):
 def make():
     run, peak, speed = struck(*STEEL)
     overlaid, stacked = plt.figure(figsize=(8.8, 3.6), layout="constrained").subplots(1, 2)
-    options = {"units": ("us", "m/s"), "site_label": "bead"}
-    gx.plots.traces(run, "v", np.arange(14, 19), overlaid, offset=0, **options)
+    options = {"site_label": "bead"}
+    data = run.in_units("us")
+    gx.plots.traces(data, "v", np.arange(14, 19), overlaid, offset=0, **options)
     overlaid.set(title="Five adjacent beads", xlim=(1e6 * 12 / speed, 1e6 * 24 / speed))
-    gx.plots.traces(run, "v", np.arange(2, 30, 4), stacked, **options)
+    gx.plots.traces(data, "v", np.arange(2, 30, 4), stacked, **options)
     stacked.set_title("Every fourth bead")
     rows = {
         "peak bead velocity / striker velocity": (float(peak), PEAK, 2e-5),

@@ -46,7 +46,7 @@ def make():
     share = passed(chain, run)[contact]
     canvas = plt.figure(figsize=(9.2, 3.8), layout="constrained")
     left, right = canvas.subplots(1, 2, width_ratios=(1.15, 1))
-    options = {"units": ("ms", "m/s"), "site_label": "bead"}
+    options = {"site_label": "bead"}
     gx.plots.space_time(run, left, limit=0.6 * STRIKER, **options)
     left.set_title(rf"Velocity of every bead, $\varepsilon = {RATIO}$")
     right.plot(contact, share)

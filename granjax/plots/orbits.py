@@ -128,7 +128,8 @@ def breather(
     fl, units = breather.floquet() if fl is None else fl, units_of(breather)
     axes = several_axes(axes, 2, 2, 8.4, 6.4)
     a, b, c, d = axes.ravel()
-    field = "bead" if field is None and "bead" in breather.state[0] else field
+    fields = breather.state[0] if isinstance(breather.state[0], dict) else ()
+    field = "bead" if field is None and "bead" in fields else field
     u = numbers("breather.state.u", _field_of(breather.state[0], field), 1)
     site, strain = np.arange(len(u)), u[:-1] - u[1:]
     by = shown("displacement $u_n(0)$", u, "m", units)
