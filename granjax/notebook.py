@@ -21,15 +21,15 @@ from .types import Count, Quantity, Scalar, Scene, StateLike
 
 INSTALL = "pip install 'granjax[notebook]'"
 MAPS = {
-    "v": ("velocity", "site", lambda t, y, lattice: y.v),
-    "u": ("displacement", "site", lambda t, y, lattice: y.u),
+    "v": ("velocity (m/s)", "site", lambda t, y, lattice: y.v),
+    "u": ("displacement (m)", "site", lambda t, y, lattice: y.u),
     "force": (
-        "contact force",
+        "contact force (N)",
         "contact",
         lambda t, y, lattice: measures.contact_force(lattice, y, t),
     ),
-    "strain": ("strain", "contact", lambda t, y, lattice: measures.strain(lattice, y)),
-    "energy": ("energy", "site", lambda t, y, lattice: measures.site_energy(lattice, y, t)),
+    "strain": ("strain (m)", "contact", lambda t, y, lattice: measures.strain(lattice, y)),
+    "energy": ("energy (J)", "site", lambda t, y, lattice: measures.site_energy(lattice, y, t)),
 }
 # of a slider whose ends are not given
 LEAST_RATIO = 0.05

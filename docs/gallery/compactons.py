@@ -24,6 +24,5 @@ gx.plots.wave(
     wave,
     ax,
     beside={"Nesterenko": nesterenko, "Ahnert, Pikovsky": pikovsky},
-    slope=False,
     floor=1e-30,
 )
