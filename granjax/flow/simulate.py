@@ -102,7 +102,7 @@ def simulate(
       take functions `(t, y, lattice)` and measures `(lattice, y, t)`.
     - `confirm`: run a second time, with steps of half the length (a quarter where contacts opened; or a tolerance 100
       times smaller), for `run.error`: that of what was saved, of the records, of the energy; and look between steps
-      whether a contact opened. It takes about four times as long. The error has no derivative.
+      whether a contact opened. It takes 8 to 25 times as long. The error has no derivative.
     - `adjoint`: `None` for derivatives in both modes; or diffrax's `ForwardMode`, `DirectAdjoint` or
       `RecursiveCheckpointAdjoint` (reverse mode alone, cheaper there); or `Reversible()` (reverse mode alone, memory
       independent of the number of steps, for scenes that integrate back to where they came from).
