@@ -243,7 +243,7 @@ class Explorer:
 
     def _compute(self, values):
         """The run of some values. **Raises** ValueError for what the scene refuses."""
-        self._shown = None
+        self._shown, self._at = None, values
         lattice, state, _ = self._built(values)
         if self.t1 is None:
             self.t1 = _crossing(lattice, state)
@@ -268,7 +268,9 @@ class Explorer:
         from IPython.display import display
 
         try:
-            self._compute(values)
+            # the first values have been computed before there were sliders
+            if self._shown is None or values != self._at:
+                self._compute(values)
             display(self.figure)
         except Exception as error:  # whatever a scene of the user's raises for these values
             kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "

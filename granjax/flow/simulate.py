@@ -137,16 +137,17 @@ def simulate(
     -0.0711
     """
     given = t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps
-    if confirm and (facts(lattice).remembers or isinstance(adjoint, Reversible)):
-        without = "forces that read the past" if facts(lattice).remembers else "Reversible"
+    about = facts(lattice)
+    if confirm and (about.remembers or isinstance(adjoint, Reversible)):
+        without = "forces that read the past" if about.remembers else "Reversible"
         remedy = "Compare runs by two steps yourself."
         refuse("confirm", f"False with {without}", "True", remedy)
-    if facts(lattice).remembers:
+    if about.remembers:
         return with_memory(lattice, state, t1, dict(zip(KEYWORDS, given)))
     state = checked_state(lattice, state)
     t0, t1 = checked_times(t0, t1)
-    dtype = facts(lattice).dtype
-    unknown = facts(lattice).traced or traced((state, t0, t1, step, tolerance, save_at, record))
+    dtype = about.dtype
+    unknown = about.traced or traced((state, t0, t1, step, tolerance, save_at, record))
     if throw and unknown:
         remedy = "What becomes of a traced run is not known yet."
         refuse("throw", "None or False under a transformation", "True", remedy)
@@ -206,36 +207,36 @@ def simulate(
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
         rest = records, solver, adjoint, limit, every, progress, watch, dips
         run = march(lattice, state, *span, dt, tolerance, save_ts, *rest)
-    found, more = run, {}
+    more = {}
     if unknown and throw is None:
-        found = without_the_lost(found, lattice.lanes)
-    known = not isinstance(found.code, jax.core.Tracer)
+        run = without_the_lost(run, lattice.lanes)
+    known = not isinstance(run.code, jax.core.Tracer)
     if every and known:
-        found = _cut(found)
-        save_ts = found.ts
+        run = _cut(run)
+        save_ts = run.ts
     hidden = ""
     if known and not unknown:
-        hidden = missed(lattice, t0, t1, found.stats["step"], tolerance)
-        said = doubts(lattice, state, t0, t1, step, tolerance, solver, found)
-        met = passing(lattice, found.ts, found.us, found.final.u)
+        hidden = missed(lattice, t0, t1, run.stats["step"], tolerance)
+        said = doubts(lattice, state, t0, t1, step, tolerance, solver, run)
+        met = passing(lattice, run.ts, run.us, run.final.u)
         remark = " ".join(filter(None, (remark, hidden, said, met)))
         more["started"] = lattice, state
     if confirm:
         # lanes of `jax.vmap` may have had a shorter step than their own
-        taken = found.stats["step"] if unknown and tolerance is None else dt
-        good = found.completed & (not hidden)
+        taken = run.stats["step"] if unknown and tolerance is None else dt
+        good = run.completed & (not hidden)
         how = taken, tolerance, save_ts, records, solver
-        more["error"] = confirmed(lattice, state, *span, *how, found, good)
-    code = np.asarray(found.code) if known else None
+        more["error"] = confirmed(lattice, state, *span, *how, run, good)
+    code = np.asarray(run.code) if known else None
     failed = known and not (code == COMPLETED).all()
     if failed and code.max() in (NOT_FINITE, STEP_TOO_SMALL):
-        more |= _located(found, lattice, (state, *span), dt, tolerance, solver)
+        more |= _located(run, lattice, (state, *span), dt, tolerance, solver)
     zone = _zone(lattice, dt, step, tolerance, unknown, dips)
     names = type(solver).__name__, choice, remark, unseen(lattice), zone
-    run = run_of(found, lattice, names, tuple(more.items()))
+    made = run_of(run, lattice, names, tuple(more.items()))
     if failed and (throw is None or throw):
-        raise RuntimeError(run.outcome)
-    return run
+        raise RuntimeError(made.outcome)
+    return made
 
 
 def _adaptive(tolerance, longest):

@@ -106,7 +106,7 @@ def _symbol(symbol):
     return (prefix * base[0], base[1]) if prefix and base else None
 
 
-def named_unit(argument: str, word: str) -> Named:
+def named_unit(word: str) -> Named:
     """The unit of a name. **Raises** ValueError for one that is not known, with the nearest that is."""
     found = known_unit(word)
     if found is None:
@@ -116,9 +116,7 @@ def named_unit(argument: str, word: str) -> Named:
             or difflib.get_close_matches(word.lower(), [name.lower() for name in every], 3, 0.5)
             or ["us", "kHz", "mm/s", "N"]
         )
-        refuse(
-            argument, "the name of a unit", repr(word), f"Nearest: {', '.join(map(repr, near))}."
-        )
+        refuse("units", "the name of a unit", repr(word), f"Nearest: {', '.join(map(repr, near))}.")
     return found
 
 
@@ -190,22 +188,22 @@ class Counted(NamedTuple):
         return (size, unit) if word is None else (size * known.size / word.size, word.name)
 
 
-def settled(units: UnitsOrWords, said: str | None, argument: str = "units") -> Counted:
+def settled(units: UnitsOrWords, said: str | None) -> Counted:
     """What numbers are counted in, "SI", "scaled" or `None` as far as `said` tells, when somebody asks for units.
 
     Words are for numbers in SI, or for scaled ones with the `Units` that leads there. A `Units` beside numbers in SI
     turns them into scaled ones. **Raises** ValueError for units that the numbers cannot have.
     """
-    kind, sizes, words = asked_for(units, argument)
+    kind, sizes, words = asked_for(units)
     remedy = (
         "Give the Units that leads back to SI beside it, gx.Units() where the numbers are those of SI, or say so "
         "of the lattice: lattice.counted_in('SI'), gx.Lattice(..., units='SI')."
     )
     if said == SCALED and sizes is None and (kind == SI or words):
-        refuse(argument, "None or 'scaled' for scaled numbers", repr(units), remedy)
+        refuse("units", "None or 'scaled' for scaled numbers", repr(units), remedy)
     if said == SI and kind == SCALED:
         refuse(
-            argument,
+            "units",
             "units of numbers in SI",
             repr(units),
             "A Units counts them in scaled numbers.",
@@ -215,28 +213,26 @@ def settled(units: UnitsOrWords, said: str | None, argument: str = "units") -> C
         said = kind or said or (SCALED if sizes is not None else SI if words else None)
     if words and said == SI and sizes is not None:
         refuse(
-            argument, "words, or a Units, which turns numbers in SI into scaled ones", repr(units)
+            "units", "words, or a Units, which turns numbers in SI into scaled ones", repr(units)
         )
     if words and said == SCALED and sizes is None:
-        refuse(argument, "a Units beside words, for scaled numbers", repr(units), remedy)
+        refuse("units", "a Units beside words, for scaled numbers", repr(units), remedy)
     return Counted(said, sizes, words)
 
 
-def asked_for(
-    units: UnitsOrWords, argument: str = "units"
-) -> tuple[str | None, Units | None, list[Named]]:
+def asked_for(units: UnitsOrWords) -> tuple[str | None, Units | None, list[Named]]:
     """("SI" or "scaled", a `Units`, the units that are named) of what somebody asks for."""
     every = [] if units is None else [units] if isinstance(units, (str, Units)) else list(units)
     kinds = [x for x in every if isinstance(x, str) and x in (SI, SCALED)]
     if len(kinds) > 1 or sum(isinstance(x, Units) for x in every) > 1:
         refuse(
-            argument,
+            "units",
             "words such as 'us', ('kHz', 'mm/s'), 'SI' or 'scaled', and one Units at most",
             repr(units),
         )
-    words = [named_unit(argument, x) for x in every if not isinstance(x, Units) and x not in kinds]
+    words = [named_unit(x) for x in every if not isinstance(x, Units) and x not in kinds]
     for i, word in enumerate(words):
         for other in words[:i]:
             if word.dimension == other.dimension:
-                refuse(argument, "one word for each dimension", f"{other.name!r} and {word.name!r}")
+                refuse("units", "one word for each dimension", f"{other.name!r} and {word.name!r}")
     return next(iter(kinds), None), next((x for x in every if isinstance(x, Units)), None), words
