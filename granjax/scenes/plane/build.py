@@ -12,7 +12,7 @@ from ...lattice import Lattice
 from ...laws import Law, Linear, Strained
 from ...strains import BOUNDARIES, Along, Pairs, Shift, Slip, Stretch
 from ...terms import Bond, Grip, OnSite
-from ..chains import _contact, _number
+from ..chains import contact, number
 from .cells import Cell
 from .outline import cut, positions_of
 
@@ -85,7 +85,7 @@ def built(
     units: str,
 ) -> Lattice:
     """A lattice of cells: on a grid where it is a parallelogram of whole cells, else on a graph."""
-    spacing = positive("spacing", _number("spacing", spacing), "It is the length of a bond.")
+    spacing = positive("spacing", number("spacing", spacing), "It is the length of a bond.")
     counts = tuple(whole(name, n, 1) for name, n in zip(("n", "m"), counts))
     if isinstance(outline, str) and outline == "cells":
         boundaries = _boundaries(boundary, len(counts))
@@ -214,7 +214,7 @@ def _each(name, x, count):
 def _law(stiffness, exponent, precompression):
     """A spring that pushes and pulls, or a contact."""
     if not (isinstance(exponent, (int, float)) and exponent == 1):
-        return _contact(stiffness, exponent, precompression)
+        return contact(stiffness, exponent, precompression)
     stiffness = positive("stiffness", stiffness, "A bond without stiffness is left out.")
     if plain_zero(precompression):
         return Linear(stiffness)

@@ -14,7 +14,7 @@ from ...strains import WALL, Pairs
 from ...terms import Bond
 from ...types import Count, Parameter
 from ...units import SCALED
-from ..chains import _contact, _number
+from ..chains import contact, number
 
 # a cosine below this is that of a right angle
 SQUARE_ON = 1e-9
@@ -105,7 +105,7 @@ def junction(
     turned = [0.0] * len(counts) if angles is None else list(angles)
     if len(turned) != len(counts):
         refuse("angles", f"{len(counts)}, one per branch", f"{len(turned)}")
-    turned = [_number(f"angles[{i}]", a) for i, a in enumerate(turned)]
+    turned = [number(f"angles[{i}]", a) for i, a in enumerate(turned)]
     known = [concrete(a) for a in turned]
     if any(a is not None and not np.cos(a) > 0 for a in known):
         refuse(
@@ -113,7 +113,7 @@ def junction(
         )
     cosines = jnp.cos(jnp.stack(turned))
     one_of("boundary", boundary, ("fixed", "free"))
-    law = _contact(stiffness, exponent, precompression) if law is None else law
+    law = contact(stiffness, exponent, precompression) if law is None else law
     out = list(range(1, len(counts) + 1))
     fixed = boundary == "fixed"
     guides = _Guides(
@@ -235,7 +235,7 @@ def network(
             jnp.asarray(x)[np.array(owners)] if np.ndim(x) else x
             for x in (stiffness, precompression)
         ]
-        return _contact(own[0], exponent, own[1])
+        return contact(own[0], exponent, own[1])
 
     along = [(np.arange(n) + 0.5)[:, None] / n for n in counts]
     places = jnp.concatenate([at[a] + x * (at[b] - at[a]) for a, b, x in zip(tail, head, along)])
