@@ -11,7 +11,10 @@ from .long_range import long_range, magnets
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
 from .plane import (
+    Cell,
+    Tie,
     aubry_andre,
+    crystal,
     diamond,
     hexagon,
     honeycomb,
