@@ -10,7 +10,7 @@ from ..lattice import Lattice
 from ..laws import Law
 from ..types import Count, Parameter, Scalar, Seed
 from ..units import SCALED
-from .chains import MANY, a_chain, chain, check_each, contact, contacts_of, number
+from .chains import MANY, a_chain, chain, check_each, contacts_of, monomer, number
 
 DISORDERED = ("mass", "radius", "stiffness", "position")
 CORRELATIONS = ("none", "alike", "opposite")
@@ -101,17 +101,14 @@ def disordered(
         refuse("law", "None with of='position'", "a law", remedy)
     else:
         precompression = _displaced(x, A, exponent, precompression, boundary)
-    check_each(contacts, "contact", stiffness=A)
     if law is None:
-        check_each(contacts, "contact", exponent=exponent, precompression=precompression)
-        made = contact(A, exponent, precompression)
-    else:
-        known = concrete(precompression)
-        if known is None or known.any():
-            wanted = "0 with a law of your own"
-            refuse("precompression", wanted, f"{precompression}", "Give it to the law.")
-        made = law(A)
-    return chain(sites, m, made, boundary=boundary, units=units)
+        return monomer(sites, m, A, exponent, precompression, boundary).counted_in(units)
+    known = concrete(precompression)
+    if known is None or known.any():
+        wanted = "0 with a law of your own"
+        refuse("precompression", wanted, f"{precompression}", "Give it to the law.")
+    check_each(contacts, "contact", stiffness=A)
+    return chain(sites, m, law(A), boundary=boundary, units=units)
 
 
 def _uniform(key, shape, dtype):

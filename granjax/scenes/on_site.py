@@ -3,8 +3,9 @@
 from ..checks import non_negative, parameter, positive, refuse
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Sine
+from ..terms import OnSite
 from ..types import Count, Parameter
-from .chains import chain, check_each, contact, contacts_of
+from .chains import chain, check_each, contacts_of, monomer
 
 # what couples weakly is what these chains are about
 COUPLED = "Sites without coupling are coupling=0."
@@ -15,13 +16,11 @@ def cradle(
     sites: Count,
     *,
     mass: Parameter = 1.0,
-    stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
     pendulum: Parameter = 1.0,
     length: Parameter | None = None,
     law: Law | None = None,
     boundary: str = "free",
+    **contacts: Parameter,
 ) -> Lattice:
     r"""Build Newton's cradle: beads that touch, each on a pendulum of its own.
 
@@ -37,7 +36,7 @@ def cradle(
 
     - `sites`: number of beads N >= 2.
     - `mass`: m > 0, a number, or one per bead (N,).
-    - `stiffness`, `exponent`, `precompression`: A, p and F0 of the contacts, as in `monomer`.
+    - `contacts`: `stiffness`, `exponent`, `precompression`: A, p and F0, as in `monomer`.
     - `pendulum`: k > 0 [N/m], a number, or one per bead.
     - `length`: L > 0 of the strings, a number, or one per bead; `None` for straight arcs.
     - `law`: another force -law.force(u) on each bead, instead of `pendulum` and `length`.
@@ -60,11 +59,10 @@ def cradle(
     if length is not None:
         length = positive("length", length, "None is a string so long that the arc is straight.")
     check_each(sites, "site", pendulum=pendulum, length=length)
-    contacts = {"stiffness": stiffness, "exponent": exponent, "precompression": precompression}
-    check_each(contacts_of(sites, boundary), "contact", **contacts)
     if law is None:
         law = Linear(pendulum) if length is None else Sine(pendulum, 1 / length)
-    return chain(sites, mass, contact(**contacts), boundary=boundary, on_site=law)
+    touching = monomer(sites, mass, boundary=boundary, **contacts)
+    return Lattice(mass, (*touching.terms, OnSite(law)), sites=sites)
 
 
 def klein_gordon(

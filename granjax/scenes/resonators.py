@@ -20,7 +20,7 @@ def mass_in_mass(
     sites: Count,
     mass: Parameter = 0.5,
     stiffness: Parameter = 1.0,
-    **chain: Parameter | str | Law | None,
+    **contacts: Parameter | str | Law | None,
 ) -> Lattice:
     r"""Build a mass-in-mass chain: a locally resonant chain whose beads hold a mass mu on a linear spring kappa.
 
@@ -39,7 +39,7 @@ def mass_in_mass(
 
     - `sites`: number of beads N >= 2.
     - `mass`: mu > 0, `stiffness`: kappa >= 0 of the resonators, numbers or one per bead (N,).
-    - `chain`, by name: `bead_mass`: m = 1; `contact_stiffness`: A = 1, `exponent`: p, `precompression`: F0,
+    - `contacts`, by name: `bead_mass`: m = 1; `contact_stiffness`: A = 1, `exponent`: p, `precompression`: F0,
       `boundary`: as in `monomer`; `law`: a law of the contacts instead of the power law; `units`: what the numbers are
       counted in, `"scaled"` or `"SI"`.
 
@@ -56,7 +56,7 @@ def mass_in_mass(
     >>> round(float(gap[1]), 6)  # (kappa (1/m + 1/mu))^{1/2}
     1.732051
     """
-    return _resonant(sites, {"resonator": {"mass": mass, "stiffness": stiffness}}, **chain)
+    return _resonant(sites, {"resonator": {"mass": mass, "stiffness": stiffness}}, **contacts)
 
 
 def mass_with_mass(
@@ -65,7 +65,7 @@ def mass_with_mass(
     stiffness: Parameter = 1.0,
     *,
     at: Sequence[Count] | None = None,
-    **chain: Parameter | str | Law | None,
+    **contacts: Parameter | str | Law | None,
 ) -> Lattice:
     r"""Build a mass-with-mass chain: beads that carry a ring, a mass mu outside of the bead on a linear spring kappa.
 
@@ -73,21 +73,21 @@ def mass_with_mass(
     mass-with-mass defect, from which a solitary wave is scattered.
 
     **Arguments:** `at`: the beads that carry a resonator, negative from the end; `None` is all. `mass`, `stiffness`:
-    numbers or one per resonator. `chain`: as in `mass_in_mass`.
+    numbers or one per resonator. `contacts`: as in `mass_in_mass`.
 
     **Returns:** a `Lattice` of the fields `"bead"` (N,) and `"resonator"`, as many as carry one.
     **Raises** ValueError as `mass_in_mass` does, for no bead, one outside of the chain, or one named twice.
     Source: Gantzounis, Serra-Garcia, Homma, Mendoza, Daraio, J. Appl. Phys. 114, 093514 (2013); Kevrekidis, Vainchtein,
     Serra Garcia, Daraio, Phys. Rev. E 87, 042911 (2013).
     """
-    return _resonant(sites, {"resonator": {"mass": mass, "stiffness": stiffness}}, at, **chain)
+    return _resonant(sites, {"resonator": {"mass": mass, "stiffness": stiffness}}, at, **contacts)
 
 
 def woodpile(
     sites: Count,
     masses: Sequence[Parameter] | Numbers = (0.5, 0.25),
     stiffnesses: Sequence[Parameter] | Numbers = (1.0, 2.0),
-    **chain: Parameter | str | Law | None,
+    **contacts: Parameter | str | Law | None,
 ) -> Lattice:
     r"""Build a woodpile: a stack of crossed rods, whose bending modes are resonators of the contacts' chain.
 
@@ -99,7 +99,7 @@ def woodpile(
 
     **Arguments:** `masses`: mu_j > 0, `stiffnesses`: kappa_j >= 0, sequences of equal length, one entry per resonator
     of a rod, each a number or one per rod (N,); an array has the resonators along its first axis. kappa_j = 0 lets a
-    resonator go: all zero is the chain of rods. `chain`: as in `mass_in_mass`.
+    resonator go: all zero is the chain of rods. `contacts`: as in `mass_in_mass`.
 
     **Returns:** a `Lattice` of the fields `"bead"` (the rod) and `"resonator_1"`, `"resonator_2"`, ..., (N,) each.
     **Raises** ValueError as `mass_in_mass` does, and for lengths that differ.
@@ -123,7 +123,7 @@ def woodpile(
         f"resonator_{j + 1}": {f"masses[{j}]": mu, f"stiffnesses[{j}]": kappa}
         for j, (mu, kappa) in enumerate(zip(masses, stiffnesses))
     }
-    return _resonant(sites, resonators, **chain)
+    return _resonant(sites, resonators, **contacts)
 
 
 def _resonant(

@@ -4,10 +4,9 @@ import numpy as np
 
 from ..checks import concrete, positive, refuse, within
 from ..lattice import Lattice
-from ..laws import PowerLaw
 from ..types import Count, Parameter
 from ..units import SCALED
-from .chains import chain, check_each, contacts_of, stacked
+from .chains import contacts_of, monomer, stacked
 
 _STIFF = "A contact of 0 < p < 1 without static force is infinitely stiff at rest, and so where it re-opens."
 _SOFT = "0 < p < 1 softens; p = 1 is linear and p > 1 hardens: gx.scenes.monomer."
@@ -50,17 +49,9 @@ def foam(
     **Raises** ValueError as `monomer` does, for p outside (0, 1), and for F0 = 0.
     Source: Herbold, Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
     """
-    p = within("exponent", exponent, 0, 1, open_low=True, open_high=True, remedy=_SOFT)
-    precompression = positive("precompression", precompression, _STIFF)
-    law = PowerLaw(stiffness, exponent if isinstance(exponent, (int, float)) else p, precompression)
-    check_each(
-        contacts_of(sites, boundary),
-        "contact",
-        stiffness=stiffness,
-        exponent=exponent,
-        precompression=precompression,
-    )
-    return chain(sites, mass, law, boundary=boundary, units=units)
+    within("exponent", exponent, 0, 1, open_low=True, open_high=True, remedy=_SOFT)
+    F0 = positive("precompression", precompression, _STIFF)
+    return monomer(sites, mass, stiffness, exponent, F0, boundary).counted_in(units)
 
 
 def hollow_cylinders(
@@ -161,7 +152,6 @@ def alternating(
     known = concrete(p)
     if known is None or (known < 1).any():
         precompression = positive("precompression", precompression, _STIFF)
-    check_each(contacts, "contact", precompression=precompression)
     order = np.arange(contacts) % p.shape[0]
-    law = PowerLaw(A[order] if A.ndim else A, p[order], precompression)
-    return chain(sites, mass, law, boundary=boundary, units=units)
+    A = A[order] if A.ndim else A
+    return monomer(sites, mass, A, p[order], precompression, boundary).counted_in(units)

@@ -36,8 +36,9 @@ def rotating_chain(
 
     **Arguments:**
 
-    - `sites`: N >= 2. `bonds`, by name: those below. `mass`: m, a number or one per bead. `stiffness` (A, or one per contact), `exponent`,
-      `precompression` F0: of the contacts as in `monomer`; `exponent=1`: springs. `law`: in their place.
+    - `sites`: N >= 2. `stiffness` (A, or one per contact), `exponent`, `precompression` F0: of the contacts as in
+      `monomer`; `exponent=1`: springs. `bonds`: by name those below. `mass`: m, a number or one per bead. `law`: in
+      place of the power law.
     - `tangential`: k_t or a law of the slip; `None` for Mindlin's 0.82 K2 of nu = 0.3. `bending`: k_b or a law of
       s_n - s_{n+1}; a moment of k_b R^2 per radian; of a contact of radius a it is (a/R)^2 K2 at most, far below k_t.
     - `attraction`: T >= 0 [N], a constant force that pulls neighbours together; T = F0 leaves no net force.
