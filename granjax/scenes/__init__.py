@@ -10,27 +10,13 @@ from .fractional import fractional, fractional_fput, fractional_sine_gordon
 from .long_range import long_range, magnets
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
-from .plane import (
-    Cell,
-    Tie,
-    aubry_andre,
-    crystal,
-    diamond,
-    hexagon,
-    honeycomb,
-    junction,
-    kagome,
-    lieb,
-    network,
-    packing,
-    quadrupole,
-    rotating_chain,
-    sawtooth,
-    square,
-    ssh,
-    stub,
-    triangular,
-)
+from .plane.build import crystal
+from .plane.cells import Cell, Tie
+from .plane.chains import aubry_andre, diamond, sawtooth, ssh, stub
+from .plane.lattices import hexagon, honeycomb, kagome, lieb, quadrupole, square, triangular
+from .plane.networks import junction, network
+from .plane.packing import packing
+from .plane.rotating import rotating_chain
 from .resonators import mass_in_mass, mass_with_mass, woodpile
 from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
 from .units import ScaledLattice, Units, scaled

@@ -89,7 +89,7 @@ def stacked(argument: str, values: Parameter) -> Any:
     """A sequence of numbers, some of them perhaps traced, as one array; anything else as a parameter."""
     if not isinstance(values, (tuple, list)) or not values:
         return parameter(argument, values)
-    return jnp.stack([parameter(f"{argument}[{i}]", x) for i, x in enumerate(values)])
+    return jnp.stack([number(f"{argument}[{i}]", x) for i, x in enumerate(values)])
 
 
 def contact(stiffness: Parameter, exponent: Parameter, precompression: Parameter) -> Law:
@@ -159,13 +159,10 @@ def pattern(
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ring that the cell does not fill.
     """
     sites = a_chain(sites)
-    cell = [
-        positive(f"masses[{i}]", number(f"masses[{i}]", m), "A bead needs a mass.")
-        for i, m in enumerate(masses)
-    ]
+    cell = stacked("masses", masses)
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
-    mass = jnp.tile(jnp.stack(cell), -(-sites // len(cell)))[:sites]
+    mass = jnp.tile(cell, -(-sites // len(cell)))[:sites]
     return monomer(sites, mass, boundary=boundary, **contacts)
 
 
@@ -258,10 +255,10 @@ def defects(
     if len({site % sites for site in masses}) < len(masses):
         refuse("masses", "each site once", ", ".join(map(str, masses)))
     for site, other in masses.items():
-        name = f"masses[{site!r}]"
         if not -sites <= site < sites:
-            refuse(name, f"a site from 0 to {sites - 1}, or negative from the end", repr(site))
-        m = m.at[site].set(positive(name, other, "A bead needs a mass."))
+            wanted = f"a site from 0 to {sites - 1}, or negative from the end"
+            refuse(f"masses[{site!r}]", wanted, repr(site))
+        m = m.at[site].set(positive(f"masses[{site!r}]", other, "A bead needs a mass."))
     return monomer(sites, m, **contacts)
 
 

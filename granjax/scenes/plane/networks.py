@@ -14,7 +14,7 @@ from ...strains import WALL, Pairs
 from ...terms import Bond
 from ...types import Count, Parameter
 from ...units import SCALED
-from ..chains import contact, number, stacked
+from ..chains import contact, number
 
 # a cosine below this is that of a right angle
 SQUARE_ON = 1e-9
@@ -164,7 +164,9 @@ def network(
     ((24,), (24, 3))
     """
     names = list(nodes) if isinstance(nodes, dict) else None
-    at = stacked("nodes", list(nodes.values())) if names else parameter("nodes", nodes)
+    if names:
+        nodes = jnp.stack([jnp.asarray(x, float) for x in nodes.values()])
+    at = parameter("nodes", nodes)
     if at.ndim != 2 or at.shape[-1] not in (2, 3) or not len(at):
         refuse("nodes", "positions (nodes, 2) or (nodes, 3)", f"shape {at.shape}")
     known = concrete(jax.lax.stop_gradient(at))
