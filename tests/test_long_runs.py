@@ -14,6 +14,7 @@ import pytest
 
 import granjax as gx
 from granjax.flow.march import refuse_endless
+from granjax.flow.plan import Plan
 
 march = sys.modules["granjax.flow.march"]
 RECORD = {"sum": gx.Integral(gx.measures.contact_force)}
@@ -195,8 +196,9 @@ def test_what_takes_more_than_a_day_is_refused():
         gx.simulate(lattice, state, 1e12, step=0.1)
     with pytest.raises(ValueError, match="years"):
         gx.simulate(lattice, state, 1e8, step=1e-7, save_at=5)
-    refuse_endless(lattice, gx.SRKN11b(), 10**13, 10**13, False)
-    refuse_endless(lattice, gx.SRKN11b(), 10**13, 1000, False)
+    plan = Plan(gx.SRKN11b(), 0.1, None, None, {}, diffrax.ForwardMode())
+    refuse_endless(lattice, plan, 10**13, 10**13, False)
+    refuse_endless(lattice, plan, 10**13, 1000, False)
     with pytest.raises(
         ValueError, match="t1: expected at most 2147483647 steps under a transformation"
     ):

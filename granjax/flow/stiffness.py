@@ -20,7 +20,7 @@ import numpy as np
 
 from ..checks import whole
 from ..lattice import Lattice
-from ..programs import compiled
+from ..programs import compiled, once
 from ..terms import Reach, Reached
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
 from .inputs import checked_state, checked_times
@@ -327,6 +327,7 @@ def chosen(x: Any) -> Any:
     return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
 
 
+@once
 def softens(lattice: Lattice) -> bool:
     """Whether a re-opening contact of the lattice is infinitely stiff, so that no step bound exists there."""
     found = [c for term in lattice.terms for c in term.compressions(jnp.zeros(()), lattice.zeros())]
