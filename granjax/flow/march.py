@@ -7,7 +7,6 @@ import warnings
 from functools import cache, lru_cache
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,13 +53,14 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     span = float(t1) - float(t0)
     if plan.tolerance is None:
         steps = _steps(span / float(plan.step), about.dtype)
-        long, alone = steps * takes > SHORT, steps * takes > LONG
-        if alone and forward and (plan.max_steps is None or plan.max_steps >= steps):
+        long = steps * takes > SHORT
+        enough = plan.max_steps is None or plan.max_steps >= steps
+        if steps * takes > LONG and forward and enough:
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
     else:
         # what an adaptive run takes is known from the one before
         pace = "pace", type(plan.solver), float(plan.tolerance)
-        long, alone = not forward or about.known.get(pace, math.inf) * span > SHORT, not forward
+        long = not forward or about.known.get(pace, math.inf) * span > SHORT
         budget = 1 << int(LONG / takes).bit_length() if forward else None
     # in a program that somebody else traces, constants too become its values
     if (long or budget) and not _is_untraced():
@@ -74,7 +74,7 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         own = plan._replace(
             step=_number(plan.step), tolerance=_number(plan.tolerance), max_steps=limit
         )
-        run = (_alone if alone else integrate)(lattice, state, _number(t0), _number(t1), own)
+        run = integrate(lattice, state, _number(t0), _number(t1), own)
         if long:
             wait(run.code)
             if plan.tolerance is not None:
@@ -296,10 +296,6 @@ def _bar(progress, total=100, unit="%"):
         bar_format="{l_bar}{bar}| {elapsed}<{remaining}",
         disable=not progress,
     )
-
-
-# what cannot go in pieces and takes long
-_alone = eqx.filter_jit(integrate.__wrapped__)
 
 
 _piece, _reduced = compiled(part_of), compiled(reduced)
