@@ -119,7 +119,10 @@ def test_refinement_finds_a_known_place():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gx.resonance.finite, "peak_forces", lambda x, *_: force(x)[None])
         ratios = np.linspace(0.1, 0.95, 18)
-        sweep = gx.resonance.Transmission(ratios, force(ratios), force(ratios) / 2, 2.0, 3, 1.0)
+        # one ratio twice, which differs by rounding, as what is computed there does
+        ratios = np.append(ratios, ratios[4] * (1 + 1e-15))
+        forces = force(ratios) + 1e-13 * (np.arange(19) == 18)
+        sweep = gx.resonance.Transmission(ratios, forces, forces / 2, 2.0, 3, 1.0)
         # a pulse that loses nothing at 0.7123 and 0.9
         patch.setattr(
             gx.resonance.finite, "decay_rate", lambda x, *_, **__: ((x - 0.7123) * (x - 0.9)) ** 2
@@ -128,6 +131,7 @@ def test_refinement_finds_a_known_place():
     np.testing.assert_allclose(found.resonances, [0.4321], atol=1e-5)
     np.testing.assert_allclose(found.resonance_transmission, [1.0], atol=1e-9)
     np.testing.assert_allclose(found.anti_resonances, [0.7123], atol=1e-5)
+    assert not len(found.local_extrema)
     np.testing.assert_allclose(found.anti_resonance_transmission, [1.1], atol=1e-5)
 
 
