@@ -103,7 +103,8 @@ def _number(x):
 @lru_cache(maxsize=256)
 def _kept_number(x, dtype):
     with jax.ensure_compile_time_eval():
-        return jnp.asarray(x, dtype)
+        # of NumPy's array, since a conversion is another program
+        return jnp.asarray(np.asarray(x, dtype))
 
 
 def seconds_a_step(
