@@ -208,7 +208,7 @@ def test_every_kind_of_result_goes_out_and_comes_back(kind, tmp_path):
     result = blank(kind)
     legible(repr(result))
     data = result.to_xarray()
-    for name, held in result.held.items():
+    for name, _, held in result._fields():
         wanted = [x for x in (held.axes or "").split() if x != "..."]
         x = next((data.get(y) for y in (held.name or name, f"{name}_real") if y in data), None)
         if wanted and x is not None:
@@ -235,9 +235,15 @@ def batch(ts, us, lanes, space=(1, 0), **recorded):
         unseen="",
         _zone=0.0,
         _space=space,
-        _mark=1.0,
+        _mark=mark_of(np.shape(ts)[:-1], lanes, space),
     )
     return gx.Run(**known)
+
+
+def mark_of(first, lanes, space):
+    """What a batch's lattice says of units: one number for all sites, with the lanes before or behind."""
+    ones = (1,) * (space[0] + (space[1] > 0))
+    return np.ones((*lanes, *ones) if first == lanes else (*ones, *lanes))
 
 
 RATIOS, LOADS, NAMES_ = (
@@ -281,7 +287,6 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         each,
         errors,
         how="a second run",
-        _lanes=() if first else lanes,
         _space=(1, 0),
     )
     run = dataclasses.replace(run, error=error)

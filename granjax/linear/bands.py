@@ -73,7 +73,7 @@ class Bands(Result):
             yield from super()._rows()
             return
         gaps = dict(self.gaps)
-        unit = self._unit("lower")
+        unit = self._unit(self._described["lower"])
         for a, b in zip(np.asarray(self.lower), np.asarray(self.upper)):
             yield "band", f"{a:.9g} ... {b:.9g} {unit}".rstrip()
             if float(b) in gaps:
