@@ -149,7 +149,7 @@ class Result(eqx.Module):
 
     def _unit(self, held: Held) -> str:
         """The unit in which a field is counted; nothing where it is scaled."""
-        unit = _attributes(self.units, held.unit).get("units", "")
+        unit = as_it_is(self.units, None, held.unit)[1].get("units", "")
         return "" if unit in (SCALED, STATE) else unit
 
     def _fields(self) -> Iterator[tuple[str, Any, Held]]:
@@ -175,10 +175,10 @@ class Result(eqx.Module):
         `si_units` what a `gx.Units` leads back to.
         **Raises** ValueError where the result is traced, or `lanes` do not fit the batch.
         """
-        return self._dataset(lanes)
+        return self._dataset(lanes, as_it_is)
 
-    def _dataset(self, lanes, counted=None, mark=None, outer=None):
-        """The dataset. Of a result around it: what that is `counted` in, its `mark`, how it lies."""
+    def _dataset(self, lanes, converted, counted=None, mark=None, outer=None):
+        """The dataset of numbers `converted`. Of a result around it: what it is counted in, its mark, how it lies."""
         import xarray
 
         if traced(self):
@@ -193,7 +193,7 @@ class Result(eqx.Module):
         mark, counted = mark if own is None else own, self.units or counted
         layout = layout_of(arrays, mark, space or (outer and outer.space), lanes)
         alike = outer is None or layout.lanes == outer.lanes
-        table = Table(layout, lanes if alike else None, partial(_attributes, counted))
+        table = Table(layout, lanes if alike else None, partial(converted, counted))
         types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
         for field, x, held in fields:
             name, records = held.name or field, _records(types.get(field), x)
@@ -210,7 +210,7 @@ class Result(eqx.Module):
         versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__}
         data = xarray.Dataset(*table.finished(), table.attributes | origin | versions)
         for name, x in within.items():
-            data = _joined(data, name, x._dataset(lanes, counted, mark, layout))
+            data = _joined(data, name, x._dataset(lanes, converted, counted, mark, layout))
         return data
 
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
@@ -242,48 +242,35 @@ class Result(eqx.Module):
         if not scaled and (SCALED in kinds or sizes and words):
             expected = "units of numbers in SI: words, or a Units, which makes scaled ones of them"
             refuse("units", expected, asked)
-        result, taken = self, set()
-        if units and self.units is None:
-            mark = np.full(np.shape(self._mark), mark_of(counted))
-            result = dataclasses.replace(self, _mark=mark)
-        data = result.to_xarray(lanes=lanes)
+        seen = {}
 
-        def converted(x, told):
-            """Numbers and what their attributes say, in the units that are asked for."""
-            unit = told.get("si_units", told.get("units", ""))
-            known = known_unit(unit)
-            if not unit or known is None or not any(known.dimension):
-                return x, {"units": unit or counted} if unit or sizes else {}
+        def converted(counted, x, unit):
+            """Numbers, and attributes that say their unit, in the units that are asked for."""
+            known, scaled = known_unit(unit), counted == SCALED
+            if known is None or not any(known.dimension):
+                stays = unit or (counted if sizes and x.dtype.kind in "fc" else "")
+                return x, {"units": stays} if stays else {}
+            seen[known.dimension] = unit
             if scaled and not sizes:
-                return x, told
-            one = [float(unit.of(*map(float, known.dimension[:3]))) for unit in sizes]
-            size = one[0] if one else 1.0
+                return as_it_is(counted, x, unit)
+            size = float(sizes[0].of(*map(float, known.dimension[:3]))) if sizes else 1.0
             if sizes and not scaled:
                 return x / size, {"units": SCALED, "si_units": unit}
             word = next((word for word in words if word.dimension == known.dimension), known)
-            taken.add(word)
             return x * (size * known.size / word.size), {"units": word.name}
 
-        for name, x in data.variables.items():
-            if x.dtype.kind in "fc":
-                values, told = converted(x.values, x.attrs)
-                rest = {key: y for key, y in x.attrs.items() if key not in ("units", "si_units")}
-                data[name] = x.dims, values, rest | told
-        for key in [key for key in data.attrs if f"{key}_units" in data.attrs]:
-            kept = [name for name in ("units", "si_units") if f"{key}_{name}" in data.attrs]
-            told = {name: data.attrs.pop(f"{key}_{name}") for name in kept}
-            values, told = converted(np.asarray(data.attrs[key]), told)
-            data.attrs |= {key: values.tolist()} | {f"{key}_{k}": x for k, x in told.items()}
-        left = [word.name for word in words if word not in taken]
+        told = self
+        if units and self.units is None:
+            told = dataclasses.replace(self, _mark=np.full(np.shape(self._mark), mark_of(counted)))
+        data = told._dataset(lanes, converted if units else as_it_is)
+        left = [word.name for word in words if word.dimension not in seen]
         if left:
-            there = {x.attrs.get("si_units", x.attrs.get("units")) for x in data.variables.values()}
-            units_here = ", ".join(sorted(filter(None, there)))
-            refuse("units", f"units of {units_here}", ", ".join(map(repr, left)))
-        return (
-            data.assign_attrs(units=SCALED if sizes and not scaled else SI)
-            if sizes or words
-            else data
-        )
+            refuse(
+                "units", f"units of {', '.join(sorted(seen.values()))}", ", ".join(map(repr, left))
+            )
+        if sizes or words:
+            data.attrs["units"] = SCALED if sizes and not scaled else SI
+        return data
 
     def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:
         """Write `to_xarray(lanes=lanes)` to a file: netCDF (`.nc`) or MATLAB (`.mat`, version 5).
@@ -299,12 +286,12 @@ class Result(eqx.Module):
         return save(self.to_xarray(lanes=lanes), path)
 
 
-def _attributes(counted: str | None, unit: str) -> dict[str, str]:
-    """The attributes of numbers whose unit in SI is known, counted in "SI", "scaled" or nobody knows what."""
+def as_it_is(counted: str | None, x: Any, unit: str) -> tuple[Any, dict[str, str]]:
+    """Numbers, and attributes that say their unit in SI where they are counted in that."""
     known = known_unit(unit)
     if known is None or not any(known.dimension) or counted == SI:
-        return {"units": unit} if unit else {}
-    return {"units": SCALED, "si_units": unit} if counted == SCALED else {}
+        return x, {"units": unit} if unit else {}
+    return x, {"units": SCALED, "si_units": unit} if counted == SCALED else {}
 
 
 def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:

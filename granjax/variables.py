@@ -148,13 +148,12 @@ def lanes_named(lanes: Mapping | None, shape: tuple[int, ...]) -> tuple[tuple[st
 class Table:
     """Variables {name: (axes, array, attributes)} and attributes of a dataset.
 
-    `units` gives the attributes of a unit, `cell` the fields that lie along one axis.
+    `converted(x, unit)` gives the numbers that are kept, and attributes that say their unit; `cell`: fields along one
+    axis.
     """
 
-    def __init__(
-        self, layout: Layout, lanes: Mapping | None, units: Callable[[str], dict[str, str]]
-    ):
-        self.layout, self.units = layout, units
+    def __init__(self, layout: Layout, lanes: Mapping | None, converted: Callable):
+        self.layout, self.converted = layout, converted
         self.lanes, self.swept = lanes_named(lanes, layout.lanes)
         self.sizes, self.own = dict(zip(self.lanes, layout.lanes)), set()
         self.variables, self.attributes, self.cell = {}, {}, []
@@ -187,12 +186,13 @@ class Table:
         """An array as a variable, or where it has neither axes nor lanes as an attribute; nothing of `None`."""
         if x is None:
             return
-        told = self.units(held.unit)
+        x, told = self.converted(x, held.unit)
         if held.axes is None and (not self.lanes or x.shape != self.layout.lanes) or not x.ndim:
             x = x.astype(int) if x.dtype == bool else x
             # a list of one is one in netCDF
             parts = {key: y.item() if y.size == 1 else y.tolist() for key, y in _parts(name, x)}
-            self.attributes |= parts | {f"{name}_{key}": word for key, word in told.items()}
+            told = {f"{name}_{key}": word for key, word in told.items()} if held.unit else {}
+            self.attributes |= parts | told
             return
         axes = held.axes or ""
         batched, words = self.layout.batched(x.shape, axes), self.layout.words(axes)
