@@ -130,10 +130,16 @@ class Result(eqx.Module):
             return lattice._mark, lattice.space
         return self._mark, self._space
 
+    def _by_numpy(self):
+        """The same with NumPy's arrays, so that what is read off them runs and compiles nothing."""
+        if traced(self):
+            refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
+        return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, self)
+
     def __repr__(self) -> str:
         if traced(self):
             return f"{type(self).__name__}(traced)"
-        rows = list(self._rows())
+        rows = list(self._by_numpy()._rows())
         width = max(15, 1 + max(len(name) for name, _ in rows))
         return "\n".join(f"{name:<{width}}{value}" for name, value in rows)
 
@@ -175,19 +181,17 @@ class Result(eqx.Module):
         `si_units` what a `gx.Units` leads back to.
         **Raises** ValueError where the result is traced, or `lanes` do not fit the batch.
         """
-        return self._dataset(lanes, as_it_is)
+        return self._by_numpy()._dataset(lanes, as_it_is)
 
     def _dataset(self, lanes, converted, counted=None, mark=None, outer=None):
         """The dataset of numbers `converted`. Of a result around it: what it is counted in, its mark, how it lies."""
         import xarray
 
-        if traced(self):
-            refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
         fields = list(self._fields())
         arrays = [
-            (held.axes, np.shape(x))
+            (held.axes, x.shape)
             for _, x, held in fields
-            if held.axes is not None and isinstance(x, (jax.Array, np.ndarray))
+            if held.axes is not None and isinstance(x, np.ndarray)
         ]
         own, space = self._origin
         mark, counted = mark if own is None else own, self.units or counted
@@ -259,9 +263,9 @@ class Result(eqx.Module):
             word = next((word for word in words if word.dimension == known.dimension), known)
             return x * (size * known.size / word.size), {"units": word.name}
 
-        told = self
+        told = self._by_numpy()
         if units and self.units is None:
-            told = dataclasses.replace(self, _mark=np.full(np.shape(self._mark), mark_of(counted)))
+            told = dataclasses.replace(told, _mark=np.full(np.shape(self._mark), mark_of(counted)))
         data = told._dataset(lanes, converted if units else as_it_is)
         left = [word.name for word in words if word.dimension not in seen]
         if left:
