@@ -73,6 +73,7 @@ class Result(eqx.Module):
     """What a computation returns.
 
     `outcome` says in a sentence what became of it. Printing shows numbers as numbers and arrays by shape and range.
+    What is read (`outcome`, what is printed, a dataset) is made of NumPy's arrays: reading compiles and runs nothing.
     `to_xarray()` gives the arrays with named axes, units and where they come from; `save` writes them to a file.
 
     To add one: fields with their types, each `= array("What it is.", "m/s", "time site")` (a `State`: `part`, what is
@@ -115,6 +116,9 @@ class Result(eqx.Module):
         ]
         if rows:
             cls.__doc__ = "\n    ".join([f"{cls.__doc__ or ''}\n", "**Fields:**", "", *rows, ""])
+        outcome = vars(cls).get("outcome")
+        if isinstance(outcome, property):
+            cls.outcome = property(lambda self: outcome.fget(_by_numpy(self)), doc=outcome.__doc__)
 
     @property
     def units(self) -> str | None:
@@ -130,16 +134,10 @@ class Result(eqx.Module):
             return lattice._mark, lattice.space
         return self._mark, self._space
 
-    def _by_numpy(self):
-        """The same with NumPy's arrays, so that what is read off them runs and compiles nothing."""
-        if traced(self):
-            refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
-        return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, self)
-
     def __repr__(self) -> str:
         if traced(self):
             return f"{type(self).__name__}(traced)"
-        rows = list(self._by_numpy()._rows())
+        rows = list(_by_numpy(self)._rows())
         width = max(15, 1 + max(len(name) for name, _ in rows))
         return "\n".join(f"{name:<{width}}{value}" for name, value in rows)
 
@@ -181,12 +179,14 @@ class Result(eqx.Module):
         `si_units` what a `gx.Units` leads back to.
         **Raises** ValueError where the result is traced, or `lanes` do not fit the batch.
         """
-        return self._by_numpy()._dataset(lanes, as_it_is)
+        return _by_numpy(self)._dataset(lanes, as_it_is)
 
     def _dataset(self, lanes, converted, counted=None, mark=None, outer=None):
         """The dataset of numbers `converted`. Of a result around it: what it is counted in, its mark, how it lies."""
         import xarray
 
+        if traced(self):
+            refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
         fields = list(self._fields())
         arrays = [
             (held.axes, x.shape)
@@ -263,7 +263,7 @@ class Result(eqx.Module):
             word = next((word for word in words if word.dimension == known.dimension), known)
             return x * (size * known.size / word.size), {"units": word.name}
 
-        told = self._by_numpy()
+        told = _by_numpy(self)
         if units and self.units is None:
             told = dataclasses.replace(told, _mark=np.full(np.shape(self._mark), mark_of(counted)))
         data = told._dataset(lanes, converted if units else as_it_is)
@@ -288,6 +288,12 @@ class Result(eqx.Module):
         can be written; OSError where writing fails. What was there before stays then.
         """
         return save(self.to_xarray(lanes=lanes), path)
+
+
+def _by_numpy(result):
+    """The same with NumPy's arrays in place of JAX's, but for those that are traced."""
+    known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
+    return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, result)
 
 
 def as_it_is(counted: str | None, x: Any, unit: str) -> tuple[Any, dict[str, str]]:

@@ -63,7 +63,7 @@ class Evolution(Result):
     @property
     def completed(self) -> Flags:
         """Whether the error came below the tolerance times the root of the norm, in every lane."""
-        return jnp.all(self.error <= self.tolerance * jnp.sqrt(self.norm[0]))
+        return (self.error <= self.tolerance * self.norm[0] ** 0.5).all()
 
     @property
     def outcome(self) -> str:

@@ -19,7 +19,7 @@ from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
-from .confirm import TOLERANCE, OrbitError, confirmed, error_of
+from .confirm import TOLERANCE, OrbitError, confirmed, error_of, size_of
 from .floquet import Floquet, floquet
 from .problems import Shooting
 from .repeats import checked_state, checked_symmetry, largest, one_lattice, phases
@@ -128,7 +128,7 @@ class Orbit(Result):
         ):
             return ""
         pair = self.state, self.error.state
-        size, error = (max(float(largest(y.u)), float(largest(y.v) / self.omega)) for y in pair)
+        size, error = (max(size_of(y.u), size_of(y.v) / float(self.omega)) for y in pair)
         return (
             f"It is known to {error / size:.1e} of its size."
             if size > 0 and np.isfinite(error)
