@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from typing import ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -86,10 +85,7 @@ class Fit(Result):
     def deviations(self) -> dict[str, np.ndarray]:
         """Standard deviation of every parameter, a dict of the same shapes."""
         flat = np.sqrt(np.diag(np.asarray(self.covariance)))
-        return {
-            name: np.asarray(x)
-            for name, x in self.problem.coordinates.unflat(jnp.asarray(flat)).items()
-        }
+        return self.problem.coordinates.unflat(flat)
 
     @property
     def correlations(self) -> Float[np.ndarray, "P P"]:
