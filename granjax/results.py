@@ -94,7 +94,7 @@ class Result(eqx.Module):
 
     outcome: eqx.AbstractVar[str]
     exported: ClassVar[dict[str, Held]] = {}
-    # what a result without a mark is counted in, "SI" for what `held` says; `None` where nobody knows
+    # what a result without a mark is counted in, "SI" where its fields say their units so; `None` where nobody knows
     _else: ClassVar[str | None] = None
     # of the lattice that it comes from: its units; axes that count sites, and components of a vector at each
     _mark: Any = eqx.field(default=None, kw_only=True, repr=False)
@@ -265,7 +265,8 @@ class Result(eqx.Module):
 
         told = _by_numpy(self)
         if units and self.units is None:
-            told = dataclasses.replace(told, _mark=np.full(np.shape(self._mark), mark_of(counted)))
+            mark = np.full(np.shape(self._mark), mark_of(counted))
+            told = eqx.tree_at(lambda x: x._mark, told, mark, is_leaf=lambda x: x is None)
         data = told._dataset(lanes, converted if units else as_it_is)
         left = [word.name for word in words if word.dimension not in seen]
         if left:
