@@ -138,11 +138,10 @@ class Coordinates(eqx.Module):
 
     def unflat(self, vector: Float[AnyArray, " P"]) -> dict[str, Numbers]:
         """The inverse of `flat`: a vector (P,) as a dict of the parameters' shapes."""
-        ends = np.cumsum([self.start[name].size for name in self.order])[:-1]
-        shapes = [self.start[name].shape for name in self.order]
+        ends = np.cumsum([self.start[name].size for name in self.order])
         return {
-            name: part.reshape(shape)
-            for name, part, shape in zip(self.order, jnp.split(vector, ends), shapes)
+            name: vector[end - self.start[name].size : end].reshape(self.start[name].shape)
+            for name, end in zip(self.order, ends)
         }
 
     @eqx.filter_jit

@@ -7,7 +7,7 @@ list of steps or tolerances and a function that computes the final state with on
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, NamedTuple
 
 import diffrax
@@ -21,7 +21,7 @@ from .flow import frequency_bound, linear_frequency, simulate
 from .flow.dispatch import facts
 from .flow.inputs import checked_state, checked_times
 from .lattice import Lattice
-from .results import SI, Result, array
+from .results import SI, Result, array, hidden
 from .solvers import (
     RKN86,
     RKN1210,
@@ -195,10 +195,10 @@ class WorkPrecision(Result):
     )
     repeats: int = array("Timed calls of a point", static=True)
     reference_note: str = array("How the reference came about", name="reference", static=True)
-    ladders: tuple[Ladder, ...] = array(
+    ladders: tuple[Ladder, ...] = hidden(
         "What was measured, for `advice` to run more of it", static=True, default=()
     )
-    reference: Pytree = array("What errors are measured against", default=None)
+    reference: Pytree = hidden("What errors are measured against", default=None)
 
     @property
     def outcome(self) -> str:
@@ -321,10 +321,6 @@ class WorkPrecision(Result):
             return start + " ".join(self.note[i].split())
         counted = f"{forces:.0f} forces" if math.isfinite(forces) else ""
         return f"{start}{_time(self.seconds[i]):<11}{counted}"
-
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        shown = super()._fields()
-        return (field for field in shown if field[0] not in ("ladders", "reference"))
 
 
 def work_precision(

@@ -11,7 +11,7 @@ import xarray as xr
 import granjax as gx
 from granjax import files, plots
 from granjax.cli import main
-from granjax.results import Held, Result
+from granjax.results import Result, array
 
 ARGUMENTS = ["resonance", "--beads", "11", "--ratios", "12"]
 
@@ -32,8 +32,7 @@ def names(folder):
 
 
 class Sample(Result):
-    held = {"x": Held("x", "m")}
-    x: np.ndarray
+    x: np.ndarray = array("The places.", "m", "x")
 
     @property
     def outcome(self):

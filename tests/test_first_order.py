@@ -292,3 +292,23 @@ def test_what_takes_long_goes_in_pieces_with_a_bar(monkeypatch, capsys):
     assert parts.ts.tolist() == [1.0, 4.9] and float(parts.step) == float(whole.step)
     # neither on no terminal, nor before two seconds
     assert capsys.readouterr().err == ""
+
+
+def test_a_mapped_soliton_says_what_became_of_it():
+    """The outcome is composed when it is read, of what each lane has found."""
+    equation = DNLS(12)
+    profile = soliton(equation, -1.0).psi
+    found = jax.jit(jax.vmap(lambda omega: soliton(equation, omega, guess=profile)))
+    assert found(jnp.array([-1.0, -1.02])).outcome == soliton(equation, -1.0).outcome
+
+
+@pytest.mark.slow
+def test_a_mapped_evolution_names_its_lanes():
+    equation = DNLS(8)
+    run = jax.vmap(
+        lambda size: evolve(equation, size * jnp.eye(8)[4], 0.5, save_at=3, step=0.05),
+        out_axes=-1,
+    )(jnp.array([1.0, 1.5, 2.0]))
+    data = run.to_xarray()
+    assert data.psi_real.dims == ("time", "site", "lane") and data.norm.dims == ("time", "lane")
+    assert data.norm_error.dims == ("lane",) and run.outcome.startswith("Completed at t = 0.5")

@@ -624,8 +624,22 @@ def test_refusals(name):
 def test_bands_of_a_sonic_vacuum_say_so(make):
     found = gx.linear.bands(make())
     assert not np.any(found.upper) and "sonic vacuum" in found.outcome
+
     with pytest.raises(ValueError, match="sonic vacuum"):
         gx.linear.sound_speed(make())
+
+
+@pytest.mark.parametrize("axis", [0, -1])
+def test_a_batch_says_how_many_modes_and_bands_each_lane_has(axis):
+    def found(ratio):
+        ring = gx.scenes.dimer(6, ratio=ratio, precompression=1.0, boundary="periodic")
+        return linear.normal_modes(ring), linear.bands(ring, cell=2)
+
+    modes, bands = jax.vmap(found, out_axes=axis)(jnp.array([0.3, 0.5, 0.7]))
+    assert modes.outcome.startswith("6 modes in each of 3 lanes, up to 3.6")
+    assert bands.outcome == "2 bands in each of 3 lanes, cell of 2 sites."
+    alone = linear.bands(gx.scenes.dimer(6, ratio=0.5, precompression=1.0, boundary="periodic"))
+    assert alone.outcome == "2 bands, 1 gap, cell of 2 sites."
 
 
 def test_folded_bands_touch():

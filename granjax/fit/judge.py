@@ -163,6 +163,7 @@ def judged(
         starts,
         plain.traces,
         plain,
+        **plain.lattice(parameters).origin,
     )
 
 

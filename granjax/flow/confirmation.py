@@ -69,7 +69,6 @@ def confirmed(
     return Errors(
         *found,
         how=how,
-        _lanes=lattice.lanes,
         _space=lattice.space,
         _mark=lattice._mark,
     )

@@ -18,8 +18,9 @@ from ..flow import Lowest, Peak, simulate
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..parameters import Bounds
-from ..results import Held, Result, array
+from ..results import Result, array
 from ..types import Count, Parameter, Scalar
+from ..variables import Held
 from .families import LawScene, law_scene, starting_law
 
 # room around the strains of the linear run that a family is made for
@@ -65,15 +66,10 @@ class ForceLaw(Result):
         force, deviation = self.force(e)
         return e, force, force - deviations * deviation, force + deviations * deviation
 
-    @property
-    def held(self) -> dict[str, Held]:
-        """What each field is; a file has the force over the strain range too."""
-        curves = {name: Held("strain", "N") for name in ("force", "low", "high")}
-        return super().held | curves | {"strain": Held("strain", "m")}
-
-    def _fields(self) -> Iterator[tuple[str, object]]:
+    def _fields(self) -> Iterator[tuple[str, object, Held]]:
         yield from super()._fields()
-        yield from zip(("strain", "force", "low", "high"), self.band())
+        for name, x in zip(("strain", "force", "low", "high"), self.band()):
+            yield name, x, Held("strain", "m" if name == "strain" else "N")
 
     @property
     def outcome(self) -> str:

@@ -1,5 +1,6 @@
 """Floquet-Bloch bands of lattices whose stiffness changes periodically in time."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -77,9 +78,8 @@ class FloquetBands(Result):
     steps: Any = array("The number of steps of a period.")
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
-    @property
-    def held(self) -> dict[str, Held]:
-        return along_waves(self)
+    def _fields(self) -> Iterator[tuple[str, object, Held]]:
+        return along_waves(self, super()._fields())
 
     @property
     def gaps(self) -> list[tuple[float, float]]:

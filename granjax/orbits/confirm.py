@@ -14,7 +14,6 @@ from ..lattice import Lattice, State
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
 from ..results import Result, array, part
 from ..types import Count, Number, Numbers, Pytree, Scalar
-from .repeats import largest
 
 # of an orbit and of the orbits of a branch, relative to their size
 TOLERANCE, BRANCH = 1e-8, 1e-7
@@ -48,7 +47,14 @@ class OrbitError(Result):
         """To what displacements and energy are known, a sentence."""
         if isinstance(self.energy, jax.core.Tracer) or np.ndim(self.energy):
             return "By what other steps change."
-        return f"Displacements to {float(largest(self.state.u)):.1e}, the energy to {float(self.energy):.1e}."
+        return (
+            f"Displacements to {size_of(self.state.u):.1e}, the energy to {float(self.energy):.1e}."
+        )
+
+
+def size_of(x: Pytree) -> float:
+    """The largest modulus in a tree of known arrays, NaN where one is."""
+    return float(np.max([np.abs(leaf).max() for leaf in jax.tree.leaves(x)]))
 
 
 def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = LEFT) -> Scalar:

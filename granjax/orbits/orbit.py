@@ -15,12 +15,11 @@ from ..checks import concrete, positive, refuse, traced
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
-from ..results import Held, Result, array, note, part
+from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
-from ..variables import Layout
-from .confirm import TOLERANCE, OrbitError, confirmed, error_of
+from .confirm import TOLERANCE, OrbitError, confirmed, error_of, size_of
 from .floquet import Floquet, floquet
 from .problems import Shooting
 from .repeats import checked_state, checked_symmetry, largest, one_lattice, phases
@@ -51,45 +50,33 @@ class OrbitRun(Result):
 class Orbit(Result):
     """A periodic orbit of a lattice, driven or not: y(t0 + T) = S y(t0)."""
 
-    exported: ClassVar[dict[str, Held]] = {
-        "omega": Held(unit="rad/s"),
-        "energy": Held(unit="J"),
-    }
+    exported: ClassVar[dict[str, Held]] = {"omega": Held(unit="rad/s")}
     state: State = part("The state at `t0`; a breather is at rest there.", "site")
     period: Number = array("The period T.", "s")
-    lattice: Lattice = array("The lattice.")
-    root: Root = note("How Newton's method ended.")
-    flow: Flow = array("The steps and the solver over a period.")
+    lattice: Lattice = hidden("The lattice.")
+    root: Root = hidden("How Newton's method ended.")
+    flow: Flow = hidden("The steps and the solver over a period.")
     t0: Number = array("The time at which the orbit begins.", "s")
-    symmetry: Symmetry = array(
+    symmetry: Symmetry = hidden(
         "S; after T times its order the state itself returns.", default=Symmetry()
     )
     error: OrbitError | None = array(
         "The estimated distance from the true orbit, from two step sizes.", default=None
     )
-    remark: str = array(
+    remark: str = hidden(
         "What else the outcome says, of a breather how many cells share its energy.",
         static=True,
         default="",
     )
 
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        yield "state", self.state
-        # of a batch neither energy nor steps is one number
-        one = (
-            ("period", "omega", "energy", "t0")
-            if jnp.ndim(self.period) == 0
-            else ("period", "omega", "t0")
-        )
-        yield from ((name, getattr(self, name)) for name in one)
-        yield "steps", self.flow.steps
+    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
+        yield from super()._fields()
+        # of a batch the energy is no one number
+        if np.ndim(self.period) == 0:
+            yield "energy", self.energy, Held(unit="J")
+        yield "steps", self.flow.steps, Held()
         if not self.symmetry.trivial:
-            yield "symmetry", repr(self.symmetry)
-        if self.error is not None:
-            yield "error", self.error
-
-    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        return super()._layout(fields, self.lattice.space)
+            yield "symmetry", repr(self.symmetry), Held()
 
     @property
     def omega(self) -> Number:
@@ -141,7 +128,7 @@ class Orbit(Result):
         ):
             return ""
         pair = self.state, self.error.state
-        size, error = (max(float(largest(y.u)), float(largest(y.v) / self.omega)) for y in pair)
+        size, error = (max(size_of(y.u), size_of(y.v) / float(self.omega)) for y in pair)
         return (
             f"It is known to {error / size:.1e} of its size."
             if size > 0 and np.isfinite(error)

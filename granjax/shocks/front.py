@@ -44,7 +44,7 @@ class DissipativeFront(Result):
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
-    outcome: str
+    outcome: str = eqx.field(static=True)
     _shape: FrontShape = eqx.field(kw_only=True, repr=False)
 
     def strain(self, xi: Parameter) -> Numbers:

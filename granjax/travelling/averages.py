@@ -3,6 +3,7 @@ r"""Averages of a periodic wave over its wavelength: what modulation theory is m
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import traced
 from ..laws import Law
 from ..profiles import Shape
 from ..profiles.medium import values
@@ -32,7 +33,14 @@ class Averages(Result):
     action: Number = array("J = 2 `kinetic`/omega per site.", "J s")
     energy_flux: Number = array("S, the power of a bond on the bead ahead of it.", "W")
     error: Number = array("The estimated relative distance from the truth.", "1")
-    outcome: str
+
+    @property
+    def outcome(self) -> str:
+        """Over how many contacts, and how well they are known."""
+        if traced((self.wavenumber, self.error)):
+            return "Not known while traced."
+        contacts = 2 * np.pi / self.wavenumber
+        return f"Averages over {contacts:.6g} contacts, right to {self.error:.0e} or so."
 
 
 def averages_of(
@@ -67,6 +75,5 @@ def averages_of(
     )
     return Averages(
         **{name: jnp.asarray(x) for name, x in numbers.items()},
-        outcome=f"Averages over {wavelength:.6g} contacts, right to {error:.0e} or so.",
         **origin,
     )

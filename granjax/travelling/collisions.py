@@ -90,7 +90,7 @@ class Collision(Result):
         "The place of each wave in each frame.", "1", "wave found"
     )
     run: Run = note("The run.")
-    outcome: str
+    outcome: str = eqx.field(static=True)
 
 
 class Course(NamedTuple):

@@ -37,7 +37,13 @@ class WaveFamily(Result):
     )
     turns: Float[np.ndarray, " turn"] = array("The speeds at which the slope passes zero.", "1/s")
     law: Law = array("The law of the contacts.")
-    outcome: str
+
+    @property
+    def outcome(self) -> str:
+        """How many waves, and where their energy turns."""
+        turns = ", ".join(f"{x:.4g}" for x in self.turns)
+        turned = f"dE/dc passes zero near c = {turns}" if turns else "their energy has no turn"
+        return f"{len(self.speed)} waves; {turned}."
 
 
 def family(
@@ -100,11 +106,6 @@ def family(
         )
     c, E, peak, momentum, compression, width, slope, error = np.array(rows).T
     turns = _zeros(np.abs(c), slope * np.sign(c))
-    told = f"{len(rows)} waves; " + (
-        f"dE/dc passes zero near c = {', '.join(f'{x:.4g}' for x in turns)}."
-        if len(turns)
-        else "their energy has no turn."
-    )
     return WaveFamily(
         c,
         peak,
@@ -116,7 +117,6 @@ def family(
         error,
         turns,
         medium.law,
-        told,
         **medium.origin,
     )
 

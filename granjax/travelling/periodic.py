@@ -40,8 +40,14 @@ class PeriodicWave(Result):
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
-    outcome: str
     _shape: Shape = eqx.field(kw_only=True, repr=False)
+
+    @property
+    def outcome(self) -> str:
+        """How well it is known."""
+        if traced((self.error, self.amplitude)):
+            return "Not known while traced."
+        return f"Found to {self.error / abs(self.amplitude):.1e} of its amplitude."
 
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - c t [m]."""
@@ -166,6 +172,5 @@ def _recorded(medium, found, wavelength, mean, mass):
         strains=shape.at("strain", xi),
         velocities=shape.at("velocity", xi),
         _shape=shape,
-        outcome=f"Found to {found.error / abs(amplitude):.1e} of its amplitude.",
         **medium.origin,
     )

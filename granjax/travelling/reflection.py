@@ -59,7 +59,7 @@ class Reflection(Result):
         "1",
     )
     run: Run = note("The run.")
-    outcome: str
+    outcome: str = eqx.field(static=True)
 
 
 def reflect(

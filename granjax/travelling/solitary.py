@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, positive, refuse, show, traced
+from ..checks import one_of, positive, refuse, show
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import Solved, medium_of, wave_of
@@ -118,19 +118,6 @@ def _recorded(medium, found: Solved) -> Wave:
         xi=xi,
         strains=shape.at("strain", xi),
         velocities=shape.at("velocity", xi),
-        outcome=_told(found, amplitude, decay, exponent),
         _shape=shape,
         **medium.origin,
     )
-
-
-def _told(found, amplitude, decay, exponent):
-    tail = (
-        f"exp(-{decay:.6g} |xi|)"
-        if np.isfinite(decay)
-        else f"double exponential, of exponent {exponent:.6g}"
-    )
-    if traced(amplitude):
-        return f"Found; its tail is {tail}."
-    share = found.error / abs(float(amplitude))
-    return f"Found to {share:.1e} of its peak; its tail is {tail}."

@@ -55,8 +55,20 @@ class Wave(Result):
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
-    outcome: str
     _shape: Shape = eqx.field(kw_only=True, repr=False)
+
+    @property
+    def outcome(self) -> str:
+        """How well it is known, and how its tail falls."""
+        if traced((self.amplitude, self.error, self.decay, self.exponent)):
+            return "Not known while traced."
+        tail = (
+            f"exp(-{self.decay:.6g} |xi|)"
+            if np.isfinite(self.decay)
+            else f"double exponential, of exponent {self.exponent:.6g}"
+        )
+        share = self.error / abs(self.amplitude)
+        return f"Found to {share:.1e} of its peak; its tail is {tail}."
 
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - c t, of any shape [m]."""
