@@ -33,6 +33,7 @@ from jaxtyping import Array, Complex, Float
 from ..checks import concrete, parameter, refuse, show
 from ..results import Result, array
 from ..types import Count, Number, Parameter, Scalar
+from .chain_wave import _sech
 from .nls_coefficients import B, Coefficients, band_edges, coefficients
 
 __all__ = [
@@ -211,11 +212,6 @@ def dark_profile(
     background = (c.mean_strain - c.mean_strain_force) * amplitude**2
     strains = _profile(c, jnp.tanh, amplitude, width, background, *_places(c, cells, centre))
     return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
-
-
-def _sech(x):
-    # neither overflows nor has a kink
-    return 2 * jnp.exp(-(jax.nn.softplus(2 * x) + jax.nn.softplus(-2 * x)) / 2)
 
 
 def _bright(kappa, nu2, nu3, linear=None):
