@@ -11,7 +11,7 @@ from ..lattice import Lattice, State
 from ..results import Result, array, note
 from ..types import AnyArray, Cell, Count, Numbers
 from .cell import UnitCell, by_sites, unit_cell
-from .stiffness import unpack
+from .stiffness import grid, unpack
 
 # of the largest omega^2: what is flat; cells over which a compact state is looked for
 FLAT, WIDEST = 1e-12, 4
@@ -52,8 +52,7 @@ class FlatBands(Result):
         **Arguments:** `lattice`: that it was found for, or a longer one of the same cell; `number`: of `omega`; `at`:
         the cell where it begins, `None` for the middle. **Raises** ValueError where it does not fit.
         """
-        sizes = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
-        found = self._states[number]
+        sizes, found = grid(lattice), self._states[number]
         axes = len(self.cell)
         counts = found.shape[:axes]
         cells = [n // c for n, c in zip(sizes, self.cell)]
@@ -63,7 +62,7 @@ class FlatBands(Result):
         if any(not 0 <= a <= n - m for a, n, m in zip(at, cells, counts)):
             refuse("at", f"a cell from which {counts} cells lie within {tuple(cells)}", f"{at}")
         block = np.asarray(by_sites(found, axes))
-        whole_lattice = np.zeros(tuple(sizes) + (found.shape[-1],))
+        whole_lattice = np.zeros(sizes + (found.shape[-1],))
         whole_lattice[
             tuple(slice(a * c, a * c + n) for a, c, n in zip(at, self.cell, block.shape))
         ] = block
@@ -164,4 +163,4 @@ def _sparsest(null):
     rows = np.where(np.abs(rows) < 1e-10 * np.abs(rows).max(0), 0, rows)
     q = rows[:, np.argmin(np.count_nonzero(rows, axis=0))]
     # the first of the largest is positive
-    return q * np.sign(q[np.argmax(np.abs(q).round(9))])
+    return q * np.sign(q[np.argmax(np.abs(q).round(9))]) + 0.0

@@ -8,10 +8,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from .chain_wave import _sech
-from .elliptic_integrals import _E, _K, _RD, MEANS, _positive, _second, _sloped
-
-# terms of a series in a nome below exp(-pi)
-TERMS = 5
+from .elliptic_integrals import _E, _K, _RD, MEANS, _positive, _second
 
 
 def _period_left(u, m1):
@@ -39,50 +36,28 @@ def _zeta(u, m1):
     return second - r * share
 
 
-@jax.custom_jvp
-def _nome(m1):
-    """exp(-pi K'/K), m/16 of small m."""
-    return jnp.exp(-jnp.pi * _K(1 - m1) / _K(m1))
-
-
-_sloped(
-    _nome,
-    lambda m1: (
-        -((jnp.pi / (2 * _K(m1))) ** 2)
-        / m1
-        * jnp.where(m1 < 1, _nome(m1) / jnp.where(m1 < 1, 1 - m1, 1.0), 1 / 16)
-    ),
-)
-
-
 def _log_theta(u, m1):
     """ln Theta(u)/Theta(0), whose derivative in u is zeta; at m = 1 ln cosh u."""
     r, _ = _period_left(u, m1)
-    r, round_ = jnp.abs(r), m1 > 0.5
-    K, other = _K(jnp.where(m1 > 0, m1, 1.0)), _K(jnp.where(round_, 0.5, 1 - m1))
-    q, z = _nome(jnp.where(round_, m1, 1.0)), jnp.pi * r / jnp.where(round_, K, 1.0)
-    by_cosines = jnp.log1p(
-        sum(-4 * (-1) ** n * q ** (n * n) * jnp.sin(n * z / 2) ** 2 for n in range(1, TERMS))
-        / (1 + sum(2 * (-1) ** n * q ** (n * n) for n in range(1, TERMS)))
-    )
-    other = jnp.where(round_, 1.0, other)
-    x, log_q = jnp.pi * r / (2 * other), jnp.where(m1 > 0, -jnp.pi * K / other, -jnp.inf)
-    log_q = jnp.where(round_, -1.0, log_q)
-    series = (1 + jnp.exp(-2 * x)) / 2 + sum(
-        jnp.exp((n * n + n) * log_q + 2 * n * x) * (1 + jnp.exp(-(4 * n + 2) * x)) / 2
-        for n in range(1, TERMS)
-    )
-    at_0 = 1 + sum(jnp.exp((n * n + n) * log_q) for n in range(1, TERMS))
-    square = jnp.where(m1 > 0, jnp.pi * r * r / (4 * K * other), 0.0)
-    return jnp.where(round_, by_cosines, x - square + jnp.log(series / at_0))
+    safe, root = _positive(m1)
+    w, far = _nearer(r, safe)
+    *_, d, log = _by_means(w, root)
+    # Theta(K - w)/Theta(w) = dn(w)/m1^{1/4}
+    log = log + jnp.where(far, jnp.log(d) - jnp.log(safe) / 4, 0.0)
+    return jnp.where(m1 == 0, jnp.logaddexp(r, -r) - np.log(2), log)
+
+
+def _nearer(r, m1):
+    """|r| or K - |r|, whichever is less, and whether it is the latter."""
+    w, K = jnp.abs(r), _K(m1)
+    far = w > K / 2
+    return jnp.where(far, K - w, w), far
 
 
 @jax.custom_jvp
 def _in_period(r, m1):
     """sn, cn, dn of |r| <= K: of |r| or K - |r|, whichever is less, and at m = 1 hyperbolic functions."""
-    w, K = jnp.abs(r), _K(m1)
-    far = w > K / 2
-    w = jnp.where(far, K - w, w)
+    w, far = _nearer(r, m1)
     whole = jnp.tanh(w), _sech(w), _sech(w)
     s, c, d = (jnp.where(m1 == 0, x, y) for x, y in zip(whole, _by_means(w, _positive(m1)[1])))
     root, safe = jnp.sqrt(m1), jnp.where(far, d, 1.0)
@@ -95,20 +70,25 @@ def _in_period(r, m1):
 
 
 def _by_means(w, root):
-    """sn, cn, dn of 0 <= w <= K/2 by Landen's transformations, for the root of m1; Bulirsch's form, in cotangents."""
-    means, a, b = [], jnp.ones_like(root), root
+    """sn, cn, dn and ln Theta(w)/Theta(0) of 0 <= w <= K/2, for the root of m1, by Landen's transformations.
+
+    Level by level, from where m is zero: t is sn/cn, Theta/Theta(0) twice its square one level below over 1 + dn.
+    """
+    means = [(jnp.ones_like(root), root, 1 - root)]
     for _ in range(MEANS):
-        means.append((a, b))
+        a, b, apart = means[-1]
         a, b = (a + b) / 2, jnp.sqrt(a * b)
-    angle = a * jnp.where(w > 0, w, 1.0)
-    ratio = jnp.cos(angle) / jnp.sin(angle)
-    c, d = a * ratio, 1.0
-    for a, b in reversed(means):
-        ratio, c = c * ratio, c * d
-        d = (b + ratio) / (a + ratio)
-        ratio = c / a
-    s = 1 / jnp.sqrt(1 + c * c)
-    return jnp.where(w > 0, s, w), jnp.where(w > 0, c * s, 1.0), jnp.where(w > 0, d, 1.0)
+        # the difference of two means has its digits, as those of the levels below count twofold
+        means.append((a, b, apart**2 / (4 * (a + b))))
+    (mean, *_), *levels = reversed(means)
+    t, d, log = jnp.tan(mean * w) / mean, 1.0, 0.0
+    for a, b, apart in levels:
+        square = mean * t * t
+        whole = 1 + a * square
+        t, d = t / d, (1 + b * square) / whole
+        mean, log = a, 2 * log - jnp.log1p(-apart * square / (2 * whole))
+    c = 1 / jnp.sqrt(1 + t * t)
+    return t * c, c, d, log
 
 
 @partial(_in_period.defjvp, symbolic_zeros=True)

@@ -161,9 +161,7 @@ def soliton(
     """
     sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
     excess = _excess(sound, unit, speed=speed, amplitude=amplitude)
-    n, t, centre, excess, unit, sound = _numbers(
-        n=n, t=t, centre=centre, speed=excess, K3=unit, K2=sound
-    )
+    n, t, centre = _numbers(n=n, t=t, centre=centre)
     return ChainWave(*_soliton(n, t, centre, excess, unit, sound, sign))
 
 
@@ -196,9 +194,7 @@ def cnoidal(
     0.3
     """
     sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
-    n, t, centre, r1, r2, r3, unit, sound = _numbers(
-        n=n, t=t, centre=centre, r1=r1, r2=r2, r3=r3, K3=unit, K2=sound
-    )
+    n, t, centre, r1, r2, r3 = _numbers(n=n, t=t, centre=centre, r1=r1, r2=r2, r3=r3)
     values = concrete(r1), concrete(r2), concrete(r3)
     if all(x is not None for x in values):
         one, two, three = values
