@@ -1,5 +1,6 @@
 """What a wave runs through: a law between neighbours and a mass, given as such or as a uniform chain."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -156,12 +157,17 @@ def _values(law, e):
     return fine(law, e)
 
 
-def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force, stiffness and energy at known compressions of any shape, by one program for each law."""
+def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Force, stiffness and energy at known compressions of any shape."""
+    return in_chunks(_values, law, e)
+
+
+def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What `program(law, e)`, compiled for `CHUNK` compressions, gives at known ones of any shape."""
     flat = np.ravel(e)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
-    parts = [_values(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
+    parts = [program(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
     return tuple(
         np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
         for x in zip(*parts)
