@@ -169,7 +169,7 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
         found = family(lattice, omega, stability=False, points=400, steps=steps, solver=solver)
         if "reached" not in found.outcome:
             raise RuntimeError(f"The family did not reach omega = {omega:.6g}: {found.outcome}")
-        start = found.orbit(-1).state, int(found._flow.steps)
+        start = found.orbit(-1).state, int(found._family.shooting.whole.steps)
         if not check or localisation(lattice, start[0]).bright:
             return start
     except (RuntimeError, ValueError) as error:
@@ -249,10 +249,11 @@ def _solve(lattice, flow, guess, omega, *, throw, **settings):
 
 
 def _orbit(half, lattice, guess, root, period, apart, in_omega, throw):
-    flow = Flow(2 * half.flow.steps, half.flow.solver)
     period, state = jnp.asarray(period, lattice.dtype), half.state(root.x[: half.unknowns])
     error = error_of(lattice, 0.0, state, half.apart(apart), 2 * jnp.pi / period, in_omega)
-    orbit = Orbit(state, period, lattice, root, flow, jnp.zeros((), lattice.dtype), error=error)
+    orbit = Orbit(
+        state, period, lattice, root, half.whole, jnp.zeros((), lattice.dtype), error=error
+    )
     return checked_orbit(orbit, half.state(half.guess(guess)), throw)
 
 

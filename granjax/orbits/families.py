@@ -10,16 +10,16 @@ import numpy as np
 from diffrax import AbstractSolver
 
 from ..checks import refuse, traced
-from ..continuation import Curve, continuation
+from ..continuation import Curve
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import normal_modes
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, StateLike
-from .branch import Branch, special_of, verdicts_of
-from .confirm import BRANCH, LEFT_ON_BRANCH, error_of, neighbours, newtons
-from .half_period import spectra_of
+from .branch import Branch, special_of
+from .confirm import BRANCH, LEFT_ON_BRANCH, newtons
+from .examined import branch_of, examined, examined_along
 from .orbit import Orbit
 from .problems import Family, Shooting, over_omega
 from .repeats import largest
@@ -32,8 +32,6 @@ LET_PASS, DOUBLINGS = 1e-8, 8
 ARCLENGTH, LONGEST, FIRST = 0.05, 7.5, 0.1
 PROBE = 4
 EQUAL = 1e-6
-# orbits whose energies and errors are computed at once
-MEMBERS = 16
 # a doubling that lowers the change of the tangent map by less has met a contact that opens
 SLOW = 20
 
@@ -97,11 +95,10 @@ def family(
     arclength = ARCLENGTH if arclength is None else arclength
     longest_arclength = LONGEST * arclength if longest_arclength is None else longest_arclength
 
-    def follow(way, count, most):
-        problem = over_frequency(lattice, count, solver, way.length, way.omega)
+    def follow(way, count, most=points):
+        problem = over_frequency(lattice, count, solver, way.length, way.omega, tolerance)
         x0, direction = way.start(problem.shooting, until)
-        return problem, continuation(
-            problem.residual,
+        return problem, problem.follow(
             x0,
             1.0,
             until=None if until is None else until / way.omega,
@@ -110,8 +107,6 @@ def family(
             arclength=arclength if guess is not None else FIRST * arclength,
             longest_arclength=longest_arclength,
             least_arclength=1e-6 * arclength,
-            linearise=problem.linearise,
-            tolerance=newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH),
             stop=_ends(problem, amplitude, stop),
         )
 
@@ -121,26 +116,38 @@ def family(
         if len(ways) == 1
         else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
     )
-    problem, curve = follow(chosen, count, points)
-    enough = count if steps else enough_steps(problem, curve, count, tolerance, stability)
+    return confirmed_branch(
+        lambda count: follow(chosen, count), count, steps is None, tolerance, stability
+    )
+
+
+def confirmed_branch(
+    follow: Callable[[int], tuple[Family, Curve]],
+    count: Count,
+    refine: bool,
+    tolerance: Scalar,
+    stability: bool,
+) -> Branch:
+    """The breathers that `follow(count)` finds by so many steps of half a period, or by enough of them."""
+    problem, curve = follow(count)
+    enough = _enough_steps(problem, curve, count, tolerance, stability) if refine else count
     if enough > count:
-        problem, curve = follow(chosen, enough, points)
-    return breathers_on(problem, curve, stability)
+        problem, curve = follow(enough)
+    along = examined_along(problem, curve, stability=stability)
+    return branch_of(problem, curve, along, special_of(problem, curve))
 
 
-def enough_steps(
-    problem: Family, curve: Curve, count: Count, tolerance: Scalar, stability: bool
-) -> int:
+def _enough_steps(problem, curve, count, tolerance, stability):
     """Steps for which the largest breather is known well enough, and its tangent map too, or more would help little."""
     before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
-    x = curve.x[i]
+    z, size = np.append(curve.x[i], curve.p[i]), np.abs(curve.x[i]).max()
     for doubled in count * 2 ** np.arange(DOUBLINGS):
-        problem = eqx.tree_at(lambda p: p.shooting.flow.steps, problem, jnp.asarray(doubled, int))
-        found = next(spectra_of(problem, x[None], curve.p[[i]], False))
-        passes = not stability or found.step_error <= LET_PASS or found.step_error > before / SLOW
-        if passes and found.apart.max() <= tolerance * np.abs(x).max():
+        found = examined(problem.with_steps(doubled), z)
+        error = found.step_error
+        passes = not stability or error <= LET_PASS or error > before / SLOW
+        if passes and found.changes.max() <= tolerance * size:
             break
-        before = found.step_error
+        before = error
     return int(doubled)
 
 
@@ -250,43 +257,6 @@ def _ends(problem, amplitude, stop):
     return None if amplitude is None and stop is None else why
 
 
-def breathers_on(problem: Family, curve: Curve, stability: bool) -> Branch:
-    """The branch of breathers that a curve of a family over half periods is."""
-    found = list(spectra_of(problem, curve.x, curve.p, stability))
-    curve = eqx.tree_at(lambda c: c.x, curve, np.stack([s.x for s in found]))
-    none = np.full((len(curve.p), 2 * problem.shooting.count), np.nan)
-    multipliers, error, verdict = none.astype(complex), none, np.array([""] * len(curve.p))
-    if stability:
-        multipliers, error, verdict = verdicts_of(
-            [(s.multipliers, s.error) for s in found], found[0].expected, True
-        )
-    # one that is small by accident is as large as its neighbours
-    apart = neighbours(np.stack([s.apart for s in found]))
-    states, energy, state_error, energy_error, periods = _members(problem, curve, apart)
-    half, p = problem.shooting.flow, problem.values(curve.p)
-    return Branch(
-        p,
-        periods,
-        states,
-        energy,
-        None,
-        state_error,
-        energy_error,
-        None,
-        multipliers,
-        error,
-        np.array([s.step_error for s in found]),
-        verdict,
-        tuple(special_of(problem, curve)),
-        problem.outcome(curve),
-        0.0,
-        Flow(2 * half.steps, half.solver),
-        problem,
-        curve,
-        **problem.scene(jnp.asarray(curve.p[-1]))[0].origin,
-    )
-
-
 def checked_lattice(lattice: Lattice) -> Lattice:
     """A lattice that has time-reversible, isolated families: single, conservative, autonomous."""
     if lattice.lanes:
@@ -330,6 +300,7 @@ def over_frequency(
     solver: AbstractSolver | None,
     length: Scalar,
     omega: Scalar,
+    tolerance: Scalar,
 ) -> Family:
     """The breathers of a lattice over its frequency in units of omega, their displacements in units of a length.
 
@@ -338,7 +309,8 @@ def over_frequency(
     half = Shooting.half(
         lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8()), length=length, omega=omega
     )
-    return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega))
+    left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
+    return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega), left)
 
 
 @eqx.filter_jit
@@ -350,34 +322,3 @@ def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
         return problem.scene(z[-1])[0].energy(0.0, state.u, state.v)
 
     return jax.jvp(total, (z,), (tangent,))[1]
-
-
-def _members(problem, curve, aparts):
-    """States, energies, the errors of both, and periods, of a curve (P, ...), some at a time, whatever P."""
-    idle = -len(curve.p) % MEMBERS
-    xs, aparts = (np.pad(x, ((0, idle), (0, 0)), mode="edge") for x in (curve.x, aparts))
-    qs = np.pad(curve.p, (0, idle), mode="edge")
-    parts = [
-        _some(problem, *(jnp.asarray(x[i : i + MEMBERS]) for x in (xs, qs, aparts)))
-        for i in range(0, len(xs), MEMBERS)
-    ]
-    return jax.tree.map(lambda *x: np.concatenate(x)[: len(xs) - idle], *parts)
-
-
-@eqx.filter_jit
-def _some(problem, xs, qs, aparts):
-    def one(three):
-        x, q, apart = three
-        state, (lattice, period) = problem.shooting.state(x), problem.scene(q)
-        found = error_of(
-            lattice, 0.0, state, problem.shooting.apart(apart), 2 * jnp.pi / period, 0.0
-        )
-        return (
-            state,
-            lattice.energy(0.0, *state),
-            found.state,
-            found.energy,
-            jnp.broadcast_to(period, ()),
-        )
-
-    return jax.lax.map(one, (xs, qs, aparts))

@@ -287,10 +287,10 @@ def orbit(
         refine=steps is None and not unknown,
         spread=math.sqrt(2 * shooting.count * segments),
     )
-    state, flow = shooting.state(root.x), Flow(segments * shooting.flow.steps, shooting.flow.solver)
+    state = shooting.state(root.x)
     error = error_of(lattice, t0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
     return checked_orbit(
-        Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw
+        Orbit(state, period, lattice, root, shooting.whole, t0, symmetry, error), guess, throw
     )
 
 

@@ -1,6 +1,7 @@
 """Time-periodic orbits as roots of one residual, y(t0 + T) = S y(t0), with a symmetry S of the lattice."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, refuse
-from ..continuation import Curve
+from ..continuation import Between, Curve, Point, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
@@ -90,6 +91,12 @@ class Shooting(eqx.Module):
         """The same with so many times the time steps."""
         steps = jnp.ceil(by * self.flow.steps).astype(int)
         return eqx.tree_at(lambda s: s.flow, self, Flow(steps, self.flow.solver, self.flow.field))
+
+    @property
+    def whole(self) -> Flow:
+        """The flow over the whole period."""
+        parts = self.segments * (2 if self.reversible else 1)
+        return Flow(parts * self.flow.steps, self.flow.solver, self.flow.field)
 
     def apart(self, change: Numbers) -> State:
         """The state that a change of the unknowns makes, in the lattice's own units."""
@@ -225,7 +232,7 @@ class Family(eqx.Module):
     """The orbits of a lattice over one parameter, p = start + q span, as a problem F(x, q) = 0.
 
     `make(p)`: the lattice, or one lattice for all. `period`: T, a number or a function of p. With one lattice that no
-    time drives, the derivative in q is that in the period.
+    time drives, the derivative in q is that in the period. `left`: what Newton's method may leave of the residual.
     """
 
     shooting: Shooting
@@ -233,6 +240,7 @@ class Family(eqx.Module):
     period: Callable | Scalar
     start: Scalar = 0.0
     span: Scalar = 1.0
+    left: Scalar = 1e-11
     __repr__ = told
 
     def value(self, q: Number) -> Number:
@@ -242,6 +250,22 @@ class Family(eqx.Module):
     def values(self, qs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
         """The parameters p at several known q."""
         return np.asarray(self.start) + qs * np.asarray(self.span)
+
+    def with_steps(self, steps: Count) -> "Family":
+        """The same with other time steps in each segment; an array, whose value compiles nothing anew."""
+        return eqx.tree_at(lambda f: f.shooting.flow.steps, self, jnp.asarray(steps, int))
+
+    def follow(self, x: Numbers, q: Scalar, **settings: Any) -> Curve:
+        """The curve of orbits from (x, q) on, with the settings of `continuation`."""
+        return continuation(
+            self.residual, x, q, linearise=self.linearise, tolerance=self.left, **settings
+        )
+
+    def between(self, curve: Curve, i: Count, direction: np.ndarray | None = None) -> Between:
+        """A curve between its points i and i + 1."""
+        ends = [Point(np.append(curve.x[j], curve.p[j]), curve.tangents[j]) for j in (i, i + 1)]
+        system = System(self.residual, self.linearise, None, self.left)
+        return Between(system, *ends, direction)
 
     def outcome(self, curve: Curve) -> str:
         """Why a curve of this family ended; continuation knows q alone."""
