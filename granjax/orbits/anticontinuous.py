@@ -19,7 +19,7 @@ from .branch import Branch
 from .breather import refuse_resonance, resonant_harmonic
 from .confirm import LEFT_ON_BRANCH, newtons
 from .families import checked_lattice, confirmed_branch, half_steps
-from .guesses.sites import single_site
+from .guesses import single_site
 from .localised import FEWEST, localisation
 from .problems import Family, Shooting
 from .repeats import largest

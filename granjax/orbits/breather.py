@@ -21,13 +21,13 @@ from .guesses import (
     bright_guess,
     cell_of,
     dark_guess,
+    dressed,
     edge_of,
     edges_beside,
+    local_guesses,
     refuse_bright,
     supports_bright,
 )
-from .guesses.dressed import dressed
-from .guesses.sites import local_guesses
 from .localised import checked_localised, localisation
 from .orbit import Orbit, checked_orbit
 from .problems import Family, Shooting, over_omega
