@@ -108,7 +108,7 @@ def kink(
     begin = jnp.asarray(guess, lattice.dtype) / size
     # held at its place, along which a wide kink is pushed by next to nothing, and then let go
     held = newton(
-        _Held(problem, begin),
+        _Rest(problem.size, problem.scale, begin),
         jnp.append(begin, 0.0),
         lattice,
         tolerance=wanted,
@@ -214,25 +214,21 @@ def _profile(u, x, left, right):
 
 
 class _Rest(eqx.Module):
-    """Forces over their scale at displacements over theirs."""
+    """Forces over their scale at displacements over theirs.
+
+    With a `guess` the kink is held at its place, by a force along its slope, the last unknown.
+    """
 
     size: jax.Array
     scale: jax.Array
-
-    def __call__(self, x, lattice):
-        return _forces(lattice, self.size * x) / self.scale
-
-
-class _Held(eqx.Module):
-    """The same, for a kink held at the place of a guess by a force along its slope, the last unknown."""
-
-    rest: _Rest
-    guess: jax.Array
+    guess: jax.Array | None = None
 
     def __call__(self, z, lattice):
-        slope = jnp.gradient(self.guess)
-        forces = self.rest(z[:-1], lattice) + z[-1] * slope
-        return jnp.append(forces, slope @ (z[:-1] - self.guess))
+        if self.guess is None:
+            return _forces(lattice, self.size * z) / self.scale
+        x, slope = z[:-1], jnp.gradient(self.guess)
+        forces = _forces(lattice, self.size * x) / self.scale + z[-1] * slope
+        return jnp.append(forces, slope @ (x - self.guess))
 
 
 def _forces(lattice, u):

@@ -15,7 +15,7 @@ from ..programs import compiled
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, StateLike
-from .confirm import TOLERANCE, confirmed, error_of
+from .confirm import TOLERANCE, confirmed
 from .families import checked_lattice, even_steps, family, half_steps
 from .guesses import (
     bright_guess,
@@ -29,7 +29,7 @@ from .guesses import (
     supports_bright,
 )
 from .localised import checked_localised, localisation
-from .orbit import Orbit, checked_orbit
+from .orbit import Orbit, orbit_of
 from .problems import Family, Shooting, over_omega
 from .repeats import checked_state, largest
 
@@ -235,7 +235,7 @@ def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
 def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
     """The `Orbit` at a frequency, or from there at an energy."""
     half, settings = _half(lattice, flow, guess, omega), {"throw": throw} | settings
-    x, in_omega = half.guess(guess), jnp.zeros(())
+    x, in_omega = half.guess(guess), 0.0
     if energy is None:
         half, root, apart = confirmed(half, x, (lattice, 2 * jnp.pi / omega), **settings)
     else:
@@ -243,12 +243,9 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
         problem, root, apart = confirmed(problem, jnp.append(x, 1.0), (lattice, energy), **settings)
         half, omega = problem.half, root.x[-1] * problem.omega
         apart, in_omega = apart[:-1], apart[-1] * problem.omega
-    period = jnp.asarray(2 * jnp.pi / omega, lattice.dtype)
-    state = half.state(root.x[: half.unknowns])
-    error = error_of(lattice, 0.0, state, half.apart(apart), 2 * jnp.pi / period, in_omega)
-    t0 = jnp.zeros((), lattice.dtype)
-    orbit = Orbit(state, period, lattice, root, half.whole, t0, error=error)
-    return checked_orbit(orbit, half.state(half.guess(guess)), throw)
+    # at rest, whatever the velocities of the guess
+    begin, scene = half.state(half.guess(guess)), (lattice, 2 * jnp.pi / omega)
+    return orbit_of(half, scene, root, apart, begin, throw, in_omega)
 
 
 class AtEnergy(eqx.Module):

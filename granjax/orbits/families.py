@@ -26,14 +26,21 @@ from .repeats import largest
 from .scales import nonlinear_length
 from .steps import default_steps
 
-# change of the tangent map between two step sizes that is let pass, and how often the steps are doubled
-LET_PASS, DOUBLINGS = 1e-8, 8
-# along the branch, in the lattice's own length and the first frequency; of the first orbit beside a linear mode
-ARCLENGTH, LONGEST, FIRST = 0.05, 7.5, 0.1
-PROBE = 4
-EQUAL = 1e-6
-# a doubling that lowers the change of the tangent map by less has met a contact that opens
+# change of the tangent map between two step sizes that is let pass
+LET_PASS = 1e-8
+# a doubling that lowers this change by less has met a contact that opens
 SLOW = 20
+# how often the steps are doubled
+DOUBLINGS = 8
+# the first step along the branch, in the lattice's own length and the first frequency, the longest over it, and that
+# to the first orbit beside a linear mode
+ARCLENGTH = 0.05
+LONGEST = 7.5
+FIRST = 0.1
+# points by which the way of a family is told
+PROBE = 4
+# of the largest entry of a mode, by which another one is as large
+EQUAL = 1e-6
 
 
 @one_thread

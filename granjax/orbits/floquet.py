@@ -204,10 +204,10 @@ def floquet(
         if symmetry.trivial:
             checked_period(lattice, state, t0, period)
         rests = known.autonomous and bool(_rests(lattice, state, np.float64(t0)))
-        if rests:  # has neither phase nor energy
-            known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
+        # a state of rest has neither phase nor energy, and what S turns around is no free displacement
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
-        known = known._replace(expected=known.expected - turned * (2 if known.rate == 0 else 1))
+        pairs = (rests + turned) * (2 if known.rate == 0 else 1)
+        known = known._replace(expected=known.expected - pairs)
         solver, field = fixed_step_solver(lattice, solver, KahanLi8()), {}
         start = steps or default_steps(lattice, period, 2 * segments, doubled=True)
     else:

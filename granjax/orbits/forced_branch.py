@@ -28,8 +28,9 @@ from .symmetry import Symmetry
 LEAST_SLOPE = 1e-2
 # of two doublings of the steps, the least that they must lower an error by
 HELPS = 4
-# fractions of the way between two points: how near a bifurcation is found, and how far another one lies at least
-LOCATED, APART = 1e-10, 1e-7
+# of the way between two points, how near a bifurcation is found, and how far another one lies at least
+LOCATED = 1e-10
+APART = 1e-7
 
 
 @one_thread
@@ -174,51 +175,40 @@ def _enough(family, curve, looked, response, tolerance, most):
 
 def _bifurcations(family, curve, multipliers, response):
     """All of them in the order of the branch; folds are known already."""
-    z = np.column_stack([curve.x, curve.p])
-    outside, found = [np.count_nonzero(np.abs(rho) > 1) for rho in multipliers], []
+    found, zs = [], np.column_stack([curve.x, curve.p])
+    for i, (begin, end) in enumerate(zip(zs[:-1], zs[1:])):
+        known = {begin.tobytes(): multipliers[i], end.tobytes(): multipliers[i + 1]}
 
-    def add(kind, i, point, rho):
-        event = bifurcation_at(family, kind, point, i, critical(rho))
-        found.append((i, np.linalg.norm(point - z[i]), event))
+        def look(z):
+            if z.tobytes() not in known:
+                maps = examined(family, z, response).maps
+                known[z.tobytes()] = np.linalg.eigvals(np.asarray(maps[0]))
+            return known[z.tobytes()]
 
-    def look(point):
-        return np.linalg.eigvals(np.asarray(examined(family, point, response).maps[0]))
-
-    for fold in curve.special:
-        point = np.append(fold.x, fold.p)
-        add(FOLD, fold.after, point, look(point))
-    for i in np.flatnonzero(np.diff(outside)):
-        unmatched = sum(fold.after == i for fold in curve.special)
-        for point, rho in _crossings(family, curve, i, look, multipliers[i : i + 2]):
-            kind = kind_of(critical(rho))
-            if kind == BRANCH_POINT and unmatched:
-                unmatched -= 1
+        events = [(FOLD, np.append(s.x, s.p)) for s in curve.special if s.after == i]
+        folds, chord = len(events), end - begin
+        for z in _crossings(family.between(curve, i, chord / np.linalg.norm(chord)), look):
+            kind = kind_of(critical(look(z)))
+            if kind == BRANCH_POINT and folds:  # it passes 1 at a fold too
+                folds -= 1
             else:
-                add(kind, i, point, rho)
-    return tuple(event for *_, event in sorted(found, key=lambda entry: entry[:2]))
+                events.append((kind, z))
+        events.sort(key=lambda event: (event[1] - begin) @ chord)
+        found += [bifurcation_at(family, kind, z, i, critical(look(z))) for kind, z in events]
+    return tuple(found)
 
 
-def _crossings(family, curve, i, look, at_ends):
-    """(z, multipliers) where moduli pass 1 between two points: as many as the unstable ones change by."""
-    ends = [np.append(curve.x[j], curve.p[j]) for j in (i, i + 1)]
-    chord = ends[1] - ends[0]
-    way = family.between(curve, i, chord / np.linalg.norm(chord))
-    known = {z.tobytes(): rho for z, rho in zip(ends, at_ends)}
-
-    def moduli(point):
-        key = point.z.tobytes()
-        if key not in known:
-            known[key] = look(point.z)
-        return np.sort(np.abs(known[key]))[::-1]
-
-    counts = sorted(np.count_nonzero(np.abs(rho) > 1) for rho in at_ends)
+def _crossings(way, look):
+    """Where moduli pass 1 between two points, in order: as many as the number of unstable multipliers changes by."""
+    moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
+    counts = sorted(np.count_nonzero(moduli(point) > 1) for point in way.known.values())
     found = []
     for k in range(*counts):
         # the k-th modulus in order of size is continuous, whatever the multipliers do
         z = way.zero(lambda point: float(moduli(point)[k] - 1), LOCATED).z
         if all(np.linalg.norm(z - other) > APART * way.length for other in found):
             found.append(z)
-    return [(z, known[z.tobytes()]) for z in sorted(found, key=lambda z: (z - ends[0]) @ chord)]
+    return sorted(found, key=lambda z: (z - way.begin) @ way.direction)
 
 
 def kind_of(multiplier: complex, near: float = 1e-5) -> str:

@@ -287,11 +287,7 @@ def orbit(
         refine=steps is None and not unknown,
         spread=math.sqrt(2 * shooting.count * segments),
     )
-    state = shooting.state(root.x)
-    error = error_of(lattice, t0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
-    return checked_orbit(
-        Orbit(state, period, lattice, root, shooting.whole, t0, symmetry, error), guess, throw
-    )
+    return orbit_of(shooting, (lattice, period), root, apart, guess, throw)
 
 
 def forced_orbit(
@@ -347,11 +343,26 @@ def checked_free(lattice: Lattice) -> bool:
     return not lattice.reads_time
 
 
-def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
-    """The orbit, marked where a guess that moves has led to rest."""
-    lattice, omega = orbit.lattice, orbit.omega
+def orbit_of(
+    shooting: Shooting,
+    scene: tuple,
+    root: Root,
+    apart: Numbers,
+    guess: State,
+    throw: bool | None,
+    in_omega: Scalar = 0.0,
+) -> Orbit:
+    """The orbit that a root is, known up to `apart` and in its frequency `in_omega`; marked where it is at rest.
 
-    def speed(y, t=orbit.t0):
+    A guess that moves may have led there.
+    """
+    lattice, period = scene[0], jnp.asarray(scene[1], scene[0].dtype)
+    state, t0 = shooting.state(root.x), jnp.asarray(shooting.t0, lattice.dtype)
+    omega, in_omega = 2 * jnp.pi / period, jnp.asarray(in_omega)
+    error = error_of(lattice, t0, state, shooting.apart(apart), omega, in_omega)
+    orbit = Orbit(state, period, lattice, root, shooting.whole, t0, shooting.symmetry, error)
+
+    def speed(y, t=t0):
         v, a = vector_field(t, y, lattice)
         return jnp.maximum(omega * largest(v), largest(a))
 

@@ -178,30 +178,25 @@ def sweep(
         checked_period(lattice, state, 0.0, T)
 
     period = period if callable(period) else jnp.asarray(float(period))
-
-    def run(value, y, tolerance, most):
-        numbers = jnp.asarray(value), y, jnp.asarray(tolerance), jnp.asarray(most)
-        return _run(make, period, response, flow, periods, watch, *numbers)
+    watched = _Watched(make, period, response, flow, periods, watch)
 
     def attractor(value, y, share=1.0):
         """What is settled to a share of the tolerance, run longer than the budget if need be."""
-        tight = max(share * tolerance, LEAST)
-        found, _ = run(value, y, tight, periods)
+        tight = jnp.asarray(max(share * tolerance, LEAST))
+        found, _ = watched.run(jnp.asarray(value), y, tight, jnp.asarray(periods))
         for budgets in LONGER:
             if found["multiple"] or not np.isfinite(_number(found)):
                 break
-            used = found["periods"]
-            found, settles = run(value, found["states"], tight, budgets * periods)
+            used, most = found["periods"], jnp.asarray(budgets * periods)
+            found, settles = watched.run(jnp.asarray(value), found["states"], tight, most)
             found["periods"] = found["periods"] + used
             if not settles:
                 break
         return found
 
     def with_errors(value, found):
-        rest = flow, watch, jnp.asarray(value), found, jnp.asarray(periods), jnp.asarray(tolerance)
-        return {name: x for name, x in found.items() if name != "rate"} | _errors(
-            make, period, response, *rest
-        )
+        errors = watched.errors(jnp.asarray(value), found, jnp.asarray(tolerance))
+        return {name: x for name, x in found.items() if name != "rate"} | errors
 
     up = _way(attractor, with_errors, values, state, jump, accuracy, 1, first.origin)
     if not down:
@@ -211,52 +206,61 @@ def sweep(
     return Sweep(values, up, back, _hysteresis(values, up, back, jump), **first.origin)
 
 
-@eqx.filter_jit
-def _run(make, period, response, flow, periods, watch, value, y, tolerance, most):
-    """What is found at a value, and whether it settles still."""
-    lattice, T = make(value), period_at(period, value)
-    y, used, multiple, changes, once, rate = follow(flow, lattice, y, T, periods, tolerance, most)
-    part, change = max(1, periods // 8), changes[:, 0]
-    early, late = jnp.median(change[periods // 2 - part : periods // 2]), jnp.median(change[-part:])
-    found = _response(flow, lattice, y, T, response, watch, multiple, used)
-    return found | {"rate": rate}, once | (late < early / 2)
+class _Watched(eqx.Module):
+    """What is run at each value of the parameter, and what is looked at."""
 
+    make: Callable
+    period: Callable | Scalar
+    response: Callable
+    flow: Flow
+    periods: int
+    watch: int
 
-@eqx.filter_jit
-def _errors(make, period, response, flow, watch, value, found, periods, tolerance):
-    """The errors of what is found at a value."""
-    lattice, T, multiple = make(value), jnp.asarray(period_at(period, value)), found["multiple"]
-    y, left = otherwise(
-        flow,
-        lattice,
-        found["states"],
-        T,
-        jnp.maximum(multiple, 1),
-        periods,
-        tolerance,
-        found["rate"],
-    )
-    coarse = Flow(max(flow.steps // 2, 1), flow.solver)
-    other = _response(coarse, lattice, y, T, response, watch, multiple, found["periods"])
-    left = jnp.where(multiple > 0, left, jnp.nan)
-    return {
-        f"{name}_error": errors_of(found[name], other[name], left)
-        for name in ("response", "velocity", "energy")
-    }
+    @eqx.filter_jit
+    def run(self, value, y, tolerance, most):
+        """What is found at a value, and whether it settles still."""
+        lattice, T = self.make(value), period_at(self.period, value)
+        y, used, multiple, changes, once, rate = follow(
+            self.flow, lattice, y, T, self.periods, tolerance, most
+        )
+        part, half, change = max(1, self.periods // 8), self.periods // 2, changes[:, 0]
+        early, late = jnp.median(change[half - part : half]), jnp.median(change[-part:])
+        found = self._seen(self.flow, lattice, y, T, multiple, used)
+        return found | {"rate": rate}, once | (late < early / 2)
 
+    @eqx.filter_jit
+    def errors(self, value, found, tolerance):
+        """The errors of what is found at a value."""
+        lattice, T = self.make(value), jnp.asarray(period_at(self.period, value))
+        multiple, periods = found["multiple"], jnp.asarray(self.periods)
+        y, left = otherwise(
+            self.flow,
+            lattice,
+            found["states"],
+            T,
+            jnp.maximum(multiple, 1),
+            periods,
+            tolerance,
+            found["rate"],
+        )
+        coarse = Flow(max(self.flow.steps // 2, 1), self.flow.solver)
+        other = self._seen(coarse, lattice, y, T, multiple, found["periods"])
+        left = jnp.where(multiple > 0, left, jnp.nan)
+        return {
+            f"{name}_error": errors_of(found[name], other[name], left)
+            for name in ("response", "velocity", "energy")
+        }
 
-def _response(flow, lattice, y, period, response, watch, multiple, used):
-    end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, watch)
-    velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
-    energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
-    return {
-        "response": answered(response, lattice, ys, ts),
-        "velocity": velocity,
-        "energy": energy,
-        "multiple": multiple,
-        "periods": used,
-        "states": end,
-    }
+    def _seen(self, flow, lattice, y, period, multiple, used):
+        end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, self.watch)
+        return {
+            "response": answered(self.response, lattice, ys, ts),
+            "velocity": jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v),
+            "energy": jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys)),
+            "multiple": multiple,
+            "periods": used,
+            "states": end,
+        }
 
 
 def _way(attractor, with_errors, values, state, jump, accuracy, direction, origin):
