@@ -17,7 +17,10 @@ from .types import AnyArray, Count, Displacements, Numbers
 
 # unknowns up to which Newton's method has a dense derivative
 DENSE = 4000
-TIGHT, ROUNDING = 1e-13, 64
+# of the largest force, what may be left over
+TIGHT = 1e-13
+# of a sum of forces, in units of its last place
+ROUNDING = 64
 HOLDS = ("ends", "loads", "nothing")
 
 

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from .checks import refuse
 from .lattice import Lattice, State, spread_mass
@@ -11,17 +12,22 @@ from .newton import newton
 from .results import Result, array, part
 from .types import Number, Numbers, Scalar
 
-# of the largest force on the way from well to well: what is none, and what Newton's method leaves
-WELL, LEFT = 1e-9, 1e-13
-# of the way between the wells, by which a kink that is let go moves at most; of the largest force, what pushes one that
-# rests all the same, as in the continuum
-NEAR, PUSHED = 0.1, 1e-9
-# of the way between the wells, how far from them the ends of a chain with a kink may be
+# of the largest force on the way from well to well: what is none in a well, what Newton's method leaves, and what
+# pushes a kink that rests all the same, as in the continuum
+WELL = 1e-9
+LEFT = 1e-13
+PUSHED = 1e-9
+# of the way between the wells: by how much a kink that is let go moves at most, and how far from the wells the ends of
+# a chain with a kink may be
+NEAR = 0.1
 ENDS = 0.05
-# displacements at which the forces between the wells are looked at; of the largest curvature, what may be rounding
-WAY, FLAT = 65, 1e-9
+# displacements at which the forces between the wells are looked at
+WAY = 65
+# of the largest curvature, what may be rounding
+FLAT = 1e-9
+# of a sum of forces or energies, in units of its last place
 ROUNDING = 16
-# points in a site of the profile that is moved
+# sites of either well beside the profile that is moved
 FAR = 12
 
 
@@ -200,17 +206,12 @@ def moving(
 
 
 def _profile(u, x, left, right):
-    """A kink and its slope between the sites, through six of them at a time, and the wells beyond."""
+    """A kink and its slope between the sites, by a spline of degree five, and the wells beyond."""
     wide = np.concatenate([np.full(FAR, left), u, np.full(FAR, right)])
-    first = np.clip(np.floor(x).astype(int) + FAR - 2, 0, len(wide) - 6)
-    s = np.clip(x + FAR - first, 0, 5)
-    nodes = np.arange(6.0)
-    powers = np.linalg.inv(np.vander(nodes, increasing=True))
-    coefficients = powers @ wide[first[None, :] + np.arange(6)[:, None]]
-    value = sum(c * s**k for k, c in enumerate(coefficients))
-    slope = sum(k * c * s ** (k - 1) for k, c in enumerate(coefficients) if k)
-    beyond = (x < -FAR) | (x > len(u) - 1 + FAR)
-    return value, np.where(beyond, 0, slope)
+    places = np.arange(-FAR, len(u) + FAR)
+    spline = make_interp_spline(places, wide, k=5)
+    inside = np.clip(x, places[0], places[-1])
+    return spline(inside), np.where(inside == x, spline.derivative()(inside), 0)
 
 
 class _Rest(eqx.Module):

@@ -1,7 +1,6 @@
 """Branches of solutions of F(x, p) = 0 by pseudo-arclength continuation. It knows no physics."""
 
 from .curve import Curve, Special
-from .system import Between, Point, System
 from .trace import continuation
 
-__all__ = ["Between", "Curve", "Point", "Special", "System", "continuation"]
+__all__ = ["Curve", "Special", "continuation"]

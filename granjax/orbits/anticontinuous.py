@@ -24,8 +24,11 @@ from .localised import FEWEST, localisation
 from .problems import Family, Shooting
 from .repeats import largest
 
-# along the branch, in the amplitude of the limit and in the whole way of the coupling: first, longest and least step
-ARCLENGTH, LONGEST, LEAST = 0.1, 4.0, 1e-4
+# steps along the branch, in the amplitude of the limit and in the whole way of the coupling: the first, and over it the
+# longest and the least
+ARCLENGTH = 0.1
+LONGEST = 4.0
+LEAST = 1e-4
 # of its amplitude, to which a breather is known
 TOLERANCE = 1e-10
 # what continuation says before the reason of a veto

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, refuse, tolerance
-from ..continuation import Point
+from ..continuation.system import Point
 from ..tuning import one_thread
 from ..types import Scalar
 from .branch import Bifurcation, Branch, bifurcation_at
@@ -17,8 +17,10 @@ from .problems import Family
 from .spectrum import reversible_multipliers
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
-# distance from +1 within which half-traces are taken together, and what their error is at least
-NEAR, LEAST_ERROR = 1e-4, 1e-12
+# distance from +1 within which half-traces are taken together
+NEAR = 1e-4
+# the least error of a half-trace
+LEAST_ERROR = 1e-12
 
 
 @one_thread

@@ -17,7 +17,10 @@ from .confirm import OrbitError
 from .orbit import Orbit
 from .problems import Family
 
-FOLD, BRANCH_POINT, DOUBLING, TORUS = "fold", "branch point", "period doubling", "Neimark-Sacker"
+FOLD = "fold"
+BRANCH_POINT = "branch point"
+DOUBLING = "period doubling"
+TORUS = "Neimark-Sacker"
 
 
 class Bifurcation(Result):

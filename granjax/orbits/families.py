@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse, traced
 from ..continuation import Curve
 from ..flow import Flow
-from ..lattice import Lattice, State
+from ..lattice import Lattice
 from ..linear import normal_modes
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -98,15 +99,17 @@ def family(
     if guess is not None and mode is not None:
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
     modes = normal_modes(lattice) if guess is None else None
-    ways = [_from(guess)] if guess is not None else _modes(lattice, modes, until, mode)
+    ways = [_from(guess, until)] if guess is not None else _modes(lattice, modes, until, mode)
     arclength = ARCLENGTH if arclength is None else arclength
     longest_arclength = LONGEST * arclength if longest_arclength is None else longest_arclength
 
     def follow(way, count, most=points):
         problem = over_frequency(lattice, count, solver, way.length, way.omega, tolerance)
-        x0, direction = way.start(problem.shooting, until)
+        free, direction = np.zeros(problem.shooting.moves.shape[1]), way.direction
+        if np.ndim(direction):
+            direction = np.concatenate([direction, free, [0.0]])
         return problem, problem.follow(
-            x0,
+            np.append(way.x, free),
             1.0,
             until=None if until is None else until / way.omega,
             direction=direction,
@@ -159,29 +162,25 @@ def _enough_steps(problem, curve, count, tolerance, stability):
 
 
 class _Way(NamedTuple):
-    """Where a family begins: beside a linear mode, or at a breather. `length`, `omega`: its units; `steps`: known."""
+    """Where a family begins: beside a linear mode, or at a breather.
+
+    `omega`, `length`: its units. `x`: displacements at rest over the length. `direction`: +1 or -1, the way the
+    frequency goes, or displacements. `steps`: of a period, where they are known.
+    """
 
     omega: float
     length: float
-    shape: np.ndarray | None
-    state: State | None
+    x: np.ndarray
+    direction: np.ndarray | float
     steps: int | None = None
 
-    def start(self, half, until):
-        """The first unknowns, and the direction in which to go."""
-        if self.state is not None:
-            return np.asarray(half.guess(self.state)), np.sign(
-                (until or np.inf) - self.omega
-            ) or 1.0
-        free = half.moves.shape[1]
-        return np.zeros(len(self.shape) + free), np.concatenate([self.shape, np.zeros(free + 1)])
 
-
-def _from(guess):
-    u, size = guess.state.u, float(largest(guess.state.u))
+def _from(guess, until):
+    omega, u, size = float(guess.omega), guess.state.u, float(largest(guess.state.u))
     length = nonlinear_length(guess.lattice, u)
     length = max(size, length) if np.isfinite(length) else size
-    return _Way(float(guess.omega), length, None, guess.state, even_steps(guess))
+    x, direction = np.asarray(ravel_pytree(u)[0]) / length, np.sign((until or np.inf) - omega)
+    return _Way(omega, length, x, direction or 1.0, even_steps(guess))
 
 
 def _modes(lattice, modes, until, mode):
@@ -224,7 +223,7 @@ def _beside(lattice, omega, shape, mode):
             f"one of length {length}",
             "Give guess=, from gx.breathers.breather.",
         )
-    return _Way(omega, length, shape / peak, None)
+    return _Way(omega, length, 0 * shape, shape / peak)
 
 
 def _towards(ways, until, probe):

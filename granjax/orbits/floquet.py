@@ -25,13 +25,17 @@ from .steps import default_steps, fixed_step_solver
 from .structure import NOTHING, defect, krein, structure, weights
 from .symmetry import Symmetry, free_moves, shifts
 
-STABLE, UNSTABLE, UNDECIDED = "stable", "unstable", "undecided"
+STABLE = "stable"
+UNSTABLE = "unstable"
+UNDECIDED = "undecided"
 RESOLUTION = 1e-4
 # where refinement ends
 MOST_STEPS = 2**14
 TOLERANCE = 1e-9
-# a state further from returning is no orbit, of its size; singular values of M - 1 below are zero, of the largest
-OPEN, SINGULAR = 1e-2, 1e-10
+# a state further from returning is no orbit, of its size
+OPEN = 1e-2
+# singular values of M - 1 that are zero, of the largest
+SINGULAR = 1e-10
 # of the forces at an equilibrium, in units of their last place
 BALANCED = 16
 # for a change of M that is known to first order

@@ -37,21 +37,33 @@ NO_CELL = "None or a State (such as guesses.single_site gives) for this lattice"
 SAME_K = 1e-6
 # of an iteration that contracts by the dips' share of the chain
 ROUNDS = 30
-# relative differences that are rounding; sizes of displacements at which forces are asked whether they are linear
-ROUNDING, SIZES = 1e-9, 10.0 ** np.arange(-9, 4, 3)
-HALF_STEPS, PARTS = 128, 16
-# binary orders of magnitude of an amplitude that are looked through, and how finely about the one that is found
-ORDERS, ABOUT, GROW = 160, 4.0, 1.25
+# relative differences that are rounding
+ROUNDING = 1e-9
+# displacements at which forces are asked whether they are linear
+SIZES = 10.0 ** np.arange(-9, 4, 3)
+# steps of half a period of one site alone, and the parts of it that are looked at
+HALF_STEPS = 128
+PARTS = 16
+# binary orders of magnitude of an amplitude that are looked through
+ORDERS = 160
+# how far about the one that is found a return is sought, and by which steps
+ABOUT = 4.0
+GROW = 1.25
 # departure of a force from the linear one that is none, and amplitudes next to each other that must have it
-LINEAR, RUN = 1e-5, 4
+LINEAR = 1e-5
+RUN = 4
 # of the oscillating sites' amplitude, from which on the others do not stand still
 CLOSE = 0.25
-# frames of half a period; rounds of the iteration, and the change with which it ends
-FRAMES, SETTLING, SETTLED = 24, 400, 1e-8
+# frames of half a period of one harmonic
+FRAMES = 24
+# rounds of the iteration for it, and the change with which it ends
+SETTLING = 400
+SETTLED = 1e-8
 # Newton steps to the mean of one site
 CENTRED = 12
 # by which an amplitude is changed for the degree of the forces, and between which bounds that is believed
-STRETCH, DEGREES = 1.01, (1.2, 5.0)
+STRETCH = 1.01
+DEGREES = (1.2, 5.0)
 # sites beside the middle of a lattice among which different kinds are looked for
 BESIDE = 3
 

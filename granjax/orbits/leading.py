@@ -25,8 +25,10 @@ from .steps import default_steps, fixed_step_solver
 from .structure import structure, weights
 from .symmetry import shifts
 
-# vectors that Arnoldi's method keeps, and how often it starts anew from them
-BASIS, RESTARTS = 60, 30
+# vectors that Arnoldi's method keeps
+BASIS = 60
+# how often it starts anew from them
+RESTARTS = 30
 
 
 class Leading(NamedTuple):

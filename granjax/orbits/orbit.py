@@ -28,8 +28,11 @@ from .steps import fixed_step_solver, flow_over, history
 from .symmetry import Symmetry
 
 FRAMES = 32
-# of the guess's size, below which an orbit is none; codes beside those of `newton`: at rest, and no breather
-AT_REST, FELL, SPREAD = 1e-6, 4, 5
+# of the guess's size, below which an orbit is none
+AT_REST = 1e-6
+# codes beside those of `newton`: at rest, and no breather
+FELL = 4
+SPREAD = 5
 
 
 class OrbitRun(Result):

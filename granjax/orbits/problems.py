@@ -11,7 +11,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, refuse
-from ..continuation import Between, Curve, Point, System, continuation
+from ..continuation import Curve, continuation
+from ..continuation.system import Between, Point, System
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told

@@ -12,7 +12,8 @@ from ..types import Numbers, Pytree, Scalar, StateLike
 from .symmetry import Symmetry
 
 # where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
-PHASES, MORE = ((0.1 + 0.618034 * np.arange(count)) % 1 for count in (4, 32))
+MORE = (0.1 + 0.618034 * np.arange(32)) % 1
+PHASES = MORE[:4]
 # displacements at which a modulation is looked for where the state has none, whatever the unit of length
 SIZES = 2.0 ** np.arange(-120, 121, 8)
 

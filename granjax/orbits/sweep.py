@@ -30,10 +30,14 @@ from .steps import answered, fixed_step_solver, history
 WATCHED = 12
 # of the largest response: a change below it is no jump
 SMALLEST = 1e-6
-# budgets more for what does not repeat, the second where it settles still; and the least tolerance
-LONGER, LEAST = (1, 8), 1e-12
-# of the tolerance, to which a jump settles, and halvings beyond the accuracy for which it must last
-TIGHT, NARROW = 1e-2, 10
+# budgets more for what does not repeat, the second where it settles still
+LONGER = (1, 8)
+# the least tolerance
+LEAST = 1e-12
+# of the tolerance, to which a jump settles
+TIGHT = 1e-2
+# halvings beyond the accuracy for which a jump must last
+NARROW = 10
 # a change of sign, relative to the larger: no response jumps by more
 MOST_JUMP = 2
 # rounds of halving and settling
