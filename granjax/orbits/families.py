@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +16,7 @@ from ..lattice import Lattice
 from ..linear import normal_modes
 from ..solvers import KahanLi8
 from ..tuning import one_thread
-from ..types import Count, Counts, Numbers, Scalar, StateLike
+from ..types import Count, Counts, Scalar, StateLike
 from .branch import Branch, special_of
 from .confirm import BRANCH, LEFT_ON_BRANCH, newtons
 from .examined import branch_of, examined, examined_along
@@ -317,14 +316,3 @@ def over_frequency(
     )
     left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
     return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega), left)
-
-
-@eqx.filter_jit
-def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
-    """dE/ds along a tangent (x, q) of a branch."""
-
-    def total(z):
-        state = problem.shooting.state(z[:-1])
-        return problem.scene(z[-1])[0].energy(0.0, state.u, state.v)
-
-    return jax.jvp(total, (z,), (tangent,))[1]

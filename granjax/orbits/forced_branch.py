@@ -15,7 +15,8 @@ from ..measures import rms_velocity
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Scalar, StateLike
-from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Branch, bifurcation_at
+from .bifurcations import along_forced
+from .branch import Branch
 from .confirm import BRANCH, DOUBLINGS, LEFT_ON_BRANCH, newtons
 from .examined import branch_of, examined, examined_along
 from .orbit import checked_free, prepared
@@ -28,9 +29,6 @@ from .symmetry import Symmetry
 LEAST_SLOPE = 1e-2
 # of two doublings of the steps, the least that they must lower an error by
 HELPS = 4
-# of the way between two points, how near a bifurcation is found, and how far another one lies at least
-LOCATED = 1e-10
-APART = 1e-7
 
 
 @one_thread
@@ -142,7 +140,7 @@ def forced_branch(
         if finer is family:
             break
         family, x = finer, curve.x[0]
-    found = _bifurcations(family, curve, [multipliers for multipliers, *_ in along[1]], response)
+    found = along_forced(family, curve, [multipliers for multipliers, *_ in along[1]], response)
     return branch_of(family, curve, along, found)
 
 
@@ -171,54 +169,3 @@ def _enough(family, curve, looked, response, tolerance, most):
         family = family.with_steps(2 * family.shooting.flow.steps)
         known.append(share(examined(family, z, response), worst))
     return family
-
-
-def _bifurcations(family, curve, multipliers, response):
-    """All of them in the order of the branch; folds are known already."""
-    found, zs = [], np.column_stack([curve.x, curve.p])
-    for i, (begin, end) in enumerate(zip(zs[:-1], zs[1:])):
-        known = {begin.tobytes(): multipliers[i], end.tobytes(): multipliers[i + 1]}
-
-        def look(z):
-            if z.tobytes() not in known:
-                maps = examined(family, z, response).maps
-                known[z.tobytes()] = np.linalg.eigvals(np.asarray(maps[0]))
-            return known[z.tobytes()]
-
-        events = [(FOLD, np.append(s.x, s.p)) for s in curve.special if s.after == i]
-        folds, chord = len(events), end - begin
-        for z in _crossings(family.between(curve, i, chord / np.linalg.norm(chord)), look):
-            kind = kind_of(critical(look(z)))
-            if kind == BRANCH_POINT and folds:  # it passes 1 at a fold too
-                folds -= 1
-            else:
-                events.append((kind, z))
-        events.sort(key=lambda event: (event[1] - begin) @ chord)
-        found += [bifurcation_at(family, kind, z, i, critical(look(z))) for kind, z in events]
-    return tuple(found)
-
-
-def _crossings(way, look):
-    """Where moduli pass 1 between two points, in order: as many as the number of unstable multipliers changes by."""
-    moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
-    counts = sorted(np.count_nonzero(moduli(point) > 1) for point in way.known.values())
-    found = []
-    for k in range(*counts):
-        # the k-th modulus in order of size is continuous, whatever the multipliers do
-        z = way.zero(lambda point: float(moduli(point)[k] - 1), LOCATED).z
-        if all(np.linalg.norm(z - other) > APART * way.length for other in found):
-            found.append(z)
-    return sorted(found, key=lambda z: (z - way.begin) @ way.direction)
-
-
-def kind_of(multiplier: complex, near: float = 1e-5) -> str:
-    """The kind of a bifurcation with this multiplier on the unit circle; one at +1 is a branch point."""
-    if abs(multiplier.imag) > near:
-        return TORUS
-    return BRANCH_POINT if multiplier.real > 0 else DOUBLING
-
-
-def critical(multipliers: np.ndarray) -> complex:
-    """The multiplier nearest to the unit circle, of a pair the one above the real axis."""
-    rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
-    return complex(rho.real, abs(rho.imag))
