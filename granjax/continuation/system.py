@@ -14,9 +14,6 @@ from ..newton import evaluated, newton
 from ..types import Count, Numbers, Pytree, Scalar
 
 MOST_NEWTON = 10
-# of the tolerance, to which Newton's method goes on where a point is located and can: beside a branch point, where the
-# derivative is almost singular, what is left of the residual decides
-LOCATED = 1e-3
 
 
 class Point(NamedTuple):
@@ -144,13 +141,19 @@ def _tangent(jacobian, border):
 class Between:
     """The branch between two of its points, over the length s along a direction from the first.
 
-    `direction`: a unit vector (n + 1,), by default the tangent at the first point.
+    `direction`: a unit vector (n + 1,), by default the tangent at the first point. `share`: of the tolerance, to which
+    Newton's method goes on if it can.
     """
 
     def __init__(
-        self, system: System, here: Point, there: Point, direction: np.ndarray | None = None
+        self,
+        system: System,
+        here: Point,
+        there: Point,
+        direction: np.ndarray | None = None,
+        share: float = 1.0,
     ):
-        self.system, self.begin = system, here.z
+        self.system, self.begin, self.share = system, here.z, share
         self.direction = here.tangent if direction is None else direction
         self.length = float((there.z - here.z) @ self.direction)
         self.known = {0.0: here, self.length: there}
@@ -160,7 +163,7 @@ class Between:
         if s not in self.known:
             predicted = self.begin + s * self.direction
             point, reason = self.system.correct(
-                predicted, self.direction, self.direction, share=LOCATED
+                predicted, self.direction, self.direction, share=self.share
             )
             if point is None:
                 raise RuntimeError(reason)

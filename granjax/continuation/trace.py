@@ -12,6 +12,9 @@ from .system import MOST_NEWTON, Between, System
 
 TARGET = 4
 LEAST_COSINE = 0.9
+# of the tolerance, to which points beside a branch point are solved if they can be: the derivative is almost singular
+# there, and what is left of the residual decides where it is found
+CLOSER = {"fold": 1.0, "branch point": 1e-3}
 
 
 def continuation(
@@ -95,7 +98,8 @@ def continuation(
                 continue
         for kind in find:
             if here.crosses(there, kind):
-                best = Between(system, here, there).zero(lambda point: point.test(kind))
+                way = Between(system, here, there, share=CLOSER[kind])
+                best = way.zero(lambda point: point.test(kind))
                 ways = _directions(system, kind, best, here.tangent)
                 special.append(Special(kind, best.x, best.p, len(zs) - 1, ways))
         here = there
