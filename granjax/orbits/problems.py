@@ -170,19 +170,17 @@ class Shooting(eqx.Module):
             field = ravel_pytree(vector_field(after, end, lattice))[0]
             return ravel_pytree(end)[0] / self.scale, rows / self.scale[:, None], field / self.scale
 
-        ends, blocks, fields = jax.lax.map(one, (starts, self._indices()))
-        block = jax.scipy.linalg.block_diag(*blocks)
-        fields = fields.ravel() / (2 * m if self.reversible else m)
-        if self.reversible:  # at rest at either end
-            block, fields = jnp.delete(block, slice((2 * m - 2) * n, (2 * m - 1) * n), 0), fields
-            fields = jnp.delete(fields, slice((2 * m - 2) * n, (2 * m - 1) * n))
-            block = block if m == 1 else jnp.delete(block, slice(n, 2 * n), 1)
-        # the conditions by themselves, whose derivative costs nothing beside the flow's
-        known = jax.lax.stop_gradient(ends)
-        jacobian = jax.jacfwd(lambda x: self._conditions(*self._parts(x), known, lattice))(x)
-        jacobian = jacobian.at[: len(block), : len(block)].add(block)
-        in_period = jnp.concatenate([fields, jnp.zeros(x.size - fields.size, x.dtype)])
-        return self._conditions(starts, self._parts(x)[1], ends, lattice), jacobian, in_period
+        ends, maps, fields = jax.lax.map(one, (starts, self._indices()))
+        fields = fields / (2 * m if self.reversible else m)
+
+        def near(x, change):
+            """The conditions to first order in the unknowns and in a change of the period."""
+            there, idle = self._parts(x)
+            moved = jnp.einsum("mij,mj->mi", maps, (there - starts)[:, :columns])
+            return self._conditions(there, idle, ends + moved + change * fields, lattice)
+
+        here = x, jnp.zeros((), x.dtype)
+        return near(*here), *jax.jacfwd(near, (0, 1))(*here)
 
     def _indices(self):
         return jnp.arange(self.segments, dtype=self.moves.dtype)

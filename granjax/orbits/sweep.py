@@ -268,15 +268,15 @@ class _Watched(eqx.Module):
 
 
 def _way(attractor, with_errors, values, state, jump, accuracy, direction, origin):
-    found = []
-    for value in values[::direction]:
+    order, found = values[::direction], []
+    for value in order:
         found.append(attractor(value, state))
         state = found[-1]["states"]
     floor = SMALLEST * max(abs(_number(x)) for x in found)
-    steps = list(zip(values[::direction][:-1], found[:-1], values[::direction][1:], found[1:]))
+    steps = list(zip(order, found, order[1:], found[1:]))
     jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
     changes = [_bifurcation(attractor, step, accuracy, i, origin) for i, step in enumerate(steps)]
-    found = [with_errors(value, x) for value, x in zip(values[::direction], found)]
+    found = [with_errors(value, x) for value, x in zip(order, found)]
     stacked = jax.tree.map(lambda *x: np.stack(x), *found[::direction])
     return Way(
         **stacked,
@@ -354,21 +354,15 @@ def _bifurcation(attractor, step, accuracy, i, origin):
 
 
 def _hysteresis(values, up, down, share):
-    apart = np.abs(up.response - down.response) > share * np.maximum(
-        np.abs(up.response), np.abs(down.response)
-    )
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], apart, [False]]).astype(int)))
+    larger = np.maximum(np.abs(up.response), np.abs(down.response))
+    apart = np.abs(up.response - down.response) > share * larger
     places = sorted(jump.value for way in (up, down) for jump in way.jumps)
     intervals = []
-    for start, stop in zip(edges[::2], edges[1::2] - 1):
-        below = [p for p in places if start > 0 and values[start - 1] <= p <= values[start]]
-        above = [
-            p for p in places if stop < len(values) - 1 and values[stop] <= p <= values[stop + 1]
-        ]
-        intervals.append(
-            (
-                float(below[0] if below else values[start]),
-                float(above[-1] if above else values[stop]),
-            )
-        )
+    for run in np.split(np.arange(len(values)), np.flatnonzero(np.diff(apart)) + 1):
+        if apart[run[0]]:
+            low, high = values[run[0]], values[run[-1]]
+            before, behind = values[max(run[0] - 1, 0)], values[min(run[-1] + 1, len(values) - 1)]
+            below = [p for p in places if before <= p <= low]
+            above = [p for p in places if high <= p <= behind]
+            intervals.append((float([*below, low][0]), float([high, *above][-1])))
     return intervals
