@@ -220,16 +220,13 @@ class _Ring:
     def run(self, state: State, periods: int, steps: int) -> tuple:
         """States and energies once a period, the start first, so many and up to `PIECE` more."""
         flow, parts = Flow(jnp.asarray(steps), self.solver), []
+        times = jnp.asarray(self.t0), jnp.asarray(self.period)
         with bar(periods, "period", "k-gap breather", self.progress) as shown:
             for _ in range(-(-periods // PIECE)):
-                state, part = _strobed(
-                    flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period)
-                )
+                state, part = _strobed(flow, self.lattice, state, *times)
                 parts.append(jax.tree.map(np.asarray, part))
                 shown.update(PIECE)
-        last = jax.tree.map(
-            lambda x: np.asarray(x)[None], (state, self.lattice.energy(self.t0, *state))
-        )
+        last = jax.tree.map(lambda x: x[None], (state, self.lattice.energy(self.t0, *state)))
         states, energy = jax.tree.map(lambda *x: np.concatenate(x), *parts, last)
         return tuple(states), energy
 
