@@ -40,15 +40,12 @@ class Root(Result):
     @property
     def outcome(self) -> str:
         """What became of it, a sentence (of the worst where there are several)."""
-        if traced((self.code, self.iterations, self.first, self.residual, self.tolerance)):
+        parts = self.code, self.iterations, self.first, self.residual, self.tolerance
+        if traced(parts):
             return "traced"
-        worst = int(np.argmax(np.asarray(self.code))) if np.ndim(self.code) else ()
-        code, iterations, first, last, tolerance = (
-            np.ravel(x)[worst if np.size(x) > 1 else 0].item()
-            if np.ndim(x)
-            else np.asarray(x).item()
-            for x in (self.code, self.iterations, self.first, self.residual, self.tolerance)
-        )
+        parts = np.broadcast_arrays(*map(np.asarray, parts))
+        worst = int(np.argmax(parts[0]))
+        code, iterations, first, last, tolerance = (x.ravel()[worst].item() for x in parts)
         went = f"the residual went from {first:.1e} to {last:.1e} in {int(iterations)} steps"
         if code == CONVERGED:
             return f"Converged: {went}."
