@@ -70,7 +70,7 @@ def test_multipliers_of_the_family_are_those_of_floquet(short):
 def test_another_breather_or_a_pair_is_a_guess(short):
     orbit = short.orbit(-1)
     by_orbit, by_pair = (
-        gx.breathers.breather(dimer(25), 0.985 * OMEGA2, guess, steps=int(short._flow.steps))
+        gx.breathers.breather(dimer(25), 0.985 * OMEGA2, guess, steps=int(orbit.flow.steps))
         for guess in (orbit, list(orbit.state))
     )
     assert np.array_equal(by_orbit.state.u, by_pair.state.u)

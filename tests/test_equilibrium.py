@@ -115,6 +115,20 @@ def test_loads_that_stay_are_those_of_the_preloads_and_without_any_it_falls_apar
 
 
 @pytest.mark.slow
+def test_fields_that_no_term_joins_keep_their_means_each():
+    bonds = tuple(gx.Bond(gx.Shift(1, "free", fields=name), gx.Hertz(1.0, 1.0)) for name in "ab")
+    lattice = gx.Lattice({"a": 1.0, "b": 2.0}, bonds, sites=4)
+    loads = {"a": jnp.array([0.1, 0, 0, -0.1]), "b": jnp.array([0.0, 0.2, -0.2, 0.0])}
+    rest = gx.equilibrium(lattice, loads=loads)
+    assert rest.verdict == "stable"
+    for u in rest.state.u.values():
+        np.testing.assert_allclose(u, -u[::-1], atol=1e-14)
+    # the contact carries the preload and the load: (1 + y)^{3/2} = 1.1
+    squeeze = 1.1 ** (2 / 3) - 1
+    np.testing.assert_allclose(-np.diff(rest.state.u["a"]), squeeze, rtol=1e-12)
+
+
+@pytest.mark.slow
 def test_a_lattice_with_fields_and_its_gradient():
     lattice = gx.scenes.mass_in_mass(4, 0.5, 2.0, precompression=1.0)
     load = {"bead": jnp.full(4, 0.02), "resonator": jnp.full(4, 0.01)}

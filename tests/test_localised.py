@@ -10,8 +10,8 @@ from known_orbits import dimer, hard, reference
 from scipy.integrate import solve_ivp
 
 import granjax as gx
+from granjax.orbits import guesses as sites_module
 from granjax.orbits.guesses import dark_guess
-from granjax.orbits.guesses import sites as sites_module
 from granjax.orbits.localised import Localisation, checked_localised, localisation
 
 single_site = gx.breathers.guesses.single_site

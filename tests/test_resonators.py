@@ -7,7 +7,7 @@ import pytest
 
 import granjax as gx
 from granjax import scenes
-from granjax.orbits.guesses import dressed as envelope
+from granjax.orbits import guesses as envelope
 
 MASSES, STIFFNESSES, HERTZ = (0.3, 0.2), (1.2, 2.1), 1.5
 K = np.linspace(0.1, np.pi, 6)

@@ -27,8 +27,11 @@ from .steps import fixed_step_solver, flow_over, history
 from .symmetry import Symmetry
 
 FRAMES = 32
-# of the guess's size, below which an orbit is none; codes beside those of `newton`: at rest, and no breather
-AT_REST, FELL, SPREAD = 1e-6, 4, 5
+# of the guess's size, below which an orbit is none
+AT_REST = 1e-6
+# codes beside those of `newton`: at rest, and no breather
+FELL = 4
+SPREAD = 5
 
 
 class OrbitRun(Result):
@@ -274,11 +277,7 @@ def orbit(
         refine=steps is None and not unknown,
         spread=math.sqrt(2 * shooting.count * segments),
     )
-    state, flow = shooting.state(root.x), Flow(segments * shooting.flow.steps, shooting.flow.solver)
-    error = error_of(lattice, t0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
-    return checked_orbit(
-        Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw
-    )
+    return orbit_of(shooting, (lattice, period), root, apart, guess, throw)
 
 
 def forced_orbit(
@@ -334,11 +333,26 @@ def checked_free(lattice: Lattice) -> bool:
     return not lattice.reads_time
 
 
-def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
-    """The orbit, marked where a guess that moves has led to rest."""
-    lattice, omega = orbit.lattice, orbit.omega
+def orbit_of(
+    shooting: Shooting,
+    scene: tuple,
+    root: Root,
+    apart: Numbers,
+    guess: State,
+    throw: bool | None,
+    in_omega: Scalar = 0.0,
+) -> Orbit:
+    """The orbit that a root is, known up to `apart` and in its frequency `in_omega`; marked where it is at rest.
 
-    def speed(y, t=orbit.t0):
+    A guess that moves may have led there.
+    """
+    lattice, period = scene[0], jnp.asarray(scene[1], scene[0].dtype)
+    state, t0 = shooting.state(root.x), jnp.asarray(shooting.t0, lattice.dtype)
+    omega, in_omega = 2 * jnp.pi / period, jnp.asarray(in_omega)
+    error = error_of(lattice, t0, state, shooting.apart(apart), omega, in_omega)
+    orbit = Orbit(state, period, lattice, root, shooting.whole, t0, shooting.symmetry, error)
+
+    def speed(y, t=t0):
         v, a = vector_field(t, y, lattice)
         return jnp.maximum(omega * largest(v), largest(a))
 
