@@ -9,7 +9,7 @@ from ..lattice import Lattice, State
 from ..laws import Law
 from ..profiles import Shape, medium_of
 from ..profiles.medium import one_number, values
-from ..profiles.periodic import FourierShape, train
+from ..profiles.periodic import train
 from ..results import Result, array
 from ..types import Count, Number, Numbers, Parameter, Scalar
 from .averages import Averages, averages_of
@@ -133,28 +133,19 @@ def periodic_wave(
 
 
 def _recorded(medium, found, wavelength, mean, mass):
-    half, psi = found.half, found.strains
-    c, k = np.sqrt(found.level / mass), half.wavenumbers[1:]
-    F, _, W = values(medium.law, mean + psi)
-    b = np.sinc(k / (2 * np.pi)) * half.coefficients(F) / (mass * c)
-    shape = FourierShape(
-        *map(
-            jnp.asarray,
-            (c, mean + (psi[0] - half.coefficients(psi).sum()), k, half.coefficients(psi), b),
-        )
-    )
-    weights = np.full(len(psi), wavelength / (len(psi) - 1))
-    weights[[0, -1]] /= 2
+    psi, shape = found.strains, found.shape(medium.law, mass, mean)
+    crest, trough, b = psi[len(psi) // 2], psi[0], np.asarray(shape.velocities)
+    stored = wavelength * values(medium.law, mean + psi)[2].mean()
     xi = np.linspace(-wavelength / 2, wavelength / 2, TABLE)
-    amplitude = (psi[0] - psi[-1]) / 2
+    amplitude = (crest - trough) / 2
     numbers = dict(
-        speed=c,
+        speed=shape.speed,
         wavelength=wavelength,
         mean=mean,
         amplitude=amplitude,
-        crest=mean + psi[0],
-        trough=mean + psi[-1],
-        energy=weights @ W + mass * wavelength / 4 * b @ b,
+        crest=mean + crest,
+        trough=mean + trough,
+        energy=stored + mass * wavelength / 4 * b @ b,
         residual=found.residual,
         error=found.error,
     )

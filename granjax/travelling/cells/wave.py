@@ -9,9 +9,20 @@ import numpy as np
 
 from ...checks import positive, refuse, show
 from ...laws import Law
+from ...profiles.fourier import (
+    MOST,
+    Box,
+    Chain,
+    Solved,
+    faster,
+    fourier,
+    heaviness,
+    newton,
+    newton_with,
+    response,
+)
 from ...profiles.start import ASTRAY, petviashvili
 from .guess import from_struck, peak, pulse, struck
-from .system import MOST, Box, Chain, Solved, fourier, heaviness, newton, newton_with, response
 from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
 
 # columns of one program: a box, and the cells of a simulated chain
@@ -281,18 +292,6 @@ def _iterated(chain, half):
     return (box, solved) if change < ASTRAY and solved.converged and _rest(solved) < 1 else None
 
 
-def faster(chain, factor):
-    """The same chain for a wave that many times as fast."""
-    square = factor**2
-    own = None if chain.resonator is None else (chain.resonator[0], chain.resonator[1] / square)
-    return chain._replace(
-        force=lambda e: chain.force(e) / square,
-        slope=lambda e: chain.slope(e) / square,
-        K2=chain.K2 / square,
-        resonator=own,
-    )
-
-
 def _sped_up(chain, half):
     """A wave on some box from one little faster than sound, whose ripple is small; `None` where it is lost."""
     least = SLOW / margin(chain)
@@ -444,9 +443,7 @@ def of_one_site(chain: Chain) -> Found | str:
     count = np.ceil(2 * core * ripple.wavenumber / (2 * np.pi)) + 8
     half = (count + 0.5) * np.pi / ripple.wavenumber
     box = _box(chain, half, max(10, 2 * ripple.wavenumber))
-    solved = newton(
-        box, fourier(phi, first.half, np.clip(box.x, -first.half, first.half)), max_steps=30
-    )
+    solved = newton(box, fourier(phi, first.half, np.clip(box.x, -first.half, first.half)), most=30)
     if not solved.converged or not 0.3 < np.abs(solved.phi).max() / np.abs(phi).max() < 3:
         return f"Newton's method did not reach a pulse from that of beads of the whole mass ({solved.residual:.1e})"
     return _smallest(chain, box, solved, ripple, core)
