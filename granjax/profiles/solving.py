@@ -92,6 +92,22 @@ class _Problem(NamedTuple):
         return energy
 
 
+def one_given(**numbers: Any) -> tuple[str, Any]:
+    """The name and the value of the one number that says which wave of a family is meant; others are `None`.
+
+    **Raises** ValueError for none or several.
+    """
+    given = {name: x for name, x in numbers.items() if x is not None}
+    if len(given) != 1:
+        refuse(
+            ", ".join(numbers),
+            "exactly one of them",
+            ", ".join(given) or "none",
+            "One number says which wave of the family.",
+        )
+    return given.popitem()
+
+
 def wave_of(
     medium: Medium,
     speed: Any = None,

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from ..checks import positive, refuse, traced
 from ..lattice import Lattice
 from ..laws import Law, Strained
-from ..profiles import Medium, medium_of, tails
+from ..profiles import Medium, medium_of, tabled, tails
 from ..profiles import front as solver
 from ..profiles.front import FrontShape
 from ..profiles.medium import fine_force, one_number, single, values
@@ -273,10 +273,7 @@ def _recorded(medium, given, known_step, front, critical, root):
         error=jnp.asarray(error * abs(known_step.jump)),
         law=medium.law,
         mass=mass,
-        xi=xi,
-        strains=shape.at("strain", xi),
-        velocities=shape.at("velocity", xi),
-        _shape=shape,
+        **tabled(shape, xi),
         **medium.origin,
         outcome=f"Found to {share:.0e} of its jump; {kind}, with {known_step.zeta / critical.zeta:.4g} of the critical "
         "dashpot.",

@@ -1,24 +1,23 @@
 """`periodic_wave`: trains of waves about a mean strain."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, traced
 from ..lattice import Lattice, State
 from ..laws import Law
-from ..profiles import Shape, medium_of
+from ..profiles import Profile, medium_of, one_given, tabled
 from ..profiles.medium import one_number, values
 from ..profiles.periodic import train
-from ..results import Result, array
-from ..types import Count, Number, Numbers, Parameter, Scalar
+from ..results import array
+from ..types import Count, Number, Numbers, Scalar
 from .averages import Averages, averages_of
 
 # points of the table; points of an average for each harmonic
 TABLE, AVERAGED = 129, 4
 
 
-class PeriodicWave(Result):
+class PeriodicWave(Profile):
     r"""A train of waves, strain phi(n - c t) of contact n with a length of `wavelength` contacts, a crest at xi = 0.
 
     m c^2 (phi - mean) = tent * F(phi) less its mean, in the frame in which the beads' mean velocity is zero.
@@ -41,19 +40,6 @@ class PeriodicWave(Result):
     strains: Numbers = array("The strains of the table.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
     outcome: str
-    _shape: Shape = eqx.field(kw_only=True, repr=False)
-
-    def strain(self, xi: Parameter) -> Numbers:
-        """Compression of the contacts at places xi = n - c t [m]."""
-        return self._shape.at("strain", xi)
-
-    def velocity(self, xi: Parameter) -> Numbers:
-        """Velocity of the beads at places xi [m/s]; its mean is zero."""
-        return self._shape.at("velocity", xi)
-
-    def displacement(self, xi: Parameter) -> Numbers:
-        """Displacement of the beads at places xi [m], which falls by the mean strain from one bead to the next."""
-        return self._shape.at("displacement", xi)
 
     def state(self, sites: Count, centre: Scalar = 0.0) -> State:
         """Displacements and velocities (sites,) with a crest at contact `centre`, of a chain.
@@ -61,18 +47,12 @@ class PeriodicWave(Result):
         On a ring, whose sites are a multiple of the wavelength, the mean strain belongs to the law:
         `gx.laws.Strained(wave.law, wave.mean)`, and `u + wave.mean n` to the displacements.
         """
-        xi = np.arange(sites) - centre
-        return State(self.displacement(xi), self.velocity(xi))
+        return super().state(sites, centre)
 
     def averages(self) -> Averages:
         """Mean strain, force, energy, action and their fluxes over a wavelength, for modulation theory."""
-        c, length = float(self.speed), float(self.wavelength)
         points = AVERAGED * (len(self._shape.wavenumbers) + 1)
-        error = max(float(self.error / self.amplitude), points**0.5 * np.finfo(float).eps)
-        origin = {"_mark": self._mark, "_space": self._space}
-        return averages_of(
-            self._shape, self.law, float(self.mass), c, length, points, error, origin
-        )
+        return averages_of(self, points, float(self.error / self.amplitude))
 
 
 def periodic_wave(
@@ -102,8 +82,7 @@ def periodic_wave(
     >>> round(float(wave.speed), 6)  # of small waves sin(pi/6)/(pi/6) = 0.9549
     0.964331
     """
-    if (speed is None) == (amplitude is None):
-        refuse("speed, amplitude", "exactly one of them", "none" if speed is None else "both")
+    one_given(speed=speed, amplitude=amplitude)
     if traced((law, wavelength, speed, amplitude, mean, mass)):
         refuse(
             "law",
@@ -153,10 +132,7 @@ def _recorded(medium, found, wavelength, mean, mass):
         **{name: jnp.asarray(x) for name, x in numbers.items()},
         law=medium.law,
         mass=medium.mass,
-        xi=xi,
-        strains=shape.at("strain", xi),
-        velocities=shape.at("velocity", xi),
-        _shape=shape,
+        **tabled(shape, xi),
         outcome=f"Found to {found.error / abs(amplitude):.1e} of its amplitude.",
         **medium.origin,
     )
