@@ -244,22 +244,32 @@ def _started(chain, half):
         solved.converged and 0.2 < height / np.abs(top.strain).max() < 5 and _rest(solved) < FLAT
     ):
         return f"Newton's method did not reach a wave of the chain of equal masses (residual {solved.residual:.1e})"
-    part, step = 0.0, 1.0 if np.ptp(chain.masses) < 0.5 and chain.resonator is None else 0.25
+    step = 1.0 if np.ptp(chain.masses) < 0.5 and chain.resonator is None else 0.25
+    found, part = _followed(blended, box, solved, 0.0, step, 0.05, (0.6, 1.6))
+    return found or (
+        f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
+        "search failed, which does not say that there is none; the ripple may be as strong as the wave"
+    )
+
+
+def _followed(chain_at, box, solved, part, step, least, change):
+    """The wave of chain_at(1) from that of another part, `None` where it is lost; and the part that was reached.
+
+    `change`: what the peak may change by in a step, at least and at most.
+    """
+    half = box.half
     while part < 1:
         step = min(step, 1 - part)
-        other, trial = _again(blended(part + step), box, solved.phi, half, POINTS)
+        other, trial = _again(chain_at(part + step), box, solved.phi, half, POINTS)
         moved = np.abs(trial.phi).max() / np.abs(solved.phi).max()
-        if trial.converged and 0.6 < moved < 1.6 and _rest(trial) < 1:
+        if trial.converged and change[0] < moved < change[1] and _rest(trial) < 1:
             part, box, solved, step = part + step, other, trial, 1.5 * step
-        elif step > 0.05:
+        elif step > least:
             # a box that the ripple fits has no wave: another length does not fit it
             step, half = step / 2, half + 0.13
         else:
-            return (
-                f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
-                "search failed, which does not say that there is none; the ripple may be as strong as the wave"
-            )
-    return box, solved
+            return None, part
+    return (box, solved), part
 
 
 def _iterated(chain, half):
@@ -299,21 +309,7 @@ def _sped_up(chain, half):
     started = _started(slow, half + DEEP / decay(slow) - DEEP / decay(chain))
     if isinstance(started, str):
         return None
-    (box, solved), factor, step = started, least, 0.05
-    while factor < 1:
-        next_ = min(factor * (1 + step), 1.0)
-        other, trial = _again(faster(chain, next_), box, solved.phi, box.half, POINTS)
-        moved = np.abs(trial.phi).max() / np.abs(solved.phi).max()
-        if trial.converged and 0.9 < moved < 2.5:
-            box, solved, factor, step = other, trial, next_, min(1.5 * step, 0.1)
-        elif step > 0.01:
-            step /= 2
-            box, solved = _again(faster(chain, factor), box, solved.phi, box.half + 0.13, POINTS)
-            if not solved.converged:
-                return None
-        else:
-            return None
-    return box, solved
+    return _followed(lambda x: faster(chain, x), *started, least, 0.05, 0.01, (0.9, 2.5))[0]
 
 
 def _smallest(chain, box, solved, ripple, core):
