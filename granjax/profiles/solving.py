@@ -35,7 +35,7 @@ SMALL = 1e-6
 
 
 class Solved(NamedTuple):
-    """A wave as it was solved for: its shape, residual and error, the tail's decay rate and exponent, places."""
+    """A wave as it was solved for: its shape, residual and error, the tail's decay rate and exponent."""
 
     shape: TentShape
     residual: float
@@ -45,7 +45,6 @@ class Solved(NamedTuple):
     energy: Any
     momentum: Any
     compression: Any
-    places: int
     __repr__ = told
 
 
@@ -354,7 +353,6 @@ def _assembled(medium, problem, tent, found, error, numbers):
         energy,
         mass * speed * compression,
         compression,
-        places.count,
     )
 
 
