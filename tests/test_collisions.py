@@ -145,6 +145,15 @@ def test_calls_with_other_numerical_options_agree_within_their_errors():
     assert data.times.dims == ("found", "lane") and data.phase.values.tolist() == [0.0, 0.5]
 
 
+@pytest.mark.slow
+def test_the_errors_cover_what_waves_shed_for_long():
+    """Against a run that follows the waves four times as far, whose shift is known to 2e-6."""
+    waves = (solitary_wave(gx.Polynomial(1.0, 0.25, 0.0), speed=c) for c in (1.3, -1.4))
+    found = collide(*waves, tolerance=1e-2)
+    assert (np.abs(found.shifts - [0.4532925, -0.3439571]) <= found.shift_errors + 2e-6).all()
+    assert found.shift_errors.max() < 1e-2
+
+
 @pytest.mark.study
 def test_waves_to_the_left_are_mirror_images():
     for second, shifts in (

@@ -77,15 +77,6 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
     """
     if isinstance(law, Lattice):
         lattice, wanted = law, "a uniform chain of bonds between neighbours"
-        if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
-            refuse("law", wanted, f"a lattice of shape {lattice.shape}")
-        if lattice.lanes:
-            refuse(
-                "law",
-                "one lattice",
-                f"a batch of shape {lattice.lanes}",
-                "Look for the wave of each in a loop.",
-            )
         law, origin = law_between(lattice, wanted), lattice.origin
         mass = single("law", "masses", lattice.mass)
     else:
@@ -99,8 +90,18 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
 def law_between(lattice: Lattice, wanted: str) -> Law:
     """The law of a chain's bonds to the next site, of all such terms; walls and their contacts do not count.
 
-    **Raises** ValueError for a chain with other terms, or without such bonds, as none of what is `wanted`.
+    **Raises** ValueError for a batch, and for what is no chain, has other terms or no such bonds: none of what is
+    `wanted`.
     """
+    if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
+        refuse("law", wanted, f"a lattice of shape {lattice.shape}")
+    if lattice.lanes:
+        refuse(
+            "law",
+            "one lattice",
+            f"a batch of shape {lattice.lanes}",
+            "Look for the wave of each in a loop.",
+        )
     # contacts with walls may be others than those between sites
     inner = [(term.without_walls(lattice) or (term,))[0] for term in lattice.terms]
     found = [term.next_neighbours() for term in inner]

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import one_of, refuse
+from ..checks import one_of
 from ..lattice import Lattice
 from ..laws import Law
-from ..profiles import medium_of, wave_of
+from ..profiles import medium_of, one_given, wave_of
 from ..results import Result, array
 from ..types import Parameter, Scalar
 from .wave import half_width
@@ -70,16 +70,9 @@ def family(
     >>> round(float(high.energy / low.energy), 4)  # 2^10
     1024.0
     """
-    given = {
-        name: x
-        for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy))
-        if x is not None
-    }
-    if len(given) != 1:
-        refuse("speed, amplitude, energy", "exactly one of them", ", ".join(given) or "none")
+    name, numbers = one_given(speed=speed, amplitude=amplitude, energy=energy)
     if side is not None:
         one_of("side", side, ("compression", "tension"))
-    ((name, numbers),) = given.items()
     medium, rows = medium_of(law, mass), []
     for x in _shown(np.atleast_1d(np.asarray(numbers, float))):
         found = {}
