@@ -80,6 +80,48 @@ def test_monomer_acceleration_is_the_equation():
     np.testing.assert_allclose(lattice.acceleration(0.0, u, v), (F[:-1] - F[1:]) / 2, rtol=1e-12)
 
 
+def test_a_chain_of_a_law_is_its_equation():
+    lattice = scenes.chain(
+        8, 2.0, gx.Toda(0.7, 1.2), on_site=gx.Sine(0.3, 2.0), damping=0.1, units="SI"
+    )
+    u, v = random_state(lattice)
+    F = 0.7 * np.expm1(-1.2 * np.diff(np.concatenate([[0], np.asarray(u), [0]])))
+    a = (F[:-1] - F[1:] - 0.3 / 2 * np.sin(2 * u)) / 2 - 0.1 * v
+    np.testing.assert_allclose(lattice.acceleration(0.0, u, v), a, rtol=1e-12)
+    assert lattice.units == "SI"
+
+
+def test_a_crystal_of_a_cell_of_ones_own():
+    diagonals = [scenes.Tie("a", "a", offset) for offset in ((1, 1), (1, -1))]
+    cell = scenes.Cell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, tuple(diagonals))
+    lattice = scenes.crystal(cell, 3, 4, stiffness=(2.0, 3.0), spacing=0.5, boundary="free")
+    assert lattice.shape == (3, 4, 2)
+    u = np.zeros((3, 4, 2))
+    u[1, 1] = 1e-7, 0.0
+    force = lattice.force(0.0, jnp.asarray(u), jnp.zeros(u.shape))
+    # the springs make angles of 45 degrees with the displacement
+    np.testing.assert_allclose(force[1, 1], [-5e-7, 1e-7], atol=1e-12)
+    np.testing.assert_allclose(force[2, 2], [1e-7, 1e-7], atol=1e-12)
+    with pytest.raises(ValueError, match="m: expected None for a cell"):
+        scenes.crystal(cell._replace(vectors=cell.vectors[:1]), 3, 4)
+
+
+def test_what_a_scene_passes_on_is_named_where_it_is_wrong():
+    for scene in (
+        lambda **k: scenes.dimer(9, **k),
+        lambda **k: scenes.origami(9, **k),
+        lambda **k: scenes.woodpile(9, **k),
+        lambda **k: scenes.cradle(9, **k),
+        lambda **k: scenes.travelling_modulation(9, **k),
+        lambda **k: scenes.kagome(3, **k),
+        lambda **k: scenes.stub(3, **k),
+    ):
+        with pytest.raises(TypeError, match="stifness"):
+            scene(stifness=1.0)
+    with pytest.raises(ValueError, match="outline: expected one of 'cells'"):
+        scenes.ssh(4, outline="rectangle")
+
+
 def test_fput_and_toda_accelerations_are_their_equations():
     alone, asked = scenes.fput(8, beta=8.0).terms[0].law, scenes.fput(8).terms[0].law
     assert (
@@ -387,7 +429,7 @@ def loaded():
             lambda: scenes.dimer(9, ratio=1.2),
             r"ratio: expected numbers in \(0, 1\], got 1.2. The ratio",
         ),
-        (lambda: scenes.dimer(9, ratio=[0.2, 0.3]), "expected one number, .* jax.vmap"),
+        (lambda: scenes.dimer(9, ratio=[0.2, 0.3]), "^ratio: expected one number, .* jax.vmap"),
         (lambda: scenes.dimer(7, boundary="periodic"), "sites: expected a multiple of 2"),
         (lambda: scenes.trimer(9, (0.5, 2.0)), r"ratios\[1\]: expected numbers in \(0, 1\]"),
         (lambda: scenes.defects(9, {0: 0.5, -9: 0.7}), "masses: expected each site once"),

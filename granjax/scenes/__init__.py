@@ -4,84 +4,20 @@ A batch of scenes is `jax.vmap(lambda ratio: scenes.dimer(60, ratio), out_axes=-
 """
 
 from .bead_chain import beads, struck
-from .chains import defects, dimer, fput, monomer, n_to_one, pattern, taper, toda, trimer
+from .chains import chain, defects, dimer, fput, monomer, n_to_one, pattern, taper, toda, trimer
 from .disorder import disordered
 from .fractional import fractional, fractional_fput, fractional_sine_gordon
 from .long_range import long_range, magnets
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
-from .plane import (
-    aubry_andre,
-    diamond,
-    hexagon,
-    honeycomb,
-    junction,
-    kagome,
-    lieb,
-    network,
-    packing,
-    quadrupole,
-    rotating_chain,
-    sawtooth,
-    square,
-    ssh,
-    stub,
-    triangular,
-)
+from .plane.build import crystal
+from .plane.cells import Cell, Tie
+from .plane.chains import aubry_andre, diamond, sawtooth, ssh, stub
+from .plane.lattices import hexagon, honeycomb, kagome, lieb, quadrupole, square, triangular
+from .plane.networks import junction, network
+from .plane.packing import packing
+from .plane.rotating import rotating_chain
 from .resonators import mass_in_mass, mass_with_mass, woodpile
 from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
 from .units import ScaledLattice, Units, scaled
 from .yielding import plastic
-
-__all__ = [
-    "ScaledLattice",
-    "Units",
-    "scaled",
-    "beads",
-    "struck",
-    "defects",
-    "dimer",
-    "fput",
-    "monomer",
-    "n_to_one",
-    "pattern",
-    "taper",
-    "toda",
-    "trimer",
-    "disordered",
-    "fractional",
-    "fractional_fput",
-    "fractional_sine_gordon",
-    "modulated",
-    "travelling_modulation",
-    "cradle",
-    "klein_gordon",
-    "sine_gordon",
-    "long_range",
-    "magnets",
-    "plastic",
-    "mass_in_mass",
-    "mass_with_mass",
-    "woodpile",
-    "hexagon",
-    "honeycomb",
-    "kagome",
-    "lieb",
-    "packing",
-    "quadrupole",
-    "square",
-    "triangular",
-    "aubry_andre",
-    "diamond",
-    "junction",
-    "network",
-    "rotating_chain",
-    "sawtooth",
-    "ssh",
-    "stub",
-    "alternating",
-    "foam",
-    "hollow_cylinders",
-    "origami",
-    "tensegrity",
-]

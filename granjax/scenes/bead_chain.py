@@ -10,11 +10,11 @@ from ..checks import one_of, positive, refuse, whole
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, bead_mass, hertz_coefficient, named, stack
-from ..strains import BOUNDARIES, Shift
-from ..terms import Bond, Damping, Wall
+from ..strains import BOUNDARIES
+from ..terms import Wall
 from ..types import Count, Parameter, Scalar
 from ..units import SI
-from .chains import check_contacts
+from .chains import chain, check_each, contacts_of, stacked
 
 
 def beads(
@@ -27,7 +27,7 @@ def beads(
     boundary: str = "fixed",
     damping_time: Scalar | None = None,
 ) -> Lattice:
-    r"""Chain of elastic spheres in SI: masses (4/3) pi R^3 rho, Hertz contacts of each pair of neighbours.
+    r"""Build a chain of elastic spheres in SI: masses (4/3) pi R^3 rho, Hertz contacts of each pair of neighbours.
 
     m_n u_n'' = A_n [d0_n + u_{n-1} - u_n]_+^{3/2} - A_{n+1} [d0_{n+1} + u_n - u_{n+1}]_+^{3/2} - m_n u_n'/tau,
     d0_n = (F0/A_n)^{2/3}, A_n as in `granjax.materials.hertz_coefficient`.
@@ -61,12 +61,8 @@ def beads(
     one_of("boundary", boundary, BOUNDARIES)
     if wall is not None and boundary != "fixed":
         refuse("wall", f"None with boundary={boundary!r}", repr(wall), "Walls stand at fixed ends.")
-    bodies, R = _cell(materials, radii)
-    count = R.size
-    cells = (
-        1 if cells is None else whole("cells", cells, 1, "It is how often the beads are repeated.")
-    )
-    sites = count * cells
+    bodies, R, cells = _cell(materials, radii, cells)
+    sites = R.size * cells
     if sites < 2:
         refuse(
             "cells",
@@ -77,13 +73,14 @@ def beads(
     mass = bead_mass(bodies, R)
     if R.ndim:
         bodies, R, mass = jax.tree.map(lambda x: jnp.tile(x, cells), (bodies, R, mass))
-    check_contacts(sites, boundary, {"precompression": precompression})
-    stiffness = _contacts(bodies, R, sites, boundary, wall)
-    terms = (Bond(Shift(1, boundary), Hertz(stiffness, precompression)),)
+    check_each(contacts_of(sites, boundary), "contact", precompression=precompression)
+    law = Hertz(_coefficients(bodies, R, sites, boundary, wall), precompression)
+    damping = None
     if damping_time is not None:
-        tau = positive("damping_time", damping_time, "It is in seconds; None is no damping.")
-        terms += (Damping(1 / tau),)
-    return Lattice(mass, terms, sites=sites, units=SI)
+        damping = 1 / positive(
+            "damping_time", damping_time, "It is in seconds; None is no damping."
+        )
+    return chain(sites, mass, law, boundary=boundary, damping=damping, units=SI)
 
 
 def struck(
@@ -95,7 +92,7 @@ def struck(
     wall: str | Material | None = None,
     damping_time: Scalar | None = None,
 ) -> Lattice:
-    r"""Chain of beads at rest before a wall, in SI, with the striker that hits it as site 0.
+    r"""Build a chain of beads at rest before a wall, in SI, with the striker that hits it as site 0.
 
     Every contact is without precompression, and nothing holds the striker, which may rebound:
     `gx.states.impact(chain, velocity)` lets it touch bead 1 at t = 0 with its velocity.
@@ -115,10 +112,7 @@ def struck(
     ((21,), [0.5, 0.0])
     """
     material, radius = striker
-    _, R = _cell(materials, radii)
-    cells = (
-        1 if cells is None else whole("cells", cells, 1, "It is how often the beads are repeated.")
-    )
+    _, R, cells = _cell(materials, radii, cells)
     kinds = [materials] * R.size if isinstance(materials, (str, Material)) else [*materials]
     own = positive("striker", radius, "Its radius is in metres, above zero.")
     R = jnp.concatenate([jnp.ravel(own), jnp.tile(jnp.ravel(R), cells)])
@@ -131,11 +125,11 @@ def struck(
     )
 
 
-def _cell(materials, radii):
-    """Material and radii of the beads of one cell: numbers where all are alike, else arrays of one length."""
-    if isinstance(radii, (tuple, list)) and radii:
-        radii = jnp.stack([jnp.asarray(r, float) for r in radii])
-    R = positive("radii", radii, "A radius is in metres, above zero.")
+def _cell(materials, radii, cells):
+    """Material and radii of the beads of one cell: numbers where all are alike, else arrays; how many cells."""
+    if cells is not None:
+        whole("cells", cells, 1, "It is how often the beads are repeated.")
+    R = positive("radii", stacked("radii", radii), "A radius is in metres, above zero.")
     if isinstance(materials, (str, Material)):
         bodies = named("materials", materials)
     else:
@@ -150,29 +144,22 @@ def _cell(materials, radii):
             "Repeat a cell with cells=N.",
         )
     shape = shapes.pop() if shapes else ()
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), (bodies, R))
+    return *jax.tree.map(lambda x: jnp.broadcast_to(x, shape), (bodies, R)), cells or 1
 
 
-def _contacts(bodies, R, sites, boundary, wall):
+def _coefficients(bodies, R, sites, boundary, wall):
     """Hertz coefficient of every contact; one number where all are alike."""
-    if R.ndim == 0:
-        pairs, first, last = hertz_coefficient(bodies, R), (bodies, R), (bodies, R)
-        if boundary != "fixed":
-            return pairs
-        pairs = jnp.broadcast_to(pairs, (sites - 1,))
-    else:
 
-        def pick(index):
-            return jax.tree.map(lambda x: x[index], (bodies, R))
+    def beads(n):
+        return jax.tree.map(lambda x: x[n] if x.ndim else x, (bodies, R))
 
-        first, last = pick(0), pick(-1)
-        if boundary == "periodic":
-            n = np.arange(sites)
-            return hertz_coefficient(*pick(n), *pick((n + 1) % sites))
-        pairs = hertz_coefficient(*pick(slice(None, -1)), *pick(slice(1, None)))
-        if boundary == "free":
-            return pairs
+    n = np.arange(sites if boundary == "periodic" else sites - 1)
+    pairs = hertz_coefficient(*beads(n), *beads((n + 1) % sites))
+    if boundary != "fixed":
+        return pairs
     walls = (wall, wall) if wall is None or isinstance(wall, (str, Material)) else wall
-    left, right = (None if w is None else named("wall", w) for w in walls)
-    ends = [hertz_coefficient(*bead, w, jnp.inf) for bead, w in ((first, left), (last, right))]
-    return jnp.concatenate([ends[0][None], pairs, ends[1][None]])
+    left, right = (
+        hertz_coefficient(*beads(end), None if w is None else named("wall", w), jnp.inf)
+        for end, w in zip((0, -1), walls)
+    )
+    return jnp.concatenate([left[None], jnp.broadcast_to(pairs, (sites - 1,)), right[None]])

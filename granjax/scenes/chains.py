@@ -1,72 +1,106 @@
 """Chains in scaled units: mass 1, contact coefficient 1, compression positive, at rest at u = 0."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, parameter, positive, refuse, whole, within
 from ..lattice import Lattice
-from ..laws import Hertz, Polynomial, PowerLaw, Toda
+from ..laws import Hertz, Law, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
-from ..terms import Bond
+from ..terms import Bond, Damping, OnSite
 from ..types import Count, Parameter, Scalar
+from ..units import SCALED
 
-_MANY = "For many at once: jax.vmap(lambda x: scene(..., x), out_axes=-1)(values)."
+MANY = "For many at once: jax.vmap(lambda x: scene(..., x), out_axes=-1)(values)."
 _RATIO = "The ratio is light over heavy; the heavy bead has mass 1."
 
 
-def _number(argument, x):
+def chain(
+    sites: Count,
+    mass: Parameter,
+    law: Law,
+    *,
+    boundary: str = "fixed",
+    on_site: Law | None = None,
+    damping: Parameter | None = None,
+    units: str = SCALED,
+) -> Lattice:
+    r"""Build a chain of one law between neighbours, the scene that others are made of.
+
+    m_n u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - G(u_n) - m_n gamma u_n'
+
+    **Arguments:**
+
+    - `sites`: number of sites N >= 2.
+    - `mass`: m > 0 [kg], a number, or one per site (N,).
+    - `law`: F; its parameters are numbers, or one per bond: (N + 1,), (N - 1,) or (N,) for the boundaries below.
+    - `boundary`: `"fixed"` (rigid walls, bonds as between sites), `"free"` (the preload is held at the ends) or
+      `"periodic"` (a ring).
+    - `on_site`: G, a law between each site and its place at rest, `None` for none.
+    - `damping`: gamma >= 0 [1/s], a number, or one per site; `None` for none.
+    - `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
+
+    **Returns:** a `Lattice`, u of shape (N,). Any of the numbers may be traced. **Raises** ValueError for N < 2, an
+    unknown boundary, m <= 0, or parameters that do not fit the chain.
+
+    **Example:**
+
+    >>> lattice = gx.scenes.chain(20, 1.0, gx.Linear(4.0), boundary="periodic", on_site=gx.Linear(9.0))
+    >>> print(gx.linear.bands(lattice).edges.round(6))  # 9 and 9 + 4 * 4, the roots
+    [[3. 5.]]
+    """
+    terms = [Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), law)]
+    if on_site is not None:
+        terms.append(OnSite(on_site))
+    if damping is not None:
+        terms.append(Damping(damping))
+    return Lattice(mass, terms, sites=a_chain(sites), units=units)
+
+
+def a_chain(sites: Count) -> int:
+    """The number of sites of a chain, checked."""
+    return whole("sites", sites, 2, "A chain has at least two beads.")
+
+
+def contacts_of(sites: Count, boundary: str) -> int:
+    """How many bonds to the next site there are, walls counted."""
+    more = {"fixed": 1, "free": -1, "periodic": 0}
+    return a_chain(sites) + more[one_of("boundary", boundary, more)]
+
+
+def check_each(count: int, what: str, **parameters: Parameter | None) -> None:
+    """Refuse what is neither one number nor one for each of `count` contacts or sites."""
+    for name, x in parameters.items():
+        if np.shape(x)[:1] not in ((), (1,), (count,)):
+            refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")
+
+
+def number(argument: str, x: Scalar) -> Scalar:
     """A parameter that is one number, traced or not."""
     x = parameter(argument, x)
     if x.ndim:
-        refuse(argument, "one number", f"an array of shape {x.shape}", _MANY)
+        refuse(argument, "one number", f"an array of shape {x.shape}", MANY)
     return x
 
 
-def _ratio(argument, x):
-    return within(argument, x, 0, 1, open_low=True, remedy=_RATIO)
+def stacked(argument: str, values: Parameter) -> Any:
+    """A sequence of numbers, some of them perhaps traced, as one array; anything else as a parameter."""
+    if not isinstance(values, (tuple, list)) or not values:
+        return parameter(argument, values)
+    return jnp.stack([number(f"{argument}[{i}]", x) for i, x in enumerate(values)])
 
 
-def _contact(stiffness, exponent, precompression):
+def contact(stiffness: Parameter, exponent: Parameter, precompression: Parameter) -> Law:
+    """The law of power-law contacts: Hertz's where the exponent is 3/2."""
     if isinstance(exponent, (int, float)) and exponent == 1.5:
         return Hertz(stiffness, precompression)
     return PowerLaw(stiffness, exponent, precompression)
 
 
-def _chain(sites, mass, law, boundary, **parameters):
-    """The chain of a law, whose parameters are one number or one per contact."""
-    bond, sites = Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), law), _sites(sites)
-    check_contacts(sites, boundary, parameters)
-    return Lattice(mass, (bond,), sites=sites)
-
-
-def check_contacts(sites: int, boundary: str, parameters: dict) -> None:
-    """Refuse what is neither one number nor one per contact."""
-    contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
-    for name, x in parameters.items():
-        check_each(name, x, contacts, "contact")
-
-
-def check_each(name: str, x: Parameter, count: int, what: str) -> None:
-    """Refuse what is neither one number nor one for each of `count` contacts or sites."""
-    if np.shape(x)[:1] not in ((), (1,), (count,)):
-        refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")
-
-
-def _power_chain(sites, mass, stiffness, exponent, precompression, boundary):
-    law = _contact(stiffness, exponent, precompression)
-    return _chain(
-        sites,
-        mass,
-        law,
-        boundary,
-        stiffness=stiffness,
-        exponent=exponent,
-        precompression=precompression,
-    )
-
-
-def _sites(sites):
-    return whole("sites", sites, 2, "A chain has at least two beads.")
+def _ratio(argument, x):
+    return within(argument, number(argument, x), 0, 1, open_low=True, remedy=_RATIO)
 
 
 def monomer(
@@ -77,7 +111,9 @@ def monomer(
     precompression: Parameter = 0.0,
     boundary: str = "fixed",
 ) -> Lattice:
-    r"""Chain of equal beads: m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p, d0 = (F0/A)^{1/p}.
+    r"""Build a chain of equal beads, whose contacts are a power law.
+
+    m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p,  d0 = (F0/A)^{1/p}.
 
     **Arguments:**
 
@@ -101,51 +137,50 @@ def monomer(
     >>> round(float(gx.linear.normal_modes(chain).omega[-1]), 6)  # 6^{1/2} sin(20 pi/42)
     2.44264
     """
-    return _power_chain(sites, mass, stiffness, exponent, precompression, boundary)
+    law = contact(stiffness, exponent, precompression)
+    check_each(
+        contacts_of(sites, boundary),
+        "contact",
+        stiffness=stiffness,
+        exponent=exponent,
+        precompression=precompression,
+    )
+    return chain(sites, mass, law, boundary=boundary)
 
 
 def pattern(
-    sites: Count,
-    masses: Parameter,
-    *,
-    stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
-    boundary: str = "fixed",
+    sites: Count, masses: Parameter, *, boundary: str = "fixed", **contacts: Parameter
 ) -> Lattice:
-    """Chain whose masses repeat: m_n = masses[n mod len(masses)]; the last cell may be cut short.
+    """Build a chain whose masses repeat: m_n = masses[n mod len(masses)]; the last cell may be cut short.
 
-    **Arguments:** `masses`: the masses of one cell, m > 0, numbers or traced; the others as in `monomer`.
+    **Arguments:** `masses`: the masses of one cell, m > 0, numbers or traced; `boundary` and `contacts`, which are
+    `stiffness`, `exponent` and `precompression`: as in `monomer`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ring that the cell does not fill.
     """
-    sites = _sites(sites)
-    cell = [
-        positive(f"masses[{i}]", _number(f"masses[{i}]", m), "A bead needs a mass.")
-        for i, m in enumerate(masses)
-    ]
+    sites = a_chain(sites)
+    cell = stacked("masses", masses)
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
-    mass = jnp.tile(jnp.stack(cell), -(-sites // len(cell)))[:sites]
-    return _power_chain(sites, mass, stiffness, exponent, precompression, boundary)
+    mass = jnp.tile(cell, -(-sites // len(cell)))[:sites]
+    return monomer(sites, mass, boundary=boundary, **contacts)
 
 
 def dimer(
     sites: Count,
     ratio: Scalar = 0.5,
     *,
-    stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
     precompression: Parameter = 0.0,
-    boundary: str = "fixed",
+    **contacts: Parameter | str,
 ) -> Lattice:
-    """Chain of heavy and light beads in turn: masses 1, ratio, 1, ratio, ...; the heavy one first.
+    """Build a chain of heavy and light beads in turn: masses 1, ratio, 1, ratio, ...; the heavy one first.
 
     With F0 > 0 and K2 = p A^{1/p} F0^{1-1/p} the bands are [0, sqrt(2 K2)] and
     [sqrt(2 K2/ratio), sqrt(2 K2 (1 + 1/ratio))].
 
-    **Arguments:** `ratio`: light over heavy, in (0, 1]; the others as in `monomer`. Typical: ratio 0.3428 (first
-    anti-resonance), 0.59 (first resonance) with F0 = 0; 0.338 for steel and aluminium beads of one size.
+    **Arguments:** `ratio`: light over heavy, in (0, 1]; `precompression`, F0, and `contacts`, which are `stiffness`,
+    `exponent` and `boundary`: as in `monomer`. Typical: ratio 0.3428 (first anti-resonance), 0.59 (first resonance)
+    with F0 = 0; 0.338 for steel and aluminium beads of one size.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ratio outside (0, 1].
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
@@ -156,74 +191,38 @@ def dimer(
     >>> print(gx.linear.bands(chain).lower.round(4))
     [0.     2.4495]
     """
-    return pattern(
-        sites,
-        (1.0, _ratio("ratio", ratio)),
-        stiffness=stiffness,
-        exponent=exponent,
-        precompression=precompression,
-        boundary=boundary,
-    )
+    masses = (1.0, _ratio("ratio", ratio))
+    return pattern(sites, masses, precompression=precompression, **contacts)
 
 
-def trimer(
-    sites: Count,
-    ratios: Parameter = (0.5, 0.25),
-    *,
-    stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
-    boundary: str = "fixed",
-) -> Lattice:
-    """Chain of three kinds of beads in turn: masses 1, ratios[0], ratios[1], 1, ...
+def trimer(sites: Count, ratios: Parameter = (0.5, 0.25), **contacts: Parameter | str) -> Lattice:
+    """Build a chain of three kinds of beads in turn: masses 1, ratios[0], ratios[1], 1, ...
 
-    **Arguments:** `ratios`: two masses over the heavy one, each in (0, 1]; the others as in `monomer`.
+    **Arguments:** `ratios`: two masses over the heavy one, each in (0, 1]; `contacts`: `stiffness`, `exponent`,
+    `precompression` and `boundary`, as in `monomer`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for ratios that are not two in (0, 1].
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
-    second, third = (
-        _ratio(f"ratios[{i}]", _number(f"ratios[{i}]", r)) for i, r in enumerate(ratios)
-    )
-    return pattern(
-        sites,
-        (1.0, second, third),
-        stiffness=stiffness,
-        exponent=exponent,
-        precompression=precompression,
-        boundary=boundary,
-    )
+    second, third = (_ratio(f"ratios[{i}]", r) for i, r in enumerate(ratios))
+    return pattern(sites, (1.0, second, third), **contacts)
 
 
 def n_to_one(
-    sites: Count,
-    beads: Count,
-    ratio: Scalar = 0.5,
-    *,
-    stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
-    boundary: str = "fixed",
+    sites: Count, beads: Count, ratio: Scalar = 0.5, **contacts: Parameter | str
 ) -> Lattice:
-    """N:1 chain: `beads` heavy beads of mass 1, then one of mass `ratio`, and so on.
+    """Build an N:1 chain: `beads` heavy beads of mass 1, then one of mass `ratio`, and so on.
 
-    **Arguments:** `beads`: N >= 1; 1 is the dimer; `ratio`: light over heavy, in (0, 1]; 1 is the monomer; the others
-    as in `monomer`.
+    **Arguments:** `beads`: N >= 1; 1 is the dimer; `ratio`: light over heavy, in (0, 1]; 1 is the monomer;
+    `contacts`: `stiffness`, `exponent`, `precompression` and `boundary`, as in `monomer`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `dimer` does, and for N < 1.
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
     beads = whole("beads", beads, 1, "It counts the heavy beads of a cell.")
     # of a longer cell no light bead is seen
-    masses = (1.0,) * min(beads, _sites(sites)) + (_ratio("ratio", ratio),)
-    return pattern(
-        sites,
-        masses,
-        stiffness=stiffness,
-        exponent=exponent,
-        precompression=precompression,
-        boundary=boundary,
-    )
+    masses = (1.0,) * min(beads, a_chain(sites)) + (_ratio("ratio", ratio),)
+    return pattern(sites, masses, **contacts)
 
 
 def defects(
@@ -231,18 +230,16 @@ def defects(
     masses: dict[Count, Scalar],
     *,
     mass: Scalar = 1.0,
-    stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
-    boundary: str = "fixed",
+    **contacts: Parameter | str,
 ) -> Lattice:
-    """Monomer chain with some beads of another mass.
+    """Build a monomer chain with some beads of another mass.
 
     With F0 > 0 a light bead of mass m_d carries a mode above the band, at
     omega^2 = 4 K2/(m_d (2 - m_d/m)), K2 = p A^{1/p} F0^{1-1/p}, in a long chain with equal contacts.
 
     **Arguments:** `masses`: a dict from site to mass > 0, `{50: 0.6}`; a negative site counts from the end; masses may
-    be traced. `mass`: of all other beads; the others as in `monomer`.
+    be traced. `mass`: of all other beads; `contacts`: `stiffness`, `exponent`, `precompression` and `boundary`, as in
+    `monomer`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for a site outside the chain or named twice.
     Source: Theocharis et al., Phys. Rev. E 80, 066601 (2009).
@@ -253,16 +250,16 @@ def defects(
     >>> round(float(gx.linear.normal_modes(chain).omega[-1]), 6)  # 8^{1/2}, above the band's 6^{1/2}
     2.828427
     """
-    sites = _sites(sites)
+    sites = a_chain(sites)
     m = jnp.full(sites, positive("mass", mass, "A bead needs a mass."))
     if len({site % sites for site in masses}) < len(masses):
         refuse("masses", "each site once", ", ".join(map(str, masses)))
     for site, other in masses.items():
-        name = f"masses[{site!r}]"
         if not -sites <= site < sites:
-            refuse(name, f"a site from 0 to {sites - 1}, or negative from the end", repr(site))
-        m = m.at[site].set(positive(name, other, "A bead needs a mass."))
-    return _power_chain(sites, m, stiffness, exponent, precompression, boundary)
+            wanted = f"a site from 0 to {sites - 1}, or negative from the end"
+            refuse(f"masses[{site!r}]", wanted, repr(site))
+        m = m.at[site].set(positive(f"masses[{site!r}]", other, "A bead needs a mass."))
+    return monomer(sites, m, **contacts)
 
 
 def taper(
@@ -273,7 +270,7 @@ def taper(
     precompression: Parameter = 0.0,
     boundary: str = "fixed",
 ) -> Lattice:
-    r"""Tapered chain of spheres of one material: R_{n+1} = (1 - q) R_n.
+    r"""Build a tapered chain of spheres of one material: R_{n+1} = (1 - q) R_n.
 
     Masses m_n = (R_n/R_0)^3 and Hertz coefficients A_n = A sqrt(R*_n/R*_0), 1/R*_n = 1/R_n + 1/R_{n+1}, where A is
     the first pair's. Walls are felt as a bead of the end bead's radius, so that q = 0 is the monomer chain.
@@ -288,7 +285,7 @@ def taper(
     >>> print(gx.scenes.taper(4, q=0.1).mass.round(4))
     [1.     0.729  0.5314 0.3874]
     """
-    sites = _sites(sites)
+    sites = a_chain(sites)
     if one_of("boundary", boundary, BOUNDARIES) == "periodic":
         refuse(
             "boundary",
@@ -306,12 +303,8 @@ def taper(
     if boundary == "fixed":
         wall = (2 - q) / (1 - q) / 2
         share = jnp.concatenate([R[:1] * wall, share, R[-1:] * wall])
-    return _chain(
-        sites,
-        R**3,
-        Hertz(A * jnp.sqrt(share), precompression),
-        boundary,
-        precompression=precompression,
+    return monomer(
+        sites, R**3, A * jnp.sqrt(share), precompression=precompression, boundary=boundary
     )
 
 
@@ -324,7 +317,7 @@ def fput(
     stiffness: Parameter = 1.0,
     boundary: str = "fixed",
 ) -> Lattice:
-    r"""Fermi-Pasta-Ulam-Tsingou chain: F(e) = K e + alpha e^2 + beta e^3 in the compression e = u_n - u_{n+1}.
+    r"""Build a Fermi-Pasta-Ulam-Tsingou chain: F(e) = K e + alpha e^2 + beta e^3 in the compression e = u_n - u_{n+1}.
 
     Compression is positive, so alpha > 0 stiffens under compression; the original chain stiffens under extension,
     which is the same chain with u -> -u. The N = 32 of the literature counts intervals: 31 moving masses.
@@ -348,8 +341,9 @@ def fput(
     beta = 0.0 if beta is None else beta
     parameter("alpha", alpha)
     parameter("beta", beta)
-    law = Polynomial(stiffness, alpha, beta)
-    return _chain(sites, mass, law, boundary, stiffness=stiffness, alpha=alpha, beta=beta)
+    springs = contacts_of(sites, boundary)
+    check_each(springs, "contact", stiffness=stiffness, alpha=alpha, beta=beta)
+    return chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary=boundary)
 
 
 def toda(
@@ -360,7 +354,7 @@ def toda(
     rate: Parameter = 1.0,
     boundary: str = "free",
 ) -> Lattice:
-    """Toda chain: F(e) = a (exp(b e) - 1); m u_n'' = a exp(b (u_{n-1} - u_n)) - a exp(b (u_n - u_{n+1})).
+    """Build a Toda chain: F(e) = a (exp(b e) - 1); m u_n'' = a exp(b (u_{n-1} - u_n)) - a exp(b (u_n - u_{n+1})).
 
     Integrable with `"free"` and `"periodic"` ends. Free ends are held by the constant force a.
 
@@ -375,4 +369,5 @@ def toda(
     >>> float(gx.linear.sound_speed(chain))
     1.0
     """
-    return _chain(sites, mass, Toda(strength, rate), boundary, strength=strength, rate=rate)
+    check_each(contacts_of(sites, boundary), "contact", strength=strength, rate=rate)
+    return chain(sites, mass, Toda(strength, rate), boundary=boundary)

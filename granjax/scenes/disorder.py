@@ -10,11 +10,10 @@ from ..lattice import Lattice
 from ..laws import Law
 from ..types import Count, Parameter, Scalar, Seed
 from ..units import SCALED
-from .chains import _MANY, _chain, _contact, _number, _sites
+from .chains import MANY, a_chain, chain, check_each, contacts_of, monomer, number
 
 DISORDERED = ("mass", "radius", "stiffness", "position")
 CORRELATIONS = ("none", "alike", "opposite")
-_DRAWS = {"uniform": jax.random.uniform, "binary": jax.random.rademacher}
 
 
 def disordered(
@@ -33,7 +32,7 @@ def disordered(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Disordered granular chain (Anderson disorder, random dimers): random masses, radii, stiffnesses or positions.
+    r"""Build a granular chain of random masses, radii, stiffnesses or positions (Anderson disorder, random dimers).
 
     x_n are random numbers of mean 0 in [-1, 1], s is the spread, and
 
@@ -70,66 +69,53 @@ def disordered(
     >>> bool((abs(chain.mass - 1) <= 0.3).all()), bool(chain.mass.std() > 0.1)
     (True, True)
     """
-    sites = _sites(sites)
+    sites, contacts = a_chain(sites), contacts_of(sites, boundary)
     one_of("of", of, DISORDERED)
     remedy = "What is random lies between 1 - spread and 1 + spread times its mean."
-    spread = within("spread", _number("spread", spread), 0, 1, open_high=True, remedy=remedy)
-    contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
-    draw = (
-        one_of("distribution", distribution, tuple(_DRAWS)),
-        one_of("correlation", correlation, CORRELATIONS),
-    )
-    x = spread * _noise(
-        contacts if of == "stiffness" else sites, random_key(seed, _MANY), *draw, spread.dtype
-    )
+    spread = within("spread", number("spread", spread), 0, 1, open_high=True, remedy=remedy)
+    draw = _DRAWS[one_of("distribution", distribution, _DRAWS)]
+    one_of("correlation", correlation, CORRELATIONS)
+    count, key = contacts if of == "stiffness" else sites, random_key(seed, MANY)
+    if correlation == "none":
+        x = draw(key, (count,), spread.dtype)
+    else:
+        x = draw(key, (-(-count // 2),), spread.dtype)
+        x = jnp.stack([x, x if correlation == "alike" else -x], -1).ravel()[:count]
+    x = spread * x
     m = positive(
-        "mass", _number("mass", mass), "It is the mean mass, or that of a bead of mean radius."
+        "mass", number("mass", mass), "It is the mean mass, or that of a bead of mean radius."
     )
     A = positive("stiffness", stiffness, "Contacts push.")
     if of == "mass":
         m = m * (1 + x)
     elif of == "radius":
-        _hertzian(exponent, law)
+        known = concrete(exponent)
+        if law is None and (known is None or (known != 1.5).any()):
+            remedy = "How a contact follows from radii is Hertz's law."
+            refuse("exponent", "3/2 with of='radius'", f"{exponent}", remedy)
         m, A = m * (1 + x) ** 3, A * _hertz_share(1 + x, boundary)
     elif of == "stiffness":
         A = A * (1 + x)
     elif law is not None:
-        refuse(
-            "law",
-            "None with of='position'",
-            "a law",
-            "Positions change the static force, which a law has made.",
-        )
+        remedy = "Positions change the static force, which a law has made."
+        refuse("law", "None with of='position'", "a law", remedy)
     else:
         precompression = _displaced(x, A, exponent, precompression, boundary)
     if law is None:
-        law, given = (
-            _contact(A, exponent, precompression),
-            {"exponent": exponent, "precompression": precompression},
-        )
-    else:
-        law, given = _made(law, A, precompression), {}
-    return _chain(sites, m, law, boundary, stiffness=A, **given).counted_in(units)
+        return monomer(sites, m, A, exponent, precompression, boundary).counted_in(units)
+    known = concrete(precompression)
+    if known is None or known.any():
+        wanted = "0 with a law of your own"
+        refuse("precompression", wanted, f"{precompression}", "Give it to the law.")
+    check_each(contacts, "contact", stiffness=A)
+    return chain(sites, m, law(A), boundary=boundary, units=units)
 
 
-def _noise(count, key, distribution, correlation, dtype):
-    limits = {"minval": -1.0, "maxval": 1.0} if distribution == "uniform" else {}
-    drawn = count if correlation == "none" else -(-count // 2)
-    x = _DRAWS[distribution](key, (drawn,), dtype=dtype, **limits)
-    if correlation == "none":
-        return x
-    return jnp.stack([x, x if correlation == "alike" else -x], -1).ravel()[:count]
+def _uniform(key, shape, dtype):
+    return jax.random.uniform(key, shape, dtype, minval=-1.0, maxval=1.0)
 
 
-def _hertzian(exponent, law):
-    known = concrete(exponent)
-    if law is None and (known is None or (known != 1.5).any()):
-        refuse(
-            "exponent",
-            "3/2 with of='radius'",
-            f"{exponent}",
-            "How a contact follows from radii is Hertz's law.",
-        )
+_DRAWS = {"uniform": _uniform, "binary": jax.random.rademacher}
 
 
 def _hertz_share(R, boundary):
@@ -157,12 +143,3 @@ def _displaced(x, A, exponent, precompression, boundary):
     # magnets are closer where two beads have come together, as contacts are, but p < 0 counts the distance
     p = jnp.asarray(exponent)
     return precompression * (1 + jnp.sign(p) * change / 2) ** p
-
-
-def _made(law, A, precompression):
-    known = concrete(precompression)
-    if known is None or (known != 0).any():
-        refuse(
-            "precompression", "0 with a law of your own", f"{precompression}", "Give it to the law."
-        )
-    return law(A)

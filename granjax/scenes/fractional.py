@@ -5,14 +5,13 @@ import jax.numpy as jnp
 from ..checks import non_negative, one_of, positive, refuse
 from ..fractional import checked_order, kernel, ring_kernel, to_the_right
 from ..lattice import Lattice
-from ..laws import Law, Linear, Polynomial, Scaled, Sine
+from ..laws import Law, Linear, Polynomial, Scaled
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, LongRange, OnSite
 from ..types import Count, Parameter
 from ..units import PART
-from .chains import _number, _sites, check_each
-
-_COUPLED = "Sites without coupling are coupling=0."
+from .chains import a_chain, number
+from .on_site import COUPLED, pendula
 
 
 class _BothSides(Law):
@@ -32,36 +31,6 @@ class _BothSides(Law):
         return self.law.energy(e) + self.law.energy(-e)
 
 
-def _weighted(sites, order, law, boundary):
-    """Terms of bonds with fractional weights, to all sites of the chain and, of fixed ends, to all beyond."""
-    order = checked_order(_number("order", order))
-    if boundary == "periodic":
-        return (LongRange(_around(sites, order, law), law, boundary),)
-    weights = kernel(order, sites - 1)
-    bonds = (LongRange(weights, law, boundary),)
-    if boundary == "free":
-        return bonds
-    # what is beyond: K(M + 1) + K(M + 2) + ... = K(M) (M - s)/(2 s)
-    rest = weights[-1] * (sites - 1 - order) / (2 * order)
-    return (*bonds, OnSite(_BothSides(Scaled(law, rest))))
-
-
-def _around(sites, order, law):
-    """Weights of the offsets on a ring: of both ways to a site, or of the shorter where the law does not tell them."""
-    if not law.is_linear:
-        return to_the_right(order, sites)
-    both = ring_kernel(order, sites)[: sites // 2]
-    return both if sites % 2 else both.at[-1].divide(2)
-
-
-def _checked(sites, boundary):
-    one_of("boundary", boundary, BOUNDARIES)
-    sites = _sites(sites)
-    if boundary == "periodic" and sites < 3:
-        refuse("sites", "at least 3 on a ring", f"{sites}")
-    return sites
-
-
 def fractional(
     sites: Count,
     order: Parameter = 0.5,
@@ -71,7 +40,7 @@ def fractional(
     mass: Parameter = 1.0,
     boundary: str = "periodic",
 ) -> Lattice:
-    r"""Fractional lattice: differences of second order replaced by the discrete fractional Laplacian of order s.
+    r"""Build a fractional chain: its second differences are the discrete fractional Laplacian of order s.
 
     m u_n'' = -sum_{m != 0} K_s(m) F(u_n - u_{n+m}) = -k ((-Delta)^s u)_n for a linear law,  omega^2 = (k/m)(4 sin^2
     (q/2))^s; K_s is `gx.fractional.kernel`, with a tail m^{-1-2s}. s = 1 is the chain of next neighbours.
@@ -95,9 +64,28 @@ def fractional(
     >>> round(float(gx.linear.normal_modes(chain).omega[-1]), 6)  # 4^{1/4}
     1.414214
     """
-    sites = _checked(sites, boundary)
-    terms = _weighted(sites, order, Linear(1.0) if law is None else law, boundary)
-    return Lattice(mass, terms if on_site is None else (*terms, OnSite(on_site)), sites=sites)
+    one_of("boundary", boundary, BOUNDARIES)
+    sites = a_chain(sites)
+    if boundary == "periodic" and sites < 3:
+        refuse("sites", "at least 3 on a ring", f"{sites}")
+    order, law = checked_order(number("order", order)), Linear(1.0) if law is None else law
+    weights = _around(sites, order, law) if boundary == "periodic" else kernel(order, sites - 1)
+    terms = [LongRange(weights, law, boundary)]
+    if boundary == "fixed":
+        # what is beyond: K(M + 1) + K(M + 2) + ... = K(M) (M - s)/(2 s)
+        rest = weights[-1] * (sites - 1 - order) / (2 * order)
+        terms.append(OnSite(_BothSides(Scaled(law, rest))))
+    if on_site is not None:
+        terms.append(OnSite(on_site))
+    return Lattice(mass, terms, sites=sites)
+
+
+def _around(sites, order, law):
+    """Weights of the offsets on a ring: of both ways to a site, or of the shorter where the law does not tell them."""
+    if not law.is_linear:
+        return to_the_right(order, sites)
+    both = ring_kernel(order, sites)[: sites // 2]
+    return both if sites % 2 else both.at[-1].divide(2)
 
 
 def fractional_fput(
@@ -111,7 +99,7 @@ def fractional_fput(
     stiffness: Parameter = 1.0,
     boundary: str = "fixed",
 ) -> Lattice:
-    r"""Fractional FPUT chain: F(e) = k e + alpha e^2 + beta e^3 with the weights of the fractional Laplacian.
+    r"""Build a fractional FPUT chain: F(e) = k e + alpha e^2 + beta e^3 with the weights of the fractional Laplacian.
 
     `nonlinear="all"`: every bond is F with its weight; `"neighbours"`: k e with the weights, and alpha e^2 + beta e^3
     between next neighbours alone. s = 1 is `fput` either way.
@@ -120,18 +108,15 @@ def fractional_fput(
     `fractional`. **Returns:** a `Lattice`. **Raises** ValueError as `fractional`, and for k not above zero.
     Source: Macias-Diaz, Bountis, Commun. Nonlinear Sci. Numer. Simul. 102, 105917 (2021).
     """
-    sites = _checked(sites, boundary)
-    stiffness = positive("stiffness", _number("stiffness", stiffness))
-    alpha, beta = _number("alpha", alpha), _number("beta", beta)
-    if one_of("nonlinear", nonlinear, ("all", "neighbours")) == "all":
-        terms = _weighted(sites, order, Polynomial(stiffness, alpha, beta), boundary)
-    else:
-        local = Polynomial(jnp.zeros_like(stiffness), alpha, beta)
-        terms = (
-            *_weighted(sites, order, Linear(stiffness), boundary),
-            Bond(Shift(1, boundary), local),
-        )
-    return Lattice(mass, terms, sites=sites)
+    stiffness = positive("stiffness", number("stiffness", stiffness))
+    alpha, beta = number("alpha", alpha), number("beta", beta)
+    every = one_of("nonlinear", nonlinear, ("all", "neighbours")) == "all"
+    law = Polynomial(stiffness, alpha, beta) if every else Linear(stiffness)
+    chain = fractional(sites, order, law=law, mass=mass, boundary=boundary)
+    if every:
+        return chain
+    local = Bond(Shift(1, boundary), Polynomial(jnp.zeros_like(stiffness), alpha, beta))
+    return Lattice(mass, (*chain.terms, local), sites=sites)
 
 
 def fractional_sine_gordon(
@@ -144,7 +129,7 @@ def fractional_sine_gordon(
     wavenumber: Parameter = 1.0,
     boundary: str = "periodic",
 ) -> Lattice:
-    r"""Fractional sine-Gordon chain: m u_n'' = -C ((-Delta)^s u)_n - (k/q) sin(q u_n).
+    r"""Build a fractional sine-Gordon chain: m u_n'' = -C ((-Delta)^s u)_n - (k/q) sin(q u_n).
 
     For s < 1 tails are algebraic, n^{-2s} of kinks and n^{-1-2s} of breathers; at s = 1/2 and C k >> 1 the kink is that
     of Peierls and Nabarro, pi + 2 atan(k x/C) for q = 1. The band is k/m <= omega^2 <= (k + 4^s C)/m.
@@ -154,16 +139,8 @@ def fractional_sine_gordon(
     **Returns:** a `Lattice`. **Raises** ValueError as `fractional` and `sine_gordon`.
     Source: Alfimov, Pierantozzi, Vazquez, Fractional Differentiation and its Applications, 644 (2004).
     """
-    sites = _checked(sites, boundary)
-    stiffness = positive("stiffness", stiffness)
-    wavenumber = positive("wavenumber", wavenumber, "The period is 2 pi/q.")
-    for name, x in {"stiffness": stiffness, "wavenumber": wavenumber}.items():
-        check_each(name, x, sites, "site")
-    on_site = Sine(stiffness, wavenumber)
-    terms = _weighted(
-        sites,
-        order,
-        Linear(non_negative("coupling", _number("coupling", coupling), _COUPLED)),
-        boundary,
+    coupling = non_negative("coupling", number("coupling", coupling), COUPLED)
+    on_site = pendula(sites, stiffness, wavenumber)
+    return fractional(
+        sites, order, law=Linear(coupling), on_site=on_site, mass=mass, boundary=boundary
     )
-    return Lattice(mass, (*terms, OnSite(on_site)), sites=sites)

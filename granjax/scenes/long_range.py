@@ -13,7 +13,7 @@ from ..strains import BOUNDARIES
 from ..terms import LongRange
 from ..types import Count, Parameter, Scalar
 from ..units import SCALED
-from .chains import _number, _sites
+from .chains import a_chain, number
 
 # sites up to which the rest of a finite chain of magnets is looked for
 MANY = 2000
@@ -37,7 +37,7 @@ def magnets(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Chain of repelling magnets, each of which repels every other: force A r^p at a distance r, p < 0.
+    r"""Build a chain of repelling magnets, each of which repels every other: force A r^p at a distance r, p < 0.
 
     m_n u_n'' = sum over j < n of A (x_n - x_j)^p - sum over j > n of A (x_j - x_n)^p. The ends of a finite chain push
     their neighbours apart less than inner ones do, so that equal spacings are no rest: its positions of rest are found
@@ -66,12 +66,9 @@ def magnets(
     >>> round(float(gx.linear.sound_speed(chain)), 6)  # (4 A/m)^{1/2}
     2.0
     """
-    sites, boundary = _sites(sites), one_of("boundary", boundary, BOUNDARIES)
-    p, A, d = (
-        _number("exponent", exponent),
-        positive("stiffness", stiffness),
-        positive("spacing", spacing),
-    )
+    sites, boundary = a_chain(sites), one_of("boundary", boundary, BOUNDARIES)
+    p = number("exponent", exponent)
+    A, d = positive("stiffness", stiffness), positive("spacing", spacing)
     value, size = concrete(p), concrete(non_negative("diameter", diameter))
     if value is not None and value >= 0:
         refuse("exponent", "p < 0, magnets that repel less further apart", show(value))
@@ -85,16 +82,12 @@ def magnets(
     power = exponent if isinstance(exponent, (int, float)) else p
     reach, kernel = _kernel(sites, p, reach, boundary)
     beyond = 1 if boundary == "fixed" and reach > 1 else None
-    law = PowerLaw(A, power, A * d**p)
     rest = None
     if boundary != "periodic" and reach > 1:
         rest = d * _rest(sites, power, reach, boundary)
-    return Lattice(
-        mass,
-        LongRange(kernel, law, boundary, takes="strain", beyond=beyond, rest=rest),
-        sites=sites,
-        units=units,
-    )
+    law = PowerLaw(A, power, A * d**p)
+    term = LongRange(kernel, law, boundary, takes="strain", beyond=beyond, rest=rest)
+    return Lattice(mass, term, sites=sites, units=units)
 
 
 def _kernel(sites, p, reach, boundary):
@@ -192,7 +185,7 @@ def long_range(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Chain with long-range interactions: springs to all neighbours, weaker by m^{-s} with their distance m.
+    r"""Build a chain with long-range interactions: springs to all neighbours, weaker by m^{-s} with their distance m.
 
     Force of the spring between n and n + m: m^{-s} (K e + alpha e^2 + beta e^3), e = u_n - u_{n+m}: by FFT. Breathers
     have algebraic tails, |u_n| ~ |n|^{-s}. omega^2(k) = (2K/M) sum_m m^{-s} (1 - cos k m), of mass M.
@@ -210,10 +203,8 @@ def long_range(
     >>> round(float(gx.linear.normal_modes(chain).omega_squared[-1]), 6)  # 4 at k = pi
     4.0
     """
-    sites, boundary = _sites(sites), one_of("boundary", boundary, BOUNDARIES)
-    s = positive(
-        "exponent", _number("exponent", exponent), "Interactions weaken with the distance."
-    )
+    sites, boundary = a_chain(sites), one_of("boundary", boundary, BOUNDARIES)
+    s = positive("exponent", number("exponent", exponent), "Interactions weaken with the distance.")
     K = positive("stiffness", stiffness, "At rest the springs hold the chain.")
     for name, x in (("alpha", alpha), ("beta", beta)):
         parameter(name, x)

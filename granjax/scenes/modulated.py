@@ -1,16 +1,14 @@
 """Chains whose stiffness changes in time: phononic time crystals, and modulation that travels."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..checks import concrete, non_negative, one_of, positive, refuse
 from ..lattice import Lattice
 from ..laws import Law, Linear
-from ..strains import BOUNDARIES, Shift
+from ..strains import Shift
 from ..terms import Bond, Damping, Harmonic, Modulated, OnSite, Square
 from ..types import Count, Parameter
-from .chains import _number, _sites, check_each
+from .chains import check_each, contacts_of, number
 
 _SHAPES = {"cosine": Harmonic, "square": Square}
 _TURNS = 1e-9
@@ -30,7 +28,7 @@ def modulated(
     mass: Parameter = 1.0,
     boundary: str = "periodic",
 ) -> Lattice:
-    r"""Chain whose stiffness is modulated in time alone: a phononic time crystal, with gaps in the wave number.
+    r"""Build a chain whose stiffness is modulated in time alone: a phononic time crystal, with gaps in the wave number.
 
     m u_n'' = g_b(t) [F(u_{n-1} - u_n) - F(u_n - u_{n+1})] - g_s(t) k_0 u_n - m gamma u_n',
     g(t) = 1 + a cos(Omega t + phase), or 1 + a and 1 - a in turn (`"square"`, layers in time), for bonds or for sites.
@@ -53,9 +51,24 @@ def modulated(
     >>> bool(bands.fastest[0] > 0)  # waves grow in a gap of k
     True
     """
-    sites, places = _places(sites, on, boundary)
-    wave = _wave(shape, amplitude, omega, phase, places)
-    return _chain(sites, wave, on, law, grounding, damping, mass, boundary)
+    places = _modulated_places(sites, on, boundary)
+    check_each(len(places), "modulated bond or site", amplitude=amplitude, phase=phase)
+    omega = positive("omega", number("omega", omega), "The modulation has a period.")
+    wave = _SHAPES[one_of("shape", shape, _SHAPES)](amplitude, omega, phase, 1.0)
+    grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
+    check_each(sites, "site", grounding=grounding, damping=damping)
+    bond, ground = Bond(Shift(1, boundary), Linear() if law is None else law), None
+    if _there(grounding):
+        ground = OnSite(Linear(grounding))
+    if on == "bonds":
+        terms = [Modulated(bond, wave), ground]
+    elif ground is None:
+        wanted = "a stiffness above zero, which is modulated"
+        refuse("grounding", wanted, "0", 'Or modulate on="bonds".')
+    else:
+        terms = [bond, Modulated(ground, wave)]
+    terms.append(Damping(damping) if _there(damping) else None)
+    return Lattice(mass, [term for term in terms if term is not None], sites=sites)
 
 
 def travelling_modulation(
@@ -64,28 +77,25 @@ def travelling_modulation(
     omega: Parameter = 0.5,
     wavelength: Parameter = 3.0,
     *,
-    shape: str = "cosine",
     on: str = "bonds",
-    law: Law | None = None,
-    grounding: Parameter = 0.0,
-    damping: Parameter = 0.0,
-    mass: Parameter = 1.0,
     boundary: str = "periodic",
+    **modulation: Parameter | str | Law | None,
 ) -> Lattice:
-    r"""Chain whose stiffness is modulated in space and time, by a wave that travels: non-reciprocal bands.
+    r"""Build a chain whose stiffness is modulated in space and time, by a wave that travels: non-reciprocal bands.
 
     As `modulated`, with g_n(t) = 1 + a cos(Omega t - 2 pi n/L) for the bond between n and n + 1 (or site n), so that a
     wave to the right meets another medium than one to the left: omega(k) != omega(-k).
 
     **Arguments:** `wavelength`: L in sites, |L| >= 2, negative for one that travels to the left; where L = P/q in
-    lowest terms the unit cell has P sites. The others as in `modulated`.
+    lowest terms the unit cell has P sites. `modulation`: `shape`, `law`, `grounding`, `damping` and `mass`; all others
+    as in `modulated`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `modulated` does, for |L| < 2, and for a ring that L does not
     divide.
     Source: Swinteck, Matsuo, Runge, Vasseur, Lucas, Deymier, J. Appl. Phys. 118, 063103 (2015).
     """
-    sites, places = _places(sites, on, boundary)
-    wavelength = _number("wavelength", wavelength)
+    places = _modulated_places(sites, on, boundary)
+    wavelength = number("wavelength", wavelength)
     value = concrete(wavelength)
     if value is not None:
         if not abs(value) >= 2:
@@ -100,52 +110,17 @@ def travelling_modulation(
             )
     # the bond to a left wall comes first
     place = places - (on == "bonds" and boundary == "fixed")
-    wave = _wave(shape, amplitude, omega, -2 * np.pi * place / wavelength, places)
-    return _chain(sites, wave, on, law, grounding, damping, mass, boundary)
+    phase = -2 * np.pi * place / wavelength
+    return modulated(sites, amplitude, omega, on=on, phase=phase, boundary=boundary, **modulation)
 
 
-def _places(sites: Count, on: str, boundary: str) -> tuple:
-    """The number of sites, and the numbers of the bonds or sites that are modulated."""
-    sites, walls = (
-        _sites(sites),
-        {"fixed": 1, "free": -1}.get(one_of("boundary", boundary, BOUNDARIES), 0),
-    )
-    return sites, np.arange(sites + walls * (one_of("on", on, ("bonds", "sites")) == "bonds"))
+def _modulated_places(sites, on, boundary):
+    """The numbers of the bonds or sites that are modulated."""
+    contacts = contacts_of(sites, boundary)
+    return np.arange(contacts if one_of("on", on, ("bonds", "sites")) == "bonds" else sites)
 
 
-def _wave(
-    shape: str, amplitude: Parameter, omega: Parameter, phase: Parameter, places: np.ndarray
-) -> Callable:
-    check_each("amplitude", amplitude, len(places), "modulated bond or site")
-    check_each("phase", phase, len(places), "modulated bond or site")
-    omega = positive("omega", _number("omega", omega), "The modulation has a period.")
-    return _SHAPES[one_of("shape", shape, tuple(_SHAPES))](amplitude, omega, phase, 1.0)
-
-
-def _chain(
-    sites: int,
-    wave: Callable,
-    on: str,
-    law: Law | None,
-    grounding: Parameter,
-    damping: Parameter,
-    mass: Parameter,
-    boundary: str,
-) -> Lattice:
-    bond = Bond(Shift(1, boundary), Linear() if law is None else law)
-    grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
-    check_each("grounding", grounding, sites, "site")
-    check_each("damping", damping, sites, "site")
-    value, still = concrete(grounding), concrete(damping)
-    grounded = value is None or bool(np.any(value))
-    if on == "sites" and not grounded:
-        refuse(
-            "grounding",
-            "a stiffness above zero, which is modulated",
-            "0",
-            'Or modulate on="bonds".',
-        )
-    site = (OnSite(Linear(grounding)),) if grounded else ()
-    terms = (Modulated(bond, wave), *site) if on == "bonds" else (bond, Modulated(site[0], wave))
-    lost = (Damping(damping),) if still is None or np.any(still) else ()
-    return Lattice(mass, (*terms, *lost), sites=sites)
+def _there(x):
+    """Whether something is above zero, or may be: what is traced."""
+    value = concrete(x)
+    return value is None or np.any(value)

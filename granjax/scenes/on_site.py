@@ -1,40 +1,28 @@
 """Chains with a force on every site: Newton's cradle, Klein-Gordon (phi^4), sine-Gordon."""
 
-from ..checks import non_negative, one_of, parameter, positive, refuse
+from ..checks import non_negative, parameter, positive, refuse
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Sine
-from ..strains import BOUNDARIES, Shift
-from ..terms import Bond, OnSite
+from ..terms import OnSite
 from ..types import Count, Parameter
-from .chains import _contact, _sites, check_contacts, check_each
+from .chains import chain, check_each, contacts_of, monomer
 
 # what couples weakly is what these chains are about
-_COUPLED = "Sites without coupling are coupling=0."
-
-
-def _on_sites(sites, mass, law, on_site, boundary, parameters, per_site):
-    """The chain of a law between sites and of one on each, whose parameters are one number, or one each."""
-    sites = _sites(sites)
-    one_of("boundary", boundary, BOUNDARIES)
-    check_contacts(sites, boundary, parameters)
-    for name, x in per_site.items():
-        check_each(name, x, sites, "site")
-    return Lattice(mass, (Bond(Shift(1, boundary), law), OnSite(on_site)), sites=sites)
+COUPLED = "Sites without coupling are coupling=0."
+_HELD = "A site that is not held back is a site of another chain."
 
 
 def cradle(
     sites: Count,
     *,
     mass: Parameter = 1.0,
-    stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
     pendulum: Parameter = 1.0,
     length: Parameter | None = None,
     law: Law | None = None,
     boundary: str = "free",
+    **contacts: Parameter,
 ) -> Lattice:
-    r"""Newton's cradle: beads that touch, each on a pendulum of its own.
+    r"""Build Newton's cradle: beads that touch, each on a pendulum of its own.
 
     m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p - k L sin(u_n/L), d0 = (F0/A)^{1/p},
 
@@ -48,7 +36,7 @@ def cradle(
 
     - `sites`: number of beads N >= 2.
     - `mass`: m > 0, a number, or one per bead (N,).
-    - `stiffness`, `exponent`, `precompression`: A, p and F0 of the contacts, as in `monomer`.
+    - `contacts`: `stiffness`, `exponent`, `precompression`: A, p and F0, as in `monomer`.
     - `pendulum`: k > 0 [N/m], a number, or one per bead.
     - `length`: L > 0 of the strings, a number, or one per bead; `None` for straight arcs.
     - `law`: another force -law.force(u) on each bead, instead of `pendulum` and `length`.
@@ -66,18 +54,15 @@ def cradle(
     [1. 1. 1. 1. 1.]
     """
     pendulum = positive("pendulum", pendulum, "It is m g/L of each bead.")
-    if law is not None:
-        if length is not None:
-            refuse("law", "a law, or strings of a length", "both", "Leave one of them out.")
-        swing, per_site = law, {}
-    elif length is None:
-        swing, per_site = Linear(pendulum), {"pendulum": pendulum}
-    else:
+    if law is not None and length is not None:
+        refuse("law", "a law, or strings of a length", "both", "Leave one of them out.")
+    if length is not None:
         length = positive("length", length, "None is a string so long that the arc is straight.")
-        swing, per_site = Sine(pendulum, 1 / length), {"pendulum": pendulum, "length": length}
-    law = _contact(stiffness, exponent, precompression)
-    contacts = {"stiffness": stiffness, "exponent": exponent, "precompression": precompression}
-    return _on_sites(sites, mass, law, swing, boundary, contacts, per_site)
+    check_each(sites, "site", pendulum=pendulum, length=length)
+    if law is None:
+        law = Linear(pendulum) if length is None else Sine(pendulum, 1 / length)
+    touching = monomer(sites, mass, boundary=boundary, **contacts)
+    return Lattice(mass, (*touching.terms, OnSite(law)), sites=sites)
 
 
 def klein_gordon(
@@ -91,7 +76,7 @@ def klein_gordon(
     stiffness: Parameter = 1.0,
     boundary: str = "free",
 ) -> Lattice:
-    r"""Klein-Gordon chain: oscillators with a nonlinear force on each, and springs between them.
+    r"""Build a Klein-Gordon chain: oscillators with a nonlinear force on each, and springs between them.
 
     m u_n'' = C (u_{n-1} - 2 u_n + u_{n+1}) - V'(u_n),  V'(u) = k u + alpha u^2 + beta u^3.
 
@@ -120,21 +105,16 @@ def klein_gordon(
     """
     if law is not None and not (alpha is None and beta is None):
         refuse("law", "a law, or alpha and beta", "both", "Leave one of them out.")
-    stiffness = positive(
-        "stiffness", stiffness, "A site that is not held back is a site of another chain."
-    )
+    stiffness = positive("stiffness", stiffness, _HELD)
     if alpha is None:
         alpha = 0.0
         beta = 1.0 if beta is None else beta
     beta = 0.0 if beta is None else beta
     parameter("alpha", alpha)
     parameter("beta", beta)
+    check_each(sites, "site", stiffness=stiffness, alpha=alpha, beta=beta)
     on_site = Polynomial(stiffness, alpha, beta) if law is None else law
-    coupling = non_negative("coupling", coupling, _COUPLED)
-    per_site = {} if law is not None else {"stiffness": stiffness, "alpha": alpha, "beta": beta}
-    return _on_sites(
-        sites, mass, Linear(coupling), on_site, boundary, {"coupling": coupling}, per_site
-    )
+    return _coupled(sites, coupling, mass, boundary, on_site)
 
 
 def sine_gordon(
@@ -146,7 +126,7 @@ def sine_gordon(
     wavenumber: Parameter = 1.0,
     boundary: str = "free",
 ) -> Lattice:
-    r"""Discrete sine-Gordon (Frenkel-Kontorova) chain: pendula on a torsion spring.
+    r"""Build a discrete sine-Gordon (Frenkel-Kontorova) chain: pendula on a torsion spring.
 
     m u_n'' = C (u_{n-1} - 2 u_n + u_{n+1}) - (k/q) sin(q u_n).
 
@@ -173,17 +153,20 @@ def sine_gordon(
     >>> round(float(gx.measures.energy(chain, kink) / (2 * jnp.pi**2)), 6)  # the one stretched spring
     1.0
     """
-    stiffness = positive(
-        "stiffness", stiffness, "A site that is not held back is a site of another chain."
-    )
+    on_site = pendula(sites, stiffness, wavenumber)
+    return _coupled(sites, coupling, mass, boundary, on_site)
+
+
+def pendula(sites: Count, stiffness: Parameter, wavenumber: Parameter) -> Sine:
+    """The sine law on each site, whose parameters are one number or one per site."""
+    stiffness = positive("stiffness", stiffness, _HELD)
     wavenumber = positive("wavenumber", wavenumber, "The potential's period is 2 pi/q.")
-    coupling = non_negative("coupling", coupling, _COUPLED)
-    return _on_sites(
-        sites,
-        mass,
-        Linear(coupling),
-        Sine(stiffness, wavenumber),
-        boundary,
-        {"coupling": coupling},
-        {"stiffness": stiffness, "wavenumber": wavenumber},
-    )
+    check_each(sites, "site", stiffness=stiffness, wavenumber=wavenumber)
+    return Sine(stiffness, wavenumber)
+
+
+def _coupled(sites, coupling, mass, boundary, on_site):
+    """The chain of springs between sites that a law holds."""
+    coupling = non_negative("coupling", coupling, COUPLED)
+    check_each(contacts_of(sites, boundary), "contact", coupling=coupling)
+    return chain(sites, mass, Linear(coupling), boundary=boundary, on_site=on_site)

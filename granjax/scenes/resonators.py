@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
-from ..checks import non_negative, one_of, positive, refuse
+from ..checks import non_negative, positive, refuse
 from ..lattice import Lattice
 from ..laws import Law, Linear
-from ..strains import BOUNDARIES, Pairs, Shift
+from ..strains import Pairs, Shift
 from ..terms import Bond
 from ..types import Count, Numbers, Parameter
 from ..units import SCALED
-from .chains import _contact, _sites, check_each
+from .chains import a_chain, check_each, contact, contacts_of
 
 _TIE = "A resonator without stiffness is let go: 0 leaves the chain of beads."
 
@@ -20,16 +20,9 @@ def mass_in_mass(
     sites: Count,
     mass: Parameter = 0.5,
     stiffness: Parameter = 1.0,
-    *,
-    bead_mass: Parameter = 1.0,
-    contact_stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
-    boundary: str = "fixed",
-    law: Law | None = None,
-    units: str = SCALED,
+    **contacts: Parameter | str | Law | None,
 ) -> Lattice:
-    r"""Mass-in-mass chain: a locally resonant chain whose beads hold a mass mu on a linear spring kappa.
+    r"""Build a mass-in-mass chain: a locally resonant chain whose beads hold a mass mu on a linear spring kappa.
 
     m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - kappa (u_n - w_n),   mu w_n'' = kappa (u_n - w_n),
 
@@ -46,9 +39,9 @@ def mass_in_mass(
 
     - `sites`: number of beads N >= 2.
     - `mass`: mu > 0, `stiffness`: kappa >= 0 of the resonators, numbers or one per bead (N,).
-    - `bead_mass`: m; `contact_stiffness`: A, `exponent`: p, `precompression`: F0, `boundary`: as in `monomer`.
-    - `law`: a law of the contacts instead of the power law.
-    - `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
+    - `contacts`, by name: `bead_mass`: m = 1; `contact_stiffness`: A = 1, `exponent`: p, `precompression`: F0,
+      `boundary`: as in `monomer`; `law`: a law of the contacts instead of the power law; `units`: what the numbers are
+      counted in, `"scaled"` or `"SI"`.
 
     **Returns:** a `Lattice` of the fields `"bead"` and `"resonator"`, (N,) each. Tail-free waves:
     `gx.travelling.solitary_wave(law, speed=c, resonator=gx.Resonator(mu, kappa))`. Typical: mu = 0.1 ... 10, kappa = 1.
@@ -63,19 +56,7 @@ def mass_in_mass(
     >>> round(float(gap[1]), 6)  # (kappa (1/m + 1/mu))^{1/2}
     1.732051
     """
-    return _resonant(
-        sites,
-        (mass,),
-        (stiffness,),
-        ("resonator",),
-        bead_mass,
-        contact_stiffness,
-        exponent,
-        precompression,
-        boundary,
-        law,
-        units,
-    )
+    return _resonant(sites, {"resonator": {"mass": mass, "stiffness": stiffness}}, **contacts)
 
 
 def mass_with_mass(
@@ -84,83 +65,31 @@ def mass_with_mass(
     stiffness: Parameter = 1.0,
     *,
     at: Sequence[Count] | None = None,
-    bead_mass: Parameter = 1.0,
-    contact_stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
-    boundary: str = "fixed",
-    law: Law | None = None,
-    units: str = SCALED,
+    **contacts: Parameter | str | Law | None,
 ) -> Lattice:
-    r"""Mass-with-mass chain: beads that carry a ring, a mass mu outside of the bead on a linear spring kappa.
+    r"""Build a mass-with-mass chain: beads that carry a ring, a mass mu outside of the bead on a linear spring kappa.
 
     The equations are those of `mass_in_mass`; here the beads that carry one can be named, such as the one of a
     mass-with-mass defect, from which a solitary wave is scattered.
 
     **Arguments:** `at`: the beads that carry a resonator, negative from the end; `None` is all. `mass`, `stiffness`:
-    numbers or one per resonator. The others as in `mass_in_mass`.
+    numbers or one per resonator. `contacts`: as in `mass_in_mass`.
 
     **Returns:** a `Lattice` of the fields `"bead"` (N,) and `"resonator"`, as many as carry one.
-    **Raises** ValueError as `mass_in_mass` does, for a bead outside of the chain or named twice.
+    **Raises** ValueError as `mass_in_mass` does, for no bead, one outside of the chain, or one named twice.
     Source: Gantzounis, Serra-Garcia, Homma, Mendoza, Daraio, J. Appl. Phys. 114, 093514 (2013); Kevrekidis, Vainchtein,
     Serra Garcia, Daraio, Phys. Rev. E 87, 042911 (2013).
     """
-    if at is None:
-        return _resonant(
-            sites,
-            (mass,),
-            (stiffness,),
-            ("resonator",),
-            bead_mass,
-            contact_stiffness,
-            exponent,
-            precompression,
-            boundary,
-            law,
-            units,
-        )
-    sites = _sites(sites)
-    places = [int(site) for site in at]
-    if any(not -sites <= site < sites for site in places) or len(
-        {site % sites for site in places}
-    ) < len(places):
-        refuse(
-            "at",
-            f"sites from 0 to {sites - 1}, or negative from the end, each once",
-            repr(list(at)),
-        )
-    places = [site % sites for site in places]
-    count = len(places)
-    mu, kappa = (
-        positive("mass", mass, "A resonator needs a mass."),
-        non_negative("stiffness", stiffness, _TIE),
-    )
-    check_each("mass", mu, count, "resonator")
-    check_each("stiffness", kappa, count, "resonator")
-    bead = positive("bead_mass", bead_mass, "A bead needs a mass.")
-    masses = {"bead": jnp.broadcast_to(bead, (sites,)), "resonator": jnp.broadcast_to(mu, (count,))}
-    tie = Bond(
-        Pairs(places, range(count), sites=(sites, count), fields=("bead", "resonator")),
-        Linear(kappa),
-    )
-    contacts = _contacts(sites, contact_stiffness, exponent, precompression, boundary, law)
-    return Lattice(masses, (contacts, tie), units=units)
+    return _resonant(sites, {"resonator": {"mass": mass, "stiffness": stiffness}}, at, **contacts)
 
 
 def woodpile(
     sites: Count,
     masses: Sequence[Parameter] | Numbers = (0.5, 0.25),
     stiffnesses: Sequence[Parameter] | Numbers = (1.0, 2.0),
-    *,
-    bead_mass: Parameter = 1.0,
-    contact_stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0,
-    boundary: str = "fixed",
-    law: Law | None = None,
-    units: str = SCALED,
+    **contacts: Parameter | str | Law | None,
 ) -> Lattice:
-    r"""Woodpile: crossed cylindrical rods in a stack, whose bending modes are resonators of the contacts' chain.
+    r"""Build a woodpile: a stack of crossed rods, whose bending modes are resonators of the contacts' chain.
 
     m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - sum_j kappa_j (u_n - w_nj),   mu_j w_nj'' = kappa_j (u_n - w_nj).
 
@@ -170,7 +99,7 @@ def woodpile(
 
     **Arguments:** `masses`: mu_j > 0, `stiffnesses`: kappa_j >= 0, sequences of equal length, one entry per resonator
     of a rod, each a number or one per rod (N,); an array has the resonators along its first axis. kappa_j = 0 lets a
-    resonator go: all zero is the chain of rods. The others as in `mass_in_mass`.
+    resonator go: all zero is the chain of rods. `contacts`: as in `mass_in_mass`.
 
     **Returns:** a `Lattice` of the fields `"bead"` (the rod) and `"resonator_1"`, `"resonator_2"`, ..., (N,) each.
     **Raises** ValueError as `mass_in_mass` does, and for lengths that differ.
@@ -190,66 +119,69 @@ def woodpile(
             f"{len(stiffnesses)}",
             "Each resonator has both.",
         )
-    names = tuple(f"resonator_{j + 1}" for j in range(len(masses)))
-    return _resonant(
-        sites,
-        masses,
-        stiffnesses,
-        names,
-        bead_mass,
-        contact_stiffness,
-        exponent,
-        precompression,
-        boundary,
-        law,
-        units,
-    )
+    resonators = {
+        f"resonator_{j + 1}": {f"masses[{j}]": mu, f"stiffnesses[{j}]": kappa}
+        for j, (mu, kappa) in enumerate(zip(masses, stiffnesses))
+    }
+    return _resonant(sites, resonators, **contacts)
 
 
 def _resonant(
     sites,
-    masses,
-    stiffnesses,
-    names,
-    bead_mass,
-    contact_stiffness,
-    exponent,
-    precompression,
-    boundary,
-    law,
-    units,
+    resonators,
+    at=None,
+    *,
+    bead_mass=1.0,
+    contact_stiffness=1.0,
+    exponent=1.5,
+    precompression=0.0,
+    boundary="fixed",
+    law=None,
+    units=SCALED,
 ):
-    sites = _sites(sites)
-    alone = len(names) == 1
-    mass = {"bead": positive("bead_mass", bead_mass, "A bead needs a mass.")}
-    terms = [_contacts(sites, contact_stiffness, exponent, precompression, boundary, law)]
-    for j, (name, mu, kappa) in enumerate(zip(names, masses, stiffnesses)):
-        said = (
-            ("mass", "stiffness")
-            if alone and name == "resonator"
-            else (f"masses[{j}]", f"stiffnesses[{j}]")
-        )
-        mass[name] = positive(said[0], mu, "A resonator needs a mass.")
-        kappa = non_negative(said[1], kappa, _TIE)
-        check_each(said[1], kappa, sites, "bead")
-        terms.append(Bond(Shift(0, "free", ("bead", name)), Linear(kappa)))
-        check_each(said[0], mass[name], sites, "bead")
-    check_each("bead_mass", mass["bead"], sites, "bead")
-    return Lattice(mass, tuple(terms), sites=sites, units=units)
+    """The chain of beads, all of which, or those at some places, carry resonators.
 
-
-def _contacts(sites, stiffness, exponent, precompression, boundary, law):
-    one_of("boundary", boundary, BOUNDARIES)
+    `resonators`: from field to mass and stiffness, each under its argument's name.
+    """
+    contacts, sites = contacts_of(sites, boundary), a_chain(sites)
     if law is None:
         stiffness = positive(
-            "contact_stiffness", stiffness, "The contact coefficient A is positive."
+            "contact_stiffness", contact_stiffness, "The contact coefficient A is positive."
         )
-        law = _contact(stiffness, exponent, precompression)
-        count = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
-        for name, x in (
-            ("contact_stiffness", stiffness),
-            ("exponent", exponent),
-            ("precompression", precompression),
-        ):
-            check_each(name, x, count, "contact")
-    return Bond(Shift(1, boundary, "bead"), law)
+        law = contact(stiffness, exponent, precompression)
+        check_each(
+            contacts,
+            "contact",
+            contact_stiffness=stiffness,
+            exponent=exponent,
+            precompression=precompression,
+        )
+    places = range(sites) if at is None else _places(sites, at)
+    count, carrier = (sites, "bead") if at is None else (len(places), "resonator")
+    mass = {"bead": positive("bead_mass", bead_mass, "A bead needs a mass.")}
+    check_each(sites, "bead", bead_mass=bead_mass)
+    terms = [Bond(Shift(1, boundary, "bead"), law)]
+    for name, given in resonators.items():
+        check_each(count, carrier, **given)
+        (of_mass, mu), (of_spring, kappa) = given.items()
+        mass[name] = positive(of_mass, mu, "A resonator needs a mass.")
+        fields = ("bead", name)
+        tie = (
+            Shift(0, "free", fields)
+            if at is None
+            else Pairs(places, range(count), sites=(sites, count), fields=fields)
+        )
+        terms.append(Bond(tie, Linear(non_negative(of_spring, kappa, _TIE))))
+    if at is None:
+        return Lattice(mass, terms, sites=sites, units=units)
+    sizes = {"bead": sites, "resonator": count}
+    mass = {name: jnp.broadcast_to(m, (sizes[name],)) for name, m in mass.items()}
+    return Lattice(mass, terms, units=units)
+
+
+def _places(sites, at):
+    places = [site % sites for site in at if -sites <= site < sites]
+    if not places or len(set(places)) < len(at):
+        wanted = f"sites from 0 to {sites - 1}, or negative from the end, each once, one at least"
+        refuse("at", wanted, repr([*at]))
+    return places

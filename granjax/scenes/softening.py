@@ -1,14 +1,12 @@
 """Strain-softening chains, F(e) = A ([d0 + e]_+^p - d0^p) with 0 < p < 1, and chains that soften and harden in turn."""
 
-import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, positive, refuse, within
+from ..checks import concrete, positive, refuse, within
 from ..lattice import Lattice
-from ..laws import PowerLaw
 from ..types import Count, Parameter
 from ..units import SCALED
-from .chains import _chain, _sites
+from .chains import contacts_of, monomer, stacked
 
 _STIFF = "A contact of 0 < p < 1 without static force is infinitely stiff at rest, and so where it re-opens."
 _SOFT = "0 < p < 1 softens; p = 1 is linear and p > 1 hardens: gx.scenes.monomer."
@@ -24,7 +22,7 @@ def foam(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Strain-softening chain: stainless steel cylinders separated by polymer foam.
+    r"""Build a strain-softening chain of stainless steel cylinders separated by polymer foam.
 
     m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}),  F(e) = A ([d0 + e]_+^p - d0^p),  0 < p < 1,  d0 = (F0/A)^{1/p}.
 
@@ -51,23 +49,18 @@ def foam(
     **Raises** ValueError as `monomer` does, for p outside (0, 1), and for F0 = 0.
     Source: Herbold, Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
     """
-    return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
+    within("exponent", exponent, 0, 1, open_low=True, open_high=True, remedy=_SOFT)
+    F0 = positive("precompression", precompression, _STIFF)
+    return monomer(sites, mass, stiffness, exponent, F0, boundary).counted_in(units)
 
 
 def hollow_cylinders(
-    sites: Count,
-    exponent: Parameter = 0.5,
-    *,
-    mass: Parameter = 1.0,
-    stiffness: Parameter = 1.0,
-    precompression: Parameter = 1.0,
-    boundary: str = "fixed",
-    units: str = SCALED,
+    sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str
 ) -> Lattice:
-    """Strain-softening chain: hollow elliptical cylinders, whose walls bend; dispersive rarefaction shocks.
+    """Build a strain-softening chain of hollow elliptical cylinders, whose walls bend; dispersive rarefaction shocks.
 
-    Equation, arguments and errors as in `foam`. Example: `gx.shocks.step(lattice, left, right)`, left < right, makes a
-    rarefaction shock.
+    Equation, arguments (`contacts` are `mass`, `stiffness`, `precompression`, `boundary` and `units`) and errors as in
+    `foam`. Example: `gx.shocks.step(lattice, left, right)`, left < right, makes a rarefaction shock.
 
     **Returns:** a `Lattice`. Source: Kim, Kim, Chong, Kevrekidis, Yang, Phys. Rev. Lett. 120, 194101 (2018).
 
@@ -77,20 +70,11 @@ def hollow_cylinders(
     >>> round(float(gx.linear.sound_speed(chain)), 6)  # (1/4)^{1/2}
     0.5
     """
-    return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
+    return foam(sites, exponent, **contacts)
 
 
-def origami(
-    sites: Count,
-    exponent: Parameter = 0.5,
-    *,
-    mass: Parameter = 1.0,
-    stiffness: Parameter = 1.0,
-    precompression: Parameter = 1.0,
-    boundary: str = "fixed",
-    units: str = SCALED,
-) -> Lattice:
-    """Strain-softening chain: origami cells (Tachi-Miura polyhedra), each a bond; rarefaction waves, impact mitigation.
+def origami(sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str) -> Lattice:
+    """Build a strain-softening chain of origami cells (Tachi-Miura polyhedra), each a bond, which mitigate impacts.
 
     The folding of a cell is one degree of freedom with the effective power law of `foam`, whose equation, arguments and
     errors these are. Twisting cells, which turn as they shorten, need a `gx.Stencil` over displacement and angle.
@@ -98,23 +82,14 @@ def origami(
     **Returns:** a `Lattice`. Source: Yasuda, Chong, Charalampidis, Kevrekidis, Yang, Phys. Rev. E 93, 043004 (2016);
     Yasuda, Miyazawa, Charalampidis, Chong, Kevrekidis, Yang, Sci. Adv. 5, eaau2835 (2019).
     """
-    return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
+    return foam(sites, exponent, **contacts)
 
 
-def tensegrity(
-    sites: Count,
-    exponent: Parameter = 0.5,
-    *,
-    mass: Parameter = 1.0,
-    stiffness: Parameter = 1.0,
-    precompression: Parameter = 1.0,
-    boundary: str = "fixed",
-    units: str = SCALED,
-) -> Lattice:
-    """Strain-softening chain: lumped masses between tensegrity prisms, which soften or harden by their prestress.
+def tensegrity(sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str) -> Lattice:
+    """Build a strain-softening chain of lumped masses between tensegrity prisms.
 
-    The softening regime, with the effective power law of `foam`, whose equation, arguments and errors these are. The
-    hardening one is `gx.scenes.monomer` with an exponent above 1.
+    By their prestress these soften or harden. This is the softening regime, with the effective power law of `foam`,
+    whose equation, arguments and errors these are. The hardening one is `gx.scenes.monomer` with an exponent above 1.
 
     **Returns:** a `Lattice`. Source: Fraternali, Carpentieri, Amendola, Skelton, Nesterenko, Appl. Phys. Lett. 105,
     201903 (2014).
@@ -125,7 +100,7 @@ def tensegrity(
     >>> round(float(gx.linear.sound_speed(chain)), 6)  # (1/4)^{1/2}
     0.5
     """
-    return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
+    return foam(sites, exponent, **contacts)
 
 
 def alternating(
@@ -138,7 +113,7 @@ def alternating(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Chain of equal masses whose contacts alternate between strain hardening and strain softening.
+    r"""Build a chain of equal masses whose contacts alternate between strain hardening and strain softening.
 
     Contact n has F(e) = A_j ([d_j + e]_+^{p_j} - d_j^{p_j}), j = n mod P, d_j = (F0/A_j)^{1/p_j}; the wall's contact is
     the first one with walls. For two kinds, with K_j = p_j A_j^{1/p_j} F0^{1-1/p_j} and equal masses m,
@@ -155,14 +130,16 @@ def alternating(
     differ, F0 = 0 where a contact softens. Typical: exponents (3/2, 1/2).
     Source: Lee, Charalampidis, Xing, Chong, Kevrekidis, Phys. Rev. E 107, 054208 (2023).
     """
-    sites = _sites(sites)
+    contacts = contacts_of(sites, boundary)
     p = positive(
         "exponents",
-        _cell("exponents", exponents),
+        stacked("exponents", exponents),
         "Magnets, p < 0, have no plus part: use two bonds.",
     )
     A = positive(
-        "stiffnesses", _cell("stiffnesses", stiffnesses), "The contact coefficient A is positive."
+        "stiffnesses",
+        stacked("stiffnesses", stiffnesses),
+        "The contact coefficient A is positive.",
     )
     if not p.ndim or A.ndim and A.shape[0] != p.shape[0]:
         refuse(
@@ -170,39 +147,11 @@ def alternating(
             "as many stiffnesses as exponents, in sequences",
             f"shapes {p.shape} and {A.shape}",
         )
-    contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
     if boundary == "periodic" and sites % p.shape[0]:
         refuse("sites", f"a multiple of {p.shape[0]}, whole cells on a ring", repr(sites))
     known = concrete(p)
     if known is None or (known < 1).any():
         precompression = positive("precompression", precompression, _STIFF)
     order = np.arange(contacts) % p.shape[0]
-    law = PowerLaw(A[order] if A.ndim else A, p[order], precompression)
-    return _chain(sites, mass, law, boundary, precompression=precompression).counted_in(units)
-
-
-def _cell(name, values):
-    """The numbers of one cell in an array."""
-    if isinstance(values, (tuple, list)):
-        return (
-            jnp.stack([parameter(f"{name}[{i}]", x) for i, x in enumerate(values)])
-            if values
-            else jnp.zeros(0)
-        )
-    return parameter(name, values)
-
-
-def _softening(sites, exponent, mass, stiffness, precompression, boundary, units):
-    p = within("exponent", exponent, 0, 1, open_low=True, open_high=True, remedy=_SOFT)
-    precompression = positive("precompression", precompression, _STIFF)
-    law = PowerLaw(stiffness, exponent if isinstance(exponent, (int, float)) else p, precompression)
-    chain = _chain(
-        sites,
-        mass,
-        law,
-        boundary,
-        stiffness=stiffness,
-        exponent=exponent,
-        precompression=precompression,
-    )
-    return chain.counted_in(units)
+    A = A[order] if A.ndim else A
+    return monomer(sites, mass, A, p[order], precompression, boundary).counted_in(units)

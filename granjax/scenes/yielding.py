@@ -2,14 +2,14 @@
 
 import jax.numpy as jnp
 
-from ..checks import non_negative, one_of, parameter, positive
+from ..checks import non_negative, parameter, positive
 from ..lattice import Lattice
 from ..laws import Thornton, plus_power
-from ..strains import BOUNDARIES, Shift
+from ..strains import Shift
 from ..terms import PlasticContact
 from ..types import Count, Parameter
 from ..units import SCALED
-from .chains import _sites, check_contacts
+from .chains import a_chain, check_each, contacts_of
 
 
 def plastic(
@@ -22,7 +22,7 @@ def plastic(
     boundary: str = "free",
     units: str = SCALED,
 ) -> Lattice:
-    r"""A chain of elastic-plastic spheres (Thornton's): Hertz up to the overlap s_y, then a straight line.
+    r"""Build a chain of elastic-plastic spheres (Thornton's): Hertz up to the overlap s_y, then a straight line.
 
     Unloading leaves an indentation: each contact remembers its largest overlap. `gx.simulate` runs it, and returns the
     overlaps and the energy lost; pulses fall off along the chain, the faster the higher they are.
@@ -40,12 +40,14 @@ def plastic(
     >>> bool(run.lost.sum() > 0)  # what yielding has taken of the energy
     True
     """
-    sites = _sites(sites)
-    one_of("boundary", boundary, BOUNDARIES)
     stiffness, yields = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
     F0 = non_negative("precompression", precompression, "A chain under tension falls apart.")
-    check_contacts(
-        sites, boundary, {"stiffness": stiffness, "yield_overlap": yields, "precompression": F0}
+    check_each(
+        contacts_of(sites, boundary),
+        "contact",
+        stiffness=stiffness,
+        yield_overlap=yields,
+        precompression=F0,
     )
     # the overlap that F0 presses virgin contacts to
     first = stiffness * plus_power(yields, 1.5)
@@ -53,4 +55,4 @@ def plastic(
         F0 > first, yields * (2 * F0 / first + 1) / 3, plus_power(F0 / stiffness, 2 / 3)
     )
     contacts = PlasticContact(Shift(1, boundary), Thornton(stiffness, yields), overlap)
-    return Lattice(parameter("mass", mass), contacts, sites=sites, units=units)
+    return Lattice(parameter("mass", mass), contacts, sites=a_chain(sites), units=units)

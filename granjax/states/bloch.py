@@ -1,7 +1,5 @@
 """Packets of Bloch waves, on chains with several sites per cell and in the plane."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,7 +10,7 @@ from ..lattice import Lattice, State
 from ..linear.cell import by_sites, unit_cell
 from ..linear.stiffness import grid, unpack
 from ..linear.zone import lattice_vectors, named_points
-from ..types import Cell, Count, Displacements, Parameter
+from ..types import Cell, Count, Parameter
 
 # bands that are nearer than this share of the largest omega^2 meet, and a root of less below zero is rounding
 MEET, ROUNDING = 1e-9, 1e-12
@@ -67,7 +65,8 @@ def bloch_packet(
     counts = tuple(n // c for n, c in zip(sites, found.cell))
     vectors = lattice_vectors(lattice, found.cell) if lattice.positions is not None else None
     k = _point(k, vectors, axes)
-    squared, waves = _waves(found, _mesh(counts))
+    ring = np.meshgrid(*(2 * np.pi * np.fft.fftfreq(n) for n in counts), indexing="ij")
+    squared, waves = _waves(found, jnp.stack(ring, -1))
     scale = float(jnp.abs(squared).max())
     if float(squared.min()) < -ROUNDING * scale:
         refuse(
@@ -90,8 +89,13 @@ def bloch_packet(
     phase = np.exp(1j * np.tensordot(np.moveaxis(np.indices(counts), 0, -1), k, 1))
     amplitude = parameter("amplitude", amplitude)
     u, v = _run(amplitude * envelope * phase, start, squared, waves, bands)
-    root = jnp.sqrt(found.mass)
-    return State(*(_on_sites(lattice, found, x / root) for x in (u, v)))
+    sites_in_cells = counts + found.cell + (-1,)
+
+    def on_sites(x):
+        x = by_sites((x / jnp.sqrt(found.mass)).reshape(sites_in_cells), axes)
+        return unpack(x.astype(lattice.dtype), found.fields, found.dimension)
+
+    return State(on_sites(u), on_sites(v))
 
 
 def _point(k, vectors, axes):
@@ -103,13 +107,6 @@ def _point(k, vectors, axes):
     if k.shape != (axes,):
         refuse("k", f"{axes} phases, one per axis of the lattice", f"shape {k.shape}")
     return k
-
-
-def _mesh(counts):
-    """Wave numbers of the ring of cells, (cells..., axes)."""
-    return jnp.stack(
-        jnp.meshgrid(*(2 * np.pi * np.fft.fftfreq(n) for n in counts), indexing="ij"), -1
-    )
 
 
 @eqx.filter_jit
@@ -210,10 +207,3 @@ def _run(packet, start, squared, waves, bands):
     omega = jnp.sqrt(jnp.maximum(squared, 0))
     back = lambda x: jnp.real(jnp.fft.ifftn(jnp.einsum("...ab,...b->...a", waves, x), axes=axes))
     return back(parts), back(-1j * omega * parts)
-
-
-def _on_sites(lattice: Lattice, found: Any, x: Any) -> Displacements:
-    """Cells (cells..., P) as displacements of the lattice."""
-    axes = len(found.cell)
-    x = by_sites(x.reshape(x.shape[:axes] + found.cell + (-1,)), axes)
-    return unpack(x.astype(lattice.dtype), found.fields, found.dimension)

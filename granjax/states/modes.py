@@ -1,16 +1,14 @@
 """States in one normal mode of the linear lattice."""
 
-import math
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, per_lane, refuse, whole
 from ..lattice import Lattice, State
+from ..linear import normal_modes
 from ..types import Count, Parameter
-from .places import chain_only
+from .places import chain_only, column, state_of
 
 
 def normal_mode(
@@ -25,7 +23,8 @@ def normal_mode(
 
     **Arguments:** `index`: 0 is the lowest frequency, negative from the highest. `amplitude`: a
     [m]; `phase` [rad]; numbers, or one per lane. Where frequencies coincide the mode is one of many.
-    **Raises** ValueError for an index that is not there, or a lattice without linear stiffness (a sonic vacuum).
+    **Raises** ValueError for an index that is not there, a lattice without linear stiffness (a sonic vacuum), and where
+    `gx.linear.normal_modes` does.
 
     **Example:**
 
@@ -34,35 +33,28 @@ def normal_mode(
     >>> round(float(state.u.max()), 4), round(float(state.u.min()), 4)
     (0.1, -0.1)
     """
-    size, lanes = sum(_sizes(lattice)), lattice.lanes
-    if not -size <= index < size:
-        refuse(
-            "index",
-            f"a whole number within {-size} ... {size - 1}",
-            repr(index),
-            "Modes are counted from 0.",
-        )
+    lanes = lattice.lanes
     amplitude, phase = per_lane("amplitude", amplitude, lanes), per_lane("phase", phase, lanes)
-    stiffness, mass = _matrices(lattice, size)
-    values = concrete(stiffness)
-    if values is not None and not np.any(values):
-        refuse(
-            "lattice",
-            "a linear stiffness",
-            "none (a sonic vacuum)",
-            "Give its contacts a precompression.",
-        )
-    root = jnp.sqrt(mass)
-    symmetric = stiffness / root[..., :, None] / root[..., None, :]
-    squares, vectors = jnp.linalg.eigh(symmetric)
-    phi = vectors[..., :, index] / root
-    phi = phi / jnp.abs(phi).max(-1, keepdims=True)
-    high = jnp.abs(phi) >= 0.1
-    lead = jnp.take_along_axis(phi, jnp.argmax(high, -1)[..., None], -1)
-    phi = jnp.moveaxis(phi * jnp.sign(lead), -1, 0).reshape((size,) + lanes)
-    omega = jnp.sqrt(jnp.maximum(squares[..., index], 0)).reshape(lanes)
-    u, v = amplitude * jnp.cos(phase) * phi, -omega * amplitude * jnp.sin(phase) * phi
-    return State(_shaped(lattice, u), _shaped(lattice, v))
+    solve = normal_modes
+    for _ in lanes:
+        solve = jax.vmap(solve, in_axes=-1, out_axes=-1)
+    found = solve(lattice)
+    size = len(found.omega)
+    if not -size <= index < size:
+        wanted = f"a whole number within {-size} ... {size - 1}"
+        refuse("index", wanted, repr(index), "Modes are counted from 0.")
+    omega = concrete(found.omega)
+    if omega is not None and not np.any(omega):
+        remedy = "Give its contacts a precompression."
+        refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", remedy)
+    phi = jax.tree.map(lambda x: jnp.take(x, index, axis=-1 - len(lanes)), found.modes)
+    flat = jnp.concatenate([x.reshape((-1,) + lanes) for x in jax.tree.leaves(phi)])
+    largest = jnp.abs(flat).max(0)
+    first = jnp.argmax(jnp.abs(flat) >= 0.1 * largest, 0, keepdims=True)
+    a = amplitude * jnp.sign(jnp.take_along_axis(flat, first, 0)[0]) / largest
+    rate = jnp.maximum(found.omega[index], 0)
+    u = jax.tree.map(lambda x: a * jnp.cos(phase) * x, phi)
+    return State(u, jax.tree.map(lambda x: -rate * a * jnp.sin(phase) * x, phi))
 
 
 def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> State:
@@ -80,50 +72,7 @@ def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> Sta
         refuse(
             "k", f"a whole number from 1 to {size}", repr(k), "A chain has as many modes as sites."
         )
-    n = jnp.arange(1, size + 1).reshape((-1,) + (1,) * len(lattice.lanes))
     # k n taken modulo the period in whole numbers, so that high modes lose no digits
+    n = column(lattice, jnp.arange(1, size + 1))
     shape = jnp.sin(jnp.pi / (size + 1) * (k * n % (2 * (size + 1))))
-    u = per_lane("amplitude", amplitude, lattice.lanes) * shape
-    zeros = lattice.zeros()
-    return State((zeros + u).astype(zeros.dtype), zeros)
-
-
-@eqx.filter_jit
-def _matrices(lattice, size):
-    """Stiffness (lanes..., size, size) and masses (lanes..., size), lanes as one leading axis where there are any."""
-    zeros = lattice.zeros()
-    time = jnp.zeros(())
-
-    def column(unit):
-        unit = unit.reshape((-1,) + (1,) * len(lattice.lanes))
-        push = _shaped(lattice, jnp.broadcast_to(unit, (size,) + lattice.lanes))
-        return _flat(
-            lattice, jax.jvp(lambda u: lattice.force(time, u, zeros), (zeros,), (push,))[1]
-        )
-
-    stiffness = -jax.vmap(column, out_axes=1)(jnp.eye(size, dtype=jax.tree.leaves(zeros)[0].dtype))
-    mass = _flat(lattice, jax.tree.map(lambda m, z: m + z, lattice.mass, zeros))
-    return _lanes_first(stiffness, 2), _lanes_first(mass, 1)
-
-
-def _lanes_first(x, own):
-    return jnp.moveaxis(x.reshape(x.shape[:own] + (-1,)), -1, 0)
-
-
-def _flat(lattice, x):
-    return jnp.concatenate([leaf.reshape((-1,) + lattice.lanes) for leaf in jax.tree.leaves(x)])
-
-
-def _shaped(lattice, flat):
-    """Inverse of `_flat`, in the lattice's type."""
-    leaves, structure = jax.tree.flatten(lattice.template())
-    parts = jnp.split(flat, np.cumsum(_sizes(lattice))[:-1])
-    return jax.tree.unflatten(
-        structure, [p.reshape(s.shape).astype(s.dtype) for p, s in zip(parts, leaves)]
-    )
-
-
-def _sizes(lattice):
-    """Displacements in every field of one lattice."""
-    lanes = len(lattice.lanes)
-    return [math.prod(s.shape[: len(s.shape) - lanes]) for s in jax.tree.leaves(lattice.template())]
+    return state_of(lattice, per_lane("amplitude", amplitude, lattice.lanes) * shape)

@@ -3,8 +3,12 @@
 import operator
 from typing import Any
 
-from ..checks import concrete, one_of, parameter, refuse, show
-from ..lattice import Lattice
+import jax
+import jax.numpy as jnp
+
+from ..checks import concrete, one_of, parameter, per_lane, refuse, show, within
+from ..lattice import Lattice, State
+from ..types import Parameter
 
 
 def field_of(lattice: Lattice, field: str | None) -> str | None:
@@ -42,6 +46,32 @@ def chain_only(lattice: Lattice, what: str) -> int:
         got = f"displacements of shape {lattice.shape}"
         refuse("lattice", f"a chain with one displacement per site, for {what}", got)
     return lattice.shape[0]
+
+
+def numbers(lattice: Lattice, first: int = 0) -> jax.Array:
+    """The numbers of a chain's sites as a column beside the lanes."""
+    return column(lattice, jnp.arange(first, lattice.shape[0] + first, dtype=float))
+
+
+def column(lattice: Lattice, x: jax.Array) -> jax.Array:
+    """An array along a chain as a column beside the lanes."""
+    return x.reshape((-1,) + (1,) * len(lattice.lanes))
+
+
+def state_of(lattice: Lattice, u: Parameter, v: Parameter = 0.0) -> State:
+    """The state of these displacements and velocities, in the lattice's shape and type."""
+    zeros = lattice.zeros()
+    return State((zeros + u).astype(zeros.dtype), (zeros + v).astype(zeros.dtype))
+
+
+def crest(lattice: Lattice, centre: Parameter | None, direction: str) -> jax.Array:
+    """Where a wave of a chain begins: by default a quarter of the chain from the end that it leaves."""
+    size = lattice.shape[0]
+    one_of("direction", direction, ("right", "left"))
+    if centre is None:
+        centre = (size if direction == "right" else 3 * size) / 4
+    on_chain = lambda name, x: within(name, x, 0, size - 1)
+    return per_lane("centre", centre, lattice.lanes, on_chain)
 
 
 def inside(name: str, centre: Any, size: int) -> Any:

@@ -1,6 +1,5 @@
 """Solitons of the integrable neighbours of a chain: Toda's and that of Korteweg and de Vries."""
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, per_lane, positive, refuse, show, within
+from ..checks import concrete, per_lane, positive, refuse, show
 from ..lattice import Lattice, State, spread_mass
 from ..theory import kdv, toda
 from ..types import Parameter
-from .places import chain_only
+from .places import chain_only, crest, numbers, state_of
 
 # how far a chain may differ from a uniform one, in units of its stiffness; how large a wave may be at its ends;
 # least sites
@@ -75,8 +74,7 @@ def toda_soliton(
             **constants,
         )
     k = per_lane("k", k, lattice.lanes, positive)
-    wave = partial(toda.soliton, k=k, centre=centre, direction=direction, **constants)
-    y, v, u = wave(n, 0.0)
+    y, v, u = toda.soliton(n, 0.0, k=k, centre=centre, direction=direction, **constants)
     return _held(lattice, chain, y, u, v)
 
 
@@ -97,23 +95,13 @@ def kdv_soliton(
     given = dict(
         speed=_one(lattice, "speed", speed), amplitude=_one(lattice, "amplitude", amplitude)
     )
+
+    def wave(t):
+        how = {"mass": chain.mass, "centre": centre, "direction": direction, **given}
+        return tuple(kdv.soliton(n, t, chain.K2, chain.K3, **how))
+
     # strains and their rates, summed from the last site on
-    (y, v, u), (rate, *_) = jax.jvp(
-        lambda t: tuple(
-            kdv.soliton(
-                n,
-                t,
-                chain.K2,
-                chain.K3,
-                mass=chain.mass,
-                centre=centre,
-                direction=direction,
-                **given,
-            )
-        ),
-        (jnp.zeros(()),),
-        (jnp.ones(()),),
-    )
+    (y, v, u), (rate, *_) = jax.jvp(wave, (jnp.zeros(()),), (jnp.ones(()),))
     u, v = (
         x[-1:] + jnp.concatenate([jnp.cumsum(part[-2::-1], 0)[::-1], jnp.zeros_like(x[-1:])])
         for x, part in ((u, y), (v, rate))
@@ -155,13 +143,7 @@ def _places(what, lattice, centre, direction):
                 "K3 = 0",
                 "Neither equation is near such a chain; see states.solitary_wave.",
             )
-    centre = per_lane(
-        "centre",
-        (size if direction == "right" else 3 * size) / 4 if centre is None else centre,
-        lattice.lanes,
-        partial(within, low=0, high=size - 1),
-    )
-    return chain, jnp.arange(size, dtype=float).reshape((-1,) + (1,) * len(lattice.lanes)), centre
+    return chain, numbers(lattice), crest(lattice, centre, direction)
 
 
 @eqx.filter_jit
@@ -170,7 +152,7 @@ def _uniform(lattice):
     zeros = lattice.zeros()
     size = zeros.shape[0]
     mid = size // 2
-    n = jnp.arange(size, dtype=zeros.dtype).reshape((-1,) + (1,) * len(lattice.lanes)) + 0 * zeros
+    n = numbers(lattice).astype(zeros.dtype) + 0 * zeros
     force = lambda u: lattice.force(jnp.zeros((), zeros.dtype), u, zeros)
 
     def derivatives(shape):
@@ -214,14 +196,7 @@ def _held(lattice, chain, y, u, v):
             f"one with {show(np.max(edge / crest))} of its crest at an end",
             "Take a longer chain, another centre, or a larger wave, which is shorter.",
         )
-    size, total = len(u), u[0] - u[-1]
-    n = jnp.arange(size, dtype=u.dtype).reshape((-1,) + (1,) * (u.ndim - 1))
-    both = chain.left & chain.right
-    u = u - jnp.where(chain.left, u[0], 0.0)
-    u = (
-        u
-        + jnp.where(both, total * (n + 1) / (size + 1), 0.0)
-        + jnp.where(chain.ring, total * n / size, 0.0)
-    )
-    zeros = lattice.zeros()
-    return State((zeros + u).astype(zeros.dtype), (zeros + v).astype(zeros.dtype))
+    size, total, n = len(u), u[0] - u[-1], numbers(lattice)
+    walls = jnp.where(chain.left & chain.right, total * (n + 1) / (size + 1), 0.0)
+    ring = jnp.where(chain.ring, total * n / size, 0.0)
+    return state_of(lattice, u - jnp.where(chain.left, u[0], 0.0) + walls + ring, v)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from ..checks import per_lane
 from ..lattice import Lattice, State
 from ..types import Parameter
-from .places import chain_only, inside
+from .places import chain_only, inside, numbers, state_of
 
 
 def strain_step(
@@ -27,10 +27,9 @@ def strain_step(
     size = chain_only(lattice, "strain_step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
     centre = inside("centre", (size - 1) // 2 if centre is None else centre, size)
-    n = jnp.arange(size, dtype=left.dtype).reshape((-1,) + (1,) * len(lattice.lanes))
+    n = numbers(lattice)
     before, after = jnp.maximum(centre - n, 0), size - 1 - jnp.maximum(n, centre)
-    zeros = lattice.zeros()
-    return State((zeros + (left * before + right * after)).astype(zeros.dtype), zeros)
+    return state_of(lattice, left * before + right * after)
 
 
 def velocity_step(lattice: Lattice, c: Parameter, centre: Parameter | None = None) -> State:
@@ -56,6 +55,4 @@ def velocity_step(lattice: Lattice, c: Parameter, centre: Parameter | None = Non
     size = chain_only(lattice, "velocity_step")
     c = per_lane("c", c, lattice.lanes)
     centre = inside("centre", (size - 1) / 2 if centre is None else centre, size)
-    n = jnp.arange(size, dtype=c.dtype).reshape((-1,) + (1,) * len(lattice.lanes))
-    zeros = lattice.zeros()
-    return State(zeros, (zeros - 2 * c * jnp.sign(n - centre)).astype(zeros.dtype))
+    return state_of(lattice, 0.0, -2 * c * jnp.sign(numbers(lattice) - centre))

@@ -12,7 +12,6 @@ import numpy as np
 from ..checks import (
     concrete,
     described,
-    one_of,
     parameter,
     per_lane,
     positive,
@@ -24,7 +23,7 @@ from ..lattice import Lattice, State
 from ..profiles import medium_of, one_given, wave_of
 from ..programs import by_rows
 from ..types import Parameter, Scalar
-from .places import chain_only
+from .places import chain_only, column, crest, numbers, state_of
 
 UNIFORM = 1e-6
 
@@ -71,33 +70,22 @@ def wave_packet(
     size = chain_only(lattice, "wave_packet")
     lanes = lattice.lanes
     k = per_lane("k", k, lanes, partial(within, low=0, high=np.pi, open_low=True, open_high=True))
-    width, amplitude = (
-        per_lane("width", width, lanes, positive),
-        per_lane("amplitude", amplitude, lanes),
-    )
-    sign = 1 if one_of("direction", direction, ("right", "left")) == "right" else -1
-    centre = per_lane(
-        "centre", (size if sign > 0 else 3 * size) / 4 if centre is None else centre, lanes
-    )
-    if concrete(centre) is not None and not np.all(
-        (concrete(centre) >= 0) & (concrete(centre) <= size - 1)
-    ):
-        refuse("centre", f"a place within 0 ... {size - 1}", show(concrete(centre)))
-    zeros = lattice.zeros()
-    x = _column(jnp.arange(size, dtype=float), lattice) - centre
+    width = per_lane("width", width, lanes, positive)
+    amplitude = per_lane("amplitude", amplitude, lanes)
+    x = numbers(lattice) - crest(lattice, centre, direction)
     envelope = amplitude * jnp.exp(-((x / width) ** 2) / 2)
     u = envelope * jnp.cos(k * x)
     if omega is not None and not callable(omega):
         v = per_lane("omega", omega, lanes, positive) * envelope * jnp.sin(k * x)
     else:
-        q = _column(2 * jnp.pi * jnp.fft.rfftfreq(size), lattice)
+        q = column(lattice, 2 * jnp.pi * jnp.fft.rfftfreq(size))
         frequency = (
             _local_frequency(lattice, q, k)
             if omega is None
             else _given_frequency(omega, q, u.shape[1:])
         )
         v = by_rows(jnp.fft.irfft, -1j * frequency * by_rows(jnp.fft.rfft, u, axis=0), size, axis=0)
-    return State((zeros + u).astype(zeros.dtype), (zeros + sign * v).astype(zeros.dtype))
+    return state_of(lattice, u, v if direction == "right" else -v)
 
 
 def solitary_wave(
@@ -138,12 +126,8 @@ def solitary_wave(
             "Contacts are counted from 0.",
         )
     shape = wave_of(medium_of(lattice), speed, amplitude, energy, side).shape
-    xi, dtype = jnp.arange(sites) - centre, lattice.zeros().dtype
-    return State(*(shape.at(name, xi).astype(dtype) for name in ("displacement", "velocity")))
-
-
-def _column(x, lattice):
-    return x.reshape((-1,) + (1,) * len(lattice.lanes))
+    xi = jnp.arange(sites) - centre
+    return state_of(lattice, shape.at("displacement", xi), shape.at("velocity", xi))
 
 
 def _given_frequency(omega, q, lanes):
@@ -161,12 +145,8 @@ def _local_frequency(lattice, q, k):
     squares, carrier, wrong = _local_squares(lattice, q, k)
     carrier, wrong = concrete(carrier), concrete(wrong)
     if carrier is not None and not np.all(carrier > 0):
-        refuse(
-            "lattice",
-            "a linear stiffness",
-            "none (a sonic vacuum)",
-            "Give its contacts a precompression.",
-        )
+        remedy = "Give its contacts a precompression."
+        refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", remedy)
     if wrong is not None and np.any(wrong > UNIFORM * carrier):
         refuse(
             "omega",
@@ -183,7 +163,7 @@ def _local_squares(lattice, q, k):
     zeros = lattice.zeros()
     size = zeros.shape[0]
     mass = lattice.mass + zeros
-    offset = _column(jnp.arange(size) - size // 2, lattice)
+    offset = column(lattice, jnp.arange(size) - size // 2)
 
     def pull(x):
         return -jax.jvp(lambda u: lattice.force(jnp.zeros(()), u, zeros), (zeros,), (x,))[1]

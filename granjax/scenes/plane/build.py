@@ -1,7 +1,7 @@
 """From a cell to a lattice: masses, bonds of every tie, walls, grounding springs."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,9 @@ from ...lattice import Lattice
 from ...laws import Law, Linear, Strained
 from ...strains import BOUNDARIES, Along, Pairs, Shift, Slip, Stretch
 from ...terms import Bond, Grip, OnSite
-from ..chains import _contact, _number
+from ...types import Count, Parameter, Scalar
+from ...units import SCALED
+from ..chains import contact, number
 from .cells import Cell
 from .outline import cut, positions_of
 
@@ -25,71 +27,97 @@ def mindlin(poisson: Any) -> Any:
     return 2 * (1 - poisson) / (2 - poisson)
 
 
-class Motion(NamedTuple):
-    """What a site does: components of its displacement, tangential law and inertia of one that turns.
-
-    `rolling`: law of the difference of two turns; `pull`: a law more along the line of centres.
-    """
-
-    components: int | None
-    tangential: Law | None = None
-    inertia: Any = SPHERE
-    rolling: Law | None = None
-    pull: Law | None = None
-
-
-def motion_of(
-    laws: tuple, out_of_plane: bool, rotation: bool, tangential: Any, inertia: Any
-) -> Motion:
-    """What the sites do, with Mindlin's tangential stiffness where none is given."""
-    if not rotation:
-        if tangential is not None:
-            refuse(
-                "tangential",
-                "None without rotation=True",
-                repr(tangential),
-                "Beads that do not turn do not slip.",
-            )
-        return Motion(None if out_of_plane else 2)
-    if out_of_plane:
-        refuse(
-            "rotation",
-            "False where sites move out of the plane",
-            "True",
-            "Beads turn in the plane.",
-        )
-    if isinstance(tangential, Law):
-        return Motion(3, tangential, inertia)
-    if tangential is None:
-        tangential = mindlin(0.3) * laws[0].derivative(jnp.zeros(()))
-    return Motion(
-        3,
-        Linear(
-            positive("tangential", tangential, "Without static load contacts slide: give F0 > 0.")
-        ),
-        inertia,
-    )
-
-
-def built(
+def crystal(
     cell: Cell,
-    counts: tuple,
-    laws: tuple,
-    motion: Motion,
+    n: Count,
+    m: Count | None = None,
     *,
-    mass: Any,
-    spacing: Any,
-    boundary: Any,
-    outline: Any,
-    on_site: dict | None,
-    units: str,
+    mass: Parameter | dict[str, Parameter] = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
+    exponent: Parameter = 1.0,
+    precompression: Parameter = 0.0,
+    law: Law | Sequence[Law] | None = None,
+    spacing: Scalar = 1.0,
+    boundary: str | Sequence[str] = "fixed",
+    outline: str | Callable = "cells",
+    out_of_plane: bool = False,
+    rotation: bool = False,
+    tangential: Scalar | Law | None = None,
+    bending: Scalar | Law = 0.0,
+    attraction: Scalar = 0.0,
+    inertia: Scalar = SPHERE,
+    ground: Scalar | None = None,
+    on_site: Law | None = None,
+    equal: bool = False,
+    units: str = SCALED,
 ) -> Lattice:
-    """A lattice of cells: on a grid where it is a parallelogram of whole cells, else on a graph."""
-    spacing = positive("spacing", _number("spacing", spacing), "It is the length of a bond.")
-    counts = tuple(whole(name, n, 1) for name, n in zip(("n", "m"), counts))
+    r"""Build a lattice of the plane, or a chain, from a cell, as `square`, `kagome` and `ssh` do.
+
+    m u'' = sum over neighbours j of [F(|R| - |R + u_j - u|) times the bond's direction], as `gx.Stretch` has it.
+
+    **Arguments:**
+
+    - `cell`: a `gx.scenes.Cell` of `vectors`, `sites` and `ties`, in lengths of a bond.
+    - `n`, `m`: cells along the two axes, `None` for as many; n in all is the number of rows of beads. A cell with one
+      vector makes a chain of n cells.
+    - `mass`: a number, which stays one in the lattice's `mass` (`gx.lattice.spread_mass`), or an array (n, m); in cells
+      of several sites also a dict of one for each.
+    - `stiffness`: K, `precompression`: F0 of each bond, of either sign, numbers or one for each of the cell's bonds
+      (of `stiffness` each a number, or an array over all bonds of its kind).
+      `exponent`: 1 for springs, which push and pull; another one for contacts A [d0 + e]_+^p, such as 3/2, whose
+      `stiffness` is A. `law`: a law in their place, or one for each bond of the cell.
+    - `spacing`: |R|, the length of a bond, twice the radius of a bead.
+    - `boundary`: `"fixed"` (beads at rest all around), `"free"` (what presses the bonds at rest is held on the sites at
+      the edge), `"periodic"`; or one for each axis: ("periodic", "free") is a strip, ("periodic", "periodic") a ring.
+    - `outline`: `"cells"`, a parallelogram of n x m cells, on a grid; or a graph, u of shape (sites, 2): `"rectangle"`
+      (m rows of n cells), `"hexagon"` (n rings of cells around one), a function of positions (..., 2) in bond lengths
+      that says which sites of the parallelogram are there. A graph has no bands. A hole in it is empty whatever the
+      `boundary`, which is that of the outer rim: what presses the bonds at rest is held on the sites around the hole.
+    - `out_of_plane`: one displacement for each site, normal to the plane, u of shape (n, m); bonds then act on
+      differences, e = u_i - u_j.
+    - `rotation`: u of shape (n, m, 3): (u_x, u_y, R theta) with R = |R|/2, theta anticlockwise. The contacts then have
+      a tangential spring `tangential`, k_t or a law of the slip (`gx.strains.Slip`), `None` for Mindlin's 0.82 K2 of
+      nu = 0.3; `bending` and `attraction` as in `rotating_chain`; `inertia`: that of a bead in m R^2, 2/5 for a sphere,
+      1/2 for a disk. A contact that opens lets go of the springs (`gx.terms.Grip`); that none slides is the user's to
+      see (`gx.measures.slip_ratio`).
+    - `ground`: an on-site spring on every component of u of every site, `None` for none; `on_site`: a law more there,
+      such as `gx.Polynomial(0, 0, 1.0)`: with both a Klein-Gordon lattice. `equal`: whether with either of them sites
+      that bonds hold less get a stronger spring, so that all springs of a site add up to one sum.
+
+    **Returns:** a `Lattice` with `positions`, of the fields that name the cell's sites where there are several. All
+    numbers are differentiable but n, m; a batch by `jax.vmap(..., out_axes=-1)`. **Raises** ValueError for a boundary,
+    an outline or masses that do not fit, `rotation` out of plane.
+
+    **Example:**
+
+    >>> ties = tuple(gx.scenes.Tie("a", "a", offset) for offset in ((1, 0), (0, 1), (1, 1), (1, -1)))
+    >>> cell = gx.scenes.Cell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, ties)
+    >>> crystal = gx.scenes.crystal(cell, 6, boundary="periodic")   # a square lattice with diagonals
+    >>> gx.linear.dispersion(crystal, [np.pi, 0.0]).omega_squared.round(6)   # 4 K and 8 K
+    Array([4., 8.], dtype=float64)
+    """
+    axes = len(cell.vectors)
+    counts = (n,) * axes if m is None else (n, m)
+    if len(counts) != axes:
+        refuse("m", "None for a cell that repeats along one axis", repr(m))
+    counts = tuple(whole(name, count, 1) for name, count in zip(("n", "m"), counts))
+    spacing = positive("spacing", number("spacing", spacing), "It is the length of a bond.")
+    laws = _laws(cell, law, stiffness, exponent, precompression)
+    if rotation and out_of_plane:
+        wanted = "False where sites move out of the plane"
+        refuse("rotation", wanted, "True", "Beads turn in the plane.")
+    if rotation:
+        tangential, rolling, pull = _turning(laws[0], tangential, bending, attraction)
+    elif tangential is not None or not (plain_zero(bending) and plain_zero(attraction)):
+        refuse(
+            "tangential, bending, attraction",
+            "none without rotation=True",
+            f"{tangential}, {bending}, {attraction}",
+            "Beads that do not turn do not slip.",
+        )
     if isinstance(outline, str) and outline == "cells":
-        boundaries = _boundaries(boundary, len(counts))
-        sites = {name: counts for name in cell.sites}
+        boundaries = _boundaries(boundary, axes)
+        sites = dict.fromkeys(cell.sites, counts)
         pairs = [
             Shift(tie.offset, boundaries, None if cell.alone else (tie.tail, tie.head))
             for tie in cell.ties
@@ -100,25 +128,70 @@ def built(
         found = cut(cell, counts, outline)
         sites = {name: (found.count(name),) for name in cell.sites}
         pairs, positions = _graph(cell, found, boundary), found.positions
-    masses = _masses(cell, mass, sites, motion)
     terms = []
-    for joined, law, vector in zip(pairs, laws, cell.spans()):
-        if joined is not None:
-            _check_bonds(joined, law, sites, cell.alone)
-            terms += _bonds(joined, law, spacing * vector, motion)
-    for name, law in (on_site or {}).items():
-        terms.append(OnSite(law, None if cell.alone else name))
+    for joined, own, vector in zip(pairs, laws, spacing * cell.spans()):
+        if joined is None:
+            continue
+        _check_bonds(joined, own, sites, cell.alone)
+        bond = Bond(joined if out_of_plane else Stretch(joined, vector), own)
+        terms.append(bond)
+        if rotation:
+            terms.append(Grip(Slip(joined, vector), tangential, bond))
+            if rolling is not None:
+                terms.append(Grip(Along(joined, (0.0, 0.0, 1.0)), rolling, bond))
+            if pull is not None:
+                terms.append(Bond(bond.strain_map, pull))
+    if ground is not None or on_site is not None:
+        springs = _springs(cell, laws, 0.0 if ground is None else ground, equal)
+        for name, spring in springs.items():
+            held = spring if on_site is None else spring + on_site
+            terms.append(OnSite(held, None if cell.alone else name))
+    masses = _masses(cell, mass, sites, positive("inertia", inertia) if rotation else None)
     positions = {name: spacing * x for name, x in positions.items()}
     masses, positions = (x["a"] if cell.alone else x for x in (masses, positions))
-    alike = len(set(sites.values())) == 1
     return Lattice(
         masses,
-        tuple(terms),
-        sites=next(iter(sites.values())) if alike else None,
-        dimension=motion.components,
+        terms,
+        sites=next(iter(sites.values())) if len(set(sites.values())) == 1 else None,
+        dimension=None if out_of_plane else 3 if rotation else 2,
         positions=positions,
         units=units,
     )
+
+
+def _turning(law, tangential, bending, attraction):
+    """Laws of the slip, of rolling and of the attraction, `None` for those that are not there."""
+    if not isinstance(tangential, Law):
+        if tangential is None:
+            tangential = mindlin(0.3) * law.derivative(jnp.zeros(()))
+        remedy = "Without static load contacts slide: give F0 > 0."
+        tangential = Linear(positive("tangential", tangential, remedy))
+    if plain_zero(bending):
+        bending = None
+    elif not isinstance(bending, Law):
+        bending = Linear(non_negative("bending", bending))
+    pull = None if plain_zero(attraction) else _Pull(non_negative("attraction", attraction))
+    return tangential, bending, pull
+
+
+class _Pull(Law):
+    """A constant force that pulls: F0 = -T, and no stiffness of its own."""
+
+    dimensions = {"tension": (1, 0, 0)}
+    positive = ("tension",)
+    opens = False
+    is_linear = True
+    tension: jnp.ndarray
+
+    @property
+    def preload(self):
+        return -self.tension
+
+    def force(self, e):
+        return 0 * self.tension * e
+
+    def energy(self, e):
+        return 0 * self.tension * e
 
 
 def _check_bonds(pairs, law, sites, alone):
@@ -150,87 +223,55 @@ def _graph(cell, found, boundary):
     return every
 
 
-def _bonds(pairs, law, vector, motion):
-    if motion.components is None:
-        return [Bond(pairs, law)]
-    contact = Bond(Stretch(pairs, vector), law)
-    bonds = [contact]
-    if motion.tangential is not None:
-        bonds.append(Grip(Slip(pairs, vector), motion.tangential, contact))
-    if motion.rolling is not None:
-        bonds.append(Grip(Along(pairs, (0.0, 0.0, 1.0)), motion.rolling, contact))
-    if motion.pull is not None:
-        bonds.append(Bond(Stretch(pairs, vector), motion.pull))
-    return bonds
-
-
-def _masses(cell, mass, sites, motion):
+def _masses(cell, mass, sites, inertia):
     """From name to masses, one for each site, and each component where it turns."""
-    given = (
-        {name: mass[name] for name in cell.sites}
-        if isinstance(mass, dict)
-        else dict.fromkeys(cell.sites, mass)
-    )
+    given = mass if isinstance(mass, dict) else dict.fromkeys(cell.sites, mass)
     found, alike = {}, len(set(sites.values())) == 1
-    for name, m in given.items():
+    for name, shape in sites.items():
+        m = given[name]
         m = positive("mass" if m is mass else f"mass[{name!r}]", m, "A bead needs a mass.")
-        if m.ndim and m.shape != sites[name]:
-            refuse("mass", f"one number, or one per site, shape {sites[name]}", f"shape {m.shape}")
-        if not alike or motion.tangential is not None:
-            m = jnp.broadcast_to(m, sites[name])
-        if motion.tangential is not None:
-            m = jnp.stack([m, m, positive("inertia", motion.inertia) * m], -1)
-        found[name] = m
+        if m.ndim and m.shape != shape:
+            refuse("mass", f"one number, or one per site, shape {shape}", f"shape {m.shape}")
+        if not alike or inertia is not None:
+            m = jnp.broadcast_to(m, shape)
+        found[name] = m if inertia is None else jnp.stack([m, m, inertia * m], -1)
     return found
 
 
-def laws_of(cell: Cell, law: Any, stiffness: Any, exponent: Any, precompression: Any) -> tuple:
+def _laws(cell, law, stiffness, exponent, precompression):
     """One law for each tie: as given, or springs or contacts of these numbers."""
     count = len(cell.ties)
     if law is not None:
-        laws = (law,) * count if isinstance(law, Law) else tuple(law)
-        if len(laws) != count:
-            refuse("law", f"a law, or {count}, one per bond of the cell", f"{len(laws)}")
-        return laws
-    numbers = [
-        _each(name, x, count)
-        for name, x in (
-            ("stiffness", stiffness),
-            ("exponent", exponent),
-            ("precompression", precompression),
-        )
-    ]
-    return tuple(_law(*x) for x in zip(*numbers))
+        return _each("law", law, count)
+    numbers = {"stiffness": stiffness, "exponent": exponent, "precompression": precompression}
+    return tuple(_law(*x) for x in zip(*(_each(name, x, count) for name, x in numbers.items())))
 
 
 def _each(name, x, count):
-    if not isinstance(x, Sequence) and np.ndim(x) == 0:
+    if isinstance(x, Law) or not isinstance(x, Sequence) and np.ndim(x) == 0:
         return (x,) * count
     if len(x) != count:
-        refuse(name, f"one number, or {count}, one per bond of the cell", f"{len(x)}")
+        refuse(name, f"one, or {count}, one per bond of the cell", f"{len(x)}")
     return tuple(x)
 
 
 def _law(stiffness, exponent, precompression):
     """A spring that pushes and pulls, or a contact."""
     if not (isinstance(exponent, (int, float)) and exponent == 1):
-        return _contact(stiffness, exponent, precompression)
+        return contact(stiffness, exponent, precompression)
     stiffness = positive("stiffness", stiffness, "A bond without stiffness is left out.")
     if plain_zero(precompression):
         return Linear(stiffness)
     return Strained(Linear(stiffness), precompression / stiffness)
 
 
-def grounded(cell: Cell, laws: tuple, ground: Any, equal: bool, law: Law | None) -> dict:
-    """On-site springs by name: `ground`, and more at sites that their bonds hold less, where all are to be equal."""
-    held = {name: 0.0 for name in cell.sites}
-    for tie, own in zip(cell.ties, laws):
-        k = own.derivative(jnp.zeros(()))
-        for end in (tie.tail, tie.head):
-            held[end] = held[end] + k
-    ground, most = (
-        non_negative("ground", ground),
-        jnp.max(jnp.stack(list(map(jnp.asarray, held.values())))),
-    )
-    springs = {name: Linear(ground + (most - k if equal else 0)) for name, k in held.items()}
-    return {name: spring if law is None else spring + law for name, spring in springs.items()}
+def _springs(cell, laws, ground, equal):
+    """From name to on-site springs; where all sites are to be equal, stronger where bonds hold a site less."""
+    held = dict.fromkeys(cell.sites, 0.0)
+    for tie, law in zip(cell.ties, laws):
+        k = law.derivative(jnp.zeros(()))
+        held[tie.tail] = held[tie.tail] + k
+        held[tie.head] = held[tie.head] + k
+    ground = non_negative("ground", ground)
+    most = jnp.max(jnp.stack([jnp.asarray(k) for k in held.values()]))
+    return {name: Linear(ground + (most - k if equal else 0)) for name, k in held.items()}

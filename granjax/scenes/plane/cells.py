@@ -27,7 +27,7 @@ class Cell(NamedTuple):
         """Whether the cell has one site, so that displacements are a plain array."""
         return len(self.sites) == 1
 
-    def spans(self):
+    def spans(self) -> np.ndarray:
         """The vector from tail to head of every tie, (ties, 2)."""
         a = np.array(self.vectors)
         ends = [

@@ -1,17 +1,17 @@
 """Chains whose cells have several sites: SSH, sawtooth, stub, diamond; one whose cell never ends: Aubry-Andre."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax.numpy as jnp
 
 from ...checks import non_negative, parameter, positive, whole
 from ...lattice import Lattice
 from ...laws import Law, Linear
-from ...strains import Shift
-from ...terms import Bond, OnSite
 from ...types import Count, Parameter, Scalar
 from ...units import SCALED
-from .build import Motion, built, grounded, laws_of
+from ..chains import chain
+from .build import crystal
 from .cells import DIAMOND, SAWTOOTH, SSH, STUB
 
 
@@ -19,23 +19,17 @@ def ssh(
     cells: Count,
     k1: Parameter = 1.0,
     k2: Parameter = 2.0,
-    *,
-    mass: Parameter = 1.0,
-    law: Sequence[Law] | None = None,
-    boundary: str = "fixed",
-    ground: Scalar | None = None,
-    on_site: Law | None = None,
-    units: str = SCALED,
+    **bonds: Any,
 ) -> Lattice:
-    r"""Chain of Su, Schrieffer and Heeger: springs k1 within cells of two sites and k2 between cells.
+    r"""Build the chain of Su, Schrieffer and Heeger: springs k1 within cells of two sites and k2 between cells.
 
     A chain of 2N equal masses. omega^2 = (k1 + k2 +- |k1 + k2 exp(ik)|)/m, a gap of 2 k1/m ... 2 k2/m; between walls,
     whose springs are k2, a chain with k1 < k2 has two states within it, one at either end, at about (k1 + k2)/m: for 10
     cells, k = 1, 2: 2.99853515 and 3.00146485.
 
-    **Arguments:** `cells`: N; `k1`, `k2`: numbers, or one per bond; `mass`; `law`: two laws, of the bonds within and
-    between, in their place; `boundary`: `"fixed"`, `"free"`, `"periodic"`; `ground`, `on_site`: as in
-    `gx.scenes.square`.
+    **Arguments:** `cells`: N; `k1`, `k2`: numbers, or one per bond; `bonds`: what `crystal` takes by name, such as
+    `mass`; `law`: two laws, of the bonds within and between, in place of k1 and k2; `boundary`: `"fixed"`, `"free"`,
+    `"periodic"`; `ground`, `on_site`, `units`.
 
     **Returns:** a `Lattice` of the fields `a`, `b`, (N,) each. **Raises** ValueError for stiffnesses that are not above
     zero. Source: Su, Schrieffer, Heeger, Phys. Rev. Lett. 42, 1698 (1979); Chaunsali, Xu, Yang, Kevrekidis,
@@ -47,8 +41,8 @@ def ssh(
     >>> modes.omega_squared[9:11].round(6)   # states of the two ends
     Array([2.998535, 3.001465], dtype=float64)
     """
-    laws = laws_of(SSH, law, (positive("k1", k1), positive("k2", k2)), 1, 0.0)
-    return _chain(SSH, cells, laws, mass, boundary, ground, on_site, False, units)
+    stiffness = (positive("k1", k1), positive("k2", k2))
+    return _chain(SSH, cells, stiffness=stiffness, **bonds)
 
 
 GOLDEN = (5**0.5 - 1) / 2
@@ -68,7 +62,7 @@ def aubry_andre(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Quasi-periodic chain of Aubry, Andre and Harper: springs to the ground that vary as a cosine.
+    r"""Build a quasi-periodic chain of Aubry, Andre and Harper: springs to the ground that vary as a cosine.
 
     m u_n'' = K (u_{n-1} - 2 u_n + u_{n+1}) - [g + V cos(2 pi b n + phi)] u_n
 
@@ -89,12 +83,9 @@ def aubry_andre(
     n = jnp.arange(count)
     wave = jnp.cos(2 * jnp.pi * parameter("ratio", ratio) * n + parameter("phase", phase))
     spring = Linear(held + parameter("modulation", modulation) * wave)
+    spring = spring if on_site is None else spring + on_site
     bond = Linear(positive("stiffness", stiffness)) if law is None else law
-    terms = (
-        Bond(Shift(1, boundary), bond),
-        OnSite(spring if on_site is None else spring + on_site),
-    )
-    return Lattice(positive("mass", mass, "A bead needs a mass."), terms, sites=count, units=units)
+    return chain(count, mass, bond, boundary=boundary, on_site=spring, units=units)
 
 
 def sawtooth(
@@ -102,15 +93,9 @@ def sawtooth(
     stiffness: Parameter = 1.0,
     *,
     tooth: Scalar | None = None,
-    mass: Parameter = 1.0,
-    law: Sequence[Law] | None = None,
-    boundary: str = "periodic",
-    ground: Scalar = 0.0,
-    equal: bool = True,
-    on_site: Law | None = None,
-    units: str = SCALED,
+    **bonds: Any,
 ) -> Lattice:
-    r"""Sawtooth chain: a chain of sites `a`, and a site `b` above each bond, bound to both of its ends.
+    r"""Build a sawtooth chain: a chain of sites `a`, and a site `b` above each bond, bound to both of its ends.
 
     With teeth 2^{1/2} K and on-site springs that make all sites equal: omega^2 = Omega^2 - K E, E = -2 (flat) and
     2 + 2 cos k; Omega^2 is the springs' sum at `a`, 2K (1 + 2^{1/2}), and the ground.
@@ -118,9 +103,10 @@ def sawtooth(
     **Arguments:**
 
     - `cells`: N; `stiffness`: K of the bonds a-a; `tooth`: of the bonds a-b, `None` for 2^{1/2} K.
-    - `law`: three laws in their place, a-a, a-b within the cell and between cells. `mass`, `boundary`: as in `ssh`.
-    - `ground`: an on-site spring at every site; `equal`: whether sites with fewer bonds get one more, so that all
-      springs of a site add up to one sum. Without these the band is not flat.
+    - `bonds`: what `crystal` takes by name, such as `law`: three laws in their place, a-a, a-b within the cell and
+      between cells; `mass`; `boundary`: `"periodic"` by default; `units`.
+    - Of these `ground`: an on-site spring at every site, 0 by default; `equal`: whether sites with fewer bonds get one
+      more, so that all springs of a site add up to one sum, True by default. Without these the band is not flat.
     - `on_site`: a law more at every site, such as `gx.Polynomial(0, 0, 1.0)`.
 
     **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `ssh` does. Source: Leykam, Andreanov,
@@ -133,23 +119,11 @@ def sawtooth(
     """
     K = positive("stiffness", stiffness)
     side = 2**0.5 * K if tooth is None else positive("tooth", tooth)
-    laws = laws_of(SAWTOOTH, law, (K, side, side), 1, 0.0)
-    return _chain(SAWTOOTH, cells, laws, mass, boundary, ground, on_site, equal, units)
+    return _flat(SAWTOOTH, cells, (K, side, side), **bonds)
 
 
-def stub(
-    cells: Count,
-    stiffness: Parameter | Sequence[Parameter] = 1.0,
-    *,
-    mass: Parameter = 1.0,
-    law: Sequence[Law] | None = None,
-    boundary: str = "periodic",
-    ground: Scalar = 0.0,
-    equal: bool = True,
-    on_site: Law | None = None,
-    units: str = SCALED,
-) -> Lattice:
-    r"""Stub chain: a chain a, b, a, b, ... with a site `c` on each `a`.
+def stub(cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, **bonds: Any) -> Lattice:
+    r"""Build a stub chain: a chain a, b, a, b, ... with a site `c` on each `a`.
 
     With on-site springs that make all sites equal: omega^2 = Omega^2 - K E, Omega^2 = 3K + ground, E = 0 (flat) and
     +-(3 + 2 cos k)^{1/2}.
@@ -157,32 +131,13 @@ def stub(
     **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b within the cell, between cells, a-c.
     **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
     """
-    return _chain(
-        STUB,
-        cells,
-        laws_of(STUB, law, stiffness, 1, 0.0),
-        mass,
-        boundary,
-        ground,
-        on_site,
-        equal,
-        units,
-    )
+    return _flat(STUB, cells, stiffness, **bonds)
 
 
 def diamond(
-    cells: Count,
-    stiffness: Parameter | Sequence[Parameter] = 1.0,
-    *,
-    mass: Parameter = 1.0,
-    law: Sequence[Law] | None = None,
-    boundary: str = "periodic",
-    ground: Scalar = 0.0,
-    equal: bool = True,
-    on_site: Law | None = None,
-    units: str = SCALED,
+    cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, **bonds: Any
 ) -> Lattice:
-    r"""Diamond chain: squares that share corners; `a` is bound to `b` and `c` of its own cell and of the last.
+    r"""Build a diamond chain: squares that share corners; `a` is bound to `b` and `c` of its own cell and of the last.
 
     With on-site springs that make all sites equal: omega^2 = Omega^2 - K E, Omega^2 = 4K + ground, E = 0 (flat) and
     +-8^{1/2} cos(k/2).
@@ -190,23 +145,15 @@ def diamond(
     **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b, a-c, b-a', c-a'.
     **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
     """
-    laws = laws_of(DIAMOND, law, stiffness, 1, 0.0)
-    return _chain(DIAMOND, cells, laws, mass, boundary, ground, on_site, equal, units)
+    return _flat(DIAMOND, cells, stiffness, **bonds)
 
 
-def _chain(cell, cells, laws, mass, boundary, ground, on_site, equal, units):
-    cells, springs = whole("cells", cells, 1), None
-    if ground is not None or on_site is not None:
-        springs = grounded(cell, laws, 0.0 if ground is None else ground, equal, on_site)
-    return built(
-        cell,
-        (cells,),
-        laws,
-        Motion(None),
-        mass=mass,
-        spacing=1.0,
-        boundary=boundary,
-        outline="cells",
-        on_site=springs,
-        units=units,
+def _flat(cell, cells, stiffness, *, boundary="periodic", ground=0.0, equal=True, **bonds):
+    """A chain all of whose sites have springs of one sum, by default, so that it has a flat band."""
+    return _chain(
+        cell, cells, stiffness=stiffness, boundary=boundary, ground=ground, equal=equal, **bonds
     )
+
+
+def _chain(cell, cells, **bonds):
+    return crystal(cell, whole("cells", cells, 1), out_of_plane=True, **bonds)

@@ -1,6 +1,6 @@
 """Chains of beads in guides that meet: Y-junctions, and networks of any number of guides in the plane or in space."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,56 +14,39 @@ from ...strains import WALL, Pairs
 from ...terms import Bond
 from ...types import Count, Parameter
 from ...units import SCALED
-from ..chains import _contact, _number
+from ..chains import contact, number
 
 # a cosine below this is that of a right angle
 SQUARE_ON = 1e-9
 
 
-class _Guides(NamedTuple):
-    """Chains and what their ends touch: `meetings` (last bead's guide, first bead's guide), weights of both."""
+class _Ends(NamedTuple):
+    """What the ends of guides touch: rows (guide whose last bead, guide whose first bead, guide whose law), weights."""
 
-    counts: list
     meetings: list
     weights: tuple
     # guides whose first bead, and whose last one, touches a wall
     begin: list
     end: list
 
-    @property
-    def starts(self):
-        return np.concatenate([[0], np.cumsum(self.counts)])
 
-    def bonds(self):
-        """Tails, heads and guides of all contacts but those of the meetings: walls, within, walls."""
-        starts, rows = self.starts, [(WALL, self.starts[i], i) for i in self.begin]
-        for i, n in enumerate(self.counts):
-            rows += [(bead, bead + 1, i) for bead in range(starts[i], starts[i] + n - 1)]
-        rows += [(starts[i + 1] - 1, WALL, i) for i in self.end]
-        return [list(map(int, column)) for column in zip(*rows)] or [[], [], []]
-
-    def lattice(self, mass, laws, positions, units):
-        """The lattice; `laws`: a function from the guides of contacts to their law."""
-        starts = self.starts
-        total = int(starts[-1])
-        tails, heads, guides = self.bonds()
-        terms = [Bond(Pairs(tails, heads, sites=total), laws(guides))] if tails else []
-        if self.meetings:
-            last, first, owners = (list(x) for x in zip(*self.meetings))
-            pairs = Pairs(
-                [starts[i + 1] - 1 for i in last],
-                [starts[i] for i in first],
-                sites=total,
-                weights=self.weights,
-            )
-            terms.append(Bond(pairs, laws(owners)))
-        return Lattice(
-            mass,
-            tuple(terms),
-            sites=None if np.ndim(mass) else total,
-            positions=positions,
-            units=units,
-        )
+def _guided(counts: list, ends: _Ends, laws: Callable, mass, positions, units) -> Lattice:
+    """The lattice of guides of so many beads; `laws`: a function from the guides of contacts to their law."""
+    last = np.cumsum(counts) - 1
+    first = last + 1 - counts
+    rows = [(WALL, first[i], i) for i in ends.begin]
+    rows += [(n, n + 1, i) for i in range(len(counts)) for n in range(first[i], last[i])]
+    rows += [(last[i], WALL, i) for i in ends.end]
+    total, terms = int(last[-1]) + 1, []
+    if rows:
+        tails, heads, guides = (list(map(int, column)) for column in zip(*rows))
+        terms.append(Bond(Pairs(tails, heads, sites=total), laws(guides)))
+    if ends.meetings:
+        come, leave, guides = (list(column) for column in zip(*ends.meetings))
+        pairs = Pairs(last[come], first[leave], sites=total, weights=ends.weights)
+        terms.append(Bond(pairs, laws(guides)))
+    sites = None if np.ndim(mass) else total
+    return Lattice(mass, terms, sites=sites, positions=positions, units=units)
 
 
 def junction(
@@ -79,7 +62,7 @@ def junction(
     law: Law | None = None,
     units: str = SCALED,
 ) -> Lattice:
-    r"""Y-junction: a chain of beads whose last one touches the first of each of several chains, all in guides.
+    r"""Build a Y-junction: a chain of beads whose last one touches the first of each of several chains, all in guides.
 
     Each bead moves along its guide; u counts away from the stem's first bead. The contacts of the junction are
     e = cos(angle) u_last - u_first, so that the stem's last bead feels cos(angle) of their forces. Two equal branches
@@ -102,33 +85,23 @@ def junction(
     """
     stem = whole("stem", stem, 2)
     counts = [whole(f"branches[{i}]", n, 1) for i, n in enumerate(branches)]
-    turned = [0.0] * len(counts) if angles is None else list(angles)
+    turned = [0.0] * len(counts) if angles is None else [*angles]
     if len(turned) != len(counts):
         refuse("angles", f"{len(counts)}, one per branch", f"{len(turned)}")
-    turned = [_number(f"angles[{i}]", a) for i, a in enumerate(turned)]
+    turned = [number(f"angles[{i}]", a) for i, a in enumerate(turned)]
     known = [concrete(a) for a in turned]
     if any(a is not None and not np.cos(a) > 0 for a in known):
-        refuse(
-            "angles", "angles within -pi/2 ... pi/2", repr(known), "A bead does not push backwards."
-        )
+        remedy = "A bead does not push backwards."
+        refuse("angles", "angles within -pi/2 ... pi/2", repr(known), remedy)
     cosines = jnp.cos(jnp.stack(turned))
     one_of("boundary", boundary, ("fixed", "free"))
-    law = _contact(stiffness, exponent, precompression) if law is None else law
-    out = list(range(1, len(counts) + 1))
-    fixed = boundary == "fixed"
-    guides = _Guides(
-        [stem, *counts],
-        [(0, i, i) for i in out],
-        (cosines, jnp.ones(len(counts))),
-        [0] * fixed,
-        out * fixed,
+    law = contact(stiffness, exponent, precompression) if law is None else law
+    out, fixed = list(range(1, len(counts) + 1)), boundary == "fixed"
+    ends = _Ends(
+        [(0, i, i) for i in out], (cosines, jnp.ones(len(counts))), [0] * fixed, out * fixed
     )
-    return guides.lattice(
-        mass,
-        lambda _: law,
-        _positions(stem, counts, np.array([0.0 if a is None else a for a in known])),
-        units,
-    )
+    places = _positions(stem, counts, np.array([0.0 if a is None else a for a in known]))
+    return _guided([stem, *counts], ends, lambda _: law, mass, places, units)
 
 
 def _positions(stem, counts, angles):
@@ -154,7 +127,7 @@ def network(
     law: Law | None = None,
     units: str = SCALED,
 ) -> Lattice:
-    r"""Network: chains of beads in straight guides between nodes of the plane or of space.
+    r"""Build a network: chains of beads in straight guides between nodes of the plane or of space.
 
     Each bead moves along its guide, u counts from the guide's tail to its head. At a node the last bead of each guide
     that comes in touches the first one of each guide that leaves within 90 degrees of its direction:
@@ -191,9 +164,9 @@ def network(
     ((24,), (24, 3))
     """
     names = list(nodes) if isinstance(nodes, dict) else None
-    at = parameter(
-        "nodes", jnp.stack([jnp.asarray(x, float) for x in nodes.values()]) if names else nodes
-    )
+    if names:
+        nodes = jnp.stack([jnp.asarray(x, float) for x in nodes.values()])
+    at = parameter("nodes", nodes)
     if at.ndim != 2 or at.shape[-1] not in (2, 3) or not len(at):
         refuse("nodes", "positions (nodes, 2) or (nodes, 3)", f"shape {at.shape}")
     known = concrete(jax.lax.stop_gradient(at))
@@ -215,31 +188,24 @@ def network(
     span = at[head] - at[tail]
     direction = span / jnp.linalg.norm(span, axis=-1, keepdims=True)
     one_of("boundary", boundary, ("fixed", "free"))
-    guides = _meet(counts, tail, head, direction, boundary == "fixed")
-    given = {"mass": mass, "stiffness": stiffness, "precompression": precompression}
-    for name, x in given.items():
-        shapes = [(), (len(ends),)] + [(sum(counts),)] * (name == "mass")
-        if np.shape(x)[:1] not in shapes:
-            refuse(
-                name,
-                f"one number, or an array of shape {' or '.join(map(str, shapes[1:]))}",
-                f"{np.shape(x)}",
-            )
-    if np.ndim(mass) and np.shape(mass)[0] == len(ends):
+    met = _meet(tail, head, direction, boundary == "fixed")
+    for name, x in {"mass": mass, "stiffness": stiffness, "precompression": precompression}.items():
+        shapes = [(len(ends),)] + [(sum(counts),)] * (name == "mass")
+        if np.ndim(x) and np.shape(x)[:1] not in shapes:
+            wanted = f"one number, or an array of shape {' or '.join(map(str, shapes))}"
+            refuse(name, wanted, f"{np.shape(x)}")
+    if np.shape(mass)[:1] == (len(ends),):
         mass = jnp.asarray(mass)[np.repeat(np.arange(len(ends)), counts)]
 
     def laws(owners):
         if law is not None:
             return law
-        own = [
-            jnp.asarray(x)[np.array(owners)] if np.ndim(x) else x
-            for x in (stiffness, precompression)
-        ]
-        return _contact(own[0], exponent, own[1])
+        own = lambda x: jnp.asarray(x)[np.array(owners)] if np.ndim(x) else x
+        return contact(own(stiffness), exponent, own(precompression))
 
     along = [(np.arange(n) + 0.5)[:, None] / n for n in counts]
     places = jnp.concatenate([at[a] + x * (at[b] - at[a]) for a, b, x in zip(tail, head, along)])
-    return guides.lattice(mass, laws, places, units)
+    return _guided(counts, met, laws, mass, places, units)
 
 
 def _ends(name, edge, names, count):
@@ -248,10 +214,10 @@ def _ends(name, edge, names, count):
     return (tail, head) if names is None else (names.index(tail), names.index(head))
 
 
-def _meet(counts, tail, head, direction, fixed):
+def _meet(tail, head, direction, fixed):
     """Which ends touch at each node, and by what weights."""
     known = np.asarray(concrete(jax.lax.stop_gradient(direction)))
-    meetings, halved, begin, end = [], [], [], []
+    meetings, kinds, begin, end = [], [], [], []
     for node in sorted({*tail.tolist(), *head.tolist()}):
         come, leave = np.flatnonzero(head == node), np.flatnonzero(tail == node)
         if not len(come) or not len(leave):
@@ -271,17 +237,15 @@ def _meet(counts, tail, head, direction, fixed):
             )
         for i, j in zip(*np.nonzero(touching)):
             kind = 0 if len(come) == 1 else 1 if len(leave) == 1 else 2
-            halved.append(kind)
+            kinds.append(kind)
             meetings.append((int(come[i]), int(leave[j]), int(come[i] if kind == 1 else leave[j])))
     weights: Any = ()
     if meetings:
         last, first, _ = np.array(meetings).T
         cosine = (direction[last] * direction[first]).sum(-1)
-        kind, half = np.array(halved), jnp.sqrt((1 + cosine) / 2)
+        kind, half = np.array(kinds), jnp.sqrt((1 + cosine) / 2)
         weights = (
             jnp.where(kind == 0, cosine, jnp.where(kind == 1, 1.0, half)),
             jnp.where(kind == 0, 1.0, jnp.where(kind == 1, cosine, half)),
         )
-    return _Guides(
-        counts, meetings, weights, sorted(begin) if fixed else [], sorted(end) if fixed else []
-    )
+    return _Ends(meetings, weights, sorted(begin) if fixed else [], sorted(end) if fixed else [])

@@ -51,7 +51,7 @@ def cut(cell: Cell, counts: tuple, outline: str | Callable) -> Cut:
     of positions (..., 2), in lengths of a bond, is asked for each site of a parallelogram of `counts` cells.
     """
     if not callable(outline):
-        one_of("outline", outline, OUTLINES)
+        one_of("outline", outline, OUTLINES if len(counts) > 1 else OUTLINES[:1])
     slanted = abs(cell.vectors[1][0]) > 1e-9 if len(cell.vectors) > 1 else False
     if outline == "hexagon":
         if not slanted:

@@ -8,7 +8,7 @@ from ...laws import Hertz, Linear
 from ...materials import Material, bead_mass, hertz_coefficient, named
 from ...types import Count, Scalar
 from ...units import SI
-from .build import SPHERE, Motion, built, mindlin
+from .build import crystal, mindlin
 from .cells import HONEYCOMB, KAGOME, SQUARE, TRIANGULAR
 
 ARRANGEMENTS = {"hexagonal": TRIANGULAR, "square": SQUARE, "honeycomb": HONEYCOMB, "kagome": KAGOME}
@@ -26,13 +26,15 @@ def packing(
     boundary: str | Sequence[str] = "fixed",
     outline: str | Callable = "cells",
 ) -> Lattice:
-    r"""Equal elastic spheres in the plane, in SI: masses (4/3) pi R^3 rho, Hertz contacts, A as in `gx.scenes.beads`.
+    r"""Build a packing of equal elastic spheres in the plane, in SI.
+
+    Masses (4/3) pi R^3 rho, Hertz contacts, A as in `gx.scenes.beads`.
 
     `precompression` is the force F0 in every contact. The confining load on a wall is P per bead that touches it: in a
     square packing F0 = P, in a hexagonal one F0 = P/3^{1/2} on a wall along a row of beads.
 
     **Arguments:** `material`: a name of the table or a `Material`; `radius` R [m]; `n`, `m`, `boundary`, `outline`:
-    as in `gx.scenes.square`; `precompression`: F0 >= 0 [N]; `arrangement`: `"hexagonal"`, `"square"`, `"honeycomb"`,
+    as in `gx.scenes.crystal`; `precompression`: F0 >= 0 [N]; `arrangement`: `"hexagonal"`, `"square"`, `"honeycomb"`,
     `"kagome"`. `rotation`: whether beads turn, u = (u_x, u_y, R theta): contacts then have Mindlin's tangential
     stiffness 2 (1 - nu)/(2 - nu) of the normal one at F0, let go of it where they open, and do not slide.
 
@@ -43,25 +45,22 @@ def packing(
     cell = ARRANGEMENTS[one_of("arrangement", arrangement, list(ARRANGEMENTS))]
     body, R = named("material", material), positive("radius", radius, "A radius is in metres.")
     law = Hertz(hertz_coefficient(body, R), precompression)
-    motion = Motion(2)
+    tangential = None
     if rotation:
         if plain_zero(precompression):
-            refuse(
-                "precompression",
-                "F0 > 0 with rotation=True",
-                "0",
-                "Without static load contacts slide.",
-            )
-        motion = Motion(3, Linear(mindlin(body.poisson) * law.derivative(0.0 * R)), SPHERE)
-    return built(
+            remedy = "Without static load contacts slide."
+            refuse("precompression", "F0 > 0 with rotation=True", "0", remedy)
+        tangential = Linear(mindlin(body.poisson) * law.derivative(0.0 * R))
+    return crystal(
         cell,
-        (n, n if m is None else m),
-        (law,) * len(cell.ties),
-        motion,
+        n,
+        m,
         mass=bead_mass(body, R),
+        law=law,
         spacing=2 * R,
+        rotation=rotation,
+        tangential=tangential,
         boundary=boundary,
         outline=outline,
-        on_site=None,
         units=SI,
     )

@@ -1,34 +1,23 @@
 """A straight chain of beads that move across it and turn."""
 
-import jax.numpy as jnp
+from typing import Any
 
-from ...checks import non_negative, one_of, plain_zero, whole
 from ...lattice import Lattice
-from ...laws import Law, Linear
-from ...strains import BOUNDARIES
 from ...types import Count, Parameter, Scalar
-from ...units import SCALED
-from .build import SPHERE, built, laws_of, motion_of
+from ..chains import a_chain
+from .build import crystal
 from .cells import CHAIN
 
 
 def rotating_chain(
     sites: Count,
     *,
-    mass: Parameter = 1.0,
     stiffness: Parameter = 1.0,
     exponent: Parameter = 1.5,
     precompression: Scalar = 0.01,
-    law: Law | None = None,
-    tangential: Scalar | Law | None = None,
-    bending: Scalar | Law = 0.0,
-    attraction: Scalar = 0.0,
-    inertia: Scalar = SPHERE,
-    spacing: Scalar = 1.0,
-    boundary: str = "fixed",
-    units: str = SCALED,
+    **bonds: Any,
 ) -> Lattice:
-    r"""Straight chain of beads that turn: u = (u_x, u_y, s) of each, s = R theta anticlockwise, R = L/2.
+    r"""Build a straight chain of beads that turn: u = (u_x, u_y, s) of each, s = R theta anticlockwise, R = L/2.
 
     Of neighbours the normal force F acts along their line of centres (`gx.Stretch`), the tangential spring k_t on the
     slip s_n + s_{n+1} - L phi, phi the angle of that line (`gx.strains.Slip`), and the bending stiffness k_b, the
@@ -47,8 +36,9 @@ def rotating_chain(
 
     **Arguments:**
 
-    - `sites`: N >= 2. `mass`: m, a number or one per bead. `stiffness` (A, or one per contact), `exponent`,
-      `precompression` F0: of the contacts as in `monomer`; `exponent=1`: springs. `law`: in their place.
+    - `sites`: N >= 2. `stiffness` (A, or one per contact), `exponent`, `precompression` F0: of the contacts as in
+      `monomer`; `exponent=1`: springs. `bonds`: by name those below. `mass`: m, a number or one per bead. `law`: in
+      place of the power law.
     - `tangential`: k_t or a law of the slip; `None` for Mindlin's 0.82 K2 of nu = 0.3. `bending`: k_b or a law of
       s_n - s_{n+1}; a moment of k_b R^2 per radian; of a contact of radius a it is (a/R)^2 K2 at most, far below k_t.
     - `attraction`: T >= 0 [N], a constant force that pulls neighbours together; T = F0 leaves no net force.
@@ -70,44 +60,13 @@ def rotating_chain(
     >>> [round(float(x), 6) for x in bands]   # 4 k_b/J, 4 K2, 4 k_t
     [1.0, 1.292661, 2.0]
     """
-    sites = whole("sites", sites, 2, "A chain has at least two beads.")
-    one_of("boundary", boundary, BOUNDARIES)
-    laws = laws_of(CHAIN, law, (stiffness,), exponent, precompression)
-    motion = motion_of(laws, False, True, tangential, inertia)
-    if not plain_zero(bending):
-        rolling = bending if isinstance(bending, Law) else Linear(non_negative("bending", bending))
-        motion = motion._replace(rolling=rolling)
-    if not plain_zero(attraction):
-        motion = motion._replace(pull=_Pull(non_negative("attraction", attraction)))
-    return built(
+    # a sequence of one: an array is one stiffness per contact
+    return crystal(
         CHAIN,
-        (sites,),
-        laws,
-        motion,
-        mass=mass,
-        spacing=spacing,
-        boundary=boundary,
-        outline="cells",
-        on_site=None,
-        units=units,
+        a_chain(sites),
+        stiffness=(stiffness,),
+        exponent=exponent,
+        precompression=precompression,
+        rotation=True,
+        **bonds,
     )
-
-
-class _Pull(Law):
-    """A constant force that pulls: F0 = -T, and no stiffness of its own."""
-
-    dimensions = {"tension": (1, 0, 0)}
-    positive = ("tension",)
-    opens = False
-    is_linear = True
-    tension: jnp.ndarray
-
-    @property
-    def preload(self):
-        return -self.tension
-
-    def force(self, e):
-        return 0 * self.tension * e
-
-    def energy(self, e):
-        return 0 * self.tension * e
