@@ -33,10 +33,10 @@ def test_a_kink_with_its_frequencies_or_its_barrier(kinks):
     found, barrier = kinks
     profile, modes = plots.kink(found)
     np.testing.assert_array_equal(profile.lines[0].get_ydata(), found.state.u)
-    assert labels(profile) == ("site $n$", "displacement $u_n$ (scaled)")
+    assert labels(profile) == ("site $n$", "$u_n$ (scaled)")
     assert profile.get_title(loc="left") == f"stable, energy {float(found.energy):.5g}"
     np.testing.assert_array_equal(modes.lines[0].get_ydata(), found.omega)
     _, wells = plots.kink(found, barrier=barrier)
     site, bond = (container[0].get_ydata()[0] for container in wells.containers)
     assert (site, bond) == pytest.approx((float(barrier.barrier), 0.0))
-    assert labels(wells) == ("centre of the kink (sites)", "energy above the lower kink (scaled)")
+    assert labels(wells) == ("centre of the kink (sites)", "energy - lowest (scaled)")
