@@ -145,7 +145,7 @@ def test_a_stable_breather_says_that_nothing_grows(axes, fl):
     c, d = axes[1]
     np.testing.assert_allclose(dots(c), [[0.5, 1.5], [1.5, -1.25]])
     assert c.get_title("left") == "no mode grows"
-    assert c.get_ylabel() == "strain $u_n - u_{n+1}$ (m)"
+    assert c.get_ylabel() == "$u_n - u_{n+1}$ (m)"
     np.testing.assert_allclose(d.images[0].get_array(), 1e3 * run.vs)
     np.testing.assert_allclose(d.images[0].get_extent(), (-0.5, 2.5, -0.5, 3.5))
     assert (

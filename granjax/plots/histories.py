@@ -185,11 +185,11 @@ def traces(
     every = -(-len(names) // 16)
     ax.set_yticks((offset * np.arange(len(names)))[::every], names[::every])
     ax.set_ylabel(site_label)
-    _scale_bar(ax, span, by.label)
+    _scale_bar(ax, span, by)
     return ax
 
 
-def _scale_bar(ax, span, label):
+def _scale_bar(ax, span, by):
     """A bar of a round height beside the traces, in place of a second axis."""
     power = 10.0 ** np.floor(np.log10(span))
     height = float(max(m for m in (1, 2, 5) if m * power <= span * (1 + 1e-12)) * power)
@@ -197,8 +197,7 @@ def _scale_bar(ax, span, label):
     middle, transform = (low + high) / 2, ax.get_yaxis_transform()
     bar = [middle - height / 2, middle + height / 2]
     ax.plot([1.02, 1.02], bar, color="black", lw=2, transform=transform, clip_on=False)
-    name, _, unit = label.partition(" (")
-    said = f"{name} {height:g} {unit.rstrip(')')}".strip()
+    said = f"{by.label.partition(' (')[0]} {height:g} {by.after}".strip()
     look = {"rotation": 90, "va": "center", "fontsize": "small", "transform": transform}
     ax.text(1.04, middle, said, **look)
     ax.set_ylim(limits)

@@ -135,7 +135,7 @@ def breather(
     if mode is None and len(outside):
         mode = outside[np.argmax(np.abs(rho[outside]))]
     if mode is None:
-        by = shown("strain $u_n - u_{n+1}$", strain, "m", units)
+        by = shown("$u_n - u_{n+1}$", strain, "m", units)
         _bars(c, site[:-1] + 0.5, by(strain), by.label)
         c.set_title("no mode grows", loc="left")
         run = breather.run()

@@ -156,11 +156,10 @@ def _lines(ax, lines, force, radius, units):
     tones = np.where(force >= 0, "0.1", COLOURS[1])
     width = widest * np.abs(force) / top
     ax.add_collection(LineCollection(lines, linewidths=width, colors=tones, zorder=2))
-    unit = by.unit or "(scaled)" * (units is not None)
     keys = []
     for tone, word, largest in (("0.1", "force", force.max()), (COLOURS[1], "pull", -force.min())):
         if largest > 0:
-            name = f"{word} {largest:.3g} {unit}".strip()
+            name = f"{word} {largest:.3g} {by.after}".strip()
             keys.append(Line2D([], [], color=tone, lw=widest * largest / top, label=name))
     legend_above(ax, keys)
 
@@ -217,7 +216,7 @@ def film(
     if ax is None:  # of a figure that no notebook shows beside the film
         with style():
             ax = figure(*((5.4, 3.0) if places is None else (4.8, 4.2))).subplots()
-    title, unit = ax.set_title(" "), by_time.label.partition(" ")[2].strip("()")
+    title, unit = ax.set_title(" "), by_time.after
     if places is None:
         (line,) = ax.plot(data[0], "o-", ms=2.5, lw=0.8, color=COLOURS[0])
         low = 0.0 if np.nanmin(data) >= -SIGNED * top else -top

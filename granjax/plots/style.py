@@ -38,8 +38,8 @@ OMEGA = r"angular frequency $\omega$"
 # of the range of a colour bar, what numbers may lie beyond it by rounding
 ROUNDING = 1e-6
 # of a legend: the width of a letter [points], and letters that a handle takes
-LETTER = 5.2
-HANDLE = 6
+LETTER = 4.6
+HANDLE = 5
 
 _STYLE = {
     "font.size": 10.0,
@@ -230,6 +230,11 @@ class Shown(NamedTuple):
     factor: float
     label: str
     unit: str
+
+    @property
+    def after(self) -> str:
+        """What follows a number: its unit, or "(scaled)"."""
+        return self.unit or f"({SCALED})" * self.label.endswith(f"({SCALED})")
 
     def __call__(self, x: Any) -> np.ndarray | float:
         return self.factor * np.asarray(x, float)
