@@ -9,7 +9,7 @@ from scipy.interpolate import Akima1DInterpolator
 
 from ..checks import one_of
 from ..types import Count
-from .arrays import numbers, rising
+from .arrays import numbers
 from .histories import space_time
 from .style import COLOURS, FAINT, AxesOrNone, axes_or_new, legend_above, shown, units_of
 
@@ -221,10 +221,10 @@ def branch(
     >>> axes[0].get_ylabel()
     'energy'
     """
-    units, x = units_of(br), numbers("br.omega", br.omega, 1)
+    units, x = units_of(br), np.asarray(br.omega)
     over = shown(omega_label, br.omega, "rad/s", units)
     if hasattr(br, "p") and len(x) > 1 and np.ptp(x) <= SAME * np.abs(x).max():
-        x = numbers("br.p", br.p, 1)
+        x = np.asarray(br.p)
         over = shown(p_label, br.p, None, units)
     x, bands = over(x), np.zeros((0, 2)) if bands is None else over(bands)
     marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
@@ -232,7 +232,7 @@ def branch(
     room = 0.06 * (np.ptp(x) or x[0])
     for ax, name, label, unit in zip(axes.ravel(), *AXES_OF_A_BRANCH):
         by = shown(label, getattr(br, name), unit, units)
-        height = by(numbers(f"br.{name}", getattr(br, name), 1))
+        height = by(getattr(br, name))
         _line(ax, x, height, br, _VERDICTS, marks, over.factor)
         for low, high in bands:
             ax.axvspan(low, high, color=FAINT, alpha=0.3, lw=0, zorder=0)
@@ -314,39 +314,28 @@ def hysteresis(
 
     **Arguments:**
 
-    - `sweep`: a `gx.driven.Sweep`, or arrays (values, up, down), (P,) each, values ascending; `down` may be `None`.
+    - `sweep`: a `gx.driven.Sweep`, or anything with its `values` (P,), `up`, `down` and `hysteresis`.
     - `orbits`: a `Branch`, or anything with `p`, `response` and `verdict` (P,), drawn behind, unstable parts
       dashed, in smooth curves that change where its `bifurcations` are.
     - `x_label`, `y_label`: of the axes. One that ends with a unit of SI, "angular frequency (rad/s)" or "rms velocity
       (m/s)", gets a prefix.
 
-    **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
+    **Returns:** the Axes.
     """
-    values, up, down, intervals = _ways(sweep)
-    units = units_of(sweep, orbits)
+    values, up, units = np.asarray(sweep.values), sweep.up.response, units_of(sweep, orbits)
     by_x, by_y = shown(x_label, values, None, units), shown(y_label, up, None, units)
     ax = axes_or_new(ax, 5.6, 3.6)
-    for low, high in by_x(np.reshape(intervals, (-1, 2))):
+    for low, high in by_x(np.reshape(sweep.hysteresis, (-1, 2))):
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
         p, response = by_x(orbits.p), by_y(orbits.response)
         _line(ax, p, response, orbits, _ORBITS)
     look = {"ms": 5, "lw": 1.2, "mec": "white", "mew": 0.3}
     ax.plot(by_x(values), by_y(up), ">-", color=COLOURS[0], label="up", **look)
-    if down is not None:
-        ax.plot(by_x(values), by_y(down), "<--", color=COLOURS[1], label="down", **look)
+    if sweep.down is not None:
+        ax.plot(
+            by_x(values), by_y(sweep.down.response), "<--", color=COLOURS[1], label="down", **look
+        )
     ax.set(xlabel=by_x.label, ylabel=by_y.label)
     legend_above(ax)
     return ax
-
-
-def _ways(sweep):
-    if all(hasattr(sweep, name) for name in ("values", "up", "down")):
-        values, up, intervals = sweep.values, sweep.up.response, sweep.hysteresis
-        down = None if sweep.down is None else sweep.down.response
-    else:
-        (values, up, down), intervals = sweep, []
-    up = numbers("up", up, 1)
-    values = rising("values", values, len(up))
-    down = None if down is None else numbers("down", down, 1)
-    return values, up, down, intervals

@@ -46,8 +46,8 @@ def shock(
 
     **Arguments:**
 
-    - `run_or_strain`: a run of `problem.run(...)`, whose last state is drawn; a `SpaceTime`, its last frame; or
-      strains (B,). `problem`: what was run, `None` for what the run remembers.
+    - `run_or_strain`: a run of `problem.run(...)`, whose last state is drawn; or strains (B,). `problem`: what was
+      run, `None` for what the run remembers.
     - `shock`: anything with `trailing_speed`, `leading_speed`, `mean` and `amplitude`, such as `gx.shocks.measure(run)`
       or a theory's `velocity_shock(c)`: its edges are dashed, its mean and its amplitude drawn and written beside.
     - `places` (B,), rising: of strains, from the step; `time`: theirs, needed where edges are drawn or `over="speed"`.
@@ -142,12 +142,12 @@ def modulation(
     **Returns:** the Axes; what was measured is `ax.lines[0]`.
     """
     measured, field, label, unit = QUANTITIES[one_of("quantity", quantity, tuple(QUANTITIES))]
-    s = numbers("shock.s", shock.s, 1)
-    values = numbers(f"shock.{measured}", getattr(shock, measured), 1, finite=False)
+    s = np.asarray(shock.s)
+    values = np.asarray(getattr(shock, measured))
     curves = {}
     if quantity == "m" and hasattr(shock, "speeds_of_m"):
         name = {"toda": "Toda", "kdv": "KdV"}.get(shock.theory, "theory")
-        curves[name] = numbers("shock.speeds_of_m", shock.speeds_of_m, 1, finite=False), values
+        curves[name] = np.asarray(shock.speeds_of_m), values
     for name, one in (beside or {}).items():
         if not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
             one = one.speed, getattr(one, field)
@@ -168,15 +168,13 @@ def modulation(
 
 def _profile(given, problem, places, time):
     """Places, strains, time (`None` where nobody says) and units of what is drawn."""
-    if hasattr(given, "final") and hasattr(given, "ts") and not hasattr(given, "strain"):
+    if hasattr(given, "final"):
         problem = getattr(given, "started", None) if problem is None else problem
         if problem is None:
             wanted = "what was run, as gx.shocks.velocity_shock returns it"
             refuse("problem", wanted, "None, and the run does not know")
         strain, time = problem.strain(given.final.u), np.asarray(given.ts)[-1]
         places = np.arange(len(strain)) - np.asarray(problem.centre, float)
-    elif hasattr(given, "strain") and hasattr(given, "places") and hasattr(given, "ts"):
-        strain, places, time = np.asarray(given.strain)[-1], given.places, np.asarray(given.ts)[-1]
     else:
         strain = given
     strain = numbers("run_or_strain", strain, 1)

@@ -1,6 +1,6 @@
-"""Travelling waves and fronts with their tails; kinks with their barrier."""
+"""Travelling waves and fronts with their tails."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from .style import (
     COLOURS,
     DASHES,
     FAINT,
-    OMEGA,
     AxesOrNone,
     axes_or_new,
     colour,
@@ -51,7 +50,7 @@ def wave(
     at which these fall.
     """
     record = wave_record
-    xi, is_front = numbers("wave_record.xi", record.xi, 1), hasattr(record, "decay_behind")
+    xi, is_front = np.asarray(record.xi), hasattr(record, "decay_behind")
     is_cell = np.ndim(getattr(record, "strains", 0)) == 2
     end = np.abs(xi).max()
     if is_cell:
@@ -121,67 +120,3 @@ def _front_tails(ax, record, by, xi, y):
         tail.set_ylim(d[d > 0].min() / 3, 3 * d.max())
         tail.set_title(name, size="x-small")
         _small(tail)
-
-
-def kink(
-    found: Any,
-    axes: Sequence[Axes] | np.ndarray | None = None,
-    *,
-    barrier: Any = None,
-) -> np.ndarray:
-    """Draw a kink at rest between its wells; beside it its small oscillations, or the Peierls-Nabarro barrier.
-
-    **Arguments:**
-
-    - `found`: a `Kink`, the result of `gx.kinks.kink`, or anything with `state` (u, v), `energy`, `omega` (N,),
-      `growth` and `verdict`; where it grows the frequency is drawn at zero.
-    - `barrier`: the result of `gx.kinks.peierls_nabarro`, or anything with `site`, `bond`, `barrier` and `error`: its
-      two energies are then drawn over the place of the centre, with the sine through both to guide the eye.
-    - `axes`: two Axes; by default those of a new figure.
-
-    **Returns:** the two Axes, (2,) or as given; the profile is `axes[0].lines[0]`.
-    """
-    units = units_of(found, barrier)
-    by = shown("$u_n$", found.state[0], "m", units)
-    u = by(numbers("found.state.u", found.state[0], 1))
-    axes = axes_or_new(axes, 8.4, 3.4, 1, 2)
-    profile, other = axes.ravel()
-    profile.plot(np.arange(len(u)), u, "o-", color=COLOURS[0], ms=4, lw=0.8, mec="white", mew=0.4)
-    for well in (u[0], u[-1]):
-        profile.axhline(well, color=FAINT, lw=0.8, ls=":", zorder=0)
-    # what lies between the wells, with as much on either side
-    inside = np.flatnonzero(np.abs(np.diff(u)) > 1e-3 * np.abs(u[-1] - u[0]))
-    low, high = (inside[0], inside[-1] + 1) if len(inside) else (0, len(u) - 1)
-    more = max(3, high - low)
-    profile.set_xlim(max(low - more, 0) - 0.5, min(high + more, len(u) - 1) + 0.5)
-    profile.set(xlabel="site $n$", ylabel=by.label)
-    by = shown("energy", found.energy, "J", units)
-    energy = f"{found.verdict}, energy {float(by(found.energy)):.5g} {by.unit}"
-    profile.set_title(energy.strip(), loc="left", size="medium")
-    if barrier is not None:
-        _barrier(other, barrier, units)
-        return axes
-    by = shown(OMEGA, found.omega, "rad/s", units)
-    omega = by(numbers("found.omega", found.omega, 1))
-    other.plot(omega, ".", color=COLOURS[0], ms=4)
-    name = "unstable, drawn at zero" if found.growth else "Peierls-Nabarro frequency"
-    other.plot([0], omega[:1], "o", color=COLOURS[1], ms=6, label=name)
-    other.set(xlabel="mode", ylabel=by.label, ylim=(0, 1.1 * omega.max()))
-    legend_above(other)
-    return axes
-
-
-def _barrier(ax, barrier, units):
-    """Energies of the kink on a site and on a bond, above the lower one."""
-    ends = np.array([float(barrier.site), float(barrier.bond)])
-    by = shown("energy - lowest", ends - ends.min(), "J", units)
-    above, error, x = by(ends - ends.min()), float(by(barrier.error)), np.linspace(-0.6, 1.1, 171)
-    sine = above.mean() + (above[0] - above[1]) / 2 * np.cos(2 * np.pi * x)
-    ax.plot(x, sine, "--", color=FAINT, lw=1.0, zorder=1, label="sine")
-    for at, value, tone, name in (
-        ([0, 1], above[0], COLOURS[0], "on a site"),
-        ([-0.5, 0.5], above[1], COLOURS[1], "on a bond"),
-    ):
-        ax.errorbar(at, [value] * 2, error, fmt="o", color=tone, ms=6, capsize=3, label=name)
-    ax.set(xlabel="centre of the kink (sites)", ylabel=by.label, xlim=(-0.6, 1.1))
-    legend_above(ax)

@@ -118,8 +118,8 @@ def _name(halves):
 
 
 def _under(ax, spectrum, by, floor):
-    k, w = numbers("spectrum.k", spectrum.k, 1), numbers("spectrum.omega", spectrum.omega, 1)
-    power = numbers("spectrum.power", spectrum.power, finite=False)
+    k, w = np.asarray(spectrum.k), np.asarray(spectrum.omega)
+    power = np.asarray(spectrum.power)
     if power.shape != (len(k), len(w)):
         wanted = f"shape {(len(k), len(w))}, wave numbers by frequencies"
         remedy = "Of a batch pick one lane."
@@ -161,9 +161,9 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True) -> 
     **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
     growth is the last of `ax.figure.axes`. **Raises** ValueError for the record of several axes.
     """
-    k, rate = numbers("bands.k", bands.k, 1), numbers("bands.growth", bands.growth, 2)
+    k, rate = np.asarray(bands.k), np.asarray(bands.growth)
     by = shown(OMEGA, bands.omega, "rad/s", units_of(bands))
-    omega = by(numbers("bands.omega", bands.omega, 2))
+    omega = by(bands.omega)
     order = np.argsort(k)
     k, omega, rate = k[order], omega[order], rate[order]
     grows = np.asarray(bands.grows)[order] if hasattr(bands, "grows") else rate > 0
@@ -197,10 +197,10 @@ def bands(record: Any, ax: AxesOrNone = None, *, colour_bar: bool = True) -> Axe
     **Returns:** the Axes; of a path `ax.lines` begins with the bands, of a strip `ax.collections[0]` are its waves.
     """
     by = shown(OMEGA, record.omega, "rad/s", units_of(record))
-    omega = by(numbers("record.omega", record.omega, 2))
+    omega = by(record.omega)
     ax = axes_or_new(ax, 5.0, 4.0)
     if hasattr(record, "edge"):
-        x, edge = numbers("record.k", record.k, 1), numbers("record.edge", record.edge, 2)
+        x, edge = np.asarray(record.k), np.asarray(record.edge)
         ax.plot(x, omega, color=FAINT, lw=0.5, zorder=0)
         look = {"c": edge, "s": 3, "cmap": "coolwarm", "vmin": -1, "vmax": 1, "linewidths": 0}
         strip = ax.scatter(np.broadcast_to(x[:, None], omega.shape), omega, **look)
@@ -209,7 +209,7 @@ def bands(record: Any, ax: AxesOrNone = None, *, colour_bar: bool = True) -> Axe
         if colour_bar:
             add_colour_bar(ax, strip, "place across the strip")
     else:
-        x = numbers("record.distance", record.distance, 1)
+        x = np.asarray(record.distance)
         ax.plot(x, omega, color=COLOURS[0])
         marks = x[np.asarray(record.marks, int)]
         for mark in marks[1:-1]:
@@ -240,13 +240,13 @@ def zone(
     """
     by = shown(OMEGA, record.omega, "rad/s", units_of(record))
     place = shown("wave number", record.q, "1/m", units_of(record))
-    x, y = np.moveaxis(place(numbers("record.q", record.q, 3)), -1, 0)
-    w = by(numbers("record.omega", record.omega, 3))[..., band]
+    x, y = np.moveaxis(place(record.q), -1, 0)
+    w = by(record.omega)[..., band]
     ax = axes_or_new(ax, 5.0, 4.2)
     image = ax.pcolormesh(x, y, w, cmap="viridis", shading="nearest", rasterized=True)
     ax.contour(x, y, w, levels=levels, colors="white", linewidths=0.7)
     if velocity:
-        v = numbers("record.velocity", record.velocity, 4, finite=False)[..., band, :]
+        v = np.asarray(record.velocity)[..., band, :]
         step = max(1, len(x) // 14)
         some = (slice(step // 2, None, step),) * 2
         ax.quiver(x[some], y[some], v[some][..., 0], v[some][..., 1], color="white", width=0.004)
