@@ -70,7 +70,7 @@ def fit(
         lower.plot(times[known], left[known], ".", color=COLOURS[0], ms=2)
         lower.set(xlabel=by_time.label, xlim=(times[0], times[-1]))
         for ax in (upper, lower):
-            ax.xaxis.set_major_locator(MaxNLocator(3))
+            ax.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         if k == 0 or by_kind[k].label != by_kind[k - 1].label:
             upper.set_ylabel(by_kind[k].label)
     axes[1, 0].set_ylabel(r"residual / $\sigma$")

@@ -40,6 +40,9 @@ ROUNDING = 1e-6
 # of a legend: the width of a letter [points], and letters that a handle takes
 LETTER = 4.6
 HANDLE = 5
+# more rows than these are written smaller
+ROWS = 3
+SMALLER = 0.75
 
 _STYLE = {
     "font.size": 10.0,
@@ -176,15 +179,18 @@ def legend_above(ax: Axes, handles: Sequence[Artist] | None = None) -> None:
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     if not handles:
         return
+    points = ax.get_window_extent().width / ax.figure.dpi * 72
+    longest = max(len(str(handle.get_label())) for handle in handles)
+    columns = max(1, int(points / LETTER / (longest + HANDLE)))
+    small = len(handles) > ROWS * columns
+    columns = max(1, int(points / (SMALLER * LETTER) / (longest + HANDLE))) if small else columns
     with style():
-        points = ax.get_window_extent().width / ax.figure.dpi * 72
-        longest = max(len(str(handle.get_label())) for handle in handles)
-        columns = int(points / LETTER / (longest + HANDLE))
         ax.legend(
             handles=handles,
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),
-            ncols=min(max(columns, 1), len(handles)),
+            ncols=min(columns, len(handles)),
+            fontsize=(SMALLER if small else 1.0) * _STYLE["legend.fontsize"],
             borderaxespad=0.2,
             handlelength=1.6,
             columnspacing=1.2,
