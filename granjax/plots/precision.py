@@ -37,7 +37,7 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
     if not shown.any():
         refuse("wp", "a table with points to draw", "none", "Its notes say why; print it.")
     ax = axes_or_new(ax, 6.6, 4.0)
-    ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the final state")
+    ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error")
     for i, name in enumerate(wp.methods):
         own = shown & (method == name)
         look = {"color": colour(i), "marker": MARKS[i // 7 % 7], "ls": ("-", "--", ":")[i // 7 % 3]}
