@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from ..checks import one_of, positive, within
 from ..types import Parameter, Scalar
 from .arrays import Samples, frames_of, history, rising
-from .style import AxesOrNone, add_colour_bar, axes_or_new, colour, legend_above, shown
+from .style import AxesOrNone, add_colour_bar, add_legend, axes_or_new, colour, shown
 
 SCALES = ("linear", "log")
 EVEN = 1e-6
@@ -180,7 +180,7 @@ def traces(
     ax.set(xlabel=by_time.label, xlim=(ts[0], ts[-1]))
     if offset == 0:
         ax.set_ylabel(by.label)
-        legend_above(ax)
+        add_legend(ax, inside=True)
         return ax
     every = -(-len(names) // 16)
     ax.set_yticks((offset * np.arange(len(names)))[::every], names[::every])

@@ -11,7 +11,7 @@ from ..checks import one_of
 from ..types import Count
 from .arrays import numbers
 from .histories import space_time
-from .style import COLOURS, FAINT, AxesOrNone, axes_or_new, legend_above, shown, units_of
+from .style import COLOURS, FAINT, AxesOrNone, add_legend, axes_or_new, shown, units_of
 
 # Krein signature -> colour, mark, what it is called
 _KREIN = {
@@ -84,7 +84,7 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Ax
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel=r"Re $\rho$", ylabel=r"Im $\rho$")
     if legend:
-        legend_above(ax)
+        add_legend(ax)
     return ax
 
 
@@ -251,7 +251,7 @@ def branch(
         ax.set(xlabel=over.label, ylabel=by.label)
         # few enough for a journal's column: frequencies have many digits
         ax.locator_params(axis="x", nbins=5)
-    legend_above(axes.ravel()[0])
+    add_legend(axes.ravel()[1], inside=True)
     return axes
 
 
@@ -337,5 +337,5 @@ def hysteresis(
             by_x(values), by_y(sweep.down.response), "<--", color=COLOURS[1], label="down", **look
         )
     ax.set(xlabel=by_x.label, ylabel=by_y.label)
-    legend_above(ax)
+    add_legend(ax, inside=True)
     return ax

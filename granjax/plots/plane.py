@@ -16,9 +16,9 @@ from .style import (
     COLOURS,
     AxesOrNone,
     add_colour_bar,
+    add_legend,
     axes_or_new,
     figure,
-    legend_above,
     shown,
     style,
     units_of,
@@ -161,7 +161,7 @@ def _lines(ax, lines, force, radius, units):
         if largest > 0:
             name = f"{word} {largest:.3g} {by.after}".strip()
             keys.append(Line2D([], [], color=tone, lw=widest * largest / top, label=name))
-    legend_above(ax, keys)
+    add_legend(ax, keys)
 
 
 def _frame(ax, at, radius, label):

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
-from .style import FAINT, AxesOrNone, axes_or_new, colour, legend_above
+from .style import FAINT, AxesOrNone, add_legend, axes_or_new, colour
 
 # what is drawn, and its label
 AGAINST = {
@@ -48,7 +48,7 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
             ax.plot(work[own], error[own], **look)
     _shade(ax, float(wp.floor), float(error[shown].min()))
     ax.grid(True, which="major", color=FAINT, alpha=0.25, lw=0.6)
-    legend_above(ax)
+    add_legend(ax)
     return ax
 
 

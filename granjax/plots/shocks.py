@@ -13,9 +13,9 @@ from .style import (
     COLOURS,
     DASHES,
     AxesOrNone,
+    add_legend,
     axes_or_new,
     colour,
-    legend_above,
     shown,
     units_of,
 )
@@ -162,7 +162,7 @@ def modulation(
         dash = DASHES[i % len(DASHES)]
         ax.plot(by_x(x[order]), by_y(y[order]), dash, color=colour(i + 1), label=name)
     ax.set(xlabel=by_x.label, ylabel=by_y.label)
-    legend_above(ax)
+    add_legend(ax, inside=True)
     return ax
 
 

@@ -174,27 +174,28 @@ def axes_or_new(
         return plt.subplots(rows, columns, **size, **how)[1]
 
 
-def legend_above(ax: Axes, handles: Sequence[Artist] | None = None) -> None:
-    """Write a legend above the Axes, where it hides nothing, in as many columns as have room."""
+def add_legend(ax: Axes, handles: Sequence[Artist] | None = None, *, inside: bool = False) -> None:
+    """Write a legend that hides nothing, in as many columns as have room.
+
+    It stands above the Axes; or `inside`, at their top, whose upper limit makes room: they may then have a title.
+    """
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     if not handles:
         return
-    points = ax.get_window_extent().width / ax.figure.dpi * 72
-    longest = max(len(str(handle.get_label())) for handle in handles)
-    columns = max(1, int(points / LETTER / (longest + HANDLE)))
-    small = len(handles) > ROWS * columns
-    columns = max(1, int(points / (SMALLER * LETTER) / (longest + HANDLE))) if small else columns
+    width, height = ax.get_window_extent().size / ax.figure.dpi * 72
+    letters = max(len(str(handle.get_label())) for handle in handles) + HANDLE
+    size, columns = _STYLE["legend.fontsize"], max(1, int(width / LETTER / letters))
+    if len(handles) > ROWS * columns:
+        size, columns = SMALLER * size, max(1, int(width / (SMALLER * LETTER) / letters))
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    if inside:
+        place = {"loc": "upper left"}
+        share = 1.5 * size * (1 + -(-len(handles) // columns)) / height
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, low + (high - low) / (1 - min(share, 0.6)))
+    look = {"handlelength": 1.6, "columnspacing": 1.2, "fontsize": size}
     with style():
-        ax.legend(
-            handles=handles,
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
-            ncols=min(columns, len(handles)),
-            fontsize=(SMALLER if small else 1.0) * _STYLE["legend.fontsize"],
-            borderaxespad=0.2,
-            handlelength=1.6,
-            columnspacing=1.2,
-        )
+        ax.legend(handles=handles, ncols=min(columns, len(handles)), **place, **look)
 
 
 def colour(i: Count) -> str:

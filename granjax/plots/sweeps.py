@@ -13,9 +13,9 @@ from .style import (
     AxesOrNone,
     Shown,
     add_colour_bar,
+    add_legend,
     axes_or_new,
     colour,
-    legend_above,
     log_ticks,
     shown,
 )
@@ -121,7 +121,7 @@ def sweep(
     else:
         ax = axes_or_new(ax, 5.4, 4.0)
         _draw_over_two(field, ax, scale, colour_bar)
-    legend_above(ax)
+    add_legend(ax)
     return ax
 
 

@@ -16,7 +16,6 @@ from .style import (
     AxesOrNone,
     axes_or_new,
     colour,
-    legend_above,
     shown,
     units_of,
 )
@@ -75,12 +74,12 @@ def wave(
     reach = end if is_front else min(max(3 * core, 3.0), end)
     ax.set(xlim=(-reach, reach), ylabel=by.label)
     ax.set_xlabel(rf"place $\xi = n - {'s' if is_front else 'c'}\,t$ (contacts)")
-    legend_above(ax)
     if is_front:
         _front_tails(ax, record, by, xi, curves["strain"])
         return ax
     low, top = ax.get_ylim()
-    ax.set_ylim(low, top + 0.35 * (top - low))  # room for the tail
+    ax.set_ylim(low, top + 0.35 * (top - low))  # room for the legend and the tail
+    ax.legend(loc="upper left", frameon=False, fontsize="small", handlelength=1.4)
     tail = ax.inset_axes([0.71, 0.6, 0.28, 0.37])
     _curves(tail, xi, {name: np.abs(y) for name, y in curves.items()}, 0.7)
     largest = max(np.nanmax(np.abs(y)) for y in curves.values()) or 1.0

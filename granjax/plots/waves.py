@@ -17,9 +17,9 @@ from .style import (
     OMEGA,
     AxesOrNone,
     add_colour_bar,
+    add_legend,
     axes_or_new,
     colour,
-    legend_above,
     shown,
     units_of,
 )
@@ -294,5 +294,5 @@ def transmission(
     ax.set_ylim(0, 1.12 * max(0.0 if by.unit else 1.0, float(np.nanmax(values))))
     if not by.unit:
         ax.axhline(1.0, color=FAINT, lw=0.8, zorder=0)
-    legend_above(ax)
+    add_legend(ax)
     return ax
