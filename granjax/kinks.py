@@ -83,7 +83,7 @@ def kink(
     - `centre`: a site, or 10.5 for a bond; `None` the bond in the middle. Of a place between them the nearest:
       kinks rest about sites and bonds alone.
 
-    **Returns:** `Kink`; its picture is `gx.plots.kink`. **Raises** ValueError for what is no well and for other
+    **Returns:** `Kink`. **Raises** ValueError for what is no well and for other
     lattices; RuntimeError where Newton's method does not converge, or the ends are too near. Typical: an energy of 8
     sqrt(C) in the sine-Gordon continuum.
     Source: Braun, Kivshar, The Frenkel-Kontorova Model (2004), chapter 2.
@@ -145,8 +145,8 @@ def _refuse_ends(why, middle, sites):
 def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> PeierlsNabarro:
     """The Peierls-Nabarro barrier: the energies of kinks centred on a site and on a bond, in the middle of a chain.
 
-    `lattice`, `right`, `left`: as in `kink`. **Returns:** `PeierlsNabarro` (`gx.plots.kink(..., barrier=)`), whose
-    barrier falls exponentially with the width of the kink; where it is below its `error` the outcome says so.
+    `lattice`, `right`, `left`: as in `kink`. **Returns:** `PeierlsNabarro`, whose barrier
+    falls exponentially with the width of the kink; where it is below its `error` the outcome says so.
     **Raises** as `kink`.
 
     **Example:**

@@ -100,7 +100,7 @@ def test_what_cannot_be_written_is_refused(path, said, tmp_path, monkeypatch):
 
 def test_endings_of_pictures(tmp_path):
     for name in ("a.txt", "a"):
-        with pytest.raises(ValueError, match="path: expected one of"):
+        with pytest.raises(ValueError, match="ending: expected one of"):
             plots.save(plots.figure(1, 1), tmp_path / name)
     assert plots.save(plots.figure(1, 1), tmp_path / "a.SVG").read_bytes().startswith(b"<?xml")
 

@@ -309,7 +309,7 @@ def test_whatever_a_plot_returns_is_saved(tmp_path):
         plots.save(figure, tmp_path / "none.png", dpi=0)
     film = FuncAnimation(figure, lambda k: axes[0].plot([0, k]), frames=2)
     assert plots.save(film, tmp_path / "film.gif", dpi=20).read_bytes().startswith(b"GIF8")
-    with pytest.raises(ValueError, match="path: expected one of '.gif'"):
+    with pytest.raises(ValueError, match="ending: expected one of '.gif'"):
         plots.save(film, tmp_path / "film.png")
 
 

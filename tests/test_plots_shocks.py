@@ -36,15 +36,6 @@ class Seen(NamedTuple):
     units: str = "SI"
 
 
-class Map(NamedTuple):
-    """As much of a `SpaceTime` as pictures need."""
-
-    strain: np.ndarray
-    ts: np.ndarray
-    places: np.ndarray
-    units: str | None = None
-
-
 @pytest.fixture(scope="module")
 def places():
     return np.arange(100) + 0.5
@@ -128,10 +119,6 @@ def test_modulation_beside_a_theory(quantity):
         (lambda y, n: plots.shock(y, over="speed"), "time: expected that of the strains"),
         (lambda y, n: plots.shock(y, toda.velocity_shock(C)), "time: expected"),
         (lambda y, n: plots.shock(y, places=n[:5]), "places: expected 100 rising numbers"),
-        (
-            lambda y, n: plots.shock(Map(y[None], [1.0], n, "scaled"), Seen()),
-            "all in SI or all scaled",
-        ),
         (lambda y, n: plots.modulation(Seen(), quantity="speed"), "quantity: expected one of"),
     ],
 )

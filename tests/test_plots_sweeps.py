@@ -85,7 +85,10 @@ def test_one_parameter_is_a_line_with_gaps_and_bands():
 
 
 def test_words_and_axes_of_their_own():
-    assert len(gx.plots.sweep(one(), "verdict").patches) == 4
+    ax = gx.plots.sweep(one(), "verdict")
+    words = [text.get_text() for text in ax.get_yticklabels()]
+    assert words == ["stable", "unstable", "undecided"]
+    np.testing.assert_allclose(ax.lines[1].get_xdata(), RATIOS[3:5])
     ax = gx.plots.sweep(one(), "multipliers")
     assert ax.get_ylabel() == "|multipliers|" and len(ax.lines) == 3
     np.testing.assert_allclose(ax.lines[1].get_ydata(), 1.0)
