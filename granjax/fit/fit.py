@@ -17,7 +17,7 @@ from ..types import Count, Parameter, Scalar, Scene
 from .fitted import Fit
 from .judge import judged, looked_at, way_back
 from .problem import Problem, Start, prepared
-from .solve import evaluated, gradient_descent, least_squares, patience
+from .solve import MeanSquare, evaluated, gradient_descent, least_squares, patience
 from .traces import Traces
 from .windows import cut
 
@@ -144,10 +144,8 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
         delay = patience(problem.plain)
         return [least_squares(problem, x, tolerance, max_steps, delay) for x in x0], "forward mode"
     adjoint, most = reverse_mode(problem)
-    x0 = jnp.asarray(x0, problem.dtype)
-    found = [
-        gradient_descent(problem, x, optimiser, tolerance, max_steps, adjoint, most) for x in x0
-    ]
+    cost, x0 = MeanSquare(problem, adjoint, most), np.asarray(x0, problem.dtype)
+    found = [gradient_descent(cost, x, optimiser, tolerance, max_steps) for x in x0]
     return found, type(adjoint).__name__
 
 

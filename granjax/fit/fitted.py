@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..lattice import Lattice
 from ..results import Held, Result, array
 from ..types import AnyArray, Count, Numbers
 from .determined import Direction
 from .problem import Problem
-from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED
 from .traces import Traces
 
 
@@ -110,8 +110,8 @@ class Fit(Result):
             CONVERGED: f"Converged in {self.iterations} steps",
             SPENT: f"Not converged after {self.iterations} steps",
             STALLED: f"Stalled after {self.iterations} steps: the residuals could be smaller, but no step was better",
-            NOT_FINITE: "Failed: the residuals are not finite at the start or near it",
-            BLIND: "Failed: the traces do not depend on the parameters at the start",
+            NO_START: "Failed: the residuals are not finite at the start or near it",
+            NO_GRADIENT: "Failed: the traces do not depend on the parameters at the start",
         }[self.code]
         said = [f"{how}; chi^2 per degree of freedom {self.reduced_chi_square:.3g}."]
         if len(self.starts) > 1:

@@ -6,23 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..flow import return_error
 from ..solvers import AbstractSplitting
 from ..types import AnyArray, Numbers
 from .determined import LOOSE, covariance, directions, quantities, sentences
 from .fitted import Fit
 from .problem import Problem, misfit
-from .solve import (
-    BLIND,
-    CONVERGED,
-    NOT_FINITE,
-    SPENT,
-    STALLED,
-    Found,
-    directions_left,
-    evaluated,
-    linearised,
-)
+from .solve import Found, evaluated, fall_left, linearised
 from .windows import Windows
 
 NOTICEABLE = 0.1
@@ -58,7 +49,7 @@ def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | Non
     finite = np.isfinite(value).all() and np.isfinite(jacobian).all()
     if finite and np.any(jacobian):
         return None
-    code = BLIND if finite else NOT_FINITE
+    code = NO_GRADIENT if finite else NO_START
     return judged(problem, Found(x, 0.5 * np.sum(value**2), 0, code), ())
 
 
@@ -91,13 +82,14 @@ def judged(
     code, undetermined, found_directions = int(found.code), (), ()
     remarks = _elsewhere(plain, squares, squares / max(samples - flat.size, 1) if known else None)
     if code in (SPENT, STALLED):
-        *_, b, kept = directions_left(value, jacobian)
-        code = CONVERGED if np.sum(b[kept] ** 2) < ARRIVED * noise**2 else code
+        code = CONVERGED if fall_left(value, jacobian) < ARRIVED * noise**2 else code
     step_error = np.nan
-    if code in (NOT_FINITE, BLIND):
+    if code in (NO_START, NO_GRADIENT):
         matrix = np.full((flat.size, flat.size), np.nan)
         remarks.append(
-            _silence(plain, parameters) if code == BLIND else "Give a start whose run stays finite."
+            _silence(plain, parameters)
+            if code == NO_GRADIENT
+            else "Give a start whose run stays finite."
         )
     else:
         held = coordinates.at_bounds(parameters)
