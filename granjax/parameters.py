@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .checks import concrete, one_of, parameter, refuse, show
+from .checks import one_of, parameter, refuse, show
 from .printing import told
 from .types import AnyArray, Numbers, Parameter, Scalar
 
@@ -52,7 +52,9 @@ class Coordinates(eqx.Module):
         for name, value in self.start.items():
             self.low[name], self.high[name] = _interval(name, value, bounds.get(name))
         # one scale for an array: an entry that is zero may move as far as its neighbours
-        self.scale = {name: _scale(value) for name, value in self.start.items()}
+        self.scale = {
+            name: jnp.asarray(np.abs(x).max() or 1.0, x.dtype) for name, x in self.start.items()
+        }
 
     @property
     def names(self) -> list[str]:
@@ -74,10 +76,7 @@ class Coordinates(eqx.Module):
         return [
             name
             for name, x in self.start.items()
-            if self.low[name] is None
-            and self.high[name] is None
-            and concrete(x) is not None
-            and not np.any(x)
+            if self.low[name] is None and self.high[name] is None and not np.any(x)
         ]
 
     def sized(self, value: Scalar, slopes: Float[AnyArray, " P"]) -> "Coordinates":
@@ -151,31 +150,18 @@ class Coordinates(eqx.Module):
         return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]
 
 
-def _scale(value):
-    at = concrete(value)
-    if at is None:
-        return jnp.where(jnp.any(value != 0), jnp.max(jnp.abs(value)), 1.0)
-    return jnp.asarray(np.abs(at).max() if at.any() else 1.0, value.dtype)
-
-
 def _interval(name, value, bounds):
     if bounds is None:
         return None, None
     low, high = (
         None if bound is None else parameter(f"bounds[{name!r}]", bound) for bound in bounds
     )
-    at = concrete(value)
     for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):
-        if (
-            bound is not None
-            and at is not None
-            and concrete(bound) is not None
-            and not inside(at, bound).all()
-        ):
+        if bound is not None and not np.all(inside(value, bound)):
             refuse(
                 name,
                 f"a start {side} its bound {show(bound)}",
-                show(at),
+                show(value),
                 "A bound is no place to start from.",
             )
     return low, high

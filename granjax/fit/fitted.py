@@ -120,9 +120,7 @@ class Fit(Result):
         return " ".join([*said, *self.remarks, *self.undetermined])
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        flat = np.concatenate(
-            [np.ravel(self.parameters[name]) for name in self.problem.coordinates.order]
-        )
+        flat = np.asarray(self.problem.coordinates.flat(self.parameters))
         for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"
