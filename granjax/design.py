@@ -106,7 +106,7 @@ def design(
     r"""Parameters that minimise (maximise) an objective, by its gradient.
 
     The optimiser moves the free coordinates of `granjax.parameters.Coordinates`: changes of order one, bounds never
-    passed. All steps are one compiled loop; the best point met is kept.
+    passed. The objective and its gradient are one compiled program; the best point met is kept.
 
     **Arguments:**
 
@@ -204,14 +204,7 @@ def _others(coordinates, bounds, starts, seed):
         return []
     if isinstance(starts, (list, tuple)):
         return [
-            Coordinates(
-                {
-                    name: jnp.broadcast_to(start[name], x.shape)
-                    for name, x in coordinates.start.items()
-                },
-                bounds,
-            )
-            for start in starts
+            Coordinates(coordinates.unflat(coordinates.flat(start)), bounds) for start in starts
         ]
     draws = np.random.default_rng(seed).normal(size=(starts, coordinates.size))
     return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]

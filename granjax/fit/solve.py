@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..descent import CONVERGED, NO_START, NOT_FINITE, SPENT, STALLED, descend
+from ..descent import CONVERGED, NO_START, NOT_FINITE, SPENT, STALLED, descend, levenberg_marquardt
 from ..flow.march import seconds_a_step
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
@@ -60,43 +60,24 @@ def least_squares(
     max_steps: int,
     delay: float = PATIENCE,
 ) -> Found:
-    """Levenberg and Marquardt's method from x (n,), as MINPACK has it: Moré, Lect. Notes Math. 630, 105 (1978).
+    """Levenberg and Marquardt's method from x (n,).
 
     A bar shows the steps that are left at most after a `delay` [s]. It has converged where the sum of squares could
     fall by less than the tolerance, relatively, and has stalled where it could fall by more, but no step is better.
     """
-    from scipy import optimize
     from tqdm import tqdm
 
     tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
-    latest = {}
-
-    def both(x):
-        """(residuals, Jacobian) at x, both by one run; residuals are NaN where the Jacobian is not finite."""
-        if x.tobytes() not in latest:
-            value, jacobian = evaluated(problem, x)
-            value = np.where(np.isfinite(jacobian).all(), value, np.nan)
-            # MINPACK wants as many residuals as unknowns
-            rows = max(0, x.size - value.size)
-            latest.clear()
-            latest[x.tobytes()] = np.pad(value, (0, rows)), np.pad(jacobian, ((0, rows), (0, 0)))
-            bar.update()
-        return latest[x.tobytes()]
-
     with tqdm(total=max_steps, desc="fit", unit="step", delay=delay, leave=False) as bar:
-        if not np.isfinite(both(np.asarray(x, float))[0]).all():
-            return Found(x, np.inf, 0, NO_START)
-        found = optimize.least_squares(
-            lambda x: both(x)[0],
-            x,
-            lambda x: both(x)[1],
-            method="lm",
-            x_scale="jac",
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=tolerance,
-            max_nfev=max_steps + 1,
-        )
+
+        def followed(x):
+            bar.update()
+            return evaluated(problem, x)
+
+        x = np.asarray(x, float)
+        found = levenberg_marquardt(followed, x, tolerance, tolerance, max_steps)
+    if found is None:
+        return Found(x, np.inf, 0, NO_START)
     arrived = fall_left(found.fun, found.jac) <= 2 * tolerance * found.cost
     code = CONVERGED if arrived else STALLED if found.status else SPENT
     return Found(found.x, found.cost, found.nfev - 1, code)

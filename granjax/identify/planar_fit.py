@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import diffrax
 import numpy as np
-from scipy import optimize
 from scipy.interpolate import CubicSpline
+
+from ..descent import levenberg_marquardt
 
 # points of a window of weak form, its half width in wavelengths, powers of its weight; longest step of a trajectory
 FINE, WIDTH, POWER, STEP = 24, 0.5, 6, 0.25
@@ -157,15 +158,14 @@ def least_squares(
     """The method of Levenberg and Marquardt, of MINPACK, from some coefficients and starts."""
     shared, count = len(c), len(trains)
     ends = np.cumsum([0] + [len(train.x) for train in trains])
-    latest = {}
 
-    def both(unknown):
-        """Residuals, Jacobian and slopes; residuals are NaN where a trajectory escapes."""
-        if unknown.tobytes() in latest:
-            return latest[unknown.tobytes()]
-        c, starts = unknown[:shared], unknown[shared:].reshape(count, 2).T
+    def parted(unknown):
+        return unknown[:shared], unknown[shared:].reshape(count, 2).T
+
+    def evaluate(unknown):
+        """Residuals, Jacobian and slopes."""
         with np.errstate(all="ignore"):
-            along = trajectories(trains, c, starts, degree, drift)
+            along = trajectories(trains, *parted(unknown), degree, drift)
         rows = np.concatenate([along[: len(train.x), k] for k, train in enumerate(trains)])
         residual = rows[:, 0] - np.concatenate([train.y for train in trains])
         jacobian = np.zeros((ends[-1], unknown.size))
@@ -173,28 +173,13 @@ def least_squares(
         for k in range(count):
             own, column = slice(ends[k], ends[k + 1]), shared + 2 * k
             jacobian[own, column : column + 2] = rows[own, 1 + shared : -1]
-        residual = np.where(np.isfinite(jacobian).all(), residual, np.nan)
-        latest.clear()
-        latest[unknown.tobytes()] = residual, jacobian, rows[:, -1]
-        return latest[unknown.tobytes()]
+        return residual, jacobian, rows[:, -1]
 
-    unknown = np.append(c, starts.T)
-    if not np.isfinite(both(unknown)[0]).all():
-        unknown[:shared] = _oscillation(shared)
-    found = optimize.least_squares(
-        lambda x: both(x)[0],
-        unknown,
-        lambda x: both(x)[1],
-        method="lm",
-        x_scale="jac",
-        ftol=SLOW,
-        xtol=SETTLED,
-        gtol=SETTLED,
-        max_nfev=STEPS,
-    )
-    residual, jacobian, slopes = both(found.x)
-    c, starts = found.x[:shared], found.x[shared:].reshape(count, 2).T
-    return Found(c, starts, residual, jacobian, slopes, found.status > 0)
+    found = levenberg_marquardt(evaluate, np.append(c, starts.T), SLOW, SETTLED, STEPS)
+    if found is None:
+        begin = np.append(_oscillation(shared), starts.T)
+        found = levenberg_marquardt(evaluate, begin, SLOW, SETTLED, STEPS)
+    return Found(*parted(found.x), *evaluate(found.x), found.status > 0)
 
 
 def _oscillation(shared):
