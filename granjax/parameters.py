@@ -48,9 +48,9 @@ class Coordinates(eqx.Module):
             k: jnp.asarray(x, x.dtype) for k, x in ((k, parameter(k, x)) for k, x in start.items())
         }
         self.order = tuple(start)
-        self.low, self.high = {}, {}
-        for name, value in self.start.items():
-            self.low[name], self.high[name] = _interval(name, value, bounds.get(name))
+        both = {name: _interval(name, x, bounds.get(name)) for name, x in self.start.items()}
+        self.low = {name: low for name, (low, _) in both.items()}
+        self.high = {name: high for name, (_, high) in both.items()}
         # one scale for an array: an entry that is zero may move as far as its neighbours
         self.scale = {
             name: jnp.asarray(np.abs(x).max() or 1.0, x.dtype) for name, x in self.start.items()
@@ -59,16 +59,11 @@ class Coordinates(eqx.Module):
     @property
     def names(self) -> list[str]:
         """A name for every free number, in the order of the start: "damping", "stiffness[0]", "stiffness[1]", ..."""
-        names = []
-        for name in self.order:
-            value = self.start[name]
-            if value.ndim == 0:
-                names.append(name)
-            else:
-                names += [
-                    f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(value.shape)
-                ]
-        return names
+        return [
+            f"{name}[{', '.join(map(str, index))}]" if index else name
+            for name in self.order
+            for index in np.ndindex(self.start[name].shape)
+        ]
 
     @property
     def sizeless(self) -> list[str]:
