@@ -13,7 +13,7 @@ from ..types import AnyArray, Numbers
 from .determined import LOOSE, covariance, directions, quantities, sentences
 from .fitted import Fit
 from .problem import Problem, misfit
-from .solve import Found, evaluated, fall_left, linearised
+from .solve import Found, evaluated, linearised, still_to_go
 from .windows import Windows
 
 NOTICEABLE = 0.1
@@ -79,7 +79,7 @@ def judged(
     code, undetermined, found_directions = int(found.code), (), ()
     remarks = _elsewhere(plain, squares, squares / free if known else None)
     if code in (SPENT, STALLED):
-        code = CONVERGED if fall_left(value, jacobian) < ARRIVED * noise**2 else code
+        code = CONVERGED if still_to_go(value, jacobian)[0] < ARRIVED * noise**2 else code
     step_error = np.nan
     if code in (NO_START, NO_GRADIENT):
         matrix = np.full((flat.size, flat.size), np.nan)

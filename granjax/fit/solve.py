@@ -46,11 +46,15 @@ def evaluated(
     return np.asarray(value, float), np.asarray(jacobian, float)
 
 
-def fall_left(value: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m n"]) -> float:
-    """By how much |value|^2 could still fall along the directions that the data see."""
+def still_to_go(
+    value: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m n"]
+) -> tuple[float, Float[np.ndarray, " n"]]:
+    """By how much |value|^2 could still fall along the directions that the data see, and the step (n,) to there."""
     widths = np.linalg.norm(jacobian, axis=0)
-    u, s, _ = np.linalg.svd(jacobian / np.where(widths > 0, widths, 1.0), full_matrices=False)
-    return float(np.sum((value @ u)[s > NEGLIGIBLE * s[0]] ** 2))
+    widths = np.where(widths > 0, widths, 1.0)
+    u, s, vh = np.linalg.svd(jacobian / widths, full_matrices=False)
+    kept, b = s > NEGLIGIBLE * s[0], value @ u
+    return float(np.sum(b[kept] ** 2)), -(b[kept] / s[kept]) @ vh[kept] / widths
 
 
 def least_squares(
@@ -63,7 +67,8 @@ def least_squares(
     """Levenberg and Marquardt's method from x (n,).
 
     A bar shows the steps that are left at most after a `delay` [s]. It has converged where the sum of squares could
-    fall by less than the tolerance, relatively, and has stalled where it could fall by more, but no step is better.
+    fall by less than the tolerance, relatively, or the step to there is as short, and has stalled where neither is so,
+    but no step is better.
     """
     from tqdm import tqdm
 
@@ -78,8 +83,15 @@ def least_squares(
         found = levenberg_marquardt(followed, x, tolerance, tolerance, max_steps)
     if found is None:
         return Found(x, np.inf, 0, NO_START)
-    arrived = fall_left(found.fun, found.jac) <= 2 * tolerance * found.cost
-    code = CONVERGED if arrived else STALLED if found.status else SPENT
+    fall, step = still_to_go(found.fun, found.jac)
+    near = np.abs(step).max() <= tolerance * (1 + np.abs(found.x).max())
+    code = (
+        CONVERGED
+        if near or fall <= 2 * tolerance * found.cost
+        else STALLED
+        if found.status
+        else SPENT
+    )
     return Found(found.x, found.cost, found.nfev - 1, code)
 
 
