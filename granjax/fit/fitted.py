@@ -6,13 +6,13 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..lattice import Lattice
 from ..results import Result, array, hidden
 from ..types import AnyArray, Count, Numbers
 from ..variables import Held
 from .determined import Direction
 from .problem import Problem
-from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED
 from .traces import Traces
 
 
@@ -118,8 +118,8 @@ class Fit(Result):
             CONVERGED: f"Converged in {self.iterations} steps",
             SPENT: f"Not converged after {self.iterations} steps",
             STALLED: f"Stalled after {self.iterations} steps: the residuals could be smaller, but no step was better",
-            NOT_FINITE: "Failed: the residuals are not finite at the start or near it",
-            BLIND: "Failed: the traces do not depend on the parameters at the start",
+            NO_START: "Failed: the residuals are not finite at the start or near it",
+            NO_GRADIENT: "Failed: the traces do not depend on the parameters at the start",
         }[self.code]
         said = [f"{how}; chi^2 per degree of freedom {self.reduced_chi_square:.3g}."]
         if len(self.starts) > 1:
@@ -128,9 +128,7 @@ class Fit(Result):
         return " ".join([*said, *self.remarks, *self.undetermined])
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        flat = np.concatenate(
-            [np.ravel(self.parameters[name]) for name in self.problem.coordinates.order]
-        )
+        flat = np.asarray(self.problem.coordinates.flat(self.parameters))
         for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"

@@ -141,8 +141,7 @@ def law(
     >>> round(float(found.law.stiffness), 4)
     1.0
     """
-    others = {} if others is None else dict(others)
-    strain = None
+    others, strain = dict(others or {}), None
     if isinstance(family, str):
         if stiffness is None:
             refuse(
@@ -209,7 +208,9 @@ def _acting(of_law, parameters):
     """The terms of the scene that the law acts in, by index."""
     marked = of_law.law(parameters)
     lattice = of_law.lattice(marked, parameters)
-    acting = tuple(i for i, term in enumerate(lattice.terms) if _holds(term, marked))
+    is_law = lambda part: part is marked
+    holds = lambda term: any(map(is_law, jax.tree.leaves(term, is_leaf=is_law)))
+    acting = tuple(i for i, term in enumerate(lattice.terms) if holds(term))
     if not acting:
         refuse(
             "scene",
@@ -250,10 +251,6 @@ class _Strains(eqx.Module):
             for c in lattice.terms[i].compressions(t, y.u)
         ]
         return jnp.concatenate(found)
-
-
-def _holds(term, law):
-    return any(part is law for part in jax.tree.leaves(term, is_leaf=lambda part: part is law))
 
 
 @eqx.filter_jit
