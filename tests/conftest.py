@@ -4,8 +4,9 @@ Before that the import hook is set for the fast tests, with which every annotati
 lengthens traces. A process that only hands tests to others imports neither.
 
 Most of the tests' time is compiling programs that run once. So they are compiled cheaply, unless XLA_FLAGS is set
-(`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding), and what was compiled is
-kept in the user's cache folder for the next run, unless GRANJAX_CACHE is 0.
+(`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding) or a test takes the
+fixture `optimised`, as those do that compute for long. What was compiled is kept in the user's cache folder for the
+next run, unless GRANJAX_CACHE is 0.
 """
 
 import gc
@@ -25,6 +26,8 @@ WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 def pytest_configure(config):
     """What has to come before the first computation, and before a module of tests is imported."""
     hands_out = config.getoption("numprocesses", None) and not config.getoption("collectonly")
+    # figures are drawn for files alone
+    os.environ["MPLBACKEND"] = "Agg"
     if WORKER or not hands_out:
         asked = config.getoption("markexpr")
         config.programs = _prepare(typed_too="not slow" in asked, long=asked == "study")
@@ -35,13 +38,15 @@ def _prepare(typed_too, long):
     """Flags, import hook, granjax; the folder of compiled programs, or None. `long`: programs worth the optimiser."""
     import jax
 
-    # XLA ends a process whose flags it does not know, and has let go of the last one
-    cheap = "--xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
-    if not long:
-        cheap += " --xla_backend_optimization_level=0"
-    if jax.__version_info__ < (0, 12):
-        cheap += " --xla_cpu_use_fusion_emitters=false"
-    os.environ.setdefault("XLA_FLAGS", cheap)
+    if "XLA_FLAGS" not in os.environ:
+        cheap = "--xla_cpu_parallel_codegen_split_count=1"
+        # XLA ends a process whose flags it does not know, and has let go of the last one
+        if jax.__version_info__ < (0, 12):
+            cheap += " --xla_cpu_use_fusion_emitters=false"
+        os.environ["XLA_FLAGS"] = cheap
+        # for the processes that tests start too
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(not long))
+        jax.config.update("jax_disable_most_optimizations", not long)
     # older versions trace literals of a class of their own, which no annotation knows
     if typed_too and jax.__version_info__ >= (0, 10):
         import typed
@@ -112,10 +117,18 @@ def pytest_runtest_teardown(item, nextitem):
 
 
 @pytest.fixture
-def ax():
-    import matplotlib
+def optimised():
+    """What a test of this fixture compiles is optimised: it computes for longer than that takes."""
+    import jax
 
-    matplotlib.use("Agg")
+    before = jax.config.jax_disable_most_optimizations
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.fixture
+def ax():
     import matplotlib.pyplot as plt
 
     figure, ax = plt.subplots()

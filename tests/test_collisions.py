@@ -1,17 +1,13 @@
 """Collisions of solitary waves, and their reflection from walls."""
 
 import jax.numpy as jnp
-import matplotlib
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
 
-matplotlib.use("Agg")
-
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from scipy.integrate import solve_ivp  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax import plots  # noqa: E402
-from granjax.travelling import collide, reflect, solitary_wave  # noqa: E402
+import granjax as gx
+from granjax import plots
+from granjax.travelling import collide, reflect, solitary_wave
 
 
 def toda(k, way=1, law=None):
@@ -122,6 +118,7 @@ def test_waves_meet_at_the_phase_that_is_asked_for(law, force, speeds, phase):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_calls_with_other_numerical_options_agree_within_their_errors():
     one, two = (solitary_wave(gx.Polynomial(1.0, 0.25, 0.0), speed=c) for c in (1.4, -1.5))
     calls = [{"tolerance": 1e-2}, {"tolerance": 1e-3}, {"tolerance": 1e-2, "step": 0.03}]

@@ -8,14 +8,10 @@ import re
 import textwrap
 from pathlib import Path
 
-import matplotlib
+import matplotlib.pyplot as plt
 import pytest
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-
-import granjax as gx  # noqa: E402
+import granjax as gx
 
 ROOT = Path(__file__).parents[1]
 README = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.M | re.S)
@@ -99,6 +95,7 @@ def fit_is_that_of_the_file(fit, printed):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_the_readme_runs_from_top_to_bottom(elsewhere):
     space, printed = run(README)
     fit_is_that_of_the_file(space["fit"], printed)

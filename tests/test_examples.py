@@ -6,17 +6,13 @@ import inspect
 import io
 from pathlib import Path
 
-import matplotlib
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
-matplotlib.use("Agg")
-
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-
-import granjax as gx  # noqa: E402
+import granjax as gx
 
 spec = importlib.util.spec_from_file_location(
     "public", Path(__file__).parents[1] / "docs" / "public.py"

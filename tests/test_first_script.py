@@ -6,15 +6,11 @@ No number of it is scaled, and none is a tolerance.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-import granjax as gx  # noqa: E402
+import granjax as gx
 
 pytestmark = pytest.mark.study
 RADIUS, LOAD = 9.53e-3, 10.0  # m, N

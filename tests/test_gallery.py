@@ -4,12 +4,8 @@ import importlib.util
 import json
 from pathlib import Path
 
-import matplotlib
+import matplotlib.pyplot as plt
 import pytest
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
 
 FOLDER = Path(__file__).parents[1] / "docs" / "gallery"
 spec = importlib.util.spec_from_file_location("examples", FOLDER / "examples.py")
@@ -18,6 +14,10 @@ spec.loader.exec_module(examples)
 
 EXAMPLES = examples.every()
 SYSTEMS = set(examples.systems())
+MADE = json.loads((FOLDER / "made.json").read_text())
+LONG = (
+    15  # seconds that an example took to be made, from which on its programs are worth optimising
+)
 
 
 def test_every_system_of_the_review_has_an_example():
@@ -27,17 +27,18 @@ def test_every_system_of_the_review_has_an_example():
 
 
 def test_examples_are_short_and_have_a_picture_and_a_number_that_is_stored():
-    made = json.loads((FOLDER / "made.json").read_text())
-    assert made.keys() == EXAMPLES.keys() == {path.stem for path in (FOLDER / "pictures").iterdir()}
+    assert MADE.keys() == EXAMPLES.keys() == {path.stem for path in (FOLDER / "pictures").iterdir()}
     for name, one in EXAMPLES.items():
         assert one.lines <= examples.MOST_LINES, name
-        assert one.agrees(made[name]["number"]), name
+        assert one.agrees(MADE[name]["number"]), name
         assert one.source and 0 < one.within < max(abs(one.expected), 1.0), name
 
 
 @pytest.mark.site
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_gives_its_number(name, tmp_path, monkeypatch):
+def test_an_example_gives_its_number(name, request, tmp_path, monkeypatch):
+    if MADE[name]["seconds"] > LONG:
+        request.getfixturevalue("optimised")
     monkeypatch.chdir(tmp_path)
     space = EXAMPLES[name].run()
     assert EXAMPLES[name].agrees(float(space["number"]))

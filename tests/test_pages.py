@@ -7,14 +7,10 @@ import os
 import re
 from pathlib import Path
 
-import matplotlib
+import matplotlib.pyplot as plt
 import pytest
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-
-import granjax as gx  # noqa: E402
+import granjax as gx
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

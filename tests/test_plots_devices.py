@@ -1,15 +1,11 @@
 """Pictures of kinks show the numbers of their results, with units."""
 
-import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax import plots  # noqa: E402
+import granjax as gx
+from granjax import plots
 
 
 @pytest.fixture(autouse=True)

@@ -4,12 +4,8 @@ import json
 from importlib import import_module
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import pytest  # noqa: E402
+import matplotlib.pyplot as plt
+import pytest
 
 FOLDER = Path(__file__).parents[1] / "docs" / "review"
 FIGURES = sorted(path.stem for path in FOLDER.glob("*_*.py"))
@@ -38,6 +34,7 @@ def test_all_sixteen_are_made_and_stored():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_has_its_numbers_and_labels(name):
     rows = import_module(name).make()

@@ -8,18 +8,14 @@ from pathlib import Path
 import diffrax
 import jax
 import jax.numpy as jnp
-import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from scipy.integrate import solve_ivp  # noqa: E402
-from scipy.linalg import expm  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax.work_precision import (  # noqa: E402
+import granjax as gx
+from granjax.work_precision import (
     Ladder,
     distance,
     find_reference,
@@ -30,7 +26,7 @@ from granjax.work_precision import (  # noqa: E402
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
-import scenes  # noqa: E402
+import scenes
 
 END = 2.0
 EXACT = np.array([math.cos(END)]), np.array([-math.sin(END)])
