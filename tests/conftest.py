@@ -11,6 +11,7 @@ next run, unless GRANJAX_CACHE is 0.
 
 import gc
 import os
+import sys
 import time
 from pathlib import Path
 
@@ -109,7 +110,9 @@ def _memory():
 
 
 def pytest_runtest_teardown(item, nextitem):
-    """Compiled programs are let go, most where a module ends: a worker would grow to many GB."""
+    """Figures are closed; compiled programs are let go, most where a module ends: a worker would grow to many GB."""
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
     if nextitem is not None and _memory() > _much() * (1 if item.path != nextitem.path else 2):
         import granjax
 
@@ -128,9 +131,16 @@ def optimised():
 
 
 @pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """A folder that looks like the repository's, to run in and to write to."""
+    for name in ("notebooks", "benchmarks"):
+        (tmp_path / name).symlink_to(Path(__file__).parents[1] / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def ax():
     import matplotlib.pyplot as plt
 
-    figure, ax = plt.subplots()
-    yield ax
-    plt.close(figure)
+    return plt.subplots()[1]

@@ -3,12 +3,10 @@
 import ast
 import contextlib
 import io
-import os
 import re
 import textwrap
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import pytest
 
 import granjax as gx
@@ -60,15 +58,6 @@ def docstrings():
 DOCSTRINGS = list(docstrings())
 
 
-@pytest.fixture
-def elsewhere(tmp_path, monkeypatch):
-    """A folder that looks like the repository's, to run in and to write to."""
-    os.symlink(ROOT / "notebooks", tmp_path / "notebooks")
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
-    plt.close("all")
-
-
 def run(blocks, **names):
     """What the blocks leave and print, one after the other, where nothing is known but `names`."""
     space, printed = {**names}, io.StringIO()
@@ -95,7 +84,6 @@ def fit_is_that_of_the_file(fit, printed):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 def test_the_readme_runs_from_top_to_bottom(elsewhere):
     space, printed = run(README)
     fit_is_that_of_the_file(space["fit"], printed)

@@ -39,7 +39,6 @@ def run(test):
     """What an example prints in place of what it should, empty where it is right."""
     said = io.StringIO()
     doctest.DocTestRunner(optionflags=FLAGS, verbose=False).run(test, out=said.write)
-    plt.close("all")
     return said.getvalue()
 
 

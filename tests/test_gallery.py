@@ -4,7 +4,6 @@ import importlib.util
 import json
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import pytest
 
 FOLDER = Path(__file__).parents[1] / "docs" / "gallery"
@@ -44,4 +43,3 @@ def test_an_example_gives_its_number(name, request, tmp_path, monkeypatch):
     assert EXAMPLES[name].agrees(float(space["number"]))
     figure = getattr(space["ax"], "figure", space["ax"])
     assert figure.axes and any(ax.has_data() for ax in figure.axes)
-    plt.close("all")

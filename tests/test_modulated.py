@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -219,7 +218,6 @@ def test_the_picture_shows_gaps_and_growth(layers):
     assert ax.get_ylabel().endswith("(scaled)") and ax.child_axes[0].get_ylabel().startswith(
         "growth rate"
     )
-    plt.close(ax.figure)
 
 
 @pytest.mark.study

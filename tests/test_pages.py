@@ -3,11 +3,9 @@
 import contextlib
 import importlib.util
 import io
-import os
 import re
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import pytest
 
 import granjax as gx
@@ -34,16 +32,6 @@ def blocks(page):
     return [code for language, code in FENCE.findall(page.read_text()) if language == "python"]
 
 
-@pytest.fixture
-def elsewhere(tmp_path, monkeypatch):
-    """A folder that looks like the repository's, to run in and to write to."""
-    for name in ("notebooks", "benchmarks"):
-        os.symlink(ROOT / name, tmp_path / name)
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
-    plt.close("all")
-
-
 @pytest.mark.site
 @pytest.mark.parametrize(
     "page",
@@ -55,7 +43,6 @@ def test_a_page_runs_from_top_to_bottom(page, elsewhere):
     with contextlib.redirect_stdout(io.StringIO()):
         for number, block in enumerate(blocks(page), 1):
             exec(compile(block, f"{page.name}, block {number}", "exec"), space)
-    plt.close("all")
 
 
 def test_there_are_pages():

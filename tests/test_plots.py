@@ -266,7 +266,6 @@ def test_without_axes_a_figure_of_the_house_style_is_made(record):
     ax = plots.space_time(record)
     assert ax.figure.number in plt.get_fignums()
     assert ax.xaxis.label.get_size() == 10.0
-    plt.close(ax.figure)
     assert dict(matplotlib.rcParams) == before
 
 

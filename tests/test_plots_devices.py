@@ -1,17 +1,10 @@
 """Pictures of kinks show the numbers of their results, with units."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import granjax as gx
 from granjax import plots
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
 
 
 def labels(ax):

@@ -50,12 +50,6 @@ def record():
     )
 
 
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
-
-
 def test_every_sensor_has_its_data_its_fit_and_its_residuals():
     result = record()
     axes = fits.fit(result)

@@ -16,9 +16,7 @@ ROUND = np.exp(0.4j)
 
 @pytest.fixture
 def axes():
-    figure, axes = plt.subplots(2, 2)
-    yield axes
-    plt.close(figure)
+    return plt.subplots(2, 2)[1]
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -55,12 +54,6 @@ def strain(places):
 def run():
     problem = gx.shocks.velocity_shock(gx.scenes.toda(61, boundary="free"), C)
     return problem, problem.run(20.0)
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
 
 
 def written(ax):

@@ -1,6 +1,5 @@
 """Pictures of sweeps: one to three parameters, lists, words, failed lanes, units; made by hand."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray
@@ -9,12 +8,6 @@ import granjax as gx
 
 RATIOS, LOADS = np.linspace(0.1, 1.0, 7), np.geomspace(1.0, 1000.0, 4)
 FAILED = "The motion left the law's domain."
-
-
-@pytest.fixture(autouse=True)
-def _closed():
-    yield
-    plt.close("all")
 
 
 def one():

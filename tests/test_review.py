@@ -15,8 +15,6 @@ FIGURES = sorted(path.stem for path in FOLDER.glob("*_*.py"))
 def neighbours(monkeypatch):
     """The scripts import one another, as from the command line."""
     monkeypatch.syspath_prepend(FOLDER)
-    yield
-    plt.close("all")
 
 
 def test_all_sixteen_are_made_and_stored():

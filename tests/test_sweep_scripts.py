@@ -1,6 +1,5 @@
 """What a user's sweep looks like: whole scripts of fewer than 12 lines, figure included."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -54,7 +53,6 @@ def run(script):
     """What a script leaves."""
     space = {"__name__": "script"}
     exec(compile(script, "script.py", "exec"), space)
-    plt.close("all")
     return space
 
 

@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,12 +10,6 @@ import granjax as gx
 from granjax.units.names import family, known_unit, readable
 
 plots = gx.plots
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
 
 
 # ---------------------------------------------------------------------------------------------------------------- names

@@ -8,7 +8,6 @@ from pathlib import Path
 import diffrax
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -307,13 +306,6 @@ def test_xarray_round_trip(table, tmp_path):
         assert list(data["method"].values) == list(table.method)
         assert data["order"].sel(method_name="rk4") == table.orders["rk4"][0]
         assert data.attrs["floor"] == FLOOR and data.attrs["reference"] == "closed form"
-
-
-@pytest.fixture
-def ax():
-    figure, ax = plt.subplots()
-    yield ax
-    plt.close(figure)
 
 
 def test_the_chart_shows_the_table(table, ax):
