@@ -17,6 +17,10 @@ from pathlib import Path
 
 import pytest
 
+ROOT = Path(__file__).parents[1]
+# scripts beside the library, which tests import
+sys.path += [str(ROOT / folder) for folder in ("benchmarks", "docs", "docs/gallery")]
+
 KEPT_FOR = 14 * 24 * 3600
 # a worker of more bytes than these, or than its part of this share of the machine's, lets programs go where a module
 # ends; anywhere from twice as many on
@@ -124,17 +128,17 @@ def optimised():
     """What a test of this fixture compiles is optimised: it computes for longer than that takes."""
     import jax
 
-    before = jax.config.jax_disable_most_optimizations
     jax.config.update("jax_disable_most_optimizations", False)
     yield
-    jax.config.update("jax_disable_most_optimizations", before)
+    cheap = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
+    jax.config.update("jax_disable_most_optimizations", cheap)
 
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
     """A folder that looks like the repository's, to run in and to write to."""
     for name in ("notebooks", "benchmarks"):
-        (tmp_path / name).symlink_to(Path(__file__).parents[1] / name)
+        (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -173,7 +173,6 @@ BAD = (
         lambda: gx.states.random(chain(BOND), 0, np.ones(6)),
         "displacement",
     ),
-    ("a velocity per site", lambda: gx.states.random(chain(BOND), 0, 0.1, np.ones(6)), "velocity"),
     ("a temperature per site", lambda: gx.states.thermal(chain(BOND), np.ones(6)), "temperature"),
     ("a strain per site", lambda: gx.states.strain_step(chain(BOND), np.ones(6)), "left"),
     (
@@ -181,12 +180,6 @@ BAD = (
         lambda: gx.states.velocity_step(chain(BOND), np.ones(6)),
         "c: expected one number",
     ),
-    (
-        "an amplitude per site",
-        lambda: gx.states.wave_packet(chain(BOND), 1.0, amplitude=np.ones(6), omega=1.0),
-        "amplitude",
-    ),
-    ("a mode's phase per site", lambda: gx.states.normal_mode(LINEAR, phase=np.ones(6)), "phase"),
     *(
         (
             f"{what} of another length",
@@ -231,23 +224,6 @@ BAD = (
         "resolution",
     ),
     ("adjoint of tolerance 0", lambda: gx.Reversible(0.0), "tolerance"),
-    (
-        "a run of tolerance 1",
-        lambda: gx.simulate(LINEAR, gx.states.impact(LINEAR), 1.0, tolerance=1.0),
-        "tolerance",
-    ),
-    (
-        "threshold of a regression",
-        lambda: gx.identify.regression(
-            np.ones(2),
-            {"a": gx.Damping},
-            np.arange(3.0),
-            np.ones((3, 2)),
-            np.ones((3, 2)),
-            threshold=1.0,
-        ),
-        "threshold",
-    ),
     (
         "masses of other sites",
         lambda: gx.identify.regression(

@@ -1,24 +1,17 @@
 """The examples of public docstrings run, those of a module in one process."""
 
 import doctest
-import importlib.util
 import inspect
 import io
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+import public
 import pytest
 
 import granjax as gx
-
-spec = importlib.util.spec_from_file_location(
-    "public", Path(__file__).parents[1] / "docs" / "public.py"
-)
-public = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(public)
 
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # what an example may take for granted

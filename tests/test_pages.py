@@ -1,11 +1,11 @@
 """The pages of docs/: their blocks run, from top to bottom of each; their names and links exist."""
 
 import contextlib
-import importlib.util
 import io
 import re
 from pathlib import Path
 
+import public
 import pytest
 
 import granjax as gx
@@ -22,9 +22,6 @@ FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.M | re.S)
 # of what a reader runs, and of what only shows
 LANGUAGES = {"python", "text", "toml", "matlab", "bibtex", "{toctree}"}
 
-spec = importlib.util.spec_from_file_location("public", DOCS / "public.py")
-public = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(public)
 NAMES = {f"{page}.{name}" for page, name, _ in public.objects(gx)}
 
 

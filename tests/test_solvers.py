@@ -215,26 +215,6 @@ def test_time_reversible(solver):
     assert np.abs(flat(end) - flat(start)).max() > 0.1
 
 
-@pytest.mark.slow
-@some_of(SPLITTING, VelocityVerlet, SRKN6b, SRKN11b, SRKN14a)
-def test_stability_limit(solver):
-    # the first interval of instability may be narrow and weak (SRKN11b: 3e-4 wide, growth 4e-4 a step)
-    def oscillator(t, y, args):
-        return gx.State(y[1], -y[0])
-
-    def amplitude(h):
-        start = gx.State(jnp.asarray([1.0]), jnp.asarray([0.3]))
-        return jnp.abs(flat(last(solve(solver(), start, 40_000 * h, h, None, oscillator)))).max()
-
-    limit = solver.stability_limit()
-    assert amplitude(limit * (1 - 1.4e-4)) < 1e3
-    assert not amplitude(limit * (1 + 1.4e-4)) < 1e5  # infinite or NaN where it grows fast
-
-
-def test_stability_limit_of_verlet():
-    assert VelocityVerlet.stability_limit() == pytest.approx(2.0, abs=1e-6)
-
-
 @splittings
 def test_table_of_a_splitting(solver):
     table = solver.table()

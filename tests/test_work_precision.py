@@ -3,13 +3,13 @@
 import math
 import sys
 import time
-from pathlib import Path
 
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scenes
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -22,10 +22,6 @@ from granjax.work_precision import (
     observed_order,
     sensible_solvers,
 )
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-
-import scenes
 
 END = 2.0
 EXACT = np.array([math.cos(END)]), np.array([-math.sin(END)])
