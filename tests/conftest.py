@@ -4,9 +4,9 @@ Before that the import hook is set for the fast tests, with which every annotati
 lengthens traces. A process that only hands tests to others imports neither.
 
 Most of the tests' time is compiling programs that run once. So they are compiled cheaply, unless XLA_FLAGS is set
-(`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding) or a test takes the
-fixture `optimised`, as those do that compute for long. What was compiled is kept in the user's cache folder for the
-next run, unless GRANJAX_CACHE is 0.
+(`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding) or tests compute for long,
+as the review's figures do. What was compiled is kept in the user's cache folder for the next run, unless GRANJAX_CACHE
+is 0.
 """
 
 import gc
@@ -121,17 +121,6 @@ def pytest_runtest_teardown(item, nextitem):
         import granjax
 
         granjax.clear()
-
-
-@pytest.fixture
-def optimised():
-    """What a test of this fixture compiles is optimised: it computes for longer than that takes."""
-    import jax
-
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    cheap = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
-    jax.config.update("jax_disable_most_optimizations", cheap)
 
 
 @pytest.fixture

@@ -118,7 +118,6 @@ def test_waves_meet_at_the_phase_that_is_asked_for(law, force, speeds, phase):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 def test_calls_with_other_numerical_options_agree_within_their_errors():
     one, two = (solitary_wave(gx.Polynomial(1.0, 0.25, 0.0), speed=c) for c in (1.4, -1.5))
     calls = [{"tolerance": 1e-2}, {"tolerance": 1e-3}, {"tolerance": 1e-2, "step": 0.03}]

@@ -10,9 +10,6 @@ FOLDER = Path(__file__).parents[1] / "docs" / "gallery"
 
 EXAMPLES = examples.every()
 SYSTEMS = set(examples.systems())
-MADE = json.loads((FOLDER / "made.json").read_text())
-# seconds that an example took to be made, from which on its programs are worth optimising
-LONG = 30
 
 
 def test_every_system_of_the_review_has_an_example():
@@ -22,18 +19,17 @@ def test_every_system_of_the_review_has_an_example():
 
 
 def test_examples_are_short_and_have_a_picture_and_a_number_that_is_stored():
-    assert MADE.keys() == EXAMPLES.keys() == {path.stem for path in (FOLDER / "pictures").iterdir()}
+    made = json.loads((FOLDER / "made.json").read_text())
+    assert made.keys() == EXAMPLES.keys() == {path.stem for path in (FOLDER / "pictures").iterdir()}
     for name, one in EXAMPLES.items():
         assert one.lines <= examples.MOST_LINES, name
-        assert one.agrees(MADE[name]["number"]), name
+        assert one.agrees(made[name]["number"]), name
         assert one.source and 0 < one.within < max(abs(one.expected), 1.0), name
 
 
 @pytest.mark.site
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_gives_its_number(name, request, tmp_path, monkeypatch):
-    if MADE[name]["seconds"] > LONG:
-        request.getfixturevalue("optimised")
+def test_an_example_gives_its_number(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     space = EXAMPLES[name].run()
     assert EXAMPLES[name].agrees(float(space["number"]))
