@@ -135,16 +135,6 @@ def test_bad_input_is_one_sentence_and_code_2(arguments, message, tmp_path, caps
     assert page_named_in(complaint[0]) in titles()
 
 
-@pytest.mark.study
-def test_bad_input_from_a_shell(tmp_path):
-    done = command("resonance", "--beads", "2", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith("granjax: --beads")
-    assert "Traceback" not in done.stderr
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_computation_that_fails_is_code_1(tmp_path, monkeypatch, capsys):
     def fail(*arguments, **keywords):
         raise RuntimeError("It did not complete.")
@@ -209,29 +199,29 @@ gx.simulate(chain, gx.states.impact(chain), 1e5, step=0.001)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "script, code", [(COMMAND, 130), (LONG_RUN, -signal.SIGINT)], ids=["command", "python"]
-)
-def test_an_interrupt_ends_what_takes_long(script, code, tmp_path):
+def test_an_interrupt_ends_what_takes_long(tmp_path):
     # whatever started the tests may ignore the signal
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        process = subprocess.Popen(
-            [sys.executable, "-c", script],
-            cwd=tmp_path,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+        command, script = (
+            subprocess.Popen(
+                [sys.executable, "-c", code],
+                cwd=tmp_path,
+                text=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+            )
+            for code in (COMMAND, LONG_RUN)
         )
     finally:
         signal.signal(signal.SIGINT, before)
-    assert process.stdout.readline() == "ready\n"
+    both = command, script
+    assert [process.stdout.readline() for process in both] == ["ready\n"] * 2
     time.sleep(10.0)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=60)[1].splitlines()
-    assert process.returncode == code and not [*tmp_path.iterdir()]
-    if script is COMMAND:
-        assert said == ["granjax: interrupted"]
-    else:
-        assert said[-1].startswith("KeyboardInterrupt: simulate was interrupted at t = ")
+    assert [process.poll() for process in both] == [None] * 2
+    for process in both:
+        process.send_signal(signal.SIGINT)
+    said, told = (process.communicate(timeout=60)[1].splitlines() for process in both)
+    assert (command.returncode, script.returncode) == (130, -signal.SIGINT)
+    assert not [*tmp_path.iterdir()] and said == ["granjax: interrupted"]
+    assert told[-1].startswith("KeyboardInterrupt: simulate was interrupted at t = ")

@@ -1,17 +1,13 @@
 """Collisions of solitary waves, and their reflection from walls."""
 
 import jax.numpy as jnp
-import matplotlib
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
 
-matplotlib.use("Agg")
-
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from scipy.integrate import solve_ivp  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax import plots  # noqa: E402
-from granjax.travelling import collide, reflect, solitary_wave  # noqa: E402
+import granjax as gx
+from granjax import plots
+from granjax.travelling import collide, reflect, solitary_wave
 
 
 def toda(k, way=1, law=None):

@@ -4,11 +4,7 @@ import functools
 
 import jax
 import jax.numpy as jnp
-import matplotlib
-
-matplotlib.use("Agg")
-
-import numpy as np  # noqa: E402
+import numpy as np
 import pytest
 from gallery import left_by
 

@@ -3,15 +3,11 @@
 import sys
 
 import jax
-import matplotlib
+import numpy as np
+import pytest
 
-matplotlib.use("Agg")
-
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax import notebook as module  # noqa: E402
+import granjax as gx
+from granjax import notebook as module
 
 ipywidgets = pytest.importorskip("ipywidgets")
 _heard = []

@@ -148,26 +148,6 @@ def test_derivatives_in_both_modes_through_the_default():
         "a traced default step may differ by one step"
     )
 
-    def fixed(stiffness):
-        chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Hertz(stiffness)), sites=8)
-        return gx.simulate(chain, gx.states.impact(chain), 8.0, step=0.02).final.v[6]
-
-    difference = (fixed(1 + 1e-4) - fixed(1 - 1e-4)) / 2e-4
-    assert float(jax.grad(fixed)(1.0)) == pytest.approx(float(difference), rel=1e-5)
-
-
-@pytest.mark.study
-def test_gradient_of_a_recorded_peak(struck):
-    def peak(v):
-        chain = gx.scenes.monomer(8, boundary="free")
-        run = gx.simulate(
-            chain, gx.states.impact(chain, velocity=v), 8.0, step=0.05, record={"peak": PEAK}
-        )
-        return run.recorded["peak"][4]
-
-    # every force of a sonic vacuum goes with v^{6/5}
-    assert float(jax.grad(peak)(1.0)) == pytest.approx(1.2 * float(peak(1.0)), rel=1e-4)
-
 
 @pytest.mark.slow
 def test_damping_is_exact_and_a_dashpot_is_refused(closed):

@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -218,7 +217,6 @@ def test_the_picture_shows_gaps_and_growth(layers):
     shown = growth.lines[0].get_ydata()
     np.testing.assert_allclose(shown, np.maximum(found.growth[:, 0], 0), atol=1e-15)
     assert ax.get_ylabel().endswith("(scaled)") and growth.get_ylabel().startswith("growth rate")
-    plt.close(ax.figure)
 
 
 @pytest.mark.study

@@ -103,6 +103,13 @@ def test_bands_of_beads_that_turn_against_a_matrix_by_hand():
         assert np.abs(squares(crystal, k) - want).max() < 1e-12 * 20
 
 
+def turned(x, angle, radius=0.5):
+    """Displacements of a rigid rotation of places (N, 2) of beads, which turn with it."""
+    c, s = np.cos(angle), np.sin(angle)
+    spin = np.full((len(x), 1), radius * angle)
+    return np.concatenate([x @ np.array([[c, s], [-s, c]]) - x, spin], 1)
+
+
 @pytest.mark.slow
 def test_beads_that_turn_keep_both_momenta_and_a_rigid_rotation_costs_nothing():
     crystal = scenes.hexagon(2, rotation=True, tangential=0.3, boundary="free")
@@ -117,9 +124,7 @@ def test_beads_that_turn_keep_both_momenta_and_a_rigid_rotation_costs_nothing():
     assert np.ptp(turning) < 1e-13 and abs(turning[0]) > 0.1
     assert np.ptp(np.asarray(run.vs)[..., :2].sum(1), axis=0).max() < 1e-13
     assert float(run.energy_error) < 1e-8
-    x, angle = np.asarray(crystal.positions), 0.7
-    c, s = np.cos(angle), np.sin(angle)
-    u = np.concatenate([x @ np.array([[c, s], [-s, c]]) - x, np.full((len(x), 1), 0.5 * angle)], 1)
+    u = turned(np.asarray(crystal.positions), 0.7)
     assert float(crystal.potential_energy(0.0, u)) < 1e-28
     assert float(jnp.abs(crystal.force(0.0, u, 0 * u)).max()) < 1e-14
 
@@ -319,17 +324,6 @@ def test_complex_wave_numbers():
     assert abs(np.linalg.det(D - 9 * np.eye(2))) < 1e-10 and plane.decay[0] > 0.1
 
 
-def on_line(depth, beads):
-    """Nodes and guides of a binary tree whose guides all lie on one line."""
-    nodes, edges = [(0.0, 0.0), (beads, 0.0)], [(0, 1)]
-    for level in range(1, depth + 1):
-        for node in range(2 ** (level - 1), 2**level):
-            for _ in (0, 1):
-                edges.append((node, len(nodes)))
-                nodes.append(((level + 1.0) * beads, 0.0))
-    return np.array(nodes), edges
-
-
 def turned_tree(depth, beads, angle):
     """The same with branches at +-angle of their stem."""
     nodes, edges, ways = [(0.0, 0.0), (beads, 0.0)], [(0, 1)], {1: 0.0}
@@ -387,29 +381,6 @@ def test_a_network_read_backwards_is_the_same_network():
     u = RNG.normal(size=16)
     want = [chain.force(0.0, x, 0 * x) for x in (u[:8], u[8:])]
     assert np.abs(cross.force(0.0, u, 0 * u) - np.concatenate(want)).max() < 1e-14
-
-
-@pytest.mark.study
-def test_a_tree_of_guides_on_a_line_is_a_chain_that_doubles():
-    depth, beads = 3, 4
-    nodes, edges = on_line(depth, beads)
-    tree = scenes.network(nodes, edges, beads)
-    double = 2.0 ** np.repeat(np.arange(depth + 1), beads)
-    chain = scenes.monomer(16, mass=double, stiffness=np.append(double, 2.0**depth))
-    first = [2**level - 1 for level in range(depth + 1)]
-    path = np.concatenate([np.arange(i * beads, (i + 1) * beads) for i in first])
-    level = np.repeat(np.floor(np.log2(np.arange(1, 16))).astype(int), beads)
-    same = beads * level + np.tile(np.arange(beads), 15)
-    u = 0.1 * RNG.normal(size=16)
-    force = np.asarray(tree.force(0.0, u[same], np.zeros(60)))
-    assert np.abs(force * 2.0**level - np.asarray(chain.force(0.0, u, 0 * u))[same]).max() < 1e-12
-    runs = [gx.simulate(x, gx.states.impact(x, 0.3), 25.0, step=0.05) for x in (tree, chain)]
-    both, one = (np.asarray(run.final.u) for run in runs)
-    assert (
-        np.abs(both[path] - one).max() < 1e-12
-        and np.abs(both - one[same]).max() < 1e-12
-        and one[10] > 1e-3
-    )
 
 
 @pytest.mark.slow
@@ -580,9 +551,7 @@ def test_turning_beads_keep_both_momenta_and_turn_freely():
         spacing=1.4,
     )
     assert np.abs(np.asarray(chain.unbalanced())).max() < 1e-15
-    x, angle = np.asarray(chain.positions), 0.7
-    c, s = np.cos(angle), np.sin(angle)
-    u = np.concatenate([x @ np.array([[c, s], [-s, c]]) - x, np.full((8, 1), 0.7 * angle)], 1)
+    u = turned(np.asarray(chain.positions), 0.7, radius=0.7)
     assert abs(float(chain.potential_energy(0.0, u))) < 1e-15
     assert float(jnp.abs(chain.force(0.0, u, 0 * u)).max()) < 1e-14
     v = np.zeros(chain.shape)
@@ -672,14 +641,6 @@ def test_films_of_stored_runs_and_what_is_no_picture(tmp_path):
     for places in (batch, np.zeros((4, 3))):
         with pytest.raises(ValueError, match="places: expected"):
             gx.plots.beads(places)
-
-
-def turned(x, angle):
-    """Displacements of a rigid rotation of places (N, 2) of beads of diameter 1, the beads turning with it."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.concatenate(
-        [x @ np.array([[c, s], [-s, c]]) - x, np.full((len(x), 1), 0.5 * angle)], 1
-    )
 
 
 @pytest.mark.parametrize("angle", [0.7, 3.0, 3.3, -8.0, 40.0])
@@ -1036,15 +997,6 @@ def test_beads_of_two_sizes_on_a_graph_and_a_chain_on_a_line():
     u = np.zeros((4, 3))
     u[2, :2], u[3, :2] = [-1.5, 0.8], [-1.0, 1.5]
     assert "at t = 1: site 0 and site 2, 0.943 apart" in said(folded, 0 * u, u + [0, 0, 7.0])
-
-
-def test_long_waves_of_the_triangular_lattice_are_isotropic():
-    crystal = scenes.triangular(7, 7, boundary="fixed")
-    vectors = np.array([[1.0, 0.0], [0.5, 0.75**0.5]])
-    for angle in (0.0, 0.4, 1.1):
-        q = 1e-4 * np.array([np.cos(angle), np.sin(angle)])
-        found = squares(crystal, vectors @ q) / 1e-8
-        assert np.abs(found - [3 / 8, 9 / 8]).max() < 1e-7
 
 
 class Everywhere(gx.Term):

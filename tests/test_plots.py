@@ -5,18 +5,15 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray
+from matplotlib.animation import FuncAnimation
+from PIL import Image
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-import xarray  # noqa: E402
-from matplotlib.animation import FuncAnimation  # noqa: E402
-from PIL import Image  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax.plots.style import shown, units_of  # noqa: E402
+import granjax as gx
+from granjax.plots.style import shown, units_of
 
 plots = gx.plots
 
@@ -269,7 +266,6 @@ def test_without_axes_a_figure_of_the_house_style_is_made(record):
     ax = plots.space_time(record)
     assert ax.figure.number in plt.get_fignums()
     assert ax.xaxis.label.get_size() == 10.0
-    plt.close(ax.figure)
     assert dict(matplotlib.rcParams) == before
 
 

@@ -2,16 +2,12 @@
 
 from typing import NamedTuple
 
-import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.patches import Ellipse
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from matplotlib.patches import Ellipse  # noqa: E402
-
-from granjax.plots import COLOURS, fits  # noqa: E402
+from granjax.plots import COLOURS, fits
 
 
 class Trace(NamedTuple):
@@ -52,12 +48,6 @@ def record():
         covariance,
         ("damping", "stiffness"),
     )
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
 
 
 def test_every_sensor_has_its_data_its_fit_and_its_residuals():

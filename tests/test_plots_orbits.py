@@ -2,16 +2,12 @@
 
 from types import SimpleNamespace
 
-import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from matplotlib.colors import to_hex  # noqa: E402
-
-import granjax as gx  # noqa: E402
+import granjax as gx
 
 plots = gx.plots
 BLUE, RED, GREEN = plots.COLOURS[:3]
@@ -20,9 +16,7 @@ ROUND = np.exp(0.4j)
 
 @pytest.fixture
 def axes():
-    figure, axes = plt.subplots(2, 2)
-    yield axes
-    plt.close(figure)
+    return plt.subplots(2, 2)[1]
 
 
 @pytest.fixture

@@ -2,17 +2,12 @@
 
 from typing import NamedTuple
 
-import matplotlib
+import numpy as np
+import pytest
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax import plots  # noqa: E402
-from granjax.theory import kdv, toda  # noqa: E402
+import granjax as gx
+from granjax import plots
+from granjax.theory import kdv, toda
 
 C, TIME = 0.3, 60.0
 NAN = float("nan")
@@ -50,12 +45,6 @@ def strain(places):
 def run():
     problem = gx.shocks.velocity_shock(gx.scenes.toda(61, boundary="free"), C)
     return problem, problem.run(20.0)
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
 
 
 def written(ax):

@@ -1,24 +1,13 @@
 """Pictures of sweeps: one to three parameters, lists, words, failed lanes, units; made by hand."""
 
-import matplotlib
+import numpy as np
+import pytest
+import xarray
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-import xarray  # noqa: E402
-
-import granjax as gx  # noqa: E402
+import granjax as gx
 
 RATIOS, LOADS = np.linspace(0.1, 1.0, 7), np.geomspace(1.0, 1000.0, 4)
 FAILED = "The motion left the law's domain."
-
-
-@pytest.fixture(autouse=True)
-def _closed():
-    yield
-    plt.close("all")
 
 
 def one():

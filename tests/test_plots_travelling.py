@@ -1,15 +1,11 @@
 """Pictures of travelling waves, and how far closed forms are from them."""
 
-import matplotlib
+import numpy as np
+import pytest
 
-matplotlib.use("Agg")
-
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax import plots  # noqa: E402
-from granjax.travelling import closed_forms, solitary_wave  # noqa: E402
+import granjax as gx
+from granjax import plots
+from granjax.travelling import closed_forms, solitary_wave
 
 
 @pytest.fixture(scope="module")

@@ -2,25 +2,14 @@
 
 import jax
 import jax.numpy as jnp
-import matplotlib
+import numpy as np
+import pytest
+import xarray as xr
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-import xarray as xr  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax.units.names import family, known_unit, readable  # noqa: E402
+import granjax as gx
+from granjax.units.names import family, known_unit, readable
 
 plots = gx.plots
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
 
 
 # ---------------------------------------------------------------------------------------------------------------- names

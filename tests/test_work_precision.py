@@ -3,23 +3,18 @@
 import math
 import sys
 import time
-from pathlib import Path
 
 import diffrax
 import jax
 import jax.numpy as jnp
-import matplotlib
+import numpy as np
+import pytest
+import scenes
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from scipy.integrate import solve_ivp  # noqa: E402
-from scipy.linalg import expm  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax.work_precision import (  # noqa: E402
+import granjax as gx
+from granjax.work_precision import (
     Ladder,
     distance,
     find_reference,
@@ -27,10 +22,6 @@ from granjax.work_precision import (  # noqa: E402
     observed_order,
     sensible_solvers,
 )
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-
-import scenes  # noqa: E402
 
 END = 2.0
 EXACT = np.array([math.cos(END)]), np.array([-math.sin(END)])
@@ -311,13 +302,6 @@ def test_xarray_round_trip(table, tmp_path):
         assert list(data["method"].values) == list(table.method)
         assert data["order"].sel(method_name="rk4") == table.orders["rk4"][0]
         assert data.attrs["floor"] == FLOOR and data.attrs["reference"] == "closed form"
-
-
-@pytest.fixture
-def ax():
-    figure, ax = plt.subplots()
-    yield ax
-    plt.close(figure)
 
 
 def test_the_chart_shows_the_table(table, ax):
