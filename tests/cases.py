@@ -26,6 +26,18 @@ NYSTROM = (gx.RKN86, gx.RKN1210)
 ALL_SOLVERS = SPLITTING + NYSTROM
 
 
+class Mirrored(gx.Law):
+    """F(e) = -F_law(-e): what compresses the one stretches the other."""
+
+    law: gx.Law
+
+    def force(self, e):
+        return -self.law.force(-e)
+
+    def energy(self, e):
+        return self.law.energy(-e)
+
+
 def few(values, *kept):
     """Values of a parameter of slow tests: those in `kept`, by their place, run in every CI, all of them in a study."""
     chosen = {i % len(values) for i in kept}

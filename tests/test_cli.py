@@ -14,6 +14,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 import xarray as xr
+from numpy.testing import assert_array_equal
 
 import granjax as gx
 from granjax.cli import OUTCOMES, START, _parser, main
@@ -45,9 +46,9 @@ def test_resonance_from_a_shell(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["resonance.nc", "resonance.png"]
     assert matplotlib.image.imread(tmp_path / "resonance.png").shape[2] in (3, 4)
     with xr.open_dataset(tmp_path / "resonance.nc", engine="h5netcdf") as data:
-        np.testing.assert_array_equal(data["mass_ratio"], result["mass_ratio"])
-        np.testing.assert_array_equal(data["transmission"], result["transmission"])
-        np.testing.assert_array_equal(data["resonances"], result["resonances"])
+        assert_array_equal(data["mass_ratio"], result["mass_ratio"])
+        assert_array_equal(data["transmission"], result["transmission"])
+        assert_array_equal(data["resonances"], result["resonances"])
         assert data.attrs["beads"] == 11
         assert data.attrs["granjax_version"] == gx.__version__
         assert "monomer" in data.attrs["definition"]

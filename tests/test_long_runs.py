@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 from granjax.flow.march import refuse_endless
@@ -40,7 +42,7 @@ def assert_same(a, b, tolerance=1e-10):
     margins = (r._margin if tolerance < 1e-8 else () for r in (a, b))
     told = ((r.ts, r.us, r.vs, r.final, r.recorded, r.energy_error, next(margins)) for r in (a, b))
     for x, y in zip(*map(jax.tree.leaves, told), strict=True):
-        np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
+        assert_allclose(x, y, rtol=tolerance, atol=tolerance)
     assert {k: np.shape(x) for k, x in a.stats.items()} == {
         k: np.shape(x) for k, x in b.stats.items()
     }
@@ -65,7 +67,7 @@ def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
         and parts.opening == whole.opening
     )
     for name, error in parts.error.records.items() if parts.error else ():
-        np.testing.assert_allclose(error, whole.error.records[name], rtol=1e-4, atol=1e-12)
+        assert_allclose(error, whole.error.records[name], rtol=1e-4, atol=1e-12)
 
 
 @pytest.mark.study
@@ -110,7 +112,7 @@ def test_what_fails_in_a_piece_is_located(soon):
     ):
         gx.simulate(lattice, state, 50.0, step=0.05)
     run = gx.simulate(lattice, state, 50.0, step=0.05, save_at=6, throw=False)
-    np.testing.assert_allclose(run.ts, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
+    assert_allclose(run.ts, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
     assert np.isnan(run.us[-1]).all() and np.isnan(run.energy_error)
 
 
@@ -131,7 +133,7 @@ def test_a_run_that_a_program_closes_over_is_a_part_of_it(soon):
         def end(x):
             return x * gx.simulate(lattice, state, 1.0, **how).final.u
 
-        np.testing.assert_allclose(jax.jit(end)(2.0), end(2.0), rtol=1e-5)
+        assert_allclose(jax.jit(end)(2.0), end(2.0), rtol=1e-5)
         assert jax.eval_shape(end, 2.0).shape == (6,)
 
 
@@ -158,23 +160,18 @@ def test_derivatives_and_batches_know_nothing_of_pieces(soon, monkeypatch):
 def test_what_takes_more_than_a_day_is_refused():
     lattice = chain()
     state = gx.states.impact(lattice, velocity=0.3)
-    with pytest.raises(
-        ValueError,
-        match=r"t1: expected a run of a day at most, got 1e\+13 steps, which take .* days",
+    with refused(
+        r"t1: expected a run of a day at most, got 1e\+13 steps, which take .* days",
     ):
         gx.simulate(lattice, state, 1e12, step=0.1)
-    with pytest.raises(ValueError, match="years"):
+    with refused("years"):
         gx.simulate(lattice, state, 1e8, step=1e-7, save_at=5)
     plan = Plan(gx.SRKN11b(), 0.1, None, None, {}, diffrax.ForwardMode())
     refuse_endless(lattice, plan, 10**13, 10**13, False)
     refuse_endless(lattice, plan, 10**13, 1000, False)
-    with pytest.raises(
-        ValueError, match="t1: expected at most 2147483647 steps under a transformation"
-    ):
+    with refused("t1: expected at most 2147483647 steps under a transformation"):
         jax.jit(lambda v: gx.simulate(lattice, (state.u, v), 1e9, step=0.1).final)(state.v)
-    with pytest.raises(
-        ValueError, match="t1: expected at most 2147483647 steps .*, with an adjoint"
-    ):
+    with refused("t1: expected at most 2147483647 steps .*, with an adjoint"):
         gx.simulate(lattice, state, 1e9, step=0.1, adjoint=diffrax.DirectAdjoint())
 
 

@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from numpy.testing import assert_array_equal
 
 import granjax as gx
 
@@ -69,7 +70,7 @@ def test_multipliers_are_coloured_by_their_signature(ax, fl):
         ("Krein 0", to_hex("0.25"), "^", fl.multipliers[2:]),
     ):
         shown, tone, line = points(ax, label)
-        np.testing.assert_array_equal(shown @ [1, 1j], rho)
+        assert_array_equal(shown @ [1, 1j], rho)
         assert (tone, line.get_marker()) == (colour.lower(), mark)
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"Re $\rho$", r"Im $\rho$")
     assert [text.get_text() for text in ax.get_legend().get_texts()] == labels(ax)
@@ -78,12 +79,12 @@ def test_multipliers_are_coloured_by_their_signature(ax, fl):
 def test_unstable_multipliers_have_rings_and_those_of_symmetry_none(ax, fl):
     plots.floquet_circle(fl, ax, legend=False)
     assert ax.get_legend() is None and ax.lines[-1].get_label() == "unstable"
-    np.testing.assert_array_equal(points(ax, "unstable")[0], [[1.2, 0.0]])
+    assert_array_equal(points(ax, "unstable")[0], [[1.2, 0.0]])
     # without a symmetry the one outside at +1 counts, and an error as large hides it
     fl.expected = 0
-    np.testing.assert_array_equal(plots.orbits.unstable_of(fl), [2, 4])
+    assert_array_equal(plots.orbits.unstable_of(fl), [2, 4])
     fl.error = np.full(6, 1e-4)
-    np.testing.assert_array_equal(plots.orbits.unstable_of(fl), [2])
+    assert_array_equal(plots.orbits.unstable_of(fl), [2])
 
 
 @pytest.mark.parametrize("rate, radii", [(0.0, [1.0]), (None, [1.0]), (0.3, [1.0, np.exp(-0.3)])])
@@ -111,11 +112,11 @@ def dots(ax):
 def test_a_breather_shows_its_sites_and_its_growing_mode(axes, fl):
     assert plots.breather(breather(), fl, axes) is axes
     (a, b), (c, d) = axes
-    np.testing.assert_array_equal(dots(a), [[0, 0.5], [1, -1.0], [2, 0.25]])
+    assert_array_equal(dots(a), [[0, 0.5], [1, -1.0], [2, 0.25]])
     assert "unstable" in labels(b)
     # the eigenvector (2, -4, 1, 6, 8, -2), whose largest displacement becomes 1
-    np.testing.assert_array_equal(dots(c)[:, 1], [-0.5, 1.0, -0.25])
-    np.testing.assert_array_equal(dots(d)[:, 1], [-1.5, -2.0, 0.5])
+    assert_array_equal(dots(c)[:, 1], [-0.5, 1.0, -0.25])
+    assert_array_equal(dots(d)[:, 1], [-1.5, -2.0, 0.5])
     assert c.get_title("left") == r"$\rho$ = 1.200000"
     assert [ax.texts[0].get_text() for ax in axes.ravel()] == ["(a)", "(b)", "(c)", "(d)"]
 
@@ -251,7 +252,7 @@ def test_both_ways_and_what_lies_between(ax, sweep):
     assert plots.hysteresis(sweep, ax, x_label="frequency (Hz)", y_label="rms velocity (m/s)") is ax
     for label, way, colour, mark in (("up", sweep.up, BLUE, ">"), ("down", sweep.down, RED, "<")):
         shown, tone, line = points(ax, label)
-        np.testing.assert_array_equal(shown, np.column_stack([sweep.values, way.response]))
+        assert_array_equal(shown, np.column_stack([sweep.values, way.response]))
         assert (tone, line.get_marker()) == (colour.lower(), mark)
     np.testing.assert_allclose(spans(ax), [(1.6, 2.4)])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency (Hz)", "rms velocity (m/s)")
@@ -281,7 +282,7 @@ def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
     # stable up to where the curve turns, and unstable from there
     turn = parts[0].get_xydata()[-1]
     np.testing.assert_allclose(turn, [2.4, 3], rtol=1e-12)
-    np.testing.assert_array_equal(parts[1].get_xydata()[0], turn)
+    assert_array_equal(parts[1].get_xydata()[0], turn)
     np.testing.assert_allclose(parts[2].get_xydata()[[0, -1]], [[2.4, 3], [1.6, 4]])
     assert max(line.get_zorder() for line in parts) <= min(
         line.get_zorder() for line in ax.lines[-2:]

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import expit
 
 import granjax as gx
 
@@ -103,3 +104,26 @@ def test_energy_band_of_a_precompressed_chain(step, band):
     assert np.max(np.abs(relative)) < band
     slope = np.polyfit(np.asarray(run.ts), relative, 1)[0]
     assert abs(slope) * 1e5 < np.ptp(relative)
+
+
+@pytest.mark.study
+def test_toda_soliton_after_500_sites():
+    # closed form: exp(y_n) - 1 = sinh^2 k sech^2(k (n - n0) - t sinh k), speed sinh k/k
+    k, sites, start = 1.0, 640, 60.5
+    chain = gx.scenes.toda(sites, boundary="free")
+    n = np.arange(sites)
+
+    def exact(t):
+        # u_n = ln(tau_n / tau_{n+1}) up to a constant, tau_n = 1 + exp(2 (k (n - start) - t sinh k))
+        phase = k * (n - 0.5 - start) - t * np.sinh(k)
+        near, far = np.logaddexp(0, 2 * phase), np.logaddexp(0, 2 * (phase + k))
+        return near - far, 2 * np.sinh(k) * (expit(2 * (phase + k)) - expit(2 * phase))
+
+    t1 = 500 * k / np.sinh(k)
+    run = gx.simulate(chain, gx.State(*exact(0.0)), t1, step=0.05)
+    u, v = exact(t1)
+    assert np.max(np.abs(run.final.u - u)) < 1e-9
+    assert np.max(np.abs(run.final.v - v)) < 1e-9
+    y = run.final.u[:-1] - run.final.u[1:]
+    crest = np.sinh(k) / np.cosh(k * (n[:-1] + 0.5 - start) - t1 * np.sinh(k))
+    assert np.max(np.abs(jnp.expm1(y) - crest**2)) < 1e-9

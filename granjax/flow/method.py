@@ -229,7 +229,7 @@ def passed(solver: diffrax.AbstractSolver | type, run: Found, step: Number) -> A
 
 def useless(step: Any, t0: Any, t1: Any) -> bool:
     """Whether a step is none, or one of which a run has more than anybody waits for."""
-    return not math.isfinite(step) or (t1 - t0) / step > MOST_STEPS
+    return bool(not math.isfinite(step) or (t1 - t0) / step > MOST_STEPS)
 
 
 def reachable(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> tuple:

@@ -222,6 +222,7 @@ def _dark(kappa, nu2, nu3, nu3_force):
 
 def _signs(focusing, kappa, nu2, nu3, nu3_force):
     """The numbers as arrays; refuses what has no such soliton, which asks for the sign `focusing` of nu2 nu3_force."""
+    name = "nu3" if nu3_force is nu3 else "nu3_force"
     given = _numbers(kappa=kappa, nu2=nu2, nu3=nu3, nu3_force=nu3_force)
     if traced(given):
         return given
@@ -232,10 +233,10 @@ def _signs(focusing, kappa, nu2, nu3, nu3_force):
             "> 0" if (x > 0).all() else "< 0" if (x < 0).all() else "of 0" for x in (force, two)
         ]
         refuse(
-            "nu2, nu3",
+            f"nu2, {name}",
             f"a pair with {wanted} solitons",
-            f"nu3 = {show(force)} and nu2 = {show(two)}",
-            f"nu3 {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.",
+            f"{name} = {show(force)} and nu2 = {show(two)}",
+            f"{name} {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.",
         )
     if not (shift * three > 0).all():
         refuse("kappa", f"a shift of the sign of nu3 = {show(three)}", show(shift), _shifts(three))

@@ -49,3 +49,23 @@ def test_a_compact_state_is_lost_where_sites_are_not_equal():
         )
 
     assert outside(kept) < 1e-13 and outside(lost) > 1e-2
+
+
+@pytest.mark.study
+def test_what_travels_alone_in_a_chain_spreads_in_the_plane():
+    """One bead is struck in a sonic vacuum: the chain's pulse keeps its speed, the hexagon's front decays."""
+    chain = gx.simulate(
+        gx.scenes.monomer(40), gx.states.impact(gx.scenes.monomer(40)), 40.0, save_at=801
+    )
+    peaks = np.abs(np.asarray(chain.vs)).max(0)[10:30]
+    assert np.ptp(peaks) < 1e-3 * peaks.mean()
+    crystal = gx.scenes.hexagon(8, exponent=1.5)
+    middle = crystal.shape[0] // 2
+    run = gx.simulate(crystal, gx.states.impact(crystal, [0.3, 0.0], site=middle), 25.0, save_at=51)
+    x = np.asarray(crystal.positions) - np.asarray(crystal.positions)[middle]
+    ahead = (x[:, 0] > 0.5) & (np.abs(x[:, 1]) < 0.1)
+    order = np.argsort(x[ahead, 0])
+    fastest = np.linalg.norm(np.asarray(run.vs), axis=-1).max(0)[ahead][order][:7]
+    exponent = np.polyfit(np.log(np.arange(1, 8)), np.log(fastest), 1)[0]
+    # along a row of beads, where it decays least
+    assert exponent < -0.2
