@@ -232,12 +232,9 @@ MORE = {
 SLOWLY = {"Run", "Fit", "Floquet", "FloquetBands", "PathBands", "Evolution", "Confirmed"}
 
 
-# the energy of an orbit is computed when it is asked for
-READ = (MAKERS | MORE).keys() - {"Orbit"}
-
-
 @pytest.mark.parametrize(
-    "name", [pytest.param(x, marks=[pytest.mark.slow] * (x in SLOWLY)) for x in sorted(READ)]
+    "name",
+    [pytest.param(x, marks=[pytest.mark.slow] * (x in SLOWLY)) for x in sorted(MAKERS | MORE)],
 )
 def test_reading_and_drawing_a_result_compiles_nothing(name):
     result = MORE[name]() if name in MORE else made(name)

@@ -154,6 +154,7 @@ class Branch(Result):
             root,
             self._family.shooting.whole,
             jnp.asarray(self.t0),
+            jnp.asarray(self.energy[i]),
             self._family.shooting.symmetry,
             OrbitError(*apart, exact, exact, **lattice.origin),
         )

@@ -60,6 +60,7 @@ class Orbit(Result):
     root: Root = hidden("How Newton's method ended.")
     flow: Flow = hidden("The steps and the solver over a period.")
     t0: Number = array("The time at which the orbit begins.", "s")
+    energy: Number = array("The energy at `t0`, from equilibrium.", "J")
     symmetry: Symmetry = hidden(
         "S; after T times its order the state itself returns.", default=Symmetry()
     )
@@ -74,9 +75,6 @@ class Orbit(Result):
 
     def _fields(self) -> Iterator[tuple[str, Any, Held]]:
         yield from super()._fields()
-        # of a batch the energy is no one number
-        if np.ndim(self.period) == 0:
-            yield "energy", self.energy, Held(unit="J")
         yield "steps", self.flow.steps, Held()
         if not self.symmetry.trivial:
             yield "symmetry", repr(self.symmetry), Held()
@@ -85,11 +83,6 @@ class Orbit(Result):
     def omega(self) -> Number:
         """2 pi/T; the motion itself repeats after T times the order of S."""
         return 2 * np.pi / self.period
-
-    @property
-    def energy(self) -> Number:
-        """Energy at t0, from equilibrium."""
-        return _energy(self.lattice, self.t0, self.state)
 
     @property
     def residual(self) -> Numbers:
@@ -350,7 +343,10 @@ def orbit_of(
     state, t0 = shooting.state(root.x), jnp.asarray(shooting.t0, lattice.dtype)
     omega, in_omega = 2 * jnp.pi / period, jnp.asarray(in_omega)
     error = error_of(lattice, t0, state, shooting.apart(apart), omega, in_omega)
-    orbit = Orbit(state, period, lattice, root, shooting.whole, t0, shooting.symmetry, error)
+    energy = _energy(lattice, t0, state)
+    orbit = Orbit(
+        state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error
+    )
 
     def speed(y, t=t0):
         v, a = vector_field(t, y, lattice)
