@@ -95,7 +95,7 @@ def test_a_chain_of_a_law_is_its_equation():
 
 def test_a_crystal_of_a_cell_of_ones_own():
     diagonals = [scenes.Tie("a", "a", offset) for offset in ((1, 1), (1, -1))]
-    cell = scenes.Cell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, tuple(diagonals))
+    cell = scenes.CrystalCell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, tuple(diagonals))
     lattice = scenes.crystal(cell, 3, 4, stiffness=(2.0, 3.0), spacing=0.5, boundary="free")
     assert lattice.shape == (3, 4, 2)
     u = np.zeros((3, 4, 2))
