@@ -1,11 +1,13 @@
-"""Descent along gradients by an optax optimiser: one compiled loop that evaluates once a round."""
+"""Minimisers: Levenberg and Marquardt's method of MINPACK, and descent along gradients by an optimiser of optax."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from .types import AnyArray, Scalar
@@ -13,116 +15,155 @@ from .types import AnyArray, Scalar
 CONVERGED, STALLED, SPENT, NOT_FINITE, NO_GRADIENT, NO_START = range(6)
 # length of a step in the free coordinates where no curvature is known
 SHORT = 0.3
-# of the fall that the slope promises, what a step must bring; part of a step below which none is tried
-DECREASE, SHORTEST = 1e-4, 1e-8
+# of the fall that the slope promises, what a step must bring
+DECREASE = 1e-4
+# part of a step below which none is tried
+SHORTEST = 1e-8
+
+
+def levenberg_marquardt(
+    evaluate: Callable,
+    x: Float[np.ndarray, " n"],
+    ftol: float,
+    xtol: float,
+    max_steps: int,
+) -> Any:
+    """Least squares from x (n,): SciPy's result, or `None` where the Jacobian at x is not finite.
+
+    `evaluate(x)` gives residuals (m,), their Jacobian (m, n) and what else it likes, by one run: MINPACK asks for the
+    Jacobian where it has just asked for the residuals. No step ends where the Jacobian is not finite.
+    `ftol`, `xtol`: relative changes of the sum of squares and of x at which it ends.
+    Source: Moré, Lecture Notes in Mathematics 630, 105 (1978).
+    """
+    from scipy import optimize
+
+    latest = {}
+
+    def both(x):
+        if x.tobytes() not in latest:
+            value, jacobian, *_ = evaluate(x)
+            value = np.where(np.isfinite(jacobian).all(), value, np.nan)
+            # MINPACK wants as many residuals as unknowns
+            more = max(0, x.size - value.size)
+            latest.clear()
+            latest[x.tobytes()] = np.pad(value, (0, more)), np.pad(jacobian, ((0, more), (0, 0)))
+        return latest[x.tobytes()]
+
+    if not np.isfinite(both(x)[0]).all():
+        return None
+    return optimize.least_squares(
+        lambda x: both(x)[0],
+        x,
+        lambda x: both(x)[1],
+        method="lm",
+        x_scale="jac",
+        ftol=ftol,
+        xtol=xtol,
+        gtol=xtol,
+        max_nfev=max_steps + 1,
+    )
 
 
 class Descent(NamedTuple):
     """Where a descent ended.
 
-    The best point `x` and its value `least`; `values` and `norms` (max_steps + 1,) of the points that were accepted,
-    NaN after the last one; `start`: the gradient at the start; `iterations`; `code`: 0 converged, 1 stalled, 2 steps
-    spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
+    The best point `x` and its value `least`; `values` and `norms` of the points that were accepted, the start first;
+    `start`: the gradient at the start; `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite on the way,
+    4 gradient zero at the start, 5 not finite at the start.
     """
 
-    x: Float[AnyArray, " P"]
-    least: Float[AnyArray, ""]
-    values: Float[AnyArray, " points"]
-    norms: Float[AnyArray, " points"]
-    start: Float[AnyArray, " P"]
-    iterations: AnyArray
-    code: AnyArray
-
-
-class _Place(eqx.Module):
-    """A point that was accepted, and the step that leads on from it."""
-
-    x: Float[AnyArray, " P"]
-    value: Scalar
-    gradient: Float[AnyArray, " P"]
-    step: Float[AnyArray, " P"]
-    state: object
+    x: Float[np.ndarray, " P"]
+    least: float
+    values: list[float]
+    norms: list[float]
+    start: Float[np.ndarray, " P"]
+    code: int
 
 
 def descend(
     cost: Callable,
-    both: Callable,
-    size: int,
+    x: Float[AnyArray, " P"],
     optimiser: object,
     max_steps: int,
     tolerance: Scalar,
+    mode: str = "reverse",
 ) -> Descent:
-    """Steps of an optimiser from x = 0 (size,) until one of the reasons to end.
+    """Steps of an optimiser from x (P,) until one of the reasons to end.
 
-    One evaluation a round, of the start, of a step, or of a part of a step that went too far: an objective that takes
-    long to compile is compiled once.
-
-    **Arguments:** `cost(x)`; `both(x)`: cost and gradient. `optimiser`: of optax; `None` is L-BFGS with steps that are
-    shortened until the cost falls. `tolerance`: of the gradient's largest entry, relative to the start's.
+    **Arguments:** `cost(x)`: a function, or a module with arrays, those of another start compile nothing anew.
+    `optimiser`: of optax; `None` is L-BFGS with steps that are shortened until the cost falls. `tolerance`: of the
+    gradient's largest entry, relative to the start's. `mode`: of the gradient, "forward" or "reverse".
     """
+    search = optimiser is None
+    optimiser = _lbfgs() if search else optimiser
+    x = old_x = np.asarray(x)
+    value, gradient = (np.asarray(part) for part in value_and_gradient(cost, mode, x))
+    best, start, old_gradient = (np.inf, x), gradient, gradient
+    values, norms = [float(value)], [float(np.abs(gradient).max())]
+
+    def ended(code):
+        return Descent(best[1], best[0], values, norms, start, code)
+
+    if not (np.isfinite(value) and np.isfinite(gradient).all()):
+        return ended(NO_START)
+    best = (float(value), x)
+    if norms[0] == 0:
+        return ended(NO_GRADIENT)
+    state = optimiser.init(x)
+    while len(values) <= max_steps:
+        step, state = _step(optimiser, None if search else cost, gradient, state, x, value)
+        curved = np.vdot(x - old_x, gradient - old_gradient) > 0
+        if search and not (curved and np.vdot(step, gradient) < 0):
+            # memory is of no use where the curvature is not positive: there, as at the start, a short step downhill
+            step = -SHORT * gradient / np.linalg.norm(gradient)
+            state = _step(optimiser, None, gradient, optimiser.init(x), x, value)[1]
+        part, step = 1.0, np.asarray(step)
+        while True:
+            new_x = x + part * step
+            new_value, new_gradient = map(np.asarray, value_and_gradient(cost, mode, new_x))
+            finite = np.isfinite(new_value) and np.isfinite(new_gradient).all()
+            slope = part * float(np.vdot(step, gradient))
+            if not search or finite and new_value <= value + DECREASE * slope:
+                break
+            # the parabola through both values and the slope, within limits
+            beyond = 2 * float(new_value - value - slope)
+            part *= min(max(-slope / beyond, 0.1), 0.5) if beyond > 0 else 0.1
+            if part < SHORTEST:
+                return ended(STALLED)
+        old_x, old_gradient, x, value, gradient = x, gradient, new_x, new_value, new_gradient
+        values.append(float(value))
+        norms.append(float(np.abs(gradient).max()))
+        if not finite:
+            return ended(NOT_FINITE)
+        if value < best[0]:
+            best = (float(value), x)
+        if norms[-1] <= tolerance * norms[0]:
+            return ended(CONVERGED)
+    return ended(SPENT)
+
+
+@eqx.filter_jit
+def value_and_gradient(
+    cost: Callable, mode: str, x: Float[AnyArray, " P"]
+) -> tuple[Float[AnyArray, ""], Float[AnyArray, " P"]]:
+    """The cost at x and its gradient, "forward" by one tangent for each entry, or in "reverse"."""
+    if mode == "reverse":
+        return jax.value_and_grad(cost)(x)
+    unit = jnp.eye(x.size, dtype=x.dtype)
+    return jax.vmap(lambda w: jax.jvp(cost, (x,), (w,)), out_axes=(None, 0))(unit)
+
+
+@cache
+def _lbfgs():
     import optax
 
-    search = optimiser is None
-    optimiser = optax.with_extra_args_support(optax.lbfgs(linesearch=None) if search else optimiser)
-    zero = jnp.zeros(size)
+    return optax.lbfgs(linesearch=None)
 
-    def leave(old, x, value, gradient):
-        """The place at x, with the optimiser's step from there."""
-        extra = {} if search else {"value": value, "grad": gradient, "value_fn": cost}
-        step, state = optimiser.update(gradient, old.state, x, **extra)
-        if search:
-            # memory is of no use where the curvature is not positive: there, as at the start, a short step downhill
-            uphill = (jnp.vdot(x - old.x, gradient - old.gradient) <= 0) | (
-                jnp.vdot(step, gradient) >= 0
-            )
-            down = (
-                -SHORT * gradient / jnp.maximum(jnp.linalg.norm(gradient), jnp.finfo(x.dtype).tiny)
-            )
-            again = optimiser.update(gradient, optimiser.init(x), x)[1]
-            step, state = jax.tree.map(
-                lambda new, old: jnp.where(uphill, new, old), (down, again), (step, state)
-            )
-        return _Place(x, value, gradient, step, state)
 
-    def visit(carry):
-        place, part, tried, i, best, largest, start, code, values, norms = carry
-        first = tried == 0
-        x = place.x + part * place.step
-        value, gradient = both(x)
-        norm, finite = jnp.abs(gradient).max(), jnp.isfinite(value) & jnp.isfinite(gradient).all()
-        slope = part * jnp.vdot(place.step, place.gradient)
-        accepted = first | (finite & (value <= place.value + DECREASE * slope) if search else True)
-        values = values.at[i].set(jnp.where(accepted, value, values[i]))
-        norms = norms.at[i].set(jnp.where(accepted, norm, norms[i]))
-        largest, start = jnp.where(first, norm, largest), jnp.where(first, gradient, start)
-        better = accepted & finite & ((value < best[0]) | first)
-        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), (value, x), best)
-        # the parabola through both values and the slope, within limits
-        shorter = part * jnp.clip(
-            jnp.nan_to_num(-slope / (2 * (value - place.value - slope))), 0.1, 0.5
-        )
-        part = jnp.where(accepted, 1.0, shorter)
-        code = jnp.select(
-            [
-                first & ~finite,
-                first & (norm == 0),
-                accepted & ~finite,
-                accepted & (norm <= tolerance * largest) & ~first,
-                part < SHORTEST,
-                accepted & (i >= max_steps),
-            ],
-            [NO_START, NO_GRADIENT, NOT_FINITE, CONVERGED, STALLED, SPENT],
-            -1,
-        )
-        onward = leave(place, x, value, gradient)
-        place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), onward, place)
-        return place, part, tried + 1, i + accepted, best, largest, start, code, values, norms
+@eqx.filter_jit
+def _step(optimiser, cost, gradient, state, x, value):
+    """The optimiser's step from x, and its state after it."""
+    import optax
 
-    none = jnp.full(max_steps + 1, jnp.nan)
-    place = _Place(zero, jnp.inf, zero, zero, optimiser.init(zero))
-    carry = (place, 1.0, 0, 0, (jnp.inf, zero), 0.0, zero, -1, none, none)
-    carry = jax.tree.map(jnp.asarray, carry)
-    _, _, _, i, (least, x), _, start, code, values, norms = jax.lax.while_loop(
-        lambda c: c[7] < 0, visit, carry
-    )
-    return Descent(x, least, values, norms, start, i - 1, code)
+    update = optax.with_extra_args_support(optimiser).update
+    return update(gradient, state, x, value=value, grad=gradient, value_fn=cost)

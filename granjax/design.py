@@ -12,7 +12,16 @@ from jaxtyping import Float, Integer
 
 from .checks import described, one_of, parameter, refuse, within
 from .checks import tolerance as checked_tolerance
-from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
+from .descent import (
+    CONVERGED,
+    NO_GRADIENT,
+    NO_START,
+    NOT_FINITE,
+    SPENT,
+    STALLED,
+    descend,
+    value_and_gradient,
+)
 from .parameters import Bounds, Coordinates
 from .results import Result, array
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
@@ -97,7 +106,7 @@ def design(
     r"""Parameters that minimise (maximise) an objective, by its gradient.
 
     The optimiser moves the free coordinates of `granjax.parameters.Coordinates`: changes of order one, bounds never
-    passed. All steps are one compiled loop; the best point met is kept.
+    passed. The objective and its gradient are one compiled program; the best point met is kept.
 
     **Arguments:**
 
@@ -133,17 +142,32 @@ def design(
     """
     coordinates = Coordinates(start, bounds)
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
-    tolerance = jnp.asarray(checked_tolerance("tolerance", tolerance))
+    tolerance = checked_tolerance("tolerance", tolerance)
+    zero, sign = np.zeros(coordinates.size), -1.0 if maximise else 1.0
     if coordinates.sizeless:
-        coordinates = coordinates.sized(*_first(objective, coordinates, mode))
-    ends = [
-        _solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
-        for start in (coordinates, *_others(coordinates, bounds, starts, seed))
-    ]
-    every = np.array([end.value if end.code < NO_GRADIENT else np.nan for end in ends])
-    best = ends[int(np.argmin(np.nan_to_num(-every if maximise else every, nan=np.inf)))]
-    found = eqx.tree_at(lambda d: d.every, best, jnp.asarray(every, best.value.dtype))
-    if throw and int(found.code) in (NO_GRADIENT, NO_START):
+        cost = _Cost(objective, coordinates, bool(maximise))
+        coordinates = coordinates.sized(*value_and_gradient(cost, mode, zero))
+    every = (coordinates, *_others(coordinates, bounds, starts, seed))
+    costs = [_Cost(objective, each, bool(maximise)) for each in every]
+    ends = [descend(cost, zero, optimiser, max_steps, tolerance, mode) for cost in costs]
+    reached = np.array([end.least if end.code < NO_GRADIENT else np.nan for end in ends])
+    best = int(np.argmin(np.nan_to_num(reached, nan=np.inf)))
+    end, coordinates = ends[best], every[best]
+    history, norms = np.full((2, max_steps + 1), np.nan)
+    history[: len(end.values)], norms[: len(end.norms)] = end.values, end.norms
+    found = Design(
+        coordinates.parameters(jnp.asarray(end.x)),
+        jnp.asarray(sign * end.least),
+        jnp.asarray(sign * end.values[0]),
+        jnp.asarray(sign * history),
+        jnp.asarray(norms),
+        jnp.asarray(end.start),
+        jnp.asarray(len(end.values) - 1),
+        jnp.asarray(sign * reached),
+        jnp.asarray(end.code),
+        tuple(coordinates.names),
+    )
+    if throw and end.code in (NO_GRADIENT, NO_START):
         raise RuntimeError(found.outcome)
     return found
 
@@ -180,14 +204,7 @@ def _others(coordinates, bounds, starts, seed):
         return []
     if isinstance(starts, (list, tuple)):
         return [
-            Coordinates(
-                {
-                    name: jnp.broadcast_to(start[name], x.shape)
-                    for name, x in coordinates.start.items()
-                },
-                bounds,
-            )
-            for start in starts
+            Coordinates(coordinates.unflat(coordinates.flat(start)), bounds) for start in starts
         ]
     draws = np.random.default_rng(seed).normal(size=(starts, coordinates.size))
     return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]
@@ -198,48 +215,20 @@ def _listed(names, which):
     return ", ".join(chosen[:5]) + (f" and {len(chosen) - 5} more" if len(chosen) > 5 else "")
 
 
-def _with_gradient(objective, coordinates, maximise, mode):
-    """The cost of free coordinates, less is better, and its value with the gradient by the mode."""
+class _Cost(eqx.Module):
+    """The objective of free coordinates, less is better."""
 
-    def cost(x):
-        value = jnp.asarray(objective(coordinates.parameters(x)))
+    objective: Callable
+    coordinates: Coordinates
+    maximise: bool = eqx.field(static=True)
+
+    def __call__(self, x):
+        value = jnp.asarray(self.objective(self.coordinates.parameters(x)))
         if value.ndim or not jnp.issubdtype(value.dtype, jnp.floating):
-            remedy = "Reduce it, such as by .sum() or smooth_peak."
             refuse(
                 "objective",
                 "a function that gives one real number",
                 f"one that gives {described(value)}",
-                remedy,
+                "Reduce it, such as by .sum() or smooth_peak.",
             )
-        return -value if maximise else value
-
-    def forward(x):
-        unit = jnp.eye(x.size, dtype=x.dtype)
-        return jax.vmap(lambda w: jax.jvp(cost, (x,), (w,)), out_axes=(None, 0))(unit)
-
-    return cost, forward if mode == "forward" else jax.value_and_grad(cost)
-
-
-@eqx.filter_jit
-def _first(objective, coordinates, mode):
-    """The objective and its gradient in the free coordinates, at the start."""
-    return _with_gradient(objective, coordinates, False, mode)[1](jnp.zeros(coordinates.size))
-
-
-@eqx.filter_jit
-def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode):
-    cost, both = _with_gradient(objective, coordinates, maximise, mode)
-    found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
-    sign = -1.0 if maximise else 1.0
-    return Design(
-        coordinates.parameters(found.x),
-        sign * found.least,
-        sign * found.values[0],
-        sign * found.values,
-        found.norms,
-        found.start,
-        found.iterations,
-        found.least,
-        found.code,
-        tuple(coordinates.names),
-    )
+        return -value if self.maximise else value

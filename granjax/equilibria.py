@@ -9,7 +9,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from .checks import one_of, refuse, traced
-from .lattice import Lattice, State
+from .lattice import Lattice, State, uniform_moves
 from .lattice.model import check_shape as _check_shape
 from .newton import newton
 from .results import Result, array, note, part
@@ -17,7 +17,10 @@ from .types import AnyArray, Count, Displacements, Numbers
 
 # unknowns up to which Newton's method has a dense derivative
 DENSE = 4000
-TIGHT, ROUNDING = 1e-13, 64
+# of the largest force, what may be left over
+TIGHT = 1e-13
+# of a sum of forces, in units of its last place
+ROUNDING = 64
 HOLDS = ("ends", "loads", "nothing")
 
 
@@ -231,7 +234,8 @@ def _posed(lattice, hold, loads, guess):
             "others",
             "Magnets that touch have no force: start where all of them are apart.",
         )
-    moves, edges, acts = _free_moves(problem), _edges(problem), np.False_
+    moves, _ = np.linalg.qr(uniform_moves(lattice).astype(start.dtype))
+    edges, acts = _edges(problem), np.False_
     if isinstance(hold, str):
         one_of("hold", hold, HOLDS)
         holds = edges if hold == "ends" and moves.shape[1] else none
@@ -264,29 +268,6 @@ def _loaded(lattice, own, dead):
 @eqx.filter_jit
 def _total_of(problem, x):
     return problem.total(x)
-
-
-def _free_moves(problem):
-    """Uniform displacements that no term resists, as orthonormal columns (n, k)."""
-    lattice = problem.lattice
-    moves = []
-    for component in range(lattice.dimension or 1):
-        at = (Ellipsis, component) if lattice.dimension else (Ellipsis,)
-        moves.append(jax.tree.map(lambda s: _ones(s, at), lattice.template()))
-    resisted = np.zeros(len(moves), bool)
-    for term in lattice.terms:
-        answers = np.asarray(term.resists(lattice, moves)).reshape(-1, len(moves))
-        resisted |= np.any(answers != 0, 0) if len(answers) else False
-    free = [_row(move) for move, held in zip(moves, resisted) if not held]
-    columns = [x / np.linalg.norm(x) for x in free]
-    found = np.stack(columns, -1) if columns else np.zeros((problem.guess.size, 0))
-    return found.astype(problem.guess.dtype)
-
-
-def _ones(s, at):
-    x = np.zeros(s.shape, s.dtype)
-    x[at] = 1
-    return x
 
 
 def _edges(problem):

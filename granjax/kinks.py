@@ -11,17 +11,22 @@ from .newton import newton
 from .results import Result, array, part
 from .types import Number, Numbers, Scalar
 
-# of the largest force on the way from well to well: what is none, and what Newton's method leaves
-WELL, LEFT = 1e-9, 1e-13
-# of the way between the wells, by which a kink that is let go moves at most; of the largest force, what pushes one that
-# rests all the same, as in the continuum
-NEAR, PUSHED = 0.1, 1e-9
-# of the way between the wells, how far from them the ends of a chain with a kink may be
+# of the largest force on the way from well to well: what is none in a well, what Newton's method leaves, and what
+# pushes a kink that rests all the same, as in the continuum
+WELL = 1e-9
+LEFT = 1e-13
+PUSHED = 1e-9
+# of the way between the wells: by how much a kink that is let go moves at most, and how far from the wells the ends of
+# a chain with a kink may be
+NEAR = 0.1
 ENDS = 0.05
-# displacements at which the forces between the wells are looked at; of the largest curvature, what may be rounding
-WAY, FLAT = 65, 1e-9
+# displacements at which the forces between the wells are looked at
+WAY = 65
+# of the largest curvature, what may be rounding
+FLAT = 1e-9
+# of a sum of forces or energies, in units of its last place
 ROUNDING = 16
-# points in a site of the profile that is moved
+# sites of either well beside the profile that is moved
 FAR = 12
 
 
@@ -78,7 +83,7 @@ def kink(
     - `centre`: a site, or 10.5 for a bond; `None` the bond in the middle. Of a place between them the nearest:
       kinks rest about sites and bonds alone.
 
-    **Returns:** `Kink`; its picture is `gx.plots.kink`. **Raises** ValueError for what is no well and for other
+    **Returns:** `Kink`. **Raises** ValueError for what is no well and for other
     lattices; RuntimeError where Newton's method does not converge, or the ends are too near. Typical: an energy of 8
     sqrt(C) in the sine-Gordon continuum.
     Source: Braun, Kivshar, The Frenkel-Kontorova Model (2004), chapter 2.
@@ -108,7 +113,7 @@ def kink(
     begin = jnp.asarray(guess, lattice.dtype) / size
     # held at its place, along which a wide kink is pushed by next to nothing, and then let go
     held = newton(
-        _Held(problem, begin),
+        _Rest(problem.size, problem.scale, begin),
         jnp.append(begin, 0.0),
         lattice,
         tolerance=wanted,
@@ -140,8 +145,8 @@ def _refuse_ends(why, middle, sites):
 def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> PeierlsNabarro:
     """The Peierls-Nabarro barrier: the energies of kinks centred on a site and on a bond, in the middle of a chain.
 
-    `lattice`, `right`, `left`: as in `kink`. **Returns:** `PeierlsNabarro` (`gx.plots.kink(..., barrier=)`), whose
-    barrier falls exponentially with the width of the kink; where it is below its `error` the outcome says so.
+    `lattice`, `right`, `left`: as in `kink`. **Returns:** `PeierlsNabarro`, whose barrier
+    falls exponentially with the width of the kink; where it is below its `error` the outcome says so.
     **Raises** as `kink`.
 
     **Example:**
@@ -214,25 +219,21 @@ def _profile(u, x, left, right):
 
 
 class _Rest(eqx.Module):
-    """Forces over their scale at displacements over theirs."""
+    """Forces over their scale at displacements over theirs.
+
+    With a `guess` the kink is held at its place, by a force along its slope, the last unknown.
+    """
 
     size: jax.Array
     scale: jax.Array
-
-    def __call__(self, x, lattice):
-        return _forces(lattice, self.size * x) / self.scale
-
-
-class _Held(eqx.Module):
-    """The same, for a kink held at the place of a guess by a force along its slope, the last unknown."""
-
-    rest: _Rest
-    guess: jax.Array
+    guess: jax.Array | None = None
 
     def __call__(self, z, lattice):
-        slope = jnp.gradient(self.guess)
-        forces = self.rest(z[:-1], lattice) + z[-1] * slope
-        return jnp.append(forces, slope @ (z[:-1] - self.guess))
+        if self.guess is None:
+            return _forces(lattice, self.size * z) / self.scale
+        x, slope = z[:-1], jnp.gradient(self.guess)
+        forces = _forces(lattice, self.size * x) / self.scale + z[-1] * slope
+        return jnp.append(forces, slope @ (x - self.guess))
 
 
 def _forces(lattice, u):

@@ -40,15 +40,12 @@ class Root(Result):
     @property
     def outcome(self) -> str:
         """What became of it, a sentence (of the worst where there are several)."""
-        if traced((self.code, self.iterations, self.first, self.residual, self.tolerance)):
+        parts = self.code, self.iterations, self.first, self.residual, self.tolerance
+        if traced(parts):
             return "traced"
-        worst = int(np.argmax(np.asarray(self.code))) if np.ndim(self.code) else ()
-        code, iterations, first, last, tolerance = (
-            np.ravel(x)[worst if np.size(x) > 1 else 0].item()
-            if np.ndim(x)
-            else np.asarray(x).item()
-            for x in (self.code, self.iterations, self.first, self.residual, self.tolerance)
-        )
+        parts = np.broadcast_arrays(*map(np.asarray, parts))
+        worst = int(np.argmax(parts[0]))
+        code, iterations, first, last, tolerance = (x.ravel()[worst].item() for x in parts)
         went = f"the residual went from {first:.1e} to {last:.1e} in {int(iterations)} steps"
         if code == CONVERGED:
             return f"Converged: {went}."
@@ -114,24 +111,20 @@ def newton(
         finish,
     )
     # without tracers nobody differentiates; a function may hide some, which the result then shows
-    root = None if traced(inputs) else _plain(*inputs)
+    root = None if traced(inputs) else _solved(*inputs, differentiable=False)
     if root is None or traced(root):
-        root = _differentiable(*inputs)
+        root = _solved(*inputs, differentiable=True)
     if not traced(root) and (throw is None or throw) and not np.all(root.converged):
         raise RuntimeError(root.outcome)
     return root
 
 
 @eqx.filter_jit
-def _plain(residual, linearise, x0, args, tolerance, max_steps, finish):
+def _solved(residual, linearise, x0, args, tolerance, max_steps, finish, differentiable):
     both = _by_forward_mode(residual) if linearise is None else linearise
-    x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps, finish)
-    return Root(x, jacobian, size, first, steps, code, tolerance)
-
-
-@eqx.filter_jit
-def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish):
-    both = _by_forward_mode(residual) if linearise is None else linearise
+    if not differentiable:
+        x, rest = _iterate(both, x0, args, tolerance, max_steps, finish)
+        return Root(x, *rest, tolerance)
 
     def solve(f, x0):
         del f
@@ -142,11 +135,10 @@ def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish)
     def tangent_solve(g, y):
         return jnp.linalg.solve(jax.jacfwd(g)(jnp.zeros_like(y)), y)
 
-    x, rest = jax.lax.custom_root(
+    x, (*rest, steps, code) = jax.lax.custom_root(
         lambda x: evaluated(residual, x, args), x0, solve, tangent_solve, has_aux=True
     )
-    jacobian, size, first, steps, code = rest
-    return Root(x, jacobian, size, first, steps.astype(int), code.astype(int), tolerance)
+    return Root(x, *rest, steps.astype(int), code.astype(int), tolerance)
 
 
 def _by_forward_mode(residual):

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import measures, states
 from .checks import described, is_whole, one_of, positive, refuse, whole
-from .flow import Run, frequency_bound, linear_frequency, simulate
+from .flow import frequency_bound, linear_frequency, simulate
 from .lattice import Lattice, State
 from .plots import drawn, figure, space_time, style
 from .types import Count, Quantity, Scalar, Scene, StateLike
@@ -34,7 +34,7 @@ MAPS = {
 # of a slider whose ends are not given
 LEAST_RATIO = 0.05
 DECADE = 10.0
-AMPLITUDES = (0.01, 10.0, "log")
+AMPLITUDES = ((0.01, 10.0, "log"), 1.0)
 # a wave crosses about so many sites in a radian of the highest frequency
 PACE = 0.25
 # over the linear frequencies, what no wave reaches: the bound of a law whose stiffness has none
@@ -83,14 +83,13 @@ def explore(
     >>> view = gx.explore(scene, 20.0, ratio=(0.1, 1.0))  # in a notebook  # doctest: +SKIP
     """
     widgets = _widgets()
-    if not callable(quantity):
-        quantity = MAPS[one_of("quantity", quantity, MAPS)]
-    else:
+    if callable(quantity):
         quantity = (getattr(quantity, "__name__", "quantity").strip("<>"), "place", quantity)
+    else:
+        quantity = MAPS[one_of("quantity", quantity, MAPS)]
     t1 = None if t1 is None else float(positive("t1", t1))
-    ranges, fixed = _ranges(scene, parameters)
     runs = {"save_at": whole("frames", frames, 2), "tolerance": tolerance, "throw": False}
-    return Explorer(widgets, scene, ranges, fixed, state, t1, quantity, runs)
+    return Explorer(widgets, scene, parameters, state, t1, quantity, runs)
 
 
 def _widgets():
@@ -107,8 +106,8 @@ def _widgets():
     return ipywidgets
 
 
-def _ranges(scene, given):
-    """({name: (low, high), (low, high, "log")} with the first values, what is fixed) of a function."""
+def _sliders(widgets, scene, given):
+    """Sliders by name, and what is fixed, of the parameters of a function and those that were given."""
     found = inspect.signature(scene).parameters
     known = {name: p.default for name, p in found.items() if p.kind is not p.VAR_KEYWORD}
     own = not str(getattr(inspect.unwrap(scene), "__module__", "")).startswith("granjax.")
@@ -118,40 +117,51 @@ def _ranges(scene, given):
     ranges, fixed = {}, {}
     for name in dict.fromkeys([*known, *given]):
         default, x = known.get(name, inspect.Parameter.empty), given.get(name)
-        number = isinstance(default, float)
+        number = default if isinstance(default, float) else None
         if isinstance(x, (tuple, list)):
-            ranges[name] = _range(name, x, default)
+            value = default if isinstance(default, (int, float)) else None
+            ranges[name] = (tuple(x), value)
         elif name in given:
             fixed[name] = x
         elif name == "ratio":
-            ranges[name] = ((LEAST_RATIO, 1.0), default if number else 0.5)
+            ranges[name] = ((LEAST_RATIO, 1.0), number or 0.5)
         elif name == "precompression":
-            value = default if number else 0.0
-            ranges[name] = ((0.0, 4 * value or 1.0), value)
-        elif default is inspect.Parameter.empty or own and number and default <= 0:
+            ranges[name] = ((0.0, 4 * (number or 0.0) or 1.0), number or 0.0)
+        elif default is inspect.Parameter.empty or own and number is not None and number <= 0:
             refuse(name, "a range or a value", "none", f"Such as {name}=(1.0, 10.0).")
-        elif own and number:
-            ranges[name] = ((default / DECADE, default * DECADE, "log"), default)
-    return ranges, fixed
+        elif own and number is not None:
+            ranges[name] = ((number / DECADE, number * DECADE, "log"), number)
+    return {name: _slider(widgets, name, *each) for name, each in ranges.items()}, fixed
 
 
-def _range(name, x, default):
-    """A range that was given, and the value that its slider begins with."""
-    low, high, log = x[0], x[1], len(x) > 2 and x[2] == "log"
+def _slider(widgets, name, ends, value):
+    """The slider of ipywidgets for a range, at a value or in its middle."""
+    low, high, *log = ends
     if not (np.isfinite([low, high]).all() and low < high and (low > 0 or not log)):
         remedy = "A logarithmic slider begins above zero." if log else ""
-        refuse(name, "two finite numbers, the lower one first", described(x), remedy)
-    if isinstance(default, (int, float)) and low <= default <= high:
-        return tuple(x), default
-    middle = math.sqrt(low * high) if log else (low + high) / 2
-    return tuple(x), low if is_whole(low) and is_whole(high) and not log else middle
+        refuse(name, "two finite numbers, the lower one first", described(ends), remedy)
+    counts = is_whole(low) and is_whole(high) and not log
+    if value is None or not low <= value <= high:
+        value = low if counts else math.sqrt(low * high) if log else (low + high) / 2
+    told = {
+        "value": value,
+        "description": name.replace("_", " "),
+        "style": {"description_width": "160px"},
+        "layout": widgets.Layout(width="580px", max_width="100%"),
+    }
+    if counts and is_whole(value):
+        return widgets.IntSlider(min=low, max=high, **told)
+    if log:
+        low, high = math.log10(low), math.log10(high)
+    kind = widgets.FloatLogSlider if log else widgets.FloatSlider
+    return kind(min=low, max=high, step=(high - low) / 200, **told)
 
 
 class Explorer:
     """Sliders and a map. `gx.explore` makes one, and a notebook shows it as the last line of a cell.
 
     - `values`: the present values by name; `move(ratio=0.4)` sets some, as dragging does.
-    - `lattice`, `state`, `run`: what is shown, for further work. RuntimeError where the present values have no run.
+    - `lattice`, `state`, `run`: what is shown, for further work; `None` where the present values have no run.
     - `said`: the sentence below the map. `figure`: matplotlib's; `widget`: all of it, `sliders`: those of ipywidgets.
     """
 
@@ -159,22 +169,20 @@ class Explorer:
         self,
         widgets: Any,
         scene: Callable,
-        ranges: dict,
-        fixed: dict,
+        parameters: dict,
         state: StateLike | Scene | None,
         t1: Scalar | None,
         quantity: tuple,
         runs: dict,
     ):
-        self._scene, self._fixed, self._start = scene, fixed, state
-        self._quantity, self._runs, self.t1 = quantity, runs, t1
-        first = {name: value for name, (_, value) in ranges.items()}
-        lattice, _, paired = self._built(first)
-        if not paired and "amplitude" not in {*ranges, *fixed}:
-            ranges["amplitude"] = (AMPLITUDES, 1.0)
-        self._compute({name: value for name, (_, value) in ranges.items()})
-        self._runs["max_steps"] = ROOM * max(int(np.max(self._shown[2].stats["steps"])), 1000)
-        self.sliders = {name: _slider(widgets, name, *each) for name, each in ranges.items()}
+        self._scene, self._start, self._quantity, self._runs = scene, state, quantity, runs
+        self.t1 = t1
+        self.sliders, self._fixed = _sliders(widgets, scene, parameters)
+        _, _, paired = self._built(self.values)
+        if not paired and "amplitude" not in {*self.sliders, *self._fixed}:
+            self.sliders["amplitude"] = _slider(widgets, "amplitude", *AMPLITUDES)
+        self._compute(self.values)
+        self._runs["max_steps"] = ROOM * max(int(np.max(self.run.stats["steps"])), 1000)
         self._line = widgets.HTML()
         shown = widgets.interactive_output(self._follow, self.sliders)
         self.widget = widgets.VBox([*self.sliders.values(), shown, self._line])
@@ -193,26 +201,6 @@ class Explorer:
             if not low <= x <= high:
                 refuse(name, f"a number from {low:.6g} to {high:.6g}", described(x))
             slider.value = x
-
-    @property
-    def lattice(self) -> Lattice:
-        """The present lattice."""
-        return self._present(0)
-
-    @property
-    def state(self) -> State:
-        """The state that the present run began with."""
-        return self._present(1)
-
-    @property
-    def run(self) -> Run:
-        """The present run, with the frames of the map."""
-        return self._present(2)
-
-    def _present(self, i):
-        if self._shown is None:
-            raise RuntimeError(f"The present values have no run. {self.said}")
-        return self._shown[i]
 
     def __repr__(self) -> str:
         rows = [f"{name:<16}{x:.6g}" for name, x in self.values.items()]
@@ -243,7 +231,7 @@ class Explorer:
 
     def _compute(self, values):
         """The run of some values. **Raises** ValueError for what the scene refuses."""
-        self._shown, self._at = None, values
+        self._at, self.lattice, self.state, self.run = values, None, None, None
         lattice, state, _ = self._built(values)
         if self.t1 is None:
             self.t1 = _crossing(lattice, state)
@@ -253,14 +241,12 @@ class Explorer:
         if not hasattr(data, "ndim") or data.ndim != 2:
             remedy = "Such as quantity=lambda t, y, lattice: y.v[:, 0]."
             refuse("quantity", "a number for each place on a line", described(data), remedy)
+        self.lattice, self.state, self.run, self.said = lattice, state, run, run.outcome
         # a run that stopped early has nothing for its last frames
         data = np.where(np.isfinite(data), data, np.nan)
-        self._shown = lattice, state, run
-        self.said = run.outcome
         self.figure = figure(*SIZE)
         with style():
-            ax = self.figure.subplots()
-            times = np.linspace(0.0, self.t1, len(data))
+            ax, times = self.figure.subplots(), np.linspace(0.0, self.t1, len(data))
             space_time(run, ax, quantity=data, ts=times, label=label, site_label=place)
 
     def _follow(self, **values):
@@ -269,7 +255,7 @@ class Explorer:
 
         try:
             # the first values have been computed before there were sliders
-            if self._shown is None or values != self._at:
+            if self.run is None or values != self._at:
                 self._compute(values)
             display(self.figure)
         except Exception as error:  # whatever a scene of the user's raises for these values
@@ -287,20 +273,3 @@ def _crossing(lattice, state):
         refuse("t1", "the end of the runs", "None", "No frequency of the scene says it.")
     sites = max(max(x.shape[: lattice.axes]) for x in jax.tree.leaves(lattice.zeros()))
     return float(f"{sites / (PACE * omega):.2g}")
-
-
-def _slider(widgets, name, ends, value):
-    """The slider of ipywidgets for a range."""
-    low, high, *log = ends
-    told = {
-        "value": value,
-        "description": name.replace("_", " "),
-        "style": {"description_width": "160px"},
-        "layout": widgets.Layout(width="580px", max_width="100%"),
-    }
-    if log:
-        low, high = math.log10(low), math.log10(high)
-        return widgets.FloatLogSlider(min=low, max=high, step=(high - low) / 200, **told)
-    if is_whole(low) and is_whole(high) and is_whole(value):
-        return widgets.IntSlider(min=low, max=high, **told)
-    return widgets.FloatSlider(min=low, max=high, step=(high - low) / 200, **told)

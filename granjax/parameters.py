@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .checks import concrete, one_of, parameter, refuse, show
+from .checks import one_of, parameter, refuse, show
 from .printing import told
 from .types import AnyArray, Numbers, Parameter, Scalar
 
@@ -48,25 +48,22 @@ class Coordinates(eqx.Module):
             k: jnp.asarray(x, x.dtype) for k, x in ((k, parameter(k, x)) for k, x in start.items())
         }
         self.order = tuple(start)
-        self.low, self.high = {}, {}
-        for name, value in self.start.items():
-            self.low[name], self.high[name] = _interval(name, value, bounds.get(name))
+        both = {name: _interval(name, x, bounds.get(name)) for name, x in self.start.items()}
+        self.low = {name: low for name, (low, _) in both.items()}
+        self.high = {name: high for name, (_, high) in both.items()}
         # one scale for an array: an entry that is zero may move as far as its neighbours
-        self.scale = {name: _scale(value) for name, value in self.start.items()}
+        self.scale = {
+            name: jnp.asarray(np.abs(x).max() or 1.0, x.dtype) for name, x in self.start.items()
+        }
 
     @property
     def names(self) -> list[str]:
         """A name for every free number, in the order of the start: "damping", "stiffness[0]", "stiffness[1]", ..."""
-        names = []
-        for name in self.order:
-            value = self.start[name]
-            if value.ndim == 0:
-                names.append(name)
-            else:
-                names += [
-                    f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(value.shape)
-                ]
-        return names
+        return [
+            f"{name}[{', '.join(map(str, index))}]" if index else name
+            for name in self.order
+            for index in np.ndindex(self.start[name].shape)
+        ]
 
     @property
     def sizeless(self) -> list[str]:
@@ -74,10 +71,7 @@ class Coordinates(eqx.Module):
         return [
             name
             for name, x in self.start.items()
-            if self.low[name] is None
-            and self.high[name] is None
-            and concrete(x) is not None
-            and not np.any(x)
+            if self.low[name] is None and self.high[name] is None and not np.any(x)
         ]
 
     def sized(self, value: Scalar, slopes: Float[AnyArray, " P"]) -> "Coordinates":
@@ -138,11 +132,10 @@ class Coordinates(eqx.Module):
 
     def unflat(self, vector: Float[AnyArray, " P"]) -> dict[str, Numbers]:
         """The inverse of `flat`: a vector (P,) as a dict of the parameters' shapes."""
-        ends = np.cumsum([self.start[name].size for name in self.order])[:-1]
-        shapes = [self.start[name].shape for name in self.order]
+        ends = np.cumsum([self.start[name].size for name in self.order])
         return {
-            name: part.reshape(shape)
-            for name, part, shape in zip(self.order, jnp.split(vector, ends), shapes)
+            name: vector[end - self.start[name].size : end].reshape(self.start[name].shape)
+            for name, end in zip(self.order, ends)
         }
 
     @eqx.filter_jit
@@ -151,31 +144,18 @@ class Coordinates(eqx.Module):
         return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]
 
 
-def _scale(value):
-    at = concrete(value)
-    if at is None:
-        return jnp.where(jnp.any(value != 0), jnp.max(jnp.abs(value)), 1.0)
-    return jnp.asarray(np.abs(at).max() if at.any() else 1.0, value.dtype)
-
-
 def _interval(name, value, bounds):
     if bounds is None:
         return None, None
     low, high = (
         None if bound is None else parameter(f"bounds[{name!r}]", bound) for bound in bounds
     )
-    at = concrete(value)
     for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):
-        if (
-            bound is not None
-            and at is not None
-            and concrete(bound) is not None
-            and not inside(at, bound).all()
-        ):
+        if bound is not None and not np.all(inside(value, bound)):
             refuse(
                 name,
                 f"a start {side} its bound {show(bound)}",
-                show(at),
+                show(value),
                 "A bound is no place to start from.",
             )
     return low, high

@@ -109,12 +109,24 @@ class Kept:
 
 
 _NOBODY = (lambda: None), None
-_PARTS = Kept()
 
 
+def once(function: Callable) -> Callable:
+    """A function of one object whose answer is kept while that object lives."""
+    kept = Kept()
+
+    @wraps(function)
+    def call(x):
+        found = kept.get(x)
+        return kept.put(x, (function(x),))[0] if found is None else found[0]
+
+    call.cache_clear = kept.cache_clear
+    return call
+
+
+@once
 def _settled(x):
-    found = _PARTS.get(x)
-    return _PARTS.put(x, _parted(x)) if found is None else found
+    return _parted(x)
 
 
 def joined(static: tuple, arrays: list) -> Pytree:

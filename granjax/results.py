@@ -16,14 +16,22 @@ from .files import save
 from .printing import text
 from .types import Values
 from .units import SCALED, SI, Units
-from .units import names as by_name
-from .variables import STATE, Held, Layout, Table, lanes_named, lanes_of
+from .units.names import counted_in, known_unit, mark_of, named_unit
+from .variables import STATE, Held, Table, layout_of
 
 if TYPE_CHECKING:
     import xarray  # half a second
 
 Lanes: TypeAlias = dict[str, Values] | None
 """The parameters that the lanes of a batch were swept over, by name, `None` where they have no names."""
+
+SAY = (
+    "Say it where it is made, as in spectrum(..., units=run.units), or here, in_units('SI', 'us')."
+)
+LEAD = (
+    "Give the Units that leads back to SI beside it, gx.Units() where the numbers are those of SI, or say so "
+    "of the lattice: lattice.counted_in('SI'), gx.Lattice(..., units='SI')."
+)
 
 
 def array(
@@ -34,7 +42,8 @@ def array(
     Axes are read off an annotation that names them, `Float[np.ndarray, "point mode"]`, where they are not given.
     `options` are those of `equinox.field`.
     """
-    return eqx.field(metadata={"held": Held(axes, unit, name, doc)}, **options)
+    held = Held(axes, unit, name, doc)
+    return eqx.field(metadata={"held": held, "annotated": axes is None}, **options)
 
 
 def part(doc: str = "", axes: str | None = None, *, name: str = "", **options: Any) -> Any:
@@ -44,7 +53,12 @@ def part(doc: str = "", axes: str | None = None, *, name: str = "", **options: A
 
 def note(doc: str = "", unit: str = "", *, name: str = "", **options: Any) -> Any:
     """A field that a dataset has as an attribute, whatever its shape; results and states within are left out."""
-    return eqx.field(metadata={"held": Held(None, unit, name, doc), "note": True}, **options)
+    return eqx.field(metadata={"held": Held(None, unit, name, doc)}, **options)
+
+
+def hidden(doc: str = "", **options: Any) -> Any:
+    """A field that is neither printed nor in a dataset."""
+    return eqx.field(metadata={"held": Held(doc=doc, hidden=True)}, **options)
 
 
 def _axes(hint: Any) -> str:
@@ -59,6 +73,7 @@ class Result(eqx.Module):
     """What a computation returns.
 
     `outcome` says in a sentence what became of it. Printing shows numbers as numbers and arrays by shape and range.
+    What is read (`outcome`, what is printed, a dataset) is made of NumPy's arrays: reading compiles and runs nothing.
     `to_xarray()` gives the arrays with named axes, units and where they come from; `save` writes them to a file.
 
     To add one: fields with their types, each `= array("What it is.", "m/s", "time site")` (a `State`: `part`, what is
@@ -79,7 +94,7 @@ class Result(eqx.Module):
 
     outcome: eqx.AbstractVar[str]
     exported: ClassVar[dict[str, Held]] = {}
-    # what a result without a mark is counted in, "SI" for what `held` says; `None` where nobody knows
+    # what a result without a mark is counted in, "SI" where its fields say their units so; `None` where nobody knows
     _else: ClassVar[str | None] = None
     # of the lattice that it comes from: its units; axes that count sites, and components of a vector at each
     _mark: Any = eqx.field(default=None, kw_only=True, repr=False)
@@ -91,9 +106,8 @@ class Result(eqx.Module):
         for name, hint in vars(cls).get("__annotations__", {}).items():
             told = getattr(vars(cls).get(name), "metadata", {})
             if "held" in told:
-                axes = told["held"].axes
-                fixed = axes is not None or "note" in told
-                own[name] = told["held"] if fixed else told["held"]._replace(axes=_axes(hint))
+                held = told["held"]
+                own[name] = held._replace(axes=_axes(hint)) if told.get("annotated") else held
         cls._described = {**getattr(cls, "_described", {}), **own, **cls.exported}
         rows = [
             f"- `{name}`{f' ({x.axes})' if x.axes else ''}{f' [{x.unit}]' if x.unit else ''}: {x.doc}"
@@ -102,74 +116,55 @@ class Result(eqx.Module):
         ]
         if rows:
             cls.__doc__ = "\n    ".join([f"{cls.__doc__ or ''}\n", "**Fields:**", "", *rows, ""])
-
-    @property
-    def held(self) -> dict[str, Held]:
-        """What each field is: axes, unit, name in a file, description."""
-        return self._described
+        outcome = vars(cls).get("outcome")
+        if isinstance(outcome, property):
+            cls.outcome = property(lambda self: outcome.fget(_by_numpy(self)), doc=outcome.__doc__)
 
     @property
     def units(self) -> str | None:
         """What its numbers are counted in, "SI" or "scaled"; `None` where nobody said so, or while traced."""
-        mark = self._known_mark
-        return self._else if mark is None else by_name.counted_in(mark)
+        mark, _ = self._origin
+        return self._else if mark is None else counted_in(mark)
 
     @property
-    def _known_mark(self):
-        return (
-            getattr(getattr(self, "lattice", None), "_mark", None)
-            if self._mark is None
-            else self._mark
-        )
+    def _origin(self):
+        """The mark and the space of the lattice that it comes from."""
+        lattice = vars(self).get("lattice")
+        if self._mark is None and getattr(lattice, "_mark", None) is not None:
+            return lattice._mark, lattice.space
+        return self._mark, self._space
 
     def __repr__(self) -> str:
         if traced(self):
             return f"{type(self).__name__}(traced)"
-        rows = list(self._rows())
+        rows = list(_by_numpy(self)._rows())
         width = max(15, 1 + max(len(name) for name, _ in rows))
         return "\n".join(f"{name:<{width}}{value}" for name, value in rows)
 
     def _rows(self) -> Iterator[tuple[str, str]]:
         """Name and text of each line of what is printed."""
-        for name, value in self._fields():
-            yield name.replace("_", " "), self._told(name, value)
+        for name, value, held in self._fields():
+            yield name.replace("_", " "), text(value, self._unit(held))
         yield "outcome", self.outcome
 
     def _told(self, name: str, value: object) -> str:
         """A value of a field, with its unit."""
-        return text(value, self._unit(name))
+        return text(value, self._unit(self._described[name]))
 
-    def _unit(self, name: str) -> str:
+    def _unit(self, held: Held) -> str:
         """The unit in which a field is counted; nothing where it is scaled."""
-        unit = _attributes(self.units, self.held.get(name, Held()).unit).get("units", "")
+        unit = as_it_is(self.units, None, held.unit)[1].get("units", "")
         return "" if unit in (SCALED, STATE) else unit
 
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        """Names and values of the fields that are shown and kept, without the outcome and what is not there."""
+    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
+        """Name, value and description of what is shown and kept, without the outcome and what is not there."""
         for name in (*(field.name for field in dataclasses.fields(self)), *self.exported):
-            if name != "outcome" and name[0] != "_" and getattr(self, name) is not None:
-                yield name, getattr(self, name)
-
-    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        """How the arrays lie: lanes as its lattice's mark has them, else what all have beyond axes that are named.
-
-        The latter come last, or first, as `jax.vmap` has them.
-        """
-        marked = lanes_of(self._known_mark, space)
-        if marked is not None:
-            return Layout(*space, *marked)
-        known, over = [], []
-        for name, held in self.held.items():
-            if held.axes is not None and _is_array(fields.get(name)):
-                plain = "site" not in held.axes and "..." not in held.axes
-                (known if plain else over).append((np.shape(fields[name]), len(held.axes.split())))
-        more = {len(shape) - own for shape, own in known}
-        count = max(more.pop(), 0) if len(more) == 1 else 0
-        last = {shape[len(shape) - count :] for shape, _ in known + over}
-        first = {shape[:count] for shape, _ in known}
-        if not count or len(last) == 1:
-            return Layout(*(space or (None, 0)), last.pop() if count else ())
-        return Layout(*(space or (None, 0)), *((first.pop(), count) if len(first) == 1 else ()))
+            held = self._described.get(name, Held())
+            if name == "outcome" or name[0] == "_" or held.hidden:
+                continue
+            value = getattr(self, name)
+            if value is not None:
+                yield name, value, held
 
     def to_xarray(self, *, lanes: Lanes = None) -> "xarray.Dataset":
         """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.
@@ -184,55 +179,42 @@ class Result(eqx.Module):
         `si_units` what a `gx.Units` leads back to.
         **Raises** ValueError where the result is traced, or `lanes` do not fit the batch.
         """
-        return self._dataset(lanes, self._space)
+        return _by_numpy(self)._dataset(lanes, as_it_is)
 
-    def _dataset(self, lanes, space):
+    def _dataset(self, lanes, converted, counted=None, mark=None, outer=None):
+        """The dataset of numbers `converted`. Of a result around it: what it is counted in, its mark, how it lies."""
         import xarray
 
-        fields = dict(self._fields())
-        layout = self._layout(fields, space)
-        if lanes is not None and not layout.lanes and layout.sites is None:
-            # those that the user names, where they end all that has axes to spare
-            sizes = tuple(np.size(x) for x in lanes.values())
-            over = [
-                np.shape(fields[field])
-                for field, (axes, *_) in self.held.items()
-                if axes is not None and _is_array(fields.get(field)) and _more(fields[field], axes)
-            ]
-            if over and all(len(x) > len(sizes) and x[-len(sizes) :] == sizes for x in over):
-                layout = Layout(lanes=sizes)
-        names, swept = lanes_named(lanes, layout.lanes)
-        table = Table(layout, names, partial(_attributes, self.units))
+        if traced(self):
+            refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
+        fields = list(self._fields())
+        arrays = [
+            (held.axes, x.shape)
+            for _, x, held in fields
+            if held.axes is not None and isinstance(x, np.ndarray)
+        ]
+        own, space = self._origin
+        mark, counted = mark if own is None else own, self.units or counted
+        layout = layout_of(arrays, mark, space or (outer and outer.space), lanes)
+        alike = outer is None or layout.lanes == outer.lanes
+        table = Table(layout, lanes if alike else None, partial(converted, counted))
         types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
-        for field, value in fields.items():
-            held = self.held.get(field, Held())
-            name, records = held.name or field, _records(types.get(field), value)
-            if isinstance(value, Result) or held.axes is None and hasattr(value, "_asdict"):
-                within |= {} if held.axes is None else {name: value}
-            elif (
-                isinstance(value, dict)
-                and value
-                and all(isinstance(x, Result) for x in value.values())
-            ):
-                within |= {f"{name}_{key}".replace("/", "_"): x for key, x in value.items()}
+        for field, x, held in fields:
+            name, records = held.name or field, _records(types.get(field), x)
+            if isinstance(x, Result) or held.axes is None and hasattr(x, "_asdict"):
+                within |= {} if held.axes is None else {name: x}
+            elif isinstance(x, dict) and any(isinstance(y, Result) for y in x.values()):
+                within |= {f"{name}_{key}".replace("/", "_"): y for key, y in x.items()}
             elif records is not None:
                 table.add(name, records, held._replace(axes=held.axes or name))
             else:
-                table.add(name, value, held, self.held)
+                table.add(name, x, held)
         origin = {"result": type(self).__name__, "outcome": self.outcome}
-        origin |= {"units": self.units} if self.units else {}
+        origin |= {"units": counted} if counted else {}
         versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__}
-        variables, coordinates = table.finished(swept)
-        data = xarray.Dataset(variables, coordinates, table.attributes | origin | versions)
-        for name, result in within.items():
-            space = result._space or layout.space
-            alike = result._layout(dict(result._fields()), space).lanes == layout.lanes
-            own = (
-                result
-                if result._known_mark is not None
-                else dataclasses.replace(result, _mark=self._known_mark)
-            )
-            data = _joined(data, name, own._dataset(lanes if alike else None, space))
+        data = xarray.Dataset(*table.finished(), table.attributes | origin | versions)
+        for name, x in within.items():
+            data = _joined(data, name, x._dataset(lanes, converted, counted, mark, layout))
         return data
 
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
@@ -248,65 +230,52 @@ class Result(eqx.Module):
         **Raises** ValueError for a word that nothing here takes or that is not known, for words of scaled numbers, and
         for units of what nobody has said.
         """
+        kinds = [x for x in units if isinstance(x, str) and x in (SI, SCALED)]
+        # by NumPy, as for JAX each power is a program
+        sizes = [jax.tree.map(np.asarray, x) for x in units if isinstance(x, Units)]
+        words = [named_unit(x) for x in units if isinstance(x, str) and x not in kinds]
+        counted = self.units or next(iter(kinds), None)
+        scaled, asked = counted == SCALED, repr(units)
+        if max(len(kinds), len(sizes)) > 1 or len({x.dimension for x in words}) < len(words):
+            refuse("units", "one word for each dimension, and one Units at most", asked)
+        if units and counted is None:
+            got = f"a {type(self).__name__}, which does not"
+            refuse("units", "units of a result that says what it is in", got, SAY)
+        if scaled and not sizes and (words or SI in kinds):
+            refuse("units", "None or 'scaled' for scaled numbers", asked, LEAD)
+        if not scaled and (SCALED in kinds or sizes and words):
+            expected = "units of numbers in SI: words, or a Units, which makes scaled ones of them"
+            refuse("units", expected, asked)
+        seen = {}
+
+        def converted(counted, x, unit):
+            """Numbers, and attributes that say their unit, in the units that are asked for."""
+            known, scaled = known_unit(unit), counted == SCALED
+            if known is None or not any(known.dimension):
+                stays = unit or (counted if sizes and x.dtype.kind in "fc" else "")
+                return x, {"units": stays} if stays else {}
+            seen[known.dimension] = unit
+            if scaled and not sizes:
+                return as_it_is(counted, x, unit)
+            size = float(sizes[0].of(*map(float, known.dimension[:3]))) if sizes else 1.0
+            if sizes and not scaled:
+                return x / size, {"units": SCALED, "si_units": unit}
+            word = next((word for word in words if word.dimension == known.dimension), known)
+            return x * (size * known.size / word.size), {"units": word.name}
+
+        told = _by_numpy(self)
         if units and self.units is None:
-            return self._said(units).in_units(*units, lanes=lanes)
-        counted = by_name.settled(units, self.units)
-        data, taken = self.to_xarray(lanes=lanes), set()
-        stays = {} if counted.sizes is None else {"units": counted.said}
-
-        def converted(x, told):
-            unit = told.get("si_units", told.get("units", ""))
-            factor, name = counted.conversion(unit)
-            taken.update(word.name for word in counted.words if word.name == name)
-            own = {"units": name} | ({"si_units": unit} if name == SCALED else {})
-            return x * factor if factor != 1 else x, own if unit else stays
-
-        for name, x in data.variables.items():
-            values, told = (
-                converted(x.values, x.attrs) if x.dtype.kind in "fc" else (x.values, x.attrs)
-            )
-            data[name] = (
-                x.dims,
-                values,
-                {k: v for k, v in x.attrs.items() if k not in ("units", "si_units")} | told,
-            )
-        for key in [key for key in data.attrs if f"{key}_units" in data.attrs]:
-            told = {
-                k: data.attrs.pop(f"{key}_{k}")
-                for k in ("units", "si_units")
-                if f"{key}_{k}" in data.attrs
-            }
-            values, told = converted(np.asarray(data.attrs[key]), told)
-            data.attrs |= {key: values.tolist()} | {f"{key}_{k}": x for k, x in told.items()}
-        left = [word.name for word in counted.words if word.name not in taken]
+            mark = np.full(np.shape(self._mark), mark_of(counted))
+            told = eqx.tree_at(lambda x: x._mark, told, mark, is_leaf=lambda x: x is None)
+        data = told._dataset(lanes, converted if units else as_it_is)
+        left = [word.name for word in words if word.dimension not in seen]
         if left:
-            there = sorted(
-                {x.attrs.get("si_units", x.attrs.get("units", "")) for x in data.variables.values()}
-                - {""}
-            )
             refuse(
-                "units",
-                f"units of {', '.join(there)}",
-                ", ".join(map(repr, left)),
-                "Nothing here has such.",
+                "units", f"units of {', '.join(sorted(seen.values()))}", ", ".join(map(repr, left))
             )
-        said = SCALED if counted.sizes is not None and counted.said == SI else SI
-        return data.assign_attrs(units=said) if counted.sizes is not None or counted.words else data
-
-    def _said(self, units):
-        """The same, counted in what somebody says by "SI" or "scaled" who asks for units."""
-        kind = by_name.asked_for(units)[0]
-        if kind is None:
-            refuse(
-                "units",
-                "units of a result that says what it is in",
-                f"a {type(self).__name__}, which does not",
-                "Say it where it is made, as in spectrum(..., units=run.units), or here, in_units('SI', 'us').",
-            )
-        mark = self._known_mark
-        return dataclasses.replace(
-            self, _mark=np.full(np.shape(0.0 if mark is None else mark), by_name.mark_of(kind))
-        )
+        if sizes or words:
+            data.attrs["units"] = SCALED if sizes and not scaled else SI
+        return data
 
     def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:
         """Write `to_xarray(lanes=lanes)` to a file: netCDF (`.nc`) or MATLAB (`.mat`, version 5).
@@ -322,20 +291,18 @@ class Result(eqx.Module):
         return save(self.to_xarray(lanes=lanes), path)
 
 
-def _attributes(counted: str | None, unit: str) -> dict[str, str]:
-    """The attributes of numbers whose unit in SI is known, counted in "SI", "scaled" or nobody knows what."""
-    known = by_name.known_unit(unit)
+def _by_numpy(result):
+    """The same with NumPy's arrays in place of JAX's, but for those that are traced."""
+    known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
+    return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, result)
+
+
+def as_it_is(counted: str | None, x: Any, unit: str) -> tuple[Any, dict[str, str]]:
+    """Numbers, and attributes that say their unit in SI where they are counted in that."""
+    known = known_unit(unit)
     if known is None or not any(known.dimension) or counted == SI:
-        return {"units": unit} if unit else {}
-    return {"units": SCALED, "si_units": unit} if counted == SCALED else {}
-
-
-def _more(x, axes):
-    return "site" in axes.split() or np.ndim(x) > len(axes.split())
-
-
-def _is_array(x):
-    return isinstance(x, (jax.Array, np.ndarray))
+        return x, {"units": unit} if unit else {}
+    return x, {"units": SCALED, "si_units": unit} if counted == SCALED else {}
 
 
 def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:

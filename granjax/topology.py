@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.sparse.csgraph import shortest_path
 
 from .checks import parameter, refuse, whole
 from .lattice import Lattice
@@ -58,13 +59,18 @@ __all__ = [
 ]
 
 
-class _Waves(eqx.Module):
-    """Where D(k) comes from: a lattice's unit cell, or a function of one's own."""
+class _Waves(NamedTuple):
+    """Where D(k) comes from: a lattice's unit cell, or a function of one's own.
+
+    `closed`: the largest gap that rounding cannot tell from none, over the largest omega^2; `origin`: what a result
+    keeps of the lattice.
+    """
 
     matrix: Callable
-    axes: int = eqx.field(static=True)
-    size: int = eqx.field(static=True)
-    closed: float = eqx.field(static=True)
+    axes: int
+    size: int
+    closed: float
+    origin: dict
 
     def matrices(self, k):
         """D at points (n, axes), (n, P, P), as a NumPy array."""
@@ -95,16 +101,13 @@ def _waves_of(lattice, cell, axes=None):
         if axes is not None and len(found.cell) != axes:
             kinds = {1: "a chain", 2: "a lattice of the plane"}
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
-        return _Waves(
-            found.dynamical_matrix, len(found.cell), found.mass.size, _closed(found.mass.dtype)
-        )
-    shape = jax.eval_shape(lattice, jnp.zeros(axes or 1))
-    return _Waves(lattice, axes or 1, shape.shape[0], _closed(shape.dtype))
-
-
-def _closed(dtype):
-    """The largest gap that rounding cannot tell from none, over the largest omega^2."""
-    return max(CLOSED, 64 * float(jnp.finfo(dtype).eps))
+        matrix, axes, origin = found.dynamical_matrix, len(found.cell), lattice.origin
+        size, dtype = found.mass.size, found.mass.dtype
+    else:
+        matrix, axes, origin = lattice, axes or 1, {}
+        shape = jax.eval_shape(lattice, jnp.zeros(axes))
+        size, dtype = shape.shape[0], shape.dtype
+    return _Waves(matrix, axes, size, max(CLOSED, 64 * float(jnp.finfo(dtype).eps)), origin)
 
 
 def _chosen(bands, waves):
@@ -218,6 +221,12 @@ def _judged(waves, points, numbers, others):
     return gaps.min(0), place, rough, np.abs(squared).max(-1)
 
 
+def _turns(q, axis=0):
+    """Phase factors of the determinants of overlaps of neighbours along an axis, around the zone."""
+    link = np.linalg.det(np.swapaxes(q.conj(), -1, -2) @ np.roll(q, -1, axis))
+    return link / np.abs(link)
+
+
 def _overlap(q, after):
     """Overlap matrices of neighbouring points, without their lengths."""
     link = np.swapaxes(q.conj(), -1, -2) @ after
@@ -296,9 +305,7 @@ def zak(
             refuse("axis", "0 or 1", repr(axis))
         other = np.atleast_1d(np.asarray(parameter("k", k), float))
         rows = [
-            _Waves(
-                jax.tree_util.Partial(_on_line, waves.matrix, axis, x), 1, waves.size, waves.closed
-            )
+            waves._replace(matrix=jax.tree_util.Partial(_on_line, waves.matrix, axis, x), axes=1)
             for x in other
         ]
     phase, below, error, faults = zip(*(_phases(row, n) for row in rows))
@@ -312,8 +319,7 @@ def zak(
             for x, some in zip(other, faults)
             for said in some
         ]
-    marks = lattice.origin if isinstance(lattice, Lattice) else {}
-    return Zak(phase, below, max(error), other, tuple(told), **marks)
+    return Zak(phase, below, max(error), other, tuple(told), **waves.origin)
 
 
 def _on_line(matrix, axis, other, k):
@@ -335,11 +341,8 @@ def _phases(waves, count):
     q = waves.vectors([np.unique(np.concatenate(lines))])
 
     def loop(q, bands):
-        link = np.linalg.det(
-            np.swapaxes(q[..., bands].conj(), -1, -2) @ np.roll(q, -1, 0)[..., bands]
-        )
         # one product of numbers of modulus one: no logarithm is summed
-        angle = -np.angle(np.prod(link / np.abs(link)))
+        angle = -np.angle(np.prod(_turns(q[..., bands])))
         return np.pi if np.isclose(angle, -np.pi, atol=1e-12) else angle
 
     wanted = [([n], is_open[n] and is_open[n + 1]) for n in range(size)]
@@ -378,7 +381,17 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
             f"{own.real.min():.6g} ... {own.real.max():.6g}",
             "Walls and grounding springs count: ground= of the scenes makes them equal.",
         )
-    kinds = _two_kinds(np.abs(D - own[..., None] * np.eye(D.shape[-1])).max(0) > CLOSED * scale)
+    bound = np.abs(D - own[..., None] * np.eye(D.shape[-1])).max(0) > CLOSED * scale
+    # each site's kind is that of its distance from the first site that bonds lead to
+    distance = shortest_path(bound, unweighted=True)
+    kinds = distance[np.isfinite(distance).argmax(1), np.arange(len(bound))] % 2
+    if (bound & (kinds[:, None] == kinds)).any():
+        refuse(
+            "lattice",
+            "sites of two kinds, each bound to the other alone",
+            "a ring of odd length",
+            "Bands without that symmetry have a Zak phase: gx.topology.zak.",
+        )
     first, second = (np.flatnonzero(kinds == kind) for kind in (0, 1))
     if len(first) != len(second):
         refuse(
@@ -402,29 +415,6 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
             f"Give points={8 * points}.",
         )
     return int(np.round(turns.sum() / (2 * np.pi)))
-
-
-def _two_kinds(bound):
-    """0 or 1 for each site, so that no bond is within a kind."""
-    kinds = np.full(len(bound), -1)
-    for start in range(len(bound)):
-        if kinds[start] >= 0:
-            continue
-        kinds[start], waiting = 0, [start]
-        while waiting:
-            a = waiting.pop()
-            for b in np.flatnonzero(bound[a]):
-                if kinds[b] < 0:
-                    kinds[b] = 1 - kinds[a]
-                    waiting.append(b)
-                elif kinds[b] == kinds[a]:
-                    refuse(
-                        "lattice",
-                        "sites of two kinds, each bound to the other alone",
-                        "a ring of odd length",
-                        "Bands without that symmetry have a Zak phase: gx.topology.zak.",
-                    )
-    return kinds
 
 
 class BerryCurvature(Result):
@@ -506,8 +496,9 @@ def berry_curvature(
     first, second = (np.searchsorted(x, plain) for x in mesh.lines)
     flux = np.add.reduceat(np.add.reduceat(fine, first, 0), second, 1)
     k = np.stack(np.meshgrid(plain, plain, indexing="ij"), -1)
-    marks = lattice.origin if isinstance(lattice, Lattice) else {}
-    return BerryCurvature(k, flux, tuple(numbers), mesh.gap, mesh.nearest, mesh.fault, **marks)
+    return BerryCurvature(
+        k, flux, tuple(numbers), mesh.gap, mesh.nearest, mesh.fault, **waves.origin
+    )
 
 
 def _fluxes(waves, count, numbers):
@@ -520,11 +511,7 @@ def _fluxes(waves, count, numbers):
 
 def _flux(q):
     """Berry phase around each plaquette of a closed mesh, from vectors (n, n, P, bands)."""
-    links = []
-    for axis in (0, 1):
-        link = np.linalg.det(np.swapaxes(q.conj(), -1, -2) @ np.roll(q, -1, axis))
-        links.append(link / np.abs(link))
-    first, second = links
+    first, second = (_turns(q, axis) for axis in (0, 1))
     return -np.angle(first * np.roll(second, -1, 0) / (np.roll(first, -1, 1) * second))
 
 
@@ -581,12 +568,9 @@ def valley_chern(
     waves = _waves_of(lattice, cell, 2)
     mesh, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
     if isinstance(valley, str):
-        cells = unit_cell(lattice, cell).cell if isinstance(lattice, Lattice) else (1, 1)
-        vectors = (
-            _vectors(lattice, cells)
-            if isinstance(lattice, Lattice)
-            else np.array([[1.0, 0], [0.5, 0.75**0.5]])
-        )
+        vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
+        if isinstance(lattice, Lattice):
+            vectors = _vectors(lattice, unit_cell(lattice, cell).cell)
         known = _named_points(vectors, 2)
         if valley not in known:
             refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))
@@ -686,8 +670,7 @@ def polarisation(
         )
     off = np.abs(_turned(2 * np.pi * (fine - coarse))).max() / (2 * np.pi)
     error = 0.5 if np.isnan(off) else max(float(off), ROUNDED)
-    marks = lattice.origin if isinstance(lattice, Lattice) else {}
-    return Polarisation(_in_cell(fine), centres, mesh, error, tuple(numbers), **marks)
+    return Polarisation(_in_cell(fine), centres, mesh, error, tuple(numbers), **waves.origin)
 
 
 def _loops(q):

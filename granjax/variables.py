@@ -1,17 +1,16 @@
 """The arrays of results as variables of a dataset, whose axes are named: sites, fields, components, lanes."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from .checks import refuse
 
 COMPONENTS = ("x", "y", "z")
 FIELD, COMPONENT, LANE = "field", "component", "lane"
+# the unit of a `State`, which has two
+STATE, MOTION = "m, m/s", {"u": "m", "v": "m/s"}
 
 
 class Held(NamedTuple):
@@ -20,110 +19,105 @@ class Held(NamedTuple):
     `axes=None` makes an attribute of it instead of a variable, and leaves out a result within. A variable of the one
     axis that has its name is a coordinate. `site` stands for all axes of a lattice: `site`, `site_1` on a grid,
     `component` of vectors, and `field` before them where a cell holds several. Axes beyond those named are lanes, or
-    called `NAME_k`. Axes that are not named stand where the dots do ("site ... mode"), or at the end.
+    called `NAME_k`. Axes that are not named stand where the dots do ("site ... mode"), or at the end. What is `hidden`
+    is neither printed nor in a file.
     """
 
     axes: str | None = ""
     unit: str = ""
     name: str = ""
     doc: str = ""
-
-
-# the unit of a `State`, which has two
-STATE, MOTION = "m, m/s", {"u": "m", "v": "m/s"}
+    hidden: bool = False
 
 
 class Layout(NamedTuple):
     """How the arrays of a result lie.
 
-    `sites`: how many axes count sites, `None` where nobody knows; `components`: of a vector at each of them, 0 where it
-    is a number. `lanes`: the shape of a batch, of whose axes `first` lead all others (as `jax.vmap` has them) and the
-    others come last.
+    `space`: how many axes count sites, and components of a vector at each; `None` where nobody knows. `lanes`: the
+    shape of a batch, of whose axes `first` lead all others (as `jax.vmap` has them) and the others come last.
     """
 
-    sites: int | None = None
-    components: int = 0
+    space: tuple[int, int] | None = None
     lanes: tuple[int, ...] = ()
     first: int = 0
-
-    @property
-    def space(self) -> tuple[int, int] | None:
-        """Axes of sites and components, `None` where nobody knows."""
-        return None if self.sites is None else (self.sites, self.components)
 
     def words(self, axes: str) -> list[str] | None:
         """The names of an array's own axes, without lanes; `None` where their number is not known."""
         before, dots, after = axes.partition("...")
-        known = self.sites is not None if "site" in before.split() else not dots
-        if not known:
+        over_sites = any(map(_is_site, before.split()))
+        if over_sites and self.space is None or dots and not over_sites:
             return None
-        sites = [
-            "site",
-            *(f"site_{k}" for k in range(1, self.sites or 1)),
-            *[COMPONENT] * (self.components > 0),
-        ]
-        return [
-            word for own in (before + after).split() for word in (sites if own == "site" else [own])
-        ]
+        named = []
+        for word in (before + after).split():
+            named.append(word)
+            if _is_site(word):
+                sites, components = self.space
+                named += [f"{word}_{k}" for k in range(1, sites)] + [COMPONENT] * (components > 0)
+        return named
 
-    def lanes_last(self, x: np.ndarray, own: int | None) -> tuple[np.ndarray, bool]:
-        """An array of so many axes of its own with its lanes at the end, and whether it has any."""
-        first, shape, behind = self.first, x.shape, x.ndim - len(self.lanes) + self.first
-        if not self.lanes or behind < first or x.ndim == own:
-            return x, False
-        if (*shape[:first], *shape[behind:]) != self.lanes:
-            return x, False
-        return np.moveaxis(x, range(first), range(behind - first, behind)), True
+    def batched(self, shape: tuple[int, ...], axes: str) -> bool:
+        """Whether an array of these axes has the lanes beside its own ones."""
+        words, behind = self.words(axes), len(shape) - len(self.lanes) + self.first
+        if not self.lanes or behind < self.first or words is not None and len(shape) == len(words):
+            return False
+        return (*shape[: self.first], *shape[behind:]) == self.lanes
+
+    def lanes_last(self, x: np.ndarray) -> np.ndarray:
+        """An array that has the lanes, with those that lead moved to the end."""
+        behind = x.ndim - len(self.lanes)
+        return np.moveaxis(x, range(self.first), range(behind, behind + self.first))
 
 
-def lanes_of(mark: Any, space: tuple[int, int] | None) -> tuple[tuple[int, ...], int] | None:
-    """The lanes' shape and how many of their axes lead, from a lattice's mark, which has one entry for all sites."""
-    own = None if space is None else space[0] + (space[1] > 0)
-    shape = np.shape(mark)
-    if own is None or len(shape) < own:
-        return None
-    places = [
-        first for first in range(len(shape) - own, -1, -1) if set(shape[first : first + own]) <= {1}
+def _is_site(word):
+    return word.partition("_")[0] == "site"
+
+
+def layout_of(
+    arrays: list[tuple[str, tuple[int, ...]]],
+    mark: Any,
+    space: tuple[int, int] | None,
+    lanes: Mapping | None = None,
+) -> Layout:
+    """How arrays of such axes and shapes lie.
+
+    Lanes are what the mark of their lattice has beside one entry for all sites. Without a mark they are what all arrays
+    of a known number of axes have beyond those, or what is named in `lanes`. Of several ways the first is taken that
+    all arrays fit.
+    """
+    plain, shape = Layout(space), np.shape(mark)
+    own = len(shape) + 1 if space is None else space[0] + (space[1] > 0)
+    ways = [
+        Layout(space, shape[:k] + shape[k + own :], k)
+        for k in range(len(shape) - own, -1, -1)
+        if set(shape[k : k + own]) <= {1}
     ]
-    return ((*shape[: places[0]], *shape[places[0] + own :]), places[0]) if places else None
+    words = [plain.words(axes) for axes, _ in arrays]
+    more = {len(x) - len(named) for (_, x), named in zip(arrays, words) if named is not None}
+    if not ways and len(more) == 1:
+        count = max(*more, 0)
+        one = next(x for (_, x), named in zip(arrays, words) if named is not None)
+        ways = [Layout(space, one[len(one) - count :]), Layout(space, one[:count], count)]
+    elif not ways and not more and arrays and lanes:
+        ways = [Layout(space, tuple(map(np.size, lanes.values())))]
+    fitting = (
+        way
+        for way in ways
+        if all(
+            way.batched(x, axes) or named is not None and len(x) == len(named)
+            for (axes, x), named in zip(arrays, words)
+        )
+    )
+    return next(fitting, ways[0] if ways and own <= len(shape) else plain)
 
 
-def along_waves(result: Any) -> dict[str, Held]:
+def along_waves(result: Any, fields: Iterator) -> Iterator[tuple[str, Any, Held]]:
     """The fields of bands with as many axes for the wave as `k` has: none where it is one number."""
-    lanes = lanes_of(result._mark, result._space)
-    count = result.omega.ndim - 1 - len(lanes[0] if lanes else ())
+    sites, components = result._space
+    lanes = np.ndim(result._mark) - sites - (components > 0)
+    count = result.omega.ndim - 1 - lanes
     wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
-    return {
-        name: held if held.axes is None else held._replace(axes=held.axes.replace("wave", wave))
-        for name, held in result._described.items()
-    }
-
-
-def laid(
-    axes: str, name: str, x: np.ndarray, layout: Layout, lanes: tuple[str, ...], site: str = "site"
-) -> tuple[list[str], np.ndarray]:
-    """Names of an array's axes, those that its result tells, then lanes, and the array in their order."""
-    words = layout.words(axes)
-    own = None if words is None else len(words)
-    x, batched = layout.lanes_last(x, own)
-    count = x.ndim - batched * len(lanes)
-    named = words if count == own else _counted(axes, name, count)
-    named = [
-        word.replace("site", site, 1) if word.partition("_")[0] == "site" else word
-        for word in named
-    ]
-    return [*named, *(lanes if batched else ())], x
-
-
-def _counted(axes, name, count):
-    """As many names as there are axes; those that the table does not name are `NAME_k`, behind sites `site_k`."""
-    first, _, last = (part.split() for part in axes.partition("..."))
-    first = first[: max(count - len(last), 0)]
-    between = range(len(first), count - len(last))
-    more = [
-        f"site_{k - len(first) + 1}" if first[-1:] == ["site"] else f"{name}_{k}" for k in between
-    ]
-    return first + more + last[len(last) - min(len(last), count) :]
+    for name, x, held in fields:
+        yield name, x, held._replace(axes=held.axes and held.axes.replace("wave", wave))
 
 
 def lanes_named(lanes: Mapping | None, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict]:
@@ -132,182 +126,137 @@ def lanes_named(lanes: Mapping | None, shape: tuple[int, ...]) -> tuple[tuple[st
     One parameter for each axis gives it its name; others, one value for each lane, stand along it.
     **Raises** ValueError where they do not fit the lanes.
     """
-    plain = (LANE, *(f"{LANE}_{k}" for k in range(1, len(shape))))[: len(shape)]
+    plain = tuple(f"{LANE}_{k}" if k else LANE for k in range(len(shape)))
     if lanes is None:
         return plain, {}
     if not shape:
         refuse("lanes", "a result of a batch", "one of a single scene", "Leave lanes= out.")
-    values = {str(name): _values(name, x) for name, x in lanes.items()}
+    values = {str(name): np.asarray(x) for name, x in lanes.items()}
+    # columns of a table
+    values = {name: x.astype(str) if x.dtype == object else x for name, x in values.items()}
     sizes = tuple(x.shape for x in values.values())
     if sizes == tuple((n,) for n in shape):
-        names = tuple(values)
-        return names, {name: ((name,), x) for name, x in values.items()}
-    if values and all(size == shape for size in sizes):
+        return tuple(values), {name: ((name,), x) for name, x in values.items()}
+    if values and set(sizes) == {shape}:
         return plain, {name: (plain, x) for name, x in values.items()}
-    axes = (
-        f"{len(shape)} axes of {' x '.join(map(str, shape))} lanes"
-        if len(shape) > 1
-        else f"{shape[0]} lanes"
-    )
+    axes = " x ".join(map(str, shape))
     got = ", ".join(f"{name} of shape {size}" for name, size in zip(values, sizes)) or "none"
-    refuse(
-        "lanes",
-        f"names and values of {axes}",
-        got,
-        "One value for each lane: lanes={'ratio': ratios}.",
-    )
-
-
-def _values(name, x):
-    if isinstance(name, str) and name and "/" not in name:
-        array = np.asarray(x)
-        if array.dtype == object and all(
-            isinstance(word, str) for word in array.flat
-        ):  # a column of a table
-            array = array.astype(str)
-        if array.ndim and array.dtype.kind in "biufU" and math.prod(array.shape):
-            return array
-        refuse(
-            f"lanes[{name!r}]",
-            "numbers or words, one for each lane",
-            f"{array.dtype} of shape {array.shape}",
-        )
-    refuse("lanes", "names of parameters, without a slash", repr(name))
+    remedy = "One value for each lane: lanes={'ratio': ratios}."
+    refuse("lanes", f"names and values of {axes} lanes", got, remedy)
 
 
 class Table:
-    """Variables {name: (axes, array, units)} and attributes of a dataset, sizes of its axes, names of fields.
+    """Variables {name: (axes, array, attributes)} and attributes of a dataset.
 
-    `units` gives the attributes of a unit.
+    `converted(x, unit)` gives the numbers that are kept, and attributes that say their unit; `cell`: fields along one
+    axis.
     """
 
-    def __init__(
-        self, layout: Layout, lanes: tuple[str, ...], units: Callable[[str], dict[str, str]]
-    ):
-        self.layout, self.lanes, self.units, self.fields = layout, lanes, units, []
-        self.variables, self.attributes, self.doc = {}, {}, {}
-        self.axes, self.own = dict(zip(lanes, layout.lanes)), set()
+    def __init__(self, layout: Layout, lanes: Mapping | None, converted: Callable):
+        self.layout, self.converted = layout, converted
+        self.lanes, self.swept = lanes_named(lanes, layout.lanes)
+        self.sizes, self.own = dict(zip(self.lanes, layout.lanes)), set()
+        self.variables, self.attributes, self.cell = {}, {}, []
 
-    def add(
-        self, name: str, value: Any, held: Held, more: Mapping[str, Held] = MappingProxyType({})
-    ) -> None:
-        """What a field of a result holds: an array, or a dict or named tuple of such, `more` of whose parts."""
-        self.doc = {"long_name": held.doc} if held.doc else {}
-        for key, x in _arrays(name, value, "site" in (held.axes or "").split()):
-            self.own |= {word for word in (held.axes or "").split() if word != "..."}
-            unit = (
-                MOTION.get(key[len(name) + 1 :][:1], "")
-                if held.unit == STATE
-                else more.get(key, held).unit
-            )
-            if isinstance(x, dict):
-                self._over_fields(key, x, held.axes, unit)
-            elif held.axes is not None and x.ndim or self.lanes and x.shape == self.layout.lanes:
-                self._put(key, *laid(held.axes or "", key, x, self.layout, self.lanes), unit)
-            else:
-                parts = _parts(key, x.astype(int) if x.dtype == bool else x)
-                # a list of one is one in netCDF
-                self.attributes |= {
-                    part: y.item() if y.size == 1 else y.tolist() for part, y in parts.items()
-                }
-                self.attributes |= {
-                    f"{key}_{name}": told for name, told in self.units(unit).items()
-                }
+    def add(self, name: str, value: Any, held: Held) -> None:
+        """What a field of a result holds: an array, or a dict or named tuple of such."""
+        over_sites = "site" in (held.axes or "").split()
+        if hasattr(value, "_asdict"):
+            for key, x in value._asdict().items():
+                unit = MOTION.get(key, "") if held.unit == STATE else held.unit
+                self.add(f"{name}_{key}", x, held._replace(unit=unit))
+        elif isinstance(value, dict) and over_sites and self._alike(value):
+            self.cell, arrays = [*value], [np.asarray(x) for x in value.values()]
+            place = held.axes.split().index("site")
+            place += self.layout.first * self.layout.batched(arrays[0].shape, held.axes)
+            axes = held.axes.replace("site", f"{FIELD} site", 1)
+            self._put(name, np.stack(arrays, place), held._replace(axes=axes))
+        elif isinstance(value, dict):
+            for key, x in value.items():
+                axes = held.axes.replace("site", f"site_{key}", 1) if over_sites else held.axes
+                self.add(f"{name}_{key}", x, held._replace(axes=axes))
+        else:
+            self._put(name.replace("/", "_") or "_", _numbers(value), held)
 
-    def _over_fields(self, key, fields, over, unit):
-        """Fields of one shape along an axis, others as variables of their own."""
-        found = [
-            laid(over, f"{key}_{field}", x, self.layout, self.lanes, f"site_{field}")
-            for field, x in fields.items()
-        ]
-        alike = len({x.shape for x in fields.values()}) == 1 and self.fields in ([], [*fields])
-        if not alike:
-            for field, own in zip(fields, found):
-                self._put(f"{key}_{field}", *own, unit)
+    def _alike(self, cell):
+        """Whether the fields of a cell lie along one axis: all have one shape, and are those of others."""
+        return len({np.shape(x) for x in cell.values()}) == 1 and self.cell in ([], [*cell])
+
+    def _put(self, name, x, held):
+        """An array as a variable, or where it has neither axes nor lanes as an attribute; nothing of `None`."""
+        if x is None:
             return
-        self.fields = [*fields]
-        axes, _ = laid(over, key, next(iter(fields.values())), self.layout, self.lanes)
-        place = axes.index("site") if "site" in axes else 0
-        stacked = np.stack([x for _, x in found], place)
-        self._put(key, [*axes[:place], FIELD, *axes[place:]], stacked, unit)
-
-    def _put(self, key, axes, x, unit):
-        axes = [
-            axis if self.axes.setdefault(axis, n) == n else f"{key}_{axis}"
-            for axis, n in zip(axes, x.shape)
+        x, told = self.converted(x, held.unit)
+        if held.axes is None and (not self.lanes or x.shape != self.layout.lanes) or not x.ndim:
+            x = x.astype(int) if x.dtype == bool else x
+            # a list of one is one in netCDF
+            parts = {key: y.item() if y.size == 1 else y.tolist() for key, y in _parts(name, x)}
+            told = {f"{name}_{key}": word for key, word in told.items()} if held.unit else {}
+            self.attributes |= parts | told
+            return
+        axes = held.axes or ""
+        batched, words = self.layout.batched(x.shape, axes), self.layout.words(axes)
+        x = self.layout.lanes_last(x) if batched else x
+        count = x.ndim - batched * len(self.lanes)
+        if words is None or len(words) != count:
+            words = _counted(axes, name, count)
+        self.own |= {*words}
+        named = [
+            axis if self.sizes.setdefault(axis, n) == n else f"{name}_{axis}"
+            for axis, n in zip([*words, *self.lanes], x.shape)
         ]
-        self.axes |= dict(zip(axes, x.shape))
-        for part, y in _parts(key, x).items():
-            self.variables[part] = axes, y, self.units(unit) | self.doc
+        self.sizes |= dict(zip(named, x.shape))
+        told |= {"long_name": held.doc} if held.doc else {}
+        self.variables |= {key: (named, y, told) for key, y in _parts(name, x)}
 
-    def finished(self, swept: dict) -> tuple[dict, dict]:
+    def finished(self) -> tuple[dict, dict]:
         """Variables and coordinates, those of the lanes among them."""
-        taken = {*swept} & ({*self.variables, *self.attributes, FIELD, COMPONENT} | self.own)
+        taken = {*self.swept} & {*self.variables, *self.attributes, *self.own, FIELD, COMPONENT}
         if taken:
-            refuse(
-                "lanes",
-                "names that nothing else in the result has",
-                repr(min(taken)),
-                "Call it otherwise.",
-            )
+            rest = repr(min(taken)), "Call it otherwise."
+            refuse("lanes", "names that nothing else in the result has", *rest)
+        found = {axis: (axis, np.arange(n)) for axis, n in self.sizes.items() if _is_site(axis)}
+        found |= {FIELD: (FIELD, self.cell)} if self.cell else {}
+        if COMPONENT in self.sizes:
+            found[COMPONENT] = COMPONENT, [*COMPONENTS[: self.sizes[COMPONENT]]]
         variables = {}
         for key, (axes, x, told) in self.variables.items():
-            if key in self.axes and axes != [key]:
+            if key in self.sizes and axes != [key]:
                 key, axes, x = self._beside(key, axes, x)
             variables[key] = axes, x, told
-        found = {
-            axis: (axis, np.arange(n))
-            for axis, n in self.axes.items()
-            if axis.partition("_")[0] == "site"
-        }
-        found |= {FIELD: (FIELD, self.fields)} if self.fields else {}
-        if COMPONENT in self.axes:
-            found[COMPONENT] = COMPONENT, [*COMPONENTS[: self.axes[COMPONENT]]]
-        return variables, {name: x for name, x in found.items() if name not in variables} | swept
+        return variables, {
+            name: x for name, x in found.items() if name not in variables
+        } | self.swept
 
     def _beside(self, key, axes, x):
         """A variable that has the name of an axis and other axes too: without the lanes where it is alike in them."""
         if [axis for axis in axes if axis not in self.lanes] == [key]:
             rows = np.moveaxis(x, axes.index(key), -1).reshape(-1, x.shape[axes.index(key)])
-            if rows.size and np.array_equal(
-                rows, np.broadcast_to(rows[0], rows.shape), equal_nan=x.dtype.kind == "f"
-            ):
+            if rows.size and (rows == rows[0]).all():
                 return key, [key], rows[0]
         return f"{key}s", axes, x
 
 
-def _parts(key, x):
-    return {f"{key}_real": x.real, f"{key}_imag": x.imag} if x.dtype.kind == "c" else {key: x}
+def _counted(axes, name, count):
+    """As many names as there are axes; those that are not told are `NAME_k`, behind sites `site_k`."""
+    first, _, last = (part.split() for part in axes.partition("..."))
+    first = first[: max(count - len(last), 0)]
+    site = first[-1] if first and _is_site(first[-1]) else None
+    between = range(len(first), count - len(last))
+    more = [f"{site}_{k - len(first) + 1}" if site else f"{name}_{k}" for k in between]
+    return first + more + last[len(last) - min(len(last), count) :]
 
 
-def _arrays(name: str, value: Any, over_sites: bool) -> Iterator[tuple[str, Any]]:
-    """Names and arrays of a field, of what has none nothing. A dict over sites stays one."""
-    if hasattr(value, "_asdict"):
-        for key, x in value._asdict().items():
-            yield from _arrays(f"{name}_{key}", x, over_sites)
-    elif isinstance(value, dict):
-        entries = {str(key): x for key, x in value.items()}
-        found = {
-            key: x for key, inner in entries.items() for _, x in _arrays(key, inner, over_sites)
-        }
-        if over_sites and found and found.keys() == entries.keys():
-            yield name, found
-        else:
-            for key, x in entries.items():
-                yield from _arrays(f"{name}_{key}", x, over_sites)
-    elif isinstance(value, jax.core.Tracer):
-        refuse(
-            "result",
-            "numbers",
-            f"{name}, which is traced",
-            "Call to_xarray outside of jit and vmap.",
-        )
-    elif isinstance(
-        value, (jax.Array, np.ndarray, np.generic, int, float, complex, str, list, tuple)
-    ):
-        try:
-            x = np.asarray(value)
-        except ValueError:
-            return
-        if x.dtype.kind in "biufcU":
-            yield name.replace("/", "_") or "_", x
+def _parts(name, x):
+    return (
+        [(f"{name}_real", x.real), (f"{name}_imag", x.imag)] if x.dtype.kind == "c" else [(name, x)]
+    )
+
+
+def _numbers(value):
+    """Numbers or words as an array, `None` of what is neither."""
+    try:
+        x = np.asarray(value)
+    except ValueError:
+        return None
+    return x if x.dtype.kind in "biufcU" else None

@@ -7,7 +7,7 @@ list of steps or tolerances and a function that computes the final state with on
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, NamedTuple
 
 import diffrax
@@ -21,7 +21,7 @@ from .flow import frequency_bound, linear_frequency, simulate
 from .flow.dispatch import facts
 from .flow.inputs import checked_state, checked_times
 from .lattice import Lattice
-from .results import SI, Result, array
+from .results import SI, Result, array, hidden
 from .solvers import (
     RKN86,
     RKN1210,
@@ -46,42 +46,45 @@ DIFFRAX = (diffrax.Tsit5, diffrax.Dopri8)
 TOLERANCES = tuple(float(f"1e-{k}") for k in range(2, 15))
 # the first step of a ladder, over the longest stable one: just inside
 FIRST_STEP = 0.95
-# steps of a ladder at most; the fewest that a run is divided into; order where a solver has no table
+# steps of a ladder at most
 MOST_STEPS = 48
+# fewest steps that a run is divided into
 LEAST_INTERVALS = 4
+# of a solver without a table
 ORDER = 4
 
 # errors below this many floors (uncertainties of the reference) are neither drawn nor used
 DRAWN = 4.0
 # a worse reference tells nothing
 LARGEST_FLOOR = 1e-3
-# where an error is small enough to fall as a power of the step, and far enough above the floor
+# below this an error falls as a power of the step
 ASYMPTOTIC = 1e-2
+# above this many floors an error is its own
 CLEAR = 10.0
 # values without a smaller error after which rounding has taken over
 STALLED = 4
 # what the timed calls of a point may take altogether [s]
 ENOUGH = 3.0
-# a ladder ends where a call takes this many times as long as a coarse one, or this long [s] ...
-LONGER = 20.0
-AT_LEAST = 0.1
-# ... and where 20 times is more than 1 s, four times
-SLOW = 1.0
-LITTLE_LONGER = 4.0
+# a ladder ends where a call takes this many times as long as its coarsest ...
+LONGER = 10.0
+# ... and this long [s]
+AT_LEAST = 0.2
 
-# the reference: its first tolerance, its first step over the stability limit, the next over it
+# the reference's first tolerance, and its first step over the stability limit
 REFERENCE_TOLERANCE = 1e-9
 REFERENCE_STEP = 0.25
+# its next step over the last; tolerances go down by decades
 SHORTER = 2.0**-0.5
 MOST_LEVELS = 14
-# levels without gain before the search ends, twice as many where nothing agrees yet; what is a gain
+# levels without a gain before the search ends, twice as many where nothing agrees yet
 PATIENCE = 2
 GAIN = 0.7
 # steps and tolerances of the confirming runs, over those that they confirm
 OTHER_MESH = 1.3
 
-# an advised error lies between a third of what was asked and that, where a run in 8 trials hits it
+# an advised error lies between a third of what was asked and that, where a run hits it
 NEAR = 3.0
+# such runs at most: halvings of the interval between two points of the table
 TRIALS = 8
 # methods, and points of the table, that are timed once more for an advice
 FASTEST = 3
@@ -113,7 +116,7 @@ class Ladder(NamedTuple):
 
 
 class Advice(Result):
-    """A method and its step or tolerance for an error; printed, it says so in words."""
+    """A method and its step or tolerance for an error; printed, it says so in a sentence."""
 
     _else: ClassVar[str | None] = SI
     asked: float = array("The error that was asked for")
@@ -195,10 +198,10 @@ class WorkPrecision(Result):
     )
     repeats: int = array("Timed calls of a point", static=True)
     reference_note: str = array("How the reference came about", name="reference", static=True)
-    ladders: tuple[Ladder, ...] = array(
+    ladders: tuple[Ladder, ...] = hidden(
         "What was measured, for `advice` to run more of it", static=True, default=()
     )
-    reference: Pytree = array("What errors are measured against", default=None)
+    reference: Pytree = hidden("What errors are measured against", default=None)
 
     @property
     def outcome(self) -> str:
@@ -220,51 +223,44 @@ class WorkPrecision(Result):
     def advice(self, error: Scalar) -> Advice:
         """Say what to use for an error that you can live with, in the measure of `distance`.
 
-        The fastest three methods are tried at values between their measured points until a run has
-        shown an error between `error`/3 and `error`, and timed in turns. Where there is none (the
-        longest stable step is better; one step fewer is worse), the coarsest value that is good
-        enough. What is promised (`.error`, `.seconds`) has been measured, and neither the default
-        nor a point of the table, the fastest of them timed in the same turns, is both faster and at
-        least as good.
+        Each of the three fastest methods is tried at values between its measured points until a
+        run has shown an error between `error`/3 and `error`; where there is none (one step fewer
+        is too few), at the coarsest value that is good enough. Of these runs, of coarser points of
+        the table that happen to be as good, and of the default, the fastest is the advice: all
+        are timed in the same turns. What is promised (`.error`, `.seconds`) has been measured.
 
-        **Returns:** `Advice`; `str` of it says so in words, `gx.simulate(..., **advice.keywords)`
-        follows it. **Raises** ValueError for an error below four floors, or below all that was
-        measured.
+        **Returns:** `Advice`; `str` of it says so in a sentence, `gx.simulate(...,
+        **advice.keywords)` follows it. **Raises** ValueError for an error below four floors, or
+        below all that was measured.
         """
         asked = float(positive("error", error))
         points = [self._point(i, asked) for i in np.flatnonzero(self.drawn)]
+        default = [one for one in points if one.method == DEFAULT]
         known = [one for one in points if one.method != DEFAULT]
-        good = sorted((one for one in known if one.error <= asked), key=_seconds)
         if not known:
             got = "one where nothing is drawn"
             refuse("error", "a table with points to choose from", got, "The notes say why.")
         if asked < self.least_error:
             least = f"at least {self.least_error:.3g}, four times the floor"
             refuse("error", least, f"{asked:.3g}", "The reference itself is no better.")
-        if not good:
-            best = min(known, key=lambda one: one.error)
-            remedy = f"The best point: {best.method}, {best.parameter} {best.value:.3g}."
+        best = min(known, key=lambda one: one.error)
+        if best.error > asked:
             least = f"at least {best.error:.3g}, the smallest in the table"
+            remedy = f"The best point: {best.method}, {best.parameter} {best.value:.3g}."
             refuse("error", least, f"{asked:.3g}", remedy)
-        names = dict.fromkeys(one.method for one in good)
-        brackets = sorted((_bracket(known, name) for name in names), key=lambda x: x[0].seconds)
-        found = [self._approached(*bracket) for bracket in brackets[:FASTEST]]
-        others = [one for one in points if one.method == DEFAULT] + good[:FASTEST]
-        # the clock drifts: what is compared is timed in the same turns
-        calls = [(self._ladder(one.method).call, one.value) for one in found + others]
-        timed = [
-            dataclasses.replace(one, seconds=float(seconds))
-            for one, seconds in zip(found + others, _in_turns(calls, self.repeats)[0])
-        ]
-        best = min(timed[: len(found)], key=_seconds)
-        timed += good[FASTEST:]
-        # what luck has made good at this scene is better at this scene all the same
-        while better := [one for one in timed[len(found) :] if _beats(one, best)]:
-            best = min(better, key=_seconds)
+        good = sorted((one for one in known if one.error <= asked), key=_seconds)
+        safe = [_coarsest(known, name) for name in dict.fromkeys(one.method for one in good)]
+        found = {one.method: self._coarser(one) for one in sorted(safe, key=_seconds)[:FASTEST]}
+        # a finer point of the same method is faster by the clock's noise alone
+        lucky = [x for x in good if x.method not in found or x.value > found[x.method].value]
+        tried = [*found.values(), *default, *lucky[:FASTEST]]
+        calls = [(self._ladder(one.method).call, one.value) for one in tried]
+        seconds, _ = _in_turns(calls, self.repeats)
+        timed = [dataclasses.replace(one, seconds=float(s)) for one, s in zip(tried, seconds)]
+        best = min((one for one in timed if one.error <= asked), key=_seconds)
         told = {"solver": self._ladder(best.method).solver}
-        for one in timed:
-            if one.method == DEFAULT:
-                told |= {"default_error": one.error, "default_seconds": one.seconds}
+        for one in timed[len(found) :][: len(default)]:
+            told |= {"default_error": one.error, "default_seconds": one.seconds}
         return dataclasses.replace(best, **told)
 
     def _ladder(self, name):
@@ -275,30 +271,28 @@ class WorkPrecision(Result):
         numbers = (float(x[i]) for x in (self.value, self.error, self.seconds, self.evaluations))
         return Advice(asked, self.method[i], self.parameter[i], *numbers)
 
-    def _approached(self, one, coarse):
-        """The advice whose error a run has shown to lie within [asked/3, asked], to three digits.
+    def _coarser(self, one):
+        """The advice at a coarser value, whose error a run has shown to be within [asked/3, asked].
 
-        Regula falsi in the logarithms, halved where it creeps. Where no run hits (a few steps of
-        high order, of which one less is too few), the coarsest that is good enough.
+        The interval from the point to its coarser neighbour, which is not good enough, is halved;
+        where no run hits, its good end is left.
         """
-        if coarse is None:
+        ladder, good = self._ladder(one.method), one.value
+        coarser = [x for x in ladder.values if x > good]
+        if not coarser or one.error >= one.asked / NEAR:
             return one
-        call, asked = self._ladder(one.method).call, one.asked
-        above, below = (coarse.value, coarse.error), (one.value, one.error)
-        aim = math.log(asked / math.sqrt(NEAR))
-        for trial in range(TRIALS):
-            span = math.log(above[1]) - math.log(max(below[1], 1e-300))
-            share = (math.log(above[1]) - aim) / span
-            share = 0.5 if trial % 3 == 2 else min(max(share, 0.1), 0.9)
-            value = float(f"{above[0] * (below[0] / above[0]) ** share:.2e}")
-            called = _once(call, value)
+        bad = min(coarser)
+        for _ in range(TRIALS):
+            value = float(f"{math.sqrt(good * bad):.2e}")
+            called = _once(ladder.call, value)
             error = math.nan if called.note else distance(called.state, self.reference)
-            if error > asked or math.isnan(error):
-                above = value, error if math.isfinite(error) else max(above[1], 1.0)
+            if not error <= one.asked:
+                bad = value
                 continue
-            below, found = (value, error), {"error": error, "evaluations": called.evaluations}
-            one = dataclasses.replace(one, value=value, **found)
-            if error >= asked / NEAR:
+            good = value
+            evaluations = called.evaluations
+            one = dataclasses.replace(one, value=value, error=error, evaluations=evaluations)
+            if error >= one.asked / NEAR:
                 break
         return one
 
@@ -321,10 +315,6 @@ class WorkPrecision(Result):
             return start + " ".join(self.note[i].split())
         counted = f"{forces:.0f} forces" if math.isfinite(forces) else ""
         return f"{start}{_time(self.seconds[i]):<11}{counted}"
-
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        shown = super()._fields()
-        return (field for field in shown if field[0] not in ("ladders", "reference"))
 
 
 def work_precision(
@@ -361,8 +351,8 @@ def work_precision(
       error; `None` if not known, and then nothing is held back. `None`: two independent runs of
       high order, refined until their distance stops falling; that is the floor.
     - `repeats`: timed calls of each point, of which the median counts (fewer where they add up to
-      more than 3 s); solvers take turns. `longest` [s]; `None`: 20 times what solvers take at
-      their coarsest, but at least 0.1 s, and where that is more than 1 s four times.
+      more than 3 s); solvers take turns. `longest` [s]; `None`: ten times what the solver takes at
+      its coarsest, but at least 0.2 s.
 
     **Returns:** `WorkPrecision`: print it, `.advice(error)`, `.orders`, `.floor`, `.to_xarray()`;
     `gx.plots.work_precision` draws it. Nothing below four floors is drawn or used. Refused and
@@ -385,31 +375,39 @@ def work_precision(
     """
     state = checked_state(lattice, state)
     t0, t1 = (float(t) for t in checked_times(t0, t1))
-    solvers = _solvers(solvers, lattice)
-    steps = _steps(steps, solvers)
+    solvers = sensible_solvers(lattice) if solvers is None else _named(solvers)
+    steps = {} if steps is None else _by_name(steps, solvers)
     if reference is None:
-        reference, floor, note = find_reference(lattice, state, t0, t1)
+        reference, uncertainty, note = find_reference(lattice, state, t0, t1)
     else:
-        reference, floor = tuple(reference), _uncertainty(uncertainty)
-        distance(state, reference)
+        reference = tuple(reference)
+        distance(state, reference)  # refuses other shapes before anything runs
         note = "given, of unknown uncertainty" if uncertainty is None else "given"
     omega = highest_frequency(lattice, state, t0, t1)
+
+    def call(solver, parameter):
+        def final(value):
+            chosen = {} if parameter is None else {parameter: value}
+            run = simulate(lattice, state, t1, t0=t0, solver=solver, **chosen)
+            return run.final, *_counts(run)
+
+        return final
+
     ladders = []
     for name, solver in solvers.items():
         adaptive = isinstance(solver, diffrax.AbstractAdaptiveSolver)
         parameter, limit = "tolerance" if adaptive else "step", stable_step(solver, omega)
         values = steps.get(name) or _sensible_values(solver, limit, t1 - t0, lattice.dtype)
-        call = _call(lattice, state, t0, t1, solver, parameter)
-        ladders.append(Ladder(name, parameter, values, call, name not in steps, limit, solver))
-    call = _call(lattice, state, t0, t1, None, None)
-    ladders.append(Ladder(DEFAULT, "step", (math.nan,), call))
-    return measure(ladders, reference, floor, repeats, longest=longest, note=note)
+        own = call(solver, parameter)
+        ladders.append(Ladder(name, parameter, values, own, name not in steps, limit, solver))
+    ladders.append(Ladder(DEFAULT, "step", (math.nan,), call(None, None)))
+    return measure(ladders, reference, uncertainty, repeats, longest=longest, note=note)
 
 
 def measure(
     ladders: Sequence[Ladder],
     reference: Pytree,
-    uncertainty: Scalar | None = None,
+    uncertainty: Parameter | None = None,
     repeats: Count = 5,
     *,
     longest: Scalar | None = None,
@@ -425,47 +423,45 @@ def measure(
     - `ladders`: list of `Ladder`. `reference`: what all of them approximate, a tree like their
       states: a pair (u, v), or any tuple of arrays; `uncertainty`: its, the floor of the table, in
       the measure of `distance`; `None` or NaN where nobody knows it.
-    - `repeats`, `longest`: as for `work_precision`. `note`: what the reference is, in words.
+    - `repeats`, `longest`: as for `work_precision`. `note`: what the reference is, a sentence.
 
     **Returns:** `WorkPrecision`. **Raises** ValueError for two ladders of one name, an uncertainty
     above 1e-3 (no reference), a state of other shapes than the reference.
     """
-    repeats, floor = whole("repeats", repeats, 1), _uncertainty(uncertainty)
-    ladders = tuple(
-        ladder._replace(values=_values(ladder.name, ladder.values)) for ladder in ladders
-    )
+    repeats = whole("repeats", repeats, 1)
+    floor = math.nan if uncertainty is None else float(np.max(uncertainty))
+    if floor < 0 or floor > LARGEST_FLOOR:
+        remedy = "A worse reference tells nothing; end the run earlier."
+        refuse("uncertainty", f"a number from 0 to {LARGEST_FLOOR:g}", f"{floor:g}", remedy)
+    ladders = tuple(x._replace(values=_values(x.name, x.values)) for x in ladders)
     names = tuple(ladder.name for ladder in ladders)
-    if twice := [name for name in names if names.count(name) > 1]:
-        refuse("ladders", "a name of its own for each", f"{twice[0]!r} twice")
-    warm = [_warmed(ladder) for ladder in ladders]
-    if longest is None:
-        coarsest = [x for name, (_, x) in zip(names, warm) if name != DEFAULT and np.isfinite(x)]
-        usual = float(np.median(coarsest)) if coarsest else 0.0
-        longest = max(AT_LEAST, min(LONGER * usual, SLOW), LITTLE_LONGER * usual)
-    points, orders = [], []
-    for ladder in ladders:
-        rungs = _climb(ladder, reference, floor, longest)
-        points += [(ladder, k, *rung) for k, rung in enumerate(rungs)]
-        orders.append(_order(ladder, rungs, floor))
-    own, _, value, called, error, note_of = zip(*points)
-    seconds, fastest = _times(points, repeats)
-    order, order_error = np.array(orders).T
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        refuse("ladders", "a name of its own for each", f"{twice!r} twice")
+    climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
+    points = [(x, *rung) for x, (_, rungs) in zip(ladders, climbed) for rung in rungs]
+    own, value, called, error, notes = zip(*points)
+    drawn = np.array([not why for why in notes])
+    times = np.full((2, len(points)), np.nan)
+    timed = [(x.call, h) for x, h, why in zip(own, value, notes) if not why]
+    times[:, drawn] = _in_turns(timed, repeats)
+    orders = [_order(x, rungs, floor) for x, (_, rungs) in zip(ladders, climbed)]
     return WorkPrecision(
         method=tuple(ladder.name for ladder in own),
         parameter=tuple(ladder.parameter for ladder in own),
         value=np.array(value),
         error=np.array(error),
-        seconds=seconds,
-        fastest=fastest,
+        seconds=times[0],
+        fastest=times[1],
         evaluations=np.array([x.evaluations for x in called]),
         steps=np.array([x.steps for x in called]),
-        drawn=np.array([not why for why in note_of]),
-        note=note_of,
+        drawn=drawn,
+        note=notes,
         methods=names,
-        compile_seconds=np.array([compiling for compiling, _ in warm]),
+        compile_seconds=np.array([compiling for compiling, _ in climbed]),
         limit=np.array([ladder.limit for ladder in ladders]),
-        order=order,
-        order_error=order_error,
+        order=np.array([order for order, _ in orders]),
+        order_error=np.array([uncertain for _, uncertain in orders]),
         floor=floor,
         repeats=repeats,
         reference_note=note,
@@ -490,19 +486,18 @@ def distance(state: Pytree, reference: Pytree) -> float:
     shapes, wanted = ([[x.shape for x in part] for part in y] for y in (reference, state))
     if shapes != wanted:
         refuse("reference", f"arrays of the shapes {wanted}, those of the state", f"{shapes}")
+    errors = []
+    for part, exact in zip(state, reference):
+        apart = np.max([np.max(np.abs(x - y), initial=0.0) for x, y in zip(part, exact)])
+        scale = np.max([np.max(np.abs(y), initial=0.0) for y in exact])
+        errors.append(apart / scale if scale > 0 else apart)
     # NumPy's maximum keeps a NaN, Python's own may lose it
-    return float(np.max([_relative(x, y) for x, y in zip(state, reference)]))
+    return float(np.max(errors))
 
 
 def _parts(argument, tree):
     parts = tree if isinstance(tree, (tuple, list)) else (tree,)
     return [[real(argument, x) for x in jax.tree.leaves(part)] for part in parts]
-
-
-def _relative(part, reference):
-    apart = np.max([np.max(np.abs(x - y), initial=0.0) for x, y in zip(part, reference)])
-    scale = np.max([np.max(np.abs(y), initial=0.0) for y in reference])
-    return apart / scale if scale > 0 else apart
 
 
 def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[float, float]:
@@ -526,12 +521,11 @@ def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[
             keep &= (errors > CLEAR * errors[least]) & (np.arange(len(errors)) < least)
     if np.count_nonzero(keep) < 3:
         return math.nan, math.nan
-    x, y = np.log(steps[keep]), np.log(errors[keep])
-    x = x - x.mean()
-    spread = x @ x
-    slope = float(x @ y / spread)
-    rest = y - y.mean() - slope * x
-    return slope, float(np.sqrt(rest @ rest / (len(x) - 2) / spread))
+    # the degrees of freedom are the points less two: of three one is left
+    (slope, _), squares, *_ = np.polyfit(np.log(steps[keep]), np.log(errors[keep]), 1, full=True)
+    x = np.log(steps[keep])
+    spread = (x - x.mean()) @ (x - x.mean())
+    return float(slope), float(np.sqrt(squares[0] / (len(x) - 2) / spread))
 
 
 def _order(ladder, rungs, floor):
@@ -567,34 +561,27 @@ def _once(call, value):
     return _Called(state, *counts, seconds, "")
 
 
-def _warmed(ladder):
-    """(Seconds of compiling, those of a warm call) of the coarsest value that works."""
-    compiling = 0.0
-    for value in ladder.values:
-        first, second = _once(ladder.call, value), _once(ladder.call, value)
-        compiling = max(compiling, first.seconds - second.seconds)
-        if not second.note:
-            return compiling, second.seconds
-    return compiling, math.nan
-
-
 def _climb(ladder, reference, floor, longest):
-    """(value, called, error, why it is not drawn) of the values, as far as the ladder goes."""
-    rungs, smallest, waited = [], math.inf, 0
+    """Seconds of compiling, and (value, called, error, why it is not drawn) as far as it goes."""
+    compiling, rungs, smallest, waited = 0.0, [], math.inf, 0
     for value in ladder.values:
         called = _once(ladder.call, value)
+        if all(rung[1].note for rung in rungs):  # the first call, or none has worked before
+            first, called = called, _once(ladder.call, value)
+            compiling = max(compiling, first.seconds - called.seconds)
+            limit = max(AT_LEAST, LONGER * called.seconds) if longest is None else longest
         error = math.nan if called.note else distance(called.state, reference)
         rungs.append((value, called._replace(state=None), error, _judged(error, floor, called)))
         waited = 0 if error < smallest else waited + 1
         smallest = error if error < smallest else smallest
-        stalled = smallest < ASYMPTOTIC and waited == STALLED
-        if ladder.stops and (error < DRAWN * floor or stalled):
+        if not ladder.stops:
+            continue
+        if error < DRAWN * floor or smallest < ASYMPTOTIC and waited == STALLED:
             break
         # once may be another process that had the processor
-        if ladder.stops and called.seconds > longest:
-            if _once(ladder.call, value).seconds > longest:
-                break
-    return rungs
+        if called.seconds > limit and _once(ladder.call, value).seconds > limit:
+            break
+    return compiling, rungs
 
 
 def _judged(error, floor, called):
@@ -608,22 +595,12 @@ def _judged(error, floor, called):
     return "An error above 1: everything is wrong." if error > 1 else ""
 
 
-def _times(points, repeats):
-    """Median and shortest wall times (2, points) [s] of what is drawn, rung by rung; or NaN."""
-    order = sorted((i for i, x in enumerate(points) if not x[-1]), key=lambda i: points[i][1])
-    seconds = np.full((2, len(points)), np.nan)
-    calls = [(points[i][0].call, points[i][2]) for i in order]
-    seconds[:, order] = _in_turns(calls, repeats, [points[i][3].seconds for i in order])
-    return seconds
-
-
-def _in_turns(calls, repeats, known=None):
+def _in_turns(calls, repeats):
     """Median and shortest wall times (2, calls) [s] of pairs (call, value) that take turns.
 
-    Each is called `repeats` times, or until its times add up to `ENOUGH`; a time that was `known`
-    before will do where it is more than that.
+    Each is called `repeats` times, or until its times add up to `ENOUGH`.
     """
-    spent = [[x] if x > ENOUGH else [] for x in known or [0.0] * len(calls)]
+    spent = [[] for _ in calls]
     for _ in range(repeats):
         for (call, value), times in zip(calls, spent):
             if sum(times) < ENOUGH:
@@ -635,26 +612,13 @@ def _seconds(one):
     return one.seconds
 
 
-def _bracket(points, name):
-    """The coarsest point from which on all are good enough, its coarser neighbour or `None`."""
+def _coarsest(points, name):
+    """The coarsest point of a method from which on all are good enough."""
     own = sorted((one for one in points if one.method == name), key=lambda one: -one.value)
     good = np.array([one.error <= one.asked for one in own])
     # a dip among larger errors is luck; where rounding spoils the finest, the first has to do
     k = 0 if good.all() else int(np.flatnonzero(~good)[-1]) + 1
-    k = int(np.argmax(good)) if k == len(own) else k
-    one = own[k]
-    if k == 0 or one.error >= one.asked / NEAR:
-        return one, None
-    coarse = own[k - 1]
-    share = math.log(one.asked / one.error) / math.log(coarse.error / one.error)
-    seconds = one.seconds * (coarse.seconds / one.seconds) ** share
-    return dataclasses.replace(one, seconds=seconds), coarse
-
-
-def _beats(one, other):
-    """Whether it is both better and faster; where a finer value seems faster, the clock errs."""
-    finer = one.method == other.method and one.value <= other.value
-    return one.error <= other.error and one.seconds < other.seconds and not finer
+    return own[int(np.argmax(good)) if k == len(own) else k]
 
 
 def _time(seconds):
@@ -663,15 +627,6 @@ def _time(seconds):
         return "no time"
     unit, name = next(((u, n) for u, n in ((1.0, "s"), (1e-3, "ms")) if seconds >= u), (1e-6, "us"))
     return f"{seconds / unit:.3g} {name}"
-
-
-def _uncertainty(x):
-    """The uncertainty of a reference, NaN where nobody knows it."""
-    x = math.nan if x is None else float(np.max(x))
-    if x < 0 or x > LARGEST_FLOOR:
-        remedy = "A worse reference tells nothing; end the run earlier."
-        refuse("uncertainty", f"a number from 0 to {LARGEST_FLOOR:g}", f"{x:g}", remedy)
-    return x
 
 
 def _values(name, values):
@@ -683,33 +638,27 @@ def _values(name, values):
     return tuple(float(x) for x in np.unique(array)[::-1])
 
 
-def _solvers(solvers, lattice):
+def _named(solvers):
     """A dict from name to solver."""
-    if solvers is None:
-        return sensible_solvers(lattice)
     if isinstance(solvers, diffrax.AbstractSolver):
         solvers = [solvers]
     if not isinstance(solvers, Mapping):
-        named = [(type(solver).__name__, solver) for solver in solvers]
-    else:
-        named = solvers.items()
-    found = {}
-    for name, solver in named:
+        names = [type(solver).__name__ for solver in solvers]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            remedy = "Give a dict from names to solvers."
+            refuse("solvers", "solvers of different names", f"{twice!r} twice", remedy)
+        solvers = dict(zip(names, solvers))
+    for solver in solvers.values():
         if not isinstance(solver, diffrax.AbstractSolver):
             got = getattr(solver, "__name__", repr(solver))
             remedy = "Solvers are instances: write the brackets."
             refuse("solvers", "solvers, such as gx.SRKN11b()", got, remedy)
-        if name in found:
-            remedy = "Give a dict from names to solvers."
-            refuse("solvers", "solvers of different names", f"{name!r} twice", remedy)
-        found[name] = solver
-    return found
+    return dict(solvers)
 
 
-def _steps(steps, solvers):
+def _by_name(steps, solvers):
     """A dict from name to values, for the solvers that the user gave values for."""
-    if steps is None:
-        return {}
     if not isinstance(steps, Mapping):
         nested = isinstance(steps, list | tuple) and any(np.ndim(x) for x in steps)
         if nested and len(steps) != len(solvers):
@@ -759,21 +708,14 @@ def _sensible_values(solver, limit, span, dtype):
     return tuple(float(f"{first * 10.0 ** (-k / order):.3g}") for k in range(MOST_STEPS))
 
 
-def _call(lattice, state, t0, t1, solver, parameter):
-    """A function of the step or tolerance: the final state, force evaluations and steps."""
-
-    def final(value):
-        chosen = {} if parameter is None else {parameter: value}
-        run = simulate(lattice, state, t1, t0=t0, solver=solver, **chosen)
-        # the mean over lanes
-        stats, kind = jax.tree.map(np.mean, run.stats), getattr(diffrax, run.solver, None)
-        forces = stats["force_evaluations"]
-        if isinstance(kind, type) and issubclass(kind, diffrax.AbstractERK):
-            # diffrax's explicit methods do not count their forces
-            forces = stats["steps"] * (kind.tableau.num_stages - bool(kind.tableau.fsal))
-        return run.final, forces, stats["steps"]
-
-    return final
+def _counts(run):
+    """Force evaluations and steps of a run, their means over lanes."""
+    stats, kind = jax.tree.map(np.mean, run.stats), getattr(diffrax, run.solver, None)
+    forces = stats["force_evaluations"]
+    if isinstance(kind, type) and issubclass(kind, diffrax.AbstractERK):
+        # diffrax's explicit methods do not count their forces
+        forces = stats["steps"] * (kind.tableau.num_stages - bool(kind.tableau.fsal))
+    return forces, stats["steps"]
 
 
 def find_reference(

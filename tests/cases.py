@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax.laws import Scaled, Strained
@@ -23,6 +24,18 @@ SPLITTING = (
 )
 NYSTROM = (gx.RKN86, gx.RKN1210)
 ALL_SOLVERS = SPLITTING + NYSTROM
+
+
+class Mirrored(gx.Law):
+    """F(e) = -F_law(-e): what compresses the one stretches the other."""
+
+    law: gx.Law
+
+    def force(self, e):
+        return -self.law.force(-e)
+
+    def energy(self, e):
+        return self.law.energy(-e)
 
 
 def few(values, *kept):
@@ -43,6 +56,21 @@ def over(cases, repeated=()):
         for case in cases
     ]
     return pytest.mark.parametrize("case", marked)
+
+
+def by_dop853(speed, t1, damping=0.0, dashpot=0.0, n=20):
+    """Dense output (u, v) of n unit beads between rigid walls, d0 = 1, the first one struck, and the strains of u."""
+
+    def strains(u):
+        return np.concatenate([-u[:1], u[:-1] - u[1:], u[-1:]])
+
+    def motion(t, y):
+        f = np.maximum(1 + strains(y[:n]), 0) ** 1.5 - 1 + dashpot * strains(y[n:])
+        return np.concatenate([y[n:], f[:-1] - f[1:] - damping * y[n:]])
+
+    start = np.r_[np.zeros(n), speed, np.zeros(n - 1)]
+    how = dict(method="DOP853", rtol=1e-10, atol=1e-12, dense_output=True)
+    return solve_ivp(motion, (0, t1), start, **how).sol, strains
 
 
 def assert_ulps(got, want, ulps, scale=None):

@@ -4,16 +4,22 @@ Before that the import hook is set for the fast tests, with which every annotati
 lengthens traces. A process that only hands tests to others imports neither.
 
 Most of the tests' time is compiling programs that run once. So they are compiled cheaply, unless XLA_FLAGS is set
-(`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding), and what was compiled is
-kept in the user's cache folder for the next run, unless GRANJAX_CACHE is 0.
+(`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding) or tests compute for long,
+as the review's figures do. What was compiled is kept in the user's cache folder for the next run, unless GRANJAX_CACHE
+is 0.
 """
 
 import gc
 import os
+import sys
 import time
 from pathlib import Path
 
 import pytest
+
+ROOT = Path(__file__).parents[1]
+# scripts beside the library, which tests import
+sys.path += [str(ROOT / folder) for folder in ("benchmarks", "docs", "docs/gallery")]
 
 KEPT_FOR = 14 * 24 * 3600
 # a worker of more bytes than these, or than its part of this share of the machine's, lets programs go where a module
@@ -25,6 +31,8 @@ WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 def pytest_configure(config):
     """What has to come before the first computation, and before a module of tests is imported."""
     hands_out = config.getoption("numprocesses", None) and not config.getoption("collectonly")
+    # figures are drawn for files alone
+    os.environ["MPLBACKEND"] = "Agg"
     if WORKER or not hands_out:
         asked = config.getoption("markexpr")
         config.programs = _prepare(typed_too="not slow" in asked, long=asked == "study")
@@ -35,13 +43,15 @@ def _prepare(typed_too, long):
     """Flags, import hook, granjax; the folder of compiled programs, or None. `long`: programs worth the optimiser."""
     import jax
 
-    # XLA ends a process whose flags it does not know, and has let go of the last one
-    cheap = "--xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
-    if not long:
-        cheap += " --xla_backend_optimization_level=0"
-    if jax.__version_info__ < (0, 12):
-        cheap += " --xla_cpu_use_fusion_emitters=false"
-    os.environ.setdefault("XLA_FLAGS", cheap)
+    if "XLA_FLAGS" not in os.environ:
+        cheap = "--xla_cpu_parallel_codegen_split_count=1"
+        # XLA ends a process whose flags it does not know, and has let go of the last one
+        if jax.__version_info__ < (0, 12):
+            cheap += " --xla_cpu_use_fusion_emitters=false"
+        os.environ["XLA_FLAGS"] = cheap
+        # for the processes that tests start too
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(not long))
+        jax.config.update("jax_disable_most_optimizations", not long)
     # older versions trace literals of a class of their own, which no annotation knows
     if typed_too and jax.__version_info__ >= (0, 10):
         import typed
@@ -104,7 +114,9 @@ def _memory():
 
 
 def pytest_runtest_teardown(item, nextitem):
-    """Compiled programs are let go, most where a module ends: a worker would grow to many GB."""
+    """Figures are closed; compiled programs are let go, most where a module ends: a worker would grow to many GB."""
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
     if nextitem is not None and _memory() > _much() * (1 if item.path != nextitem.path else 2):
         import granjax
 
@@ -112,12 +124,16 @@ def pytest_runtest_teardown(item, nextitem):
 
 
 @pytest.fixture
-def ax():
-    import matplotlib
+def elsewhere(tmp_path, monkeypatch):
+    """A folder that looks like the repository's, to run in and to write to."""
+    for name in ("notebooks", "benchmarks"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
-    matplotlib.use("Agg")
+
+@pytest.fixture
+def ax():
     import matplotlib.pyplot as plt
 
-    figure, ax = plt.subplots()
-    yield ax
-    plt.close(figure)
+    return plt.subplots()[1]

@@ -5,10 +5,6 @@ import runpy
 from pathlib import Path
 from types import SimpleNamespace
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 FOLDER = Path(__file__).parents[1] / "docs" / "gallery"
 
 

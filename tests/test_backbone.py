@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from refusals import refused
 
 import granjax as gx
 from granjax import scenes
@@ -47,11 +48,11 @@ def test_compact_states_keep_to_one_site_s_curve_and_rings_to_the_closed_form():
     # the mode k = pi of a ring of cubic springs: each bond strains by 2u
     ring = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "periodic"), gx.Polynomial(1.0, 0.0, 0.3)), sites=8)
     assert abs(float(backbone(ring, 7).curvature) - 0.75 * 0.3 * 16) < 1e-12
-    with pytest.raises(ValueError, match="oscillates"):
+    with refused("oscillates"):
         backbone(ring, 0)
-    with pytest.raises(ValueError, match="normal mode"):
+    with refused("normal mode"):
         backbone(ring, gx.State(jnp.zeros(8).at[3].set(1.0), ring.zeros()))
-    with pytest.raises(ValueError, match="below 8"):
+    with refused("below 8"):
         backbone(ring, 8)
 
 
@@ -70,7 +71,7 @@ def test_a_curve_differentiates_and_its_second_harmonic_may_be_no_mode():
         (gx.OnSite(springs), gx.Bond(gx.Shift(1, "free"), gx.Polynomial(0.0, 0.5, 0.0))),
         sites=2,
     )
-    with pytest.raises(ValueError, match="second harmonic"):
+    with refused("second harmonic"):
         backbone(pair, 0)
 
 

@@ -2,6 +2,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 from scipy.integrate import solve_ivp
 
 import granjax as gx
@@ -35,7 +37,7 @@ def test_a_family_from_the_linear_mode(short):
     assert short.omega[0] == pytest.approx(start, rel=1e-5) and short.omega[-1] == 0.985 * OMEGA2
     assert "reached" in short.outcome and len(short) < 120
     # E = omega^2 a^2 (half the mass) for small amplitudes
-    np.testing.assert_allclose(
+    assert_allclose(
         short.energy[:2] / short.amplitude[:2] ** 2,
         short.energy[2] / short.amplitude[2] ** 2,
         rtol=1e-3,
@@ -59,7 +61,7 @@ def test_multipliers_of_the_family_are_those_of_floquet(short):
     fl = short.orbit(i).floquet()
     assert fl.verdict == short.verdict[i]
     outside = np.abs(fl.multipliers) > 1 + 1e-3
-    np.testing.assert_allclose(
+    assert_allclose(
         np.sort(np.abs(short.multipliers[i]))[::-1][: outside.sum()],
         np.abs(fl.multipliers[outside]),
         rtol=1e-6,
@@ -70,7 +72,7 @@ def test_multipliers_of_the_family_are_those_of_floquet(short):
 def test_another_breather_or_a_pair_is_a_guess(short):
     orbit = short.orbit(-1)
     by_orbit, by_pair = (
-        gx.breathers.breather(dimer(25), 0.985 * OMEGA2, guess, steps=int(short._flow.steps))
+        gx.breathers.breather(dimer(25), 0.985 * OMEGA2, guess, steps=int(orbit.flow.steps))
         for guess in (orbit, list(orbit.state))
     )
     assert np.array_equal(by_orbit.state.u, by_pair.state.u)
@@ -152,7 +154,7 @@ def test_newton_that_fails_says_how_far_it_came():
     ],
 )
 def test_what_does_not_exist_is_refused_with_the_reason(ask, words):
-    with pytest.raises(ValueError, match=words):
+    with refused(words):
         ask()
 
 
@@ -188,7 +190,7 @@ def test_one_site_at_the_anticontinuous_limit():
         atol=1e-13,
     )
     assert alone.y[1, -1] == pytest.approx(0, abs=1e-9)
-    np.testing.assert_allclose(
+    assert_allclose(
         np.delete(seed.u, 3), 0, atol=1e-12
     )  # the mean of the linear bond's force is zero
     b = gx.breathers.breather(chain, 1.4, seed)
@@ -196,9 +198,9 @@ def test_one_site_at_the_anticontinuous_limit():
     pair = gx.breathers.breather(
         chain, 1.4, gx.breathers.guesses.single_site(chain, 1.4, [2, 4], amplitudes=[1, -1])
     )
-    np.testing.assert_allclose(pair.state.u, -np.asarray(pair.state.u)[::-1], atol=1e-9)
+    assert_allclose(pair.state.u, -np.asarray(pair.state.u)[::-1], atol=1e-9)
     assert pair.floquet().expected == 2
-    with pytest.raises(ValueError, match="wrong side"):
+    with refused("wrong side"):
         gx.breathers.guesses.single_site(chain, 0.5, 3)
 
 
@@ -216,11 +218,11 @@ def test_light_beads_between_heavy_ones_tend_to_their_own_limit():
         )
 
     (limit, near), (same, nearer) = limit_and_orbit(400.0), limit_and_orbit(1600.0)
-    np.testing.assert_allclose(limit, same, atol=1e-9)
+    assert_allclose(limit, same, atol=1e-9)
     # the neighbours stand elsewhere, by an amount that the mass ratio does not make small, and the error falls as it
     assert limit[3] < -0.01 < 0.01 < limit[5]
     assert (near - limit)[4] / (nearer - limit)[4] == pytest.approx(4, rel=0.1)
-    np.testing.assert_allclose(nearer, limit, atol=0.03 * limit[4])
+    assert_allclose(nearer, limit, atol=0.03 * limit[4])
 
 
 @pytest.mark.slow
@@ -268,7 +270,7 @@ def test_energy_is_differentiable_in_the_chain_and_in_omega(seed15):
         exact = [
             float(jax.jit(mode(energy, argument))(1.0, omega)) for mode in (jax.jacfwd, jax.jacrev)
         ]
-        np.testing.assert_allclose(exact, finite, rtol=1e-6)
+        assert_allclose(exact, finite, rtol=1e-6)
 
 
 def of_ratio(ratio):
@@ -423,7 +425,7 @@ def test_modulational_instability_grows_at_the_envelopes_rate(case):
     expected = np.sort(np.asarray(nls.growth_rate(Q, y, float(c.nu2), float(c.nu3_force))))[::-1]
     assert expected[0] > 0
     # +Q and -Q grow alike
-    np.testing.assert_allclose(found[:2], expected[0], rtol=0.05)
+    assert_allclose(found[:2], expected[0], rtol=0.05)
 
 
 @pytest.mark.study
@@ -451,7 +453,7 @@ def test_no_modulational_instability_in_the_hertz_monomer():
 def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest):
     b = gx.breathers.breather(dimer(121), fraction * OMEGA2)
     assert float(b.energy) == pytest.approx(E, abs=1e-6)
-    np.testing.assert_allclose(b.state.u[60:63], u, atol=1e-6)
+    assert_allclose(b.state.u[60:63], u, atol=1e-6)
     fl = b.floquet()
     if largest == 1.0:
         assert fl.verdict == "stable" and fl.expected == 4
@@ -651,6 +653,6 @@ def test_a_breather_of_an_odd_force_whose_second_harmonic_would_be_a_wave():
 
     start = np.concatenate([found.state.u, np.zeros(21)])
     half = solve_ivp(field, (0, np.pi / omega), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    np.testing.assert_allclose(half, -start, rtol=0, atol=1e-9)
-    with pytest.raises(ValueError, match="n = 2: 2 omega = 1.6 lies in the band"):
+    assert_allclose(half, -start, rtol=0, atol=1e-9)
+    with refused("n = 2: 2 omega = 1.6 lies in the band"):
         gx.breathers.breather(on_sites(gx.Polynomial(1.0, 0.1, -0.1), sites=21), omega)

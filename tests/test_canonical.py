@@ -1,20 +1,14 @@
 """The canonical scenes of the benchmarks: their references hold, and granjax's own runs agree with them."""
 
-import sys
-from pathlib import Path
-
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scenes
 from cases import few
 
 import granjax as gx
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-
-import scenes  # noqa: E402
 
 NAMES = (
     "impact",
@@ -205,18 +199,6 @@ def test_some_lanes_of_the_sweep_agree_one_by_one():
         for found, reference in zip(run.final, scene.reference):
             assert np.abs(found - reference[:, lane]).max() < 1e-9
         assert bool(run.contact_opened)
-
-
-@pytest.mark.study
-def test_all_lanes_of_the_sweep_agree_at_a_fixed_step():
-    scene = scenes.scene("dimer_sweep")
-    coarse, fine = (
-        scene.error(
-            gx.simulate(scene.lattice, scene.state, scene.t1, solver=gx.SRKN11b(), step=h).final
-        )
-        for h in (0.04, 0.01)
-    )
-    assert fine < 1e-5 and fine < coarse / 8
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.special import erfcx
 
 import granjax as gx
@@ -33,7 +34,7 @@ def test_mittag_leffler():
     slope = jax.grad(lambda z: gx.theory.mittag_leffler(z, 0.5))(-1.0)
     assert abs(slope - (2 / np.sqrt(np.pi) - 2 * erfcx(1.0))) < 1e-12
     for wrong in ((0.1, 0.5), (-1.0, 1.5), (-1.0, 0.0), (-1.0, 0.5, -1.0)):
-        with pytest.raises(ValueError, match="z|order|second"):
+        with refused("z|order|second"):
             gx.theory.mittag_leffler(*wrong)
 
 
@@ -190,5 +191,5 @@ def test_what_cannot_be_meant_is_refused():
             "side by side",
         ),
     ):
-        with pytest.raises(ValueError, match=said):
+        with refused(said):
             call()

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 from scipy.optimize import brentq
 
 import granjax as gx
@@ -76,12 +78,12 @@ def test_a_chain_knows_its_cell_and_its_units():
     )  # of the contacts between beads, as those with walls are others
     scaled = travelling.cell_wave(gx.Hertz(stiffness, 20.0), mass[:2], speed=wave.speed)
     assert wave.units == "SI" and len(wave.masses) == 2
-    np.testing.assert_allclose(wave.strains, scaled.strains, rtol=0, atol=1e-9 * wave.amplitude)
+    assert_allclose(wave.strains, scaled.strains, rtol=0, atol=1e-9 * wave.amplitude)
     for bad, said in (
         (gx.scenes.taper(8, 0.9), "that repeats"),
         (gx.scenes.fput(8), "None beside a lattice"),
     ):
-        with pytest.raises(ValueError, match=said):
+        with refused(said):
             travelling.cell_wave(bad, None if "repeats" in said else [1.0], speed=2.0)
 
 
@@ -90,7 +92,7 @@ def test_equal_beads_have_the_solitary_wave():
     assert wave.masses.shape == (1,) and wave.energy == pytest.approx(
         2.82348668842275840, abs=1e-12
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         wave.strain([0.0, 1.0, 2.0]),
         [1.48735937434940207, 0.583929165288747316, 0.0290981220754717273],
         atol=1e-13,
@@ -101,9 +103,7 @@ def test_equal_beads_have_the_solitary_wave():
 def test_the_toda_dimer_of_ratio_one_is_the_soliton_without_ripple(k):
     wave = travelling.cell_wave(TODA, [1.0, 1.0], speed=np.sinh(k) / k)
     xi = np.linspace(-9, 9, 61)
-    np.testing.assert_allclose(
-        wave.strain(xi), np.log1p(np.sinh(k) ** 2 / np.cosh(k * xi) ** 2), atol=1e-11
-    )
+    assert_allclose(wave.strain(xi), np.log1p(np.sinh(k) ** 2 / np.cosh(k * xi) ** 2), atol=1e-11)
     assert wave.ripple == 0 and wave.energy == pytest.approx(np.sinh(2 * k) - 2 * k, rel=1e-11)
 
 
@@ -266,10 +266,8 @@ def test_the_resonators_wave_without_tail():
     kappa = float(travelling.tail_free_stiffness(1.0, 0.1))
     assert kappa == pytest.approx(3.5889470549, abs=1e-10)
     wave = travelling.cell_wave(gx.Hertz(), [1.0], speed=1.0, resonator=gx.Resonator(0.1, kappa))
-    np.testing.assert_allclose(wave.strain([0.0, 1.0]), [1.799176764595, 0.727976214335], atol=1e-9)
-    np.testing.assert_allclose(
-        wave.strain([0.0, 1.0]), [1.799176764595, 0.727976214335], atol=1e-12
-    )
+    assert_allclose(wave.strain([0.0, 1.0]), [1.799176764595, 0.727976214335], atol=1e-9)
+    assert_allclose(wave.strain([0.0, 1.0]), [1.799176764595, 0.727976214335], atol=1e-12)
     assert np.abs(wave.strain(np.linspace(5, 11, 50))).max() < 1e-14 and wave.ripple == 0
     alone = travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=wave.resonator)
     assert (
@@ -314,7 +312,7 @@ def test_with_precompression_the_same_stiffness_leaves_no_tail():
 def test_resonators_as_heavy_as_the_beads(mass, values):
     resonator = gx.Resonator(mass, travelling.tail_free_stiffness(1.0, mass))
     wave = travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=resonator)
-    np.testing.assert_allclose(wave.strain([0.0, 1.0]), values, atol=2e-12)
+    assert_allclose(wave.strain([0.0, 1.0]), values, atol=2e-12)
     assert wave.ripple == 0 and wave.error < 1e-11
 
 
@@ -439,7 +437,7 @@ def test_beyond_its_box_the_ripple_is_its_own(law, masses, speed):
     ],
 )
 def test_bad_input_is_refused(call, said):
-    with pytest.raises(ValueError, match=re.escape(said)):
+    with refused(re.escape(said)):
         call()
 
 

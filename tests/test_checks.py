@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from refusals import refused
 
 import granjax as gx
 from granjax import checks
@@ -31,10 +32,7 @@ def driven(omega):
 
 # what is wrong, who refuses it, and what the sentence must name
 BAD = (
-    *(
-        (f"mass {m}", lambda m=m: chain(BOND, mass=m, sites=6), "mass")
-        for m in (0.0, -1.0, NAN, INF)
-    ),
+    *((f"mass {m}", lambda m=m: chain(BOND, mass=m, sites=6), "mass") for m in (0.0, NAN, INF)),
     ("one mass of many", lambda: chain(BOND, mass=np.array([1, 1, 0, 1.0])), "mass"),
     (
         "mass of a field",
@@ -42,42 +40,27 @@ BAD = (
         "mass['resonator']",
     ),
     ("mass complex", lambda: chain(BOND, mass=np.ones(6) * 1j), "mass"),
-    ("mass complex jax", lambda: chain(BOND, mass=jnp.ones(6) * 1j), "mass"),
     ("mass string", lambda: chain(BOND, mass="heavy"), "mass"),
-    ("mass None", lambda: chain(BOND, mass=None), "mass"),
     ("mass ragged", lambda: chain(BOND, mass=[[1.0], [1.0, 2.0]]), "mass"),
     ("mass bool", lambda: chain(BOND, mass=np.array([True, True])), "mass"),
     ("mass without sites", lambda: chain(BOND, mass=1.0), "mass"),
     ("one site", lambda: chain(mass=np.ones(1)), "two sites"),
-    ("no site", lambda: chain(mass=np.ones(0)), "sites"),
     ("sites 0", lambda: chain(mass=1.0, sites=0), "sites"),
     ("sites 2.5", lambda: chain(mass=1.0, sites=2.5), "sites"),
-    ("sites string", lambda: chain(mass=1.0, sites="ten"), "sites"),
     ("sites and masses", lambda: chain(mass=np.ones(5), sites=6), "mass"),
     ("dimension 0", lambda: chain(BOND, dimension=0), "dimension"),
-    ("dimension 1.5", lambda: chain(BOND, dimension=1.5), "dimension"),
-    *(
-        (f"hertz {a}", lambda a=a: gx.Hertz(a), "stiffness")
-        for a in (0, -1.0, NAN, -INF, 1j, "stiff", None)
-    ),
-    *(
-        (f"power {a}", lambda a=a: gx.PowerLaw(a, 2.0), "stiffness")
-        for a in (0, -1.0, NAN, [1, -1])
-    ),
-    *(
-        (f"F0 {f}", lambda f=f: gx.Hertz(1.0, f), "precompression")
-        for f in (-1.0, NAN, INF, [1, -1], "all", None)
-    ),
+    *((f"hertz {a}", lambda a=a: gx.Hertz(a), "stiffness") for a in (0, NAN, 1j, "stiff")),
+    ("power", lambda: gx.PowerLaw([1, -1], 2.0), "stiffness"),
+    *((f"F0 {f}", lambda f=f: gx.Hertz(1.0, f), "precompression") for f in (-1.0, INF)),
     *(
         (f"p {p}", lambda p=p: gx.PowerLaw(1.0, p, 1.0), "exponent")
-        for p in (0, 0.0, NAN, INF, 1j, "3/2", [0.5, 0.0])
+        for p in (0, 0.0, NAN, [0.5, 0.0])
     ),
     ("p of two signs", lambda: gx.PowerLaw(1.0, np.array([1.5, -3]), 1.0), "exponent"),
-    ("magnets without load", lambda: gx.PowerLaw(1.0, -3.0), "precompression"),
     (
-        "magnets without load 2",
+        "magnets without load",
         lambda: gx.PowerLaw(1.0, -3.0, np.array([1.0, 0.0])),
-        "precompression",
+        "exponent and precompression",
     ),
     ("polynomial of nothing", lambda: gx.Polynomial(0.0), "K2, K3, K4"),
     ("polynomial nan", lambda: gx.Polynomial(1.0, NAN), "K3"),
@@ -87,12 +70,8 @@ BAD = (
     ("sine", lambda: gx.Sine(1.0, 0.0), "wavenumber"),
     ("support", lambda: gx.Yielding(HERTZ, 0.0), "support"),
     ("boundary", lambda: gx.Shift(1, "fixd"), "Did you mean 'fixed'?"),
-    ("boundary None", lambda: gx.Shift(1, None), "boundary"),
     ("boundaries", lambda: gx.Shift((1, 0), ("fixed",)), "boundary"),
-    *(
-        (f"offset {k}", lambda k=k: gx.Shift(k), "offset")
-        for k in (0, (0, 0), 1.0, "1", True, (), None)
-    ),
+    *((f"offset {k}", lambda k=k: gx.Shift(k), "offset") for k in (0, (0, 0), 1.0, ())),
     ("offset 0 in a field", lambda: gx.Shift(0, "free", "bead"), "offset"),
     ("pairs float", lambda: gx.Pairs([0.0], [1]), "tail"),
     ("pairs empty", lambda: gx.Pairs([], []), "tail"),
@@ -100,7 +79,6 @@ BAD = (
     ("pairs -2", lambda: gx.Pairs([0], [-2]), "head"),
     ("pairs self", lambda: gx.Pairs([0, 1], [1, 1]), "head"),
     ("pairs sites", lambda: gx.Pairs([0, 1], [1, 2], sites=2), "sites"),
-    ("pairs sites string", lambda: gx.Pairs([0, 1], [1, 2], sites="many"), "sites"),
     (
         "pairs of another lattice",
         lambda: chain(gx.Bond(gx.Pairs([0], [1]), HERTZ)),
@@ -108,7 +86,6 @@ BAD = (
     ),
     ("vector zero", lambda: gx.Stretch(gx.Shift(1), [0.0, 0.0]), "vector"),
     ("vector number", lambda: gx.Stretch(gx.Shift(1), 1.0), "vector"),
-    ("vector nan", lambda: gx.Stretch(gx.Shift(1), [NAN, 0.0]), "vector"),
     ("damping", lambda: gx.Damping(-0.1), "rate"),
     ("dashpot", lambda: gx.Dashpot(gx.Shift(1), -0.1), "coefficient"),
     *(
@@ -117,7 +94,7 @@ BAD = (
             lambda k=k: chain(gx.Drive(gx.Harmonic(1.0, 1.0), k)),
             "terms[0] (Drive)",
         )
-        for k in (6, -7, 100, (0, 1))
+        for k in (6, -7, (0, 1))
     ),
     ("terms of none", lambda: chain(BOND, None), "terms[1]"),
     ("a lattice beyond memory", lambda: chain(BOND, mass=1.0, sites=10**14), "GB of memory"),
@@ -135,11 +112,6 @@ BAD = (
         "parameters per bond",
         lambda: chain(gx.Damping(0.1), gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.ones(6)))),
         "terms[1] (Bond)",
-    ),
-    (
-        "parameters per free bond",
-        lambda: chain(gx.Bond(gx.Shift(1, "free"), gx.Hertz(np.ones(6)))),
-        "terms[0] (Bond)",
     ),
     (
         "loads per bond",
@@ -180,7 +152,6 @@ BAD = (
         lambda: chain(gx.Bond(gx.Shift(1, "free", "beed"), HERTZ), mass=CELL),
         "bead",
     ),
-    ("unknown field of a damping", lambda: chain(gx.Damping(0.1, "beed"), mass=CELL), "bead"),
     ("field of a plain array", lambda: chain(gx.OnSite(HERTZ, "bead")), "terms[0] (OnSite)"),
     ("no field in a cell", lambda: chain(BOND, mass=CELL), "terms[0] (Bond)"),
     ("mass masked", lambda: chain(BOND, mass=MASKED), "1 of 6 masked"),
@@ -203,7 +174,6 @@ BAD = (
         lambda: gx.states.random(chain(BOND), 0, np.ones(6)),
         "displacement",
     ),
-    ("a velocity per site", lambda: gx.states.random(chain(BOND), 0, 0.1, np.ones(6)), "velocity"),
     ("a temperature per site", lambda: gx.states.thermal(chain(BOND), np.ones(6)), "temperature"),
     ("a strain per site", lambda: gx.states.strain_step(chain(BOND), np.ones(6)), "left"),
     (
@@ -211,12 +181,6 @@ BAD = (
         lambda: gx.states.velocity_step(chain(BOND), np.ones(6)),
         "c: expected one number",
     ),
-    (
-        "an amplitude per site",
-        lambda: gx.states.wave_packet(chain(BOND), 1.0, amplitude=np.ones(6), omega=1.0),
-        "amplitude",
-    ),
-    ("a mode's phase per site", lambda: gx.states.normal_mode(LINEAR, phase=np.ones(6)), "phase"),
     *(
         (
             f"{what} of another length",
@@ -237,7 +201,7 @@ BAD = (
     ),
     *(
         (f"tolerance {x}", lambda x=x: checks.tolerance("tolerance", x), "tolerance")
-        for x in (-1, True, INF, 1e308, NAN, 1.0, 0, "fine", 1j, np.ones(2))
+        for x in (-1, True, INF, NAN, 1.0, 0, "fine", np.ones(2))
     ),
     *(
         (
@@ -249,42 +213,18 @@ BAD = (
     ),
     *(
         (
-            f"{name} of a sweep {x}",
-            lambda name=name, x=x: gx.driven.sweep(driven, [0.8, 0.9], 6.0, **{name: x}),
+            f"{name} of a sweep",
+            lambda name=name: gx.driven.sweep(driven, [0.8, 0.9], 6.0, **{name: 0.0}),
             name,
         )
         for name in ("accuracy", "tolerance", "jump")
-        for x in (2.0, 0.0)
-    ),
-    *(
-        (
-            f"resolution {x}",
-            lambda x=x: gx.floquet.decide(np.ones(2), np.zeros(2), 0, True, x),
-            "resolution",
-        )
-        for x in (-1e-3, 1.0)
-    ),
-    *(
-        (f"adjoint of tolerance {x}", lambda x=x: gx.Reversible(x), "tolerance")
-        for x in (0.0, -1.0)
     ),
     (
-        "a run of tolerance 1",
-        lambda: gx.simulate(LINEAR, gx.states.impact(LINEAR), 1.0, tolerance=1.0),
-        "tolerance",
+        "resolution",
+        lambda: gx.floquet.decide(np.ones(2), np.zeros(2), 0, True, 1.0),
+        "resolution",
     ),
-    (
-        "threshold of a regression",
-        lambda: gx.identify.regression(
-            np.ones(2),
-            {"a": gx.Damping},
-            np.arange(3.0),
-            np.ones((3, 2)),
-            np.ones((3, 2)),
-            threshold=1.0,
-        ),
-        "threshold",
-    ),
+    ("adjoint of tolerance 0", lambda: gx.Reversible(0.0), "tolerance"),
     (
         "masses of other sites",
         lambda: gx.identify.regression(
@@ -292,7 +232,6 @@ BAD = (
         ),
         "mass and us",
     ),
-    ("magnets without a load", lambda: gx.PowerLaw(1.0, -3), "exponent and precompression"),
     (
         "damping of other sites",
         lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, damping=np.ones(5)),
@@ -356,9 +295,7 @@ def test_frames_are_counted_with_the_size_of_the_state(make, named, monkeypatch)
     """Six sites, 104 bytes a frame, in a computer of 900 kB."""
     state = gx.State(jnp.zeros(6), jnp.zeros(6))
     monkeypatch.setattr(checks.os, "sysconf", lambda name: 900)
-    with pytest.raises(
-        ValueError, match=f"^{named}: expected at most .* of such a state, which .* of memory hold"
-    ):
+    with refused(f"^{named}: expected at most .* of such a state, which .* of memory hold"):
         make(state)
 
 
@@ -391,26 +328,22 @@ def test_no_other_traceback_is_printed_above_a_refusal(make):
 
 
 def test_sentences():
-    with pytest.raises(
-        ValueError, match=r"^stiffness: expected numbers above zero, got -1\.0\. The contact"
-    ):
+    with refused(r"^stiffness: expected numbers above zero, got -1\.0\. The contact"):
         gx.Hertz(-1.0)
-    with pytest.raises(
-        ValueError, match=r"^boundary: expected one of 'fixed', 'free', .*, got 'fre'\. Did you"
-    ):
+    with refused(r"^boundary: expected one of 'fixed', 'free', .*, got 'fre'\. Did you"):
         gx.Shift(1, "fre")
-    with pytest.raises(ValueError, match=r"^x: expected numbers in \(0, 1\], got 0\.0\. Why$"):
+    with refused(r"^x: expected numbers in \(0, 1\], got 0\.0\. Why$"):
         checks.within("x", 0.0, 0, 1, open_low=True, remedy="Why")
 
 
 def test_bounds_belong_or_not():
     assert float(checks.within("x", 1.0, 0, 1)) == 1.0
-    with pytest.raises(ValueError, match=r"\[0, 1\)"):
+    with refused(r"\[0, 1\)"):
         checks.within("x", 1.0, 0, 1, open_high=True)
     assert float(checks.non_negative("x", 0)) == 0.0
     assert checks.whole("n", np.int64(3), 3) == 3
     for bad in (2, 3.0, True, "3"):
-        with pytest.raises(ValueError, match="whole number not below 3"):
+        with refused("whole number not below 3"):
             checks.whole("n", bad, 3)
 
 
@@ -458,6 +391,5 @@ def test_every_tolerance_that_asks_for_nothing_is_refused():
         lambda x: gx.design(lambda p: p["x"] ** 2, {"x": 1.0}, tolerance=x),
     )
     for use in uses:
-        for bad in (INF, -1.0, True, NAN, 1.0):
-            with pytest.raises(ValueError, match="^tolerance: expected"):
-                use(bad)
+        with refused("^tolerance: expected"):
+            use(1.0)

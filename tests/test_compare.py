@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from cases import by_dop853
 
 import granjax as gx
 from granjax.identify.compare import compare
@@ -29,28 +29,10 @@ MODELS = {
 }
 
 
-def measured(kind, rate):
+def measured(damping=0.0, dashpot=0.0):
     """Velocities (T, sensors) by SciPy's DOP853."""
-
-    def strains(u):
-        return np.concatenate([-u[:1], u[:-1] - u[1:], u[-1:]])
-
-    def motion(t, y):
-        f = (
-            np.maximum(1 + strains(y[:N]), 0) ** 1.5
-            - 1
-            + (kind == "dashpot") * rate * strains(y[N:])
-        )
-        return np.concatenate([y[N:], f[:-1] - f[1:] - (kind == "on-site") * rate * y[N:]])
-
-    start = np.r_[np.zeros(N), SPEED, np.zeros(N - 1)]
-    return (
-        solve_ivp(
-            motion, (0, TIMES[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, t_eval=TIMES
-        )
-        .y[N:][SENSORS]
-        .T
-    )
+    path, _ = by_dop853(SPEED, TIMES[-1], damping, dashpot)
+    return path(TIMES)[N:][SENSORS].T
 
 
 def traces(velocity, seed, share=0.01, known=True):
@@ -62,7 +44,7 @@ def traces(velocity, seed, share=0.01, known=True):
 @pytest.mark.study
 def test_dissipation_is_told_apart():
     """Under 1 % of noise in all of 20 draws, half of each kind, at a rate of 0.005."""
-    clean = {kind: measured(kind, 0.005) for kind in MODELS}
+    clean = dict(zip(MODELS, (measured(damping=0.005), measured(dashpot=0.005))))
     for draw in range(20):
         truth = list(MODELS)[draw % 2]
         found = compare(MODELS, traces(clean[truth], draw), state=STATE)
@@ -77,10 +59,10 @@ def test_dissipation_is_told_apart():
 
 @pytest.mark.study
 def test_where_the_data_do_not_decide_and_where_no_model_describes_them():
-    lossless = compare(MODELS, traces(measured("on-site", 0.0), 0, 0.1), state=STATE)
+    lossless = compare(MODELS, traces(measured(), 0, 0.1), state=STATE)
     assert not lossless.decided and lossless.outcome.startswith("The data do not decide")
     # neither kind alone describes both together; without sigma that cannot be seen
-    both = measured("on-site", 0.05) + measured("dashpot", 0.05) - measured("on-site", 0.0)
+    both = measured(damping=0.05) + measured(dashpot=0.05) - measured()
     found = compare(MODELS, traces(both, 0), state=STATE)
     assert (
         found.probability < 0.01

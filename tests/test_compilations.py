@@ -10,8 +10,10 @@ from contextlib import contextmanager
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from test_exports import MAKERS, blank, kinds, made
 
 import granjax as gx
 
@@ -185,3 +187,61 @@ def test_nothing_is_compiled_twice(call):
         with compiled() as other:
             call(1)
         assert not other, f"other numbers compile {other}"
+
+
+def read(result):
+    """Print a result, export it, and export it in other units."""
+    said = () if result.units else ("SI",)
+    units = (gx.Units(2.0, 3.0, 5.0),) if result.units == "scaled" else ()
+    return result.outcome, repr(result), result.to_xarray(), result.in_units(*said, *units)
+
+
+@pytest.mark.parametrize("kind", kinds(), ids=lambda kind: kind.__name__)
+def test_reading_any_kind_of_result_compiles_nothing(kind):
+    if {"_fields", "__repr__"} & {*vars(kind)}:
+        pytest.skip("what is read of it is no list of its fields")
+    known = lambda x: isinstance(x, np.ndarray) and x.dtype.kind in "fci"
+    result = jax.tree.map(lambda x: jnp.asarray(x) if known(x) else x, blank(kind))
+    with compiled() as found:
+        read(result)
+    assert not found
+
+
+DRAWN = {
+    "Run": (gx.plots.space_time, gx.plots.traces),
+    "Fit": (gx.plots.fit, gx.plots.corner),
+    "WorkPrecision": (gx.plots.work_precision,),
+    "Floquet": (gx.plots.floquet_circle,),
+    "Dispersion": (gx.plots.dispersion,),
+    "ZoneMap": (gx.plots.zone,),
+    "PathBands": (gx.plots.bands,),
+    "FloquetBands": (gx.plots.floquet_bands,),
+}
+MORE = {
+    "PathBands": lambda: gx.linear.path(gx.scenes.square(5, boundary="periodic"), "GXMG", 20),
+    "FloquetBands": lambda: gx.linear.floquet_bands(
+        gx.scenes.monomer(6, precompression=1.0, boundary="periodic"), np.linspace(0.1, 3, 5), 2.0
+    ),
+    "Bands": lambda: gx.linear.bands(gx.scenes.dimer(6, ratio=0.5, precompression=1.0)),
+    "Equilibrium": lambda: gx.equilibrium(gx.scenes.monomer(6, precompression=1.0)),
+    "Evolution": lambda: gx.first_order.evolve(
+        gx.first_order.DNLS(8, coupling=1.0, nonlinearity=0.3), np.eye(8)[4], 0.5, save_at=3
+    ),
+    "Confirmed": lambda: gx.simulate(chain(0), moving(0), 2.0, step=0.1, save_at=7, confirm=True),
+}
+SLOWLY = {"Run", "Fit", "Floquet", "FloquetBands", "PathBands", "Evolution", "Confirmed"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(x, marks=[pytest.mark.slow] * (x in SLOWLY)) for x in sorted(MAKERS | MORE)],
+)
+def test_reading_and_drawing_a_result_compiles_nothing(name):
+    result = MORE[name]() if name in MORE else made(name)
+    jax.clear_caches()
+    with compiled() as found:
+        read(result)
+        for draw in DRAWN.get(name, ()):
+            draw(result)
+    plt.close("all")
+    assert not found

@@ -2,6 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from granjax.continuation import continuation
 
@@ -43,13 +44,13 @@ def test_a_circle_closes_upon_itself():
     curve = continuation(circle, [1.0], 0.0, arclength=0.1)
     check(circle, curve)
     assert curve.outcome == "The branch closed upon itself."
-    np.testing.assert_allclose(curve.folds, [1.0, -1.0], rtol=0, atol=1e-10)
+    assert_allclose(curve.folds, [1.0, -1.0], rtol=0, atol=1e-10)
     assert [s.kind for s in curve.special] == ["fold", "fold"] and not len(curve.branch_points)
     for fold in curve.special:
         assert abs(fold.x[0]) < 1e-8 and (curve.x[fold.after, 0]) * curve.x[fold.after + 1, 0] < 0
         assert abs(fold.directions[0, 1]) < 1e-8
     # backwards, the other fold first
-    np.testing.assert_allclose(
+    assert_allclose(
         continuation(circle, [1.0], 0.0, arclength=0.1, direction=-1).folds, [-1, 1], atol=1e-10
     )
 
@@ -58,10 +59,8 @@ def test_folds_of_a_cubic():
     curve = continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, arclength=0.1)
     check(cubic, curve)
     fold = 2 / (3 * np.sqrt(3))
-    np.testing.assert_allclose(curve.folds, [-fold, fold], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(
-        [s.x[0] for s in curve.special], [3**-0.5, -(3**-0.5)], rtol=0, atol=1e-7
-    )
+    assert_allclose(curve.folds, [-fold, fold], rtol=0, atol=1e-12)
+    assert_allclose([s.x[0] for s in curve.special], [3**-0.5, -(3**-0.5)], rtol=0, atol=1e-7)
     # few Jacobians for each point: the tangent predicts, steps adapt
     assert curve.newton < 5 * len(curve.p)
 
@@ -102,7 +101,7 @@ def test_bratu():
     # u = 2 log(cosh(theta/4)/cosh(theta (x - 1/2)/2)) with theta^2 = 2 p cosh(theta/4)^2, on both sides of the fold
     middle = np.maximum(curve.x[:, len(x) // 2], 0)
     assert abs(x[len(x) // 2] - 0.5) < 1e-15 and len(curve.p) > 8
-    np.testing.assert_allclose(
+    assert_allclose(
         8 * np.arccosh(np.exp(middle / 2)) ** 2 / np.exp(middle), curve.p, rtol=0, atol=1e-7
     )
 
@@ -118,9 +117,7 @@ def test_a_pitchfork_and_its_other_branch():
     ) < 1e-10
     point = curve.special[0]
     assert curve.p[point.after] < 0 < curve.p[point.after + 1]
-    np.testing.assert_allclose(
-        point.directions, [[0, 1], [np.sign(point.directions[1, 0]), 0]], atol=1e-8
-    )
+    assert_allclose(point.directions, [[0, 1], [np.sign(point.directions[1, 0]), 0]], atol=1e-8)
     for sign in (1, -1):
         other = continuation(
             pitchfork,
@@ -131,7 +128,7 @@ def test_a_pitchfork_and_its_other_branch():
             arclength=0.1,
         )
         check(pitchfork, other)
-        np.testing.assert_allclose(other.x[:, 0] ** 2, other.p, rtol=0, atol=1e-9)
+        assert_allclose(other.x[:, 0] ** 2, other.p, rtol=0, atol=1e-9)
         assert other.p[-1] == 1.0 and np.sign(other.x[-1, 0]) == sign * np.sign(
             point.directions[1, 0]
         )
@@ -141,7 +138,7 @@ def test_a_pitchfork_and_its_other_branch():
     assert [s.kind for s in whole.special] == ["fold", "branch point"]
     # |F| <= 1e-10 leaves x to its cube root there, and p = x^2
     assert abs(whole.folds[0]) < 1e-6 and abs(whole.branch_points[0]) < 1e-6
-    np.testing.assert_allclose(whole.special[1].directions, [[-1, 0], [0, -1]], atol=5e-3)
+    assert_allclose(whole.special[1].directions, [[-1, 0], [0, -1]], atol=5e-3)
 
 
 def test_a_transcritical_crossing():
@@ -149,7 +146,7 @@ def test_a_transcritical_crossing():
     check(transcritical, curve)
     assert abs(curve.branch_points[0]) < 1e-10 and len(curve.special) == 1
     point = curve.special[0]
-    np.testing.assert_allclose(point.directions, [[0, 1], [0.5**0.5, 0.5**0.5]], rtol=0, atol=1e-9)
+    assert_allclose(point.directions, [[0, 1], [0.5**0.5, 0.5**0.5]], rtol=0, atol=1e-9)
     other = continuation(
         transcritical,
         point.x,
@@ -159,7 +156,7 @@ def test_a_transcritical_crossing():
         until=(-1.0, 1.0),
     )
     check(transcritical, other)
-    np.testing.assert_allclose(other.x[:, 0], other.p, rtol=0, atol=1e-9)
+    assert_allclose(other.x[:, 0], other.p, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("step", (0.25, 0.5))
@@ -194,7 +191,7 @@ def test_until_beyond_a_fold():
     # from x = 0.6, p = 0.8 up to the fold and back, on the other side
     curve = continuation(circle, [0.6], 0.8, arclength=0.1, until=(0.5, 1.1))
     assert curve.p[-1] == 0.5 and curve.x[-1, 0] == pytest.approx(-np.sqrt(0.75), abs=1e-9)
-    np.testing.assert_allclose(curve.folds, [1.0], atol=1e-10)
+    assert_allclose(curve.folds, [1.0], atol=1e-10)
 
 
 def test_either_of_two_values():
@@ -273,5 +270,5 @@ def test_a_given_linearisation():
     linearise = lambda x, p, args: (cubic(x, p, args), jnp.diag(3 * x**2 - 1))
     how = {"direction": -1, "until": -2.0, "arclength": 0.1}
     one, two = (continuation(cubic, [1.5], 1.875, linearise=f, **how) for f in (None, linearise))
-    np.testing.assert_allclose(two.x, one.x, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(two.folds, one.folds, rtol=0, atol=1e-12)
+    assert_allclose(two.x, one.x, rtol=0, atol=1e-11)
+    assert_allclose(two.folds, one.folds, rtol=0, atol=1e-12)

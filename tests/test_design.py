@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 from granjax.design import (
@@ -96,7 +98,7 @@ def test_a_simulation_is_maximised():
     # equal masses pass all of the energy on after half a period
     assert found.parameters["mass"] == pytest.approx(1, abs=1e-4)
     assert found.value == pytest.approx(1, abs=1e-7) and found.value > found.start_value
-    np.testing.assert_allclose(np.nanmax(found.history), found.value, rtol=1e-12)
+    assert_allclose(np.nanmax(found.history), found.value, rtol=1e-12)
 
 
 def test_bounds_are_kept():
@@ -112,7 +114,7 @@ def test_a_valley_that_bends():
 
     found = design(rosenbrock, {"x": np.array([-1.2, 1.0, -1.2, 1.0])}, tolerance=1e-9)
     assert found.code == CONVERGED and found.iterations < 100
-    np.testing.assert_allclose(found.parameters["x"], 1, atol=1e-6)
+    assert_allclose(found.parameters["x"], 1, atol=1e-6)
 
 
 def test_any_optimiser_of_optax():
@@ -189,11 +191,9 @@ def test_smooth_peak():
         assert (
             peak.shape == (4,) and (peak <= top).all() and (peak > top / 200 ** (1 / power)).all()
         )
-        np.testing.assert_allclose(
-            peak, (np.maximum(frames, 0) ** power).mean(0) ** (1 / power), rtol=1e-12
-        )
+        assert_allclose(peak, (np.maximum(frames, 0) ** power).mean(0) ** (1 / power), rtol=1e-12)
     assert smooth_peak(frames).shape == ()
-    np.testing.assert_allclose(smooth_peak(7e9 * frames), 7e9 * smooth_peak(frames), rtol=1e-12)
+    assert_allclose(smooth_peak(7e9 * frames), 7e9 * smooth_peak(frames), rtol=1e-12)
     # its derivative is that of its values, and zero where nothing happens
     push = np.random.default_rng(1).normal(size=frames.shape)
     slope = jax.jvp(smooth_peak, (frames,), (push,))[1]
@@ -203,11 +203,9 @@ def test_smooth_peak():
 
 
 def test_refusals():
-    with pytest.raises(
-        ValueError, match="objective: expected a function that gives one real number"
-    ):
+    with refused("objective: expected a function that gives one real number"):
         design(lambda p: p["x"], {"x": np.ones(2)})
-    with pytest.raises(ValueError, match="x: expected a start below its bound"):
+    with refused("x: expected a start below its bound"):
         design(bowl, {"x": 1.0}, bounds={"x": (0, 1)})
 
 

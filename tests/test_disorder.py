@@ -4,13 +4,11 @@ import functools
 
 import jax
 import jax.numpy as jnp
-import matplotlib
-
-matplotlib.use("Agg")
-
-import numpy as np  # noqa: E402
+import numpy as np
 import pytest
 from gallery import left_by
+from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 
 import granjax as gx
 
@@ -34,9 +32,9 @@ def test_dimers_are_correlated_as_they_say(correlation, neighbours):
 
 def test_random_dimers_hold_two_beads_that_are_alike_or_one_of_either():
     pairs = noise(distribution="binary", correlation="alike").reshape(-1, 2)
-    np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
+    assert_array_equal(pairs[:, 0], pairs[:, 1])
     pairs = noise(distribution="binary", correlation="opposite").reshape(-1, 2)
-    np.testing.assert_array_equal(pairs[:, 0], -pairs[:, 1])
+    assert_array_equal(pairs[:, 0], -pairs[:, 1])
     assert disordered(9, 0.5, correlation="alike").mass.shape == (9,)
 
 
@@ -48,13 +46,13 @@ def test_what_is_random(boundary):
     common = dict(seed=3, precompression=2.0, boundary=boundary)
     mass = disordered(N, 0.4, mass=2.0, **common)
     R = np.asarray(disordered(N, 0.4, **common).mass)
-    np.testing.assert_allclose(mass.mass, 2 * R)
+    assert_allclose(mass.mass, 2 * R)
     # the same numbers as radii: masses by the cube, contacts by 1/R* = 1/R + 1/R'
     spheres = disordered(N, 0.4, of="radius", **common)
-    np.testing.assert_allclose(spheres.mass, R**3)
+    assert_allclose(spheres.mass, R**3)
     A = np.asarray(spheres.terms[0].law.stiffness)
     first = {"fixed": 1, "free": 0, "periodic": 0}[boundary]
-    np.testing.assert_allclose(A[first], np.sqrt(2 / (1 / R[0] + 1 / R[1])))
+    assert_allclose(A[first], np.sqrt(2 / (1 / R[0] + 1 / R[1])))
     assert len(A) == N + {"fixed": 1, "free": -1, "periodic": 0}[boundary]
     soft = disordered(N, 0.4, of="stiffness", **common)
     assert (
@@ -63,7 +61,7 @@ def test_what_is_random(boundary):
     # overlaps follow from where the beads lie; between walls they add up to that of the regular chain
     moved = disordered(N, 0.4, of="position", **common).terms[0].law
     d0 = 2 ** (2 / 3)
-    np.testing.assert_allclose(
+    assert_allclose(
         np.diff(moved.rest_overlap)[first], 0.5 * d0 * (2 * R[1] - R[0] - R[2]), rtol=1e-10
     )
     if boundary != "free":
@@ -87,14 +85,14 @@ def test_a_law_of_ones_own_and_units():
     ],
 )
 def test_scenes_refused(keywords, sentence):
-    with pytest.raises(ValueError, match=sentence):
+    with refused(sentence):
         disordered(N, 0.3, **keywords)
 
 
 def test_realisations_are_lanes():
     chains = jax.vmap(lambda n: disordered(N, 0.3, n, of="radius"), out_axes=-1)(jnp.arange(3))
     assert chains.lanes == (3,)
-    np.testing.assert_array_equal(chains.mass[:, 1], disordered(N, 0.3, 1, of="radius").mass)
+    assert_array_equal(chains.mass[:, 1], disordered(N, 0.3, 1, of="radius").mass)
 
 
 # how far waves reach
@@ -122,9 +120,9 @@ def test_the_closed_form():
         closed_form(2 * np.sin(k / 2), mass_deviation=0.1, correlations=c) for c in ([], [-0.5])
     )
     assert float(opposite / alone) == pytest.approx(1 - np.cos(2 * k))
-    with pytest.raises(ValueError, match="omega: expected frequencies within the band"):
+    with refused("omega: expected frequencies within the band"):
         closed_form([0.5, 2.0])
-    with pytest.raises(ValueError, match="correlations: expected a list"):
+    with refused("correlations: expected a list"):
         closed_form(0.5, correlations=0.5)
 
 
@@ -204,9 +202,7 @@ def test_a_wave_that_does_not_travel_decays_as_in_the_ordered_chain():
     )
     omega = np.array([0.3, 2.9])
     found = gx.linear.localisation_length(tied, omega)
-    np.testing.assert_allclose(
-        found.gamma, np.arccosh(np.abs(1 - (2 * omega**2 - 0.5) / 6)), rtol=1e-7
-    )
+    assert_allclose(found.gamma, np.arccosh(np.abs(1 - (2 * omega**2 - 0.5) / 6)), rtol=1e-7)
     still = gx.linear.localisation_length(tied, 1.0)
     assert not bool(still.resolved) and "No decay is seen" in still.outcome
 
@@ -225,7 +221,7 @@ def test_a_wave_that_does_not_travel_decays_as_in_the_ordered_chain():
     ],
 )
 def test_lattices_without_such_waves_are_refused(lattice, sentence):
-    with pytest.raises(ValueError, match=sentence):
+    with refused(sentence):
         gx.linear.localisation_length(lattice(), 0.5)
 
 
@@ -414,7 +410,7 @@ class Gyroscopic(gx.Term):
     ],
 )
 def test_other_forces_by_velocity_are_refused(term, sentence):
-    with pytest.raises(ValueError, match=sentence):
+    with refused(sentence):
         gx.linear.localisation_length(
             gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear()), term), sites=N), 0.5
         )

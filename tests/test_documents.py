@@ -3,19 +3,13 @@
 import ast
 import contextlib
 import io
-import os
 import re
 import textwrap
 from pathlib import Path
 
-import matplotlib
 import pytest
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-
-import granjax as gx  # noqa: E402
+import granjax as gx
 
 ROOT = Path(__file__).parents[1]
 README = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.M | re.S)
@@ -62,15 +56,6 @@ def docstrings():
 
 
 DOCSTRINGS = list(docstrings())
-
-
-@pytest.fixture
-def elsewhere(tmp_path, monkeypatch):
-    """A folder that looks like the repository's, to run in and to write to."""
-    os.symlink(ROOT / "notebooks", tmp_path / "notebooks")
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
-    plt.close("all")
 
 
 def run(blocks, **names):

@@ -1,28 +1,17 @@
 """The examples of public docstrings run, those of a module in one process."""
 
 import doctest
-import importlib.util
 import inspect
 import io
-from pathlib import Path
 
-import matplotlib
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import public
 import pytest
 
-matplotlib.use("Agg")
-
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-
-import granjax as gx  # noqa: E402
-
-spec = importlib.util.spec_from_file_location(
-    "public", Path(__file__).parents[1] / "docs" / "public.py"
-)
-public = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(public)
+import granjax as gx
 
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # what an example may take for granted
@@ -43,7 +32,6 @@ def run(test):
     """What an example prints in place of what it should, empty where it is right."""
     said = io.StringIO()
     doctest.DocTestRunner(optionflags=FLAGS, verbose=False).run(test, out=said.write)
-    plt.close("all")
     return said.getvalue()
 
 

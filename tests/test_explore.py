@@ -3,15 +3,13 @@
 import sys
 
 import jax
-import matplotlib
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 
-matplotlib.use("Agg")
-
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax import notebook as module  # noqa: E402
+import granjax as gx
+from granjax import notebook as module
 
 ipywidgets = pytest.importorskip("ipywidgets")
 _heard = []
@@ -47,7 +45,7 @@ def explorer(notebook):
 @pytest.mark.slow
 def test_the_map_follows_and_nothing_compiles(explorer):
     assert explorer.values == {"ratio": 0.5, "precompression": 0.0, "amplitude": 1.0}
-    np.testing.assert_allclose(shown(explorer), explorer.run.vs)
+    assert_allclose(shown(explorer), explorer.run.vs)
     # once more, by programs for a map of one sign or of both
     explorer.move(precompression=0.25)
     for values in ({"ratio": 0.3}, {"precompression": 0.5, "amplitude": 0.1}, {"ratio": 1.0}):
@@ -57,11 +55,11 @@ def test_the_map_follows_and_nothing_compiles(explorer):
         assert values.items() <= now.items() and len(_heard) == heard
         chain = dimer(now["ratio"], now["precompression"])
         run = gx.simulate(chain, gx.states.impact(chain, now["amplitude"]), 6.0, save_at=12)
-        np.testing.assert_allclose(shown(explorer), run.vs, atol=1e-9 * now["amplitude"])
-        np.testing.assert_allclose(explorer.lattice.mass, chain.mass)
+        assert_allclose(shown(explorer), run.vs, atol=1e-9 * now["amplitude"])
+        assert_allclose(explorer.lattice.mass, chain.mass)
     # as a front end does: a slider's value is set
     explorer.sliders["ratio"].value = 0.25
-    np.testing.assert_allclose(explorer.lattice.mass[1], 0.25)
+    assert_allclose(explorer.lattice.mass[1], 0.25)
 
 
 def test_it_reads_well(explorer):
@@ -88,8 +86,7 @@ def test_what_is_refused_is_said(notebook):
     ):
         explorer.move(**values)
         assert explorer.said.startswith(sentence)
-        with pytest.raises(RuntimeError, match="The present values have no run"):
-            explorer.run
+        assert explorer.run is explorer.lattice is explorer.state is None
     explorer.move(share=1.0)
     assert explorer.said.startswith("Completed") and explorer.run.completed
 
@@ -114,7 +111,7 @@ def test_a_scene_in_si(notebook):
     axes = explorer.figure.axes[0]
     assert axes.get_xlabel() == "contact" and axes.get_ylabel() in ("time (ms)", "time (µs)")
     explorer.move(precompression=40.0)
-    np.testing.assert_allclose(shown(explorer)[0], 40.0)
+    assert_allclose(shown(explorer)[0], 40.0)
     assert explorer.figure.axes[1].get_ylabel() == "contact force (N)"
 
 
@@ -131,8 +128,8 @@ def test_states_whole_numbers_and_fixed_arguments(notebook):
     )
     assert explorer.values == {"sites": 4, "amplitude": 1.0}
     explorer.move(sites=7, amplitude=2.0)
-    np.testing.assert_allclose(shown(explorer)[0], 0.2 * np.arange(7))
-    np.testing.assert_allclose(explorer.state.u, 0.2 * np.arange(7))
+    assert_allclose(shown(explorer)[0], 0.2 * np.arange(7))
+    assert_allclose(explorer.state.u, 0.2 * np.arange(7))
 
     def pair(load):
         chain = gx.scenes.monomer(4, precompression=load)
@@ -174,13 +171,13 @@ BAD = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("call", "sentence"), BAD, ids=range(len(BAD)))
 def test_what_cannot_be_explored_meets_a_sentence(notebook, call, sentence):
-    with pytest.raises(ValueError, match=sentence):
+    with refused(sentence):
         call()
 
 
 def test_a_value_beyond_a_slider_is_refused(explorer):
     for values in ({"ratio": 2.0}, {"rato": 0.5}):
-        with pytest.raises(ValueError, match="expected"):
+        with refused("expected"):
             explorer.move(**values)
 
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from refusals import refused
 from scipy.io import loadmat
 
 import granjax as gx
@@ -208,7 +209,7 @@ def test_every_kind_of_result_goes_out_and_comes_back(kind, tmp_path):
     result = blank(kind)
     legible(repr(result))
     data = result.to_xarray()
-    for name, held in result.held.items():
+    for name, _, held in result._fields():
         wanted = [x for x in (held.axes or "").split() if x != "..."]
         x = next((data.get(y) for y in (held.name or name, f"{name}_real") if y in data), None)
         if wanted and x is not None:
@@ -235,9 +236,15 @@ def batch(ts, us, lanes, space=(1, 0), **recorded):
         unseen="",
         _zone=0.0,
         _space=space,
-        _mark=1.0,
+        _mark=mark_of(np.shape(ts)[:-1], lanes, space),
     )
     return gx.Run(**known)
+
+
+def mark_of(first, lanes, space):
+    """What a batch's lattice says of units: one number for all sites, with the lanes before or behind."""
+    ones = (1,) * (space[0] + (space[1] > 0))
+    return np.ones((*lanes, *ones) if first == lanes else (*ones, *lanes))
 
 
 RATIOS, LOADS, NAMES_ = (
@@ -281,7 +288,6 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         each,
         errors,
         how="a second run",
-        _lanes=() if first else lanes,
         _space=(1, 0),
     )
     run = dataclasses.replace(run, error=error)
@@ -326,16 +332,59 @@ def test_times_of_their_own_of_each_lane_are_kept():
 )
 def test_lanes_that_do_not_fit_are_refused(lanes, said, tmp_path):
     run = batch(np.arange(float(F)), np.ones((F, N, 3)), (3,))
-    with pytest.raises(ValueError, match=re.escape(said)):
+    with refused(re.escape(said)):
         run.to_xarray(lanes=lanes)
-    with pytest.raises(ValueError, match=re.escape(said)):
+    with refused(re.escape(said)):
         run.save(tmp_path / "run.nc", lanes=lanes)
     assert not [*tmp_path.iterdir()]
 
 
+@functools.cache
+def mapped():
+    """Runs of as many frames as lanes."""
+
+    def confirmed(ratio):
+        chain = gx.scenes.dimer(6, ratio=ratio, precompression=1.0)
+        record = {"peak": gx.Peak(measures.contact_force)}
+        start = gx.states.impact(chain, velocity=0.1)
+        return gx.simulate(chain, start, 1.0, step=0.1, save_at=3, record=record, confirm=True)
+
+    return jax.vmap(confirmed, out_axes=-1)(RATIOS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", [0, -1])
+def test_mapped_runs_and_their_errors_have_named_lanes(axis, tmp_path):
+    run = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), -1, axis), mapped())
+    data = run.to_xarray(lanes={"ratio": RATIOS})
+    for name in ("u", "v", "error_u", "error_v"):
+        assert data[name].dims == ("time", "site", "ratio"), name
+    for name in ("error_final_u", "error_final_v"):
+        assert data[name].dims == ("site", "ratio"), name
+    assert data.error_energy.dims == ("time", "ratio")
+    assert data.peak.dims == data.error_peak.dims == ("peak_0", "ratio")
+    for name in ("energy_error", "contact_opened", "completed", "error_overlap", "stats_steps"):
+        assert data[name].dims == ("ratio",), name
+    assert data.time.dims == ("time",)
+    for k, ratio in enumerate(RATIOS):
+        alone = jax.tree.map(lambda x, k=k: x.take(k, axis), (run.us, run.error.us))
+        np.testing.assert_array_equal(data.u.sel(ratio=ratio), alone[0])
+        np.testing.assert_array_equal(data.error_u.sel(ratio=ratio), alone[1])
+    assert comes_back(run.save(tmp_path / "run.nc", lanes={"ratio": RATIOS}), data)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_batch_of_one_lane_has_that_lane(first):
+    """The axes of sites and of lanes of the lattice's mark are both of length one: the arrays tell which is which."""
+    us, ts = np.ones((F, N, 1)), np.arange(float(F))
+    run = batch(ts[None], us.transpose(2, 0, 1), (1,)) if first else batch(ts[:, None], us, (1,))
+    data = run.to_xarray()
+    assert data.u.dims == ("time", "site", "lane") and data.time.dims == ("time",)
+
+
 def test_what_is_no_batch_has_no_lanes():
     one = batch(np.arange(float(F)), np.ones((F, N)), ())
-    with pytest.raises(ValueError, match="lanes: expected a result of a batch"):
+    with refused("lanes: expected a result of a batch"):
         one.to_xarray(lanes={"ratio": RATIOS})
     assert one.to_xarray().u.dims == ("time", "site")
 

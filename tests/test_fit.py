@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 from scipy.integrate import solve_ivp
 
 import granjax as gx
@@ -175,7 +177,7 @@ SCALINGS = {
     ),
     "magnets": (
         magnets,
-        {"A": 1.1, "F0": 0.9, "v": 0.3, "gain": 1.3},
+        {"A": 1.1, "F0": 0.9, "v": 0.3, "gain": 1.4},
         lambda e: (1 - e) ** -4.0 - 1,
         ["A F0^0.20 v^0.20 gain^-0.20"],
     ),
@@ -442,7 +444,7 @@ def test_what_cannot_be_meant_is_refused(short):
     good = gx.Traces(times, velocity=v[:, [1]], sites=1, sigma=0.01)
 
     def refused(match, *, scene=spring, start={"stiffness": 1.0}, traces=good, **how):
-        with pytest.raises(ValueError, match=match):
+        with refused(match):
             gx.fit(scene, start, traces, **{"state": state, **how})
 
     refused("bounds: expected one of 'stiffness'", bounds={"stifness": (0, None)})
@@ -480,9 +482,9 @@ def test_what_cannot_be_meant_is_refused(short):
         (0, 1),
         (2, 3),
     )
-    with pytest.raises(ValueError, match="velocity: expected shape"):
+    with refused("velocity: expected shape"):
         gx.Traces(times, velocity=v, sites=[1])
-    with pytest.raises(ValueError, match="rising times"):
+    with refused("rising times"):
         gx.Traces(times[::-1], velocity=v, sites=range(6))
 
 
@@ -502,7 +504,7 @@ def test_coordinates_keep_bounds_and_know_their_slopes():
 
 @pytest.mark.parametrize("tolerance", [-1, 0.5])
 def test_a_tolerance_that_every_start_meets_is_refused(tolerance):
-    with pytest.raises(ValueError, match="tolerance: expected"):
+    with refused("tolerance: expected"):
         gx.fit(lambda p: None, {"k": 1.0}, [], state=lambda p, lattice: None, tolerance=tolerance)
 
 
@@ -511,13 +513,11 @@ def test_a_tolerance_that_every_start_meets_is_refused(tolerance):
 def test_a_record_in_another_unit_of_time_is_refused_at_once(factor):
     traces = gx.Traces(factor * TIMES, velocity=np.ones((400, 1)), sites=[2], sigma=1.0)
     for state in (struck, tapped):
-        with pytest.raises(
-            ValueError, match="traces: expected times in the lattice's unit of time"
-        ):
+        with refused("traces: expected times in the lattice's unit of time"):
             gx.fit(scene, START, traces, state=state)
     # without a precompression from its energy
     sonic = lambda p: gx.scenes.monomer(N, stiffness=p["stiffness"]).counted_in("SI")
-    with pytest.raises(ValueError, match="traces: expected times in seconds"):
+    with refused("traces: expected times in seconds"):
         gx.fit(sonic, {"stiffness": 1.0}, traces, state=struck)
 
 
@@ -539,19 +539,17 @@ def test_columns_of_a_table_are_read_in_si(tmp_path):
     traces = read(
         tmp_path, velocity=["Bead 3", "Bead 7"], sites=[3, 7], units={"Bead 7": 0.025}, sigma=1e-3
     )
-    np.testing.assert_allclose(traces.times, [0, 5e-6, 15e-6], rtol=1e-15)
-    np.testing.assert_allclose(
-        traces.data, [[0, 0.0025], [0.02, 0.0075], [0.06, -0.005]], rtol=1e-15
-    )
+    assert_allclose(traces.times, [0, 5e-6, 15e-6], rtol=1e-15)
+    assert_allclose(traces.data, [[0, 0.0025], [0.02, 0.0075], [0.06, -0.005]], rtol=1e-15)
     assert (
         traces.kind == "velocity" and traces.places == ((3,), (7,)) and float(traces.sigma) == 1e-3
     )
     force = read(tmp_path, time=0, force=3, contacts=0, units={3: "kN"}, offset="delay")
-    np.testing.assert_array_equal(force.data[:, 0], [1e3, np.nan, 3e3])
+    assert_array_equal(force.data[:, 0], [1e3, np.nan, 3e3])
     assert force.offset == "delay" and float(force.weights[1, 0]) == 0.0
     moved = read(tmp_path, displacement="Load", sites=0, units={"Load": "\u00b5m", "Time": 2.0})
-    np.testing.assert_allclose(moved.data[::2, 0], [1e-6, 3e-6], rtol=1e-15)
-    np.testing.assert_array_equal(moved.times, [0, 10, 30])
+    assert_allclose(moved.data[::2, 0], [1e-6, 3e-6], rtol=1e-15)
+    assert_array_equal(moved.times, [0, 10, 30])
 
 
 @pytest.mark.parametrize(
@@ -574,25 +572,25 @@ def test_columns_of_a_table_are_read_in_si(tmp_path):
     ],
 )
 def test_a_column_that_is_not_understood_is_refused(keywords, said, tmp_path):
-    with pytest.raises(ValueError, match=said):
+    with refused(said):
         read(tmp_path, sites=0, **keywords)
 
 
 def test_text_among_numbers_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text("Time (s),v [m/s]\n0,0\n1,over\n2,1\n")
-    with pytest.raises(ValueError, match="'v .m/s.', which holds text"):
+    with refused("'v .m/s.', which holds text"):
         gx.Traces.from_csv(tmp_path / "a.csv", velocity="v", sites=0)
     traces = gx.Traces.from_csv(
         tmp_path / "a.csv", velocity="v", sites=0, read={"na_values": ["over"]}
     )
-    np.testing.assert_array_equal(traces.data[:, 0], [0, np.nan, 1])
+    assert_array_equal(traces.data[:, 0], [0, np.nan, 1])
 
 
 def test_dates_and_time_differences_are_seconds(tmp_path):
     dates = np.datetime64("2026-01-01T12:00") + np.arange(3) * np.timedelta64(250, "us")
     for times in (dates, dates - dates[0], dates.tolist(), (dates - dates[0]).tolist()):
         traces = gx.Traces(times, velocity=np.zeros(3), sites=0)
-        np.testing.assert_allclose(traces.times, [0, 2.5e-4, 5e-4], rtol=1e-12)
+        assert_allclose(traces.times, [0, 2.5e-4, 5e-4], rtol=1e-12)
     (tmp_path / "a.csv").write_text("when,v [m/s]\n2026-01-01 12:00:00,0\n2026-01-01 12:00:02,1\n")
     traces = gx.Traces.from_csv(
         tmp_path / "a.csv", time="when", velocity="v", sites=0, read={"parse_dates": ["when"]}

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.integrate import solve_ivp
 
 import granjax as gx
@@ -148,26 +149,6 @@ def test_derivatives_in_both_modes_through_the_default():
         "a traced default step may differ by one step"
     )
 
-    def fixed(stiffness):
-        chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Hertz(stiffness)), sites=8)
-        return gx.simulate(chain, gx.states.impact(chain), 8.0, step=0.02).final.v[6]
-
-    difference = (fixed(1 + 1e-4) - fixed(1 - 1e-4)) / 2e-4
-    assert float(jax.grad(fixed)(1.0)) == pytest.approx(float(difference), rel=1e-5)
-
-
-@pytest.mark.study
-def test_gradient_of_a_recorded_peak(struck):
-    def peak(v):
-        chain = gx.scenes.monomer(8, boundary="free")
-        run = gx.simulate(
-            chain, gx.states.impact(chain, velocity=v), 8.0, step=0.05, record={"peak": PEAK}
-        )
-        return run.recorded["peak"][4]
-
-    # every force of a sonic vacuum goes with v^{6/5}
-    assert float(jax.grad(peak)(1.0)) == pytest.approx(1.2 * float(peak(1.0)), rel=1e-4)
-
 
 @pytest.mark.slow
 def test_damping_is_exact_and_a_dashpot_is_refused(closed):
@@ -178,9 +159,9 @@ def test_damping_is_exact_and_a_dashpot_is_refused(closed):
     assert np.max(np.abs(coarse.final.u - fine.final.u)) < 1e-9
     assert np.isnan(coarse.energy_error)
     dashpot = gx.Lattice(1.0, (*chain.terms, gx.Dashpot(gx.Shift(1, "fixed"), 0.1)), sites=12)
-    with pytest.raises(ValueError, match="Dashpot"):
+    with refused("Dashpot"):
         gx.simulate(dashpot, state, 1.0, solver=gx.SRKN6b(), step=0.1)
-    with pytest.raises(ValueError, match="Dashpot"):
+    with refused("Dashpot"):
         gx.simulate(dashpot, state, 1.0, solver=gx.RKN86(), tolerance=1e-8)
     assert gx.simulate(dashpot, state, 1.0).solver == "Dopri8"
 
@@ -291,7 +272,7 @@ BAD = {
 def test_bad_input_is_refused_in_a_sentence(bad):
     given, sentence = BAD[bad]
     given = {"state": MOVING, "t1": 1.0} | given
-    with pytest.raises(ValueError, match=sentence) as caught:
+    with refused(sentence) as caught:
         gx.simulate(SCENE, given.pop("state"), given.pop("t1"), **given)
     assert "granjax" in str(caught.traceback[-1].path)
 
@@ -328,7 +309,7 @@ def test_a_piston_does_not_collapse_the_default_step():
     alpha = gx.scenes.fput(200, alpha=0.25)
     run = gx.simulate(alpha, gx.states.random(alpha, 0, displacement=0.0, velocity=0.5), 100.0)
     assert run.completed and float(run.energy_error) < 1e-8
-    with pytest.raises(ValueError, match="step: expected a time step.*no useful one"):
+    with refused("step: expected a time step.*no useful one"):
         gx.simulate(alpha, gx.states.random(alpha, 0, displacement=0.0, velocity=50.0), 100.0)
 
 
@@ -374,7 +355,7 @@ def test_a_law_of_ones_own_may_hold_plain_numbers():
 
 def test_nothing_stiff_asks_for_a_step():
     chain = gx.scenes.monomer(6)
-    with pytest.raises(ValueError, match="step: expected a time step"):
+    with refused("step: expected a time step"):
         gx.simulate(chain, (AT_REST, AT_REST), 1.0)
 
 
@@ -494,7 +475,7 @@ def test_an_opening_that_no_law_tells_of_is_unknown():
 
 def test_a_state_with_lanes_first_is_told_where_they_belong():
     lattice = jax.vmap(lambda r: gx.scenes.dimer(5, ratio=r), out_axes=-1)(jnp.array([0.5, 1.0]))
-    with pytest.raises(ValueError, match="state.u: expected shape .* Lanes come last"):
+    with refused("state.u: expected shape .* Lanes come last"):
         gx.simulate(lattice, (np.zeros((2, 5)), np.zeros((2, 5))), 1.0)
 
 
@@ -616,9 +597,7 @@ FAR = {
 def test_times_that_steps_do_not_tell_apart_are_refused(case):
     dtype, t0, how = FAR[case]
     chain, state = as_type(dtype, SCENE, MOVING)
-    with pytest.raises(
-        ValueError, match=f"gaps between numbers of {np.dtype(dtype)} .* Count time from t0=0"
-    ):
+    with refused(f"gaps between numbers of {np.dtype(dtype)} .* Count time from t0=0"):
         gx.simulate(chain, state, t0 + 5.0, t0=t0, **how)
 
 
@@ -627,7 +606,7 @@ def test_far_times_of_a_traced_run_are_an_outcome_and_of_a_flow_refused():
     chain, state = as_type(np.float32, SCENE, MOVING)
     found = jax.jit(lambda v: gx.simulate(chain, (state.u, v), 1e6 + 5.0, t0=1e6))(state.v)
     assert not found.completed and "does not resolve" in found.outcome
-    with pytest.raises(ValueError, match="gaps between numbers of float64"):
+    with refused("gaps between numbers of float64"):
         gx.Flow(20)(MOVING, 1e15, 1e15 + 4.0, SCENE)
 
 
@@ -657,3 +636,16 @@ def test_a_run_of_plain_numbers_inside_jit(closed):
         assert np.allclose(
             inside, 2 * gx.simulate(chain, state, 2.0, **how).final.u, rtol=0, atol=1e-13
         )
+
+
+@pytest.mark.study
+def test_gradient_of_a_recorded_peak(struck):
+    def peak(v):
+        chain = gx.scenes.monomer(8, boundary="free")
+        run = gx.simulate(
+            chain, gx.states.impact(chain, velocity=v), 8.0, step=0.05, record={"peak": PEAK}
+        )
+        return run.recorded["peak"][4]
+
+    # every force of a sonic vacuum goes with v^{6/5}
+    assert float(jax.grad(peak)(1.0)) == pytest.approx(1.2 * float(peak(1.0)), rel=1e-4)

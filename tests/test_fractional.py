@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.special import gamma
 
 import granjax as gx
@@ -24,14 +25,12 @@ def test_the_kernel_is_the_closed_form(s):
     wanted = (
         4**s * gamma(0.5 + s) / (np.sqrt(np.pi) * abs(gamma(-s))) * gamma(m - s) / gamma(m + 1 + s)
     )
-    np.testing.assert_allclose(fractional.kernel(s, 100), wanted, rtol=1e-12)
+    assert_allclose(fractional.kernel(s, 100), wanted, rtol=1e-12)
     # far away, where the factors of the quotient overflow
     far = fractional.kernel(s, 100_000)
     tail = 4**s * gamma(0.5 + s) / (np.sqrt(np.pi) * abs(gamma(-s))) * (1e5) ** (-1 - 2 * s)
     assert float(far[-1]) == pytest.approx(tail, rel=1e-5)
-    np.testing.assert_allclose(
-        2 * far.sum() + tail * 1e5 / s, gamma(1 + 2 * s) / gamma(1 + s) ** 2, rtol=1e-4
-    )
+    assert_allclose(2 * far.sum() + tail * 1e5 / s, gamma(1 + 2 * s) / gamma(1 + s) ** 2, rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -39,15 +38,15 @@ def test_the_ring_s_kernel_is_the_sum_over_all_images():
     s, wide = 0.7, fractional.kernel(0.7, 12 * 20_000)
     images = np.zeros(N)
     np.add.at(images, np.arange(1, len(wide) + 1) % N, np.asarray(wide))
-    np.testing.assert_allclose(fractional.to_the_right(s, N), images[1:], atol=1e-7)
+    assert_allclose(fractional.to_the_right(s, N), images[1:], atol=1e-7)
     images = images[1:] + images[:0:-1]
-    np.testing.assert_allclose(fractional.ring_kernel(s, N), images, atol=1e-7)
-    np.testing.assert_allclose(fractional.ring_kernel(1.0, N), [1, *[0] * (N - 3), 1], atol=1e-15)
-    np.testing.assert_allclose(fractional.to_the_right(1.0, N), [1, *[0] * (N - 2)], atol=1e-14)
+    assert_allclose(fractional.ring_kernel(s, N), images, atol=1e-7)
+    assert_allclose(fractional.ring_kernel(1.0, N), [1, *[0] * (N - 3), 1], atol=1e-15)
+    assert_allclose(fractional.to_the_right(1.0, N), [1, *[0] * (N - 2)], atol=1e-14)
     # the sum to the right does not depend on where it is begun one by one
     wide = fractional.to_the_right(s, 8 * N)
     folded = np.concatenate([[0.0], wide]).reshape(8, N).sum(axis=0)
-    np.testing.assert_allclose(fractional.to_the_right(s, N), folded[1:], rtol=1e-12)
+    assert_allclose(fractional.to_the_right(s, N), folded[1:], rtol=1e-12)
 
 
 @pytest.mark.parametrize("s", [0.2, 0.8, 1.0])
@@ -56,11 +55,11 @@ def test_modes_of_a_ring_have_the_symbol_s_frequencies(s):
     lattice = scenes.fractional(n, s, mass=2.0, law=gx.Linear(3.0))
     k = 2 * np.pi * np.arange(n) / n
     wanted = np.sort(1.5 * (4 * np.sin(k / 2) ** 2) ** s)
-    np.testing.assert_allclose(
+    assert_allclose(
         np.sort(np.asarray(gx.linear.normal_modes(lattice).omega) ** 2), wanted, atol=1e-12
     )
     found = gx.linear.dispersion(lattice, k[1:7]).omega[:, 0]
-    np.testing.assert_allclose(found**2, 1.5 * (4 * np.sin(k[1:7] / 2) ** 2) ** s, rtol=1e-12)
+    assert_allclose(found**2, 1.5 * (4 * np.sin(k[1:7] / 2) ** 2) ** s, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -75,11 +74,9 @@ def test_order_1_is_next_neighbours(boundary):
         own = scenes.fractional_fput(
             N, 1.0, alpha=0.3, beta=0.2, boundary=boundary, nonlinear=nonlinear
         )
-        np.testing.assert_allclose(force(own), force(chain), atol=1e-12)
+        assert_allclose(force(own), force(chain), atol=1e-12)
     own = scenes.fractional_sine_gordon(N, 1.0, 0.7, boundary=boundary)
-    np.testing.assert_allclose(
-        force(own), force(scenes.sine_gordon(N, 0.7, boundary=boundary)), atol=1e-13
-    )
+    assert_allclose(force(own), force(scenes.sine_gordon(N, 0.7, boundary=boundary)), atol=1e-13)
 
 
 def test_bonds_of_finite_chains_one_by_one():
@@ -101,7 +98,7 @@ def test_bonds_of_finite_chains_one_by_one():
             for n in range(N)
         ]
         own = scenes.fractional_fput(N, s, alpha=0.3, beta=0.2, boundary=boundary)
-        np.testing.assert_allclose(force(own), wanted, atol=3e-5 if boundary == "fixed" else 1e-12)
+        assert_allclose(force(own), wanted, atol=3e-5 if boundary == "fixed" else 1e-12)
 
 
 @pytest.mark.slow
@@ -117,18 +114,16 @@ def test_energy_is_kept_and_the_order_differentiates():
 
     for s in (0.5, 0.999):
         slope = jax.jvp(of_order, (s,), (1.0,))[1]
-        np.testing.assert_allclose(
+        assert_allclose(
             slope, (of_order(s + 1e-6) - of_order(s - 1e-6)) / 2e-6, rtol=1e-5, atol=1e-6
         )
     # at the end of the orders, from below
     slope = jax.jvp(of_order, (1.0,), (1.0,))[1]
     below = [of_order(1 - x) for x in (0.0, 1e-5, 2e-5)]
-    np.testing.assert_allclose(
-        slope, (3 * below[0] - 4 * below[1] + below[2]) / 2e-5, rtol=1e-6, atol=1e-7
-    )
+    assert_allclose(slope, (3 * below[0] - 4 * below[1] + below[2]) / 2e-5, rtol=1e-6, atol=1e-7)
     batch = jax.vmap(lambda s: scenes.fractional(N, s), out_axes=-1)(jnp.array([0.3, 0.9]))
     both = batch.force(0.0, jnp.stack([U, U], axis=-1), jnp.zeros((N, 2)))
-    np.testing.assert_allclose(both[:, 1], force(scenes.fractional(N, 0.9)), atol=1e-13)
+    assert_allclose(both[:, 1], force(scenes.fractional(N, 0.9)), atol=1e-13)
 
 
 def test_a_plane_wave_turns_with_the_symbol_s_frequency_in_si():
@@ -139,7 +134,7 @@ def test_a_plane_wave_turns_with_the_symbol_s_frequency_in_si():
     run = gx.simulate(
         lattice, gx.State(1e-6 * np.cos(phase), 1e-6 * omega * np.sin(phase)), 20 / omega
     )
-    np.testing.assert_allclose(run.final.u, 1e-6 * np.cos(phase - 20), atol=1e-11)
+    assert_allclose(run.final.u, 1e-6 * np.cos(phase - 20), atol=1e-11)
 
 
 def test_refusals():

@@ -1,20 +1,12 @@
 """The gallery of the site: every system of the review has an example, and each example's number is what is expected."""
 
-import importlib.util
 import json
 from pathlib import Path
 
-import matplotlib
+import examples
 import pytest
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-
 FOLDER = Path(__file__).parents[1] / "docs" / "gallery"
-spec = importlib.util.spec_from_file_location("examples", FOLDER / "examples.py")
-examples = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(examples)
 
 EXAMPLES = examples.every()
 SYSTEMS = set(examples.systems())
@@ -43,4 +35,3 @@ def test_an_example_gives_its_number(name, tmp_path, monkeypatch):
     assert EXAMPLES[name].agrees(float(space["number"]))
     figure = getattr(space["ax"], "figure", space["ax"])
     assert figure.axes and any(ax.has_data() for ax in figure.axes)
-    plt.close("all")

@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import EPS
+from refusals import refused
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline
 
@@ -74,7 +75,7 @@ def test_a_fitted_spline_is_hertz():
         np.diff(Spline.fitted(np.linspace(-0.8, 1.5, 9), e, noisy).force(np.linspace(-2, 3, 400)))
         >= -EPS
     ).all()
-    with pytest.raises(ValueError, match="more than 9 compressions"):
+    with refused("more than 9 compressions"):
         Spline.fitted(np.linspace(-0.8, 1.5, 9), e[:9], force(law, e[:9]))
 
 
@@ -89,7 +90,7 @@ def test_a_fitted_spline_is_hertz():
     ],
 )
 def test_laws_that_cannot_be_are_refused(make, word):
-    with pytest.raises(ValueError, match=word):
+    with refused(word):
         make()
 
 
@@ -422,12 +423,12 @@ def test_bad_input_is_refused(bad, word):
         vs=x,
         accelerations=x,
     )
-    with pytest.raises(ValueError, match=word):
+    with refused(word):
         regression(**(good | bad))
 
 
 def test_a_library_refuses_what_it_does_not_hold():
-    with pytest.raises(ValueError, match="powers"):
+    with refused("powers"):
         library(WALLS, powers=(4,))
-    with pytest.raises(ValueError, match="dissipation"):
+    with refused("dissipation"):
         library(WALLS, dissipation=("w",))

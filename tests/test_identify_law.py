@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import few
-from scipy.integrate import solve_ivp
+from cases import by_dop853, few
 
 import granjax as gx
 from granjax.fit import prepared
@@ -34,20 +33,9 @@ def true_force(e):
 @pytest.fixture(scope="module")
 def measured():
     """Velocities (T, sensors) by SciPy's DOP853, and the least and largest strain: -0.890, 0.694 of d0 = 1."""
-
-    def strains(u):
-        return np.concatenate([-u[:1], u[:-1] - u[1:], u[-1:]])
-
-    def motion(t, y):
-        f = true_force(strains(y[:N]))
-        return np.concatenate([y[N:], f[:-1] - f[1:] - DAMPING * y[N:]])
-
-    start = np.r_[np.zeros(N), SPEED, np.zeros(N - 1)]
-    run = solve_ivp(
-        motion, (0, TIMES[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, dense_output=True
-    )
-    e = strains(run.sol(np.linspace(0, TIMES[-1], 8001))[:N])
-    return run.sol(TIMES)[N:][SENSORS].T, (e.min(), e.max())
+    path, strains = by_dop853(SPEED, TIMES[-1], DAMPING)
+    e = strains(path(np.linspace(0, TIMES[-1], 8001))[:N])
+    return path(TIMES)[N:][SENSORS].T, (e.min(), e.max())
 
 
 def traces(velocity, noise, seed=0):

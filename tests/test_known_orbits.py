@@ -1,16 +1,10 @@
 """The reference orbits belong to the lattices of `known_orbits`, and their maker makes them."""
 
-import sys
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from known_orbits import LATTICES, reference
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-
-from references import integrators, orbits  # noqa: E402
+from references import integrators, orbits
 
 extended_only = pytest.mark.skipif(
     np.finfo(np.longdouble).precision < integrators.FEWEST_DIGITS,

@@ -106,11 +106,10 @@ def test_nan_stays_nan(case):
 
 @pytest.mark.slow
 @over(ALL_LAWS)
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_no_derivative_is_nan(case, order):
+def test_no_derivative_is_nan(case):
     # touch, open contact and both sides of it included
     x, _ = facts(case)
-    assert not np.isnan(x["orders"][order - 1][:-1]).any()
+    assert not np.isnan(np.stack(x["orders"])[:, :-1]).any()
 
 
 @pytest.mark.slow

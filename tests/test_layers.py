@@ -1,6 +1,4 @@
 import ast
-import importlib
-import inspect
 from pathlib import Path
 
 import granjax
@@ -83,85 +81,6 @@ def test_every_module_has_a_floor_and_imports_point_downwards():
     # the reading of imports sees them
     assert {"laws", "strains"} <= imports(ROOT / "terms" / "bonds.py")
     assert imports(ROOT / "checks.py") == set()
-
-
-KINDS = {
-    name: folder
-    for folder, names in (
-        (
-            "laws",
-            (
-                "Hertz",
-                "PowerLaw",
-                "Polynomial",
-                "Toda",
-                "Linear",
-                "Sine",
-                "Spline",
-                "Network",
-                "Sum",
-                "Scaled",
-                "Strained",
-                "Yielding",
-                "Indented",
-            ),
-        ),
-        ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap", "Slip", "Along")),
-        (
-            "terms",
-            (
-                "Bond",
-                "Modulated",
-                "OnSite",
-                "Damping",
-                "Dashpot",
-                "ViscousContact",
-                "Drag",
-                "Drive",
-                "LongRange",
-                "Wall",
-                "PlasticContact",
-                "CaputoDamping",
-                "BrilliantovContact",
-                "Grip",
-            ),
-        ),
-    )
-    for name in names
-}
-
-
-def test_the_kinds_are_all_there_are():
-    for folder in ("laws", "strains", "terms"):
-        module = importlib.import_module(f"granjax.{folder}")
-        base = {"laws": granjax.Law, "strains": granjax.StrainMap, "terms": granjax.Term}[folder]
-        concrete = {
-            name
-            for name, value in vars(module).items()
-            if inspect.isclass(value) and issubclass(value, base)
-        }
-        assert concrete - {base.__name__} == {
-            name for name, where in KINDS.items() if where == folder
-        }
-
-
-def test_nobody_asks_a_kind_what_it_is():
-    """No isinstance or type() test on a law, a strain map or a term outside of the folder that defines it."""
-    for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text())):
-            asks = isinstance(node, ast.Call) and getattr(node.func, "id", None) in (
-                "isinstance",
-                "issubclass",
-            )
-            compares = isinstance(node, ast.Compare) and any(
-                isinstance(side, ast.Call) and getattr(side.func, "id", None) == "type"
-                for side in (node.left, *node.comparators)
-            )
-            if asks or compares:
-                named = {getattr(n, "id", None) or getattr(n, "attr", None) for n in ast.walk(node)}
-                assert not {
-                    name for name in named if KINDS.get(name, module_of(path)) != module_of(path)
-                }, path
 
 
 def test_there_is_no_circle_within_a_folder():

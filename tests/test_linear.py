@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 from granjax import linear, topology
@@ -99,21 +101,19 @@ def test_monomer(boundary):
     found = linear.dispersion(chain, WAVES)
     top = np.sqrt(1.5 / 2)
     assert found.cell == (1,)
-    np.testing.assert_allclose(
-        found.omega[:, 0], 2 * top * abs(np.sin(WAVES / 2)), rtol=0, atol=1e-12
-    )
+    assert_allclose(found.omega[:, 0], 2 * top * abs(np.sin(WAVES / 2)), rtol=0, atol=1e-12)
     slope, bend = top * np.cos(WAVES / 2) * np.sign(WAVES), -top / 2 * abs(np.sin(WAVES / 2))
-    np.testing.assert_allclose(found.group_velocity[MOVING, 0], slope[MOVING], atol=1e-12)
-    np.testing.assert_allclose(found.curvature[MOVING, 0], bend[MOVING], atol=1e-12)
-    np.testing.assert_allclose(linear.sound_speed(chain), top, rtol=1e-14)
-    np.testing.assert_allclose(linear.bands(chain).upper, [2 * top], rtol=1e-14)
+    assert_allclose(found.group_velocity[MOVING, 0], slope[MOVING], atol=1e-12)
+    assert_allclose(found.curvature[MOVING, 0], bend[MOVING], atol=1e-12)
+    assert_allclose(linear.sound_speed(chain), top, rtol=1e-14)
+    assert_allclose(linear.bands(chain).upper, [2 * top], rtol=1e-14)
     assert found.vectors.shape == (11, 1, 1)
     assert linear.dispersion(chain, 0.3).omega.shape == (1,)
 
 
 def test_long_waves_lose_no_digits():
     found = linear.dispersion(monomer(8, precompression=1.0), 1e-9)
-    np.testing.assert_allclose(found.omega[0], np.sqrt(1.5) * 1e-9, rtol=1e-13)
+    assert_allclose(found.omega[0], np.sqrt(1.5) * 1e-9, rtol=1e-13)
 
 
 @pytest.mark.slow
@@ -122,40 +122,38 @@ def test_dimer_edges(boundary):
     # sqrt(2 K2/M), sqrt(2 K2/m), sqrt(2 K2 (1/m + 1/M)), K2 = 1.5: 1.0070830, 1.7320508, 2.0035509
     found = linear.bands(two_masses(boundary=boundary))
     edges = np.sqrt([3 / MASS, 3.0, 3 * (1 + 1 / MASS)])
-    np.testing.assert_allclose(edges, [1.0070830, 1.7320508, 2.0035509], atol=6e-8)
-    np.testing.assert_allclose(
-        np.r_[found.lower, found.upper], [0, edges[1], edges[0], edges[2]], atol=1e-12
-    )
-    np.testing.assert_allclose(found.gaps, [(edges[0], edges[1])], atol=1e-12)
+    assert_allclose(edges, [1.0070830, 1.7320508, 2.0035509], atol=6e-8)
+    assert_allclose(np.r_[found.lower, found.upper], [0, edges[1], edges[0], edges[2]], atol=1e-12)
+    assert_allclose(found.gaps, [(edges[0], edges[1])], atol=1e-12)
     words = " ".join(repr(found).split())
     assert "gap 1.007082" in words or "gap 1.007083" in words
 
 
 def test_dimer_scene_of_any_length():
     found = linear.bands(dimer(101, ratio=0.5, precompression=1.0))
-    np.testing.assert_allclose(found.gaps, [np.sqrt([3.0, 6.0])], rtol=1e-13)
+    assert_allclose(found.gaps, [np.sqrt([3.0, 6.0])], rtol=1e-13)
     speed = linear.sound_speed(dimer(101, ratio=0.5, precompression=1.0))
     # one cell of two beads: total mass 1.5, compliance 2/1.5; c = 2 beads per cell / sqrt(mass * compliance)
-    np.testing.assert_allclose(speed, 2 / np.sqrt(1.5 * 2 / 1.5), rtol=1e-13)
+    assert_allclose(speed, 2 / np.sqrt(1.5 * 2 / 1.5), rtol=1e-13)
 
 
 def test_speed_of_a_random_cell():
     # a chain of cells: c = p / sqrt(sum of masses * sum of compliances), statics of springs in series
     chain = random_cells()
     mass, stiffness = np.asarray(chain.mass[:5]), np.asarray(chain.terms[0].law.stiffness[:5])
-    np.testing.assert_allclose(
+    assert_allclose(
         linear.sound_speed(chain), 5 / np.sqrt(mass.sum() * (1 / stiffness).sum()), rtol=1e-12
     )
     k = 1e-4
-    np.testing.assert_allclose(
+    assert_allclose(
         linear.dispersion(chain, k).omega[0] / k * 5, linear.sound_speed(chain), rtol=1e-6
     )
 
 
 def test_speed_with_further_parts():
     # bead and core move as one in a long wave: sqrt(K/(m + nu)); springs to n +- 2 count four times
-    np.testing.assert_allclose(linear.sound_speed(mass_in_mass()), np.sqrt(1 / 1.5), rtol=1e-12)
-    np.testing.assert_allclose(linear.sound_speed(next_nearest()), np.sqrt(5), rtol=1e-12)
+    assert_allclose(linear.sound_speed(mass_in_mass()), np.sqrt(1 / 1.5), rtol=1e-12)
+    assert_allclose(linear.sound_speed(next_nearest()), np.sqrt(5), rtol=1e-12)
 
 
 def test_dead_bonds_stop_sound():
@@ -170,7 +168,7 @@ def test_speeds_of_the_triangular_lattice():
         direction = vectors @ [np.cos(angle), np.sin(angle)]
         for cell in (None, (2, 1)):
             speeds = linear.sound_speed(triangular(shape=(6, 6)), cell, direction=direction)
-            np.testing.assert_allclose(speeds**2, [3 / 8, 9 / 8], rtol=1e-12)
+            assert_allclose(speeds**2, [3 / 8, 9 / 8], rtol=1e-12)
 
 
 RINGS = {
@@ -195,7 +193,7 @@ def test_bloch_waves_are_the_modes_of_a_ring(name):
     k = np.stack(np.meshgrid(*phases, indexing="ij"), -1)
     waves = linear.dispersion(chain, k if len(sites) > 1 else k[..., 0]).omega_squared
     modes = linear.normal_modes(chain).omega_squared
-    np.testing.assert_allclose(np.sort(np.ravel(waves)), modes, rtol=0, atol=1e-12 * modes.max())
+    assert_allclose(np.sort(np.ravel(waves)), modes, rtol=0, atol=1e-12 * modes.max())
 
 
 @pytest.mark.slow
@@ -203,7 +201,7 @@ def test_bloch_waves_are_the_modes_of_a_ring(name):
 def test_boundary_does_not_count(make):
     inside = make(boundary="fixed", **({"sites": 20} if make is two_masses else {}))
     ring = make(boundary="periodic", **({"sites": 20} if make is two_masses else {}))
-    np.testing.assert_allclose(
+    assert_allclose(
         linear.dispersion(inside, WAVES).omega,
         linear.dispersion(ring, WAVES).omega,
         rtol=1e-10,
@@ -214,12 +212,12 @@ def test_boundary_does_not_count(make):
 def test_walls_and_drives_do_not_count():
     ends = (Wall(Linear(5.0), "left", Harmonic(1.0, 2.0)), Drive(Harmonic(1.0, 1.0)), Damping(0.3))
     chain = springs(np.ones(10), 1.0, "free", *ends)
-    np.testing.assert_allclose(
+    assert_allclose(
         linear.dispersion(chain, WAVES).omega[:, 0], 2 * abs(np.sin(WAVES / 2)), atol=1e-12
     )
     modes = linear.normal_modes(chain)
     K = np.diag([6.0] + [2.0] * 8 + [1.0]) - np.eye(10, k=1) - np.eye(10, k=-1)
-    np.testing.assert_allclose(modes.omega_squared, np.linalg.eigvalsh(K), atol=1e-13)
+    assert_allclose(modes.omega_squared, np.linalg.eigvalsh(K), atol=1e-13)
 
 
 @pytest.mark.slow
@@ -232,10 +230,10 @@ def test_bloch_vectors_solve_the_lattice():
         force = [
             chain.force(0.0, 1e-7 * part, chain.zeros()) / 1e-7 for part in (wave.real, wave.imag)
         ]
-        np.testing.assert_allclose(
+        assert_allclose(
             (force[0] + 1j * force[1]), -(found.omega[band] ** 2) * chain.mass * wave, atol=1e-5
         )
-        np.testing.assert_allclose(
+        assert_allclose(
             np.sum(np.array([1, MASS]) * abs(found.vectors[:, band]) ** 2), 1, rtol=1e-13
         )
 
@@ -252,7 +250,7 @@ def test_shapes_of_vectors():
     parts = linear.dispersion(mass_in_mass(), WAVES).vectors
     assert parts["bead"].shape == parts["core"].shape == (11, 1, 2)
     weight = abs(parts["bead"]) ** 2 + 0.5 * abs(parts["core"]) ** 2
-    np.testing.assert_allclose(weight, 1.0, rtol=1e-13)
+    assert_allclose(weight, 1.0, rtol=1e-13)
 
 
 @pytest.mark.slow
@@ -263,9 +261,9 @@ def test_derivatives_of_bands(name):
     chain, h = RINGS[name], 1e-4
     here, after, before = (linear.dispersion(chain, WAVES + s) for s in (0, h, -h))
     slope, bend = here.group_velocity[MOVING], here.curvature[MOVING]
-    np.testing.assert_allclose(slope, (after.omega - before.omega)[MOVING] / (2 * h), atol=1e-7)
+    assert_allclose(slope, (after.omega - before.omega)[MOVING] / (2 * h), atol=1e-7)
     change = (after.group_velocity - before.group_velocity)[MOVING] / (2 * h)
-    np.testing.assert_allclose(bend, change, atol=2e-6)
+    assert_allclose(bend, change, atol=2e-6)
 
 
 def test_derivatives_of_bands_in_the_plane():
@@ -275,11 +273,11 @@ def test_derivatives_of_bands_in_the_plane():
     for axis in range(2):
         step = h * np.eye(2)[axis]
         after, before = linear.dispersion(chain, k + step), linear.dispersion(chain, k - step)
-        np.testing.assert_allclose(
+        assert_allclose(
             here.group_velocity[:, axis], (after.omega - before.omega) / (2 * h), atol=1e-7
         )
         change = (after.group_velocity - before.group_velocity) / (2 * h)
-        np.testing.assert_allclose(here.curvature[:, axis], change, atol=1e-6)
+        assert_allclose(here.curvature[:, axis], change, atol=1e-6)
 
 
 @pytest.mark.slow
@@ -287,14 +285,14 @@ def test_derivatives_that_do_not_exist_are_nan():
     # two cells in one: bands cross at pi; an acoustic band has a corner at 0
     folded = linear.dispersion(springs(np.ones(12)), np.array([0.0, np.pi]), cell=2)
     assert np.isnan(folded.group_velocity[1]).all() and np.isnan(folded.group_velocity[0, 0])
-    np.testing.assert_allclose(folded.group_velocity[0, 1], 0.0, atol=1e-12)
+    assert_allclose(folded.group_velocity[0, 1], 0.0, atol=1e-12)
     apart = Lattice(
         {"a": np.ones(6), "b": np.ones(6)},
         tuple(Bond(Shift(1, "periodic", name), Linear(1.0)) for name in "ab"),
     )
     together = linear.dispersion(apart, 1.0)
-    np.testing.assert_allclose(together.group_velocity, np.cos(0.5), rtol=1e-12)
-    np.testing.assert_allclose(together.curvature, -np.sin(0.5) / 2, rtol=1e-12)
+    assert_allclose(together.group_velocity, np.cos(0.5), rtol=1e-12)
+    assert_allclose(together.curvature, -np.sin(0.5) / 2, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -309,9 +307,9 @@ def test_derivatives_in_k_and_parameters():
 
     expected = jax.grad(closed, (0, 1))(0.4, 1.3)
     for derivative in (jax.grad, jax.jacfwd):
-        np.testing.assert_allclose(derivative(omega, (0, 1))(0.4, 1.3), expected, rtol=1e-10)
+        assert_allclose(derivative(omega, (0, 1))(0.4, 1.3), expected, rtol=1e-10)
     got = linear.dispersion(dimer(20, ratio=0.4, precompression=1.0), 1.3).group_velocity[0]
-    np.testing.assert_allclose(got, expected[1], rtol=1e-12)
+    assert_allclose(got, expected[1], rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -321,16 +319,16 @@ def test_edges_and_speed_are_differentiable_and_batched():
 
     ratios = jnp.array([0.3, 0.6])
     value, slope = jax.jit(jax.vmap(jax.value_and_grad(edge)))(ratios)
-    np.testing.assert_allclose(value, np.sqrt(3 / ratios), rtol=1e-12)
-    np.testing.assert_allclose(slope, -np.sqrt(3) / 2 * ratios**-1.5, rtol=1e-10)
+    assert_allclose(value, np.sqrt(3 / ratios), rtol=1e-12)
+    assert_allclose(slope, -np.sqrt(3) / 2 * ratios**-1.5, rtol=1e-10)
     chains = jax.vmap(lambda r: dimer(20, ratio=r, precompression=1.0), out_axes=-1)(ratios)
     speed = jax.vmap(lambda chain: linear.sound_speed(chain, cell=2), in_axes=-1)(chains)
-    np.testing.assert_allclose(speed, np.sqrt(3 / (1 + ratios)), rtol=1e-12)
+    assert_allclose(speed, np.sqrt(3 / (1 + ratios)), rtol=1e-12)
     slope = jax.grad(lambda r: linear.sound_speed(dimer(20, ratio=r, precompression=1.0)))(0.5)
-    np.testing.assert_allclose(slope, -np.sqrt(3) / 2 * 1.5**-1.5, rtol=1e-12)
+    assert_allclose(slope, -np.sqrt(3) / 2 * 1.5**-1.5, rtol=1e-12)
     omega = jax.vmap(lambda chain: linear.normal_modes(chain).omega, in_axes=-1)(chains)
     one = linear.normal_modes(dimer(20, ratio=0.6, precompression=1.0)).omega
-    np.testing.assert_allclose(omega[1], one, rtol=1e-12)
+    assert_allclose(omega[1], one, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -338,26 +336,26 @@ def test_normal_modes_are_normalised_and_differentiable():
     chain = random_cells("fixed")
     found = linear.normal_modes(chain)
     gram = found.modes.T @ (chain.mass[:, None] * found.modes)
-    np.testing.assert_allclose(gram, np.eye(20), atol=1e-13)
+    assert_allclose(gram, np.eye(20), atol=1e-13)
     # fixed ends, equal springs: omega_j = 2 sin(j pi/(2 (N + 1)))
     equal = linear.normal_modes(springs(np.ones(9))).omega
-    np.testing.assert_allclose(equal, 2 * np.sin(np.arange(1, 10) * np.pi / 20), rtol=1e-13)
+    assert_allclose(equal, 2 * np.sin(np.arange(1, 10) * np.pi / 20), rtol=1e-13)
     # d omega_j/dK = omega_j/(2 K) for all springs together
     slope = jax.jacrev(lambda K: linear.normal_modes(springs(np.ones(9), K)).omega)(1.0)
-    np.testing.assert_allclose(slope, equal / 2, rtol=1e-12)
+    assert_allclose(slope, equal / 2, rtol=1e-12)
     # a ring has pairs of equal frequencies; the sum over each pair is still smooth
     ring = jax.grad(lambda K: linear.normal_modes(springs(np.ones(8), K, "periodic")).omega.sum())(
         1.0
     )
-    np.testing.assert_allclose(ring, np.sin(np.arange(8) * np.pi / 8).sum(), rtol=1e-12)
+    assert_allclose(ring, np.sin(np.arange(8) * np.pi / 8).sum(), rtol=1e-12)
 
 
 def test_unstable_sites_have_negative_frequencies():
     # a site potential -u^2/2 over springs of stiffness 1/4: omega^2 = sin^2(k/2) - 1
     chain = springs(np.ones(8), 0.25, "periodic", OnSite(Linear(-1.0)))
-    np.testing.assert_allclose(linear.normal_modes(chain).omega_squared[0], -1.0, rtol=1e-13)
-    np.testing.assert_allclose(linear.normal_modes(chain).omega[0], -1.0, rtol=1e-13)
-    np.testing.assert_allclose(linear.dispersion(chain, 1.0).omega[0], -np.cos(0.5), rtol=1e-13)
+    assert_allclose(linear.normal_modes(chain).omega_squared[0], -1.0, rtol=1e-13)
+    assert_allclose(linear.normal_modes(chain).omega[0], -1.0, rtol=1e-13)
+    assert_allclose(linear.dispersion(chain, 1.0).omega[0], -np.cos(0.5), rtol=1e-13)
 
 
 def test_light_mass_defect():
@@ -365,8 +363,8 @@ def test_light_mass_defect():
     mass = np.ones(101)
     mass[50] = 0.6
     top = linear.normal_modes(springs(mass)).omega_squared
-    np.testing.assert_allclose(top[-1], 4 / (0.6 * 1.4), rtol=1e-13)
-    np.testing.assert_allclose(top[-1], 4.761904762, atol=1e-9)
+    assert_allclose(top[-1], 4 / (0.6 * 1.4), rtol=1e-13)
+    assert_allclose(top[-1], 4.761904762, atol=1e-9)
     assert top[-2] < 4
 
 
@@ -375,22 +373,22 @@ def test_ssh_states(first, expected):
     # springs 1, 2 in turn, 20 masses, walls: gap 2 ... 4 in omega^2; states only where the springs at the walls are 2
     chain = springs(np.ones(20), np.resize([first, 3 - first], 21))
     squared = linear.normal_modes(chain).omega_squared
-    np.testing.assert_allclose(squared[(squared > 2) & (squared < 4)], expected, atol=5e-9)
-    np.testing.assert_allclose(linear.bands(chain).gaps, [np.sqrt([2.0, 4.0])], rtol=1e-12)
+    assert_allclose(squared[(squared > 2) & (squared < 4)], expected, atol=5e-9)
+    assert_allclose(linear.bands(chain).gaps, [np.sqrt([2.0, 4.0])], rtol=1e-12)
 
 
 def test_bands_in_the_plane():
     # greatest omega^2 of the triangular lattice: 6 at M
     found = linear.bands(triangular())
-    np.testing.assert_allclose(found.upper[1], np.sqrt(6), rtol=1e-12)
+    assert_allclose(found.upper[1], np.sqrt(6), rtol=1e-12)
     assert found.gaps == [] and found.upper_k.shape == (2, 2)
 
 
 def test_edge_inside_the_zone():
     # omega^2 = 4 x + 16 x (1 - x), x = sin^2(k/2): greatest at x = 5/8, 6.25
     found = linear.bands(next_nearest())
-    np.testing.assert_allclose(found.upper, [2.5], rtol=1e-14)
-    np.testing.assert_allclose(np.sin(found.upper_k / 2) ** 2, 5 / 8, rtol=1e-6)
+    assert_allclose(found.upper, [2.5], rtol=1e-14)
+    assert_allclose(np.sin(found.upper_k / 2) ** 2, 5 / 8, rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -401,7 +399,7 @@ def test_long_reach_of_pairs_is_found():
         (Bond(Shift(1, "periodic"), Linear(1.0)), Bond(Pairs(n, (n + 5) % 30), Linear(0.2))),
     )
     expected = np.sqrt(4 * np.sin(WAVES / 2) ** 2 + 0.8 * np.sin(5 * WAVES / 2) ** 2)
-    np.testing.assert_allclose(linear.dispersion(chain, WAVES).omega[:, 0], expected, atol=1e-12)
+    assert_allclose(linear.dispersion(chain, WAVES).omega[:, 0], expected, atol=1e-12)
 
 
 def test_sonic_vacuum_has_zero_frequencies():
@@ -418,21 +416,19 @@ def test_sonic_vacuum_has_zero_frequencies():
 def test_single_precision():
     found = linear.bands(two_masses().astype(jnp.float32))
     assert found.upper.dtype == jnp.float32
-    np.testing.assert_allclose(found.upper, np.sqrt([3 / MASS, 3 * (1 + 1 / MASS)]), rtol=1e-6)
+    assert_allclose(found.upper, np.sqrt([3 / MASS, 3 * (1 + 1 / MASS)]), rtol=1e-6)
 
 
 def test_long_chains_take_little_memory():
     chain = dimer(20001, ratio=0.5, precompression=1.0)
-    np.testing.assert_allclose(
-        linear.dispersion(chain, np.pi).omega, np.sqrt([3.0, 6.0]), rtol=1e-13
-    )
+    assert_allclose(linear.dispersion(chain, np.pi).omega, np.sqrt([3.0, 6.0]), rtol=1e-13)
 
 
 @pytest.mark.slow
 def test_disordered_ring_as_one_cell():
     mass = np.random.default_rng(5).uniform(0.5, 1.5, 7)
     chain = springs(mass, 1.0, "periodic")
-    np.testing.assert_allclose(
+    assert_allclose(
         linear.dispersion(chain, 0.0, cell=7).omega_squared,
         linear.normal_modes(chain).omega_squared,
         atol=1e-13,
@@ -494,7 +490,7 @@ GYROSCOPIC = {
 
 @pytest.mark.parametrize("name", GYROSCOPIC)
 def test_gyroscopic_forces_are_refused_in_a_sentence(name):
-    with pytest.raises(ValueError, match=r"terms\[3\] \(Turning\).*gyroscopic.*floquet_bands"):
+    with refused(r"terms\[3\] \(Turning\).*gyroscopic.*floquet_bands"):
         GYROSCOPIC[name](gyroscopic())
 
 
@@ -516,7 +512,7 @@ def test_other_gyroscopic_forces_and_those_that_are_traced():
             lambda: jax.grad(lambda r: linear.dispersion(gyroscopic(r), K_POINT).omega[0])(0.7),
         ),
     ):
-        with pytest.raises(ValueError, match=match):
+        with refused(match):
             call()
 
 
@@ -555,7 +551,7 @@ def test_damping_leaves_the_undamped_frequencies(name):
     # in jit too, where a matrix that may be any is not taken for a damping
     traced = jax.jit(lambda x: linear.normal_modes(x).omega)
     if name == "matrix":
-        with pytest.raises(ValueError, match="keep a symmetric damping matrix outside of jit"):
+        with refused("keep a symmetric damping matrix outside of jit"):
             traced(damped)
     else:
         assert np.abs(traced(damped) - linear.normal_modes(plain).omega).max() < 1e-12
@@ -609,7 +605,7 @@ REFUSALS = {
 @pytest.mark.parametrize("name", REFUSALS)
 def test_refusals(name):
     call, message = REFUSALS[name]
-    with pytest.raises(ValueError, match=message):
+    with refused(message):
         call()
 
 
@@ -624,8 +620,22 @@ def test_refusals(name):
 def test_bands_of_a_sonic_vacuum_say_so(make):
     found = gx.linear.bands(make())
     assert not np.any(found.upper) and "sonic vacuum" in found.outcome
-    with pytest.raises(ValueError, match="sonic vacuum"):
+
+    with refused("sonic vacuum"):
         gx.linear.sound_speed(make())
+
+
+@pytest.mark.parametrize("axis", [0, -1])
+def test_a_batch_says_how_many_modes_and_bands_each_lane_has(axis):
+    def found(ratio):
+        ring = gx.scenes.dimer(6, ratio=ratio, precompression=1.0, boundary="periodic")
+        return linear.normal_modes(ring), linear.bands(ring, cell=2)
+
+    modes, bands = jax.vmap(found, out_axes=axis)(jnp.array([0.3, 0.5, 0.7]))
+    assert modes.outcome.startswith("6 modes in each of 3 lanes, up to 3.6")
+    assert bands.outcome == "2 bands in each of 3 lanes, cell of 2 sites."
+    alone = linear.bands(gx.scenes.dimer(6, ratio=0.5, precompression=1.0, boundary="periodic"))
+    assert alone.outcome == "2 bands, 1 gap, cell of 2 sites."
 
 
 def test_folded_bands_touch():
@@ -642,8 +652,8 @@ def test_shapes_of_modes():
 def test_waves_inside_jit():
     chain = two_masses(12)
     expected = linear.dispersion(chain, WAVES).omega
-    np.testing.assert_allclose(
+    assert_allclose(
         jax.jit(lambda k: linear.dispersion(chain, k).omega)(WAVES), expected, atol=1e-12
     )
     given = jax.jit(lambda chain, k: linear.dispersion(chain, k, cell=2).omega)
-    np.testing.assert_allclose(given(chain, WAVES), expected, atol=1e-12)
+    assert_allclose(given(chain, WAVES), expected, atol=1e-12)

@@ -2,6 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
 from granjax.newton import newton
@@ -116,11 +117,11 @@ def test_derivatives_of_the_root_in_the_arguments():
     root = lambda args: newton(meeting, GUESS, args, tolerance=1e-13).x
     first = differences(root, ARGS, 1e-5)
     forward, reverse = jax.jacfwd(root), jax.jacrev(root)
-    np.testing.assert_allclose(forward(ARGS), first, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(reverse(ARGS), first, rtol=0, atol=1e-9)
+    assert_allclose(forward(ARGS), first, rtol=0, atol=1e-9)
+    assert_allclose(reverse(ARGS), first, rtol=0, atol=1e-9)
     second = differences(forward, ARGS, 1e-5)
     for way in (jax.jacfwd(forward), jax.jacrev(forward)):
-        np.testing.assert_allclose(jax.jit(way)(ARGS), second, rtol=0, atol=1e-9)
+        assert_allclose(jax.jit(way)(ARGS), second, rtol=0, atol=1e-9)
     assert np.abs(first).min() > 0.05 and np.abs(second).min() > 0.005
 
 
@@ -133,11 +134,11 @@ def test_inside_jit_and_vmap():
     several = jnp.stack([ARGS, jnp.array([9.0, 0.5]), jnp.array([-1.0, 1.0])])
     roots = jax.jit(jax.vmap(find))(several)
     assert list(roots.converged) == [True, True, False]
-    np.testing.assert_allclose(roots.x[0], one.x, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(roots.x[1], find(several[1]).x, rtol=0, atol=1e-13)
+    assert_allclose(roots.x[0], one.x, rtol=0, atol=1e-13)
+    assert_allclose(roots.x[1], find(several[1]).x, rtol=0, atol=1e-13)
     assert roots.iterations[0] == one.iterations
     assert "Newton did not converge" in roots.outcome  # the worst of them
-    np.testing.assert_allclose(
+    assert_allclose(
         jax.vmap(jax.jacrev(lambda a: find(a).x))(several[:2])[0],
         jax.jacfwd(lambda a: find(a).x)(ARGS),
         rtol=0,
@@ -159,8 +160,8 @@ def test_a_given_linearisation_is_used():
     # a wrong slope converges slower, to the same root: the derivative is that of the residual
     half = lambda x, args: (meeting(x, args), 2 * jax.jacfwd(meeting)(x, args))
     slow = lambda args: newton(meeting, GUESS, args, linearise=half, max_steps=60).x
-    np.testing.assert_allclose(slow(ARGS), root.x, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(
+    assert_allclose(slow(ARGS), root.x, rtol=0, atol=1e-9)
+    assert_allclose(
         jax.jacfwd(slow)(ARGS),
         jax.jacfwd(lambda a: newton(meeting, GUESS, a).x)(ARGS),
         rtol=0,

@@ -1,20 +1,14 @@
 """The pages of docs/: their blocks run, from top to bottom of each; their names and links exist."""
 
 import contextlib
-import importlib.util
 import io
-import os
 import re
 from pathlib import Path
 
-import matplotlib
+import public
 import pytest
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-
-import granjax as gx  # noqa: E402
+import granjax as gx
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -28,24 +22,11 @@ FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.M | re.S)
 # of what a reader runs, and of what only shows
 LANGUAGES = {"python", "text", "toml", "matlab", "bibtex", "{toctree}"}
 
-spec = importlib.util.spec_from_file_location("public", DOCS / "public.py")
-public = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(public)
 NAMES = {f"{page}.{name}" for page, name, _ in public.objects(gx)}
 
 
 def blocks(page):
     return [code for language, code in FENCE.findall(page.read_text()) if language == "python"]
-
-
-@pytest.fixture
-def elsewhere(tmp_path, monkeypatch):
-    """A folder that looks like the repository's, to run in and to write to."""
-    for name in ("notebooks", "benchmarks"):
-        os.symlink(ROOT / name, tmp_path / name)
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
-    plt.close("all")
 
 
 @pytest.mark.site
@@ -59,7 +40,6 @@ def test_a_page_runs_from_top_to_bottom(page, elsewhere):
     with contextlib.redirect_stdout(io.StringIO()):
         for number, block in enumerate(blocks(page), 1):
             exec(compile(block, f"{page.name}, block {number}", "exec"), space)
-    plt.close("all")
 
 
 def test_there_are_pages():

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from refusals import refused
 
 import granjax as gx
 
@@ -178,7 +179,7 @@ def test_what_needs_the_present_alone_refuses():
             )
         ),
     ):
-        with pytest.raises(ValueError, match="remember|memory"):
+        with refused("remember|memory"):
             call()
     for how in (
         {"solver": gx.SRKN11b()},
@@ -186,7 +187,7 @@ def test_what_needs_the_present_alone_refuses():
         {"adjoint": gx.Reversible()},
         {"save_at": "steps"},
     ):
-        with pytest.raises(ValueError, match=next(iter(how))):
+        with refused(next(iter(how))):
             gx.simulate(chain, rest, 1.0, **how)
-    with pytest.raises(ValueError, match="unloading"):
+    with refused("unloading"):
         gx.WaltonBraun(2.0, 1.0)

@@ -5,18 +5,16 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray
+from matplotlib.animation import FuncAnimation
+from PIL import Image
+from refusals import refused
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-import xarray  # noqa: E402
-from matplotlib.animation import FuncAnimation  # noqa: E402
-from PIL import Image  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax.plots.style import shown, units_of  # noqa: E402
+import granjax as gx
+from granjax.plots.style import shown, units_of
 
 plots = gx.plots
 
@@ -70,7 +68,7 @@ def test_a_real_run_and_its_displacements(ax):
 def test_the_end_alone_is_no_history(ax, draw):
     chain = gx.scenes.monomer(6)
     run = gx.simulate(chain, gx.states.impact(chain), 1.0, step=0.1)
-    with pytest.raises(ValueError, match="a run with several frames, got one .* save_at=401"):
+    with refused("a run with several frames, got one .* save_at=401"):
         draw(run, ax=ax)
 
 
@@ -129,7 +127,7 @@ BAD_MAPS = [
 
 @pytest.mark.parametrize("options, message", BAD_MAPS, ids=[str(list(o)) for o, _ in BAD_MAPS])
 def test_bad_maps_are_refused(ax, record, options, message):
-    with pytest.raises(ValueError, match=message):
+    with refused(message):
         plots.space_time(record, ax, **options)
 
 
@@ -139,7 +137,7 @@ def test_named_fields_are_refused_by_name(ax, record):
         {"bead": record.us, "resonator": record.us},
         {"bead": record.vs, "resonator": record.vs},
     )
-    with pytest.raises(ValueError, match="'bead', 'resonator'"):
+    with refused("'bead', 'resonator'"):
         plots.space_time(cell, ax)
 
 
@@ -189,17 +187,6 @@ def test_transmission_is_drawn_over_rising_ratios(ax):
         "anti-resonance",
     ]
     assert "mass ratio" in ax.get_xlabel()
-
-
-@pytest.mark.parametrize(
-    "arguments, message",
-    [
-        (([0.5, 1.5], [1.0, 1.0]), "mass_ratio"),
-    ],
-)
-def test_bad_transmission_is_refused(ax, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        plots.transmission(*arguments, ax)
 
 
 @pytest.mark.slow
@@ -253,23 +240,11 @@ def test_bands_of_a_larger_cell_are_repeated_over_the_zone_of_the_sites(ax):
     np.testing.assert_allclose(np.concatenate([e for e in edge if e.size]), 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "curve, spectrum, message",
-    [
-        (Curve(np.zeros((3, 2)), np.zeros((3, 1)), (1, 1)), None, r"k of shape \(K,\)"),
-    ],
-)
-def test_bad_dispersion_is_refused(ax, curve, spectrum, message):
-    with pytest.raises(ValueError, match=message):
-        plots.dispersion(curve, ax, spectrum=spectrum)
-
-
 def test_without_axes_a_figure_of_the_house_style_is_made(record):
     before = dict(matplotlib.rcParams)
     ax = plots.space_time(record)
     assert ax.figure.number in plt.get_fignums()
     assert ax.xaxis.label.get_size() == 10.0
-    plt.close(ax.figure)
     assert dict(matplotlib.rcParams) == before
 
 
@@ -279,7 +254,7 @@ def test_a_figure_is_saved_without_pyplot(tmp_path):
     path = plots.save(figure, tmp_path / "a.png", dpi=100)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert plt.imread(path).shape[:2] == (200, 300)
-    with pytest.raises(ValueError, match="width"):
+    with refused("width"):
         plots.figure(0.0)
 
 
@@ -303,13 +278,13 @@ def test_whatever_a_plot_returns_is_saved(tmp_path):
         )
     ):
         assert plots.save(made, tmp_path / f"{k}.pdf", dpi=50).read_bytes().startswith(b"%PDF")
-    with pytest.raises(ValueError, match="made: expected Axes of one figure"):
+    with refused("made: expected Axes of one figure"):
         plots.save([axes[0], part], tmp_path / "none.png")
-    with pytest.raises(ValueError, match="dpi: expected"):
+    with refused("dpi: expected"):
         plots.save(figure, tmp_path / "none.png", dpi=0)
     film = FuncAnimation(figure, lambda k: axes[0].plot([0, k]), frames=2)
     assert plots.save(film, tmp_path / "film.gif", dpi=20).read_bytes().startswith(b"GIF8")
-    with pytest.raises(ValueError, match="path: expected one of '.gif'"):
+    with refused("ending: expected one of '.gif'"):
         plots.save(film, tmp_path / "film.png")
 
 
@@ -372,7 +347,7 @@ def test_a_variable_of_a_dataset_says_its_unit(ax):
 
 
 def test_results_in_si_and_scaled_make_no_picture_together():
-    with pytest.raises(ValueError, match="all in SI or all scaled"):
+    with refused("all in SI or all scaled"):
         units_of(SimpleNamespace(units="SI"), None, SimpleNamespace(units="scaled"))
 
 

@@ -2,16 +2,13 @@
 
 from typing import NamedTuple
 
-import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.patches import Ellipse
+from numpy.testing import assert_allclose
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from matplotlib.patches import Ellipse  # noqa: E402
-
-from granjax.plots import COLOURS, fits  # noqa: E402
+from granjax.plots import COLOURS, fits
 
 
 class Trace(NamedTuple):
@@ -54,12 +51,6 @@ def record():
     )
 
 
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
-
-
 def test_every_sensor_has_its_data_its_fit_and_its_residuals():
     result = record()
     axes = fits.fit(result)
@@ -67,9 +58,9 @@ def test_every_sensor_has_its_data_its_fit_and_its_residuals():
     sensors = [(0, 0), (0, 1), (1, 0)]
     for (upper, lower), (k, s) in zip(axes.T, sensors):
         data, fitted = upper.lines
-        np.testing.assert_allclose(data.get_xdata(), 1e3 * result.traces[k].times)
-        np.testing.assert_allclose(data.get_ydata(), result.traces[k].data[:, s])
-        np.testing.assert_allclose(fitted.get_ydata(), result.signals[k][:, s])
+        assert_allclose(data.get_xdata(), 1e3 * result.traces[k].times)
+        assert_allclose(data.get_ydata(), result.traces[k].data[:, s])
+        assert_allclose(fitted.get_ydata(), result.signals[k][:, s])
         known = np.isfinite(result.traces[k].data[:, s])
         np.testing.assert_array_equal(lower.lines[0].get_ydata(), result.residuals[k][known, s])
         assert (
@@ -111,15 +102,13 @@ def test_corner_draws_the_contours_of_the_covariance():
         points = patch.get_patch_transform().transform(patch.get_path().interpolated(1).vertices)
         # vertices on the curve: every third of the cubic Bezier path
         offsets = points[:-1:3] - [1.7, 9.8]
-        np.testing.assert_allclose(
+        assert_allclose(
             np.einsum("ki,ij,kj->k", offsets, np.linalg.inv(matrix), offsets), sigma**2, rtol=1e-9
         )
     (truth,) = [line for line in axes[1, 0].lines if line.get_color() == COLOURS[1]]
-    np.testing.assert_allclose(truth.get_ydata(), 9.9)
+    assert_allclose(truth.get_ydata(), 9.9)
     curve = axes[0, 0].lines[0]
-    np.testing.assert_allclose(
-        curve.get_ydata(), np.exp(-0.5 * ((curve.get_xdata() - 1.7) / 0.2) ** 2)
-    )
+    assert_allclose(curve.get_ydata(), np.exp(-0.5 * ((curve.get_xdata() - 1.7) / 0.2) ** 2))
 
 
 def test_corner_refuses_what_it_cannot_draw():

@@ -1,15 +1,12 @@
 """Pictures of travelling waves, and how far closed forms are from them."""
 
-import matplotlib
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
 
-matplotlib.use("Agg")
-
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax import plots  # noqa: E402
-from granjax.travelling import closed_forms, solitary_wave  # noqa: E402
+import granjax as gx
+from granjax import plots
+from granjax.travelling import closed_forms, solitary_wave
 
 
 @pytest.fixture(scope="module")
@@ -22,10 +19,10 @@ def test_a_wave_its_slope_and_its_contacts(toda):
     other = gx.theory.toda.soliton(toda.xi, 0.0, 1.0).strain
     ax = plots.wave(toda, beside={"Toda": other})
     strain, slope, beside, nodes = ax.lines
-    np.testing.assert_allclose(strain.get_ydata(), beside.get_ydata(), atol=1e-12)
+    assert_allclose(strain.get_ydata(), beside.get_ydata(), atol=1e-12)
     numeric = np.gradient(strain.get_ydata(), strain.get_xdata())
-    np.testing.assert_allclose(slope.get_ydata(), numeric, atol=2e-2)
-    np.testing.assert_allclose(nodes.get_ydata(), toda.strain(nodes.get_xdata()), rtol=1e-12)
+    assert_allclose(slope.get_ydata(), numeric, atol=2e-2)
+    assert_allclose(nodes.get_ydata(), toda.strain(nodes.get_xdata()), rtol=1e-12)
     assert set(np.diff(nodes.get_xdata())) == {1.0} and ax.get_ylabel().startswith("strain")
 
 
@@ -37,13 +34,11 @@ def test_a_wave_of_steel_beads_has_units():
     wave = solitary_wave(chain, speed=1.1 * float(gx.linear.sound_speed(chain)))
     assert wave.units == "SI" and plots.wave(wave).get_ylabel() == "strain (µm)"
     ax = plots.wave(wave)
-    np.testing.assert_allclose(
-        ax.lines[0].get_ydata().max(), 1e6 * float(wave.amplitude), rtol=1e-6
-    )
+    assert_allclose(ax.lines[0].get_ydata().max(), 1e6 * float(wave.amplitude), rtol=1e-6)
     found = closed_forms(chain, float(wave.speed))
     scaled = closed_forms(gx.Hertz(1.0, 1.0), 1.1 * 1.5**0.5)
-    np.testing.assert_allclose(found.kdv_error, scaled.kdv_error, rtol=1e-9)
-    np.testing.assert_allclose(found.toda_error, scaled.toda_error, rtol=1e-9)
+    assert_allclose(found.kdv_error, scaled.kdv_error, rtol=1e-9)
+    assert_allclose(found.toda_error, scaled.toda_error, rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -57,7 +52,7 @@ def test_a_front_with_its_tails():
     front = gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=1.0)
     ax = plots.wave(front)
     line, dots = ax.lines[:2]
-    np.testing.assert_allclose(line.get_ydata(), front.strain(line.get_xdata()))
+    assert_allclose(line.get_ydata(), front.strain(line.get_xdata()))
     assert (
         ax.get_ylabel().startswith("strain")
         and "contacts" in ax.get_xlabel()

@@ -43,42 +43,6 @@ def test_dimer_contact_forces():
     assert np.max(np.abs(peak - [0.30190477, 0.25740781, 0.23094347])) < 2e-8
 
 
-@pytest.mark.study
-def test_wall_minimum_of_the_dimer():
-    # fixed wall after 101 beads: minimum of the transmitted force at 0.595, 0.2096 of the monomer's
-    ratios = jnp.append(jnp.linspace(0.58, 0.61, 31), 1.0)
-    chains = jax.vmap(lambda r: gx.scenes.dimer(101, ratio=r), out_axes=-1)(ratios)
-    wall = gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y)[-1])
-    run = gx.simulate(chains, gx.states.impact(chains), 260.0, step=0.02, record={"wall": wall})
-    transmission = np.asarray(run.recorded["wall"] / run.recorded["wall"][-1])
-    lowest = int(np.argmin(transmission))
-    assert abs(float(ratios[lowest]) - 0.595) <= 0.005
-    assert abs(transmission[lowest] - 0.2096) <= 0.001
-
-
-@pytest.mark.study
-def test_toda_soliton_after_500_sites():
-    # closed form: exp(y_n) - 1 = sinh^2 k sech^2(k (n - n0) - t sinh k), speed sinh k/k
-    k, sites, start = 1.0, 640, 60.5
-    chain = gx.scenes.toda(sites, boundary="free")
-    n = np.arange(sites)
-
-    def exact(t):
-        # u_n = ln(tau_n / tau_{n+1}) up to a constant, tau_n = 1 + exp(2 (k (n - start) - t sinh k))
-        phase = k * (n - 0.5 - start) - t * np.sinh(k)
-        near, far = np.logaddexp(0, 2 * phase), np.logaddexp(0, 2 * (phase + k))
-        return near - far, 2 * np.sinh(k) * (expit(2 * (phase + k)) - expit(2 * phase))
-
-    t1 = 500 * k / np.sinh(k)
-    run = gx.simulate(chain, gx.State(*exact(0.0)), t1, step=0.05)
-    u, v = exact(t1)
-    assert np.max(np.abs(run.final.u - u)) < 1e-9
-    assert np.max(np.abs(run.final.v - v)) < 1e-9
-    y = run.final.u[:-1] - run.final.u[1:]
-    crest = np.sinh(k) / np.cosh(k * (n[:-1] + 0.5 - start) - t1 * np.sinh(k))
-    assert np.max(np.abs(jnp.expm1(y) - crest**2)) < 1e-9
-
-
 @pytest.mark.slow
 def test_fput_energy_and_first_recurrence():
     # H of the first mode, a = 1; first recurrence t = 9376.5 (E1/H = 0.9813), minimum 0.0882 at t = 6275.5
@@ -140,3 +104,26 @@ def test_energy_band_of_a_precompressed_chain(step, band):
     assert np.max(np.abs(relative)) < band
     slope = np.polyfit(np.asarray(run.ts), relative, 1)[0]
     assert abs(slope) * 1e5 < np.ptp(relative)
+
+
+@pytest.mark.study
+def test_toda_soliton_after_500_sites():
+    # closed form: exp(y_n) - 1 = sinh^2 k sech^2(k (n - n0) - t sinh k), speed sinh k/k
+    k, sites, start = 1.0, 640, 60.5
+    chain = gx.scenes.toda(sites, boundary="free")
+    n = np.arange(sites)
+
+    def exact(t):
+        # u_n = ln(tau_n / tau_{n+1}) up to a constant, tau_n = 1 + exp(2 (k (n - start) - t sinh k))
+        phase = k * (n - 0.5 - start) - t * np.sinh(k)
+        near, far = np.logaddexp(0, 2 * phase), np.logaddexp(0, 2 * (phase + k))
+        return near - far, 2 * np.sinh(k) * (expit(2 * (phase + k)) - expit(2 * phase))
+
+    t1 = 500 * k / np.sinh(k)
+    run = gx.simulate(chain, gx.State(*exact(0.0)), t1, step=0.05)
+    u, v = exact(t1)
+    assert np.max(np.abs(run.final.u - u)) < 1e-9
+    assert np.max(np.abs(run.final.v - v)) < 1e-9
+    y = run.final.u[:-1] - run.final.u[1:]
+    crest = np.sinh(k) / np.cosh(k * (n[:-1] + 0.5 - start) - t1 * np.sinh(k))
+    assert np.max(np.abs(jnp.expm1(y) - crest**2)) < 1e-9

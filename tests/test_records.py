@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import granjax as gx
 from granjax.flow.record.within import crossing, guesses, lobatto, mean, series, tops
@@ -87,14 +88,14 @@ def test_samples_of_a_step_give_tops_crossings_and_a_mean():
     found = tops(q, guesses(q, 2))
     height = np.maximum(*(np.asarray(top.height) for top in found))
     true = np.array([wave(fine).max() for wave in waves])
-    np.testing.assert_allclose(np.maximum(height, q.max(0)), true, atol=2e-9)
+    assert_allclose(np.maximum(height, q.max(0)), true, atol=2e-9)
     # of three, two are tops and the last lies between the end and the sample beside it
-    np.testing.assert_allclose(found[0].place[2], -0.97, atol=1e-9)
+    assert_allclose(found[0].place[2], -0.97, atol=1e-9)
     there = jnp.array([True, True, False])
     ends = jnp.array([-0.5, -0.5, 0.0]), jnp.array([0.3, 0.05, 0.0])
     at = crossing(series(q), jnp.array([0.5, 0.8, 9.0]), *ends, there)
-    np.testing.assert_allclose([waves[0](at[0]), waves[1](at[1])], [0.5, 0.8], atol=1e-9)
-    np.testing.assert_allclose(mean(q)[0], np.sin(0.3) * np.sin(3) / 3, atol=1e-13)
+    assert_allclose([waves[0](at[0]), waves[1](at[1])], [0.5, 0.8], atol=1e-9)
+    assert_allclose(mean(q)[0], np.sin(0.3) * np.sin(3) / 3, atol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -174,14 +175,14 @@ def test_errors_pass_through_transformations(site):
     for name in ("peak", "when"):
         at_first = mapped[name][0], mapped_after.error.records[name][0]
         for other in (within[name], after.error.records[name], *at_first):
-            np.testing.assert_allclose(other, error[name], rtol=1e-3, atol=1e-14)
+            assert_allclose(other, error[name], rtol=1e-3, atol=1e-14)
 
     def peak(speed):
         found, error = both(speed)
         return found.recorded["peak"], error["peak"]
 
     slopes = jax.jacfwd(peak)(1.0)
-    np.testing.assert_allclose(slopes, (1.0, 0.0), atol=1e-6)
+    assert_allclose(slopes, (1.0, 0.0), atol=1e-6)
     data = one.to_xarray()
     assert (
         data.attrs["error_peak"] == float(error["peak"])
@@ -204,10 +205,10 @@ def test_derivatives_of_records_in_both_modes(site):
     s = 1.05
     bend = np.sqrt(s**2 - 0.81)
     first = np.array([1.0, -0.9 / (s * bend), 2 * s * (3.5 - np.sin(14) / 4)])
-    np.testing.assert_allclose(jax.jacfwd(records)(s), first, rtol=2e-6)
-    np.testing.assert_allclose(jax.jacrev(records)(s), first, rtol=2e-6)
+    assert_allclose(jax.jacfwd(records)(s), first, rtol=2e-6)
+    assert_allclose(jax.jacrev(records)(s), first, rtol=2e-6)
     second = np.array([0.0, 0.9 * (2 * s**2 - 0.81) / (s**2 * bend**3), 2 * (3.5 - np.sin(14) / 4)])
-    np.testing.assert_allclose(jax.jacfwd(jax.jacfwd(records))(s), second, rtol=1e-5, atol=1e-6)
+    assert_allclose(jax.jacfwd(jax.jacfwd(records))(s), second, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.study

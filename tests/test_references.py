@@ -1,18 +1,15 @@
 """The maker of the canonical scenes' references, benchmarks/make_references.py."""
 
 import ast
-import sys
 from pathlib import Path
 
+import make_references
 import numpy as np
 import pytest
+import scenes
+from references import equations, integrators
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-sys.path.append(str(BENCHMARKS))
-
-import make_references  # noqa: E402
-import scenes  # noqa: E402
-from references import equations, integrators  # noqa: E402
 
 EXTENDED = np.finfo(np.longdouble).precision >= integrators.FEWEST_DIGITS
 extended_only = pytest.mark.skipif(

@@ -1,26 +1,31 @@
 """The review's figures, docs/review: each number is the known one, and every axis of the picture says what it shows."""
 
 import json
+import os
 from importlib import import_module
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import pytest  # noqa: E402
+import jax
+import matplotlib.pyplot as plt
+import pytest
 
 FOLDER = Path(__file__).parents[1] / "docs" / "review"
 FIGURES = sorted(path.stem for path in FOLDER.glob("*_*.py"))
+
+
+@pytest.fixture
+def optimised():
+    """The figures' programs are optimised: they compute for longer than that takes."""
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    cheap = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
+    jax.config.update("jax_disable_most_optimizations", cheap)
 
 
 @pytest.fixture(autouse=True)
 def neighbours(monkeypatch):
     """The scripts import one another, as from the command line."""
     monkeypatch.syspath_prepend(FOLDER)
-    yield
-    plt.close("all")
 
 
 def test_all_sixteen_are_made_and_stored():
@@ -38,6 +43,7 @@ def test_all_sixteen_are_made_and_stored():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_has_its_numbers_and_labels(name):
     rows = import_module(name).make()

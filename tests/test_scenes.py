@@ -2,6 +2,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 from scipy.integrate import solve_ivp
 
 import granjax as gx
@@ -47,7 +49,7 @@ def random_state(lattice, scale=0.3, seed=0):
 def same_acceleration(first, second, rtol=1e-14):
     u, v = random_state(first)
     a, b = first.acceleration(0.0, u, v), second.acceleration(0.0, u, v)
-    np.testing.assert_allclose(a, b, rtol=rtol, atol=rtol * float(jnp.abs(a).max()))
+    assert_allclose(a, b, rtol=rtol, atol=rtol * float(jnp.abs(a).max()))
 
 
 @pytest.mark.slow
@@ -55,9 +57,9 @@ def same_acceleration(first, second, rtol=1e-14):
 def test_rest_is_an_equilibrium(make):
     lattice = make()
     z = lattice.zeros()
-    np.testing.assert_array_equal(lattice.force(0.0, z, z), 0.0)
+    assert_array_equal(lattice.force(0.0, z, z), 0.0)
     # the preloads of neighbouring contacts balance
-    np.testing.assert_allclose(lattice.unbalanced(), 0.0, atol=1e-15)
+    assert_allclose(lattice.unbalanced(), 0.0, atol=1e-15)
     u, v = random_state(lattice, 1e-7)
     assert jnp.abs(lattice.force(0.0, u, v)).max() > 0
 
@@ -66,9 +68,9 @@ def test_rest_is_an_equilibrium(make):
 def test_free_ends_are_held_by_the_preload(make):
     lattice = make()
     z = lattice.zeros()
-    np.testing.assert_array_equal(lattice.force(0.0, z, z), 0.0)
+    assert_array_equal(lattice.force(0.0, z, z), 0.0)
     F0 = float(lattice.terms[0].law.preload)
-    np.testing.assert_allclose(lattice.unbalanced(), [-F0] + [0] * 5 + [F0], atol=1e-15)
+    assert_allclose(lattice.unbalanced(), [-F0] + [0] * 5 + [F0], atol=1e-15)
 
 
 def test_monomer_acceleration_is_the_equation():
@@ -77,7 +79,7 @@ def test_monomer_acceleration_is_the_equation():
     u, v = random_state(lattice)
     padded = np.concatenate([[0], np.asarray(u), [0]])
     F = 3 * np.maximum((0.5 / 3) ** (2 / 3) - np.diff(padded), 0) ** 1.5
-    np.testing.assert_allclose(lattice.acceleration(0.0, u, v), (F[:-1] - F[1:]) / 2, rtol=1e-12)
+    assert_allclose(lattice.acceleration(0.0, u, v), (F[:-1] - F[1:]) / 2, rtol=1e-12)
 
 
 def test_a_chain_of_a_law_is_its_equation():
@@ -87,22 +89,22 @@ def test_a_chain_of_a_law_is_its_equation():
     u, v = random_state(lattice)
     F = 0.7 * np.expm1(-1.2 * np.diff(np.concatenate([[0], np.asarray(u), [0]])))
     a = (F[:-1] - F[1:] - 0.3 / 2 * np.sin(2 * u)) / 2 - 0.1 * v
-    np.testing.assert_allclose(lattice.acceleration(0.0, u, v), a, rtol=1e-12)
+    assert_allclose(lattice.acceleration(0.0, u, v), a, rtol=1e-12)
     assert lattice.units == "SI"
 
 
 def test_a_crystal_of_a_cell_of_ones_own():
     diagonals = [scenes.Tie("a", "a", offset) for offset in ((1, 1), (1, -1))]
-    cell = scenes.Cell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, tuple(diagonals))
+    cell = scenes.CrystalCell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, tuple(diagonals))
     lattice = scenes.crystal(cell, 3, 4, stiffness=(2.0, 3.0), spacing=0.5, boundary="free")
     assert lattice.shape == (3, 4, 2)
     u = np.zeros((3, 4, 2))
     u[1, 1] = 1e-7, 0.0
     force = lattice.force(0.0, jnp.asarray(u), jnp.zeros(u.shape))
     # the springs make angles of 45 degrees with the displacement
-    np.testing.assert_allclose(force[1, 1], [-5e-7, 1e-7], atol=1e-12)
-    np.testing.assert_allclose(force[2, 2], [1e-7, 1e-7], atol=1e-12)
-    with pytest.raises(ValueError, match="m: expected None for a cell"):
+    assert_allclose(force[1, 1], [-5e-7, 1e-7], atol=1e-12)
+    assert_allclose(force[2, 2], [1e-7, 1e-7], atol=1e-12)
+    with refused("m: expected None for a cell"):
         scenes.crystal(cell._replace(vectors=cell.vectors[:1]), 3, 4)
 
 
@@ -118,7 +120,7 @@ def test_what_a_scene_passes_on_is_named_where_it_is_wrong():
     ):
         with pytest.raises(TypeError, match="stifness"):
             scene(stifness=1.0)
-    with pytest.raises(ValueError, match="outline: expected one of 'cells'"):
+    with refused("outline: expected one of 'cells'"):
         scenes.ssh(4, outline="rectangle")
 
 
@@ -131,9 +133,9 @@ def test_fput_and_toda_accelerations_are_their_equations():
     u, v = random_state(lattice)
     e = -np.diff(np.concatenate([[0], np.asarray(u), [0]]))
     F = e + 0.25 * e**2 + 0.7 * e**3
-    np.testing.assert_allclose(lattice.acceleration(0.0, u, v), F[:-1] - F[1:], rtol=1e-12)
+    assert_allclose(lattice.acceleration(0.0, u, v), F[:-1] - F[1:], rtol=1e-12)
     F = np.concatenate([[1], np.exp(-np.diff(np.asarray(u))), [1]])
-    np.testing.assert_allclose(scenes.toda(8).acceleration(0.0, u, v), F[:-1] - F[1:], rtol=1e-12)
+    assert_allclose(scenes.toda(8).acceleration(0.0, u, v), F[:-1] - F[1:], rtol=1e-12)
 
 
 def test_a_mass_that_is_one_number_stays_one_and_is_spread_on_request():
@@ -143,18 +145,16 @@ def test_a_mass_that_is_one_number_stays_one_and_is_spread_on_request():
         (scenes.square(2, mass=2.0), (2, 2, 2)),
     ):
         assert scene.mass.shape[:1] in ((), (1,)) and float(scene.mass.max()) == 2.0
-        np.testing.assert_array_equal(gx.lattice.spread_mass(scene), np.full(count, 2.0))
-    np.testing.assert_array_equal(gx.lattice.spread_mass(scenes.dimer(3, 0.5)), [1, 0.5, 1])
+        assert_array_equal(gx.lattice.spread_mass(scene), np.full(count, 2.0))
+    assert_array_equal(gx.lattice.spread_mass(scenes.dimer(3, 0.5)), [1, 0.5, 1])
 
 
 def test_masses_of_the_patterns():
-    np.testing.assert_array_equal(scenes.dimer(5, 0.25).mass, [1, 0.25, 1, 0.25, 1])
-    np.testing.assert_array_equal(scenes.trimer(5, (0.5, 0.25)).mass, [1, 0.5, 0.25, 1, 0.5])
-    np.testing.assert_array_equal(scenes.n_to_one(5, 2, 0.5).mass, [1, 1, 0.5, 1, 1])
-    np.testing.assert_array_equal(
-        scenes.defects(5, {1: 3.0, -1: 4.0}, mass=2.0).mass, [2, 3, 2, 2, 4]
-    )
-    np.testing.assert_array_equal(scenes.pattern(4, np.array([3.0, 2.0])).mass, [3, 2, 3, 2])
+    assert_array_equal(scenes.dimer(5, 0.25).mass, [1, 0.25, 1, 0.25, 1])
+    assert_array_equal(scenes.trimer(5, (0.5, 0.25)).mass, [1, 0.5, 0.25, 1, 0.5])
+    assert_array_equal(scenes.n_to_one(5, 2, 0.5).mass, [1, 1, 0.5, 1, 1])
+    assert_array_equal(scenes.defects(5, {1: 3.0, -1: 4.0}, mass=2.0).mass, [2, 3, 2, 2, 4])
+    assert_array_equal(scenes.pattern(4, np.array([3.0, 2.0])).mass, [3, 2, 3, 2])
 
 
 def test_a_uniform_chain_keeps_its_numbers_as_numbers():
@@ -200,21 +200,21 @@ def test_a_taper_is_a_chain_of_spheres_of_one_material():
     radii = R0 * (1 - q) ** np.arange(7)
     real = scenes.beads("PTFE", radii, boundary="free")
     ideal = scenes.taper(7, q, boundary="free")
-    np.testing.assert_allclose(real.mass / bead_mass("PTFE", R0), ideal.mass, rtol=1e-14)
+    assert_allclose(real.mass / bead_mass("PTFE", R0), ideal.mass, rtol=1e-14)
     A = real.terms[0].law.stiffness
-    np.testing.assert_allclose(A / A[0], ideal.terms[0].law.stiffness, rtol=1e-14)
+    assert_allclose(A / A[0], ideal.terms[0].law.stiffness, rtol=1e-14)
 
 
 def test_disorder_is_seeded_and_bounded():
     first = scenes.disordered(4000, 0.3, 7).mass
-    np.testing.assert_array_equal(first, scenes.disordered(4000, 0.3, jax.random.key(7)).mass)
+    assert_array_equal(first, scenes.disordered(4000, 0.3, jax.random.key(7)).mass)
     assert not np.array_equal(first, scenes.disordered(4000, 0.3, 8).mass)
     assert first.min() >= 0.7 and first.max() <= 1.3
     # four standard errors of 4000 uniform draws: 4 * 0.3/sqrt(3)/sqrt(4000) = 0.011
-    np.testing.assert_allclose(first.mean(), 1.0, atol=0.011)
-    np.testing.assert_allclose(first.std(), 0.3 / np.sqrt(3), rtol=0.04)
+    assert_allclose(first.mean(), 1.0, atol=0.011)
+    assert_allclose(first.std(), 0.3 / np.sqrt(3), rtol=0.04)
     binary = scenes.disordered(200, 0.3, distribution="binary").mass
-    np.testing.assert_allclose(np.unique(binary), [0.7, 1.3], rtol=1e-15)
+    assert_allclose(np.unique(binary), [0.7, 1.3], rtol=1e-15)
 
 
 SWEPT = {
@@ -247,9 +247,7 @@ def test_a_batch_equals_a_loop_and_its_lanes_are_trailing(make, values):
     single = jnp.stack(
         [make(x).acceleration(0.0, u[:, i], v[:, i]) for i, x in enumerate(values)], -1
     )
-    np.testing.assert_allclose(
-        together, single, rtol=1e-12, atol=1e-12 * float(jnp.abs(single).max())
-    )
+    assert_allclose(together, single, rtol=1e-12, atol=1e-12 * float(jnp.abs(single).max()))
 
 
 def test_gradient_with_respect_to_the_ratio():
@@ -258,7 +256,7 @@ def test_gradient_with_respect_to_the_ratio():
     slope = jax.jit(jax.jacfwd(lambda r: scenes.dimer(6, r).acceleration(0.0, u, v)))(0.4)
     # a = F/r on the light beads
     expected = -lattice.force(0.0, u, v) / 0.4**2 * jnp.array([0, 1, 0, 1, 0, 1])
-    np.testing.assert_allclose(slope, expected, rtol=1e-14)
+    assert_allclose(slope, expected, rtol=1e-14)
 
 
 def test_gradient_with_respect_to_a_radius_and_a_modulus():
@@ -272,7 +270,7 @@ def test_gradient_with_respect_to_a_radius_and_a_modulus():
     x, step = jnp.array([3.0, 2.0]), 1e-5
     at = jax.jit(jax.vmap(loss))
     central = (at(x + step * jnp.eye(2)) - at(x - step * jnp.eye(2))) / (2 * step)
-    np.testing.assert_allclose(jax.jit(jax.grad(loss))(x), central, rtol=1e-8)
+    assert_allclose(jax.jit(jax.grad(loss))(x), central, rtol=1e-8)
 
 
 @pytest.mark.slow
@@ -292,7 +290,7 @@ def test_beads_in_si():
     )
     e = -np.diff(np.concatenate([[0], np.asarray(u), [0]]))
     F = A * np.maximum((F0 / A) ** (2 / 3) + e, 0) ** 1.5
-    np.testing.assert_allclose(
+    assert_allclose(
         chain.acceleration(0.0, u, v), (F[:-1] - F[1:]) / m - np.asarray(v) / tau, rtol=1e-11
     )
 
@@ -326,27 +324,23 @@ def test_a_striker_hits_a_chain_before_a_wall(materials, radii, striker, cells):
     known = solve_ivp(field, (0, 3e-4), start, method="DOP853", rtol=1e-11, atol=1e-15).y[:, -1]
     assert chain.units == "SI" and np.abs(known[R.size :]).max() > 0.05
     scale = np.repeat([1e4, 1], R.size)
-    np.testing.assert_allclose(
-        scale * np.append(run.final.u, run.final.v), scale * known, atol=1e-7
-    )
-    np.testing.assert_allclose(chain.mass, m, rtol=1e-13)
+    assert_allclose(scale * np.append(run.final.u, run.final.v), scale * known, atol=1e-7)
+    assert_allclose(chain.mass, m, rtol=1e-13)
 
 
 def test_cells_and_boundaries_of_beads():
     ring = scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], cells=3, boundary="periodic")
     A = hertz_coefficient("brass", 2e-3, "PTFE", 1e-3)
-    np.testing.assert_allclose(ring.terms[0].law.stiffness, np.full(6, A), rtol=1e-15)
+    assert_allclose(ring.terms[0].law.stiffness, np.full(6, A), rtol=1e-15)
     long = scenes.beads(["brass", "PTFE"] * 3, np.tile([2e-3, 1e-3], 3))
     same_acceleration(scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], cells=3), long)
     alike = scenes.beads("brass", 2e-3, cells=4)
-    np.testing.assert_allclose(
+    assert_allclose(
         alike.terms[0].law.stiffness,
         scenes.beads(["brass"] * 4, 2e-3).terms[0].law.stiffness,
         rtol=1e-15,
     )
-    np.testing.assert_allclose(
-        alike.terms[0].law.stiffness[0], hertz_coefficient("brass", 2e-3, None, np.inf)
-    )
+    assert_allclose(alike.terms[0].law.stiffness[0], hertz_coefficient("brass", 2e-3, None, np.inf))
 
 
 @pytest.mark.slow
@@ -365,13 +359,11 @@ def test_scaled_accelerations_are_those_in_si(chain, velocity):
     state = units.state_to_si(gx.State(u, v))
     a = small.acceleration(0.0, u, v) * units.acceleration
     scale = float(jnp.abs(a).max())
-    np.testing.assert_allclose(chain.acceleration(0.0, *state), a, rtol=1e-11, atol=1e-13 * scale)
-    np.testing.assert_allclose(
-        chain.energy(0.0, *state), small.energy(0.0, u, v) * units.energy, rtol=1e-11
-    )
+    assert_allclose(chain.acceleration(0.0, *state), a, rtol=1e-11, atol=1e-13 * scale)
+    assert_allclose(chain.energy(0.0, *state), small.energy(0.0, u, v) * units.energy, rtol=1e-11)
     back = units.state_from_si(state)
-    np.testing.assert_allclose(back.u, u, rtol=1e-14)
-    np.testing.assert_allclose(back.v, v, rtol=1e-14)
+    assert_allclose(back.u, u, rtol=1e-14)
+    assert_allclose(back.v, v, rtol=1e-14)
 
 
 def test_scaled_numbers_are_of_order_one():
@@ -379,13 +371,11 @@ def test_scaled_numbers_are_of_order_one():
         scenes.beads("steel 316", 9.53e-3, 20.0, cells=10, boundary="free")
     )
     law = chain.terms[0].law
-    np.testing.assert_allclose(
+    assert_allclose(
         [chain.mass, law.stiffness, law.precompression, law.rest_overlap], 1.0, rtol=1e-13
     )
     chain, units = scenes.scaled(scenes.beads("steel 316", 9.53e-3, cells=10, boundary="free"), 0.5)
-    np.testing.assert_allclose(
-        [chain.mass, chain.terms[0].law.stiffness, units.velocity * 2], 1.0, rtol=1e-13
-    )
+    assert_allclose([chain.mass, chain.terms[0].law.stiffness, units.velocity * 2], 1.0, rtol=1e-13)
 
 
 def test_units_of_ones_own_and_their_products():
@@ -398,7 +388,7 @@ def test_units_of_ones_own_and_their_products():
         2,
     )
     small = scenes.scaled(scenes.fput(5, stiffness=16.0), units=units).lattice
-    np.testing.assert_allclose(small.terms[0].law.K2, 16 / (24 / 3), rtol=1e-15)
+    assert_allclose(small.terms[0].law.K2, 16 / (24 / 3), rtol=1e-15)
 
 
 def loaded():
@@ -472,7 +462,7 @@ def loaded():
     ],
 )
 def test_bad_input_gets_a_sentence(call, words):
-    with pytest.raises(ValueError, match=words):
+    with refused(words):
         call()
 
 
@@ -493,6 +483,4 @@ def test_scaled_vectors_turn_with_their_bonds():
     u, v = random_state(small, 0.5)
     a = chain.acceleration(0.0, *units.state_to_si(gx.State(u, v)))
     scaled_a = small.acceleration(0.0, u, v)
-    np.testing.assert_allclose(
-        a / units.acceleration, scaled_a, atol=1e-11 * float(jnp.abs(scaled_a).max())
-    )
+    assert_allclose(a / units.acceleration, scaled_a, atol=1e-11 * float(jnp.abs(scaled_a).max()))

@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 from granjax import scenes
@@ -20,11 +22,11 @@ def test_builders_make_the_power_law(make):
     d0 = (0.7 / 3) ** (1 / 0.4)
     u *= d0 / np.abs(u).max() / 3
     F = 3 * (d0 - np.diff(np.concatenate([[0], u, [0]]))) ** 0.4
-    np.testing.assert_allclose(
+    assert_allclose(
         chain.acceleration(0.0, jnp.asarray(u), jnp.zeros(6)), (F[:-1] - F[1:]) / 2, rtol=1e-9
     )
     K2 = 0.4 * 3 ** (1 / 0.4) * 0.7 ** (1 - 1 / 0.4)
-    np.testing.assert_allclose(gx.linear.sound_speed(chain), np.sqrt(K2 / 2), rtol=1e-12)
+    assert_allclose(gx.linear.sound_speed(chain), np.sqrt(K2 / 2), rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -36,7 +38,7 @@ def test_envelopes_are_bright_above_the_band_for_softening_alone():
         d0 = (0.8 / 1.3) ** (1 / p)
         B = float(nls.B(K2, K3, K4))
         assert (B > 0) == (0 < p < 1)
-        np.testing.assert_allclose(
+        assert_allclose(
             B, -(p**3) * (p - 1) * 1.3**2 * d0 ** (2 * p - 4) / (2 * K2**1.5), rtol=1e-10
         )
 
@@ -49,9 +51,9 @@ def test_bands_of_alternating_contacts_are_the_closed_form():
     upper = K1 + K2 + root
     lower = 4 * K1 * K2 * np.sin(k / 2) ** 2 / upper
     omega = np.asarray(gx.linear.dispersion(chain, k).omega)
-    np.testing.assert_allclose(omega, np.sqrt(np.stack([lower, upper], -1) / 1.1), rtol=1e-12)
+    assert_allclose(omega, np.sqrt(np.stack([lower, upper], -1) / 1.1), rtol=1e-12)
     bands = gx.linear.bands(chain)
-    np.testing.assert_allclose(
+    assert_allclose(
         [bands.upper[0], bands.lower[1]],
         np.sqrt(2 * np.array([min(K1, K2), max(K1, K2)]) / 1.1),
         rtol=1e-12,
@@ -66,9 +68,7 @@ def test_equal_exponents_are_one_chain():
             scenes.alternating(6, (0.5, 0.5), boundary=boundary),
             scenes.foam(6, 0.5, boundary=boundary),
         )
-        np.testing.assert_allclose(
-            a.force(0.0, u, 0 * u), b.force(0.0, u, 0 * u), rtol=1e-12, atol=1e-15
-        )
+        assert_allclose(a.force(0.0, u, 0 * u), b.force(0.0, u, 0 * u), rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.slow
@@ -81,9 +81,9 @@ def test_exponents_can_be_swept_and_differentiated():
     u = jnp.asarray(0.1 * np.random.default_rng(4).normal(size=6))
     for lanes, one in ((batch, scenes.alternating(6)), (soft, scenes.foam(6))):
         a = lanes.force(0.0, jnp.stack([u, u], -1), jnp.zeros((6, 2)))[:, 1]
-        np.testing.assert_allclose(a, one.force(0.0, u, 0 * u), rtol=1e-12)
+        assert_allclose(a, one.force(0.0, u, 0 * u), rtol=1e-12)
     # A = F0 = 1: c = sqrt(p)
-    np.testing.assert_allclose(
+    assert_allclose(
         jax.grad(lambda p: gx.linear.sound_speed(scenes.foam(6, p), cell=1))(0.25), 1, rtol=1e-9
     )
 
@@ -104,7 +104,7 @@ def test_exponents_can_be_swept_and_differentiated():
     ],
 )
 def test_refused(make, said):
-    with pytest.raises(ValueError, match=said):
+    with refused(said):
         make()
 
 
@@ -148,11 +148,11 @@ def test_rarefaction_pulses_mirror_those_of_the_hardening_chain(p):
     speed = 1.1 * float(jnp.sqrt(law.derivative(0.0)))
     soft, hard = (gx.travelling.solitary_wave(x, speed=speed) for x in (law, Mirrored(law)))
     assert soft.amplitude < 0 < hard.amplitude and soft.error < 1e-12
-    np.testing.assert_allclose(
+    assert_allclose(
         soft.strains, -np.asarray(hard.strains), rtol=0, atol=2e-15 * float(hard.amplitude)
     )
-    np.testing.assert_allclose(soft.energy, hard.energy, rtol=1e-13)
-    with pytest.raises(ValueError, match="above that of sound"):
+    assert_allclose(soft.energy, hard.energy, rtol=1e-13)
+    with refused("above that of sound"):
         gx.travelling.solitary_wave(law, speed=0.9 * speed)
 
 
@@ -168,19 +168,19 @@ def test_a_rarefaction_shock_mirrors_the_shock_of_the_hardening_chain():
     np.testing.assert_array_equal(soft.final.u, -np.asarray(hard.final.u))
     np.testing.assert_array_equal(soft.final.v, -np.asarray(hard.final.v))
     assert shock.mean < 0 and float(shock.mean) == -float(mirror.mean)
-    np.testing.assert_allclose(shock.leading_speed, mirror.leading_speed, rtol=1e-10)
+    assert_allclose(shock.leading_speed, mirror.leading_speed, rtol=1e-10)
     assert shock.outcome.startswith("A shock of rarefaction") and mirror.outcome.startswith(
         "A shock of compression"
     )
-    np.testing.assert_allclose(edges.mean, -others.mean, rtol=1e-13)
-    np.testing.assert_allclose(shock.mean, edges.mean, rtol=2e-3)
-    np.testing.assert_allclose(shock.leading_speed, edges.leading_speed, rtol=2e-2)
+    assert_allclose(edges.mean, -others.mean, rtol=1e-13)
+    assert_allclose(shock.mean, edges.mean, rtol=2e-3)
+    assert_allclose(shock.leading_speed, edges.leading_speed, rtol=2e-2)
 
 
 @pytest.mark.slow
 def test_a_step_up_in_compression_spreads():
     chain = scenes.foam(100, boundary="free")
-    with pytest.raises(ValueError, match="This is a rarefaction|softens in compression"):
+    with refused("This is a rarefaction|softens in compression"):
         gx.shocks.measure(gx.shocks.velocity_shock(chain, 0.1).run(40.0))
 
 
@@ -193,10 +193,10 @@ def test_bright_breathers_above_the_band():
     own, envelope = (-np.diff(x.u) for x in (bright.state, guess))
     assert bright.converged and np.abs(own - envelope).max() < 0.04 * np.abs(own).max()
     assert np.abs(own).max() < 1  # contacts stay closed, d0 = 1
-    with pytest.raises(ValueError, match="only bright"):
+    with refused("only bright"):
         gx.breathers.breather(chain, 0.99 * np.sqrt(2), "dark")
     hard = scenes.monomer(61, precompression=1.0, boundary="free")
-    with pytest.raises(ValueError, match="only dark"):
+    with refused("only dark"):
         gx.breathers.breather(hard, 1.003 * np.sqrt(6), "bright")
 
 

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import granjax as gx
 from granjax import measures, states
@@ -71,11 +72,11 @@ def test_shapes_and_types(make):
 
 def test_impact():
     state = states.impact(chain(5), 2.0, -1)
-    np.testing.assert_array_equal(state.v, [0, 0, 0, 0, 2])
-    np.testing.assert_array_equal(state.u, 0)
-    np.testing.assert_array_equal(states.impact(chain(5)).v, [1, 0, 0, 0, 0])
+    assert_array_equal(state.v, [0, 0, 0, 0, 2])
+    assert_array_equal(state.u, 0)
+    assert_array_equal(states.impact(chain(5)).v, [1, 0, 0, 0, 0])
     grid = states.impact(plane(), [1.0, -2.0], (1, 2))
-    np.testing.assert_array_equal(grid.v[1, 2], [1, -2])
+    assert_array_equal(grid.v[1, 2], [1, -2])
     assert np.abs(grid.v).sum() == 3
     named = states.impact(cells(), 3.0, 2, field="resonator")
     assert named.v["resonator"][2] == 3 and not np.any(named.v["bead"])
@@ -83,10 +84,10 @@ def test_impact():
 
 
 def test_impact_with_one_velocity_per_lane():
-    np.testing.assert_array_equal(states.impact(batch(), [1.0, 2.0, 3.0], 4).v[4], [1, 2, 3])
-    np.testing.assert_array_equal(states.impact(batch(), 2.0, 4).v[4], [2, 2, 2])
+    assert_array_equal(states.impact(batch(), [1.0, 2.0, 3.0], 4).v[4], [1, 2, 3])
+    assert_array_equal(states.impact(batch(), 2.0, 4).v[4], [2, 2, 2])
     swept = jax.vmap(lambda v: states.impact(chain(5), v, 1).v)(jnp.array([1.0, 4.0]))
-    np.testing.assert_array_equal(swept[:, 1], [1, 4])
+    assert_array_equal(swept[:, 1], [1, 4])
 
 
 @pytest.mark.slow
@@ -97,8 +98,8 @@ def test_random_is_uniform_and_seeded():
         assert np.abs(x).max() <= a and np.abs(x).max() > 0.99 * a
         # variance of a uniform distribution a^2/3, known to 0.6 % from 20000 values
         assert abs(np.var(x) / (a**2 / 3) - 1) < 0.02
-    np.testing.assert_array_equal(states.random(long, 3, 0.2, 0.5).u, state.u)
-    np.testing.assert_array_equal(states.random(long, jax.random.key(3), 0.2, 0.5).v, state.v)
+    assert_array_equal(states.random(long, 3, 0.2, 0.5).u, state.u)
+    assert_array_equal(states.random(long, jax.random.key(3), 0.2, 0.5).v, state.v)
     assert np.all(states.random(long, 4, 0.2).u != state.u) and not np.any(states.random(long, 3).v)
     lanes = states.random(batch()).u
     assert np.all(lanes[:, 0] != lanes[:, 1])
@@ -159,7 +160,7 @@ def test_strain_step():
     np.testing.assert_allclose(u[:-1] - u[1:], [0.3] * 5 + [0.1] * 5, rtol=1e-13)
     assert u[-1] == 0
     u = states.strain_step(lattice, 0.3, centre=2).u
-    np.testing.assert_array_equal(u[2:], 0)
+    assert_array_equal(u[2:], 0)
     np.testing.assert_allclose(u[:2], [0.6, 0.3])
     np.testing.assert_allclose(
         states.strain_step(batch(), jnp.array([0.1, 0.2, 0.3])).u[0], [0.2, 0.4, 0.6]

@@ -3,6 +3,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 
@@ -51,8 +53,8 @@ def test_tangents_are_the_derivative_of_the_flow(case):
     flow = gx.Flow(5, solver)
     end, matrix = jax.jit(lambda y: flow.derivative(y, 0.3, 1.4, lattice))(STATE)
     ends = lambda x: flat(flow(gx.State(x[:N], x[N:]), 0.3, 1.4, lattice))
-    np.testing.assert_allclose(flat(end), ends(flat(STATE)), rtol=0, atol=1e-14)
-    np.testing.assert_allclose(matrix, jax.jit(jax.jacfwd(ends))(flat(STATE)), rtol=0, atol=1e-13)
+    assert_allclose(flat(end), ends(flat(STATE)), rtol=0, atol=1e-14)
+    assert_allclose(matrix, jax.jit(jax.jacfwd(ends))(flat(STATE)), rtol=0, atol=1e-13)
 
 
 @pytest.mark.slow
@@ -62,15 +64,13 @@ def test_tangents_of_an_open_contact_and_of_vectors():
     ends = lambda x: flat(flow(gx.State(x[:N], x[N:]), 0.0, 2.0, lattice))
     _, matrix = flow.derivative(STATE, 0.0, 2.0, lattice)
     assert gx.measures.overlap(lattice, STATE).min() < 0
-    np.testing.assert_allclose(matrix, jax.jacfwd(ends)(flat(STATE)), rtol=0, atol=1e-12)
+    assert_allclose(matrix, jax.jacfwd(ends)(flat(STATE)), rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
 def test_a_step_is_that_of_simulate():
     run = gx.simulate(PLAIN, STATE, 3.0, step=0.1, solver=gx.SRKN14a())
-    np.testing.assert_allclose(
-        flat(gx.Flow(30)(STATE, 0.0, 3.0, PLAIN)), flat(run.final), rtol=0, atol=1e-13
-    )
+    assert_allclose(flat(gx.Flow(30)(STATE, 0.0, 3.0, PLAIN)), flat(run.final), rtol=0, atol=1e-13)
 
 
 @pytest.mark.slow
@@ -85,7 +85,7 @@ def test_a_complex_field_of_first_order():
     end, matrix = flow.derivative(y, 0.0, 1.0, None)
     assert float(jnp.sum(end**2)) == pytest.approx(float(jnp.sum(y**2)), rel=1e-8)
     expected = jax.jacfwd(lambda x: flow(x.reshape(2, 5), 0.0, 1.0, None).ravel())(y.ravel())
-    np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-12)
+    assert_allclose(matrix, expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -96,7 +96,7 @@ def test_batches_of_lattices_have_their_own_tangents():
     flow = gx.Flow(6, gx.SRKN6b())
     many = jax.vmap(lambda c: flow.derivative(STATE, 0.0, 1.0, c)[1], in_axes=-1)(lattices)
     one = flow.derivative(STATE, 0.0, 1.0, gx.scenes.dimer(N, ratio=0.7, precompression=1.0))[1]
-    np.testing.assert_allclose(many[1], one, rtol=0, atol=1e-13)
+    assert_allclose(many[1], one, rtol=0, atol=1e-13)
 
 
 @pytest.mark.slow
@@ -108,9 +108,7 @@ def test_a_field_may_ask_what_a_number_is():
 
     flow = gx.Flow(8, diffrax.Dopri8(), field)
     end, slope = flow.derivative(jnp.ones(2, int), 0, 1, {"times": 1, "falls": 1.0})
-    np.testing.assert_allclose(
-        [np.diag(end), slope], [np.exp(-1) * np.eye(2)] * 2, rtol=1e-8, atol=1e-15
-    )
+    assert_allclose([np.diag(end), slope], [np.exp(-1) * np.eye(2)] * 2, rtol=1e-8, atol=1e-15)
     for times, falls, power in ((1, 1.0, -1), (2, 1.0, -2), (2, 0.0, 1)):
         assert float(flow(1, 0.0, 1.0, {"times": times, "falls": falls})) == pytest.approx(
             np.exp(power), rel=1e-8
@@ -119,7 +117,7 @@ def test_a_field_may_ask_what_a_number_is():
 
 @pytest.mark.parametrize("steps", [0, -3, np.array(0), jnp.array(0)])
 def test_a_number_of_steps_is_one(steps):
-    with pytest.raises(ValueError, match="steps: expected a whole number"):
+    with refused("steps: expected a whole number"):
         gx.Flow(steps)
-    with pytest.raises(ValueError, match="steps: expected a whole number"):
+    with refused("steps: expected a whole number"):
         gx.flow.return_error(PLAIN, STATE, 0.0, 1.0, steps, gx.SRKN6b())

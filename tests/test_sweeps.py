@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 import xarray
 import zarr
+from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 from granjax.sweeps.function import program
@@ -84,7 +86,7 @@ def test_chunks_and_executors_agree(walls):
         other = sweep(wall, {"ratio": RATIOS, "beads": [7]}, chunk=4, executor=executor)
     assert np.array_equal(other.wall, data.wall.sel(beads=[7]))
     alone = sweep(wall, {"ratio": RATIOS, "beads": [7]}, chunk=9)
-    np.testing.assert_allclose(alone.wall, data.wall.sel(beads=[7]), rtol=1e-9)
+    assert_allclose(alone.wall, data.wall.sel(beads=[7]), rtol=1e-9)
 
 
 def test_functions_that_hold_python_are_called_point_by_point():
@@ -160,14 +162,14 @@ def test_results_become_their_variables(tmp_path):
     assert data.u.dims == ("ratio", "time", "site") and data.u.shape == (2, 3, 4)
     assert (data.completed == 1).all() and data.solver.values.tolist() == ["SRKN11b"] * 2
     one = whole(0.9)
-    np.testing.assert_allclose(data.u[1], one.us, rtol=1e-9, atol=1e-12)
+    assert_allclose(data.u[1], one.us, rtol=1e-9, atol=1e-12)
     Pair = namedtuple("Pair", "modes, multipliers")
     data = sweep(
         lambda x: Pair(jnp.arange(3.0) * x, jnp.exp(1j * x)),
         {"x": [0.0, np.pi]},
         store=tmp_path / "c.zarr",
     )
-    np.testing.assert_allclose(data.multipliers, [1, -1], atol=1e-15)
+    assert_allclose(data.multipliers, [1, -1], atol=1e-15)
     assert data.modes.dims == ("x", "modes_0")
 
 
@@ -204,8 +206,8 @@ def test_records_have_errors_and_laws_of_ones_own_keep_lanes_apart():
     data = sweep(over, {"k": [0.5, 1.0, 2.0]})
     for k in (0.5, 2.0):
         one = over(k)
-        np.testing.assert_allclose(data.top.sel(k=k), one["top"], rtol=1e-9)
-        np.testing.assert_allclose(data.part.sel(k=k), one["part"], rtol=1e-7)
+        assert_allclose(data.top.sel(k=k), one["top"], rtol=1e-9)
+        assert_allclose(data.part.sel(k=k), one["part"], rtol=1e-7)
         assert 0 < data.error.sel(k=k) < 1e-3
 
 
@@ -228,7 +230,7 @@ def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
     assert np.isnan(data.softening[2]) and (data.softening[[0, 1, 3]] < 2).all()
     assert "K3 = 3" in data.outcome and "1 marked" in data.outcome
     alone = sweep(softening, {"K3": [0.1, 0.2, 0.25]})
-    np.testing.assert_allclose(data.softening[[0, 1, 3]], alone.softening, rtol=1e-12)
+    assert_allclose(data.softening[[0, 1, 3]], alone.softening, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -309,7 +311,7 @@ def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():
     ],
 )
 def test_mistakes_meet_a_sentence(go, said):
-    with pytest.raises(ValueError, match=said):
+    with refused(said):
         go()
 
 
@@ -329,7 +331,7 @@ DRAWS = {
 
 @pytest.mark.parametrize("draw", DRAWS)
 def test_random_numbers_that_points_would_share_are_refused(draw):
-    with pytest.raises(ValueError, match=r"function: .*jax.random.normal\(jax.random.key\(seed\)"):
+    with refused(r"function: .*jax.random.normal\(jax.random.key\(seed\)"):
         sweep(DRAWS[draw], {"k": [1.0, 2.0, 3.0]})
 
 
@@ -341,7 +343,7 @@ def test_random_numbers_from_a_seed():
     fixed = sweep(
         lambda k: {"v": k * jnp.asarray(np.random.default_rng(0).random(4))}, {"k": [1.0, 2.0]}
     )
-    np.testing.assert_allclose(fixed.v[1], 2 * np.random.default_rng(0).random(4), rtol=1e-15)
+    assert_allclose(fixed.v[1], 2 * np.random.default_rng(0).random(4), rtol=1e-15)
 
 
 # ------------------------------------------------------------------------------------------------ stores
@@ -351,13 +353,11 @@ def test_another_sweep_is_refused_and_a_changed_source_warns(tmp_path):
     store = tmp_path / "map.zarr"
     first = sweep(squared, {"x": [1.0, 2.0]}, store=store)
     assert sweep(squared, {"x": [1.0, 2.0]}, store=str(store)).identical(first)
-    with pytest.raises(
-        ValueError, match=r"which holds x 1, 2 instead of 1, 3\. Give another store"
-    ):
+    with refused(r"which holds x 1, 2 instead of 1, 3\. Give another store"):
         sweep(squared, {"x": [1.0, 3.0]}, store=store)
-    with pytest.raises(ValueError, match="the parameters x instead of x, y"):
+    with refused("the parameters x instead of x, y"):
         sweep(squared, {"x": [1.0], "y": [2.0]}, store=store)
-    with pytest.raises(ValueError, match=r"chunk \[2\] instead of \[1\]"):
+    with refused(r"chunk \[2\] instead of \[1\]"):
         sweep(squared, {"x": [1.0, 2.0]}, store=store, chunk=1)
     with pytest.warns(UserWarning, match="source of the function has changed"):
         assert sweep(lambda x: {"z": 2 * x}, {"x": [1.0, 2.0]}, store=store).z.values.tolist() == [
@@ -369,7 +369,7 @@ def test_another_sweep_is_refused_and_a_changed_source_warns(tmp_path):
     )
     (tmp_path / "file").write_text("x")
     for other in ("other.zarr", "file"):
-        with pytest.raises(ValueError, match="store: expected a new path"):
+        with refused("store: expected a new path"):
             sweep(squared, {"x": [1.0]}, store=tmp_path / other)
     assert list(zarr.open_group(tmp_path / "other.zarr", mode="r")) == ["a"]
 
@@ -541,7 +541,7 @@ def test_a_batch_of_simulate_has_its_lanes_last():
         ).recorded["force"]
 
     ratios = jnp.asarray(RATIOS)
-    np.testing.assert_allclose(jax.jit(jax.vmap(peak))(ratios), by_hand(ratios).T, rtol=1e-14)
+    assert_allclose(jax.jit(jax.vmap(peak))(ratios), by_hand(ratios).T, rtol=1e-14)
 
     def last(ratio, velocity):
         chain = gx.scenes.dimer(5, ratio=ratio, precompression=1.0)
@@ -551,9 +551,7 @@ def test_a_batch_of_simulate_has_its_lanes_last():
 
     few, speeds = jnp.asarray([0.4, 0.8]), jnp.asarray([0.5, 1.0, 2.0])
     grid = jax.vmap(jax.vmap(last, (None, 0)), (0, None))(few, speeds)
-    np.testing.assert_allclose(
-        grid, [[last(float(r), float(v)) for v in speeds] for r in few], rtol=1e-9
-    )
+    assert_allclose(grid, [[last(float(r), float(v)) for v in speeds] for r in few], rtol=1e-9)
     slope = jax.grad(last)(0.4, 1.0)
     for found in (
         jax.jacfwd(last)(0.4, 1.0),

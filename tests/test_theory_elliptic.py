@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+from refusals import refused
 
 import granjax as gx
 from granjax.theory import elliptic
@@ -205,22 +206,22 @@ def test_a_parameter_outside_is_refused(m):
         lambda m: elliptic.jacobi(0.3, m),
         lambda m: elliptic.F(0.3, [0.2, m]),
     ):
-        with pytest.raises(ValueError, match=r"^m: expected .*(\[0, 1\]|finite)"):
+        with refused(r"^m: expected .*(\[0, 1\]|finite)"):
             f(m)
-    with pytest.raises(ValueError, match=r"^m1: expected"):
+    with refused(r"^m1: expected"):
         elliptic.zeta(0.3, m1=m)
 
 
 def test_what_else_is_refused():
-    with pytest.raises(ValueError, match="^n: expected numbers not above 1"):
+    with refused("^n: expected numbers not above 1"):
         elliptic.Pi(1.2, 0.5)
-    with pytest.raises(ValueError, match="^m, m1: expected one of the two, got both"):
+    with refused("^m, m1: expected one of the two, got both"):
         elliptic.K(0.5, m1=0.5)
-    with pytest.raises(ValueError, match="^m, m1: expected one of the two, got none"):
+    with refused("^m, m1: expected one of the two, got none"):
         elliptic.jacobi(0.5)
     # of what is traced nobody knows that it lies outside
     assert np.isnan(jax.jit(elliptic.K)(2.0)) and np.isnan(jax.jit(elliptic.E)(2.0))
     assert np.isnan(jax.jit(elliptic.jacobi)(0.3, 2.0)).all()
-    with pytest.raises(ValueError, match="^u: expected numbers below 4.5e.14"):
+    with refused("^u: expected numbers below 4.5e.14"):
         elliptic.jacobi(1e300, 0.5)
     assert elliptic.jacobi(1e300, 1.0).sn == 1.0

@@ -8,6 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import Mirrored
+from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 from granjax.laws import Strained
@@ -16,18 +19,6 @@ from granjax.theory import linear_shock, shock_edges, simple_wave
 # sound 1 and K3 = 1/2, as KdV and Toda have them
 STIFFNESS, REST = 2 * 2**0.5 / 3, 0.5
 GRANULAR = gx.Hertz(STIFFNESS, STIFFNESS * REST**1.5)
-
-
-class Mirror(gx.Law):
-    """F(e) = -F_law(-e): what compresses the one stretches the other."""
-
-    law: gx.Law
-
-    def force(self, e):
-        return -self.law.force(-e)
-
-    def energy(self, e):
-        return self.law.energy(-e)
 
 
 class Kinked(gx.Law):
@@ -98,9 +89,9 @@ def test_the_front_of_a_strained_chain_and_its_derivative():
     x, h = jnp.array([0.3, 0.05]), 1e-3
     # the chain that is compressed by as much more
     other = shock_edges(gx.Hertz(1.0, 1.05**1.5), 0.3, wave=True)
-    np.testing.assert_allclose(front(x), [other.wave_speed, other.amplitude], rtol=1e-9)
+    assert_allclose(front(x), [other.wave_speed, other.amplitude], rtol=1e-9)
     central = jnp.stack([front(x + h * e) - front(x - h * e) for e in np.eye(2)], 1) / (2 * h)
-    np.testing.assert_allclose(jax.jacrev(front)(x), central, rtol=1e-4)
+    assert_allclose(jax.jacrev(front)(x), central, rtol=1e-4)
 
 
 @pytest.mark.study
@@ -152,7 +143,7 @@ def test_a_strong_shock_has_no_trailing_edge():
     "law, c", [(GRANULAR, 0.3), (gx.PowerLaw(1.0, -3.0, 1.0), 0.2), (gx.Toda(), 1e-9)]
 )
 def test_the_mirrored_law_has_the_mirrored_shock(law, c):
-    one, other = shock_edges(law, c), shock_edges(Mirror(law), -c)
+    one, other = shock_edges(law, c), shock_edges(Mirrored(law), -c)
     assert other.mean == -one.mean
     for name in ("trailing_speed", "leading_speed", "sound", "trailing_excess", "leading_excess"):
         assert getattr(one, name) == getattr(other, name)
@@ -209,8 +200,8 @@ def test_edges_differentiate_in_all_their_numbers():
     forward, backward = jax.jacfwd(edges)(x), jax.jacrev(edges)(x)
     apart = [[edges(x + k * h * e) - edges(x - k * h * e) for e in np.eye(5)] for k in (1, 2)]
     central = (8 * jnp.stack(apart[0], 1) - jnp.stack(apart[1], 1)) / (12 * h)
-    np.testing.assert_allclose(forward, central, rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(backward, forward, rtol=1e-12)
+    assert_allclose(forward, central, rtol=1e-9, atol=1e-10)
+    assert_allclose(backward, forward, rtol=1e-12)
 
 
 @pytest.mark.study
@@ -222,7 +213,7 @@ def test_the_front_of_a_sonic_vacuum_differentiates():
 
     x = jnp.array([1.0, 0.5, 1.0])
     powers = np.array([[0.4, 0.2, -0.4], [-0.4, 0.8, 0.4]])
-    np.testing.assert_allclose(jax.jacrev(front)(x) * x, powers, atol=1e-7)
+    assert_allclose(jax.jacrev(front)(x) * x, powers, atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -255,7 +246,7 @@ def test_the_front_of_a_sonic_vacuum_differentiates():
     ],
 )
 def test_what_makes_no_such_shock_is_refused(law, c, more, said):
-    with pytest.raises(ValueError, match=said):
+    with refused(said):
         shock_edges(law, c, **more)
 
 
@@ -279,7 +270,7 @@ def test_edges_in_short_numbers():
 
 
 def test_edges_are_found_outside_of_compiled_functions():
-    with pytest.raises(ValueError, match="known"):
+    with refused("known"):
         jax.jit(lambda c: shock_edges(GRANULAR, c).mean)(0.1)
 
 
@@ -313,13 +304,9 @@ def test_linear_shocks_are_sums_of_bessel_functions(t):
         (1 - n, None, 1 - strain),
     ):
         if of_step is not None:
-            np.testing.assert_allclose(
-                linear_shock.velocity_step(bonds, t, 1.0), of_step, atol=1e-12
-            )
+            assert_allclose(linear_shock.velocity_step(bonds, t, 1.0), of_step, atol=1e-12)
         if of_strain is not None:
-            np.testing.assert_allclose(
-                linear_shock.strain_step(bonds, t, 1.0), of_strain, atol=1e-12
-            )
+            assert_allclose(linear_shock.strain_step(bonds, t, 1.0), of_strain, atol=1e-12)
 
 
 def test_linear_shocks_are_those_of_a_simulated_chain():
@@ -336,7 +323,7 @@ def test_linear_shocks_are_those_of_a_simulated_chain():
             chain, gx.State(*map(jnp.asarray, state)), t, solver=gx.KahanLi8(), step=0.05
         )
         found = step(n[:-1], t, c, K, m)
-        np.testing.assert_allclose(-np.diff(run.final.u)[kept], found[kept], atol=1e-12)
+        assert_allclose(-np.diff(run.final.u)[kept], found[kept], atol=1e-12)
 
 
 @pytest.mark.slow
@@ -351,7 +338,7 @@ def test_linear_shocks_broadcast_and_differentiate():
     assert linear_shock.strain_step(n, [], 1.0).shape == (12, 1, 0)
     assert linear_shock.velocity_step([], 2.0, 1.0).size == 0
     one = linear_shock.velocity_step(n[:, 0, 0], 5.0, 0.3, 2.0)
-    np.testing.assert_allclose(whole[:, 2, 1], one, atol=1e-15)
+    assert_allclose(whole[:, 2, 1], one, atol=1e-15)
 
     def both(x):
         return linear_shock.velocity_step(3, *x) + linear_shock.strain_step(-1, *x)
@@ -360,8 +347,8 @@ def test_linear_shocks_broadcast_and_differentiate():
     apart = [
         jnp.stack([both(x + k * h * e) - both(x - k * h * e) for e in np.eye(4)]) for k in (1, 2)
     ]
-    np.testing.assert_allclose(jax.grad(both)(x), (8 * apart[0] - apart[1]) / (12 * h), atol=1e-10)
-    np.testing.assert_allclose(jax.jacfwd(both)(x), jax.grad(both)(x), atol=1e-14)
+    assert_allclose(jax.grad(both)(x), (8 * apart[0] - apart[1]) / (12 * h), atol=1e-10)
+    assert_allclose(jax.jacfwd(both)(x), jax.grad(both)(x), atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -376,7 +363,7 @@ def test_linear_shocks_broadcast_and_differentiate():
     ],
 )
 def test_what_no_linear_shock_has_is_refused(call, said):
-    with pytest.raises(ValueError, match=said):
+    with refused(said):
         call()
 
 
@@ -386,14 +373,14 @@ def test_what_no_linear_shock_has_is_refused(call, said):
 def test_the_mean_of_a_power_law_in_closed_form():
     c = np.array([-0.15, 1e-13, 0.1, 0.3, 0.5])
     closed = simple_wave.power_law_mean(c, STIFFNESS, 1.5, REST)
-    np.testing.assert_allclose(closed, 0.5 * np.expm1(0.8 * np.log1p(5 * c)), rtol=1e-13)
+    assert_allclose(closed, 0.5 * np.expm1(0.8 * np.log1p(5 * c)), rtol=1e-13)
     for x, y in zip(c, closed):
         assert simple_wave.mean(GRANULAR, x) == pytest.approx(float(y), rel=1e-12)
     vacuum = simple_wave.power_law_mean(0.5, 1.3, 2.5, mass=0.7)
     assert simple_wave.mean(gx.PowerLaw(1.3, 2.5), 0.5, 0.7) == pytest.approx(
         float(vacuum), rel=1e-12
     )
-    with pytest.raises(ValueError, match="^c: expected numbers at which contacts stay closed"):
+    with refused("^c: expected numbers at which contacts stay closed"):
         simple_wave.power_law_mean(-0.3, STIFFNESS, 1.5, REST)
 
 
@@ -401,13 +388,13 @@ def test_the_mean_of_a_power_law_in_closed_form():
 def test_fans_of_rarefaction():
     s = np.linspace(-1.2, 1.2, 49)
     y = simple_wave.fan(s, gx.Toda(), -0.3)
-    np.testing.assert_allclose(np.exp(y / 2), np.clip(np.abs(s), 0.7, 1), atol=1e-15)
+    assert_allclose(np.exp(y / 2), np.clip(np.abs(s), 0.7, 1), atol=1e-15)
     # of one's own law, the same by a law that is mirrored
-    other = simple_wave.fan(s, Mirror(GRANULAR), 0.15)
+    other = simple_wave.fan(s, Mirrored(GRANULAR), 0.15)
     np.testing.assert_array_equal(other, -simple_wave.fan(s, GRANULAR, -0.15))
     # V = (1 + 2y)^{1/4}
     behind = 1 + 2 * simple_wave.mean(GRANULAR, -0.15)
-    np.testing.assert_allclose(1 - 2 * other, np.clip(s**4, behind, 1), atol=1e-14)
+    assert_allclose(1 - 2 * other, np.clip(s**4, behind, 1), atol=1e-14)
 
 
 @pytest.mark.slow
@@ -435,8 +422,8 @@ def test_simple_waves_differentiate():
         jnp.stack([both(x + k * h * e) - both(x - k * h * e) for e in np.eye(6)], 1) for k in (1, 2)
     ]
     found = jax.jacrev(both)(x)
-    np.testing.assert_allclose(found, (8 * apart[0] - apart[1]) / (12 * h), atol=1e-9)
-    np.testing.assert_allclose(jax.jacfwd(both)(x), found, atol=1e-13)
+    assert_allclose(found, (8 * apart[0] - apart[1]) / (12 * h), atol=1e-9)
+    assert_allclose(jax.jacfwd(both)(x), found, atol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -452,5 +439,5 @@ def test_simple_waves_differentiate():
     ],
 )
 def test_what_no_simple_wave_has_is_refused(call, said):
-    with pytest.raises(ValueError, match=said):
+    with refused(said):
         call()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.optimize
+from refusals import refused
 
 import granjax as gx
 from granjax.theory import nls
@@ -271,7 +272,7 @@ def test_a_resonant_second_harmonic_is_said():
     assert 4 * found.omega**2 == pytest.approx(2 * K2.sum(), rel=1e-12)
     assert found.resonant and found.nu3 == np.inf
     assert "second harmonic" in found.outcome
-    with pytest.raises(ValueError, match="second harmonic"):
+    with refused("second harmonic"):
         nls.bright_profile(found, 0.9, 10)
 
 
@@ -419,21 +420,21 @@ def test_profile_is_a_superposition_of_modes():
 
 def test_refusals_say_what_is_there():
     monomer = nls.coefficients(1.0, *HERTZ, np.pi)
-    with pytest.raises(ValueError, match="nu3 < 0 with nu2 > 0: only dark"):
+    with refused("nu3 < 0 with nu2 > 0: only dark"):
         nls.bright_profile(monomer, 0.99 * np.sqrt(6), 40)
-    with pytest.raises(ValueError, match="lowers the frequency"):
+    with refused("lowers the frequency"):
         nls.dark_profile(monomer, 1.01 * np.sqrt(6), 40)
-    with pytest.raises(ValueError, match="only bright"):
+    with refused("only bright"):
         nls.dark(0.0, 0.0, 1.0, 1.0, 1.0)
-    with pytest.raises(ValueError, match="stands still"):
+    with refused("stands still"):
         nls.dark_profile(nls.coefficients(1.0, *HERTZ, 1.0), 1.0, 40)
-    with pytest.raises(ValueError, match="omega = 0"):
+    with refused("omega = 0"):
         nls.coefficients(1.0, *HERTZ, 0.0)
-    with pytest.raises(ValueError, match="touches another"):
+    with refused("touches another"):
         nls.coefficients([1.0, 1.0], *HERTZ, np.pi, 1)
-    with pytest.raises(ValueError, match="precompression"):
+    with refused("precompression"):
         nls.coefficients(1.0, 0.0, 0.0, 0.0, np.pi)
-    with pytest.raises(ValueError, match="jax.vmap"):
+    with refused("jax.vmap"):
         nls.coefficients(1.0, *HERTZ, [1.0, 2.0])
 
 

@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 from granjax.theory import stokes, toda
@@ -15,7 +17,7 @@ def test_the_frequency_at_the_edge_of_the_band():
     K = gx.laws.taylor(HERTZ)
     for constraint, value in (("length", -0.153093), ("force", -0.459279)):
         found = stokes.wave(np.pi, np.array([1e-3, 1e-6]), *K, constraint=constraint)
-        np.testing.assert_allclose(found.shift / (found.first**2 / 4), value, rtol=5e-6)
+        assert_allclose(found.shift / (found.first**2 / 4), value, rtol=5e-6)
     # B = (3 K2 K4 - 4 K3^2)/K2^{3/2} of softening contacts and of magnets
     for p, B in ((0.5, 0.0883883), (-3.0, -10.3923048)):
         K = gx.laws.taylor(gx.PowerLaw(1.0, p, 1.0))
@@ -67,10 +69,10 @@ def test_the_expansion_differentiates_and_compiles():
 
     x, h = jnp.array([1.0, 0.1, 1.5, 0.4, -0.1, 0.7]), 1e-5
     central = jnp.stack([shift(x + h * e) - shift(x - h * e) for e in np.eye(6)]) / (2 * h)
-    np.testing.assert_allclose(jax.jit(jax.grad(shift))(x), central, atol=1e-9)
-    with pytest.raises(ValueError, match="^k: expected numbers in"):
+    assert_allclose(jax.jit(jax.grad(shift))(x), central, atol=1e-9)
+    with refused("^k: expected numbers in"):
         stokes.wave(3.2, 0.1, 1.0, 0.5, 0.1)
-    with pytest.raises(ValueError, match="^constraint"):
+    with refused("^constraint"):
         stokes.wave(3.0, 0.1, 1.0, 0.5, 0.1, constraint="mean")
 
 
@@ -86,8 +88,8 @@ def test_the_periodic_family_of_toda_is_that_of_the_closed_form(E):
     wave = gx.travelling.periodic_wave(gx.Toda(), length, speed=speed, mean=mean)
     x = length / 64 * np.arange(64)
     exact = toda.periodic_wave(x, 0.0, *E)
-    np.testing.assert_allclose(wave.strain(x), exact.strain, atol=1e-10)
-    np.testing.assert_allclose(wave.velocity(x), exact.velocity, atol=1e-10)
+    assert_allclose(wave.strain(x), exact.strain, atol=1e-10)
+    assert_allclose(wave.velocity(x), exact.velocity, atol=1e-10)
     found = wave.averages()
     assert found.mean_force == pytest.approx(float(jnp.expm1(exact.strain).mean()), abs=1e-10)
     assert found.kinetic == pytest.approx(float((exact.velocity**2).mean() / 2), abs=1e-10)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import granjax as gx
 from granjax.theory import compacton, elliptic, kdv, toda
@@ -71,7 +72,7 @@ def test_numbers_of_a_toda_soliton():
         own = {"speed": SCALED, "amplitude": ["rate"], "energy": ["strength", "rate"]}[name]
         constants = {key: SCALED[key] for key in own}
         found = toda.wavenumber(**{name: getattr(toda, name)(k, **constants)}, **SCALED)
-        np.testing.assert_allclose(found, k, rtol=1e-9 if name == "speed" else 1e-14)
+        assert_allclose(found, k, rtol=1e-9 if name == "speed" else 1e-14)
     wave = toda.soliton(np.arange(-40, 41), 0.0, 1.0)
     assert wave.strain.sum() == pytest.approx(2, rel=1e-14) and wave.displacement[
         0
@@ -81,13 +82,13 @@ def test_numbers_of_a_toda_soliton():
 
 
 def test_phase_shifts():
-    np.testing.assert_allclose(
+    assert_allclose(
         toda.phase_shifts(1.0, 0.5), [1.180269670641735, -2.360539341283469], rtol=1e-15
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         toda.phase_shifts(0.5, 1.0), [-2.360539341283469, 1.180269670641735], rtol=1e-15
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         toda.phase_shifts(1.0, 0.5, head_on=True),
         [0.2273362938026457, -0.4546725876052915],
         rtol=1e-14,
@@ -128,10 +129,10 @@ def test_solitons_of_a_simulation_are_shifted_and_keep_their_eigenvalues(head_on
         toda.lax_eigenvalues(gx.measures.strain(ring, y), y[1])
         for y in ((wave.displacement, wave.velocity), run.final)
     )
-    np.testing.assert_allclose(first, last, rtol=0, atol=1e-11)
+    assert_allclose(first, last, rtol=0, atol=1e-11)
     beyond = np.sort(np.asarray(last)[np.abs(last) > 1])
     want = np.sort([np.cosh(k1), (-1 if head_on else 1) * np.cosh(k2)])
-    np.testing.assert_allclose(beyond, want, rtol=1e-12)
+    assert_allclose(beyond, want, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -142,9 +143,9 @@ def test_a_ring_keeps_all_eigenvalues_of_any_state():
     run = gx.simulate(ring, state, 50.0, step=0.02, solver=gx.SRKN14a(), save_at=4)
     strains = jnp.stack([gx.measures.strain(ring, (u, v)) for u, v in zip(run.us, run.vs)], -1)
     at = [toda.lax_eigenvalues(y, v, boundary="periodic") for y, v in zip(strains.T, run.vs)]
-    np.testing.assert_allclose(at, [at[0]] * len(at), rtol=0, atol=1e-11)
+    assert_allclose(at, [at[0]] * len(at), rtol=0, atol=1e-11)
     # a batch of states, lanes last
-    np.testing.assert_allclose(
+    assert_allclose(
         toda.lax_eigenvalues(strains, run.vs.T, boundary="periodic"), np.array(at).T, atol=1e-13
     )
 
@@ -155,8 +156,8 @@ def test_periodic_waves_reach_their_limits():
         toda.periodic_wave(SITES, T, -1.0, 1.0, np.cosh(0.8), np.cosh(0.8)),
         toda.soliton(SITES, T, 0.8),
     )
-    np.testing.assert_allclose(wave.strain, alone.strain, atol=1e-14)
-    np.testing.assert_allclose(wave.velocity, alone.velocity, atol=1e-14)
+    assert_allclose(wave.strain, alone.strain, atol=1e-14)
+    assert_allclose(wave.velocity, alone.velocity, atol=1e-14)
     numbers = toda.periodic_numbers(-1.0, 1.0, np.cosh(0.8), np.cosh(0.8))
     assert numbers.wavelength == np.inf and numbers.mean_strain == pytest.approx(0, abs=1e-15)
     assert numbers.speed == pytest.approx(float(toda.speed(0.8)), rel=1e-14)
@@ -184,7 +185,7 @@ def test_laws_are_matched():
     hertz = gx.laws.taylor(gx.Hertz(1.0, 1.0))
     a, b = toda.matched(hertz.K2, hertz.K3)
     assert (a, b) == (pytest.approx(3.0), pytest.approx(0.5))
-    np.testing.assert_allclose(gx.laws.taylor(gx.Toda(a, b))[:2], hertz[:2], rtol=1e-14)
+    assert_allclose(gx.laws.taylor(gx.Toda(a, b))[:2], hertz[:2], rtol=1e-14)
     # a law that softens in compression has waves of rarefaction
     a, b = toda.matched(1.0, -0.3)
     wave = toda.soliton(0.0, 0.0, 0.5, strength=a, rate=b)
@@ -219,20 +220,20 @@ def test_kdv_waves_solve_their_equation(name):
     left, size = residual(1.7)
     assert abs(left) < 1e-13 * abs(size)
     y, v, u = wave(SITES, T)
-    np.testing.assert_allclose(y[:-1], u[:-1] - u[1:], rtol=0, atol=1e-7 * np.abs(y).max())
+    assert_allclose(y[:-1], u[:-1] - u[1:], rtol=0, atol=1e-7 * np.abs(y).max())
 
 
 def test_kdv_soliton_and_its_limits():
     sound = kdv.scales(K2, K3, MASS).sound
     y, v, u = kdv.soliton(SITES, T, K2, K3, speed=1.01 * sound, mass=MASS, centre=0.5)
     x = SITES - 0.5 - 1.01 * sound * T
-    np.testing.assert_allclose(y, 0.12 / np.cosh(np.sqrt(0.06) * x) ** 2, rtol=1e-13)
+    assert_allclose(y, 0.12 / np.cosh(np.sqrt(0.06) * x) ** 2, rtol=1e-13)
     assert kdv.amplitude(1.01 * sound, K2, K3, MASS) == pytest.approx(0.12, rel=1e-13)
     assert kdv.speed(0.12, K2, K3, MASS) == pytest.approx(1.01 * float(sound), rel=1e-15)
     r = 0.015
     long = kdv.cnoidal(SITES, T, 0.0, r, r, K2, K3, mass=MASS, centre=0.5)
-    np.testing.assert_allclose(long.strain, y, atol=1e-16)
-    np.testing.assert_allclose(long.velocity, v, atol=1e-16)
+    assert_allclose(long.strain, y, atol=1e-16)
+    assert_allclose(long.velocity, v, atol=1e-16)
     # a weak soliton of Toda's chain is one of KdV
     small = 1e-3
     one, other = (
@@ -240,11 +241,11 @@ def test_kdv_soliton_and_its_limits():
         kdv.soliton(SITES, T, 1.0, 0.5, speed=toda.speed(small)),
     )
     for a, b in zip(one[:2], other[:2]):
-        np.testing.assert_allclose(a, b, rtol=2e-6)
+        assert_allclose(a, b, rtol=2e-6)
     # to the left it is its mirror image
     left = kdv.soliton(SITES, T, K2, K3, amplitude=0.1, direction="left")
     right = kdv.soliton(-SITES, T, K2, K3, amplitude=0.1)
-    np.testing.assert_allclose(left.strain, right.strain, rtol=1e-14)
+    assert_allclose(left.strain, right.strain, rtol=1e-14)
 
 
 # ----------------------------------------------------------------------------------------------------------- compactons
@@ -256,7 +257,7 @@ def test_compactons_of_hertz():
         36 / 25, rel=1e-15
     )
     # over the exact wave
-    np.testing.assert_allclose(
+    assert_allclose(
         np.array([one.strain, other.strain]) / 1.48735937434940207 - 1,
         [0.05052, -0.03184],
         atol=5e-6,
@@ -264,19 +265,17 @@ def test_compactons_of_hertz():
     x = np.array([0.7, 2.4, 2.6, -5.0])
     found = compacton.nesterenko(x, speed=1.3, stiffness=2.0, mass=3.0)
     want = (1.3**2 * 1.5) ** 2 * 25 / 16 * np.cos(np.sqrt(0.4) * x) ** 4
-    np.testing.assert_allclose(
-        found.strain, np.where(np.abs(x) < found.half_width, want, 0), rtol=1e-13
-    )
+    assert_allclose(found.strain, np.where(np.abs(x) < found.half_width, want, 0), rtol=1e-13)
 
 
 def test_compactons_of_rosenau_and_hyman():
     x = np.linspace(-8, 8, 9)
     inside = np.abs(x) < 2 * np.pi
-    np.testing.assert_allclose(
+    assert_allclose(
         compacton.rosenau_hyman(x), np.where(inside, 4 / 3 * np.cos(x / 4) ** 2, 0), atol=1e-14
     )
     edge = np.abs(x) < 1.5 * np.pi
-    np.testing.assert_allclose(
+    assert_allclose(
         compacton.rosenau_hyman(x, 3.0, 3.0, speed=2.0),
         np.where(edge, np.sqrt(3) * np.cos(x / 3), 0),
         atol=1e-14,

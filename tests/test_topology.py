@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from refusals import refused
 
 import granjax as gx
 from granjax import scenes, topology
@@ -20,7 +21,7 @@ def test_the_chain_of_su_schrieffer_and_heeger():
             and abs(abs(found.below[0]) - phase) < 1e-10
         )
         assert topology.winding(chain) == turns
-    with pytest.raises(ValueError, match="touch"):
+    with refused("touch"):
         topology.winding(scenes.ssh(8, 1.0, 1.0, boundary="periodic"), cell=None)
 
 
@@ -37,7 +38,7 @@ def test_chern_numbers_are_whole():
     assert topology.chern(trivial) == 0
     crystal = scenes.honeycomb(6, mass={"a": 1.0, "b": 1.2}, out_of_plane=True, boundary="periodic")
     assert abs(topology.berry_curvature(crystal).chern) < 1e-10
-    with pytest.raises(ValueError, match="touch"):
+    with refused("touch"):
         topology.chern(scenes.honeycomb(6, out_of_plane=True, boundary="periodic"))
 
 
@@ -87,7 +88,7 @@ def test_bands_that_touch_at_any_k_have_no_number(bonds, points):
     off = np.abs(np.exp(1j * found.nearest) - np.exp(1j * np.array([place, -place]))).max(1).min()
     assert off < 1e-6 and "touches others at k = " in found.outcome
     assert np.isnan(topology.valley_chern(three_ways(bonds), valley=place, points=points))
-    with pytest.raises(ValueError, match="touches others at k = "):
+    with refused("touches others at k = "):
         topology.chern(three_ways(bonds), points=points)
     # along the line through that point, and beside it
     loops = topology.zak(three_ways(bonds), k=[place[1], place[1] + 0.1], points=points)
@@ -186,7 +187,7 @@ def test_chains_whose_bands_touch_at_any_k():
         # a + b z + c z^2 has both roots on the unit circle for a = c, |b| < 2
         found = topology.zak(chain(1, b, 1), points=16)
         assert np.isnan(found.phase).all() and f"{np.arccos(-b / 2):.6g}" in found.outcome
-        with pytest.raises(ValueError, match="touches others at k = "):
+        with refused("touches others at k = "):
             topology.winding(chain(1, b, 1))
         for share in (1e-2, 1e-8):
             assert topology.winding(chain(1 + share, b, 1), points=9) == 0
@@ -263,7 +264,7 @@ def test_edge_bands_of_a_strip():
     assert abs(float(strip.omega[60].max()) - float(plain.omega.max())) < 0.1
     bound = np.asarray(strip.participation).min(-1)
     assert bound.min() < 2.0
-    with pytest.raises(ValueError, match="periodic"):
+    with refused("periodic"):
         gx.linear.ribbon(scenes.square(6, 6, boundary="free"), axis=0)
 
 
@@ -409,7 +410,7 @@ def test_a_path_and_the_density_of_states():
     edges = np.linspace(0, top, 51)
     exact = 2 / np.pi * np.diff(np.arcsin(np.minimum(edges / top, 1))) / np.diff(edges)
     assert (np.abs(density.density - exact) < density.error + 1e-9).all()
-    with pytest.raises(ValueError, match="points: expected names among"):
+    with refused("points: expected names among"):
         gx.linear.path(crystal, "GQ")
 
 
@@ -523,7 +524,7 @@ def test_the_polarisation_of_a_breathing_kagome_is_a_third():
             found = topology.polarisation(breathing(k1, k2, boundary="periodic"), bands)
             assert np.abs(found.polarisation - expected / 3).max() < 1e-10 and found.error < 1e-7
             assert found.centres.shape == (2, 48, np.size(bands))
-    with pytest.raises(ValueError, match="touch"):
+    with refused("touch"):
         topology.polarisation(breathing(1.0, 1.0, boundary="periodic"))
 
 
@@ -552,7 +553,7 @@ def test_the_polarisation_without_symmetry_and_its_error():
         # q = (a, -b exp(-i arg h)): i <q|dq> = b^2 d(arg h)
         mean = (weight * (slope * h.conj()).imag / np.abs(h) ** 2).mean()
         assert abs((fine.polarisation[axis] - mean + 0.5) % 1 - 0.5) < 1e-10
-    with pytest.raises(ValueError, match="Chern"):
+    with refused("Chern"):
         topology.polarisation(haldane)
 
 
@@ -664,7 +665,7 @@ def test_a_smooth_gauge_is_closed_up_to_the_zak_phase():
         assert np.abs(np.angle(links * np.exp(1j * phase))).max() < 1e-10
     coarse = gx.linear.smooth_gauge(RNG.normal(size=(8, 3, 3)))
     assert "hardly overlap" in coarse.outcome
-    with pytest.raises(ValueError, match="four wave numbers"):
+    with refused("four wave numbers"):
         gx.linear.smooth_gauge(own[:3])
-    with pytest.raises(ValueError, match="broadcasting"):
+    with refused("broadcasting"):
         gx.linear.smooth_gauge(own, [1.0, 1.0, 1.0])

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
 from scipy.special import ellipe, ellipj, ellipk
 
 import granjax as gx
@@ -77,7 +79,7 @@ def test_the_toda_soliton_everywhere(k):
     wave = solitary_wave(gx.Toda(), speed=np.sinh(k) / k)
     x = np.linspace(-60 / k, 60 / k, 201)
     exact = np.log1p(np.sinh(k) ** 2 / np.cosh(k * x) ** 2)
-    np.testing.assert_allclose(wave.strain(x), exact, rtol=1e-11)
+    assert_allclose(wave.strain(x), exact, rtol=1e-11)
     assert float(wave.energy) == pytest.approx(np.sinh(2 * k) - 2 * k, rel=1e-11)
     assert float(wave.compression) == pytest.approx(2 * k, rel=1e-12)
 
@@ -94,9 +96,9 @@ def test_one_wave_by_speed_amplitude_or_energy_in_any_units():
         solitary_wave(scene, energy=wave.energy),
     ):
         assert float(one.speed) == pytest.approx(60e3, rel=1e-12)
-        np.testing.assert_allclose(one.strains, wave.strains, rtol=1e-11)
+        assert_allclose(one.strains, wave.strains, rtol=1e-11)
     u, v = wave.state(20, 9.25)
-    np.testing.assert_allclose(
+    assert_allclose(
         u[:-1] - u[1:], wave.strain(np.arange(19) - 9.25), atol=1e-13 * float(wave.compression)
     )
     assert np.all(np.asarray(v) < 0)
@@ -125,11 +127,11 @@ def test_derivatives_by_the_implicit_function_theorem(name):
     x, w = np.array([1.1, 0.9, 2.1, 1.3]), np.array([0.3, -0.2, 0.5, 0.4])
     slope = jax.jvp(found, (x,), (w,))[1]
     difference = (found(x + 1e-5 * w) - found(x - 1e-5 * w)) / 2e-5
-    np.testing.assert_allclose(slope, difference, rtol=1e-6)
+    assert_allclose(slope, difference, rtol=1e-6)
 
 
 def test_a_search_is_not_traced():
-    with pytest.raises(ValueError, match="jax.jit or jax.vmap"):
+    with refused("jax.jit or jax.vmap"):
         jax.jit(lambda c: solitary_wave(gx.Hertz(), speed=c).energy)(1.0)
 
 
@@ -158,7 +160,7 @@ def test_a_second_method_gives_the_same(load):
     law = gx.Hertz(1.0, load)
     c, x, strain = by_constraint(law, 20.0)
     wave = solitary_wave(law, speed=c)
-    np.testing.assert_allclose(wave.strain(x), strain, atol=1e-10 * float(wave.amplitude), rtol=0)
+    assert_allclose(wave.strain(x), strain, atol=1e-10 * float(wave.amplitude), rtol=0)
 
 
 @pytest.mark.slow
@@ -168,7 +170,7 @@ def test_launched_on_a_lattice_it_stays_as_it_is():
     run = gx.simulate(lattice, state, 1000.0, step=0.08, solver=gx.SRKN14a())
     strain = gx.measures.strain(lattice, run.final)
     exact = solitary_wave(gx.Hertz(), speed=1.0).strain(np.arange(1039) - 1015.0)
-    np.testing.assert_allclose(strain, exact, atol=1e-9, rtol=0)
+    assert_allclose(strain, exact, atol=1e-9, rtol=0)
 
 
 @pytest.mark.slow
@@ -191,9 +193,7 @@ def test_towards_the_speed_of_sound_it_is_the_soliton_of_korteweg_and_de_vries()
 def test_powers_scale_and_sum(p):
     wave, faster = (solitary_wave(gx.PowerLaw(1.0, p), speed=c) for c in (1.0, 1.3))
     scale = 1.3 ** (2 / (p - 1))
-    np.testing.assert_allclose(
-        faster.strain([0.0, 1.1, 2.3]), scale * wave.strain([0.0, 1.1, 2.3]), rtol=1e-9
-    )
+    assert_allclose(faster.strain([0.0, 1.1, 2.3]), scale * wave.strain([0.0, 1.1, 2.3]), rtol=1e-9)
     # the tent integral itself, by another rule
     z, w = np.polynomial.legendre.leggauss(200)
     for x in (0.0, 1.7, 3.3):
@@ -304,7 +304,7 @@ def test_the_toda_soliton_and_the_hertz_wave_are_stable(hertz):
     held = hertz.floquet()
     assert held.verdict == "stable" and held.expected == 2
     # what is left of a perturbation in the wave, per contact, whatever the length of the chain
-    np.testing.assert_allclose(hertz.floquet(16).multipliers[2:5], held.multipliers[2:5], atol=1e-5)
+    assert_allclose(hertz.floquet(16).multipliers[2:5], held.multipliers[2:5], atol=1e-5)
 
 
 @pytest.mark.study
@@ -316,7 +316,7 @@ def test_a_wave_with_second_neighbours_by_newtons_method_from_one_without():
     found = gx.travelling.wave_orbit(more, state, wave.speed)
     assert found.converged and 1e-3 < float(jnp.abs(found.state.u - state.u).max()) < 0.3
     run = gx.simulate(more, found.state, 5 / float(wave.speed), tolerance=1e-11)
-    np.testing.assert_allclose(run.final.u, jnp.roll(found.state.u, 5), atol=1e-7)
+    assert_allclose(run.final.u, jnp.roll(found.state.u, 5), atol=1e-7)
 
 
 @pytest.mark.parametrize(("m", "length"), [(0.3, 5.0), (0.99, 17.5)])
@@ -330,11 +330,11 @@ def test_the_cnoidal_wave_of_toda(m, length):
     x = np.arange(512) * length / 512
     mean = exact(x).mean()
     wave = gx.travelling.periodic_wave(gx.Toda(), length, speed=frequency * length, mean=mean)
-    np.testing.assert_allclose(wave.strain(x), exact(x), atol=1e-12)
+    assert_allclose(wave.strain(x), exact(x), atol=1e-12)
     again = gx.travelling.periodic_wave(gx.Toda(), length, amplitude=wave.amplitude, mean=mean)
     assert float(again.speed) == pytest.approx(frequency * length, rel=1e-12)
     u, v = wave.state(9, 3.3)
-    np.testing.assert_allclose(u[:-1] - u[1:], exact(np.arange(8) - 3.3), atol=1e-12)
+    assert_allclose(u[:-1] - u[1:], exact(np.arange(8) - 3.3), atol=1e-12)
     assert np.isfinite(v).all() and float(wave.error) < 1e-10
 
 
@@ -348,7 +348,7 @@ def test_a_periodic_wave_runs_around_a_ring():
     run = gx.simulate(
         ring, (u + wave.mean * np.arange(18), v), 18 / float(wave.speed), tolerance=1e-12
     )
-    np.testing.assert_allclose(run.final.v, v, atol=1e-8)
+    assert_allclose(run.final.v, v, atol=1e-8)
 
 
 @pytest.mark.study
@@ -357,9 +357,7 @@ def test_a_family_and_where_its_energy_turns():
     ends = [float(solitary_wave(STEEP, speed=waves.turns[0] + d).energy) for d in (-1e-3, 0, 1e-3)]
     assert waves.turns.shape == (1,) and ends[1] < min(ends[0], ends[2])
     by_energy = gx.travelling.family(gx.Hertz(), energy=[1.0, 2.0])
-    np.testing.assert_allclose(
-        by_energy.energy_slope, 10 * by_energy.energy / by_energy.speed, rtol=1e-8
-    )
+    assert_allclose(by_energy.energy_slope, 10 * by_energy.energy / by_energy.speed, rtol=1e-8)
 
 
 @pytest.mark.study
@@ -524,7 +522,7 @@ REFUSED = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("call", "why"), REFUSED, ids=[why for _, why in REFUSED])
 def test_refused_with_the_reason(call, why):
-    with pytest.raises(ValueError, match=why.replace("(", r"\(")):
+    with refused(why.replace("(", r"\(")):
         call()
 
 
@@ -544,5 +542,5 @@ def test_speeds_in_metres_per_second_by_the_diameter_of_a_bead():
         lambda R: gx.travelling.solitary_wave(gx.Hertz(), speed=1.0, spacing=R).amplitude
     )(2.0)
     assert float(slope) == pytest.approx(-4 * 1.48735937434940207 / 2**5, rel=1e-9)
-    with pytest.raises(ValueError, match="spacing: expected None without a speed"):
+    with refused("spacing: expected None without a speed"):
         gx.travelling.solitary_wave(chain, energy=1e-6, spacing=R)

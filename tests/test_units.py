@@ -2,25 +2,16 @@
 
 import jax
 import jax.numpy as jnp
-import matplotlib
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+from refusals import refused
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-import xarray as xr  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax.units.names import family, known_unit, readable  # noqa: E402
+import granjax as gx
+from granjax.units.names import family, known_unit, readable
 
 plots = gx.plots
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
 
 
 # ---------------------------------------------------------------------------------------------------------------- names
@@ -32,7 +23,6 @@ def closed():
         ("us", 1e-6, (0, 0, 1, 0, 0)),
         ("µs", 1e-6, (0, 0, 1, 0, 0)),
         ("mm/s", 1e-3, (0, 1, -1, 0, 0)),
-        ("m/s²", 1.0, (0, 1, -2, 0, 0)),
         ("N/m^{3/2}", 1.0, (1, -1.5, 0, 0, 0)),
         ("kg", 1.0, (1, -1, 2, 0, 0)),
         ("kHz", 2e3 * np.pi, (0, 0, -1, 1, 0)),
@@ -40,8 +30,6 @@ def closed():
         ("1/ms", 1e3, (0, 0, -1, 0, 0)),
         ("m s^-1", 1.0, (0, 1, -1, 0, 0)),
         ("mV", 1e-3, (0, 0, 0, 0, 1)),
-        ("MN/m", 1e6, (1, -1, 0, 0, 0)),
-        ("m·s⁻¹", 1.0, (0, 1, -1, 0, 0)),
         ("GPa", 1e9, (1, -2, 0, 0, 0)),
         ("rad^2/s^2", 1.0, (0, 0, -2, 2, 0)),
     ],
@@ -59,16 +47,12 @@ def test_a_unit_is_read_by_its_name(word, size, dimension):
     [
         "",
         "sec",
-        "furlong",
-        "m//s",
         "/s",
         "m^x",
         "site",
         "m^{1/0}",
-        "5 m",
         "a.u.",
         "km^9999",
-        "mm^9999",
     ],
 )
 def test_what_is_no_unit_is_none(word):
@@ -122,7 +106,7 @@ def test_a_lattice_knows_what_it_is_counted_in():
     assert [x.units for x in (scaled, gx.scenes.monomer(5), chain.counted_in("scaled"))] == [
         "scaled"
     ] * 3
-    with pytest.raises(ValueError, match="units: expected one of"):
+    with refused("units: expected one of"):
         gx.Lattice(1.0, chain.terms, sites=8, units="cgs")
     # one program serves both
     assert jax.tree.structure(chain) == jax.tree.structure(chain.counted_in("scaled"))
@@ -144,15 +128,15 @@ def test_a_run_counted_in_other_units(runs):
     si, scaled, units = runs
     assert (si.units, scaled.units) == ("SI", "scaled")
     data = si.in_units("us", "mm/s")
-    np.testing.assert_allclose(data.time, 1e6 * si.ts, rtol=1e-15)
-    np.testing.assert_allclose(data.v, 1e3 * si.vs, rtol=1e-15)
+    assert_allclose(data.time, 1e6 * si.ts, rtol=1e-15)
+    assert_allclose(data.v, 1e3 * si.vs, rtol=1e-15)
     np.testing.assert_array_equal(data.u, si.us)
     assert [data[name].attrs["units"] for name in ("time", "v", "u")] == ["us", "mm/s", "m"]
     size = float(np.abs(data.v).max())
-    np.testing.assert_allclose(scaled.in_units(units, "us", "mm/s").v, data.v, atol=1e-9 * size)
-    np.testing.assert_allclose(scaled.in_units(units).time, si.ts, rtol=1e-12)
+    assert_allclose(scaled.in_units(units, "us", "mm/s").v, data.v, atol=1e-9 * size)
+    assert_allclose(scaled.in_units(units).time, si.ts, rtol=1e-12)
     back = si.in_units(units)
-    np.testing.assert_allclose(back.v, scaled.vs, atol=1e-9 * float(np.abs(scaled.vs).max()))
+    assert_allclose(back.v, scaled.vs, atol=1e-9 * float(np.abs(scaled.vs).max()))
     assert (
         back.attrs["units"] == back.v.attrs["units"] == "scaled"
         and back.v.attrs["si_units"] == "m/s"
@@ -162,15 +146,13 @@ def test_a_run_counted_in_other_units(runs):
 def test_units_of_what_nobody_has_said_are_refused_or_said():
     spectrum = gx.measures.spectrum(np.eye(8), 0.1)
     for asked in (("kHz",), (gx.Units(time=1e-3),), (gx.Units(time=1e-3), "kHz")):
-        with pytest.raises(
-            ValueError, match=r"units: expected units of a result that says .*units=run.units"
-        ):
+        with refused(r"units: expected units of a result that says .*units=run.units"):
             spectrum.in_units(*asked)
     data = spectrum.in_units("SI", "kHz")
-    np.testing.assert_allclose(data.omega, np.asarray(spectrum.omega) / 2e3 / np.pi, rtol=1e-15)
+    assert_allclose(data.omega, np.asarray(spectrum.omega) / 2e3 / np.pi, rtol=1e-15)
     assert (data.attrs["units"], data.omega.attrs["units"]) == ("SI", "kHz")
     data = spectrum.in_units("scaled", gx.Units(time=1e-3))
-    np.testing.assert_allclose(data.omega, 1e3 * np.asarray(spectrum.omega), rtol=1e-15)
+    assert_allclose(data.omega, 1e3 * np.asarray(spectrum.omega), rtol=1e-15)
     assert (data.attrs["units"], data.omega.attrs["units"]) == ("SI", "rad/s")
 
 
@@ -194,11 +176,9 @@ def test_what_a_transformation_returns_knows_it_too():
     ],
 )
 def test_units_that_a_run_has_not_are_refused(runs, units, message):
-    with pytest.raises(ValueError, match=f"units.*: expected .*({message})"):
+    with refused(f"units.*: expected .*({message})"):
         runs[0].in_units(*units)
-    with pytest.raises(
-        ValueError, match=r"scaled numbers, got .*Give the Units .*gx.Units\(\).*counted_in\('SI'\)"
-    ):
+    with refused(r"scaled numbers, got .*Give the Units .*gx.Units\(\).*counted_in\('SI'\)"):
         runs[1].in_units("us")
 
 
@@ -219,9 +199,7 @@ def test_files_and_prints_say_what_numbers_are_counted_in(tmp_path):
             "scaled",
             "rad/s",
         )
-        np.testing.assert_allclose(
-            si.in_units("kHz").omega, np.asarray(si.omega) / 2e3 / np.pi, rtol=1e-15
-        )
+        assert_allclose(si.in_units("kHz").omega, np.asarray(si.omega) / 2e3 / np.pi, rtol=1e-15)
     spectrum = (
         gx.measures.spectrum(np.eye(8), 0.1),
         gx.measures.spectrum(np.eye(8), 0.1, units="SI"),
@@ -291,17 +269,17 @@ def test_a_map_in_si(runs):
     assert labels(plots.space_time(scaled)) == ["site", "time (scaled)", "velocity (scaled)"]
     asked = plots.space_time(si.in_units("ms", "um/s"))
     assert labels(asked) == ["site", "time (ms)", "velocity (µm/s)"]
-    np.testing.assert_allclose(asked.images[0].get_array(), 1e6 * si.vs, rtol=1e-12)
+    assert_allclose(asked.images[0].get_array(), 1e6 * si.vs, rtol=1e-12)
 
 
 def test_frequency_in_cycles():
     waves = gx.linear.dispersion(steel(), np.linspace(0, np.pi, 9))
     ax = plots.dispersion(waves)
     assert ax.get_ylabel() == "frequency (kHz)"
-    np.testing.assert_allclose(
+    assert_allclose(
         ax.lines[0].get_ydata(), np.asarray(waves.omega)[:, 0] / (2e3 * np.pi), rtol=1e-12
     )
-    with pytest.raises(ValueError, match="all in SI or all scaled"):
+    with refused("all in SI or all scaled"):
         plots.dispersion(waves, spectrum=gx.measures.spectrum(np.eye(8), 0.1, units="scaled"))
 
 

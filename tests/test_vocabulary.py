@@ -126,7 +126,7 @@ def test_the_walk_finds_the_library():
         ("granjax.flow.run", "Run"),
         ("granjax.laws.contact", "Hertz.__init__"),
         ("granjax.measures.fronts", "front_speed"),
-        ("granjax.orbits.guesses.sites", "single_site"),
+        ("granjax.orbits.guesses", "single_site"),
         ("granjax.theory.nls", "bright_profile"),
     } <= found
     assert len(ALL) > 350 and len(list(rows())) > 10

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 import granjax as gx
@@ -58,14 +59,14 @@ def test_modulus_from_a_start_that_is_three_times_off(young, poisson, kind, off)
         poisson=poisson,
     )
     assert found.fit.converged
-    np.testing.assert_allclose(found.modulus, young, rtol=1e-5)
-    np.testing.assert_allclose(found.plane_modulus, young / (1 - poisson**2), rtol=1e-5)
+    assert_allclose(found.modulus, young, rtol=1e-5)
+    assert_allclose(found.plane_modulus, young / (1 - poisson**2), rtol=1e-5)
     reduced = 1 / ((1 - POISSON**2) / YOUNG + (1 - poisson**2) / young)
-    np.testing.assert_allclose(found.reduced_modulus, reduced, rtol=1e-5)
-    np.testing.assert_allclose(found.stiffness, 4 / 3 * reduced * np.sqrt(RADIUS), rtol=1e-5)
+    assert_allclose(found.reduced_modulus, reduced, rtol=1e-5)
+    assert_allclose(found.stiffness, 4 / 3 * reduced * np.sqrt(RADIUS), rtol=1e-5)
     # dE*/E* = s dE/E
     share = reduced * (1 - poisson**2) / young
-    np.testing.assert_allclose(found.relative[1:], share * found.relative[0], rtol=1e-4)
+    assert_allclose(found.relative[1:], share * found.relative[0], rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -84,7 +85,7 @@ def test_noise_and_an_unknown_velocity_of_impact():
         poisson=0.35,
         others={"velocity": 0.45},
     )
-    np.testing.assert_allclose(found.deviation / found.modulus, 3.1e-3, rtol=0.05)
+    assert_allclose(found.deviation / found.modulus, 3.1e-3, rtol=0.05)
     assert abs(found.modulus - 3.3e9) < 3 * found.deviation
     assert abs(float(found.fit.parameters["velocity"]) - SPEED) < 3 * float(
         found.fit.deviations["velocity"]

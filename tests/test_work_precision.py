@@ -3,23 +3,20 @@
 import math
 import sys
 import time
-from pathlib import Path
 
 import diffrax
 import jax
 import jax.numpy as jnp
-import matplotlib
+import numpy as np
+import pytest
+import scenes
+from numpy.testing import assert_array_equal
+from refusals import refused
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from scipy.integrate import solve_ivp  # noqa: E402
-from scipy.linalg import expm  # noqa: E402
-
-import granjax as gx  # noqa: E402
-from granjax.work_precision import (  # noqa: E402
+import granjax as gx
+from granjax.work_precision import (
     Ladder,
     distance,
     find_reference,
@@ -27,10 +24,6 @@ from granjax.work_precision import (  # noqa: E402
     observed_order,
     sensible_solvers,
 )
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-
-import scenes  # noqa: E402
 
 END = 2.0
 EXACT = np.array([math.cos(END)]), np.array([-math.sin(END)])
@@ -98,8 +91,8 @@ def test_the_distance_keeps_a_nan(place):
 def test_a_table_has_every_point_in_order(table):
     assert table.methods == ("verlet", "rk4", "default")
     assert table.method == ("verlet",) * 8 + ("rk4",) * 8 + ("default",)
-    np.testing.assert_array_equal(table.value[:8], STEPS)
-    np.testing.assert_array_equal(table.evaluations[:8], [math.ceil(END / h) for h in STEPS])
+    assert_array_equal(table.value[:8], STEPS)
+    assert_array_equal(table.evaluations[:8], [math.ceil(END / h) for h in STEPS])
     assert np.isnan(table.evaluations[8:16]).all()
     assert table.drawn.all() and not any(table.note)
     for point, step in zip((0, 3), STEPS[::3]):
@@ -151,12 +144,12 @@ def test_failures_stay_with_a_sentence():
     assert (
         wp.note[0] == "step: too long." and "not finite" in wp.note[1] and "above 1" in wp.note[2]
     )
-    np.testing.assert_array_equal(wp.drawn, [False] * 3 + [True] * 5)
+    assert_array_equal(wp.drawn, [False] * 3 + [True] * 5)
     assert math.isnan(wp.error[0]) and math.isnan(wp.seconds[2])
     assert wp.orders["fragile"][0] == pytest.approx(2, abs=0.05)
     assert "step: too long." in str(wp)
     nothing = measure([Ladder("broken", "step", (0.4,), call)], EXACT, FLOOR, repeats=1)
-    with pytest.raises(ValueError, match="error: expected a table with points"):
+    with refused("error: expected a table with points"):
         nothing.advice(1e-3)
 
 
@@ -169,16 +162,10 @@ def test_failures_stay_with_a_sentence():
             {},
             "steps of verlet: expected finite numbers above zero",
         ),
-        ([VERLET], {"uncertainty": 0.1}, "uncertainty: expected a number from 0 to 0.001"),
-        (
-            [VERLET],
-            {"reference": (np.ones(2), np.ones(2))},
-            "reference: expected arrays of the shapes",
-        ),
     ],
 )
 def test_ladders_that_cannot_be_meant(ladders, keywords, message):
-    with pytest.raises(ValueError, match=message):
+    with refused(message):
         measure(ladders, **{"reference": EXACT, "repeats": 1, **keywords})
 
 
@@ -249,7 +236,7 @@ def test_advice_is_never_worse_than_another_point(seed, monkeypatch):
     monkeypatch.setattr(sys.modules[measure.__module__], "_in_turns", timed)
     ladders = [Ladder(name, "step", STEPS, call) for name, call in zip("abc", calls)]
     wp = measure(ladders, EXACT, repeats=1)
-    np.testing.assert_array_equal(wp.seconds, seconds.ravel())
+    assert_array_equal(wp.seconds, seconds.ravel())
     for asked in (3e-1, 3e-2, 3e-3):
         advice = wp.advice(asked)
         assert advice.error <= asked
@@ -259,12 +246,12 @@ def test_advice_is_never_worse_than_another_point(seed, monkeypatch):
 
 
 def test_advice_below_the_floor_is_refused(table):
-    with pytest.raises(ValueError, match="error: expected at least 4e-13, four times the floor"):
+    with refused("error: expected at least 4e-13, four times the floor"):
         table.advice(1e-13)
 
 
 def test_advice_below_all_that_was_measured_is_refused(table):
-    with pytest.raises(ValueError, match="The best point: rk4, step 0.0031"):
+    with refused("The best point: rk4, step 0.0031"):
         table.advice(table.error[15] / 2)
 
 
@@ -307,24 +294,17 @@ def test_xarray_round_trip(table, tmp_path):
     table.to_xarray().to_netcdf(tmp_path / "table.nc", engine="h5netcdf")
     with xr.open_dataset(tmp_path / "table.nc", engine="h5netcdf") as data:
         for name in ("value", "error", "seconds", "evaluations", "drawn"):
-            np.testing.assert_array_equal(data[name], getattr(table, name))
+            assert_array_equal(data[name], getattr(table, name))
         assert list(data["method"].values) == list(table.method)
         assert data["order"].sel(method_name="rk4") == table.orders["rk4"][0]
         assert data.attrs["floor"] == FLOOR and data.attrs["reference"] == "closed form"
 
 
-@pytest.fixture
-def ax():
-    figure, ax = plt.subplots()
-    yield ax
-    plt.close(figure)
-
-
 def test_the_chart_shows_the_table(table, ax):
     assert gx.plots.work_precision(table, ax) is ax
     assert [line.get_label() for line in ax.lines] == ["verlet", "rk4", "default"]
-    np.testing.assert_array_equal(ax.lines[0].get_xdata(), table.seconds[:8])
-    np.testing.assert_array_equal(ax.lines[1].get_ydata(), table.error[8:16])
+    assert_array_equal(ax.lines[0].get_xdata(), table.seconds[:8])
+    assert_array_equal(ax.lines[1].get_ydata(), table.error[8:16])
     assert ax.get_xscale() == ax.get_yscale() == "log"
     assert ax.get_ylim()[0] < FLOOR and any("uncertainty" in text.get_text() for text in ax.texts)
 
@@ -332,13 +312,13 @@ def test_the_chart_shows_the_table(table, ax):
 def test_the_chart_against_evaluations_leaves_out_what_does_not_count(table, ax):
     gx.plots.work_precision(table, ax, against="evaluations")
     assert [line.get_label() for line in ax.lines] == ["verlet", "default"]
-    np.testing.assert_array_equal(ax.lines[0].get_xdata(), table.evaluations[:8])
+    assert_array_equal(ax.lines[0].get_xdata(), table.evaluations[:8])
 
 
 def test_the_chart_leaves_out_what_is_not_drawn(ax):
     wp = measure([RK4, VERLET], EXACT, 1e-6, repeats=1)
     gx.plots.work_precision(wp, ax)
-    np.testing.assert_array_equal(ax.lines[0].get_ydata(), wp.error[:8][wp.error[:8] >= 4e-6])
+    assert_array_equal(ax.lines[0].get_ydata(), wp.error[:8][wp.error[:8] >= 4e-6])
     assert len(ax.lines[0].get_ydata()) < 8
 
 
@@ -392,7 +372,7 @@ REST = np.zeros(6), np.ones(6)
     ],
 )
 def test_input_that_cannot_be_meant(positional, keywords, message):
-    with pytest.raises(ValueError, match=message):
+    with refused(message):
         gx.work_precision(*positional, **keywords)
 
 
@@ -403,7 +383,7 @@ def test_steps_of_ones_own_and_a_reference_of_ones_own():
     solvers = {"mine": gx.VelocityVerlet(), "RKN86": gx.RKN86()}
     wp = gx.work_precision(CHAIN, STATE, 4.0, solvers, steps, reference=reference, repeats=1)
     assert wp.method == ("mine",) * 3 + ("RKN86",) * 2 + ("default",)
-    np.testing.assert_array_equal(wp.value[:5], [3.0, 0.2, 0.1, 1e-4, 1e-8])
+    assert_array_equal(wp.value[:5], [3.0, 0.2, 0.1, 1e-4, 1e-8])
     assert wp.note[0].startswith("step: expected at most") and math.isnan(wp.floor)
     assert wp.error[1] / wp.error[2] == pytest.approx(4, rel=0.1)
     end = gx.simulate(CHAIN, STATE, 4.0, step=0.1, solver=gx.VelocityVerlet())

@@ -1,4 +1,4 @@
-"""The system that continuation solves at every point: corrector, tangents, derivatives."""
+"""The system that continuation solves at every point: corrector, tangents, the branch between two points."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import brentq
 
-from ..newton import CONVERGED, evaluated, newton
-from ..types import Numbers, Parameter, Pytree, Scalar
+from ..newton import evaluated, newton
+from ..types import Count, Numbers, Pytree, Scalar
 
 MOST_NEWTON = 10
 
@@ -19,10 +20,10 @@ class Point(NamedTuple):
     """A corrected point: derivatives (n, n + 1), tangent, sign of det of the two, which changes at branch points."""
 
     z: Float[np.ndarray, " n_and_p"]
-    jacobian: Float[np.ndarray, "n n_and_p"]
     tangent: Float[np.ndarray, " n_and_p"]
-    sign: float
-    iterations: int
+    jacobian: Float[np.ndarray, "n n_and_p"] | None = None
+    sign: float = np.nan
+    iterations: int = 0
 
     @property
     def x(self) -> np.ndarray:
@@ -63,14 +64,70 @@ class Bordered(eqx.Module):
             twice = lambda z: (evaluated(self.function, z[:-1], z[-1], inner),) * 2
             jacobian, f = jax.jacfwd(twice, has_aux=True)(z)
             return f, jacobian
-        found = self.slopes(x, p, inner)
-        f, in_x, *in_p = found
+        f, in_x, *in_p = self.slopes(x, p, inner)
         if not in_p:
             in_p = [jax.jvp(lambda p: self.function(x, p, inner), (p,), (jnp.ones_like(p),))[1]]
         return f, jnp.column_stack([in_x, *in_p])
 
 
-def tangent_at(jacobian: np.ndarray, border: np.ndarray) -> tuple:
+@eqx.filter_jit
+def _second(function, z, v, w, args):
+    f = lambda z: function(z[:-1], z[-1], args)
+    return jax.jvp(lambda z: jax.jvp(f, (z,), (v,))[1], (z,), (w,))[1]
+
+
+class System:
+    """Corrector and tangents of one problem."""
+
+    def __init__(
+        self,
+        residual: Callable,
+        linearise: Callable | None = None,
+        args: Pytree = None,
+        tolerance: Scalar = 1e-10,
+    ):
+        self.augmented = Bordered(residual, linearise)
+        self.args, self.tolerance = args, tolerance
+        self.scale = None
+
+    def correct(
+        self,
+        guess: np.ndarray,
+        border: np.ndarray,
+        before: np.ndarray,
+        most: Count = MOST_NEWTON,
+        share: float = 1.0,
+    ) -> tuple[Point | None, str]:
+        """A `Point` in the plane through a guess across `border`, or `None` and why not.
+
+        `before`: a tangent in the direction of the branch. `share`: of the tolerance, to which it goes on if it can.
+        """
+        guess = jnp.asarray(guess)
+        root = newton(
+            self.augmented.residual,
+            guess,
+            (self.args, jnp.asarray(border), guess),
+            tolerance=share * self.tolerance,
+            max_steps=most,
+            linearise=self.augmented.linearise,
+            throw=False,
+            finish=False,
+        )
+        if not root.residual <= self.tolerance:
+            return None, root.outcome.rstrip(".")
+        jacobian = np.asarray(root.jacobian)[:-1]
+        tangent, sign, size = _tangent(jacobian, before)
+        # relative to the first point's, so that its size means how near to zero it is
+        self.scale = size if self.scale is None else self.scale
+        sign = float(sign * np.exp(np.clip(size - self.scale, -200, 200)))
+        return Point(np.asarray(root.x), tangent, jacobian, sign, int(root.iterations)), ""
+
+    def second(self, z: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """D^2 F [v, w]."""
+        return np.asarray(_second(self.augmented.function, *map(jnp.asarray, (z, v, w)), self.args))
+
+
+def _tangent(jacobian, border):
     """The unit tangent of derivatives (n, n + 1) with border . tangent > 0, and slogdet of the two together."""
     square = np.vstack([jacobian, border])
     try:
@@ -81,77 +138,43 @@ def tangent_at(jacobian: np.ndarray, border: np.ndarray) -> tuple:
     return tangent, *np.linalg.slogdet(np.vstack([jacobian, tangent]))
 
 
-@eqx.filter_jit
-def _second(function, z, v, w, args):
-    f = lambda z: function(z[:-1], z[-1], args)
-    return jax.jvp(lambda z: jax.jvp(f, (z,), (v,))[1], (z,), (w,))[1]
+class Between:
+    """The branch between two of its points, over the length s along a direction from the first.
 
+    `direction`: a unit vector (n + 1,), by default the tangent at the first point. `share`: of the tolerance, to which
+    Newton's method goes on if it can.
+    """
 
-def _converged(root):
-    return int(root.code) == CONVERGED
+    def __init__(
+        self,
+        system: System,
+        here: Point,
+        there: Point,
+        direction: np.ndarray | None = None,
+        share: float = 1.0,
+    ):
+        self.system, self.begin, self.share = system, here.z, share
+        self.direction = here.tangent if direction is None else direction
+        self.length = float((there.z - here.z) @ self.direction)
+        self.known = {0.0: here, self.length: there}
 
-
-class System:
-    """Corrector and tangents of one problem."""
-
-    def __init__(self, residual, linearise, args, tolerance):
-        self.augmented = Bordered(residual, linearise)
-        self.args, self.tolerance = args, tolerance
-        self.scale = None
-
-    def first(self, x0: np.ndarray, p0: float, direction: Parameter, arclength: Scalar) -> Point:
-        z = np.append(x0, p0)
-        if np.ndim(direction):
-            tangent = np.asarray(direction, float) / np.linalg.norm(direction)
-            point, reason = self.correct(z + arclength * tangent, tangent, tangent)
-            if point is None:
-                raise RuntimeError(f"No solution beside the branch point: {reason}.")
-            return point
-        only_p = np.append(np.zeros_like(x0), 1.0)
-        root = self._newton(z, only_p, z, 2 * MOST_NEWTON)
-        if not _converged(root):
-            raise RuntimeError(f"The first point: {root.outcome}")
-        return self._point(root, direction * only_p)
-
-    def correct(self, predicted: np.ndarray, border: np.ndarray, before: np.ndarray) -> tuple:
-        """A `Point` in the plane across `border`, or `None` and why not."""
-        root = self._newton(predicted, border, predicted, MOST_NEWTON)
-        if not _converged(root):
-            return None, root.outcome.rstrip(".")
-        return self._point(root, before), ""
-
-    def at(self, z: np.ndarray, p: Scalar, before: np.ndarray) -> Point | None:
-        """The point with this p, or `None`."""
-        only_p = np.append(np.zeros(len(z) - 1), 1.0)
-        guess = np.append(z[:-1] + before[:-1] * np.clip((p - z[-1]) / (before[-1] or 1), -1, 1), p)
-        root = self._newton(guess, only_p, guess, MOST_NEWTON)
-        return self._point(root, before) if _converged(root) else None
-
-    def second(self, z: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """D^2 F [v, w]."""
-        return np.asarray(
-            _second(
-                self.augmented.function, jnp.asarray(z), jnp.asarray(v), jnp.asarray(w), self.args
+    def at(self, s: float) -> Point:
+        """The point in the plane across the direction at s. **Raises** RuntimeError where Newton's method fails."""
+        if s not in self.known:
+            predicted = self.begin + s * self.direction
+            point, reason = self.system.correct(
+                predicted, self.direction, self.direction, share=self.share
             )
-        )
+            if point is None:
+                raise RuntimeError(reason)
+            self.known[s] = point
+        return self.known[s]
 
-    def _newton(self, guess, border, predicted, most):
-        arguments = self.args, jnp.asarray(border), jnp.asarray(predicted)
-        return newton(
-            self.augmented.residual,
-            jnp.asarray(guess),
-            arguments,
-            tolerance=self.tolerance,
-            max_steps=most,
-            linearise=self.augmented.linearise,
-            throw=False,
-            finish=False,
-        )
-
-    def _point(self, root, before):
-        jacobian = np.asarray(root.jacobian)[:-1]
-        tangent, sign, size = tangent_at(jacobian, before)
-        # relative to the first point's, so that its size means how near to zero it is
-        self.scale = size if self.scale is None else self.scale
-        sign = sign * np.exp(np.clip(size - self.scale, -200, 200))
-        return Point(np.asarray(root.x), jacobian, tangent, float(sign), int(root.iterations))
+    def zero(self, test: Callable[[Point], float], accuracy: float = 1e-13) -> Point:
+        """Where a function of the point changes its sign, by Brent's method, to an accuracy of the length."""
+        # no number at a branch point itself, where there is no tangent
+        value = lambda s: np.nan_to_num(test(self.at(s)))
+        try:
+            return self.at(brentq(value, 0.0, self.length, xtol=accuracy * abs(self.length)))
+        except RuntimeError:  # Newton's method failed on the way: as near as it came
+            return self.at(min(self.known, key=lambda s: abs(value(s))))

@@ -7,12 +7,14 @@ import numpy as np
 
 from ..checks import one_of, positive, refuse
 from ..types import Count, Parameter, Scalar
-from .curve import Curve
-from .locate import bound_met, located
-from .system import System
+from .curve import Curve, Special
+from .system import MOST_NEWTON, Between, System
 
 TARGET = 4
 LEAST_COSINE = 0.9
+# of the tolerance, to which points beside a branch point are solved if they can be: the derivative is almost singular
+# there, and what is left of the residual decides where it is found
+CLOSER = {"fold": 1.0, "branch point": 1e-3}
 
 
 def continuation(
@@ -77,46 +79,66 @@ def continuation(
             "direction", f"1, -1 or a tangent of shape ({x0.size + 1},)", f"shape {direction.shape}"
         )
     system = System(residual, linearise, args, tolerance)
-    here = system.first(x0, float(p0), direction, arclength)
-    trace, special, outcome = [here], [], f"The {points} points that were asked for."
-    iterations, reason = here.iterations, ""
-    while len(trace) < points:
+    here = _first(system, np.append(x0, float(p0)), direction, arclength)
+    zs, tangents, special = [here.z], [here.tangent], []
+    outcome, iterations, reason = f"The {points} points that were asked for.", here.iterations, ""
+    while len(zs) < points:
         if arclength < least_arclength:
             outcome = f"The step along the branch fell below {least_arclength:.1e}: {reason}."
             break
-        here = trace[-1]
         there, reason = _advance(system, here, arclength, veto)
         if there is None:
             arclength /= 2
             continue
-        bound, near = bound_met(system, here, there, bounds)
+        bound, near = _bound_met(system, here, there, bounds)
         if near is not None:
-            there = system.at(near.z, bound, near.tangent)
+            there, _ = system.correct(np.append(near.x, bound), _only_p(x0.size), near.tangent)
             if there is None:
                 reason, arclength = f"Newton failed at p = {bound:.6g}", arclength / 2
                 continue
-        special += [
-            located(system, kind, here, there, len(trace) - 1)
-            for kind in find
-            if here.crosses(there, kind)
-        ]
-        trace.append(there)
-        iterations += there.iterations
+        for kind in find:
+            if here.crosses(there, kind):
+                way = Between(system, here, there, share=CLOSER[kind])
+                best = way.zero(lambda point: point.test(kind))
+                ways = _directions(system, kind, best, here.tangent)
+                special.append(Special(kind, best.x, best.p, len(zs) - 1, ways))
+        here = there
+        zs.append(here.z)
+        tangents.append(here.tangent)
+        iterations += here.iterations
         if near is not None:
             outcome = f"p reached {bound:.6g}."
             break
-        why = None if stop is None else stop(there.x, there.p)
+        why = None if stop is None else stop(here.x, here.p)
         if why:
             outcome = f"Stopped: {why}."
             break
-        if _closed(trace, arclength):
+        if _closed(zs, tangents, arclength):
             outcome = "The branch closed upon itself."
             break
-        factor = 2.0 ** ((TARGET - there.iterations) / 2)
+        factor = 2.0 ** ((TARGET - here.iterations) / 2)
         arclength = float(np.clip(factor * arclength, least_arclength, longest_arclength))
-    z = np.stack([point.z for point in trace])
-    tangents = np.stack([point.tangent for point in trace])
-    return Curve(z[:, :-1], z[:, -1], tangents, tuple(special), iterations, outcome)
+    z = np.stack(zs)
+    return Curve(z[:, :-1], z[:, -1], np.stack(tangents), tuple(special), iterations, outcome)
+
+
+def _only_p(size):
+    return np.append(np.zeros(size), 1.0)
+
+
+def _first(system, z, direction, arclength):
+    """The first point: that with the p of z, or at a length beside z in a direction."""
+    if direction.ndim:
+        tangent = direction / np.linalg.norm(direction)
+        point, reason = system.correct(z + arclength * tangent, tangent, tangent)
+        said = "No solution beside the branch point"
+    else:
+        only_p = _only_p(z.size - 1)
+        point, reason = system.correct(z, only_p, direction * only_p, 2 * MOST_NEWTON)
+        said = "The first point"
+    if point is None:
+        raise RuntimeError(f"{said}: {reason}.")
+    return point
 
 
 def _advance(system, here, arclength, veto):
@@ -130,18 +152,53 @@ def _advance(system, here, arclength, veto):
     return (None, f"vetoed, {why}") if why else (there, "")
 
 
-def _closed(trace, arclength):
-    if len(trace) < 4:
-        return False
-    away = np.array([np.linalg.norm(point.z - trace[0].z) for point in trace])
-    crossed = (
-        (trace[-2].z - trace[0].z) @ trace[0].tangent
-        < 0
-        <= (trace[-1].z - trace[0].z) @ trace[0].tangent
-    )
+def _bound_met(system, here, there, bounds):
+    """The bound that p meets first between two points, and a point of the branch near it."""
+    if not bounds:
+        return None, None
+    # p may turn back on the way: up to the fold and from there on it is monotone
+    turns = here.crosses(there, "fold")
+    turn = [Between(system, here, there).zero(lambda point: point.test("fold"))] if turns else []
+    for a, b in zip([here, *turn], [*turn, there]):
+        between = [bound for bound in bounds if (a.p - bound) * (b.p - bound) < 0 or b.p == bound]
+        if between:
+            bound = min(between, key=lambda bound: abs(bound - a.p))
+            return bound, Between(system, a, b).zero(lambda point: point.p - bound)
+    return None, None
+
+
+def _directions(system, kind, point, before):
+    """Tangents of the branches that meet at a special point, the one nearest to `before` first."""
+    if kind == "fold":
+        return point.tangent[None]
+    # dF has two null vectors and one from the left, psi: a tangent v is in their plane, and psi . D^2 F [v, v] = 0
+    left, _, right = np.linalg.svd(point.jacobian)
+    plane, psi = right[-2:], left[:, -1]
+    form = np.array([[psi @ system.second(point.z, v, w) for v in plane] for w in plane])
+    (low, high), axes = np.linalg.eigh((form + form.T) / 2)
+    if low < 0 < high:
+        both = (
+            np.stack(
+                [np.sqrt(high) * axes[:, 0] + sign * np.sqrt(-low) * axes[:, 1] for sign in (1, -1)]
+            )
+            @ plane
+        )
+        both /= np.linalg.norm(both, axis=1, keepdims=True)
+    else:  # no two branches that cross: the traced one, and what is orthogonal to it in the plane
+        own = plane @ before / np.linalg.norm(plane @ before)
+        both = np.stack([own, [-own[1], own[0]]]) @ plane
+    both = both[np.argsort(-np.abs(both @ before), kind="stable")]
+    return both * np.where(both @ before < 0, -1, 1)[:, None]
+
+
+def _closed(zs, tangents, arclength):
+    """Whether the last step went past the first point, from afar and in its direction."""
+    away = np.stack(zs) - zs[0]
+    far, along = np.linalg.norm(away, axis=1), away @ tangents[0]
     return bool(
-        crossed
-        and away[-1] < 2 * arclength
-        and away.max() > 4 * away[-1]
-        and trace[-1].tangent @ trace[0].tangent > LEAST_COSINE
+        len(zs) > 3
+        and along[-2] < 0 <= along[-1]
+        and far[-1] < 2 * arclength
+        and far.max() > 4 * far[-1]
+        and tangents[-1] @ tangents[0] > LEAST_COSINE
     )

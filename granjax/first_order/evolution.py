@@ -14,7 +14,6 @@ from ..flow import Flow
 from ..programs import bar, compiled
 from ..results import Result, array, note
 from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
-from ..variables import Layout
 from .equations import Equation, check_shape, field
 from .split_step import SplitStep
 
@@ -49,11 +48,7 @@ class Evolution(Result):
     )
     step: Number = array("The time step.", "s")
     tolerance: Number = array("The tolerance that was asked for.")
-    solver: str = array("The name of the solver.")
-
-    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        lanes, mapped = np.shape(self.norm_error), np.ndim(self.ts) - 1
-        return Layout(*(space or (None, 0)), lanes, mapped)
+    solver: str = array("The name of the solver.", static=True)
 
     @property
     def final(self) -> Amplitudes:
@@ -68,7 +63,7 @@ class Evolution(Result):
     @property
     def completed(self) -> Flags:
         """Whether the error came below the tolerance times the root of the norm, in every lane."""
-        return jnp.all(self.error <= self.tolerance * jnp.sqrt(self.norm[0]))
+        return (self.error <= self.tolerance * self.norm[0] ** 0.5).all()
 
     @property
     def outcome(self) -> str:
@@ -77,11 +72,11 @@ class Evolution(Result):
             return "Not known while traced."
         if not np.isfinite(np.asarray(self.error)).all():
             return "The state is not finite: the motion left the equation's domain, or the step is too long."
-        t, worst = float(self.ts[-1]), float(np.max(self.error))
+        t, worst, asked = (float(np.max(x)) for x in (self.ts, self.error, self.tolerance))
         if bool(self.completed):
             return f"Completed at t = {t:g}, known to {worst:.1e}."
         return (
-            f"Reached t = {t:g}, known to {worst:.1e} and not to {float(self.tolerance):.1e} times the root of "
+            f"Reached t = {t:g}, known to {worst:.1e} and not to {asked:.1e} times the root of "
             "the norm: the motion is unstable or not smooth, or the steps are too long."
         )
 
@@ -299,5 +294,7 @@ def _told(equation, solver, times, first, now, error, step, tolerance):
         step,
         tolerance,
         type(solver).__name__,
+        # of no units, with the lanes of a batch
+        _mark=jnp.full((1, *now.shape[2:]), jnp.nan),
         _space=(1, 0),
     )

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..checks import one_of, parameter, refuse, traced
 from ..newton import Root, newton
-from ..results import Result, array
+from ..results import Result, array, hidden
 from ..types import Count, Number, Numbers, Parameter, Scalar
 from .equations import DNLS, Equation
 
@@ -15,6 +15,7 @@ from .equations import DNLS, Equation
 WEAK, LONGEST, ALIKE, TRIES = 0.1, 1.5, 0.97, 200
 # of the largest amplitude, that at the ends of what is localised
 LOCALISED = 0.05
+FOUND = "Found: it is localised and stands still."
 
 
 class Soliton(Result):
@@ -27,7 +28,24 @@ class Soliton(Result):
     residual: Number = array("max |dH/dpsi* - omega psi| over |omega| max |psi|.")
     error: Number = array("The length of the next Newton step over max |psi|.")
     tail: Number = array("|phi| at the sites farthest from the highest one, over the highest.")
-    outcome: str
+    root: Root = hidden("How Newton's method ended.")
+
+    @property
+    def outcome(self) -> str:
+        """What became of it, a sentence."""
+        if traced((self.psi, self.tail)):
+            return "Not known while traced."
+        if not np.all(self.root.converged):
+            return self.root.outcome
+        if not np.any(self.psi):
+            return "Newton's method fell to zero: start from a larger profile."
+        tail = np.max(self.tail)
+        if tail > LOCALISED:
+            return (
+                f"Not localised: far away it is {tail:.2g} of its height; take a longer chain or "
+                "another frequency."
+            )
+        return FOUND
 
 
 def soliton(
@@ -90,9 +108,6 @@ def soliton(
     if (throw is None or throw) and not traced(made) and made.outcome != FOUND:
         raise RuntimeError(made.outcome)
     return made
-
-
-FOUND = "Found: it is localised and stands still."
 
 
 def _residual(phi, args):
@@ -211,16 +226,6 @@ def _made(equation, omega, root: Root):
     step = jnp.linalg.lstsq(root.jacobian, left)[0]
     psi = phi.astype(jnp.result_type(phi, jnp.complex64))
     tail = _tail(equation, jnp.abs(phi) / size)
-    if traced((phi, tail)):
-        outcome = "Not known while traced."
-    elif not bool(root.converged):
-        outcome = root.outcome
-    elif not highest > 0:
-        outcome = "Newton's method fell to zero: start from a larger profile."
-    elif tail > LOCALISED:
-        outcome = f"Not localised: far away it is {tail:.2g} of its height; take a longer chain or another frequency."
-    else:
-        outcome = FOUND
     return Soliton(
         phi,
         omega,
@@ -229,7 +234,7 @@ def _made(equation, omega, root: Root):
         jnp.max(jnp.abs(left)) / (size * jnp.abs(omega)),
         jnp.max(jnp.abs(step)) / size,
         tail,
-        outcome,
+        root,
         _space=(1, 0),
     )
 

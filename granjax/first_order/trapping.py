@@ -28,7 +28,11 @@ class SelfTrapping(Result):
     kept: Numbers = array("The least share of the norm on the site at each of them.", axes="tried")
     share: Number = array("The share that counts as trapped.")
     t1: Number = array("The time until which the motion was followed.", "s")
-    outcome: str
+
+    @property
+    def outcome(self) -> str:
+        """From which nonlinearity on it is trapped, and how well that is known."""
+        return f"Trapped from {self.nonlinearity:.8g} +- {self.error:.1g} on, over a time of {self.t1:g}."
 
 
 def self_trapping(
@@ -90,7 +94,6 @@ def self_trapping(
         np.array(list(tried.values())),
         float(share),
         float(t1),
-        f"Trapped from {middle:.8g} +- {error:.1g} on, over a time of {float(t1):g}.",
     )
 
 

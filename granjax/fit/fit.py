@@ -17,7 +17,7 @@ from ..types import Count, Parameter, Scalar, Scene
 from .fitted import Fit
 from .judge import judged, looked_at, way_back
 from .problem import Problem, Start, prepared
-from .solve import evaluated, gradient_descent, least_squares, patience
+from .solve import MeanSquare, evaluated, gradient_descent, least_squares, patience
 from .traces import Traces
 from .windows import cut
 
@@ -53,8 +53,8 @@ def fit(
 ) -> Fit:
     r"""Parameters of a scene that minimise the sum over samples of ((signal - data)/sigma)^2.
 
-    Levenberg and Marquardt's method with derivatives in forward mode, or descent along gradients (optax) in reverse
-    mode, through a run at one fixed step.
+    Levenberg and Marquardt's method (MINPACK's) with derivatives in forward mode, or descent along gradients (optax) in
+    reverse mode, through a run at one fixed step.
 
     **Arguments:**
 
@@ -78,7 +78,8 @@ def fit(
     **Returns:** `Fit`. **Raises** ValueError for input that cannot be meant; RuntimeError where `throw` and the fit
     fails: not finite at the start, traces that do not depend on any parameter there (contacts that never close on the
     way to the sensors have no gradient), steps spent. Typical: 20 beads, 4 sensors, 4 parameters: well below a second.
-    Source: Levenberg, Quart. Appl. Math. 2, 164 (1944); Marquardt, SIAM J. Appl. Math. 11, 431 (1963).
+    Source: Levenberg, Quart. Appl. Math. 2, 164 (1944); Marquardt, SIAM J. Appl. Math. 11, 431 (1963); Moré, Lecture
+    Notes in Mathematics 630, 105 (1978).
 
     **Example:**
 
@@ -115,15 +116,15 @@ def fit(
         x0, plain = best.x[None], problem.plain
         parameters = plain.coordinates.parameters(jnp.asarray(best.x[:count], plain.dtype))
         wanted = plain.step if step is not None else plain.wanted_step(parameters)
-        shorter, later = (
-            plain.step > TOO_LONG * wanted,
-            plain.times(parameters).max() > plain.t1 * (1 + 1e-9),
-        )
+        shorter = plain.step > TOO_LONG * wanted
+        later = plain.times(parameters).max() > plain.t1 * (1 + 1e-9)
+        if shorter:
+            problem = problem.with_step(wanted)
+        if later:
+            # not with windows, which know their times
+            problem = eqx.tree_at(lambda p: p.t1, problem, plain.end(parameters))
         if not shorter and not later:
             break
-        problem = problem.with_step(wanted) if shorter else problem
-        # windows know their times
-        problem = eqx.tree_at(lambda p: p.t1, problem, plain.end(parameters)) if later else problem
     return _ended(judged(problem, best, reached, adjoint), throw)
 
 
@@ -144,10 +145,8 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
         delay = patience(problem.plain)
         return [least_squares(problem, x, tolerance, max_steps, delay) for x in x0], "forward mode"
     adjoint, most = reverse_mode(problem)
-    x0 = jnp.asarray(x0, problem.dtype)
-    found = [
-        gradient_descent(problem, x, optimiser, tolerance, max_steps, adjoint, most) for x in x0
-    ]
+    cost, x0 = MeanSquare(problem, adjoint, most), np.asarray(x0, problem.dtype)
+    found = [gradient_descent(cost, x, optimiser, tolerance, max_steps) for x in x0]
     return found, type(adjoint).__name__
 
 

@@ -1,17 +1,18 @@
 """What a fit returns."""
 
 from collections.abc import Iterator
+from typing import ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..lattice import Lattice
-from ..results import Held, Result, array
+from ..results import Result, array, hidden
 from ..types import AnyArray, Count, Numbers
+from ..variables import Held
 from .determined import Direction
 from .problem import Problem
-from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED
 from .traces import Traces
 
 
@@ -22,38 +23,48 @@ class Fit(Result):
     covariance: Float[AnyArray, "P P"] = array(
         "The covariance of Gauss and Newton, (J^T J)^{-1} with residuals in units of sigma,"
         " in the order of `names`; infinite for what the data do not see.",
+        axes="parameter parameter_",
     )
-    names: tuple[str, ...] = array("A name for every number of the parameters.", static=True)
-    signals: tuple[Float[AnyArray, "_ _"], ...] = array("What the fitted scene shows, per trace.")
-    residuals: tuple[Float[AnyArray, "_ _"], ...] = array(
+    names: tuple[str, ...] = array(
+        "A name for every number of the parameters.", "", "parameter", name="parameter", static=True
+    )
+    signals: tuple[Float[AnyArray, "_ _"], ...] = hidden("What the fitted scene shows, per trace.")
+    residuals: tuple[Float[AnyArray, "_ _"], ...] = hidden(
         "(signal - data)/sigma per trace, zero where a sample is missing."
     )
     samples: int = array("The number of samples.", static=True)
     noise: float = array(
         "The standard deviation of the residuals where no sigma was given, else 1.", static=True
     )
-    undetermined: tuple[str, ...] = array(
+    undetermined: tuple[str, ...] = hidden(
         "Sentences that name what the data do not determine.", static=True
     )
-    directions: tuple[Direction, ...] = array(
+    directions: tuple[Direction, ...] = hidden(
         "Combinations of parameters with their relative deviations, the least known first."
     )
-    sizes: Float[AnyArray, " P"] = array(
+    sizes: Float[AnyArray, " P"] = hidden(
         "The parameters that deviations are relative to; their starts where a parameter is "
         "near zero to within its error.",
     )
-    remarks: tuple[str, ...] = array("What else the outcome says.", static=True)
+    remarks: tuple[str, ...] = hidden("What else the outcome says.", static=True)
     iterations: int = array("The number of iterations of the minimiser.", static=True)
-    code: int = array("How the minimiser ended.", static=True)
+    code: int = hidden("How the minimiser ended.", static=True)
     step: float = array("The time step.", static=True)
     step_error: float = array(
         "The change of the signals, in units of sigma, when the time step is halved.", static=True
     )
     return_error: float = array("What integrating back to the start misses, relative.", static=True)
     adjoint: str = array("How the derivatives were taken.", static=True)
-    starts: tuple[float, ...] = array("The chi_square that every start reached.", static=True)
-    traces: tuple[Traces, ...] = array("The traces.")
-    problem: Problem = array("The problem of least squares.")
+    starts: tuple[float, ...] = array(
+        "The chi_square that every start reached.",
+        "1",
+        "start",
+        name="chi_square_of_starts",
+        static=True,
+    )
+    traces: tuple[Traces, ...] = hidden("The traces.")
+    problem: Problem = hidden("The problem of least squares.")
+    exported: ClassVar[dict[str, Held]] = dict.fromkeys(("deviations", "chi_square"), Held())
 
     @property
     def lattice(self) -> Lattice:
@@ -74,10 +85,7 @@ class Fit(Result):
     def deviations(self) -> dict[str, np.ndarray]:
         """Standard deviation of every parameter, a dict of the same shapes."""
         flat = np.sqrt(np.diag(np.asarray(self.covariance)))
-        return {
-            name: np.asarray(x)
-            for name, x in self.problem.coordinates.unflat(jnp.asarray(flat)).items()
-        }
+        return self.problem.coordinates.unflat(flat)
 
     @property
     def correlations(self) -> Float[np.ndarray, "P P"]:
@@ -110,8 +118,8 @@ class Fit(Result):
             CONVERGED: f"Converged in {self.iterations} steps",
             SPENT: f"Not converged after {self.iterations} steps",
             STALLED: f"Stalled after {self.iterations} steps: the residuals could be smaller, but no step was better",
-            NOT_FINITE: "Failed: the residuals are not finite at the start or near it",
-            BLIND: "Failed: the traces do not depend on the parameters at the start",
+            NO_START: "Failed: the residuals are not finite at the start or near it",
+            NO_GRADIENT: "Failed: the traces do not depend on the parameters at the start",
         }[self.code]
         said = [f"{how}; chi^2 per degree of freedom {self.reduced_chi_square:.3g}."]
         if len(self.starts) > 1:
@@ -120,61 +128,24 @@ class Fit(Result):
         return " ".join([*said, *self.remarks, *self.undetermined])
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        flat = np.concatenate(
-            [np.ravel(self.parameters[name]) for name in self.problem.coordinates.order]
-        )
+        flat = np.asarray(self.problem.coordinates.flat(self.parameters))
         for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"
         yield "step", f"{self.step:.4g}, error {self.step_error:.1e} sigma"
         yield "outcome", self.outcome
 
-    @property
-    def held(self) -> dict[str, Held]:
-        """Axes and units of what a file keeps, every trace with a clock and sensors of its own."""
-        held = {
-            "names": Held("parameter", "", "parameter"),
-            "covariance": Held("parameter parameter_"),
-            "chi_square_of_starts": Held("start", "1"),
-        }
+    def _fields(self) -> Iterator[tuple[str, object, Held]]:
+        yield from super()._fields()
+        # every trace has a clock and sensors of its own
         for k, trace in enumerate(self.traces):
-            both = f"time_{k} sensor_{k}"
-            held |= {
-                f"time_{k}": Held(f"time_{k}", "s"),
-                f"sensor_{k}": Held(f"sensor_{k}"),
-                f"residual_{k}": Held(both, "1"),
-            }
-            held |= {f"{name}_{k}": Held(both, trace.unit) for name in ("data", "signal")}
-        return held
-
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        for name in (
-            "parameters",
-            "deviations",
-            "names",
-            "covariance",
-            "chi_square",
-            "samples",
-            "noise",
-            "iterations",
-            "step",
-            "step_error",
-            "return_error",
-            "adjoint",
-        ):
-            yield name, getattr(self, name)
-        yield "chi_square_of_starts", self.starts
-        for k, (trace, signal, residual) in enumerate(
-            zip(self.traces, self.signals, self.residuals)
-        ):
-            kept = {
-                "time": trace.times,
-                "sensor": trace.sensors,
-                "data": trace.data,
-                "signal": signal,
-                "residual": residual,
-            }
-            yield from ((f"{name}_{k}", x) for name, x in kept.items())
+            time, sensor = f"time_{k}", f"sensor_{k}"
+            both = f"{time} {sensor}"
+            yield time, trace.times, Held(time, "s")
+            yield sensor, trace.sensors, Held(sensor)
+            yield f"data_{k}", trace.data, Held(both, trace.unit)
+            yield f"signal_{k}", self.signals[k], Held(both, trace.unit)
+            yield f"residual_{k}", self.residuals[k], Held(both, "1")
 
 
 def _ljung_box(x, lags):

@@ -6,23 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..flow import return_error
 from ..solvers import AbstractSplitting
 from ..types import AnyArray, Numbers
 from .determined import LOOSE, covariance, directions, quantities, sentences
 from .fitted import Fit
 from .problem import Problem, misfit
-from .solve import (
-    BLIND,
-    CONVERGED,
-    NOT_FINITE,
-    SPENT,
-    STALLED,
-    Found,
-    directions_left,
-    evaluated,
-    linearised,
-)
+from .solve import Found, evaluated, linearised, still_to_go
 from .windows import Windows
 
 NOTICEABLE = 0.1
@@ -58,7 +49,7 @@ def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | Non
     finite = np.isfinite(value).all() and np.isfinite(jacobian).all()
     if finite and np.any(jacobian):
         return None
-    code = BLIND if finite else NOT_FINITE
+    code = NO_GRADIENT if finite else NO_START
     return judged(problem, Found(x, 0.5 * np.sum(value**2), 0, code), ())
 
 
@@ -71,33 +62,31 @@ def judged(
     """The `Fit` at what a minimiser found."""
     plain, x = problem.plain, jnp.asarray(found.x, problem.dtype)
     coordinates = plain.coordinates
-    parameters = coordinates.parameters(x[: coordinates.size])
-    flat, start = (
-        np.concatenate([np.ravel(p[name]) for name in parameters])
-        for p in (parameters, coordinates.start)
-    )
-    slopes = np.asarray(coordinates.slopes(x[: coordinates.size]))
+    own, names = x[: coordinates.size], tuple(coordinates.names)
+    parameters = coordinates.parameters(own)
+    flat, start = (np.asarray(coordinates.flat(p)) for p in (parameters, coordinates.start))
+    slopes = np.asarray(coordinates.slopes(own))
     value, jacobian, signals, residuals = linearised(problem, x)
     value, jacobian = np.asarray(value), _own(np.asarray(jacobian), flat.size)
     samples = int(sum(np.isfinite(np.asarray(trace.data)).sum() for trace in plain.traces))
     known = all(trace.sigma is not None for trace in plain.traces)
-    residuals = [np.asarray(r) for r in residuals]
-    squares = sum(np.sum(r**2) for r in residuals)
+    squares, free = sum(np.sum(np.square(r)) for r in residuals), max(samples - flat.size, 1)
     # in units of the size of the data where no sigma says more
-    noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / max(samples - flat.size, 1)))
-    residuals = tuple(r / noise for r in residuals)
+    noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / free))
+    residuals = tuple(np.asarray(r) / noise for r in residuals)
     # directions are of logarithms, so that their components are the exponents of a product
     sizes = np.where(flat != 0, flat, np.where(start != 0, start, slopes))
     code, undetermined, found_directions = int(found.code), (), ()
-    remarks = _elsewhere(plain, squares, squares / max(samples - flat.size, 1) if known else None)
+    remarks = _elsewhere(plain, squares, squares / free if known else None)
     if code in (SPENT, STALLED):
-        *_, b, kept = directions_left(value, jacobian)
-        code = CONVERGED if np.sum(b[kept] ** 2) < ARRIVED * noise**2 else code
+        code = CONVERGED if still_to_go(value, jacobian)[0] < ARRIVED * noise**2 else code
     step_error = np.nan
-    if code in (NOT_FINITE, BLIND):
+    if code in (NO_START, NO_GRADIENT):
         matrix = np.full((flat.size, flat.size), np.nan)
         remarks.append(
-            _silence(plain, parameters) if code == BLIND else "Give a start whose run stays finite."
+            _silence(plain, parameters)
+            if code == NO_GRADIENT
+            else "Give a start whose run stays finite."
         )
     else:
         held = coordinates.at_bounds(parameters)
@@ -111,7 +100,6 @@ def judged(
         sizes = np.where(vanishing, start, sizes)
         found_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(found_directions, sizes)
-        names = coordinates.names
         undetermined = sentences(
             found_directions, names, quantities(plain, parameters, flat, sizes)
         )
@@ -139,13 +127,11 @@ def judged(
             )
         if problem is not plain:
             remarks.append(problem.remark(value))
-    back = way_back(plain, parameters)
     unit = 1.0 if known else float(plain.traces[0].size)
-    starts = tuple(cost / noise**2 for cost in starts)
     return Fit(
         parameters,
         jnp.asarray(matrix),
-        tuple(coordinates.names),
+        names,
         signals,
         residuals,
         samples,
@@ -158,19 +144,19 @@ def judged(
         code,
         float(plain.step),
         step_error,
-        back,
+        way_back(plain, parameters),
         adjoint,
-        starts,
+        tuple(cost / noise**2 for cost in starts),
         plain.traces,
         plain,
+        **plain.lattice(parameters).origin,
     )
 
 
 def _elsewhere(problem, squares, noise):
     """A sentence where little of what was measured is shown; `noise`: residuals in units of sigma^2, `None` unknown."""
     still = sum(
-        np.nansum(np.asarray(misfit(trace, jnp.zeros_like(trace.data))) ** 2)
-        for trace in problem.traces
+        np.sum(np.square(misfit(trace, jnp.zeros_like(trace.data)))) for trace in problem.traces
     )
     shown = 1 - float(squares) / max(float(still), EXACT)
     if not np.isfinite(shown) or shown > SHOWN or noise is not None and noise < NOISY:

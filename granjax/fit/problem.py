@@ -212,7 +212,11 @@ def prepared(
     """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`."""
     coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
-    lattice, traces = checked_scene(scene, parameters), checked_traces(traces)
+    lattice, traces = scene(parameters), checked_traces(traces)
+    if lattice.lanes:
+        refuse(
+            "scene", "a function that returns one Lattice", f"a batch with lanes {lattice.lanes}"
+        )
     if len(traces) > 1 and any(trace.sigma is None for trace in traces):
         refuse(
             "sigma",
@@ -220,12 +224,8 @@ def prepared(
             "None",
             "It says how they weigh against each other.",
         )
-    given = None if callable(state) else checked_state(lattice, state)
-    begin = (
-        given
-        if given is not None
-        else checked_state(lattice, as_state(state(parameters, lattice), lattice.dtype))
-    )
+    make_state, given = (state, None) if callable(state) else (None, checked_state(lattice, state))
+    begin = given or checked_state(lattice, as_state(state(parameters, lattice), lattice.dtype))
     _check_places(traces, lattice, begin, parameters)
     dtype = lattice.dtype
     if any(trace.data.dtype != dtype for trace in traces):
@@ -233,7 +233,6 @@ def prepared(
     if solver is None:
         solver = SRKN11b() if facts(lattice).splits else diffrax.Dopri8()
     t0, unknown = jnp.asarray(t0, dtype), jnp.ones((), dtype)
-    make_state = state if given is None else None
     problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
     times = problem.times(parameters)
     if not problem.moving and times.min() < t0 - 1e-9 * np.ptp(times):
@@ -319,12 +318,8 @@ def _check_places(traces, lattice, state, parameters):
                     repr(trace.field),
                 )
             shape = u.shape if lattice.dimension is None else u.shape[:-1]
-            vector = lattice.dimension is not None
-            if (
-                vector != (trace.component is not None)
-                or vector
-                and trace.component >= lattice.dimension
-            ):
+            components = [None] if lattice.dimension is None else range(lattice.dimension)
+            if trace.component not in components:
                 refuse(
                     f"traces[{k}].component",
                     f"which of {lattice.dimension or 'no'} components",
@@ -333,13 +328,3 @@ def _check_places(traces, lattice, state, parameters):
         for place in trace.places:
             if len(place) != len(shape) or any(not -n <= i < n for i, n in zip(place, shape)):
                 refuse(name, f"indices within {shape}", f"{place[0] if len(place) == 1 else place}")
-
-
-def checked_scene(scene: Scene, parameters: dict[str, Parameter]) -> Lattice:
-    """The lattice that a scene makes of the start."""
-    lattice = scene(parameters)
-    if lattice.lanes:
-        refuse(
-            "scene", "a function that returns one Lattice", f"a batch with lanes {lattice.lanes}"
-        )
-    return lattice

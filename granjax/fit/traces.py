@@ -1,6 +1,5 @@
 """Measured traces: what was recorded, where, how well."""
 
-import datetime
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import concrete, described, one_of, parameter, positive, real, refuse, show
+from ..printing import told
 from ..types import AnyArray, Count, Number, Numbers, Parameter, Scalar, Values
 
 KINDS = ("velocity", "displacement", "force")
@@ -64,6 +64,8 @@ class Traces(eqx.Module):
     bond: int = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
     component: int | None = eqx.field(static=True)
+    _shown = {name: name for name in ("sensors", "times", "data", "sigma", "gain", "offset")}
+    __repr__ = told
 
     def __init__(
         self,
@@ -216,21 +218,6 @@ class Traces(eqx.Module):
             )
         return cls(times, **signals, **traces)
 
-    def __repr__(self) -> str:
-        if concrete(self.times) is None or concrete(self.data) is None:
-            return "Traces(traced)"
-        t, known = np.asarray(self.times), int(np.isfinite(np.asarray(self.data)).sum())
-        sigma = "unknown" if self.sigma is None else show(self.sigma)
-        rows = [
-            ("sensors", ", ".join(self.sensors[:6]) + ", ..." * (len(self.sensors) > 6)),
-            ("times", f"{t.size}, {t[0]:.6g} ... {t[-1]:.6g}"),
-            ("samples", f"{known} of {self.data.size}"),
-            ("sigma", sigma),
-            ("gain", show(self.gain)),
-            ("offset", show(self.offset)),
-        ]
-        return "\n".join(f"{name:<9}{value}" for name, value in rows)
-
     @property
     def sensors(self) -> list[str]:
         """A name for every column: "velocity of site 2", "force of contact 0"."""
@@ -259,14 +246,14 @@ class Traces(eqx.Module):
 
 def _seconds(times):
     """Times as numbers: dates in seconds from the first one, time differences in seconds."""
-    found = times if isinstance(times, jax.Array) else np.asarray(times)
-    if found.dtype.kind == "O" and found.size and isinstance(found.flat[0], datetime.datetime):
-        found = found.astype("datetime64[us]")
-    if found.dtype.kind == "O" and found.size and isinstance(found.flat[0], datetime.timedelta):
-        found = found.astype("timedelta64[us]")
-    if found.dtype.kind == "M":
-        found = found - found[0]
-    return found / np.timedelta64(1, "s") if found.dtype.kind == "m" else times
+    if isinstance(times, jax.Array) or np.asarray(times).dtype.kind not in "OMm":
+        return times
+    import pandas
+
+    column = pandas.Series(times)
+    if column.dtype.kind == "M":
+        column = column - column.iloc[0]
+    return column.dt.total_seconds().to_numpy() if column.dtype.kind == "m" else times
 
 
 def _column(table, quantity, key):

@@ -175,35 +175,22 @@ def cut(problem: Problem, count: int) -> Windows:
     parameters = problem.coordinates.start
     lattice = problem.lattice(parameters)
     state = problem.state(parameters, lattice)
-    paths = _integrated(problem, parameters, state)
-    starts = []
+    readings, starts = _readings(problem, parameters, state), []
     for j in range(1, count):
         leg = eqx.tree_at(
             lambda p: (p.t0, p.t1), problem, (jnp.asarray(edges[j - 1]), jnp.asarray(edges[j]))
         )
-        state = _leg(leg, parameters, state)
-        state = _told(state, problem.traces, paths, parameters, first[j])
+        both = list(_leg(leg, parameters, state))
+        for part, trace, values in readings:
+            both[part] = _put(both[part], trace, values[first[j]])
+        state = State(*both)
         starts.append(ravel_pytree(state)[0])
     unravel, starts = ravel_pytree(state)[1], jnp.stack(starts)
-    largest = State(
-        *(
-            jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(part)]))
-            for part in jax.vmap(unravel)(starts)
-        )
-    )
-    largest = State(*(jnp.where(x > 0, x, 1.0) for x in largest))
-    scale = ravel_pytree(
-        State(
-            *(
-                jax.tree.map(lambda x: jnp.full_like(x, size), part)
-                for part, size in zip(state, largest)
-            )
-        )
-    )[0]
+    scale = ravel_pytree(State(*map(_sized, state, jax.vmap(unravel)(starts))))[0]
     noise = max(
         float(
             jnp.max(1 / jnp.where(trace.weights > 0, trace.weights, jnp.inf))
-            / jnp.max(jnp.abs(jnp.where(jnp.isfinite(trace.data), trace.data, 0)))
+            / jnp.nanmax(jnp.abs(trace.data))
         )
         for trace in problem.traces
     )
@@ -217,6 +204,12 @@ def cut(problem: Problem, count: int) -> Windows:
         jnp.asarray(np.flatnonzero(~repeated)),
         unravel,
     )
+
+
+def _sized(part, every):
+    """The displacements or the velocities of a state, with the largest of all windows everywhere."""
+    largest = max(float(jnp.max(jnp.abs(x))) for x in jax.tree.leaves(every))
+    return jax.tree.map(lambda x: jnp.full_like(x, largest or 1.0), part)
 
 
 @eqx.filter_jit
@@ -241,39 +234,21 @@ def _parted(trace, samples, repeated):
     )
 
 
-def _integrated(problem, parameters, state):
-    """Per trace of velocity, the displacement that it integrates to (T, S); `None` for other traces."""
-    paths = []
+def _readings(problem, parameters, state):
+    """(0 for displacements or 1 for velocities, trace, values (T, S)) of what sensors say, the surest last."""
+    from scipy.integrate import cumulative_trapezoid
+
+    measured, integrated = [], []
     for trace in problem.traces:
-        if trace.kind != "velocity":
-            paths.append(None)
-            continue
-        times = np.concatenate([[float(problem.t0)], np.asarray(trace.times + trace.offset)])
-        at = np.stack([np.asarray(_pick(part, trace)) for part in state])
-        v = np.concatenate(
-            [at[1:], np.asarray(trace.data) / np.asarray(number(trace.gain, parameters))]
-        )
-        v = np.nan_to_num(v)
-        steps = np.diff(times)[:, None] * (v[1:] + v[:-1]) / 2
-        paths.append(at[0] + np.cumsum(steps, axis=0))
-    return paths
-
-
-def _told(state, traces, paths, parameters, sample):
-    """A state with what was measured at a sample put in, displacements last."""
-    parts = list(state)
-    for trace, path in zip(traces, paths):
-        if trace.kind == "velocity":
-            parts[1] = _put(
-                parts[1], trace, np.asarray(trace.data[sample] / number(trace.gain, parameters))
-            )
-            parts[0] = _put(parts[0], trace, path[sample])
-    for trace in traces:
+        values = np.asarray(trace.data) / np.asarray(number(trace.gain, parameters))
         if trace.kind == "displacement":
-            parts[0] = _put(
-                parts[0], trace, np.asarray(trace.data[sample] / number(trace.gain, parameters))
-            )
-    return State(*parts)
+            measured.append((0, trace, values))
+        elif trace.kind == "velocity":
+            u, v = (np.asarray(_pick(part, trace)) for part in state)
+            times = np.append(float(problem.t0), np.asarray(trace.times + trace.offset))
+            moved = cumulative_trapezoid(np.nan_to_num(np.vstack([v, values])), times, axis=0)
+            integrated += [(1, trace, values), (0, trace, u + moved)]
+    return integrated + measured
 
 
 def _index(place, trace):

@@ -14,9 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
-from ..lattice import State, vector_field
+from ..lattice import Lattice, State, vector_field
 from ..programs import joined, parted
+from ..types import Scalar, StateLike
 from .integrate import integrate
+from .plan import CUBICS, ENDS, Plan
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
@@ -25,60 +27,66 @@ TRACED_STEPS = 2**24
 TRIED, AGREE = 3, 1e-5
 
 
-def batched(*arguments: Any, own_step: bool) -> Found:
+def batched(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan, *, own_step: bool
+) -> Found:
     """`integrate`, whose lanes come last where `jax.vmap` maps it.
 
     `own_step`: each lane's step may be replaced by that of the stiffest lane, because nobody has given it.
     """
-    lattice, state, t0, t1, dt, tolerance, save_ts, records, *rest = arguments
-    static, arrays = parted((lattice, state, records))
-    fixed, shared = parted((t0, t1, tolerance, save_ts, rest))
+    step = plan.step
+    static, arrays = parted((lattice, state, plan.records))
+    fixed, shared = parted((t0, t1, plan._replace(step=None, records={})))
     kinds, kept = _kinds(arrays), []
 
-    def plain(arrays, dt, shared):
+    def scenes(arrays, step, shared):
+        """What `integrate` is given, of the arrays of one scene or of many."""
         lattice, state, records = joined(static, arrays)
-        t0, t1, tolerance, save_ts, rest = joined(fixed, shared)
-        found = integrate(lattice, state, t0, t1, dt, tolerance, save_ts, records, *rest)
-        rest, parts = parted(found)
+        t0, t1, plan = joined(fixed, shared)
+        return lattice, state, t0, t1, plan._replace(step=step, records=records)
+
+    def plain(arrays, step, shared):
+        rest, parts = parted(integrate(*scenes(arrays, step, shared)))
         kept[:] = [rest]
         return parts
 
-    closed, shapes = jax.make_jaxpr(plain, return_shape=True)(arrays, dt, shared)
+    closed, shapes = jax.make_jaxpr(plain, return_shape=True)(arrays, step, shared)
     if any(isinstance(x, jax.core.Tracer) for x in closed.consts):
         # a function within reads traced numbers from outside, of which a rule would not know
-        return joined(kept[0], plain(arrays, dt, shared))
+        return joined(kept[0], plain(arrays, step, shared))
     ndims = [len(x.shape) for x in shapes]
     place = joined(kept[0], list(range(len(shapes))))
 
-    def lanes_last(size, over, arrays, dt, shared):
-        mapped, dt_mapped, shared_mapped = over
+    def lanes_last(size, over, arrays, step, shared):
+        mapped, step_mapped, shared_mapped = over
         if not any(jax.tree.leaves(over)):
             # differentiated behind a map of its tangents alone: this ends the recursion
-            return plain(arrays, dt, shared), [False] * len(ndims)
-        alone = any(jax.tree.leaves(shared_mapped)) or dt_mapped and not own_step
+            return plain(arrays, step, shared), [False] * len(ndims)
+        alone = any(jax.tree.leaves(shared_mapped)) or step_mapped and not own_step
         if alone or not any(mapped) or not _keeps_lanes_apart(static, kinds):
             axes = jax.tree.map(lambda own: 0 if own else None, tuple(over))
-            return jax.vmap(plain, in_axes=axes)(arrays, dt, shared), [True] * len(ndims)
+            return jax.vmap(plain, in_axes=axes)(arrays, step, shared), [True] * len(ndims)
         good = jnp.ones(size, bool)
-        if dt_mapped:
-            t0, t1 = joined(fixed, shared)[:2]
-            good = (t1 - t0) / dt <= TRACED_STEPS
-            dt = jnp.min(jnp.where(good | ~jnp.any(good), dt, jnp.inf))
+        if step_mapped:
+            t0, t1, _ = joined(fixed, shared)
+            good = (t1 - t0) / step <= TRACED_STEPS
+            step = jnp.min(jnp.where(good | ~jnp.any(good), step, jnp.inf))
         arrays = [_behind(x, own, size) for x, own in zip(arrays, mapped)]
-        lattice, state, records = joined(static, arrays)
-        t0, t1, tolerance, save_ts, (solver, _, *rest, dips) = joined(fixed, shared)
-        begin, how = (lattice, state, t0, t1, dt, tolerance), (solver, diffrax.ForwardMode(), *rest)
+        lattice, state, t0, t1, plan = scenes(arrays, step, shared)
+        looks = plan.openings == CUBICS
         # nothing is differentiated here
-        run = batched(
-            *begin, save_ts, records, *how, None if dips is None else False, own_step=own_step
+        plan = plan._replace(
+            adjoint=diffrax.ForwardMode(), openings=ENDS if looks else plan.openings
         )
+        run = batched(lattice, state, t0, t1, plan, own_step=own_step)
         found = parted(run)[1]
-        found[place.code] = jnp.where(
-            good, code_of_each(run.code, run.final, lattice.lanes), TOO_MANY_STEPS
-        )
-        if dips:
+        code = code_of_each(run.code, run.final, lattice.lanes)
+        found[place.code] = jnp.where(good, code, TOO_MANY_STEPS)
+        if looks:
             # looking between steps takes half as long as the run: XLA drops this one where nobody reads what it saw
-            found[place.margin] = batched(*begin, None, {}, *how, True, own_step=own_step).margin
+            plan = plan._replace(save_ts=None, records={}, openings=CUBICS)
+            seen = batched(lattice, state, t0, t1, plan, own_step=own_step)
+            found[place.margin] = seen.margin
         over = [jnp.ndim(x) > n for x, n in zip(found, ndims)]
         return [jnp.moveaxis(x, -1, 0) if own else x for x, own in zip(found, over)], over
 
@@ -86,7 +94,7 @@ def batched(*arguments: Any, own_step: bool) -> Found:
     mapped.def_vmap(lanes_last)
     both = jax.custom_jvp(mapped)
     both.defjvp(lambda primals, tangents: jax.jvp(plain, primals, tangents))
-    return joined(kept[0], both(arrays, dt, shared))
+    return joined(kept[0], both(arrays, step, shared))
 
 
 def code_of_each(code: Any, final: State, lanes: tuple[int, ...]) -> Any:

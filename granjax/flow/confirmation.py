@@ -7,11 +7,12 @@ import jax.numpy as jnp
 from ..checks import traced
 from ..lattice import Lattice, State, vector_field
 from ..programs import compiled
-from ..types import Flags, Number, StateLike, Times
+from ..types import Flags, Number, StateLike
 from .batching import batched
 from .control import tighter
 from .integrate import overlaps
 from .march import march
+from .plan import DENSE, Plan
 from .run import Errors, Found
 
 # a run is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second one where
@@ -33,43 +34,41 @@ def confirmed(
     state: StateLike,
     t0: Number,
     t1: Number,
-    dt: Number | None,
-    tolerance: Number | None,
-    save_ts: Times | None,
-    records: dict,
-    solver: diffrax.AbstractSolver,
+    plan: Plan,
     first: Found,
     good: Flags,
 ) -> Errors:
-    """The errors of what was found by steps of `dt`, or to a tolerance; infinite where it is not `good`.
+    """The errors of what was found by the plan's steps, or to its tolerance; infinite where it is not `good`.
 
     They are the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, as contacts that
     open leave little more), doubled, and a tenth of the largest gap over the entries (at any time so far), and
     rounding. They cover the run's own error, that of the dense output, and that of the records.
     """
-    known = lattice, state, t0, t1, dt, tolerance, save_ts, records, first, good
-    lattice, state, t0, t1, dt, tolerance, save_ts, records, first, good = jax.lax.stop_gradient(
-        known
+    lattice, state, t0, t1, first, good = jax.lax.stop_gradient(
+        (lattice, state, t0, t1, first, good)
+    )
+    step, tolerance, save_ts, records = jax.lax.stop_gradient(
+        (plan.step, plan.tolerance, plan.save_ts, plan.records)
     )
     if tolerance is not None:
         tolerance = tighter(tolerance, TIGHTER, lattice.dtype)
         how = f"a second run with a tolerance {TIGHTER} times smaller"
     else:
         opened = jnp.any(first.margin < 0)
-        dt = dt / jnp.where(opened, *SHORTER[::-1]).astype(dt.dtype)
+        step = step / jnp.where(opened, *SHORTER[::-1]).astype(step.dtype)
         how = "a second run with shorter steps"
-    rest = solver, diffrax.ForwardMode(), None, False, False, False, None
-    begin = lattice, state, t0, t1, dt, tolerance, save_ts, records
+    forward = diffrax.ForwardMode()
+    finer = Plan(plan.solver, step, tolerance, save_ts, records, forward, openings=DENSE)
+    begin = lattice, state, t0, t1, finer
     if traced((begin, first, good)):
-        second = batched(*begin, *rest, own_step=True)
+        second = batched(*begin, own_step=True)
     else:
-        second = march(*begin, *rest)
-    order = min(solver.order(diffrax.ODETerm(vector_field)), 2)
+        second = march(*begin)
+    order = min(plan.solver.order(diffrax.ODETerm(vector_field)), 2)
     found = _errors(lattice, state, t0, first, second, good, 2 / (1 - 0.5**order))
     return Errors(
         *found,
         how=how,
-        _lanes=lattice.lanes,
         _space=lattice.space,
         _mark=lattice._mark,
     )

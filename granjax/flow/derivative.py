@@ -1,6 +1,6 @@
 """The derivative of what comes out of a run, with its error."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -52,11 +52,6 @@ class Derivative(Result):
             f"{known} It hangs on where the steps lie, as with a force whose slope jumps (a kink): shorten the "
             "step, or take differences of runs at one step, whose error is of second order."
         )
-
-    def _rows(self) -> Iterator[tuple[str, str]]:
-        yield "value", self._told("value", self.value)
-        yield "error", self._told("error", self.error)
-        yield "outcome", self.outcome
 
 
 def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> Derivative:

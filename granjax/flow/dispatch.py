@@ -1,47 +1,51 @@
 """What every call of `simulate` asks of a lattice: facts that are found once."""
 
+import math
 from typing import NamedTuple
+
+import jax
 
 from ..checks import traced
 from ..lattice import Lattice
-from ..programs import Kept
+from ..programs import once
 from ..terms.tracing import reads
 
 
 class Facts(NamedTuple):
     """What every call asks of a lattice, and what only its terms and shapes decide.
 
-    `traced`: whether a parameter is; `reads_velocity`: whether some force does; `splits`: whether none does but linear
-    damping; `known`: a dict for what is worked out when it is first asked
-    for. `remembers`: whether some force reads the past.
+    `template`: arrays of the shape of its displacements; `numbers`: how many these are; `lanes`: of a batch. `traced`:
+    whether a parameter is. `reads_velocity`: whether some force does; `splits`: whether none does but linear damping;
+    `remembers`: whether some force reads the past; `has_breaks`: whether some force jumps in time. `known`: a dict for
+    what others work out when they first ask for it.
     """
 
     template: object
     dtype: object
+    numbers: int
+    lanes: tuple[int, ...]
     traced: bool
     reads_velocity: bool
     splits: bool
-    known: dict
     remembers: bool
+    has_breaks: bool
+    known: dict
 
 
-_FACTS = Kept()
-
-
+@once
 def facts(lattice: Lattice) -> Facts:
     """The `Facts` of a lattice, kept while it lives: its parameters never change."""
-    found = _FACTS.get(lattice)
-    return _FACTS.put(lattice, _found(lattice)) if found is None else found
-
-
-def _found(lattice):
     velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
+    template = lattice.template()
     return Facts(
-        lattice.template(),
-        lattice.dtype,
-        traced(lattice),
-        bool(velocity),
-        all(term.exact_damping() is not None for term in velocity),
-        {},
-        any(term.remembers() for term in lattice.terms),
+        template=template,
+        dtype=lattice.dtype,
+        numbers=sum(math.prod(x.shape) for x in jax.tree.leaves(template)),
+        lanes=lattice.lanes,
+        traced=traced(lattice),
+        reads_velocity=bool(velocity),
+        splits=all(term.exact_damping() is not None for term in velocity),
+        remembers=any(term.remembers() for term in lattice.terms),
+        has_breaks=bool(lattice.breaks),
+        known={},
     )

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 
 from ..lattice import Lattice, State, vector_field
-from ..programs import compiled
+from ..programs import compiled, once
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
-from .control import Scales, StepControl, least_step
-from .dispatch import facts
+from .control import Scales, StepControl, largest, least_step
 from .lanes import by_groups, each_lane
+from .plan import CUBICS, DENSE, ENDS, Plan
 from .record import CLOSEST, EXTREMES, AtEnds, Lowest, Recorded, leaf_by_leaf
 from .record.dips import Dips
 from .run import (
@@ -38,55 +38,33 @@ QUIET = 2.0
 
 
 @compiled
-def integrate(
-    lattice: Lattice,
-    state: StateLike,
-    t0: Scalar,
-    t1: Scalar,
-    dt: Number | None,
-    tolerance: Number | None,
-    save_ts: Times | None,
-    records: dict,
-    solver: diffrax.AbstractSolver,
-    adjoint: diffrax.AbstractAdjoint,
-    max_steps: int | None,
-    every: bool,
-    progress: bool,
-    watch: bool = False,
-    dips: bool | None = False,
-) -> Found:
-    """Integrate and reduce; everything checked, everything chosen.
+def integrate(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan) -> Found:
+    """Integrate and reduce; everything checked, everything chosen. Adaptive steps are each lane's own."""
 
-    `watch`: follow every compression, for the highest frequency that the run reaches. `dips`: look for openings between
-    steps too, by cubics; `None` by the dense output. Adaptive steps are each lane's own.
-    """
+    def run(lattice, state, records):
+        own = planned(lattice, state, t0, plan._replace(records=records))
+        begin = state, t0, t1
+        part = part_of(lattice, begin, state, t0, t1, own)
+        return reduced(lattice, begin, own, part)
 
-    def run(lattice, state, records, progress=False):
-        records = own_records(lattice, state, t0, records, watch, dips)
-        begin, rest = (state, t0, t1), (solver, adjoint, max_steps, every, progress)
-        part = part_of(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, None, *rest)
-        return reduced(lattice, begin, dt, tolerance, records, solver, watch, part)
-
-    if tolerance is not None and lattice.lanes:
-        return each_lane(run, lattice, state, records, t0)
-    return run(lattice, state, records, progress)
+    if plan.tolerance is not None and lattice.lanes:
+        plan = plan._replace(progress=False)
+        return each_lane(run, lattice, state, plan.records, t0)
+    return run(lattice, state, plan.records)
 
 
-def own_records(
-    lattice: Lattice,
-    state: StateLike,
-    t0: Scalar,
-    records: dict,
-    watch: bool,
-    dips: bool | None = False,
-) -> dict:
-    """The records of a run with those that it keeps for itself."""
-    if dips is None:
-        closest = Lowest(_still_overlap)
-    else:
-        closest = Dips(_overlap_and_rate) if dips else AtEnds(smallest_overlap)
-    records = {**records, CLOSEST: closest} if overlaps(lattice, t0, state.u) else records
-    return {**records, EXTREMES: AtEnds(_compressions)} if watch else records
+def planned(lattice: Lattice, state: StateLike, t0: Scalar, plan: Plan) -> Plan:
+    """The plan with the records that a run keeps for itself."""
+    records = dict(plan.records)
+    if overlaps(lattice, t0, state.u):
+        records[CLOSEST] = {
+            ENDS: AtEnds(smallest_overlap),
+            CUBICS: Dips(_overlap_and_rate),
+            DENSE: Lowest(_still_overlap),
+        }[plan.openings]
+    if plan.watch:
+        records[EXTREMES] = AtEnds(_compressions)
+    return plan._replace(records=records)
 
 
 class Part(NamedTuple):
@@ -109,64 +87,47 @@ def part_of(
     state: StateLike,
     t0: Scalar,
     t1: Scalar,
-    dt: Number | None,
-    tolerance: Number | None,
-    save_ts: Times | None,
-    records: dict,
-    carried: dict | None,
-    solver: diffrax.AbstractSolver,
-    adjoint: diffrax.AbstractAdjoint,
-    max_steps: int | None,
-    every: bool = False,
-    progress: bool = False,
+    plan: Plan,
+    carried: dict | None = None,
 ) -> Part:
     """The part from t0 to t1 of the run that `begin` = (state, t0, t1) says; `carried`: by its records, until t0."""
-    own = {CLOSEST, EXTREMES}.issuperset(records)
-    rest = t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress
-    some = lambda lattice, state, carried: _parted(lattice, begin, state, carried, *rest)
-    found = (
-        by_groups(some, lattice, state, carried)
-        if tolerance is None and own and not (every or progress)
-        else None
-    )
+
+    def some(lattice, state, carried):
+        return _parted(lattice, begin, state, t0, t1, plan, carried)
+
+    found = None
+    own = {CLOSEST, EXTREMES}.issuperset(plan.records)
+    if plan.tolerance is None and own and not (plan.every or plan.progress):
+        found = by_groups(some, lattice, state, carried)
     if found is None:
         found = some(lattice, state, carried)
     (ys, final, carried), (ts, t, *counts, code) = found
     return Part(ts, ys, t, final, carried, *counts, code)
 
 
-def _parted(
-    lattice,
-    begin,
-    state,
-    carried,
-    t0,
-    t1,
-    dt,
-    tolerance,
-    save_ts,
-    records,
-    solver,
-    adjoint,
-    max_steps,
-    every,
-    progress,
-):
+def _parted(lattice, begin, state, t0, t1, plan, carried):
     """What a part has of each lane, and what lanes share."""
-    stepper = one_sided(_ready(solver, adjoint), lattice)
-    stepper = Recorded(stepper, records, carried) if records else stepper
-    if tolerance is None:
-        controller = Landing(lattice.breaks, dt, t1) if lattice.breaks else _FixedStep(dt)
+    solver, records = plan.solver, plan.records
+    # diffrax sets this itself for its Runge-Kutta methods, but does not see it through a wrapper
+    direct = isinstance(plan.adjoint, diffrax.DirectAdjoint)
+    if direct and getattr(solver, "scan_kind", "own") is None:
+        solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
+    solver = one_sided(solver, lattice)
+    solver = Recorded(solver, records, carried) if records else solver
+    if plan.tolerance is not None:
+        controller = _controller(lattice, *begin, plan)
+    elif lattice.breaks:
+        controller = Landing(lattice.breaks, plan.step, t1)
     else:
-        controller = _controller(lattice, *begin, tolerance, dt, solver, save_ts)
+        controller = _FixedStep(plan.step)
     subs = [diffrax.SubSaveAt(t1=True)]
-    if every:
+    if plan.every:
         subs.append(diffrax.SubSaveAt(t0=True, steps=True))
-    elif save_ts is not None:
-        subs.append(diffrax.SubSaveAt(ts=save_ts))
+    elif plan.save_ts is not None:
+        subs.append(diffrax.SubSaveAt(ts=plan.save_ts))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(vector_field),
-        stepper,
+        solver,
         t0,
         t1,
         None,
@@ -174,68 +135,54 @@ def _parted(
         args=lattice.for_run(),
         saveat=diffrax.SaveAt(subs=subs, solver_state=bool(records)),
         stepsize_controller=controller,
-        adjoint=adjoint,
-        max_steps=max_steps,
+        adjoint=plan.adjoint,
+        max_steps=plan.max_steps,
         throw=False,
-        progress_meter=diffrax.TqdmProgressMeter() if progress else diffrax.NoProgressMeter(),
+        progress_meter=diffrax.TqdmProgressMeter() if plan.progress else diffrax.NoProgressMeter(),
     )
     final = jax.tree.map(lambda x: x[0], solution.ys[0])
-    ts, ys = (solution.ts[-1], solution.ys[-1])
+    ts, ys = solution.ts[-1], solution.ys[-1]
     carried = solution.solver_state[1] if records else {}
     counts = (solution.stats[f"num_{kind}steps"] for kind in ("", "accepted_", "rejected_"))
     return (ys, final, carried), (ts, solution.ts[0][0], *counts, _code(solution.result, final))
 
 
-def reduced(
-    lattice: Lattice,
-    begin: tuple,
-    dt: Number | None,
-    tolerance: Number | None,
-    records: dict,
-    solver: diffrax.AbstractSolver,
-    watch: bool,
-    part: Part,
-) -> Found:
+def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
     """What was found in all parts of a run."""
-    size = dt if tolerance is None else tolerance
-    (state, t0, t1), (ts, ys, _, final, carried, steps, accepted, rejected, code) = begin, part
+    (state, t0, t1), records = begin, plan.records
+    ts, ys, _, final, carried, steps, accepted, rejected, code = part
     recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
     short = {name: leaf_by_leaf(records[name].short, carried[name]) for name in records}
     closest, extremes = recorded.pop(CLOSEST, None), recorded.pop(EXTREMES, None)
-    margin = jnp.full(lattice.lanes, jnp.inf) if closest is None else _margin(lattice, t0, closest)
-    evaluations = type(solver).evaluations() if hasattr(type(solver), "evaluations") else jnp.nan
+    margin = least = jnp.full(lattice.lanes, jnp.inf)
+    if closest is not None:
+        margin, least = _margin(lattice, t0, closest), _least(lattice, closest)
+    kind = type(plan.solver)
     stats = {
         "steps": steps,
         "accepted": accepted,
         "rejected": rejected,
         "step": (t1 - t0) / jnp.maximum(accepted, 1),
-        "force_evaluations": steps * evaluations,
+        "force_evaluations": steps
+        * (kind.evaluations() if hasattr(kind, "evaluations") else jnp.nan),
     }
-    if watch:
+    if plan.watch:
         low, less_high = extremes
-        stats["omega"] = reached_frequency(
-            lattice, low, jax.tree.map(jnp.negative, less_high), t0, t1, final.u
-        )
-    code = jnp.where(_meant(t0, t1, size), code, NOTHING)
-    if tolerance is None:
-        resolved = dt >= least_step(t0, t1, lattice.dtype, jnp.maximum)
+        high = jax.tree.map(jnp.negative, less_high)
+        stats["omega"] = reached_frequency(lattice, low, high, t0, t1, final.u)
+    # times that were traced, and so not refused, may span no run
+    size = plan.step if plan.tolerance is None else plan.tolerance
+    meant = (t1 > t0) & (size > 0) & jnp.isfinite(t1 - t0) & jnp.isfinite(size)
+    code = jnp.where(meant, code, NOTHING)
+    if plan.tolerance is None:
+        resolved = plan.step >= least_step(t0, t1, lattice.dtype, jnp.maximum)
         code = jnp.where(resolved | (code != COMPLETED), code, UNRESOLVED)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     if lattice.conserves:
         gap = energy_gap(lattice, t1, final.u)
-        energy_error = jnp.where(
-            gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error
-        )
-    least = jnp.full(lattice.lanes, jnp.inf) if closest is None else _least(lattice, closest)
-    found = ts, ys.u, ys.v, final, recorded, energy_error, margin, least, short, code, stats
-    return Found(*found)
-
-
-def _ready(solver, adjoint):
-    """Diffrax sets this itself for its Runge-Kutta methods, but does not see it through a wrapper."""
-    if isinstance(adjoint, diffrax.DirectAdjoint) and getattr(solver, "scan_kind", "own") is None:
-        return eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
-    return solver
+        other = gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps)
+        energy_error = jnp.where(other, jnp.nan, energy_error)
+    return Found(ts, ys.u, ys.v, final, recorded, energy_error, margin, least, short, code, stats)
 
 
 def overlaps(lattice, t, u):
@@ -289,11 +236,6 @@ def _least(lattice, x):
     return jnp.min(x, axis=tuple(range(x.ndim - len(lattice.lanes))), initial=jnp.inf)
 
 
-def _meant(t0, t1, size):
-    """Whether times that were traced, and so not refused, span a run: size is that of a step, or a tolerance."""
-    return (t1 > t0) & (size > 0) & jnp.isfinite(t1 - t0) & jnp.isfinite(size)
-
-
 def _code(result, final):
     good = diffrax.is_successful(result)
     codes = [
@@ -306,13 +248,11 @@ def _code(result, final):
     return jnp.where(finite(final), code, NOT_FINITE)
 
 
+@once
 def unseen(lattice: Lattice) -> str:
     """The names of the terms that may have contacts of which nobody knows whether they open."""
-    known = facts(lattice).known
-    if "unseen" not in known:
-        names = [type(term).__name__ for term in lattice.terms if term.opens(lattice) is None]
-        known["unseen"] = ", ".join(dict.fromkeys(names))
-    return known["unseen"]
+    names = [type(term).__name__ for term in lattice.terms if term.opens(lattice) is None]
+    return ", ".join(dict.fromkeys(names))
 
 
 def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
@@ -351,21 +291,19 @@ class _FixedStep(diffrax.ConstantStepSize):
         return super().init(terms, t0, t1, y0, self.step, args, func, error_order)
 
 
-def _controller(lattice, state, t0, t1, tolerance, longest, solver, save_ts):
+def _controller(lattice, state, t0, t1, plan):
     # a step is a choice, not a function of the scene
     lattice, state, t0, t1 = jax.tree.map(chosen, (lattice, state, t0, t1))
     omega = frequency_bound(lattice, state, t0, t1)
     omega = jnp.where(omega > 0, omega, 1 / (t1 - t0))
-    fastest = jnp.max(jnp.stack([jnp.max(jnp.abs(v)) for v in jax.tree.leaves(state.v)]))
-    furthest = jnp.max(jnp.stack([jnp.max(jnp.abs(u)) for u in jax.tree.leaves(state.u)]))
-    velocity = jnp.maximum(fastest, omega * furthest)
+    velocity = jnp.maximum(largest(state.v), omega * largest(state.u))
     velocity = jnp.where(velocity > 0, velocity, 1.0)
+    longest = plan.step
     if lattice.reads_time:
         # what is at rest would step over all that is to come
         longest = QUIET / omega if longest is None else jnp.minimum(longest, QUIET / omega)
-    controller = StepControl(
-        tolerance, Scales(velocity / omega, velocity), 1 / omega, longest, lattice.breaks
-    )
-    if save_ts is not None and not isinstance(solver, AbstractNystrom):
-        controller = diffrax.ClipStepSizeController(controller, step_ts=save_ts)
+    scales = Scales(velocity / omega, velocity)
+    controller = StepControl(plan.tolerance, scales, 1 / omega, longest, lattice.breaks)
+    if plan.save_ts is not None and not isinstance(plan.solver, AbstractNystrom):
+        controller = diffrax.ClipStepSizeController(controller, step_ts=plan.save_ts)
     return controller

@@ -5,10 +5,8 @@ import math
 import time
 import warnings
 from functools import cache, lru_cache
-from typing import Any
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,11 +14,11 @@ import numpy as np
 from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..programs import compiled, wait
-from ..types import Number, Scalar, StateLike, Times
+from ..types import Scalar, StateLike
 from .dispatch import facts
-from .integrate import Part, integrate, own_records, part_of, reduced
+from .integrate import Part, integrate, part_of, planned, reduced
 from .lanes import apart, refuse_lanes_within, together
-from .record import Record
+from .plan import CUBICS, Plan
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # seconds that an evaluation of the forces takes, and more for each number of a state: about, and at the least
@@ -39,71 +37,51 @@ TOLD = 10.0
 _FORWARD = diffrax.ForwardMode()
 
 
-def march(
-    lattice: Lattice,
-    state: StateLike,
-    t0: Scalar,
-    t1: Scalar,
-    dt: Number | None,
-    tolerance: Number | None,
-    save_ts: Times | None,
-    records: dict[str, Record],
-    solver: diffrax.AbstractSolver,
-    adjoint: diffrax.AbstractAdjoint,
-    max_steps: int | None,
-    every: bool,
-    progress: bool,
-    watch: bool = False,
-    dips: bool | None = False,
-) -> Found:
+def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan) -> Found:
     """`integrate`, and where nothing is traced what takes long in pieces, between which Ctrl-C is heard.
 
     Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
     wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
     """
-    arguments = lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint
-    rest = every, progress, watch, dips
-    if traced((t0, t1, dt)):
-        return integrate(*arguments, max_steps, *rest)
-    known = facts(lattice).known
-    if "lanes" not in known:
-        known["lanes"] = lattice.lanes
-    if tolerance is not None and known["lanes"]:
-        return (_lane_by_lane if _is_untraced() else integrate)(*arguments, max_steps, *rest)
-    forward = in_pieces(adjoint, every) and not dips
-    takes, ends, budget = seconds_a_step(lattice, solver, TAKES), [], None
+    if traced((t0, t1, plan.step)):
+        return integrate(lattice, state, t0, t1, plan)
+    about = facts(lattice)
+    if plan.tolerance is not None and about.lanes:
+        return (_lane_by_lane if _is_untraced() else integrate)(lattice, state, t0, t1, plan)
+    forward = plan.has_pieces and plan.openings != CUBICS
+    takes, ends, budget = seconds_a_step(lattice, plan.solver, TAKES), [], None
     span = float(t1) - float(t0)
-    if tolerance is None:
-        steps = _steps(span / float(dt), facts(lattice).dtype)
-        long, alone = steps * takes > SHORT, steps * takes > LONG
-        if steps * takes > LONG and forward and (max_steps is None or max_steps >= steps):
+    if plan.tolerance is None:
+        steps = _steps(span / float(plan.step), about.dtype)
+        long = steps * takes > SHORT
+        enough = plan.max_steps is None or plan.max_steps >= steps
+        if steps * takes > LONG and forward and enough:
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
     else:
         # what an adaptive run takes is known from the one before
-        pace = "pace", type(solver), float(tolerance)
-        long, alone = not forward or known.get(pace, math.inf) * span > SHORT, not forward
+        pace = "pace", type(plan.solver), float(plan.tolerance)
+        long = not forward or about.known.get(pace, math.inf) * span > SHORT
         budget = 1 << int(LONG / takes).bit_length() if forward else None
     # in a program that somebody else traces, constants too become its values
     if (long or budget) and not _is_untraced():
-        return integrate(*arguments, max_steps, *rest)
+        return integrate(lattice, state, t0, t1, plan)
     if not ends:
-        least = steps * seconds_a_step(lattice, solver) if tolerance is None else 0
-        if least > TOLD and not progress:
+        least = steps * seconds_a_step(lattice, plan.solver) if plan.tolerance is None else 0
+        if least > TOLD and not plan.progress:
             _warn(f"{steps} steps, which take {_spoken(least)} at the least")
         since = time.perf_counter()
-        limit = max_steps if budget is None else min(budget, max_steps or budget)
-        sizes = [
-            _number(x, x.dtype) if isinstance(x, np.generic) else x for x in (t0, t1, dt, tolerance)
-        ]
-        run = (_alone if alone else integrate)(lattice, state, *sizes, *arguments[6:], limit, *rest)
+        limit = plan.max_steps if budget is None else min(budget, plan.max_steps or budget)
+        own = plan._replace(
+            step=_number(plan.step), tolerance=_number(plan.tolerance), max_steps=limit
+        )
+        run = integrate(lattice, state, _number(t0), _number(t1), own)
         if long:
             wait(run.code)
-            if tolerance is not None:
-                known[pace] = (time.perf_counter() - since) / span
-        if limit == max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
+            if plan.tolerance is not None:
+                about.known[pace] = (time.perf_counter() - since) / span
+        if limit == plan.max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
             return run
-    begin, how = (state, t0, t1), (dt, tolerance, save_ts, records, solver)
-    return _in_pieces(lattice, begin, ends, budget, max_steps, *how, progress, watch, dips)
+    return _in_pieces(lattice, (state, t0, t1), ends, budget, plan)
 
 
 def _steps(count, dtype):
@@ -114,30 +92,26 @@ def _steps(count, dtype):
 
 def _is_untraced():
     """Whether nothing at all is traced here, whatever the arguments are."""
-    return not traced(-_number(1.0, np.dtype(float)))
+    return not traced(-_kept_number(1.0, np.dtype(float)))
+
+
+def _number(x):
+    """A number as JAX's array, which a program takes more quickly than NumPy's, and which takes longer to make."""
+    return _kept_number(x, x.dtype) if isinstance(x, np.generic) else x
 
 
 @lru_cache(maxsize=256)
-def _number(x, dtype):
-    """A number as JAX's array, which a program takes more quickly than NumPy's, and which takes longer to make."""
+def _kept_number(x, dtype):
     with jax.ensure_compile_time_eval():
-        return jnp.asarray(x, dtype)
-
-
-def in_pieces(adjoint: Any, every: bool) -> bool:
-    """Whether a run may have pieces: one that is not saved at each step, and whose adjoint keeps nothing of it."""
-    return isinstance(adjoint, diffrax.ForwardMode) and not every
+        # of NumPy's array, since a conversion is another program
+        return jnp.asarray(np.asarray(x, dtype))
 
 
 def seconds_a_step(
     lattice: Lattice, solver: diffrax.AbstractSolver, takes: tuple[float, float] = LEAST
 ) -> float:
     """What a step of a lattice costs about, or at the least [s]."""
-    found = facts(lattice)
-    known = found.known
-    if "numbers" not in known:
-        known["numbers"] = sum(math.prod(x.shape) for x in jax.tree.leaves(found.template))
-    return _evaluations(type(solver)) * (takes[0] + takes[1] * known["numbers"])
+    return _evaluations(type(solver)) * (takes[0] + takes[1] * facts(lattice).numbers)
 
 
 @cache
@@ -146,27 +120,20 @@ def _evaluations(kind):
 
 
 def refuse_endless(
-    lattice: Lattice,
-    solver: diffrax.AbstractSolver,
-    steps: int | None,
-    max_steps: int | None,
-    one_loop: bool,
+    lattice: Lattice, plan: Plan, steps: int | None, max_steps: int | None, unknown: bool
 ) -> None:
-    """Refuse steps beyond what a day could do, where nobody says by `max_steps` that so many are meant.
-
-    `one_loop`: whether the run cannot have pieces, so that one loop must count its steps.
-    """
+    """Refuse steps beyond what a day could do, where nobody says by `max_steps` that so many are meant."""
     if steps is None or steps < FEW:
         return
     remedy = "Give an earlier t1, a longer step= or tolerance="
-    if one_loop and min(steps, max_steps or steps) > COUNTED:
+    if (unknown or not plan.has_pieces) and min(steps, max_steps or steps) > COUNTED:
         refuse(
             "t1",
             f"at most {COUNTED} steps under a transformation, with an adjoint, or where each is saved",
             f"{steps:.2g}",
             f"{remedy}.",
         )
-    seconds = min(steps, max_steps or steps) * seconds_a_step(lattice, solver)
+    seconds = min(steps, max_steps or steps) * seconds_a_step(lattice, plan.solver)
     if seconds > DAY and max_steps is None:
         refuse(
             "t1",
@@ -176,40 +143,27 @@ def refuse_endless(
         )
 
 
-def _lane_by_lane(
-    lattice,
-    state,
-    t0,
-    t1,
-    dt,
-    tolerance,
-    save_ts,
-    records,
-    solver,
-    adjoint,
-    max_steps,
-    every,
-    progress,
-    *rest,
-):
+def _lane_by_lane(lattice, state, t0, t1, plan):
     """The lanes of an adaptive run: some in each program as long as none of them takes long, then one by one."""
-    parts, build = apart(lattice, state, records)
-    count, forward = parts[0].shape[-1], in_pieces(adjoint, every)
-    takes = seconds_a_step(lattice, solver, TAKES) / count
-    width, limit = min(count, ABREAST), max_steps
-    if forward:
+    parts, build = apart(lattice, state, plan.records)
+    count, progress = parts[0].shape[-1], plan.progress
+    takes = seconds_a_step(lattice, plan.solver, TAKES) / count
+    plan = plan._replace(progress=False)
+    width, several = min(count, ABREAST), plan
+    if plan.has_pieces:
         width = min(width, max(int(LONG / (EXPECTED * takes)), 1))
-        limit = min(int(LONG / takes) // width, max_steps or COUNTED)
+        limit = min(int(LONG / takes) // width, plan.max_steps or COUNTED)
+        several = plan._replace(max_steps=limit)
     if width == 1:  # a program of several does so itself, as it is traced
         refuse_lanes_within(
-            t0, build([jnp.asarray(x[..., 0]) for x in parts]), (lattice, state, records)
+            t0,
+            build([jnp.asarray(x[..., 0]) for x in parts]),
+            (lattice, state, plan.records),
         )
 
-    def run(go, some, limit):
+    def run(go, some, plan):
         one, y, own = build(some)
-        return go(
-            one, y, t0, t1, dt, tolerance, save_ts, own, solver, adjoint, limit, every, False, *rest
-        )
+        return go(one, y, t0, t1, plan._replace(records=own))
 
     runs, done, bar = [], 0, _bar(progress, count, "lanes")
     try:
@@ -217,15 +171,17 @@ def _lane_by_lane(
             # a whole program that overlaps the one before, rather than another one
             first = min(done, count - width)
             if width > 1:
-                found = wait(run(integrate, [x[..., first : first + width] for x in parts], limit))
-                if limit != max_steps and (np.asarray(found.code) == TOO_MANY_STEPS).any():
+                some = [x[..., first : first + width] for x in parts]
+                found = wait(run(integrate, some, several))
+                spent = (np.asarray(found.code) == TOO_MANY_STEPS).any()
+                if spent and several.max_steps != plan.max_steps:
                     width = 1
                     continue
                 ts = np.repeat(np.asarray(found.ts)[:, None], width, 1)
                 found = found._replace(ts=ts)
                 found = jax.tree.map(lambda x, skip=done - first: np.asarray(x)[..., skip:], found)
             else:
-                found = wait(run(march, [x[..., first] for x in parts], max_steps))
+                found = wait(run(march, [x[..., first] for x in parts], plan))
                 found = jax.tree.map(lambda x: np.asarray(x)[..., None], found)
             runs.append(found)
             bar.update(first + width - done)
@@ -241,65 +197,44 @@ def _lane_by_lane(
     return jax.tree.map(jnp.asarray, together(whole))
 
 
-def _in_pieces(
-    lattice,
-    begin,
-    ends,
-    budget,
-    max_steps,
-    dt,
-    tolerance,
-    save_ts,
-    records,
-    solver,
-    progress,
-    watch,
-    dips,
-):
+def _in_pieces(lattice, begin, ends, budget, plan):
     """Pieces between `ends`, numbers of steps; or where these are none as many as it takes, of `budget` steps each."""
     number = facts(lattice).dtype.type
     state, t0, t1 = begin = begin[0], *(number(float(t)) for t in begin[1:])
-    records = own_records(lattice, state, t0, records, watch, dips)
-    wanted, width = None if save_ts is None else np.asarray(save_ts), 0
-    if wanted is not None:
+    plan, most, wanted, width = planned(lattice, state, t0, plan), plan.max_steps, None, 0
+    if plan.save_ts is not None:
+        wanted = np.asarray(plan.save_ts)
         places = [number(t0 + (t1 - t0) * (k / ends[-1])) for k in ends[1:-1]]
         width = np.diff(np.searchsorted(wanted, [*places, t1], side="right"), prepend=0).max()
-    t, carried, counts, kept, taken, since = t0, None, np.zeros(3, np.int64), [], 0, None
-    bar = _bar(progress)
+    t, carried, counts, kept, taken = t0, None, np.zeros(3, np.int64), [], 0
+    own = plan._replace(adjoint=_FORWARD, max_steps=budget, progress=False)
+    bar = _bar(plan.progress)
     try:
         for k in itertools.count(1):
             last = state, t, number(t0 + (t1 - t0) * (ends[k] / ends[-1])) if ends[k + 1 :] else t1
-            size = number((last[-1] - t) / (ends[k] - ends[k - 1])) if ends else dt
-            window, limit = None, budget
+            if ends:
+                own = own._replace(step=number((last[-1] - t) / (ends[k] - ends[k - 1])))
             if wanted is not None:
                 window = wanted[taken : taken + width]
-                window = np.minimum(np.append(window, np.full(width - len(window), t1)), last[-1])
+                window = np.append(window, np.full(width - len(window), t1))
+                own = own._replace(save_ts=np.minimum(window, last[-1]))
+            if budget and most:
+                own = own._replace(max_steps=int(min(budget, most - counts[0])))
+            since = time.perf_counter()
+            part = wait(_piece(lattice, begin, *last, own, carried))
             # the first piece is compiled, the second one measured
-            since = time.perf_counter() if k == 2 and not progress else None
-            if budget and max_steps:
-                limit = int(min(budget, max_steps - counts[0]))
-            part = wait(
-                _piece(
-                    lattice, begin, *last, size, tolerance, window, records, carried, solver, limit
-                )
-            )
-            if since is not None:
-                _tell_long(
-                    float(t), float(part.t), float(t1), int(part.steps), time.perf_counter() - since
-                )
-            state, t, carried, code = (
-                part.final,
-                np.asarray(part.t)[()],
-                part.carried or None,
-                np.asarray(part.code),
-            )
+            if k == 2 and not plan.progress:
+                seconds = time.perf_counter() - since
+                _tell_long(float(t), float(part.t), float(t1), int(part.steps), seconds)
+            state, carried, code = part.final, part.carried or None, np.asarray(part.code)
+            t = np.asarray(part.t)[()]
             counts += np.array([part.steps, part.accepted, part.rejected], np.int64)
             if wanted is not None:
                 new = np.count_nonzero(wanted[taken : taken + width] <= t)
                 kept.append(jax.tree.map(lambda x, new=new: np.asarray(x[:new]), part.ys))
                 taken += new
             bar.update(100 * float((t - t0) / (t1 - t0)) - bar.n)
-            spent = budget and max_steps and counts[0] >= max_steps
+            spent = budget and most and counts[0] >= most
             if t >= t1 or spent or not np.isin(code, (COMPLETED, TOO_MANY_STEPS)).all():
                 break
     except KeyboardInterrupt:
@@ -315,9 +250,8 @@ def _in_pieces(
     else:
         ts, ys = _filled(wanted, kept, taken, lost)
     part = Part(ts, ys, t, state, carried or {}, *counts, code)
-    found = _reduced(lattice, begin, dt, tolerance, records, solver, watch, part)
     # where it may be looked for what went wrong
-    return found._replace(last=last)
+    return _reduced(lattice, begin, plan._replace(save_ts=None), part)._replace(last=last)
 
 
 def _tell_long(begin, t, t1, steps, seconds):
@@ -365,29 +299,4 @@ def _bar(progress, total=100, unit="%"):
     )
 
 
-# what cannot go in pieces and takes long
-_alone = eqx.filter_jit(integrate.__wrapped__)
-
-
-@compiled
-def _piece(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carried, solver, budget):
-    return part_of(
-        lattice,
-        begin,
-        state,
-        t0,
-        t1,
-        dt,
-        tolerance,
-        save_ts,
-        records,
-        carried,
-        solver,
-        _FORWARD,
-        budget,
-    )
-
-
-@compiled
-def _reduced(lattice, begin, dt, tolerance, records, solver, watch, part):
-    return reduced(lattice, begin, dt, tolerance, records, solver, watch, part)
+_piece, _reduced = compiled(part_of), compiled(reduced)

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..lattice import Lattice, State
+from ..programs import once
 from ..strains import WALL
 from ..strains.maps import TwoEnds
 from ..terms.tracing import reads
 from ..types import Displacements, Number, StateLike, Times
-from .dispatch import facts
 
 # of the distance at rest, which is none
 TOUCH = 1e-6
@@ -75,10 +75,7 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
     Empty where none do, where the lattice does not know the radii of its beads (no positions, no contacts), and where a
     term does not say which sites it joins.
     """
-    known = facts(lattice).known
-    if "beads" not in known:
-        known["beads"] = _beads_of(lattice)
-    lanes = known["beads"]
+    lanes = _beads_of(lattice)
     if lanes is None:
         return ""
     sites, d = lanes[0].sites, lanes[0].places.shape[1]
@@ -109,7 +106,7 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
 
 def _overlap_in_words(lattice, ts, frame, lane, pairs, apart, touch):
     index, worst = np.unravel_index(lane, lattice.lanes), int(np.argmin(apart / touch))
-    beads = facts(lattice).known["beads"][lane]
+    beads = _beads_of(lattice)[lane]
     ts = ts[index] if ts.ndim > 1 else ts
     when = f"at t = {ts[frame]:g}" if frame < ts.size else "at the end"
     within = f" in lane {', '.join(map(str, index))}" if index else ""
@@ -156,6 +153,7 @@ def _gaps(beads, u):
     return (distance - touch).min(initial=SKIN * wide), number[pairs], distance, touch
 
 
+@once
 def _beads_of(lattice):
     """The `_Beads` of each lane; `None` of a lattice that does not know their radii."""
     if lattice.positions is None:

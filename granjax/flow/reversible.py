@@ -10,12 +10,11 @@ from ..checks import positive, refuse
 from ..lattice import Lattice, split_system, vector_field
 from ..printing import told
 from ..solvers import AbstractSplitting
-from ..types import Count, Counts, Number, Scalar, StateLike, Times
+from ..types import Count, Counts, Number, Scalar, StateLike
 from .integrate import integrate
+from .plan import Plan
 from .run import Found
 from .stepping import Flow, check_moved, check_steps
-
-_FORWARD = diffrax.ForwardMode()
 
 
 class Reversible(eqx.Module):
@@ -56,10 +55,8 @@ class Reversible(eqx.Module):
         self.tolerance = float(positive("tolerance", tolerance))
 
 
-def checked_reversible(
-    lattice: Lattice, solver: diffrax.AbstractSolver, records: dict, every: bool
-) -> None:
-    """That a run is one that can be undone."""
+def checked_reversible(lattice: Lattice, plan: Plan) -> None:
+    """Refuse a run that cannot be undone."""
     if lattice.breaks:
         refuse(
             "adjoint",
@@ -67,18 +64,18 @@ def checked_reversible(
             "a lattice with breaks, at which steps end",
             "Use diffrax.RecursiveCheckpointAdjoint().",
         )
-    if not isinstance(solver, AbstractSplitting):
+    if not isinstance(plan.solver, AbstractSplitting):
         refuse(
             "adjoint",
             "a splitting solver at a fixed step, such as SRKN11b, with Reversible",
-            type(solver).__name__,
+            type(plan.solver).__name__,
             "Use diffrax.RecursiveCheckpointAdjoint().",
         )
-    if records or every:
+    if plan.records or plan.every:
         refuse(
             "adjoint",
             "no records and no save_at='steps' with Reversible",
-            "record=" if records else "'steps'",
+            "record=" if plan.records else "'steps'",
             "Save frames and reduce them, or use diffrax.RecursiveCheckpointAdjoint().",
         )
 
@@ -127,20 +124,10 @@ def _return_error(lattice, state, t0, t1, steps, solver):
 
 
 @eqx.filter_custom_vjp
-def reversible(
-    moved: tuple,
-    span: tuple,
-    dt: Number,
-    save_ts: Times | None,
-    solver: diffrax.AbstractSolver,
-    limit: int | None,
-    progress: bool,
-) -> Found:
+def reversible(moved: tuple, span: tuple, plan: Plan) -> Found:
     """`integrate` with the derivative of `Reversible`; moved = (lattice, state, adjoint)."""
     lattice, state, _ = moved
-    return integrate(
-        lattice, state, *span, dt, None, save_ts, {}, solver, _FORWARD, limit, False, progress
-    )
+    return integrate(lattice, state, *span, plan)
 
 
 @reversible.def_fwd
@@ -150,10 +137,11 @@ def _(perturbed, moved, *rest):
 
 
 @reversible.def_bwd
-def _(residuals, cotangents, perturbed, moved, span, dt, save_ts, solver, limit, progress):
+def _(residuals, cotangents, perturbed, moved, span, plan):
     (final, count), (lattice, state, adjoint) = residuals, moved
     free = perturbed[0]
-    way = _Way(solver, *eqx.partition(lattice, free), span[0], dt)
+    dt, save_ts = plan.step, plan.save_ts
+    way = _Way(plan.solver, *eqx.partition(lattice, free), span[0], dt)
     zero = jax.tree.map(jnp.zeros_like, final)
     pulled = _filled(cotangents.final, zero)
     if save_ts is None:  # the one frame that is saved is the end

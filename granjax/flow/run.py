@@ -11,9 +11,9 @@ import numpy as np
 
 from ..checks import concrete
 from ..lattice import Lattice, State
-from ..results import Held, Result
+from ..results import Result, array, hidden, note, part
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
-from ..variables import Layout
+from ..variables import Held
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNRESOLVED = range(8)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
@@ -35,38 +35,23 @@ WHY = {
 class Errors(Result):
     """How far the numbers of a run may be from the truth: `run.error`, from a second run at another step.
 
-    - `us`, `vs` (T, N), `final`, `records`: of the shape and in the unit of `run.us`, `vs`, `final` and `recorded`.
-      `energy` (T,): of the energy at the saved times [J].
-    - `overlap`: the smallest overlap of a contact that can open, found between steps, per lane; below zero it opened,
-      infinite where there is no such contact. `overlap_error`: its error [m].
-    - `how`: what the second run was.
-
-    Infinite where one of both runs has not completed, only one of them has seen an `Arrival`, or a pulse of a drive may
-    lie between the steps of both; NaN for an `Arrival` that did not happen. They have no derivative.
+    Each has the shape and the unit of what it is of. They are infinite where one of both runs has not completed, only
+    one of them has seen an `Arrival`, or a pulse of a drive may lie between the steps of both; NaN for an `Arrival`
+    that did not happen. They have no derivative.
     """
 
-    _table: ClassVar[dict[str, Held]] = {
-        "us": Held("time site", "m", "u"),
-        "vs": Held("time site", "m/s", "v"),
-        "final": Held("site", "m, m/s"),
-        "energy": Held("time", "J"),
-        "overlap": Held("", "m"),
-        "overlap_error": Held("", "m"),
-    }
-    us: Displacements
-    vs: Displacements
-    final: State
-    energy: Numbers
-    overlap: Numbers
-    overlap_error: Numbers
-    records: dict[str, Pytree]
-    how: str = eqx.field(static=True)
-    _lanes: tuple[int, ...] = eqx.field(static=True, kw_only=True, default=())
-
-    @property
-    def held(self) -> dict[str, Held]:
-        """Axes and units."""
-        return self._table
+    us: Displacements = array("The errors of the displacements.", "m", "time site", name="u")
+    vs: Displacements = array("The errors of the velocities.", "m/s", "time site", name="v")
+    final: State = part("The errors of the last state.", "site")
+    energy: Numbers = array("The error of the energy at the saved times.", "J", "time")
+    overlap: Numbers = array(
+        "The smallest overlap of a contact that can open, found between steps, per lane: below zero it opened, "
+        "infinite where there is no such contact.",
+        "m",
+    )
+    overlap_error: Numbers = array("The error of the smallest overlap.", "m")
+    records: dict[str, Pytree] = hidden("The errors of the records, by name.")
+    how: str = array("What the second run was.", static=True)
 
     @property
     def outcome(self) -> str:
@@ -76,38 +61,14 @@ class Errors(Result):
         u, v = (max(float(np.max(x)) for x in jax.tree.leaves(tree)) for tree in (self.us, self.vs))
         return f"displacements within {u:.2g}, velocities within {v:.2g}, by {self.how}"
 
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        own = ("us", "vs", "final", "energy", "overlap", "overlap_error", "how")
-        yield from ((name, getattr(self, name)) for name in own)
-        taken = {*own, "outcome"}
-        yield from ((f"record_{k}" if k in taken else k, x) for k, x in self.records.items())
-
-    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        lanes, mapped = np.shape(self.overlap), np.ndim(self.energy) - 1 - len(self._lanes)
-        return Layout(*(space or (None, 0)), lanes, mapped)
+    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
+        own = list(super()._fields())
+        yield from own
+        yield from _beside(own, self.records, "record")
 
 
 class Run(Result):
     """What `simulate` returns. It prints itself.
-
-    - `ts` (T,), `us`, `vs` (T, N): times, displacements and velocities that were saved (T = 1, the end, by default).
-    - `final`: `State` at the last time, of a lane that stopped where it did; `recorded`: dict of the records' results.
-    - `error`: `Errors` of all of them, with `simulate(..., confirm=True)`; else `None`.
-    - `energy_error`: largest |E - E0|/max(|E0|, kinetic energy) over the saved times, NaN where a term does not keep
-      the energy (says so, or its force is not the slope of its energy); shape of the lanes.
-    - `contact_opened`: whether any contact was open, one that never closed included; `opening`: the same in a word,
-      with "unsure" and "unknown". `unseen`: the terms that may have contacts of which nobody knows whether they opened.
-    - `outcome`: a sentence. It also names beads that have no bond and overlap, at the saved times or at the end,
-      where a scene knows the size of its beads by its positions and contacts: bonds are fixed, and such beads
-      pass through one another.
-    - `started`: (lattice, state) that it began with, or the problem that made them; `None` of a traced one.
-    - `completed`: whether the run reached t1 with finite numbers: each lane where they have
-      steps of their own (what a lane that stopped would have to show at later times is NaN), else every lane.
-    - `met`: where magnets met, (bond, number of its term, time, lane, () where the outcome names it); else `None`.
-    - `stats`: dict, per lane where they have steps of their own, of `steps`, `accepted`, `rejected`, `step` (the
-      fixed one, or the mean of adaptive ones),
-      `force_evaluations` (NaN for diffrax's own solvers), and where energy might gather beyond the default step's
-      bound `omega`, that of what was reached. `solver`: its name; `choice`: what was chosen and why.
 
     **Example:**
 
@@ -119,53 +80,64 @@ class Run(Result):
     True
     """
 
-    _table: ClassVar[dict[str, Held]] = {
-        "ts": Held("time", "s", "time"),
-        "us": Held("time site", "m", "u"),
-        "vs": Held("time site", "m/s", "v"),
-        "energy_error": Held(None),
-        "contact_opened": Held(None),
-        "completed": Held(None),
-        "stats_step": Held(unit="s"),
-        "stats_omega": Held(unit="rad/s"),
-    }
-    ts: Numbers
-    us: Displacements
-    vs: Displacements
-    final: State
-    recorded: dict[str, Pytree]
-    energy_error: Numbers
+    ts: Numbers = array("The saved times; by default the end alone.", "s", "time", name="time")
+    us: Displacements = array("The displacements at these times.", "m", "time site", name="u")
+    vs: Displacements = array("The velocities at these times.", "m/s", "time site", name="v")
+    final: State = hidden("The `State` at the last time; of a lane that stopped where it did.")
+    recorded: dict[str, Pytree] = hidden("What the records found, by name.")
+    energy_error: Numbers = note(
+        "Largest |E - E0|/max(|E0|, kinetic energy) over the saved times, per lane; NaN where a term does not keep the "
+        "energy (says so, or its force is not the slope of its energy)."
+    )
     _margin: Numbers
-    code: Counts
-    stats: dict[str, Number]
-    failed_at: tuple[float, float, tuple[int, ...]] | None = None
-    met: tuple[int, int, float, tuple[int, ...]] | None = None
-    error: Errors | None = None
-    started: Any = None
-    solver: str = eqx.field(static=True, default="")
-    choice: str = eqx.field(static=True, default="")
-    remark: str = eqx.field(static=True, default="")
-    unseen: str = eqx.field(static=True, default="")
+    code: Counts = hidden("What became of the run, a number for each lane that has its own steps.")
+    stats: dict[str, Number] = hidden(
+        "`steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones), `force_evaluations` "
+        "(NaN for diffrax's own solvers); where energy might gather beyond the default step's bound `omega`, that of "
+        "what was reached. Per lane where lanes have their own steps."
+    )
+    failed_at: tuple[float, float, tuple[int, ...]] | None = hidden(
+        "Between which times, and at which sites, a run first was not finite.", default=None
+    )
+    met: tuple[int, int, float, tuple[int, ...]] | None = hidden(
+        "Where magnets met: (bond, number of its term, time, lane, () where the outcome names it); else `None`.",
+        default=None,
+    )
+    error: Errors | None = array(
+        "The errors of all of them, with `simulate(..., confirm=True)`; else `None`.", default=None
+    )
+    started: Any = hidden(
+        "The (lattice, state) that it began with, or the problem that made them; `None` of a traced one.",
+        default=None,
+    )
+    solver: str = array("The name of the solver.", static=True, default="")
+    choice: str = array("What was chosen, and why.", static=True, default="")
+    remark: str = hidden("What else the outcome says.", static=True, default="")
+    unseen: str = hidden(
+        "The terms that may have contacts of which nobody knows whether they opened.",
+        static=True,
+        default="",
+    )
     _zone: float = eqx.field(static=True, default=0.0)
-
-    @property
-    def held(self) -> dict[str, Held]:
-        """Axes and units; a cell's displacements are a dict of fields."""
-        return self._table
-
-    @property
-    def _names(self):
-        """The names of the records in a file, where a run has names of its own too."""
-        taken = {*self._table, "opening", "stats", "solver", "choice", "error"}
-        return {name: f"recorded_{name}" if name in taken else name for name in self.recorded}
+    exported: ClassVar[dict[str, Held]] = dict.fromkeys(
+        ("contact_opened", "completed", "opening"), Held(None)
+    )
 
     @property
     def completed(self) -> Flags:
+        """Whether the run reached t1 with finite numbers: each lane where they have steps of their own, else every one.
+
+        What a lane that stopped would have to show at later times is NaN.
+        """
         return self.code == COMPLETED
 
     @property
     def outcome(self) -> str:
-        """What became of the run, in a sentence (only where the run is not traced)."""
+        """What became of the run, in a sentence (only where the run is not traced).
+
+        It also names beads that have no bond and overlap, at the saved times or at the end, where a scene knows the
+        size of its beads by its positions and contacts: bonds are fixed, and such beads pass through one another.
+        """
         code = concrete(self.code)
         if code is None:
             return "Not known while traced."
@@ -261,29 +233,19 @@ class Run(Result):
         tree = {"ts": self.ts, "us": self.us, "vs": self.vs, **self.recorded}
         return jax.tree.map(np.asarray, tree)
 
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        own = (
-            "ts",
-            "us",
-            "vs",
-            "energy_error",
-            "contact_opened",
-            "completed",
-            "opening",
-            "stats",
-            "solver",
-            "choice",
-        )
-        yield from ((name, getattr(self, name)) for name in own)
-        yield from ((self._names[name], x) for name, x in self.recorded.items())
-        if self.error is not None:
-            yield "error", self.error
+    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
+        own = list(super()._fields())
+        yield from own
+        for key, x in self.stats.items():
+            yield f"stats_{key}", x, Held(unit={"step": "s", "omega": "rad/s"}.get(key, ""))
+        yield from _beside(own, self.recorded, "recorded")
 
-    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        """Lanes are those of the energy's error: behind the sites, and of `jax.vmap` before them."""
-        lanes, mapped = np.shape(self.energy_error), np.ndim(self.ts) - 1
-        first = mapped if lanes[:mapped] == np.shape(self.ts)[:mapped] else 0
-        return Layout(*(space or (None, 0)), lanes, first)
+
+def _beside(own, records, word):
+    """Fields of records, with a word before the names that what is beside them has too."""
+    taken = {"outcome", *(name for name, *_ in own), *(held.name for *_, held in own)}
+    for name, x in records.items():
+        yield f"{word}_{name}" if name in taken else name, x, Held()
 
 
 class Found(NamedTuple):

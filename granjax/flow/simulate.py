@@ -17,20 +17,13 @@ from .dispatch import facts
 from .inputs import checked_records, checked_save_at, checked_state, checked_times, held_frames
 from .integrate import integrate, unseen
 from .lanes import apart
-from .march import in_pieces, march, refuse_endless
+from .march import march, refuse_endless
 from .meeting import meeting, passing
 from .memory import with_memory
-from .method import (
-    checked_method,
-    doubts,
-    fixed_step,
-    linear_bound,
-    missed,
-    number,
-    passed,
-    refuse_far,
-)
+from .method import Steps, checked_method, fixed_step, linear_bound, number, passed, refuse_far
+from .plan import CUBICS, DENSE, ENDS, Plan
 from .record import Record
+from .remarks import doubts, missed
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 
@@ -44,19 +37,6 @@ COARSE = 1.5
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _LANES_LAST = (diffrax.DirectAdjoint, diffrax.ForwardMode)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
-
-KEYWORDS = (
-    "t0",
-    "solver",
-    "step",
-    "tolerance",
-    "save_at",
-    "record",
-    "adjoint",
-    "progress",
-    "throw",
-    "max_steps",
-)
 
 
 def simulate(
@@ -136,107 +116,129 @@ def simulate(
     >>> round(float(run.final.v[0]), 4)
     -0.0711
     """
-    given = t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps
     about = facts(lattice)
     if confirm and (about.remembers or isinstance(adjoint, Reversible)):
         without = "forces that read the past" if about.remembers else "Reversible"
         remedy = "Compare runs by two steps yourself."
         refuse("confirm", f"False with {without}", "True", remedy)
     if about.remembers:
-        return with_memory(lattice, state, t1, dict(zip(KEYWORDS, given)))
+        return with_memory(
+            lattice,
+            state,
+            t0,
+            t1,
+            solver=solver,
+            step=step,
+            tolerance=tolerance,
+            save_at=save_at,
+            record=record,
+            adjoint=adjoint,
+            progress=progress,
+            throw=throw,
+            max_steps=max_steps,
+        )
+
+    # what is given
     state = checked_state(lattice, state)
     t0, t1 = checked_times(t0, t1)
-    dtype = about.dtype
     unknown = about.traced or traced((state, t0, t1, step, tolerance, save_at, record))
     if throw and unknown:
         remedy = "What becomes of a traced run is not known yet."
         refuse("throw", "None or False under a transformation", "True", remedy)
     save_ts, frames, every = checked_save_at(save_at, t0, t1, state)
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
-    if every and tolerance is not None and lattice.lanes:
+    if every and tolerance is not None and about.lanes:
         remedy = "Give times, or step= for steps that lanes share."
         refuse("save_at", "times, where each lane has steps of its own", "'steps'", remedy)
     if every and confirm and unknown:
         remedy = "Steps of two lengths end at other times: give times."
         refuse("confirm", "False under a transformation with save_at='steps'", "True", remedy)
     records = checked_records(record)
+
+    # the steps
     if tolerance is None:
-        dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
+        steps = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
         refuse_far(lattice, state, t0, t1)
-        dt, steps, choice, remark, watch = step, None, _adaptive(tolerance, step), "", False
-    one_loop = unknown or not in_pieces(_FORWARD if adjoint is None else adjoint, every)
-    refuse_endless(lattice, solver, steps, max_steps, one_loop)
+        steps = Steps(step, None, _adaptive(tolerance, step), "", False)
     backwards = adjoint if isinstance(adjoint, Reversible) else None
-    if backwards is not None:
-        checked_reversible(lattice, solver, records, every)
-        adjoint = _FORWARD
     # an adjoint that is asked for by name is asked for its memory, of which looking between steps takes as much again
-    dips = None if confirm else unknown and adjoint is None
-    adjoint, limit = _adjoint(adjoint, unknown, every, steps, max_steps)
+    openings = DENSE if confirm else CUBICS if unknown and adjoint is None else ENDS
+    adjoint = _FORWARD if backwards is not None else _adjoint(adjoint, unknown)
+    plan = Plan(
+        solver,
+        # diffrax raises the state to the type of the times
+        None if steps.size is None else number(steps.size, about.dtype),
+        tolerance,
+        None if save_ts is None else jnp.asarray(save_ts, about.dtype),
+        records,
+        adjoint,
+        _most_steps(adjoint, unknown, every, steps.count, max_steps),
+        every,
+        progress,
+        steps.watch and not unknown,
+        openings,
+    )
+    refuse_endless(lattice, plan, steps.count, max_steps, unknown)
+    if backwards is not None:
+        checked_reversible(lattice, plan)
     if every:
-        held_frames("save_at" if max_steps is None else "max_steps", limit, state, "steps")
+        argument = "save_at" if max_steps is None else "max_steps"
+        held_frames(argument, plan.max_steps, state, "steps")
 
-    # diffrax raises the state to the type of the times
-    span = number(t0, dtype), number(t1, dtype)
-    dt = None if dt is None else number(dt, dtype)
-    save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
-    watch = watch and not unknown
-    rest = records, solver, adjoint, limit, every, progress, watch, dips
+    # the run
+    begin = lattice, state, number(t0, about.dtype), number(t1, about.dtype)
     try:
-        # its derivative is asked for where something is traced
-        if backwards is None or not (unknown or traced(backwards)):
-            arguments = lattice, state, *span, dt, tolerance, save_ts, *rest
-            if unknown and not progress and isinstance(adjoint, _LANES_LAST):
-                run = batched(*arguments, own_step=step is None)
-            else:
-                run = (integrate if unknown else march)(*arguments)
+        # a derivative of Reversible is asked for where something is traced
+        if backwards is not None and (unknown or traced(backwards)):
+            found = reversible((lattice, state, backwards), begin[2:], plan)
+            wait(found.code)
+        elif not unknown:
+            found = march(*begin, plan)
+        elif progress or not isinstance(adjoint, _LANES_LAST):
+            found = integrate(*begin, plan)
         else:
-            run = reversible(
-                (lattice, state, backwards), span, dt, save_ts, solver, limit, progress
-            )
-            wait(run.code)
+            found = batched(*begin, plan, own_step=step is None)
     except TypeError as error:
         refuse_forward_mode(backwards or adjoint, error)
-    again = passed(solver, run, dt) if watch and backwards is None else None
-    if again is not None:
-        dt, steps, choice, remark, _ = fixed_step(
-            lattice, state, t0, t1, None, solver, frames, again
-        )
-        choice += ", taken again: energy gathered beyond the bound at the start"
-        dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
-        rest = records, solver, adjoint, limit, every, progress, watch, dips
-        run = march(lattice, state, *span, dt, tolerance, save_ts, *rest)
-    more = {}
+    bound = passed(solver, found, plan.step) if plan.watch and backwards is None else None
+    if bound is not None:
+        steps = fixed_step(lattice, state, t0, t1, None, solver, frames, bound)
+        again = ", taken again: energy gathered beyond the bound at the start"
+        steps = steps._replace(choice=steps.choice + again)
+        limit = None if plan.max_steps is None else max(plan.max_steps, steps.count)
+        plan = plan._replace(step=number(steps.size, about.dtype), max_steps=limit)
+        found = march(*begin, plan)
     if unknown and throw is None:
-        run = without_the_lost(run, lattice.lanes)
-    known = not isinstance(run.code, jax.core.Tracer)
+        found = without_the_lost(found, about.lanes)
+
+    # what is said of it
+    known = not isinstance(found.code, jax.core.Tracer)
     if every and known:
-        run = _cut(run)
-        save_ts = run.ts
-    hidden = ""
+        found = _cut(found)
+        plan = plan._replace(save_ts=found.ts)
+    remark, hidden, more = steps.remark, "", {}
     if known and not unknown:
-        hidden = missed(lattice, t0, t1, run.stats["step"], tolerance)
-        said = doubts(lattice, state, t0, t1, step, tolerance, solver, run)
-        met = passing(lattice, run.ts, run.us, run.final.u)
+        hidden = missed(lattice, t0, t1, found.stats["step"], tolerance)
+        said = doubts(lattice, state, t0, t1, step, tolerance, solver, found)
+        met = passing(lattice, found.ts, found.us, found.final.u)
         remark = " ".join(filter(None, (remark, hidden, said, met)))
         more["started"] = lattice, state
     if confirm:
         # lanes of `jax.vmap` may have had a shorter step than their own
-        taken = run.stats["step"] if unknown and tolerance is None else dt
-        good = run.completed & (not hidden)
-        how = taken, tolerance, save_ts, records, solver
-        more["error"] = confirmed(lattice, state, *span, *how, run, good)
-    code = np.asarray(run.code) if known else None
+        shared = unknown and tolerance is None
+        taken = plan._replace(step=found.stats["step"]) if shared else plan
+        more["error"] = confirmed(*begin, taken, found, found.completed & (not hidden))
+    code = np.asarray(found.code) if known else None
     failed = known and not (code == COMPLETED).all()
     if failed and code.max() in (NOT_FINITE, STEP_TOO_SMALL):
-        more |= _located(run, lattice, (state, *span), dt, tolerance, solver)
-    zone = _zone(lattice, dt, step, tolerance, unknown, dips)
-    names = type(solver).__name__, choice, remark, unseen(lattice), zone
-    made = run_of(run, lattice, names, tuple(more.items()))
+        more |= _located(found, begin, plan)
+    zone = _zone(lattice, plan, step, unknown)
+    names = type(solver).__name__, steps.choice, remark, unseen(lattice), zone
+    run = run_of(found, lattice, names, tuple(more.items()))
     if failed and (throw is None or throw):
-        raise RuntimeError(made.outcome)
-    return made
+        raise RuntimeError(run.outcome)
+    return run
 
 
 def _adaptive(tolerance, longest):
@@ -246,39 +248,40 @@ def _adaptive(tolerance, longest):
     return f"adaptive steps, tolerance {shown(tolerance)}{bound}"
 
 
-def _zone(lattice, dt, step, tolerance, unknown, dips):
+def _zone(lattice, plan, step, unknown):
     """From which margin on a contact is known to have stayed closed between the ends of steps."""
-    if tolerance is None and step is not None and not unknown:
+    if plan.tolerance is None and step is not None and not unknown:
         omega = linear_bound(lattice)
-        if omega is not None and dt * omega > COARSE:
+        if omega is not None and plan.step * omega > COARSE:
             return math.inf
-    return FAR if tolerance is not None or step is not None else DIPPED if dips else NEAR
+    if plan.tolerance is not None or step is not None:
+        return FAR
+    return DIPPED if plan.openings == CUBICS else NEAR
 
 
-def _adjoint(adjoint, unknown, every, steps, max_steps):
-    """The adjoint, and the most steps: `None` for a loop that may go on, which has no reverse mode."""
-    if max_steps is not None:
-        limit = whole("max_steps", max_steps, 1)
-    elif steps is not None:
-        # rounded up, so that many scenes compile once: room to save by little, a bound on a loop by more; what is saved
-        # under a transformation keeps its length
-        limit = (
-            steps
-            if every and unknown
-            else shared_size(steps)
-            if every
-            else 1 << (steps - 1).bit_length()
-        )
-    else:
-        limit = SAVED_STEPS if every else TRACED_STEPS
+def _adjoint(adjoint, unknown):
+    """The adjoint that is asked for, or the one that serves both modes where something may be differentiated."""
     if adjoint is None:
-        adjoint = _BOTH_MODES if unknown else _FORWARD
-    elif not isinstance(adjoint, _ADJOINTS):
+        return _BOTH_MODES if unknown else _FORWARD
+    if not isinstance(adjoint, _ADJOINTS):
         known = ", ".join(["Reversible()", *(f"diffrax.{kind.__name__}()" for kind in _ADJOINTS)])
         refuse("adjoint", f"one of {known}", repr(adjoint), "None serves both derivative modes.")
-    if isinstance(adjoint, diffrax.ForwardMode) and max_steps is None and not every:
-        limit = None
-    return adjoint, limit
+    return adjoint
+
+
+def _most_steps(adjoint, unknown, every, steps, max_steps):
+    """The most steps: `None` for a loop that may go on, which has no reverse mode."""
+    if max_steps is not None:
+        return whole("max_steps", max_steps, 1)
+    if isinstance(adjoint, diffrax.ForwardMode) and not every:
+        return None
+    if steps is None:
+        return SAVED_STEPS if every else TRACED_STEPS
+    # what is saved under a transformation keeps its length
+    if every and unknown:
+        return steps
+    # rounded up, so that many scenes compile once: room to save by little, a bound on a loop by more
+    return shared_size(steps) if every else 1 << (steps - 1).bit_length()
 
 
 def _cut(run):
@@ -293,24 +296,24 @@ def _cut(run):
     return run._replace(ts=kept[0], us=kept[1], vs=kept[2])
 
 
-def _located(run, lattice, begin, dt, tolerance, solver):
+def _located(found, begin, plan):
     """Where and when a run failed, and where magnets met: again with frames, twice closer."""
     # of its last piece; of a batch the first lane of which that is so
-    state, *span = run.last or begin
-    code, sizes = np.asarray(run.code), np.ravel(run.stats["step"])
+    lattice, state, *span = begin if found.last is None else (begin[0], *found.last)
+    code, sizes = np.asarray(found.code), np.ravel(found.stats["step"])
     if code.ndim:
         parts, build = apart(lattice, state)
         lattice, state = build([x[..., code.argmax()] for x in parts])
         sizes = sizes[code.argmax() % sizes.size :]
-    rest = {}, solver, diffrax.ForwardMode(), None, False, False
+    plan = Plan(plan.solver, plan.step, plan.tolerance, None, {}, _FORWARD)
     if code.max() == STEP_TOO_SMALL:
-        again = integrate(lattice, state, *span, dt, tolerance, None, *rest)
+        again = integrate(lattice, state, *span, plan)
         return {"met": meeting(lattice, again.final, float(again.ts[-1]), 0.0)}
     low, high = map(float, span)
     last = state
     for _ in range(2):
         ts = jnp.linspace(low, high, 65, dtype=lattice.dtype)[1:]
-        again = integrate(lattice, state, *span, dt, tolerance, ts, *rest)
+        again = integrate(lattice, state, *span, plan._replace(save_ts=ts))
         wait(again.code)
         bad = [~np.isfinite(np.asarray(u)) for u in jax.tree.leaves(again.us)]
         first = int(np.argmax(np.any([b.reshape(len(ts), -1).any(1) for b in bad], axis=0)))

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..checks import whole
 from ..lattice import Lattice
-from ..programs import compiled
+from ..programs import compiled, once
 from ..terms import Reach, Reached
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
 from .inputs import checked_state, checked_times
@@ -327,7 +327,14 @@ def chosen(x: Any) -> Any:
     return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
 
 
+@once
 def softens(lattice: Lattice) -> bool:
     """Whether a re-opening contact of the lattice is infinitely stiff, so that no step bound exists there."""
-    found = [c for term in lattice.terms for c in term.compressions(jnp.zeros(()), lattice.zeros())]
-    return any(c.law.softens for c in found)
+    found = []
+
+    def look(t, u):
+        found.extend(c.law.softens for term in lattice.terms for c in term.compressions(t, u))
+
+    # traced, so that nothing is computed for what the laws know
+    jax.eval_shape(look, jax.ShapeDtypeStruct((), lattice.dtype), lattice.template())
+    return any(found)

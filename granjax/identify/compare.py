@@ -80,16 +80,17 @@ class Comparison(Result):
         return " ".join(said)
 
     def __repr__(self) -> str:
-        width = max(map(len, self.names)) + 2
-        rows = [f"{'model':<{width}}{'P':>4}{'chi^2':>12}{'AIC':>12}{'BIC':>12}{'weight':>9}"]
-        columns = zip(
-            self.names, self.parameters, self.chi_square, self.aic, self.bic, self.weights
-        )
-        rows += [
-            f"{name:<{width}}{P:>4}{c:>12.6g}{a:>12.6g}{b:>12.6g}{w:>9.3f}"
-            for name, P, c, a, b, w in columns
-        ]
-        return "\n".join([*rows, self.outcome])
+        import pandas
+
+        columns = {
+            "P": self.parameters,
+            "chi^2": self.chi_square,
+            "AIC": self.aic,
+            "BIC": self.bic,
+            "weight": self.weights,
+        }
+        table = pandas.DataFrame(columns, pandas.Index(self.names))
+        return f"{table.to_string(float_format='{:.6g}'.format)}\n{self.outcome}"
 
 
 def compare(

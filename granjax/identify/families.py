@@ -13,7 +13,9 @@ from ..lattice import Lattice
 from ..laws import Law, Network, PowerLaw, Spline
 from ..types import AnyArray, Numbers, Parameter, Scalar, Scene
 
-KNOTS, UNITS = 7, 6
+# knots of a spline and units of a network: enough for a contact to 1 % of its largest force, few enough for traces
+KNOTS = 7
+UNITS = 6
 FAMILIES = ("power law", "polynomial", "spline", "network")
 
 
@@ -93,11 +95,6 @@ class Leaf(NamedTuple):
     bounds: tuple | None
 
 
-def leaves_of(law: Law) -> list[Leaf]:
-    """The leaves of a law, in the order in which it is flattened."""
-    return [_leaf(law, path, value) for path, value in jax.tree_util.tree_flatten_with_path(law)[0]]
-
-
 def _leaf(law, path, value):
     owner, holder, name, parts = law, law, "", []
     for key in path:
@@ -165,7 +162,7 @@ def law_scene(
     """(`LawScene`, start, bounds) of a law and other parameters; with a `strain` "force" stands for "stiffness"."""
     if strain is not None:
         law = _with_coefficient(law, strain**law.exponent)
-    leaves = leaves_of(law)
+    leaves = [_leaf(law, *leaf) for leaf in jax.tree_util.tree_flatten_with_path(law)[0]]
     if strain is not None:
         leaves = [
             leaf._replace(name="force") if leaf.name == "stiffness" else leaf for leaf in leaves
@@ -173,7 +170,7 @@ def law_scene(
     names = [leaf.name for leaf in leaves if not leaf.held]
     for name in hold:
         one_of("hold", name, names)
-    moving = [leaf for leaf in leaves if not leaf.held and leaf.name not in hold]
+    moving = {leaf.name: leaf for leaf in leaves if not leaf.held and leaf.name not in hold}
     if not moving:
         refuse(
             "family",
@@ -181,14 +178,16 @@ def law_scene(
             f"{type(law).__name__} without one",
             "An exponent moves where it is an array: PowerLaw(1.0, jnp.asarray(1.5), 1.0).",
         )
-    both = {leaf.name for leaf in moving} & set(others)
-    if both:
-        refuse("others", f"names other than the law's {names}", f"{sorted(both)}")
-    chosen = {leaf.name for leaf in moving}
-    places = tuple(leaf.name if leaf.name in chosen else None for leaf in leaves)
+    if moving.keys() & others.keys():
+        refuse(
+            "others",
+            f"names other than the law's {names}",
+            f"{sorted(moving.keys() & others.keys())}",
+        )
+    places = tuple(leaf.name if leaf.name in moving else None for leaf in leaves)
     held = tuple(None if name else jnp.asarray(leaf.value) for name, leaf in zip(places, leaves))
-    start = {**{leaf.name: leaf.value for leaf in moving}, **others}
-    bounds = {leaf.name: leaf.bounds for leaf in moving if leaf.bounds is not None}
+    start = {name: leaf.value for name, leaf in moving.items()} | others
+    bounds = {name: leaf.bounds for name, leaf in moving.items() if leaf.bounds is not None}
     strain = None if strain is None else jnp.asarray(strain, float)
     return (
         LawScene(scene, jax.tree.structure(law), places, held, tuple(sorted(others)), strain),

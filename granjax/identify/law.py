@@ -18,8 +18,9 @@ from ..flow import Lowest, Peak, simulate
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..parameters import Bounds
-from ..results import Held, Result, array
+from ..results import Result, array
 from ..types import Count, Parameter, Scalar
+from ..variables import Held
 from .families import LawScene, law_scene, starting_law
 
 # room around the strains of the linear run that a family is made for
@@ -65,15 +66,10 @@ class ForceLaw(Result):
         force, deviation = self.force(e)
         return e, force, force - deviations * deviation, force + deviations * deviation
 
-    @property
-    def held(self) -> dict[str, Held]:
-        """What each field is; a file has the force over the strain range too."""
-        curves = {name: Held("strain", "N") for name in ("force", "low", "high")}
-        return super().held | curves | {"strain": Held("strain", "m")}
-
-    def _fields(self) -> Iterator[tuple[str, object]]:
+    def _fields(self) -> Iterator[tuple[str, object, Held]]:
         yield from super()._fields()
-        yield from zip(("strain", "force", "low", "high"), self.band())
+        for name, x in zip(("strain", "force", "low", "high"), self.band()):
+            yield name, x, Held("strain", "m" if name == "strain" else "N")
 
     @property
     def outcome(self) -> str:
@@ -145,8 +141,7 @@ def law(
     >>> round(float(found.law.stiffness), 4)
     1.0
     """
-    others = {} if others is None else dict(others)
-    strain = None
+    others, strain = dict(others or {}), None
     if isinstance(family, str):
         if stiffness is None:
             refuse(
@@ -213,7 +208,9 @@ def _acting(of_law, parameters):
     """The terms of the scene that the law acts in, by index."""
     marked = of_law.law(parameters)
     lattice = of_law.lattice(marked, parameters)
-    acting = tuple(i for i, term in enumerate(lattice.terms) if _holds(term, marked))
+    is_law = lambda part: part is marked
+    holds = lambda term: any(map(is_law, jax.tree.leaves(term, is_leaf=is_law)))
+    acting = tuple(i for i, term in enumerate(lattice.terms) if holds(term))
     if not acting:
         refuse(
             "scene",
@@ -254,10 +251,6 @@ class _Strains(eqx.Module):
             for c in lattice.terms[i].compressions(t, y.u)
         ]
         return jnp.concatenate(found)
-
-
-def _holds(term, law):
-    return any(part is law for part in jax.tree.leaves(term, is_leaf=lambda part: part is law))
 
 
 @eqx.filter_jit

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-from numpy.polynomial import polynomial
+from numpy.polynomial import Polynomial, polynomial
 from scipy.optimize import minimize_scalar
 
 from ..checks import parameter, refuse, whole
@@ -16,9 +16,18 @@ from ..types import Count, Numbers, Parameter, Scalar
 from .planar_fit import LEAST, Train, first, fit, growth, split
 from .planar_orbits import TABLE, PlanarOrbit, Way
 
-# waves in a window, numbers per unknown; how far beyond the data orbits are looked for, in halves of their range
-WAVES, EACH, BEYOND = 1.2, 2, 6.0
-REAL, ALIKE, CLOSE = 1e-7, 0.5, 1e-9
+# waves in a window
+WAVES = 1.2
+# points for each unknown
+EACH = 2
+# how far from the middle of the data orbits are looked for, in halves of their range
+BEYOND = 6.0
+# of a root, the imaginary part that rounding makes of none
+REAL = 1e-7
+# correlation of neighbouring residuals from which on they are said to be no noise
+ALIKE = 0.5
+# a share of the data's range that rounding makes of none
+CLOSE = 1e-9
 # powers of e that trajectories of a window part by
 PARTS = 4.0
 
@@ -63,37 +72,31 @@ class PlanarODE(Result):
     slopes: Float[np.ndarray, " point"] = array("The slope y' of the fitted strains.", "m")
     window: np.ndarray = array("The window that each point belongs to.", axes="point")
     outcome: str = eqx.field(static=True)
-    # f of scaled strains and places: (y - middle)/half, xi/length
-    _scaled: Any = eqx.field(kw_only=True, repr=False)
-    # G - p^2/2 of the trajectory of each window, in these
+    # f, with powers of (y - middle)/half
+    _f: Any = eqx.field(kw_only=True, repr=False)
+    # G - y'^2/2 of the trajectory of each window, G' = f
     _levels: Any = eqx.field(kw_only=True, repr=False)
 
     def bend(self, strain: Parameter) -> Float[np.ndarray, "..."]:
         """f at strains of any shape [m]: y'' where there is no drift."""
-        middle, half, length, f = self._scaled
-        return half / length**2 * polynomial.polyval((np.asarray(strain, float) - middle) / half, f)
+        return self._f(np.asarray(strain, float))
 
     def homoclinic(self) -> PlanarOrbit | None:
         """The orbit that leaves a saddle and comes back to it, around most of the data; `None` where there is none.
 
         Of an equation with a drift that of the equation without.
         """
-        middle, half, _, f = self._scaled
-        found = []
-        for point in self.equilibria:
-            if point.kind == "saddle":
-                end = (point.strain - middle) / half
-                G = polynomial.polyint(f)
-                G[0] -= polynomial.polyval(end, G)
-                rest = polynomial.polydiv(polynomial.polydiv(G, [-end, 1.0])[0], [-end, 1.0])[0]
-                turns = _real_roots(rest)
-                for side in (1, -1):
-                    beyond = turns[(turns - end) * side > CLOSE]
-                    if beyond.size:
-                        found.append((float(beyond[np.argmin(np.abs(beyond - end))]), end))
+        G, found = self._f.integ(), []
+        for end in (point.strain for point in self.equilibria if point.kind == "saddle"):
+            double = Polynomial.fromroots([end, end], domain=self._f.domain)
+            turns = _real_roots((G - G(end)) // double)
+            for side in (1, -1):
+                beyond = turns[(turns - end) * side > CLOSE * (self.crest - self.trough)]
+                if beyond.size:
+                    found.append((float(beyond[np.argmin(np.abs(beyond - end))]), end))
         # most of the data's range, then the shortest
-        found.sort(key=lambda x: (-_overlap(*x), abs(x[0] - x[1])))
-        return self._orbit(*found[0], True) if found and _overlap(*found[0]) > 0 else None
+        found.sort(key=lambda x: (-self._overlap(*x), abs(x[0] - x[1])))
+        return self._orbit(*found[0], True) if found and self._overlap(*found[0]) > 0 else None
 
     def periodic(self, *, crest: Scalar | None = None, energy: Scalar | None = None) -> PlanarOrbit:
         """The periodic orbit through a crest [m], or of an energy y'^2/2 - int_0^y f [m^2].
@@ -101,30 +104,23 @@ class PlanarODE(Result):
         Without either that of the window with the highest crest, by the trajectory that was fitted there.
         **Raises** ValueError where no periodic orbit has it, or for both.
         """
-        middle, half, length, f = self._scaled
         if crest is not None and energy is not None:
             refuse("crest, energy", "one of them", "both")
-        G = polynomial.polyint(f)
+        G = self._f.integ()
         if crest is not None:
-            top = (float(crest) - middle) / half
-            level = polynomial.polyval(top, G)
+            level = G(float(crest))
         elif energy is not None:
-            level = polynomial.polyval(-middle / half, G) - float(energy) * (length / half) ** 2
+            level = G(0.0) - float(energy)
         else:
             level = self._levels[self.window[np.argmax(self.strains)]]
-        # where p^2/2 = G - level is above zero, between two turns
-        roots = _real_roots(polynomial.polysub(G, [level]))
-        pairs = [
-            (b, a)
-            for a, b in zip(roots[:-1], roots[1:])
-            if polynomial.polyval((a + b) / 2, G) > level
-        ]
+        # where y'^2/2 = G - level is above zero, between two turns
+        roots = _real_roots(G - level)
+        pairs = [(b, a) for a, b in zip(roots[:-1], roots[1:]) if G((a + b) / 2) > level]
         if crest is not None:
-            pairs = [(top, a) for b, a in pairs if abs(b - top) < 1e-6 * max(1.0, abs(top))]
-        pairs.sort(key=lambda x: -_overlap(*x))
-        if not pairs or not polynomial.polyval(pairs[0][0], f) < 0 < polynomial.polyval(
-            pairs[0][1], f
-        ):
+            near = 1e-6 * (self.crest - self.trough)
+            pairs = [(float(crest), a) for b, a in pairs if abs(b - float(crest)) < near]
+        pairs.sort(key=lambda x: -self._overlap(*x))
+        if not pairs or not self._f(pairs[0][0]) < 0 < self._f(pairs[0][1]):
             name, got = ("energy", energy) if crest is None else ("crest", crest)
             refuse(
                 name,
@@ -135,88 +131,60 @@ class PlanarODE(Result):
         return self._orbit(*pairs[0], False)
 
     def _orbit(self, start, end, homoclinic):
-        middle, half, length, f = self._scaled
-        way = Way(f, start, end, homoclinic)
-        place = _Placed(way, middle, half, length)
-        G = polynomial.polyint(f)
-        energy = -((half / length) ** 2) * float(
-            polynomial.polyval(end, G) - polynomial.polyval(-middle / half, G)
-        )
-        decay = (
-            float(np.sqrt(polynomial.polyval(end, polynomial.polyder(f)))) / length
-            if homoclinic
-            else None
-        )
-        distance, shift = self._distance(place, start > end)
-        reach = 12 / decay if homoclinic else way.wavelength * length / 2
+        way, G = Way(self._f, start, end, homoclinic), self._f.integ()
+        decay = float(np.sqrt(self._f.deriv()(end))) if homoclinic else None
+        distance, shift = self._distance(way, start > end)
+        reach = 12 / decay if homoclinic else way.wavelength / 2
         xi = np.linspace(-reach, reach, TABLE)
-        high, low = max(start, end) * half + middle, min(start, end) * half + middle
-        wavelength = np.inf if homoclinic else way.wavelength * length
         kind = "homoclinic" if homoclinic else "periodic"
+        share = 2 * distance / (self.crest - self.trough)
         return PlanarOrbit(
             kind,
-            high,
-            low,
-            wavelength,
-            energy,
+            max(start, end),
+            min(start, end),
+            np.inf if homoclinic else way.wavelength,
+            float(G(0.0) - G(end)),
             decay,
             distance,
             shift,
             xi,
-            place(xi),
-            f"A {kind} orbit, {distance / half:.2g} of half of crest less trough from the measured wave.",
-            _way=place,
+            way(xi),
+            f"A {kind} orbit, {share:.2g} of half of crest less trough from the measured wave.",
+            _way=way,
         )
 
-    def _distance(self, place, up):
+    def _distance(self, way, up):
         """Rms of the data about their highest crest (or lowest trough) less an orbit, at the best place."""
         best = int(np.argmax(self.strains if up else -self.strains))
         near = (np.abs(self.xi - self.xi[best]) <= self.wavelength / 2) & (
             self.window == self.window[best]
         )
         x, y = self.xi[near], self.strains[near]
-
-        def off(shift):
-            return float(np.mean((y - place(x - shift)) ** 2))
-
         width = self.wavelength / 4
         found = minimize_scalar(
-            off,
+            lambda shift: float(np.mean((y - way(x - shift)) ** 2)),
             bounds=(self.xi[best] - width, self.xi[best] + width),
             method="bounded",
             options={"xatol": 1e-10 * width},
         )
         return float(np.sqrt(found.fun)), float(found.x)
 
-
-class _Placed:
-    """An orbit in the units of the data."""
-
-    def __init__(self, way, middle, half, length):
-        self.parts = way, middle, half, length
-
-    def __call__(self, xi):
-        way, middle, half, length = self.parts
-        return middle + half * way(np.asarray(xi, float) / length)
-
-
-def _overlap(a, b):
-    """How much of [-1, 1] lies between two numbers."""
-    return max(0.0, min(max(a, b), 1.0) - max(min(a, b), -1.0))
+    def _overlap(self, a, b):
+        """How much of the data's range lies between two strains."""
+        return max(0.0, min(max(a, b), self.crest) - max(min(a, b), self.trough))
 
 
 def _real_roots(p):
     """Real roots of a polynomial near the data, increasing."""
-    p = np.trim_zeros(np.asarray(p, float), "b")
-    roots = polynomial.polyroots(p) if len(p) > 1 else np.zeros(0)
-    roots = np.sort(roots[np.abs(roots.imag) < REAL * np.maximum(1, np.abs(roots))].real)
-    slope = polynomial.polyder(p)
+    p = p.trim()
+    z = polynomial.polyroots(p.coef)
+    z = z[np.abs(z.imag) < REAL * np.maximum(1, np.abs(z))].real
+    offset, scale = p.mapparms()
+    roots, slope = (np.sort(z[np.abs(z) < BEYOND]) - offset) / scale, p.deriv()
     for _ in range(3):
-        steep = polynomial.polyval(roots, slope)
-        roots = roots - np.where(
-            steep != 0, polynomial.polyval(roots, p) / np.where(steep != 0, steep, 1.0), 0.0
-        )
-    return roots[np.abs(roots) < BEYOND]
+        steep = slope(roots)
+        roots = roots - np.divide(p(roots), steep, out=np.zeros_like(roots), where=steep != 0)
+    return roots
 
 
 def planar_ode(
@@ -267,23 +235,15 @@ def planar_ode(
         refuse("strain", "numbers that oscillate", "ones that are all alike")
     length = _wavelength(trains, middle) / (2 * np.pi)
     scaled = [Train((x - x[0]) / length, (y - middle) / half) for x, y in trains]
-    count = None if windows is None else whole("windows", windows, 1)
-    if count is None:
-        # the longer a trajectory runs beside a saddle, the less its start says of its end
-        guess = first(scaled, degree, drift)
-        counts = [
-            max(train.x[-1] / (2 * np.pi * WAVES), growth(train, guess, degree) / PARTS)
-            for train in scaled
-        ]
-        counts = [
-            min(max(1, int(np.ceil(n - CLOSE))), max(1, len(train.x) // LEAST))
-            for n, train in zip(counts, scaled)
-        ]
-    pieces = [
-        piece
-        for train, n in zip(scaled, counts if count is None else [count] * len(scaled))
-        for piece in split(train, n)
-    ]
+    guess, pieces = first(scaled, degree, drift), []
+    for train in scaled:
+        if windows is None:
+            # the longer a trajectory runs beside a saddle, the less its start says of its end
+            wanted = max(train.x[-1] / (2 * np.pi * WAVES), growth(train, guess, degree) / PARTS)
+            count = min(int(np.ceil(wanted - CLOSE)), len(train.x) // LEAST)
+        else:
+            count = whole("windows", windows, 1)
+        pieces += split(train, max(1, count))
     unknown, points = degree + 1 + drift + 2 * len(pieces), len(everything)
     if points < EACH * unknown or min(len(piece.x) for piece in pieces) < 5:
         refuse(
@@ -369,15 +329,11 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     factor_y = shift @ factor[:shared]
     covariance = factor_y @ factor_y.T
     y = np.concatenate([y for _, y in trains])
-    roots = _real_roots(f)
-    slopes = polynomial.polyval(roots, polynomial.polyder(f))
+    bend = Polynomial(f * half / length**2, domain=[middle - half, middle + half])
+    roots = _real_roots(bend)
     equilibria = tuple(
-        Equilibrium(
-            float(middle + half * z),
-            "saddle" if k > 0 else "centre",
-            float(np.sqrt(abs(k)) / length),
-        )
-        for z, k in zip(roots, slopes)
+        Equilibrium(float(z), "saddle" if k > 0 else "centre", float(np.sqrt(abs(k))))
+        for z, k in zip(roots, bend.deriv()(roots))
     )
     words = [f"Fitted to {noise:.1e} of half of crest less trough, in {len(pieces)} windows."]
     if not found.settled:
@@ -403,9 +359,9 @@ def _recorded(trains, pieces, found, degree, drift, scales):
         half / length * found.slopes,
         window,
         " ".join(words),
-        _scaled=(middle, half, length, f),
-        _levels=polynomial.polyval(found.starts[0], polynomial.polyint(f))
-        - found.starts[1] ** 2 / 2,
+        _f=bend,
+        _levels=bend.integ()(middle + half * found.starts[0])
+        - (half / length * found.starts[1]) ** 2 / 2,
     )
 
 

@@ -10,14 +10,16 @@ import diffrax
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from ..descent import levenberg_marquardt
+
 # points of a window of weak form, its half width in wavelengths, powers of its weight; longest step of a trajectory
 FINE, WIDTH, POWER, STEP = 24, 0.5, 6, 0.25
 # lengths of the pieces that are fitted first, and how many points one has at least
 PIECES, LEAST = (2.0, 6.0), 6
 # rms of residuals from which on another beginning is tried
 POOR = 0.05
-# steps of Levenberg and Marquardt, where they end, and what damps them at first
-STEPS, SETTLED, SLOW, FIRST, MOST = 60, 1e-13, 1e-8, 1e-3, 1e12
+# steps of Levenberg and Marquardt; relative changes of the squares and of the unknowns at which they end
+STEPS, SLOW, SETTLED = 60, 1e-8, 1e-13
 _TABLEAU = diffrax.Dopri8.tableau
 
 
@@ -126,8 +128,8 @@ def fit(trains: list[Train], degree: int, drift: bool) -> Found:
     """
     found = _from(trains, first(trains, degree, drift), degree, drift)
     if np.mean(found.residual**2) > POOR**2:
-        # of few points or much noise: from a harmonic oscillation, which has the wave number 1 here
-        other = _from(trains, np.append([0.0, -1.0], np.zeros(degree - 1 + drift)), degree, drift)
+        # of few points or much noise
+        other = _from(trains, _oscillation(degree + 1 + drift), degree, drift)
         found = min(found, other, key=lambda one: one.residual @ one.residual)
     return found
 
@@ -153,47 +155,33 @@ def _starts(trains):
 def least_squares(
     trains: list[Train], c: np.ndarray, starts: np.ndarray, degree: int, drift: bool
 ) -> Found:
-    """The method of Levenberg and Marquardt from some coefficients and starts."""
+    """The method of Levenberg and Marquardt, of MINPACK, from some coefficients and starts."""
     shared, count = len(c), len(trains)
     ends = np.cumsum([0] + [len(train.x) for train in trains])
 
-    def state(c, starts):
-        with np.errstate(all="ignore"):
-            all_of = trajectories(trains, c, starts, degree, drift)
-        residual, slopes, jacobian = (
-            np.zeros(ends[-1]),
-            np.zeros(ends[-1]),
-            np.zeros((ends[-1], shared + 2 * count)),
-        )
-        for k, train in enumerate(trains):
-            own, rows = slice(ends[k], ends[k + 1]), all_of[: len(train.x), k]
-            residual[own], slopes[own] = rows[:, 0] - train.y, rows[:, -1]
-            jacobian[own, :shared] = rows[:, 1 : 1 + shared]
-            jacobian[own, shared + 2 * k : shared + 2 * k + 2] = rows[:, 1 + shared : -1]
-        size = residual @ residual if np.isfinite(jacobian).all() else np.inf
-        return c, starts, residual, jacobian, slopes, size
+    def parted(unknown):
+        return unknown[:shared], unknown[shared:].reshape(count, 2).T
 
-    best, damping = state(c, starts), FIRST
-    settled = False
-    if not np.isfinite(best[-1]):
-        best = state(np.append([0.0, -1.0], np.zeros(shared - 2)), starts)
-    for _ in range(STEPS):
-        c, starts, residual, jacobian, _, size = best
-        widths = np.sqrt((jacobian**2).sum(0)) + 1e-300
-        left = np.concatenate([jacobian / widths, np.sqrt(damping) * np.eye(jacobian.shape[1])])
-        step = (
-            -np.linalg.lstsq(left, np.append(residual, np.zeros(len(widths))), rcond=None)[0]
-            / widths
-        )
-        new = state(c + step[:shared], starts + step[shared:].reshape(count, 2).T)
-        small = np.abs(step[:shared]).max() < SETTLED * np.abs(c).max()
-        if new[-1] < size:
-            settled = size - new[-1] < SLOW * size or small
-            best, damping = new, damping / 10
-        else:
-            settled, damping = small or settled, damping * 10
-            settled = settled or damping > MOST
-        if settled or best[-1] < 1e-28 * len(best[2]):
-            settled = True
-            break
-    return Found(*best[:5], settled)
+    def evaluate(unknown):
+        """Residuals, Jacobian and slopes."""
+        with np.errstate(all="ignore"):
+            along = trajectories(trains, *parted(unknown), degree, drift)
+        rows = np.concatenate([along[: len(train.x), k] for k, train in enumerate(trains)])
+        residual = rows[:, 0] - np.concatenate([train.y for train in trains])
+        jacobian = np.zeros((ends[-1], unknown.size))
+        jacobian[:, :shared] = rows[:, 1 : 1 + shared]
+        for k in range(count):
+            own, column = slice(ends[k], ends[k + 1]), shared + 2 * k
+            jacobian[own, column : column + 2] = rows[own, 1 + shared : -1]
+        return residual, jacobian, rows[:, -1]
+
+    found = levenberg_marquardt(evaluate, np.append(c, starts.T), SLOW, SETTLED, STEPS)
+    if found is None:
+        begin = np.append(_oscillation(shared), starts.T)
+        found = levenberg_marquardt(evaluate, begin, SLOW, SETTLED, STEPS)
+    return Found(*parted(found.x), *evaluate(found.x), found.status > 0)
+
+
+def _oscillation(shared):
+    """The coefficients of a harmonic oscillation, which has the wave number 1 here."""
+    return np.append([0.0, -1.0], np.zeros(shared - 2))

@@ -5,14 +5,21 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-from numpy.polynomial import polynomial
+from numpy.polynomial import Polynomial
 
 from ..results import Result, array
 from ..types import Parameter
 
-# pieces of half of an orbit, their nodes, steps of Newton's method for a place; end of a homoclinic orbit, table
-PIECES, NODES, STEPS, END, TABLE = 64, 16, 40, 24.0, 513
-_T, _W = np.polynomial.legendre.leggauss(NODES)
+# pieces of half of an orbit
+PIECES = 64
+# steps of Newton's method for a place
+STEPS = 40
+# where a homoclinic orbit has come to its end, 1/cosh(s)^2 = 6e-21
+END = 24.0
+# places of the table that a result holds
+TABLE = 513
+# nodes and weights of a piece
+_T, _W = np.polynomial.legendre.leggauss(16)
 
 
 class PlanarOrbit(Result):
@@ -49,16 +56,12 @@ class Way:
     A periodic one has y = middle + half cos s, a homoclinic one y = low + height/cosh(s)^2; both s' are smooth.
     """
 
-    def __init__(self, f: np.ndarray, start: float, end: float, homoclinic: bool):
+    def __init__(self, f: Polynomial, start: float, end: float, homoclinic: bool):
         self.start, self.end, self.homoclinic = start, end, homoclinic
-        # G(y) - G(end) over the factors of its ends
-        G = polynomial.polyint(f)
-        G[0] -= polynomial.polyval(end, G)
-        rest = G
-        for root in (end, end, start) if homoclinic else (end, start):
-            rest = polynomial.polydiv(rest, [-root, 1.0])[0]
-        # of a homoclinic orbit (y - end)^2 (start - y) q, of a periodic one (y - end)(start - y) q
-        self.rest = -rest
+        # G(y) - G(end) is -(y - end)(y - start) q on a periodic orbit, -(y - end)^2 (y - start) q on a homoclinic one
+        G = f.integ()
+        ends = [end, end, start] if homoclinic else [end, start]
+        self.q = (G(end) - G) // Polynomial.fromroots(ends, domain=f.domain)
         self.edges = np.linspace(0, END if homoclinic else np.pi, PIECES + 1)
         width = self.edges[1]
         parts = self.rate(self.edges[:-1, None] + width * (1 + _T) / 2) @ _W * width / 2
@@ -72,7 +75,7 @@ class Way:
 
     def rate(self, s: Any) -> Any:
         """dx/ds."""
-        q = 2 * polynomial.polyval(self.y(s), self.rest)
+        q = 2 * self.q(self.y(s))
         with np.errstate(all="ignore"):
             return 2 / np.sqrt(q * (self.start - self.end)) if self.homoclinic else 1 / np.sqrt(q)
 

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
@@ -21,8 +22,12 @@ from ..types import Count, Displacements, Parameter, Scalar, Times
 
 # condition of the scaled columns from which on coefficients are said to stand for each other
 ALIKE = 1e6
-# a residue below so many errors of the differentiation, or of rounding, is not looked at
-MARGIN, ROUNDING = 1.5, 1e6
+# a residue below this many errors of the differentiation is not looked at
+MARGIN = 1.5
+# and below this many roundings
+ROUNDING = 1e6
+# of a record, each time but the first, and each but the last
+AFTER_AND_BEFORE = slice(1, None), slice(-1)
 # numbers among which neighbours are looked for, so that it takes a fraction of a second
 MOST = 10_000
 
@@ -176,12 +181,9 @@ def regression(
     ridge, max_steps = float(non_negative("ridge", ridge)), whole("max_steps", max_steps, 1)
     known = (known,) if isinstance(known, Term) else tuple(known)
     ts, us, vs = (jax.tree.map(lambda x: parameter("ts, us, vs", x), x) for x in (ts, us, vs))
-    frames = ts.shape if ts.ndim == 1 and ts.size else None
     for name, x in (("us", us), ("vs", vs), ("accelerations", accelerations)):
         shapes = [np.shape(leaf) for leaf in jax.tree.leaves(x)]
-        if x is not None and (
-            not shapes or any(shape[:1] != frames or 0 in shape for shape in shapes)
-        ):
+        if any(shape[:1] != ts.shape for shape in shapes):
             refuse(
                 name,
                 f"numbers at every one of the times, shape {ts.shape} and sites",
@@ -268,12 +270,9 @@ def _differentiated(ts, vs, noise):
 
 def _in_time(residual, accelerations):
     """Residuals and those that follow them at the same site."""
-    leaves = jax.tree.leaves(accelerations)
-    parts = np.split(residual, np.cumsum([np.size(x) for x in leaves])[:-1])
-    rows = [part.reshape(len(x), -1) for part, x in zip(parts, leaves)]
-    return tuple(
-        np.concatenate([np.ravel(x[where]) for x in rows]) for where in (slice(1, None), slice(-1))
-    )
+    floating = jax.tree.map(lambda x: jnp.asarray(x, float), accelerations)
+    residuals = ravel_pytree(floating)[1](jnp.asarray(residual, float))
+    return tuple(_flat(jax.tree.map(lambda x: x[part], residuals)) for part in AFTER_AND_BEFORE)
 
 
 def _alike(residual, A):

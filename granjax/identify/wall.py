@@ -75,11 +75,8 @@ class WallScene(eqx.Module):
         )
 
     def __call__(self, parameters: dict[str, Numbers]) -> Lattice:
-        free = (
-            self.free({name: parameters[name] for name in self.others})
-            if callable(self.free)
-            else self.free
-        )
+        others = {name: parameters[name] for name in self.others}
+        free = self.free(others) if callable(self.free) else self.free
         if any(self.side in term.walls() for term in free.terms):
             refuse(
                 "lattice",
@@ -146,7 +143,7 @@ def wall_modulus(
     >>> round(found.modulus / 1e9, 3)
     10.0
     """
-    others = {} if others is None else dict(others)
+    others = dict(others or {})
     if NAME in others:
         refuse("others", f"parameters beside {NAME!r}", f"{NAME!r}", "Its start is start=.")
     start = float(

@@ -5,6 +5,7 @@ from .linearised import linearised
 from .model import Lattice, State, spread_mass
 from .split import acceleration_only, split_system, vector_field
 from .tangents import variational
+from .uniform import uniform_moves
 
 __all__ = [
     "Lattice",
@@ -14,6 +15,7 @@ __all__ = [
     "linearised",
     "split_system",
     "spread_mass",
+    "uniform_moves",
     "variational",
     "vector_field",
 ]

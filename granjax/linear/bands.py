@@ -62,18 +62,20 @@ class Bands(Result):
         upper = concrete(self.upper)
         if upper is not None and not np.any(upper):
             return VACUUM
-        sites, count = " x ".join(map(str, self.cell)), self.lower.shape[-1]
+        sites, lanes = " x ".join(map(str, self.cell)), np.size(self._mark)
+        count = self.lower.size // lanes
+        each = f" in each of {lanes} lanes" if lanes > 1 else ""
         gaps = (
             f", {len(self.gaps)} gap{'s' * (len(self.gaps) != 1)}" if self.lower.ndim == 1 else ""
         )
-        return f"{count} band{'s' * (count > 1)}{gaps}, cell of {sites} site{'s' * (prod(self.cell) > 1)}."
+        return f"{count} band{'s' * (count > 1)}{each}{gaps}, cell of {sites} site{'s' * (prod(self.cell) > 1)}."
 
     def _rows(self) -> Iterator[tuple[str, str]]:
         if self.lower.ndim != 1:
             yield from super()._rows()
             return
         gaps = dict(self.gaps)
-        unit = self._unit("lower")
+        unit = self._unit(self._described["lower"])
         for a, b in zip(np.asarray(self.lower), np.asarray(self.upper)):
             yield "band", f"{a:.9g} ... {b:.9g} {unit}".rstrip()
             if float(b) in gaps:

@@ -1,7 +1,7 @@
 """The unit cell of a lattice: its period, found or given, and the dynamical matrix D(k)."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ from .stiffness import (
     refuse_one_way,
     stand_in,
     stiffness_product,
-    unpack,
+    unpack_waves,
 )
 
 ROUNDING, TIGHT, LOOSE = 16, 1e3, 1e6
@@ -61,12 +61,8 @@ class UnitCell(eqx.Module):
 
     def displacements(self, q: AnyArray) -> Displacements:
         """Displacements M^{-1/2} q of vectors (..., P, bands): (..., cell..., [vector], bands), or a dict of such."""
-        x = jnp.moveaxis(q / jnp.sqrt(self.mass)[:, None], -2, -1)
-        x = x.reshape(x.shape[:-1] + self.cell + (-1,))
-        back = -1 - len(self.cell) - (self.dimension is not None)
-        return jax.tree.map(
-            lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension)
-        )
+        x = q / jnp.sqrt(self.mass)[:, None]
+        return unpack_waves(x, self.cell, self.fields, self.dimension)
 
 
 def by_sites(x: AnyArray, axes: int) -> AnyArray:
@@ -108,24 +104,53 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     symmetric).
     """
     lattice = at_rest(lattice)
-    sites = grid(lattice)
-    given = None if cell is None else given_cell(cell, sites)
+    found = blocks_of(lattice)
+    one = cut_out(lattice, found, given_cell(cell, grid(lattice)), found.rings)
+    _check_energy(one.shells, one.coupling)
+    return one
+
+
+class Blocks(NamedTuple):
+    """The blocks of K (sites..., offsets, width, width) and masses of a lattice whose numbers are known.
+
+    `plain`: that lattice; `known`: whether it is the given one; `reach` of its bonds along each axis, and whether they
+    go around its ends, `rings`.
+    """
+
+    plain: Lattice
+    known: bool
+    reach: tuple[int, ...]
+    stiffness: AnyArray
+    mass: AnyArray
+    rings: list[bool]
+    __repr__ = told
+
+
+def blocks_of(lattice: Lattice) -> Blocks:
+    """The blocks of a lattice at rest; where its numbers are traced, of one of the same pattern."""
     plain, known = stand_in(lattice)
     reach, stiffness, mass = reach_of(plain, measure)
-    rings = [is_ring(stiffness, axis, reach) for axis in range(len(sites))]
-    found, chosen = periods(stiffness, mass, reach, rings, given, known)
-    if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(plain))):
-        shells, coupling, mass = assemble(np, stiffness, mass, found, chosen, reach)
+    rings = [is_ring(stiffness, axis, reach) for axis in range(len(reach))]
+    return Blocks(plain, known, reach, stiffness, mass, rings)
+
+
+def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) -> UnitCell:
+    """The cell of a lattice, of `given` numbers of sites, where they are `None` of the least."""
+    _, known, reach, stiffness, mass, _ = found
+    cell, chosen = periods(stiffness, mass, reach, rings, given, known)
+    if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(found.plain))):
+        shells, coupling, mass = assemble(np, stiffness, mass, cell, chosen, reach)
     else:
-        shells, coupling, mass = assembled(lattice, found, chosen, reach)
-    _check_energy(shells, coupling)
+        shells, coupling, mass = assembled(lattice, cell, chosen, reach)
     return UnitCell(
-        jnp.asarray(coupling), jnp.asarray(mass), found, shells, lattice.fields, lattice.dimension
+        jnp.asarray(coupling), jnp.asarray(mass), cell, shells, lattice.fields, lattice.dimension
     )
 
 
-def given_cell(cell: Cell, sites: tuple) -> tuple[int, ...]:
-    """The sites per cell that are asked for, one number an axis."""
+def given_cell(cell: Cell, sites: tuple) -> tuple:
+    """The sites per cell that are asked for, one number an axis, or `None`."""
+    if cell is None:
+        return (None,) * len(sites)
     numbers = tuple(cell) if isinstance(cell, (tuple, list)) else (cell,) * len(sites)
     if len(numbers) != len(sites):
         refuse("cell", f"{len(sites)} numbers, one per axis", repr(cell))
@@ -176,33 +201,26 @@ def is_ring(stiffness: AnyArray, axis: int, reach: tuple) -> bool:
 
 
 def periods(
-    stiffness: AnyArray, mass: AnyArray, reach: tuple, rings: list, given: Any, known: bool
+    stiffness: AnyArray, mass: AnyArray, reach: tuple, rings: list, given: tuple, known: bool
 ) -> tuple:
     """Sites per cell along each axis, and the sites that stand for the cell."""
     interior = [
         np.arange(n) if ring else np.arange(r, n - r)
         for n, r, ring in zip(mass.shape, reach, rings)
     ]
-    at = np.ix_(*interior)
-    features = features_of(stiffness, mass)[at]
+    # what tells a site from another, of order one
+    parts = stiffness / (np.abs(stiffness).max() or 1.0), mass / mass.max()
+    features = np.concatenate([x.reshape(x.shape[: mass.ndim - 1] + (-1,)) for x in parts], -1)
+    features = features[np.ix_(*interior)]
     tolerance = TIGHT * np.finfo(mass.dtype).eps
     found, chosen = [], []
     for axis, ring in enumerate(rings):
         rows = np.moveaxis(features, axis, 0).reshape(len(interior[axis]), -1)
-        period = repeats_after(
-            rows, ring, tolerance, None if given is None else given[axis], known, axis
-        )
+        period = repeats_after(rows, ring, tolerance, given[axis], known, axis)
         start = interior[axis][0]
         found.append(period)
         chosen.append(tuple(int(start + (j - start) % period) for j in range(period)))
     return tuple(found), tuple(chosen)
-
-
-def features_of(stiffness: AnyArray, mass: AnyArray) -> AnyArray:
-    """What tells a site from another, (sites..., numbers), of order one."""
-    scale = np.abs(stiffness).max() or 1.0
-    parts = stiffness / scale, mass / mass.max()
-    return np.concatenate([x.reshape(x.shape[: mass.ndim - 1] + (-1,)) for x in parts], -1)
 
 
 def repeats_after(

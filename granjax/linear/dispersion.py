@@ -1,5 +1,7 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
+from collections.abc import Iterator
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -42,9 +44,8 @@ class Dispersion(Result):
         static=True,
     )
 
-    @property
-    def held(self) -> dict[str, Held]:
-        return along_waves(self)
+    def _fields(self) -> Iterator[tuple[str, object, Held]]:
+        return along_waves(self, super()._fields())
 
     @property
     def outcome(self) -> str:

@@ -72,19 +72,15 @@ def complex_bands(
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
-    frequencies, given = (
-        np.asarray(parameter("omega", omega)),
-        np.asarray(parameter("across", across)),
-    )
     # roots are sorted by their values, so that nothing here is traced
-    coupling = np.asarray(found.coupling)
+    w = np.atleast_1d(np.asarray(parameter("omega", omega), float))
+    given, coupling = float(parameter("across", across)), np.asarray(found.coupling)
     if not np.any(coupling):
         refuse(
             "lattice", "a lattice with linear waves", "a sonic vacuum", "Give it a precompression."
         )
-    w = np.atleast_1d(np.asarray(frequencies, float))
     R = np.array(found.shells)
-    phase = np.exp(1j * np.delete(R, axis, 1) @ np.full(axes - 1, float(given)))
+    phase = np.exp(1j * np.delete(R, axis, 1) @ np.full(axes - 1, given))
     reach = int(np.abs(R[:, axis]).max())
     if reach == 0:
         refuse("axis", "an axis along which sites are bound", f"{axis}")
@@ -96,8 +92,8 @@ def complex_bands(
     k, residual = np.full((len(w), most), np.nan + 0j), np.full((len(w), most), np.nan)
     for i, z in enumerate(roots):
         k[i, : len(z)] = -1j * np.log(z)
-        residual[i, : len(z)] = [_left(blocks, x * 1.0, w[i] ** 2, scale, reach) for x in z]
-    return ComplexBands(w, k, residual, float(given), int(axis), found.cell, **lattice.origin)
+        residual[i, : len(z)] = [_left(blocks, x, w[i] ** 2, scale, reach) for x in z]
+    return ComplexBands(w, k, residual, given, int(axis), found.cell, **lattice.origin)
 
 
 def _polynomial(blocks, squared, reach):
@@ -110,15 +106,11 @@ def _roots(blocks, squared, scale, reach):
     """z = exp(ik) of all waves, by the companion form, the most slowly decaying first."""
     whole = _polynomial(blocks, squared, reach) / scale
     size, degree = whole.shape[1], 2 * reach
-    A, B = np.zeros((2, size * degree, size * degree), complex)
-    for i in range(degree - 1):
-        A[i * size : (i + 1) * size, (i + 1) * size : (i + 2) * size] = np.eye(size)
-        B[i * size : (i + 1) * size, i * size : (i + 1) * size] = np.eye(size)
-    for j in range(degree):
-        A[-size:, j * size : (j + 1) * size] = -whole[j]
+    A = np.eye(size * degree, k=size, dtype=complex)
+    A[-size:] = -np.concatenate(whole[:-1], axis=1)
+    B = np.eye(size * degree, dtype=complex)
     B[-size:, -size:] = whole[-1]
-    values = eig(A, B, right=False, homogeneous_eigvals=True)
-    above, below = values
+    above, below = eig(A, B, right=False, homogeneous_eigvals=True)
     there = (np.abs(below) * LARGEST > np.abs(above)) & (np.abs(above) * LARGEST > np.abs(below))
     z = above[there] / below[there]
     return z[np.argsort(np.abs(np.log(np.abs(z))), kind="stable")]

@@ -4,14 +4,14 @@ from itertools import product
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import null_space
+from scipy.linalg import null_space, qr
 
 from ..checks import refuse
 from ..lattice import Lattice, State
 from ..results import Result, array, note
 from ..types import AnyArray, Cell, Count, Numbers
 from .cell import UnitCell, by_sites, unit_cell
-from .stiffness import unpack
+from .stiffness import grid, unpack
 
 # of the largest omega^2: what is flat; cells over which a compact state is looked for
 FLAT, WIDEST = 1e-12, 4
@@ -52,8 +52,7 @@ class FlatBands(Result):
         **Arguments:** `lattice`: that it was found for, or a longer one of the same cell; `number`: of `omega`; `at`:
         the cell where it begins, `None` for the middle. **Raises** ValueError where it does not fit.
         """
-        sizes = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
-        found = self._states[number]
+        sizes, found = grid(lattice), self._states[number]
         axes = len(self.cell)
         counts = found.shape[:axes]
         cells = [n // c for n, c in zip(sizes, self.cell)]
@@ -63,7 +62,7 @@ class FlatBands(Result):
         if any(not 0 <= a <= n - m for a, n, m in zip(at, cells, counts)):
             refuse("at", f"a cell from which {counts} cells lie within {tuple(cells)}", f"{at}")
         block = np.asarray(by_sites(found, axes))
-        whole_lattice = np.zeros(tuple(sizes) + (found.shape[-1],))
+        whole_lattice = np.zeros(sizes + (found.shape[-1],))
         whole_lattice[
             tuple(slice(a * c, a * c + n) for a, c, n in zip(at, self.cell, block.shape))
         ] = block
@@ -101,19 +100,12 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
     scale = np.abs(squared).max() or 1.0
     width = np.ptp(squared, axis=0)
     flat = np.flatnonzero(width <= FLAT * scale)
-    values, groups = [], []
-    for band in flat:
-        value = squared[:, band].mean()
-        if values and abs(value - values[-1]) <= FLAT * scale:
-            groups[-1].append(band)
-        else:
-            values.append(value)
-            groups.append([band])
-    states, residual = (
-        zip(*(_compact(found, v, scale, cells) for v in values)) if values else ((), ())
-    )
-    support = [int((np.abs(s) > 1e-9 * np.abs(s).max()).sum()) for s in states]
-    values = np.array(values)
+    mean = squared[:, flat].mean(0)
+    groups = np.split(flat, np.flatnonzero(np.diff(mean) > FLAT * scale) + 1) if len(flat) else []
+    values = squared.mean(0)[[group[0] for group in groups]]
+    found_states = [_compact(found, value, scale, cells) for value in values]
+    states, residual = zip(*found_states) if found_states else ((), ())
+    support = [np.count_nonzero(np.abs(s) > 1e-9 * np.abs(s).max()) for s in states]
     omega = np.sign(values) * np.sqrt(np.abs(values))
     return FlatBands(
         omega,
@@ -133,24 +125,21 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
 def _compact(found: UnitCell, squared: float, scale: float, most: int) -> tuple:
     """Displacements of a compact state on as few cells as possible, and what is left of its equations."""
     axes, size = len(found.cell), found.mass.size
-    coupling = np.asarray(found.coupling)
+    blocks = dict(zip(found.shells, np.asarray(found.coupling)))
+    blocks[(0,) * axes] = blocks[(0,) * axes] - squared * np.eye(size)
+    none = np.zeros((size, size))
     for counts in sorted(
         product(range(1, most + 1), repeat=axes), key=lambda c: (np.prod(c), max(c), c)
     ):
-        places = list(product(*(range(n) for n in counts)))
-        column = {place: i for i, place in enumerate(places)}
-        targets = sorted({tuple(np.subtract(place, R)) for place in places for R in found.shells})
-        row = {place: i for i, place in enumerate(targets)}
-        equations = np.zeros((len(targets) * size, len(places) * size))
-        for R, block in zip(found.shells, coupling):
-            for place, j in column.items():
-                i = row[tuple(np.subtract(place, R))]
-                equations[i * size : (i + 1) * size, j * size : (j + 1) * size] += block
-        for place, j in column.items():
-            i = row[place]
-            equations[i * size : (i + 1) * size, j * size : (j + 1) * size] -= squared * np.eye(
-                size
-            )
+        places = list(np.ndindex(counts))
+        # all cells that the state touches
+        touched = {tuple(np.subtract(place, R)) for place in places for R in found.shells}
+        equations = np.block(
+            [
+                [blocks.get(tuple(np.subtract(place, cell)), none) for place in places]
+                for cell in sorted(touched)
+            ]
+        )
         null = null_space(equations, rcond=1e-10)
         if null.shape[1]:
             q = _sparsest(null)
@@ -169,22 +158,9 @@ def _compact(found: UnitCell, squared: float, scale: float, most: int) -> tuple:
 def _sparsest(null):
     """A null vector with zeros where it can have them, exact zeros where they are rounding."""
     # each row that can be left out of all but one combination: reduced echelon form
-    rows = null.copy()
-    for column in range(rows.shape[1]):
-        rest = np.abs(rows[:, column:]).max(1)
-        pivot = int(np.argmax(rest))
-        best = column + int(np.argmax(np.abs(rows[pivot, column:])))
-        rows[:, [column, best]] = rows[:, [best, column]]
-        rows[:, column] /= rows[pivot, column]
-        for other in range(rows.shape[1]):
-            if other != column:
-                rows[:, other] -= rows[pivot, other] * rows[:, column]
+    pivots = qr(null.T, pivoting=True)[2][: null.shape[1]]
+    rows = null @ np.linalg.inv(null[pivots])
     rows = np.where(np.abs(rows) < 1e-10 * np.abs(rows).max(0), 0, rows)
-    q = rows[:, int(np.argmin((rows != 0).sum(0)))]
-    # refined to the whole numbers or roots that cancel: one step of orthogonal projection on the null space
-    kept = q != 0
-    inside = null_space(
-        np.where(kept[:, None], 0, np.eye(len(q))) @ null @ null.T
-        + (np.eye(len(q)) - null @ null.T)
-    )
-    return np.where(kept, inside[:, 0] if inside.shape[1] == 1 else q, 0)
+    q = rows[:, np.argmin(np.count_nonzero(rows, axis=0))]
+    # the first of the largest is positive
+    return q * np.sign(q[np.argmax(np.abs(q).round(9))]) + 0.0

@@ -1,32 +1,37 @@
 """Floquet-Bloch bands of lattices whose stiffness changes periodically in time."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from scipy.optimize import linear_sum_assignment
 
 from ..checks import parameter, positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
 from ..results import Held, Result, array, note
 from ..tuning import one_thread
-from ..types import Cell, ComplexNumbers, Count, Displacements, Number, Numbers, Parameter, Scalar
+from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
 from ..variables import along_waves
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
-from .stiffness import unpack
+from .stiffness import unpack_waves
 
 # waves that are followed together, whatever their number: one program
 TOGETHER = 16
 # steps of a period: the fewest, those of a radian of the highest frequency, where refinement ends
-LEAST_STEPS, PER_RADIAN, MOST_STEPS = 16, 1.1, 2**14
-# what is asked of M, of its largest entry; of a difference between flows of n and 3n/4 steps; rounding of products
-TOLERANCE, SAFETY, ROUNDING = 2e-12, 4, 20
-# of a change from n/2 to n steps over that from 3n/4, 11 for a smooth flow of order 6
-REGULAR = 8
+LEAST_STEPS = 16
+PER_RADIAN = 1.1
+MOST_STEPS = 2**14
+# what is asked of M, of its largest entry
+TOLERANCE = 2e-12
+# of a difference between flows of n and 3n/4 steps, which is 1/3 of the error where forces jump unannounced
+SAFETY = 4
+# rounding of products, in units of eps, and how much more may still be rounding
+ROUNDING = 20
+STALLED = 1e3
 # multipliers within are taken for copies of one that is nearly defective
 NEAR = 1e-3
 
@@ -77,9 +82,8 @@ class FloquetBands(Result):
     steps: Any = array("The number of steps of a period.")
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
-    @property
-    def held(self) -> dict[str, Held]:
-        return along_waves(self)
+    def _fields(self) -> Iterator[tuple[str, object, Held]]:
+        return along_waves(self, super()._fields())
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
@@ -134,7 +138,37 @@ class FloquetBands(Result):
         index, 0 grows fastest; `amplitude`: the largest displacement [m]. **Raises** ValueError for a lattice of
         another cell, indices that are not there, or several axes.
         """
-        return _wave_state(self, lattice, wave, multiplier, amplitude)
+        if len(self.cell) > 1 or lattice.axes > 1:
+            refuse(
+                "lattice",
+                "a chain",
+                f"a lattice of {lattice.axes} axes",
+                "Build the state from .displacements.",
+            )
+        amplitude = positive("amplitude", amplitude)
+        k = jnp.ravel(jnp.asarray(self.k))
+        for name, index, count in (
+            ("wave", wave, k.size),
+            ("multiplier", multiplier, self.omega.shape[-1]),
+        ):
+            if not -count <= index < count:
+                refuse(name, f"a whole number within {-count} ... {count - 1}", repr(index))
+        lead = self.omega.ndim - 1
+
+        def spread(x, like):
+            x = x.reshape((-1,) + x.shape[lead:])[wave][..., multiplier]
+            if x.shape[1:] != like.shape[1:] or x.shape[0] != self.cell[0]:
+                refuse("lattice", "the one whose bands these are", f"sites of shape {like.shape}")
+            number = np.arange(like.shape[0])
+            turn = jnp.exp(1j * k[wave] * (number // len(x))).reshape((-1,) + (1,) * (x.ndim - 1))
+            return jnp.real(turn * x[number % len(x)]).astype(like.dtype)
+
+        u, v = (
+            jax.tree.map(spread, x, lattice.template())
+            for x in (self.displacements, self.velocities)
+        )
+        largest = jnp.abs(ravel_pytree(u)[0]).max()
+        return State(*jax.tree.map(lambda x: x * (amplitude / largest), (u, v)))
 
 
 def floquet_bands(
@@ -218,8 +252,10 @@ def floquet_bands(
     searched = known is not None and axes == 1 and k.size > 1
     gaps = gaps_of(known, np.asarray(held[1])) if searched else (None,) * 4
     rho, error, vectors = waves
+    fields, dimension = found.lattice.fields, found.lattice.dimension
     u, v = (
-        unpack_waves(found, x.reshape(shape + x.shape[1:])) for x in _parted(found, vectors, period)
+        unpack_waves(x.reshape(shape + x.shape[1:]), found.cell, fields, dimension)
+        for x in _parted(found, vectors, period)
     )
     rho, error = rho.reshape(shape + rho.shape[1:]), error.reshape(shape + error.shape[1:])
     return FloquetBands(
@@ -275,7 +311,6 @@ class _Known:
                 f"{float(period):.6g}, which is {self.turned:.3g} of them",
                 "Look at its unit.",
             )
-        self.safety = SAFETY
         self.steps = (
             self._found(np.asarray(k).reshape(-1, len(cell.cell)), tolerance)
             if steps is None
@@ -298,35 +333,26 @@ class _Known:
 
     def _found(self, k, tolerance):
         some = np.concatenate([k[:: max(1, len(k) // 32)][:32], np.full((1, k.shape[1]), np.pi)])
-        count = 4 * -(-max(LEAST_STEPS, int(np.ceil(PER_RADIAN * self.turned))) // 4)
-        coarse, last = self.maps(some, count // 2), np.inf
+        count, last = max(LEAST_STEPS, PER_RADIAN * self.turned), np.inf
         while True:
+            # three quarters of the steps are a whole number
+            count = 4 * int(np.ceil(count / 4))
             fine = self.maps(some, count)
-            size, far = np.abs(fine).max(), np.abs(fine - coarse).max()
+            size, off = np.abs(fine).max(), np.abs(fine - self.maps(some, 3 * count // 4)).max()
+            if not np.isfinite(size):
+                refuse(
+                    "lattice",
+                    "waves that stay finite over a period",
+                    "a growth beyond all numbers",
+                    "Look at its stiffness, or give a shorter period.",
+                )
             rounding = ROUNDING * self.eps * size * (1 + self.turned)
             least = max(tolerance * size, rounding)
-            near = (
-                np.abs(fine - self.maps(some, 3 * count // 4)).max() if far <= 2**6 * least else far
-            )
-            # what is left may be rounding
-            left = far > last / 2 and far <= 1e3 * rounding
-            if not np.isfinite(size) or near <= least or left or count >= MOST_STEPS:
-                break
+            stalled = off > last / 2 and off <= STALLED * rounding
+            if off <= least or stalled or count >= MOST_STEPS:
+                return count
             # as many as order 6 needs, and no more than twice
-            more = min(2.0, max(1.25, 1.1 * (near / least) ** (1 / 6))) if far <= last / 16 else 2.0
-            last, coarse = (far, fine) if more == 2 else (last, None)
-            count = 4 * int(np.ceil(count * more / 4))
-            coarse = self.maps(some, count // 2) if coarse is None else coarse
-        # changes in the ratio of a smooth flow of order 6: the first is more than the error itself
-        self.safety = 1 if far >= REGULAR * near or far <= rounding else SAFETY
-        if not np.isfinite(size):
-            refuse(
-                "lattice",
-                "waves that stay finite over a period",
-                "a growth beyond all numbers",
-                "Look at its stiffness, or give a shorter period.",
-            )
-        return count
+            count, last = count * np.clip(1.1 * (off / least) ** (1 / 6), 1.25, 2.0), off
 
     def fine(self, k: np.ndarray) -> np.ndarray:
         """M(k) by n steps."""
@@ -337,17 +363,20 @@ class _Known:
         fine, coarse = self.fine(k), self.maps(k, max(1, 3 * self.steps // 4))
         size = np.linalg.norm(fine, axis=(1, 2))
         rounding = (ROUNDING * self.eps * (1 + self.turned) + self.missed) * size
-        return fine, coarse, self.safety * np.linalg.norm(fine - coarse, axis=(1, 2)) + rounding
+        return fine, coarse, SAFETY * np.linalg.norm(fine - coarse, axis=(1, 2)) + rounding
 
     @one_thread
     def waves(self, k: np.ndarray) -> tuple:
         """Multipliers (K, 2P), their errors, vectors over (q, q'/omega) (K, 2P, 2P)."""
         fine, _, about = self.levels(k)
-        rho, vectors = np.linalg.eig(fine)
-        order = np.lexsort((-np.angle(rho), -np.abs(rho).round(9)))
-        rho = np.take_along_axis(rho, order, -1)
-        vectors = np.take_along_axis(vectors, order[:, None, :], -1)
+        rho, vectors = _in_order(np, *np.linalg.eig(fine))
         return rho, errors_of(fine, rho, vectors, about), vectors
+
+
+def _in_order(xp, rho, vectors):
+    """Multipliers and vectors, the largest modulus first."""
+    order = xp.lexsort((-xp.angle(rho), -xp.abs(rho).round(9)))
+    return xp.take_along_axis(rho, order, -1), xp.take_along_axis(vectors, order[:, None, :], -1)
 
 
 def errors_of(
@@ -379,30 +408,14 @@ def _traced_waves(cell, k, t0, period, steps, known):
     """`_Known.waves` that are traced: multipliers with derivatives, vectors without."""
     omega = jnp.asarray(known.omega if known else 2 * np.pi / period)
     maps = monodromies(cell, k, t0, period, omega, int(steps))
+    if known:
+        own, error, vectors = map(jnp.asarray, known.waves(np.asarray(jax.lax.stop_gradient(k))))
+    else:
+        own, vectors = _in_order(jnp, *jnp.linalg.eig(jax.lax.stop_gradient(maps)))
+        error = jnp.full(own.shape, jnp.nan)
     rho = jnp.linalg.eigvals(maps)
-    if known is None:
-        vectors = jax.lax.stop_gradient(jnp.linalg.eig(jax.lax.stop_gradient(maps))[1])
-        own = jnp.linalg.eig(jax.lax.stop_gradient(maps))[0]
-        rho = _as_sorted(rho, own)
-        order = jnp.lexsort((-jnp.angle(own), -jnp.abs(own).round(9)))
-        rho = jnp.take_along_axis(rho, order, -1)
-        vectors = jnp.take_along_axis(vectors, order[:, None, :], -1)
-        return rho, jnp.full(rho.shape, jnp.nan), vectors
-    there, error, vectors = known.waves(np.asarray(jax.lax.stop_gradient(k)))
-    plain = np.asarray(jax.lax.stop_gradient(rho))
-    order = np.stack(
-        [linear_sum_assignment(np.abs(a[:, None] - b))[1] for a, b in zip(there, plain)]
-    )
-    return (
-        jnp.take_along_axis(rho, jnp.asarray(order), -1),
-        jnp.asarray(error),
-        jnp.asarray(vectors),
-    )
-
-
-def _as_sorted(rho, own):
-    nearest = jnp.argmin(jnp.abs(own[:, :, None] - jax.lax.stop_gradient(rho)[:, None, :]), -1)
-    return jnp.take_along_axis(rho, nearest, -1)
+    apart = jnp.abs(own[:, :, None] - jax.lax.stop_gradient(rho)[:, None, :])
+    return jnp.take_along_axis(rho, jnp.argmin(apart, -1), -1), error, vectors
 
 
 def _parted(cell, vectors, period):
@@ -420,47 +433,3 @@ def _parted(cell, vectors, period):
     lead = jnp.take_along_axis(both, jnp.argmax(jnp.abs(both).round(9), -2, keepdims=True), -2)
     turn = jnp.abs(lead) / lead / weight
     return q * turn / jnp.sqrt(mass), p * turn / jnp.sqrt(mass)
-
-
-def unpack_waves(cell: ModulatedCell, x: ComplexNumbers) -> Displacements:
-    """(..., P, bands) as (..., cell..., [vector], bands), or a dict of such."""
-    lattice = cell.lattice
-    x = jnp.moveaxis(x, -2, -1)
-    x = x.reshape(x.shape[:-1] + cell.cell + (-1,))
-    back = -1 - len(cell.cell) - (lattice.dimension is not None)
-    return jax.tree.map(
-        lambda x: jnp.moveaxis(x, back, -1), unpack(x, lattice.fields, lattice.dimension)
-    )
-
-
-def _wave_state(bands, lattice, wave, multiplier, amplitude):
-    if len(bands.cell) > 1 or lattice.axes > 1:
-        refuse(
-            "lattice",
-            "a chain",
-            f"a lattice of {lattice.axes} axes",
-            "Build the state from .displacements.",
-        )
-    amplitude = positive("amplitude", amplitude)
-    k = jnp.asarray(bands.k).reshape(-1)
-    for name, index, count in (
-        ("wave", wave, k.size),
-        ("multiplier", multiplier, bands.omega.shape[-1]),
-    ):
-        if not -count <= index < count:
-            refuse(name, f"a whole number within {-count} ... {count - 1}", repr(index))
-    lead = bands.omega.ndim - 1
-    pick = lambda x: x.reshape((-1,) + x.shape[lead:])[wave][..., multiplier]
-    moved = (jax.tree.map(pick, x) for x in (bands.displacements, bands.velocities))
-    (period,), template = bands.cell, lattice.template()
-
-    def spread(x, like):
-        if x.shape[1:] != like.shape[1:] or x.shape[0] != period:
-            refuse("lattice", "the one whose bands these are", f"sites of shape {like.shape}")
-        number = np.arange(like.shape[0])
-        turn = jnp.exp(1j * k[wave] * (number // period)).reshape((-1,) + (1,) * (x.ndim - 1))
-        return jnp.real(turn * x[number % period]).astype(like.dtype)
-
-    u, v = (jax.tree.map(spread, x, template) for x in moved)
-    largest = jnp.abs(ravel_pytree(u)[0]).max()
-    return State(*jax.tree.map(lambda x: x * (amplitude / largest), (u, v)))

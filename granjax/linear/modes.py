@@ -41,13 +41,12 @@ class NormalModes(Result):
     @property
     def outcome(self) -> str:
         """How many modes, up to which frequency, and how many of them grow."""
-        omega = np.asarray(self.omega)
-        unstable = (
-            f"{np.sum(omega < 0)} of them unstable"
-            if np.any(omega < 0)
-            else "none of them unstable"
+        omega, lanes = np.asarray(self.omega), np.size(self._mark)
+        each = f" in each of {lanes} lanes," if lanes > 1 else ""
+        return (
+            f"{omega.size // lanes} modes{each} up to {self._told('omega', omega.max())}, "
+            f"{np.count_nonzero(omega < 0) or 'none'} of them unstable."
         )
-        return f"{omega.shape[-1]} modes up to {self._told('omega', omega.max())}, {unstable}."
 
 
 def normal_modes(lattice: Lattice) -> NormalModes:

@@ -110,7 +110,8 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
         float
     ):  # numbers of few digits are followed with all that there are
         lattice = lattice.astype(jnp.result_type(float))
-    sites, given = grid(lattice), None if cell is None else given_cell(cell, grid(lattice))
+    sites = grid(lattice)
+    given = given_cell(cell, sites)
     plain, known = stand_in(lattice)
     start, length = (
         float(jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x)

@@ -9,18 +9,9 @@ from ..checks import parameter, refuse, whole
 from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from .cell import (
-    TIGHT,
-    UnitCell,
-    assemble,
-    assembled,
-    features_of,
-    is_ring,
-    reach_of,
-    repeats_after,
-)
+from .cell import blocks_of, cut_out
 from .modes import signed_root
-from .stiffness import at_rest, grid, measure, stand_in
+from .stiffness import at_rest, grid
 
 # of the largest |D|: how near omega^2 of waves are that are taken together, since they beat over 10^4 periods
 TOGETHER = 1e-4
@@ -105,9 +96,8 @@ def ribbon(
             f"one of {len(sites)}",
             "gx.linear.dispersion is for chains.",
         )
-    plain, known = stand_in(lattice)
-    reach, stiffness, mass = reach_of(plain, measure)
-    rings = [is_ring(stiffness, a, reach) for a in (0, 1)]
+    blocks = blocks_of(lattice)
+    rings = blocks.rings
     if axis is None:
         if rings[0] == rings[1]:
             refuse(
@@ -132,7 +122,9 @@ def ribbon(
             "ends",
             "boundary=('periodic', 'free')",
         )
-    found = _strip_cell(lattice, plain, known, (reach, stiffness, mass), axis, cell)
+    # of all of its width
+    sizes = [sites[across], None if cell is None else whole("cell", cell, 1)]
+    found = cut_out(lattice, blocks, tuple(sizes if across == 0 else sizes[::-1]), [True, True])
     given = 2 * np.pi * np.arange(121) / 120 - np.pi if k is None else parameter("k", k)
     if np.ndim(given) != 1 or not np.size(given):
         refuse("k", "phases along the strip, (K,)", f"shape {np.shape(given)}")
@@ -152,36 +144,6 @@ def ribbon(
         axis,
         found.cell[across],
         **lattice.origin,
-    )
-
-
-def _strip_cell(lattice, plain, known, measured, axis, cell):
-    """The cell of a strip: all of its width."""
-    reach, stiffness, mass = measured
-    rows = np.moveaxis(features_of(stiffness, mass), axis, 0)
-    period = repeats_after(
-        rows.reshape(len(rows), -1),
-        True,
-        TIGHT * np.finfo(mass.dtype).eps,
-        None if cell is None else whole("cell", cell, 1),
-        known,
-        axis,
-    )
-    chosen = [tuple(range(n)) for n in mass.shape[:2]]
-    chosen[axis] = chosen[axis][:period]
-    found = tuple(map(len, chosen))
-    if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(plain))):
-        shells, coupling, masses = assemble(np, stiffness, mass, found, tuple(chosen), reach)
-    else:
-        shells, coupling, masses = assembled(lattice, found, tuple(chosen), reach)
-    kept = [i for i, R in enumerate(shells) if R[1 - axis] == 0]
-    return UnitCell(
-        jnp.asarray(coupling)[np.array(kept)],
-        jnp.asarray(masses),
-        found,
-        tuple(shells[i] for i in kept),
-        lattice.fields,
-        lattice.dimension,
     )
 
 

@@ -175,6 +175,16 @@ def unpack(x: AnyArray, fields: tuple[str, ...] | None, dimension: int | None) -
     return {name: part.reshape(part.shape[:-1] + vector) for name, part in zip(names, parts)}
 
 
+def unpack_waves(
+    x: AnyArray, cell: tuple[int, ...], fields: tuple[str, ...] | None, dimension: int | None
+) -> Displacements:
+    """Vectors (..., P, bands) over a cell as displacements (..., cell..., [vector], bands), or a dict of such."""
+    x = jnp.moveaxis(x, -2, -1)
+    x = x.reshape(x.shape[:-1] + cell + (-1,))
+    back = -1 - len(cell) - (dimension is not None)
+    return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, fields, dimension))
+
+
 def grid(lattice: Lattice) -> tuple[int, ...]:
     """Sites along each axis.
 

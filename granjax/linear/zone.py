@@ -135,17 +135,9 @@ def path(
     lengths = np.linalg.norm(np.diff(space, axis=0), axis=1)
     shares = np.maximum(1, np.round(whole("count", count, 2) * lengths / lengths.sum()).astype(int))
     marks = np.concatenate([[0], np.cumsum(shares)])
-    k = np.concatenate(
-        [a + (b - a) * np.arange(n)[:, None] / n for a, b, n in zip(corners, corners[1:], shares)]
-        + [corners[-1:]]
-    )
-    distance = np.concatenate(
-        [
-            s + l * np.arange(n) / n
-            for s, l, n in zip(np.concatenate([[0], np.cumsum(lengths)]), lengths, shares)
-        ]
-        + [[lengths.sum()]]
-    )
+    place = np.arange(marks[-1] + 1)
+    k = np.stack([np.interp(place, marks, x) for x in corners.T], -1)
+    distance = np.interp(place, marks, np.append(0, np.cumsum(lengths)))
     waves = dispersion(lattice, k if axes > 1 else k[:, 0], cell)
     along = np.repeat(np.diff(corners, axis=0) / lengths[:, None], shares, axis=0)
     velocity = waves.group_velocity if axes > 1 else waves.group_velocity[..., None]

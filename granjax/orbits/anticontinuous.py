@@ -11,7 +11,6 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
 from ..checks import positive, refuse
-from ..continuation import continuation
 from ..flow import Flow
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -19,14 +18,17 @@ from ..types import Count, Scalar, Site
 from .branch import Branch
 from .breather import refuse_resonance, resonant_harmonic
 from .confirm import LEFT_ON_BRANCH, newtons
-from .families import breathers_on, checked_lattice, enough_steps, half_steps
-from .guesses.sites import single_site
+from .families import checked_lattice, confirmed_branch, half_steps
+from .guesses import single_site
 from .localised import FEWEST, localisation
 from .problems import Family, Shooting
 from .repeats import largest
 
-# along the branch, in the amplitude of the limit and in the whole way of the coupling: first, longest and least step
-ARCLENGTH, LONGEST, LEAST = 0.1, 4.0, 1e-4
+# steps along the branch, in the amplitude of the limit and in the whole way of the coupling: the first, and over it the
+# longest and the least
+ARCLENGTH = 0.1
+LONGEST = 4.0
+LEAST = 1e-4
 # of its amplitude, to which a breather is known
 TOLERANCE = 1e-10
 # what continuation says before the reason of a veto
@@ -111,13 +113,13 @@ def anticontinuous(
     half = Shooting.half(
         lattices[0], Flow(jnp.asarray(count, int), solver or KahanLi8()), length=length, omega=omega
     )
-    family = Family(half, scene, jnp.asarray(period), jnp.zeros(()), jnp.asarray(end))
+    left = newtons(tolerance, lattices[0].dtype, LEFT_ON_BRANCH)
+    family = Family(half, scene, jnp.asarray(period), jnp.zeros(()), jnp.asarray(end), left)
     start = np.asarray(half.guess(limit))
 
     def follow(count):
-        problem = eqx.tree_at(lambda p: p.shooting.flow.steps, family, jnp.asarray(count, int))
-        curve = continuation(
-            problem.residual,
+        problem = family.with_steps(count)
+        curve = problem.follow(
             start,
             0.0,
             until=(0.0, 1.0),
@@ -125,8 +127,6 @@ def anticontinuous(
             longest_arclength=LONGEST * arclength,
             least_arclength=LEAST * arclength,
             points=points,
-            linearise=problem.linearise,
-            tolerance=newtons(tolerance, lattices[0].dtype, LEFT_ON_BRANCH),
             veto=_veto(problem, omega, limit),
         )
         why = curve.outcome.partition(VETOED)[2]
@@ -137,11 +137,7 @@ def anticontinuous(
             curve = dataclasses.replace(curve, outcome=f"Ended: {turned}; none leads to {end:.6g}.")
         return problem, curve
 
-    problem, curve = follow(count)
-    enough = count if steps else enough_steps(problem, curve, count, tolerance, stability)
-    if enough > count:
-        problem, curve = follow(enough)
-    return breathers_on(problem, curve, stability)
+    return confirmed_branch(follow, count, steps is None, tolerance, stability)
 
 
 class _Traced(eqx.Module):

@@ -16,8 +16,10 @@ from ..results import Result, array
 from ..types import Count, Displacements, Number, Scalar, StateLike
 from .repeats import checked_state
 
-# of the largest omega^2: modes of one frequency; of the force on the mode, what rounding leaves of another force
-ALIKE, ROUNDED = 1e-11, 1e-8
+# of the largest omega^2: modes of one frequency
+ALIKE = 1e-11
+# of the force on the mode, what rounding leaves of another force
+ROUNDED = 1e-8
 
 
 class Backbone(Result):

@@ -1,24 +1,31 @@
-"""Where a family of breathers changes: its stability, its energy's extrema."""
+"""Where a branch changes: its stability, its direction, the energy's extrema; located between two of its points."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, refuse, tolerance
-from ..continuation import continuation
-from ..lattice import State
+from ..continuation import Curve
+from ..continuation.system import Point
 from ..tuning import one_thread
 from ..types import Scalar
-from .branch import Bifurcation, Branch
-from .confirm import BRANCH, LEFT_ON_BRANCH, RESOLVED
-from .families import energy_slope
-from .half_period import Spectrum, spectra_of
+from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, bifurcation_at
+from .examined import examined
+from .problems import Family
+from .spectrum import reversible_multipliers
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
-HALVINGS = 40
-# distance from +1 within which half-traces are taken together, and what their error is at least
-NEAR, LEAST_ERROR = 1e-4, 1e-12
+# distance from +1 within which half-traces are taken together
+NEAR = 1e-4
+# the least error of a half-trace
+LEAST_ERROR = 1e-12
+# of the way between two points, how near a bifurcation is found, and how far another one lies at least
+LOCATED = 1e-10
+APART = 1e-7
 
 
 @one_thread
@@ -54,52 +61,49 @@ def bifurcations(
     for kind in kinds:
         one_of("kinds", kind, KINDS)
     accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
+    family, curve = branch._family, branch._curve
     for i in range(len(branch) - 1):
-        ends = [_at(branch, i, 0.0), _at(branch, i, None)]
+        way, points, events = family.between(curve, i), {}, []
+        ends = tuple(way.known.values())
+
+        def count(point, kind):
+            key = point.z.tobytes()
+            points.setdefault(key, _Counted(family, point))
+            return points[key].count(kind)
+
         for kind in kinds:
-            counts = [point.count(kind) for point in ends]
-            if counts[0] == counts[1]:
+            before, behind = (count(point, kind) for point in ends)
+            if before == behind:
                 continue
-            point = _locate(branch, i, kind, ends, accuracy)
-            state = branch._family.shooting.state(jnp.asarray(point.z[:-1]))
-            found.append(
-                Bifurcation(
-                    kind,
-                    float(branch._family.value(point.z[-1])),
-                    i,
-                    State(*state),
-                    None,
-                    *counts,
-                    _mark=branch._mark,
-                    _space=branch._space,
-                )
-            )
+            share = accuracy * curve.p[i] / 4 / way.length
+            point = way.zero(lambda point: 1.0 if count(point, kind) == behind else -1.0, share)
+            events.append((kind, point.z, before, behind))
+        events.sort(key=lambda event: (event[1] - way.begin) @ way.direction)
+        found += [bifurcation_at(family, kind, z, i, None, *counts) for kind, z, *counts in events]
     return found
 
 
-class _Point:
-    """A solution on a branch and the branch's tangent there, with what is counted at it."""
+class _Counted:
+    """A breather of a branch, with what is counted at it."""
 
-    def __init__(self, branch, z, tangent):
-        self.branch, self.z, self.tangent = branch, z, tangent
-        self._spectrum = None
+    def __init__(self, family: Family, point: Point):
+        self.family, self.z, self.tangent = family, point.z, point.tangent
 
-    @property
-    def spectrum(self) -> Spectrum:
-        if self._spectrum is None:
-            self._spectrum = next(spectra_of(self.branch._family, self.z[None, :-1], self.z[-1:]))
-        return self._spectrum
+    @cached_property
+    def spectrum(self) -> tuple:
+        """The half-traces, and the error of a step."""
+        found = examined(self.family, self.z)
+        return reversible_multipliers(*np.asarray(found.maps))[0], found.step_error
 
     def count(self, kind: str) -> int:
         """How many of a kind; the energy's slope along the branch, 0 or 1."""
         if kind == "extremum of energy":
-            return int(
-                energy_slope(self.branch._family, jnp.asarray(self.z), jnp.asarray(self.tangent))
-                > 0
-            )
-        traces, symmetries = self.spectrum.half_traces, self.spectrum.expected // 2
+            slope = _energy_slope(self.family, jnp.asarray(self.z), jnp.asarray(self.tangent))
+            return int(slope > 0)
+        traces, step_error = self.spectrum
+        symmetries = 1 + self.family.shooting.moves.shape[1]
         # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
-        error = max(self.spectrum.step_error, LEAST_ERROR)
+        error = max(step_error, LEAST_ERROR)
         near = np.abs(traces - 1) < max(NEAR, 10 * np.sqrt(error))
         apart = traces[~near]
         real = np.abs(apart.imag) <= np.sqrt(error)
@@ -113,38 +117,68 @@ class _Point:
         return beyond + int(np.sum(np.sort(traces[near].real)[symmetries:] > 1 + np.sqrt(error)))
 
 
-def _at(branch, i, s):
-    """The solution at the length s along the i-th tangent; `None` is the next breather itself."""
-    family, curve = branch._family, branch._curve
-    if s is None or s == 0:
-        j = i if s == 0 else i + 1
-        return _Point(branch, np.append(curve.x[j], curve.p[j]), curve.tangents[j])
-    eps = float(jnp.finfo(family.shooting.scale.dtype).eps)
-    near = continuation(
-        family.residual,
-        curve.x[i],
-        curve.p[i],
-        direction=curve.tangents[i],
-        arclength=s,
-        points=1,
-        tolerance=max(LEFT_ON_BRANCH * BRANCH, RESOLVED * eps),
-        linearise=family.linearise,
-    )
-    return _Point(branch, np.append(near.x[0], near.p[0]), near.tangents[0])
+@eqx.filter_jit
+def _energy_slope(problem, z, tangent):
+    """dE/ds along a tangent (x, q) of a branch."""
+
+    def total(z):
+        state = problem.shooting.state(z[:-1])
+        return problem.scene(z[-1])[0].energy(0.0, state.u, state.v)
+
+    return jax.jvp(total, (z,), (tangent,))[1]
 
 
-def _locate(branch, i, kind, ends, accuracy):
-    along = branch._curve.tangents[i]
-    low, high = 0.0, float((ends[1].z - ends[0].z) @ along)
-    behind = ends[1].count(kind)
-    point = ends[0]
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        point = _at(branch, i, middle)
-        if point.count(kind) == behind:
-            high = middle
-        else:
-            low = middle
-        if abs((high - low) * along[-1]) < accuracy * point.z[-1] / 4:
-            break
-    return point
+def along_forced(
+    family: Family, curve: Curve, multipliers: Sequence[np.ndarray], response: Callable
+) -> tuple[Bifurcation, ...]:
+    """Those of a branch of forced orbits, in its order; folds are known already.
+
+    Where the number of multipliers outside the unit circle changes, by Brent's method on the modulus that passes 1.
+    """
+    found, zs = [], np.column_stack([curve.x, curve.p])
+    for i, (begin, end) in enumerate(zip(zs[:-1], zs[1:])):
+        known = {begin.tobytes(): multipliers[i], end.tobytes(): multipliers[i + 1]}
+
+        def look(z):
+            if z.tobytes() not in known:
+                maps = examined(family, z, response).maps
+                known[z.tobytes()] = np.linalg.eigvals(np.asarray(maps[0]))
+            return known[z.tobytes()]
+
+        events = [(FOLD, np.append(s.x, s.p)) for s in curve.special if s.after == i]
+        folds, chord = len(events), end - begin
+        for z in _crossings(family.between(curve, i, chord / np.linalg.norm(chord)), look):
+            kind = kind_of(critical(look(z)))
+            if kind == BRANCH_POINT and folds:  # it passes 1 at a fold too
+                folds -= 1
+            else:
+                events.append((kind, z))
+        events.sort(key=lambda event: (event[1] - begin) @ chord)
+        found += [bifurcation_at(family, kind, z, i, critical(look(z))) for kind, z in events]
+    return tuple(found)
+
+
+def _crossings(way, look):
+    """Where moduli pass 1 between two points, in order: as many as the number of unstable multipliers changes by."""
+    moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
+    counts = sorted(np.count_nonzero(moduli(point) > 1) for point in way.known.values())
+    found = []
+    for k in range(*counts):
+        # the k-th modulus in order of size is continuous, whatever the multipliers do
+        z = way.zero(lambda point: float(moduli(point)[k] - 1), LOCATED).z
+        if all(np.linalg.norm(z - other) > APART * way.length for other in found):
+            found.append(z)
+    return sorted(found, key=lambda z: (z - way.begin) @ way.direction)
+
+
+def kind_of(multiplier: complex, near: float = 1e-5) -> str:
+    """The kind of a bifurcation with this multiplier on the unit circle; one at +1 is a branch point."""
+    if abs(multiplier.imag) > near:
+        return TORUS
+    return BRANCH_POINT if multiplier.real > 0 else DOUBLING
+
+
+def critical(multipliers: np.ndarray) -> complex:
+    """The multiplier nearest to the unit circle, of a pair the one above the real axis."""
+    rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
+    return complex(rho.real, abs(rho.imag))

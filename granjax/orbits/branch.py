@@ -1,6 +1,6 @@
 """A branch of periodic orbits over a parameter, and the bifurcations on it."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -9,17 +9,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Inexact, Shaped
 
 from ..continuation import Curve
-from ..flow import Flow
 from ..lattice import Lattice, State
 from ..newton import Root
 from ..results import Held, Result, array, part
 from ..types import Count, Displacements
 from .confirm import OrbitError
-from .floquet import decide
 from .orbit import Orbit
 from .problems import Family
 
-FOLD, BRANCH_POINT, DOUBLING, TORUS = "fold", "branch point", "period doubling", "Neimark-Sacker"
+FOLD = "fold"
+BRANCH_POINT = "branch point"
+DOUBLING = "period doubling"
+TORUS = "Neimark-Sacker"
 
 
 class Bifurcation(Result):
@@ -96,7 +97,6 @@ class Branch(Result):
         "amplitude": Held("point", "m"),
         "folds": Held(None),
     }
-    _flow: Flow
     _family: Family
     _curve: Curve
 
@@ -152,8 +152,9 @@ class Branch(Result):
             jnp.asarray(self.periods[i]),
             lattice,
             root,
-            self._flow,
+            self._family.shooting.whole,
             jnp.asarray(self.t0),
+            jnp.asarray(self.energy[i]),
             self._family.shooting.symmetry,
             OrbitError(*apart, exact, exact, **lattice.origin),
         )
@@ -164,25 +165,16 @@ def _residual(family, x, q):
     return jnp.max(jnp.abs(family.residual(x, q)))
 
 
-def verdicts_of(spectra: list, expected: int, conserves: bool) -> tuple:
-    """(multipliers, error, verdict) of several orbits from pairs of multipliers and errors."""
-    words = [decide(rho, error, expected, conserves)[0] for rho, error in spectra]
-    return (
-        np.stack([rho for rho, _ in spectra]),
-        np.stack([error for _, error in spectra]),
-        np.array(words),
-    )
+def bifurcation_at(
+    family: Family, kind: str, z: np.ndarray, after: Count, *known: Any
+) -> Bifurcation:
+    """A bifurcation at z = (x, q). `known`: its multiplier and what is counted before and behind, if any."""
+    x, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
+    state = State(*family.shooting.state(x))
+    origin = family.scene(q)[0].origin
+    return Bifurcation(kind, float(family.value(q)), int(after), state, *known, **origin)
 
 
 def special_of(family: Family, curve: Curve) -> list[Bifurcation]:
     """The folds and branch points that continuation has met, as `Bifurcation`s."""
-    return [
-        Bifurcation(
-            s.kind,
-            float(family.value(s.p)),
-            s.after,
-            State(*family.shooting.state(jnp.asarray(s.x))),
-            **family.scene(jnp.asarray(s.p))[0].origin,
-        )
-        for s in curve.special
-    ]
+    return [bifurcation_at(family, s.kind, np.append(s.x, s.p), s.after) for s in curve.special]

@@ -15,21 +15,21 @@ from ..programs import compiled
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, StateLike
-from .confirm import TOLERANCE, confirmed, error_of
+from .confirm import TOLERANCE, confirmed
 from .families import checked_lattice, even_steps, family, half_steps
 from .guesses import (
     bright_guess,
     cell_of,
     dark_guess,
+    dressed,
     edge_of,
     edges_beside,
+    local_guesses,
     refuse_bright,
     supports_bright,
 )
-from .guesses.dressed import dressed
-from .guesses.sites import local_guesses
 from .localised import checked_localised, localisation
-from .orbit import Orbit, checked_orbit
+from .orbit import Orbit, orbit_of
 from .problems import Family, Shooting, over_omega
 from .repeats import checked_state, largest
 
@@ -140,25 +140,17 @@ def breather(
     flow = Flow(count if unknown else jnp.asarray(count), solver or KahanLi8())
     if isinstance(guess, str):
         guess = _from_envelope(lattice, flow, float(omega), guess, centre, tolerance)
-    settings = {"tolerance": tolerance, "max_steps": max_steps, "refine": steps is None}
+    settings = {"tolerance": tolerance, "max_steps": max_steps}
+    settings |= {"refine": steps is None, "throw": throw}
     if energy is None:
         try:
-            found = _solve(lattice, flow, guess, omega, throw=throw, **settings)
+            found = _solve(lattice, flow, guess, omega, **settings)
         except RuntimeError as failed:
             raise RuntimeError(f"{failed}{_why_none(lattice)}") from None
-        return checked_localised(found, kind, guess, throw) if check else found
-    if not unknown:  # a step of its own to omega: the guess's energy may be far off
-        found = _solve(lattice, flow, guess, omega, throw=throw, **settings | {"refine": False})
-        guess = found.state
-    half = _half(lattice, flow, guess, omega)
-    problem, x = AtEnergy(half, jax.lax.stop_gradient(omega)), jnp.append(half.guess(guess), 1.0)
-    problem, root, error = confirmed(
-        problem, x, (lattice, jnp.asarray(energy, float)), throw=throw, **settings
-    )
-    period = 2 * jnp.pi / (root.x[-1] * problem.omega)
-    found = _orbit(
-        problem.half, lattice, guess, root, period, error[:-1], error[-1] * problem.omega, throw
-    )
+    else:
+        if not unknown:  # a step of its own to omega: the guess's energy may be far off
+            guess = _solve(lattice, flow, guess, omega, **settings | {"refine": False}).state
+        found = _solve(lattice, flow, guess, omega, jnp.asarray(energy, float), **settings)
     return checked_localised(found, kind, guess, throw) if check else found
 
 
@@ -169,7 +161,7 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
         found = family(lattice, omega, stability=False, points=400, steps=steps, solver=solver)
         if "reached" not in found.outcome:
             raise RuntimeError(f"The family did not reach omega = {omega:.6g}: {found.outcome}")
-        start = found.orbit(-1).state, int(found._flow.steps)
+        start = found.orbit(-1).state, int(found._family.shooting.whole.steps)
         if not check or localisation(lattice, start[0]).bright:
             return start
     except (RuntimeError, ValueError) as error:
@@ -240,20 +232,20 @@ def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
     return guess
 
 
-def _solve(lattice, flow, guess, omega, *, throw, **settings):
-    half, period = _half(lattice, flow, guess, omega), 2 * jnp.pi / omega
-    half, root, error = confirmed(
-        half, half.guess(guess), (lattice, period), throw=throw, **settings
-    )
-    return _orbit(half, lattice, guess, root, period, error, jnp.zeros(()), throw)
-
-
-def _orbit(half, lattice, guess, root, period, apart, in_omega, throw):
-    flow = Flow(2 * half.flow.steps, half.flow.solver)
-    period, state = jnp.asarray(period, lattice.dtype), half.state(root.x[: half.unknowns])
-    error = error_of(lattice, 0.0, state, half.apart(apart), 2 * jnp.pi / period, in_omega)
-    orbit = Orbit(state, period, lattice, root, flow, jnp.zeros((), lattice.dtype), error=error)
-    return checked_orbit(orbit, half.state(half.guess(guess)), throw)
+def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
+    """The `Orbit` at a frequency, or from there at an energy."""
+    half, settings = _half(lattice, flow, guess, omega), {"throw": throw} | settings
+    x, in_omega = half.guess(guess), 0.0
+    if energy is None:
+        half, root, apart = confirmed(half, x, (lattice, 2 * jnp.pi / omega), **settings)
+    else:
+        problem = AtEnergy(half, jax.lax.stop_gradient(omega))
+        problem, root, apart = confirmed(problem, jnp.append(x, 1.0), (lattice, energy), **settings)
+        half, omega = problem.half, root.x[-1] * problem.omega
+        apart, in_omega = apart[:-1], apart[-1] * problem.omega
+    # at rest, whatever the velocities of the guess
+    begin, scene = half.state(half.guess(guess)), (lattice, 2 * jnp.pi / omega)
+    return orbit_of(half, scene, root, apart, begin, throw, in_omega)
 
 
 class AtEnergy(eqx.Module):

@@ -14,21 +14,28 @@ from ..lattice import Lattice, State
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
 from ..results import Result, array, part
 from ..types import Count, Number, Numbers, Pytree, Scalar
-from .repeats import largest
 
-# of an orbit and of the orbits of a branch, relative to their size
-TOLERANCE, BRANCH = 1e-8, 1e-7
-# of that, what Newton's method may leave, and its floor; and what a floating type resolves, in units of its last place
-LEFT, LEFT_ON_BRANCH, FLOOR, RESOLVED = 1e-3, 1e-4, 1e-12, 50
+# the tolerance of an orbit, and of the orbits of a branch, relative to their size
+TOLERANCE = 1e-8
+BRANCH = 1e-7
+# of that, what Newton's method may leave, and its floor
+LEFT = 1e-3
+LEFT_ON_BRANCH = 1e-4
+FLOOR = 1e-12
+# what a floating type resolves, in units of its last place
+RESOLVED = 50
 # most doublings of the steps, of those that Newton's method alone may want
-DOUBLINGS, TRIALS = 10, 4
+DOUBLINGS = 10
+TRIALS = 4
 # relative change of a residual that more steps have not changed
 SAME = 1e-3
-# of a change that other steps make, where they are not half as many; and finer ones that are looked at, since
-# where contacts open the change between two is small by accident
-SAFETY, FINER = 2, (1.25, 1.5, 2.0)
+# of a change that other steps make, where they are not half as many
+SAFETY = 2
+# finer steps that are looked at: where contacts open the change between two is small by accident
+FINER = (1.25, 1.5, 2.0)
+# of a residual, in units of its last place
 ROUNDING = 16
-# of the largest, below which no unknown is known
+# of the largest error, below which no unknown is known
 SHARED = 0.1
 
 
@@ -48,7 +55,14 @@ class OrbitError(Result):
         """To what displacements and energy are known, a sentence."""
         if isinstance(self.energy, jax.core.Tracer) or np.ndim(self.energy):
             return "By what other steps change."
-        return f"Displacements to {float(largest(self.state.u)):.1e}, the energy to {float(self.energy):.1e}."
+        return (
+            f"Displacements to {size_of(self.state.u):.1e}, the energy to {float(self.energy):.1e}."
+        )
+
+
+def size_of(x: Pytree) -> float:
+    """The largest modulus in a tree of known arrays, NaN where one is."""
+    return float(np.max([np.abs(leaf).max() for leaf in jax.tree.leaves(x)]))
 
 
 def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = LEFT) -> Scalar:

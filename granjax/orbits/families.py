@@ -3,39 +3,44 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse, traced
-from ..continuation import Curve, continuation
+from ..continuation import Curve
 from ..flow import Flow
-from ..lattice import Lattice, State
+from ..lattice import Lattice
 from ..linear import normal_modes
 from ..solvers import KahanLi8
 from ..tuning import one_thread
-from ..types import Count, Counts, Numbers, Scalar, StateLike
-from .branch import Branch, special_of, verdicts_of
-from .confirm import BRANCH, LEFT_ON_BRANCH, error_of, neighbours, newtons
-from .half_period import spectra_of
+from ..types import Count, Counts, Scalar, StateLike
+from .branch import Branch, special_of
+from .confirm import BRANCH, LEFT_ON_BRANCH, newtons
+from .examined import branch_of, examined, examined_along
 from .orbit import Orbit
 from .problems import Family, Shooting, over_omega
 from .repeats import largest
 from .scales import nonlinear_length
 from .steps import default_steps
 
-# change of the tangent map between two step sizes that is let pass, and how often the steps are doubled
-LET_PASS, DOUBLINGS = 1e-8, 8
-# along the branch, in the lattice's own length and the first frequency; of the first orbit beside a linear mode
-ARCLENGTH, LONGEST, FIRST = 0.05, 7.5, 0.1
-PROBE = 4
-EQUAL = 1e-6
-# orbits whose energies and errors are computed at once
-MEMBERS = 16
-# a doubling that lowers the change of the tangent map by less has met a contact that opens
+# change of the tangent map between two step sizes that is let pass
+LET_PASS = 1e-8
+# a doubling that lowers this change by less has met a contact that opens
 SLOW = 20
+# how often the steps are doubled
+DOUBLINGS = 8
+# the first step along the branch, in the lattice's own length and the first frequency, the longest over it, and that
+# to the first orbit beside a linear mode
+ARCLENGTH = 0.05
+LONGEST = 7.5
+FIRST = 0.1
+# points by which the way of a family is told
+PROBE = 4
+# of the largest entry of a mode, by which another one is as large
+EQUAL = 1e-6
 
 
 @one_thread
@@ -93,16 +98,17 @@ def family(
     if guess is not None and mode is not None:
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
     modes = normal_modes(lattice) if guess is None else None
-    ways = [_from(guess)] if guess is not None else _modes(lattice, modes, until, mode)
+    ways = [_from(guess, until)] if guess is not None else _modes(lattice, modes, until, mode)
     arclength = ARCLENGTH if arclength is None else arclength
     longest_arclength = LONGEST * arclength if longest_arclength is None else longest_arclength
 
-    def follow(way, count, most):
-        problem = over_frequency(lattice, count, solver, way.length, way.omega)
-        x0, direction = way.start(problem.shooting, until)
-        return problem, continuation(
-            problem.residual,
-            x0,
+    def follow(way, count, most=points):
+        problem = over_frequency(lattice, count, solver, way.length, way.omega, tolerance)
+        free, direction = np.zeros(problem.shooting.moves.shape[1]), way.direction
+        if np.ndim(direction):
+            direction = np.concatenate([direction, free, [0.0]])
+        return problem, problem.follow(
+            np.append(way.x, free),
             1.0,
             until=None if until is None else until / way.omega,
             direction=direction,
@@ -110,8 +116,6 @@ def family(
             arclength=arclength if guess is not None else FIRST * arclength,
             longest_arclength=longest_arclength,
             least_arclength=1e-6 * arclength,
-            linearise=problem.linearise,
-            tolerance=newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH),
             stop=_ends(problem, amplitude, stop),
         )
 
@@ -121,53 +125,61 @@ def family(
         if len(ways) == 1
         else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
     )
-    problem, curve = follow(chosen, count, points)
-    enough = count if steps else enough_steps(problem, curve, count, tolerance, stability)
+    return confirmed_branch(
+        lambda count: follow(chosen, count), count, steps is None, tolerance, stability
+    )
+
+
+def confirmed_branch(
+    follow: Callable[[int], tuple[Family, Curve]],
+    count: Count,
+    refine: bool,
+    tolerance: Scalar,
+    stability: bool,
+) -> Branch:
+    """The breathers that `follow(count)` finds by so many steps of half a period, or by enough of them."""
+    problem, curve = follow(count)
+    enough = _enough_steps(problem, curve, count, tolerance, stability) if refine else count
     if enough > count:
-        problem, curve = follow(chosen, enough, points)
-    return breathers_on(problem, curve, stability)
+        problem, curve = follow(enough)
+    along = examined_along(problem, curve, stability=stability)
+    return branch_of(problem, curve, along, special_of(problem, curve))
 
 
-def enough_steps(
-    problem: Family, curve: Curve, count: Count, tolerance: Scalar, stability: bool
-) -> int:
+def _enough_steps(problem, curve, count, tolerance, stability):
     """Steps for which the largest breather is known well enough, and its tangent map too, or more would help little."""
     before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
-    x = curve.x[i]
+    z, size = np.append(curve.x[i], curve.p[i]), np.abs(curve.x[i]).max()
     for doubled in count * 2 ** np.arange(DOUBLINGS):
-        problem = eqx.tree_at(lambda p: p.shooting.flow.steps, problem, jnp.asarray(doubled, int))
-        found = next(spectra_of(problem, x[None], curve.p[[i]], False))
-        passes = not stability or found.step_error <= LET_PASS or found.step_error > before / SLOW
-        if passes and found.apart.max() <= tolerance * np.abs(x).max():
+        found = examined(problem.with_steps(doubled), z)
+        error = found.step_error
+        passes = not stability or error <= LET_PASS or error > before / SLOW
+        if passes and found.changes.max() <= tolerance * size:
             break
-        before = found.step_error
+        before = error
     return int(doubled)
 
 
 class _Way(NamedTuple):
-    """Where a family begins: beside a linear mode, or at a breather. `length`, `omega`: its units; `steps`: known."""
+    """Where a family begins: beside a linear mode, or at a breather.
+
+    `omega`, `length`: its units. `x`: displacements at rest over the length. `direction`: +1 or -1, the way the
+    frequency goes, or displacements. `steps`: of a period, where they are known.
+    """
 
     omega: float
     length: float
-    shape: np.ndarray | None
-    state: State | None
+    x: np.ndarray
+    direction: np.ndarray | float
     steps: int | None = None
 
-    def start(self, half, until):
-        """The first unknowns, and the direction in which to go."""
-        if self.state is not None:
-            return np.asarray(half.guess(self.state)), np.sign(
-                (until or np.inf) - self.omega
-            ) or 1.0
-        free = half.moves.shape[1]
-        return np.zeros(len(self.shape) + free), np.concatenate([self.shape, np.zeros(free + 1)])
 
-
-def _from(guess):
-    u, size = guess.state.u, float(largest(guess.state.u))
+def _from(guess, until):
+    omega, u, size = float(guess.omega), guess.state.u, float(largest(guess.state.u))
     length = nonlinear_length(guess.lattice, u)
     length = max(size, length) if np.isfinite(length) else size
-    return _Way(float(guess.omega), length, None, guess.state, even_steps(guess))
+    x, direction = np.asarray(ravel_pytree(u)[0]) / length, np.sign((until or np.inf) - omega)
+    return _Way(omega, length, x, direction or 1.0, even_steps(guess))
 
 
 def _modes(lattice, modes, until, mode):
@@ -210,7 +222,7 @@ def _beside(lattice, omega, shape, mode):
             f"one of length {length}",
             "Give guess=, from gx.breathers.breather.",
         )
-    return _Way(omega, length, shape / peak, None)
+    return _Way(omega, length, 0 * shape, shape / peak)
 
 
 def _towards(ways, until, probe):
@@ -248,43 +260,6 @@ def _ends(problem, amplitude, stop):
         return None if stop is None else stop(u, float(problem.value(q)))
 
     return None if amplitude is None and stop is None else why
-
-
-def breathers_on(problem: Family, curve: Curve, stability: bool) -> Branch:
-    """The branch of breathers that a curve of a family over half periods is."""
-    found = list(spectra_of(problem, curve.x, curve.p, stability))
-    curve = eqx.tree_at(lambda c: c.x, curve, np.stack([s.x for s in found]))
-    none = np.full((len(curve.p), 2 * problem.shooting.count), np.nan)
-    multipliers, error, verdict = none.astype(complex), none, np.array([""] * len(curve.p))
-    if stability:
-        multipliers, error, verdict = verdicts_of(
-            [(s.multipliers, s.error) for s in found], found[0].expected, True
-        )
-    # one that is small by accident is as large as its neighbours
-    apart = neighbours(np.stack([s.apart for s in found]))
-    states, energy, state_error, energy_error, periods = _members(problem, curve, apart)
-    half, p = problem.shooting.flow, problem.values(curve.p)
-    return Branch(
-        p,
-        periods,
-        states,
-        energy,
-        None,
-        state_error,
-        energy_error,
-        None,
-        multipliers,
-        error,
-        np.array([s.step_error for s in found]),
-        verdict,
-        tuple(special_of(problem, curve)),
-        problem.outcome(curve),
-        0.0,
-        Flow(2 * half.steps, half.solver),
-        problem,
-        curve,
-        **problem.scene(jnp.asarray(curve.p[-1]))[0].origin,
-    )
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:
@@ -330,6 +305,7 @@ def over_frequency(
     solver: AbstractSolver | None,
     length: Scalar,
     omega: Scalar,
+    tolerance: Scalar,
 ) -> Family:
     """The breathers of a lattice over its frequency in units of omega, their displacements in units of a length.
 
@@ -338,46 +314,5 @@ def over_frequency(
     half = Shooting.half(
         lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8()), length=length, omega=omega
     )
-    return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega))
-
-
-@eqx.filter_jit
-def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
-    """dE/ds along a tangent (x, q) of a branch."""
-
-    def total(z):
-        state = problem.shooting.state(z[:-1])
-        return problem.scene(z[-1])[0].energy(0.0, state.u, state.v)
-
-    return jax.jvp(total, (z,), (tangent,))[1]
-
-
-def _members(problem, curve, aparts):
-    """States, energies, the errors of both, and periods, of a curve (P, ...), some at a time, whatever P."""
-    idle = -len(curve.p) % MEMBERS
-    xs, aparts = (np.pad(x, ((0, idle), (0, 0)), mode="edge") for x in (curve.x, aparts))
-    qs = np.pad(curve.p, (0, idle), mode="edge")
-    parts = [
-        _some(problem, *(jnp.asarray(x[i : i + MEMBERS]) for x in (xs, qs, aparts)))
-        for i in range(0, len(xs), MEMBERS)
-    ]
-    return jax.tree.map(lambda *x: np.concatenate(x)[: len(xs) - idle], *parts)
-
-
-@eqx.filter_jit
-def _some(problem, xs, qs, aparts):
-    def one(three):
-        x, q, apart = three
-        state, (lattice, period) = problem.shooting.state(x), problem.scene(q)
-        found = error_of(
-            lattice, 0.0, state, problem.shooting.apart(apart), 2 * jnp.pi / period, 0.0
-        )
-        return (
-            state,
-            lattice.energy(0.0, *state),
-            found.state,
-            found.energy,
-            jnp.broadcast_to(period, ()),
-        )
-
-    return jax.lax.map(one, (xs, qs, aparts))
+    left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
+    return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega), left)

@@ -25,13 +25,17 @@ from .steps import default_steps, fixed_step_solver
 from .structure import NOTHING, defect, krein, structure, weights
 from .symmetry import Symmetry, free_moves, shifts
 
-STABLE, UNSTABLE, UNDECIDED = "stable", "unstable", "undecided"
+STABLE = "stable"
+UNSTABLE = "unstable"
+UNDECIDED = "undecided"
 RESOLUTION = 1e-4
 # where refinement ends
 MOST_STEPS = 2**14
 TOLERANCE = 1e-9
-# a state further from returning is no orbit, of its size; singular values of M - 1 below are zero, of the largest
-OPEN, SINGULAR = 1e-2, 1e-10
+# a state further from returning is no orbit, of its size
+OPEN = 1e-2
+# singular values of M - 1 that are zero, of the largest
+SINGULAR = 1e-10
 # of the forces at an equilibrium, in units of their last place
 BALANCED = 16
 # for a change of M that is known to first order
@@ -204,10 +208,10 @@ def floquet(
         if symmetry.trivial:
             checked_period(lattice, state, t0, period)
         rests = known.autonomous and bool(_rests(lattice, state, np.float64(t0)))
-        if rests:  # has neither phase nor energy
-            known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
+        # a state of rest has neither phase nor energy, and what S turns around is no free displacement
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
-        known = known._replace(expected=known.expected - turned * (2 if known.rate == 0 else 1))
+        pairs = (rests + turned) * (2 if known.rate == 0 else 1)
+        known = known._replace(expected=known.expected - pairs)
         solver, field = fixed_step_solver(lattice, solver, KahanLi8()), {}
         start = steps or default_steps(lattice, period, 2 * segments, doubled=True)
     else:

@@ -17,22 +17,29 @@ from ..results import Result, array
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Displacements, Numbers, Scalar
+from .floquet import raveled
 from .repeats import largest, one_lattice
+from .scales import last_near
 from .steps import default_steps, fixed_step_solver
 
-# of its peak, where a breather begins, and how far from it a start that is not given may be
-BEGIN, WIDE = 50.0, 4.0
-# periods beyond those that growth alone takes; how many there may be
-MORE, MOST = 24, 20_000
+# the peak over where a breather begins, and by what factor a start that is not given may be off
+BEGIN = 50.0
+WIDE = 4.0
+# periods beyond those that growth alone takes
+MORE = 24
+# the most periods
+MOST = 20_000
 # periods of one program
 PIECE = 16
-# searches for the start; times that steps are doubled; energy that has returned; sizes of a nonlinearity
-SEARCHES, DOUBLINGS, RETURNED = 12, 4, 1e-10
-SIZES, CLOSER = 2.0 ** np.arange(-100, 101), 5
+# searches for the start
+SEARCHES = 12
+# doublings of the steps
+DOUBLINGS = 4
+# of its energy, by which a search ends, and by which a breather may miss it
+RETURNED = 1e-10
+RETURNS = 1e-3
 # of a wave, by which a period of the ring may miss its multiplier
 FITS = 1e-6
-# of its energy, by which a breather may miss it
-RETURNS = 1e-3
 
 
 class GapBreather(Result):
@@ -213,16 +220,13 @@ class _Ring:
     def run(self, state: State, periods: int, steps: int) -> tuple:
         """States and energies once a period, the start first, so many and up to `PIECE` more."""
         flow, parts = Flow(jnp.asarray(steps), self.solver), []
+        times = jnp.asarray(self.t0), jnp.asarray(self.period)
         with bar(periods, "period", "k-gap breather", self.progress) as shown:
             for _ in range(-(-periods // PIECE)):
-                state, part = _strobed(
-                    flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period)
-                )
+                state, part = _strobed(flow, self.lattice, state, *times)
                 parts.append(jax.tree.map(np.asarray, part))
                 shown.update(PIECE)
-        last = jax.tree.map(
-            lambda x: np.asarray(x)[None], (state, self.lattice.energy(self.t0, *state))
-        )
+        last = jax.tree.map(lambda x: x[None], (state, self.lattice.energy(self.t0, *state)))
         states, energy = jax.tree.map(lambda *x: np.concatenate(x), *parts, last)
         return tuple(states), energy
 
@@ -244,23 +248,16 @@ class _Ring:
     def size(self) -> float:
         """About 1/50 of the amplitude at which the force departs from its linear part enough to leave the gap."""
         u, wanted = self.state(1.0).u, min(0.5, 2 * self.growth * self.period / np.pi)
-        sizes = SIZES
-        for _ in range(CLOSER):
-            share = np.asarray(
-                _departure(self.lattice, u, jnp.asarray(self.t0), jnp.asarray(sizes))
+        share = lambda sizes: np.asarray(_departure(self.lattice, u, jnp.asarray(self.t0), sizes))
+        size = last_near(lambda sizes: share(sizes) < wanted, self.lattice.dtype)
+        if not 0 < size < np.inf:
+            refuse(
+                "lattice",
+                "a force that is nonlinear for this wave, by which growth saturates",
+                "a linear one",
+                "Waves of its k-gaps grow for ever: gx.linear.floquet_bands has their rates.",
             )
-            good = np.flatnonzero((share >= wanted) & np.isfinite(share))
-            # far below any nonlinearity what departs is rounding, of which small numbers have as much
-            good = good[good > np.flatnonzero(share < wanted).max(initial=-1)]
-            if not len(good):
-                refuse(
-                    "lattice",
-                    "a force that is nonlinear for this wave, by which growth saturates",
-                    "a linear one",
-                    "Waves of its k-gaps grow for ever: gx.linear.floquet_bands has their rates.",
-                )
-            sizes = np.geomspace(sizes[max(good[0] - 1, 0)], sizes[good[0]], len(SIZES))
-        return float(sizes[-1] / BEGIN)
+        return size / BEGIN
 
     def sought(self, begin: float, steps: int, free: bool) -> _Found:
         """The breather that begins with about an amplitude; where that is `free`, one of about 1/50 of its peak."""
@@ -354,10 +351,7 @@ class _Ring:
     def _stray(self, end):
         """What of a state is not the wave that decays, times the complex number that fits best."""
         scale = self.period / (2 * np.pi)
-        flat = lambda y: np.concatenate(
-            [np.ravel(x) for x in jax.tree.leaves(y[0])]
-            + [scale * np.ravel(x) for x in jax.tree.leaves(y[1])]
-        )
+        flat = lambda y: raveled((y[0], jax.tree.map(lambda v: scale * v, y[1])))
         wave, y = flat(self.down), flat(end)
         basis = np.stack([wave.real, wave.imag], -1)
         rest = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]

@@ -25,8 +25,10 @@ from .steps import default_steps, fixed_step_solver
 from .structure import structure, weights
 from .symmetry import shifts
 
-# vectors that Arnoldi's method keeps, and how often it starts anew from them
-BASIS, RESTARTS = 60, 30
+# vectors that Arnoldi's method keeps
+BASIS = 60
+# how often it starts anew from them
+RESTARTS = 30
 
 
 class Leading(NamedTuple):
@@ -79,28 +81,23 @@ def leading(
     period, state = one_period(lattice, period), checked_state(lattice, state)
     checked_period(lattice, state, t0, period)
     steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
-    flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
+    solver = fixed_step_solver(lattice, solver, KahanLi8())
     times = jnp.asarray(float(t0)), jnp.asarray(period)
     scale = weights(structure(lattice).mass, period)
     size = len(scale)
+    by = lambda n: Flow(jnp.asarray(max(n, 1)), solver)
     fine, coarse = (
-        scale
-        * np.asarray(
-            _end(eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n)), state, *times, lattice)
-        )
-        for n in (steps, max(steps // 2, 1))
+        scale * np.asarray(_end(by(n), state, *times, lattice)) for n in (steps, steps // 2)
     )
     there = scale * np.asarray(ravel_pytree(state)[0])
     refuse_open(there, fine - there, fine, coarse, shifts(lattice), scale)
 
     def arnoldi(n, start):
         """Multipliers and vectors by n steps."""
-        by = eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n))
 
         def product(x):
-            return scale * np.asarray(
-                _push(by, state, *times, lattice, jnp.asarray(x.ravel() / scale))
-            )
+            direction = jnp.asarray(x.ravel() / scale)
+            return scale * np.asarray(_push(by(n), state, *times, lattice, direction))
 
         return eigs(
             LinearOperator((size, size), product, dtype=float),
@@ -127,7 +124,7 @@ def leading(
     values, vectors = values[order], vectors[:, order]
     start = vectors.real.sum(1) + vectors.imag.sum(1)
     try:
-        others = [arnoldi(max(n, 1), start)[0] for n in (3 * steps // 4, steps // 2)]
+        others = [arnoldi(n, start)[0] for n in (3 * steps // 4, steps // 2)]
         # of a pair that is cut in two either may come
         near, far = (np.minimum(matched(values, x), matched(values, x.conj())) for x in others)
         # as `spectrum.change`: those of a smooth flow of high order, or the larger

@@ -17,9 +17,12 @@ from ..types import StateLike
 from .orbit import SPREAD, Orbit
 from .repeats import checked_state, one_lattice
 
-# shares of the cells over which the energy of what is no bright breather spreads: a wave between walls has two thirds
-# along each axis; of a background; and of what has left a guess that holds less than half of it
-WAVE, EXTENDED, BACKGROUND, STRAYED = 2 / 3, 0.9, 0.4, 0.5
+# shares of the cells over which energy spreads: of a wave between walls along each axis, and of that the least that is
+# no bright breather; of a background; and of what has left a guess that holds less than half of it
+WAVE = 2 / 3
+EXTENDED = 0.9
+BACKGROUND = 0.4
+STRAYED = 0.5
 # of fewer cells shares tell nothing: two coupled sites, or three, are an orbit however they share it
 FEWEST = 5
 # energy in the middle of a dip, over that on either side

@@ -15,12 +15,11 @@ from ..checks import concrete, positive, refuse, traced
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
-from ..results import Held, Result, array, note, part
+from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
-from ..variables import Layout
-from .confirm import TOLERANCE, OrbitError, confirmed, error_of
+from .confirm import TOLERANCE, OrbitError, confirmed, error_of, size_of
 from .floquet import Floquet, floquet
 from .problems import Shooting
 from .repeats import checked_state, checked_symmetry, largest, one_lattice, phases
@@ -28,8 +27,11 @@ from .steps import fixed_step_solver, flow_over, history
 from .symmetry import Symmetry
 
 FRAMES = 32
-# of the guess's size, below which an orbit is none; codes beside those of `newton`: at rest, and no breather
-AT_REST, FELL, SPREAD = 1e-6, 4, 5
+# of the guess's size, below which an orbit is none
+AT_REST = 1e-6
+# codes beside those of `newton`: at rest, and no breather
+FELL = 4
+SPREAD = 5
 
 
 class OrbitRun(Result):
@@ -51,55 +53,36 @@ class OrbitRun(Result):
 class Orbit(Result):
     """A periodic orbit of a lattice, driven or not: y(t0 + T) = S y(t0)."""
 
-    exported: ClassVar[dict[str, Held]] = {
-        "omega": Held(unit="rad/s"),
-        "energy": Held(unit="J"),
-    }
+    exported: ClassVar[dict[str, Held]] = {"omega": Held(unit="rad/s")}
     state: State = part("The state at `t0`; a breather is at rest there.", "site")
     period: Number = array("The period T.", "s")
-    lattice: Lattice = array("The lattice.")
-    root: Root = note("How Newton's method ended.")
-    flow: Flow = array("The steps and the solver over a period.")
+    lattice: Lattice = hidden("The lattice.")
+    root: Root = hidden("How Newton's method ended.")
+    flow: Flow = hidden("The steps and the solver over a period.")
     t0: Number = array("The time at which the orbit begins.", "s")
-    symmetry: Symmetry = array(
+    energy: Number = array("The energy at `t0`, from equilibrium.", "J")
+    symmetry: Symmetry = hidden(
         "S; after T times its order the state itself returns.", default=Symmetry()
     )
     error: OrbitError | None = array(
         "The estimated distance from the true orbit, from two step sizes.", default=None
     )
-    remark: str = array(
+    remark: str = hidden(
         "What else the outcome says, of a breather how many cells share its energy.",
         static=True,
         default="",
     )
 
-    def _fields(self) -> Iterator[tuple[str, object]]:
-        yield "state", self.state
-        # of a batch neither energy nor steps is one number
-        one = (
-            ("period", "omega", "energy", "t0")
-            if jnp.ndim(self.period) == 0
-            else ("period", "omega", "t0")
-        )
-        yield from ((name, getattr(self, name)) for name in one)
-        yield "steps", self.flow.steps
+    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
+        yield from super()._fields()
+        yield "steps", self.flow.steps, Held()
         if not self.symmetry.trivial:
-            yield "symmetry", repr(self.symmetry)
-        if self.error is not None:
-            yield "error", self.error
-
-    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        return super()._layout(fields, self.lattice.space)
+            yield "symmetry", repr(self.symmetry), Held()
 
     @property
     def omega(self) -> Number:
         """2 pi/T; the motion itself repeats after T times the order of S."""
         return 2 * np.pi / self.period
-
-    @property
-    def energy(self) -> Number:
-        """Energy at t0, from equilibrium."""
-        return _energy(self.lattice, self.t0, self.state)
 
     @property
     def residual(self) -> Numbers:
@@ -141,7 +124,7 @@ class Orbit(Result):
         ):
             return ""
         pair = self.state, self.error.state
-        size, error = (max(float(largest(y.u)), float(largest(y.v) / self.omega)) for y in pair)
+        size, error = (max(size_of(y.u), size_of(y.v) / float(self.omega)) for y in pair)
         return (
             f"It is known to {error / size:.1e} of its size."
             if size > 0 and np.isfinite(error)
@@ -287,11 +270,7 @@ def orbit(
         refine=steps is None and not unknown,
         spread=math.sqrt(2 * shooting.count * segments),
     )
-    state, flow = shooting.state(root.x), Flow(segments * shooting.flow.steps, shooting.flow.solver)
-    error = error_of(lattice, t0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
-    return checked_orbit(
-        Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw
-    )
+    return orbit_of(shooting, (lattice, period), root, apart, guess, throw)
 
 
 def forced_orbit(
@@ -347,11 +326,29 @@ def checked_free(lattice: Lattice) -> bool:
     return not lattice.reads_time
 
 
-def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
-    """The orbit, marked where a guess that moves has led to rest."""
-    lattice, omega = orbit.lattice, orbit.omega
+def orbit_of(
+    shooting: Shooting,
+    scene: tuple,
+    root: Root,
+    apart: Numbers,
+    guess: State,
+    throw: bool | None,
+    in_omega: Scalar = 0.0,
+) -> Orbit:
+    """The orbit that a root is, known up to `apart` and in its frequency `in_omega`; marked where it is at rest.
 
-    def speed(y, t=orbit.t0):
+    A guess that moves may have led there.
+    """
+    lattice, period = scene[0], jnp.asarray(scene[1], scene[0].dtype)
+    state, t0 = shooting.state(root.x), jnp.asarray(shooting.t0, lattice.dtype)
+    omega, in_omega = 2 * jnp.pi / period, jnp.asarray(in_omega)
+    error = error_of(lattice, t0, state, shooting.apart(apart), omega, in_omega)
+    energy = _energy(lattice, t0, state)
+    orbit = Orbit(
+        state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error
+    )
+
+    def speed(y, t=t0):
         v, a = vector_field(t, y, lattice)
         return jnp.maximum(omega * largest(v), largest(a))
 

@@ -1,6 +1,7 @@
 """Time-periodic orbits as roots of one residual, y(t0 + T) = S y(t0), with a symmetry S of the lattice."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,7 +11,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, refuse
-from ..continuation import Curve
+from ..continuation import Curve, continuation
+from ..continuation.system import Between, Point, System
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
@@ -91,6 +93,12 @@ class Shooting(eqx.Module):
         steps = jnp.ceil(by * self.flow.steps).astype(int)
         return eqx.tree_at(lambda s: s.flow, self, Flow(steps, self.flow.solver, self.flow.field))
 
+    @property
+    def whole(self) -> Flow:
+        """The flow over the whole period."""
+        parts = self.segments * (2 if self.reversible else 1)
+        return Flow(parts * self.flow.steps, self.flow.solver, self.flow.field)
+
     def apart(self, change: Numbers) -> State:
         """The state that a change of the unknowns makes, in the lattice's own units."""
         return State(*ravel_pytree(self.like)[1](self._parts(change)[0][0] * self.scale))
@@ -162,19 +170,17 @@ class Shooting(eqx.Module):
             field = ravel_pytree(vector_field(after, end, lattice))[0]
             return ravel_pytree(end)[0] / self.scale, rows / self.scale[:, None], field / self.scale
 
-        ends, blocks, fields = jax.lax.map(one, (starts, self._indices()))
-        block = jax.scipy.linalg.block_diag(*blocks)
-        fields = fields.ravel() / (2 * m if self.reversible else m)
-        if self.reversible:  # at rest at either end
-            block, fields = jnp.delete(block, slice((2 * m - 2) * n, (2 * m - 1) * n), 0), fields
-            fields = jnp.delete(fields, slice((2 * m - 2) * n, (2 * m - 1) * n))
-            block = block if m == 1 else jnp.delete(block, slice(n, 2 * n), 1)
-        # the conditions by themselves, whose derivative costs nothing beside the flow's
-        known = jax.lax.stop_gradient(ends)
-        jacobian = jax.jacfwd(lambda x: self._conditions(*self._parts(x), known, lattice))(x)
-        jacobian = jacobian.at[: len(block), : len(block)].add(block)
-        in_period = jnp.concatenate([fields, jnp.zeros(x.size - fields.size, x.dtype)])
-        return self._conditions(starts, self._parts(x)[1], ends, lattice), jacobian, in_period
+        ends, maps, fields = jax.lax.map(one, (starts, self._indices()))
+        fields = fields / (2 * m if self.reversible else m)
+
+        def near(x, change):
+            """The conditions to first order in the unknowns and in a change of the period."""
+            there, idle = self._parts(x)
+            moved = jnp.einsum("mij,mj->mi", maps, (there - starts)[:, :columns])
+            return self._conditions(there, idle, ends + moved + change * fields, lattice)
+
+        here = x, jnp.zeros((), x.dtype)
+        return near(*here), *jax.jacfwd(near, (0, 1))(*here)
 
     def _indices(self):
         return jnp.arange(self.segments, dtype=self.moves.dtype)
@@ -225,7 +231,7 @@ class Family(eqx.Module):
     """The orbits of a lattice over one parameter, p = start + q span, as a problem F(x, q) = 0.
 
     `make(p)`: the lattice, or one lattice for all. `period`: T, a number or a function of p. With one lattice that no
-    time drives, the derivative in q is that in the period.
+    time drives, the derivative in q is that in the period. `left`: what Newton's method may leave of the residual.
     """
 
     shooting: Shooting
@@ -233,6 +239,7 @@ class Family(eqx.Module):
     period: Callable | Scalar
     start: Scalar = 0.0
     span: Scalar = 1.0
+    left: Scalar = 1e-11
     __repr__ = told
 
     def value(self, q: Number) -> Number:
@@ -242,6 +249,22 @@ class Family(eqx.Module):
     def values(self, qs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
         """The parameters p at several known q."""
         return np.asarray(self.start) + qs * np.asarray(self.span)
+
+    def with_steps(self, steps: Count) -> "Family":
+        """The same with other time steps in each segment; an array, whose value compiles nothing anew."""
+        return eqx.tree_at(lambda f: f.shooting.flow.steps, self, jnp.asarray(steps, int))
+
+    def follow(self, x: Numbers, q: Scalar, **settings: Any) -> Curve:
+        """The curve of orbits from (x, q) on, with the settings of `continuation`."""
+        return continuation(
+            self.residual, x, q, linearise=self.linearise, tolerance=self.left, **settings
+        )
+
+    def between(self, curve: Curve, i: Count, direction: np.ndarray | None = None) -> Between:
+        """A curve between its points i and i + 1."""
+        ends = [Point(np.append(curve.x[j], curve.p[j]), curve.tangents[j]) for j in (i, i + 1)]
+        system = System(self.residual, self.linearise, None, self.left)
+        return Between(system, *ends, direction)
 
     def outcome(self, curve: Curve) -> str:
         """Why a curve of this family ended; continuation knows q alone."""

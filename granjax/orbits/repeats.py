@@ -8,12 +8,12 @@ from jaxtyping import Float
 
 from ..checks import refuse, traced
 from ..lattice import Lattice, State
-from ..terms.tracing import reads
 from ..types import Numbers, Pytree, Scalar, StateLike
 from .symmetry import Symmetry
 
 # where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
-PHASES, MORE = ((0.1 + 0.618034 * np.arange(count)) % 1 for count in (4, 32))
+MORE = (0.1 + 0.618034 * np.arange(32)) % 1
+PHASES = MORE[:4]
 # displacements at which a modulation is looked for where the state has none, whatever the unit of length
 SIZES = 2.0 ** np.arange(-120, 121, 8)
 
@@ -57,52 +57,33 @@ def one_lattice(lattice: Lattice) -> Lattice:
 
 
 def checked_symmetry(
-    lattice: Lattice, symmetry: Symmetry, state: State, t0: Scalar, period: Scalar
+    lattice: Lattice, symmetry: Symmetry, state: StateLike, t0: Scalar, period: Scalar
 ) -> Symmetry:
-    """Refuse what is no symmetry of the lattice, as its forces at a state and at its image a period later say.
+    """Refuse what is no symmetry of the lattice: where S a(t, y) and a(t + T, S y) differ, with a its accelerations.
 
-    Of the identity: a period after which the forces do not repeat.
+    Of the identity: a period after which the forces do not repeat. At rest, where drives and walls show however little
+    they do, and at displacements of the state's size, where modulations do; of a state at rest at those of many sizes.
     """
-    if symmetry.trivial:
-        checked_period(lattice, state, t0, period)
-        return symmetry
-    if traced((lattice, state, t0, period)):
+    if traced((lattice, state, t0, period)) or symmetry.trivial and not lattice.reads_time:
         return symmetry
     if symmetry.mirror and lattice.dimension is not None:
         refuse("symmetry", "translations and signs in the plane", repr(symmetry))
-    ts, omega = phases(t0, period), 2 * np.pi / float(period)
-
-    def accelerations(ts, u, v):
-        return jax.vmap(lambda t: lattice.acceleration(t, u, v))(ts)
-
-    zeros, rng = lattice.zeros(), np.random.default_rng(0)
-    own = float(largest(state.u)) or float(largest(accelerations(ts, zeros, zeros))) / omega**2
-    shapes = [
-        jax.tree.map(lambda x: scale * rng.uniform(-1, 1, x.shape), state.u)
-        for scale in (1.0, omega)
-    ]
-
-    def compared(size):
-        """By how much the accelerations of the image differ, how much time changes them, how large they are."""
-        u, v = (
-            jax.tree.map(lambda x: jnp.asarray(size * x, lattice.dtype), shape) for shape in shapes
-        )
-        there = jax.vmap(symmetry)(accelerations(ts, u, v))
-        here = accelerations(ts + period, symmetry(u), symmetry(v))
-        first = jax.tree.map(lambda a: a[0], there)
-        return *(
-            largest(jax.tree.map(jnp.subtract, there, other)) for other in (here, first)
-        ), largest(there)
-
-    sizes = np.array([own]) if own else SIZES
-    off, change, size = (np.asarray(x, float) for x in jax.vmap(compared)(jnp.asarray(sizes)))
-    # of what time changes, the rounding is that of the static force beside it
+    rng, own = np.random.default_rng(0), float(largest(state[0]))
+    shape = jax.tree.map(lambda x: rng.uniform(-1, 1, x.shape), lattice.template())
+    sizes = jnp.asarray([0.0, own] if own > 0 else [0.0, *SIZES])
+    times = jnp.asarray(t0, float), jnp.asarray(period, float)
+    found = _compared(lattice, symmetry, shape, sizes, *times)
+    off, change, rounding, there = (np.asarray(x, float) for x in found)
     eps, tiny = (float(getattr(jnp.finfo(lattice.dtype), name)) for name in ("eps", "tiny"))
-    known = 1e3 * eps * np.maximum(size, sizes * omega**2) + 100 * eps**0.5 * change + tiny / eps
+    # more than by the rounding of times and displacements and of the static force beside
+    same = off <= 100 * (eps**0.5 * change + eps * there + rounding) + tiny / eps
     # a size may be beyond a law's range
-    finite = np.isfinite(size)
-    if finite.any() and (off <= known)[finite].all():
+    known = np.isfinite(there)
+    if known.any() and same[known].all():
         return symmetry
+    if symmetry.trivial:
+        wanted = "one after which the forces repeat"
+        refuse("period", wanted, repr(float(period)), "Give the drive's, or a multiple.")
     refuse(
         "symmetry",
         "a symmetry of the lattice",
@@ -112,55 +93,40 @@ def checked_symmetry(
 
 
 def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scalar) -> None:
-    """Refuse a period after which the forces do not repeat, as the terms that read time say.
-
-    At rest, where drives and walls show however little they do, and at displacements of the state's size, where
-    modulations do; of a state at rest at those of many sizes.
-    """
-    if traced((lattice, state, t0, period)) or not lattice.reads_time:
-        return
-    rng, own = np.random.default_rng(0), float(largest(state[0]))
-    eps, tiny = (float(getattr(jnp.finfo(lattice.dtype), name)) for name in ("eps", "tiny"))
-    shape = [rng.uniform(-1, 1, x.shape) for x in jax.tree.leaves(lattice.template())]
-    shape = jax.tree.unflatten(jax.tree.structure(lattice.template()), shape)
-    sizes = jnp.asarray([0.0, own] if own > 0 else [0.0, *SIZES])
-    found = _repeated(lattice, shape, sizes, jnp.asarray(t0, float), jnp.asarray(period, float))
-    off, change, rounding, there = (np.asarray(x, float) for x in found)
-    # more than by the rounding of times and displacements and of the static force beside
-    wrong = off > 100 * (eps**0.5 * change + eps * there + rounding) + tiny / eps
-    # a size may be beyond a law's range
-    if (wrong & np.isfinite(there)).any():
-        refuse(
-            "period",
-            "one after which the forces repeat",
-            repr(float(period)),
-            "Give the drive's, or a multiple.",
-        )
+    """Refuse a period after which the forces do not repeat."""
+    checked_symmetry(lattice, Symmetry(), state, t0, period)
 
 
 @eqx.filter_jit
-def _repeated(lattice, shape, sizes, t0, period):
-    """By how much the forces that read time differ a period later, by how much they change, how large they are.
+def _compared(lattice, symmetry, shape, sizes, t0, period):
+    """By how much the image's accelerations differ a period later, by how much they change, how large they are.
 
     At displacements of each size, (sizes,) each; third what rounding of these displacements makes.
     """
-    terms = [term for term in lattice.terms if reads(term, lattice).time]
     ts, count = phases(t0, period, MORE), len(MORE)
     nearby = 1 + 8 * jnp.finfo(lattice.dtype).eps
+    lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
 
-    def force(t, size):
-        u, v = (
-            jax.tree.map(lambda x: jnp.asarray(scale * x, lattice.dtype), shape)
-            for scale in (size, size * (2 * jnp.pi / period))
+    def accelerated(t, size, image):
+        """S a(t, y), or a(t, S y) of the image, and how large accelerations are, of contacts by themselves too."""
+        y = State(
+            *(
+                jax.tree.map(lambda x: jnp.asarray(scale * x, lattice.dtype), shape)
+                for scale in (size, size * (2 * jnp.pi / period))
+            )
         )
-        found = lattice.sum_forces(t, u, v, terms)
-        contact = [largest(contact.force) for term in terms for contact in term.compressions(t, u)]
-        return found, jnp.max(jnp.stack([largest(found), *contact]))
+        y = jax.tree.map(lambda a, b: jnp.where(image, a, b), symmetry(y), y)
+        found = lattice.acceleration(t, *y)
+        contacts = [c.force for term in lattice.terms for c in term.compressions(t, y.u)]
+        there = [largest(found), *(largest(force) / lightest for force in contacts)]
+        found = jax.tree.map(lambda a, b: jnp.where(image, a, b), found, symmetry(found))
+        return found, jnp.max(jnp.stack(there))
 
     def compared(size):
         times = jnp.concatenate([ts, ts + period, ts])
         scales = jnp.repeat(jnp.stack([size, size, nearby * size]), count)
-        found, there = jax.lax.map(lambda x: force(*x), (times, scales))
+        images = jnp.repeat(jnp.array([False, True, False]), count)
+        found, there = jax.lax.map(lambda x: accelerated(*x), (times, scales, images))
         now, later, moved = (
             jax.tree.map(lambda a: a[i : i + count], found) for i in (0, count, 2 * count)
         )

@@ -1,18 +1,27 @@
 """The lattice's own length: how far a shape may grow before its forces are no longer linear ones."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from ..lattice import Lattice
-from ..types import Displacements
+from ..types import Displacements, Numbers
 from .repeats import largest
 
 # change of the stiffness at the length, as a share of it
 SHARE = 0.5
-# binary orders of magnitude that are looked through either way, neighbours that must agree, rounds between two of them
-ORDERS, SINGLE, RUN, ROUNDS = 160, 60, 4, 4
+# binary orders of magnitude that are looked through either way, with 64 bits and with 32
+ORDERS = 160
+SINGLE = 60
+# neighbouring sizes that must agree
+RUN = 4
+# rounds between two of them
+ROUNDS = 4
+# of a shape, by which what it is compared with is not even
 UNEVEN = 0.5
 
 
@@ -24,29 +33,31 @@ def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
     same made uneven, so that less cancels by symmetry; the least such a. Infinite for linear forces, zero in a sonic
     vacuum. In the unit of u.
     """
-    orders = ORDERS if jnp.finfo(lattice.dtype).bits > 32 else SINGLE
+    departures = lambda sizes: np.asarray(_departures(lattice, shape, sizes))
+    return last_near(lambda sizes: departures(sizes) <= SHARE, lattice.dtype)
+
+
+def last_near(near: Callable[[Numbers], np.ndarray], dtype: DTypeLike) -> float:
+    """The largest size up to which `near` of many sizes holds; infinite where it always does, zero where it never does.
+
+    By powers of two, which change no digit with the unit of length, and then between two of them.
+    """
+    orders = ORDERS if jnp.finfo(dtype).bits > 32 else SINGLE
     exponents = np.arange(-orders, orders + 1.0)
-    near = _near(lattice, shape, np.exp2(exponents))
+    holds = near(jnp.asarray(np.exp2(exponents), dtype))
     # below, where rounding is larger than what is looked for, some may be near by chance
-    runs = np.flatnonzero(np.convolve(near, np.ones(RUN), "valid") == RUN)
+    runs = np.flatnonzero(np.convolve(holds, np.ones(RUN), "valid") == RUN)
     if not len(runs):
         return 0.0
-    if near[runs[0] :].all():
+    holds, exponents = holds[runs[0] :], exponents[runs[0] :]
+    if holds.all():
         return np.inf
-    # a power of two apart, so that the unit of length changes no digit
-    order, share = (
-        2.0 ** exponents[int(np.argmin(near[runs[0] :])) + runs[0] - 1],
-        np.array([0.0, 1.0]),
-    )
+    order, share = 2.0 ** exponents[np.argmin(holds) - 1], np.array([0.0, 1.0])
     for _ in range(ROUNDS):
-        share = np.linspace(*share, len(exponents))
-        beyond = int(np.argmin(_near(lattice, shape, order * np.exp2(share))))
+        share = np.linspace(*share, 2 * ORDERS)
+        beyond = int(np.argmin(near(jnp.asarray(order * np.exp2(share), dtype))))
         share = share[beyond - 1 : beyond + 1]
     return float(order * np.exp2(share[0]))
-
-
-def _near(lattice, shape, amplitudes):
-    return np.asarray(_departures(lattice, shape, jnp.asarray(amplitudes, lattice.dtype))) <= SHARE
 
 
 @eqx.filter_jit

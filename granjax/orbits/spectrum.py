@@ -8,10 +8,14 @@ from scipy.optimize import linear_sum_assignment
 from ..tuning import one_thread
 from ..types import Parameter, Scalar
 
-# of a norm: rounding of a product of many steps; of a difference between two flows, of three, of two alone
-ROUNDING, SAFETY, ALONE = 500, 4, 8
+# of a norm: rounding of a product of many steps, in units of the last place
+ROUNDING = 500
+# of a difference between two flows, of three, and of two alone
+SAFETY = 4
+ALONE = 8
 # changes of three flows in this ratio and direction are those of a smooth one of order 6 or more
-REGULAR, ALIGNED = 10, 0.95
+REGULAR = 10
+ALIGNED = 0.95
 
 Map = Float[np.ndarray, "n n"]
 

@@ -14,8 +14,10 @@ from ..flow.dispatch import facts
 from ..lattice import Lattice, State
 from ..types import Count, Counts, Numbers, Scalar, StateLike, Times
 
-# h omega of a step, with omega the highest linear frequency, and the fewest steps of a period
-FINE, LEAST_STEPS = 0.3, 16
+# h omega of a step, with omega the highest linear frequency
+FINE = 0.3
+# the fewest steps of a period
+LEAST_STEPS = 16
 
 
 def fixed_step_solver(

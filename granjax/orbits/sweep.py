@@ -30,10 +30,14 @@ from .steps import answered, fixed_step_solver, history
 WATCHED = 12
 # of the largest response: a change below it is no jump
 SMALLEST = 1e-6
-# budgets more for what does not repeat, the second where it settles still; and the least tolerance
-LONGER, LEAST = (1, 8), 1e-12
-# of the tolerance, to which a jump settles, and halvings beyond the accuracy for which it must last
-TIGHT, NARROW = 1e-2, 10
+# budgets more for what does not repeat, the second where it settles still
+LONGER = (1, 8)
+# the least tolerance
+LEAST = 1e-12
+# of the tolerance, to which a jump settles
+TIGHT = 1e-2
+# halvings beyond the accuracy for which a jump must last
+NARROW = 10
 # a change of sign, relative to the larger: no response jumps by more
 MOST_JUMP = 2
 # rounds of halving and settling
@@ -178,30 +182,25 @@ def sweep(
         checked_period(lattice, state, 0.0, T)
 
     period = period if callable(period) else jnp.asarray(float(period))
-
-    def run(value, y, tolerance, most):
-        numbers = jnp.asarray(value), y, jnp.asarray(tolerance), jnp.asarray(most)
-        return _run(make, period, response, flow, periods, watch, *numbers)
+    watched = _Watched(make, period, response, flow, periods, watch)
 
     def attractor(value, y, share=1.0):
         """What is settled to a share of the tolerance, run longer than the budget if need be."""
-        tight = max(share * tolerance, LEAST)
-        found, _ = run(value, y, tight, periods)
+        tight = jnp.asarray(max(share * tolerance, LEAST))
+        found, _ = watched.run(jnp.asarray(value), y, tight, jnp.asarray(periods))
         for budgets in LONGER:
             if found["multiple"] or not np.isfinite(_number(found)):
                 break
-            used = found["periods"]
-            found, settles = run(value, found["states"], tight, budgets * periods)
+            used, most = found["periods"], jnp.asarray(budgets * periods)
+            found, settles = watched.run(jnp.asarray(value), found["states"], tight, most)
             found["periods"] = found["periods"] + used
             if not settles:
                 break
         return found
 
     def with_errors(value, found):
-        rest = flow, watch, jnp.asarray(value), found, jnp.asarray(periods), jnp.asarray(tolerance)
-        return {name: x for name, x in found.items() if name != "rate"} | _errors(
-            make, period, response, *rest
-        )
+        errors = watched.errors(jnp.asarray(value), found, jnp.asarray(tolerance))
+        return {name: x for name, x in found.items() if name != "rate"} | errors
 
     up = _way(attractor, with_errors, values, state, jump, accuracy, 1, first.origin)
     if not down:
@@ -211,64 +210,73 @@ def sweep(
     return Sweep(values, up, back, _hysteresis(values, up, back, jump), **first.origin)
 
 
-@eqx.filter_jit
-def _run(make, period, response, flow, periods, watch, value, y, tolerance, most):
-    """What is found at a value, and whether it settles still."""
-    lattice, T = make(value), period_at(period, value)
-    y, used, multiple, changes, once, rate = follow(flow, lattice, y, T, periods, tolerance, most)
-    part, change = max(1, periods // 8), changes[:, 0]
-    early, late = jnp.median(change[periods // 2 - part : periods // 2]), jnp.median(change[-part:])
-    found = _response(flow, lattice, y, T, response, watch, multiple, used)
-    return found | {"rate": rate}, once | (late < early / 2)
+class _Watched(eqx.Module):
+    """What is run at each value of the parameter, and what is looked at."""
 
+    make: Callable
+    period: Callable | Scalar
+    response: Callable
+    flow: Flow
+    periods: int
+    watch: int
 
-@eqx.filter_jit
-def _errors(make, period, response, flow, watch, value, found, periods, tolerance):
-    """The errors of what is found at a value."""
-    lattice, T, multiple = make(value), jnp.asarray(period_at(period, value)), found["multiple"]
-    y, left = otherwise(
-        flow,
-        lattice,
-        found["states"],
-        T,
-        jnp.maximum(multiple, 1),
-        periods,
-        tolerance,
-        found["rate"],
-    )
-    coarse = Flow(max(flow.steps // 2, 1), flow.solver)
-    other = _response(coarse, lattice, y, T, response, watch, multiple, found["periods"])
-    left = jnp.where(multiple > 0, left, jnp.nan)
-    return {
-        f"{name}_error": errors_of(found[name], other[name], left)
-        for name in ("response", "velocity", "energy")
-    }
+    @eqx.filter_jit
+    def run(self, value, y, tolerance, most):
+        """What is found at a value, and whether it settles still."""
+        lattice, T = self.make(value), period_at(self.period, value)
+        y, used, multiple, changes, once, rate = follow(
+            self.flow, lattice, y, T, self.periods, tolerance, most
+        )
+        part, half, change = max(1, self.periods // 8), self.periods // 2, changes[:, 0]
+        early, late = jnp.median(change[half - part : half]), jnp.median(change[-part:])
+        found = self._seen(self.flow, lattice, y, T, multiple, used)
+        return found | {"rate": rate}, once | (late < early / 2)
 
+    @eqx.filter_jit
+    def errors(self, value, found, tolerance):
+        """The errors of what is found at a value."""
+        lattice, T = self.make(value), jnp.asarray(period_at(self.period, value))
+        multiple, periods = found["multiple"], jnp.asarray(self.periods)
+        y, left = otherwise(
+            self.flow,
+            lattice,
+            found["states"],
+            T,
+            jnp.maximum(multiple, 1),
+            periods,
+            tolerance,
+            found["rate"],
+        )
+        coarse = Flow(max(self.flow.steps // 2, 1), self.flow.solver)
+        other = self._seen(coarse, lattice, y, T, multiple, found["periods"])
+        left = jnp.where(multiple > 0, left, jnp.nan)
+        return {
+            f"{name}_error": errors_of(found[name], other[name], left)
+            for name in ("response", "velocity", "energy")
+        }
 
-def _response(flow, lattice, y, period, response, watch, multiple, used):
-    end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, watch)
-    velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
-    energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
-    return {
-        "response": answered(response, lattice, ys, ts),
-        "velocity": velocity,
-        "energy": energy,
-        "multiple": multiple,
-        "periods": used,
-        "states": end,
-    }
+    def _seen(self, flow, lattice, y, period, multiple, used):
+        end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, self.watch)
+        return {
+            "response": answered(self.response, lattice, ys, ts),
+            "velocity": jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v),
+            "energy": jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys)),
+            "multiple": multiple,
+            "periods": used,
+            "states": end,
+        }
 
 
 def _way(attractor, with_errors, values, state, jump, accuracy, direction, origin):
-    found = []
-    for value in values[::direction]:
+    order, found = values[::direction], []
+    for value in order:
         found.append(attractor(value, state))
         state = found[-1]["states"]
     floor = SMALLEST * max(abs(_number(x)) for x in found)
-    steps = list(zip(values[::direction][:-1], found[:-1], values[::direction][1:], found[1:]))
+    steps = list(zip(order, found, order[1:], found[1:]))
     jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
     changes = [_bifurcation(attractor, step, accuracy, i, origin) for i, step in enumerate(steps)]
-    found = [with_errors(value, x) for value, x in zip(values[::direction], found)]
+    found = [with_errors(value, x) for value, x in zip(order, found)]
     stacked = jax.tree.map(lambda *x: np.stack(x), *found[::direction])
     return Way(
         **stacked,
@@ -346,21 +354,15 @@ def _bifurcation(attractor, step, accuracy, i, origin):
 
 
 def _hysteresis(values, up, down, share):
-    apart = np.abs(up.response - down.response) > share * np.maximum(
-        np.abs(up.response), np.abs(down.response)
-    )
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], apart, [False]]).astype(int)))
+    larger = np.maximum(np.abs(up.response), np.abs(down.response))
+    apart = np.abs(up.response - down.response) > share * larger
     places = sorted(jump.value for way in (up, down) for jump in way.jumps)
     intervals = []
-    for start, stop in zip(edges[::2], edges[1::2] - 1):
-        below = [p for p in places if start > 0 and values[start - 1] <= p <= values[start]]
-        above = [
-            p for p in places if stop < len(values) - 1 and values[stop] <= p <= values[stop + 1]
-        ]
-        intervals.append(
-            (
-                float(below[0] if below else values[start]),
-                float(above[-1] if above else values[stop]),
-            )
-        )
+    for run in np.split(np.arange(len(values)), np.flatnonzero(np.diff(apart)) + 1):
+        if apart[run[0]]:
+            low, high = values[run[0]], values[run[-1]]
+            before, behind = values[max(run[0] - 1, 0)], values[min(run[-1] + 1, len(values) - 1)]
+            below = [p for p in places if before <= p <= low]
+            above = [p for p in places if high <= p <= behind]
+            intervals.append((float([*below, low][0]), float([high, *above][-1])))
     return intervals

@@ -19,7 +19,7 @@ from .precision import work_precision
 from .shocks import modulation, shock
 from .style import COLOURS, drawn, figure, save, style
 from .sweeps import sweep
-from .travelling import kink, wave
+from .travelling import wave
 from .waves import bands, dispersion, floquet_bands, transmission, zone
 
 __all__ = [
@@ -37,7 +37,6 @@ __all__ = [
     "floquet_bands",
     "floquet_circle",
     "hysteresis",
-    "kink",
     "modulation",
     "save",
     "shock",

@@ -18,23 +18,18 @@ LABELS = {"u": ("displacement", "m"), "v": ("velocity", "m/s")}
 def numbers(
     argument: str, x: Any, ndim: int | None = None, finite: bool = True
 ) -> Float[np.ndarray, "..."]:
-    """A floating NumPy array; with `finite=False` NaN and infinity pass, as gaps in the picture."""
-    if finite:
-        array = np.asarray(parameter(argument, np.asarray(x)))
-    else:
-        # what is masked is a gap, as NaN is
-        array = real(
-            argument,
-            x.astype(float).filled(np.nan) if isinstance(x, np.ma.MaskedArray) else np.asarray(x),
-        )
+    """Return a floating NumPy array; with `finite=False` NaN and infinity pass, as gaps in the picture."""
+    if isinstance(x, np.ma.MaskedArray):
+        x = x.astype(float).filled(np.nan)
+    array = np.asarray(parameter(argument, np.asarray(x)) if finite else real(argument, x))
     if ndim is not None and array.ndim != ndim:
-        names = {0: "one number", 1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
+        names = {1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
         refuse(argument, names.get(ndim, f"{ndim} axes"), f"shape {array.shape}")
     return array
 
 
 def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
-    """`size` numbers, each above the one before."""
+    """Return `size` numbers, each above the one before."""
     x = numbers(argument, x, 1)
     if len(x) != size or not np.all(np.diff(x) > 0):
         refuse(argument, f"{size} rising numbers, as many as the data has", show(x))
@@ -52,7 +47,7 @@ class History(NamedTuple):
 
 
 def history(run_or_array: Any, quantity: Any, label: str | None = None) -> History:
-    """A quantity of a run, of the dataset of one, or an array, which is the quantity.
+    """Return a quantity of a run, of the dataset of one, or an array, which is the quantity.
 
     `quantity`: "u", "v", another variable of a dataset, or an array over the times. **Raises** ValueError for a run
     that saved a single time, and for a quantity that it does not have.
@@ -62,12 +57,8 @@ def history(run_or_array: Any, quantity: Any, label: str | None = None) -> Histo
         return History(None, run_or_array, label or "quantity", None, units_of(run_or_array))
     ts = run_or_array["time"] if stored else run_or_array.ts
     if np.size(ts) == 1:
-        refuse(
-            "run",
-            "a run with several frames",
-            "one that saved a single time",
-            "Give simulate the number of frames, such as save_at=401.",
-        )
+        remedy = "Give simulate the number of frames, such as save_at=401."
+        refuse("run", "a run with several frames", "one that saved a single time", remedy)
     name, unit, data = "quantity", None, quantity
     if isinstance(quantity, str):
         name, unit = LABELS.get(quantity, (quantity, None))
@@ -80,13 +71,8 @@ def history(run_or_array: Any, quantity: Any, label: str | None = None) -> Histo
 
 
 def frames_of(data: Any, argument: str = "quantity") -> Float[np.ndarray, "T N"]:
-    """The numbers (T, N) of a history of a chain with one number per site."""
+    """Return the numbers (T, N) of a history of a chain with one number per site."""
     if isinstance(data, dict):
-        names = ", ".join(map(repr, data))
-        refuse(
-            argument,
-            "an array where a cell holds several fields",
-            f"fields {names}",
-            "Pick one: quantity=run.vs[...].",
-        )
+        names, remedy = ", ".join(map(repr, data)), "Pick one: quantity=run.vs[...]."
+        refuse(argument, "an array where a cell holds several fields", f"fields {names}", remedy)
     return numbers(argument, data, 2, finite=False)

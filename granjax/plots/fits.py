@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
 from ..checks import one_of, refuse
 from ..types import Count, Scalar
 from .arrays import numbers
-from .style import COLOURS, FAINT, shown, style, units_of
+from .style import COLOURS, FAINT, axes_or_new, shown, units_of
 
 # half-width of a corner plot's axes, in standard deviations
 REACH = 3.5
@@ -24,7 +25,7 @@ def fit(
     *,
     sensors: Sequence[Count] | None = None,
 ) -> Shaped[np.ndarray, "2 columns"]:
-    """Data and fitted signal of every sensor, with the residuals below.
+    """Draw data and fitted signal of every sensor, with the residuals below.
 
     **Arguments:**
 
@@ -51,38 +52,29 @@ def fit(
     ]
     if sensors is not None:
         columns = [columns[k] for k in sensors]
-    size = 2.9 * len(columns) + 0.7, 3.6
     by_time, by_kind = _axes_of(result, columns)
     one = len({by.label for by in by_kind}) == 1
-    axes = _grid(
-        ax,
-        2,
-        len(columns),
-        size,
-        height_ratios=(3, 1),
-        sharex="col",
-        sharey="row" if one else "none",
-    )
+    how = {"height_ratios": (3, 1), "sharex": "col", "sharey": "row" if one else "none"}
+    count = len(columns)
+    axes = axes_or_new(ax, 2.9 * count + 0.7, 3.6, 2, count, squeeze=False, **how)
+    axes = axes.reshape(2, count)
     for k, ((upper, lower), column) in enumerate(zip(axes.T, columns)):
         trace, sensor, name, signal, residual = column
         times, data = by_time(trace.times), by_kind[k](np.asarray(trace.data)[:, sensor])
-        left = np.asarray(residual)[:, sensor]
+        fitted, left = by_kind[k](np.asarray(signal)[:, sensor]), np.asarray(residual)[:, sensor]
         upper.plot(times, data, ".", color=FAINT, ms=3, label="data")
-        fitted = by_kind[k](np.asarray(signal)[:, sensor])
         upper.plot(times, fitted, color=COLOURS[0], lw=1.2, label="fit")
-        upper.set_title(name)
+        upper.set_title(name, size="medium")
         lower.axhspan(-1, 1, color="0.9", lw=0, zorder=0)
         known = np.isfinite(data)
         lower.plot(times[known], left[known], ".", color=COLOURS[0], ms=2)
-        lower.set_xlabel(by_time.label)
-        lower.set_xlim(times[0], times[-1])
+        lower.set(xlabel=by_time.label, xlim=(times[0], times[-1]))
         for ax in (upper, lower):
-            ax.xaxis.set_major_locator(MaxNLocator(5))
+            ax.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         if k == 0 or by_kind[k].label != by_kind[k - 1].label:
             upper.set_ylabel(by_kind[k].label)
-        if k == 0:
-            lower.set_ylabel(r"residual / $\sigma$")
-            upper.legend(loc="best", frameon=False, markerscale=2)
+    axes[1, 0].set_ylabel(r"residual / $\sigma$")
+    axes[0, 0].legend(loc="best", frameon=False, markerscale=2)
     return axes
 
 
@@ -108,7 +100,7 @@ def corner(
     truths: dict[str, Scalar] | None = None,
     labels: Sequence[str] | None = None,
 ) -> Shaped[np.ndarray, "P P"]:
-    """What is known of each pair of parameters: ellipses of one and two standard deviations, Gaussians on the diagonal.
+    """Draw what is known of each pair of parameters: ellipses of one and two deviations, Gaussians on the diagonal.
 
     The ellipses are contours of the Gaussian with the fit's covariance; the inner one holds 39 % and the outer one
     86 % of the probability of a pair.
@@ -121,77 +113,57 @@ def corner(
     (parameters that are not determined).
     """
     # a tree of parameters may have been sorted on the way: their places are those of their names
-    order = sorted(
-        result.parameters,
-        key=lambda k: next(
-            i for i, name in enumerate(result.names) if name == k or name.startswith(f"{k}[")
-        ),
-    )
+    first = [name.partition("[")[0] for name in result.names]
+    order = sorted(result.parameters, key=first.index)
     values = np.concatenate([numbers(k, result.parameters[k]).ravel() for k in order])
     names, matrix = list(result.names), numbers("covariance", result.covariance, 2, finite=False)
     deviations = np.sqrt(np.diag(matrix))
     if not np.isfinite(matrix).all():
         unknown = ", ".join(name for name, d in zip(names, deviations) if not np.isfinite(d))
-        refuse(
-            "result",
-            "parameters that the data determine",
-            f"an infinite deviation of {unknown}",
-            "Leave it out.",
-        )
+        wanted = "parameters that the data determine"
+        refuse("result", wanted, f"an infinite deviation of {unknown}", "Leave it out.")
     labels = names if labels is None else list(labels)
     for name in truths or {}:
         one_of("truths", name, names)
-    marks = [(truths or {}).get(name) for name in names]
     count = len(names)
-    axes = _grid(axes, count, count, (1.7 * count + 0.8, 1.7 * count + 0.5))
+    size = (1.7 * count + 0.8, 1.7 * count + 0.5)
+    axes = axes_or_new(axes, *size, count, count, squeeze=False).reshape(count, count)
     powers = [_power(value) for value in values]
     titles = [
         label if power == 0 else rf"{label} ($10^{{{power}}}$)"
         for label, power in zip(labels, powers)
     ]
-    size = 10.0 ** -np.array(powers)
-    centre, matrix, deviations = values * size, matrix * np.outer(size, size), deviations * size
-    marks = [None if mark is None else float(mark) * s for mark, s in zip(marks, size)]
-    for i in range(count):
-        for j in range(count):
-            ax = axes[i, j]
-            if j > i:
-                ax.set_visible(False)
-                continue
-            ax.set_xlim(centre[j] - REACH * deviations[j], centre[j] + REACH * deviations[j])
-            if i == j:
-                _marginal(ax, centre[i], deviations[i], powers[i])
-            else:
-                ax.set_ylim(centre[i] - REACH * deviations[i], centre[i] + REACH * deviations[i])
-                _ellipses(ax, centre[[j, i]], matrix[np.ix_([j, i], [j, i])])
-                ax.yaxis.set_major_locator(MaxNLocator(3))
-                if marks[i] is not None:
-                    ax.axhline(marks[i], color=COLOURS[1], lw=0.9)
-            if marks[j] is not None:
-                ax.axvline(marks[j], color=COLOURS[1], lw=0.9)
-            ax.xaxis.set_major_locator(MaxNLocator(3))
-            ax.ticklabel_format(useOffset=False)
-            ax.tick_params(axis="x", rotation=45, labelbottom=i == count - 1)
-            ax.tick_params(axis="y", labelleft=j == 0 and i > 0)
-            if i == count - 1:
-                ax.set_xlabel(titles[j])
-            if j == 0 and i > 0:
-                ax.set_ylabel(titles[i])
+    unit = 10.0 ** np.array(powers)
+    centre, matrix, deviations = values / unit, matrix / np.outer(unit, unit), deviations / unit
+    marks = {names.index(name): float(x) for name, x in (truths or {}).items()}
+    marks = {i: x / unit[i] for i, x in marks.items()}
+    ends = centre + REACH * np.array([[-1], [1]]) * deviations
+    for i, j in np.ndindex(count, count):
+        ax = axes[i, j]
+        if j > i:
+            ax.set_visible(False)
+            continue
+        if i == j:
+            _marginal(ax, centre[i], deviations[i], powers[i])
+        else:
+            _ellipses(ax, centre[[j, i]], matrix[np.ix_([j, i], [j, i])])
+            ax.set_ylim(ends[:, i])
+            ax.yaxis.set_major_locator(MaxNLocator(3))
+            if i in marks:
+                ax.axhline(marks[i], color=COLOURS[1], lw=0.9)
+        ax.set_xlim(ends[:, j])
+        ax.xaxis.set_major_locator(MaxNLocator(3))
+        if j in marks:
+            ax.axvline(marks[j], color=COLOURS[1], lw=0.9)
+        ax.ticklabel_format(useOffset=False)
+        ax.tick_params(axis="x", rotation=45, labelbottom=i == count - 1)
+        ax.tick_params(axis="y", labelleft=j == 0 and i > 0)
+        if i == count - 1:
+            ax.set_xlabel(titles[j])
+        if j == 0 and i > 0:
+            ax.set_ylabel(titles[i])
     axes[0, 0].figure.align_labels()
     return axes
-
-
-def _grid(axes, rows, columns, size, **how):
-    """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
-    if axes is None:
-        import matplotlib.pyplot as plt
-
-        with style():
-            axes = plt.figure(figsize=size, layout="constrained").subplots(
-                rows, columns, squeeze=False, **how
-            )
-    axes = np.asarray(axes, dtype=object)
-    return axes.reshape(rows, columns)
 
 
 def _power(value):
@@ -202,13 +174,10 @@ def _power(value):
 
 def _marginal(ax, centre, deviation, power):
     x = np.linspace(-REACH, REACH, 121)
-    y = np.exp(-(x**2) / 2)
-    ax.fill_between(
-        centre + x * deviation, y, where=np.abs(x) <= 1, color=COLOURS[0], alpha=0.3, lw=0
-    )
-    ax.plot(centre + x * deviation, y, color=COLOURS[0], lw=1.2)
-    ax.set_ylim(0, 1.1)
-    ax.set_yticks([])
+    places, y, inner = centre + x * deviation, np.exp(-(x**2) / 2), np.abs(x) <= 1
+    ax.fill_between(places, y, where=inner, color=COLOURS[0], alpha=0.3, lw=0)
+    ax.plot(places, y, color=COLOURS[0], lw=1.2)
+    ax.set(ylim=(0, 1.1), yticks=[])
     digits = max(0, 1 - int(np.floor(np.log10(deviation)))) if deviation > 0 else 3
     said = rf"{centre:.{digits}f} $\pm$ {deviation:.{digits}f}"
     ax.set_title(said if power == 0 else rf"({said})$\,10^{{{power}}}$", fontsize=8, loc="center")
@@ -219,20 +188,6 @@ def _ellipses(ax, centre, matrix):
     angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
     height, width = 2 * np.sqrt(np.maximum(variances, 0))
     for sigma, alpha in ((2, 0.15), (1, 0.3)):
-        ax.add_patch(
-            Ellipse(
-                centre, sigma * width, sigma * height, angle=angle, fc=COLOURS[0], alpha=alpha, lw=0
-            )
-        )
-        ax.add_patch(
-            Ellipse(
-                centre,
-                sigma * width,
-                sigma * height,
-                angle=angle,
-                fill=False,
-                ec=COLOURS[0],
-                lw=1.0,
-            )
-        )
+        look = {"angle": angle, "fc": to_rgba(COLOURS[0], alpha), "ec": COLOURS[0]}
+        ax.add_patch(Ellipse(centre, sigma * width, sigma * height, **look))
     ax.plot(*centre, ".", color=COLOURS[0], ms=4)

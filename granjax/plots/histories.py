@@ -12,12 +12,12 @@ from matplotlib.ticker import MaxNLocator
 from ..checks import one_of, positive, within
 from ..types import Parameter, Scalar
 from .arrays import Samples, frames_of, history, rising
-from .style import AxesOrNone, add_colour_bar, axes_or_new, colour, shown
+from .style import AxesOrNone, add_colour_bar, add_legend, axes_or_new, colour, shown
 
 SCALES = ("linear", "log")
 EVEN = 1e-6
 SIGNED = 0.02
-# more rows or columns than this are averaged over a pixel, not picked
+# more rows or columns than these are averaged over a pixel, not picked
 FINE = 1000
 
 
@@ -35,7 +35,7 @@ def space_time(
     site_label: str = "site",
     colour_bar: bool = True,
 ) -> Axes:
-    """Space-time map of a history: site on x, time on y, the quantity in colour.
+    """Draw the space-time map of a history: site on x, time on y, the quantity in colour.
 
     **Arguments:**
 
@@ -68,7 +68,8 @@ def space_time(
     y = np.arange(len(data), dtype=float) if ts is None else rising("ts", ts, len(data))
     x = np.arange(data.shape[1], dtype=float)
     x = x if sites is None else rising("sites", sites, data.shape[1])
-    top = _limit(data, limit)
+    seen = np.abs(data[np.isfinite(data)])
+    top = float(seen.max(initial=0.0) or 1.0 if limit is None else positive("limit", limit))
     by = shown(found.label, top, found.unit, found.units)
     by_time = shown("frame", y, "") if ts is None else shown("time", ts, "s", found.units)
     y, data, top, label = by_time(y), by(data), top * by.factor, by.label
@@ -81,34 +82,23 @@ def space_time(
     else:
         norm, map_name = colours_of(data, top)
     image = _draw(ax, x, y, data, norm, map_name)
-    ax.set_xlabel(site_label)
-    ax.set_ylabel(by_time.label)
+    ax.set(xlabel=site_label, ylabel=by_time.label)
+    # few enough for a journal's column
+    ticks = {"nbins": 6, "steps": [1, 2, 5, 10], "integer": True}
     if sites is None or np.all(2 * x % 1 == 0):
-        # few enough for a journal's column
-        ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+        ax.xaxis.set_major_locator(MaxNLocator(**ticks))
     if ts is None:
-        ax.yaxis.set_major_locator(MaxNLocator(integer=True))
-    for spine in ax.spines.values():
-        spine.set_visible(True)
+        ax.yaxis.set_major_locator(MaxNLocator(**ticks))
+    ax.spines[:].set_visible(True)
     if colour_bar:
-        beyond = EVEN * (norm.vmax - norm.vmin)
-        above, below = np.nanmax(data) > norm.vmax + beyond, np.nanmin(data) < norm.vmin - beyond
-        cut = ("neither", "max", "min", "both")[int(above) + 2 * int(below)]
-        add_colour_bar(ax, image, label, extend=cut)
+        add_colour_bar(ax, image, label)
     return ax
 
 
-def _limit(data, limit):
-    if limit is not None:
-        return float(positive("limit", limit))
-    seen = np.abs(data[np.isfinite(data)])
-    return float(seen.max()) if seen.size and seen.max() > 0 else 1.0
-
-
 def colours_of(data: Float[np.ndarray, "T N"], top: Scalar) -> tuple[Normalize, str]:
-    """Norm and map: a diverging map about zero where both signs matter."""
-    low = np.nanmin(data) if np.isfinite(data).any() else 0.0
-    high = np.nanmax(data) if np.isfinite(data).any() else 1.0
+    """Return norm and map: a diverging map about zero where both signs matter."""
+    seen = data[np.isfinite(data)]
+    low, high = seen.min(initial=0.0), seen.max(initial=0.0)
     if low >= -SIGNED * top:
         return Normalize(0.0, top), "viridis"
     if high <= SIGNED * top:
@@ -117,19 +107,13 @@ def colours_of(data: Float[np.ndarray, "T N"], top: Scalar) -> tuple[Normalize, 
 
 
 def _draw(ax, x, y, data, norm, map_name):
-    if _even(x) and _even(y):
-        (left, right), (bottom, top) = _ends(x), _ends(y)
-        return ax.imshow(
-            data,
-            origin="lower",
-            aspect="auto",
-            extent=(left, right, bottom, top),
-            norm=norm,
-            cmap=map_name,
-            interpolation="nearest" if max(data.shape) <= FINE else "antialiased",
-            interpolation_stage="data",
-        )
-    return ax.pcolormesh(x, y, data, norm=norm, cmap=map_name, shading="nearest", rasterized=True)
+    colours = {"norm": norm, "cmap": map_name}
+    if not (_even(x) and _even(y)):
+        return ax.pcolormesh(x, y, data, shading="nearest", rasterized=True, **colours)
+    fine = "nearest" if max(data.shape) <= FINE else "antialiased"
+    look = {"origin": "lower", "aspect": "auto", "interpolation": fine}
+    ends = (*_ends(x), *_ends(y))
+    return ax.imshow(data, extent=ends, interpolation_stage="data", **look, **colours)
 
 
 def _even(x):
@@ -153,7 +137,7 @@ def traces(
     label: str | None = None,
     site_label: str = "site",
 ) -> Axes:
-    """Traces of some sites over time, stacked, the first at the bottom.
+    """Draw traces of some sites over time, stacked, the first at the bottom.
 
     **Arguments:**
 
@@ -183,7 +167,7 @@ def traces(
     chosen = qs[:, sites]
     by = shown(found.label, chosen, found.unit, found.units)
     chosen = by(chosen)
-    names = [str(n) for n in sites] if labels is None else [str(name) for name in labels]
+    names = [str(name) for name in (sites if labels is None else labels)]
     span = float(np.nanmax(np.nanmax(chosen, 0) - np.nanmin(chosen, 0))) or 1.0
     if offset is None:
         offset = span
@@ -191,39 +175,29 @@ def traces(
         offset = by.factor * float(within("offset", offset, 0, np.inf))
     ax = axes_or_new(ax, 5.2, 3.8)
     for i, name in enumerate(names):
-        trace = chosen[:, i] + i * offset
-        ax.plot(
-            ts, trace, color=colour(i), lw=1.3, label=f"{site_label} {name}", zorder=3 - i / 1e3
-        )
-    ax.set_xlabel(by_time.label)
-    ax.set_xlim(ts[0], ts[-1])
+        look = {"color": colour(i), "lw": 1.3, "zorder": 3 - i / 1e3}
+        ax.plot(ts, chosen[:, i] + i * offset, label=f"{site_label} {name}", **look)
+    ax.set(xlabel=by_time.label, xlim=(ts[0], ts[-1]))
     if offset == 0:
         ax.set_ylabel(by.label)
-        ax.legend(frameon=False)
+        add_legend(ax, inside=True)
         return ax
     every = -(-len(names) // 16)
     ax.set_yticks((offset * np.arange(len(names)))[::every], names[::every])
     ax.set_ylabel(site_label)
-    _scale_bar(ax, span, by.label.partition(" (")[0], by.unit)
+    _scale_bar(ax, span, by)
     return ax
 
 
-def _scale_bar(ax, span, name, unit):
+def _scale_bar(ax, span, by):
     """A bar of a round height beside the traces, in place of a second axis."""
     power = 10.0 ** np.floor(np.log10(span))
     height = float(max(m for m in (1, 2, 5) if m * power <= span * (1 + 1e-12)) * power)
-    low, high = ax.get_ylim()
+    limits = low, high = ax.get_ylim()
     middle, transform = (low + high) / 2, ax.get_yaxis_transform()
     bar = [middle - height / 2, middle + height / 2]
     ax.plot([1.02, 1.02], bar, color="black", lw=2, transform=transform, clip_on=False)
-    ax.text(
-        1.04,
-        middle,
-        f"{name} {height:g} {unit}".strip(),
-        rotation=90,
-        va="center",
-        ha="left",
-        transform=transform,
-        fontsize="small",
-    )
-    ax.set_ylim(low, high)
+    said = f"{by.label.partition(' (')[0]} {height:g} {by.after}".strip()
+    look = {"rotation": 90, "va": "center", "fontsize": "small", "transform": transform}
+    ax.text(1.04, middle, said, **look)
+    ax.set_ylim(limits)

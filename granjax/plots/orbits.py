@@ -9,17 +9,9 @@ from scipy.interpolate import Akima1DInterpolator
 
 from ..checks import one_of
 from ..types import Count
-from .arrays import numbers, rising
-from .style import (
-    COLOURS,
-    FAINT,
-    AxesOrNone,
-    add_colour_bar,
-    axes_or_new,
-    several_axes,
-    shown,
-    units_of,
-)
+from .arrays import numbers
+from .histories import space_time
+from .style import COLOURS, FAINT, AxesOrNone, add_legend, axes_or_new, shown, units_of
 
 # Krein signature -> colour, mark, what it is called
 _KREIN = {
@@ -33,12 +25,17 @@ _VERDICTS = {
     "undecided": (FAINT, ":", "undecided"),
     "": (COLOURS[0], "-", None),
 }
-# between two verdicts; points of a line in a step
-UNKNOWN, FINE = (FAINT, ":"), 12
+# between two verdicts
+UNKNOWN = (FAINT, ":")
+# points of a line in a step
+FINE = 12
 # of its length, how far apart points of a line count that coincide
 COINCIDING = 1e-9
 # of one frequency: rounding
 SAME = 1e-12
+# of a `Branch` what is drawn, its label, its unit
+AXES_OF_A_BRANCH = ("energy", "amplitude"), ("energy", r"amplitude $\max|u_n|$"), ("J", "m")
+VELOCITY = "velocity (m/s)"
 # what a bifurcation is called that changes nothing by itself
 EXTREMUM = "extremum of energy"
 _ORBITS = {
@@ -49,7 +46,7 @@ _ORBITS = {
 
 
 def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Axes:
-    r"""Floquet multipliers in the complex plane with the unit circle.
+    r"""Draw Floquet multipliers in the complex plane with the unit circle.
 
     Colours and marks tell the Krein signature; 0 is off the circle, at a meeting of two signs, or of a flow without
     one. Unstable multipliers, but for those that symmetry puts at +1, have a ring. With uniform damping the circle of
@@ -70,11 +67,11 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Ax
     """
     rho, signature = np.asarray(fl.multipliers), np.nan_to_num(np.asarray(fl.krein))
     ax = axes_or_new(ax, 4.2, 4.0)
-    angle = np.linspace(0, 2 * np.pi, 361)
-    ax.plot(np.cos(angle), np.sin(angle), color=FAINT, lw=0.8, zorder=1)
+    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 361))
+    ax.plot(circle.real, circle.imag, color=FAINT, lw=0.8, zorder=1)
     if fl.rate:
-        radius = np.exp(-fl.rate * fl.period / 2)
-        ax.plot(radius * np.cos(angle), radius * np.sin(angle), ":", color=FAINT, lw=1.0, zorder=1)
+        circle = np.exp(-fl.rate * fl.period / 2) * circle
+        ax.plot(circle.real, circle.imag, ":", color=FAINT, lw=1.0, zorder=1)
     for sign, (tone, mark, name) in _KREIN.items():
         own = rho[signature == sign]
         if own.size:
@@ -85,15 +82,14 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Ax
         look = {"ms": 10, "mfc": "none", "mec": COLOURS[6], "mew": 1.2, "zorder": 3}
         ax.plot(out.real, out.imag, "o", label="unstable", **look)
     ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel(r"Re $\rho$")
-    ax.set_ylabel(r"Im $\rho$")
+    ax.set(xlabel=r"Re $\rho$", ylabel=r"Im $\rho$")
     if legend:
-        ax.legend(loc="center", handletextpad=0.2, frameon=False)
+        add_legend(ax)
     return ax
 
 
 def unstable_of(fl: Any) -> np.ndarray:
-    """Indices of the multipliers outside the unit circle by more than their error, symmetries' at +1 left out."""
+    """Return the indices of the multipliers outside the unit circle by more than their error, but for symmetries'."""
     rho = np.asarray(fl.multipliers)
     symmetry = np.argsort(np.abs(rho - 1))[: fl.expected]
     outside = np.flatnonzero(np.abs(rho) - 1 > np.asarray(fl.error))
@@ -108,7 +104,7 @@ def breather(
     mode: Count | None = None,
     field: str | None = None,
 ) -> np.ndarray:
-    """A breather in four panels: displacements, Floquet multipliers, displacement and velocity of an eigenvector.
+    """Draw a breather in four panels: displacements, Floquet multipliers, the two halves of an eigenvector.
 
     Of a stable one, of which nothing grows, strain and a period of the velocities instead.
 
@@ -118,45 +114,47 @@ def breather(
       unless `fl` is given. `fl`: its `Floquet`.
     - `axes`: four Axes in any shape, for (a) to (d); by default those of a new figure.
     - `mode`: index of the multiplier whose eigenvector is shown; by default the largest unstable one. A stable orbit
-      has none: (c) then is the strain u_n - u_{n+1}, and (d), where the breather has `run()`, the velocity over a
-      period. The eigenvector is turned so that its largest displacement is real, positive and 1; imaginary parts, of
-      complex multipliers, are dashed.
+      has none: (c) then is the strain u_n - u_{n+1}, and (d) the velocity over a period, of `breather.run()`. The
+      eigenvector is turned so that its largest displacement is real, positive and 1; imaginary parts, of complex
+      multipliers, are dashed.
     - `field`: which is shown, where a cell holds several; by default `"bead"`.
 
     **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields without a name of one, lanes.
     """
     fl, units = breather.floquet() if fl is None else fl, units_of(breather)
-    axes = several_axes(axes, 2, 2, 8.4, 6.4)
+    axes = axes_or_new(axes, 8.4, 6.4, 2, 2)
     a, b, c, d = axes.ravel()
     fields = breather.state[0] if isinstance(breather.state[0], dict) else ()
     field = "bead" if field is None and "bead" in fields else field
     u = numbers("breather.state.u", _field_of(breather.state[0], field), 1)
     site, strain = np.arange(len(u)), u[:-1] - u[1:]
-    by = shown("displacement $u_n(0)$", u, "m", units)
+    by = shown("$u_n(0)$", u, "m", units)
     _bars(a, site, by(u), by.label)
     floquet_circle(fl, b)
     rho, outside = np.asarray(fl.multipliers), unstable_of(fl)
     if mode is None and len(outside):
         mode = outside[np.argmax(np.abs(rho[outside]))]
     if mode is None:
-        by = shown("strain $u_n - u_{n+1}$", strain, "m", units)
+        by = shown("$u_n - u_{n+1}$", strain, "m", units)
         _bars(c, site[:-1] + 0.5, by(strain), by.label)
         c.set_title("no mode grows", loc="left")
-        _period(d, breather, field, units)
+        run = breather.run()
+        space_time(run, d, quantity=_field_of(run.vs, field), label=VELOCITY, site_label="")
     else:
         u_part, v_part = _parts(fl, mode, breather.state[0], field)
         pair = abs(rho[mode].imag) > fl.error[mode]
-        by = shown("velocity of the mode", np.abs(v_part), "1/s", units)
-        _bars(c, site, u_part, "displacement of the mode", pair)
+        by = shown(r"mode $\delta v_n$", np.abs(v_part), "1/s", units)
+        _bars(c, site, u_part, r"mode $\delta u_n$", pair)
         _bars(d, site, by(v_part.real) + 1j * by(v_part.imag), by.label, pair)
         sign = "-" if rho[mode].imag < 0 else "+"
         value = f"{rho[mode].real:.6f}" + f" {sign} {abs(rho[mode].imag):.6f}i" * bool(pair)
         c.set_title(rf"$\rho$ = {value}", loc="left")
+    paper = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1}
     for letter, ax in zip("abcd", (a, b, c, d)):
         if ax is not b:
-            ax.set_xlabel("site $n$")
-            ax.set_xlim(-0.5, len(u) - 0.5)
-        ax.annotate(f"({letter})", (0.02, 0.98), xycoords="axes fraction", va="top", zorder=5)
+            ax.set(xlabel="site $n$", xlim=(-0.5, len(u) - 0.5))
+        where = {"xycoords": "axes fraction", "va": "top", "zorder": 5}
+        ax.annotate(f"({letter})", (0.02, 0.98), bbox=paper, **where)
     return axes
 
 
@@ -167,31 +165,13 @@ def _field_of(u, field):
 
 def _parts(fl, mode, u, field):
     """Displacements and velocities of an eigenvector, of the field shown, whose largest displacement there is 1."""
-    vector = np.asarray(fl.vectors)[:, mode]
+    halves = np.split(np.asarray(fl.vectors)[:, mode], 2)
     if isinstance(u, dict):
-        sizes = {name: np.size(u[name]) for name in sorted(u)}
-        first = sum(sizes[name] for name in sizes if name < field)
-        own = first + np.arange(sizes[field])
-        vector = vector[np.concatenate([own, len(vector) // 2 + own])]
-    return np.split(vector / vector[np.argmax(np.abs(vector[: len(vector) // 2]))], 2)
-
-
-def _period(ax, breather, field, units):
-    """A period of the velocities over sites and time, where there is a run of it."""
-    if not hasattr(breather, "run"):
-        where = {"ha": "center", "va": "center", "transform": ax.transAxes}
-        ax.text(0.5, 0.5, "no growing mode", color="0.35", **where)
-        return
-    run = breather.run()
-    by_time = shown("time", run.ts, "s", units)
-    by = shown("velocity", _field_of(run.vs, field), "m/s", units)
-    ts, vs = by_time(run.ts), by(_field_of(run.vs, field))
-    top = float(np.abs(vs).max()) or 1.0
-    ends = (-0.5, vs.shape[1] - 0.5, ts[0], 2 * ts[-1] - ts[-2])
-    options = {"cmap": "RdBu_r", "vmin": -top, "vmax": top}
-    image = ax.imshow(vs, origin="lower", aspect="auto", extent=ends, **options)
-    ax.set_ylabel(by_time.label)
-    add_colour_bar(ax, image, by.label)
+        names = sorted(u)
+        ends = np.cumsum([np.size(u[name]) for name in names])[:-1]
+        halves = [np.split(half, ends)[names.index(field)] for half in halves]
+    largest = halves[0][np.argmax(np.abs(halves[0]))]
+    return [half / largest for half in halves]
 
 
 def _bars(ax, site, u, label, imaginary=False):
@@ -213,7 +193,7 @@ def branch(
     omega_label: str = r"angular frequency $\omega_b$",
     p_label: str = "coupling",
 ) -> np.ndarray:
-    """A family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
+    """Draw a family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
 
     Breathers of one frequency, as from `gx.breathers.anticontinuous`, are drawn over their parameter `p`.
 
@@ -241,23 +221,18 @@ def branch(
     >>> axes[0].get_ylabel()
     'energy'
     """
-    units, x = units_of(br), numbers("br.omega", br.omega, 1)
+    units, x = units_of(br), np.asarray(br.omega)
     over = shown(omega_label, br.omega, "rad/s", units)
     if hasattr(br, "p") and len(x) > 1 and np.ptp(x) <= SAME * np.abs(x).max():
-        x = numbers("br.p", br.p, 1)
+        x = np.asarray(br.p)
         over = shown(p_label, br.p, None, units)
     x, bands = over(x), np.zeros((0, 2)) if bands is None else over(bands)
     marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
-    axes = several_axes(axes, 1, 2, 8.4, 3.4)
+    axes = axes_or_new(axes, 8.4, 3.4, 1, 2)
     room = 0.06 * (np.ptp(x) or x[0])
-    for ax, name, label, unit in zip(
-        axes.ravel(),
-        ("energy", "amplitude"),
-        ("energy", r"amplitude $\max_n |u_n|$"),
-        ("J", "m"),
-    ):
+    for ax, name, label, unit in zip(axes.ravel(), *AXES_OF_A_BRANCH):
         by = shown(label, getattr(br, name), unit, units)
-        height = by(numbers(f"br.{name}", getattr(br, name), 1))
+        height = by(getattr(br, name))
         _line(ax, x, height, br, _VERDICTS, marks, over.factor)
         for low, high in bands:
             ax.axvspan(low, high, color=FAINT, alpha=0.3, lw=0, zorder=0)
@@ -273,12 +248,10 @@ def branch(
         low, high = height.min(), height.max()
         ax.set_ylim(0 if high - low > 0.5 * high else low - 0.1 * (high - low or 1), None)
         ax.set_ylim(None, high + 0.06 * (high - ax.get_ylim()[0]))
-        ax.set_xlabel(over.label)
+        ax.set(xlabel=over.label, ylabel=by.label)
         # few enough for a journal's column: frequencies have many digits
         ax.locator_params(axis="x", nbins=5)
-        ax.set_ylabel(by.label)
-    if axes.ravel()[0].get_legend_handles_labels()[0]:
-        axes.ravel()[0].legend(loc="best", frameon=False)
+    add_legend(axes.ravel()[1], inside=True)
     return axes
 
 
@@ -290,21 +263,18 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
     """
     verdict, p = np.asarray(br.verdict), np.asarray(getattr(br, "p", x / factor), float)
     curve = np.column_stack([x, y, p])
-    step = np.linalg.norm(
-        np.diff(curve[:, :2], axis=0) / (np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny),
-        axis=1,
-    )
+    span = np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny
+    step = np.linalg.norm(np.diff(curve[:, :2], axis=0) / span, axis=1)
     s = np.concatenate([[0.0], np.cumsum(np.maximum(step, COINCIDING * (step.sum() or 1.0)))])
+    last = len(s) - 1
+    fine = np.interp(np.linspace(0, last, FINE * last + 1), np.arange(last + 1), s)
     at = Akima1DInterpolator(s, curve) if len(s) > 1 else lambda s: curve[[0] * len(s)]
     events = [*getattr(br, "bifurcations", ()), *marks]
     begin, named = 0.0, set()
 
     def part(low, high, tone, dash, name=None):
-        inner = np.concatenate(
-            [np.linspace(a, b, FINE, endpoint=False) for a, b in zip(s[:-1], s[1:])] + [s[-1:]]
-        )
-        inner = inner[(inner > low) & (inner < high)]
-        drawn = at(np.unique(np.concatenate([[low], inner, [high]])))
+        inner = fine[(fine > low) & (fine < high)]
+        drawn = at(np.unique([low, *inner, high]))
         name = None if name in named else name
         ax.plot(drawn[:, 0], drawn[:, 1], dash, color=tone, lw=1.4, zorder=2, label=name)
         named.add(name)
@@ -319,14 +289,14 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
 
     extrema = [event for event in events if getattr(event, "kind", "") == EXTREMUM]
     changes = [event for event in events if getattr(event, "kind", "") != EXTREMUM]
-    for i in [*np.flatnonzero(verdict[1:] != verdict[:-1]), len(s) - 1]:
-        found = [z for event in changes for z in inside(i, event)] if i < len(s) - 1 else []
-        end, resumed = (min(found), max(found)) if found else s[[i, min(i + 1, len(s) - 1)]]
+    for i in [*np.flatnonzero(verdict[1:] != verdict[:-1]), last]:
+        found = [z for event in changes for z in inside(i, event)] if i < last else []
+        end, resumed = (min(found), max(found)) if found else s[[i, min(i + 1, last)]]
         part(begin, end, *looks[str(verdict[i])])
         if resumed > end:
             part(end, resumed, *UNKNOWN)
         begin = resumed
-    tops = [z for event in extrema for i in range(len(s) - 1) for z in inside(i, event)]
+    tops = [z for event in extrema for i in range(last) for z in inside(i, event)]
     if tops:
         drawn, look = at(np.unique(tops)), {"ms": 6, "mfc": "white", "zorder": 4, "ls": ""}
         ax.plot(drawn[:, 0], drawn[:, 1], "D", color="black", label=EXTREMUM, **look)
@@ -340,44 +310,32 @@ def hysteresis(
     x_label: str = "parameter",
     y_label: str = "response",
 ) -> Axes:
-    """Response while a parameter goes up and down again; where the two differ is shaded.
+    """Draw the response while a parameter goes up and down again; where the two differ is shaded.
 
     **Arguments:**
 
-    - `sweep`: a `gx.driven.Sweep`, or arrays (values, up, down), (P,) each, values ascending; `down` may be `None`.
+    - `sweep`: a `gx.driven.Sweep`, or anything with its `values` (P,), `up`, `down` and `hysteresis`.
     - `orbits`: a `Branch`, or anything with `p`, `response` and `verdict` (P,), drawn behind, unstable parts
       dashed, in smooth curves that change where its `bifurcations` are.
     - `x_label`, `y_label`: of the axes. One that ends with a unit of SI, "angular frequency (rad/s)" or "rms velocity
       (m/s)", gets a prefix.
 
-    **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
+    **Returns:** the Axes.
     """
-    values, up, down, intervals = _ways(sweep)
-    units = units_of(sweep, orbits)
+    values, up, units = np.asarray(sweep.values), sweep.up.response, units_of(sweep, orbits)
     by_x, by_y = shown(x_label, values, None, units), shown(y_label, up, None, units)
     ax = axes_or_new(ax, 5.6, 3.6)
-    for low, high in by_x(np.reshape(intervals, (-1, 2))):
+    for low, high in by_x(np.reshape(sweep.hysteresis, (-1, 2))):
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
         p, response = by_x(orbits.p), by_y(orbits.response)
         _line(ax, p, response, orbits, _ORBITS)
     look = {"ms": 5, "lw": 1.2, "mec": "white", "mew": 0.3}
     ax.plot(by_x(values), by_y(up), ">-", color=COLOURS[0], label="up", **look)
-    if down is not None:
-        ax.plot(by_x(values), by_y(down), "<--", color=COLOURS[1], label="down", **look)
-    ax.set_xlabel(by_x.label)
-    ax.set_ylabel(by_y.label)
-    ax.legend(loc="best", frameon=False)
+    if sweep.down is not None:
+        ax.plot(
+            by_x(values), by_y(sweep.down.response), "<--", color=COLOURS[1], label="down", **look
+        )
+    ax.set(xlabel=by_x.label, ylabel=by_y.label)
+    add_legend(ax, inside=True)
     return ax
-
-
-def _ways(sweep):
-    if all(hasattr(sweep, name) for name in ("values", "up", "down")):
-        values, up, intervals = sweep.values, sweep.up.response, sweep.hysteresis
-        down = None if sweep.down is None else sweep.down.response
-    else:
-        (values, up, down), intervals = sweep, []
-    up = numbers("up", up, 1)
-    values = rising("values", values, len(up))
-    down = None if down is None else numbers("down", down, 1)
-    return values, up, down, intervals

@@ -16,6 +16,7 @@ from .style import (
     COLOURS,
     AxesOrNone,
     add_colour_bar,
+    add_legend,
     axes_or_new,
     figure,
     shown,
@@ -23,11 +24,16 @@ from .style import (
     units_of,
 )
 
+# of the size of a lattice, how far apart beads of one place count
 CLOSED = 1e-9
 # beads whose outlines would hide them
 MANY = 3000
-# width of the line of the largest force: of a bead, and at most [points]
-SHARE, WIDEST = 0.13, 2.5
+# width of the line of the largest force, of a bead ...
+SHARE = 0.13
+# ... and at most [points]
+WIDEST = 2.5
+# of the largest force, what is not drawn
+LEAST = 1e-3
 
 
 def beads(
@@ -41,7 +47,7 @@ def beads(
     limit: Scalar | None = None,
     colour_bar: bool = True,
 ) -> Axes:
-    """Beads of a lattice of the plane as circles, coloured by a quantity, with the forces between them as lines.
+    """Draw beads of a lattice of the plane as circles, coloured by a quantity, with the forces between them as lines.
 
     **Arguments:**
 
@@ -130,18 +136,9 @@ def _numbers(values, places, times, length=False):
 def _circles(ax, at, radius) -> EllipseCollection:
     """Circles of one radius at some places."""
     size = np.full(len(at), 2 * radius)
-    return ax.add_collection(
-        EllipseCollection(
-            size,
-            size,
-            np.zeros(len(at)),
-            units="xy",
-            offsets=at,
-            offset_transform=ax.transData,
-            edgecolor="0.35",
-            linewidth=0.4 if len(at) < MANY else 0,
-        )
-    )
+    look = {"edgecolor": "0.35", "linewidth": 0.4 if len(at) < MANY else 0}
+    where = {"units": "xy", "offsets": at, "offset_transform": ax.transData}
+    return ax.add_collection(EllipseCollection(size, size, 0 * size, **where, **look))
 
 
 def _lines(ax, lines, force, radius, units):
@@ -149,7 +146,7 @@ def _lines(ax, lines, force, radius, units):
     by = shown("force", force, "N", units)
     force = by(force)
     top = np.nanmax(np.abs(force), initial=0.0)
-    drawn = np.isfinite(lines).all((1, 2)) & (np.abs(force) > 1e-3 * top)
+    drawn = np.isfinite(lines).all((1, 2)) & (np.abs(force) > LEAST * top)
     lines, force = lines[drawn], force[drawn]
     if not len(force):
         return
@@ -160,13 +157,11 @@ def _lines(ax, lines, force, radius, units):
     width = widest * np.abs(force) / top
     ax.add_collection(LineCollection(lines, linewidths=width, colors=tones, zorder=2))
     keys = []
-    for tone, word, of in (("0.1", "force", force[force >= 0]), (COLOURS[1], "pull", -force)):
-        largest = of.max(initial=0.0)
+    for tone, word, largest in (("0.1", "force", force.max()), (COLOURS[1], "pull", -force.min())):
         if largest > 0:
-            name = f"{word} {largest:.3g} {by.unit or '(scaled)' * (units is not None)}".strip()
+            name = f"{word} {largest:.3g} {by.after}".strip()
             keys.append(Line2D([], [], color=tone, lw=widest * largest / top, label=name))
-    ax.legend(handles=keys, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
-    ax.get_legend().set_frame_on(False)
+    add_legend(ax, keys)
 
 
 def _frame(ax, at, radius, label):
@@ -174,6 +169,7 @@ def _frame(ax, at, radius, label):
     low, high = np.nanmin(at, 0) - 1.5 * radius, np.nanmax(at, 0) + 1.5 * radius
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     ax.set(xlabel=label, ylabel="y" + label[1:])
+    ax.locator_params(nbins=5)
 
 
 def film(
@@ -189,7 +185,7 @@ def film(
     radius: Scalar | None = None,
     ax: AxesOrNone = None,
 ) -> FuncAnimation:
-    """A film of a run: a chain as a curve over its sites, a lattice of the plane as beads.
+    """Make a film of a run: a chain as a curve over its sites, a lattice of the plane as beads.
 
     `gx.plots.save(film(run, lattice), "impact.gif")`, or .mp4 where ffmpeg is installed.
 
@@ -220,7 +216,7 @@ def film(
     if ax is None:  # of a figure that no notebook shows beside the film
         with style():
             ax = figure(*((5.4, 3.0) if places is None else (4.8, 4.2))).subplots()
-    title = ax.set_title(" ")
+    title, unit = ax.set_title(" "), by_time.after
     if places is None:
         (line,) = ax.plot(data[0], "o-", ms=2.5, lw=0.8, color=COLOURS[0])
         low = 0.0 if np.nanmin(data) >= -SIGNED * top else -top
@@ -231,7 +227,7 @@ def film(
 
     def frame(i):
         show(i)
-        title.set_text(f"t = {ts[i]:.4g} {by_time.unit}".rstrip())
+        title.set_text(f"t = {ts[i]:.4g} {unit}".rstrip())
 
     count = len(ts) if frames is None else min(whole("frames", frames, 2), len(ts))
     chosen = np.unique(np.round(np.linspace(0, len(ts) - 1, count)).astype(int))
@@ -247,7 +243,7 @@ def _moving(ax, run, places, radius, move, data, top, by, units):
     circles = _circles(ax, at, radius)
     norm, name = colours_of(data, top)
     circles.set(norm=norm, cmap=name, array=data[0])
-    add_colour_bar(ax, circles, by.label)
+    add_colour_bar(ax, circles, by.label, data)
     shift = np.zeros((len(data), 1, 2))
     if move:
         us = history(run, "u").data

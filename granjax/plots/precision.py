@@ -6,8 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
-from .arrays import numbers
-from .style import FAINT, AxesOrNone, axes_or_new, colour
+from .style import FAINT, AxesOrNone, add_legend, axes_or_new, colour
 
 # what is drawn, and its label
 AGAINST = {
@@ -19,7 +18,7 @@ DEFAULT = "default"
 
 
 def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> Axes:
-    """Error against the work that it takes, both logarithmic: down and to the left is better.
+    """Draw the error against the work that it takes, both logarithmic: down and to the left is better.
 
     **Arguments:**
 
@@ -32,46 +31,24 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
     or a table where no point is drawn.
     """
     column, label = AGAINST[one_of("against", against, tuple(AGAINST))]
-    work, error = (
-        numbers(f"wp.{column}", getattr(wp, column), 1, finite=False),
-        numbers("wp.error", wp.error, 1, False),
-    )
+    work, error = np.asarray(getattr(wp, column)), np.asarray(wp.error)
     method = np.array(wp.method, dtype=object)
     shown = np.asarray(wp.drawn, bool) & np.isfinite(work) & (work > 0) & (error > 0)
     if not shown.any():
         refuse("wp", "a table with points to draw", "none", "Its notes say why; print it.")
     ax = axes_or_new(ax, 6.6, 4.0)
-    ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the final state")
+    ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error")
     for i, name in enumerate(wp.methods):
-        own = np.flatnonzero(shown & (method == name))
-        if not own.size:
-            continue
+        own = shown & (method == name)
+        look = {"color": colour(i), "marker": MARKS[i // 7 % 7], "ls": ("-", "--", ":")[i // 7 % 3]}
         if name == DEFAULT:
-            ax.plot(
-                work[own],
-                error[own],
-                "*",
-                color="black",
-                ms=12,
-                mec="white",
-                mew=0.6,
-                zorder=4,
-                label=name,
-            )
-        else:
-            style = {"ms": 4, "mec": "white", "mew": 0.4, "lw": 1.2}
-            ax.plot(
-                work[own],
-                error[own],
-                marker=MARKS[i // 7 % 7],
-                color=colour(i),
-                label=name,
-                **style,
-            )
-            ax.lines[-1].set_linestyle(("-", "--", ":")[i // 7 % 3])
+            look = {"color": "black", "marker": "*", "ms": 12, "ls": "none", "zorder": 4}
+        if own.any():
+            look = {"ms": 4, "mec": "white", "mew": 0.4, "lw": 1.2, "label": name} | look
+            ax.plot(work[own], error[own], **look)
     _shade(ax, float(wp.floor), float(error[shown].min()))
     ax.grid(True, which="major", color=FAINT, alpha=0.25, lw=0.6)
-    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    add_legend(ax)
     return ax
 
 
@@ -81,13 +58,6 @@ def _shade(ax, floor, lowest):
         return
     bottom, top = min(floor, lowest) / 10, ax.get_ylim()[1]
     ax.axhspan(bottom, floor, color=FAINT, alpha=0.3, lw=0, zorder=0)
-    ax.text(
-        0.01,
-        floor,
-        "uncertainty of the reference",
-        transform=ax.get_yaxis_transform(),
-        va="bottom",
-        size="x-small",
-        color="0.35",
-    )
+    where = {"transform": ax.get_yaxis_transform(), "va": "bottom"}
+    ax.text(0.01, floor, "uncertainty of the reference", size="x-small", color="0.35", **where)
     ax.set_ylim(bottom, top)

@@ -9,16 +9,25 @@ from matplotlib.axes import Axes
 from ..checks import one_of, positive, refuse
 from ..types import Parameter, Scalar
 from .arrays import numbers, rising
-from .style import COLOURS, DASHES, AxesOrNone, axes_or_new, colour, shown, units_of
+from .style import (
+    COLOURS,
+    DASHES,
+    AxesOrNone,
+    add_legend,
+    axes_or_new,
+    colour,
+    shown,
+    units_of,
+)
 
-BOND, SPEED = r"bond from the step $n$", r"speed $n/t$, bonds per time"
+BOND = r"bond from the step $n$"
+SPEED = r"speed $n/t$, bonds per time"
 OVER = ("place", "speed")
-EDGES = ("trailing_speed", "leading_speed")
 # of `modulation`: the field of a `Shock`, that of a theory, what it is called, and the unit of its numbers in SI
 QUANTITIES = {
     "m": ("m", "m", r"modulation parameter $m$", ""),
     "mean": ("means", "mean", "mean strain", "m"),
-    "amplitude": ("amplitudes", "amplitude", "strain, crest less trough", "m"),
+    "amplitude": ("amplitudes", "amplitude", "strain amplitude", "m"),
     "wavelength": ("wavelengths", "wavelength", "wavelength (bonds)", ""),
 }
 
@@ -33,12 +42,12 @@ def shock(
     time: Scalar | None = None,
     over: str = "place",
 ) -> Axes:
-    r"""Strain after a step over the place, or over n/t, with edges, plateau and amplitude of a shock.
+    r"""Draw the strain after a step over the place, or over n/t, with edges, plateau and amplitude of a shock.
 
     **Arguments:**
 
-    - `run_or_strain`: a run of `problem.run(...)`, whose last state is drawn; a `SpaceTime`, its last frame; or
-      strains (B,). `problem`: what was run, `None` for what the run remembers.
+    - `run_or_strain`: a run of `problem.run(...)`, whose last state is drawn; or strains (B,). `problem`: what was
+      run, `None` for what the run remembers.
     - `shock`: anything with `trailing_speed`, `leading_speed`, `mean` and `amplitude`, such as `gx.shocks.measure(run)`
       or a theory's `velocity_shock(c)`: its edges are dashed, its mean and its amplitude drawn and written beside.
     - `places` (B,), rising: of strains, from the step; `time`: theirs, needed where edges are drawn or `over="speed"`.
@@ -66,86 +75,51 @@ def shock(
     ax.plot(by_x(x), by_y(strain), color=COLOURS[0], lw=0.9, label="strain")
     ax.set(xlim=by_x(x[[0, -1]]), xlabel=by_x.label, ylabel=by_y.label)
     if shock is not None:
-        _mark(ax, shock, by_x.factor * (time if over == "place" else 1.0), by_y, strain)
+        _mark(ax, shock, by_x.factor * (time if over == "place" else 1.0), by_y)
     return ax
 
 
-def _mark(ax, shock, along, by_y, strain):
+def _mark(ax, shock, along, by_y):
     """Edges, plateau and amplitude; `along`: what a speed is multiplied with to be a place of the picture."""
-    trailing, leading, mean, amplitude = (
-        _number(f"shock.{name}", getattr(shock, name)) for name in (*EDGES, "mean", "amplitude")
+    trailing, leading = along * float(shock.trailing_speed), along * float(shock.leading_speed)
+    ahead, mean, way = float(getattr(shock, "ahead", 0.0)), float(shock.mean), np.sign(leading)
+    ground, level, crest = by_y(
+        [ahead, mean, ahead + np.copysign(float(shock.amplitude), mean - ahead)]
     )
-    ahead, way = float(getattr(shock, "ahead", 0.0)), np.sign(leading)
-    level, top = by_y([mean, ahead + np.copysign(amplitude, mean - ahead)])
-    low, high = (
-        pick([y, *(x for x in (level, top) if np.isfinite(x))])
-        for pick, y in zip((min, max), ax.get_ylim())
-    )
+    low, high = ax.get_ylim()
+    seen = [y for y in (low, high, level, crest) if np.isfinite(y)]
+    low, high = min(seen), max(seen)
     ax.set_ylim(low, high + 0.16 * (high - low))
-    for name, speed, side in (("trailing edge", trailing, -way), ("leading edge", leading, way)):
-        if np.isfinite(speed):
-            ax.axvline(along * speed, color=COLOURS[1], ls="--", lw=1.0, zorder=1)
-            ax.annotate(
-                f"{name} ",
-                (along * speed, 1.0),
-                (5 * side, -3),
-                ("data", "axes fraction"),
-                "offset points",
-                color=COLOURS[1],
-                size="small",
-                va="top",
-                ha="left" if side > 0 else "right",
-            )
-    unit = f" {by_y.unit}" if by_y.unit and by_y.unit != "scaled" else ""
-    behind = along * (trailing if np.isfinite(trailing) else 0.0)
-    ax.hlines(
-        level,
-        *sorted((0.0, behind)) if behind else ax.get_xlim(),
-        color=COLOURS[2],
-        ls="--",
-        lw=1.2,
-        zorder=3,
-    )
-    ax.annotate(
-        f"mean {level:.4g}{unit}",
-        (behind / 2, level),
-        (0, -4),
-        "data",
-        "offset points",
-        color=COLOURS[2],
-        size="small",
-        va="top",
-        ha="center",
-        bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.5},
-    )
-    if np.isfinite(leading) and np.isfinite(top):
-        ends = [(along * leading, y) for y in (float(by_y(ahead)), top)]
-        ax.annotate(
-            "",
-            *ends,
-            arrowprops={"arrowstyle": "<->", "color": COLOURS[3], "shrinkA": 0, "shrinkB": 0},
-        )
-        ax.annotate(
-            f" amplitude {abs(top - ends[0][1]):.4g}{unit}",
-            (along * leading, (top + ends[0][1]) / 2),
-            (6 * way, 0),
-            "data",
-            "offset points",
-            color=COLOURS[3],
-            size="small",
-            ha="left" if way > 0 else "right",
-            va="center",
-        )
-    _room(ax, along * leading, way)
 
+    def write(words, place, offset, tone, side, **where):
+        """Words beside a place, to the right of it where `side` is above zero, in the middle for 0."""
+        look = {"size": "small", "color": tone, "ha": ("center", "left", "right")[int(side)]}
+        where = {"xycoords": "data", "textcoords": "offset points", **where}
+        ax.annotate(words, place, offset, **look, **where)
 
-def _room(ax, edge, way):
-    """Place for what is written ahead of the leading edge."""
-    low, high = ax.get_xlim()
-    if not np.isfinite(edge):
+    for name, edge, side in (("trailing edge", trailing, -way), ("leading edge", leading, way)):
+        if np.isfinite(edge):
+            ax.axvline(edge, color=COLOURS[1], ls="--", lw=1.0, zorder=1)
+            coords = ("data", "axes fraction")
+            write(name, (edge, 1.0), (5 * side, -3), COLOURS[1], side, xycoords=coords, va="top")
+    behind = trailing if np.isfinite(trailing) else 0.0
+    across = sorted((0.0, behind)) if behind else ax.get_xlim()
+    ax.hlines(level, *across, color=COLOURS[2], ls="--", lw=1.8, zorder=3)
+    paper = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.5}
+    words = f"mean {level:.4g} {by_y.unit}".strip()
+    write(words, (behind / 2, level), (0, -4), COLOURS[2], 0, va="top", bbox=paper)
+    if not np.isfinite(leading):
         return
-    space = 0.3 * abs(edge - (low if way > 0 else high))
-    ax.set_xlim(*(low, max(high, edge + space)) if way > 0 else (min(low, edge - space), high))
+    if np.isfinite(crest):
+        arrow = {"arrowstyle": "<->", "color": COLOURS[3], "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", (leading, ground), (leading, crest), arrowprops=arrow)
+        words = f"amplitude {abs(crest - ground):.4g} {by_y.unit}".strip()
+        middle = (leading, (crest + ground) / 2)
+        write(words, middle, (6 * way, 0), COLOURS[3], way, va="center")
+    # room for what is written ahead of the leading edge
+    first, last = ax.get_xlim()
+    space = 0.4 * (leading - (first if way > 0 else last))
+    ax.set_xlim(min(first, leading + space), max(last, leading + space))
 
 
 def modulation(
@@ -155,7 +129,7 @@ def modulation(
     quantity: str = "m",
     beside: Mapping[str, Any] | None = None,
 ) -> Axes:
-    """How the waves of a shock change along it: as measured in windows, over n/t, beside theories.
+    """Draw how the waves of a shock change along it: as measured in windows, over n/t, beside theories.
 
     **Arguments:**
 
@@ -168,12 +142,12 @@ def modulation(
     **Returns:** the Axes; what was measured is `ax.lines[0]`.
     """
     measured, field, label, unit = QUANTITIES[one_of("quantity", quantity, tuple(QUANTITIES))]
-    s = numbers("shock.s", shock.s, 1)
-    values = numbers(f"shock.{measured}", getattr(shock, measured), 1, finite=False)
+    s = np.asarray(shock.s)
+    values = np.asarray(getattr(shock, measured))
     curves = {}
     if quantity == "m" and hasattr(shock, "speeds_of_m"):
         name = {"toda": "Toda", "kdv": "KdV"}.get(shock.theory, "theory")
-        curves[name] = numbers("shock.speeds_of_m", shock.speeds_of_m, 1, finite=False), values
+        curves[name] = np.asarray(shock.speeds_of_m), values
     for name, one in (beside or {}).items():
         if not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
             one = one.speed, getattr(one, field)
@@ -188,32 +162,19 @@ def modulation(
         dash = DASHES[i % len(DASHES)]
         ax.plot(by_x(x[order]), by_y(y[order]), dash, color=colour(i + 1), label=name)
     ax.set(xlabel=by_x.label, ylabel=by_y.label)
-    ax.legend(frameon=False)
+    add_legend(ax, inside=True)
     return ax
-
-
-def _number(argument, x):
-    """One number, or NaN."""
-    return float(numbers(argument, x, 0, finite=False))
 
 
 def _profile(given, problem, places, time):
     """Places, strains, time (`None` where nobody says) and units of what is drawn."""
-    if hasattr(given, "final") and hasattr(given, "ts") and not hasattr(given, "strain"):
+    if hasattr(given, "final"):
         problem = getattr(given, "started", None) if problem is None else problem
         if problem is None:
-            refuse(
-                "problem",
-                "what was run, as gx.shocks.velocity_shock returns it",
-                "None, and the run does not know",
-            )
-        strain = problem.strain(given.final.u)
-        places, time = (
-            np.arange(len(strain)) - np.asarray(problem.centre, float),
-            np.asarray(given.ts)[-1],
-        )
-    elif hasattr(given, "strain") and hasattr(given, "places") and hasattr(given, "ts"):
-        strain, places, time = np.asarray(given.strain)[-1], given.places, np.asarray(given.ts)[-1]
+            wanted = "what was run, as gx.shocks.velocity_shock returns it"
+            refuse("problem", wanted, "None, and the run does not know")
+        strain, time = problem.strain(given.final.u), np.asarray(given.ts)[-1]
+        places = np.arange(len(strain)) - np.asarray(problem.centre, float)
     else:
         strain = given
     strain = numbers("run_or_strain", strain, 1)

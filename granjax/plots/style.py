@@ -13,8 +13,10 @@ import numpy as np
 from matplotlib.animation import Animation, FFMpegWriter
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from ..checks import one_of, positive, refuse
 from ..files import target, write
@@ -33,6 +35,14 @@ HERTZ = known_unit("Hz")
 # a label that ends with a unit
 BRACKET = re.compile(r"(.*\S)\s*[([]([^)\]]+)[)\]]\s*$")
 OMEGA = r"angular frequency $\omega$"
+# of the range of a colour bar, what numbers may lie beyond it by rounding
+ROUNDING = 1e-6
+# of a legend: the width of a letter [points], and letters that a handle takes
+LETTER = 4.6
+HANDLE = 5
+# more rows than these are written smaller
+ROWS = 3
+SMALLER = 0.75
 
 _STYLE = {
     "font.size": 10.0,
@@ -54,7 +64,7 @@ _STYLE = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """The house style as a context: `with gx.plots.style(): ...` for Axes of your own.
+    """Set the house style in a context: `with gx.plots.style(): ...` for Axes of your own.
 
     **Example:**
 
@@ -73,7 +83,7 @@ def style() -> Iterator[None]:
 
 
 def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
-    """An empty figure without a window, to be filled by `.subplots(rows, columns)` inside `with style()`.
+    """Make an empty figure without a window, to be filled by `.subplots(rows, columns)` inside `with style()`.
 
     **Arguments:** `width`, `height` [inch]. **Returns:** a matplotlib `Figure` that lays itself out.
     **Raises** ValueError for sizes that are not above zero.
@@ -100,32 +110,28 @@ def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
     'square.png'
     """
     path = target("path", path)
-    return write(path, _drawn("path", made, path.suffix, dpi))
+    return write(path, drawn(made, path.suffix, dpi=dpi))
 
 
 def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
-    """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it."""
-    return _drawn("ending", made, ending, dpi)
-
-
-def _drawn(argument, made, ending, dpi):
+    """Return what a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it."""
     dpi = float(positive("dpi", dpi))
     if isinstance(made, Animation):
-        return _moving(argument, made, ending, dpi)
+        return _moving(made, ending, dpi)
     picture = _figure(made)
     known = [f".{name}" for name in picture.canvas.get_supported_filetypes()]
-    kind, buffer = one_of(argument, ending.lower(), known)[1:], io.BytesIO()
+    kind, buffer = one_of("ending", ending.lower(), known)[1:], io.BytesIO()
     with style():
         picture.savefig(buffer, format=kind, dpi=dpi, facecolor="white")
     return buffer.getvalue()
 
 
-def _moving(argument, made, ending, dpi):
+def _moving(made, ending, dpi):
     """An animation's file. Its writers know files alone, so that one is made elsewhere."""
     writers = {".gif": "pillow"} | {
         end: "ffmpeg" for end in (".mp4", ".webm") if FFMpegWriter.isAvailable()
     }
-    ending = one_of(argument, ending.lower(), list(writers))
+    ending = one_of("ending", ending.lower(), list(writers))
     with tempfile.TemporaryDirectory(prefix="granjax-") as folder:
         place = Path(folder) / f"animation{ending}"
         with style():
@@ -150,39 +156,59 @@ def _figure(made):
     return found[0]
 
 
-def axes_or_new(ax: AxesOrNone, width: Scalar = 5.0, height: Scalar = 3.6) -> Axes:
-    """The Axes that were given, or those of a new pyplot figure in the house style."""
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt
-
-    with style():
-        return plt.subplots(figsize=(width, height), layout="constrained")[1]
-
-
-def several_axes(
-    axes: Sequence[Axes] | np.ndarray | None,
-    rows: Count,
-    columns: Count,
+def axes_or_new(
+    ax: Axes | Sequence[Axes] | np.ndarray | None,
     width: Scalar,
     height: Scalar,
-) -> np.ndarray:
-    """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
-    if axes is not None:
-        return np.asarray(axes, dtype=object)
+    rows: Count = 1,
+    columns: Count = 1,
+    **how: Any,
+) -> Axes | np.ndarray:
+    """Return the Axes that were given, several as an array; or those of a new pyplot figure in the house style."""
+    if ax is not None:
+        return ax if rows * columns == 1 else np.asarray(ax, dtype=object)
     import matplotlib.pyplot as plt
 
     with style():
-        return plt.subplots(rows, columns, figsize=(width, height), layout="constrained")[1]
+        size = {"figsize": (width, height), "layout": "constrained"}
+        return plt.subplots(rows, columns, **size, **how)[1]
+
+
+def add_legend(ax: Axes, handles: Sequence[Artist] | None = None, *, inside: bool = False) -> None:
+    """Write a legend that hides nothing, in as many columns as have room.
+
+    It stands above the Axes; or `inside`, at their top, whose upper limit makes room: they may then have a title.
+    """
+    handles = ax.get_legend_handles_labels()[0] if handles is None else handles
+    if not handles:
+        return
+    width, height = ax.get_window_extent().size / ax.figure.dpi * 72
+    letters = max(len(str(handle.get_label())) for handle in handles) + HANDLE
+    size, columns = _STYLE["legend.fontsize"], max(1, int(width / LETTER / letters))
+    if len(handles) > ROWS * columns:
+        size, columns = SMALLER * size, max(1, int(width / (SMALLER * LETTER) / letters))
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    if inside:
+        place = {"loc": "upper left"}
+        share = 1.5 * size * (1 + -(-len(handles) // columns)) / height
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, low + (high - low) / (1 - min(share, 0.6)))
+    look = {"handlelength": 1.6, "columnspacing": 1.2, "fontsize": size}
+    with style():
+        ax.legend(handles=handles, ncols=min(columns, len(handles)), **place, **look)
 
 
 def colour(i: Count) -> str:
-    """The i-th line colour, around again after the last."""
+    """Return the i-th line colour, around again after the last."""
     return COLOURS[i % len(COLOURS)]
 
 
-def add_colour_bar(ax: Axes, image: object, label: str, extend: str = "neither") -> object:
-    """A colour bar beside the Axes, with letters of their size."""
+def add_colour_bar(ax: Axes, image: Any, label: str, data: Any = None) -> Any:
+    """Add a colour bar beside the Axes, pointed where numbers (those of the image, or `data`) lie beyond its ends."""
+    data, norm = np.ma.compressed(image.get_array() if data is None else data), image.norm
+    beyond = ROUNDING * (norm.vmax - norm.vmin)
+    low, high = np.nanmin(data) < norm.vmin - beyond, np.nanmax(data) > norm.vmax + beyond
+    extend = ("neither", "max", "min", "both")[int(high) + 2 * int(low)]
     bar = ax.figure.colorbar(image, ax=ax, pad=0.02, extend=extend, extendfrac=0.03)
     bar.set_label(label, size=ax.yaxis.label.get_size())
     # Axes that share an axis with others may have no letters of their own there
@@ -190,6 +216,16 @@ def add_colour_bar(ax: Axes, image: object, label: str, extend: str = "neither")
     if letters:
         bar.ax.tick_params(labelsize=letters[0].get_size())
     return bar
+
+
+def log_ticks(axis: Axis, x: Any) -> None:
+    """Write 2 and 5 in place of powers of ten alone where the numbers of a logarithmic axis span less than two."""
+    x = np.asarray(x)
+    x = x[np.isfinite(x) & (x > 0)]
+    if x.size and x.max() < 100 * x.min():
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 class Shown(NamedTuple):
@@ -202,25 +238,29 @@ class Shown(NamedTuple):
     label: str
     unit: str
 
+    @property
+    def after(self) -> str:
+        """What follows a number: its unit, or "(scaled)"."""
+        return self.unit or f"({SCALED})" * self.label.endswith(f"({SCALED})")
+
     def __call__(self, x: Any) -> np.ndarray | float:
         return self.factor * np.asarray(x, float)
 
 
 def units_of(*results: Any) -> str | None:
-    """What the numbers of results (`None` for none) are counted in, "SI" or "scaled"; `None` where none says.
+    """Say what the numbers of results (`None` for none) are counted in, "SI" or "scaled"; `None` where none says.
 
     **Raises** ValueError where one is in SI and another scaled, which make no picture together.
     """
     found = {getattr(x, "units", None) for x in results} & {SI, SCALED}
     if len(found) > 1:
-        raise ValueError(
-            "One picture takes results that are all in SI or all scaled; got some of each."
-        )
+        sentence = "One picture takes results that are all in SI or all scaled; got some of each."
+        raise ValueError(sentence)
     return found.pop() if found else None
 
 
 def said_by(x: Any, unit: str | None, units: str | None) -> tuple[str | None, str | None]:
-    """The unit of numbers, and what they are counted in: what a variable of a dataset says itself goes first."""
+    """Return the unit of numbers, and what they are counted in: what a variable of a dataset says itself goes first."""
     own = getattr(x, "attrs", {}).get("units")
     return (unit, units) if own is None else (own, SCALED if own == SCALED else SI)
 

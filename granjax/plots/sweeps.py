@@ -1,23 +1,65 @@
 """Sweeps: lines over one parameter, maps over two, dots of a list."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, CenteredNorm, ListedColormap, LogNorm, Normalize
 
 from ..checks import one_of, refuse
-from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new, colour
-from .sweep_fields import edges_of, field_of, name_axis, places, with_lines
+from ..units import SCALED, SI
+from .style import (
+    COLOURS,
+    AxesOrNone,
+    Shown,
+    add_colour_bar,
+    add_legend,
+    axes_or_new,
+    colour,
+    log_ticks,
+    shown,
+)
 
+REASON = "reason"
+LANE = "lane"
+NOT_YET = "not computed yet"
 SCALES = ("linear", "log")
-# words with a colour each
-WORDS = len(COLOURS)
 GAP = "0.85"
-# letters in a row of a legend, and of what stands before each label
-ROW, HANDLE = 64, 6
-# words that have the same colours everywhere
+# words that have the same colours everywhere, and what tells their bands apart without colours
 KNOWN = {"stable": 0, "unstable": 1, "undecided": 3, "yes": 0, "no": 1}
+HATCHES = ("", "///", "xx", "...", "---", "|||", "++")
+# how even the steps of an axis are
+EVEN = 1e-6
+# largest over smallest value of a parameter of a list, from which on its axis is logarithmic
+WIDE = 100
+# lines of more points have no dots
+MANY = 64
+
+
+class Along(NamedTuple):
+    """A parameter on an axis: where its values stand; words stand one after the other, each at one place."""
+
+    at: np.ndarray
+    log: bool
+    name: str
+    label: str
+    unit: str = ""
+    words: tuple[str, ...] = ()
+
+
+class Field(NamedTuple):
+    """What is drawn of a sweep: numbers or words, lanes first; what failed; the parameters, the axes of a grid.
+
+    `grid`: whether the parameters span a grid; else lanes lie side by side. `by`: how the numbers are drawn.
+    """
+
+    name: str
+    values: np.ndarray
+    failed: np.ndarray
+    axes: list[Along]
+    grid: bool
+    by: Shown
+    errors: np.ndarray | None
 
 
 def sweep(
@@ -30,11 +72,11 @@ def sweep(
     scale: str = "linear",
     colour_bar: bool = True,
 ) -> Axes:
-    """Picture of a sweep: a line over one parameter, a map over two.
+    """Draw a sweep: a line over one parameter, a map over two.
 
-    Lanes of a list or a random design are dots: over one parameter, or coloured over two. Words are bands, cells or
-    dots of a colour each. A lane that failed is a cross, and what is not known a gap. Axes are
-    logarithmic where their values are spaced so.
+    Lanes of a list or a random design are dots: over one parameter, or coloured over two. Words are dots, one row each,
+    or cells of a colour each. A lane that failed is a cross, and what is not known a gap. Axes are logarithmic where
+    their values are spaced so.
 
     **Arguments:**
 
@@ -61,264 +103,244 @@ def sweep(
     ('ratio', 'cutoff')
     """
     one_of("scale", scale, SCALES)
-    field = field_of(data, name)
-    count = len(field.parameters)
+    field = _field(data, name, lines)
+    count = len(field.axes)
     if count > 2:
         remedy = "Fix some: data.sel(load=1.0, method='nearest')."
         refuse("data", "one or two parameters that vary", f"{count}", remedy)
-    if lines is not None:
-        field = with_lines(field, lines)
     if bands is not None and (count != 1 or not field.grid):
         refuse("bands", "None, but for a line over one parameter of a grid", repr(bands))
-    if field.values.ndim > field.failed.ndim and count > 1:
-        refuse(
-            "name",
-            "a variable with one value per lane, where several parameters vary",
-            repr(field.name),
-            f"Pick one: data.isel({field.name}_0=0).",
-        )
-    if not field.grid:
-        return _scattered(field, ax, scale, colour_bar)
-    if lines is not None or count == 1:
-        return _lines(field, ax, None if bands is None else field_of(data, bands), scale)
-    return _map(field, axes_or_new(ax, 5.4, 4.0), scale, colour_bar)
-
-
-def _lines(field, ax, bands, scale):
-    """Lines over one parameter: of a variable, of its own axis, or of the values of a second parameter."""
-    names = list(field.parameters)
-    by_x, by_y = field.by[names[0]], field.by[field.name]
-    ax = axes_or_new(ax, 5.4, 3.6)
-    x, log = places(field.parameters[names[0]], by_x)
-    order = np.argsort(x)
-    if bands is not None:
-        _bands(ax, x[order], bands.values[order], log, bands.name)
-    if field.values.dtype.kind == "U":
-        _bands(ax, x[order], field.values[order], log, field.name)
-        ax.set_yticks([])
-        ax.set_ylabel(by_y.label)
+    if field.values.ndim > field.failed.ndim and not (field.grid and count == 1):
+        remedy = f"Pick one: data.isel({field.name}_0=0)."
+        refuse("name", "a variable with one value per lane", repr(field.name), remedy)
+    if count == 1 or lines is not None:
+        ax = axes_or_new(ax, 5.4, 3.6)
+        if bands is not None:
+            _draw_bands(ax, field.axes[0], _field(data, bands))
+        _draw_over_one(field, ax, scale)
     else:
-        _drawn_lines(ax, field, x, order, by_y, names)
-        ax.set_ylabel(by_y.label)
-        if scale == "log" and (field.values > 0).any():
-            ax.set_yscale("log")
-    name_axis(ax.xaxis, field.parameters[names[0]], by_x.label, log)
-    if len(x) > 1:
-        edges = x.min(), x.max()
-        ax.set_xlim(edges if edges[0] < edges[1] else None)
-    failed = field.failed if field.failed.ndim == 1 else field.failed.any(axis=1)
-    _crosses(
-        ax,
-        x[failed],
-        np.full(np.count_nonzero(failed), 0.03),
-        field.failed,
-        ax.get_xaxis_transform(),
-    )
-    _legend(ax)
+        ax = axes_or_new(ax, 5.4, 4.0)
+        _draw_over_two(field, ax, scale, colour_bar)
+    add_legend(ax)
     return ax
 
 
-def _drawn_lines(ax, field, x, order, by, names):
-    values = field.values.reshape(len(x), -1)
-    said = [None] if values.shape[1] == 1 else [str(i) for i in range(values.shape[1])]
-    if len(names) == 2:
-        said = _each(field, names[1])
-    dots = {"marker": "o", "ms": 3} if len(x) <= 64 else {}
-    for i, label in enumerate(said):
-        seen = np.where(np.isfinite(values[order, i]), values[order, i], np.nan)
-        ax.plot(x[order], by(seen), color=colour(i), label=label, lw=1.4, **dots)
-    if field.errors is not None and values.shape[1] == 1:
-        errors = by(np.where(np.isfinite(field.errors), np.abs(field.errors), 0.0))
-        y = by(values[order, 0])
-        ax.errorbar(x[order], y, errors[order], fmt="none", ecolor=colour(0), lw=1)
-
-
-def _each(field, name):
-    """Each value of a parameter in words."""
-    by, x = field.by[name], field.parameters[name]
-    said = [f"{value:.4g}" for value in by(x)] if x.dtype.kind in "fiu" else x
-    return [f"{field.labels[name]} {value} {by.unit}".rstrip() for value in said]
-
-
-def _bands(ax, x, words, log, name):
-    """Words along an axis, as bands of a colour each."""
-    (found, tones), edges = _kinds(words, name), edges_of(x, log)
-    begin = 0
-    for i in range(1, len(words) + 1):
-        if i == len(words) or words[i] != words[begin]:
-            if words[begin]:
-                tone = tones[found.index(words[begin])]
-                label = None if words[begin] in words[:begin] else words[begin]
-                ax.axvspan(
-                    edges[begin], edges[i], color=tone, alpha=0.18, lw=0, label=label, zorder=0
-                )
-            begin = i
-
-
-def _kinds(words, name):
-    """The different words and their colours: known ones in the order and the colours of `KNOWN`."""
-    order = list(KNOWN)
-    found = sorted(
-        {str(word) for word in words.flat} - {""},
-        key=lambda x: (order.index(x) if x in KNOWN else 9, x),
-    )
-    if len(found) > WORDS:
-        refuse(
-            "name", f"a variable of at most {WORDS} different words", f"{name!r}, with {len(found)}"
+def _field(data, name, last=None):
+    """The `Field` of a variable of a dataset, with a parameter as its last axis."""
+    parameters, grid, dims = _parameters(data)
+    if last is not None:
+        if not grid or len(dims) != 2:
+            refuse("lines", "None, but for a grid of two parameters", f"{last!r} of {len(dims)}")
+        one_of("lines", last, dims)
+        dims = tuple(sorted(dims, key=lambda dim: dim == last))
+        parameters = {dim: parameters[dim] for dim in dims}
+    known = [k for k, x in data.data_vars.items() if k != REASON and set(dims) <= set(x.dims)]
+    if name is None:
+        scalar = [k for k in known if data[k].ndim == len(dims)] or known
+        name = next((k for k in scalar if data[k].dtype.kind in "fiuc"), scalar[0])
+    values = np.asarray(data[one_of("name", name, known)].transpose(*dims, ...).values)
+    reason = np.full(values.shape[: len(dims)], "")
+    if REASON in data:
+        reason = np.asarray(data[REASON].transpose(*dims).values).astype(str)
+    label = _words(data, name)
+    if values.dtype.kind == "c":
+        values, label = np.abs(values), f"|{label}|"
+    elif values.dtype.kind == "b":
+        computed = (reason == "").reshape(reason.shape + (1,) * (values.ndim - reason.ndim))
+        values = np.where(computed, np.where(values, "yes", "no"), "")
+    elif values.dtype.kind in "OSU":
+        values = values.astype(str)
+    else:
+        values = np.where(np.isfinite(values), values, np.nan)
+    by, errors = _shown(data, name, label, values), data.get(f"{name}_error")
+    if errors is not None:
+        errors = (
+            np.asarray(errors.transpose(*dims).values) if set(errors.dims) == set(dims) else None
         )
-    known = KNOWN.keys() >= {*found}
-    return found, [colour(KNOWN[word] if known else i) for i, word in enumerate(found)]
+    axes = [_along(data, key, x, grid) for key, x in parameters.items()]
+    failed = (reason != "") & (reason != NOT_YET)
+    return Field(name, values, failed, axes, grid, by, errors)
 
 
-def _crosses(ax, x, y, failed, transform=None):
+def _parameters(data):
+    """Values of the parameters by name, whether they span a grid, and the dimensions of the lanes."""
+    own = [key for key in data.coords if data[key].ndim == 1]
+    if LANE in data.dims:
+        along = {key: data[key].values for key in own if data[key].dims == (LANE,) and key != LANE}
+        return along or {LANE: np.arange(data.sizes[LANE])}, False, (LANE,)
+    if REASON in data:
+        dims = data[REASON].dims
+    else:
+        shared = [set(x.dims) for x in data.data_vars.values()] or [set()]
+        dims = tuple(key for key in data.dims if key in set.intersection(*shared) and key in own)
+    if not dims:
+        wanted = "coordinates by the names of the parameters that vary"
+        refuse("data", wanted, f"dimensions {tuple(data.dims)}")
+    return {key: data[key].values for key in dims}, True, dims
+
+
+def _words(data, name):
+    return str(data[name].attrs.get("long_name", name)).replace("_", " ")
+
+
+def _shown(data, name, label, x):
+    """How numbers of a dataset are drawn; words as they are."""
+    unit = data[name].attrs.get("units", "")
+    x = x if x.dtype.kind in "fiu" else np.zeros(1)
+    return shown(label, x, unit, SCALED if unit == SCALED else SI)
+
+
+def _along(data, name, x, grid):
+    """A parameter on an axis. Of a logarithmic one the middle has to be readable."""
+    x, label = np.asarray(x), _words(data, name)
+    if x.dtype.kind not in "fiu":
+        words = [str(value) for value in x]
+        found = tuple(dict.fromkeys(words))
+        at = np.array([found.index(word) for word in words], float)
+        return Along(at, False, label, label, words=found)
+    log = _is_log(x, grid)
+    typical = np.exp(np.log(x.astype(float)).mean(keepdims=True)) if log else x
+    by = _shown(data, name, label, typical)
+    return Along(by(x), log, label, by.label, by.unit)
+
+
+def _is_log(x, grid):
+    """Whether the numbers of a grid are spaced by their logarithm, or those of a list span more than an axis shows."""
+    x = np.sort(x[np.isfinite(x)])
+    if len(x) < 3 or x[0] <= 0:
+        return False
+    if not grid:
+        return bool(WIDE * x[0] <= x[-1])
+    ratios, steps = np.diff(np.log(x)), np.diff(x)
+    return bool(np.ptp(ratios) <= EVEN * ratios.mean() and np.ptp(steps) > EVEN * steps.mean())
+
+
+def _dress(ax, which, along):
+    """Label, words and scale of the axis "x" or "y"."""
+    ax.set(**{f"{which}label": along.label})
+    if along.words:
+        ax.set(**{f"{which}ticks": range(len(along.words)), f"{which}ticklabels": along.words})
+    if along.log:
+        ax.set(**{f"{which}scale": "log"})
+        log_ticks(getattr(ax, f"{which}axis"), along.at)
+
+
+def _edges(along, order):
+    """Ends of the cells about rising places."""
+    x = np.log(along.at[order]) if along.log else along.at[order]
+    if len(x) == 1:
+        x = np.array([x[0] - 0.5, x[0] + 0.5])
+    else:
+        middle = (x[1:] + x[:-1]) / 2
+        x = np.concatenate([[2 * x[0] - middle[0]], middle, [2 * x[-1] - middle[-1]]])
+    return np.exp(x) if along.log else x
+
+
+def _kinds(field):
+    """The different words, and a number for each that says its colour: known ones have the same everywhere."""
+    words = {str(word) for word in field.values.flat} - {""}
+    if len(words) > len(COLOURS):
+        wanted = f"a variable of at most {len(COLOURS)} different words"
+        refuse("name", wanted, f"{field.name!r}, with {len(words)}")
+    if words <= KNOWN.keys():
+        return {word: KNOWN[word] for word in KNOWN if word in words}
+    return {word: i for i, word in enumerate(sorted(words))}
+
+
+def _draw_bands(ax, along, field):
+    """Words along an axis, as bands of a colour and a pattern each."""
+    order = np.argsort(along.at)
+    words, edges, kinds = field.values[order], _edges(along, order), _kinds(field)
+    ends = [*np.flatnonzero(words[1:] != words[:-1]) + 1, len(words)]
+    named = set()
+    for begin, end in zip([0, *ends], ends):
+        word = str(words[begin])
+        if word:
+            tone, label = colour(kinds[word]), None if word in named else word
+            look = {"fc": (tone, 0.18), "ec": (tone, 0.35), "hatch": HATCHES[kinds[word]]}
+            ax.axvspan(edges[begin], edges[end], lw=0, zorder=0, label=label, **look)
+            named.add(word)
+
+
+def _draw_over_one(field, ax, scale):
+    """Lines or dots over one parameter: of a variable, of its own axis, or of the values of a second parameter."""
+    along, *second = field.axes
+    if field.values.dtype.kind == "U":
+        kinds = _kinds(field)
+        for y, (word, i) in enumerate(kinds.items()):
+            x = along.at[field.values == word]
+            ax.plot(x, np.full(len(x), y), "o", ms=3.5, color=colour(i))
+        ax.set_yticks(range(len(kinds)), list(kinds))
+        ax.set_ylim(-0.5, len(kinds) - 0.5)
+    else:
+        order = np.argsort(along.at)
+        x, y = along.at[order], field.by(field.values.reshape(len(order), -1)[order])
+        names = [None] if y.shape[1] == 1 else [f"{field.name} {i}" for i in range(y.shape[1])]
+        for other in second:
+            each = other.words or [f"{value:.4g} {other.unit}".rstrip() for value in other.at]
+            names = [f"{other.name} {value}" for value in each]
+        look = {"marker": "o", "ms": 3} if len(x) <= MANY or not field.grid else {}
+        for i, name in enumerate(names):
+            line = "-" if field.grid else "none"
+            ax.plot(x, y[:, i], color=colour(i), lw=1.4, ls=line, label=name, **look)
+        if field.errors is not None and y.shape[1] == 1:
+            errors = field.by(np.nan_to_num(np.abs(field.errors[order]), posinf=0.0))
+            ax.errorbar(x, y[:, 0], errors, fmt="none", ecolor=colour(0), lw=1)
+        if scale == "log" and (y > 0).any():
+            ax.set_yscale("log")
+            log_ticks(ax.yaxis, y)
+    ax.set_ylabel(field.by.label)
+    _dress(ax, "x", along)
+    x = along.at[field.failed.reshape(len(along.at), -1).any(1)]
+    _draw_crosses(ax, x, np.full(len(x), 0.03), field.failed, transform=ax.get_xaxis_transform())
+
+
+def _draw_crosses(ax, x, y, failed, **where):
     """Crosses where lanes failed, said in the legend."""
     if failed.any():
         label = f"failed: {np.count_nonzero(failed)} of {failed.size}"
-        more = {} if transform is None else {"transform": transform}
-        ax.plot(x, y, "x", color="black", ms=4, mew=1, label=label, clip_on=False, zorder=4, **more)
+        look = {"color": "black", "ms": 4, "mew": 1, "clip_on": False, "zorder": 4}
+        ax.plot(x, y, "x", label=label, **look, **where)
 
 
-def _legend(ax):
-    """A legend above, of so many columns that it is no wider than the Axes."""
-    said = ax.get_legend_handles_labels()[1]
-    if said:
-        columns = min(max(ROW // (HANDLE + max(map(len, said))), 1), 4)
-        ax.legend(
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
-            ncols=columns,
-            borderaxespad=0.2,
-            frameon=False,
-        )
-
-
-def _colours(field, by, scale):
-    """Numbers to be coloured, their norm and map, and the words that they stand for."""
-    values = field.values
-    if values.dtype.kind == "U":
-        found, tones = _kinds(values, field.name)
-        numbers = np.full(values.shape, np.nan)
-        for i, word in enumerate(found):
-            numbers[values == word] = i
-        norm = (
-            BoundaryNorm(np.arange(len(found) + 1) - 0.5, max(len(found), 1))
-            if found
-            else Normalize()
-        )
-        return numbers, norm, ListedColormap(tones or [GAP]), found
-    numbers = by(np.where(np.isfinite(values), values, np.nan))
-    seen = numbers[np.isfinite(numbers)]
-    if scale == "log":
-        positive = seen[seen > 0]
-        low, high = (positive.min(), positive.max()) if positive.size else (0.1, 1.0)
-        return (
-            np.where(numbers > 0, numbers, np.nan),
-            LogNorm(low, high if high > low else 10 * low),
-            "viridis",
-            None,
-        )
-    if seen.size and seen.min() < 0 < seen.max():
-        return numbers, CenteredNorm(halfrange=np.abs(seen).max()), "RdBu_r", None
-    return (
-        numbers,
-        Normalize(*((seen.min(), seen.max()) if seen.size else (0.0, 1.0))),
-        "viridis",
-        None,
-    )
-
-
-def _bar(ax, image, label, words):
-    bar = add_colour_bar(ax, image, label)
+def _draw_over_two(field, ax, scale, colour_bar):
+    """A map over two parameters, the first to the right; coloured dots of a list."""
+    (x, y), words = field.axes, field.values.dtype.kind == "U"
     if words:
-        bar.set_ticks(np.arange(len(words)), labels=words)
-        bar.ax.tick_params(length=0)
-
-
-def _map(field, ax, scale, colour_bar):
-    """A map over two parameters, the first to the right."""
-    first, second = field.parameters
-    by_x, by_y, by = (field.by[key] for key in (first, second, field.name))
-    numbers, norm, colours, words = _colours(field, by, scale)
-    (x, x_log), (y, y_log) = (
-        places(field.parameters[key], b) for key, b in ((first, by_x), (second, by_y))
-    )
-    rows, columns = np.argsort(x), np.argsort(y)
-    image = ax.pcolormesh(
-        edges_of(x[rows], x_log),
-        edges_of(y[columns], y_log),
-        numbers[np.ix_(rows, columns)].T,
-        norm=norm,
-        cmap=colours,
-        rasterized=True,
-    )
-    ax.set_facecolor(GAP)
-    name_axis(ax.xaxis, field.parameters[first], by_x.label, x_log)
-    name_axis(ax.yaxis, field.parameters[second], by_y.label, y_log)
-    i, j = np.nonzero(field.failed)
-    _crosses(ax, x[i], y[j], field.failed)
-    _legend(ax)
-    if colour_bar:
-        _bar(ax, image, by.label, words)
-    return ax
-
-
-def _scattered(field, ax, scale, colour_bar):
-    """Dots of lanes side by side: over one parameter, or coloured over two."""
-    names = list(field.parameters)
-    if field.values.ndim > 1:
-        refuse(
-            "name",
-            "a variable with one value per lane",
-            repr(field.name),
-            f"Pick one: data.isel({field.name}_0=0).",
-        )
-    if len(names) == 2:
-        return _dots(field, axes_or_new(ax, 5.4, 4.0), names, scale, colour_bar)
-    (name,), ax = names, axes_or_new(ax, 5.4, 3.6)
-    by_x, by_y = field.by[name], field.by[field.name]
-    x, log = places(field.parameters[name], by_x, True)
-    if field.values.dtype.kind == "U":
-        found, tones = _kinds(field.values, field.name)
-        y = np.array([found.index(word) if word else np.nan for word in field.values])
-        ax.set_yticks(np.arange(len(found)), found)
-        ax.set_ylim(-0.5, len(found) - 0.5)
-        for i in range(len(found)):
-            ax.plot(x[y == i], y[y == i], "o", ms=3.5, color=tones[i])
+        kinds = _kinds(field)
+        rows = np.array([[word == other for other in kinds] for word in field.values.flat])
+        numbers = np.where(rows.any(1), rows.argmax(1), np.nan).reshape(field.values.shape)
+        norm = BoundaryNorm(np.arange(len(kinds) + 1) - 0.5, len(kinds))
+        tones = ListedColormap([colour(i) for i in kinds.values()])
     else:
-        ax.plot(
-            x,
-            by_y(np.where(np.isfinite(field.values), field.values, np.nan)),
-            "o",
-            ms=3.5,
-            color=colour(0),
-        )
-        if scale == "log" and (field.values > 0).any():
-            ax.set_yscale("log")
-    ax.set_ylabel(by_y.label)
-    name_axis(ax.xaxis, field.parameters[name], by_x.label, log)
-    failed = field.failed
-    _crosses(
-        ax, x[failed], np.full(np.count_nonzero(failed), 0.03), failed, ax.get_xaxis_transform()
-    )
-    _legend(ax)
-    return ax
-
-
-def _dots(field, ax, names, scale, colour_bar):
-    """Dots over two parameters, coloured by the variable."""
-    by_x, by_y, by = (field.by[key] for key in (*names, field.name))
-    (x, x_log), (y, y_log) = (
-        places(field.parameters[key], b, True) for key, b in zip(names, (by_x, by_y))
-    )
-    numbers, norm, colours, words = _colours(field, by, scale)
-    known = np.isfinite(numbers)
-    image = ax.scatter(
-        x[known], y[known], c=numbers[known], norm=norm, cmap=colours, s=18, linewidths=0
-    )
-    name_axis(ax.xaxis, field.parameters[names[0]], by_x.label, x_log)
-    name_axis(ax.yaxis, field.parameters[names[1]], by_y.label, y_log)
-    _crosses(ax, x[field.failed], y[field.failed], field.failed)
-    _legend(ax)
+        numbers = field.by(field.values)
+        norm, tones = _colours(numbers[np.isfinite(numbers)], scale)
+    if field.grid:
+        i, j = np.argsort(x.at), np.argsort(y.at)
+        look = {"norm": norm, "cmap": tones, "rasterized": True}
+        image = ax.pcolormesh(_edges(x, i), _edges(y, j), numbers[np.ix_(i, j)].T, **look)
+        ax.set_facecolor(GAP)
+        i, j = np.nonzero(field.failed)
+    else:
+        i, known = field.failed, np.isfinite(numbers)
+        look = {"norm": norm, "cmap": tones, "s": 18, "linewidths": 0}
+        image, j = ax.scatter(x.at[known], y.at[known], c=numbers[known], **look), i
+    _draw_crosses(ax, x.at[i], y.at[j], field.failed)
+    _dress(ax, "x", x)
+    _dress(ax, "y", y)
     if colour_bar:
-        _bar(ax, image, by.label, words)
-    return ax
+        bar = add_colour_bar(ax, image, field.by.label)
+        if words:
+            bar.set_ticks(np.arange(len(kinds)), labels=list(kinds))
+            bar.ax.tick_params(length=0)
+
+
+def _colours(seen, scale):
+    """Norm and map of numbers."""
+    seen = seen[seen > 0] if scale == "log" else seen
+    low, high = (seen.min(), seen.max()) if seen.size else (0.1, 1.0)
+    if scale == "log":
+        return LogNorm(low, high if high > low else 10 * low), "viridis"
+    if low < 0 < high:
+        return CenteredNorm(halfrange=max(-low, high)), "RdBu_r"
+    return Normalize(low, high), "viridis"

@@ -1,11 +1,11 @@
-"""Travelling waves and fronts with their tails; kinks with their barrier."""
+"""Travelling waves and fronts with their tails."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from ..types import Numbers, Scalar
 from .arrays import numbers
@@ -13,17 +13,17 @@ from .style import (
     COLOURS,
     DASHES,
     FAINT,
-    OMEGA,
     AxesOrNone,
     axes_or_new,
     colour,
-    several_axes,
     shown,
     units_of,
 )
 
-# of e that a front's tails are drawn over; of its largest strain what belongs to the core of a wave
-POWERS, CORE = 8.0, 0.02
+# of e that a front's tails are drawn over
+POWERS = 8.0
+# of a wave's largest strain, what belongs to its core
+CORE = 0.02
 
 
 def wave(
@@ -33,7 +33,7 @@ def wave(
     beside: Mapping[str, Numbers] | None = None,
     floor: Scalar = 1e-16,
 ) -> Axes:
-    """Strain of a travelling wave or a front over the place, the lattice's contacts as dots, and the tails in insets.
+    """Draw the strain of a travelling wave or a front over the place, contacts as dots, and the tails in insets.
 
     **Arguments:**
 
@@ -49,7 +49,7 @@ def wave(
     at which these fall.
     """
     record = wave_record
-    xi, is_front = numbers("wave_record.xi", record.xi, 1), hasattr(record, "decay_behind")
+    xi, is_front = np.asarray(record.xi), hasattr(record, "decay_behind")
     is_cell = np.ndim(getattr(record, "strains", 0)) == 2
     end = np.abs(xi).max()
     if is_cell:
@@ -72,9 +72,8 @@ def wave(
         dots = {"color": COLOURS[2], "ms": 4.5, "mec": "white", "mew": 0.5, "zorder": 3}
         ax.plot(nodes, by(record.strain(nodes)), "o", label="contacts", **dots)
     reach = end if is_front else min(max(3 * core, 3.0), end)
-    ax.set_xlim(-reach, reach)
+    ax.set(xlim=(-reach, reach), ylabel=by.label)
     ax.set_xlabel(rf"place $\xi = n - {'s' if is_front else 'c'}\,t$ (contacts)")
-    ax.set_ylabel(by.label)
     if is_front:
         _front_tails(ax, record, by, xi, curves["strain"])
         return ax
@@ -85,10 +84,15 @@ def wave(
     _curves(tail, xi, {name: np.abs(y) for name, y in curves.items()}, 0.7)
     largest = max(np.nanmax(np.abs(y)) for y in curves.values()) or 1.0
     tail.set(yscale="log", ylim=(floor * largest, 10 * largest), xlim=(xi.min(), xi.max()))
-    tail.xaxis.set_major_locator(MaxNLocator(3))
-    tail.tick_params(labelsize=7)
-    tail.patch.set_alpha(0.9)
+    _small(tail)
     return ax
+
+
+def _small(tail):
+    """Letters of an inset, few and small."""
+    tail.xaxis.set_major_locator(MaxNLocator(3))
+    tail.yaxis.set_major_locator(LogLocator(numticks=4))
+    tail.tick_params(labelsize="x-small")
 
 
 def _curves(ax, x, curves, scale=1.0):
@@ -99,91 +103,19 @@ def _curves(ax, x, curves, scale=1.0):
 def _front_tails(ax, record, by, xi, y):
     """What is left of both far states, and the slopes at which the envelopes fall."""
     behind, ahead = float(record.decay_behind), float(record.decay_ahead)
-    waves = rf", $k$ = {float(record.wavenumber_behind):.4g}" * (record.kind == "oscillatory")
-    for k, (far, rate, side, name) in enumerate(
-        (
-            (record.behind, behind, xi < 0, rf"behind: $\lambda$ = {behind:.4g}{waves}"),
-            (record.ahead, -ahead, xi > 0, rf"ahead: $\mu$ = {ahead:.4g}"),
-        )
+    waves = f"\n$k$ = {float(record.wavenumber_behind):.4g}" * (record.kind == "oscillatory")
+    for far, rate, side, name, where in (
+        (record.behind, behind, xi < 0, rf"$\lambda$ = {behind:.4g}{waves}", (0.16, 0.12)),
+        (record.ahead, -ahead, xi > 0, rf"$\mu$ = {ahead:.4g}", (0.68, 0.48)),
     ):
         level = float(by(far))
         ax.axhline(level, color=FAINT, lw=0.8, ls=":", zorder=0)
         side = side & (np.abs(rate * xi) < POWERS)
         x, d, line = xi[side], np.abs(y - level)[side], np.exp(rate * xi[side])
         outer = np.abs(rate * x) > np.abs(rate * x).max() / 2
-        tail = ax.inset_axes([0.07 + 0.55 * k, 0.16 + 0.38 * k, 0.36, 0.36])
+        tail = ax.inset_axes([*where, 0.3, 0.32])
         tail.semilogy(x, np.where(d > 0, d, np.nan), color=COLOURS[0], lw=1.0)
         tail.semilogy(x, line * np.nanmax((d / line)[outer]), "--", color=COLOURS[1], lw=1.0)
         tail.set_ylim(d[d > 0].min() / 3, 3 * d.max())
-        tail.tick_params(labelsize="x-small")
         tail.set_title(name, size="x-small")
-
-
-def kink(
-    found: Any,
-    axes: Sequence[Axes] | np.ndarray | None = None,
-    *,
-    barrier: Any = None,
-) -> np.ndarray:
-    """A kink at rest between its wells; beside it its small oscillations, or the Peierls-Nabarro barrier.
-
-    **Arguments:**
-
-    - `found`: a `Kink`, the result of `gx.kinks.kink`, or anything with `state` (u, v), `energy`, `omega` (N,),
-      `growth` and `verdict`; where it grows the frequency is drawn at zero.
-    - `barrier`: the result of `gx.kinks.peierls_nabarro`, or anything with `site`, `bond`, `barrier` and `error`: its
-      two energies are then drawn over the place of the centre, with the sine through both to guide the eye.
-    - `axes`: two Axes; by default those of a new figure.
-
-    **Returns:** the two Axes, (2,) or as given; the profile is `axes[0].lines[0]`.
-    """
-    units = units_of(found, barrier)
-    by = shown("displacement $u_n$", found.state[0], "m", units)
-    u = by(numbers("found.state.u", found.state[0], 1))
-    axes = several_axes(axes, 1, 2, 8.4, 3.4)
-    profile, other = axes.ravel()
-    profile.plot(np.arange(len(u)), u, "o-", color=COLOURS[0], ms=4, lw=0.8, mec="white", mew=0.4)
-    for well in (u[0], u[-1]):
-        profile.axhline(well, color=FAINT, lw=0.8, ls=":", zorder=0)
-    # what lies between the wells, with as much on either side
-    inside = np.flatnonzero(np.abs(np.diff(u)) > 1e-3 * np.abs(u[-1] - u[0]))
-    low, high = (inside[0], inside[-1] + 1) if len(inside) else (0, len(u) - 1)
-    more = max(3, high - low)
-    profile.set_xlim(max(low - more, 0) - 0.5, min(high + more, len(u) - 1) + 0.5)
-    profile.set_xlabel("site $n$")
-    profile.set_ylabel(by.label)
-    by = shown("energy", found.energy, "J", units)
-    energy = f"{found.verdict}, energy {float(by(found.energy)):.5g} {by.unit}"
-    profile.set_title(energy.strip(), loc="left")
-    if barrier is not None:
-        _barrier(other, barrier, units)
-        return axes
-    by = shown(OMEGA, found.omega, "rad/s", units)
-    omega = by(numbers("found.omega", found.omega, 1))
-    other.plot(omega, ".", color=COLOURS[0], ms=4)
-    name = "unstable, drawn at zero" if found.growth else "Peierls-Nabarro frequency"
-    other.plot([0], omega[:1], "o", color=COLOURS[1], ms=6, label=name)
-    other.set_ylim(0, 1.1 * omega.max())
-    other.set_xlabel("mode")
-    other.set_ylabel(by.label)
-    other.legend(loc="lower right", frameon=False)
-    return axes
-
-
-def _barrier(ax, barrier, units):
-    """Energies of the kink on a site and on a bond, above the lower one."""
-    ends = np.array([float(barrier.site), float(barrier.bond)])
-    by = shown("energy above the lower kink", ends - ends.min(), "J", units)
-    above, error, x = by(ends - ends.min()), float(by(barrier.error)), np.linspace(-0.6, 1.1, 171)
-    sine = above.mean() + (above[0] - above[1]) / 2 * np.cos(2 * np.pi * x)
-    ax.plot(x, sine, "--", color=FAINT, lw=1.0, zorder=1, label="sine through both")
-    for at, value, tone, name in (
-        ([0, 1], above[0], COLOURS[0], "on a site"),
-        ([-0.5, 0.5], above[1], COLOURS[1], "on a bond"),
-    ):
-        ax.errorbar(at, [value] * 2, error, fmt="o", color=tone, ms=6, capsize=3, label=name)
-    ax.set_xlim(-0.6, 1.1)
-    ax.set_ylim(-0.15 * above.max() - error, 1.7 * above.max() + error)
-    ax.set_xlabel("centre of the kink (sites)")
-    ax.set_ylabel(by.label)
-    ax.legend(loc="upper center", ncols=2, frameon=False, columnspacing=1.0, handletextpad=0.4)
+        _small(tail)

@@ -17,13 +17,17 @@ from .style import (
     OMEGA,
     AxesOrNone,
     add_colour_bar,
+    add_legend,
     axes_or_new,
     colour,
     shown,
     units_of,
 )
 
+# of the largest frequency, from which on a gap is one ...
 CLOSED = 1e-6
+# ... and one below all bands
+FOOT = 0.05
 
 
 def dispersion(
@@ -34,7 +38,7 @@ def dispersion(
     floor: Scalar = 1e-6,
     colour_bar: bool = True,
 ) -> Axes:
-    """Dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
+    """Draw the dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
 
     **Arguments:**
 
@@ -79,12 +83,19 @@ def dispersion(
         _zones(ax, k, omega, cell, span)
         if colour_bar:
             add_colour_bar(ax, image, "power (relative)")
-    for i, (low, high) in enumerate(_gaps(omega)):
-        name = None if i else "gap"
-        ax.axhspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1.5, label=name)
-    ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), 1.15 * float(np.nanmax(omega)) or 1.0)
+    for low, high in _gaps(omega):
+        ax.axhspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1.5)
+        where = {"transform": ax.get_yaxis_transform(), "ha": "right", "va": "center"}
+        ax.text(0.98, (low + high) / 2, "gap", size="small", color="0.35", **where)
+    _from_zero(ax, omega, 1.15)
     ax.set_ylabel(by.label)
     return ax
+
+
+def _from_zero(ax, omega, room):
+    """An axis of frequencies from zero, or what is below it."""
+    top = room * float(np.nanmax(omega)) or 1.0
+    ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), top)
 
 
 def _along(ax, cell, span):
@@ -92,37 +103,30 @@ def _along(ax, cell, span):
     per = "site" if cell == 1 else f"cell of {cell} sites"
     ax.set_xlabel(f"wave number $k$ (rad/{per})")
     ax.set_xlim(*span)
-    first, last = (float(k) / (np.pi / 2) for k in span)
-    places = np.arange(np.ceil(first - 1e-6), np.floor(last + 1e-6) + 1)
+    first, last = np.array(span) / (np.pi / 2)
+    places = np.arange(np.ceil(first - 1e-6), np.floor(last + 1e-6) + 1).astype(int)
     if 2 <= len(places) <= 9:
-        ax.set_xticks(places * np.pi / 2, [_name(int(p)) for p in places])
+        ax.set_xticks(places * np.pi / 2, [_name(n) for n in places])
 
 
 def _name(halves):
-    """A multiple of pi/2 in words of TeX."""
+    """A multiple of pi/2 in TeX."""
     if halves == 0:
         return "0"
-    sign, n = ("-" if halves < 0 else ""), abs(halves)
-    if n % 2 == 0:
-        return rf"${sign}{'' if n == 2 else n // 2}\pi$"
-    return rf"${sign}{'' if n == 1 else n}\pi/2$"
+    n, under = (halves // 2, "") if halves % 2 == 0 else (halves, "/2")
+    return rf"${'-' if n < 0 else ''}{'' if abs(n) == 1 else abs(n)}\pi{under}$"
 
 
 def _under(ax, spectrum, by, floor):
-    k, w = numbers("spectrum.k", spectrum.k, 1), numbers("spectrum.omega", spectrum.omega, 1)
-    power = numbers("spectrum.power", spectrum.power, finite=False)
+    k, w = np.asarray(spectrum.k), np.asarray(spectrum.omega)
+    power = np.asarray(spectrum.power)
     if power.shape != (len(k), len(w)):
-        refuse(
-            "spectrum.power",
-            f"shape {(len(k), len(w))}, wave numbers by frequencies",
-            f"shape {power.shape}",
-            "Of a batch pick one lane.",
-        )
+        wanted = f"shape {(len(k), len(w))}, wave numbers by frequencies"
+        remedy = "Of a batch pick one lane."
+        refuse("spectrum.power", wanted, f"shape {power.shape}", remedy)
     share = np.maximum(power.T / np.nanmax(power), floor)
-    norm = LogNorm(floor, 1.0)
-    image = ax.pcolormesh(
-        k, by(w), share, norm=norm, cmap="Blues", shading="nearest", rasterized=True, zorder=0
-    )
+    look = {"norm": LogNorm(floor, 1.0), "cmap": "Blues", "shading": "nearest"}
+    image = ax.pcolormesh(k, by(w), share, rasterized=True, zorder=0, **look)
     half = (k.max() - k.min()) / (2 * max(len(k) - 1, 1))
     return image, (float(k.min() - half), float(k.max() + half))
 
@@ -133,36 +137,33 @@ def _zones(ax, k, omega, cell, span):
         k, omega = np.concatenate([-k[::-1], k]), np.concatenate([omega[::-1], omega])
         order = np.argsort(k, kind="stable")
         k, omega = k[order], omega[order]
-    zone = 2 * np.pi
-    reach = int(np.ceil(max(map(abs, span)) * cell / zone)) if cell > 1 else 0
+    reach = int(np.ceil(max(map(abs, span)) * cell / (2 * np.pi))) if cell > 1 else 0
     for shift in range(-reach, reach + 1):
-        ax.plot((k + zone * shift) / cell, omega, color=COLOURS[1], lw=0.8, zorder=2)
+        ax.plot((k + 2 * np.pi * shift) / cell, omega, color=COLOURS[1], lw=0.8, zorder=2)
 
 
 def _gaps(omega):
     low, high = np.nanmin(omega, 0), np.nanmax(omega, 0)
     least = CLOSED * np.nanmax(np.abs(omega))
-    edges = [(0.0, low[0])] + list(zip(high[:-1], low[1:]))
-    return [
-        (float(a), float(b))
-        for a, b in edges
-        if b - a > least and not (a == 0.0 and b <= 0.05 * high[-1])
-    ]
+    gaps = [(float(a), float(b)) for a, b in zip(high[:-1], low[1:]) if b - a > least]
+    # below the lowest band, but for what is missing because k = 0 is
+    below = [(0.0, float(low[0]))] if low[0] > max(least, FOOT * high[-1]) else []
+    return below + gaps
 
 
 def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True) -> Axes:
-    """Quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, with the growth rate on the right.
+    """Draw quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, and the growth rate.
 
     **Arguments:** `bands`: anything with `k` (K,), `omega` and `growth` (K, multipliers), `edges` (gaps, 2) or `None`,
     `period`, `cell`, such as the result of `gx.linear.floquet_bands`. `growth`: whether the largest growth rate is
     drawn, on an axis of its own.
 
     **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
-    growth is `ax.child_axes[0]`. **Raises** ValueError for the record of several axes.
+    growth is the last of `ax.figure.axes`. **Raises** ValueError for the record of several axes.
     """
-    k, rate = numbers("bands.k", bands.k, 1), numbers("bands.growth", bands.growth, 2)
+    k, rate = np.asarray(bands.k), np.asarray(bands.growth)
     by = shown(OMEGA, bands.omega, "rad/s", units_of(bands))
-    omega = by(numbers("bands.omega", bands.omega, 2))
+    omega = by(bands.omega)
     order = np.argsort(k)
     k, omega, rate = k[order], omega[order], rate[order]
     grows = np.asarray(bands.grows)[order] if hasattr(bands, "grows") else rate > 0
@@ -178,29 +179,17 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True) -> 
     ax.set_ylabel(by.label)
     if growth:
         by = shown("growth rate", bands.growth, "1/s", units_of(bands))
-        right = beside(ax, COLOURS[2])
-        largest = by(np.maximum(rate.max(-1), 0))
+        largest, right = by(np.maximum(rate.max(-1), 0)), ax.twinx()
+        right.spines["right"].set(visible=True, color=COLOURS[2])
+        right.tick_params(axis="y", colors=COLOURS[2])
         right.plot(k, largest, color=COLOURS[2], lw=1.2)
         right.set_ylim(0, 2.5 * float(largest.max()) or 1.0)
         right.set_ylabel(by.label, color=COLOURS[2])
     return ax
 
 
-def beside(ax: Axes, tone: str) -> Axes:
-    """Axes over others, with the same x and a y of their own at the right, in a colour."""
-    right = ax.inset_axes((0, 0, 1, 1), sharex=ax)
-    right.patch.set_visible(False)
-    right.yaxis.tick_right()
-    right.yaxis.set_label_position("right")
-    right.xaxis.set_visible(False)
-    right.spines["right"].set_visible(True)
-    right.spines["right"].set_color(tone)
-    right.tick_params(axis="y", colors=tone)
-    return right
-
-
 def bands(record: Any, ax: AxesOrNone = None, *, colour_bar: bool = True) -> Axes:
-    """Bands along a path through the zone, or those of a strip coloured by the edge to which a wave is bound.
+    """Draw bands along a path through the zone, or those of a strip coloured by the edge to which a wave is bound.
 
     **Arguments:** `record`: anything with `distance`, `omega` (K, bands), `names` and `marks`, such as the result of
     `gx.linear.path`; or with `k`, `omega` and `edge` (K, bands), such as that of `gx.linear.ribbon`.
@@ -208,24 +197,26 @@ def bands(record: Any, ax: AxesOrNone = None, *, colour_bar: bool = True) -> Axe
     **Returns:** the Axes; of a path `ax.lines` begins with the bands, of a strip `ax.collections[0]` are its waves.
     """
     by = shown(OMEGA, record.omega, "rad/s", units_of(record))
-    omega = by(numbers("record.omega", record.omega, 2))
+    omega = by(record.omega)
     ax = axes_or_new(ax, 5.0, 4.0)
     if hasattr(record, "edge"):
-        x, edge = numbers("record.k", record.k, 1), numbers("record.edge", record.edge, 2)
-        options = {"c": edge, "s": 3, "cmap": "coolwarm", "vmin": -1, "vmax": 1, "linewidths": 0}
-        strip = ax.scatter(np.broadcast_to(x[:, None], omega.shape), omega, **options)
+        x, edge = np.asarray(record.k), np.asarray(record.edge)
+        ax.plot(x, omega, color=FAINT, lw=0.5, zorder=0)
+        look = {"c": edge, "s": 3, "cmap": "coolwarm", "vmin": -1, "vmax": 1, "linewidths": 0}
+        strip = ax.scatter(np.broadcast_to(x[:, None], omega.shape), omega, **look)
+        _along(ax, 1, (x.min(), x.max()))
         ax.set_xlabel("wave number $k$ (rad/cell)")
         if colour_bar:
             add_colour_bar(ax, strip, "place across the strip")
     else:
-        x = numbers("record.distance", record.distance, 1)
+        x = np.asarray(record.distance)
         ax.plot(x, omega, color=COLOURS[0])
         marks = x[np.asarray(record.marks, int)]
         for mark in marks[1:-1]:
             ax.axvline(mark, color=FAINT, lw=0.6, zorder=0)
         ax.set_xticks(marks, [r"$\Gamma$" if name == "G" else name for name in record.names])
-    ax.set_xlim(x.min(), x.max())
-    ax.set_ylim(min(0.0, 1.05 * float(np.nanmin(omega))), 1.05 * float(np.nanmax(omega)) or 1.0)
+        ax.set_xlim(x.min(), x.max())
+    _from_zero(ax, omega, 1.05)
     ax.set_ylabel(by.label)
     return ax
 
@@ -239,7 +230,7 @@ def zone(
     velocity: bool = False,
     colour_bar: bool = True,
 ) -> Axes:
-    """Contours of equal frequency of a band over the Brillouin zone, whose edge is drawn.
+    """Draw contours of equal frequency of a band over the Brillouin zone, whose edge is drawn.
 
     **Arguments:** `record`: anything with `q` (n, m, 2), `omega` (n, m, bands), `velocity` (n, m, bands, 2) and
     `corners` (c, 2), such as the result of `gx.linear.zone_map`. `band`: counted from the lowest. `levels`: how many
@@ -249,20 +240,19 @@ def zone(
     """
     by = shown(OMEGA, record.omega, "rad/s", units_of(record))
     place = shown("wave number", record.q, "1/m", units_of(record))
-    x, y = np.moveaxis(place(numbers("record.q", record.q, 3)), -1, 0)
-    w = by(numbers("record.omega", record.omega, 3))[..., band]
+    x, y = np.moveaxis(place(record.q), -1, 0)
+    w = by(record.omega)[..., band]
     ax = axes_or_new(ax, 5.0, 4.2)
     image = ax.pcolormesh(x, y, w, cmap="viridis", shading="nearest", rasterized=True)
     ax.contour(x, y, w, levels=levels, colors="white", linewidths=0.7)
     if velocity:
-        v = numbers("record.velocity", record.velocity, 4, finite=False)[..., band, :]
+        v = np.asarray(record.velocity)[..., band, :]
         step = max(1, len(x) // 14)
         some = (slice(step // 2, None, step),) * 2
         ax.quiver(x[some], y[some], v[some][..., 0], v[some][..., 1], color="white", width=0.004)
     ax.add_patch(Polygon(place(record.corners), fill=False, edgecolor="black", lw=1.2))
-    ax.set_aspect("equal")
-    ax.set_xlabel(place.label.replace("wave number", "$q_x$"))
-    ax.set_ylabel(place.label.replace("wave number", "$q_y$"))
+    names = {f"{x}label": place.label.replace("wave number", f"$q_{x}$") for x in "xy"}
+    ax.set(aspect="equal", **names)
     if colour_bar:
         add_colour_bar(ax, image, by.label)
     return ax
@@ -276,9 +266,9 @@ def transmission(
     resonances: Parameter | None = None,
     anti_resonances: Parameter | None = None,
     label: str | Sequence[str] | None = None,
-    y_label: str = "transmitted force / that of the monomer",
+    y_label: str = "force / monomer's force",
 ) -> Axes:
-    """Transmitted force of a dimer chain over the mass ratio, relative to the monomer's.
+    """Draw the transmitted force of a dimer chain over the mass ratio, relative to the monomer's.
 
     **Arguments:** `mass_ratio`: light over heavy, (R,), in (0, 1]; `transmission`: (R,), or (R, C) for C curves;
     `resonances`, `anti_resonances`: mass ratios to mark, with dashed and dotted lines; `label`: of the curve, or one
@@ -300,14 +290,9 @@ def transmission(
     ):
         for i, place in enumerate(np.ravel([] if places is None else places)):
             ax.axvline(place, color=tone, ls=dash, lw=1.2, zorder=1, label=None if i else name)
-    ax.set_xlabel(r"mass ratio $\varepsilon$ (light / heavy)")
-    ax.set_ylabel(by.label)
-    ax.set_xlim(0, 1.01)
+    ax.set(xlabel=r"mass ratio $\varepsilon$ (light / heavy)", ylabel=by.label, xlim=(0, 1.01))
     ax.set_ylim(0, 1.12 * max(0.0 if by.unit else 1.0, float(np.nanmax(values))))
     if not by.unit:
         ax.axhline(1.0, color=FAINT, lw=0.8, zorder=0)
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, frameon=False
-        )
+    add_legend(ax)
     return ax

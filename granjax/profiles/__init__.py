@@ -1,7 +1,8 @@
 """Shapes of travelling waves, from a law and a mass alone: what `gx.travelling` and `gx.states` stand on."""
 
 from .medium import Medium, medium_of
+from .profile import Profile, tabled
 from .shape import Shape
-from .solving import Solved, wave_of
+from .solving import Solved, one_given, wave_of
 
-__all__ = ["Medium", "Shape", "Solved", "medium_of", "wave_of"]
+__all__ = ["Medium", "Profile", "Shape", "Solved", "medium_of", "one_given", "tabled", "wave_of"]

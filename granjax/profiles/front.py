@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_banded
 
 from .medium import fine_force
@@ -64,6 +63,10 @@ class Front(NamedTuple):
     def places(self) -> np.ndarray:
         """x of each z, increasing: behind the front first."""
         return self.apart * (np.arange(len(self.z)) - self.centre)
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """z at any places, by the polynomials of its table."""
+        return interpolated(np, coefficients(np, self.z), self.centre, self.apart, x)
 
 
 class Kernels(NamedTuple):
@@ -185,14 +188,6 @@ class Trial(NamedTuple):
         return centre + after + 1, centre
 
 
-def smoothed(z: np.ndarray, x: np.ndarray) -> Callable:
-    """A function of place through known values: 1 behind them, 0 beyond."""
-    spline = CubicSpline(x, z)
-    return lambda y: np.where(
-        y < x[0], 1.0, np.where(y > x[-1], 0.0, spline(np.clip(y, x[0], x[-1])))
-    )
-
-
 def broad(force: Callable, zeta: float) -> Callable:
     """The front where the damping rules: zeta z' = f(z) - z."""
     logit = np.linspace(-LOGIT, LOGIT, FINE)
@@ -223,7 +218,7 @@ def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tup
         x = apart * (np.arange(count) - centre)
         z, residual = newton(force, now, apart, shape(x), centre)
         if residual < CONVERGED:
-            shape, last = smoothed(z, x), now
+            shape, last = Front(z, centre, apart, residual, np.inf).at, now
             if now == zeta:
                 return shape, residual
         elif last is None:
@@ -249,19 +244,14 @@ def finished(force: Callable, found: Trial, shape: Callable) -> Front | None:
         x = apart * (np.arange(count) - centre)
         z, residual = newton(force, found.zeta, apart, shape(x), centre)
         # this one's error is known to be below the change from the coarser one
-        error = np.inf if front is None else float(np.abs(smoothed_at(front, x) - z).max())
+        error = np.inf if front is None else float(np.abs(front.at(x) - z).max())
         settled = error <= AGREE or error < FLOOR and error > before / 4
         if settled and error > before:
             return front
         front = Front(z, centre, apart, residual, error)
         if settled:
             return front
-        before, shape, apart = error, smoothed(z, x), apart / 2
-
-
-def smoothed_at(front: Front, x: np.ndarray) -> np.ndarray:
-    """A front at places, by the polynomials of its table."""
-    return interpolated(np, coefficients(np, front.z), front.centre, front.apart, x)
+        before, shape, apart = error, front.at, apart / 2
 
 
 def moved(

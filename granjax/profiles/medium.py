@@ -1,5 +1,6 @@
 """What a wave runs through: a law between neighbours and a mass, given as such or as a uniform chain."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -76,15 +77,6 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
     """
     if isinstance(law, Lattice):
         lattice, wanted = law, "a uniform chain of bonds between neighbours"
-        if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
-            refuse("law", wanted, f"a lattice of shape {lattice.shape}")
-        if lattice.lanes:
-            refuse(
-                "law",
-                "one lattice",
-                f"a batch of shape {lattice.lanes}",
-                "Look for the wave of each in a loop.",
-            )
         law, origin = law_between(lattice, wanted), lattice.origin
         mass = single("law", "masses", lattice.mass)
     else:
@@ -98,8 +90,18 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
 def law_between(lattice: Lattice, wanted: str) -> Law:
     """The law of a chain's bonds to the next site, of all such terms; walls and their contacts do not count.
 
-    **Raises** ValueError for a chain with other terms, or without such bonds, as none of what is `wanted`.
+    **Raises** ValueError for a batch, and for what is no chain, has other terms or no such bonds: none of what is
+    `wanted`.
     """
+    if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
+        refuse("law", wanted, f"a lattice of shape {lattice.shape}")
+    if lattice.lanes:
+        refuse(
+            "law",
+            "one lattice",
+            f"a batch of shape {lattice.lanes}",
+            "Look for the wave of each in a loop.",
+        )
     # contacts with walls may be others than those between sites
     inner = [(term.without_walls(lattice) or (term,))[0] for term in lattice.terms]
     found = [term.next_neighbours() for term in inner]
@@ -156,12 +158,17 @@ def _values(law, e):
     return fine(law, e)
 
 
-def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force, stiffness and energy at known compressions of any shape, by one program for each law."""
+def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Force, stiffness and energy at known compressions of any shape."""
+    return in_chunks(_values, law, e)
+
+
+def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What `program(law, e)`, compiled for `CHUNK` compressions, gives at known ones of any shape."""
     flat = np.ravel(e)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
-    parts = [_values(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
+    parts = [program(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
     return tuple(
         np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
         for x in zip(*parts)

@@ -1,6 +1,6 @@
-"""Periodic waves: Newton's method on the Fourier form, on half of a wavelength."""
+"""Periodic waves: Newton's method on the Fourier form in a box of one wavelength."""
 
-from collections.abc import Callable
+import copy
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -8,11 +8,18 @@ import numpy as np
 
 from ..checks import refuse
 from ..laws import Law
+from .fourier import Box, Chain, Solved, faster, fourier, newton, newton_with
 from .medium import values
 from .shape import Shape
 
-# points on half of a wavelength; what two numbers of them may differ by; residual and steps of Newton's method
-POINTS, AGREE, CONVERGED, STEPS = (32, 64, 128, 256, 512), 1e-13, 1e-9, 30
+# points on half of a wavelength; what two numbers of them may differ by
+POINTS, AGREE = (32, 64, 128, 256, 512), 1e-13
+# error of a sum over the waves, from rounding, over the largest strain
+ROUNDING = 32 * np.finfo(float).eps
+# residual and steps of Newton's method
+CONVERGED, STEPS = 1e-9, 30
+# residual with which a wave is followed to the next amplitude
+FOLLOWED = 1e-6
 # growth of the amplitude from one wave to the next, most of them, and the first one over its scale
 GROWTH, MOST, FIRST = 1.5, 60, 1e-2
 
@@ -42,79 +49,77 @@ class FourierShape(Shape):
         return -moved / self.speed - self.mean * xi
 
 
-class Half(NamedTuple):
-    """The Fourier form on the half of a wavelength: tent * f less its mean is `matrix` @ f."""
-
-    places: np.ndarray
-    matrix: np.ndarray
-    wavenumbers: np.ndarray
-
-    @classmethod
-    def of(cls, wavelength: float, points: int) -> "Half":
-        """With so many points from a crest to the next trough."""
-        k = 2 * np.pi / wavelength * np.arange(points + 1)
-        angle = np.pi / points * np.outer(np.arange(points + 1), np.arange(points + 1))
-        weights = np.full(points + 1, 2.0 / points)
-        weights[[0, -1]] /= 2
-        halves = np.ones(points + 1)
-        halves[-1] = 0.5
-        tent = halves * np.sinc(k / (2 * np.pi)) ** 2
-        tent[0] = 0
-        return cls(
-            np.linspace(0, wavelength / 2, points + 1),
-            (np.cos(angle) * tent) @ (np.cos(angle) * weights),
-            k,
-        )
-
-    def coefficients(self, f: np.ndarray) -> np.ndarray:
-        """Of cos(k x), those of the constant left out."""
-        points = len(f) - 1
-        angle = np.pi / points * np.outer(np.arange(points + 1), np.arange(points + 1))
-        weights = np.full(points + 1, 2.0 / points)
-        weights[[0, -1]] /= 2
-        found = (np.cos(angle) * weights) @ f
-        found[-1] /= 2
-        return found[1:]
-
-
 class Train(NamedTuple):
-    """A periodic wave: strains about the mean at the points, m c^2, residual, error, the half of a wavelength."""
+    """A periodic wave: its box, strains about the mean there, m c^2, residual and error."""
 
+    box: Box
     strains: np.ndarray
     level: float
     residual: float
     error: float
-    half: Half
+
+    def shape(self, law: Law, mass: float, mean: float) -> FourierShape:
+        """Strain, velocity and displacement at any place."""
+        c, k = np.sqrt(self.level / mass), self.box.k[1 : self.box.points // 2 + 1]
+        middle, strains = _cosines(self.strains)
+        force = _cosines(values(law, mean + self.strains)[0])[1]
+        velocities = np.sinc(k / (2 * np.pi)) * force / (mass * c)
+        numbers = c, mean + middle, np.abs(k), strains, velocities
+        return FourierShape(*map(jnp.asarray, numbers))
 
 
-def newton(
-    law: Law, mean: float, half: Half, psi: np.ndarray, level: float, amplitude: float | None
-) -> tuple:
-    """(strains about the mean, m c^2, residual over the amplitude): at that level, or at half of crest less trough."""
-    residual = np.inf
-    rest = values(law, np.array([mean]))[0][0]
-    for _ in range(STEPS):
-        F, slope, _ = values(law, mean + psi)
-        gap = psi - half.matrix @ (F - rest) / level
-        size = np.abs(psi).max()
-        if not np.isfinite(gap).all() or not size > 0:
-            return psi, level, np.inf
-        jacobian = np.eye(len(psi)) - half.matrix * slope / level
-        if amplitude is not None:
-            top = np.zeros(len(psi))
-            top[0], top[-1] = 0.5, -0.5
-            jacobian = np.block([[jacobian, (psi - gap)[:, None]], [top[None], np.zeros((1, 1))]])
-            gap = np.append(gap, top @ psi - amplitude)
-        before, residual = residual, np.abs(gap).max() / size
-        if residual < 1e-15 or residual < 1e-12 and residual > before / 2:
-            break
-        try:
-            step = np.linalg.solve(jacobian, -gap)
-        except np.linalg.LinAlgError:
-            return psi, level, np.inf
-        psi = psi + step[: len(psi)]
-        level = level * np.exp(np.clip(step[len(psi) :].sum(), -0.5, 0.5))
-    return psi, level, residual
+def _cosines(x):
+    """The mean of what is even about the middle of a box, and its coefficients of cos(k xi)."""
+    found = np.fft.rfft(np.fft.ifftshift(x)).real * 2 / len(x)
+    found[[0, -1]] /= 2
+    return found[0], found[1:]
+
+
+class _Family(NamedTuple):
+    """Waves of one length about one mean strain; `small`: m c^2 of small ones."""
+
+    law: Law
+    mean: float
+    wavelength: float
+    small: float
+
+    def box(self, points: int) -> Box:
+        """With so many points from a crest to the next trough, of waves whose level is 1."""
+        rest = values(self.law, np.array([self.mean]))[0]
+
+        def force(e):
+            return values(self.law, self.mean + e)[0] - rest
+
+        def slope(e):
+            return values(self.law, self.mean + e)[1]
+
+        chain = Chain(np.ones(1), force, slope, slope(np.zeros(1)), None, 0)
+        return Box(chain, self.wavelength / 2, 2 * points, at_rest=False)
+
+    def solved(
+        self, box: Box, phi: np.ndarray, level: float, amplitude: float | None
+    ) -> tuple[Solved, float]:
+        """The wave near a guess, and its level: that one, or what goes with half of crest less trough."""
+
+        def at(level):
+            own = copy.copy(box)
+            own.chain = faster(box.chain, np.sqrt(level))
+            return own
+
+        if amplitude is None:
+            return newton(at(level), phi, 1e-15, STEPS), level
+        crest = np.zeros(box.points)
+        crest[[0, box.points // 2]] = -0.5, 0.5
+        found = newton_with(at, lambda _: crest, phi, level, level / 2, amplitude, 1e-15, STEPS)
+        return found, found.parameter
+
+    def grown(self, box: Box, amplitude: float, before: tuple | None) -> tuple | None:
+        """(strains, level, amplitude) of a wave, from the one before; the first is a cosine."""
+        phi, level = np.cos(2 * np.pi * box.x / self.wavelength)[None] * amplitude, self.small
+        if before is not None:
+            phi, level = before[0] * (amplitude / before[2]), before[1]
+        found, level = self.solved(box, phi, level, amplitude)
+        return (found.phi, level, amplitude) if found.residual < FOLLOWED else None
 
 
 def train(
@@ -137,38 +142,32 @@ def train(
             f"{mean:g}, where its stiffness is {stiffness:g}",
             "Without a precompression the mean strain has to close the contacts.",
         )
-    half = Half.of(wavelength, POINTS[0])
-    small = stiffness * np.sinc(1 / wavelength) ** 2
+    waves = _Family(law, mean, wavelength, stiffness * np.sinc(1 / wavelength) ** 2)
+    box = waves.box(POINTS[0])
+    first = FIRST * _scale(law, mean, stiffness)
     if speed is None:
-        psi, found = _to_amplitude(law, mean, half, small, amplitude)
+        phi, level = _to_amplitude(waves, box, first, amplitude)
     else:
-        psi, found = _to_speed(law, mass, mean, half, small, speed)
+        phi, level = _to_speed(waves, box, first, mass, speed)
     before, apart = None, np.inf
     for points in POINTS:
-        finer = Half.of(wavelength, points)
-        start = _moved(half, psi, finer)
-        psi, found, residual = newton(law, mean, finer, start, found, amplitude)
-        half = finer
+        finer = waves.box(points)
+        phi = fourier(phi, box.half, finer.x)
+        found, level = waves.solved(finer, phi, level, amplitude)
+        box, phi = finer, found.phi
         if before is not None:
-            apart = float(np.abs(_moved(before[0], before[1], finer) - psi).max())
-        if apart <= AGREE * np.abs(psi).max():
+            apart = float(np.abs(fourier(before, box.half, box.x) - phi).max())
+        if apart <= AGREE * np.abs(phi).max():
             break
-        before = finer, psi
-    if not residual < CONVERGED:
+        before = phi
+    if not found.residual < CONVERGED:
         refuse(
             "law",
             "one whose periodic wave is found",
-            f"a residual of {residual:.1e} after Newton's method",
+            f"a residual of {found.residual:.1e} after Newton's method",
         )
-    return Train(
-        psi, float(found), float(residual), max(apart, 4e-16 * float(np.abs(psi).max())), half
-    )
-
-
-def _moved(half, psi, finer):
-    """Strains at other points of the same half."""
-    a = half.coefficients(psi)
-    return np.cos(finer.places[:, None] * half.wavenumbers[1:]) @ a + (psi[0] - a.sum())
+    error = max(apart, ROUNDING * float(np.abs(phi).max()))
+    return Train(box, phi[0], float(level), float(found.residual), error)
 
 
 def _scale(law, mean, stiffness):
@@ -191,35 +190,15 @@ def _scale(law, mean, stiffness):
     return float(steps[np.argmax(changed)])
 
 
-def _family(law, mean, half, level) -> Callable:
-    """A function (amplitude, wave before) -> wave; the first is a cosine."""
-    psi = np.cos(2 * np.pi * half.places / (2 * half.places[-1]))
-
-    def step(amplitude, before):
-        shape, at = (
-            (psi * amplitude, level)
-            if before is None
-            else (before[0] * amplitude / before[2], before[1])
-        )
-        found, at, residual = newton(law, mean, half, shape, at, amplitude)
-        return (found, at, amplitude) if residual < 1e-6 else None
-
-    return step
-
-
-def _to_amplitude(law, mean, half, level, amplitude):
-    step = _family(law, mean, half, level)
-    now, wave = (
-        min(amplitude, FIRST * _scale(law, mean, level / np.sinc(0.5 / half.places[-1]) ** 2)),
-        None,
-    )
+def _to_amplitude(waves, box, first, amplitude):
+    now, wave = min(amplitude, first), None
     for _ in range(MOST):
-        new = step(now, wave)
+        new = waves.grown(box, now, wave)
         if new is None:
             break
         wave = new
         if now == amplitude:
-            return wave[0], wave[1]
+            return wave[:2]
         now = min(amplitude, now * GROWTH)
     reached = 0.0 if wave is None else wave[2]
     refuse(
@@ -230,19 +209,17 @@ def _to_amplitude(law, mean, half, level, amplitude):
     )
 
 
-def _to_speed(law, mass, mean, half, level, speed):
-    step, wanted = _family(law, mean, half, level), mass * speed**2
-    now, wave = FIRST * _scale(law, mean, level / np.sinc(0.5 / half.places[-1]) ** 2), None
-    low = None
+def _to_speed(waves, box, now, mass, speed):
+    level, wanted, wave = waves.small, mass * speed**2, None
     for _ in range(MOST):
-        new = step(now, wave)
+        new = waves.grown(box, now, wave)
         if new is None:
             break
         if (new[1] - wanted) * (level - wanted) <= 0:
-            return _between(step, low, new, level, wanted)
+            return _between(waves, box, wave, new, wanted)
         if wave is not None and abs(new[1] - wanted) > abs(wave[1] - wanted):
             break
-        low, wave, now = new, new, now * GROWTH
+        wave, now = new, now * GROWTH
     small, last = np.sqrt(level / mass), np.sqrt((wave or (0, level))[1] / mass)
     refuse(
         "speed",
@@ -253,12 +230,12 @@ def _to_speed(law, mass, mean, half, level, speed):
     )
 
 
-def _between(step, low, high, level, wanted):
+def _between(waves, box, low, high, wanted):
     """By secants in the square of the amplitude."""
-    a, b = (0.0, level) if low is None else (low[2] ** 2, low[1])
+    a, b = (0.0, waves.small) if low is None else (low[2] ** 2, low[1])
     for _ in range(60):
         square = a + (wanted - b) * (high[2] ** 2 - a) / (high[1] - b)
-        new = step(np.sqrt(square), high)
+        new = waves.grown(box, np.sqrt(square), high)
         if new is None or abs(new[1] / wanted - 1) < 1e-6:
             break
         if (new[1] - wanted) * (b - wanted) > 0:

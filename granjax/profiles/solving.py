@@ -35,7 +35,7 @@ SMALL = 1e-6
 
 
 class Solved(NamedTuple):
-    """A wave as it was solved for: its shape, residual and error, the tail's decay rate and exponent, places."""
+    """A wave as it was solved for: its shape, residual and error, the tail's decay rate and exponent."""
 
     shape: TentShape
     residual: float
@@ -45,7 +45,6 @@ class Solved(NamedTuple):
     energy: Any
     momentum: Any
     compression: Any
-    places: int
     __repr__ = told
 
 
@@ -90,6 +89,22 @@ class _Problem(NamedTuple):
             )
 
         return energy
+
+
+def one_given(**numbers: Any) -> tuple[str, Any]:
+    """The name and the value of the one number that says which wave of a family is meant; others are `None`.
+
+    **Raises** ValueError for none or several.
+    """
+    given = {name: x for name, x in numbers.items() if x is not None}
+    if len(given) != 1:
+        refuse(
+            ", ".join(numbers),
+            "exactly one of them",
+            ", ".join(given) or "none",
+            "One number says which wave of the family.",
+        )
+    return given.popitem()
 
 
 def wave_of(
@@ -338,7 +353,6 @@ def _assembled(medium, problem, tent, found, error, numbers):
         energy,
         mass * speed * compression,
         compression,
-        places.count,
     )
 
 

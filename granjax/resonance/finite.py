@@ -14,6 +14,8 @@ LEAST_BEADS = 3
 SLOWEST, LEAST_TIME = 1.2, 5.0
 # contacts between which the pulse has found its form, and has not yet been passed by those behind it
 DEPTHS = 40, 100
+# of a mass ratio, to which two of a sweep are told apart
+DIGITS = 12
 # ratios on each side of a maximum at which the decay is looked at; it touches zero there as a parabola
 LOOKED = 8
 # a share of the decay at the minima: at zeros below 0.1, at ripples of 31 to 201 beads above 0.4
@@ -149,7 +151,9 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
     **Returns:** `Extrema`. **Raises** ValueError for fewer than three different ratios or transmissions that are NaN.
     """
     accuracy = float(tolerance("accuracy", accuracy, 1, 1e-4))
-    ratios, first = np.unique(sweep.mass_ratio, return_index=True)
+    # ratios that differ by rounding are one ratio, whose transmissions differ by rounding too
+    _, first = np.unique(np.round(sweep.mass_ratio, DIGITS), return_index=True)
+    ratios = np.asarray(sweep.mass_ratio)[first]
     values = np.asarray(sweep.transmission)[first]
     if len(ratios) < 3:
         refuse(

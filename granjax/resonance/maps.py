@@ -1,6 +1,6 @@
 """Decay of a pulse in chains of larger cells without precompression, over two parameters of the cell."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
 
@@ -13,12 +13,13 @@ from ..flow import Peak, simulate
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..measures import contact_force
-from ..results import Held, Result, array, note
+from ..results import Result, array, note
 from ..states import impact
 from ..strains import Shift
 from ..sweeps import paired, sweep
 from ..terms import Bond
 from ..types import Parameter
+from ..variables import Held
 from .lanes import LANES
 
 # beads behind the last cell that is read; time that a pulse takes a bead, at most, and to rise and fall
@@ -55,16 +56,11 @@ class ResonanceMap(Result):
     kind: str = note("The kind of the chain.", static=True)
     cells: tuple[int, int] = note("The cells between which the decay was read.", static=True)
 
-    @property
-    def held(self) -> dict[str, Held]:
+    def _fields(self) -> Iterator[tuple[str, object, Held]]:
         named = dict(zip(("first", "second"), self.names))
-        return {
-            name: x._replace(
-                axes=x.axes and " ".join(named[word] for word in x.axes.split()),
-                name=named.get(name, ""),
-            )
-            for name, x in self._described.items()
-        }
+        for name, x, held in super()._fields():
+            axes = held.axes and " ".join(named[word] for word in held.axes.split())
+            yield name, x, held._replace(axes=axes, name=named.get(name, ""))
 
     @property
     def outcome(self) -> str:

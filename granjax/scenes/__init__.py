@@ -11,7 +11,7 @@ from .long_range import long_range, magnets
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
 from .plane.build import crystal
-from .plane.cells import Cell, Tie
+from .plane.cells import CrystalCell, Tie
 from .plane.chains import aubry_andre, diamond, sawtooth, ssh, stub
 from .plane.lattices import hexagon, honeycomb, kagome, lieb, quadrupole, square, triangular
 from .plane.networks import junction, network

@@ -48,8 +48,9 @@ def chain(
     **Example:**
 
     >>> lattice = gx.scenes.chain(20, 1.0, gx.Linear(4.0), boundary="periodic", on_site=gx.Linear(9.0))
-    >>> print(gx.linear.bands(lattice).edges.round(6))  # 9 and 9 + 4 * 4, the roots
-    [[3. 5.]]
+    >>> band = gx.linear.bands(lattice)
+    >>> print(band.lower.round(6), band.upper.round(6))  # the roots of 9 and 9 + 4 * 4
+    [3.] [5.]
     """
     terms = [Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), law)]
     if on_site is not None:

@@ -5,17 +5,18 @@ import numpy as np
 
 from ..lattice import State
 from ..laws import Law
-from ..profiles.front import FrontShape
-from ..results import Result, array
-from ..types import Count, Number, Numbers, Parameter, Scalar
+from ..profiles import Profile
+from ..results import array
+from ..types import Count, Number, Numbers, Scalar
 
 
-class DissipativeFront(Result):
+class DissipativeFront(Profile):
     r"""A front that runs without changing its shape: strain y(n - s t) of contact n, from `behind` to `ahead`.
 
-    m s^2 (y - ahead) = tent * (F(y) - F(ahead) - eta s y'), tent(x) = [1 - |x|]_+; the beads ahead are at rest. At xi =
-    0 the strain is half way between both states, for the first time as the front comes. m s^2 = [F]/[y], whatever the
-    dashpot. Behind, the slowest part is exp(lambda xi) cos(k xi), xi < 0; ahead it is exp(-mu xi).
+    m s^2 (y - ahead) = tent * (F(y) - F(ahead) - eta s y'), tent(x) = [1 - |x|]_+; the beads ahead are at rest, and
+    `displacement` counts from where they were then, -ahead n. At xi = 0 the strain is half way between both states, for
+    the first time as the front comes. m s^2 = [F]/[y], whatever the dashpot. Behind, the slowest part is
+    exp(lambda xi) cos(k xi), xi < 0; ahead it is exp(-mu xi).
 
     Differentiable once in the parameters of the law, the mass, the strains (or the piston) and the dashpot, by the
     implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around it are refused.
@@ -44,23 +45,7 @@ class DissipativeFront(Result):
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
-    outcome: str
-    _shape: FrontShape = eqx.field(kw_only=True, repr=False)
-
-    def strain(self, xi: Parameter) -> Numbers:
-        """Compression of the contacts at places xi = n - s t, of any shape [m]."""
-        return self._shape.at("strain", xi)
-
-    def velocity(self, xi: Parameter) -> Numbers:
-        """Velocity of the beads at places xi [m/s]: zero ahead, `piston` behind."""
-        return self._shape.at("velocity", xi)
-
-    def displacement(self, xi: Parameter) -> Numbers:
-        """Displacement of the beads at places xi from where they were ahead of the front [m].
-
-        It falls by y - ahead from one bead to the next; bead n ahead is at -ahead n.
-        """
-        return self._shape.at("displacement", xi)
+    outcome: str = eqx.field(static=True)
 
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
         """Displacements and velocities (sites,) of a chain with the front at contact `centre`, a real number.
@@ -68,6 +53,6 @@ class DissipativeFront(Result):
         `None` is the middle, (sites - 2)/2. What holds the far states at the ends is the chain's: forces F(behind) on
         the first bead and -F(ahead) on the last one of free ends, say, or ends too far away to be felt.
         """
-        middle = (sites - 2) / 2 if centre is None else centre
-        xi = np.arange(sites) - middle
-        return State(self.displacement(xi) - self.ahead * xi, self.velocity(xi))
+        u, v = super().state(sites, centre)
+        xi = np.arange(sites) - ((sites - 2) / 2 if centre is None else centre)
+        return State(u - self.ahead * xi, v)

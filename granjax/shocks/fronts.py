@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from ..checks import positive, refuse, traced
 from ..lattice import Lattice
 from ..laws import Law, Strained
-from ..profiles import Medium, medium_of, tails
+from ..profiles import Medium, medium_of, tabled, tails
 from ..profiles import front as solver
 from ..profiles.front import FrontShape
 from ..profiles.medium import fine_force, one_number, single, values
@@ -250,7 +250,7 @@ def _recorded(medium, given, known_step, front, critical, root):
     # what is left of the equation, and its rounding, move the tails by as much over how far they are from sound
     left = front.residual + UNITS * np.finfo(float).eps
     error = front.error + left / min(known_step.excess, known_step.short)
-    above = solver.smoothed_at(front, np.array([top]))[0] - 1 > 2 * error
+    above = front.at(np.array([top]))[0] - 1 > 2 * error
     reaches = (REACH / float(jax.lax.stop_gradient(x)) for x in (jnp.real(root), rate))
     xi = np.linspace(-min(LONGEST, next(reaches)), next(reaches), TABLE)
     kind = "oscillatory" if known_step.zeta < critical.zeta else "monotone"
@@ -273,10 +273,7 @@ def _recorded(medium, given, known_step, front, critical, root):
         error=jnp.asarray(error * abs(known_step.jump)),
         law=medium.law,
         mass=mass,
-        xi=xi,
-        strains=shape.at("strain", xi),
-        velocities=shape.at("velocity", xi),
-        _shape=shape,
+        **tabled(shape, xi),
         **medium.origin,
         outcome=f"Found to {share:.0e} of its jump; {kind}, with {known_step.zeta / critical.zeta:.4g} of the critical "
         "dashpot.",
@@ -300,7 +297,7 @@ def _top(front):
     x, width = front.places[np.argmax(front.z)], front.apart
     for _ in range(CLOSER):
         near = x + width * np.linspace(-1, 1, AROUND)
-        x, width = near[np.argmax(solver.smoothed_at(front, near))], 2 * width / AROUND
+        x, width = near[np.argmax(front.at(near))], 2 * width / AROUND
     return float(x)
 
 

@@ -71,7 +71,7 @@ def space_time(
     if tolerance is None:
         step = float(fixed_step(lattice, state, 0.0, float(t1), step, solver, frames - 1)[0])
     ts, rows = np.linspace(0.0, float(t1), frames), []
-    energy, seen = _energy(lattice, 0.0, state), _extremes(lattice, 0.0, state.u, None)
+    energy, omega = _energy(lattice, 0.0, state), 0.0
     lost = jnp.zeros_like(energy[0])
     for low, high in zip(ts[:-1], _bar(ts[1:])):
         rows.append(_row(problem, state.u, bonds))
@@ -80,12 +80,12 @@ def space_time(
         lost = jnp.maximum(
             lost, jnp.abs(now[0] - energy[0]) / jnp.maximum(jnp.abs(energy[0]), now[1])
         )
-        seen = _extremes(lattice, high, state.u, seen)
+        omega = max(omega, float(_reached(lattice, high, state.u)))
     rows.append(_row(problem, state.u, bonds))
     lost = lost if lattice.conserves else jnp.full_like(lost, jnp.nan)
     told = f"{frames} frames of {len(bonds)} bonds, at time steps of {step or float(run.stats['step']):.4g}."
-    if tolerance is None and by_default:
-        told += _doubt(lattice, seen, float(t1), state, step)
+    if tolerance is None and by_default and step * omega > PASSED * STEP_FRACTION:
+        told += f" Energy gathered beyond the bound at the start: give step={STEP_FRACTION / omega:.3g}."
     return SpaceTime(
         ts,
         bonds,
@@ -125,36 +125,10 @@ def _energy(lattice: Lattice, t: Scalar, y: State):
 
 
 @eqx.filter_jit
-def _extremes(lattice, t, u, seen):
-    """The least and the largest compression of each law so far, one number for all bonds or per lane."""
+def _reached(lattice, t, u):
+    """The highest frequency at the compressions of one state."""
     found = compressions(lattice, t, u)
-    low, high = (
-        [
-            tuple(reduce(x, 0, keepdims=True) if x.ndim > len(lattice.lanes) else x for x in own)
-            for own in found
-        ]
-        for reduce in (jnp.min, jnp.max)
-    )
-    if seen is None:
-        return tuple(low), tuple(high)
-    lower, upper = (
-        [tuple(map(pick, *own)) for own in zip(new, old)]
-        for pick, new, old in zip((jnp.minimum, jnp.maximum), (low, high), seen)
-    )
-    return tuple(lower), tuple(upper)
-
-
-@eqx.filter_jit
-def _reached(lattice, seen, t1, u):
-    return reached_frequency(lattice, *seen, 0.0, t1, u)
-
-
-def _doubt(lattice, seen, t1, state, step):
-    """A sentence where the stiffness that was reached asks for a shorter step than the bound at the start did."""
-    omega = float(_reached(lattice, seen, t1, state.u))
-    if step * omega <= PASSED * STEP_FRACTION:
-        return ""
-    return f" Energy gathered beyond the bound at the start: give step={STEP_FRACTION / omega:.3g}."
+    return reached_frequency(lattice, found, found, t, t, u)
 
 
 def _bar(times):

@@ -1,5 +1,6 @@
 """What is measured of a dispersive shock."""
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -46,7 +47,7 @@ class Shock(Result):
     misfits: Float[np.ndarray, " s"] = array(
         "What the wave leaves of the strains, over the amplitude.", "1"
     )
-    theory: str = array('The theory, "toda" or "kdv", matched to the law at `ahead`.')
+    theory: str = array('The theory, "toda" or "kdv", matched to the law at `ahead`.', static=True)
     m: Float[np.ndarray, " s"] = array(
         "The modulation parameter whose wave is nearest to the strains.", "1"
     )
@@ -64,4 +65,4 @@ class Shock(Result):
     )
     law: Law = note("The law of the contacts.")
     mass: Number = array("The mass of the beads.", "kg")
-    outcome: str
+    outcome: str = eqx.field(static=True)

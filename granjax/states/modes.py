@@ -53,8 +53,11 @@ def normal_mode(
     first = jnp.argmax(jnp.abs(flat) >= 0.1 * largest, 0, keepdims=True)
     a = amplitude * jnp.sign(jnp.take_along_axis(flat, first, 0)[0]) / largest
     rate = jnp.maximum(found.omega[index], 0)
-    times = lambda factor: jax.tree.map(lambda x: (factor * x).astype(x.dtype), phi)
-    return State(times(a * jnp.cos(phase)), times(-rate * a * jnp.sin(phase)))
+
+    def along(size):
+        return jax.tree.map(lambda x, s: (size * x).astype(s.dtype), phi, lattice.template())
+
+    return State(along(a * jnp.cos(phase)), along(-rate * a * jnp.sin(phase)))
 
 
 def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> State:

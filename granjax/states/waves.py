@@ -20,7 +20,7 @@ from ..checks import (
     within,
 )
 from ..lattice import Lattice, State
-from ..profiles import medium_of, wave_of
+from ..profiles import medium_of, one_given, wave_of
 from ..programs import by_rows
 from ..types import Parameter, Scalar
 from .places import chain_only, column, crest, numbers, state_of
@@ -115,10 +115,7 @@ def solitary_wave(
     1.487359
     """
     sites = chain_only(lattice, "solitary_wave")
-    by = {"speed": speed, "amplitude": amplitude, "energy": energy}
-    given = [name for name, x in by.items() if x is not None]
-    if len(given) != 1:
-        refuse("speed, amplitude, energy", "exactly one of them", ", ".join(given) or "none")
+    one_given(speed=speed, amplitude=amplitude, energy=energy)
     centre = parameter("centre", (sites - 2) / 2 if centre is None else centre)
     value = concrete(centre)
     if value is not None and (value.shape or not 0 <= value <= sites - 2):

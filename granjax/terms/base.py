@@ -181,15 +181,18 @@ class Term(Dimensional):
 
         A term that says nothing of `compressions` does not know, where its force reads displacements.
         """
-        found = self.compressions(jnp.zeros((), lattice.dtype), lattice.zeros())
+        found = []
+
+        def look(t, u):
+            for c in self.compressions(t, u):
+                opens = None if c.law.opens and c.overlap is None else c.law.opens
+                found.append(False if c.place == "site" else opens)
+
+        # traced, so that nothing is computed for what the laws know
+        jax.eval_shape(look, time_of(lattice), lattice.template())
         if not found:
             return None if self.dependence(lattice).displacement else False
-        known = {
-            None if c.law.opens and c.overlap is None else c.law.opens
-            for c in found
-            if c.place != "site"
-        }
-        return None if None in known else True in known
+        return None if None in found else True in found
 
     def at(self, t: Number) -> Any:
         """The term as it stands at time t, where its parameters change in time."""

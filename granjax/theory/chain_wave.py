@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, parameter, positive, refuse, show
+from ..checks import concrete, one_of, parameter, positive, refuse, show, traced
 from ..printing import told
 
 
@@ -34,27 +34,36 @@ def _numbers(**given):
     return [parameter(name, x) for name, x in given.items()]
 
 
-def _one_given(given, above, sound):
-    """The only one of several numbers that is not None, and its name; above a floor. `sound`: what sets its speed."""
+def _one_given(given, sound, sign, named, sound_named):
+    """The only one of a soliton's numbers that is not None, and its name.
+
+    `sign`: that of its strains, which `named` has; `sound`: the speed of sound, which `sound_named` set.
+    """
     names = [name for name, x in given.items() if x is not None]
     if len(names) != 1:
-        refuse(
-            ", ".join(given),
-            "one of these",
-            ", ".join(names) or "none",
-            "Each says how large the wave is.",
-        )
-    name = names[0]
-    array, floor = parameter(name, given[name]), concrete(above[name])
-    value = concrete(array)
-    if value is not None and floor is not None and not np.all(value > floor):
-        slow = name == "speed"
+        got = ", ".join(names) or "none"
+        refuse(", ".join(given), "one of these", got, "Each says how large the wave is.")
+    (name,) = names
+    array = parameter(name, given[name])
+    if traced((array, sound, sign)):
+        return name, array
+    value = np.asarray(array)
+    if name == "speed" and not np.all(value > sound):
         refuse(
             name,
-            f"numbers above {show(floor)}" + ", the speed of sound" * slow,
+            f"numbers above {show(sound)}, the speed of sound",
             show(value),
-            f"A solitary wave is faster than sound, whose speed {sound} set." if slow else "",
+            f"A solitary wave is faster than sound, whose speed {sound_named} set.",
         )
+    if name == "amplitude" and not np.all(value * sign > 0):
+        refuse(
+            name,
+            f"strains of the sign of {named}",
+            show(value),
+            "Waves of compression have K3 > 0, waves of rarefaction K3 < 0.",
+        )
+    if name == "energy" and not np.all(value > 0):
+        refuse(name, "numbers above 0", show(value))
     return name, array
 
 

@@ -20,10 +20,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, within
+from ..checks import parameter, positive, within
 from ..printing import told
 from ..types import Numbers, Parameter
-from .chain_wave import _numbers
 
 __all__ = ["Compacton", "ahnert_pikovsky", "nesterenko", "rosenau_hyman"]
 
@@ -122,7 +121,7 @@ def rosenau_hyman(
     [1.333333 0.      ]
     """
     m, n, speed = _exponent("m", m), _exponent("n", n), positive("speed", speed)
-    return _of_powers(*_numbers(x=x, m=m, n=n, speed=speed))
+    return _of_powers(parameter("x", x), m, n, speed)
 
 
 @jax.jit
@@ -174,15 +173,11 @@ def _exponent(name, p):
 
 
 def _chain(x, p, top, b, speed, stiffness, mass):
-    speed, stiffness, mass = (
+    speed, ratio = (
         positive("speed", speed),
-        positive("stiffness", stiffness),
-        positive("mass", mass),
+        positive("mass", mass) / positive("stiffness", stiffness),
     )
-    x, p, top, b, speed, stiffness, mass = _numbers(
-        x=x, p=p, top=top, b=b, speed=speed, stiffness=stiffness, mass=mass
-    )
-    return Compacton(*_cosines(x, p, top, b, speed, mass / stiffness))
+    return Compacton(*_cosines(parameter("x", x), p, top, b, speed, ratio))
 
 
 @jax.jit

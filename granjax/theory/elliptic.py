@@ -9,10 +9,10 @@ whichever is more; jacobi of a large |u| to |u| times the rounding of a number, 
 An m1 below 1e-307, where numbers end, is zero.
 
 Complete integrals by the arithmetic-geometric mean and by Carlson's duplication, incomplete ones by the latter; sn, cn
-and dn by theta series in the nome or in its complement, whichever is below exp(-pi).
+and dn by Landen's transformations.
 
-Source: B. C. Carlson, Numer. Algorithms 10, 13 (1995); NIST Digital Library of Mathematical Functions, chapters 19, 20,
-22; for the derivatives in m section 19.4.
+Source: B. C. Carlson, Numer. Algorithms 10, 13 (1995); R. Bulirsch, Numer. Math. 7, 78 (1965); NIST Digital Library of
+Mathematical Functions, chapters 19, 20, 22; for the derivatives in m section 19.4.
 """
 
 from typing import NamedTuple

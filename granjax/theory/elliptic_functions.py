@@ -1,4 +1,4 @@
-"""sn, cn, dn, zeta and the logarithm of Theta by theta series, in m1 = 1 - m; `elliptic` is their face."""
+"""sn, cn, dn, zeta and the logarithm of Theta, in m1 = 1 - m; `elliptic` is their face."""
 
 from functools import partial
 
@@ -7,10 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from .elliptic_integrals import _E, _K, _RD, _positive, _second, _sloped
-
-# terms of a series in a nome below exp(-pi)
-TERMS = 5
+from .chain_wave import _sech
+from .elliptic_integrals import _E, _K, _RD, MEANS, _positive, _second
 
 
 def _period_left(u, m1):
@@ -38,59 +36,30 @@ def _zeta(u, m1):
     return second - r * share
 
 
-@jax.custom_jvp
-def _nome(m1):
-    """exp(-pi K'/K), m/16 of small m."""
-    return jnp.exp(-jnp.pi * _K(1 - m1) / _K(m1))
-
-
-_sloped(
-    _nome,
-    lambda m1: (
-        -((jnp.pi / (2 * _K(m1))) ** 2)
-        / m1
-        * jnp.where(m1 < 1, _nome(m1) / jnp.where(m1 < 1, 1 - m1, 1.0), 1 / 16)
-    ),
-)
-
-
 def _log_theta(u, m1):
     """ln Theta(u)/Theta(0), whose derivative in u is zeta; at m = 1 ln cosh u."""
     r, _ = _period_left(u, m1)
-    r, round_ = jnp.abs(r), m1 > 0.5
-    K, other = _K(jnp.where(m1 > 0, m1, 1.0)), _K(jnp.where(round_, 0.5, 1 - m1))
-    q, z = _nome(jnp.where(round_, m1, 1.0)), jnp.pi * r / jnp.where(round_, K, 1.0)
-    by_cosines = jnp.log1p(
-        sum(-4 * (-1) ** n * q ** (n * n) * jnp.sin(n * z / 2) ** 2 for n in range(1, TERMS))
-        / (1 + sum(2 * (-1) ** n * q ** (n * n) for n in range(1, TERMS)))
-    )
-    other = jnp.where(round_, 1.0, other)
-    x, log_q = jnp.pi * r / (2 * other), jnp.where(m1 > 0, -jnp.pi * K / other, -jnp.inf)
-    log_q = jnp.where(round_, -1.0, log_q)
-    series = (1 + jnp.exp(-2 * x)) / 2 + sum(
-        jnp.exp((n * n + n) * log_q + 2 * n * x) * (1 + jnp.exp(-(4 * n + 2) * x)) / 2
-        for n in range(1, TERMS)
-    )
-    at_0 = 1 + sum(jnp.exp((n * n + n) * log_q) for n in range(1, TERMS))
-    square = jnp.where(m1 > 0, jnp.pi * r * r / (4 * K * other), 0.0)
-    return jnp.where(round_, by_cosines, x - square + jnp.log(series / at_0))
+    safe, root = _positive(m1)
+    w, far = _nearer(r, safe)
+    *_, d, log = _by_means(w, root)
+    # Theta(K - w)/Theta(w) = dn(w)/m1^{1/4}
+    log = log + jnp.where(far, jnp.log(d) - jnp.log(safe) / 4, 0.0)
+    return jnp.where(m1 == 0, jnp.logaddexp(r, -r) - np.log(2), log)
+
+
+def _nearer(r, m1):
+    """|r| or K - |r|, whichever is less, and whether it is the latter."""
+    w, K = jnp.abs(r), _K(m1)
+    far = w > K / 2
+    return jnp.where(far, K - w, w), far
 
 
 @jax.custom_jvp
 def _in_period(r, m1):
-    """sn, cn, dn of |r| <= K: of |r| or K - |r|, whichever is less, by the series in the smaller nome."""
-    K, other = _K(m1), _K(1 - m1)
-    w = jnp.abs(r)
-    far = w > K / 2
-    w = jnp.where(far, K - w, w)
-    round_ = m1 > 0.5
-    s, c, d = (
-        jnp.where(round_, x, y)
-        for x, y in zip(
-            _by_sines(w, jnp.where(round_, K, 1.0), jnp.where(round_, other, 1.0)),
-            _by_exponentials(w, jnp.where(round_, 1.0, K), jnp.where(round_, 1.0, other)),
-        )
-    )
+    """sn, cn, dn of |r| <= K: of |r| or K - |r|, whichever is less, and at m = 1 hyperbolic functions."""
+    w, far = _nearer(r, m1)
+    whole = jnp.tanh(w), _sech(w), _sech(w)
+    s, c, d = (jnp.where(m1 == 0, x, y) for x, y in zip(whole, _by_means(w, _positive(m1)[1])))
     root, safe = jnp.sqrt(m1), jnp.where(far, d, 1.0)
     s, c, d = (
         jnp.where(far, c / safe, s),
@@ -100,58 +69,26 @@ def _in_period(r, m1):
     return jnp.sign(r) * s, c, d
 
 
-def _by_sines(w, K, other):
-    """Theta series in the nome q = exp(-pi K'/K), multiples of the angle by recurrence."""
-    q, z = jnp.exp(-jnp.pi * other / K), jnp.pi * w / (2 * K)
-    cosines = [jnp.ones_like(z), jnp.cos(2 * z)]
-    for _ in range(2, TERMS):
-        cosines.append(2 * cosines[1] * cosines[-1] - cosines[-2])
-    # sin (2n + 1)z/sin z and cos (2n + 1)z/cos z are sums of cosines of even multiples
-    one = two = odd = even = 1.0
-    for n in range(1, TERMS):
-        odd, even = odd + 2 * cosines[n], 2 * cosines[n] - even
-        one, two = one + (-1) ** n * q ** (n * n + n) * odd, two + q ** (n * n + n) * even
-    three, four, two_0, three_0, four_0 = _constants(q, cosines)
-    one, two = one * jnp.sin(z), two * jnp.cos(z)
-    return (
-        three_0 * one / (two_0 * four),
-        four_0 * two / (two_0 * four),
-        four_0 * three / (three_0 * four),
-    )
+def _by_means(w, root):
+    """sn, cn, dn and ln Theta(w)/Theta(0) of 0 <= w <= K/2, for the root of m1, by Landen's transformations.
 
-
-def _constants(q, cosines):
-    """theta_3, theta_4, and theta_2 (over 2 q^{1/4}), theta_3, theta_4 at zero."""
-    terms = [(q ** (n * n), (-1) ** n, cosines[n]) for n in range(1, TERMS)]
-    return (
-        1 + 2 * sum(a * c for a, _, c in terms),
-        1 + 2 * sum(s * a * c for a, s, c in terms),
-        sum(q ** (n * n + n) for n in range(TERMS)),
-        1 + 2 * sum(a for a, _, _ in terms),
-        1 + 2 * sum(s * a for a, s, _ in terms),
-    )
-
-
-def _by_exponentials(w, K, other):
-    """Theta series in q = exp(-pi K/K') of an imaginary angle i x, times exp(-x); q exp(2x) is at most q^{1/2}."""
-    x, log_q = jnp.pi * w / (2 * other), -jnp.pi * K / other
-    q, up, down = jnp.exp(log_q), jnp.exp(log_q + 2 * x), jnp.exp(-2 * x)
-    # (1 - down^(2n+1))/(1 - down)
-    one, two, ratio, high = 1.0, 1 + down, 1.0, down
-    three = four = 1.0
-    for n in range(1, TERMS):
-        ratio, high = ratio + high * (1 + down), high * down * down
-        weight = q ** (n * n) * up**n
-        one, two = one + (-1) ** n * weight * ratio, two + weight * (1 + high)
-        more = q ** (n * n - n) * (up**n + (q * down) ** n)
-        three, four = three + more, four + (-1) ** n * more
-    one, two, near = -jnp.expm1(-2 * x) * one / 2, two / 2, jnp.exp(-x)
-    *_, two_0, three_0, four_0 = _constants(q, [1.0] * TERMS)
-    return (
-        three_0 * one / (four_0 * two),
-        two_0 * near * four / (four_0 * two),
-        two_0 * near * three / (three_0 * two),
-    )
+    Level by level, from where m is zero: t is sn/cn, Theta/Theta(0) twice its square one level below over 1 + dn.
+    """
+    means = [(jnp.ones_like(root), root, 1 - root)]
+    for _ in range(MEANS):
+        a, b, apart = means[-1]
+        a, b = (a + b) / 2, jnp.sqrt(a * b)
+        # the difference of two means has its digits, as those of the levels below count twofold
+        means.append((a, b, apart**2 / (4 * (a + b))))
+    (mean, *_), *levels = reversed(means)
+    t, d, log = jnp.tan(mean * w) / mean, 1.0, 0.0
+    for a, b, apart in levels:
+        square = mean * t * t
+        whole = 1 + a * square
+        t, d = t / d, (1 + b * square) / whole
+        mean, log = a, 2 * log - jnp.log1p(-apart * square / (2 * whole))
+    c = 1 / jnp.sqrt(1 + t * t)
+    return t * c, c, d, log
 
 
 @partial(_in_period.defjvp, symbolic_zeros=True)

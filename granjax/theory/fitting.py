@@ -19,10 +19,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import root_scalar
 
 from ..checks import parameter, refuse, traced
 from ..lattice import Lattice
-from ..laws import Law
+from ..laws import Law, Strained
 from ..profiles import medium_of, wave_of
 from ..results import Result, array
 from ..types import Number, Scalar
@@ -31,11 +32,10 @@ from .simple_states import _path_to, _speed_of, _width_of
 
 # bead velocity at the crest of the leading wave over c: of the Toda chain exactly
 PEAK = 4.0
-# secants for the speed of that wave, and when they end
-SECANTS, SETTLED = 12, 1e-10
+# of the logarithm of the speed of that wave above sound's
+SETTLED = 1e-10
 # V_-/V_+ from which on neighbours behind the shock swing against each other, and the fit has no trailing edge
 BINARY = 2.0
-NODES = np.polynomial.legendre.leggauss(24)
 STRONG = (
     "{}: the waves behind would be shorter than two sites, and there is no trailing edge of this kind. The leading "
     "speed is that of a solitary wave: exact of Toda's chain; of contacts without sound ahead 0.13 and 0.04 % below "
@@ -187,59 +187,33 @@ def _excesses(law, mass, c, ahead, width, nodes, weights, close):
 
 
 def _front(medium, c, ahead, path, guess):
-    """Speed and amplitude of the solitary wave whose beads reach 4c, with derivatives, and how well it is known.
+    """Speed and amplitude of the solitary wave whose beads reach 4c, with derivatives, and how well it is known."""
+    own = medium
+    if path.ahead != 0 or traced(ahead):
+        own = medium._replace(law=Strained(medium.law, ahead))
+    side = "compression" if path.c > 0 else "tension"
 
-    By secants for the logarithm of the velocity over that of the speed above sound's.
-    """
-    own = (
-        medium
-        if path.ahead == 0 and not traced(ahead)
-        else medium._replace(law=_Before(medium.law, ahead))
-    )
-    sound, side = path.sound, "compression" if path.c > 0 else "tension"
-    wanted, points = PEAK * abs(path.c), []
+    def reached(x):
+        velocity, amplitude = _wave(own.known, path.sound + np.exp(x), side)
+        return np.log(abs(float(velocity)) / (PEAK * abs(path.c))), amplitude
+
     try:
-        for _ in range(SECANTS):
-            velocity, amplitude = _wave(own.known, guess, side)
-            points.append((np.log(guess - sound), np.log(abs(float(velocity)) / wanted)))
-            (*_, (x, gap)), slope = points, 1.0
-            if abs(gap) < SETTLED:
-                break
-            if len(points) > 1 and x != points[-2][0]:
-                slope = (gap - points[-2][1]) / (x - points[-2][0])
-            guess = sound + np.exp(x - np.clip(gap / (slope if slope > 0.1 else 1.0), -1, 1))
+        # the logarithms of the speed above sound's and of the velocity are nearly straight in each other
+        start = np.log(guess - path.sound)
+        x = root_scalar(lambda x: reached(x)[0], method="secant", x0=start, xtol=SETTLED).root
+        gap, amplitude = reached(x)
     except ValueError as error:
         return jnp.full((), jnp.nan), jnp.full((), jnp.nan), f"No solitary wave was found: {error}"
-    speed = jnp.asarray(guess)
+    speed = jnp.asarray(path.sound + np.exp(x))
     if traced((own.law, own.mass, c)):
         (_, amplitude), (steeper, taller) = jax.jvp(
             lambda s: _wave(own.known, s, side), (speed,), (jnp.ones(()),)
         )
         velocity, higher = _wave(own, speed, side)
-        gap = jnp.abs(velocity) - PEAK * jnp.abs(c)
-        moved = -(gap - jax.lax.stop_gradient(gap)) / jnp.abs(steeper)
+        off = jnp.abs(velocity) - PEAK * jnp.abs(c)
+        moved = -(off - jax.lax.stop_gradient(off)) / jnp.abs(steeper)
         speed, amplitude = speed + moved, higher + taller * moved
-    return speed, amplitude, f"The beads of that wave reach 4c to {abs(points[-1][1]):.0e}."
-
-
-class _Before(Law):
-    """A law measured from the strain ahead, whose energy has its digits where it is small: by the mean of the force."""
-
-    law: Law
-    strain: jax.Array
-
-    @property
-    def preload(self):
-        return self.law.preload + self.law.force(self.strain)
-
-    def force(self, e):
-        return self.law.force(e + self.strain) - self.law.force(self.strain)
-
-    def energy(self, e):
-        return e * sum(w / 2 * self.force((1 + t) / 2 * e) for t, w in zip(*NODES))
-
-    def overlap(self, e):
-        return self.law.overlap(e + self.strain)
+    return speed, amplitude, f"The beads of that wave reach 4c to {abs(gap):.0e}."
 
 
 def _wave(medium, speed, side):

@@ -39,7 +39,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, refuse, show
+from ..checks import concrete, refuse, show
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sech, _stiffnesses
@@ -112,7 +112,7 @@ def speed(amplitude: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 
     1.01
     """
     sound, unit = scales(K2, K3, mass)
-    return sound * (1 + _excess({"amplitude": amplitude}, sound, unit))
+    return sound * (1 + _excess(sound, unit, amplitude=amplitude))
 
 
 def amplitude(speed: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:
@@ -126,7 +126,7 @@ def amplitude(speed: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 
     0.06
     """
     sound, unit = scales(K2, K3, mass)
-    return 3 * unit * _excess({"speed": speed}, sound, unit)
+    return 3 * unit * _excess(sound, unit, speed=speed)
 
 
 def soliton(
@@ -160,10 +160,8 @@ def soliton(
     0.3
     """
     sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
-    excess = _excess({"speed": speed, "amplitude": amplitude}, sound, unit)
-    n, t, centre, excess, unit, sound = _numbers(
-        n=n, t=t, centre=centre, speed=excess, K3=unit, K2=sound
-    )
+    excess = _excess(sound, unit, speed=speed, amplitude=amplitude)
+    n, t, centre = _numbers(n=n, t=t, centre=centre)
     return ChainWave(*_soliton(n, t, centre, excess, unit, sound, sign))
 
 
@@ -196,9 +194,7 @@ def cnoidal(
     0.3
     """
     sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
-    n, t, centre, r1, r2, r3, unit, sound = _numbers(
-        n=n, t=t, centre=centre, r1=r1, r2=r2, r3=r3, K3=unit, K2=sound
-    )
+    n, t, centre, r1, r2, r3 = _numbers(n=n, t=t, centre=centre, r1=r1, r2=r2, r3=r3)
     values = concrete(r1), concrete(r2), concrete(r3)
     if all(x is not None for x in values):
         one, two, three = values
@@ -207,19 +203,9 @@ def cnoidal(
     return ChainWave(*_cnoidal(n, t, centre, r1, r2, r3, unit, sound, sign))
 
 
-def _excess(given, sound, unit):
+def _excess(sound, unit, **given):
     """speed/sigma - 1 of a soliton."""
-    if given.get("amplitude") is not None:
-        given["amplitude"] = parameter("amplitude", given["amplitude"])
-        values = concrete(given["amplitude"]), concrete(unit)
-        if all(x is not None for x in values) and np.any(values[0] * values[1] <= 0):
-            refuse(
-                "amplitude",
-                "strains of the sign of K3",
-                show(values[0]),
-                "Waves of compression have K3 > 0, waves of rarefaction K3 < 0.",
-            )
-    name, value = _one_given(given, {"speed": sound, "amplitude": -np.inf}, "K2 and mass")
+    name, value = _one_given(given, sound, unit, "K3", "K2 and mass")
     return value / sound - 1 if name == "speed" else value / (3 * unit)
 
 

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse, show
+from ..checks import concrete, parameter, refuse, show
 from ..printing import told
 from ..types import Numbers, Parameter
-from .chain_wave import _numbers, _stiffnesses
+from .chain_wave import _stiffnesses
 from .elliptic_functions import _jacobi
 from .elliptic_integrals import _E, _K
 from .self_similar import (
@@ -116,8 +116,7 @@ def modulus(
     0.5
     """
     C, sound, _ = _scaled(c, K2, K3, mass)
-    speed, _ = _numbers(speed=speed, c=C)
-    return _modulus(speed / sound, C)
+    return _modulus(parameter("speed", speed) / sound, C)
 
 
 def shock_wave(
@@ -146,16 +145,15 @@ def shock_wave(
     0.1
     """
     C, sound, unit = _scaled(c, K2, K3, mass)
-    n, t, phase = _places(n, t, phase, c=C)
+    n, t, phase = _places(n, t, phase)
     return ShockWave(*_shock_wave(n, sound * t, phase, C, unit))
 
 
 def _scaled(c, K2, K3, mass):
     """C, the speed of sound and the unit of strain."""
     K2, K3, mass = _stiffnesses(K2, K3, mass, STRAIGHT)
-    c, *_ = _numbers(c=c, K2=K2, K3=K3, mass=mass)
     sound = jnp.sqrt(K2 / mass)
-    C = 2 * c * K3 / (K2 * sound)
+    C = 2 * parameter("c", c) * K3 / (K2 * sound)
     value = concrete(C)
     if value is not None and not np.all((value > 0) & (value < 1)):
         refuse(

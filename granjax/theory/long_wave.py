@@ -73,19 +73,16 @@ def regularised_wave(
     1.5625
     """
     p = compacton._exponent("p", p)
-    speed, stiffness, mass = (
+    speed, ratio = (
         positive("speed", speed),
-        positive("stiffness", stiffness),
-        positive("mass", mass),
+        positive("mass", mass) / positive("stiffness", stiffness),
     )
-    return compacton.Compacton(
-        *_regularised(*_numbers(x=x, p=p, speed=speed, stiffness=stiffness, mass=mass))
-    )
+    return compacton.Compacton(*_regularised(parameter("x", x), p, speed, ratio))
 
 
 @jax.jit
-def _regularised(x, p, c, stiffness, mass):
-    height = (mass * c**2 * (p + 1) / (2 * stiffness)) ** (1 / (p - 1))
+def _regularised(x, p, c, ratio):
+    height = (ratio * c**2 * (p + 1) / 2) ** (1 / (p - 1))
     profile = lambda x: height * _sech(jnp.sqrt(3.0) * (p - 1) * x) ** (2 / (p - 1))
     return profile(x), c * profile(x - 0.5), jnp.full_like(x * p, jnp.inf)
 

@@ -30,9 +30,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..checks import concrete, parameter, refuse, show
+from ..checks import concrete, parameter, refuse, show, traced
 from ..results import Result, array
 from ..types import Count, Number, Parameter, Scalar
+from .chain_wave import _numbers, _sech
 from .nls_coefficients import B, Coefficients, band_edges, coefficients
 
 __all__ = [
@@ -113,9 +114,7 @@ def growth_rate(
     >>> print(gx.theory.nls.growth_rate([0.1, 0.2], 0.1, nu2=1.0, nu3=1.0).round(6))
     [0.01 0.  ]
     """
-    Q, amplitude, nu2, nu3 = map(
-        parameter, ("Q", "amplitude", "nu2", "nu3"), (Q, amplitude, nu2, nu3)
-    )
+    Q, amplitude, nu2, nu3 = _numbers(Q=Q, amplitude=amplitude, nu2=nu2, nu3=nu3)
     square = nu2 * Q**2 * (2 * nu3 * amplitude**2 - nu2 * Q**2)
     # what is not a number, such as a traced one, stays so
     stable = square <= 0
@@ -181,12 +180,10 @@ def bright_profile(
     >>> bright.strain.shape, round(float(bright.amplitude), 4)
     ((40,), 0.5657)
     """
-    kappa = _kappa(coefficients, omega)
-    amplitude, width = _bright(kappa, coefficients.nu2, coefficients.nu3_force, coefficients.omega)
-    strains = _profile(
-        coefficients, _sech, amplitude, width, 0.0, *_places(coefficients, cells, centre)
-    )
-    return Profile(*strains, amplitude, width, kappa + coefficients.omega, kappa)
+    c, kappa = coefficients, _kappa(coefficients, omega, coefficients.nu3_force)
+    amplitude, width = _bright(kappa, c.nu2, c.nu3_force)
+    strains = _profile(c, _sech, amplitude, width, 0.0, *_places(c, cells, centre))
+    return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
 
 
 def dark_profile(
@@ -206,80 +203,71 @@ def dark_profile(
     >>> round(float(gx.theory.nls.dark_profile(found, 0.99 * 6**0.5, 41).amplitude), 5)
     0.23094
     """
-    kappa, c = _kappa(coefficients, omega), coefficients
-    amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force, c.omega)
+    c, kappa = coefficients, _kappa(coefficients, omega, coefficients.nu3)
+    amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force)
     background = (c.mean_strain - c.mean_strain_force) * amplitude**2
     strains = _profile(c, jnp.tanh, amplitude, width, background, *_places(c, cells, centre))
     return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
 
 
-def _sech(x):
-    # neither overflows nor has a kink
-    return 2 * jnp.exp(-(jax.nn.softplus(2 * x) + jax.nn.softplus(-2 * x)) / 2)
-
-
-def _bright(kappa, nu2, nu3, linear=None):
-    kappa, nu2, nu3, _ = _signs(kappa, nu2, nu3, nu3, 1, linear)
+def _bright(kappa, nu2, nu3):
+    kappa, nu2, nu3, _ = _signs(1, kappa, nu2, nu3, nu3)
     return jnp.sqrt(2 * kappa / nu3), jnp.sqrt(kappa / nu2)
 
 
-def _dark(kappa, nu2, nu3, nu3_force, linear=None):
-    kappa, nu2, nu3, nu3_force = _signs(kappa, nu2, nu3, nu3_force, -1, linear)
+def _dark(kappa, nu2, nu3, nu3_force):
+    kappa, nu2, nu3, nu3_force = _signs(-1, kappa, nu2, nu3, nu3_force)
     return jnp.sqrt(kappa / nu3), jnp.sqrt(-nu3_force * kappa / (2 * nu2 * nu3))
 
 
-def _signs(kappa, nu2, nu3, nu3_force, focusing, linear):
-    """Refuses what has no such soliton: `focusing` is the sign of nu2 nu3_force that it asks for.
-
-    `linear`: where a frequency was given and not its shift, that of the linear wave.
-    """
-    same = nu3_force is nu3
-    given = kappa, nu2, nu3, nu3_force = tuple(
-        map(parameter, ("kappa", "nu2", "nu3", "nu3_force"), (kappa, nu2, nu3, nu3_force))
-    )
-    values = [concrete(x) for x in given]
-    if any(value is None for value in values):
+def _signs(focusing, kappa, nu2, nu3, nu3_force):
+    """The numbers as arrays; refuses what has no such soliton, which asks for the sign `focusing` of nu2 nu3_force."""
+    name = "nu3" if nu3_force is nu3 else "nu3_force"
+    given = _numbers(kappa=kappa, nu2=nu2, nu3=nu3, nu3_force=nu3_force)
+    if traced(given):
         return given
-    shift, two, three, force = values
-    wanted, other = ("bright", "dark") if focusing == 1 else ("dark", "bright")
+    shift, two, three, force = map(np.asarray, given)
     if not (np.sign(two * force) == focusing).all():
+        wanted, other = ("bright", "dark") if focusing == 1 else ("dark", "bright")
         signs = [
-            f"{'>' if (x > 0).all() else '<' if (x < 0).all() else 'about'} 0" for x in (force, two)
+            "> 0" if (x > 0).all() else "< 0" if (x < 0).all() else "of 0" for x in (force, two)
         ]
-        name = "nu3" if same else "nu3_force"
         refuse(
             f"nu2, {name}",
             f"a pair with {wanted} solitons",
-            f"{name} = {_short(force)} and nu2 = {_short(two)}",
+            f"{name} = {show(force)} and nu2 = {show(two)}",
             f"{name} {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.",
         )
     if not (shift * three > 0).all():
-        remedy = f"The nonlinearity {'raises' if (three > 0).all() else 'lowers'} the frequency of this wave."
-        if linear is not None:
-            side = "above" if (three > 0).all() else "below"
-            refuse(
-                "omega",
-                f"a frequency {side} {_short(concrete(linear))}, that of the linear wave",
-                _short(concrete(linear) + shift),
-                remedy,
-            )
-        refuse("kappa", f"a shift of the sign of nu3 = {_short(three)}", _short(shift), remedy)
+        refuse("kappa", f"a shift of the sign of nu3 = {show(three)}", show(shift), _shifts(three))
     return given
 
 
-def _short(x):
-    return f"{x:.6g}" if np.ndim(x) == 0 else show(x)
+def _shifts(nu3):
+    way = "raises" if (nu3 > 0).all() else "lowers"
+    return f"The nonlinearity {way} the frequency of this wave."
 
 
-def _kappa(coefficients, omega):
-    k, resonant = concrete(coefficients.k), concrete(coefficients.resonant)
+def _kappa(c, omega, nu3):
+    """The shift of a breather's frequency from the linear one, of the sign of nu3."""
+    omega = parameter("omega", omega)
+    k, resonant, linear, nu3 = map(concrete, (c.k, c.resonant, c.omega, nu3))
     if k is not None and abs(np.sin(k)) > 1e-9:
         refuse(
             "coefficients", "those of k = 0 or pi, where a packet stands still", f"k = {show(k)}"
         )
     if resonant is not None and resonant:
-        refuse("coefficients", "an envelope equation", "none", coefficients.outcome)
-    return parameter("omega", omega) - coefficients.omega
+        refuse("coefficients", "an envelope equation", "none", c.outcome)
+    kappa = concrete(omega - c.omega)
+    if kappa is not None and nu3 is not None and not (kappa * nu3 > 0).all():
+        side = "above" if nu3 > 0 else "below"
+        refuse(
+            "omega",
+            f"a frequency {side} {show(linear)}, that of the linear wave",
+            show(omega),
+            _shifts(nu3),
+        )
+    return omega - c.omega
 
 
 def _places(coefficients, cells, centre):

@@ -12,8 +12,8 @@ from ..types import Count, Parameter, Scalar
 
 # relative distances of omega^2, in units of rounding, below which branches touch and a harmonic lies on a branch
 TOUCHING, RESONANT = 1e6, 1e5
-# of derivatives in the parameters
-ORDERS = 2
+# of derivatives: two in k, and two in the parameters
+ORDERS = 4
 
 
 class Coefficients(Result):
@@ -154,15 +154,11 @@ def _cell(mass, K2, K3=0.0, K4=0.0):
     return [jnp.broadcast_to(arrays[name], (sites,)) for name in ("mass", "K2", "K3", "K4")]
 
 
-def _strains(turn, sites, order=0):
-    """The matrix S from the displacements of a cell to the strains of its bonds, or a derivative of it in k.
-
-    `turn`: e^{ik}.
-    """
+def _strains(turn, sites):
+    """The matrix S from the displacements of a cell to the strains of its bonds; `turn`: e^{ik}."""
     wrap = np.zeros((sites, sites))
     wrap[-1, 0] = 1
-    turned = -(1j**order) * turn * wrap
-    return turned if order else np.eye(sites) - np.eye(sites, k=1) + turned
+    return np.eye(sites) - np.eye(sites, k=1) - turn * wrap
 
 
 def _inverse(values, vectors, least):
@@ -185,34 +181,33 @@ def _square(z):
 
 @eqx.filter_jit
 def _coefficients(mass, K2, K3, K4, k, branch, length):
-    sites, turn = mass.size, jnp.exp(1j * k)
+    sites = mass.size
     # displacement per mass-normalised one
     light = 1 / jnp.sqrt(mass)
-    # M^{-1/2} D M^{-1/2} = S^H K2 S
-    S, S1, S2 = (_strains(turn, sites, order) * light for order in range(3))
-    product = lambda A, B: (A.conj().T * K2) @ B
-    H, H1 = product(S, S), product(S1, S) + product(S, S1)
-    H2 = product(S2, S) + 2 * product(S1, S1) + product(S, S2)
     # constant, as derivatives of `eigh` fail where any two branches touch; corrections carry those of this one
-    squared, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(H))
-    value, v, rounding = squared[branch], vectors[:, branch], jnp.finfo(squared.dtype).eps
+    S = jax.lax.stop_gradient(_strains(jnp.exp(1j * k), sites) * light)
+    squared, vectors = jnp.linalg.eigh((S.conj().T * jax.lax.stop_gradient(K2)) @ S)
+    own, rounding = squared[branch], jnp.finfo(squared.dtype).eps
     least = TOUCHING * rounding * squared[-1]
-    touches = jnp.any((jnp.abs(squared - value) <= least) & (jnp.arange(sites) != branch))
-    oscillates = value > least
-    inverse = _inverse(squared - value, vectors, least)
-    for _ in range(ORDERS):
-        v = v - inverse @ (H @ v - value * v)
-        v = v * (1 / jnp.sqrt(jnp.sum(_square(v))))
-        value = jnp.real(v.conj() @ H @ v)
-    first = jnp.real(v.conj() @ H1 @ v)
-    v1 = _solve(H - value * jnp.eye(sites), first * v - H1 @ v, inverse)
-    v1 = v1 - v * (v.conj() @ v1)
-    second = jnp.real(v.conj() @ H2 @ v + 2 * v.conj() @ H1 @ v1)
-    omega = jnp.sqrt(jnp.where(oscillates & ~touches, value, jnp.nan))
+    touches = jnp.any((jnp.abs(squared - own) <= least) & (jnp.arange(sites) != branch))
+    inverse = _inverse(squared - own, vectors, least)
+
+    def wave(k):
+        """omega^2, mass-normalised displacements and strains, M^{-1/2} D M^{-1/2} = S^H K2 S."""
+        S = _strains(jnp.exp(1j * k), sites) * light
+        H, v, value = (S.conj().T * K2) @ S, vectors[:, branch], own
+        for _ in range(ORDERS):
+            v = v - inverse @ (H @ v - value * v)
+            v = v * (1 / jnp.sqrt(jnp.sum(_square(v))))
+            value = jnp.real(v.conj() @ H @ v)
+        return value, v, S @ v
+
+    along = lambda f: lambda k: jax.jvp(f, (k,), (jnp.ones_like(k),))
+    ((value, v, strain), (first, _, strain1)), (_, (second, _, _)) = along(along(wave))(k)
+    omega = jnp.sqrt(jnp.where((own > least) & ~touches, value, jnp.nan))
     velocity = first / (2 * omega)
     curvature = (second / 2 - velocity**2) / omega
 
-    strain, strain1 = S @ v, S1 @ v + S @ v1
     size, with_slope = _square(strain), strain.conj() * strain1
     bond = jnp.argmax(size > (1 - 1e-9) * size.max())
     norm = strain[bond].conj() * (1 / jnp.sqrt(size[bond] * jnp.mean(size)))
@@ -220,8 +215,9 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     e, s = v * light * norm, strain * norm
     s1, size = strain1 * norm - norm1 * s, size / jnp.mean(size)
 
-    doubled = _strains(turn * turn, sites) * light
-    A, push = product(doubled, doubled) - 4 * value * jnp.eye(sites), doubled.conj().T @ (K3 * s**2)
+    doubled = _strains(jnp.exp(2j * k), sites) * light
+    A = (doubled.conj().T * K2) @ doubled - 4 * value * jnp.eye(sites)
+    push = doubled.conj().T @ (K3 * s**2)
     others, waves = jnp.linalg.eigh(jax.lax.stop_gradient(A))
     x = _solve(A, -push, _inverse(others, waves, RESONANT * rounding * jnp.abs(others).max()))
     resonant = _square(A @ x + push).max() > 1e-12 * jnp.max((K3 * light * size) ** 2)

@@ -6,9 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, within
+from ..checks import parameter, positive, within
 from ..printing import told
-from .chain_wave import _numbers
 from .elliptic_integrals import _K, _sloped
 
 # of Newton's method for ln(1 - m), from a guess that is never far
@@ -65,12 +64,10 @@ class ShockWave(NamedTuple):
     __repr__ = told
 
 
-def _places(n, t, phase, **others):
+def _places(n, t, phase):
     """Places, times above zero and phases where they are given, as arrays."""
     t = positive("t", t, "Before that nothing has moved: a shock is spread over n/t.")
-    given = {} if phase is None else {"phase": phase}
-    n, t, *rest = _numbers(n=n, t=t, **given, **others)
-    return n, t, rest[0] if given else None
+    return parameter("n", n), t, None if phase is None else parameter("phase", phase)
 
 
 def _modulus_of(m):

@@ -11,16 +11,25 @@ from ..checks import refuse
 from ..laws import Law
 from ..printing import told
 from ..profiles import Medium
-from ..profiles.medium import one_number
+from ..profiles.medium import CHUNK, in_chunks, one_number
 from ..types import Numbers
 
-# arguments of a law in one program; nodes of a panel, and of the rule that it is checked by; panels towards either end
-CHUNK, FINE, COARSE, GRADED = 4096, 16, 11, (60, 50)
-# halvings of a panel that does not settle, panels that are halved at a time
-HALVINGS, MOST = 40, 64
+# nodes of a panel, and of the rule that it is checked by
+FINE = 16
+COARSE = 11
+# panels that get shorter towards either end of a path
+GRADED = (60, 50)
+# how often a panel that does not settle may be halved, and how many are at a time
+HALVINGS = 40
+MOST = 64
 # binary orders of magnitude of the strain that are looked through, short of the largest number; strains in each
-ORDERS, SHORT, EACH = 400, 12, 2
+ORDERS = 400
+SHORT = 12
+EACH = 2
+# of the search for a width, whose bracket is halved where Newton's method leaves it
 STEPS = 100
+# in units of rounding, relative: an integral that is further from its value than this was not solved for
+UNSOLVED = 1e6
 # share of the largest change of slope that counts as one the other way
 BENT = 1e-9
 _RULES = [np.polynomial.legendre.leggauss(count) for count in (FINE, COARSE)]
@@ -73,14 +82,7 @@ def _slopes(law, e):
 
 def _slopes_at(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """F' and F'' at known strains; NaN where a contact is open, two magnets have met, or the law has no stiffness."""
-    flat = np.ravel(e)
-    padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
-    padded[: flat.size] = flat
-    parts = [_slopes(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
-    first, second, overlap = (
-        np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
-        for x in zip(*parts)
-    )
+    first, second, overlap = in_chunks(_slopes, law, e)
     with np.errstate(invalid="ignore"):
         there = (overlap > 0) & (first > 0) & np.isfinite(first)
     return np.where(there, first, np.nan), np.where(there, second, np.nan)
@@ -92,56 +94,39 @@ def _panels():
     return np.concatenate([[0.0], low, 1 - high[::-1][1:], [1.0]])
 
 
-def _placed(ends, rule):
-    """Nodes and weights (panels, nodes) of a rule on panels (panels, 2)."""
-    t, w = _RULES[rule]
-    half = (ends[:, 1:] - ends[:, :1]) / 2
-    return ends[:, :1] + half * (1 + t), half * w
-
-
 def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
     """Nodes, weights, F', F'' there, and relative errors of the means of (F'/m)^{1/2} and of F'' over a path.
 
     Panels that get shorter towards either end hold what is singular there; those that two rules disagree on are halved.
     """
-    edges = _panels()
-    ends, kept = np.stack([edges[:-1], edges[1:]], 1), []
-    whole = np.zeros(2)
+    edges, rounding = _panels(), _rounding()
+    ends, kept, apart = np.stack([edges[:-1], edges[1:]], 1), [], np.zeros(2)
     for level in range(HALVINGS):
-        nodes, weights = (
-            np.concatenate([_placed(ends, rule)[k] for rule in (0, 1)], 1) for k in (0, 1)
-        )
+        low, high = ends[:, :1], ends[:, 1:]
+        nodes = np.concatenate([low + (high - low) / 2 * (1 + t) for t, _ in _RULES], 1)
+        weights = np.concatenate([(high - low) / 2 * w for _, w in _RULES], 1)
         first, second = _slopes_at(law, ahead + width * nodes)
         with np.errstate(over="ignore", invalid="ignore"):
             sums = np.stack([np.sqrt(first / mass) * weights, second * weights])
-        fine, coarse = sums[..., :FINE].sum(-1), sums[..., FINE:].sum(-1)
-        apart = np.abs(fine - coarse)
+        fine = sums[..., :FINE].sum(-1)
+        off = np.abs(fine - sums[..., FINE:].sum(-1))
         if level == 0:
             whole = np.abs(fine).sum(-1)
-        bad = (apart > 8 * _rounding() * whole[:, None]).any(0) & (level < HALVINGS - 1)
-        bad &= np.isfinite(apart).all(0) & (ends[:, 1] - ends[:, 0] > 8 * _rounding() * ends[:, 1])
+        bad = (off > 8 * rounding * whole[:, None]).any(0) & np.isfinite(off).all(0)
+        bad &= (high - low > 8 * rounding * high)[:, 0] & (level < HALVINGS - 1)
         # the worst ones alone, so that a law that is rough everywhere ends
-        if bad.sum() > MOST:
-            bad[np.argsort(-(apart / np.maximum(whole, 1e-300)[:, None]).max(0))[MOST:]] = False
-        kept.append(
-            (
-                nodes[~bad, :FINE],
-                weights[~bad, :FINE],
-                first[~bad, :FINE],
-                second[~bad, :FINE],
-                apart[:, ~bad],
-            )
-        )
+        worst = np.argsort(-(off / np.maximum(whole, 1e-300)[:, None]).max(0) * bad)
+        bad[worst[MOST:]] = False
+        kept.append(np.stack([nodes, weights, first, second])[:, ~bad, :FINE].reshape(4, -1))
+        apart += off[:, ~bad].sum(1)
         if not bad.any():
             break
         middle = ends[bad].mean(1)
         ends = np.concatenate(
             [np.stack([ends[bad, 0], middle], 1), np.stack([middle, ends[bad, 1]], 1)]
         )
-    nodes, weights, first, second = (np.concatenate([x[k].ravel() for x in kept]) for k in range(4))
-    apart = np.concatenate([x[4] for x in kept], 1).sum(1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return nodes, weights, first, second, apart / whole + 4 * _rounding()
+        return *np.concatenate(kept, 1), apart / whole + 4 * rounding
 
 
 def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Path:
@@ -259,31 +244,20 @@ def _refuse_other(kind, bends, c):
 
 def _width(law, mass, ahead, side, jump, strains, first):
     """The distance over which int V dy is the jump, above zero in tension too, and the quadrature there."""
-    V = np.sqrt(first / mass)
-    steps = np.diff(strains[: len(V)], prepend=0.0)
-    before = np.append(V[:1], V[:-1]) if len(V) else V
-    least, most = (np.cumsum(pick(V, before) * steps) for pick in (np.minimum, np.maximum))
-    enough = np.flatnonzero(least >= jump)
-    low = strains[: len(V)][most <= jump].max(initial=0.0)
-    high = strains[enough[0]] if len(enough) else strains[-1]
-    at, ended = high if len(enough) else (low + high) / 2, not len(enough)
+    covered = np.cumsum(np.sqrt(first / mass) * np.diff(strains[: len(first)], prepend=0.0))
+    at = strains[min(np.searchsorted(covered, jump), len(strains) - 1)]
+    low, high = 0.0, strains[-1]
     for _ in range(STEPS):
         found = _quadrature(law, mass, ahead, side * at)
         speed = np.sqrt(found[2] / mass)
         gap = at * (found[1] @ speed) - jump
-        if (
-            np.isfinite(gap)
-            and abs(gap) <= 2 * _rounding() * jump
-            or high - low <= 2 * _rounding() * high
-        ):
+        if abs(gap) <= 2 * _rounding() * jump or high - low <= 2 * _rounding() * high:
             break
-        if gap < 0:
-            low = at
-        else:
-            high, ended = at, not np.isfinite(gap)
+        # not a number where the law has ended
+        low, high = (at, high) if gap < 0 else (low, at)
         newton = at - gap / speed[np.argmax(found[0])]
         at = newton if low < newton < high else (low + high) / 2
-    if not np.isfinite(gap) or ended and not abs(gap) <= 1e-9 * jump:
+    if not abs(gap) <= UNSOLVED * _rounding() * jump:
         last = _quadrature(law, mass, ahead, side * low)
         reached = low * (last[1] @ np.sqrt(last[2] / mass)) / 2 * side
         refuse(

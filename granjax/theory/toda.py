@@ -35,7 +35,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, positive, refuse, show
+from ..checks import concrete, positive, refuse, show
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import (
@@ -174,19 +174,7 @@ def wavenumber(
     a, b, m = _toda_constants(strength, rate, mass)
     sound = jnp.sqrt(a * b / m)
     given = {"speed": speed, "amplitude": amplitude, "energy": energy}
-    if amplitude is not None:
-        amplitude = given["amplitude"] = parameter("amplitude", amplitude)
-        values = concrete(amplitude), concrete(b)
-        if all(x is not None for x in values) and np.any(values[0] * values[1] <= 0):
-            refuse(
-                "amplitude",
-                "strains of the sign of the rate",
-                show(values[0]),
-                "Waves of compression have K3 > 0, waves of rarefaction K3 < 0.",
-            )
-    name, value = _one_given(
-        given, {"speed": sound, "amplitude": -np.inf, "energy": 0.0}, "strength, rate and mass"
-    )
+    name, value = _one_given(given, sound, b, "the rate", "strength, rate and mass")
     return _wavenumber(name, value * {"speed": 1 / sound, "amplitude": b, "energy": b / a}[name])
 
 

@@ -76,7 +76,7 @@ def periodic_wave(
     1.386294
     """
     Es = _ends(E1, E2, E3, E4)
-    n, t, centre, _ = _numbers(n=n, t=t, centre=centre, E1=sum(Es))
+    n, t, centre = _numbers(n=n, t=t, centre=centre)
     return ChainWave(*_periodic(n, t, centre, Es, *_toda_constants(strength, rate, mass)))
 
 

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse, show
+from ..checks import concrete, parameter, refuse, show
 from ..printing import told
 from ..types import Numbers, Parameter
-from .chain_wave import _numbers, _toda_constants
+from .chain_wave import _toda_constants
 from .elliptic_functions import _jacobi
 from .elliptic_integrals import _K, _RF
 from .self_similar import (
@@ -152,8 +152,7 @@ def modulus(
     0.5
     """
     c, rate, _ = _scaled(c, strength, rate, mass)
-    speed, _ = _numbers(speed=speed, c=c)
-    return _modulus(speed / rate, c)
+    return _modulus(parameter("speed", speed) / rate, c)
 
 
 def shock_wave(
@@ -193,16 +192,15 @@ def shock_wave(
     0.81093
     """
     c, rate, b = _scaled(c, strength, rate, mass)
-    n, t, phase = _places(n, t, phase, c=c)
+    n, t, phase = _places(n, t, phase)
     return ShockWave(*_shock_wave(n, rate * t, phase, c, b))
 
 
 def _scaled(c, strength, rate, mass):
     """c, the unit of speed and that of 1/strain."""
     a, b, m = _toda_constants(strength, rate, mass)
-    c, *_ = _numbers(c=c, strength=a, rate=b, mass=m)
     rate = jnp.sqrt(a * b / m)
-    c = c * b / rate
+    c = parameter("c", c) * b / rate
     value = concrete(c)
     if value is not None and not np.all((value > 0) & np.isfinite(value)):
         refuse(

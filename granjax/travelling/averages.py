@@ -3,8 +3,8 @@ r"""Averages of a periodic wave over its wavelength: what modulation theory is m
 import jax.numpy as jnp
 import numpy as np
 
-from ..laws import Law
-from ..profiles import Shape
+from ..checks import traced
+from ..profiles import Profile
 from ..profiles.medium import values
 from ..results import Result, array
 from ..types import Number
@@ -32,41 +32,46 @@ class Averages(Result):
     action: Number = array("J = 2 `kinetic`/omega per site.", "J s")
     energy_flux: Number = array("S, the power of a bond on the bead ahead of it.", "W")
     error: Number = array("The estimated relative distance from the truth.", "1")
-    outcome: str
+
+    @property
+    def outcome(self) -> str:
+        """Over how many contacts, and how well they are known."""
+        if traced((self.wavenumber, self.error)):
+            return "Not known while traced."
+        contacts = 2 * np.pi / self.wavenumber
+        return f"Averages over {contacts:.6g} contacts, right to {self.error:.0e} or so."
 
 
-def averages_of(
-    shape: Shape,
-    law: Law,
-    mass: float,
-    speed: float,
-    wavelength: float,
-    points: int,
-    error: float,
-    origin: dict,
-) -> Averages:
-    """Averages by the trapezoidal rule on so many points, which is exact of a Fourier form but for the law's curve."""
+def averages_of(wave: Profile, points: int, error: float) -> Averages:
+    """Averages of a periodic wave by the trapezoidal rule, which is exact of a Fourier form but for the law's curve.
+
+    `error`: the relative one of the wave, to which rounding is added.
+    """
+    mass, wavelength, omega = (
+        float(x) for x in (wave.mass, wave.wavelength, 2 * np.pi * wave.speed / wave.wavelength)
+    )
     xi = wavelength / points * np.arange(points)
-    strain = np.asarray(shape.at("strain", xi))
-    own, ahead = (np.asarray(shape.at("velocity", xi + s)) for s in (0.0, 1.0))
-    F, _, W = values(law, strain)
-    k = 2 * np.pi / wavelength
+    strain, own, ahead = (
+        np.asarray(x) for x in (wave.strain(xi), wave.velocity(xi), wave.velocity(xi + 1))
+    )
+    F, _, W = values(wave.law, strain)
     kinetic, potential = mass / 2 * np.mean(own**2), np.mean(W)
+    error = max(error, points**0.5 * np.finfo(float).eps)
     numbers = dict(
-        omega=k * speed,
-        wavenumber=k,
+        omega=omega,
+        wavenumber=2 * np.pi / wavelength,
         mean_strain=strain.mean(),
         mean_force=F.mean(),
         kinetic=kinetic,
         potential=potential,
         energy=kinetic + potential,
         lagrangian=kinetic - potential,
-        action=2 * kinetic / (k * speed),
+        action=2 * kinetic / omega,
         energy_flux=np.mean(F * ahead),
         error=error,
     )
     return Averages(
         **{name: jnp.asarray(x) for name, x in numbers.items()},
-        outcome=f"Averages over {wavelength:.6g} contacts, right to {error:.0e} or so.",
-        **origin,
+        _mark=wave._mark,
+        _space=wave._space,
     )

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import refuse, within
-from ..flow import Run, simulate
+from ..flow import Run
 from ..lattice import Lattice, State
 from ..laws import taylor
 from ..profiles.medium import values
@@ -19,7 +19,7 @@ from ..strains import Shift
 from ..terms import Bond
 from ..theory import toda
 from ..types import Number, Parameter, Scalar
-from .tracking import MISFIT, number_of, of_own_speed, reach_of, tracked
+from .tracking import MISFIT, number_of, of_own_speed, reach_of, run_twice, tracked
 from .wave import Wave
 
 # frames of the time before and as long after, how much longer it is than the least, contacts beyond, h omega, and how
@@ -27,8 +27,9 @@ from .wave import Wave
 FRAMES, MORE, BEYOND, STEP, STRAINS = 64, 0.25, 8, 0.2, 65
 # how many times as long as before two waves are followed after they met, until they are free of what they shed
 LONGER = 1, 4, 16
-# errors over what half of the frames change: what is shed and falls like 1/t may be as far again from the end
-LEFT = 2
+# errors over how far the line through the frames before is away: what waves shed may fall like 1/t, whose end is 3.5
+# times as far from the last line as that from the one before
+LEFT = 4
 # share of its peak at which a wave ends, over the tolerance, and not below; speeds and laws that are the same
 TAIL, ROUNDING, SAME = 1e-6, 1e-15, 1e-12
 
@@ -51,8 +52,8 @@ class Collision(Result):
         "wave",
     )
     shift_errors: Float[np.ndarray, "2 ..."] = array(
-        "The distance of the shifts from the truth, by either half of the frames and by "
-        "twice the time step.",
+        "The distance of the shifts from the truth, by either half of the frames, by as many "
+        "frames before, and by twice the time step.",
         "1",
         "wave",
     )
@@ -85,12 +86,12 @@ class Collision(Result):
     misfits: Float[np.ndarray, "2 ..."] = array(
         "What the waves leave of the strains about them, over their peaks.", "1", "wave"
     )
-    times: Float[np.ndarray, " found"] = array("The times of the frames.", "s")
+    times: Float[np.ndarray, "found ..."] = array("The times of the frames.", "s", "found")
     places: Float[np.ndarray, "2 found ..."] = array(
         "The place of each wave in each frame.", "1", "wave found"
     )
     run: Run = note("The run.")
-    outcome: str
+    outcome: str = eqx.field(static=True)
 
 
 class Course(NamedTuple):
@@ -221,10 +222,7 @@ def _runs(waves, courses, lanes, step, progress):
     )
     if step is None:
         step = STEP / course.longer**0.5 / (2 * course.sound)
-    # twice the step is to fit between two frames
-    step = min(step, course.time / (2 * (course.frames - 1)))
-    known = {"save_at": course.frames, "progress": progress}
-    return [simulate(lattice, state, course.time, step=h, **known) for h in (step, 2 * step)]
+    return run_twice(lattice, state, course.time, course.frames, step, progress)
 
 
 def _of_one_chain(first, second):
@@ -272,21 +270,31 @@ def _course(waves, parted, longer, phase):
 def _measured(waves, course, parted, run, both):
     """What became of the waves, by the strains of both runs."""
     ts, meeting = np.asarray(run.ts, float), course.meeting
-    share = MORE / (1 + MORE)
-    early, late = (
+    share, rest = MORE / (1 + MORE), course.time - course.meeting
+    early, late, sooner = (
         ts <= share * meeting * (1 + SAME),
-        ts >= course.time - share * (course.time - meeting) * (1 + SAME),
+        *(ts >= course.time - many * share * rest * (1 + SAME) for many in (1, 2)),
     )
-    sooner, later = [x[early] for x in both], [x[late] for x in both]
+    sooner &= ~late
     free = course.places(ts)
-    before = [tracked(w, ts[early], *sooner, x[early]) for w, x in zip(waves, free)]
-    after = [
-        tracked(w, ts[late], *later, _highest(w, later[0], x[late], parted))
-        for w, x in zip(waves, free)
+
+    def followed(wave, place, frames):
+        strains = [x[frames] for x in both]
+        first = _highest(wave, strains[0], place[frames], parted)
+        return tracked(wave, ts[frames], *strains, first)
+
+    before = [
+        tracked(w, ts[early], *(x[early] for x in both), place[early])
+        for w, place in zip(waves, free)
     ]
-    after, besides, lost = zip(*(_own(track, later) for track in after))
+    after, besides, lost = zip(
+        *(_own(followed(w, place, late), [x[late] for x in both]) for w, place in zip(waves, free))
+    )
     lines = np.array([[track.at(meeting) for track in tracks] for tracks in (before, after)])
-    shifts, errors = lines[1, :, 0] - lines[0, :, 0], LEFT * lines[..., 1].sum(0)
+    shifts, errors = lines[1, :, 0] - lines[0, :, 0], lines[..., 1].sum(0)
+    for k, track in enumerate(after):
+        line = followed(track.wave, free[k], sooner).at(meeting)[0]
+        errors[k] += LEFT * abs(line - lines[1, k, 0])
     amplitudes, energies = (
         np.array([number_of(*pair, name) for pair in zip(after, besides)])
         for name in ("amplitude", "energy")

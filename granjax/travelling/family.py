@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import one_of, refuse
+from ..checks import one_of
 from ..lattice import Lattice
 from ..laws import Law
-from ..profiles import medium_of, wave_of
+from ..profiles import medium_of, one_given, wave_of
 from ..results import Result, array
 from ..types import Parameter, Scalar
 from .wave import half_width
@@ -37,7 +37,13 @@ class WaveFamily(Result):
     )
     turns: Float[np.ndarray, " turn"] = array("The speeds at which the slope passes zero.", "1/s")
     law: Law = array("The law of the contacts.")
-    outcome: str
+
+    @property
+    def outcome(self) -> str:
+        """How many waves, and where their energy turns."""
+        turns = ", ".join(f"{x:.4g}" for x in self.turns)
+        turned = f"dE/dc passes zero near c = {turns}" if turns else "their energy has no turn"
+        return f"{len(self.speed)} waves; {turned}."
 
 
 def family(
@@ -64,16 +70,9 @@ def family(
     >>> round(float(high.energy / low.energy), 4)  # 2^10
     1024.0
     """
-    given = {
-        name: x
-        for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy))
-        if x is not None
-    }
-    if len(given) != 1:
-        refuse("speed, amplitude, energy", "exactly one of them", ", ".join(given) or "none")
+    name, numbers = one_given(speed=speed, amplitude=amplitude, energy=energy)
     if side is not None:
         one_of("side", side, ("compression", "tension"))
-    ((name, numbers),) = given.items()
     medium, rows = medium_of(law, mass), []
     for x in _shown(np.atleast_1d(np.asarray(numbers, float))):
         found = {}
@@ -100,11 +99,6 @@ def family(
         )
     c, E, peak, momentum, compression, width, slope, error = np.array(rows).T
     turns = _zeros(np.abs(c), slope * np.sign(c))
-    told = f"{len(rows)} waves; " + (
-        f"dE/dc passes zero near c = {', '.join(f'{x:.4g}' for x in turns)}."
-        if len(turns)
-        else "their energy has no turn."
-    )
     return WaveFamily(
         c,
         peak,
@@ -116,7 +110,6 @@ def family(
         error,
         turns,
         medium.law,
-        told,
         **medium.origin,
     )
 

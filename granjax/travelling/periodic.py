@@ -1,24 +1,23 @@
 """`periodic_wave`: trains of waves about a mean strain."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, traced
 from ..lattice import Lattice, State
 from ..laws import Law
-from ..profiles import Shape, medium_of
+from ..profiles import Profile, medium_of, one_given, tabled
 from ..profiles.medium import one_number, values
-from ..profiles.periodic import FourierShape, train
-from ..results import Result, array
-from ..types import Count, Number, Numbers, Parameter, Scalar
+from ..profiles.periodic import train
+from ..results import array
+from ..types import Count, Number, Numbers, Scalar
 from .averages import Averages, averages_of
 
 # points of the table; points of an average for each harmonic
 TABLE, AVERAGED = 129, 4
 
 
-class PeriodicWave(Result):
+class PeriodicWave(Profile):
     r"""A train of waves, strain phi(n - c t) of contact n with a length of `wavelength` contacts, a crest at xi = 0.
 
     m c^2 (phi - mean) = tent * F(phi) less its mean, in the frame in which the beads' mean velocity is zero.
@@ -40,20 +39,13 @@ class PeriodicWave(Result):
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
-    outcome: str
-    _shape: Shape = eqx.field(kw_only=True, repr=False)
 
-    def strain(self, xi: Parameter) -> Numbers:
-        """Compression of the contacts at places xi = n - c t [m]."""
-        return self._shape.at("strain", xi)
-
-    def velocity(self, xi: Parameter) -> Numbers:
-        """Velocity of the beads at places xi [m/s]; its mean is zero."""
-        return self._shape.at("velocity", xi)
-
-    def displacement(self, xi: Parameter) -> Numbers:
-        """Displacement of the beads at places xi [m], which falls by the mean strain from one bead to the next."""
-        return self._shape.at("displacement", xi)
+    @property
+    def outcome(self) -> str:
+        """How well it is known."""
+        if traced((self.error, self.amplitude)):
+            return "Not known while traced."
+        return f"Found to {self.error / abs(self.amplitude):.1e} of its amplitude."
 
     def state(self, sites: Count, centre: Scalar = 0.0) -> State:
         """Displacements and velocities (sites,) with a crest at contact `centre`, of a chain.
@@ -61,18 +53,12 @@ class PeriodicWave(Result):
         On a ring, whose sites are a multiple of the wavelength, the mean strain belongs to the law:
         `gx.laws.Strained(wave.law, wave.mean)`, and `u + wave.mean n` to the displacements.
         """
-        xi = np.arange(sites) - centre
-        return State(self.displacement(xi), self.velocity(xi))
+        return super().state(sites, centre)
 
     def averages(self) -> Averages:
         """Mean strain, force, energy, action and their fluxes over a wavelength, for modulation theory."""
-        c, length = float(self.speed), float(self.wavelength)
         points = AVERAGED * (len(self._shape.wavenumbers) + 1)
-        error = max(float(self.error / self.amplitude), points**0.5 * np.finfo(float).eps)
-        origin = {"_mark": self._mark, "_space": self._space}
-        return averages_of(
-            self._shape, self.law, float(self.mass), c, length, points, error, origin
-        )
+        return averages_of(self, points, float(self.error / self.amplitude))
 
 
 def periodic_wave(
@@ -102,8 +88,7 @@ def periodic_wave(
     >>> round(float(wave.speed), 6)  # of small waves sin(pi/6)/(pi/6) = 0.9549
     0.964331
     """
-    if (speed is None) == (amplitude is None):
-        refuse("speed, amplitude", "exactly one of them", "none" if speed is None else "both")
+    one_given(speed=speed, amplitude=amplitude)
     if traced((law, wavelength, speed, amplitude, mean, mass)):
         refuse(
             "law",
@@ -133,28 +118,19 @@ def periodic_wave(
 
 
 def _recorded(medium, found, wavelength, mean, mass):
-    half, psi = found.half, found.strains
-    c, k = np.sqrt(found.level / mass), half.wavenumbers[1:]
-    F, _, W = values(medium.law, mean + psi)
-    b = np.sinc(k / (2 * np.pi)) * half.coefficients(F) / (mass * c)
-    shape = FourierShape(
-        *map(
-            jnp.asarray,
-            (c, mean + (psi[0] - half.coefficients(psi).sum()), k, half.coefficients(psi), b),
-        )
-    )
-    weights = np.full(len(psi), wavelength / (len(psi) - 1))
-    weights[[0, -1]] /= 2
+    psi, shape = found.strains, found.shape(medium.law, mass, mean)
+    crest, trough, b = psi[len(psi) // 2], psi[0], np.asarray(shape.velocities)
+    stored = wavelength * values(medium.law, mean + psi)[2].mean()
     xi = np.linspace(-wavelength / 2, wavelength / 2, TABLE)
-    amplitude = (psi[0] - psi[-1]) / 2
+    amplitude = (crest - trough) / 2
     numbers = dict(
-        speed=c,
+        speed=shape.speed,
         wavelength=wavelength,
         mean=mean,
         amplitude=amplitude,
-        crest=mean + psi[0],
-        trough=mean + psi[-1],
-        energy=weights @ W + mass * wavelength / 4 * b @ b,
+        crest=mean + crest,
+        trough=mean + trough,
+        energy=stored + mass * wavelength / 4 * b @ b,
         residual=found.residual,
         error=found.error,
     )
@@ -162,10 +138,6 @@ def _recorded(medium, found, wavelength, mean, mass):
         **{name: jnp.asarray(x) for name, x in numbers.items()},
         law=medium.law,
         mass=medium.mass,
-        xi=xi,
-        strains=shape.at("strain", xi),
-        velocities=shape.at("velocity", xi),
-        _shape=shape,
-        outcome=f"Found to {found.error / abs(amplitude):.1e} of its amplitude.",
+        **tabled(shape, xi),
         **medium.origin,
     )

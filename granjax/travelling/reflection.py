@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..flow import Run, frequency_bound, simulate
+from ..flow import Run, frequency_bound
 from ..lattice import Lattice, State
 from ..laws import Law, taylor
 from ..programs import shared_size
@@ -16,7 +16,7 @@ from ..results import Result, array, note
 from ..strains import Shift
 from ..terms import Bond, Wall
 from ..types import Count, Numbers, Scalar
-from .tracking import MISFIT, number_of, of_own_speed, reach_of, tracked
+from .tracking import MISFIT, number_of, of_own_speed, reach_of, run_twice, tracked
 from .wave import Wave
 
 # frames of a run, contacts beyond, h omega, share of its peak at which a wave ends, and the least frames for a line
@@ -59,7 +59,7 @@ class Reflection(Result):
         "1",
     )
     run: Run = note("The run.")
-    outcome: str
+    outcome: str = eqx.field(static=True)
 
 
 def reflect(
@@ -160,11 +160,7 @@ class _Scene:
         )
         if step is None:
             step = STEP / float(frequency_bound(lattice, state, 0.0, time))
-        step = min(step, time / (2 * (FRAMES - 1)))
-        return [
-            simulate(lattice, state, time, step=h, save_at=FRAMES, progress=progress)
-            for h in (step, 2 * step)
-        ]
+        return run_twice(lattice, state, time, FRAMES, step, progress)
 
     def _lattice(self):
         bond, units = Bond(Shift(1, "free"), self.wave.law), self.wave.units

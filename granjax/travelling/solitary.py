@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, positive, refuse, show, traced
+from ..checks import one_of, positive, refuse, show
 from ..lattice import Lattice
 from ..laws import Law
-from ..profiles import Solved, medium_of, wave_of
+from ..profiles import Solved, medium_of, one_given, tabled, wave_of
 from ..types import Scalar
 from .cells import CellWave, Resonator, alone_with_resonators
 from .wave import Wave, half_width, implicit_width
@@ -60,18 +60,7 @@ def solitary_wave(
     >>> round(float(wave.amplitude), 6)
     1.487359
     """
-    given = [
-        name
-        for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy))
-        if x is not None
-    ]
-    if len(given) != 1:
-        refuse(
-            "speed, amplitude, energy",
-            "exactly one of them",
-            ", ".join(given) or "none",
-            "One number says which wave of the family.",
-        )
+    given, _ = one_given(speed=speed, amplitude=amplitude, energy=energy)
     if side is not None:
         one_of("side", side, ("compression", "tension"))
     if spacing is not None:
@@ -82,11 +71,11 @@ def solitary_wave(
         speed = speed / positive("spacing", spacing, "It is a length, such as a bead's diameter.")
     medium = medium_of(law, mass)
     if resonator is not None:
-        if given != ["speed"]:
+        if given != "speed":
             refuse(
-                given[0],
+                given,
                 "a speed, for beads with a resonator",
-                given[0],
+                given,
                 "Its stiffness goes with the speed.",
             )
         return alone_with_resonators(medium.law, medium.mass, speed, resonator)
@@ -115,22 +104,6 @@ def _recorded(medium, found: Solved) -> Wave:
         error=jnp.asarray(found.error),
         law=medium.law,
         mass=medium.mass,
-        xi=xi,
-        strains=shape.at("strain", xi),
-        velocities=shape.at("velocity", xi),
-        outcome=_told(found, amplitude, decay, exponent),
-        _shape=shape,
+        **tabled(shape, xi),
         **medium.origin,
     )
-
-
-def _told(found, amplitude, decay, exponent):
-    tail = (
-        f"exp(-{decay:.6g} |xi|)"
-        if np.isfinite(decay)
-        else f"double exponential, of exponent {exponent:.6g}"
-    )
-    if traced(amplitude):
-        return f"Found; its tail is {tail}."
-    share = found.error / abs(float(amplitude))
-    return f"Found to {share:.1e} of its peak; its tail is {tail}."

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..checks import refuse
+from ..flow import Run, simulate
+from ..lattice import Lattice, State
 from .solitary import solitary_wave
 from .wave import Wave
 
@@ -56,6 +58,17 @@ class Track(NamedTuple):
             *((self.times[part], self.places[part]) for part in parts),
             (self.times, self.coarse),
         ]
+
+
+def run_twice(
+    lattice: Lattice, state: State, time: float, frames: int, step: float, progress: bool
+) -> list[Run]:
+    """Runs with a step and with twice as much, which is to fit between two frames."""
+    step = min(step, time / (2 * (frames - 1)))
+    return [
+        simulate(lattice, state, time, step=h, save_at=frames, progress=progress)
+        for h in (step, 2 * step)
+    ]
 
 
 def reach_of(wave: Wave, share: float) -> float:

@@ -2,26 +2,26 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import traced
-from ..lattice import State
 from ..laws import Law
 from ..orbits.floquet import Floquet
-from ..profiles import Shape
-from ..results import Result, array
-from ..types import Count, Number, Numbers, Parameter, Scalar
+from ..profiles import Profile, Shape
+from ..results import array
+from ..types import Count, Number, Numbers
 from .stability import stability
 
 
-class Wave(Result):
+class Wave(Profile):
     r"""A wave that runs without changing its shape: strain phi(n - c t) of contact n, between the beads n and n + 1.
 
     m c^2 phi = tent * F(phi), tent(x) = [1 - |x|]_+. Places xi = n - c t count contacts; the beads ahead of the wave
-    are at rest, and each has moved by `compression` when it has passed.
+    are at rest, and each has moved by `compression` when it has passed. Beads are fastest at xi = 1/2, midway between
+    two contacts. `state` is meant for a long chain with free ends: the beads ahead are at rest in place, those behind
+    have moved, which a wall there would feel.
 
     Differentiable once in the parameters of the law, the mass and the given speed, amplitude or energy, by the implicit
     function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around the search are refused.
@@ -55,30 +55,19 @@ class Wave(Result):
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
-    outcome: str
-    _shape: Shape = eqx.field(kw_only=True, repr=False)
 
-    def strain(self, xi: Parameter) -> Numbers:
-        """Compression of the contacts at places xi = n - c t, of any shape [m]."""
-        return self._shape.at("strain", xi)
-
-    def velocity(self, xi: Parameter) -> Numbers:
-        """Velocity of the beads at places xi [m/s]: largest at xi = 1/2, midway between two contacts."""
-        return self._shape.at("velocity", xi)
-
-    def displacement(self, xi: Parameter) -> Numbers:
-        """Displacement of the beads at places xi [m]: zero ahead of the wave, `compression` behind it."""
-        return self._shape.at("displacement", xi)
-
-    def state(self, sites: Count, centre: Scalar | None = None) -> State:
-        """Displacements and velocities (sites,) of a chain whose peak is at contact `centre`, a real number.
-
-        `None` is the middle of the chain, (sites - 2)/2. Meant for a long chain with free ends: the beads ahead are at
-        rest in place, those behind have moved by `compression`, which a wall there would feel.
-        """
-        middle = (sites - 2) / 2 if centre is None else centre
-        xi = np.arange(sites) - middle
-        return State(self.displacement(xi), self.velocity(xi))
+    @property
+    def outcome(self) -> str:
+        """How well it is known, and how its tail falls."""
+        if traced((self.amplitude, self.error, self.decay, self.exponent)):
+            return "Not known while traced."
+        tail = (
+            f"exp(-{self.decay:.6g} |xi|)"
+            if np.isfinite(self.decay)
+            else f"double exponential, of exponent {self.exponent:.6g}"
+        )
+        share = self.error / abs(self.amplitude)
+        return f"Found to {share:.1e} of its peak; its tail is {tail}."
 
     def floquet(
         self, sites: Count | None = None, ends: str | None = None, **keywords: Any

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import granjax as gx
 from granjax.floquet import floquet
@@ -86,7 +87,7 @@ def test_natural_continuation_ends_at_a_fold():
     assert np.array_equal(converged, omegas < 1.11)
     # by the length along the branch: over that fold, down and over the next, up to the end
     branch = forced_branch(duffing, 0.7, 1.4, period=period_of)
-    np.testing.assert_allclose(branch.folds, [1.11614, 1.07613], rtol=0, atol=1e-5)
+    assert_allclose(branch.folds, [1.11614, 1.07613], rtol=0, atol=1e-5)
     assert branch.p[-1] == 1.4 and np.abs(np.diff(branch.response)).max() < 0.1
     middle = (branch.p > branch.folds[1]) & (branch.p < branch.folds[0])
     assert set(branch.verdict[middle]) == {"stable", "unstable"}
@@ -141,11 +142,11 @@ def test_the_monodromy_matrix_of_a_long_unstable_orbit_loses_its_small_multiplie
     naive = np.sort(np.abs(np.linalg.eigvals(whole.monodromy)))
     # by eleven orders of magnitude; the pairs rho rho' = 1 are as wrong
     assert naive[0] / exact[0] > 1e10 and naive[0] * naive[-1] > 1e10
-    np.testing.assert_allclose(naive[-2:], exact[-2:], rtol=1e-9)
+    assert_allclose(naive[-2:], exact[-2:], rtol=1e-9)
 
     rho = np.sort(np.abs(floquet(pendula, upright, period, segments=16).multipliers))
-    np.testing.assert_allclose(rho, exact, rtol=1e-11)
-    np.testing.assert_allclose(rho * rho[::-1], 1, rtol=0, atol=1e-11)
+    assert_allclose(rho, exact, rtol=1e-11)
+    assert_allclose(rho * rho[::-1], 1, rtol=0, atol=1e-11)
 
 
 # multipliers at +1 --------------------------------------------------------------------------------------------------

@@ -25,11 +25,23 @@ from .run import RunWithMemory
 TOLERANCE = 1e-11
 
 
-def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[str, Any]) -> Run:
+def with_memory(
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    *,
+    solver: Any,
+    step: Any,
+    tolerance: Any,
+    save_at: Any,
+    record: Any,
+    adjoint: Any,
+    progress: bool,
+    throw: bool | None,
+    max_steps: Any,
+) -> Run:
     """The run of `simulate` where forces read the past, with those of its keywords that such runs have."""
-    t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps = (
-        keywords.values()
-    )
     state, (t0, t1) = checked_state(lattice, state), checked_times(t0, t1)
     remedy = "Terms that remember are carried by a solver of their own; save_at= keeps what happens on the way."
     if solver is not None:

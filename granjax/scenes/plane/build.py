@@ -15,7 +15,7 @@ from ...terms import Bond, Grip, OnSite
 from ...types import Count, Parameter, Scalar
 from ...units import SCALED
 from ..chains import contact, number
-from .cells import Cell
+from .cells import CrystalCell
 from .outline import cut, positions_of
 
 # inertia of a sphere about its centre, in m R^2
@@ -28,7 +28,7 @@ def mindlin(poisson: Any) -> Any:
 
 
 def crystal(
-    cell: Cell,
+    cell: CrystalCell,
     n: Count,
     m: Count | None = None,
     *,
@@ -57,7 +57,7 @@ def crystal(
 
     **Arguments:**
 
-    - `cell`: a `gx.scenes.Cell` of `vectors`, `sites` and `ties`, in lengths of a bond.
+    - `cell`: a `gx.scenes.CrystalCell` of `vectors`, `sites` and `ties`, in lengths of a bond.
     - `n`, `m`: cells along the two axes, `None` for as many; n in all is the number of rows of beads. A cell with one
       vector makes a chain of n cells.
     - `mass`: a number, which stays one in the lattice's `mass` (`gx.lattice.spread_mass`), or an array (n, m); in cells
@@ -91,7 +91,7 @@ def crystal(
     **Example:**
 
     >>> ties = tuple(gx.scenes.Tie("a", "a", offset) for offset in ((1, 0), (0, 1), (1, 1), (1, -1)))
-    >>> cell = gx.scenes.Cell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, ties)
+    >>> cell = gx.scenes.CrystalCell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, ties)
     >>> crystal = gx.scenes.crystal(cell, 6, boundary="periodic")   # a square lattice with diagonals
     >>> gx.linear.dispersion(crystal, [np.pi, 0.0]).omega_squared.round(6)   # 4 K and 8 K
     Array([4., 8.], dtype=float64)

@@ -15,7 +15,7 @@ class Tie(NamedTuple):
     offset: tuple[int, ...]
 
 
-class Cell(NamedTuple):
+class CrystalCell(NamedTuple):
     """A unit cell: `vectors` (axes, 2) to the next cells, `sites` by name, `ties` once for each cell."""
 
     vectors: tuple
@@ -40,23 +40,23 @@ class Cell(NamedTuple):
 def _honeycomb():
     a = np.array([[2 * ROOT, 0.0], [ROOT, 1.5]])
     sites = {"a": (0.0, 0.0), "b": tuple(a.sum(0) / 3)}
-    return Cell(
+    return CrystalCell(
         tuple(map(tuple, a)),
         sites,
         (Tie("a", "b", (0, 0)), Tie("b", "a", (1, 0)), Tie("b", "a", (0, 1))),
     )
 
 
-TRIANGULAR = Cell(
+TRIANGULAR = CrystalCell(
     ((1.0, 0.0), (HALF, ROOT)),
     {"a": (0.0, 0.0)},
     (Tie("a", "a", (1, 0)), Tie("a", "a", (0, 1)), Tie("a", "a", (-1, 1))),
 )
-SQUARE = Cell(
+SQUARE = CrystalCell(
     ((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, (Tie("a", "a", (1, 0)), Tie("a", "a", (0, 1)))
 )
 HONEYCOMB = _honeycomb()
-KAGOME = Cell(
+KAGOME = CrystalCell(
     ((2.0, 0.0), (1.0, 2 * ROOT)),
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (HALF, ROOT)},
     (
@@ -68,13 +68,13 @@ KAGOME = Cell(
         Tie("c", "b", (-1, 1)),
     ),
 )
-LIEB = Cell(
+LIEB = CrystalCell(
     ((2.0, 0.0), (0.0, 2.0)),
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
     (Tie("a", "b", (0, 0)), Tie("a", "c", (0, 0)), Tie("b", "a", (1, 0)), Tie("c", "a", (0, 1))),
 )
 # the square of Benalcazar, Bernevig and Hughes: four sites, bonds within the cell first
-QUADRUPOLE = Cell(
+QUADRUPOLE = CrystalCell(
     ((2.0, 0.0), (0.0, 2.0)),
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0), "d": (1.0, 1.0)},
     (
@@ -89,22 +89,22 @@ QUADRUPOLE = Cell(
     ),
 )
 # chains, drawn in the plane
-CHAIN = Cell(((1.0, 0.0),), {"a": (0.0, 0.0)}, (Tie("a", "a", (1,)),))
-SAWTOOTH = Cell(
+CHAIN = CrystalCell(((1.0, 0.0),), {"a": (0.0, 0.0)}, (Tie("a", "a", (1,)),))
+SAWTOOTH = CrystalCell(
     ((1.0, 0.0),),
     {"a": (0.0, 0.0), "b": (HALF, ROOT)},
     (Tie("a", "a", (1,)), Tie("a", "b", (0,)), Tie("b", "a", (1,))),
 )
-STUB = Cell(
+STUB = CrystalCell(
     ((2.0, 0.0),),
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
     (Tie("a", "b", (0,)), Tie("b", "a", (1,)), Tie("a", "c", (0,))),
 )
-DIAMOND = Cell(
+DIAMOND = CrystalCell(
     ((2.0, 0.0),),
     {"a": (0.0, 0.0), "b": (1.0, 1.0), "c": (1.0, -1.0)},
     (Tie("a", "b", (0,)), Tie("a", "c", (0,)), Tie("b", "a", (1,)), Tie("c", "a", (1,))),
 )
-SSH = Cell(
+SSH = CrystalCell(
     ((2.0, 0.0),), {"a": (0.0, 0.0), "b": (1.0, 0.0)}, (Tie("a", "b", (0,)), Tie("b", "a", (1,)))
 )

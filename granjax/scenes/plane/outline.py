@@ -7,7 +7,7 @@ import numpy as np
 
 from ...checks import one_of, refuse
 from ...strains import WALL
-from .cells import Cell, Tie
+from .cells import CrystalCell, Tie
 
 OUTLINES = ("cells", "rectangle", "hexagon")
 # a place without a site within a hole: nothing is there, no wall either
@@ -36,7 +36,7 @@ class Cut(NamedTuple):
         return tail[there], head[there]
 
 
-def positions_of(cell: Cell, counts: tuple, corner: Any = 0) -> dict:
+def positions_of(cell: CrystalCell, counts: tuple, corner: Any = 0) -> dict:
     """Places of the sites of a parallelogram of cells, by name: (cells..., 2), in lengths of a bond."""
     index = np.moveaxis(np.indices(counts), 0, -1) + corner
     return {
@@ -44,7 +44,7 @@ def positions_of(cell: Cell, counts: tuple, corner: Any = 0) -> dict:
     }
 
 
-def cut(cell: Cell, counts: tuple, outline: str | Callable) -> Cut:
+def cut(cell: CrystalCell, counts: tuple, outline: str | Callable) -> Cut:
     """The crystal within an outline, as a graph.
 
     "rectangle": counts[0] cells in each of counts[1] rows; "hexagon": counts[0] rings of cells around one; a function

@@ -22,18 +22,6 @@ def repeated_in(lattice: Lattice) -> tuple[Law, np.ndarray, dict]:
     masses and bonds repeat at least twice.
     """
     wanted = "a chain of bonds between neighbours that repeats"
-    if (
-        lattice.fields is not None
-        or lattice.axes != 1
-        or lattice.dimension is not None
-        or lattice.lanes
-    ):
-        refuse(
-            "law",
-            wanted,
-            f"a lattice of shape {lattice.shape}, lanes {lattice.lanes}",
-            "One chain at a time.",
-        )
     law, (sites,) = law_between(lattice, wanted), lattice.sites
     rows = [np.broadcast_to(np.asarray(lattice.mass, float), sites)]
     rows += [np.asarray(x) for x in jax.tree.leaves(law) if np.ndim(x) and np.shape(x)[0] > 1]

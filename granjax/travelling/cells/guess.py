@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .system import Box, Chain, heaviness
+from ...profiles.fourier import Box, Chain, heaviness
 from .tail import decay, stiffness
 
 # compressions that are tried for the peak, over any unit of length

@@ -11,11 +11,11 @@ from jaxtyping import Float
 from ...checks import positive, refuse
 from ...lattice import Lattice, State
 from ...laws import Law
+from ...profiles.fourier import fourier
 from ...results import Result, array, note
 from ...types import Count, Parameter, Scalar
 from .from_lattice import repeated_in
 from .resonator import Resonator
-from .system import fourier
 from .tail import margin, periodic
 from .wave import (
     SILENT,

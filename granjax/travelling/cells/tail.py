@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from .system import Box, Chain, response
+from ...profiles.fourier import Box, Chain, response
 
 # no ripple is sought beyond this wave number [rad/site], nor nearer to zero than the first
 HIGHEST, STEP = 60.0, 0.01

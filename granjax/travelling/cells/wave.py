@@ -9,9 +9,20 @@ import numpy as np
 
 from ...checks import positive, refuse, show
 from ...laws import Law
+from ...profiles.fourier import (
+    MOST,
+    Box,
+    Chain,
+    Solved,
+    faster,
+    fourier,
+    heaviness,
+    newton,
+    newton_with,
+    response,
+)
 from ...profiles.start import ASTRAY, petviashvili
 from .guess import from_struck, peak, pulse, struck
-from .system import MOST, Box, Chain, Solved, fourier, heaviness, newton, newton_with, response
 from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
 
 # columns of one program: a box, and the cells of a simulated chain
@@ -233,22 +244,32 @@ def _started(chain, half):
         solved.converged and 0.2 < height / np.abs(top.strain).max() < 5 and _rest(solved) < FLAT
     ):
         return f"Newton's method did not reach a wave of the chain of equal masses (residual {solved.residual:.1e})"
-    part, step = 0.0, 1.0 if np.ptp(chain.masses) < 0.5 and chain.resonator is None else 0.25
+    step = 1.0 if np.ptp(chain.masses) < 0.5 and chain.resonator is None else 0.25
+    found, part = _followed(blended, box, solved, 0.0, step, 0.05, (0.6, 1.6))
+    return found or (
+        f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
+        "search failed, which does not say that there is none; the ripple may be as strong as the wave"
+    )
+
+
+def _followed(chain_at, box, solved, part, step, least, change):
+    """The wave of chain_at(1) from that of another part, `None` where it is lost; and the part that was reached.
+
+    `change`: what the peak may change by in a step, at least and at most.
+    """
+    half = box.half
     while part < 1:
         step = min(step, 1 - part)
-        other, trial = _again(blended(part + step), box, solved.phi, half, POINTS)
+        other, trial = _again(chain_at(part + step), box, solved.phi, half, POINTS)
         moved = np.abs(trial.phi).max() / np.abs(solved.phi).max()
-        if trial.converged and 0.6 < moved < 1.6 and _rest(trial) < 1:
+        if trial.converged and change[0] < moved < change[1] and _rest(trial) < 1:
             part, box, solved, step = part + step, other, trial, 1.5 * step
-        elif step > 0.05:
+        elif step > least:
             # a box that the ripple fits has no wave: another length does not fit it
             step, half = step / 2, half + 0.13
         else:
-            return (
-                f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
-                "search failed, which does not say that there is none; the ripple may be as strong as the wave"
-            )
-    return box, solved
+            return None, part
+    return (box, solved), part
 
 
 def _iterated(chain, half):
@@ -281,18 +302,6 @@ def _iterated(chain, half):
     return (box, solved) if change < ASTRAY and solved.converged and _rest(solved) < 1 else None
 
 
-def faster(chain, factor):
-    """The same chain for a wave that many times as fast."""
-    square = factor**2
-    own = None if chain.resonator is None else (chain.resonator[0], chain.resonator[1] / square)
-    return chain._replace(
-        force=lambda e: chain.force(e) / square,
-        slope=lambda e: chain.slope(e) / square,
-        K2=chain.K2 / square,
-        resonator=own,
-    )
-
-
 def _sped_up(chain, half):
     """A wave on some box from one little faster than sound, whose ripple is small; `None` where it is lost."""
     least = SLOW / margin(chain)
@@ -300,21 +309,7 @@ def _sped_up(chain, half):
     started = _started(slow, half + DEEP / decay(slow) - DEEP / decay(chain))
     if isinstance(started, str):
         return None
-    (box, solved), factor, step = started, least, 0.05
-    while factor < 1:
-        next_ = min(factor * (1 + step), 1.0)
-        other, trial = _again(faster(chain, next_), box, solved.phi, box.half, POINTS)
-        moved = np.abs(trial.phi).max() / np.abs(solved.phi).max()
-        if trial.converged and 0.9 < moved < 2.5:
-            box, solved, factor, step = other, trial, next_, min(1.5 * step, 0.1)
-        elif step > 0.01:
-            step /= 2
-            box, solved = _again(faster(chain, factor), box, solved.phi, box.half + 0.13, POINTS)
-            if not solved.converged:
-                return None
-        else:
-            return None
-    return box, solved
+    return _followed(lambda x: faster(chain, x), *started, least, 0.05, 0.01, (0.9, 2.5))[0]
 
 
 def _smallest(chain, box, solved, ripple, core):
@@ -444,9 +439,7 @@ def of_one_site(chain: Chain) -> Found | str:
     count = np.ceil(2 * core * ripple.wavenumber / (2 * np.pi)) + 8
     half = (count + 0.5) * np.pi / ripple.wavenumber
     box = _box(chain, half, max(10, 2 * ripple.wavenumber))
-    solved = newton(
-        box, fourier(phi, first.half, np.clip(box.x, -first.half, first.half)), max_steps=30
-    )
+    solved = newton(box, fourier(phi, first.half, np.clip(box.x, -first.half, first.half)), most=30)
     if not solved.converged or not 0.3 < np.abs(solved.phi).max() / np.abs(phi).max() < 3:
         return f"Newton's method did not reach a pulse from that of beads of the whole mass ({solved.residual:.1e})"
     return _smallest(chain, box, solved, ripple, core)

@@ -1,4 +1,4 @@
-"""The equations of a wave along a chain with a cell of P sites, in Fourier form on a periodic box.
+"""Waves along a chain with a cell of P sites, P = 1 a uniform one: Newton's method on the Fourier form in a box.
 
 Site n = j + l P has the mass m_j; bond n, between the sites n and n + 1, has the law F_j. In a wave of speed c
 e_n(t) = phi_j(n - c t). With lengths in sites, masses over their mean M and forces over M c^2 [length]:
@@ -6,7 +6,8 @@ e_n(t) = phi_j(n - c t). With lengths in sites, masses over their mean M and for
     k^2 phi_j^ = sum_l B_jl(k) F_l^,   B = D^+ diag(1/m) D,   (D F)_j = F_j - e^{-ik} F_{j-1}
 
 A resonator (nu, kappa) on every site adds nu kappa/(kappa - nu k^2) to its mass. At k = 0 the mean forces of all bonds
-are equal, and the mean strain is the mean force (over 1 + nu), which says that the far field is at rest.
+are equal, and the mean strain is the mean force (over 1 + nu), which says that the far field is at rest; or it is held
+at zero, of a wave that repeats with the box.
 """
 
 from collections.abc import Callable
@@ -33,6 +34,18 @@ class Chain(NamedTuple):
     mirror: int | None
 
 
+def faster(chain: Chain, factor: float) -> Chain:
+    """The same chain for a wave that many times as fast."""
+    square = factor**2
+    own = None if chain.resonator is None else (chain.resonator[0], chain.resonator[1] / square)
+    return chain._replace(
+        force=lambda e: chain.force(e) / square,
+        slope=lambda e: chain.slope(e) / square,
+        K2=chain.K2 / square,
+        resonator=own,
+    )
+
+
 def heaviness(chain, k):
     """Masses at each wave number (P, K), with what the resonators add."""
     masses = chain.masses[:, None] + 0 * k
@@ -57,11 +70,12 @@ def response(chain, k):
 class Box:
     """Places x = n - c t in [-half, half) of the bonds n, and the linear maps of the equations there.
 
-    Unknowns are the strains (P, N), or those that its mirror leaves free.
+    Unknowns are the strains (P, N), or those that its mirror leaves free. `at_rest`: whether the far field is, or else
+    the mean strain is zero.
     """
 
-    def __init__(self, chain: Chain, half: float, points: int):
-        self.chain, self.half, self.points = chain, half, points
+    def __init__(self, chain: Chain, half: float, points: int, at_rest: bool = True):
+        self.chain, self.half, self.points, self.at_rest = chain, half, points, at_rest
         self.x = (np.arange(points) - points // 2) * (2 * half / points)
         self.k = 2 * np.pi * np.fft.fftfreq(points, 2 * half / points)
         P = len(chain.masses)
@@ -98,7 +112,7 @@ class Box:
         for i in range(P):
             rows = np.flatnonzero(bond == i)
             for j in range(P):
-                B[i, j, 0] = (1 / total + 1) / P - (i == j)
+                B[i, j, 0] = (self.at_rest / total + 1) / P - (i == j)
                 force[rows, j] = np.fft.ifft(B[i, j]).real[lag[rows]]
                 strain[rows, j] = (1 / P - (i == j)) / N
             strain[rows, i, at[rows]] += 1
@@ -145,65 +159,74 @@ class Solved(NamedTuple):
     jacobian: np.ndarray
 
 
-def newton(box: Box, phi, tolerance=1e-12, max_steps=14) -> Solved:
+def newton(box: Box, phi: np.ndarray, tolerance: float = 1e-12, most: int = 14) -> Solved:
     """Strains on a box from a guess; where the cell has no mirror, the place of the wave stays that of the guess.
 
     The force of a place that is held takes up what the equations leave over; it ends at zero.
     """
-    z, free = box.unknowns(phi), box.chain.mirror is None
+    start = box.unknowns(phi)
+    if box.chain.mirror is not None:
+        return _descended(
+            box, lambda z, _: (box.residual(z), box.linearised(z)), start, np.nan, tolerance, most
+        )
     across = np.fft.ifft(1j * box.k * np.fft.fft(phi, axis=1), axis=1).real.ravel()
-    across, start, held, best = across / np.linalg.norm(across), z, 0.0, np.inf
-    for _ in range(max_steps):
-        residual, J = box.residual(z), box.linearised(z)
-        if free:
-            residual = np.append(residual + held * across, across @ (z - start))
-            J = np.block([[J, across[:, None]], [across[None, :], np.zeros((1, 1))]])
-        size, scale = np.abs(residual).max(), np.abs(z).max()
-        if not np.isfinite(size) or size > 1e3 * scale:
-            break
-        best = size / scale
-        if best < tolerance:
-            break
-        step = _solve(J, residual)
-        if step is None:
-            break
-        z, held = z - step[: len(z)], held - (step[-1] if free else 0.0)
-    return Solved(box.strains(z), np.nan, best, best < tolerance, J)
+    across = across / np.linalg.norm(across)
 
+    def held(z, push):
+        gap = np.append(box.residual(z) + push * across, across @ (z - start))
+        return gap, _bordered(box.linearised(z), across, across)
 
-def _solve(J, residual):
-    try:
-        return np.linalg.solve(J, residual)
-    except np.linalg.LinAlgError:
-        return None
+    return _descended(box, held, start, 0.0, tolerance, most)
 
 
 def newton_with(
-    box_of: Callable, row: Callable, phi, parameter, reach, tolerance=1e-12, max_steps=14
+    box_of: Callable,
+    row: Callable,
+    phi: np.ndarray,
+    parameter: float,
+    reach: float,
+    target: float = 0.0,
+    tolerance: float = 1e-12,
+    most: int = 14,
 ) -> Solved:
-    """Strains and a parameter p of a symmetric chain, on which one more equation row(box) @ strains = 0 is laid.
+    """Strains and a parameter p of a symmetric chain, on which one more equation row(box) @ strains = target is laid.
 
     **Arguments:** `box_of`: p to `Box`; `row`: box to (P N,); `reach`: the most that p changes in a step.
     """
-    p, z, best, J = parameter, None, np.inf, None
-    for _ in range(max_steps):
+
+    def laid(z, p):
         box = box_of(p)
-        z = box.unknowns(phi) if z is None else z
         # the change of the residual with p needs no more digits than make the step good
-        shift = 1e-6 * max(abs(p), reach)
-        at = box.gathered(row(box))
-        residual = np.append(box.residual(z), at @ z)
-        along = (box_of(p + shift).residual(z) - residual[:-1]) / shift
-        J = np.block([[box.linearised(z), along[:, None]], [at[None, :], np.zeros((1, 1))]])
-        size, scale = np.abs(residual).max(), np.abs(z).max()
-        if not np.isfinite(size) or size > 1e3 * scale:
+        shift, at = 1e-6 * max(abs(p), reach), box.gathered(row(box))
+        gap = box.residual(z)
+        along = (box_of(p + shift).residual(z) - gap) / shift
+        return np.append(gap, at @ z - target), _bordered(box.linearised(z), along, at)
+
+    box = box_of(parameter)
+    return _descended(box, laid, box.unknowns(phi), parameter, tolerance, most, reach)
+
+
+def _bordered(matrix, column, row):
+    return np.block([[matrix, column[:, None]], [row[None, :], np.zeros((1, 1))]])
+
+
+def _descended(box, equations, z, p, tolerance, most, reach=np.inf):
+    """Newton's method for the gap of (z, p), p one unknown more where `equations` has it."""
+    best, J = np.inf, None
+    for _ in range(most):
+        gap, J = equations(z, p)
+        size = np.abs(gap).max() / np.abs(z).max()
+        if not size <= 1e3:
             break
-        best = size / scale
-        if best < tolerance:
+        before, best = best, size
+        # to the tolerance, or to rounding
+        if best < tolerance or best < 1e-12 and best > before / 2:
             break
-        step = _solve(J, residual)
-        if step is None:
+        try:
+            step = np.linalg.solve(J, gap)
+        except np.linalg.LinAlgError:
             break
-        part = min(1.0, reach / max(abs(step[-1]), 1e-300))
-        z, p = z - part * step[:-1], p - part * step[-1]
-    return Solved(box.strains(z), p, best, best < tolerance, J)
+        more = step[len(z) :].sum()
+        part = min(1.0, reach / max(abs(more), 1e-300))
+        z, p = z - part * step[: len(z)], p - part * more
+    return Solved(box.strains(z), p, best, best < 1e-12, J)

@@ -1,0 +1,61 @@
+"""Uniform displacements that a lattice does not resist."""
+
+import jax
+import numpy as np
+
+from .model import Lattice
+
+NOT_RESISTED = 1e-9
+
+
+def uniform_moves(lattice: Lattice) -> np.ndarray:
+    """Uniform displacements that cost nothing, as columns (n, k) over the raveled displacements.
+
+    k = 1 for a chain with free ends or a ring, 0 with a wall or a site potential; in the plane one a free direction.
+    Fields that no term joins move each for themselves. Asked of the terms, whatever their parameters, so that a traced
+    lattice has them too.
+    """
+    moves = _components(lattice)
+    answers = [term.resists(lattice, moves) for term in lattice.terms]
+    columns = [np.concatenate([x.ravel() for x in jax.tree.leaves(move)]) for move in moves]
+    return np.stack(columns, -1) @ _null_space(
+        np.concatenate([np.zeros((1, len(moves))), *answers])
+    )
+
+
+def _components(lattice):
+    """The displacement of one component of one field, for each."""
+    zeros = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), lattice.template())
+    moves = []
+    for i in range(lattice.dimension or 1):
+        # the vector axis lies before the lanes
+        place = (..., i) + (slice(None),) * len(lattice.lanes) if lattice.dimension else ...
+        for name in zeros if isinstance(zeros, dict) else (None,):
+            move = jax.tree.map(np.copy, zeros)
+            (move if name is None else move[name])[place] = 1
+            moves.append(move)
+    return moves
+
+
+def _null_space(answers):
+    """Combinations of columns that vanish, (moves, k), by elimination, so that they are plain where they can be."""
+    rows = answers[np.abs(answers).max(1) > 0]
+    size = answers.shape[1]
+    # all rows of unlike size say the same as their triangular factor, below which nothing is left
+    rows = rows / np.abs(rows).max(1, keepdims=True)
+    rows = np.linalg.qr(np.concatenate([rows, np.zeros((size, size))]), mode="r")
+    scale, pivots = max(1.0, np.abs(rows).max()), []
+    for column in range(size):
+        done = len(pivots)
+        best = done + int(np.argmax(np.abs(rows[done:, column])))
+        if abs(rows[best, column]) <= NOT_RESISTED * scale:
+            continue
+        rows[[done, best]] = rows[[best, done]]
+        rows[done] = rows[done] / rows[done, column]
+        others = np.arange(size) != done
+        rows[others] -= rows[others][:, [column]] * rows[done]
+        pivots.append(column)
+    free = [column for column in range(size) if column not in pivots]
+    null = np.eye(size)[:, free]
+    null[pivots] = -rows[: len(pivots)][:, free]
+    return np.where(np.abs(null) < NOT_RESISTED, 0, null)

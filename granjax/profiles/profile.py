@@ -1,0 +1,44 @@
+"""`Profile`: a result that knows its wave at any place."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from ..lattice import State
+from ..results import Result
+from ..types import Count, Numbers, Parameter, Scalar
+from .shape import Shape
+
+
+class Profile(Result):
+    """A wave or a front that runs without changing its shape, by its `Shape`: functions of xi = n - c t."""
+
+    _shape: Shape = eqx.field(kw_only=True, repr=False)
+
+    def strain(self, xi: Parameter) -> Numbers:
+        """Compression of the contacts at places xi = n - c t, of any shape [m]."""
+        return self._shape.at("strain", xi)
+
+    def velocity(self, xi: Parameter) -> Numbers:
+        """Velocity of the beads at places xi, of any shape [m/s]."""
+        return self._shape.at("velocity", xi)
+
+    def displacement(self, xi: Parameter) -> Numbers:
+        """Displacement of the beads at places xi, of any shape [m]; it falls by a strain from one bead to the next."""
+        return self._shape.at("displacement", xi)
+
+    def state(self, sites: Count, centre: Scalar | None = None) -> State:
+        """Displacements and velocities (sites,) of a chain with the place xi = 0 at contact `centre`, a real number.
+
+        `None` is the middle of the chain, (sites - 2)/2.
+        """
+        xi = np.arange(sites) - ((sites - 2) / 2 if centre is None else centre)
+        return State(self.displacement(xi), self.velocity(xi))
+
+
+def tabled(shape: Shape, xi: np.ndarray) -> dict[str, Any]:
+    """The fields of a profile that follow from its shape: that itself and the table at places xi."""
+    return dict(
+        xi=xi, strains=shape.at("strain", xi), velocities=shape.at("velocity", xi), _shape=shape
+    )
