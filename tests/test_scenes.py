@@ -429,6 +429,7 @@ def loaded():
             lambda: scenes.taper(9, boundary="periodic"),
             "boundary: expected 'fixed' or 'free' for a taper",
         ),
+        (lambda: scenes.pattern(9, ()), "masses: expected"),
         (lambda: scenes.disordered(9, 1.0), r"spread: expected numbers in \[0, 1\)"),
         (lambda: scenes.disordered(9, 0.1, distribution="normal"), "distribution: expected one of"),
         (

@@ -161,6 +161,8 @@ def pattern(
     """
     sites = a_chain(sites)
     cell = stacked("masses", masses)
+    if not len(cell):
+        refuse("masses", "the masses of a cell", "none")
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
     mass = jnp.tile(cell, -(-sites // len(cell)))[:sites]

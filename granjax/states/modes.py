@@ -1,5 +1,6 @@
 """States in one normal mode of the linear lattice."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,8 +19,8 @@ def normal_mode(
 
     The largest component of phi in modulus is 1, so `amplitude` is the largest displacement; the first component of a
     tenth of it or more is positive. Linear energy: a^2 omega^2/2 sum m phi^2. With equal masses and springs between
-    fixed ends phi is sin(pi k n/(N+1)), up to its largest value, which is 1 for the lowest mode where N is odd. Dense:
-    N^3 operations, up to a few thousand displacements.
+    fixed ends phi is sin(pi k n/(N+1)), up to its largest value, which is 1 for the lowest mode where N is odd. A stiffness
+    that changes in time counts as it is at t = 0. Dense: N^3 operations, up to a few thousand displacements.
 
     **Arguments:** `index`: 0 is the lowest frequency, negative from the highest. `amplitude`: a
     [m]; `phase` [rad]; numbers, or one per lane. Where frequencies coincide the mode is one of many.
@@ -35,10 +36,13 @@ def normal_mode(
     """
     lanes = lattice.lanes
     amplitude, phase = per_lane("amplitude", amplitude, lanes), per_lane("phase", phase, lanes)
+    # of a stiffness that changes in time, the mode at t = 0
+    terms = tuple(term.at(jnp.zeros((), lattice.dtype)) for term in lattice.terms)
+    begun = eqx.tree_at(lambda x: x.terms, lattice, terms)
     solve = normal_modes
     for _ in lanes:
         solve = jax.vmap(solve, in_axes=-1, out_axes=-1)
-    found = solve(lattice)
+    found = solve(begun)
     size = len(found.omega)
     if not -size <= index < size:
         wanted = f"a whole number within {-size} ... {size - 1}"
