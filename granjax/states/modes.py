@@ -19,8 +19,8 @@ def normal_mode(
 
     The largest component of phi in modulus is 1, so `amplitude` is the largest displacement; the first component of a
     tenth of it or more is positive. Linear energy: a^2 omega^2/2 sum m phi^2. With equal masses and springs between
-    fixed ends phi is sin(pi k n/(N+1)), up to its largest value, which is 1 for the lowest mode where N is odd. A stiffness
-    that changes in time counts as it is at t = 0. Dense: N^3 operations, up to a few thousand displacements.
+    fixed ends phi is sin(pi k n/(N+1)), up to its largest value, which is 1 for the lowest mode where N is odd. A
+    stiffness that changes in time counts as it is at t = 0. Dense: N^3 operations, up to a few thousand displacements.
 
     **Arguments:** `index`: 0 is the lowest frequency, negative from the highest. `amplitude`: a
     [m]; `phase` [rad]; numbers, or one per lane. Where frequencies coincide the mode is one of many.
