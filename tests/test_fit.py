@@ -443,36 +443,36 @@ def test_what_cannot_be_meant_is_refused(short):
     state = gx.states.impact(chain)
     good = gx.Traces(times, velocity=v[:, [1]], sites=1, sigma=0.01)
 
-    def refused(match, *, scene=spring, start={"stiffness": 1.0}, traces=good, **how):
+    def wrong(match, *, scene=spring, start={"stiffness": 1.0}, traces=good, **how):
         with refused(match):
             gx.fit(scene, start, traces, **{"state": state, **how})
 
-    refused("bounds: expected one of 'stiffness'", bounds={"stifness": (0, None)})
-    refused("stiffness: expected a start above its bound", bounds={"stiffness": (2.0, None)})
-    refused(
+    wrong("bounds: expected one of 'stiffness'", bounds={"stifness": (0, None)})
+    wrong("stiffness: expected a start above its bound", bounds={"stiffness": (2.0, None)})
+    wrong(
         "sites: expected indices within",
         traces=gx.Traces(times, velocity=v[:, [1]], sites=6, sigma=0.01),
     )
-    refused(
+    wrong(
         "offset: expected one of",
         traces=gx.Traces(times, velocity=v[:, [1]], sites=1, offset="delay"),
     )
-    refused(
+    wrong(
         "times: expected samples from t0", traces=gx.Traces(times - 1, velocity=v[:, [1]], sites=1)
     )
-    refused(
+    wrong(
         "sigma: expected one for each", traces=[good, gx.Traces(times, velocity=v[:, [1]], sites=1)]
     )
-    refused("windows: expected", windows=100)
-    refused(
+    wrong("windows: expected", windows=100)
+    wrong(
         "gain: expected one number",
         traces=gx.Traces(times, velocity=v[:, [1]], sites=1, gain="gain"),
         start={"stiffness": 1.0, "gain": np.ones(2)},
     )
-    refused(
+    wrong(
         "field: expected None", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, field="bead")
     )
-    refused(
+    wrong(
         "sigma: expected a number for windows",
         traces=gx.Traces(times, velocity=v[:, [1]], sites=1),
         windows=3,

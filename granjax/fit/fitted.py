@@ -128,7 +128,9 @@ class Fit(Result):
         return " ".join([*said, *self.remarks, *self.undetermined])
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        flat = np.asarray(self.problem.coordinates.flat(self.parameters))
+        flat = np.concatenate(
+            [np.ravel(self.parameters[x]) for x in self.problem.coordinates.order]
+        )
         for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"
