@@ -1,8 +1,18 @@
 """Shapes of travelling waves, from a law and a mass alone: what `gx.travelling` and `gx.states` stand on."""
 
 from .medium import Medium, medium_of
-from .profile import Profile, tabled
+from .profile import Profile, places, tabled
 from .shape import Shape
 from .solving import Solved, one_given, wave_of
 
-__all__ = ["Medium", "Profile", "Shape", "Solved", "medium_of", "one_given", "tabled", "wave_of"]
+__all__ = [
+    "Medium",
+    "Profile",
+    "Shape",
+    "Solved",
+    "medium_of",
+    "one_given",
+    "places",
+    "tabled",
+    "wave_of",
+]

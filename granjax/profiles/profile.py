@@ -33,8 +33,13 @@ class Profile(Result):
 
         `None` is the middle of the chain, (sites - 2)/2.
         """
-        xi = np.arange(sites) - ((sites - 2) / 2 if centre is None else centre)
+        xi = places(sites, centre)
         return State(self.displacement(xi), self.velocity(xi))
+
+
+def places(sites: Count, centre: Scalar | None = None) -> np.ndarray:
+    """The places xi of the beads of a chain with xi = 0 at contact `centre`, `None` for its middle."""
+    return np.arange(sites) - ((sites - 2) / 2 if centre is None else centre)
 
 
 def tabled(shape: Shape, xi: np.ndarray) -> dict[str, Any]:

@@ -1,11 +1,10 @@
 """`DissipativeFront`: a stationary front as a result."""
 
 import equinox as eqx
-import numpy as np
 
 from ..lattice import State
 from ..laws import Law
-from ..profiles import Profile
+from ..profiles import Profile, places
 from ..results import array
 from ..types import Count, Number, Numbers, Scalar
 
@@ -54,5 +53,4 @@ class DissipativeFront(Profile):
         the first bead and -F(ahead) on the last one of free ends, say, or ends too far away to be felt.
         """
         u, v = super().state(sites, centre)
-        xi = np.arange(sites) - ((sites - 2) / 2 if centre is None else centre)
-        return State(u - self.ahead * xi, v)
+        return State(u - self.ahead * places(sites, centre), v)
