@@ -9,7 +9,7 @@ from ..checks import concrete, described, positive, refuse, show
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from ..types import Flags, Number, Parameter
-from .stiffness import lanes_at_rest, products
+from .stiffness import damping_product, lanes_at_rest, stiffness_product
 
 # the growth along a chain is counted in so many pieces, after some to forget where it began
 PIECES, FORGOTTEN = 36, 4
@@ -135,12 +135,11 @@ def _growth(lattice, omega, damped):
 
     What three diagonals miss, how far they are from symmetric, both over the largest entry; the least |k_n|.
     """
-    pull, drag = products(lattice, jnp.zeros((), lattice.dtype))
-    (tied, k), further, uneven, scale = _springs(lattice, pull)
+    (tied, k), further, uneven, scale = _springs(lattice, stiffness_product(lattice))
     mass = spread_mass(lattice)[1:-1].reshape(tied.shape)
     rows = [mass, tied, k]
     if damped:
-        damping, more, odd, _ = _springs(lattice, drag)
+        damping, more, odd, _ = _springs(lattice, damping_product(lattice))
         rows += damping
         further = jnp.maximum(further, more)
         uneven = jnp.maximum(uneven, odd)
