@@ -14,6 +14,7 @@ from ..results import Result, array, note
 from ..types import Count, Numbers
 from .cell import unit_cell
 from .modes import signed_root
+from .stiffness import each
 
 SHRINK, ROUNDS = 0.6, 48
 TOUCHING = 1e-8
@@ -139,24 +140,19 @@ def _extrema(found, k, spacing):
         return jnp.linalg.eigvalsh(found.dynamical_matrix(k))
 
     at_once = max(1, 2**22 // size**2)
-    sampled = (
-        jax.vmap(squared)(k) if len(k) <= at_once else jax.lax.map(squared, k, batch_size=at_once)
-    )
+    sampled = each(squared, k, at_once)
     best = jnp.stack([k[jnp.argmin(s * sampled, 0)] for s in (1, -1)])
     moves = [np.array([0.0, -1.0, -0.5, 0.5, 1.0])] * k.shape[1]
     stencil = jnp.asarray(
         np.stack(np.meshgrid(*moves, indexing="ij"), -1).reshape(-1, k.shape[1]), k.dtype
     )
 
-    def improve(best, s, n, width):
-        tried = best + width * stencil
-        return tried[jnp.argmin(s * jax.vmap(squared)(tried)[:, n])]
-
     def close_in(i, best):
-        width = spacing * SHRINK**i
-        every = jax.vmap(
-            jax.vmap(lambda b, s, n: improve(b, s, n, width), (0, None, 0)), (0, 0, None)
-        )
+        def improve(best, s, n):
+            tried = best + spacing * SHRINK**i * stencil
+            return tried[jnp.argmin(s * jax.vmap(squared)(tried)[:, n])]
+
+        every = jax.vmap(jax.vmap(improve, (0, None, 0)), (0, 0, None))
         return every(best, sign, jnp.arange(size))
 
     return jax.lax.fori_loop(0, ROUNDS, close_in, best)

@@ -89,6 +89,19 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     return uniform + jnp.einsum("r,rab->ab", turn, coupling)
 
 
+def phases(k: Numbers, axes: int) -> Numbers:
+    """Wave numbers as points (..., axes), those of a chain (...,) too; others are refused."""
+    if axes == 1:
+        return k[..., None]
+    if k.ndim == 0 or k.shape[-1] != axes:
+        refuse(
+            "k",
+            f"a last axis of length {axes}, one phase per axis of the lattice",
+            f"shape {k.shape}",
+        )
+    return k
+
+
 def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """The unit cell of a lattice, as a `UnitCell` with its dynamical matrix.
 

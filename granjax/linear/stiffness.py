@@ -264,6 +264,13 @@ def sampled(lattice: Lattice, reach: Any, ts: Any, w: Any, damped: bool) -> Any:
     return *jax.vmap(at)(ts), masses(lattice)
 
 
+def each(function: Callable, x: Any, at_once: int) -> Any:
+    """`jax.vmap(function)(x)`, of so many rows at a time that memory holds them."""
+    if len(x) <= at_once:
+        return jax.vmap(function)(x)
+    return jax.lax.map(function, x, batch_size=at_once)
+
+
 def settled(function: Callable, *arguments: Any) -> Any:
     """The result of concrete arguments as NumPy arrays, inside `jit` too."""
     result = function(*arguments)

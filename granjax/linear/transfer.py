@@ -103,14 +103,14 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
         refuse("lattice", "at least four sites", f"{sites}", "The walls' sites are left out.")
     gamma, error, *checks = _growth(lattice, omega.reshape(-1), lattice.reads_velocity)
     further, uneven, least = (concrete(jax.lax.stop_gradient(x)) for x in checks)
-    if further is not None and further > LOOSE * np.finfo(further.dtype).eps:
+    tolerance = LOOSE * np.finfo(lattice.dtype).eps
+    if further is not None and further > tolerance:
         wanted = "bonds and dashpots between next neighbours"
         refuse("lattice", wanted, "some that reach further", _MODES)
-    if uneven is not None and uneven > LOOSE * np.finfo(uneven.dtype).eps:
-        wanted = "forces that are alike at both sites of a bond"
+    if uneven is not None and uneven > tolerance:
         refuse(
             "lattice",
-            wanted,
+            "forces that are alike at both sites of a bond",
             "gyroscopic or one-way forces",
             "Waves to the left and to the right differ: simulate the chain, driven at one end.",
         )
