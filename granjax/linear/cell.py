@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse, whole
+from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
 from ..printing import told
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
@@ -170,19 +170,20 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
                 "Use granjax.linear.normal_modes.",
             )
         reach = further
+    reach = tuple(reach)
     alike = np.moveaxis(found / sizes(found), 0, -1)
     rings = [is_ring(np.abs(alike).max((-1, -2)), axis, reach) for axis in range(len(sites))]
-    return Blocks(plain, known, tuple(reach), found, mass, rings, alike, w)
+    return Blocks(plain, known, reach, found, mass, rings, alike, w)
 
 
 def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) -> UnitCell:
     """The cell of a lattice, of `given` numbers of sites, where they are `None` of the least."""
     cell, chosen = periods(found, rings, given)
     reach, mass = found.reach, found.mass
-    if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(found.plain))):
-        shells, coupling, mass = assemble(np, found.found[0, ..., 0], mass, cell, chosen, reach)
-    else:
+    if traced(lattice):
         shells, coupling, mass = assembled(lattice, cell, chosen, reach)
+    else:
+        shells, coupling, mass = assemble(np, found.found[0, ..., 0], mass, cell, chosen, reach)
     return UnitCell(
         jnp.asarray(coupling), jnp.asarray(mass), cell, shells, lattice.fields, lattice.dimension
     )

@@ -20,39 +20,29 @@ from ..types import AnyArray, Displacements, Number, Numbers
 GENERIC = (0.618 * 10.0 ** np.arange(-6, 5)).tolist()
 
 
-def undriven(lattice: Any) -> Lattice:
+def undriven(lattice: Any, lanes: bool = False) -> Lattice:
     """The lattice without its drives, and with every moving wall held still.
 
-    **Raises** ValueError for what is no single lattice.
+    **Raises** ValueError for a batch, unless `lanes` allows one.
     """
-    if lattice.lanes:
+    if lattice.lanes and not lanes:
         refuse(
             "lattice",
             "one lattice",
             f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
-    return _standing(lattice)
-
-
-def _standing(lattice):
     refuse_memory(lattice)
     return eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
 
 
-def at_rest(lattice: Any) -> Lattice:
+def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
     """The lattice `undriven`, of a stiffness that is constant in time.
 
-    **Raises** ValueError for what is no single lattice, for stiffness that changes in time, and for forces that turn
+    **Raises** ValueError where `undriven` does, for stiffness that changes in time, and for forces that turn
     velocities (gyroscopic ones), since their waves are not those of the stiffness.
     """
-    undriven(lattice)
-    return lanes_at_rest(lattice)
-
-
-def lanes_at_rest(lattice: Lattice) -> Lattice:
-    """As `at_rest`, of a lattice or of a batch."""
-    still = _standing(lattice)
+    still = undriven(lattice, lanes)
     for i, term in enumerate(still.terms):
         if term.dependence(still).time and term.stiffness_changes(still):
             refuse(
@@ -198,6 +188,11 @@ def components(lattice: Lattice) -> int:
 def masses(lattice: Lattice) -> Any:
     """Mass of every degree of freedom, (sites..., components)."""
     return pack(lattice, spread_mass(lattice))
+
+
+def mesh(*lines: Any) -> Any:
+    """The points of a mesh (..., axes) of some lines, one array of places an axis."""
+    return np.stack(np.meshgrid(*lines, indexing="ij"), -1)
 
 
 def offsets(reach: Any) -> list:

@@ -9,7 +9,7 @@ from ..checks import concrete, described, positive, refuse, show
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from ..types import Flags, Number, Parameter
-from .stiffness import damping_product, lanes_at_rest, stiffness_product
+from .stiffness import at_rest, damping_product, stiffness_product
 
 # the growth along a chain is counted in so many pieces, after some to forget where it began
 PIECES, FORGOTTEN = 36, 4
@@ -95,7 +95,7 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     (0.005, True)
     """
     omega = positive("omega", omega, "It is an angular frequency.")
-    lattice = lanes_at_rest(lattice)
+    lattice = at_rest(lattice, lanes=True)
     if lattice.fields or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "a chain of scalar displacements", described(lattice.sites), _MODES)
     sites = int(lattice.shape[0])
