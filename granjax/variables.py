@@ -1,6 +1,6 @@
 """The arrays of results as variables of a dataset, whose axes are named: sites, fields, components, lanes."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,8 +9,6 @@ from .checks import refuse
 
 COMPONENTS = ("x", "y", "z")
 FIELD, COMPONENT, LANE = "field", "component", "lane"
-# the unit of a `State`, which has two
-STATE, MOTION = "m, m/s", {"u": "m", "v": "m/s"}
 
 
 class Held(NamedTuple):
@@ -20,14 +18,19 @@ class Held(NamedTuple):
     axis that has its name is a coordinate. `site` stands for all axes of a lattice: `site`, `site_1` on a grid,
     `component` of vectors, and `field` before them where a cell holds several. Axes beyond those named are lanes, or
     called `NAME_k`. Axes that are not named stand where the dots do ("site ... mode"), or at the end. What is `hidden`
-    is neither printed nor in a file.
+    is neither printed nor in a file. `named`: how the entries of a dict are called that are fields of their own.
     """
 
     axes: str | None = ""
-    unit: str = ""
+    unit: str | dict[str, str] = ""
     name: str = ""
     doc: str = ""
     hidden: bool = False
+    named: str = ""
+
+    def unit_of(self, key: str) -> str:
+        """The unit of an entry."""
+        return self.unit.get(key, "") if isinstance(self.unit, dict) else self.unit
 
 
 class Layout(NamedTuple):
@@ -110,16 +113,6 @@ def layout_of(
     return next(fitting, ways[0] if ways and own <= len(shape) else plain)
 
 
-def along_waves(result: Any, fields: Iterator) -> Iterator[tuple[str, Any, Held]]:
-    """The fields of bands with as many axes for the wave as `k` has: none where it is one number."""
-    sites, components = result._space
-    lanes = np.ndim(result._mark) - sites - (components > 0)
-    count = result.omega.ndim - 1 - lanes
-    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
-    for name, x, held in fields:
-        yield name, x, held._replace(axes=held.axes and held.axes.replace("wave", wave))
-
-
 def lanes_named(lanes: Mapping | None, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict]:
     """Names of the lanes' axes, and {name: (axes, values)} of the parameters that were swept.
 
@@ -163,8 +156,7 @@ class Table:
         over_sites = "site" in (held.axes or "").split()
         if hasattr(value, "_asdict"):
             for key, x in value._asdict().items():
-                unit = MOTION.get(key, "") if held.unit == STATE else held.unit
-                self.add(f"{name}_{key}", x, held._replace(unit=unit))
+                self.add(f"{name}_{key}", x, held._replace(unit=held.unit_of(key)))
         elif isinstance(value, dict) and over_sites and self._alike(value):
             self.cell, arrays = [*value], [np.asarray(x) for x in value.values()]
             place = held.axes.split().index("site")

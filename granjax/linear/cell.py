@@ -11,6 +11,7 @@ import numpy as np
 from ..checks import refuse, whole
 from ..lattice import Lattice
 from ..printing import told
+from ..results import Held
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from .stiffness import (
     at_rest,
@@ -316,3 +317,12 @@ def _check_energy(shells, coupling):
     tolerance = TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max()
     if np.abs(coupling - coupling[back].swapaxes(1, 2)).max() > tolerance:
         refuse_one_way()
+
+
+def along_waves(result: Any, held: Held) -> Held:
+    """The description of a field of bands, with as many axes for the wave as `k` has: none where it is one number."""
+    sites, components = result._space
+    lanes = np.ndim(result._mark) - sites - (components > 0)
+    count = result.omega.ndim - 1 - lanes
+    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
+    return held._replace(axes=held.axes and held.axes.replace("wave", wave))

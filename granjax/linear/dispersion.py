@@ -1,7 +1,5 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
-from collections.abc import Iterator
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,8 +9,7 @@ from ..checks import parameter, refuse
 from ..lattice import Lattice
 from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from ..variables import along_waves
-from .cell import unit_cell
+from .cell import along_waves, unit_cell
 from .modes import signed_root
 
 DEGENERATE = 4096
@@ -44,8 +41,8 @@ class Dispersion(Result):
         static=True,
     )
 
-    def _fields(self) -> Iterator[tuple[str, object, Held]]:
-        return along_waves(self, super()._fields())
+    def _held(self, name: str) -> Held:
+        return along_waves(self, super()._held(name))
 
     @property
     def outcome(self) -> str:
