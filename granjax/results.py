@@ -232,13 +232,11 @@ class Result(eqx.Module):
 
     def _dataset(self, lanes, converted, counted=None, mark=None, outer=None):
         """The dataset of numbers `converted`. Of a result around it: what it is counted in, its mark, how it lies."""
-        import xarray
-
         if traced(self):
             refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
         fields = list(self._fields())
         arrays = [
-            (held.axes, x.shape)
+            (x.shape, held.axes)
             for _, x, held in fields
             if held.axes is not None and isinstance(x, np.ndarray)
         ]
@@ -261,7 +259,7 @@ class Result(eqx.Module):
         origin = {"result": type(self).__name__, "outcome": self.outcome}
         origin |= {"units": counted} if counted else {}
         versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__}
-        data = xarray.Dataset(*table.finished(), table.attributes | origin | versions)
+        data = table.finished(origin | versions)
         for name, x in within.items():
             data = _joined(data, name, x._dataset(lanes, converted, counted, mark, layout))
         return data
