@@ -1,16 +1,16 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, refuse
+from ..checks import parameter
 from ..lattice import Lattice
 from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from .cell import along_waves, unit_cell
+from .cell import UnitCell, along_waves, phases, unit_cell
 from .modes import signed_root
+from .stiffness import each
 
 DEGENERATE = 4096
 
@@ -83,35 +83,24 @@ def dispersion(
     [1.7321 2.4495]
     """
     found = unit_cell(lattice, cell)
-    axes = len(found.cell)
     k = parameter("k", k).astype(found.mass.dtype)
-    given = k
-    if axes == 1:
-        k = k[..., None]
-    elif k.ndim == 0 or k.shape[-1] != axes:
-        refuse(
-            "k",
-            f"a last axis of length {axes}, one phase per axis of the lattice",
-            f"shape {k.shape}",
-        )
-    squared, omega, vectors, velocity, curvature = _waves(found, k)
-    return Dispersion(
-        given, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin
-    )
+    axes = len(found.cell)
+    squared, omega, vectors, velocity, curvature = bloch_waves(found, phases(k, axes), axes == 1)
+    return Dispersion(k, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin)
 
 
 @eqx.filter_jit
-def _waves(found, k):
-    """The waves of all k, (k..., axes), without the axis where there is one alone."""
+def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
+    """omega^2, omega, displacements, d omega/dk and d^2 omega/dk^2 at k (k..., axes).
+
+    Derivatives are (k..., bands, axes) and (k..., bands, axes, axes), those of a `chain` (k..., bands).
+    """
     axes = k.shape[-1]
-    points = k.reshape(-1, axes)
+    points = k.astype(found.mass.dtype).reshape(-1, axes)
     at_once = max(1, 2**22 // (found.mass.size * axes) ** 2)
-    if len(points) <= at_once:
-        parts = jax.vmap(lambda k: _wave(found, k))(points)
-    else:
-        parts = jax.lax.map(lambda k: _wave(found, k), points, batch_size=at_once)
+    parts = each(lambda k: _wave(found, k), points, at_once)
     squared, omega, q, velocity, curvature = (x.reshape(k.shape[:-1] + x.shape[1:]) for x in parts)
-    if axes == 1:
+    if chain:
         velocity, curvature = velocity[..., 0], curvature[..., 0, 0]
     return squared, omega, found.displacements(q), velocity, curvature
 

@@ -41,21 +41,23 @@ def followed(vectors: Any, mass: Any, squared: Any = None, tolerance: Any = 0.0)
 def _turns(q, same):
     """The unitary matrices (K, bands, bands) that take vectors q (K, P, bands) to those that follow each other."""
     basis = _nearest(q[1 % len(q)], q[0], same[0])
-    first = q[0] @ basis
     # at the start the largest component is real and positive
-    largest = jnp.take_along_axis(first, jnp.argmax(jnp.abs(first), 0)[None], 0)[0]
-    start = basis * _unit(largest.conj())
+    start = basis * _back(q[0] @ basis)
 
     def step(before, point):
         x, together = point
         basis = _nearest(before, x, together)
-        link = before.conj().T @ (x @ basis)
-        best = jnp.take_along_axis(link, jnp.argmax(jnp.abs(link), 0)[None], 0)[0]
-        turn = basis * _unit(best.conj())
+        turn = basis * _back(before.conj().T @ (x @ basis))
         return x @ turn, turn
 
     _, rest = jax.lax.scan(step, q[0] @ start, (q[1:], same[1:]))
     return jnp.concatenate([start[None], rest])
+
+
+def _back(x):
+    """The phase factors that make the largest entry of each column real and positive."""
+    largest = jnp.take_along_axis(x, jnp.argmax(jnp.abs(x), 0)[None], 0)[0]
+    return _unit(largest.conj())
 
 
 def _unit(z):
@@ -122,27 +124,23 @@ def smooth_gauge(
     **Returns:** `SmoothGauge`; a phase is that of `gx.topology.zak` on the same mesh. **Raises** ValueError for fewer
     than four wave numbers, masses that do not fit. Source: Resta, Rev. Mod. Phys. 66, 899 (1994).
     """
-    leaves = jax.tree.leaves(vectors)
+    shapes = [np.shape(x) for x in jax.tree.leaves(vectors)]
     if any(
-        np.ndim(x) < 3
-        or len(x) < 4
-        or x.shape[-1] != leaves[0].shape[-1]
-        or len(x) != len(leaves[0])
-        for x in leaves
+        len(x) < 3 or x[0] < 4 or (x[0], x[-1]) != (shapes[0][0], shapes[0][-1]) for x in shapes
     ):
         refuse(
             "vectors",
             "arrays (K, cell..., bands) of at least four wave numbers",
-            " and ".join(str(np.shape(x)) for x in leaves),
+            " and ".join(map(str, shapes)),
         )
-    given = mass if isinstance(mass, dict) else jax.tree.map(lambda _: mass, vectors)
+    mass = mass if isinstance(mass, dict) else jax.tree.map(lambda _: mass, vectors)
 
     def fitted(x, m):
         m, shape = positive("mass", m), x.shape[1:-1]
         return jnp.broadcast_to(m.reshape(m.shape + (1,) * (len(shape) - m.ndim)), shape)
 
     vectors = jax.tree.map(lambda x: jnp.asarray(x) + 0j, vectors)
-    masses = jax.tree.map(fitted, vectors, given)
+    masses = jax.tree.map(fitted, vectors, mass)
     return SmoothGauge(*_closed(vectors, masses))
 
 

@@ -1,5 +1,6 @@
 """The Brillouin zone of a lattice: its lattice vectors, points with a name, bands along a path, density of states."""
 
+import re
 from typing import Any
 
 import equinox as eqx
@@ -14,8 +15,9 @@ from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
 from .cell import unit_cell
-from .dispersion import DEGENERATE, dispersion
+from .dispersion import DEGENERATE, bloch_waves
 from .gauge import followed
+from .stiffness import mesh
 
 SHAPE, NEIGHBOURS = 1e-9, 7
 CHAIN = {"G": (0.0,), "X": (1.0,)}
@@ -35,11 +37,8 @@ def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
     at = np.asarray(positions)
     if any(n < 2 for n in at.shape[:-1]):
         refuse("lattice", "two cells or more along each axis", f"{at.shape[:-1]}")
-    origin = at[(0,) * (at.ndim - 1)]
-    steps = [
-        at[tuple(int(i == j) for j in range(at.ndim - 1))] - origin for i in range(at.ndim - 1)
-    ]
-    return np.array([n * step for n, step in zip(cell, steps)])
+    ways = np.eye(at.ndim - 1, dtype=int)
+    return np.array([n * (at[tuple(way)] - at[tuple(0 * way)]) for n, way in zip(cell, ways)])
 
 
 def named_points(vectors: np.ndarray | None, axes: int) -> dict:
@@ -138,43 +137,35 @@ def path(
     place = np.arange(marks[-1] + 1)
     k = np.stack([np.interp(place, marks, x) for x in corners.T], -1)
     distance = np.interp(place, marks, np.append(0, np.cumsum(lengths)))
-    waves = dispersion(lattice, k if axes > 1 else k[:, 0], cell)
+    squared, omega, q, velocity, _ = bloch_waves(found, k)
     along = np.repeat(np.diff(corners, axis=0) / lengths[:, None], shares, axis=0)
-    velocity = waves.group_velocity if axes > 1 else waves.group_velocity[..., None]
-    slope = jnp.einsum("kba,ka->kb", velocity, jnp.asarray(np.concatenate([along, along[-1:]])))
+    along = np.concatenate([along, along[-1:]])
+    slope = jnp.einsum("kba,ka->kb", velocity, jnp.asarray(along))
     return PathBands(
         names,
         marks,
         k,
         distance,
-        waves.omega,
-        waves.omega_squared,
-        _in_phase(found, waves),
+        omega,
+        squared,
+        _in_phase(found, q, squared),
         slope,
-        waves.cell,
+        found.cell,
         **lattice.origin,
     )
 
 
 @eqx.filter_jit
-def _in_phase(found, waves):
+def _in_phase(found, vectors, squared):
     """The Bloch vectors of a path, each in phase with the one before."""
     root = found.displacements(jnp.ones((found.mass.size, 1), found.mass.dtype))
     mass = jax.tree.map(lambda x: 1 / x[..., 0] ** 2, root)
-    squared = waves.omega_squared
     near = DEGENERATE * jnp.finfo(squared.dtype).eps * jnp.abs(squared).max()
-    return followed(
-        waves.vectors, mass, jax.lax.stop_gradient(squared), jax.lax.stop_gradient(near)
-    )
+    return followed(vectors, mass, jax.lax.stop_gradient(squared), jax.lax.stop_gradient(near))
 
 
 def _letters(points, known):
-    names = []
-    for letter in points.replace("-", "").replace(" ", ""):
-        if letter == "'" and names:
-            names[-1] += letter
-        else:
-            names.append(letter)
+    names = re.findall("[^- ]'*", points)
     for name in names:
         if name not in known:
             refuse(
@@ -238,8 +229,7 @@ def density_of_states(
     points = (512 if axes == 1 else 96) if points is None else whole("points", points, 8)
     points += points % 2
     k = 2 * np.pi * np.arange(points) / points
-    grid = k if axes == 1 else np.stack(np.meshgrid(k, k, indexing="ij"), -1)
-    omega = np.asarray(dispersion(lattice, grid, cell).omega)
+    omega = np.asarray(bloch_waves(found, mesh(*[k] * axes))[1])
     low, high = min(0.0, omega.min()), omega.max()
     if not high > low:
         refuse(
@@ -262,11 +252,10 @@ def density_of_states(
 def _counted(omega, edges, axes):
     """Number of states per cell below each edge."""
     following = [np.roll(omega, -1, axis) for axis in range(axes)]
-    if axes == 1:
-        pieces = np.stack([omega, following[0]])
-    else:
+    pieces = np.stack([omega, *following])
+    if axes == 2:
         across = np.roll(following[0], -1, 1)
-        pieces = np.concatenate([np.stack([omega, *following]), np.stack([across, *following])], 1)
+        pieces = np.concatenate([pieces, np.stack([across, *following])], 1)
     pieces = np.sort(pieces.reshape(axes + 1, -1), 0)
     return np.array([_below(pieces, e).sum() for e in edges]) * omega.shape[-1] / pieces.shape[1]
 
@@ -278,10 +267,8 @@ def _below(pieces, e):
     if len(pieces) == 2:
         return np.where(high > low, np.clip((e - low) / span, 0, 1), high <= e)
     middle = pieces[1]
-    first, second = (
-        np.where(middle > low, middle - low, 1),
-        np.where(high > middle, high - middle, 1),
-    )
+    first = np.where(middle > low, middle - low, 1)
+    second = np.where(high > middle, high - middle, 1)
     rising = np.where(e > low, (e - low) ** 2 / (span * first), 0)
     falling = 1 - (high - e) ** 2 / (span * second)
     part = np.where(e < middle, rising, np.where(e < high, falling, 1))
@@ -329,10 +316,10 @@ def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> 
     corners = _first_zone(2 * np.pi * np.linalg.inv(vectors).T)
     half = 1.05 * np.abs(corners).max(0)
     side = whole("points", points, 8)
-    q = np.stack(np.meshgrid(*(np.linspace(-h, h, side) for h in half), indexing="ij"), -1)
-    waves = dispersion(lattice, q @ vectors.T, cell)
-    velocity = jnp.einsum("xyba,ad->xybd", waves.group_velocity, vectors)
-    return ZoneMap(q, waves.omega, velocity, corners, **lattice.origin)
+    q = mesh(*(np.linspace(-h, h, side) for h in half))
+    _, omega, _, velocity, _ = bloch_waves(found, q @ vectors.T)
+    velocity = jnp.einsum("xyba,ad->xybd", velocity, vectors)
+    return ZoneMap(q, omega, velocity, corners, **lattice.origin)
 
 
 def _first_zone(reciprocal):
