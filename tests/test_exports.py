@@ -196,13 +196,12 @@ def blank(kind):
         for name, (hint, held) in made.items()
         if held
     }
-    empty = {name: None for name in made if name not in values}
     whole = type(
         kind.__name__, (kind,), {"__annotations__": {}, **{x: None for x in kind.exported}}
     )
     whole = type(kind.__name__, (whole,), {"outcome": "Found."})
     result = object.__new__(whole)
-    for name, x in (empty | values | {"outcome": "Found."}).items():
+    for name, x in (dict.fromkeys(made) | values | {"outcome": "Found."}).items():
         if name in kind.exported or name == "outcome":
             type.__setattr__(whole, name, x)
         else:
@@ -229,7 +228,7 @@ def test_every_kind_of_result_goes_out_and_comes_back(kind, tmp_path):
 
 def batch(ts, us, lanes, space=(1, 0), **recorded):
     """A run of such arrays, as `simulate` returns it."""
-    known = dict(
+    return gx.Run(
         ts=ts,
         us=us,
         vs=us,
@@ -240,14 +239,9 @@ def batch(ts, us, lanes, space=(1, 0), **recorded):
         code=np.zeros((), int),
         stats={"steps": np.full(lanes, 9), "rejected": np.zeros((), int)},
         solver="SRKN6b",
-        choice="",
-        remark="",
-        unseen="",
-        _zone=0.0,
         _space=space,
         _mark=mark_of(np.shape(ts)[:-1], lanes, space),
     )
-    return gx.Run(**known)
 
 
 def mark_of(first, lanes, space):
