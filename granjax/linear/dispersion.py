@@ -1,5 +1,7 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
+from math import prod
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -47,10 +49,12 @@ class Dispersion(Result):
     @property
     def outcome(self) -> str:
         """How many bands, at how many wave numbers, within which frequencies."""
-        omega = np.asarray(self.omega)
-        bands = omega.shape[-1]
+        omega, lanes = np.asarray(self.omega), np.size(self._mark)
+        fields = len(self.vectors) if isinstance(self.vectors, dict) else 1
+        bands = prod(self.cell) * fields * max(1, self._space[1])
+        each = f" in each of {lanes} lanes" if lanes > 1 else ""
         return (
-            f"{bands} band{'s' * (bands > 1)} at {omega.size // bands} wave numbers, "
+            f"{bands} band{'s' * (bands > 1)} at {omega.size // bands // lanes} wave numbers{each}, "
             f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."
         )
 
