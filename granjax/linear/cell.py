@@ -1,5 +1,6 @@
 """The unit cell of a lattice: its period, found or given, and the dynamical matrix D(k)."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -87,6 +88,12 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     half = (np.array(shells) @ k) / 2
     turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
     return uniform + jnp.einsum("r,rab->ab", turn, coupling)
+
+
+@eqx.filter_jit
+def matrices(matrix: Callable, points: Numbers) -> ComplexNumbers:
+    """D at points (n, axes), (n, P, P), of a function from one point to a matrix."""
+    return jax.vmap(matrix)(points)
 
 
 def phases(k: Numbers, axes: int) -> Numbers:
@@ -296,16 +303,13 @@ def repeats_after(
 
 
 @eqx.filter_jit
-def assembled(lattice: Lattice, cell: tuple, chosen: tuple, reach: tuple) -> tuple:
-    """As `assemble`, from a lattice that is traced."""
-    return assemble(
-        jnp,
-        blocks(lattice, reach, stiffness_product(lattice)),
-        masses(lattice),
-        cell,
-        chosen,
-        reach,
-    )
+def assembled(
+    lattice: Lattice, cell: tuple, chosen: tuple, reach: tuple, t: Number = 0.0, product: Any = None
+) -> tuple:
+    """As `assemble`, from a lattice that may be traced: of K, or the map that `product(lattice, t)` makes."""
+    product_with = (product or stiffness_product)(lattice, t)
+    own = blocks(lattice, reach, product_with)
+    return assemble(jnp, own, masses(lattice), cell, chosen, reach)
 
 
 def assemble(
