@@ -14,6 +14,7 @@ from ..lattice import Lattice, State
 from ..results import Result, array, hidden, note, part
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 from ..variables import Held
+from .dispatch import facts
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNRESOLVED = range(8)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
@@ -285,7 +286,8 @@ MOST_STRUCTURES = 256
 
 def run_of(found: Found, lattice: Lattice, names: tuple, more: tuple = ()) -> Run:
     """The `Run` of what was found. `names`: solver, choice, remark, unseen, zone; `more`: pairs, of other fields."""
-    key = names, lattice.space
+    space = facts(lattice).space
+    key = names, space
     own = found._asdict() | {"_margin": found.margin, "_mark": lattice._mark} | dict(more)
     fields = [own.get(name) for name in _FIELDS]
     structure = _STRUCTURES.get(key)
@@ -293,7 +295,7 @@ def run_of(found: Found, lattice: Lattice, names: tuple, more: tuple = ()) -> Ru
     if structure is not None:
         return jax.tree.unflatten(structure, fields)
     named = dict(zip(("solver", "choice", "remark", "unseen", "_zone"), names))
-    run = Run(**dict(zip(_FIELDS, fields)), **named, _space=lattice.space)
+    run = Run(**dict(zip(_FIELDS, fields)), **named, _space=space)
     if len(_STRUCTURES) >= MOST_STRUCTURES:
         _STRUCTURES.clear()
     _STRUCTURES[key] = jax.tree.structure(run, is_leaf=lambda x: x is not run)
