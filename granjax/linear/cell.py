@@ -11,6 +11,7 @@ import numpy as np
 from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
 from ..printing import told
+from ..results import Held
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from .stiffness import (
     at_rest,
@@ -340,3 +341,12 @@ def one_way(coupling: AnyArray, shells: tuple) -> bool:
     back = [shells.index(tuple(-n for n in R)) for R in shells]
     uneven = np.abs(coupling - coupling[..., back, :, :].swapaxes(-1, -2)).max()
     return bool(uneven > TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max())
+
+
+def along_waves(result: Any, held: Held) -> Held:
+    """The description of a field of bands, with as many axes for the wave as `k` has: none where it is one number."""
+    sites, components = result._space
+    lanes = np.ndim(result._mark) - sites - (components > 0)
+    count = result.omega.ndim - 1 - lanes
+    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
+    return held._replace(axes=held.axes and held.axes.replace("wave", wave))

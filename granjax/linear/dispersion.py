@@ -1,6 +1,5 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
-from collections.abc import Iterator
 from math import prod
 
 import equinox as eqx
@@ -11,8 +10,7 @@ from ..checks import parameter
 from ..lattice import Lattice
 from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from ..variables import along_waves
-from .cell import UnitCell, phases, unit_cell
+from .cell import UnitCell, along_waves, phases, unit_cell
 from .modes import signed_root
 from .stiffness import each
 
@@ -45,8 +43,8 @@ class Dispersion(Result):
         static=True,
     )
 
-    def _fields(self) -> Iterator[tuple[str, object, Held]]:
-        return along_waves(self, super()._fields())
+    def _held(self, name: str) -> Held:
+        return along_waves(self, super()._held(name))
 
     @property
     def outcome(self) -> str:

@@ -1,6 +1,5 @@
 """Floquet-Bloch bands of lattices whose stiffness changes periodically in time."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -14,8 +13,7 @@ from ..lattice import Lattice, State
 from ..results import Held, Result, array, note
 from ..tuning import one_thread
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
-from ..variables import along_waves
-from .cell import phases
+from .cell import along_waves, phases
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
 from .stiffness import in_groups, unpack_waves
@@ -83,8 +81,8 @@ class FloquetBands(Result):
     steps: Any = array("The number of steps of a period.")
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
-    def _fields(self) -> Iterator[tuple[str, object, Held]]:
-        return along_waves(self, super()._fields())
+    def _held(self, name: str) -> Held:
+        return along_waves(self, super()._held(name))
 
     @property
     def gaps(self) -> list[tuple[float, float]]:

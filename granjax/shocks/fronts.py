@@ -254,8 +254,6 @@ def _recorded(medium, given, known_step, front, critical, root):
     reaches = (REACH / float(jax.lax.stop_gradient(x)) for x in (jnp.real(root), rate))
     xi = np.linspace(-min(LONGEST, next(reaches)), next(reaches), TABLE)
     kind = "oscillatory" if known_step.zeta < critical.zeta else "monotone"
-    # a power of ten: the digits are those of rounding
-    share = 10.0 ** max(np.ceil(np.log10(error)), -13.0)
     return DissipativeFront(
         speed=step.speed,
         behind=ahead + step.jump,
@@ -275,8 +273,6 @@ def _recorded(medium, given, known_step, front, critical, root):
         mass=mass,
         **tabled(shape, xi),
         **medium.origin,
-        outcome=f"Found to {share:.0e} of its jump; {kind}, with {known_step.zeta / critical.zeta:.4g} of the critical "
-        "dashpot.",
     )
 
 
