@@ -133,6 +133,17 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def optimised():
+    """Programs are optimised: they compute for longer than that takes."""
+    import jax
+
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    cheap = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
+    jax.config.update("jax_disable_most_optimizations", cheap)
+
+
+@pytest.fixture
 def ax():
     import matplotlib.pyplot as plt
 

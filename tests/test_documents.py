@@ -84,12 +84,14 @@ def fit_is_that_of_the_file(fit, printed):
 
 
 @pytest.mark.slow
-def test_the_readme_runs_from_top_to_bottom(elsewhere):
-    space, printed = run(README)
+def test_the_readme_runs_from_top_to_bottom(elsewhere, request):
+    space, printed = run(README[:-1])
     fit_is_that_of_the_file(space["fit"], printed)
     assert (elsewhere / "dimer.png").stat().st_size > 1e4 and space["run"].completed
     assert space["branch"].verdict[0] == "stable" and "multiplier" in printed
-    assert "For 1e-06" in printed
+    # many solvers at many steps
+    request.getfixturevalue("optimised")
+    assert "For 1e-06" in run(README[-1:], **space)[1]
 
 
 @pytest.mark.parametrize(

@@ -1,25 +1,14 @@
 """The review's figures, docs/review: each number is the known one, and every axis of the picture says what it shows."""
 
 import json
-import os
 from importlib import import_module
 from pathlib import Path
 
-import jax
 import matplotlib.pyplot as plt
 import pytest
 
 FOLDER = Path(__file__).parents[1] / "docs" / "review"
 FIGURES = sorted(path.stem for path in FOLDER.glob("*_*.py"))
-
-
-@pytest.fixture
-def optimised():
-    """The figures' programs are optimised: they compute for longer than that takes."""
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    cheap = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
-    jax.config.update("jax_disable_most_optimizations", cheap)
 
 
 @pytest.fixture(autouse=True)
