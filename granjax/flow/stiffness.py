@@ -21,7 +21,11 @@ import numpy as np
 from ..checks import whole
 from ..lattice import Lattice
 from ..programs import compiled, once
-from ..terms import Reach, Reached
+from ..terms import Reach, Reached, Wall
+from ..terms.base import within
+from ..terms.chain import next_neighbours, span, walls
+from ..terms.energies import site_energy
+from ..terms.walls import excitation
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
 from .inputs import checked_state, checked_times
 
@@ -78,7 +82,7 @@ def gathered_frequency(
     zero = jnp.zeros((), lattice.dtype)
     force = displacement = speed = zero
     for term in lattice.terms:
-        driven = term.excitation(lattice, ts)
+        driven = excitation(term, lattice, ts)
         force = jnp.maximum(force, driven.force)
         displacement, speed = (
             jnp.maximum(displacement, driven.displacement),
@@ -96,7 +100,7 @@ def gathered_frequency(
         share = None if share is None else jnp.where(sides, share, 0)
         reach = Reach(one, 2 * force, share, neighbourhood, ts, state.u)
     bound = _bound(lattice, [reach] * len(lattice.terms))
-    known = not lattice.reads_time and all(term.span() is not None for term in lattice.terms)
+    known = not lattice.reads_time and all(span(term) is not None for term in lattice.terms)
     beyond = jnp.any(whole > 1.01 * most) if known and not softens(lattice) else jnp.ones((), bool)
     beyond = beyond if sides is None else beyond | ~jnp.all(sides)
     contacts = [
@@ -178,15 +182,15 @@ def _sides(lattice, state, ts):
     """
     plain = lattice.fields is None and lattice.axes == 1 and lattice.dimension is None
     if not plain or any(
-        term.span() is None or max(term.span(), default=0) > 1 for term in lattice.terms
+        span(term) is None or max(span(term), default=0) > 1 for term in lattice.terms
     ):
         return None
     # between two walls and in a ring what extends one bond presses others together
     ring = any(
         found is not None and found[1] == "periodic"
-        for found in (t.next_neighbours() for t in lattice.terms)
+        for found in map(next_neighbours, lattice.terms)
     )
-    if ring or {side for term in lattice.terms for side in term.walls()} == {"left", "right"}:
+    if ring or {side for term in lattice.terms for side in walls(term)} == {"left", "right"}:
         return None
     u, v = state
     extend = press = jnp.zeros((), bool)
@@ -199,7 +203,7 @@ def _sides(lattice, state, ts):
                 return None
             continue
         # a site that is tied down swings back at once, and where stiffness changes in time energy does
-        if any(c.place == "site" for c in contacts) or len(term.energy_times(lattice, ts)) > 1:
+        if any(c.place == "site" for c in contacts) or len(_energy_times(term, lattice, ts)) > 1:
             return None
 
         def rates(t, term=term):
@@ -219,7 +223,7 @@ def _sides(lattice, state, ts):
 
 def _way(lattice, v, size):
     """Sites from where a chain moves to the nearest free end of it."""
-    count, held = v.shape[0], {side for term in lattice.terms for side in term.walls()}
+    count, held = v.shape[0], {side for term in lattice.terms for side in walls(term)}
     ways = [jnp.asarray(count)]
     for side, x in (("left", v), ("right", v[::-1])):
         if side not in held:
@@ -232,20 +236,20 @@ def _way(lattice, v, size):
 def _gathered(lattice, state, ts, neighbourhood):
     """The most energy that a neighbourhood holds at the start, what the whole holds, and the first without speeds."""
     u, v = state
-    spans = [term.span() for term in lattice.terms]
+    spans = [span(term) for term in lattice.terms]
     one_shape = lattice.fields is None or len(set(lattice.sites.values())) == 1
     local = one_shape and all(span is not None and len(span) in (0, lattice.axes) for span in spans)
     parts = [jax.tree.map(lambda m, v: m * v * v / 2, lattice.mass, v)]
     for term in lattice.terms:
         if term.dependence(lattice).energy:
             energy = (
-                (lambda t, term=term: term.site_energy(lattice, t, u))
+                (lambda t, term=term: site_energy(term, lattice, t, u))
                 if local
                 else (lambda t, term=term: term.energy(t, u))
             )
             parts.append(
                 jax.tree.map(
-                    lambda e: jnp.max(e, axis=0), jax.vmap(energy)(term.energy_times(lattice, ts))
+                    lambda e: jnp.max(e, axis=0), jax.vmap(energy)(_energy_times(term, lattice, ts))
                 )
             )
     lanes = len(lattice.lanes)
@@ -271,6 +275,13 @@ def _gathered(lattice, state, ts, neighbourhood):
         return jnp.max(total, axis=axes), whole
 
     return *most(moving + held), most(held)[0]
+
+
+def _energy_times(term, lattice, ts):
+    """The times at which the energy of the initial state is looked at: all where the stiffness changes."""
+    inner = within(term)
+    moves = isinstance(inner, Wall) and inner.motion is not None
+    return ts if term.dependence(lattice).time and not moves else ts[:1]
 
 
 def _window(x, axis, width):

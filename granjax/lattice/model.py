@@ -12,8 +12,10 @@ import numpy as np
 
 from ..checks import described, held_in_memory, letter, parameter, positive, refuse, whole
 from ..printing import text, told
-from ..terms import Term
+from ..terms import CaputoDamping, Damping, LongRange, OnSite, Term
+from ..terms.base import Altered, memory_of
 from ..terms.tracing import reads, traced
+from ..terms.waveforms import between, breaks_of
 from ..types import Count, Displacements, Number, Parameter, Site
 from ..units import SCALED, SI
 from ..units.names import counted_in, mark_of
@@ -113,7 +115,7 @@ class Lattice(eqx.Module):
                 )
         self._mark = _one(self.axes + (self.dimension is not None), mark_of(units))
         if self.dimension is not None:
-            self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
+            self.terms = tuple(_per_vector(term, self.axes) for term in self.terms)
         self.check_terms()
 
     def __repr__(self) -> str:
@@ -395,19 +397,18 @@ class Lattice(eqx.Module):
     @property
     def breaks(self):
         """The `Breaks` of all terms, where time steps end."""
-        return tuple(b for term in self.terms for b in term.jumps())
+        return tuple(b for term in self.terms for b in breaks_of(term))
 
     def between(self, low: Number, high: Number) -> Any:
         """The lattice for the times from `low` to `high`: functions of time with breaks are held beyond them."""
         return eqx.tree_at(
-            lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms)
+            lambda x: x.terms, self, tuple(between(term, low, high) for term in self.terms)
         )
 
     def for_run(self) -> Any:
         """The lattice whose terms hold what their forces need and no state changes, such as transforms of kernels."""
-        return eqx.tree_at(
-            lambda x: x.terms, self, tuple(term.for_run(self) for term in self.terms)
-        )
+        own = [term.for_run(self) if isinstance(term, LongRange) else term for term in self.terms]
+        return eqx.tree_at(lambda x: x.terms, self, tuple(own))
 
     def unbalanced(self) -> Displacements:
         """Force on each site at rest, from the total contact forces (preloads included).
@@ -417,6 +418,15 @@ class Lattice(eqx.Module):
         """
         u = self.zeros()
         return self.total([term.preload_force(u) for term in self.terms], u)
+
+
+def _per_vector(term, axes):
+    """The term with its parameters of each site made those of a vector, by a trailing axis."""
+    if isinstance(term, Altered):
+        return eqx.tree_at(lambda x: x.term, term, _per_vector(term.term, axes))
+    if not isinstance(term, (OnSite, Damping, CaputoDamping, LongRange)):
+        return term
+    return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) == axes else x, term)
 
 
 @lru_cache
@@ -477,11 +487,11 @@ def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lat
 def refuse_memory(lattice: Lattice) -> None:
     """Refuse terms whose force reads the past, in what knows the present state alone."""
     for i, term in enumerate(lattice.terms):
-        if term.remembers():
+        if memory := memory_of(term):
             refuse(
                 f"terms[{i}] ({type(term).__name__})",
                 "a force of the present state alone",
-                f"one that remembers the {', '.join(term.remembers()).replace('_', ' ')}",
+                f"one that remembers the {', '.join(memory).replace('_', ' ')}",
                 "gx.simulate(lattice, state, t1) runs such a lattice, with the solver it has for them.",
             )
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from ..checks import refuse
 from ..laws import Law
 from ..split_system import Split, pair
+from ..terms import chain
 from ..types import Number, StateLike
 from .model import Lattice, check_shape, refuse_memory
 
@@ -227,7 +228,7 @@ def next_neighbours(lattice: Lattice) -> tuple[Law, str] | None:
     """(law, boundary) of the bonds of a chain that has, beside damping, bonds to the next site alone; else `None`."""
     forces = _without_velocity(lattice)
     plain = lattice.fields is None and lattice.dimension is None and lattice.axes == 1
-    return forces[0].next_neighbours() if plain and len(forces) == 1 else None
+    return chain.next_neighbours(forces[0]) if plain and len(forces) == 1 else None
 
 
 def acceleration_only(lattice: Lattice) -> Callable:

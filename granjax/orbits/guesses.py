@@ -24,6 +24,7 @@ from ..newton import newton
 from ..printing import told
 from ..solvers import KahanLi8
 from ..states.places import field_of
+from ..terms.chain import next_neighbours
 from ..theory import nls
 from ..types import Scalar, Site
 from .families import checked_lattice
@@ -84,7 +85,7 @@ class Edge(NamedTuple):
 
 def cell_of(lattice: Lattice) -> tuple | None:
     """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none."""
-    found = lattice.terms[0].next_neighbours() if len(lattice.terms) == 1 else None
+    found = next_neighbours(lattice.terms[0]) if len(lattice.terms) == 1 else None
     if found is None or lattice.fields or lattice.axes != 1 or lattice.dimension:
         return None
     law, boundary = found
@@ -188,7 +189,7 @@ def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) ->
     ]
     branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
     k = _at_symmetry(k)
-    boundary = lattice.terms[0].next_neighbours()[1] if chain is None else chain.boundary
+    boundary = next_neighbours(lattice.terms[0])[1] if chain is None else chain.boundary
     constraint = "force" if boundary == "free" else "length"
     if chain is None:
         coefficients = nls.coefficients(*cell, k, branch, constraint)
@@ -318,7 +319,7 @@ def dressed(lattice: Lattice) -> Dressed | None:
         (i, name, *bonds)
         for i, term in enumerate(lattice.terms)
         for name in lattice.fields
-        if (bonds := term.next_neighbours(name)) is not None
+        if (bonds := next_neighbours(term, name)) is not None
     ]
     try:
         cell = unit_cell(lattice)

@@ -15,6 +15,7 @@ from ..states import velocity_step
 from ..states.places import chain_only, inside
 from ..strains import Shift
 from ..terms import Bond, Breaks, Drive, Wall, tracing
+from ..terms.chain import next_neighbours
 from ..terms.reach import furthest
 from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
@@ -128,7 +129,7 @@ def step(
     bonds = np.arange(-1, size).reshape((-1,) + (1,) * lanes)  # those to the walls as well
     strain, terms = jnp.where(bonds < centre, left, right), []
     for i, term in enumerate(lattice.terms):
-        found = term.next_neighbours()
+        found = next_neighbours(term)
         if found is not None:
             terms.append(
                 Bond(Shift(1, "fixed"), Strained(_alike(found[0], lanes), strain, reference))
@@ -265,7 +266,7 @@ def _opened(lattice):
 
 
 def _between(term, lattice):
-    found = term.next_neighbours()
+    found = next_neighbours(term)
     if found is None or found[1] == "free":
         return term
     law, boundary = found
@@ -278,9 +279,7 @@ def _between(term, lattice):
 def _law(lattice):
     """The law of all bonds to the next site."""
     laws = [
-        found[0]
-        for found in (term.next_neighbours() for term in lattice.terms)
-        if found is not None
+        found[0] for found in (next_neighbours(term) for term in lattice.terms) if found is not None
     ]
     if not laws:
         names = ", ".join(type(term).__name__ for term in lattice.terms)
@@ -345,7 +344,7 @@ def _least(lattice):
 
 def _jolt(lattice, into):
     """What the step sends out; `None` for a chain of other bonds as well."""
-    others = [term for term in lattice.terms if term.next_neighbours() is None]
+    others = [term for term in lattice.terms if next_neighbours(term) is None]
     if len(others) == len(lattice.terms) or any(
         tracing.traced(term, lattice)[1].displacement for term in others
     ):
@@ -358,7 +357,7 @@ def _spread(lattice):
     v = lattice.zeros()
     v, found = v.at[v.shape[0] // 2].set(1), jnp.zeros(lattice.lanes)
     for term in lattice.terms:
-        if term.next_neighbours() is None and tracing.traced(term, lattice)[1].velocity:
+        if next_neighbours(term) is None and tracing.traced(term, lattice)[1].velocity:
             pulls = jnp.abs(term.force(0.0, 0 * v, v, lattice.mass)) / _least(lattice)
             found = found + jnp.where(v == 0, pulls, 0).max(0)
     return found

@@ -1,7 +1,6 @@
 """Functions of time: what drives, moves walls and modulates stiffness."""
 
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,6 +10,7 @@ from ..checks import parameter, positive, within
 from ..printing import told
 from ..types import Number, Numbers, Parameter, Waveform
 from ..units import Dimensional, Signal
+from .base import Altered, Term, layers
 
 # rounding units by which a function may miss the time at which it jumps
 ULPS = 16
@@ -182,21 +182,40 @@ class Between(eqx.Module):
         return jumps_of(self.function, None)
 
 
-def held(term: Any, name: str, low: Number, high: Number) -> Any:
-    """A term with one of its functions of time taken `Between` two times."""
+def _signal(term):
+    """The field of a term that holds a function of time, as its `dimensions` say; `None` where none does."""
+    for name, kind in (type(term).dimensions or {}).items():
+        if isinstance(kind, Signal) and getattr(term, name) is not None:
+            return name
+    return None
+
+
+def _signals(term):
+    """(a function of time, its `Breaks` or `None`) of a term and of what it alters."""
+    for part in layers(term):
+        if (name := _signal(part)) is not None:
+            function = getattr(part, name)
+            yield function, jumps_of(function, getattr(part, "breaks", None))
+
+
+def breaks_of(term: Term) -> tuple[Breaks, ...]:
+    """The `Breaks` of a term's functions of time, where steps end."""
+    return tuple(breaks for _, breaks in _signals(term) if breaks is not None)
+
+
+def functions_of_time(term: Term) -> list[Callable]:
+    """The functions of time of a term of which no breaks are known."""
+    return [function for function, breaks in _signals(term) if breaks is None]
+
+
+def between(term: Term, low: Number, high: Number) -> Term:
+    """The term with its functions of time, where they have breaks, held beyond two times at what they are there."""
+    if isinstance(term, Altered):
+        term = eqx.tree_at(lambda x: x.term, term, between(term.term, low, high))
+    name = _signal(term)
+    if name is None or jumps_of(getattr(term, name), getattr(term, "breaks", None)) is None:
+        return term
     return eqx.tree_at(lambda x: getattr(x, name), term, Between(getattr(term, name), low, high))
-
-
-def functions_of_time(term: Any) -> list[Callable]:
-    """The functions of time of a term and of those within it, as `dimensions` tell, of which no breaks are known."""
-    found = []
-    for name, kind in ((type(term).dimensions or {}) if not term.jumps() else {}).items():
-        part = getattr(term, name)
-        if isinstance(kind, Signal) and part is not None:
-            found.append(part)
-        elif hasattr(part, "jumps"):
-            found += functions_of_time(part)
-    return found
 
 
 def jumps_of(function: Callable | None, breaks: Breaks | None) -> Breaks | None:

@@ -9,6 +9,8 @@ import numpy as np
 
 from ...checks import concrete, refuse, show, traced, whole
 from ...lattice import Lattice
+from ...terms import CaputoDamping, PlasticContact
+from ...terms.base import memory_of
 from ...terms.tracing import reads
 from ...types import Scalar, StateLike
 from ..control import least_tolerance, refuse_unresolved
@@ -71,12 +73,10 @@ def with_memory(
             "times or a number of them, for a lattice whose forces read the past",
             "'steps'",
         )
-    fractional = any(term.fractional_damping() is not None for term in lattice.terms)
+    fractional = any(isinstance(term, CaputoDamping) for term in lattice.terms)
     for i, term in enumerate(lattice.terms):
-        if (
-            term.remembers()
-            and (term.fractional_damping() if fractional else term.variables(lattice)) is None
-        ):
+        has = CaputoDamping if fractional else PlasticContact
+        if memory_of(term) and not isinstance(term, has):
             refuse(
                 f"terms[{i}] ({type(term).__name__})",
                 "a term whose memory has a solver here",
@@ -128,7 +128,7 @@ def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
     others = [
         type(term).__name__
         for term in lattice.terms
-        if term.fractional_damping() is None
+        if not isinstance(term, CaputoDamping)
         and term.exact_damping() is None
         and reads(term, lattice).velocity
     ]

@@ -11,7 +11,9 @@ import jax.numpy as jnp
 
 from ...lattice import Lattice, State
 from ...solvers.wrapped import Wrapped
+from ...terms import Remembering as Remembers
 from ...terms.tracing import reads
+from ...terms.walls import excitation
 from ...types import Number, Pytree, Scalar, StateLike, Times
 from ..breaks import one_sided
 from ..control import StepControl, largest
@@ -47,7 +49,7 @@ def _speed(lattice, start, t0, t1):
     if lattice.reads_time:
         ts = jnp.linspace(t0, t1, SAMPLES)
         for term in lattice.terms:
-            driven = term.excitation(lattice, ts)
+            driven = excitation(term, lattice, ts)
             speed = jnp.maximum(
                 speed, jnp.maximum(driven.force * (t1 - t0) / lightest, driven.speed)
             )
@@ -186,7 +188,9 @@ def integrate(
 
 def _begin(lattice: Lattice, state: StateLike) -> Moving:
     """The start: internal variables that the state itself has moved already."""
-    memory = tuple(term.variables(lattice) for term in lattice.terms)
+    memory = tuple(
+        term.variables(lattice) if isinstance(term, Remembers) else None for term in lattice.terms
+    )
     start = Moving(*state, jnp.zeros(lattice.lanes, lattice.dtype), memory)
     return start._replace(
         memory=_advanced(lattice, memory, jnp.zeros((), lattice.dtype), start, start)
@@ -256,7 +260,7 @@ def _named(lattice: Lattice, memory: Pytree) -> tuple[dict, tuple]:
             count = sum(known == name or known.startswith(f"{name}_") for known in named)
             said = f"{name}_{count}" if count else name
             named[said] = x
-            kinds.append((said, term.remembers()[name]))
+            kinds.append((said, term.memory[name]))
     return named, tuple(kinds)
 
 

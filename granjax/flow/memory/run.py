@@ -9,6 +9,7 @@ import numpy as np
 from ...lattice import Lattice
 from ...printing import text
 from ...results import array, hidden
+from ...terms.base import Remembering
 from ...types import Numbers
 from ...variables import Held
 from ..run import Run
@@ -54,7 +55,7 @@ class RunWithMemory(Run):
         names = iter(name for name, _ in self._kinds)
         found = []
         for term in self.lattice.terms:
-            own = term.variables(self.lattice)
+            own = term.variables(self.lattice) if isinstance(term, Remembering) else None
             found.append(None if own is None else {key: self.memory[next(names)] for key in own})
         return tuple(found)
 
