@@ -54,7 +54,7 @@ def draw(name, edges, wave):
     zoom.plot(places[near], strain[near], "o", ms=3.5, label="lattice")
     zoom.plot(fine, best, label=name)
     zoom.set(xlabel="bond from the step $n$", ylabel="strain (scaled)")
-    zoom.legend(frameon=False)
+    zoom.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
 
 
 def make():

@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, parameter, positive, refuse, whole, within
+from ..checks import one_of, parameter, positive, refuse, traced, whole, within
 from ..lattice import Lattice
 from ..laws import Hertz, Law, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
@@ -90,7 +90,9 @@ def stacked(argument: str, values: Parameter) -> Any:
     """A sequence of numbers, some of them perhaps traced, as one array; anything else as a parameter."""
     if not isinstance(values, (tuple, list)) or not values:
         return parameter(argument, values)
-    return jnp.stack([number(f"{argument}[{i}]", x) for i, x in enumerate(values)])
+    found = [number(f"{argument}[{i}]", x) for i, x in enumerate(values)]
+    # by NumPy where it can be, as for JAX each operation is a program to compile
+    return jnp.stack(found) if traced(found) else jnp.asarray(np.stack(found))
 
 
 def contact(stiffness: Parameter, exponent: Parameter, precompression: Parameter) -> Law:
@@ -165,7 +167,8 @@ def pattern(
         refuse("masses", "the masses of a cell", "none")
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
-    mass = jnp.tile(cell, -(-sites // len(cell)))[:sites]
+    repeated = (jnp if traced(cell) else np).tile(cell, -(-sites // len(cell)))
+    mass = jnp.asarray(repeated[:sites])
     return monomer(sites, mass, boundary=boundary, **contacts)
 
 

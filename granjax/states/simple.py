@@ -2,8 +2,19 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..checks import concrete, non_negative, parameter, per_lane, positive, random_key, refuse, show
+from ..checks import (
+    concrete,
+    non_negative,
+    parameter,
+    per_lane,
+    positive,
+    random_key,
+    refuse,
+    show,
+    traced,
+)
 from ..lattice import Lattice, State
 from ..types import Parameter, Scalar, Seed, Site
 from .places import field_of, site_of
@@ -46,8 +57,9 @@ def impact(
     """
     index = site_of(lattice, site, field := field_of(lattice, field))
     velocity = parameter("velocity", velocity)
-    v = lattice.zeros()
-    x = v if field is None else v[field]
+    # by NumPy where it can be, as for JAX each operation is a program to compile
+    still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), lattice.template())
+    x = still if field is None else still[field]
     wanted = x[index].shape
     vector = () if lattice.dimension is None else (lattice.dimension,)
     if velocity.shape == vector and vector != wanted:
@@ -56,8 +68,13 @@ def impact(
         one = "a number" if not vector else f"a vector of shape {vector}"
         also = f", or shape {wanted} with lanes" if lattice.lanes else ""
         refuse("velocity", one + also, f"shape {velocity.shape}")
-    x = x.at[index].set(velocity.astype(x.dtype))
-    return State(lattice.zeros(), x if field is None else {**v, field: x})
+    if traced(velocity):
+        x = jnp.asarray(x).at[index].set(velocity.astype(x.dtype))
+    else:
+        x = x.copy()
+        x[index] = velocity
+    v = x if field is None else {**still, field: x}
+    return State(*jax.tree.map(jnp.asarray, (still, v)))
 
 
 def radial_impact(
