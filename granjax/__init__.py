@@ -83,6 +83,7 @@ Motion
 Solvers
     VelocityVerlet      order 2
     SRKN6b              order 4
+    ABA864              order 4, of seven forces; higher for small perturbations
     SRKN11b             order 6
     SRKN14a             order 6, of 14 stages: orbits
     KahanLi8            order 8
@@ -169,6 +170,7 @@ from .laws import (  # noqa: E402
 )
 from .results import Result  # noqa: E402
 from .solvers import (  # noqa: E402
+    ABA864,
     RKN86,
     RKN1210,
     KahanLi8,
@@ -240,6 +242,7 @@ _WITHIN = {
 }
 
 __all__ = [
+    "ABA864",
     "Arrival",
     "Bond",
     "Breaks",

@@ -52,7 +52,11 @@ class Kink(Result):
         " near the continuum).",
         static=True,
     )
-    outcome: str = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """Whether it is stable, and its energy."""
+        return f"A kink at rest, {self.verdict}: its energy is {float(self.energy):.6g}."
 
 
 class PeierlsNabarro(Result):
@@ -66,7 +70,15 @@ class PeierlsNabarro(Result):
         "The Peierls-Nabarro frequency: of small oscillations of the lower kink in its valley.",
         "rad/s",
     )
-    outcome: str = eqx.field(static=True)
+    higher: str = array("The verdict on the kink of the higher energy.", static=True)
+
+    @property
+    def outcome(self) -> str:
+        """Where the kink rests."""
+        if self.barrier <= self.error:
+            return "The barrier is below its error: the kink moves as in the continuum."
+        low = "a site" if self.site < self.bond else "a bond"
+        return f"The kink rests on {low}; the other one is {self.higher}."
 
 
 def kink(
@@ -158,17 +170,15 @@ def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> Peie
     _checked_wells(lattice, right, left)
     place = (lattice.sites[0] - 1) // 2
     site, bond = (kink(lattice, right, left, centre=place + off) for off in (0.0, 0.5))
-    low = site if float(site.energy) < float(bond.energy) else bond
-    barrier, error = jnp.abs(site.energy - bond.energy), site.energy_error + bond.energy_error
-    said = "a site" if low is site else "a bond"
-    if barrier <= error:
-        outcome = "The barrier is below its error: the kink moves as in the continuum."
-    else:
-        outcome = (
-            f"The kink rests on {said}; the other one is {(site if low is bond else bond).verdict}."
-        )
+    low, high = (site, bond) if float(site.energy) < float(bond.energy) else (bond, site)
     return PeierlsNabarro(
-        barrier, error, site.energy, bond.energy, low.omega[0], outcome, **lattice.origin
+        high.energy - low.energy,
+        low.energy_error + high.energy_error,
+        site.energy,
+        bond.energy,
+        low.omega[0],
+        high.verdict,
+        **lattice.origin,
     )
 
 
@@ -301,7 +311,6 @@ def _told(lattice, problem, x, left):
     known = abs(least) > FLAT * float(jnp.max(jnp.abs(squares)))
     verdict = ("stable" if least > 0 else "unstable") if known else "undecided"
     growth = jnp.sqrt(jnp.maximum(-squares[0], 0))
-    outcome = f"A kink at rest, {verdict}: its energy is {float(energy):.6g}."
     return Kink(
         State(u, jnp.zeros_like(u)),
         energy,
@@ -311,7 +320,6 @@ def _told(lattice, problem, x, left):
         growth,
         jnp.max(jnp.abs(problem(x, lattice))),
         verdict,
-        outcome,
         **lattice.origin,
     )
 

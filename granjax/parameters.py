@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .checks import one_of, parameter, refuse, show
+from .checks import one_of, parameter, refuse, show, traced
 from .printing import told
 from .types import AnyArray, Numbers, Parameter, Scalar
 
@@ -27,8 +27,7 @@ class Coordinates(eqx.Module):
     theta = low + (high - low) s, log(s/(1 - s)) = x + its value at the start. Bounds are approached, and in
     floating point touched, but never passed.
 
-    **Arguments:** `start`: dict from name to a number or an array. `bounds`: dict from name to (low, high), numbers or
-    arrays, `None` for no bound; names that are left out are free.
+    **Arguments:** `start`: dict from name to a number or an array. `bounds`: `Bounds`.
     **Raises** ValueError for a bound of no parameter, or a start that is not inside of its bounds.
     """
 
@@ -40,12 +39,12 @@ class Coordinates(eqx.Module):
     __repr__ = told
 
     def __init__(self, start: dict[str, Parameter], bounds: Bounds = None):
-        bounds = {} if bounds is None else bounds
+        bounds = bounds or {}
         for name in bounds:
             one_of("bounds", name, tuple(start))
-        # of no weak type, which would be another program
+        # by way of NumPy, which has no weak types: each would be another program
         self.start = {
-            k: jnp.asarray(x, x.dtype) for k, x in ((k, parameter(k, x)) for k, x in start.items())
+            name: jnp.asarray(np.asarray(parameter(name, x))) for name, x in start.items()
         }
         self.order = tuple(start)
         both = {name: _interval(name, x, bounds.get(name)) for name, x in self.start.items()}
@@ -71,7 +70,7 @@ class Coordinates(eqx.Module):
         return [
             name
             for name, x in self.start.items()
-            if self.low[name] is None and self.high[name] is None and not np.any(x)
+            if self.low[name] is None and self.high[name] is None and not np.asarray(x).any()
         ]
 
     def sized(self, value: Scalar, slopes: Float[AnyArray, " P"]) -> "Coordinates":
@@ -79,11 +78,11 @@ class Coordinates(eqx.Module):
 
         `slopes`: of the value in the free coordinates, (P,). Without it a start at zero would count in units of 1.
         """
-        scale, slopes = dict(self.scale), self.unflat(jnp.asarray(slopes))
+        scale, slopes = dict(self.scale), self.unflat(np.asarray(slopes))
         for name in self.sizeless:
-            change = jnp.abs(value) / jnp.max(jnp.abs(slopes[name]))
-            fits = jnp.isfinite(change) & (change > 0)
-            scale[name] = jnp.where(fits, change, 1.0).astype(scale[name].dtype) * scale[name]
+            steepest = np.abs(slopes[name]).max()
+            if steepest > 0 and 0 < np.abs(value) / steepest < np.inf:
+                scale[name] = jnp.asarray(np.abs(value) / steepest, scale[name].dtype)
         return eqx.tree_at(lambda c: c.scale, self, scale)
 
     @property
@@ -94,6 +93,7 @@ class Coordinates(eqx.Module):
     def parameters(self, x: Float[AnyArray, " P"]) -> dict[str, Numbers]:
         """The dict of parameters at x (P,)."""
         found = self._parameters(x)
+        # a program sorts the names
         return {name: found[name] for name in self.order}
 
     @eqx.filter_jit
@@ -112,23 +112,22 @@ class Coordinates(eqx.Module):
 
     def at_bounds(self, parameters: dict[str, Parameter]) -> list[str]:
         """Names of the parameters with an entry that touches a bound, as nearly as floating numbers do."""
-        found = []
-        for name in self.order:
-            start = self.start[name]
-            for bound in (self.low[name], self.high[name]):
-                if bound is not None and np.any(
-                    np.abs(parameters[name] - bound) < NEAR * np.abs(start - bound)
-                ):
-                    found.append(name)
-        return found
+
+        def touches(name, bound):
+            left, whole = (np.subtract(x[name], bound) for x in (parameters, self.start))
+            return np.any(np.abs(left) < NEAR * np.abs(whole))
+
+        bounds = [(name, side[name]) for name in self.order for side in (self.low, self.high)]
+        return [name for name, bound in bounds if bound is not None and touches(name, bound)]
 
     def flat(self, parameters: dict[str, Parameter]) -> Float[AnyArray, " P"]:
-        """A dict of parameters as one vector (P,), in the order of `names`."""
+        """A dict of parameters as one vector (P,), in the order of `names`; NumPy's unless it is traced."""
+        array = jnp if traced(parameters) else np
         parts = [
-            jnp.broadcast_to(parameters[name], self.start[name].shape).ravel()
+            array.broadcast_to(parameters[name], self.start[name].shape).ravel()
             for name in self.order
         ]
-        return jnp.concatenate(parts)
+        return array.concatenate(parts)
 
     def unflat(self, vector: Float[AnyArray, " P"]) -> dict[str, Numbers]:
         """The inverse of `flat`: a vector (P,) as a dict of the parameters' shapes."""
@@ -145,10 +144,9 @@ class Coordinates(eqx.Module):
 
 
 def _interval(name, value, bounds):
-    if bounds is None:
-        return None, None
     low, high = (
-        None if bound is None else parameter(f"bounds[{name!r}]", bound) for bound in bounds
+        None if bound is None else parameter(f"bounds[{name!r}]", bound)
+        for bound in bounds or (None, None)
     )
     for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):
         if bound is not None and not np.all(inside(value, bound)):

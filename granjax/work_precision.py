@@ -23,6 +23,7 @@ from .flow.inputs import checked_state, checked_times
 from .lattice import Lattice
 from .results import SI, Result, array, hidden
 from .solvers import (
+    ABA864,
     RKN86,
     RKN1210,
     KahanLi8,
@@ -38,7 +39,7 @@ from .types import Count, Parameter, Pytree, Scalar, StateLike
 __all__ = ["Advice", "Ladder", "WorkPrecision", "distance", "measure", "work_precision"]
 
 DEFAULT = "default"
-SPLITTING = (VelocityVerlet, SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10)
+SPLITTING = (VelocityVerlet, SRKN6b, ABA864, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10)
 NYSTROM = (RKN86, RKN1210)
 DIFFRAX = (diffrax.Tsit5, diffrax.Dopri8)
 
@@ -339,7 +340,7 @@ def work_precision(
 
     - `lattice`, `state`, `t1`, `t0`: the scene, as for `simulate`.
     - `solvers`: list of solvers, granjax's or diffrax's, or a dict from names of yours to them.
-      `None`: VelocityVerlet, SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10 where the
+      `None`: VelocityVerlet, SRKN6b, ABA864, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10 where the
       scene splits, RKN86 and RKN1210 where no force reads the velocity, diffrax's Tsit5 and Dopri8
       always.
     - `steps`: what they are tried with: one list for all (steps for solvers of fixed step,

@@ -17,6 +17,7 @@ EPS = float(np.finfo(float).eps)
 SPLITTING = (
     gx.VelocityVerlet,
     gx.SRKN6b,
+    gx.ABA864,
     gx.SRKN11b,
     gx.SRKN14a,
     gx.KahanLi8,

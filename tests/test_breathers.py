@@ -412,8 +412,8 @@ def test_modulational_instability_grows_at_the_envelopes_rate(case):
         chain = gx.scenes.pattern(2 * cells, (HEAVY, 1.0), precompression=1.0, boundary="periodic")
         n = np.arange(2 * cells)
         shape, omega0, k, branch = np.where(n % 2, (-1.0) ** (n // 2), 0.0), OMEGA2, np.pi, 1
-    c = nls.coefficients(*cell_of(chain), k, branch)
-    uniform = nls.coefficients(*cell_of(chain), k, branch, constraint="length")
+    c = cell_of(chain).coefficients(branch, k=k)
+    uniform = cell_of(chain).coefficients(branch, "length", k)
     amplitude = a / (2 * float(np.abs(c.mode).max()))
     omega = omega0 + float(uniform.nu3) * amplitude**2
     wave = gx.breathers.breather(chain, omega, gx.State(a * shape, np.zeros(len(n))), check=False)
@@ -432,7 +432,7 @@ def test_modulational_instability_grows_at_the_envelopes_rate(case):
 def test_no_modulational_instability_in_the_hertz_monomer():
     chain = monomer(40, boundary="periodic")
     wave = gx.State(0.05 * (-1.0) ** np.arange(40), np.zeros(40))
-    c = nls.coefficients(*cell_of(chain), np.pi, 0, constraint="length")
+    c = cell_of(chain).coefficients(0, "length")
     omega = 6**0.5 + float(c.nu3) * (0.05 / (2 * float(np.abs(c.mode).max()))) ** 2
     b = gx.breathers.breather(chain, omega, wave, check=False)
     assert np.abs(b.state.u).max() > 0.03 and b.floquet(tolerance=1e-11).verdict == "stable"

@@ -10,6 +10,7 @@ from refusals import refused
 
 import granjax as gx
 from granjax.solvers import (
+    ABA864,
     RKN86,
     RKN1210,
     KahanLi8,
@@ -83,6 +84,7 @@ T = 24.0
 LADDERS = {
     VelocityVerlet: (480, 960, 1920),
     SRKN6b: (120, 180, 270),
+    ABA864: (120, 180, 270),
     SRKN11b: (60, 84, 120),
     SRKN14a: (48, 72, 108),
     KahanLi8: (84, 108, 144),
@@ -121,6 +123,7 @@ def test_observed_order(solver, lanes, truth):
     nominal = {
         VelocityVerlet: 2,
         SRKN6b: 4,
+        ABA864: 4,
         SRKN11b: 6,
         SRKN14a: 6,
         KahanLi8: 8,
@@ -231,6 +234,7 @@ def test_evaluations():
     assert found == {
         "VelocityVerlet": 1,
         "SRKN6b": 6,
+        "ABA864": 7,
         "SRKN11b": 11,
         "SRKN14a": 14,
         "KahanLi8": 17,
@@ -238,6 +242,23 @@ def test_evaluations():
         "RKN86": 8,
         "RKN1210": 17,
     }
+
+
+def energy_error(eps, h):
+    """Of ABA864 on H = (p^2 + q^2)/2 + eps q^4/4, whose two parts it takes exactly."""
+    table, steps, y = ABA864.table(), round(40 / h), 1.0 + 0.3j
+    energies = []
+    for _ in range(steps):
+        for a, b in zip(table.a, table.b):
+            y = (y - 1j * b * h * eps * y.real**3) * np.exp(-1j * a * h)
+        energies.append(abs(y) ** 2 / 2 + eps * y.real**4 / 4)
+    return np.ptp(energies)
+
+
+def test_a_perturbation_of_aba864_has_order_eight():
+    coarse, fine, small = (energy_error(*each) for each in ((1e-3, 0.5), (1e-3, 0.4), (1e-4, 0.5)))
+    assert np.log(coarse / fine) / np.log(5 / 4) == pytest.approx(8, abs=0.7)
+    assert coarse / small == pytest.approx(10, rel=0.1)
 
 
 @pairs

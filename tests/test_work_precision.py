@@ -330,6 +330,7 @@ def test_sensible_solvers():
     splitting = {
         "VelocityVerlet",
         "SRKN6b",
+        "ABA864",
         "SRKN11b",
         "SRKN14a",
         "KahanLi8",

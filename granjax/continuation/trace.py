@@ -80,7 +80,7 @@ def continuation(
         )
     system = System(residual, linearise, args, tolerance)
     here = _first(system, np.append(x0, float(p0)), direction, arclength)
-    zs, tangents, special = [here.z], [here.tangent], []
+    zs, tangents, special, farthest = [here.z], [here.tangent], [], 0.0
     outcome, iterations, reason = f"The {points} points that were asked for.", here.iterations, ""
     while len(zs) < points:
         if arclength < least_arclength:
@@ -113,7 +113,8 @@ def continuation(
         if why:
             outcome = f"Stopped: {why}."
             break
-        if _closed(zs, tangents, arclength):
+        farthest = max(farthest, float(np.linalg.norm(here.z - zs[0])))
+        if len(zs) > 3 and _closed(zs, tangents, arclength, farthest):
             outcome = "The branch closed upon itself."
             break
         factor = 2.0 ** ((TARGET - here.iterations) / 2)
@@ -191,14 +192,13 @@ def _directions(system, kind, point, before):
     return both * np.where(both @ before < 0, -1, 1)[:, None]
 
 
-def _closed(zs, tangents, arclength):
+def _closed(zs, tangents, arclength, farthest):
     """Whether the last step went past the first point, from afar and in its direction."""
-    away = np.stack(zs) - zs[0]
-    far, along = np.linalg.norm(away, axis=1), away @ tangents[0]
+    before, now = ((z - zs[0]) @ tangents[0] for z in zs[-2:])
+    far = np.linalg.norm(zs[-1] - zs[0])
     return bool(
-        len(zs) > 3
-        and along[-2] < 0 <= along[-1]
-        and far[-1] < 2 * arclength
-        and far.max() > 4 * far[-1]
+        before < 0 <= now
+        and far < 2 * arclength
+        and farthest > 4 * far
         and tangents[-1] @ tangents[0] > LEAST_COSINE
     )

@@ -90,17 +90,12 @@ def sentences(
     said = []
     for direction in loose:
         taking = [name for name, own in zip(names, _taking(direction)) if own]
-        how = (
-            "not at all"
-            if np.isinf(direction.deviation)
-            else f"only to {_percent(direction.deviation)}"
-        )
-        what = (
-            f"{taking[0]} is" if len(taking) == 1 else f"the direction {direction.words(names)} is"
-        )
+        several = len(taking) > 1
+        what = f"the direction {direction.words(names)}" if several else taking[0]
+        how = f"only to {_percent(direction.deviation)}"
         said.append(
-            f"The data do not determine {_and(taking)}{' apart' if len(taking) > 1 else ''}: "
-            f"{what} known {how}."
+            f"The data do not determine {_and(taking)}{' apart' if several else ''}: "
+            f"{what} is known {'not at all' if np.isinf(direction.deviation) else how}."
         )
     involved = np.any([_taking(direction) for direction in loose], axis=0)
     for name, gradient in quantities:
@@ -124,23 +119,24 @@ def quantities(
     sizes: Float[AnyArray, " P"],
 ) -> list[tuple[str, Float[np.ndarray, " P"]]]:
     """(name, gradient (P,) of its logarithm in relative parameters) of each bond's linear stiffness."""
-    laws, found = _bonds(problem.lattice(parameters), problem.t0), []
-    for (i, law), value, gradient in zip(
-        laws, *map(np.asarray, _stiffnesses(problem, jnp.asarray(flat)))
-    ):
-        if np.isfinite(value) and value > 0 and np.isfinite(gradient).all():
+    laws, found = [], []
+    # traced, so that nothing is computed for what the laws know
+    jax.eval_shape(lambda p: laws.extend(_bonds(problem, p)), parameters)
+    for (i, law), value, gradient in zip(laws, *map(np.asarray, _stiffnesses(problem, flat))):
+        if value > 0 and np.isfinite([value, *gradient]).all():
             formula = "K2" if law.power_law is None else "A p d0^(p-1)"
             name = f"the linear stiffness {formula} of terms[{i}] ({type(law).__name__})"
             found.append((name, gradient * sizes / value))
     return found
 
 
-def _bonds(lattice, t):
-    """(index of the term, law) of everything that acts between sites, as it stands at time t."""
+def _bonds(problem, parameters):
+    """(index of the term, law) of everything that acts between sites, as it stands at t0."""
+    lattice = problem.lattice(parameters)
     return [
         (i, c.law)
         for i, term in enumerate(lattice.terms)
-        for c in term.compressions(t, lattice.zeros())
+        for c in term.compressions(problem.t0, lattice.zeros())
         if c.place == "bond"
     ]
 
@@ -150,7 +146,7 @@ def _stiffnesses(problem, flat):
     """The mean linear stiffness of all bonds (B,), and its derivatives with respect to the parameters (B, P)."""
 
     def every(flat):
-        laws = _bonds(problem.lattice(problem.coordinates.unflat(flat)), problem.t0)
+        laws = _bonds(problem, problem.coordinates.unflat(flat))
         return jnp.array(
             [jnp.mean(jnp.abs(law.derivative(jnp.zeros_like(flat[0])))) for _, law in laws]
         )

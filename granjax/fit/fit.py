@@ -116,8 +116,8 @@ def fit(
         x0, plain = best.x[None], problem.plain
         parameters = plain.coordinates.parameters(jnp.asarray(best.x[:count], plain.dtype))
         wanted = plain.step if step is not None else plain.wanted_step(parameters)
-        shorter = plain.step > TOO_LONG * wanted
-        later = plain.times(parameters).max() > plain.t1 * (1 + 1e-9)
+        shorter = float(plain.step) > TOO_LONG * float(wanted)
+        later = plain.times(parameters).max() > float(plain.t1) * (1 + 1e-9)
         if shorter:
             problem = problem.with_step(wanted)
         if later:
@@ -135,8 +135,8 @@ def _sized(problem, x):
         return problem
     value, jacobian = evaluated(problem, x)
     slopes = np.linalg.norm(jacobian[:, : coordinates.size], axis=0)
-    scale = coordinates.sized(np.linalg.norm(value), slopes).scale
-    return eqx.tree_at(lambda p: p.plain.coordinates.scale, problem, scale)
+    sized = coordinates.sized(np.linalg.norm(value), slopes)
+    return eqx.tree_at(lambda p: p.plain.coordinates, problem, sized)
 
 
 def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
@@ -154,7 +154,7 @@ def reverse_mode(problem: Problem) -> tuple[diffrax.AbstractAdjoint | Reversible
     """The adjoint that serves a problem in reverse mode, and the most steps that it keeps checkpoints for."""
     if not problem.moving and way_back(problem, problem.coordinates.start) < RETURNS:
         return Reversible(), None
-    steps = int(np.ceil((problem.t1 - problem.t0) / problem.step)) + 1
+    steps = int(np.ceil(float(problem.t1 - problem.t0) / float(problem.step))) + 1
     return diffrax.RecursiveCheckpointAdjoint(), 1 << (steps - 1).bit_length()
 
 

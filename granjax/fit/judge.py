@@ -12,7 +12,7 @@ from ..solvers import AbstractSplitting
 from ..types import AnyArray, Numbers
 from .determined import LOOSE, covariance, directions, quantities, sentences
 from .fitted import Fit
-from .problem import Problem, misfit
+from .problem import Problem
 from .solve import Found, evaluated, linearised, still_to_go
 from .windows import Windows
 
@@ -26,6 +26,8 @@ NOISY = 2.0
 EXACT = 1e-30
 # deviations of white noise from which on neighbours are said to have something in common
 STRUCTURED = 4.0
+# of a record, each time but the first, and each but the last
+AFTER_AND_BEFORE = slice(1, None), slice(-1)
 
 
 def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> tuple[float, float]:
@@ -34,12 +36,10 @@ def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> t
     **Arguments:** pairs of neighbours (n,). Of independent errors, equal or not, the sum of the products has the mean
     zero and the deviation sqrt(sum of their squares); what varies slowly adds its own square to each product.
     """
-    products = one * after
-    common, squares = products.sum(), np.sum(one**2 + after**2) / 2
-    deviation = np.sqrt(np.sum(products**2))
-    return float(np.sqrt(max(common, 0.0) / max(squares, EXACT))), float(
-        common / max(deviation, EXACT)
-    )
+    common, squares = np.sum(one * after), np.sum(one**2 + after**2) / 2
+    deviation = np.sqrt(np.sum((one * after) ** 2))
+    share = np.sqrt(max(common, 0.0) / max(squares, EXACT))
+    return float(share), float(common / max(deviation, EXACT))
 
 
 def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | None:
@@ -66,28 +66,25 @@ def judged(
     parameters = coordinates.parameters(own)
     flat, start = (np.asarray(coordinates.flat(p)) for p in (parameters, coordinates.start))
     slopes = np.asarray(coordinates.slopes(own))
-    value, jacobian, signals, residuals = linearised(problem, x)
-    value, jacobian = np.asarray(value), _own(np.asarray(jacobian), flat.size)
-    samples = int(sum(np.isfinite(np.asarray(trace.data)).sum() for trace in plain.traces))
+    value, jacobian, signals, residuals = jax.tree.map(np.asarray, linearised(problem, x))
+    jacobian = _own(jacobian, flat.size)
+    samples = int(sum(np.isfinite(trace.data).sum() for trace in plain.traces))
     known = all(trace.sigma is not None for trace in plain.traces)
     squares, free = sum(np.sum(np.square(r)) for r in residuals), max(samples - flat.size, 1)
     # in units of the size of the data where no sigma says more
     noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / free))
-    residuals = tuple(np.asarray(r) / noise for r in residuals)
+    residuals = tuple(r / noise for r in residuals)
     # directions are of logarithms, so that their components are the exponents of a product
     sizes = np.where(flat != 0, flat, np.where(start != 0, start, slopes))
     code, undetermined, found_directions = int(found.code), (), ()
     remarks = _elsewhere(plain, squares, squares / free if known else None)
-    if code in (SPENT, STALLED):
-        code = CONVERGED if still_to_go(value, jacobian)[0] < ARRIVED * noise**2 else code
-    step_error = np.nan
-    if code in (NO_START, NO_GRADIENT):
-        matrix = np.full((flat.size, flat.size), np.nan)
-        remarks.append(
-            _silence(plain, parameters)
-            if code == NO_GRADIENT
-            else "Give a start whose run stays finite."
-        )
+    if code in (SPENT, STALLED) and still_to_go(value, jacobian)[0] < ARRIVED * noise**2:
+        code = CONVERGED
+    matrix, step_error = np.full((flat.size, flat.size), np.nan), np.nan
+    if code == NO_START:
+        remarks.append("Give a start whose run stays finite.")
+    elif code == NO_GRADIENT:
+        remarks.append(_silence(plain, parameters))
     else:
         held = coordinates.at_bounds(parameters)
         if held:
@@ -103,15 +100,14 @@ def judged(
         undetermined = sentences(
             found_directions, names, quantities(plain, parameters, flat, sizes)
         )
-        halved = problem.with_step(plain.step / 2)
-        step_error = float(np.max(np.abs(np.asarray(linearised(halved, x)[0]) - value))) / noise
+        halved = linearised(problem.with_step(float(plain.step) / 2), x)[0]
+        step_error = float(np.max(np.abs(np.asarray(halved) - value))) / noise
         if step_error > NOTICEABLE:
             remarks.append(
                 f"The time step moves the signals by up to {step_error:.2g} sigma: give a shorter step=."
             )
         one, after = (
-            np.concatenate([np.ravel(part) for part in parts])
-            for parts in zip(*((r[1:], r[:-1]) for r in residuals))
+            np.concatenate([r[part].ravel() for r in residuals]) for part in AFTER_AND_BEFORE
         )
         share, surely = structure(one, after)
         left = share * np.sqrt(squares / samples) / noise
@@ -127,18 +123,17 @@ def judged(
             )
         if problem is not plain:
             remarks.append(problem.remark(value))
-    unit = 1.0 if known else float(plain.traces[0].size)
     return Fit(
         parameters,
-        jnp.asarray(matrix),
+        matrix,
         names,
         signals,
         residuals,
         samples,
-        noise * unit,
+        noise if known else noise * float(plain.traces[0].size),
         undetermined,
         found_directions,
-        jnp.asarray(sizes),
+        sizes,
         tuple(remarks),
         int(found.iterations),
         code,
@@ -156,7 +151,8 @@ def judged(
 def _elsewhere(problem, squares, noise):
     """A sentence where little of what was measured is shown; `noise`: residuals in units of sigma^2, `None` unknown."""
     still = sum(
-        np.sum(np.square(misfit(trace, jnp.zeros_like(trace.data)))) for trace in problem.traces
+        np.sum(np.square(np.nan_to_num(trace.data) * np.asarray(trace.weights)))
+        for trace in problem.traces
     )
     shown = 1 - float(squares) / max(float(still), EXACT)
     if not np.isfinite(shown) or shown > SHOWN or noise is not None and noise < NOISY:
@@ -209,11 +205,10 @@ def _silence(problem, parameters):
     said = []
     for i, contacts in enumerate(overlaps(run.ts, run.us)):
         for gaps in contacts:
-            never = [] if gaps is None else np.flatnonzero(~np.any(np.asarray(gaps) > 0, axis=0))
+            never = () if gaps is None else np.flatnonzero(~np.any(np.asarray(gaps) > 0, axis=0))
             if len(never):
                 shown = ", ".join(map(str, never[:6])) + (" ..." if len(never) > 6 else "")
                 said.append(
                     f"Contacts {shown} of terms[{i}] never close, and an open contact has no derivative."
                 )
-    said.append("Start where the motion reaches the sensors.")
-    return " ".join(said)
+    return " ".join([*said, "Start where the motion reaches the sensors."])

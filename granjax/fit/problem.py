@@ -235,7 +235,7 @@ def prepared(
     t0, unknown = jnp.asarray(t0, dtype), jnp.ones((), dtype)
     problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
     times = problem.times(parameters)
-    if not problem.moving and times.min() < t0 - 1e-9 * np.ptp(times):
+    if not problem.moving and times.min() < float(t0) - 1e-9 * np.ptp(times):
         refuse(
             "times",
             f"samples from t0 = {t0} on",
@@ -289,11 +289,8 @@ def _read(trace, lattice, us, vs, times):
         forces = jax.vmap(lambda u, v, t: contact_force(lattice, State(u, v), t, bond=trace.bond))(
             us, vs, times
         )
-        return jnp.stack([forces[(slice(None), *place)] for place in trace.places], axis=-1)
-    x = vs if trace.kind == "velocity" else us
-    x = x if trace.field is None else x[trace.field]
-    vector = () if trace.component is None else (trace.component,)
-    return jnp.stack([x[(slice(None), *place, *vector)] for place in trace.places], axis=-1)
+        return jnp.stack([forces[(..., *place)] for place in trace.places], axis=-1)
+    return trace.picked(vs if trace.kind == "velocity" else us)
 
 
 def _check_places(traces, lattice, state, parameters):

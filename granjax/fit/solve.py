@@ -98,7 +98,7 @@ def least_squares(
 def patience(problem: Problem) -> float:
     """Seconds before a fit says how far it is: none where one step of it takes longer."""
     lattice = problem.lattice(problem.coordinates.start)
-    steps = float(problem.t1 - problem.t0) / float(problem.step)
+    steps = (float(problem.t1) - float(problem.t0)) / float(problem.step)
     each = steps * seconds_a_step(lattice, problem.solver) * (1 + problem.coordinates.size)
     return 0.0 if each > PATIENCE else PATIENCE
 

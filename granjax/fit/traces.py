@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import concrete, described, one_of, parameter, positive, real, refuse, show
+from ..checks import concrete, described, one_of, parameter, positive, real, refuse, show, traced
 from ..printing import told
-from ..types import AnyArray, Count, Number, Numbers, Parameter, Scalar, Values
+from ..types import AnyArray, Count, Displacements, Number, Numbers, Parameter, Scalar, Values
 
 KINDS = ("velocity", "displacement", "force")
 QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}
@@ -225,6 +225,17 @@ class Traces(eqx.Module):
         return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}" for p in self.places]
 
     @property
+    def indices(self) -> list[tuple]:
+        """The index of every sensor in an array over sites, its component included."""
+        component = () if self.component is None else (self.component,)
+        return [(..., *place, *component) for place in self.places]
+
+    def picked(self, x: Displacements) -> Float[AnyArray, "... S"]:
+        """The entries of displacements or velocities, with further axes first, at the sensors."""
+        x = x if self.field is None else x[self.field]
+        return jnp.stack([x[index] for index in self.indices], axis=-1)
+
+    @property
     def unit(self) -> str:
         """The unit of the data in SI, "" of a recorder's numbers, from which a gain leads that is fitted or not 1."""
         gain = None if isinstance(self.gain, str) else concrete(self.gain)
@@ -233,8 +244,9 @@ class Traces(eqx.Module):
     @property
     def weights(self) -> Float[AnyArray, "T S"]:
         """1/sigma where there is a number, 0 where there is none (T, S)."""
-        known = jnp.isfinite(self.data)
-        return jnp.where(known, 1 / (self.size if self.sigma is None else self.sigma), 0.0)
+        array = jnp if traced(self) else np
+        sigma = array.asarray(self.size if self.sigma is None else self.sigma)
+        return array.where(array.isfinite(self.data), 1 / sigma, 0.0)
 
     @property
     def size(self) -> Float[AnyArray, ""]:
@@ -283,23 +295,17 @@ def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
 
 def _places(name, where):
     """Indices of the sensors, each a tuple; one tuple is one place on a grid."""
-    single = (
-        isinstance(where, tuple)
-        and all(isinstance(i, (int, np.integer)) for i in where)
-        or np.ndim(where) == 0
-    )
-    where = [where] if single else list(where)
-    shapes = [np.shape(place) for place in where]
-    whole = all(np.asarray(place).dtype.kind in "iu" for place in where)
-    one = bool(shapes) and whole and all(len(shape) < 2 for shape in shapes)
-    if not one or len({shape or (1,) for shape in shapes}) > 1:
+    one = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where)
+    where = [where] if one or np.ndim(where) == 0 else list(where)
+    places = [np.atleast_1d(np.asarray(place)) for place in where]
+    whole = all(place.dtype.kind in "iu" and place.ndim == 1 for place in places)
+    if not whole or len({place.shape for place in places}) != 1:
         refuse(
             name,
             "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])",
             described(where),
         )
-    places = [np.atleast_1d(np.asarray(place)) for place in where]
-    return tuple(tuple(int(i) for i in place) for place in places)
+    return tuple(tuple(place.tolist()) for place in places)
 
 
 def checked_traces(traces: Traces | Sequence[Traces]) -> tuple[Traces, ...]:

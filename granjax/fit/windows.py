@@ -65,10 +65,9 @@ class Windows(eqx.Module):
         return f"{len(self.starts) + 1} windows, which meet to {jumps:.2g} sigma."
 
     def _cut(self, x):
-        """(x of the parameters, states at the starts of all windows (K, n))."""
-        coordinates = self.problem.coordinates
-        own, rest = x[: coordinates.size], x[coordinates.size :]
-        parameters = coordinates.parameters(own)
+        """(the parameters' coordinates, states at the starts of all windows (K, n))."""
+        own, rest = jnp.split(x, [self.problem.coordinates.size])
+        parameters = self.problem.coordinates.parameters(own)
         first = ravel_pytree(self.problem.state(parameters, self.problem.lattice(parameters)))[0]
         moved = self.starts + self.scale * rest.reshape(self.starts.shape)
         return own, jnp.concatenate([first[None], moved])
@@ -86,62 +85,41 @@ class Windows(eqx.Module):
         signals, final = problem.signals(problem.coordinates.parameters(own))
         return misfits(parts, signals), ravel_pytree(final)[0], signals
 
-    def _every(self, own, starts, window):
-        parts, named = eqx.partition(self.parts, eqx.is_array)
-
-        def one(start, parts, t0, t1):
-            return window(own, start, eqx.combine(parts, named), t0, t1)
-
-        return jax.vmap(one)(starts, parts, self.edges[:-1], self.edges[1:])
-
-    def residuals(self, x: Float[AnyArray, " P"]) -> Float[AnyArray, " m"]:
-        """All residuals, one vector: of the data, then where windows meet."""
-        own, starts = self._cut(x)
-        residuals, ends, _ = self._every(own, starts, self._window)
-        return jnp.concatenate(
-            [residuals.ravel(), ((ends[:-1] - starts[1:]) / self.meeting).ravel()]
-        )
-
     def linearise(
         self,
         x: Float[AnyArray, " P"],
     ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m P"], Signals]:
-        """(residuals, their Jacobian, signals): every window's tangents side by side, put together as blocks."""
+        """(residuals, their Jacobian, signals): of the data, then of what neighbouring windows miss of each other.
 
-        def window(own, start, *rest):
+        Every window has tangents of its own, by its start and by the parameters; the chain rule leads from there to x.
+        """
+        parts, named = eqx.partition(self.parts, eqx.is_array)
+        own, starts = self._cut(x)
+        own_by_x, starts_by_x = jax.jacfwd(self._cut)(x)
+
+        def window(start, parts, t0, t1):
             def both(own, start):
-                residuals, end, signals = self._window(own, start, *rest)
+                residuals, end, signals = self._window(
+                    own, start, eqx.combine(parts, named), t0, t1
+                )
                 return (residuals, end), (residuals, end, signals)
 
-            by_both, values = jax.jacfwd(both, (0, 1), has_aux=True)(own, start)
-            return values, *zip(*by_both)
+            return jax.jacfwd(both, (0, 1), has_aux=True)(own, start)
 
-        def cut(p):
-            own, starts = self._cut(jnp.concatenate([p, x[p.size :]]))
-            return starts[0], (own, starts)
-
-        first, (own, starts) = jax.jacfwd(cut, has_aux=True)(x[: self.problem.coordinates.size])
-        (residuals, ends, signals), by_own, by_start = self._every(own, starts, window)
-        jumps = (ends[:-1] - starts[1:]) / self.meeting
-        # window j starts at the free state j - 1 and ends at the free state j
-        begins, ends_at = (np.eye(len(starts), len(starts) - 1, k) for k in (-1, 0))
-        blocks = []
-        for of, (p, s) in enumerate(zip(by_own, by_start)):
-            p, s = p.at[0].add(s[0] @ first), jnp.einsum("jmn,n,jk->jmkn", s, self.scale, begins)
-            if of == 1:
-                s = s - jnp.einsum("mn,jk->jmkn", jnp.diag(self.scale), ends_at)
-                p, s = p[:-1] / self.meeting[:, None], s[:-1] / self.meeting[:, None, None]
-            blocks.append(
-                jnp.concatenate([p, s.reshape(*s.shape[:2], -1)], axis=-1).reshape(-1, x.size)
-            )
-        return (
-            jnp.concatenate([residuals.ravel(), jumps.ravel()]),
-            jnp.concatenate(blocks),
-            self._joined(signals),
+        slopes, (residuals, ends, signals) = jax.vmap(window)(
+            starts, parts, self.edges[:-1], self.edges[1:]
         )
-
-    def _joined(self, signals):
-        return tuple(s.reshape(-1, s.shape[-1])[self.kept] for s in signals)
+        by_x, ends_by_x = (
+            by_own @ own_by_x + by_start @ starts_by_x for by_own, by_start in slopes
+        )
+        meeting = self.meeting[:, None]
+        value = (residuals.ravel(), ((ends[:-1] - starts[1:]) / self.meeting).ravel())
+        jacobian = (
+            by_x.reshape(-1, x.size),
+            ((ends_by_x[:-1] - starts_by_x[1:]) / meeting).reshape(-1, x.size),
+        )
+        signals = tuple(s.reshape(-1, s.shape[-1])[self.kept] for s in signals)
+        return jnp.concatenate(value), jnp.concatenate(jacobian), signals
 
 
 def cut(problem: Problem, count: int) -> Windows:
@@ -173,43 +151,40 @@ def cut(problem: Problem, count: int) -> Windows:
     repeated = np.diff(samples, axis=1, prepend=-1) == 0
     parts = tuple(_parted(trace, samples, repeated) for trace in problem.traces)
     parameters = problem.coordinates.start
-    lattice = problem.lattice(parameters)
-    state = problem.state(parameters, lattice)
+    state = problem.state(parameters, problem.lattice(parameters))
     readings, starts = _readings(problem, parameters, state), []
-    for j in range(1, count):
-        leg = eqx.tree_at(
-            lambda p: (p.t0, p.t1), problem, (jnp.asarray(edges[j - 1]), jnp.asarray(edges[j]))
-        )
-        both = list(_leg(leg, parameters, state))
+    for t0, t1, sample in zip(edges[:-2], edges[1:-1], first[1:-1]):
+        leg = eqx.tree_at(lambda p: (p.t0, p.t1), problem, (jnp.asarray(t0), jnp.asarray(t1)))
+        # arrays that can be written to
+        state = jax.tree.map(np.array, _leg(leg, parameters, state))
         for part, trace, values in readings:
-            both[part] = _put(both[part], trace, values[first[j]])
-        state = State(*both)
-        starts.append(ravel_pytree(state)[0])
-    unravel, starts = ravel_pytree(state)[1], jnp.stack(starts)
-    scale = ravel_pytree(State(*map(_sized, state, jax.vmap(unravel)(starts))))[0]
+            x = state[part] if trace.field is None else state[part][trace.field]
+            for index, value in zip(trace.indices, values[sample]):
+                if np.isfinite(value):
+                    x[index] = value
+        starts.append(state)
+    flat = np.stack([ravel_pytree(state)[0] for state in starts])
+    # the displacements or the velocities of all windows are counted in the largest of them
+    largest = [
+        max(float(np.max(np.abs(x))) for x in jax.tree.leaves(every)) or 1.0
+        for every in zip(*starts)
+    ]
+    sized = [jax.tree.map(lambda x: np.full_like(x, size), x) for x, size in zip(state, largest)]
+    scale = np.asarray(ravel_pytree(State(*sized))[0])
     noise = max(
-        float(
-            jnp.max(1 / jnp.where(trace.weights > 0, trace.weights, jnp.inf))
-            / jnp.nanmax(jnp.abs(trace.data))
-        )
-        for trace in problem.traces
+        np.max(1 / np.where(weights > 0, weights, np.inf)) / np.nanmax(np.abs(trace.data))
+        for trace, weights in ((trace, np.asarray(trace.weights)) for trace in problem.traces)
     )
     return Windows(
         problem,
-        starts,
-        scale,
-        MEETING * noise * scale,
+        jnp.asarray(flat),
+        jnp.asarray(scale),
+        jnp.asarray(MEETING * noise * scale),
         jnp.asarray(edges),
         parts,
         jnp.asarray(np.flatnonzero(~repeated)),
-        unravel,
+        ravel_pytree(state)[1],
     )
-
-
-def _sized(part, every):
-    """The displacements or the velocities of a state, with the largest of all windows everywhere."""
-    largest = max(float(jnp.max(jnp.abs(x))) for x in jax.tree.leaves(every))
-    return jax.tree.map(lambda x: jnp.full_like(x, largest or 1.0), part)
 
 
 @eqx.filter_jit
@@ -219,18 +194,16 @@ def _leg(problem, parameters, state):
 
 def _parted(trace, samples, repeated):
     """A trace with its samples on a leading axis of windows; those that are repeated count as missing."""
-    count = len(samples)
-    sigma = jnp.broadcast_to(trace.sigma, trace.data.shape)[samples]
-    data = jnp.where(repeated[..., None], jnp.nan, trace.data[samples])
+    sigma = np.broadcast_to(trace.sigma, trace.data.shape)[samples]
+    data = np.where(repeated[..., None], np.nan, np.asarray(trace.data)[samples])
     gain, offset = (
-        x if isinstance(x, str) else jnp.broadcast_to(x, (count, *jnp.shape(x)))
+        x if isinstance(x, str) else np.broadcast_to(x, (len(samples), *np.shape(x)))
         for x in (trace.gain, trace.offset)
     )
     return eqx.tree_at(
         lambda t: (t.times, t.data, t.sigma, t.gain, t.offset),
         trace,
-        (trace.times[samples], data, sigma, gain, offset),
-        is_leaf=lambda x: x is None,
+        (np.asarray(trace.times)[samples], data, sigma, gain, offset),
     )
 
 
@@ -244,25 +217,8 @@ def _readings(problem, parameters, state):
         if trace.kind == "displacement":
             measured.append((0, trace, values))
         elif trace.kind == "velocity":
-            u, v = (np.asarray(_pick(part, trace)) for part in state)
+            u, v = (np.asarray(trace.picked(part)) for part in state)
             times = np.append(float(problem.t0), np.asarray(trace.times + trace.offset))
             moved = cumulative_trapezoid(np.nan_to_num(np.vstack([v, values])), times, axis=0)
             integrated += [(1, trace, values), (0, trace, u + moved)]
     return integrated + measured
-
-
-def _index(place, trace):
-    return (*place, *(() if trace.component is None else (trace.component,)))
-
-
-def _pick(x, trace):
-    x = x if trace.field is None else x[trace.field]
-    return [x[_index(place, trace)] for place in trace.places]
-
-
-def _put(x, trace, values):
-    y = x if trace.field is None else x[trace.field]
-    for place, value in zip(trace.places, values):
-        if np.isfinite(value):
-            y = y.at[_index(place, trace)].set(value)
-    return y if trace.field is None else {**x, trace.field: y}

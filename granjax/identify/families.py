@@ -96,21 +96,22 @@ class Leaf(NamedTuple):
 
 
 def _leaf(law, path, value):
-    owner, holder, name, parts = law, law, "", []
+    """A leaf with the name that the law gives it, such as "parts[0].stiffness"."""
+    owner, words = law, []
     for key in path:
         if isinstance(owner, Law):
-            holder, name = owner, getattr(key, "name", "").removeprefix("_").removeprefix("free_")
-            parts.append(name)
+            holder, name = owner, key.name.removeprefix("_").removeprefix("free_")
+            words.append(name)
             owner = getattr(owner, key.name)
         else:
-            parts[-1] += f"[{getattr(key, 'idx', getattr(key, 'key', key))}]"
-            owner = owner[getattr(key, "idx", getattr(key, "key", None))]
-    at = concrete(value)
-    bounds = None
+            index = getattr(key, "idx", getattr(key, "key", None))
+            words[-1] += f"[{index}]"
+            owner = owner[index]
+    at, bounds = concrete(value), None
     if name in holder.positive and at is not None and at.any():
         bounds = (0.0, None) if (at > 0).all() else (None, 0.0)
-    floating = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating)
-    return Leaf(".".join(parts), value, not floating or name in holder.held, bounds)
+    held = not eqx.is_inexact_array(value) or name in holder.held
+    return Leaf(".".join(words), value, held, bounds)
 
 
 class LawScene(eqx.Module):
@@ -167,10 +168,10 @@ def law_scene(
         leaves = [
             leaf._replace(name="force") if leaf.name == "stiffness" else leaf for leaf in leaves
         ]
-    names = [leaf.name for leaf in leaves if not leaf.held]
+    free = {leaf.name: leaf for leaf in leaves if not leaf.held}
     for name in hold:
-        one_of("hold", name, names)
-    moving = {leaf.name: leaf for leaf in leaves if not leaf.held and leaf.name not in hold}
+        one_of("hold", name, free)
+    moving = {name: leaf for name, leaf in free.items() if name not in hold}
     if not moving:
         refuse(
             "family",
@@ -178,16 +179,13 @@ def law_scene(
             f"{type(law).__name__} without one",
             "An exponent moves where it is an array: PowerLaw(1.0, jnp.asarray(1.5), 1.0).",
         )
-    if moving.keys() & others.keys():
-        refuse(
-            "others",
-            f"names other than the law's {names}",
-            f"{sorted(moving.keys() & others.keys())}",
-        )
+    both = sorted(moving.keys() & others.keys())
+    if both:
+        refuse("others", f"names other than the law's {list(free)}", f"{both}")
     places = tuple(leaf.name if leaf.name in moving else None for leaf in leaves)
     held = tuple(None if name else jnp.asarray(leaf.value) for name, leaf in zip(places, leaves))
     start = {name: leaf.value for name, leaf in moving.items()} | others
-    bounds = {name: leaf.bounds for name, leaf in moving.items() if leaf.bounds is not None}
+    bounds = {name: leaf.bounds for name, leaf in moving.items() if leaf.bounds}
     strain = None if strain is None else jnp.asarray(strain, float)
     return (
         LawScene(scene, jax.tree.structure(law), places, held, tuple(sorted(others)), strain),

@@ -7,11 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
-from ..fit.judge import STRUCTURED, structure
+from ..fit.judge import AFTER_AND_BEFORE, STRUCTURED, structure
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
 from ..printing import told
@@ -26,8 +25,6 @@ ALIKE = 1e6
 MARGIN = 1.5
 # and below this many roundings
 ROUNDING = 1e6
-# of a record, each time but the first, and each but the last
-AFTER_AND_BEFORE = slice(1, None), slice(-1)
 # numbers among which neighbours are looked for, so that it takes a fraction of a second
 MOST = 10_000
 
@@ -245,6 +242,9 @@ def _flat(tree):
 
 
 def _differentiated(ts, vs, noise):
+    """Accelerations of the inner times, the rms of their error, and which times those are."""
+    from scipy.interpolate import UnivariateSpline
+
     if len(ts) < 12:
         refuse(
             "ts",
@@ -256,23 +256,22 @@ def _differentiated(ts, vs, noise):
     deviation = float(non_negative("noise", noise))
     left = len(t) * deviation * deviation
 
-    def derivative(v, every=1):
+    def derivative(v, every):
         sites = np.asarray(v).reshape(len(t), -1)[::every].T
-        from scipy.interpolate import UnivariateSpline
-
         splines = [UnivariateSpline(t[::every], x, k=5, s=left / every) for x in sites]
         return np.stack([spline.derivative()(t) for spline in splines], -1).reshape(v.shape)[inner]
 
-    found, coarse = jax.tree.map(derivative, vs), jax.tree.map(lambda v: derivative(v, 2), vs)
+    found, coarse = (jax.tree.map(lambda v: derivative(v, every), vs) for every in (1, 2))
     # where noise prevails the error itself, else that of twice the interval, which is larger
     return found, float(np.sqrt(np.mean((_flat(found) - _flat(coarse)) ** 2))), inner
 
 
 def _in_time(residual, accelerations):
     """Residuals and those that follow them at the same site."""
-    floating = jax.tree.map(lambda x: jnp.asarray(x, float), accelerations)
-    residuals = ravel_pytree(floating)[1](jnp.asarray(residual, float))
-    return tuple(_flat(jax.tree.map(lambda x: x[part], residuals)) for part in AFTER_AND_BEFORE)
+    leaves = jax.tree.leaves(accelerations)
+    ends = np.cumsum([x.size for x in leaves])
+    residuals = [r.reshape(x.shape) for r, x in zip(np.split(residual, ends[:-1]), leaves)]
+    return tuple(_flat([r[part] for r in residuals]) for part in AFTER_AND_BEFORE)
 
 
 def _alike(residual, A):
@@ -288,13 +287,15 @@ def _alike(residual, A):
 def _thresholded(A, y, threshold, ridge, max_steps):
     """Coefficients and which of them are kept."""
     sizes = np.linalg.norm(A, axis=0)
-    X = A / sizes
-    floor = threshold * np.linalg.norm(y)
     kept = np.ones(len(sizes), bool)
-    for _ in range(max_steps):
+
+    def solved(ridge):
         c = np.zeros(len(sizes))
-        c[kept] = _ridge(X[:, kept], y, ridge)
-        stays = kept & (np.abs(c) >= floor)
+        c[kept] = _ridge((A / sizes)[:, kept], y, ridge)
+        return c
+
+    for _ in range(max_steps):
+        stays = kept & (np.abs(solved(ridge)) >= threshold * np.linalg.norm(y))
         if (stays == kept).all():
             break
         kept = stays
@@ -305,9 +306,7 @@ def _thresholded(A, y, threshold, ridge, max_steps):
                 f"{threshold:g}",
                 "Lower it, or offer other terms.",
             )
-    c = np.zeros(len(sizes))
-    c[kept] = _ridge(X[:, kept], y, 0.0)
-    return c / sizes, kept
+    return solved(0.0) / sizes, kept
 
 
 def _ridge(X, y, ridge):
@@ -327,9 +326,9 @@ def _record(mass, candidates, names, A, y, c, kept, known, shared):
     covariance = factor @ factor.T
     shares = np.abs(c[kept]) * sizes / np.linalg.norm(y)
     found = [name for name, keep in zip(names, kept) if keep]
-    values = zip(c[kept], np.sqrt(np.diag(covariance)), shares)
-    coefficients = {name: Coefficient(*map(float, row)) for name, row in zip(found, values)}
-    dropped = tuple(name for name, keep in zip(names, kept) if not keep)
+    rows = np.stack([c[kept], np.sqrt(np.diag(covariance)), shares], -1).tolist()
+    coefficients = {name: Coefficient(*row) for name, row in zip(found, rows)}
+    dropped = tuple(name for name in names if name not in found)
     r_squared = float(1 - residual @ residual / ((y - y.mean()) @ (y - y.mean())))
     condition = float(s[0] / s[-1])
     words = [

@@ -18,11 +18,11 @@ from ..types import Count, Scalar, Site
 from .branch import Branch
 from .breather import refuse_resonance, resonant_harmonic
 from .confirm import LEFT_ON_BRANCH, newtons
-from .families import checked_lattice, confirmed_branch, half_steps
+from .families import confirmed_branch, half_steps
 from .guesses import single_site
 from .localised import FEWEST, localisation
 from .problems import Family, Shooting
-from .repeats import largest
+from .repeats import checked_lattice, largest
 
 # steps along the branch, in the amplitude of the limit and in the whole way of the coupling: the first, and over it the
 # longest and the least

@@ -16,22 +16,19 @@ from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, StateLike
 from .confirm import TOLERANCE, confirmed
-from .families import checked_lattice, even_steps, family, half_steps
+from .families import even_steps, family, flat_modes, half_steps
 from .guesses import (
     bright_guess,
-    cell_of,
     dark_guess,
-    dressed,
     edge_of,
     edges_beside,
     local_guesses,
     refuse_bright,
-    supports_bright,
 )
 from .localised import checked_localised, localisation
 from .orbit import Orbit, orbit_of
 from .problems import Family, Shooting, over_omega
-from .repeats import checked_state, largest
+from .repeats import checked_lattice, checked_state, largest
 
 # relative distance to a frequency of the finite lattice that is a resonance by itself
 MEETS = 1e-9
@@ -47,8 +44,6 @@ PUSHES = (
     "every contact is the same, so zero where a motion is localised, and none of them ever closes. Give a "
     "precompression; breathers without one last long where resonators are heavy, and not forever."
 )
-# of the distance from the edge, where the envelope is a better guess
-NEARER = (0.5, 0.2, 0.1)
 
 
 @one_thread
@@ -221,7 +216,7 @@ def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
     if found.converged:
         return found.state
     edge = edge_of(lattice, omega, kind)
-    for fraction in NEARER:
+    for fraction in (0.5, 0.2, 0.1):  # nearer to the edge the envelope is a better guess
         near = edge + fraction * (omega - edge)
         found = _solve(lattice, flow, make(lattice, near, centre), near, max_steps=30, **settings)
         if found.converged:
@@ -289,18 +284,11 @@ def _kind(lattice, guess):
 def _check(lattice, omega, guess, kind):
     # the first harmonic of a wave with a dip is in the band by nature
     refuse_resonance(lattice, omega, kind != "bright")
-    if (
-        guess == "dark"
-        or isinstance(guess, tuple)
-        or cell_of(lattice) is None
-        and dressed(lattice) is None
-    ):
-        return
-    edges = edges_beside(lattice, omega)
+    edges = [] if guess == "dark" or isinstance(guess, tuple) else edges_beside(lattice, omega)
     # a finite chain may have modes in a gap, at its ends, from which families leave too
     if (
         edges
-        and not any(supports_bright(edge) for edge in edges)
+        and not any(e.bright for e in edges)
         and (guess or len(edges[0].coefficients.mode) == 1)
     ):
         refuse_bright(lattice, omega)
@@ -319,12 +307,7 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
         return np.stack([np.asarray(found.lower), np.asarray(found.upper)], -1), omega
     except ValueError:
         pass
-    shapes = (
-        np.concatenate(
-            [np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)]
-        )
-        ** 2
-    )
+    shapes = flat_modes(modes) ** 2
     participation = shapes.sum(0) ** 2 / (shapes**2).sum(0)
     extended = np.sort(omega[participation > len(omega) / 5])
     if not len(extended):
@@ -336,28 +319,27 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
 
 
 @compiled
-def _asymmetry(lattice, shape):
+def _asymmetry(lattice):
     """|F(u) + F(-u)| over |F(u)|, largest of all sites, at displacements of one shape and of many sizes."""
-
-    def force(size):
-        u = jax.tree.map(lambda x: jnp.asarray(size * x, lattice.dtype), shape)
-        return lattice.force(0.0, u, lattice.zeros())
+    rng = np.random.default_rng(0)
+    shape = jax.tree.map(
+        lambda x: jnp.asarray(rng.uniform(-1, 1, x.shape), x.dtype), lattice.template()
+    )
 
     def one(size):
+        force = lambda s: lattice.force(0.0, jax.tree.map(lambda x: s * x, shape), lattice.zeros())
         there = force(size)
         return largest(jax.tree.map(jnp.add, there, force(-size))) / largest(there)
 
-    return jax.lax.map(one, LENGTHS)
+    return jax.lax.map(one, jnp.asarray(LENGTHS, lattice.dtype))
 
 
 def _is_odd(lattice):
     """Whether the forces change their sign with the displacements, as they are at displacements of every size."""
-    rng = np.random.default_rng(0)
-    shape = jax.tree.map(lambda x: rng.uniform(-1, 1, x.shape), lattice.template())
-    found = np.asarray(_asymmetry(lattice, shape))
+    found = np.asarray(_asymmetry(lattice))
     # a size may be beyond a law's range
     found = found[np.isfinite(found)]
-    return bool(found.size) and bool(found.max() <= np.sqrt(jnp.finfo(lattice.dtype).eps))
+    return found.size > 0 and found.max() <= np.sqrt(np.finfo(found.dtype).eps)
 
 
 def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tuple | None:

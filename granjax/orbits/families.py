@@ -8,12 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
 
 from ..checks import refuse, traced
 from ..continuation import Curve
 from ..flow import Flow
 from ..lattice import Lattice
-from ..linear import normal_modes
+from ..linear import NormalModes, normal_modes
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Scalar, StateLike
@@ -22,7 +23,7 @@ from .confirm import BRANCH, LEFT_ON_BRANCH, newtons
 from .examined import branch_of, examined, examined_along
 from .orbit import Orbit
 from .problems import Family, Shooting, over_omega
-from .repeats import largest
+from .repeats import checked_lattice, largest
 from .scales import nonlinear_length
 from .steps import default_steps
 
@@ -185,9 +186,7 @@ def _from(guess, until):
 def _modes(lattice, modes, until, mode):
     """Ways to begin at a linear mode, those to try in their order."""
     omega = np.asarray(modes.omega)
-    shapes = np.concatenate(
-        [np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)]
-    )
+    shapes = flat_modes(modes)
     if mode is not None:
         chosen = [mode]
     elif until is None:
@@ -209,6 +208,12 @@ def _modes(lattice, modes, until, mode):
         )
         for i in chosen
     ]
+
+
+def flat_modes(modes: NormalModes) -> Float[np.ndarray, "n modes"]:
+    """The shapes of normal modes over the raveled displacements, as columns."""
+    leaves = jax.tree.leaves(modes.modes)
+    return np.concatenate([np.asarray(x).reshape(-1, len(modes.omega)) for x in leaves])
 
 
 def _beside(lattice, omega, shape, mode):
@@ -260,23 +265,6 @@ def _ends(problem, amplitude, stop):
         return None if stop is None else stop(u, float(problem.value(q)))
 
     return None if amplitude is None and stop is None else why
-
-
-def checked_lattice(lattice: Lattice) -> Lattice:
-    """A lattice that has time-reversible, isolated families: single, conservative, autonomous."""
-    if lattice.lanes:
-        remedy = (
-            "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
-        )
-        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
-    if not lattice.conserves:
-        names = ", ".join(lattice.unkept())
-        remedy = (
-            "Orbits of damped, driven or modulated chains: gx.forced.forced_orbit. Breathers in a gap in the "
-            "wave number, which come and go: gx.breathers.k_gap_breather."
-        )
-        refuse("lattice", "forces that depend on positions alone", names, remedy)
-    return lattice
 
 
 def even_steps(orbit: Orbit) -> int:

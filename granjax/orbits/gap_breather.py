@@ -59,7 +59,17 @@ class GapBreather(Result):
     )
     period: float = array("The period of the modulation.", "s")
     steps: int = array("The number of steps of a period.")
-    outcome: str = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """How far it grew, and how much of it came back."""
+        off = abs(self.returned)
+        breaks_up = max(off, self.error) > RETURNS
+        return (
+            f"The energy grew {self.energy.max() / self.energy[0]:.4g} times and returned within {off:.1e} +- "
+            f"{self.error:.1e} of itself after {len(self.ts) - 1} periods; {self.stray:.1e} of what returned is other "
+            f"waves.{' It breaks up: other waves took part.' * breaks_up}"
+        )
 
     @property
     def peak(self) -> float:
@@ -324,13 +334,6 @@ class _Ring:
             [np.abs(x).reshape(end, -1).max(-1) for x in jax.tree.leaves(us)], axis=0
         )
         stray = self._stray(jax.tree.map(lambda x: x[-1], (us, vs)))
-        times = found.energy.max() / found.energy[0]
-        back = max(abs(found.returned), error) <= RETURNS
-        outcome = (
-            f"The energy grew {times:.4g} times and returned within {abs(found.returned):.1e} +- {error:.1e} of "
-            f"itself after {found.back} periods; {stray:.1e} of what returned is other waves."
-            + ("" if back else " It breaks up: other waves took part.")
-        )
         return GapBreather(
             self.t0 + self.period * np.arange(end),
             us,
@@ -344,7 +347,6 @@ class _Ring:
             stray,
             self.period,
             int(steps),
-            outcome,
             **self.lattice.origin,
         )
 

@@ -14,10 +14,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
-from ..checks import one_of, positive, refuse
+from ..checks import positive, refuse
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
-from ..laws import Law, taylor
+from ..laws import taylor
 from ..linear import bands
 from ..linear.cell import unit_cell
 from ..newton import newton
@@ -27,7 +27,8 @@ from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
 from ..types import Scalar, Site
-from .families import checked_lattice
+from .repeats import checked_lattice
+from .scales import nonlinear_length
 from .symmetry import shifts
 
 # relative distance in omega below which a frequency is an edge's
@@ -40,8 +41,6 @@ SAME_K = 1e-6
 ROUNDS = 30
 # relative differences that are rounding
 ROUNDING = 1e-9
-# displacements at which forces are asked whether they are linear
-SIZES = 10.0 ** np.arange(-9, 4, 3)
 # steps of half a period of one site alone, and the parts of it that are looked at
 HALF_STEPS = 128
 PARTS = 16
@@ -69,73 +68,178 @@ DEGREES = (1.2, 5.0)
 BESIDE = 3
 
 
-class Edge(NamedTuple):
-    """An edge of a band: its place, the envelope's coefficients there, and whether its bright breathers lie at omega.
+class Chain(NamedTuple):
+    """A chain of next neighbours: masses and K2, K3, K4 of the P sites and bonds of a unit cell, (P,) each."""
 
-    `above`: whether the gap lies above the edge.
+    mass: np.ndarray
+    K2: np.ndarray
+    K3: np.ndarray
+    K4: np.ndarray
+    boundary: str
+    __repr__ = told
+
+    def coefficients(
+        self, branch: int, constraint: str = "force", k: float = np.pi
+    ) -> nls.Coefficients:
+        """The envelope's, at the edge of a band at k."""
+        return nls.coefficients(*self[:4], k, branch, constraint)
+
+    def state(self, profile: nls.Profile, sites: int) -> State:
+        """A breather, at rest."""
+        u = profile.displacement[:sites]
+        return State(u, jnp.zeros_like(u))
+
+
+class Dressed(NamedTuple):
+    """A chain of one field that linear resonators dress: 4 K2 sin^2(k/2) = G(omega^2), G(x) = x times a mass.
+
+    With `tie` the stiffness of all but the chain's own bonds over the fields, and its parts b (the chain) and r,
+    G(x) = x m - tie_bb + tie_br (tie_rr - x mu)^{-1} tie_rb. `tops`: the frequencies at k = pi.
     """
 
-    k: float
-    branch: int
+    field: str
+    fields: tuple[str, ...]
+    bare: Chain
+    mass: np.ndarray
+    tie: np.ndarray
+    tops: np.ndarray
+
+    @property
+    def boundary(self) -> str:
+        return self.bare.boundary
+
+    def _parts(self, x):
+        """What the other fields answer to a displacement 1 of the chain's at omega^2 = x, and which they are."""
+        b = self.fields.index(self.field)
+        r = [i for i in range(len(self.fields)) if i != b]
+        stiffness = self.tie[np.ix_(r, r)] - x * np.diag(self.mass[r])
+        return b, r, -np.linalg.lstsq(stiffness, self.tie[r, b], rcond=None)[0]
+
+    def excess(self, x: float) -> float:
+        """G at omega^2 = x."""
+        b, r, answer = self._parts(x)
+        return x * self.mass[b] - self.tie[b, b] - self.tie[b, r] @ answer
+
+    def coefficients(
+        self, branch: int, constraint: str = "force", k: float = np.pi
+    ) -> nls.Coefficients:
+        """The envelope's at k = pi, where the second harmonic strains no bond: those of the chain, over dG/d omega."""
+        c, omega = self.bare.coefficients(0, constraint), self.tops[branch]
+        b, r, answer = self._parts(omega**2)
+        slope = self.mass[b] + answer @ (self.mass[r] * answer)
+        ratio = self.mass[b] * c.omega / (omega * slope)
+        scaled = (ratio * x for x in (c.nu2, c.nu3, c.nu3_force, c.group_velocity))
+        return eqx.tree_at(
+            lambda c: (c.omega, c.nu2, c.nu3, c.nu3_force, c.group_velocity),
+            c,
+            (jnp.asarray(omega), *scaled),
+        )
+
+    def state(self, profile: nls.Profile, sites: int) -> State:
+        """A breather of the chain's field and what the others do, at rest."""
+        drift = -jnp.append(0, jnp.cumsum(profile.mean_strain)[:-1])
+        mean = drift - jnp.mean(drift)
+        _, r, answer = self._parts(float(profile.omega) ** 2)
+        swing = profile.displacement - mean
+        u = {self.field: profile.displacement}
+        u |= {self.fields[i]: mean + a * swing for i, a in zip(r, answer)}
+        return State(u, jax.tree.map(jnp.zeros_like, u))
+
+
+def chain_of(lattice: Lattice) -> Chain | Dressed | None:
+    """What the envelope equation reads of a lattice, or `None` where it is no such chain."""
+    if lattice.axes != 1 or lattice.dimension:
+        return None
+    return dressed(lattice) if lattice.fields else cell_of(lattice)
+
+
+def cell_of(lattice: Lattice) -> Chain | None:
+    """The unit cell of a chain of next neighbours, or `None` where it is none."""
+    found = next_neighbours(lattice.terms[0]) if len(lattice.terms) == 1 else None
+    cell = found and _cell(lattice)
+    if not cell:
+        return None
+    (law, boundary), (size,), (sites,) = found, cell.cell, lattice.sites
+    left = 1 if boundary == "fixed" else 0
+    mass = np.broadcast_to(np.asarray(lattice.mass), (sites,))[:size]
+    parts = [np.asarray(x) for x in taylor(law)]
+    if not np.all(parts[0] > 0):
+        return None
+    parts = [x[left : left + size] if x.ndim else np.full(size, x) for x in parts]
+    return Chain(mass, *parts, boundary)
+
+
+def dressed(lattice: Lattice) -> Dressed | None:
+    """The chain of a lattice of several fields, or `None` where it is no uniform one with free linear resonators."""
+    found = [
+        (i, name, *bonds)
+        for i, term in enumerate(lattice.terms)
+        for name in lattice.fields
+        if (bonds := next_neighbours(term, name)) is not None
+    ]
+    cell = _cell(lattice)
+    if len(found) != 1 or not cell or cell.cell != (1,):
+        return None
+    (own, field, law, boundary), fields = found[0], tuple(sorted(lattice.fields))
+    coefficients = [np.ravel(x) for x in taylor(law)]
+    if not np.all(coefficients[0] > 0) or any(
+        np.ptp(x) > ROUNDING * np.abs(x).max() for x in coefficients
+    ):
+        return None
+    others = lattice.terms[:own] + lattice.terms[own + 1 :]
+    rng = np.random.default_rng(0)
+    shape = jax.tree.map(lambda s: jnp.asarray(rng.uniform(-1, 1, s.shape)), lattice.template())
+    if np.isfinite(nonlinear_length(eqx.tree_at(lambda x: x.terms, lattice, others), shape)):
+        return None
+    mass, b = np.asarray(cell.mass), fields.index(field)
+    bare = Chain(mass[[b]], *(x[:1] for x in coefficients), boundary)
+    tie = np.asarray(cell.coupling)[cell.shells.index((0,))] * np.sqrt(mass[:, None] * mass)
+    tie[b, b] -= 2 * bare.K2[0]
+    squares = np.linalg.eigvalsh(np.asarray(cell.dynamical_matrix(np.array([np.pi]))))
+    chain = Dressed(field, fields, bare, mass, tie, np.sqrt(np.maximum(squares, 0)))
+    return chain if np.abs(chain.excess(0.0)) <= ROUNDING * bare.K2[0] else None
+
+
+def _cell(lattice):
+    """The unit cell, or `None` of a lattice without a period."""
+    try:
+        return unit_cell(lattice)
+    except ValueError:
+        return None
+
+
+class Edge(NamedTuple):
+    """An edge of a band, the envelope's coefficients there, and whether the gap lies above it."""
+
     omega: float
     above: bool
     coefficients: nls.Coefficients
     __repr__ = told
 
-
-def cell_of(lattice: Lattice) -> tuple | None:
-    """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none."""
-    found = next_neighbours(lattice.terms[0]) if len(lattice.terms) == 1 else None
-    if found is None or lattice.fields or lattice.axes != 1 or lattice.dimension:
-        return None
-    law, boundary = found
-    try:
-        (size,) = unit_cell(lattice).cell
-    except ValueError:
-        return None
-    coefficients = taylor(law)
-    if not np.all(np.asarray(coefficients.K2) > 0):
-        return None
-    (sites,) = lattice.sites
-    left = 1 if boundary == "fixed" else 0
-    mass = np.broadcast_to(np.asarray(lattice.mass), (sites,))[:size]
-    parts = [
-        np.asarray(x) if np.ndim(x) == 0 else np.asarray(x)[left : left + size]
-        for x in coefficients
-    ]
-    return mass, *(np.broadcast_to(x, (size,)) for x in parts)
+    @property
+    def bright(self) -> bool:
+        """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
+        c = self.coefficients
+        return bool(c.focusing) and (float(c.nu3_force) > 0) == self.above
 
 
 def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
     """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell."""
-    cell, chain = cell_of(lattice), dressed(lattice)
-    if cell is None and chain is None:
+    chain = chain_of(lattice)
+    if chain is None:
         return []
     found = bands(lattice)
     lower, upper = np.asarray(found.lower), np.asarray(found.upper)
     if np.any((lower * (1 + AT_EDGE) < omega) & (omega < upper * (1 - AT_EDGE))):
         return []
-    if chain is not None:  # at k = 0, the lower edges, no bond is strained
-        below = np.flatnonzero((0 < chain.tops) & (chain.tops <= omega))[-1:]
-        return [
-            Edge(np.pi, int(b), float(chain.tops[b]), True, chain.coefficients(int(b)))
-            for b in below
-        ]
-    edges = [
-        (k, b, w, True)
-        for b, (k, w) in enumerate(zip(np.ravel(found.upper_k), upper))
-        if w <= omega
+    edges = [(b, upper[b], found.upper_k, True) for b in np.flatnonzero(upper <= omega)[-1:]]
+    if isinstance(chain, Chain):  # at k = 0, the lower edges of a dressed one, no bond is strained
+        beyond = np.flatnonzero((lower >= omega) & (omega > 0))[:1]
+        edges += [(b, lower[b], found.lower_k, False) for b in beyond]
+    return [
+        Edge(float(w), above, chain.coefficients(int(b), k=_at_symmetry(np.ravel(ks)[b])))
+        for b, w, ks, above in edges
     ]
-    edges = (
-        edges[-1:]
-        + [
-            (k, b, w, False)
-            for b, (k, w) in enumerate(zip(np.ravel(found.lower_k), lower))
-            if w >= omega > 0
-        ][:1]
-    )
-    edges = [(_at_symmetry(k), b, float(w), above) for k, b, w, above in edges]
-    return [Edge(k, b, w, above, nls.coefficients(*cell, k, b)) for k, b, w, above in edges]
 
 
 def _at_symmetry(k):
@@ -144,19 +248,19 @@ def _at_symmetry(k):
     return near if abs(k - near) < SAME_K else float(k)
 
 
-def supports_bright(edge: Edge) -> bool:
-    """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
-    c = edge.coefficients
-    return bool(c.focusing) and (float(c.nu3_force) > 0) == edge.above
+def _bright(lattice, omega):
+    """The nearest edge of the gap that bright breathers leave, or `None`."""
+    found = [edge for edge in edges_beside(lattice, omega) if edge.bright]
+    return min(found, key=lambda edge: abs(edge.omega - omega), default=None)
 
 
 def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
     """Frequency of the edge from which the bright or dark breathers at omega come."""
-    if one_of("kind", kind, ("bright", "dark")) == "dark":
+    if kind == "dark":
         upper = np.asarray(bands(lattice).upper)
         return float(upper[np.argmin(np.abs(upper - omega))])
-    found = [edge.omega for edge in edges_beside(lattice, omega) if supports_bright(edge)]
-    return min(found, key=lambda edge: abs(edge - omega)) if found else omega
+    edge = _bright(lattice, omega)
+    return edge.omega if edge else omega
 
 
 def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
@@ -164,13 +268,11 @@ def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) 
 
     **Raises** ValueError where no edge of that gap has one.
     """
-    if cell_of(lattice) is None and dressed(lattice) is None:
-        refuse("guess", NO_CELL, "'bright'", NEEDS)
-    found = [edge for edge in edges_beside(lattice, omega) if supports_bright(edge)]
-    if not found:
+    chain = _enveloped(lattice, "'bright'")
+    edge = _bright(lattice, omega)
+    if not edge:
         refuse_bright(lattice, omega)
-    edge = min(found, key=lambda edge: abs(edge.omega - omega))
-    return _state(lattice, nls.bright_profile, edge.coefficients, omega, centre)
+    return _state(lattice, chain, nls.bright_profile, edge.coefficients, omega, centre)
 
 
 def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
@@ -179,25 +281,21 @@ def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) ->
     Ends at constant force (free) or at fixed length (walls, a ring) as the chain has them. **Raises** ValueError where
     the edge above omega has no dark breathers, and for a lattice that is no periodic chain of next neighbours.
     """
-    cell, chain = cell_of(lattice), dressed(lattice)
-    if cell is None and chain is None:
-        refuse("guess", NO_CELL, "'dark'", NEEDS)
-    found = bands(lattice)
-    tops = [
-        (b, float(w), float(k))
-        for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))
-    ]
-    branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
-    k = _at_symmetry(k)
-    boundary = next_neighbours(lattice.terms[0])[1] if chain is None else chain.boundary
-    constraint = "force" if boundary == "free" else "length"
-    if chain is None:
-        coefficients = nls.coefficients(*cell, k, branch, constraint)
-    else:
-        coefficients = chain.coefficients(branch, constraint)
+    chain, found = _enveloped(lattice, "'dark'"), bands(lattice)
+    branch = int(np.argmin(np.abs(np.asarray(found.upper) - omega)))
+    constraint = "force" if chain.boundary == "free" else "length"
+    k = _at_symmetry(np.ravel(found.upper_k)[branch])
+    coefficients = chain.coefficients(branch, constraint, k)
     if constraint == "length":
         coefficients = _held(coefficients, omega, _size(lattice) / len(coefficients.mode))
-    return _state(lattice, nls.dark_profile, coefficients, omega, centre)
+    return _state(lattice, chain, nls.dark_profile, coefficients, omega, centre)
+
+
+def _enveloped(lattice, asked):
+    chain = chain_of(lattice)
+    if chain is None:
+        refuse("guess", NO_CELL, asked, NEEDS)
+    return chain
 
 
 def _held(c, omega, cells):
@@ -209,21 +307,17 @@ def _held(c, omega, cells):
     r, kappa = 1.0, omega - c.omega
     effective = lambda r: c.nu3_force + r * (c.nu3 - c.nu3_force)
     for _ in range(ROUNDS):
-        width = jnp.sqrt(jnp.abs(c.nu3_force * kappa / (2 * c.nu2 * effective(r))))
-        r = jnp.maximum(1 - 4 / (width * cells), 0.0)
+        width = np.sqrt(np.abs(c.nu3_force * kappa / (2 * c.nu2 * effective(r))))
+        r = np.maximum(1 - 4 / (width * cells), 0.0)
     strain = c.mean_strain_force + r * (c.mean_strain - c.mean_strain_force)
     return eqx.tree_at(lambda c: (c.nu3, c.mean_strain), c, (effective(r), strain))
 
 
-def _state(lattice, profile, coefficients, omega, centre):
-    sites, chain = _size(lattice), dressed(lattice)
+def _state(lattice, chain, profile, coefficients, omega, centre):
+    sites = _size(lattice)
     cells = -(-sites // len(coefficients.mode))
     centre = (sites - 1) / 2 if centre is None else centre
-    found = profile(coefficients, omega, cells, centre)
-    if chain is not None:
-        return chain.state(found)
-    u = found.displacement[:sites]
-    return State(u, jnp.zeros_like(u))
+    return chain.state(profile(coefficients, omega, cells, centre), sites)
 
 
 def _size(lattice):
@@ -233,132 +327,18 @@ def _size(lattice):
 
 def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
     """Say why a chain has no bright breather at a frequency."""
-    edges = edges_beside(lattice, omega)
     said = []
-    for edge in edges:
+    for edge in edges_beside(lattice, omega):
         c = edge.coefficients
         name = "B" if len(c.mode) == 1 else "nu3"
         nu2, nu3 = float(c.nu2), float(c.nu3_force)
         relation = "<" if nu3 < 0 else ">"
-        what = f"{name} = {nu3:.6g} {relation} 0 with nu2 = {nu2:.6g} at omega = {edge.omega:.6g}"
+        why = "bright, but on the other side of the edge" if c.focusing else "only dark"
         said.append(
-            f"{what}: only dark"
-            if not c.focusing
-            else f"{what}: bright, but on the other side of the edge"
+            f"{name} = {nu3:.6g} {relation} 0 with nu2 = {nu2:.6g} at omega = {edge.omega:.6g}: {why}"
         )
     remedy = "; ".join(said) + "." if said else "No gap holds this frequency."
     refuse("omega", "a frequency at which the lattice has bright breathers", f"{omega:.6g}", remedy)
-
-
-class Dressed(NamedTuple):
-    """A chain of one field that linear resonators dress: 4 K2 sin^2(k/2) = G(omega^2), G(x) = x times a mass.
-
-    With `tie` the stiffness of all but the chain's own bonds over the fields, and its parts b (the chain) and r,
-    G(x) = x m - tie_bb + tie_br (tie_rr - x mu)^{-1} tie_rb.
-    """
-
-    field: str
-    fields: tuple[str, ...]
-    law: Law
-    boundary: str
-    mass: np.ndarray
-    tie: np.ndarray
-    tops: np.ndarray
-
-    def _parts(self, x):
-        """What the other fields answer to a displacement 1 of the chain's at omega^2 = x, and which they are."""
-        b = self.fields.index(self.field)
-        r = [i for i in range(len(self.fields)) if i != b]
-        return (
-            b,
-            r,
-            -np.linalg.lstsq(
-                self.tie[np.ix_(r, r)] - x * np.diag(self.mass[r]), self.tie[r, b], rcond=None
-            )[0],
-        )
-
-    def excess(self, x: float) -> float:
-        """G at omega^2 = x."""
-        b, r, answer = self._parts(x)
-        return x * self.mass[b] - self.tie[b, b] - self.tie[b, r] @ answer
-
-    def slope(self, x: float) -> float:
-        """dG/dx, above zero."""
-        b, r, answer = self._parts(x)
-        return self.mass[b] + answer @ (self.mass[r] * answer)
-
-    def coefficients(self, branch: int, constraint: str = "force") -> nls.Coefficients:
-        """The envelope's at k = pi, where the second harmonic strains no bond: those of the chain, over dG/d omega."""
-        m = self.mass[self.fields.index(self.field)]
-        c = nls.coefficients(m, *(np.ravel(x)[:1] for x in taylor(self.law)), np.pi, 0, constraint)
-        omega = self.tops[branch]
-        ratio = m * c.omega / (omega * self.slope(omega**2))
-        scaled = (ratio * x for x in (c.nu2, c.nu3, c.nu3_force, c.group_velocity))
-        return eqx.tree_at(
-            lambda c: (c.omega, c.nu2, c.nu3, c.nu3_force, c.group_velocity),
-            c,
-            (jnp.asarray(omega), *scaled),
-        )
-
-    def state(self, profile: nls.Profile) -> State:
-        """A breather of the chain's field and what the others do, at rest."""
-        drift = -jnp.append(0, jnp.cumsum(profile.mean_strain)[:-1])
-        mean = drift - jnp.mean(drift)
-        _, r, answer = self._parts(float(profile.omega) ** 2)
-        swing = profile.displacement - mean
-        u = {self.field: profile.displacement}
-        u |= {self.fields[i]: mean + a * swing for i, a in zip(r, answer)}
-        return State(u, jax.tree.map(jnp.zeros_like, u))
-
-
-def dressed(lattice: Lattice) -> Dressed | None:
-    """The chain of a lattice of several fields, or `None` where it is no uniform one with free linear resonators."""
-    if not lattice.fields or lattice.axes != 1 or lattice.dimension:
-        return None
-    found = [
-        (i, name, *bonds)
-        for i, term in enumerate(lattice.terms)
-        for name in lattice.fields
-        if (bonds := next_neighbours(term, name)) is not None
-    ]
-    try:
-        cell = unit_cell(lattice)
-    except ValueError:
-        return None
-    if len(found) != 1 or cell.cell != (1,):
-        return None
-    (own, field, law, boundary), fields = found[0], tuple(sorted(lattice.fields))
-    coefficients = [np.asarray(x) for x in taylor(law)]
-    if not np.all(coefficients[0] > 0) or any(
-        np.ptp(x) > ROUNDING * np.abs(x).max() for x in coefficients
-    ):
-        return None
-    if not _linear(
-        eqx.tree_at(lambda x: x.terms, lattice, lattice.terms[:own] + lattice.terms[own + 1 :])
-    ):
-        return None
-    mass, b = np.asarray(cell.mass), fields.index(field)
-    tie = np.asarray(cell.coupling)[cell.shells.index((0,))] * np.sqrt(mass[:, None] * mass)
-    K2 = float(np.ravel(coefficients[0])[0])
-    tie[b, b] -= 2 * K2
-    squares = np.linalg.eigvalsh(np.asarray(cell.dynamical_matrix(np.array([np.pi]))))
-    chain = Dressed(field, fields, law, boundary, mass, tie, np.sqrt(np.maximum(squares, 0)))
-    free = np.abs(chain.excess(0.0)) <= ROUNDING * K2
-    return chain if free else None
-
-
-def _linear(rest):
-    """Whether forces are linear in the displacements, at all sizes."""
-    rng, zero = np.random.default_rng(0), rest.zeros()
-    u = jax.tree.map(lambda s: jnp.asarray(rng.uniform(-1, 1, s.shape), s.dtype), rest.template())
-    force = jax.vmap(lambda size: rest.force(0.0, jax.tree.map(lambda x: size * x, u), zero))
-    for once, twice in zip(
-        *(jax.tree.leaves(force(jnp.asarray(sizes))) for sizes in (SIZES, -2 * SIZES))
-    ):
-        once, twice = np.asarray(once), np.asarray(twice)
-        if np.any(np.abs(twice + 2 * once).max(1) > ROUNDING * np.abs(once).max(1)):
-            return False
-    return True
 
 
 def single_site(
@@ -434,7 +414,7 @@ def single_site(
 
 def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
     """The envelope's breather where there is one, then those that `single_site` finds about each kind of site."""
-    if any(supports_bright(edge) for edge in edges_beside(lattice, omega)):
+    if _bright(lattice, omega):
         yield bright_guess(lattice, omega)
     if lattice.dimension is not None:
         return

@@ -56,6 +56,23 @@ def one_lattice(lattice: Lattice) -> Lattice:
     return lattice
 
 
+def checked_lattice(lattice: Lattice) -> Lattice:
+    """A lattice that has time-reversible, isolated families: single, conservative, autonomous."""
+    if lattice.lanes:
+        remedy = (
+            "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
+        )
+        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
+    if not lattice.conserves:
+        names = ", ".join(lattice.unkept())
+        remedy = (
+            "Orbits of damped, driven or modulated chains: gx.forced.forced_orbit. Breathers in a gap in the "
+            "wave number, which come and go: gx.breathers.k_gap_breather."
+        )
+        refuse("lattice", "forces that depend on positions alone", names, remedy)
+    return lattice
+
+
 def checked_symmetry(
     lattice: Lattice, symmetry: Symmetry, state: StateLike, t0: Scalar, period: Scalar
 ) -> Symmetry:

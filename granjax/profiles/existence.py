@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..checks import refuse
+from ..checks import one_of, refuse
 from ..laws import Law
 from .medium import values
 
@@ -95,7 +95,7 @@ def reached(law: Law, found: Bounds, level: float) -> float | None:
 
 def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:
     """The side on which waves are looked for: the one asked for, that of the amplitude, or the first that has some."""
-    asked = [1, -1] if side is None else [SIDES[side]]
+    asked = [1, -1] if side is None else [SIDES[one_of("side", side, tuple(SIDES))]]
     if amplitude is not None:
         own = 1 if amplitude > 0 else -1
         if own not in asked:

@@ -173,6 +173,11 @@ def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, .
     )
 
 
+def implicit(x: Number, gap: Number, slope: Number) -> Number:
+    """A root x of a gap with its derivative: `gap` is what is left at a fixed x, `slope` its derivative in x."""
+    return x - (gap - jax.lax.stop_gradient(gap)) / jax.lax.stop_gradient(slope)
+
+
 def one_number(argument: str, x: Any) -> float | None:
     """A known number behind what may be differentiated; `None` for `None`."""
     if x is None:

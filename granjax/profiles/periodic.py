@@ -231,16 +231,7 @@ def _to_speed(waves, box, now, mass, speed):
 
 
 def _between(waves, box, low, high, wanted):
-    """By secants in the square of the amplitude."""
+    """The wave of a speed between those of two others, by a secant in the square of the amplitude."""
     a, b = (0.0, waves.small) if low is None else (low[2] ** 2, low[1])
-    for _ in range(60):
-        square = a + (wanted - b) * (high[2] ** 2 - a) / (high[1] - b)
-        new = waves.grown(box, np.sqrt(square), high)
-        if new is None or abs(new[1] / wanted - 1) < 1e-6:
-            break
-        if (new[1] - wanted) * (b - wanted) > 0:
-            a, b = new[2] ** 2, new[1]
-        else:
-            high = new
-    new = high if new is None else new
-    return new[0], wanted
+    square = a + (wanted - b) * (high[2] ** 2 - a) / (high[1] - b)
+    return (waves.grown(box, np.sqrt(square), high) or high)[0], wanted

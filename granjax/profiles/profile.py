@@ -6,15 +6,26 @@ import equinox as eqx
 import numpy as np
 
 from ..lattice import State
-from ..results import Result
-from ..types import Count, Numbers, Parameter, Scalar
+from ..laws import Law
+from ..results import Result, array
+from ..types import Count, Number, Numbers, Parameter, Scalar
 from .shape import Shape
 
 
 class Profile(Result):
-    """A wave or a front that runs without changing its shape, by its `Shape`: functions of xi = n - c t."""
+    """A wave or a front that runs without changing its shape: functions of xi = n - c t."""
 
-    _shape: Shape = eqx.field(kw_only=True, repr=False)
+    speed: Number = array(
+        "The speed c in contacts per time; negative where the wave runs to the left.", "1/s"
+    )
+    law: Law = array("The law of the contacts.")
+    mass: Number = array("The mass of the beads.", "kg")
+    residual: Number = array("What the equation leaves, over the largest strain.", "1")
+    error: Number = array("The estimated distance of the strain from the truth.", "m")
+    xi: Numbers = array("The places of the table.", "1", "xi")
+    strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
+    velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
+    _shape: Shape | None = eqx.field(kw_only=True, repr=False, default=None)
 
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - c t, of any shape [m]."""

@@ -12,9 +12,9 @@ from scipy.interpolate import CubicSpline
 from ..checks import refuse, traced
 from ..printing import told
 from .existence import Bounds, reached, side_of, twice_energy
-from .medium import Medium, fine, fine_force, one_number, values
+from .medium import Medium, fine, fine_force, implicit, one_number, values
 from .shape import TentShape
-from .start import ASTRAY, DECAYS, by_peak, decay_rate, normalised, petviashvili
+from .start import DECAYS, decay_rate, normalised
 from .tent import PIECES, Found, Places, Tent, left_between, solve, swept
 
 # numbers of places; error relative to the peak at which they are enough; what the residual of Newton's method may be
@@ -28,8 +28,6 @@ SECANTS = 8
 STEEP = 2.0
 # units of rounding that an equation is known to
 LAST = 2.0
-# stiffness at rest over m c^2 from which on a wave is weak
-WEAK = 0.95
 # a strain over its unit at which a force grows as it does from zero
 SMALL = 1e-6
 
@@ -223,11 +221,8 @@ def _shape(problem):
     else:
         over = np.sqrt(max(problem.exponent(SMALL) - 1, 1e-6))
         half, guess = 3 + 5 / over, _guess(1 / max(1.0, 0.45 / over))[1]
-    if problem.held is not None and not problem.linear > WEAK:
-        return normalised(problem.force, half, guess)
-    # the peak of a weak wave is nearly that of its level, and scaling to it would take ever more iterations
-    found = petviashvili(problem.force, problem.linear, half, guess)
-    return *(found if found[2] < ASTRAY else by_peak(problem.force, half, guess)), 1.0
+    x, psi, change, level = normalised(problem.force, half, guess)
+    return x, psi, change, level if problem.held else 1.0
 
 
 def _first(problem):
@@ -360,14 +355,13 @@ def _tails(law, level, rate, exponent, unit):
     """The decay rate and the exponent with their derivatives, by what they solve."""
     if np.isfinite(exponent):
         e = unit * SMALL
-        grown = e * law.derivative(e) / law.force(e)
-        return rate, exponent + grown - jax.lax.stop_gradient(grown)
+        return rate, implicit(exponent, -e * law.derivative(e) / law.force(e), 1.0)
 
-    def gap(kappa, level, linear):
-        return 2 * jnp.log(jnp.sinh(kappa / 2) / (kappa / 2)) - jnp.log(level / linear)
+    def gap(kappa):
+        ratio = level / law.derivative(jnp.zeros(()))
+        return 2 * jnp.log(jnp.sinh(kappa / 2) / (kappa / 2)) - jnp.log(ratio)
 
-    left = gap(rate, level, law.derivative(jnp.zeros(())))
-    return rate - (left - jax.lax.stop_gradient(left)) / jax.grad(gap)(rate, 1.0, 1.0), exponent
+    return implicit(rate, gap(rate), jax.grad(gap)(rate)), exponent
 
 
 @eqx.filter_jit

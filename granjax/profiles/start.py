@@ -1,4 +1,4 @@
-"""A first shape of a wave: Petviashvili's iteration on the Fourier form."""
+"""A first shape of a wave, by iteration of the Fourier form: of one peak, or of one level by Petviashvili's factor."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,8 @@ import numpy as np
 
 # points of the grid, decays in half of the box, most iterations, change at which one ends
 POINTS, DECAYS, ITERATIONS, SETTLED = 1024, 40.0, 400, 1e-5
-# change at which the iteration has gone astray; peaks tried then, iterations of each, their ratio, how near to 1
-ASTRAY, TRIES, SHORT, STEP, NEAR = 1e-2, 60, 80, 1.05, 1e-4
+# change at which Petviashvili's iteration has gone astray
+ASTRAY = 1e-2
 # the least exponent that a factor is computed for
 LEAST = 1.02
 
@@ -75,39 +75,18 @@ def petviashvili(
 
 @np.errstate(all="ignore")
 def normalised(
-    force: Callable,
-    half: float,
-    guess: Callable,
-    peak: float = 1.0,
-    most: int = ITERATIONS,
-    points: int = POINTS,
+    force: Callable, half: float, guess: Callable
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """The shape of one peak and its level: psi <- tent * f(psi), scaled to the peak."""
-    x = (np.arange(points) - points // 2) * (2 * half / points)
-    box = np.sinc(np.fft.rfftfreq(points, 2 * half / points)) ** 2
-    psi, change, level = peak * guess(x), np.inf, np.nan
-    for _ in range(most):
-        new = np.maximum(np.fft.irfft(box * np.fft.rfft(force(psi)[0]), points), 0.0)
-        level = new.max() / peak
+    """The shape whose peak is 1, its last change and its level: psi <- tent * f(psi), scaled to the peak."""
+    x = (np.arange(POINTS) - POINTS // 2) * (2 * half / POINTS)
+    box = np.sinc(np.fft.rfftfreq(POINTS, 2 * half / POINTS)) ** 2
+    psi, change, level = guess(x), np.inf, np.nan
+    for _ in range(ITERATIONS):
+        new = np.maximum(np.fft.irfft(box * np.fft.rfft(force(psi)[0]), POINTS), 0.0)
+        level = new.max()
         if not np.isfinite(level) or not level > 0:
             return x, psi, np.inf, np.nan
-        change, psi = np.abs(new / level - psi).max() / peak, new / level
+        change, psi = np.abs(new / level - psi).max(), new / level
         if change < SETTLED:
             break
     return x, psi, change, level
-
-
-def by_peak(force: Callable, half: float, guess: Callable) -> tuple[np.ndarray, np.ndarray, float]:
-    """The shape of level 1 by halving between peaks, where a law saturates or ends and the factor goes astray."""
-    peak, low, high, found = 1.0, None, None, None
-    for _ in range(TRIES):
-        shape = guess if found is None else (lambda x, psi=found[1]: psi / psi.max())
-        x, psi, change, level = normalised(force, half, shape, peak, SHORT)
-        if np.isfinite(level) and level <= 1:
-            low, found = peak, (x, psi, change)
-        else:
-            high = peak
-        if np.isfinite(level) and abs(level - 1) < NEAR:
-            return x, psi, change
-        peak = peak * STEP if high is None else peak / STEP if low is None else np.sqrt(low * high)
-    return found or (x, psi, np.inf)

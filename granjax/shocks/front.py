@@ -3,10 +3,9 @@
 import equinox as eqx
 
 from ..lattice import State
-from ..laws import Law
 from ..profiles import Profile, places
 from ..results import array
-from ..types import Count, Number, Numbers, Scalar
+from ..types import Count, Number, Scalar
 
 
 class DissipativeFront(Profile):
@@ -21,7 +20,6 @@ class DissipativeFront(Profile):
     implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around it are refused.
     """
 
-    speed: Number = array("The speed s in contacts per time.", "1/s")
     behind: Number = array("The strain behind.", "m")
     ahead: Number = array("The strain ahead.", "m")
     piston: Number = array("The velocity of the beads behind, s [y].", "m/s")
@@ -35,15 +33,6 @@ class DissipativeFront(Profile):
     decay_ahead: Number = array("mu.", "1")
     overshoot: Number = array("How far the strain goes beyond `behind`.", "m")
     power: Number = array("The power that the dashpots take.", "W")
-    residual: Number = array("What the equation leaves, over the jump.", "1")
-    error: Number = array(
-        "The estimated distance of the strain from the truth, by two resolutions.", "m"
-    )
-    law: Law = array("The law of the contacts.")
-    mass: Number = array("The mass of the beads.", "kg")
-    xi: Numbers = array("The places of the table.", "1", "xi")
-    strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
-    velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
     outcome: str = eqx.field(static=True)
 
     def state(self, sites: Count, centre: Scalar | None = None) -> State:

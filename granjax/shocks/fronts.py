@@ -14,7 +14,7 @@ from ..laws import Law, Strained
 from ..profiles import Medium, medium_of, tabled, tails
 from ..profiles import front as solver
 from ..profiles.front import FrontShape
-from ..profiles.medium import fine_force, one_number, single, values
+from ..profiles.medium import fine_force, implicit, one_number, single, values
 from ..terms import Dashpot
 from ..terms.chain import boundary_of
 from ..types import Scalar
@@ -335,11 +335,9 @@ def _whole(law, mass, speed, dashpot, ahead, jump, z, centre, apart):
 
 def _implicit_jump(law, mass, jump, piston):
     """The strain of a piston's front with its derivative."""
-    left = fine_force(law, jnp.asarray(jump)) * jump - mass * piston**2
-    slope = jax.lax.stop_gradient(
-        fine_force(law, jnp.asarray(jump)) + jump * law.derivative(jnp.asarray(jump))
-    )
-    return jump - (left - jax.lax.stop_gradient(left)) / slope
+    jump = jnp.asarray(jump)
+    force = fine_force(law, jump)
+    return implicit(jump, force * jump - mass * piston**2, force + jump * law.derivative(jump))
 
 
 def _implicit(front, law, numbers, known):

@@ -2,6 +2,7 @@
 
 from .nystrom import RKN86, RKN1210, AbstractNystrom
 from .splitting import (
+    ABA864,
     AbstractSplitting,
     KahanLi8,
     SofroniouSpaletta10,
@@ -12,6 +13,7 @@ from .splitting import (
 )
 
 __all__ = [
+    "ABA864",
     "AbstractNystrom",
     "AbstractSplitting",
     "KahanLi8",

@@ -1,11 +1,9 @@
 """`family`: solitary waves over their speed, amplitude or energy, and where their energy turns."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import one_of
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of, one_given, wave_of
@@ -71,47 +69,31 @@ def family(
     1024.0
     """
     name, numbers = one_given(speed=speed, amplitude=amplitude, energy=energy)
-    if side is not None:
-        one_of("side", side, ("compression", "tension"))
     medium, rows = medium_of(law, mass), []
+
+    def solved(x):
+        wave = wave_of(medium, **{name: x}, side=side)
+        return (wave.shape.speed, wave.energy), wave
+
     for x in _shown(np.atleast_1d(np.asarray(numbers, float))):
-        found = {}
-
-        def numbers_of(x):
-            found["wave"] = solved = wave_of(medium, **{name: x}, side=side)
-            return (
-                solved.shape.speed,
-                solved.energy,
-                solved.shape.strain(0.0),
-                solved.momentum,
-                solved.compression,
-            )
-
-        values, slopes = jax.jvp(numbers_of, (jnp.asarray(x),), (jnp.ones(()),))
-        solved = jax.lax.stop_gradient(found["wave"].shape)
+        (c, E), (dc, dE), wave = jax.jvp(solved, (x,), (1.0,), has_aux=True)
+        shape = wave.shape
+        width, slope = half_width(shape, float(shape.end)), dE / dc
         rows.append(
-            [
-                *map(float, values),
-                2 * half_width(solved, float(solved.end)),
-                float(slopes[1] / slopes[0]),
-                found["wave"].error,
-            ]
+            (
+                c,
+                shape.strain(0.0),
+                E,
+                wave.momentum,
+                wave.compression,
+                width,
+                slope,
+                wave.error,
+            )
         )
-    c, E, peak, momentum, compression, width, slope, error = np.array(rows).T
-    turns = _zeros(np.abs(c), slope * np.sign(c))
-    return WaveFamily(
-        c,
-        peak,
-        E,
-        momentum,
-        compression,
-        width,
-        slope,
-        error,
-        turns,
-        medium.law,
-        **medium.origin,
-    )
+    columns = np.array(rows, float).T
+    turns = _zeros(np.abs(columns[0]), columns[6] * np.sign(columns[0]))
+    return WaveFamily(*columns, turns, medium.law, **medium.origin)
 
 
 def _shown(numbers):

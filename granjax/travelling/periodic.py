@@ -10,7 +10,7 @@ from ..profiles import Profile, medium_of, one_given, tabled
 from ..profiles.medium import one_number, values
 from ..profiles.periodic import train
 from ..results import array
-from ..types import Count, Number, Numbers, Scalar
+from ..types import Count, Number, Scalar
 from .averages import Averages, averages_of
 
 # points of the table; points of an average for each harmonic
@@ -23,22 +23,12 @@ class PeriodicWave(Profile):
     m c^2 (phi - mean) = tent * F(phi) less its mean, in the frame in which the beads' mean velocity is zero.
     """
 
-    speed: Number = array("The speed c in contacts per time.", "1/s")
     wavelength: Number = array("The wavelength in contacts.", "1")
     mean: Number = array("The mean strain.", "m")
     amplitude: Number = array("(crest - trough)/2.", "m")
     crest: Number = array("The highest strain.", "m")
     trough: Number = array("The lowest strain.", "m")
     energy: Number = array("The energy of a wavelength, from the law's own rest.", "J")
-    residual: Number = array("What the equation leaves, over the amplitude.", "1")
-    error: Number = array(
-        "The estimated distance of the strain from the truth, by two resolutions.", "m"
-    )
-    law: Law = array("The law of the contacts.")
-    mass: Number = array("The mass of the beads.", "kg")
-    xi: Numbers = array("The places of the table.", "1", "xi")
-    strains: Numbers = array("The strains of the table.", "m", "xi")
-    velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
 
     @property
     def outcome(self) -> str:

@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, positive, refuse, show
+from ..checks import positive, refuse, show
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import Solved, medium_of, one_given, tabled, wave_of
 from ..types import Scalar
 from .cells import CellWave, Resonator, alone_with_resonators
-from .wave import Wave, half_width, implicit_width
+from .wave import Wave, half_width
 
 # places of the table, and decays or contacts that it reaches
 TABLE, REACH = 257, 20.0
@@ -29,8 +29,8 @@ def solitary_wave(
 ) -> Wave | CellWave:
     r"""The solitary wave of a chain of equal masses with one law between neighbours, exact on the lattice.
 
-    m c^2 phi(x) = int (1 - |z|)_+ F(phi(x - z)) dz. A first shape comes from Petviashvili's iteration on the Fourier
-    form, phi^ = sinc^2(k/2) F^/(m c^2), whose floor is rounding; the wave itself from Newton's method on the tent
+    m c^2 phi(x) = int (1 - |z|)_+ F(phi(x - z)) dz. A first shape comes from iterating the Fourier form at a
+    fixed peak, phi^ = sinc^2(k/2) F^/(m c^2), whose floor is rounding; the wave itself from Newton's method on the tent
     integral in ln phi, so that its tail is right to its last digit, however small, and it is never the trivial one.
 
     **Arguments:**
@@ -52,7 +52,7 @@ def solitary_wave(
     no solitary wave (it does not stiffen), a lattice that is no uniform chain, a batch, none or several of speed,
     amplitude and energy.
     Source: English, Pego, Proc. AMS 133, 1763 (2005); Friesecke, Wattis, Commun. Math. Phys. 161, 391 (1994);
-    Petviashvili, Sov. J. Plasma Phys. 2, 257 (1976).
+    Herrmann, Proc. R. Soc. Edinb. A 140, 753 (2010).
 
     **Example:**
 
@@ -61,8 +61,6 @@ def solitary_wave(
     1.487359
     """
     given, _ = one_given(speed=speed, amplitude=amplitude, energy=energy)
-    if side is not None:
-        one_of("side", side, ("compression", "tension"))
     if spacing is not None:
         if speed is None:
             refuse(
@@ -97,7 +95,7 @@ def _recorded(medium, found: Solved) -> Wave:
         energy=found.energy,
         momentum=found.momentum,
         compression=found.compression,
-        width=implicit_width(shape, half_width(known, end)),
+        width=half_width(shape, end),
         decay=jnp.asarray(found.decay),
         exponent=jnp.asarray(found.exponent),
         residual=jnp.asarray(found.residual),

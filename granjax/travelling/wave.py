@@ -3,15 +3,15 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import brentq
 
 from ..checks import traced
-from ..laws import Law
 from ..orbits.floquet import Floquet
 from ..profiles import Profile, Shape
+from ..profiles.medium import implicit
 from ..results import array
-from ..types import Count, Number, Numbers
+from ..types import Count, Number
 from .stability import stability
 
 
@@ -27,9 +27,6 @@ class Wave(Profile):
     function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around the search are refused.
     """
 
-    speed: Number = array(
-        "The speed c in contacts per time; negative where the wave runs to the left.", "1/s"
-    )
     amplitude: Number = array("The largest strain phi(0), negative for tension.", "m")
     energy: Number = array("int (phi F/2 + W); the kinetic energy is int phi F/2.", "J")
     momentum: Number = array("m c int phi.", "N s")
@@ -46,15 +43,6 @@ class Wave(Profile):
         "where there is a `decay`.",
         "1",
     )
-    residual: Number = array(
-        "What the equation leaves between the places of the solution, relative to the strain.", "1"
-    )
-    error: Number = array("The estimated distance of the strain from the truth.", "m")
-    law: Law = array("The law of the contacts.")
-    mass: Number = array("The mass of the beads.", "kg")
-    xi: Numbers = array("The places of the table.", "1", "xi")
-    strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
-    velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
 
     @property
     def outcome(self) -> str:
@@ -76,24 +64,12 @@ class Wave(Profile):
         return stability(self, sites, ends, **keywords)
 
 
-def half_width(shape: Shape, reach: float) -> float:
-    """Where the strain is half of its largest, for a shape that falls from xi = 0 on, known to lie before `reach`."""
-    low, high = 0.0, float(reach)
-    for _ in range(5):
-        grid = np.linspace(low, high, 64)
-        values = np.abs(np.asarray(shape.at("strain", np.append(grid, 0.0))))
-        above = values[:-1] > values[-1] / 2
-        k = min(int(np.argmin(above)), 63) or 63
-        low, high = grid[k - 1], grid[k]
-    share = (values[k - 1] - values[-1] / 2) / (values[k - 1] - values[k])
-    return float(low + share * (high - low))
-
-
-def implicit_width(shape: Shape, half: float) -> Number:
-    """Twice the place `half` at which the strain is half of the peak, with its derivative."""
-    if not traced(shape):
-        return jnp.asarray(2 * half)
+def half_width(shape: Shape, reach: float) -> Number:
+    """Twice the place before `reach` at which the strain is half of its largest, with its derivative."""
     known = jax.lax.stop_gradient(shape)
-    slope = jax.grad(lambda x: known.strain(x))(half)
-    gap = shape.strain(half) - shape.strain(0.0) / 2
-    return 2 * (half - (gap - jax.lax.stop_gradient(gap)) / slope)
+
+    def over(x, shape=known):
+        return shape.at("strain", x) - shape.at("strain", 0.0) / 2
+
+    half = brentq(lambda x: float(over(x)), 0.0, reach, xtol=1e-15)
+    return 2 * implicit(half, over(half, shape), jax.grad(known.strain)(half))

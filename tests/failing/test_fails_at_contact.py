@@ -59,6 +59,7 @@ IMPACT = np.geomspace(800, 12000, 9)
 SMOOTH = {
     gx.VelocityVerlet: (800, 1600, 3200),
     gx.SRKN6b: (600, 900, 1400),
+    gx.ABA864: (600, 900, 1400),
     gx.SRKN11b: (440, 620, 880),
     gx.SRKN14a: (420, 600, 840),
     gx.KahanLi8: (700, 900, 1200),
