@@ -23,6 +23,7 @@ from scipy.sparse.csgraph import shortest_path
 from .checks import parameter, refuse, whole
 from .lattice import Lattice
 from .linear import unit_cell
+from .linear.stiffness import mesh
 from .linear.zone import lattice_vectors as _vectors
 from .linear.zone import named_points as _named_points
 from .results import Result, array, note
@@ -83,11 +84,10 @@ class _Waves(NamedTuple):
 
     def vectors(self, lines, bands=slice(None)):
         """Vectors (..., P, bands) on the mesh of some lines, one array of phases an axis."""
-        mesh = np.stack(np.meshgrid(*lines, indexing="ij"), -1)
-        points = mesh.reshape(-1, self.axes)
+        points = mesh(*lines).reshape(-1, self.axes)
         parts = [points[i : i + POINTS] for i in range(0, len(points), POINTS)]
         q = [np.linalg.eigh(self.matrices(part))[1][..., bands] for part in parts]
-        return np.concatenate(q).reshape(*mesh.shape[:-1], *q[0].shape[1:])
+        return np.concatenate(q).reshape(*map(len, lines), *q[0].shape[1:])
 
 
 @eqx.filter_jit
@@ -152,10 +152,7 @@ def _cut(waves, count, numbers):
     gap, nearest, lost, cuts, largest = np.inf, np.full(axes, np.nan), False, [], None
     rim, corners = (np.array(list(product(way, repeat=axes))) for way in ((0, -1, 1), (-1, 1)))
     # in units of the mesh, so that halves of halves are exact
-    half, middle = (
-        0.5,
-        np.stack(np.meshgrid(*[plain + 0.5] * axes, indexing="ij"), -1).reshape(-1, axes),
-    )
+    half, middle = 0.5, mesh(*[plain + 0.5] * axes).reshape(-1, axes)
     for _ in range(HALVINGS if len(others) else 0):
         parts = np.array_split(middle, -(-len(middle) * len(rim) * waves.size**2 // TOGETHER))
         found = [_judged(waves, unit * (x[:, None] + half * rim), numbers, others) for x in parts]
@@ -210,7 +207,7 @@ def _judged(waves, points, numbers, others):
         ]
     )
     place = np.where((gaps[0] <= gaps[1])[:, None], points[:, 0], points[:, corner])
-    E = q.conj().swapaxes(-1, -2)[:, None] @ (D[:, 1:] - D[:, :1]) @ q[:, None]
+    E = q.conj().mT[:, None] @ (D[:, 1:] - D[:, :1]) @ q[:, None]
     own = np.einsum("nrpp->nrp", E).real
     turn = np.abs(E).max(1) * (1 - np.eye(E.shape[-1]))
     apart = np.abs(squared[:, :, None] - squared[:, None, :])
@@ -223,14 +220,13 @@ def _judged(waves, points, numbers, others):
 
 def _turns(q, axis=0):
     """Phase factors of the determinants of overlaps of neighbours along an axis, around the zone."""
-    link = np.linalg.det(np.swapaxes(q.conj(), -1, -2) @ np.roll(q, -1, axis))
+    link = np.linalg.det(q.conj().mT @ np.roll(q, -1, axis))
     return link / np.abs(link)
 
 
 def _overlap(q, after):
     """Overlap matrices of neighbouring points, without their lengths."""
-    link = np.swapaxes(q.conj(), -1, -2) @ after
-    left, _, right = np.linalg.svd(link)
+    left, _, right = np.linalg.svd(q.conj().mT @ after)
     return left @ right
 
 
@@ -328,6 +324,11 @@ def _on_line(matrix, axis, other, k):
     return matrix(jnp.stack(pair))
 
 
+def _between(k):
+    """The middles between points of the zone, all around it."""
+    return (k + np.append(k[1:], 2 * np.pi)) / 2
+
+
 def _turned(angle):
     return np.angle(np.exp(1j * np.asarray(angle)))
 
@@ -400,12 +401,12 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
             f"{len(first)} and {len(second)}",
             "Such a cell has flat bands instead: gx.linear.flat_bands.",
         )
-    mesh = _cut(waves, points, range(len(first)))
-    if mesh.fault:
+    cut = _cut(waves, points, range(len(first)))
+    if cut.fault:
         refuse(
-            "lattice", "a gap around the middle of the bands", "det h(k) = 0 somewhere", mesh.fault
+            "lattice", "a gap around the middle of the bands", "det h(k) = 0 somewhere", cut.fault
         )
-    h = np.linalg.det(waves.matrices(mesh.lines[0][:, None])[:, second][:, :, first])
+    h = np.linalg.det(waves.matrices(cut.lines[0][:, None])[:, second][:, :, first])
     turns = np.angle(np.roll(h, -1) / h)
     if np.abs(turns).max() > 0.9 * np.pi:
         refuse(
@@ -491,22 +492,20 @@ def berry_curvature(
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)
     numbers = _chosen(band, waves)
-    mesh, fine = _fluxes(waves, n, numbers)
+    cut, fine = _fluxes(waves, n, numbers)
     plain = 2 * np.pi / n * np.arange(n)
-    first, second = (np.searchsorted(x, plain) for x in mesh.lines)
+    first, second = (np.searchsorted(x, plain) for x in cut.lines)
     flux = np.add.reduceat(np.add.reduceat(fine, first, 0), second, 1)
-    k = np.stack(np.meshgrid(plain, plain, indexing="ij"), -1)
-    return BerryCurvature(
-        k, flux, tuple(numbers), mesh.gap, mesh.nearest, mesh.fault, **waves.origin
-    )
+    k = mesh(plain, plain)
+    return BerryCurvature(k, flux, tuple(numbers), cut.gap, cut.nearest, cut.fault, **waves.origin)
 
 
 def _fluxes(waves, count, numbers):
     """The mesh of a plane, and the Berry phase around each of its plaquettes; NaN where there is none."""
-    mesh = _cut(waves, count, numbers)
-    if mesh.fault:
-        return mesh, np.full([len(x) for x in mesh.lines], np.nan)
-    return mesh, _flux(waves.vectors(mesh.lines, numbers))
+    cut = _cut(waves, count, numbers)
+    if cut.fault:
+        return cut, np.full([len(x) for x in cut.lines], np.nan)
+    return cut, _flux(waves.vectors(cut.lines, numbers))
 
 
 def _flux(q):
@@ -566,7 +565,7 @@ def valley_chern(
     where. **Raises** ValueError as there, and for a point that is its own minus.
     """
     waves = _waves_of(lattice, cell, 2)
-    mesh, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
+    cut, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
     if isinstance(valley, str):
         vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
         if isinstance(lattice, Lattice):
@@ -578,22 +577,15 @@ def valley_chern(
     place = np.asarray(parameter("valley", valley), float)
     if np.allclose(_turned(2 * place), 0):
         refuse("valley", "a point of the zone that is not its own minus", f"{place}")
-    middle = np.stack(
-        np.meshgrid(*((x + np.append(x[1:], 2 * np.pi)) / 2 for x in mesh.lines), indexing="ij"), -1
-    )
+    middle = mesh(*map(_between, cut.lines))
     near, far = (_distance(middle, sign * place) for sign in (1, -1))
     return float((flux * np.where(near < far, 1, np.where(near > far, 0, 0.5))).sum() / (2 * np.pi))
 
 
 def _distance(k, place):
     """How far points of the zone are from one, around the zone: 2 - cos - cos of hexagonal or square axes alike."""
-    difference = k - place
-    return (
-        3
-        - np.cos(difference[..., 0])
-        - np.cos(difference[..., 1])
-        - np.cos(difference[..., 0] - difference[..., 1])
-    )
+    a, b = np.moveaxis(k - place, -1, 0)
+    return 3 - np.cos(a) - np.cos(b) - np.cos(a - b)
 
 
 class Polarisation(Result):
@@ -645,17 +637,18 @@ def polarisation(
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 6)
     n += n % 2
-    mesh = 2 * np.pi * np.arange(n) / n
+    k = 2 * np.pi * np.arange(n) / n
     numbers = _chosen(bands, waves)
-    found = _cut(waves, n, numbers)
-    if found.gap <= waves.closed:
-        _refuse_touching(numbers, found.fault)
-    q = waves.vectors([mesh, mesh], numbers)
-    if round(_flux(q).sum() / (2 * np.pi)):
+    cut = _cut(waves, n, numbers)
+    if cut.gap <= waves.closed:
+        _refuse_touching(numbers, cut.fault)
+    q = waves.vectors([k, k], numbers)
+    number = round(_flux(q).sum() / (2 * np.pi))
+    if number:
         refuse(
             "bands",
             "bands whose Chern number is zero",
-            f"{numbers}, whose is {round(_flux(q).sum() / 2 / np.pi)}",
+            f"{numbers}, whose is {number}",
             "Their Wannier centres wind around the cell: gx.topology.chern.",
         )
     (centres, fine), (_, coarse) = (
@@ -670,7 +663,7 @@ def polarisation(
         )
     off = np.abs(_turned(2 * np.pi * (fine - coarse))).max() / (2 * np.pi)
     error = 0.5 if np.isnan(off) else max(float(off), ROUNDED)
-    return Polarisation(_in_cell(fine), centres, mesh, error, tuple(numbers), **waves.origin)
+    return Polarisation(_in_cell(fine), centres, k, error, tuple(numbers), **waves.origin)
 
 
 def _loops(q):
@@ -689,7 +682,7 @@ def _wannier(q):
     """
     n, frame = len(q), [q[0]]
     for x in q[1:]:
-        frame.append(x @ np.swapaxes(_overlap(frame[-1], x).conj(), -1, -2))
+        frame.append(x @ _overlap(frame[-1], x).conj().mT)
     values, vectors = np.linalg.eig(_overlap(frame[-1], frame[0]))
     basis, _ = np.linalg.qr(vectors)
     phase = -np.angle(values)
@@ -738,10 +731,10 @@ def quadrupole(
     numbers = list(range(waves.size // 2)) if bands is None else _chosen(bands, waves)
     if len(numbers) % 2:
         refuse("bands", "an even number, whose Wannier bands come in pairs", f"{numbers}")
-    mesh = _cut(waves, n, numbers)
-    if mesh.fault:
+    cut = _cut(waves, n, numbers)
+    if cut.fault:
         return np.nan, np.nan
-    return tuple(_nested(waves, mesh.lines, numbers, axis) for axis in (1, 0))
+    return tuple(_nested(waves, cut.lines, numbers, axis) for axis in (1, 0))
 
 
 def _nested(waves, lines, numbers, axis):
@@ -758,14 +751,13 @@ def _nested(waves, lines, numbers, axis):
             break
         # the loops begin at the first point of the mesh: so do the vectors
         w = np.einsum("kpb,kbm->kpm", q[0], vectors[..., :half])
-        link = np.linalg.det(np.swapaxes(w.conj(), -1, -2) @ np.roll(w, -1, 0))
+        link = np.linalg.det(w.conj().mT @ np.roll(w, -1, 0))
         weak = np.abs(link) < ALONG**half
         if not weak.any():
             turn = -np.angle(np.prod(link / np.abs(link))) / (2 * np.pi)
             return float(np.round(turn % 1.0, 12) % 1.0)
         k = lines[axis]
-        between = (k + np.append(k[1:], 2 * np.pi)) / 2
-        lines[axis] = np.sort(np.concatenate([k, between[weak]]))
+        lines[axis] = np.sort(np.concatenate([k, _between(k)[weak]]))
     refuse("lattice", "Wannier bands with a gap", "ones that touch", "It has no quadrupole then.")
 
 

@@ -14,6 +14,7 @@ from ..results import Result, array, note
 from ..types import Count, Numbers
 from .cell import unit_cell
 from .modes import signed_root
+from .stiffness import each, mesh
 
 SHRINK, ROUNDS = 0.6, 48
 TOUCHING = 1e-8
@@ -103,17 +104,14 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
     reach = np.abs(np.array(found.shells)).max()
-    points = [96 * max(1, reach) + 1] if axes == 1 else [48 if axes == 2 else 12] * axes
     # omega(-k) = omega(k): half of the zone is enough for a chain; 48 and 12 hold the corners of a hexagonal zone
-    grid = (
-        [np.linspace(0, np.pi, points[0])]
-        if axes == 1
-        else [2 * np.pi * np.arange(n) / n for n in points]
-    )
-    k = np.stack(np.meshgrid(*grid, indexing="ij"), -1).reshape(-1, axes)
-    lower, upper, lower_k, upper_k = _edges(
-        found, jnp.asarray(k, found.mass.dtype), float(grid[0][1])
-    )
+    if axes == 1:
+        line = np.linspace(0, np.pi, 96 * max(1, reach) + 1)
+    else:
+        count = 48 if axes == 2 else 12
+        line = 2 * np.pi * np.arange(count) / count
+    k = mesh(*[line] * axes).reshape(-1, axes)
+    lower, upper, lower_k, upper_k = _edges(found, jnp.asarray(k, found.mass.dtype), float(line[1]))
     return Bands(lower, upper, lower_k, upper_k, found.cell, **lattice.origin)
 
 
@@ -139,24 +137,17 @@ def _extrema(found, k, spacing):
         return jnp.linalg.eigvalsh(found.dynamical_matrix(k))
 
     at_once = max(1, 2**22 // size**2)
-    sampled = (
-        jax.vmap(squared)(k) if len(k) <= at_once else jax.lax.map(squared, k, batch_size=at_once)
-    )
+    sampled = each(squared, k, at_once)
     best = jnp.stack([k[jnp.argmin(s * sampled, 0)] for s in (1, -1)])
     moves = [np.array([0.0, -1.0, -0.5, 0.5, 1.0])] * k.shape[1]
-    stencil = jnp.asarray(
-        np.stack(np.meshgrid(*moves, indexing="ij"), -1).reshape(-1, k.shape[1]), k.dtype
-    )
-
-    def improve(best, s, n, width):
-        tried = best + width * stencil
-        return tried[jnp.argmin(s * jax.vmap(squared)(tried)[:, n])]
+    stencil = jnp.asarray(mesh(*moves).reshape(-1, k.shape[1]), k.dtype)
 
     def close_in(i, best):
-        width = spacing * SHRINK**i
-        every = jax.vmap(
-            jax.vmap(lambda b, s, n: improve(b, s, n, width), (0, None, 0)), (0, 0, None)
-        )
+        def improve(best, s, n):
+            tried = best + spacing * SHRINK**i * stencil
+            return tried[jnp.argmin(s * jax.vmap(squared)(tried)[:, n])]
+
+        every = jax.vmap(jax.vmap(improve, (0, None, 0)), (0, 0, None))
         return every(best, sign, jnp.arange(size))
 
     return jax.lax.fori_loop(0, ROUNDS, close_in, best)

@@ -1,6 +1,5 @@
 """The unit cell of a lattice: its period, found or given, and the dynamical matrix D(k)."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -8,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, whole
+from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
 from ..printing import told
 from ..terms.chain import span
@@ -16,11 +15,15 @@ from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbe
 from .stiffness import (
     at_rest,
     blocks,
+    components,
     grid,
     masses,
-    measure,
+    missed,
     offsets,
     refuse_one_way,
+    sampled,
+    settled,
+    sizes,
     stand_in,
     stiffness_product,
     unpack_waves,
@@ -87,6 +90,19 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     return uniform + jnp.einsum("r,rab->ab", turn, coupling)
 
 
+def phases(k: Numbers, axes: int) -> Numbers:
+    """Wave numbers as points (..., axes), those of a chain (...,) too; others are refused."""
+    if axes == 1:
+        return k[..., None]
+    if k.ndim == 0 or k.shape[-1] != axes:
+        refuse(
+            "k",
+            f"a last axis of length {axes}, one phase per axis of the lattice",
+            f"shape {k.shape}",
+        )
+    return k
+
+
 def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """The unit cell of a lattice, as a `UnitCell` with its dynamical matrix.
 
@@ -107,42 +123,68 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     lattice = at_rest(lattice)
     found = blocks_of(lattice)
     one = cut_out(lattice, found, given_cell(cell, grid(lattice)), found.rings)
-    _check_energy(one.shells, one.coupling)
+    coupling = concrete(jax.lax.stop_gradient(one.coupling))
+    if coupling is not None and one_way(coupling, one.shells):
+        refuse_one_way()
     return one
 
 
 class Blocks(NamedTuple):
-    """The blocks of K (sites..., offsets, width, width) and masses of a lattice whose numbers are known.
+    """The blocks of K and C at some times (times, sites..., offsets, width, width, maps), masses, as far as known.
 
-    `plain`: that lattice; `known`: whether it is the given one; `reach` of its bonds along each axis, and whether they
-    go around its ends, `rings`.
+    `plain`: the lattice whose they are; `known`: whether it is the given one, or one of the same pattern with random
+    numbers; `reach` of its bonds along each axis, and whether they go around its ends, `rings`; `alike`: what tells a
+    site from another, of order one; `w`: displacements that the blocks were tried on.
     """
 
     plain: Lattice
     known: bool
     reach: tuple[int, ...]
-    stiffness: AnyArray
+    found: AnyArray
     mass: AnyArray
     rings: list[bool]
+    alike: AnyArray
+    w: AnyArray
     __repr__ = told
 
 
-def blocks_of(lattice: Lattice) -> Blocks:
-    """The blocks of a lattice at rest; where its numbers are traced, of one of the same pattern."""
+def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Blocks:
+    """The blocks of a lattice at some times; where its numbers are traced, of one of the same pattern.
+
+    They reach as far as the terms say, doubled while that misses something of the force.
+    """
     plain, known = stand_in(lattice)
-    reach, stiffness, mass = reach_of(plain, measure)
-    rings = [is_ring(stiffness, axis, reach) for axis in range(len(reach))]
-    return Blocks(plain, known, reach, stiffness, mass, rings)
+    sites, reach = grid(plain), _said(plain)
+    random = np.random.default_rng(1)
+    w = random.uniform(-1, 1, sites + (components(plain),)).astype(plain.dtype)
+    ts = np.asarray(ts, plain.dtype)
+    while True:
+        found, pulled, mass = settled(sampled, plain, tuple(reach), ts, w, damped)
+        if missed(found, pulled, w, reach) <= LOOSE * np.finfo(plain.dtype).eps:
+            break
+        further = [min(2 * r, (n - 1) // 2) for n, r in zip(sites, reach)]
+        if further == reach:
+            refuse(
+                "lattice",
+                "bonds that reach less than half of the lattice",
+                "bonds across the whole lattice",
+                "Use granjax.linear.normal_modes.",
+            )
+        reach = further
+    reach = tuple(reach)
+    alike = np.moveaxis(found / sizes(found), 0, -1)
+    rings = [is_ring(np.abs(alike).max((-1, -2)), axis, reach) for axis in range(len(sites))]
+    return Blocks(plain, known, reach, found, mass, rings, alike, w)
 
 
 def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) -> UnitCell:
     """The cell of a lattice, of `given` numbers of sites, where they are `None` of the least."""
-    _, known, reach, stiffness, mass, _ = found
-    cell, chosen = periods(stiffness, mass, reach, rings, given, known)
-    if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(found.plain))):
-        shells, coupling, mass = assemble(np, stiffness, mass, cell, chosen, reach)
-    else:
+    cell, chosen = periods(found, rings, given)
+    reach, mass = found.reach, found.mass
+    if traced(lattice):
         shells, coupling, mass = assembled(lattice, cell, chosen, reach)
+    else:
+        shells, coupling, mass = assemble(np, found.found[0, ..., 0], mass, cell, chosen, reach)
     return UnitCell(
         jnp.asarray(coupling), jnp.asarray(mass), cell, shells, lattice.fields, lattice.dimension
     )
@@ -158,11 +200,8 @@ def given_cell(cell: Cell, sites: tuple) -> tuple:
     return tuple(whole("cell", n, 1, "It is the number of sites per unit cell.") for n in numbers)
 
 
-def reach_of(lattice: Lattice, measure: Callable) -> tuple:
-    """How far bonds reach along each axis: the bonds' offsets, doubled while that misses some. Blocks of K, masses.
-
-    `measure(lattice, reach)` gives the blocks, the masses, and by how much the blocks miss K.
-    """
+def _said(lattice):
+    """How far bonds reach along each axis, as the terms say."""
     sites = grid(lattice)
     reach = [0 if all(span(term) == () for term in lattice.terms) else 1] * len(sites)
     for term in lattice.terms:
@@ -178,20 +217,7 @@ def reach_of(lattice: Lattice, measure: Callable) -> tuple:
             f"{n}",
             "Build it longer: a wave to the left and one to the right are the same bond there.",
         )
-    tolerance = LOOSE * np.finfo(lattice.dtype).eps
-    while True:
-        stiffness, mass, misfit = measure(lattice, reach)
-        if misfit <= tolerance:
-            return tuple(reach), stiffness, mass
-        further = [min(2 * r, (n - 1) // 2) for n, r in zip(sites, reach)]
-        if further == reach:
-            refuse(
-                "lattice",
-                "bonds that reach less than half of the lattice",
-                "bonds across the whole lattice",
-                "Use granjax.linear.normal_modes.",
-            )
-        reach = further
+    return reach
 
 
 def is_ring(stiffness: AnyArray, axis: int, reach: tuple) -> bool:
@@ -201,16 +227,14 @@ def is_ring(stiffness: AnyArray, axis: int, reach: tuple) -> bool:
     return any(np.any(rows[n][..., near < -n, :, :] != 0) for n in range(len(rows)))
 
 
-def periods(
-    stiffness: AnyArray, mass: AnyArray, reach: tuple, rings: list, given: tuple, known: bool
-) -> tuple:
+def periods(blocks: Blocks, rings: list, given: tuple) -> tuple:
     """Sites per cell along each axis, and the sites that stand for the cell."""
+    known, mass = blocks.known, blocks.mass
     interior = [
         np.arange(n) if ring else np.arange(r, n - r)
-        for n, r, ring in zip(mass.shape, reach, rings)
+        for n, r, ring in zip(mass.shape, blocks.reach, rings)
     ]
-    # what tells a site from another, of order one
-    parts = stiffness / (np.abs(stiffness).max() or 1.0), mass / mass.max()
+    parts = blocks.alike, mass / mass.max()
     features = np.concatenate([x.reshape(x.shape[: mass.ndim - 1] + (-1,)) for x in parts], -1)
     features = features[np.ix_(*interior)]
     tolerance = TIGHT * np.finfo(mass.dtype).eps
@@ -308,12 +332,8 @@ def assemble(
     return tuple(tuple(int(n) for n in R) for R in shells), coupling, mass
 
 
-def _check_energy(shells, coupling):
-    coupling = jax.lax.stop_gradient(coupling)
-    if isinstance(coupling, jax.core.Tracer):
-        return
-    coupling = np.asarray(coupling)
+def one_way(coupling: AnyArray, shells: tuple) -> bool:
+    """Whether forces (..., shells, P, P) come from no energy: K_R is not the transpose of K_{-R}."""
     back = [shells.index(tuple(-n for n in R)) for R in shells]
-    tolerance = TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max()
-    if np.abs(coupling - coupling[back].swapaxes(1, 2)).max() > tolerance:
-        refuse_one_way()
+    uneven = np.abs(coupling - coupling[..., back, :, :].swapaxes(-1, -2)).max()
+    return bool(uneven > TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max())

@@ -3,17 +3,17 @@
 from collections.abc import Iterator
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, refuse
+from ..checks import parameter
 from ..lattice import Lattice
 from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
 from ..variables import along_waves
-from .cell import unit_cell
+from .cell import phases, unit_cell
 from .modes import signed_root
+from .stiffness import each
 
 DEGENERATE = 4096
 
@@ -86,21 +86,10 @@ def dispersion(
     [1.7321 2.4495]
     """
     found = unit_cell(lattice, cell)
-    axes = len(found.cell)
     k = parameter("k", k).astype(found.mass.dtype)
-    given = k
-    if axes == 1:
-        k = k[..., None]
-    elif k.ndim == 0 or k.shape[-1] != axes:
-        refuse(
-            "k",
-            f"a last axis of length {axes}, one phase per axis of the lattice",
-            f"shape {k.shape}",
-        )
-    squared, omega, vectors, velocity, curvature = _waves(found, k)
-    return Dispersion(
-        given, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin
-    )
+    points = phases(k, len(found.cell))
+    squared, omega, vectors, velocity, curvature = _waves(found, points)
+    return Dispersion(k, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin)
 
 
 @eqx.filter_jit
@@ -109,10 +98,7 @@ def _waves(found, k):
     axes = k.shape[-1]
     points = k.reshape(-1, axes)
     at_once = max(1, 2**22 // (found.mass.size * axes) ** 2)
-    if len(points) <= at_once:
-        parts = jax.vmap(lambda k: _wave(found, k))(points)
-    else:
-        parts = jax.lax.map(lambda k: _wave(found, k), points, batch_size=at_once)
+    parts = each(lambda k: _wave(found, k), points, at_once)
     squared, omega, q, velocity, curvature = (x.reshape(k.shape[:-1] + x.shape[1:]) for x in parts)
     if axes == 1:
         velocity, curvature = velocity[..., 0], curvature[..., 0, 0]

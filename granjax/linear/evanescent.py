@@ -87,25 +87,25 @@ def complex_bands(
     blocks = np.zeros((2 * reach + 1, *coupling.shape[1:]), complex)
     np.add.at(blocks, R[:, axis] + reach, phase[:, None, None] * coupling)
     scale = np.abs(coupling).max()
-    roots = [_roots(blocks, x * x, scale, reach) for x in w]
-    most = max(map(len, roots))
-    k, residual = np.full((len(w), most), np.nan + 0j), np.full((len(w), most), np.nan)
-    for i, z in enumerate(roots):
+    waves = [_waves(blocks, x * x, scale) for x in w]
+    shape = len(w), max(len(z) for z, _ in waves)
+    k, residual = np.full(shape, np.nan + 0j), np.full(shape, np.nan)
+    for i, (z, left) in enumerate(waves):
         k[i, : len(z)] = -1j * np.log(z)
-        residual[i, : len(z)] = [_left(blocks, x, w[i] ** 2, scale, reach) for x in z]
+        residual[i, : len(z)] = left
     return ComplexBands(w, k, residual, given, int(axis), found.cell, **lattice.origin)
 
 
-def _polynomial(blocks, squared, reach):
-    whole = blocks.copy()
-    whole[reach] -= squared * np.eye(blocks.shape[1])
-    return whole
+def _waves(blocks, squared, scale):
+    """z = exp(ik) of all waves, by the companion form, the most slowly decaying first, and what they leave.
 
-
-def _roots(blocks, squared, scale, reach):
-    """z = exp(ik) of all waves, by the companion form, the most slowly decaying first."""
-    whole = _polynomial(blocks, squared, reach) / scale
-    size, degree = whole.shape[1], 2 * reach
+    That is the least singular value of the problem at a root, relative to its size.
+    """
+    count, size = blocks.shape[:2]
+    degree, reach = count - 1, count // 2
+    problem = blocks.copy()
+    problem[reach] -= squared * np.eye(size)
+    whole = problem / scale
     A = np.eye(size * degree, k=size, dtype=complex)
     A[-size:] = -np.concatenate(whole[:-1], axis=1)
     B = np.eye(size * degree, dtype=complex)
@@ -113,11 +113,8 @@ def _roots(blocks, squared, scale, reach):
     above, below = eig(A, B, right=False, homogeneous_eigvals=True)
     there = (np.abs(below) * LARGEST > np.abs(above)) & (np.abs(above) * LARGEST > np.abs(below))
     z = above[there] / below[there]
-    return z[np.argsort(np.abs(np.log(np.abs(z))), kind="stable")]
-
-
-def _left(blocks, z, squared, scale, reach):
-    """The least singular value of the problem at a root, relative to its size."""
-    powers = z ** np.arange(-reach, reach + 1)
-    D = np.einsum("r,rab->ab", powers, _polynomial(blocks, squared, reach))
-    return np.linalg.svd(D, compute_uv=False)[-1] / (scale * np.abs(powers).max())
+    z = z[np.argsort(np.abs(np.log(np.abs(z))), kind="stable")]
+    powers = z[:, None] ** np.arange(-reach, reach + 1)
+    D = np.einsum("zr,rab->zab", powers, problem)
+    least = np.linalg.svd(D, compute_uv=False)[:, -1]
+    return z, least / (scale * np.abs(powers).max(1))

@@ -55,23 +55,16 @@ class FlatBands(Result):
         sizes, found = grid(lattice), self._states[number]
         axes = len(self.cell)
         counts = found.shape[:axes]
-        cells = [n // c for n, c in zip(sizes, self.cell)]
-        if at is None:
-            at = tuple((n - m) // 2 for n, m in zip(cells, counts))
-        at = (at,) * axes if np.ndim(at) == 0 else tuple(at)
+        cells = tuple(n // c for n, c in zip(sizes, self.cell))
+        at = np.subtract(cells, counts) // 2 if at is None else at
+        at = tuple(map(int, np.broadcast_to(at, axes)))
         if any(not 0 <= a <= n - m for a, n, m in zip(at, cells, counts)):
-            refuse("at", f"a cell from which {counts} cells lie within {tuple(cells)}", f"{at}")
+            refuse("at", f"a cell from which {counts} cells lie within {cells}", f"{at}")
         block = np.asarray(by_sites(found, axes))
-        whole_lattice = np.zeros(sizes + (found.shape[-1],))
-        whole_lattice[
-            tuple(slice(a * c, a * c + n) for a, c, n in zip(at, self.cell, block.shape))
-        ] = block
-        u = unpack(
-            jnp.asarray(whole_lattice / np.abs(whole_lattice).max(), lattice.dtype),
-            lattice.fields,
-            lattice.dimension,
-        )
-        return State(u, lattice.zeros())
+        u = np.zeros(sizes + (found.shape[-1],))
+        u[tuple(slice(a * c, a * c + n) for a, c, n in zip(at, self.cell, block.shape))] = block
+        u = jnp.asarray(u / np.abs(u).max(), lattice.dtype)
+        return State(unpack(u, lattice.fields, lattice.dimension), lattice.zeros())
 
 
 def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WIDEST) -> FlatBands:
@@ -94,8 +87,8 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
-    mesh = 2 * np.pi * (np.arange(MESH[axes]) + 0.3) / MESH[axes]
-    D = [np.asarray(found.dynamical_matrix(jnp.asarray(k))) for k in product(mesh, repeat=axes)]
+    line = 2 * np.pi * (np.arange(MESH[axes]) + 0.3) / MESH[axes]
+    D = [np.asarray(found.dynamical_matrix(jnp.asarray(k))) for k in product(line, repeat=axes)]
     squared = np.linalg.eigvalsh(np.array(D))
     scale = np.abs(squared).max() or 1.0
     width = np.ptp(squared, axis=0)
@@ -103,8 +96,8 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
     mean = squared[:, flat].mean(0)
     groups = np.split(flat, np.flatnonzero(np.diff(mean) > FLAT * scale) + 1) if len(flat) else []
     values = squared.mean(0)[[group[0] for group in groups]]
-    found_states = [_compact(found, value, scale, cells) for value in values]
-    states, residual = zip(*found_states) if found_states else ((), ())
+    compact = [_compact(found, value, scale, cells) for value in values]
+    states, residual = zip(*compact) if compact else ((), ())
     support = [np.count_nonzero(np.abs(s) > 1e-9 * np.abs(s).max()) for s in states]
     omega = np.sign(values) * np.sqrt(np.abs(values))
     return FlatBands(

@@ -15,6 +15,7 @@ from ..results import Held, Result, array, note
 from ..tuning import one_thread
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
 from ..variables import along_waves
+from .cell import phases
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
 from .stiffness import unpack_waves
@@ -146,11 +147,8 @@ class FloquetBands(Result):
                 "Build the state from .displacements.",
             )
         amplitude = positive("amplitude", amplitude)
-        k = jnp.ravel(jnp.asarray(self.k))
-        for name, index, count in (
-            ("wave", wave, k.size),
-            ("multiplier", multiplier, self.omega.shape[-1]),
-        ):
+        k, counts = jnp.ravel(self.k), {"wave": np.size(self.k), "multiplier": self.omega.shape[-1]}
+        for (name, count), index in zip(counts.items(), (wave, multiplier)):
             if not -count <= index < count:
                 refuse(name, f"a whole number within {-count} ... {count - 1}", repr(index))
         lead = self.omega.ndim - 1
@@ -229,15 +227,10 @@ def floquet_bands(
         )
     found = modulated_cell(lattice, cell, t0, period)
     axes = len(found.cell)
-    if axes > 1 and (k.ndim == 0 or k.shape[-1] != axes):
-        refuse(
-            "k",
-            f"a last axis of length {axes}, one phase per axis of the lattice",
-            f"shape {k.shape}",
-        )
-    shape = k.shape if axes == 1 else k.shape[:-1]
+    points = phases(k, axes)
+    shape, points = points.shape[:-1], points.reshape(-1, axes)
     held = _held((found, k, t0, period))
-    points, known = k.reshape(-1, axes), None if traced(held) else _Known(*held, steps, tolerance)
+    known = None if traced(held) else _Known(*held, steps, tolerance)
     if known is None and steps is None:
         refuse(
             "steps",
@@ -311,25 +304,16 @@ class _Known:
                 f"{float(period):.6g}, which is {self.turned:.3g} of them",
                 "Look at its unit.",
             )
-        self.steps = (
-            self._found(np.asarray(k).reshape(-1, len(cell.cell)), tolerance)
-            if steps is None
-            else steps
-        )
+        points = np.asarray(k).reshape(-1, len(cell.cell))
+        self.steps = self._found(points, tolerance) if steps is None else steps
 
     def maps(self, k: np.ndarray, steps: int) -> np.ndarray:
         """M(k) over (q, q'/omega), (K, 2P, 2P)."""
-        parts, dtype = [], self.cell.coupling.dtype
-        for i in range(0, len(k), TOGETHER):
-            part = k[i : i + TOGETHER]
-            padded = np.concatenate([part, np.zeros((TOGETHER - len(part), k.shape[1]))]).astype(
-                dtype
-            )
-            found = monodromies(
-                self.cell, padded, self.t0, self.period, jnp.asarray(self.omega), jnp.asarray(steps)
-            )
-            parts.append(np.asarray(found)[: len(part)])
-        return np.concatenate(parts)
+        groups = -(-len(k) // TOGETHER)
+        padded = np.zeros((groups, TOGETHER, k.shape[1]), self.cell.coupling.dtype)
+        padded.reshape(-1, k.shape[1])[: len(k)] = k
+        along = self.t0, self.period, jnp.asarray(self.omega), jnp.asarray(steps)
+        return np.concatenate([monodromies(self.cell, x, *along) for x in padded])[: len(k)]
 
     def _found(self, k, tolerance):
         some = np.concatenate([k[:: max(1, len(k) // 32)][:32], np.full((1, k.shape[1]), np.pi)])
@@ -396,12 +380,10 @@ def errors_of(
     )
     m = near.sum(-1)
     size = 2 * np.linalg.norm(maps, axis=(1, 2))[:, None] + about[:, None]
-    met = size ** (1 - 1 / m) * about[:, None] ** (1 / m)
-    return np.where(
-        m > 1,
-        np.minimum(condition * about[:, None], met),
-        np.minimum(condition, 1e15) * about[:, None],
-    )
+    about = about[:, None]
+    met = size ** (1 - 1 / m) * about ** (1 / m)
+    alone = np.minimum(condition, 1e15) * about
+    return np.where(m > 1, np.minimum(condition * about, met), alone)
 
 
 def _traced_waves(cell, k, t0, period, steps, known):

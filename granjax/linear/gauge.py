@@ -122,27 +122,23 @@ def smooth_gauge(
     **Returns:** `SmoothGauge`; a phase is that of `gx.topology.zak` on the same mesh. **Raises** ValueError for fewer
     than four wave numbers, masses that do not fit. Source: Resta, Rev. Mod. Phys. 66, 899 (1994).
     """
-    leaves = jax.tree.leaves(vectors)
+    shapes = [np.shape(x) for x in jax.tree.leaves(vectors)]
     if any(
-        np.ndim(x) < 3
-        or len(x) < 4
-        or x.shape[-1] != leaves[0].shape[-1]
-        or len(x) != len(leaves[0])
-        for x in leaves
+        len(x) < 3 or x[0] < 4 or (x[0], x[-1]) != (shapes[0][0], shapes[0][-1]) for x in shapes
     ):
         refuse(
             "vectors",
             "arrays (K, cell..., bands) of at least four wave numbers",
-            " and ".join(str(np.shape(x)) for x in leaves),
+            " and ".join(map(str, shapes)),
         )
-    given = mass if isinstance(mass, dict) else jax.tree.map(lambda _: mass, vectors)
+    mass = mass if isinstance(mass, dict) else jax.tree.map(lambda _: mass, vectors)
 
     def fitted(x, m):
         m, shape = positive("mass", m), x.shape[1:-1]
         return jnp.broadcast_to(m.reshape(m.shape + (1,) * (len(shape) - m.ndim)), shape)
 
     vectors = jax.tree.map(lambda x: jnp.asarray(x) + 0j, vectors)
-    masses = jax.tree.map(fitted, vectors, given)
+    masses = jax.tree.map(fitted, vectors, mass)
     return SmoothGauge(*_closed(vectors, masses))
 
 

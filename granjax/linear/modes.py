@@ -7,10 +7,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from ..checks import concrete
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from ..types import AnyArray, Displacements, Number, Numbers
-from .stiffness import at_rest, refuse_one_way, stiffness_product
+from .stiffness import at_rest, each, refuse_one_way, stiffness_product
 
 ROUNDING, AT_ONCE = 8, 512
 
@@ -71,11 +72,8 @@ def normal_modes(lattice: Lattice) -> NormalModes:
     """
     lattice = at_rest(lattice)
     result, uneven = _solve(lattice)
-    uneven = jax.lax.stop_gradient(uneven)
-    if (
-        not isinstance(uneven, jax.core.Tracer)
-        and float(uneven) > 1e3 * np.finfo(lattice.dtype).eps
-    ):
+    uneven = concrete(jax.lax.stop_gradient(uneven))
+    if uneven is not None and uneven > 1e3 * np.finfo(lattice.dtype).eps:
         refuse_one_way()
     return result
 
@@ -93,11 +91,7 @@ def _solve(lattice):
     if any(term.dependence(lattice).transforms for term in lattice.terms):
         K = jax.lax.map(column, unit)
     else:
-        K = (
-            jax.vmap(column)(unit)
-            if flat.size <= AT_ONCE
-            else jax.lax.map(column, unit, batch_size=AT_ONCE // 2)
-        )
+        K = each(column, unit, AT_ONCE)
     scale = jnp.abs(K).max()
     uneven = jnp.abs(K - K.T).max() / jnp.where(scale > 0, scale, 1)
     mass, _ = ravel_pytree(spread_mass(lattice))

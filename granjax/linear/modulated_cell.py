@@ -12,19 +12,17 @@ from ..flow.breaks import shared_out
 from ..lattice import Lattice
 from ..terms.tracing import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
-from .cell import assemble, bloch, given_cell, is_ring, periods, reach_of
+from .cell import Blocks, assemble, bloch, blocks_of, given_cell, one_way, periods
 from .stiffness import (
     blocks,
-    components,
+    damping_product,
     grid,
     masses,
-    pack,
-    products,
+    sampled,
     settled,
-    stand_in,
-    summed,
+    sizes,
+    stiffness_product,
     undriven,
-    unpack,
 )
 
 # where in a period the forces are looked at: at no simple fraction, where waveforms have their zeros and jumps
@@ -61,42 +59,25 @@ class ModulatedCell(eqx.Module):
 
     def at(self, t: Number) -> tuple:
         """K_R/M and C_R/M at a time, (shells, P, P) each; `None` for C where no force reads velocities."""
-        mass, maps = masses(self.lattice), products(self.lattice, t)
-        found = [
-            blocks(self.lattice, self.reach, one) for one in (maps if self.damped else maps[:1])
-        ]
-        found = [assemble(jnp, x, mass, self.cell, self.chosen, self.reach)[1] for x in found]
-        return found[0], (found[1] if self.damped else None)
+        mass = masses(self.lattice)
+
+        def over_masses(product_with):
+            own = blocks(self.lattice, self.reach, product_with)
+            return assemble(jnp, own, mass, self.cell, self.chosen, self.reach)[1]
+
+        stiffness = over_masses(stiffness_product(self.lattice, t))
+        return stiffness, over_masses(damping_product(self.lattice, t)) if self.damped else None
 
     @property
     def conserves(self) -> bool:
         """Whether the waves are those of a Hamiltonian: no losses, and K_R the transpose of K_{-R}."""
-        back = [self.shells.index(tuple(-n for n in R)) for R in self.shells]
-        uneven = np.abs(self.coupling - self.coupling[:, back].swapaxes(-1, -2)).max()
-        rounding = 1e3 * np.finfo(self.coupling.dtype).eps
-        return bool(not np.any(self.loss) and uneven <= rounding * np.abs(self.coupling).max())
+        return not np.any(self.loss) and not one_way(self.coupling, self.shells)
 
     @property
     def omega(self) -> float:
         """A bound on the frequencies at rest: the root of the largest row of |K|, and the largest row of |C|."""
-        rows = (np.abs(x).sum((1, 3)).max() for x in (self.coupling, self.loss))
-        stiff, loss = rows
+        stiff, loss = (np.abs(x).sum((1, 3)).max() for x in (self.coupling, self.loss))
         return float(max(np.sqrt(stiff), loss))
-
-
-@eqx.filter_jit
-def _sampled(lattice, reach, ts, w):
-    """Blocks of K and of C at some times, (times, ..., 2), what they make of w, and the masses."""
-    w = unpack(w, lattice.fields, lattice.dimension)
-
-    def at(t):
-        maps = products(lattice, t)
-        return (
-            jnp.stack([blocks(lattice, reach, one) for one in maps], -1),
-            jnp.stack([pack(lattice, one(w)) for one in maps], -1),
-        )
-
-    return *jax.vmap(at)(ts), masses(lattice)
 
 
 def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> ModulatedCell:
@@ -110,56 +91,44 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
         float
     ):  # numbers of few digits are followed with all that there are
         lattice = lattice.astype(jnp.result_type(float))
-    sites = grid(lattice)
-    given = given_cell(cell, sites)
-    plain, known = stand_in(lattice)
+    given = given_cell(cell, grid(lattice))
     start, length = (
         float(jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x)
         for x in (t0, period)
     )
-    dtype = plain.dtype
-    w = np.random.default_rng(1).uniform(-1, 1, sites + (components(lattice),)).astype(dtype)
-    ts = np.asarray(start + length * PHASES, dtype)
-
-    def measure(lattice, reach):
-        found, pulled, mass = settled(_sampled, lattice, tuple(reach), ts, w)
-        size = _sizes(found)
-        misfit = max(
-            np.abs(pull[..., i] - summed(x[..., i], w, reach)).max() / size[i]
-            for x, pull in zip(found, pulled)
-            for i in (0, 1)
-        )
-        return np.moveaxis(found / size, 0, -1), mass, misfit
-
-    reach, stiffness, mass = reach_of(plain, measure)
-    found = settled(_sampled, plain, reach, ts, w)[0]
-    missed = (0.0, 0.0, 0.0)
-    if known:
-        missed = _missed(plain, reach, ts, w, found, length, float(mass.min()))
-    over = np.abs(stiffness).max((-1, -2))
-    rings = [is_ring(over, axis, reach) for axis in range(len(sites))]
-    size, chosen = periods(stiffness, mass, reach, rings, given, known)
-    own = [[assemble(np, x[..., i], mass, size, chosen, reach) for x in found] for i in (0, 1)]
+    ts = start + length * PHASES
+    known = blocks_of(lattice, ts, damped=True)
+    missed = _missed(known, ts, length) if known.known else (0.0, 0.0, 0.0)
+    size, chosen = periods(known, known.rings, given)
+    own = [
+        [assemble(np, x[..., i], known.mass, size, chosen, known.reach) for x in known.found]
+        for i in (0, 1)
+    ]
     coupling, loss = (np.stack([x[1] for x in one]) for one in own)
     damped = any(reads(term, lattice).velocity for term in lattice.terms)
     return ModulatedCell(
-        lattice, coupling, loss, own[0][0][2], missed, size, chosen, reach, own[0][0][0], damped
+        lattice,
+        coupling,
+        loss,
+        own[0][0][2],
+        missed,
+        size,
+        chosen,
+        known.reach,
+        own[0][0][0],
+        damped,
     )
 
 
-def _sizes(found):
-    """The largest entry of K and of C, 1 where there is none."""
-    size = np.abs(found).max(tuple(range(found.ndim - 1)))
-    return np.where(size > 0, size, 1)
-
-
-def _missed(lattice, reach, ts, w, found, period, lightest):
+def _missed(known: Blocks, ts, period):
     """By how much K and C over the masses differ some periods later; refused where that is more than rounding makes."""
-    size, eps = _sizes(found), np.finfo(found.dtype).eps
+    lattice, found = known.plain, known.found
+    size, eps = sizes(found), np.finfo(found.dtype).eps
     change = np.abs(found - found[:1]).max(tuple(range(found.ndim - 1)))
     off = np.zeros(2)
     for count in LATER:
-        later = settled(_sampled, lattice, reach, ts + np.asarray(count * period, ts.dtype), w)[0]
+        moved = np.asarray(ts, lattice.dtype) + np.asarray(count * period, lattice.dtype)
+        later = settled(sampled, lattice, known.reach, moved, known.w, True)[0]
         off = np.maximum(off, np.abs(later - found).max(tuple(range(found.ndim - 1))) / count)
     wrong = off > MISSED * change + 1e3 * eps * size
     if wrong.any():
@@ -173,7 +142,7 @@ def _missed(lattice, reach, ts, w, found, period, lightest):
         )
     rounding = 1e2 * eps * change
     return (
-        *(float(x) for x in np.maximum(off - rounding, 0) / lightest),
+        *(float(x) for x in np.maximum(off - rounding, 0) / float(known.mass.min())),
         _late(lattice, period, eps),
     )
 

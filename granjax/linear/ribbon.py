@@ -108,18 +108,11 @@ def ribbon(
             )
         axis = 0 if rings[0] else 1
     across = 1 - axis
-    if rings[across]:
+    if rings[across] or not rings[axis]:
         refuse(
             "lattice",
-            f"ends along axis {across}, across the strip",
-            "a ring",
-            "boundary=('periodic', 'free')",
-        )
-    if not rings[axis]:
-        refuse(
-            "lattice",
-            f"a ring along axis {axis}, the strip's",
-            "ends",
+            f"a ring along axis {axis}, the strip's, and ends along axis {across}, across it",
+            f"a ring along axis {across}" if rings[across] else f"ends along axis {axis}",
             "boundary=('periodic', 'free')",
         )
     # of all of its width
@@ -150,13 +143,9 @@ def ribbon(
 @eqx.filter_jit
 def _solved(found, k, axis):
     """omega^2, omega, vectors, the place of their energy of motion, in (-1, 1), and over how many sites it spreads."""
-    width = found.cell[1 - axis]
-    place = np.linspace(-1, 1, width)
-    shape = [1, 1, 1]
-    shape[1 - axis] = width
-    of_each = np.broadcast_to(
-        place.reshape(shape), (*found.cell, found.mass.size // np.prod(found.cell))
-    ).ravel()
+    place = np.linspace(-1, 1, found.cell[1 - axis])
+    of_site = place[np.indices(found.cell)[1 - axis].ravel()]
+    of_each = np.repeat(of_site, found.mass.size // len(of_site))
 
     def one(k):
         D = found.dynamical_matrix(jnp.zeros(2, k.dtype).at[axis].set(k))

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, refuse
+from ..checks import concrete, parameter, refuse
 from ..lattice import Lattice
 from ..types import Count, Number, Parameter
 from .cell import LOOSE, unit_cell
@@ -77,11 +77,10 @@ def _translations(xp, mass, dimension):
 
 
 def _check_acoustic(found):
-    coupling, mass = jax.lax.stop_gradient((found.coupling, found.mass))
-    if isinstance(coupling, jax.core.Tracer) or isinstance(mass, jax.core.Tracer):
+    coupling, mass = (concrete(jax.lax.stop_gradient(x)) for x in (found.coupling, found.mass))
+    if coupling is None or mass is None:
         return
-    coupling, D = np.asarray(coupling), np.asarray(coupling).sum(0)
-    T = _translations(np, np.asarray(mass), found.dimension)
+    D, T = coupling.sum(0), _translations(np, mass, found.dimension)
     scale = np.abs(coupling).max()
     if scale == 0:
         refuse(

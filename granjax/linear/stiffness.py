@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
@@ -20,39 +21,29 @@ from ..types import AnyArray, Displacements, Number, Numbers
 GENERIC = (0.618 * 10.0 ** np.arange(-6, 5)).tolist()
 
 
-def undriven(lattice: Any) -> Lattice:
+def undriven(lattice: Any, lanes: bool = False) -> Lattice:
     """The lattice without its drives, and with every moving wall held still.
 
-    **Raises** ValueError for what is no single lattice.
+    **Raises** ValueError for a batch, unless `lanes` allows one.
     """
-    if lattice.lanes:
+    if lattice.lanes and not lanes:
         refuse(
             "lattice",
             "one lattice",
             f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
-    return _standing(lattice)
-
-
-def _standing(lattice):
     refuse_memory(lattice)
     return walls.undriven(lattice)
 
 
-def at_rest(lattice: Any) -> Lattice:
+def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
     """The lattice `undriven`, of a stiffness that is constant in time.
 
-    **Raises** ValueError for what is no single lattice, for stiffness that changes in time, and for forces that turn
+    **Raises** ValueError where `undriven` does, for stiffness that changes in time, and for forces that turn
     velocities (gyroscopic ones), since their waves are not those of the stiffness.
     """
-    undriven(lattice)
-    return lanes_at_rest(lattice)
-
-
-def lanes_at_rest(lattice: Lattice) -> Lattice:
-    """As `at_rest`, of a lattice or of a batch."""
-    still = _standing(lattice)
+    still = undriven(lattice, lanes)
     for i, term in enumerate(still.terms):
         if term.dependence(still).time and _stiffness_changes(term, still):
             refuse(
@@ -105,23 +96,12 @@ def _refuse_turning(lattice):
 @eqx.filter_jit
 def _turning(lattice, t):
     """How far C = -d force/dv is from symmetric: (a C b - b C a)/(|a C b| + |b C a|) of random velocities a, b."""
-    random = np.random.default_rng(3)
-    a, b = (
-        jax.tree.map(lambda x: random.normal(size=x.shape).astype(x.dtype), lattice.zeros())
-        for _ in range(2)
-    )
-    damp = products(lattice, t)[1]
-    pairs = zip(*map(jax.tree.leaves, (a, damp(b), b, damp(a))))
-    there, size = map(
-        sum,
-        zip(
-            *(
-                (jnp.sum(p * q - r * s), jnp.sum(jnp.abs(p * q) + jnp.abs(r * s)))
-                for p, q, r, s in pairs
-            )
-        ),
-    )
-    return jnp.abs(there) / jnp.where(size > 0, size, 1)
+    flat, unravel = ravel_pytree(lattice.zeros())
+    a, b = np.random.default_rng(3).normal(size=(2, flat.size)).astype(flat.dtype)
+    damping = damping_product(lattice, t)
+    forth, back = (x * ravel_pytree(damping(unravel(y)))[0] for x, y in ((a, b), (b, a)))
+    size = jnp.sum(jnp.abs(forth) + jnp.abs(back))
+    return jnp.abs(jnp.sum(forth - back)) / jnp.where(size > 0, size, 1)
 
 
 def stand_in(lattice: Lattice) -> tuple:
@@ -155,19 +135,18 @@ def refuse_one_way() -> NoReturn:
     )
 
 
-def stiffness_product(lattice: Lattice) -> Callable:
-    """The linear map w -> K w = -(d force/du)(u = 0) w, on displacements of the lattice's own structure."""
-    zeros, time = lattice.zeros(), jnp.zeros((), lattice.dtype)
+def stiffness_product(lattice: Lattice, t: Number = 0.0) -> Callable:
+    """The linear map w -> K w = -(d force/du) w at rest, on displacements of the lattice's own structure."""
+    zeros, time = lattice.zeros(), jnp.asarray(t, lattice.dtype)
     _, slope = jax.linearize(lambda u: lattice.force(time, u, zeros), zeros)
     return lambda w: jax.tree.map(jnp.negative, slope(w))
 
 
-def products(lattice: Lattice, t: Number) -> tuple[Callable, Callable]:
-    """The linear maps w -> -(d force/du) w and w -> -(d force/dv) w at rest, at a time."""
-    zeros = lattice.zeros()
-    _, slope = jax.linearize(lambda u, v: lattice.force(t, u, v), zeros, zeros)
-    negative = lambda force: jax.tree.map(jnp.negative, force)
-    return lambda w: negative(slope(w, zeros)), lambda w: negative(slope(zeros, w))
+def damping_product(lattice: Lattice, t: Number = 0.0) -> Callable:
+    """The linear map w -> C w = -(d force/dv) w at rest."""
+    zeros, time = lattice.zeros(), jnp.asarray(t, lattice.dtype)
+    _, slope = jax.linearize(lambda v: lattice.force(time, zeros, v), zeros)
+    return lambda w: jax.tree.map(jnp.negative, slope(w))
 
 
 def pack(lattice: Lattice, u: Displacements) -> Numbers:
@@ -222,6 +201,11 @@ def masses(lattice: Lattice) -> Any:
     return pack(lattice, spread_mass(lattice))
 
 
+def mesh(*lines: Any) -> Any:
+    """The points of a mesh (..., axes) of some lines, one array of places an axis."""
+    return np.stack(np.meshgrid(*lines, indexing="ij"), -1)
+
+
 def offsets(reach: Any) -> list:
     """The offsets between sites that a reach spans, in the order of the blocks."""
     return list(product(*[range(-r, r + 1) for r in reach]))
@@ -269,11 +253,28 @@ def blocks(lattice: Lattice, reach: Any, product_with: Callable) -> Any:
 
 
 @eqx.filter_jit
-def probe(lattice: Lattice, reach: Any, w: Any) -> Any:
-    """Blocks of K, the masses, and K w to test the blocks by."""
-    product_with = stiffness_product(lattice)
-    pull = product_with(unpack(w, lattice.fields, lattice.dimension))
-    return blocks(lattice, reach, product_with), masses(lattice), pack(lattice, pull)
+def sampled(lattice: Lattice, reach: Any, ts: Any, w: Any, damped: bool) -> Any:
+    """Blocks of K at some times, (times, sites..., offsets, components, components, maps); K w; the masses.
+
+    There are two maps, K and C, where the lattice is looked at as a `damped` one.
+    """
+    parts = unpack(w, lattice.fields, lattice.dimension)
+
+    def at(t):
+        maps = [make(lattice, t) for make in (stiffness_product, damping_product)[: 1 + damped]]
+        return (
+            jnp.stack([blocks(lattice, reach, one) for one in maps], -1),
+            jnp.stack([pack(lattice, one(parts)) for one in maps], -1),
+        )
+
+    return *jax.vmap(at)(ts), masses(lattice)
+
+
+def each(function: Callable, x: Any, at_once: int) -> Any:
+    """`jax.vmap(function)(x)`, of so many rows at a time that memory holds them."""
+    if len(x) <= at_once:
+        return jax.vmap(function)(x)
+    return jax.lax.map(function, x, batch_size=at_once)
 
 
 def settled(function: Callable, *arguments: Any) -> Any:
@@ -285,21 +286,14 @@ def settled(function: Callable, *arguments: Any) -> Any:
     return jax.tree.map(np.asarray, result)
 
 
-def measure(lattice: Lattice, reach: Any) -> Any:
-    """Blocks of K, masses, and how much K w differs from the blocks' sum for a random w, relative to the largest."""
-    sites = grid(lattice)
-    w = (
-        np.random.default_rng(1)
-        .uniform(-1, 1, sites + (components(lattice),))
-        .astype(lattice.dtype)
-    )
-    stiffness, mass, true = settled(probe, lattice, tuple(reach), w)
-    scale = np.abs(stiffness).max()
-    misfit = np.abs(true - summed(stiffness, w, reach)).max()
-    return stiffness, mass, misfit / (scale if scale > 0 else 1.0)
+def sizes(found: Any) -> Any:
+    """The largest entry of each map, 1 where there is none."""
+    size = np.abs(found).max(tuple(range(found.ndim - 1)))
+    return np.where(size > 0, size, 1)
 
 
-def summed(stiffness: Any, w: Any, reach: Any) -> Any:
-    """K w from the blocks of K, (sites..., offsets, components, components)."""
+def missed(found: Any, pulled: Any, w: Any, reach: Any) -> Any:
+    """By how much the blocks of the maps miss what these make of w, relative to their largest entries."""
     near = [np.roll(w, [-o for o in offset], range(len(reach))) for offset in offsets(reach)]
-    return np.einsum("...oab,...ob->...a", stiffness, np.stack(near, -2))
+    summed = np.einsum("...oabm,...ob->...am", found, np.stack(near, -2))
+    return (np.abs(pulled - summed).max(tuple(range(summed.ndim - 1))) / sizes(found)).max()

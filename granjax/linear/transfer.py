@@ -9,7 +9,7 @@ from ..checks import concrete, described, positive, refuse, show
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from ..types import Flags, Number, Parameter
-from .stiffness import lanes_at_rest, products
+from .stiffness import at_rest, damping_product, stiffness_product
 
 # the growth along a chain is counted in so many pieces, after some to forget where it began
 PIECES, FORGOTTEN = 36, 4
@@ -95,7 +95,7 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     (0.005, True)
     """
     omega = positive("omega", omega, "It is an angular frequency.")
-    lattice = lanes_at_rest(lattice)
+    lattice = at_rest(lattice, lanes=True)
     if lattice.fields or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "a chain of scalar displacements", described(lattice.sites), _MODES)
     sites = int(lattice.shape[0])
@@ -103,14 +103,14 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
         refuse("lattice", "at least four sites", f"{sites}", "The walls' sites are left out.")
     gamma, error, *checks = _growth(lattice, omega.reshape(-1), lattice.reads_velocity)
     further, uneven, least = (concrete(jax.lax.stop_gradient(x)) for x in checks)
-    if further is not None and further > LOOSE * np.finfo(further.dtype).eps:
+    tolerance = LOOSE * np.finfo(lattice.dtype).eps
+    if further is not None and further > tolerance:
         wanted = "bonds and dashpots between next neighbours"
         refuse("lattice", wanted, "some that reach further", _MODES)
-    if uneven is not None and uneven > LOOSE * np.finfo(uneven.dtype).eps:
-        wanted = "forces that are alike at both sites of a bond"
+    if uneven is not None and uneven > tolerance:
         refuse(
             "lattice",
-            wanted,
+            "forces that are alike at both sites of a bond",
             "gyroscopic or one-way forces",
             "Waves to the left and to the right differ: simulate the chain, driven at one end.",
         )
@@ -135,12 +135,11 @@ def _growth(lattice, omega, damped):
 
     What three diagonals miss, how far they are from symmetric, both over the largest entry; the least |k_n|.
     """
-    pull, drag = products(lattice, jnp.zeros((), lattice.dtype))
-    (tied, k), further, uneven, scale = _springs(lattice, pull)
+    (tied, k), further, uneven, scale = _springs(lattice, stiffness_product(lattice))
     mass = spread_mass(lattice)[1:-1].reshape(tied.shape)
     rows = [mass, tied, k]
     if damped:
-        damping, more, odd, _ = _springs(lattice, drag)
+        damping, more, odd, _ = _springs(lattice, damping_product(lattice))
         rows += damping
         further = jnp.maximum(further, more)
         uneven = jnp.maximum(uneven, odd)

@@ -1,5 +1,6 @@
 """The Brillouin zone of a lattice: its lattice vectors, points with a name, bands along a path, density of states."""
 
+import re
 from typing import Any
 
 import equinox as eqx
@@ -16,6 +17,7 @@ from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
 from .cell import unit_cell
 from .dispersion import DEGENERATE, dispersion
 from .gauge import followed
+from .stiffness import mesh
 
 SHAPE, NEIGHBOURS = 1e-9, 7
 CHAIN = {"G": (0.0,), "X": (1.0,)}
@@ -35,11 +37,8 @@ def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
     at = np.asarray(positions)
     if any(n < 2 for n in at.shape[:-1]):
         refuse("lattice", "two cells or more along each axis", f"{at.shape[:-1]}")
-    origin = at[(0,) * (at.ndim - 1)]
-    steps = [
-        at[tuple(int(i == j) for j in range(at.ndim - 1))] - origin for i in range(at.ndim - 1)
-    ]
-    return np.array([n * step for n, step in zip(cell, steps)])
+    ways = np.eye(at.ndim - 1, dtype=int)
+    return np.array([n * (at[tuple(way)] - at[tuple(0 * way)]) for n, way in zip(cell, ways)])
 
 
 def named_points(vectors: np.ndarray | None, axes: int) -> dict:
@@ -169,12 +168,7 @@ def _in_phase(found, waves):
 
 
 def _letters(points, known):
-    names = []
-    for letter in points.replace("-", "").replace(" ", ""):
-        if letter == "'" and names:
-            names[-1] += letter
-        else:
-            names.append(letter)
+    names = re.findall("[^- ]'*", points)
     for name in names:
         if name not in known:
             refuse(
@@ -238,7 +232,7 @@ def density_of_states(
     points = (512 if axes == 1 else 96) if points is None else whole("points", points, 8)
     points += points % 2
     k = 2 * np.pi * np.arange(points) / points
-    grid = k if axes == 1 else np.stack(np.meshgrid(k, k, indexing="ij"), -1)
+    grid = k if axes == 1 else mesh(k, k)
     omega = np.asarray(dispersion(lattice, grid, cell).omega)
     low, high = min(0.0, omega.min()), omega.max()
     if not high > low:
@@ -329,7 +323,7 @@ def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> 
     corners = _first_zone(2 * np.pi * np.linalg.inv(vectors).T)
     half = 1.05 * np.abs(corners).max(0)
     side = whole("points", points, 8)
-    q = np.stack(np.meshgrid(*(np.linspace(-h, h, side) for h in half), indexing="ij"), -1)
+    q = mesh(*(np.linspace(-h, h, side) for h in half))
     waves = dispersion(lattice, q @ vectors.T, cell)
     velocity = jnp.einsum("xyba,ad->xybd", waves.group_velocity, vectors)
     return ZoneMap(q, waves.omega, velocity, corners, **lattice.origin)
