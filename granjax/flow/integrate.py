@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from ..lattice import Lattice, State, vector_field
 from ..programs import compiled, once
 from ..solvers import AbstractNystrom
-from ..terms import energies
+from ..terms import Dashpot, ViscousContact, energies
+from ..terms.base import within
 from ..terms.tracing import time_of
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
@@ -271,9 +272,11 @@ def _known(term, lattice):
 
     # traced, so that nothing is computed for what the laws know
     jax.eval_shape(look, time_of(lattice), lattice.template())
-    reads = term.dependence(lattice)
+    if found:
+        return all(found)
     # what opens beside a dashpot is its contact
-    return all(found) if found else reads.velocity or not reads.displacement
+    beside = isinstance(within(term), (Dashpot, ViscousContact))
+    return beside or not term.dependence(lattice).displacement
 
 
 def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:

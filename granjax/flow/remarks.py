@@ -11,8 +11,8 @@ from ..checks import show
 from ..lattice import Lattice
 from ..programs import compiled, once
 from ..solvers.stability import refused_from
+from ..terms.base import functions_of_time
 from ..terms.energies import energy_gap
-from ..terms.waveforms import functions_of_time
 from ..types import Scalar, StateLike
 from .dispatch import facts
 from .method import reachable

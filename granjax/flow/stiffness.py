@@ -21,11 +21,9 @@ import numpy as np
 from ..checks import whole
 from ..lattice import Lattice
 from ..programs import compiled, once
-from ..terms import Reach, Reached, Wall
-from ..terms.base import within
+from ..terms import Modulated, Reach, Reached, Wall
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
-from ..terms.walls import excitation
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
 from .inputs import checked_state, checked_times
 
@@ -82,7 +80,7 @@ def gathered_frequency(
     zero = jnp.zeros((), lattice.dtype)
     force = displacement = speed = zero
     for term in lattice.terms:
-        driven = excitation(term, lattice, ts)
+        driven = term.excitation(lattice, ts)
         force = jnp.maximum(force, driven.force)
         displacement, speed = (
             jnp.maximum(displacement, driven.displacement),
@@ -279,7 +277,8 @@ def _gathered(lattice, state, ts, neighbourhood):
 
 def _energy_times(term, lattice, ts):
     """The times at which the energy of the initial state is looked at: all where the stiffness changes."""
-    inner = within(term)
+    inner = term.term if isinstance(term, Modulated) else term
+    # a wall that moves is looked at where it begins
     moves = isinstance(inner, Wall) and inner.motion is not None
     return ts if term.dependence(lattice).time and not moves else ts[:1]
 

@@ -15,7 +15,6 @@ from ..printing import text, told
 from ..terms import CaputoDamping, Damping, LongRange, OnSite, Term
 from ..terms.base import Altered, memory_of
 from ..terms.tracing import reads, traced
-from ..terms.waveforms import between, breaks_of
 from ..types import Count, Displacements, Number, Parameter, Site
 from ..units import SCALED, SI
 from ..units.names import counted_in, mark_of
@@ -397,12 +396,12 @@ class Lattice(eqx.Module):
     @property
     def breaks(self):
         """The `Breaks` of all terms, where time steps end."""
-        return tuple(b for term in self.terms for b in breaks_of(term))
+        return tuple(b for term in self.terms for b in term.jumps())
 
     def between(self, low: Number, high: Number) -> Any:
         """The lattice for the times from `low` to `high`: functions of time with breaks are held beyond them."""
         return eqx.tree_at(
-            lambda x: x.terms, self, tuple(between(term, low, high) for term in self.terms)
+            lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms)
         )
 
     def for_run(self) -> Any:

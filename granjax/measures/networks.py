@@ -81,7 +81,10 @@ def _ends(strain_map, places, u):
         return jnp.where(both, tail, jnp.nan), jnp.where(both, head, jnp.nan)
     axis, count = pairs.axes, strain_map.components
     moved, pushed = (jax.lax.slice_in_dim(x, 0, count, axis=axis) for x in pairs.ends(u))
-    length = jnp.broadcast_to(strain_map.vector, moved.shape) - (moved - pushed)
+    vector = strain_map.vector
+    if vector.ndim == 1:
+        vector = vector.reshape((count,) + (1,) * (moved.ndim - axis - 1))
+    length = vector - (moved - pushed)
     # of a bond around a ring the head is where the bond leads, of a wall at the tail where it comes from
     tail = jnp.where(there[0] > 0, tail + moved, head + pushed - length)
     return tail, tail + length

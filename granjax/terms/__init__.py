@@ -3,7 +3,7 @@
 A term that a scene does not need is not in the tuple, and then costs nothing.
 """
 
-from .base import Compression, Remembering, Term
+from .base import Compression, Excitation, Remembering, Term
 from .bonds import Bond, Grip, Modulated
 from .dissipation import BrilliantovContact, CaputoDamping, Damping, Dashpot, Drag, ViscousContact
 from .long_range import LongRange
@@ -11,7 +11,7 @@ from .plastic import PlasticContact
 from .reach import Reach, Reached
 from .sites import Drive, OnSite
 from .tracing import Dependence
-from .walls import Excitation, Wall
+from .walls import Wall
 from .waveforms import Breaks, Function, Harmonic, Square
 
 __all__ = [

@@ -15,6 +15,7 @@ from ..types import Displacements, Number, Numbers, Pytree
 from ..units import PART, Dimensional
 from .reach import Reach, Reached, largest_eigenvalue
 from .tracing import Dependence, answers_to, stand_in, traced
+from .waveforms import Breaks, held, own_breaks, signal_of
 
 
 class Compression(NamedTuple):
@@ -43,6 +44,15 @@ class Compression(NamedTuple):
     def room(self):
         """Length [m], positive where the law has a force; `None` for a law that has one everywhere."""
         return self.law.room(self.compression)
+
+
+class Excitation(NamedTuple):
+    """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall."""
+
+    force: jax.Array
+    displacement: jax.Array
+    speed: jax.Array
+    __repr__ = told
 
 
 class Term(Dimensional):
@@ -87,6 +97,28 @@ class Term(Dimensional):
     def compressions(self, t: Number, u: Displacements) -> tuple[Compression, ...]:
         """What the term's laws act on."""
         return ()
+
+    def jumps(self) -> tuple[Breaks, ...]:
+        """The `Breaks` of its functions of time, where steps end; by default of the one that its `dimensions` name."""
+        own = own_breaks(self)
+        return () if own is None else (own,)
+
+    def between(self, low: Number, high: Number) -> Any:
+        """The term with its functions of time, where they have breaks, held beyond two times at what they are there."""
+        return held(self, low, high)
+
+    def excitation(self, lattice: Any, ts: Numbers) -> Excitation:
+        """What drives the lattice from outside during the times `ts`: by default the largest force at rest."""
+        zero = jnp.zeros((), lattice.dtype)
+        if not self.dependence(lattice).time:
+            return Excitation(zero, zero, zero)
+        rest = lattice.zeros()
+
+        def largest(t):
+            force = jax.tree.leaves(self.force(t, rest, rest, lattice.mass))
+            return jnp.max(jnp.stack([jnp.max(jnp.abs(f)) for f in force]))
+
+        return Excitation(jnp.max(jax.vmap(largest)(ts)), zero, zero)
 
     def check(self, name: str, lattice: Any) -> None:
         """Refuse a lattice that has no place for the term."""
@@ -176,6 +208,13 @@ class Altered(Term):
     def resists(self, lattice, moves):
         return self.term.resists(lattice, moves)
 
+    def jumps(self):
+        return super().jumps() + self.term.jumps()
+
+    def between(self, low, high):
+        inner = eqx.tree_at(lambda x: x.term, self, self.term.between(low, high))
+        return held(inner, low, high)
+
 
 def layers(term: Term) -> Iterator[Term]:
     """The term, then what it alters, and so on."""
@@ -188,6 +227,15 @@ def within(term: Term) -> Term:
     """The term that others alter, or the term itself."""
     *_, inner = layers(term)
     return inner
+
+
+def functions_of_time(term: Term) -> list[Callable]:
+    """The functions of time of a term and of those that it alters, of which no breaks are known."""
+    return [
+        getattr(part, name)
+        for part in layers(term)
+        if (name := signal_of(part)) is not None and not part.jumps()
+    ]
 
 
 def memory_of(term: Term) -> dict[str, str]:
@@ -306,6 +354,12 @@ class InOtherUnits(Altered):
             )
             for c in found
         )
+
+    def jumps(self):
+        return tuple(b.in_units(self.units) for b in self.term.jumps())
+
+    def between(self, low, high):
+        return super().between(low * self.units.time, high * self.units.time)
 
 
 def _times(tree, factor):

@@ -208,6 +208,9 @@ class Modulated(Altered):
     def linearised(self, lattice, t, u, v):
         return self.at(t).linearised(lattice, t, u, v)
 
+    def excitation(self, lattice, ts):
+        return self.term.excitation(lattice, ts)
+
     def stiffness_bound(self, lattice, reach, factor=1.0):
         largest = jnp.max(jnp.abs(jax.vmap(self.modulation)(reach.ts)), axis=0)
         return self.term.stiffness_bound(lattice, reach, factor * largest)

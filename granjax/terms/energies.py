@@ -32,7 +32,7 @@ def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displa
             "lattice",
             f"at most {DENSE} displacements where {type(term).__name__} shares out its energy",
             f"{size}",
-            "Write it as a Bond.",
+            "Give its energy as an array over the sites, or write it as a Bond.",
         )
     lanes, own = len(lattice.lanes), energy.ndim - len(lattice.lanes)
     # lanes do not mix, so the derivatives of their sum are those of each

@@ -1,7 +1,6 @@
-"""Walls at the ends of a chain, and what drives a lattice from outside."""
+"""Walls at the ends of a chain."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,11 +8,10 @@ import jax.numpy as jnp
 
 from ..checks import one_of, refuse
 from ..laws import Law, Yielding
-from ..printing import told
 from ..strains import End
-from ..types import Numbers, Parameter, Pytree, Waveform
+from ..types import Parameter, Pytree, Waveform
 from ..units import PART, Signal
-from .base import Term, within
+from .base import Excitation
 from .bonds import Bond, spring
 from .waveforms import Breaks, as_module, checked_breaks
 
@@ -99,6 +97,13 @@ class Wall(Bond):
         springs = spring(self.law, self.compression(t, u))
         return eqx.tree_at(lambda x: x.law, undriven(self), springs)
 
+    def excitation(self, lattice, ts):
+        zero = jnp.zeros((), lattice.dtype)
+        if self.motion is None:
+            return Excitation(zero, zero, zero)
+        w, speed = jax.vmap(lambda t: jax.jvp(self.motion, (t,), (jnp.ones_like(t),)))(ts)
+        return Excitation(zero, jnp.max(jnp.abs(w)), jnp.max(jnp.abs(speed)))
+
 
 def undriven(tree: Pytree) -> Pytree:
     """Terms, or a lattice, with all moving walls held still."""
@@ -111,31 +116,3 @@ def undriven(tree: Pytree) -> Pytree:
         )
 
     return jax.tree.map(still, tree, is_leaf=lambda x: isinstance(x, Wall))
-
-
-class Excitation(NamedTuple):
-    """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall."""
-
-    force: jax.Array
-    displacement: jax.Array
-    speed: jax.Array
-    __repr__ = told
-
-
-def excitation(term: Term, lattice: Any, ts: Numbers) -> Excitation:
-    """What drives the lattice from outside during the times `ts`."""
-    zero, term = jnp.zeros((), lattice.dtype), within(term)
-    if isinstance(term, Wall):
-        if term.motion is None:
-            return Excitation(zero, zero, zero)
-        w, speed = jax.vmap(lambda t: jax.jvp(term.motion, (t,), (jnp.ones_like(t),)))(ts)
-        return Excitation(zero, jnp.max(jnp.abs(w)), jnp.max(jnp.abs(speed)))
-    if not term.dependence(lattice).time:
-        return Excitation(zero, zero, zero)
-    rest = lattice.zeros()
-
-    def largest(t):
-        force = jax.tree.leaves(term.force(t, rest, rest, lattice.mass))
-        return jnp.max(jnp.stack([jnp.max(jnp.abs(f)) for f in force]))
-
-    return Excitation(jnp.max(jax.vmap(largest)(ts)), zero, zero)

@@ -1,6 +1,7 @@
 """Functions of time: what drives, moves walls and modulates stiffness."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,7 +11,6 @@ from ..checks import parameter, positive, within
 from ..printing import told
 from ..types import Number, Numbers, Parameter, Waveform
 from ..units import Dimensional, Signal
-from .base import Altered, Term, layers
 
 # rounding units by which a function may miss the time at which it jumps
 ULPS = 16
@@ -182,7 +182,7 @@ class Between(eqx.Module):
         return jumps_of(self.function, None)
 
 
-def _signal(term):
+def signal_of(term: Any) -> str | None:
     """The field of a term that holds a function of time, as its `dimensions` say; `None` where none does."""
     for name, kind in (type(term).dimensions or {}).items():
         if isinstance(kind, Signal) and getattr(term, name) is not None:
@@ -190,30 +190,16 @@ def _signal(term):
     return None
 
 
-def _signals(term):
-    """(a function of time, its `Breaks` or `None`) of a term and of what it alters."""
-    for part in layers(term):
-        if (name := _signal(part)) is not None:
-            function = getattr(part, name)
-            yield function, jumps_of(function, getattr(part, "breaks", None))
+def own_breaks(term: Any) -> Breaks | None:
+    """The `Breaks` of the function of time that a term holds itself, or `None`."""
+    name = signal_of(term)
+    return None if name is None else jumps_of(getattr(term, name), getattr(term, "breaks", None))
 
 
-def breaks_of(term: Term) -> tuple[Breaks, ...]:
-    """The `Breaks` of a term's functions of time, where steps end."""
-    return tuple(breaks for _, breaks in _signals(term) if breaks is not None)
-
-
-def functions_of_time(term: Term) -> list[Callable]:
-    """The functions of time of a term of which no breaks are known."""
-    return [function for function, breaks in _signals(term) if breaks is None]
-
-
-def between(term: Term, low: Number, high: Number) -> Term:
-    """The term with its functions of time, where they have breaks, held beyond two times at what they are there."""
-    if isinstance(term, Altered):
-        term = eqx.tree_at(lambda x: x.term, term, between(term.term, low, high))
-    name = _signal(term)
-    if name is None or jumps_of(getattr(term, name), getattr(term, "breaks", None)) is None:
+def held(term: Any, low: Number, high: Number) -> Any:
+    """The term with its own function of time, where that has breaks, taken `Between` two times."""
+    name = signal_of(term)
+    if own_breaks(term) is None:
         return term
     return eqx.tree_at(lambda x: getattr(x, name), term, Between(getattr(term, name), low, high))
 

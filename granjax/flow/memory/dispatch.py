@@ -9,7 +9,7 @@ import numpy as np
 
 from ...checks import concrete, refuse, show, traced, whole
 from ...lattice import Lattice
-from ...terms import CaputoDamping, PlasticContact
+from ...terms import CaputoDamping, Remembering
 from ...terms.base import memory_of
 from ...terms.tracing import reads
 from ...types import Scalar, StateLike
@@ -75,8 +75,11 @@ def with_memory(
         )
     fractional = any(isinstance(term, CaputoDamping) for term in lattice.terms)
     for i, term in enumerate(lattice.terms):
-        has = CaputoDamping if fractional else PlasticContact
-        if memory_of(term) and not isinstance(term, has):
+        if fractional:
+            solved = isinstance(term, CaputoDamping)
+        else:
+            solved = isinstance(term, Remembering) and term.variables(lattice) is not None
+        if memory_of(term) and not solved:
             refuse(
                 f"terms[{i}] ({type(term).__name__})",
                 "a term whose memory has a solver here",

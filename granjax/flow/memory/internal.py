@@ -9,11 +9,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ... import terms
 from ...lattice import Lattice, State
 from ...solvers.wrapped import Wrapped
-from ...terms import Remembering as Remembers
 from ...terms.tracing import reads
-from ...terms.walls import excitation
 from ...types import Number, Pytree, Scalar, StateLike, Times
 from ..breaks import one_sided
 from ..control import StepControl, largest
@@ -49,7 +48,7 @@ def _speed(lattice, start, t0, t1):
     if lattice.reads_time:
         ts = jnp.linspace(t0, t1, SAMPLES)
         for term in lattice.terms:
-            driven = excitation(term, lattice, ts)
+            driven = term.excitation(lattice, ts)
             speed = jnp.maximum(
                 speed, jnp.maximum(driven.force * (t1 - t0) / lightest, driven.speed)
             )
@@ -189,7 +188,7 @@ def integrate(
 def _begin(lattice: Lattice, state: StateLike) -> Moving:
     """The start: internal variables that the state itself has moved already."""
     memory = tuple(
-        term.variables(lattice) if isinstance(term, Remembers) else None for term in lattice.terms
+        term.variables(lattice) if isinstance(term, terms.Remembering) else None for term in lattice.terms
     )
     start = Moving(*state, jnp.zeros(lattice.lanes, lattice.dtype), memory)
     return start._replace(
