@@ -17,10 +17,13 @@ from .printing import text
 from .types import Values
 from .units import SCALED, SI, Units
 from .units.names import counted_in, known_unit, mark_of, named_unit
-from .variables import STATE, Held, Table, layout_of
+from .variables import Held, Table, layout_of
 
 if TYPE_CHECKING:
     import xarray  # half a second
+
+# the units of a `State`
+MOTION = {"u": "m", "v": "m/s"}
 
 Lanes: TypeAlias = dict[str, Values] | None
 """The parameters that the lanes of a batch were swept over, by name, `None` where they have no names."""
@@ -35,9 +38,16 @@ LEAD = (
 
 
 def array(
-    doc: str = "", unit: str = "", axes: str | None = None, *, name: str = "", **options: Any
+    doc: str = "",
+    unit: str | dict[str, str] = "",
+    axes: str | None = None,
+    *,
+    name: str = "",
+    **options: Any,
 ) -> Any:
     """A field of a result: its description, its unit in SI, its axes, its name in a file if it has another there.
+
+    A named tuple may have a unit for each of its entries.
 
     Axes are read off an annotation that names them, `Float[np.ndarray, "point mode"]`, where they are not given.
     `options` are those of `equinox.field`.
@@ -48,7 +58,7 @@ def array(
 
 def part(doc: str = "", axes: str | None = None, *, name: str = "", **options: Any) -> Any:
     """A field that is a `State`, or a result within, whose variables have the name of the field in front."""
-    return array(doc, STATE, axes, name=name, **options)
+    return array(doc, MOTION, axes, name=name, **options)
 
 
 def note(doc: str = "", unit: str = "", *, name: str = "", **options: Any) -> Any:
@@ -59,6 +69,24 @@ def note(doc: str = "", unit: str = "", *, name: str = "", **options: Any) -> An
 def hidden(doc: str = "", **options: Any) -> Any:
     """A field that is neither printed nor in a dataset."""
     return eqx.field(metadata={"held": Held(doc=doc, hidden=True)}, **options)
+
+
+def entries(
+    doc: str = "",
+    unit: str | dict[str, str] = "",
+    axes: str = "",
+    *,
+    named: str = "{}",
+    name: str = "",
+    **options: Any,
+) -> Any:
+    """A dict of arrays, each of them a field of its own, with one unit for all or one by key.
+
+    A file calls an entry by `named`, "stats_{}", or NAME_KEY where another field has that name already; NAME is the
+    field's own where it is not given. The description is that of the dict.
+    """
+    held = Held(axes, unit, name, doc, named=named)
+    return eqx.field(metadata={"held": held}, **options)
 
 
 def _axes(hint: Any) -> str:
@@ -77,10 +105,12 @@ class Result(eqx.Module):
     `to_xarray()` gives the arrays with named axes, units and where they come from; `save` writes them to a file.
 
     To add one: fields with their types, each `= array("What it is.", "m/s", "time site")` (a `State`: `part`, what is
-    an attribute in a file: `note`), and `outcome`, a field or a property; properties that a file has too are named in
-    `exported`. What comes from a lattice has its `_mark`, or it as a field
-    `lattice`: where that is not in SI, files say "scaled" in place of a unit. What has neither is counted in what
-    nobody knows, and files give no units; a class that is always in SI says so by `_else = SI`.
+    an attribute in a file: `note`, a dict of fields: `entries`), and `outcome`, a field or a property; properties that
+    a file has too are named in `exported`. What only the result itself knows of a field, it says in `_held`; a class
+    that is printed in another way than field by field gives its rows in `_rows`. What comes from a lattice has its
+    `_mark`, or it as a field `lattice`: where that is not in SI, files say "scaled" in place of a unit. What has
+    neither is counted in what nobody knows, and files give no units; a class that is always in SI says so by
+    `_else = SI`.
 
     **Example:**
 
@@ -108,11 +138,13 @@ class Result(eqx.Module):
             if "held" in told:
                 held = told["held"]
                 own[name] = held._replace(axes=_axes(hint)) if told.get("annotated") else held
-        cls._described = {**getattr(cls, "_described", {}), **own, **cls.exported}
+        inherited = getattr(cls, "_described", {})
+        inherited = {name: held for name, held in inherited.items() if name not in own}
+        cls._described = {**inherited, **own, **cls.exported}
         rows = [
-            f"- `{name}`{f' ({x.axes})' if x.axes else ''}{f' [{x.unit}]' if x.unit else ''}: {x.doc}"
-            for name, x in own.items()
-            if x.doc
+            f"- `{name}`{_in_brackets(held)}: {held.doc}"
+            for name, held in cls._described.items()
+            if held.doc
         ]
         if rows:
             cls.__doc__ = "\n    ".join([f"{cls.__doc__ or ''}\n", "**Fields:**", "", *rows, ""])
@@ -153,18 +185,35 @@ class Result(eqx.Module):
 
     def _unit(self, held: Held) -> str:
         """The unit in which a field is counted; nothing where it is scaled."""
+        if isinstance(held.unit, dict):
+            return ""
         unit = as_it_is(self.units, None, held.unit)[1].get("units", "")
-        return "" if unit in (SCALED, STATE) else unit
+        return "" if unit == SCALED else unit
+
+    def _held(self, name: str) -> Held:
+        """The description of a field."""
+        return self._described.get(name, Held())
 
     def _fields(self) -> Iterator[tuple[str, Any, Held]]:
         """Name, value and description of what is shown and kept, without the outcome and what is not there."""
+        taken, dicts = {"outcome"}, []
         for name in (*(field.name for field in dataclasses.fields(self)), *self.exported):
-            held = self._described.get(name, Held())
+            held = self._held(name)
             if name == "outcome" or name[0] == "_" or held.hidden:
                 continue
             value = getattr(self, name)
-            if value is not None:
+            if value is None:
+                continue
+            if held.named:
+                dicts.append((held.name or name, value, held))
+            else:
+                taken |= {name, held.name}
                 yield name, value, held
+        for name, value, held in dicts:
+            for key, x in value.items():
+                called = held.named.format(key)
+                called = f"{name}_{key}" if called in taken else called
+                yield called, x, Held(held.axes, held.unit_of(key))
 
     def to_xarray(self, *, lanes: Lanes = None) -> "xarray.Dataset":
         """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.
@@ -183,13 +232,11 @@ class Result(eqx.Module):
 
     def _dataset(self, lanes, converted, counted=None, mark=None, outer=None):
         """The dataset of numbers `converted`. Of a result around it: what it is counted in, its mark, how it lies."""
-        import xarray
-
         if traced(self):
             refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
         fields = list(self._fields())
         arrays = [
-            (held.axes, x.shape)
+            (x.shape, held.axes)
             for _, x, held in fields
             if held.axes is not None and isinstance(x, np.ndarray)
         ]
@@ -212,7 +259,7 @@ class Result(eqx.Module):
         origin = {"result": type(self).__name__, "outcome": self.outcome}
         origin |= {"units": counted} if counted else {}
         versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__}
-        data = xarray.Dataset(*table.finished(), table.attributes | origin | versions)
+        data = table.finished(origin | versions)
         for name, x in within.items():
             data = _joined(data, name, x._dataset(lanes, converted, counted, mark, layout))
         return data
@@ -289,6 +336,14 @@ class Result(eqx.Module):
         can be written; OSError where writing fails. What was there before stays then.
         """
         return save(self.to_xarray(lanes=lanes), path)
+
+
+def _in_brackets(held):
+    """Axes and unit of a field, as its row in a docstring has them."""
+    units = held.unit
+    if isinstance(units, dict):
+        units = "" if held.named else ", ".join(units.values())
+    return (f" ({held.axes})" if held.axes else "") + (f" [{units}]" if units else "")
 
 
 def _by_numpy(result):

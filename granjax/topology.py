@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +22,8 @@ from scipy.sparse.csgraph import shortest_path
 from .checks import parameter, refuse, whole
 from .lattice import Lattice
 from .linear import unit_cell
-from .linear.stiffness import mesh
+from .linear.cell import matrices
+from .linear.stiffness import in_groups, mesh
 from .linear.zone import lattice_vectors as _vectors
 from .linear.zone import named_points as _named_points
 from .results import Result, array, note
@@ -75,12 +75,7 @@ class _Waves(NamedTuple):
 
     def matrices(self, k):
         """D at points (n, axes), (n, P, P), as a NumPy array."""
-        found = []
-        for i in range(0, len(k), POINTS):
-            points = np.zeros((POINTS, self.axes))
-            points[: len(k) - i] = k[i : i + POINTS]
-            found.append(np.asarray(_matrices(self.matrix, points))[: len(k) - i])
-        return np.concatenate(found)
+        return in_groups(lambda k: matrices(self.matrix, k), k, POINTS)
 
     def vectors(self, lines, bands=slice(None)):
         """Vectors (..., P, bands) on the mesh of some lines, one array of phases an axis."""
@@ -88,11 +83,6 @@ class _Waves(NamedTuple):
         parts = [points[i : i + POINTS] for i in range(0, len(points), POINTS)]
         q = [np.linalg.eigh(self.matrices(part))[1][..., bands] for part in parts]
         return np.concatenate(q).reshape(*map(len, lines), *q[0].shape[1:])
-
-
-@eqx.filter_jit
-def _matrices(matrix, points):
-    return jax.vmap(matrix)(points)
 
 
 def _waves_of(lattice, cell, axes=None):
@@ -114,9 +104,8 @@ def _chosen(bands, waves):
     """The bands that are asked for, as a sorted list."""
     size = waves.size
     given = [bands] if np.ndim(bands) == 0 else list(bands)
-    numbers = sorted(
-        {whole("band", b, -size) % size for b in given if whole("band", b, -size) < size}
-    )
+    given = [whole("band", b, -size) for b in given]
+    numbers = sorted({b % size for b in given if b < size})
     if len(numbers) != len(given):
         refuse(
             "band",

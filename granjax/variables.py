@@ -1,16 +1,17 @@
 """The arrays of results as variables of a dataset, whose axes are named: sites, fields, components, lanes."""
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from .checks import refuse
 
-COMPONENTS = ("x", "y", "z")
+if TYPE_CHECKING:
+    import xarray  # half a second
+
+COMPONENTS = ["x", "y", "z"]
 FIELD, COMPONENT, LANE = "field", "component", "lane"
-# the unit of a `State`, which has two
-STATE, MOTION = "m, m/s", {"u": "m", "v": "m/s"}
 
 
 class Held(NamedTuple):
@@ -20,14 +21,19 @@ class Held(NamedTuple):
     axis that has its name is a coordinate. `site` stands for all axes of a lattice: `site`, `site_1` on a grid,
     `component` of vectors, and `field` before them where a cell holds several. Axes beyond those named are lanes, or
     called `NAME_k`. Axes that are not named stand where the dots do ("site ... mode"), or at the end. What is `hidden`
-    is neither printed nor in a file.
+    is neither printed nor in a file. `named`: how the entries of a dict are called that are fields of their own.
     """
 
     axes: str | None = ""
-    unit: str = ""
+    unit: str | dict[str, str] = ""
     name: str = ""
     doc: str = ""
     hidden: bool = False
+    named: str = ""
+
+    def unit_of(self, entry: str) -> str:
+        """The unit of an entry of a dict or of a named tuple, by its name."""
+        return self.unit.get(entry, "") if isinstance(self.unit, dict) else self.unit
 
 
 class Layout(NamedTuple):
@@ -43,29 +49,33 @@ class Layout(NamedTuple):
 
     def words(self, axes: str) -> list[str] | None:
         """The names of an array's own axes, without lanes; `None` where their number is not known."""
-        before, dots, after = axes.partition("...")
+        before, dots, _ = axes.partition("...")
         over_sites = any(map(_is_site, before.split()))
         if over_sites and self.space is None or dots and not over_sites:
             return None
         named = []
-        for word in (before + after).split():
+        for word in axes.replace("...", "").split():
             named.append(word)
             if _is_site(word):
                 sites, components = self.space
                 named += [f"{word}_{k}" for k in range(1, sites)] + [COMPONENT] * (components > 0)
         return named
 
+    def beyond(self, shape: tuple[int, ...], axes: str) -> int | None:
+        """How many axes an array has beside its own ones; `None` where that is not known."""
+        words = self.words(axes)
+        return None if words is None else len(shape) - len(words)
+
     def batched(self, shape: tuple[int, ...], axes: str) -> bool:
         """Whether an array of these axes has the lanes beside its own ones."""
-        words, behind = self.words(axes), len(shape) - len(self.lanes) + self.first
-        if not self.lanes or behind < self.first or words is not None and len(shape) == len(words):
+        behind = len(shape) - len(self.lanes) + self.first
+        if not self.lanes or behind < self.first or self.beyond(shape, axes) == 0:
             return False
         return (*shape[: self.first], *shape[behind:]) == self.lanes
 
-    def lanes_last(self, x: np.ndarray) -> np.ndarray:
-        """An array that has the lanes, with those that lead moved to the end."""
-        behind = x.ndim - len(self.lanes)
-        return np.moveaxis(x, range(self.first), range(behind, behind + self.first))
+    def fits(self, arrays: list[tuple[tuple[int, ...], str]]) -> bool:
+        """Whether each array has its own axes alone, or the lanes beside them."""
+        return all(self.batched(*array) or self.beyond(*array) == 0 for array in arrays)
 
 
 def _is_site(word):
@@ -73,51 +83,35 @@ def _is_site(word):
 
 
 def layout_of(
-    arrays: list[tuple[str, tuple[int, ...]]],
+    arrays: list[tuple[tuple[int, ...], str]],
     mark: Any,
     space: tuple[int, int] | None,
     lanes: Mapping | None = None,
 ) -> Layout:
-    """How arrays of such axes and shapes lie.
+    """How arrays of such shapes and axes lie.
 
     Lanes are what the mark of their lattice has beside one entry for all sites. Without a mark they are what all arrays
     of a known number of axes have beyond those, or what is named in `lanes`. Of several ways the first is taken that
     all arrays fit.
     """
-    plain, shape = Layout(space), np.shape(mark)
-    own = len(shape) + 1 if space is None else space[0] + (space[1] > 0)
-    ways = [
-        Layout(space, shape[:k] + shape[k + own :], k)
-        for k in range(len(shape) - own, -1, -1)
-        if set(shape[k : k + own]) <= {1}
-    ]
-    words = [plain.words(axes) for axes, _ in arrays]
-    more = {len(x) - len(named) for (_, x), named in zip(arrays, words) if named is not None}
-    if not ways and len(more) == 1:
-        count = max(*more, 0)
-        one = next(x for (_, x), named in zip(arrays, words) if named is not None)
-        ways = [Layout(space, one[len(one) - count :]), Layout(space, one[:count], count)]
-    elif not ways and not more and arrays and lanes:
-        ways = [Layout(space, tuple(map(np.size, lanes.values())))]
-    fitting = (
-        way
-        for way in ways
-        if all(
-            way.batched(x, axes) or named is not None and len(x) == len(named)
-            for (axes, x), named in zip(arrays, words)
-        )
-    )
-    return next(fitting, ways[0] if ways and own <= len(shape) else plain)
-
-
-def along_waves(result: Any, fields: Iterator) -> Iterator[tuple[str, Any, Held]]:
-    """The fields of bands with as many axes for the wave as `k` has: none where it is one number."""
-    sites, components = result._space
-    lanes = np.ndim(result._mark) - sites - (components > 0)
-    count = result.omega.ndim - 1 - lanes
-    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
-    for name, x, held in fields:
-        yield name, x, held._replace(axes=held.axes and held.axes.replace("wave", wave))
+    plain, shape, by_mark = Layout(space), np.shape(mark), []
+    if space is not None:
+        own = space[0] + (space[1] > 0)
+        by_mark = [
+            Layout(space, shape[:k] + shape[k + own :], k)
+            for k in range(len(shape) - own, -1, -1)
+            if set(shape[k : k + own]) <= {1}
+        ]
+    ways = by_mark
+    if not by_mark:
+        more = {n: x for x, axes in arrays if (n := plain.beyond(x, axes)) is not None}
+        if len(more) == 1:
+            [(count, one)] = more.items()
+            count = max(count, 0)
+            ways = [Layout(space, one[len(one) - count :]), Layout(space, one[:count], count)]
+        elif not more and arrays and lanes:
+            ways = [Layout(space, tuple(map(np.size, lanes.values())))]
+    return next((way for way in ways if way.fits(arrays)), by_mark[0] if by_mark else plain)
 
 
 def lanes_named(lanes: Mapping | None, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict]:
@@ -146,7 +140,7 @@ def lanes_named(lanes: Mapping | None, shape: tuple[int, ...]) -> tuple[tuple[st
 
 
 class Table:
-    """Variables {name: (axes, array, attributes)} and attributes of a dataset.
+    """A dataset in the making, which is filled field by field.
 
     `converted(x, unit)` gives the numbers that are kept, and attributes that say their unit; `cell`: fields along one
     axis.
@@ -163,78 +157,78 @@ class Table:
         over_sites = "site" in (held.axes or "").split()
         if hasattr(value, "_asdict"):
             for key, x in value._asdict().items():
-                unit = MOTION.get(key, "") if held.unit == STATE else held.unit
-                self.add(f"{name}_{key}", x, held._replace(unit=unit))
+                self.add(f"{name}_{key}", x, held._replace(unit=held.unit_of(key)))
         elif isinstance(value, dict) and over_sites and self._alike(value):
             self.cell, arrays = [*value], [np.asarray(x) for x in value.values()]
-            place = held.axes.split().index("site")
-            place += self.layout.first * self.layout.batched(arrays[0].shape, held.axes)
-            axes = held.axes.replace("site", f"{FIELD} site", 1)
-            self._put(name, np.stack(arrays, place), held._replace(axes=axes))
+            axes = self._axes(name, arrays[0].shape, held)
+            place = axes.index("site")
+            axes.insert(place, FIELD)
+            self._put(name, np.stack(arrays, place), axes, held)
         elif isinstance(value, dict):
             for key, x in value.items():
                 axes = held.axes.replace("site", f"site_{key}", 1) if over_sites else held.axes
                 self.add(f"{name}_{key}", x, held._replace(axes=axes))
         else:
-            self._put(name.replace("/", "_") or "_", _numbers(value), held)
+            name, x = name.replace("/", "_") or "_", _numbers(value)
+            if x is not None:
+                self._put(name, x, self._axes(name, x.shape, held), held)
 
     def _alike(self, cell):
         """Whether the fields of a cell lie along one axis: all have one shape, and are those of others."""
         return len({np.shape(x) for x in cell.values()}) == 1 and self.cell in ([], [*cell])
 
-    def _put(self, name, x, held):
-        """An array as a variable, or where it has neither axes nor lanes as an attribute; nothing of `None`."""
-        if x is None:
-            return
+    def _axes(self, name, shape, held):
+        """The name of every axis of an array, the lanes' where they are."""
+        axes, lanes, first = held.axes or "", [*self.lanes], self.layout.first
+        batched, words = self.layout.batched(shape, axes), self.layout.words(axes)
+        count = len(shape) - len(lanes) * batched
+        if words is None or len(words) != count:
+            words = _counted(axes, name, count)
+        self.own |= {*words}
+        return [*lanes[:first], *words, *lanes[first:]] if batched else words
+
+    def _put(self, name, x, axes, held):
+        """An array as a variable, or where it has neither axes nor lanes as an attribute."""
         x, told = self.converted(x, held.unit)
-        if held.axes is None and (not self.lanes or x.shape != self.layout.lanes) or not x.ndim:
+        if not x.ndim or held.axes is None and x.shape != self.layout.lanes:
             x = x.astype(int) if x.dtype == bool else x
             # a list of one is one in netCDF
             parts = {key: y.item() if y.size == 1 else y.tolist() for key, y in _parts(name, x)}
             told = {f"{name}_{key}": word for key, word in told.items()} if held.unit else {}
             self.attributes |= parts | told
             return
-        axes = held.axes or ""
-        batched, words = self.layout.batched(x.shape, axes), self.layout.words(axes)
-        x = self.layout.lanes_last(x) if batched else x
-        count = x.ndim - batched * len(self.lanes)
-        if words is None or len(words) != count:
-            words = _counted(axes, name, count)
-        self.own |= {*words}
-        named = [
+        axes = [
             axis if self.sizes.setdefault(axis, n) == n else f"{name}_{axis}"
-            for axis, n in zip([*words, *self.lanes], x.shape)
+            for axis, n in zip(axes, x.shape)
         ]
-        self.sizes |= dict(zip(named, x.shape))
+        self.sizes |= dict(zip(axes, x.shape))
         told |= {"long_name": held.doc} if held.doc else {}
-        self.variables |= {key: (named, y, told) for key, y in _parts(name, x)}
+        self.variables |= {key: (axes, y, told) for key, y in _parts(name, x)}
 
-    def finished(self) -> tuple[dict, dict]:
-        """Variables and coordinates, those of the lanes among them."""
+    def finished(self, attributes: dict[str, Any]) -> "xarray.Dataset":
+        """The dataset, lanes last, with its coordinates and further attributes."""
+        import xarray
+
         taken = {*self.swept} & {*self.variables, *self.attributes, *self.own, FIELD, COMPONENT}
         if taken:
             rest = repr(min(taken)), "Call it otherwise."
             refuse("lanes", "names that nothing else in the result has", *rest)
-        found = {axis: (axis, np.arange(n)) for axis, n in self.sizes.items() if _is_site(axis)}
-        found |= {FIELD: (FIELD, self.cell)} if self.cell else {}
-        if COMPONENT in self.sizes:
-            found[COMPONENT] = COMPONENT, [*COMPONENTS[: self.sizes[COMPONENT]]]
+        labels = {FIELD: self.cell, COMPONENT: COMPONENTS}
+        coordinates = {
+            axis: (axis, labels.get(axis, np.arange(n))[:n])
+            for axis, n in self.sizes.items()
+            if _is_site(axis) or axis in labels
+        }
         variables = {}
-        for key, (axes, x, told) in self.variables.items():
-            if key in self.sizes and axes != [key]:
-                key, axes, x = self._beside(key, axes, x)
-            variables[key] = axes, x, told
-        return variables, {
-            name: x for name, x in found.items() if name not in variables
-        } | self.swept
-
-    def _beside(self, key, axes, x):
-        """A variable that has the name of an axis and other axes too: without the lanes where it is alike in them."""
-        if [axis for axis in axes if axis not in self.lanes] == [key]:
-            rows = np.moveaxis(x, axes.index(key), -1).reshape(-1, x.shape[axes.index(key)])
-            if rows.size and (rows == rows[0]).all():
-                return key, [key], rows[0]
-        return f"{key}s", axes, x
+        for key, told in self.variables.items():
+            x = xarray.Variable(*told).transpose(..., *self.lanes, missing_dims="ignore")
+            if key in self.sizes and x.dims != (key,):
+                # times of each lane: one clock where all lanes have the same, else beside the axis of that name
+                one = x.isel(dict.fromkeys(self.lanes, 0), missing_dims="ignore") if x.size else x
+                key, x = (key, one) if one.dims == (key,) and (x == one).all() else (f"{key}s", x)
+            variables[key] = x
+        coordinates = {key: x for key, x in coordinates.items() if key not in variables}
+        return xarray.Dataset(variables, coordinates | self.swept, self.attributes | attributes)
 
 
 def _counted(axes, name, count):
@@ -248,9 +242,9 @@ def _counted(axes, name, count):
 
 
 def _parts(name, x):
-    return (
-        [(f"{name}_real", x.real), (f"{name}_imag", x.imag)] if x.dtype.kind == "c" else [(name, x)]
-    )
+    if x.dtype.kind != "c":
+        return [(name, x)]
+    return [(f"{name}_real", x.real), (f"{name}_imag", x.imag)]
 
 
 def _numbers(value):

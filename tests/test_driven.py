@@ -2,9 +2,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import MASS_IN_MASS
+from cases import MASS_IN_MASS, ended
 from refusals import refused
-from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax import driven
@@ -179,9 +178,7 @@ def multiplier(x, v, force, omega, K2, K4, damping):
 
     y = np.array([x, v])
     for _ in range(8):
-        end = solve_ivp(
-            field, (0, 2 * np.pi / omega), [*y, 1, 0, 0, 1], "DOP853", rtol=1e-12, atol=1e-12
-        ).y[:, -1]
+        end = ended(field, 2 * np.pi / omega, [*y, 1, 0, 0, 1])
         M = end[2:].reshape(2, 2)
         y = y - np.linalg.solve(M - np.eye(2), end[:2] - y)
     return np.linalg.eigvals(M).real.min(), y

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import ended
 from known_orbits import reference
 from refusals import refused
 from scipy.integrate import solve_ivp
@@ -618,7 +619,7 @@ def test_a_breather_s_multiplier_has_a_derivative_with_an_error():
 
         def end(x, time, tangents):
             start = np.concatenate([x, np.zeros(5), tangents.ravel()])
-            return solve_ivp(field, (0, time), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+            return ended(field, time, start)
 
         x = fsolve(
             lambda x: end(x, period / 2, np.zeros((10, 0)))[5:10], np.asarray(seed.u), xtol=1e-12

@@ -3,9 +3,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import few
+from cases import ended, few
 from refusals import refused
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import granjax as gx
@@ -267,15 +266,8 @@ def threshold(omega, damping):
             push = (1 + strength * np.cos(omega * t)) * (u[0] - u[1])
             return np.concatenate([v, [-push - u[0], (push - u[1]) / 2] - damping * v]).ravel()
 
-        end = solve_ivp(
-            slope,
-            (0, 2 * np.pi / omega),
-            np.eye(4).ravel(),
-            method="DOP853",
-            rtol=1e-12,
-            atol=1e-12,
-        )
-        return np.abs(np.linalg.eigvals(end.y[:, -1].reshape(4, 4))).max()
+        end = ended(slope, 2 * np.pi / omega, np.eye(4).ravel())
+        return np.abs(np.linalg.eigvals(end.reshape(4, 4))).max()
 
     return brentq(lambda strength: radius(strength) - 1, 0.05, 0.9, xtol=1e-10)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.optimize
+from cases import ended
 from refusals import refused
 
 import granjax as gx
@@ -248,9 +249,7 @@ def test_the_wave_on_a_ring_is_an_orbit_of_the_ring():
         F = (1 + z[:4] - np.roll(z[:4], -1)) ** 2.5
         return np.concatenate([z[4:], np.roll(F, 1) - F])
 
-    end = scipy.integrate.solve_ivp(
-        field, (0, 2 * np.pi / omega), start, "DOP853", rtol=1e-12, atol=1e-13
-    ).y[:, -1]
+    end = ended(field, 2 * np.pi / omega, start)
     np.testing.assert_allclose(end, start, atol=1e-10)
 
 

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scenes
+from cases import SPLITTING, ended
 from numpy.testing import assert_array_equal
 from refusals import refused
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import granjax as gx
@@ -327,15 +327,7 @@ def test_the_chart_leaves_out_what_is_not_drawn(ax):
 
 def test_sensible_solvers():
     chain = gx.scenes.monomer(6, precompression=1.0)
-    splitting = {
-        "VelocityVerlet",
-        "SRKN6b",
-        "ABA864",
-        "SRKN11b",
-        "SRKN14a",
-        "KahanLi8",
-        "SofroniouSpaletta10",
-    }
+    splitting = {solver.__name__ for solver in SPLITTING}
     assert set(sensible_solvers(chain)) == splitting | {"RKN86", "RKN1210", "Tsit5", "Dopri8"}
     damped = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(0.1)), sites=6)
     assert set(sensible_solvers(damped)) == splitting | {"Tsit5", "Dopri8"}
@@ -443,10 +435,7 @@ def smooth():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(
-    "solver",
-    [gx.VelocityVerlet, gx.SRKN6b, gx.SRKN11b, gx.SRKN14a, gx.KahanLi8, gx.SofroniouSpaletta10],
-)
+@pytest.mark.parametrize("solver", SPLITTING)
 def test_orders_on_a_smooth_scene(smooth, solver):
     order, uncertain = smooth.orders[solver.__name__]
     assert order == pytest.approx(solver.table().order, abs=0.2)
@@ -501,10 +490,7 @@ def written_out(masses, F0, gamma, state, t1):
         e = -np.diff(u, prepend=0.0, append=0.0)
         return np.concatenate([v, -np.diff(np.maximum(d0 + e, 0) ** 1.5) / masses - gamma * v])
 
-    y = solve_ivp(rates, (0, t1), np.concatenate(state), method="DOP853", rtol=1e-12, atol=1e-14).y[
-        :, -1
-    ]
-    return tuple(np.split(y, 2))
+    return tuple(np.split(ended(rates, t1, np.concatenate(state)), 2))
 
 
 @pytest.mark.study

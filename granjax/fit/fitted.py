@@ -8,9 +8,8 @@ from jaxtyping import Float
 
 from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..lattice import Lattice
-from ..results import Result, array, hidden
+from ..results import Held, Result, array, hidden
 from ..types import AnyArray, Count, Numbers
-from ..variables import Held
 from .determined import Direction
 from .problem import Problem
 from .traces import Traces

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import diffrax
@@ -26,15 +27,21 @@ UNITS_AT_START = 256
 UNITS_AT_END = 4
 
 
+@cache
+def rounding_unit(dtype: Any) -> float:
+    """The spacing of the numbers of a floating type at 1, kept, as JAX takes long to say it."""
+    return float(jnp.finfo(dtype).eps)
+
+
 def least_tolerance(dtype: Any) -> float:
     """The smallest tolerance that a floating type can hold."""
-    return 16 * float(jnp.finfo(dtype).eps)
+    return 16 * rounding_unit(dtype)
 
 
 def least_step(t0: Scalar, t1: Scalar, dtype: Any, larger: Callable = max) -> Scalar:
     """The shortest step whose ends the floating type tells apart well enough; `larger` takes two numbers."""
     start = UNITS_AT_START * abs(t0)
-    return float(jnp.finfo(dtype).eps) * larger(start, UNITS_AT_END * larger(abs(t0), abs(t1)))
+    return rounding_unit(dtype) * larger(start, UNITS_AT_END * larger(abs(t0), abs(t1)))
 
 
 def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
@@ -42,7 +49,7 @@ def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
     if traced((t0, t1, step)):
         return
     if step < least_step(t0, t1, dtype):
-        gap = float(jnp.finfo(dtype).eps) * max(abs(t0), abs(t1))
+        gap = rounding_unit(dtype) * max(abs(t0), abs(t1))
         finer = "" if dtype == np.dtype(float) else " Or compute in float64."
         refuse(
             "t0, t1, step",

@@ -15,6 +15,7 @@ from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..programs import compiled, wait
 from ..types import Scalar, StateLike
+from .control import rounding_unit
 from .dispatch import facts
 from .integrate import Part, integrate, part_of, planned, reduced
 from .lanes import apart, refuse_lanes_within, together
@@ -86,7 +87,7 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
 
 def _steps(count, dtype):
     """Steps in a run that is `count` of them long, as well as the type knows it."""
-    known = max(4 * float(jnp.finfo(dtype).eps), 1e-12) * count
+    known = max(4 * rounding_unit(dtype), 1e-12) * count
     return round(count) if abs(count - round(count)) <= known else math.ceil(count)
 
 

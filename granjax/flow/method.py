@@ -16,7 +16,7 @@ from ..solvers.stability import refused_from
 from ..terms.tracing import reads
 from ..terms.waveforms import count_breaks
 from ..types import Number, Scalar, StateLike
-from .control import least_tolerance, refuse_unresolved
+from .control import least_tolerance, refuse_unresolved, rounding_unit
 from .dispatch import facts
 from .inputs import checked_size
 from .run import Found
@@ -208,8 +208,8 @@ def fixed_step(
 def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> None:
     """The same refusal for adaptive steps, which are about as long as the default one."""
     about = facts(lattice)
-    eps = float(jnp.finfo(about.dtype).eps)
     # as a rule; the rest takes longer
+    eps = rounding_unit(about.dtype)
     if traced((t0, t1)) or eps * abs(t0) < NEAR * (t1 - t0) or about.traced or traced(state):
         return
     omega = linear_bound(lattice) or reachable(lattice, state, t0, t1)[0]

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..checks import concrete
 from ..lattice import Lattice, State
-from ..results import Result, array, hidden, note, part
+from ..results import Held, Result, array, entries, hidden, note, part
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
-from ..variables import Held
+from .dispatch import facts
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNRESOLVED = range(8)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
@@ -50,7 +50,7 @@ class Errors(Result):
         "m",
     )
     overlap_error: Numbers = array("The error of the smallest overlap.", "m")
-    records: dict[str, Pytree] = hidden("The errors of the records, by name.")
+    records: dict[str, Pytree] = entries("The errors of the records, by name.", name="record")
     how: str = array("What the second run was.", static=True)
 
     @property
@@ -60,11 +60,6 @@ class Errors(Result):
             return "Not known while traced."
         u, v = (max(float(np.max(x)) for x in jax.tree.leaves(tree)) for tree in (self.us, self.vs))
         return f"displacements within {u:.2g}, velocities within {v:.2g}, by {self.how}"
-
-    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
-        own = list(super()._fields())
-        yield from own
-        yield from _beside(own, self.records, "record")
 
 
 class Run(Result):
@@ -84,18 +79,20 @@ class Run(Result):
     us: Displacements = array("The displacements at these times.", "m", "time site", name="u")
     vs: Displacements = array("The velocities at these times.", "m/s", "time site", name="v")
     final: State = hidden("The `State` at the last time; of a lane that stopped where it did.")
-    recorded: dict[str, Pytree] = hidden("What the records found, by name.")
     energy_error: Numbers = note(
         "Largest |E - E0|/max(|E0|, kinetic energy) over the saved times, per lane; NaN where a term does not keep the "
         "energy (says so, or its force is not the slope of its energy)."
     )
     _margin: Numbers
     code: Counts = hidden("What became of the run, a number for each lane that has its own steps.")
-    stats: dict[str, Number] = hidden(
+    stats: dict[str, Number] = entries(
         "`steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones), `force_evaluations` "
         "(NaN for diffrax's own solvers); where energy might gather beyond the default step's bound `omega`, that of "
-        "what was reached. Per lane where lanes have their own steps."
+        "what was reached. Per lane where lanes have their own steps.",
+        {"step": "s", "omega": "rad/s"},
+        named="stats_{}",
     )
+    recorded: dict[str, Pytree] = entries("What the records found, by name.")
     failed_at: tuple[float, float, tuple[int, ...]] | None = hidden(
         "Between which times, and at which sites, a run first was not finite.", default=None
     )
@@ -233,20 +230,6 @@ class Run(Result):
         tree = {"ts": self.ts, "us": self.us, "vs": self.vs, **self.recorded}
         return jax.tree.map(np.asarray, tree)
 
-    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
-        own = list(super()._fields())
-        yield from own
-        for key, x in self.stats.items():
-            yield f"stats_{key}", x, Held(unit={"step": "s", "omega": "rad/s"}.get(key, ""))
-        yield from _beside(own, self.recorded, "recorded")
-
-
-def _beside(own, records, word):
-    """Fields of records, with a word before the names that what is beside them has too."""
-    taken = {"outcome", *(name for name, *_ in own), *(held.name for *_, held in own)}
-    for name, x in records.items():
-        yield f"{word}_{name}" if name in taken else name, x, Held()
-
 
 class Found(NamedTuple):
     """What the compiled part of a run returns, of which a `Run` is made.
@@ -285,7 +268,8 @@ MOST_STRUCTURES = 256
 
 def run_of(found: Found, lattice: Lattice, names: tuple, more: tuple = ()) -> Run:
     """The `Run` of what was found. `names`: solver, choice, remark, unseen, zone; `more`: pairs, of other fields."""
-    key = names, lattice.space
+    space = facts(lattice).space
+    key = names, space
     own = found._asdict() | {"_margin": found.margin, "_mark": lattice._mark} | dict(more)
     fields = [own.get(name) for name in _FIELDS]
     structure = _STRUCTURES.get(key)
@@ -293,7 +277,7 @@ def run_of(found: Found, lattice: Lattice, names: tuple, more: tuple = ()) -> Ru
     if structure is not None:
         return jax.tree.unflatten(structure, fields)
     named = dict(zip(("solver", "choice", "remark", "unseen", "_zone"), names))
-    run = Run(**dict(zip(_FIELDS, fields)), **named, _space=lattice.space)
+    run = Run(**dict(zip(_FIELDS, fields)), **named, _space=space)
     if len(_STRUCTURES) >= MOST_STRUCTURES:
         _STRUCTURES.clear()
     _STRUCTURES[key] = jax.tree.structure(run, is_leaf=lambda x: x is not run)

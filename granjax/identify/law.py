@@ -18,9 +18,8 @@ from ..flow import Lowest, Peak, simulate
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..parameters import Bounds
-from ..results import Result, array
+from ..results import Held, Result, array
 from ..types import Count, Parameter, Scalar
-from ..variables import Held
 from .families import LawScene, law_scene, starting_law
 
 # room around the strains of the linear run that a family is made for

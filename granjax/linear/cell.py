@@ -1,5 +1,6 @@
 """The unit cell of a lattice: its period, found or given, and the dynamical matrix D(k)."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import numpy as np
 from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
 from ..printing import told
+from ..results import Held
 from ..terms.chain import span
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from .stiffness import (
@@ -88,6 +90,12 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     half = (np.array(shells) @ k) / 2
     turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
     return uniform + jnp.einsum("r,rab->ab", turn, coupling)
+
+
+@eqx.filter_jit
+def matrices(matrix: Callable, points: Numbers) -> ComplexNumbers:
+    """D at points (n, axes), (n, P, P), of a function from one point to a matrix."""
+    return jax.vmap(matrix)(points)
 
 
 def phases(k: Numbers, axes: int) -> Numbers:
@@ -297,16 +305,13 @@ def repeats_after(
 
 
 @eqx.filter_jit
-def assembled(lattice: Lattice, cell: tuple, chosen: tuple, reach: tuple) -> tuple:
-    """As `assemble`, from a lattice that is traced."""
-    return assemble(
-        jnp,
-        blocks(lattice, reach, stiffness_product(lattice)),
-        masses(lattice),
-        cell,
-        chosen,
-        reach,
-    )
+def assembled(
+    lattice: Lattice, cell: tuple, chosen: tuple, reach: tuple, t: Number = 0.0, product: Any = None
+) -> tuple:
+    """As `assemble`, from a lattice that may be traced: of K, or the map that `product(lattice, t)` makes."""
+    product_with = (product or stiffness_product)(lattice, t)
+    own = blocks(lattice, reach, product_with)
+    return assemble(jnp, own, masses(lattice), cell, chosen, reach)
 
 
 def assemble(
@@ -337,3 +342,12 @@ def one_way(coupling: AnyArray, shells: tuple) -> bool:
     back = [shells.index(tuple(-n for n in R)) for R in shells]
     uneven = np.abs(coupling - coupling[..., back, :, :].swapaxes(-1, -2)).max()
     return bool(uneven > TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max())
+
+
+def along_waves(result: Any, held: Held) -> Held:
+    """The description of a field of bands, with as many axes for the wave as `k` has: none where it is one number."""
+    sites, components = result._space
+    lanes = np.ndim(result._mark) - sites - (components > 0)
+    count = result.omega.ndim - 1 - lanes
+    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
+    return held._replace(axes=held.axes and held.axes.replace("wave", wave))

@@ -1,6 +1,6 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
-from collections.abc import Iterator
+from math import prod
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,8 +10,7 @@ from ..checks import parameter
 from ..lattice import Lattice
 from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from ..variables import along_waves
-from .cell import phases, unit_cell
+from .cell import UnitCell, along_waves, phases, unit_cell
 from .modes import signed_root
 from .stiffness import each
 
@@ -44,16 +43,18 @@ class Dispersion(Result):
         static=True,
     )
 
-    def _fields(self) -> Iterator[tuple[str, object, Held]]:
-        return along_waves(self, super()._fields())
+    def _held(self, name: str) -> Held:
+        return along_waves(self, super()._held(name))
 
     @property
     def outcome(self) -> str:
         """How many bands, at how many wave numbers, within which frequencies."""
-        omega = np.asarray(self.omega)
-        bands = omega.shape[-1]
+        omega, lanes = np.asarray(self.omega), np.size(self._mark)
+        fields = len(self.vectors) if isinstance(self.vectors, dict) else 1
+        bands = prod(self.cell) * fields * max(1, self._space[1])
+        each = f" in each of {lanes} lanes" if lanes > 1 else ""
         return (
-            f"{bands} band{'s' * (bands > 1)} at {omega.size // bands} wave numbers, "
+            f"{bands} band{'s' * (bands > 1)} at {omega.size // bands // lanes} wave numbers{each}, "
             f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."
         )
 
@@ -87,20 +88,23 @@ def dispersion(
     """
     found = unit_cell(lattice, cell)
     k = parameter("k", k).astype(found.mass.dtype)
-    points = phases(k, len(found.cell))
-    squared, omega, vectors, velocity, curvature = _waves(found, points)
+    axes = len(found.cell)
+    squared, omega, vectors, velocity, curvature = bloch_waves(found, phases(k, axes), axes == 1)
     return Dispersion(k, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin)
 
 
 @eqx.filter_jit
-def _waves(found, k):
-    """The waves of all k, (k..., axes), without the axis where there is one alone."""
+def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
+    """omega^2, omega, displacements, d omega/dk and d^2 omega/dk^2 at k (k..., axes).
+
+    Derivatives are (k..., bands, axes) and (k..., bands, axes, axes), those of a `chain` (k..., bands).
+    """
     axes = k.shape[-1]
-    points = k.reshape(-1, axes)
+    points = k.astype(found.mass.dtype).reshape(-1, axes)
     at_once = max(1, 2**22 // (found.mass.size * axes) ** 2)
     parts = each(lambda k: _wave(found, k), points, at_once)
     squared, omega, q, velocity, curvature = (x.reshape(k.shape[:-1] + x.shape[1:]) for x in parts)
-    if axes == 1:
+    if chain:
         velocity, curvature = velocity[..., 0], curvature[..., 0, 0]
     return squared, omega, found.displacements(q), velocity, curvature
 

@@ -10,8 +10,8 @@ from ..checks import refuse
 from ..lattice import Lattice, State
 from ..results import Result, array, note
 from ..types import AnyArray, Cell, Count, Numbers
-from .cell import UnitCell, by_sites, unit_cell
-from .stiffness import grid, unpack
+from .cell import UnitCell, by_sites, matrices, unit_cell
+from .stiffness import grid, mesh, unpack
 
 # of the largest omega^2: what is flat; cells over which a compact state is looked for
 FLAT, WIDEST = 1e-12, 4
@@ -88,8 +88,8 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
     line = 2 * np.pi * (np.arange(MESH[axes]) + 0.3) / MESH[axes]
-    D = [np.asarray(found.dynamical_matrix(jnp.asarray(k))) for k in product(line, repeat=axes)]
-    squared = np.linalg.eigvalsh(np.array(D))
+    k = mesh(*[line] * axes).reshape(-1, axes)
+    squared = np.linalg.eigvalsh(matrices(found.dynamical_matrix, k))
     scale = np.abs(squared).max() or 1.0
     width = np.ptp(squared, axis=0)
     flat = np.flatnonzero(width <= FLAT * scale)

@@ -1,6 +1,5 @@
 """Floquet-Bloch bands of lattices whose stiffness changes periodically in time."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -14,11 +13,10 @@ from ..lattice import Lattice, State
 from ..results import Held, Result, array, note
 from ..tuning import one_thread
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
-from ..variables import along_waves
-from .cell import phases
+from .cell import along_waves, phases
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
-from .stiffness import unpack_waves
+from .stiffness import in_groups, unpack_waves
 
 # waves that are followed together, whatever their number: one program
 TOGETHER = 16
@@ -83,8 +81,8 @@ class FloquetBands(Result):
     steps: Any = array("The number of steps of a period.")
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
-    def _fields(self) -> Iterator[tuple[str, object, Held]]:
-        return along_waves(self, super()._fields())
+    def _held(self, name: str) -> Held:
+        return along_waves(self, super()._held(name))
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
@@ -245,12 +243,9 @@ def floquet_bands(
     searched = known is not None and axes == 1 and k.size > 1
     gaps = gaps_of(known, np.asarray(held[1])) if searched else (None,) * 4
     rho, error, vectors = waves
-    fields, dimension = found.lattice.fields, found.lattice.dimension
-    u, v = (
-        unpack_waves(x.reshape(shape + x.shape[1:]), found.cell, fields, dimension)
-        for x in _parted(found, vectors, period)
-    )
-    rho, error = rho.reshape(shape + rho.shape[1:]), error.reshape(shape + error.shape[1:])
+    parts = rho, error, *_parted(found, vectors, period)
+    rho, error, *motion = (x.reshape(shape + x.shape[1:]) for x in parts)
+    u, v = (unpack_waves(x, found.cell, lattice.fields, lattice.dimension) for x in motion)
     return FloquetBands(
         k,
         rho,
@@ -309,11 +304,9 @@ class _Known:
 
     def maps(self, k: np.ndarray, steps: int) -> np.ndarray:
         """M(k) over (q, q'/omega), (K, 2P, 2P)."""
-        groups = -(-len(k) // TOGETHER)
-        padded = np.zeros((groups, TOGETHER, k.shape[1]), self.cell.coupling.dtype)
-        padded.reshape(-1, k.shape[1])[: len(k)] = k
         along = self.t0, self.period, jnp.asarray(self.omega), jnp.asarray(steps)
-        return np.concatenate([monodromies(self.cell, x, *along) for x in padded])[: len(k)]
+        points = k.astype(self.cell.coupling.dtype)
+        return in_groups(lambda k: monodromies(self.cell, k, *along), points, TOGETHER)
 
     def _found(self, k, tolerance):
         some = np.concatenate([k[:: max(1, len(k) // 32)][:32], np.full((1, k.shape[1]), np.pi)])

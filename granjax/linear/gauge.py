@@ -41,21 +41,23 @@ def followed(vectors: Any, mass: Any, squared: Any = None, tolerance: Any = 0.0)
 def _turns(q, same):
     """The unitary matrices (K, bands, bands) that take vectors q (K, P, bands) to those that follow each other."""
     basis = _nearest(q[1 % len(q)], q[0], same[0])
-    first = q[0] @ basis
     # at the start the largest component is real and positive
-    largest = jnp.take_along_axis(first, jnp.argmax(jnp.abs(first), 0)[None], 0)[0]
-    start = basis * _unit(largest.conj())
+    start = basis * _back(q[0] @ basis)
 
     def step(before, point):
         x, together = point
         basis = _nearest(before, x, together)
-        link = before.conj().T @ (x @ basis)
-        best = jnp.take_along_axis(link, jnp.argmax(jnp.abs(link), 0)[None], 0)[0]
-        turn = basis * _unit(best.conj())
+        turn = basis * _back(before.conj().T @ (x @ basis))
         return x @ turn, turn
 
     _, rest = jax.lax.scan(step, q[0] @ start, (q[1:], same[1:]))
     return jnp.concatenate([start[None], rest])
+
+
+def _back(x):
+    """The phase factors that make the largest entry of each column real and positive."""
+    largest = jnp.take_along_axis(x, jnp.argmax(jnp.abs(x), 0)[None], 0)[0]
+    return _unit(largest.conj())
 
 
 def _unit(z):

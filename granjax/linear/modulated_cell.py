@@ -12,16 +12,13 @@ from ..flow.breaks import shared_out
 from ..lattice import Lattice
 from ..terms.tracing import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
-from .cell import Blocks, assemble, bloch, blocks_of, given_cell, one_way, periods
+from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
 from .stiffness import (
-    blocks,
     damping_product,
     grid,
-    masses,
     sampled,
     settled,
     sizes,
-    stiffness_product,
     undriven,
 )
 
@@ -59,14 +56,9 @@ class ModulatedCell(eqx.Module):
 
     def at(self, t: Number) -> tuple:
         """K_R/M and C_R/M at a time, (shells, P, P) each; `None` for C where no force reads velocities."""
-        mass = masses(self.lattice)
-
-        def over_masses(product_with):
-            own = blocks(self.lattice, self.reach, product_with)
-            return assemble(jnp, own, mass, self.cell, self.chosen, self.reach)[1]
-
-        stiffness = over_masses(stiffness_product(self.lattice, t))
-        return stiffness, over_masses(damping_product(self.lattice, t)) if self.damped else None
+        where = self.lattice, self.cell, self.chosen, self.reach, t
+        loss = assembled(*where, damping_product)[1] if self.damped else None
+        return assembled(*where)[1], loss
 
     @property
     def conserves(self) -> bool:

@@ -99,13 +99,6 @@ def ribbon(
     blocks = blocks_of(lattice)
     rings = blocks.rings
     if axis is None:
-        if rings[0] == rings[1]:
-            refuse(
-                "axis",
-                "0 or 1, along which the strip runs",
-                "None",
-                "One axis alone is to be periodic.",
-            )
         axis = 0 if rings[0] else 1
     across = 1 - axis
     if rings[across] or not rings[axis]:
@@ -113,7 +106,7 @@ def ribbon(
             "lattice",
             f"a ring along axis {axis}, the strip's, and ends along axis {across}, across it",
             f"a ring along axis {across}" if rings[across] else f"ends along axis {axis}",
-            "boundary=('periodic', 'free')",
+            "One axis alone is to be periodic: boundary=('periodic', 'free').",
         )
     # of all of its width
     sizes = [sites[across], None if cell is None else whole("cell", cell, 1)]

@@ -242,13 +242,8 @@ def blocks(lattice: Lattice, reach: Any, product_with: Callable) -> Any:
         ..., 0, :
     ]
     # half way around a ring is one place for both ways
-    twice = np.prod(
-        [
-            np.where((n == 2 * r) & (abs(np.array(offset)) == r), 0.5, 1.0)
-            for n, r, offset in zip(sites, reach, zip(*offsets(reach)))
-        ],
-        axis=0,
-    )
+    both = (np.array(sites) == 2 * np.array(reach)) & (np.abs(offsets(reach)) == reach)
+    twice = np.prod(np.where(both, 0.5, 1.0), axis=1)
     return found * twice[:, None, None].astype(lattice.dtype) if np.any(twice != 1) else found
 
 
@@ -275,6 +270,14 @@ def each(function: Callable, x: Any, at_once: int) -> Any:
     if len(x) <= at_once:
         return jax.vmap(function)(x)
     return jax.lax.map(function, x, batch_size=at_once)
+
+
+def in_groups(function: Callable, points: Any, count: int) -> Any:
+    """A function of points (n, axes), `count` at a time, so that one program does for any number of them."""
+    groups, axes = -(-len(points) // count), points.shape[1]
+    padded = np.zeros((groups, count, axes), points.dtype)
+    padded.reshape(-1, axes)[: len(points)] = points
+    return np.concatenate([function(x) for x in padded])[: len(points)]
 
 
 def settled(function: Callable, *arguments: Any) -> Any:

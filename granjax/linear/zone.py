@@ -15,7 +15,7 @@ from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
 from .cell import unit_cell
-from .dispersion import DEGENERATE, dispersion
+from .dispersion import DEGENERATE, bloch_waves
 from .gauge import followed
 from .stiffness import mesh
 
@@ -137,34 +137,31 @@ def path(
     place = np.arange(marks[-1] + 1)
     k = np.stack([np.interp(place, marks, x) for x in corners.T], -1)
     distance = np.interp(place, marks, np.append(0, np.cumsum(lengths)))
-    waves = dispersion(lattice, k if axes > 1 else k[:, 0], cell)
+    squared, omega, q, velocity, _ = bloch_waves(found, k)
     along = np.repeat(np.diff(corners, axis=0) / lengths[:, None], shares, axis=0)
-    velocity = waves.group_velocity if axes > 1 else waves.group_velocity[..., None]
-    slope = jnp.einsum("kba,ka->kb", velocity, jnp.asarray(np.concatenate([along, along[-1:]])))
+    along = np.concatenate([along, along[-1:]])
+    slope = jnp.einsum("kba,ka->kb", velocity, jnp.asarray(along))
     return PathBands(
         names,
         marks,
         k,
         distance,
-        waves.omega,
-        waves.omega_squared,
-        _in_phase(found, waves),
+        omega,
+        squared,
+        _in_phase(found, q, squared),
         slope,
-        waves.cell,
+        found.cell,
         **lattice.origin,
     )
 
 
 @eqx.filter_jit
-def _in_phase(found, waves):
+def _in_phase(found, vectors, squared):
     """The Bloch vectors of a path, each in phase with the one before."""
     root = found.displacements(jnp.ones((found.mass.size, 1), found.mass.dtype))
     mass = jax.tree.map(lambda x: 1 / x[..., 0] ** 2, root)
-    squared = waves.omega_squared
     near = DEGENERATE * jnp.finfo(squared.dtype).eps * jnp.abs(squared).max()
-    return followed(
-        waves.vectors, mass, jax.lax.stop_gradient(squared), jax.lax.stop_gradient(near)
-    )
+    return followed(vectors, mass, jax.lax.stop_gradient(squared), jax.lax.stop_gradient(near))
 
 
 def _letters(points, known):
@@ -232,8 +229,7 @@ def density_of_states(
     points = (512 if axes == 1 else 96) if points is None else whole("points", points, 8)
     points += points % 2
     k = 2 * np.pi * np.arange(points) / points
-    grid = k if axes == 1 else mesh(k, k)
-    omega = np.asarray(dispersion(lattice, grid, cell).omega)
+    omega = np.asarray(bloch_waves(found, mesh(*[k] * axes))[1])
     low, high = min(0.0, omega.min()), omega.max()
     if not high > low:
         refuse(
@@ -256,11 +252,10 @@ def density_of_states(
 def _counted(omega, edges, axes):
     """Number of states per cell below each edge."""
     following = [np.roll(omega, -1, axis) for axis in range(axes)]
-    if axes == 1:
-        pieces = np.stack([omega, following[0]])
-    else:
+    pieces = np.stack([omega, *following])
+    if axes == 2:
         across = np.roll(following[0], -1, 1)
-        pieces = np.concatenate([np.stack([omega, *following]), np.stack([across, *following])], 1)
+        pieces = np.concatenate([pieces, np.stack([across, *following])], 1)
     pieces = np.sort(pieces.reshape(axes + 1, -1), 0)
     return np.array([_below(pieces, e).sum() for e in edges]) * omega.shape[-1] / pieces.shape[1]
 
@@ -272,10 +267,8 @@ def _below(pieces, e):
     if len(pieces) == 2:
         return np.where(high > low, np.clip((e - low) / span, 0, 1), high <= e)
     middle = pieces[1]
-    first, second = (
-        np.where(middle > low, middle - low, 1),
-        np.where(high > middle, high - middle, 1),
-    )
+    first = np.where(middle > low, middle - low, 1)
+    second = np.where(high > middle, high - middle, 1)
     rising = np.where(e > low, (e - low) ** 2 / (span * first), 0)
     falling = 1 - (high - e) ** 2 / (span * second)
     part = np.where(e < middle, rising, np.where(e < high, falling, 1))
@@ -324,9 +317,9 @@ def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> 
     half = 1.05 * np.abs(corners).max(0)
     side = whole("points", points, 8)
     q = mesh(*(np.linspace(-h, h, side) for h in half))
-    waves = dispersion(lattice, q @ vectors.T, cell)
-    velocity = jnp.einsum("xyba,ad->xybd", waves.group_velocity, vectors)
-    return ZoneMap(q, waves.omega, velocity, corners, **lattice.origin)
+    _, omega, _, velocity, _ = bloch_waves(found, q @ vectors.T)
+    velocity = jnp.einsum("xyba,ad->xybd", velocity, vectors)
+    return ZoneMap(q, omega, velocity, corners, **lattice.origin)
 
 
 def _first_zone(reciprocal):

@@ -6,12 +6,11 @@ import numpy as np
 
 from ..checks import one_of, refuse
 from ..laws import Law
+from .highest import highest
 from .medium import values
 
-# binary orders of magnitude of the strain that are looked through, strains in each; rounding of 2 W/e^2; strains
-# around a largest one, and how often it is looked at closer
+# binary orders of magnitude of the strain that are looked through, strains in each; rounding of 2 W/e^2
 ORDERS, EACH, ROUNDING = 200, 4, 1e-10
-AROUND, CLOSER = 33, 5
 HALVINGS = 60
 # tops that are looked at: rounding makes many of a law that is linear somewhere
 MOST = 4
@@ -58,13 +57,8 @@ def _with_tops(law, strains, secant):
         + 1
     )
     for i in tops[np.argsort(-inner[tops])][:MOST]:
-        low, high = strains[i - 1], strains[i + 1]
-        for _ in range(CLOSER):
-            near = np.geomspace(low, high, AROUND)
-            found = twice_energy(law, near)
-            k = int(np.clip(np.argmax(np.where(np.isfinite(found), found, -np.inf)), 1, AROUND - 2))
-            low, high = near[k - 1], near[k + 1]
-        strains, secant = np.append(strains, near[k]), np.append(secant, found[k])
+        place, value = highest(lambda e: twice_energy(law, e), strains[i - 1], strains[i + 1])
+        strains, secant = np.append(strains, place), np.append(secant, value)
     order = np.argsort(np.abs(strains), kind="stable")
     return strains[order], secant[order]
 

@@ -199,28 +199,29 @@ def _by_energy(medium, found, E):
     return min(points, key=lambda x: abs(x[1]))[2]
 
 
-def _guess(rate):
-    def bell(x):
-        return 1 / np.cosh(np.clip(rate * x / 2, -300, 300)) ** 2
+def _bell(problem, rate):
+    """sech^(2/s)(s rate x/2), to which weak waves tend of a force that grows beyond its linear part as e^(1 + s)."""
+    grown = (problem.force(np.ones(1))[0][0] - problem.linear) / (1 - problem.linear)
+    power = np.clip(2 * (grown - 1), 0.05, 6)
+    return lambda x: 1 / np.cosh(np.clip(power * rate * x / 2, -300, 300)) ** (2 / power)
 
-    def compact(x):
-        return np.where(
-            np.abs(x) < 2.5 / rate,
-            np.cos(np.clip(np.pi * rate * x / 5, -np.pi / 2, np.pi / 2)) ** 4,
-            0.0,
-        )
 
-    return bell, compact
+def _compact(rate):
+    return lambda x: np.where(
+        np.abs(x) < 2.5 / rate,
+        np.cos(np.clip(np.pi * rate * x / 5, -np.pi / 2, np.pi / 2)) ** 4,
+        0.0,
+    )
 
 
 def _shape(problem):
     """A first shape on the Fourier form's grid: places, strain over its unit, its change, the level."""
     if problem.linear > 0:
         rate = decay_rate(1 / problem.linear)
-        half, guess = DECAYS / rate + 4, _guess(rate)[0]
+        half, guess = DECAYS / rate + 4, _bell(problem, rate)
     else:
         over = np.sqrt(max(problem.exponent(SMALL) - 1, 1e-6))
-        half, guess = 3 + 5 / over, _guess(1 / max(1.0, 0.45 / over))[1]
+        half, guess = 3 + 5 / over, _compact(1 / max(1.0, 0.45 / over))
     x, psi, change, level = normalised(problem.force, half, guess)
     return x, psi, change, level if problem.held else 1.0
 

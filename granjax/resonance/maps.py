@@ -1,6 +1,6 @@
 """Decay of a pulse in chains of larger cells without precompression, over two parameters of the cell."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -13,13 +13,12 @@ from ..flow import Peak, simulate
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..measures import contact_force
-from ..results import Result, array, note
+from ..results import Held, Result, array, note
 from ..states import impact
 from ..strains import Shift
 from ..sweeps import paired, sweep
 from ..terms import Bond
 from ..types import Parameter
-from ..variables import Held
 from .lanes import LANES
 
 # beads behind the last cell that is read; time that a pulse takes a bead, at most, and to rise and fall
@@ -56,11 +55,10 @@ class ResonanceMap(Result):
     kind: str = note("The kind of the chain.", static=True)
     cells: tuple[int, int] = note("The cells between which the decay was read.", static=True)
 
-    def _fields(self) -> Iterator[tuple[str, object, Held]]:
-        named = dict(zip(("first", "second"), self.names))
-        for name, x, held in super()._fields():
-            axes = held.axes and " ".join(named[word] for word in held.axes.split())
-            yield name, x, held._replace(axes=axes, name=named.get(name, ""))
+    def _held(self, name: str) -> Held:
+        held, named = super()._held(name), dict(zip(("first", "second"), self.names))
+        axes = held.axes and " ".join(named[word] for word in held.axes.split())
+        return held._replace(axes=axes, name=named.get(name, ""))
 
     @property
     def outcome(self) -> str:

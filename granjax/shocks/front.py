@@ -1,7 +1,8 @@
 """`DissipativeFront`: a stationary front as a result."""
 
-import equinox as eqx
+import numpy as np
 
+from ..checks import traced
 from ..lattice import State
 from ..profiles import Profile, places
 from ..results import array
@@ -33,7 +34,19 @@ class DissipativeFront(Profile):
     decay_ahead: Number = array("mu.", "1")
     overshoot: Number = array("How far the strain goes beyond `behind`.", "m")
     power: Number = array("The power that the dashpots take.", "W")
-    outcome: str = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """How well it is known, and how its strain comes to rest behind."""
+        if traced((self.error, self.behind, self.ahead, self.dashpot, self.critical)):
+            return "Not known while traced."
+        # a power of ten: the digits are those of rounding
+        power = np.ceil(np.log10(self.error / abs(self.behind - self.ahead)))
+        part = self.dashpot / self.critical
+        return (
+            f"Found to {10.0 ** max(power, -13.0):.0e} of its jump; {self.kind}, with {part:.4g} of the critical "
+            "dashpot."
+        )
 
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
         """Displacements and velocities (sites,) of a chain with the front at contact `centre`, a real number.

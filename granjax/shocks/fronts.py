@@ -14,6 +14,7 @@ from ..laws import Law, Strained
 from ..profiles import Medium, medium_of, tabled, tails
 from ..profiles import front as solver
 from ..profiles.front import FrontShape
+from ..profiles.highest import highest
 from ..profiles.medium import fine_force, implicit, one_number, single, values
 from ..terms import Dashpot
 from ..terms.chain import boundary_of
@@ -22,8 +23,6 @@ from .front import DissipativeFront
 
 # places of the table, powers of e that it reaches, most contacts behind; strains looked at between both states
 TABLE, REACH, LONGEST, BETWEEN = 513, 8.0, 300.0, 1023
-# how often the highest place is looked at closer, places each time
-CLOSER, AROUND = 5, 33
 # relative differences of stiffness from the chord: what counts as one, and what a front needs to be known
 ROUNDING, LEAST = 1e-12, 1e-5
 # binary orders of magnitude in which a strain is looked for, places in each
@@ -250,17 +249,16 @@ def _recorded(medium, given, known_step, front, critical, root):
         jnp.asarray(front.apart),
     )
     root, rate, limit = _rates(step, known_step, critical, root)
-    top = _top(front)
+    place = front.places[np.argmax(front.z)]
+    top, most = highest(front.at, place - front.apart, place + front.apart)
     overshoot = jnp.sign(known_step.jump) * (shape.at("strain", top) - ahead - step.jump)
     # what is left of the equation, and its rounding, move the tails by as much over how far they are from sound
     left = front.residual + UNITS * np.finfo(float).eps
     error = front.error + left / min(known_step.excess, known_step.short)
-    above = front.at(np.array([top]))[0] - 1 > 2 * error
+    above = most - 1 > 2 * error
     reaches = (REACH / float(jax.lax.stop_gradient(x)) for x in (jnp.real(root), rate))
     xi = np.linspace(-min(LONGEST, next(reaches)), next(reaches), TABLE)
     kind = "oscillatory" if known_step.zeta < critical.zeta else "monotone"
-    # a power of ten: the digits are those of rounding
-    share = 10.0 ** max(np.ceil(np.log10(error)), -13.0)
     return DissipativeFront(
         speed=step.speed,
         behind=ahead + step.jump,
@@ -280,8 +278,6 @@ def _recorded(medium, given, known_step, front, critical, root):
         mass=mass,
         **tabled(shape, xi),
         **medium.origin,
-        outcome=f"Found to {share:.0e} of its jump; {kind}, with {known_step.zeta / critical.zeta:.4g} of the critical "
-        "dashpot.",
     )
 
 
@@ -295,15 +291,6 @@ def _rates(step, known, critical, root):
         rate + (less - rate * zeta) / steep[1],
         critical.zeta + critical.slope * more,
     )
-
-
-def _top(front):
-    """Where the front is highest."""
-    x, width = front.places[np.argmax(front.z)], front.apart
-    for _ in range(CLOSER):
-        near = x + width * np.linspace(-1, 1, AROUND)
-        x, width = near[np.argmax(front.at(near))], 2 * width / AROUND
-    return float(x)
 
 
 @eqx.filter_jit

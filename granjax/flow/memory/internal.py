@@ -188,7 +188,8 @@ def integrate(
 def _begin(lattice: Lattice, state: StateLike) -> Moving:
     """The start: internal variables that the state itself has moved already."""
     memory = tuple(
-        term.variables(lattice) if isinstance(term, terms.Remembering) else None for term in lattice.terms
+        term.variables(lattice) if isinstance(term, terms.Remembering) else None
+        for term in lattice.terms
     )
     start = Moving(*state, jnp.zeros(lattice.lanes, lattice.dtype), memory)
     return start._replace(

@@ -1,25 +1,23 @@
 """The record of a run of a lattice that remembers."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import equinox as eqx
 import numpy as np
 
 from ...lattice import Lattice
 from ...printing import text
-from ...results import array, hidden
+from ...results import Held, array, entries, hidden
 from ...terms.base import Remembering
 from ...types import Numbers
-from ...variables import Held
 from ..run import Run
 
 
 class RunWithMemory(Run):
     """A `Run` of a lattice with terms that remember, from `simulate`.
 
-    - `energy_error`: largest |E - E0 - work| over the largest of |E0|, the kinetic energy at t0 and |work|, where E
-      counts `lost`: what the balance misses. NaN where the work is not known.
+    Its `energy_error` is the largest |E - E0 - work| over the largest of |E0|, the kinetic energy at t0 and |work|,
+    where E counts `lost`: what the balance misses. NaN where the work is not known.
 
     Whether a contact opened is looked at at the saved times alone.
     """
@@ -29,9 +27,10 @@ class RunWithMemory(Run):
         "`gx.simulate(run.lattice, run.final, t1, t0=...)`.",
         default=None,
     )
-    memory: dict[str, Numbers] | None = hidden(
+    memory: dict[str, Numbers] | None = entries(
         "The internal variables at the saved times, (T, bonds), such as `largest_overlap` [m] of `PlasticContact`; of "
         "several such terms the second is `largest_overlap_1`.",
+        axes="time bond",
         default=None,
     )
     lost: Numbers | None = array(
@@ -59,20 +58,15 @@ class RunWithMemory(Run):
             found.append(None if own is None else {key: self.memory[next(names)] for key in own})
         return tuple(found)
 
-    def _memory(self):
-        units = dict(self._kinds)
-        for name, x in (self.memory or {}).items():
-            yield name, x, Held("time bond", units[name])
-
-    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
-        yield from super()._fields()
-        yield from self._memory()
+    def _held(self, name: str) -> Held:
+        held = super()._held(name)
+        return held._replace(unit=dict(self._kinds)) if name == "memory" else held
 
     def _rows(self) -> Iterator[tuple[str, str]]:
         *rows, outcome = super()._rows()
         yield from rows
-        own = [("lost", self.lost, Held(unit="J")), ("work", self.work, Held(unit="J"))]
-        for name, x, held in (*own, *self._memory()):
-            if x is not None:
+        last = {"lost", "work", *(self.memory or {})}
+        for name, x, held in self._fields():
+            if name in last:
                 yield name.replace("_", " "), text(np.asarray(x)[-1], self._unit(held))
         yield outcome

@@ -12,6 +12,7 @@ from ...checks import positive, refuse
 from ...lattice import Lattice, State
 from ...laws import Law
 from ...profiles.fourier import fourier
+from ...profiles.highest import highest
 from ...results import Result, array, note
 from ...types import Count, Parameter, Scalar
 from .from_lattice import repeated_in
@@ -393,12 +394,12 @@ def _result(found: Found | str, given: Given, speed, resonator, p, throw, off=0.
 def _top(box, phi):
     """The largest strain in size, between the places of the box as well."""
     bond, at = np.unravel_index(np.argmax(np.abs(phi)), phi.shape)
-    near, width = box.x[at], box.x[1] - box.x[0]
-    for _ in range(8):
-        x = near + width * np.linspace(-1, 1, 9)
-        values = np.abs(fourier(phi[bond : bond + 1], box.half, x)[0])
-        near, width = x[np.argmax(values)], width / 3
-    return float(values.max())
+    near, apart = box.x[at], box.x[1] - box.x[0]
+
+    def size(x):
+        return np.abs(fourier(phi[bond : bond + 1], box.half, x)[0])
+
+    return highest(size, near - apart, near + apart)[1]
 
 
 def _none(why, given, speed, resonator):
