@@ -363,7 +363,7 @@ def work_precision(
     do not agree to 1e-3, so that the scene has no reference at t1: chains without precompression
     amplify rounding until nothing is left of it.
 
-    Typical: ten solvers compile in 10 s; then a chain of 100 beads takes some seconds.
+    Typical: eleven solvers compile in 10 s; then a chain of 100 beads takes some seconds.
 
     **Example:**
 
