@@ -82,7 +82,8 @@ class Coordinates(eqx.Module):
         for name in self.sizeless:
             steepest = np.abs(slopes[name]).max()
             if steepest > 0 and 0 < np.abs(value) / steepest < np.inf:
-                scale[name] = jnp.asarray(np.abs(value) / steepest, scale[name].dtype)
+                sized = np.asarray(scale[name]) * (np.abs(value) / steepest)
+                scale[name] = jnp.asarray(sized, scale[name].dtype)
         return eqx.tree_at(lambda c: c.scale, self, scale)
 
     @property

@@ -208,8 +208,8 @@ def fixed_step(
 def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> None:
     """The same refusal for adaptive steps, which are about as long as the default one."""
     about = facts(lattice)
-    # as a rule; the rest takes longer
     eps = rounding_unit(about.dtype)
+    # as a rule; the rest takes longer
     if traced((t0, t1)) or eps * abs(t0) < NEAR * (t1 - t0) or about.traced or traced(state):
         return
     omega = linear_bound(lattice) or reachable(lattice, state, t0, t1)[0]

@@ -52,9 +52,9 @@ class Dispersion(Result):
         omega, lanes = np.asarray(self.omega), np.size(self._mark)
         fields = len(self.vectors) if isinstance(self.vectors, dict) else 1
         bands = prod(self.cell) * fields * max(1, self._space[1])
-        each = f" in each of {lanes} lanes" if lanes > 1 else ""
+        every = f" in each of {lanes} lanes" if lanes > 1 else ""
         return (
-            f"{bands} band{'s' * (bands > 1)} at {omega.size // bands // lanes} wave numbers{each}, "
+            f"{bands} band{'s' * (bands > 1)} at {omega.size // bands // lanes} wave numbers{every}, "
             f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."
         )
 

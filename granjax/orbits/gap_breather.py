@@ -64,7 +64,8 @@ class GapBreather(Result):
     def outcome(self) -> str:
         """How far it grew, and how much of it came back."""
         off = abs(self.returned)
-        breaks_up = max(off, self.error) > RETURNS
+        # nor does what is not finite return
+        breaks_up = not max(off, self.error) <= RETURNS
         return (
             f"The energy grew {self.energy.max() / self.energy[0]:.4g} times and returned within {off:.1e} +- "
             f"{self.error:.1e} of itself after {len(self.ts) - 1} periods; {self.stray:.1e} of what returned is other "

@@ -20,12 +20,16 @@ class Profile(Result):
     )
     law: Law = array("The law of the contacts.")
     mass: Number = array("The mass of the beads.", "kg")
-    residual: Number = array("What the equation leaves, over the largest strain.", "1")
+    residual: Number = array(
+        "What the equation leaves, over the size of the wave: its largest strain, the amplitude of a periodic wave, "
+        "the jump of a front.",
+        "1",
+    )
     error: Number = array("The estimated distance of the strain from the truth.", "m")
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
-    _shape: Shape | None = eqx.field(kw_only=True, repr=False, default=None)
+    _shape: Shape = eqx.field(kw_only=True, repr=False)
 
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - c t, of any shape [m]."""

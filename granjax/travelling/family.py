@@ -9,7 +9,7 @@ from ..laws import Law
 from ..profiles import medium_of, one_given, wave_of
 from ..results import Result, array
 from ..types import Parameter, Scalar
-from .wave import half_width
+from .wave import full_width
 
 
 class WaveFamily(Result):
@@ -78,7 +78,7 @@ def family(
     for x in _shown(np.atleast_1d(np.asarray(numbers, float))):
         (c, E), (dc, dE), wave = jax.jvp(solved, (x,), (1.0,), has_aux=True)
         shape = wave.shape
-        width, slope = half_width(shape, float(shape.end)), dE / dc
+        width, slope = full_width(shape, float(shape.end)), dE / dc
         rows.append(
             (
                 c,

@@ -10,7 +10,7 @@ from ..laws import Law
 from ..profiles import Solved, medium_of, one_given, tabled, wave_of
 from ..types import Scalar
 from .cells import CellWave, Resonator, alone_with_resonators
-from .wave import Wave, half_width
+from .wave import Wave, full_width
 
 # places of the table, and decays or contacts that it reaches
 TABLE, REACH = 257, 20.0
@@ -95,7 +95,7 @@ def _recorded(medium, found: Solved) -> Wave:
         energy=found.energy,
         momentum=found.momentum,
         compression=found.compression,
-        width=half_width(shape, end),
+        width=full_width(shape, end),
         decay=jnp.asarray(found.decay),
         exponent=jnp.asarray(found.exponent),
         residual=jnp.asarray(found.residual),

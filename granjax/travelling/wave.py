@@ -64,12 +64,10 @@ class Wave(Profile):
         return stability(self, sites, ends, **keywords)
 
 
-def half_width(shape: Shape, reach: float) -> Number:
-    """Twice the place before `reach` at which the strain is half of its largest, with its derivative."""
+def full_width(shape: Shape, reach: float) -> Number:
+    """The full width at half of the largest strain, whose ends lie within `reach`, with its derivative."""
     known = jax.lax.stop_gradient(shape)
-
-    def over(x, shape=known):
-        return shape.at("strain", x) - shape.at("strain", 0.0) / 2
-
-    half = brentq(lambda x: float(over(x)), 0.0, reach, xtol=1e-15)
-    return 2 * implicit(half, over(half, shape), jax.grad(known.strain)(half))
+    level = float(known.at("strain", 0.0)) / 2
+    half = brentq(lambda x: float(known.at("strain", x)) - level, 0.0, reach, xtol=1e-15)
+    gap = shape.at("strain", half) - shape.at("strain", 0.0) / 2
+    return 2 * implicit(half, gap, jax.grad(known.strain)(half))
