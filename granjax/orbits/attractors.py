@@ -1,6 +1,5 @@
 """Periodically forced chains, period by period, until what is seen once a period repeats."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -182,7 +181,7 @@ def settle(
     )
 
 
-def still_settles(changes: Numbers, used: Counts) -> Flags:
+def still_settles(changes: Numbers, used: Count) -> Flags:
     """Whether the changes of the last periods of a run are below half of those in its middle."""
     part, half = max(1, used // 8), used // 2
     return np.median(changes[-part:]) < np.median(changes[half - part : half]) / 2
@@ -203,16 +202,7 @@ class Followed(NamedTuple):
     rate: Numbers
 
 
-def _until(
-    multiple_at: Callable,
-    flow: Flow,
-    lattice: Lattice,
-    y: State,
-    period: Scalar,
-    used: Counts,
-    changes: Numbers,
-    most: Counts,
-) -> tuple[Counts, State, Counts, Numbers]:
+def _until(multiple_at, flow, lattice, y, period, used, changes, most):
     """Run period by period until a state repeats: (periods used, state, after how many or 0, changes).
 
     `multiple_at(i, change, changes)`: what the changes of period i, over one to four of them, say.

@@ -174,10 +174,10 @@ def asked(
     The steps are an array, whose value compiles nothing anew.
     """
     state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
-    checked_period(lattice, state, t0, period)
     if steps is None:
         steps = default_steps(lattice, period, fineness=fineness)
     steps = jnp.asarray(whole("steps", steps, 1))
+    checked_period(lattice, state, t0, period)
     return state, period, Flow(steps, fixed_step_solver(lattice, solver, otherwise))
 
 
