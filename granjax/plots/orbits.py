@@ -313,7 +313,7 @@ def hysteresis(
 
     **Arguments:**
 
-    - `sweep`: a `gx.driven.Sweep`, or anything with its `values` (P,), `up`, `down` and `hysteresis`.
+    - `sweep`: a `gx.driven.ResponseCurve`, or anything with its `values` (P,), `up`, `down` and `hysteresis`.
     - `orbits`: a `Branch`, or anything with `p`, `response` and `verdict` (P,), drawn behind, unstable parts
       dashed, in smooth curves that change where its `bifurcations` are.
     - `x_label`, `y_label`: of the axes. One that ends with a unit of SI, "angular frequency (rad/s)" or "rms velocity
