@@ -12,6 +12,7 @@ from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
 from ..printing import told
 from ..results import Held
+from ..terms.chain import span
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from .stiffness import (
     at_rest,
@@ -210,10 +211,10 @@ def given_cell(cell: Cell, sites: tuple) -> tuple:
 def _said(lattice):
     """How far bonds reach along each axis, as the terms say."""
     sites = grid(lattice)
-    reach = [0 if all(term.span() == () for term in lattice.terms) else 1] * len(sites)
+    reach = [0 if all(span(term) == () for term in lattice.terms) else 1] * len(sites)
     for term in lattice.terms:
-        for axis, span in enumerate(term.span() or ()):
-            reach[axis] = max(reach[axis], span)
+        for axis, further in enumerate(span(term) or ()):
+            reach[axis] = max(reach[axis], further)
     # half way around a ring the blocks of both ways are a half each; four sites and less are no ring to tell that from
     short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + (r < 3)]
     if short:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from ..checks import concrete
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
+from ..terms.tracing import reads
 from ..types import AnyArray, Displacements, Number, Numbers
 from .stiffness import at_rest, each, refuse_one_way, stiffness_product
 
@@ -88,7 +89,7 @@ def _solve(lattice):
     def column(w):
         return ravel_pytree(product_with(unravel(w)))[0]
 
-    if any(term.dependence(lattice).transforms for term in lattice.terms):
+    if any(reads(term, lattice).transforms for term in lattice.terms):
         K = jax.lax.map(column, unit)
     else:
         K = each(column, unit, AT_ONCE)

@@ -1,7 +1,7 @@
 """Bonds to all neighbours of a chain: magnets, algebraic kernels, fractional lattices."""
 
 import math
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,13 +10,12 @@ import numpy as np
 
 from ..checks import one_of, parameter, refuse, whole
 from ..laws import Law, Scaled, Strained
-from ..strains import BOUNDARIES
+from ..strains import BOTH, BOUNDARIES
 from ..types import Count, Parameter
 from ..units import PART
 from .base import Compression, Term, get, put, wider
 from .reach import Reached, steepest
 from .toeplitz import back, behind, forth, neighbour_sums, spectrum
-from .tracing import Dependence
 
 # offsets up to which a sum over neighbours costs less than two transforms; up to which all of them are one array
 FEW = 8
@@ -55,6 +54,7 @@ class LongRange(Term):
     """
 
     dimensions = {"kernel": (0, 0, 0), "law": PART, "rest": (0, 1, 0)}
+    per_site: ClassVar[bool] = True
     kernel: jax.Array
     law: Law
     rest: jax.Array | None
@@ -107,33 +107,22 @@ class LongRange(Term):
         if any(jnp.ndim(x) > len(lattice.lanes) for x in jax.tree.leaves(self.law)):
             refuse(name, "a law with single numbers, the same for all bonds", "one with arrays")
 
-    def dependence(self, lattice):
-        return Dependence(displacement=True, energy=True, transforms=self._powers is not None)
-
-    def per_vector(self, axes):
-        return eqx.tree_at(lambda x: x.kernel, self, self.kernel[..., None])
-
-    def measured_from(self, lattice, u):
-        rest = get(u, self.field) + (0 if self.rest is None else self.rest)
-        return eqx.tree_at(lambda x: x.rest, self, rest, is_leaf=lambda x: x is None)
-
-    def span(self):
-        return (self.kernel.shape[0],)
-
     def resists(self, lattice, moves):
         if self.boundary != "fixed":
             return np.zeros((0, len(moves)))
         return np.stack([np.ravel(get(move, self.field)) for move in moves], -1)
 
+    @property
+    def span(self):
+        """Sites that the bonds couple, along the chain."""
+        return (self.kernel.shape[0],)
+
+    @property
     def walls(self):
-        return ("left", "right") if self.boundary == "fixed" else ()
+        """The ends that are tied to what is at rest."""
+        return BOTH if self.boundary == "fixed" else ()
 
-    def next_neighbours(self, field=None):
-        if self.kernel.shape[0] > 1 or self.field != field:
-            return None
-        return self._nearest(), self.boundary
-
-    def _nearest(self):
+    def nearest(self) -> Law:
         """The law of the bonds to the next site, as they are at rest."""
         law = (
             self.law
@@ -141,16 +130,6 @@ class LongRange(Term):
             else Strained(self.law, _strains(self.rest, self.boundary))
         )
         return Scaled(law, self.kernel[:1])
-
-    def scaled(self, factor):
-        if jnp.ndim(factor) > self.kernel.ndim - 1:
-            return super().scaled(factor)
-        return eqx.tree_at(
-            lambda x: (x.law, x._kept),
-            self,
-            (Scaled(self.law, factor), None),
-            is_leaf=lambda x: x is None,
-        )
 
     @property
     def _powers(self):
@@ -167,7 +146,7 @@ class LongRange(Term):
         )
         return put(self._sums(rest + x).force(self.law) - held, self.field)
 
-    def for_run(self, lattice):
+    def for_run(self, lattice: Any) -> Any:
         """The term with the transforms of its kernel, and with the forces at rest, which it counts from."""
         plain = eqx.tree_at(lambda x: x._kept, self, None, is_leaf=lambda x: x is None)
         x = get(lattice.zeros(), self.field)
@@ -180,13 +159,10 @@ class LongRange(Term):
     def energy(self, t, u):
         x = get(u, self.field)
         if self.rest is None:
-            return self._sums(x).energy(self.law)
+            return put(self._sums(x).energy(self.law), self.field)
         rest = self._at_rest(x)
         held, work = jax.jvp(lambda x: self._sums(x).energy(self.law), (rest,), (x,))
-        return self._sums(rest + x).energy(self.law) - held - work
-
-    def site_energy(self, lattice, t, u):
-        return put(self.energy(t, u), self.field)
+        return put(self._sums(rest + x).energy(self.law) - held - work, self.field)
 
     def _at_rest(self, x):
         return _spread(self.rest, x)
@@ -219,21 +195,9 @@ class LongRange(Term):
 
     def compressions(self, t, u):
         """Those of next neighbours."""
-        law, x = self._nearest(), get(u, self.field)
+        law, x = self.nearest(), get(u, self.field)
         c = law.factor.reshape(law.factor.shape + (1,) * (x.ndim - law.factor.ndim))
         return (Compression(Scaled(law.law, c), _strains(x, self.boundary)),)
-
-    def wall_loads(self, u):
-        if self.boundary != "fixed":
-            return None
-        x = get(u, self.field)
-        x = x if self.rest is None else x + self._at_rest(x)
-        count = self.kernel.shape[0] if self.beyond is None else self.beyond
-        # what is at rest beyond an end, as sites of a free chain, pushed by all on the other side
-        whole = LongRange(self.kernel, self.law, "free", takes=self.takes)
-        wide = jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1))
-        force = whole.force(0.0, wide, wide, 1.0) + whole.preload_force(wide)
-        return jnp.stack([-force[:count].sum(0), force[-count:].sum(0)])
 
     def linearised(self, lattice, t, u, v):
         x = get(u, self.field)
@@ -258,7 +222,7 @@ class LongRange(Term):
         if self.takes == "strain":
             # a mean of m compressions side by side: none is above the largest
             first = jnp.where(c[:1] > 0, c[:1], 1)
-            k = reach.stiffest(Scaled(self._nearest().law, first), 0)
+            k = reach.stiffest(Scaled(self.nearest().law, first), 0)
             return jnp.max(k, 0, keepdims=True) / first * c / m
         if isinstance(reach, Reached):
             offsets = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape(
@@ -275,9 +239,6 @@ class LongRangeTangent(Term):
     dimensions = {"term": PART, "about": (0, 1, 0)}
     term: LongRange
     about: jax.Array
-
-    def dependence(self, lattice):
-        return self.term.dependence(lattice)._replace(energy=False)
 
     def force(self, t, u, v, mass):
         return put(

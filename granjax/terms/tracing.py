@@ -42,14 +42,8 @@ def traced(term: Any, lattice: Any):
 
 
 def reads(term: Any, lattice: Any) -> Dependence:
-    """What a term says that its force reads, and what tracing finds that it reads besides."""
-    said, found = term.dependence(lattice), traced(term, lattice)[1]
-    return said._replace(
-        **{
-            name: getattr(said, name) or getattr(found, name)
-            for name in ("time", "displacement", "velocity")
-        }
-    )
+    """What the force of a term reads, found by tracing it."""
+    return traced(term, lattice)[1]
 
 
 def time_of(lattice: Any):
