@@ -15,9 +15,8 @@ from .lattice.model import check_shape as _check_shape
 from .laws import Strained
 from .newton import newton
 from .results import Result, array, note, part
-from .terms import Bond, LongRange, Term, chain
+from .terms import Bond, LongRange, Term, chain, tracing
 from .terms.base import Altered, get
-from .terms.tracing import reads
 from .terms.walls import undriven
 from .types import AnyArray, Count, Displacements, Numbers
 from .units import PART
@@ -486,7 +485,7 @@ def _measured_from(term, lattice, u):
     if type(term) is Bond and term.strain_map.linear:
         strained = Strained(term.law, term.strain_map.strain(u))
         return eqx.tree_at(lambda x: x.law, term, strained)
-    return _MeasuredFrom(term, u) if reads(term, lattice).displacement else term
+    return _MeasuredFrom(term, u) if tracing.reads(term, lattice).displacement else term
 
 
 def _wall_loads(term, u):
