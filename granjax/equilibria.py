@@ -296,7 +296,7 @@ def _edges(problem):
 def _stand_in(x):
     """The value, or ones in its place where it is traced."""
     x = jax.lax.stop_gradient(x)
-    return jnp.ones(x.shape, x.dtype) if isinstance(x, jax.core.Tracer) else x
+    return jnp.ones(x.shape, x.dtype) if traced(x) else x
 
 
 def _goes_around(problem, axis):

@@ -148,13 +148,7 @@ class Lattice(eqx.Module):
                 "one number",
                 "Or say how many sites: Lattice(..., sites=N).",
             )
-        shape = (
-            mass.shape
-            if sites is None
-            else tuple(sites)
-            if isinstance(sites, (tuple, list))
-            else (sites,)
-        )
+        shape = mass.shape if sites is None else tuple(sites) if np.ndim(sites) else (sites,)
         shape = tuple(whole("sites", n, 1) for n in shape)
         each = self.dimension is not None and per_site and mass.shape == (*shape, self.dimension)
         if per_site and mass.shape != shape and not each:

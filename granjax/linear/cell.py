@@ -202,7 +202,7 @@ def given_cell(cell: Cell, sites: tuple) -> tuple:
     """The sites per cell that are asked for, one number an axis, or `None`."""
     if cell is None:
         return (None,) * len(sites)
-    numbers = tuple(cell) if isinstance(cell, (tuple, list)) else (cell,) * len(sites)
+    numbers = tuple(cell) if np.ndim(cell) else (cell,) * len(sites)
     if len(numbers) != len(sites):
         refuse("cell", f"{len(sites)} numbers, one per axis", repr(cell))
     return tuple(whole("cell", n, 1, "It is the number of sites per unit cell.") for n in numbers)

@@ -265,9 +265,7 @@ def floquet_bands(
 
 def _held(tree):
     """What is traced without its derivatives, known where these alone are traced; all else as it is."""
-    return jax.tree.map(
-        lambda x: jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x, tree
-    )
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if traced(x) else x, tree)
 
 
 def _angle(rho):

@@ -114,10 +114,10 @@ def stand_in(lattice: Lattice) -> tuple:
 
     def settle(x):
         nonlocal known
-        if not isinstance(x, jax.core.Tracer) or not eqx.is_inexact_array(x):
+        if not traced(x) or not eqx.is_inexact_array(x):
             return x
         x = jax.lax.stop_gradient(x)
-        if isinstance(x, jax.core.Tracer):
+        if traced(x):
             known = False
             x = random.uniform(1, 2, x.shape).astype(x.dtype)
         return x

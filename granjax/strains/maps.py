@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import plain_zero
 from ..types import Displacements, Number, Numbers
 from ..units import Dimensional
 
@@ -67,7 +68,7 @@ class StrainMap(Dimensional):
         if self.linear:
             return self.pull(u, law.force(self.strain(u)))
         e, transpose = jax.vjp(self.strain, u)
-        if isinstance(law.preload, (int, float)) and not law.preload:
+        if plain_zero(law.preload):
             return transpose(law.force(e))[0]
         (now,) = transpose(jnp.broadcast_to(law.preload + law.force(e), e.shape))
         _, transpose = jax.vjp(self.strain, jax.tree.map(jnp.zeros_like, u))

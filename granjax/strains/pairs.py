@@ -65,13 +65,7 @@ class Pairs(TwoEnds):
         least = max(self.tail) + 1, max(self.head) + 1
         if within:
             least = (max(least),) * 2
-        given = (
-            least
-            if sites is None
-            else tuple(sites)
-            if isinstance(sites, (tuple, list))
-            else (sites,) * 2
-        )
+        given = least if sites is None else tuple(sites) if np.ndim(sites) else (sites,) * 2
         given = tuple(whole("sites", g) for g in given)
         if any(g < n for g, n in zip(given, least)):
             refuse("sites", f"at least {max(least)}, the largest index and one", repr(sites))

@@ -80,14 +80,14 @@ def _library(x):
 
 
 def _offsets(offset):
-    offsets = tuple(offset) if isinstance(offset, (tuple, list)) else (offset,)
+    offsets = tuple(offset) if np.ndim(offset) else (offset,)
     if not offsets or not all(map(is_whole, offsets)):
         refuse("offset", "a whole number, or one per axis", repr(offset))
     return tuple(int(k) for k in offsets)
 
 
 def _boundaries(boundary, axes):
-    boundaries = tuple(boundary) if isinstance(boundary, (tuple, list)) else (boundary,) * axes
+    boundaries = tuple(boundary) if np.ndim(boundary) else (boundary,) * axes
     if len(boundaries) != axes:
         refuse("boundary", f"{axes} names, one per axis", repr(boundary))
     return tuple(one_of("boundary", b, BOUNDARIES) for b in boundaries)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import plain_zero
 from ..laws import Law, Linear, Scaled
 from ..strains import StrainMap
 from ..types import Displacements, Number, Numbers, Parameter, Waveform
@@ -141,7 +142,7 @@ class Grip(Bond):
     def energy(self, t, u):
         x = self.strain_map.strain(u)
         stored = self._stored(x, self._overlap(u))
-        if isinstance(self.law.preload, (int, float)) and not self.law.preload:
+        if plain_zero(self.law.preload):
             return stored
         _, linear = jax.jvp(self.strain_map.strain, (jax.tree.map(jnp.zeros_like, u),), (u,))
         return stored - self.law.preload * linear

@@ -6,6 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..checks import refuse
 from ..laws import Law
@@ -82,7 +83,7 @@ class Drive(Term):
         breaks: Parameter | Breaks | None = None,
     ):
         self.waveform = as_module(waveform)
-        self.site = tuple(site) if isinstance(site, (tuple, list)) else (site,)
+        self.site = tuple(site) if np.ndim(site) else (site,)
         self.field, self.breaks = field, checked_breaks(breaks)
 
     def force(self, t, u, v, mass):
