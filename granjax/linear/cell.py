@@ -344,10 +344,24 @@ def one_way(coupling: AnyArray, shells: tuple) -> bool:
     return bool(uneven > TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max())
 
 
+def by_lanes(result: Any, x: AnyArray) -> AnyArray:
+    """A field of a result with the lanes of a batch in front, as one axis; of a single lattice one lane."""
+    sites, components = result._space
+    x, mark, own = np.asarray(x), np.shape(result._mark), sites + (components > 0)
+    count = len(mark) - own
+    if mark[count:] != (1,) * own or x.shape[:count] != mark[:count]:
+        x = np.moveaxis(x, range(x.ndim - count, x.ndim), range(count))
+    return x.reshape(-1, *x.shape[count:])
+
+
+def in_lanes(result: Any) -> str:
+    """Words for how many lanes there are, none for one."""
+    lanes = np.size(result._mark)
+    return f" in each of {lanes} lanes" if lanes > 1 else ""
+
+
 def along_waves(result: Any, held: Held) -> Held:
     """The description of a field of bands, with as many axes for the wave as `k` has: none where it is one number."""
-    sites, components = result._space
-    lanes = np.ndim(result._mark) - sites - (components > 0)
-    count = result.omega.ndim - 1 - lanes
+    count = by_lanes(result, result.omega).ndim - 2
     wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
     return held._replace(axes=held.axes and held.axes.replace("wave", wave))

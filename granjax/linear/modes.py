@@ -12,6 +12,7 @@ from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from ..terms.tracing import reads
 from ..types import AnyArray, Displacements, Number, Numbers
+from .cell import by_lanes, in_lanes
 from .stiffness import at_rest, each, refuse_one_way, stiffness_product
 
 ROUNDING, AT_ONCE = 8, 512
@@ -43,10 +44,9 @@ class NormalModes(Result):
     @property
     def outcome(self) -> str:
         """How many modes, up to which frequency, and how many of them grow."""
-        omega, lanes = np.asarray(self.omega), np.size(self._mark)
-        each = f" in each of {lanes} lanes," if lanes > 1 else ""
+        omega, each = by_lanes(self, self.omega), in_lanes(self)
         return (
-            f"{omega.size // lanes} modes{each} up to {self._told('omega', omega.max())}, "
+            f"{omega.shape[1]} modes{each and each + ','} up to {self._told('omega', omega.max())}, "
             f"{np.count_nonzero(omega < 0) or 'none'} of them unstable."
         )
 
