@@ -372,7 +372,7 @@ class _Powers(NamedTuple):
                     )
                 part = (
                     jnp.asarray(factor)[..., None]
-                    * behind(self._known(k)[0], self._weights(k)[1], len(shape))
+                    * behind(self._known(k)[0], len(shape))
                     * transforms[b]
                 )
                 columns[p - b] = columns.get(p - b, 0) + part
