@@ -293,12 +293,6 @@ def _edges(problem):
     return edges
 
 
-def _stand_in(x):
-    """The value, or ones in its place where it is traced."""
-    x = jax.lax.stop_gradient(x)
-    return jnp.ones(x.shape, x.dtype) if traced(x) else x
-
-
 def _goes_around(problem, axis):
     """Whether the first sites of an axis act on the last ones more than on those half way between."""
     lattice = problem.lattice
@@ -309,7 +303,7 @@ def _goes_around(problem, axis):
     )
     numbers, flags = eqx.partition(problem, eqx.is_inexact_array)
     with jax.ensure_compile_time_eval():
-        plain = eqx.combine(jax.tree.map(_stand_in, numbers), flags)
+        plain = eqx.combine(jax.tree.map(tracing.stand_in, numbers), flags)
         answer = np.abs(_response(plain, jnp.asarray(push)))
     return size > 3 and bool(answer[last].max() > 2 * answer[middle].max())
 

@@ -59,9 +59,8 @@ class Term(Dimensional):
     r"""One contribution to the force on the sites.
 
     Write `force`, and `energy` where the term stores any; add one line to the tests' list of cases. All else is found
-    by automatic differentiation, and a term overrides what it knows better: what its force reads, its linearisation,
-    a bound on its stiffness, the displacements that it does not resist, its form in other units. Of a term's own
-    contacts the library learns by `compressions`.
+    by automatic differentiation, and a term overrides what it knows better: its linearisation, a bound on its
+    stiffness, the displacements that it does not resist. Of a term's own contacts the library learns by `compressions`.
 
     - `force(t, u, v, mass)` has the structure of `u`, or is a dict of those fields that the term acts on.
     - `energy(t, u)`: from equilibrium, an array over bonds, sites or whatever it sums over, lanes last.
