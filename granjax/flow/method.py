@@ -13,7 +13,6 @@ from ..lattice import Lattice, acceleration_only, split_system
 from ..programs import once
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
-from ..terms.tracing import reads
 from ..terms.waveforms import count_breaks
 from ..types import Number, Scalar, StateLike
 from .control import least_tolerance, refuse_unresolved, rounding_unit
@@ -89,7 +88,6 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
     if isinstance(solver, AbstractSplitting):
         if not splits:
             split_system(lattice)  # refuses, naming the term
-            _refuse_unsaid(lattice)
         if tolerance is not None:
             refuse(
                 "tolerance",
@@ -99,7 +97,6 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
             )
     if velocity and isinstance(solver, AbstractNystrom):
         acceleration_only(lattice)  # refuses, naming the term
-        _refuse_unsaid(lattice)
     if tolerance is not None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
         wanted = "one with an error estimate for a tolerance"
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
@@ -110,17 +107,6 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
             else None
         )
     return tolerance
-
-
-def _refuse_unsaid(lattice):
-    """Where a force reads the velocity and its kind says that it does not."""
-    names = [type(term).__name__ for term in lattice.terms if reads(term, lattice).velocity]
-    refuse(
-        "solver",
-        "forces that do not read the velocity",
-        f"{', '.join(names)}, whose `dependence` does not say so",
-        "Use solver=diffrax.Dopri8() with tolerance=....",
-    )
 
 
 def number(x: Any, dtype: Any) -> Any:
