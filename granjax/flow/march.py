@@ -44,8 +44,6 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
     wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
     """
-    if traced((t0, t1, plan.step)):
-        return integrate(lattice, state, t0, t1, plan)
     about = facts(lattice)
     if plan.tolerance is not None and about.lanes:
         return (_lane_by_lane if _is_untraced() else integrate)(lattice, state, t0, t1, plan)
