@@ -91,7 +91,7 @@ def _steps(count, dtype):
 
 def _is_untraced():
     """Whether nothing at all is traced here, whatever the arguments are."""
-    return not traced(-_kept_number(1.0, np.dtype(float)))
+    return not traced(jax.device_put(0.0))
 
 
 def _number(x):
@@ -102,8 +102,8 @@ def _number(x):
 @lru_cache(maxsize=256)
 def _kept_number(x, dtype):
     with jax.ensure_compile_time_eval():
-        # of NumPy's array, since a conversion is another program
-        return jnp.asarray(np.asarray(x, dtype))
+        # `jnp.asarray` would compile a program
+        return jax.device_put(np.asarray(x, dtype))
 
 
 def seconds_a_step(
