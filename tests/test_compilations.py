@@ -143,7 +143,7 @@ def forced_orbit(seed):
 
 
 def attractors(seed):
-    gx.driven.sweep(Shaken(chain(seed)), [0.8, 0.82], over_period, periods=400)
+    gx.driven.response(Shaken(chain(seed)), [0.8, 0.82], over_period, periods=400)
 
 
 def wall_force(ratio, site):

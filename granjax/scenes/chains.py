@@ -53,9 +53,9 @@ def chain(
     >>> print(band.lower.round(6), band.upper.round(6))  # the roots of 9 and 9 + 4 * 4
     [3.] [5.]
     """
-    terms = [Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), law)]
+    terms = [Bond(Shift(1, boundary), fitting(law, contacts_of(sites, boundary), "contact"))]
     if on_site is not None:
-        terms.append(OnSite(on_site))
+        terms.append(OnSite(fitting(on_site, sites, "site")))
     if damping is not None:
         terms.append(Damping(damping))
     return Lattice(mass, terms, sites=a_chain(sites), units=units)
@@ -72,11 +72,13 @@ def contacts_of(sites: Count, boundary: str) -> int:
     return a_chain(sites) + more[one_of("boundary", boundary, more)]
 
 
-def check_each(count: int, what: str, **parameters: Parameter | None) -> None:
-    """Refuse what is neither one number nor one for each of `count` contacts or sites."""
-    for name, x in parameters.items():
-        if np.shape(x)[:1] not in ((), (1,), (count,)):
-            refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")
+def fitting(law: Law, count: int, what: str) -> Law:
+    """The law, whose parameters are numbers, or one for each of `count` contacts or sites."""
+    for name, x in vars(law).items():
+        if hasattr(x, "shape") and x.shape[:1] not in ((), (1,), (count,)):
+            name = f"{type(law).__name__}.{name}"
+            refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {x.shape}")
+    return law
 
 
 def number(argument: str, x: Scalar) -> Scalar:
@@ -141,15 +143,7 @@ def monomer(
     >>> round(float(gx.linear.normal_modes(chain).omega[-1]), 6)  # 6^{1/2} sin(20 pi/42)
     2.44264
     """
-    law = contact(stiffness, exponent, precompression)
-    check_each(
-        contacts_of(sites, boundary),
-        "contact",
-        stiffness=stiffness,
-        exponent=exponent,
-        precompression=precompression,
-    )
-    return chain(sites, mass, law, boundary=boundary)
+    return chain(sites, mass, contact(stiffness, exponent, precompression), boundary=boundary)
 
 
 def pattern(
@@ -346,10 +340,6 @@ def fput(
     if alpha is None:
         alpha = 0.25 if beta is None else 0.0
     beta = 0.0 if beta is None else beta
-    parameter("alpha", alpha)
-    parameter("beta", beta)
-    springs = contacts_of(sites, boundary)
-    check_each(springs, "contact", stiffness=stiffness, alpha=alpha, beta=beta)
     return chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary=boundary)
 
 
@@ -376,5 +366,4 @@ def toda(
     >>> float(gx.linear.sound_speed(chain))
     1.0
     """
-    check_each(contacts_of(sites, boundary), "contact", strength=strength, rate=rate)
     return chain(sites, mass, Toda(strength, rate), boundary=boundary)
