@@ -1,14 +1,13 @@
 """Periodic waves: Newton's method on the Fourier form in a box of one wavelength."""
 
-import copy
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..laws import Law
-from .fourier import Box, Chain, Solved, faster, fourier, newton, newton_with
+from ..laws import Law, Strained
+from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
 from .shape import Shape
 
@@ -81,36 +80,26 @@ class _Family(NamedTuple):
     law: Law
     mean: float
     wavelength: float
+    stiffness: float
     small: float
 
     def box(self, points: int) -> Box:
         """With so many points from a crest to the next trough, of waves whose level is 1."""
-        rest = values(self.law, np.array([self.mean]))[0]
-
-        def force(e):
-            return values(self.law, self.mean + e)[0] - rest
-
-        def slope(e):
-            return values(self.law, self.mean + e)[1]
-
-        chain = Chain(np.ones(1), force, slope, slope(np.zeros(1)), None, 0)
+        laws, one = (Strained(self.law, jnp.asarray(self.mean)),), np.ones(1)
+        chain = Chain(laws, one, one, 1.0, np.array([self.stiffness]), None, 0)
         return Box(chain, self.wavelength / 2, 2 * points, at_rest=False)
 
     def solved(
         self, box: Box, phi: np.ndarray, level: float, amplitude: float | None
     ) -> tuple[Solved, float]:
         """The wave near a guess, and its level: that one, or what goes with half of crest less trough."""
-
-        def at(level):
-            own = copy.copy(box)
-            own.chain = faster(box.chain, np.sqrt(level))
-            return own
-
         if amplitude is None:
-            return newton(at(level), phi, 1e-15, STEPS), level
+            return newton(box.of_level(level), phi, 1e-15, STEPS), level
         crest = np.zeros(box.points)
         crest[[0, box.points // 2]] = -0.5, 0.5
-        found = newton_with(at, lambda _: crest, phi, level, level / 2, amplitude, 1e-15, STEPS)
+        found = newton_with(
+            box.of_level, lambda _: crest, phi, level, level / 2, amplitude, 1e-15, STEPS
+        )
         return found, found.parameter
 
     def grown(self, box: Box, amplitude: float, before: tuple | None) -> tuple | None:
@@ -142,7 +131,7 @@ def train(
             f"{mean:g}, where its stiffness is {stiffness:g}",
             "Without a precompression the mean strain has to close the contacts.",
         )
-    waves = _Family(law, mean, wavelength, stiffness * np.sinc(1 / wavelength) ** 2)
+    waves = _Family(law, mean, wavelength, stiffness, stiffness * np.sinc(1 / wavelength) ** 2)
     box = waves.box(POINTS[0])
     first = FIRST * _scale(law, mean, stiffness)
     if speed is None:
