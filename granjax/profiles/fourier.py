@@ -110,23 +110,18 @@ class Box:
     def _maps(self):
         """Matrices of the strains' and the forces' parts of the residual, rows of the unknowns."""
         P, N = self.shape
-        square = np.where(self.k == 0, 1, self.k**2)
         # the highest wave number of an even grid is its own negative
-        B = self.chain.response(self.k) / square
+        B = self.chain.response(self.k) / np.where(self.k == 0, 1, self.k**2)
         B[:, :, N // 2] = B[:, :, N // 2].real
+        # the mean strains differ by nothing that the forces make
+        means = 1 / P - np.eye(P)
+        B[:, :, 0] = self.at_rest / self.chain.total / P + means
         bond, at = np.divmod(self.first, N)
-        force = np.empty((len(self.first), P, N))
-        strain = np.zeros_like(force)
         lag = (at[:, None] - np.arange(N)) % N
-        for i in range(P):
-            rows = np.flatnonzero(bond == i)
-            for j in range(P):
-                B[i, j, 0] = (self.at_rest / self.chain.total + 1) / P - (i == j)
-                force[rows, j] = np.fft.ifft(B[i, j]).real[lag[rows]]
-                strain[rows, j] = (1 / P - (i == j)) / N
-            strain[rows, i, at[rows]] += 1
-        flat = len(self.first), P * N
-        return self.gathered(strain.reshape(flat)), force.reshape(flat)
+        turned = np.fft.ifft(B).real
+        force = np.concatenate([turned[bond[:, None], j, lag] for j in range(P)], 1)
+        strain = np.eye(P * N)[self.first] + np.repeat(means[bond] / N, N, 1)
+        return self.gathered(strain), force
 
     def gathered(self, rows):
         """Rows that act on the strains (..., P N) as rows that act on the unknowns."""

@@ -1,5 +1,6 @@
 """Periodic waves: Newton's method on the Fourier form in a box of one wavelength."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -110,6 +111,18 @@ class _Family(NamedTuple):
         found, level = self.solved(box, phi, level, amplitude)
         return (found.phi, level, amplitude) if found.residual < FOLLOWED else None
 
+    def growing(self, box: Box, first: float, most: float) -> Iterator[tuple]:
+        """Waves of growing amplitudes up to the most, as far as they are found."""
+        wave, now = None, first
+        for _ in range(MOST):
+            wave = self.grown(box, min(now, most), wave)
+            if wave is None:
+                return
+            yield wave
+            if wave[2] == most:
+                return
+            now *= GROWTH
+
 
 def train(
     law: Law,
@@ -180,16 +193,10 @@ def _scale(law, mean, stiffness):
 
 
 def _to_amplitude(waves, box, first, amplitude):
-    now, wave = min(amplitude, first), None
-    for _ in range(MOST):
-        new = waves.grown(box, now, wave)
-        if new is None:
-            break
-        wave = new
-        if now == amplitude:
-            return wave[:2]
-        now = min(amplitude, now * GROWTH)
-    reached = 0.0 if wave is None else wave[2]
+    reached = 0.0
+    for *wave, reached in waves.growing(box, first, amplitude):
+        if reached == amplitude:
+            return wave
     refuse(
         "amplitude",
         f"one that the family reaches, up to about {reached:.3g}",
@@ -198,22 +205,18 @@ def _to_amplitude(waves, box, first, amplitude):
     )
 
 
-def _to_speed(waves, box, now, mass, speed):
-    level, wanted, wave = waves.small, mass * speed**2, None
-    for _ in range(MOST):
-        new = waves.grown(box, now, wave)
-        if new is None:
-            break
-        if (new[1] - wanted) * (level - wanted) <= 0:
+def _to_speed(waves, box, first, mass, speed):
+    wanted, wave, small = mass * speed**2, None, waves.small
+    for new in waves.growing(box, first, np.inf):
+        if (new[1] - wanted) * (small - wanted) <= 0:
             return _between(waves, box, wave, new, wanted)
         if wave is not None and abs(new[1] - wanted) > abs(wave[1] - wanted):
             break
-        wave, now = new, now * GROWTH
-    small, last = np.sqrt(level / mass), np.sqrt((wave or (0, level))[1] / mass)
+        wave = new
+    way = "below" if wave is not None and wave[1] < small else "above"
     refuse(
         "speed",
-        f"one {'above' if last >= small else 'below'} that of small waves of this length, {small:.6g}, "
-        "as far as their family goes",
+        f"one {way} that of small waves of this length, {np.sqrt(small / mass):.6g}, as far as their family goes",
         f"{speed:g}",
         "Amplitudes say which it has: amplitude=...",
     )
