@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.optimize import root_scalar
 
 from ..checks import refuse, traced
 from ..printing import told
@@ -23,6 +24,8 @@ PLACES, ENOUGH, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
 TAIL = 1e-12
 # ln of the strain over its peak where places end: of an exponential tail, and of one that falls faster
 DEEP, DEEPEST = -42.0, -560.0
+# secants for a peak by its energy, and how near its logarithm is to come
+SECANTS, NEAR = 8, 1e-3
 # slope of ln F per contact times the length of a piece, at first
 STEEP = 2.0
 # units of rounding that an equation is known to
@@ -173,15 +176,28 @@ def _refuse_fast(medium, found, mass, c):
 
 
 def _by_energy(medium, found, E):
-    """By the energy of a wave of some peak that falls as its tail does, about."""
+    """The wave of a peak whose first shape has about that energy."""
     usable = np.isfinite(found.secant) & (found.secant > found.linear * (1 + 1e-9))
     strains, secant = found.strains[usable], found.secant[usable]
     rate = [decay_rate(s / found.linear) if found.linear else 3.0 for s in secant]
     with np.errstate(over="ignore"):
         crude = 2 * secant * strains**2 * (0.5 + 1 / np.array(rate))
-    a = found.side * np.exp(np.interp(np.log(E), np.log(crude), np.log(np.abs(strains))))
-    level = float(twice_energy(medium.law, np.array([a]))[0])
-    return _Problem(medium, float(a), level, found.linear / level, "energy", E)
+
+    def of_peak(log):
+        a = found.side * np.exp(log)
+        level = float(twice_energy(medium.law, np.array([a]))[0])
+        return _Problem(medium, a, level, found.linear / level, "energy", E)
+
+    def over(log):
+        problem = of_peak(log)
+        x, psi, *_ = _shape(problem)
+        F, _, W = values(medium.law, problem.unit * psi)
+        return np.log((problem.unit * psi * F / 2 + W).sum() * (x[1] - x[0]) / E)
+
+    start = np.interp(np.log(E), np.log(crude), np.log(np.abs(strains)))
+    with np.errstate(all="ignore"):
+        near = root_scalar(over, x0=start, xtol=NEAR, method="secant", maxiter=SECANTS).root
+    return of_peak(near if np.isfinite(over(near)) else start)
 
 
 def _bell(problem, rate):
