@@ -240,8 +240,7 @@ def _adaptive(tolerance, longest):
 def _zone(lattice, plan, step, unknown):
     """From which margin on a contact is known to have stayed closed between the ends of steps."""
     if plan.tolerance is None and step is not None and not unknown:
-        omega = linear_bound(lattice)
-        if omega is not None and plan.step * omega > COARSE:
+        if plan.step * linear_bound(lattice) > COARSE:
             return math.inf
     if plan.tolerance is not None or step is not None:
         return FAR
