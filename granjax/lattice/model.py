@@ -423,7 +423,7 @@ def _one(axes, mark):
     No program reads it, so that one serves lattices in SI and in scaled numbers.
     """
     with jax.ensure_compile_time_eval():
-        return jnp.asarray(np.full((1,) * axes, mark))
+        return jax.device_put(np.full((1,) * axes, mark))
 
 
 def _has_sites(lattice, own):

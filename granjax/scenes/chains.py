@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -94,7 +95,7 @@ def stacked(argument: str, values: Parameter) -> Any:
         return parameter(argument, values)
     found = [number(f"{argument}[{i}]", x) for i, x in enumerate(values)]
     # by NumPy where it can be, as for JAX each operation is a program to compile
-    return jnp.stack(found) if traced(found) else jnp.asarray(np.stack(found))
+    return jnp.stack(found) if traced(found) else jax.device_put(np.stack(found))
 
 
 def contact(stiffness: Parameter, exponent: Parameter, precompression: Parameter) -> Law:
@@ -162,7 +163,7 @@ def pattern(
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
     repeated = (jnp if traced(cell) else np).tile(cell, -(-sites // len(cell)))
-    mass = jnp.asarray(repeated[:sites])
+    mass = jax.device_put(repeated[:sites])
     return monomer(sites, mass, boundary=boundary, **contacts)
 
 
