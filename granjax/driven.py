@@ -4,17 +4,17 @@ from .orbits import Bifurcation
 from .orbits.attractors import Attractor, settle
 from .orbits.driven_chain import driven_chain
 from .orbits.lyapunov import Lyapunov, lyapunov
-from .orbits.sweep import Jump, Sweep, Way, sweep
+from .orbits.response import Jump, ResponseCurve, Way, response
 
 __all__ = [
     "Attractor",
     "Bifurcation",
     "Jump",
     "Lyapunov",
-    "Sweep",
+    "ResponseCurve",
     "Way",
     "driven_chain",
     "lyapunov",
     "settle",
-    "sweep",
+    "response",
 ]

@@ -3,9 +3,8 @@
 import dataclasses
 import sys
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, get_args, get_origin
 
 import equinox as eqx
 import jax
@@ -17,10 +16,35 @@ from .printing import text
 from .types import Values
 from .units import SCALED, SI, Units
 from .units.names import counted_in, known_unit, mark_of, named_unit
-from .variables import Held, Table, layout_of
 
 if TYPE_CHECKING:
     import xarray  # half a second
+
+COMPONENTS = ["x", "y", "z"]
+FIELD, COMPONENT, LANE = "field", "component", "lane"
+
+
+class Held(NamedTuple):
+    """What a field of a result is: its axes, words with a space between; its unit; its name in a file; its description.
+
+    `axes=None` makes an attribute of it instead of a variable, and leaves out a result within. A variable of the one
+    axis that has its name is a coordinate. `site` stands for all axes of a lattice: `site`, `site_1` on a grid,
+    `component` of vectors, and `field` before them where a cell holds several. Axes beyond those named are lanes, or
+    called `NAME_k`. Axes that are not named stand where the dots do ("site ... mode"), or at the end. What is `hidden`
+    is neither printed nor in a file. `named`: how the entries of a dict are called that are fields of their own.
+    """
+
+    axes: str | None = ""
+    unit: str | dict[str, str] = ""
+    name: str = ""
+    doc: str = ""
+    hidden: bool = False
+    named: str = ""
+
+    def unit_of(self, entry: str) -> str:
+        """The unit of an entry of a dict or of a named tuple, by its name."""
+        return self.unit.get(entry, "") if isinstance(self.unit, dict) else self.unit
+
 
 # the units of a `State`
 MOTION = {"u": "m", "v": "m/s"}
@@ -187,7 +211,7 @@ class Result(eqx.Module):
         """The unit in which a field is counted; nothing where it is scaled."""
         if isinstance(held.unit, dict):
             return ""
-        unit = as_it_is(self.units, None, held.unit)[1].get("units", "")
+        unit = _said(self.units, held.unit).get("units", "")
         return "" if unit == SCALED else unit
 
     def _held(self, name: str) -> Held:
@@ -228,10 +252,10 @@ class Result(eqx.Module):
         `si_units` what a `gx.Units` leads back to.
         **Raises** ValueError where the result is traced, or `lanes` do not fit the batch.
         """
-        return _by_numpy(self)._dataset(lanes, as_it_is)
+        return _by_numpy(self)._dataset(lanes, self.units)
 
-    def _dataset(self, lanes, converted, counted=None, mark=None, outer=None):
-        """The dataset of numbers `converted`. Of a result around it: what it is counted in, its mark, how it lies."""
+    def _dataset(self, lanes, counted, outer=(None, None)):
+        """The dataset of numbers `counted` in SI or scaled. Of a result around it: its mark, how its arrays lie."""
         if traced(self):
             refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
         fields = list(self._fields())
@@ -240,11 +264,11 @@ class Result(eqx.Module):
             for _, x, held in fields
             if held.axes is not None and isinstance(x, np.ndarray)
         ]
-        own, space = self._origin
-        mark, counted = mark if own is None else own, self.units or counted
-        layout = layout_of(arrays, mark, space or (outer and outer.space), lanes)
-        alike = outer is None or layout.lanes == outer.lanes
-        table = Table(layout, lanes if alike else None, partial(converted, counted))
+        mark, space = self._origin
+        mark = outer[0] if mark is None else mark
+        layout = _layout(arrays, mark, space or (outer[1] and outer[1].space), lanes)
+        alike = outer[1] is None or layout.lanes == outer[1].lanes
+        table = _Table(layout, lanes if alike else None, counted)
         types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
         for field, x, held in fields:
             name, records = held.name or field, _records(types.get(field), x)
@@ -261,7 +285,7 @@ class Result(eqx.Module):
         versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__}
         data = table.finished(origin | versions)
         for name, x in within.items():
-            data = _joined(data, name, x._dataset(lanes, converted, counted, mark, layout))
+            data = _joined(data, name, x._dataset(lanes, x.units or counted, (mark, layout)))
         return data
 
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
@@ -293,33 +317,48 @@ class Result(eqx.Module):
         if not scaled and (SCALED in kinds or sizes and words):
             expected = "units of numbers in SI: words, or a Units, which makes scaled ones of them"
             refuse("units", expected, asked)
-        seen = {}
+        told, seen = _by_numpy(self), {}
+        if units and self.units is None:
+            mark = np.full(np.shape(self._mark), mark_of(counted))
+            told = eqx.tree_at(lambda x: x._mark, told, mark, is_leaf=lambda x: x is None)
+        data = told._dataset(lanes, told.units)
+        if not units:
+            return data
 
-        def converted(counted, x, unit):
-            """Numbers, and attributes that say their unit, in the units that are asked for."""
-            known, scaled = known_unit(unit), counted == SCALED
+        def converted(x, units, si_units=None):
+            """Numbers in the units that are asked for, and attributes that say these."""
+            unit, scaled = si_units or units, units == SCALED
+            known = known_unit(unit)
             if known is None or not any(known.dimension):
-                stays = unit or (counted if sizes and x.dtype.kind in "fc" else "")
-                return x, {"units": stays} if stays else {}
+                return x, {"units": unit}
             seen[known.dimension] = unit
             if scaled and not sizes:
-                return as_it_is(counted, x, unit)
+                return x, {"units": units, "si_units": unit}
             size = float(sizes[0].of(*map(float, known.dimension[:3]))) if sizes else 1.0
             if sizes and not scaled:
                 return x / size, {"units": SCALED, "si_units": unit}
             word = next((word for word in words if word.dimension == known.dimension), known)
             return x * (size * known.size / word.size), {"units": word.name}
 
-        told = _by_numpy(self)
-        if units and self.units is None:
-            mark = np.full(np.shape(self._mark), mark_of(counted))
-            told = eqx.tree_at(lambda x: x._mark, told, mark, is_leaf=lambda x: x is None)
-        data = told._dataset(lanes, converted if units else as_it_is)
+        for name, x in {**data.variables}.items():
+            told = {key: x.attrs[key] for key in ("units", "si_units") if key in x.attrs}
+            if told:
+                values, told = converted(x.values, **told)
+                said = {"long_name": x.attrs["long_name"]} if "long_name" in x.attrs else {}
+                data[name] = (x.dims, values, told | said)
+            elif sizes and x.dtype.kind in "fc" and name not in (lanes or ()):
+                data[name].attrs["units"] = counted
+        for name in [x.removesuffix("_units") for x in data.attrs if x.endswith("_units")]:
+            if name.endswith("_si"):
+                continue
+            told = {key: data.attrs.pop(f"{name}_{key}", None) for key in ("units", "si_units")}
+            for key in {name, f"{name}_real", f"{name}_imag"} & {*data.attrs}:
+                x, said = converted(np.asarray(data.attrs[key]), **told)
+                data.attrs |= {key: x.tolist()} | {f"{name}_{k}": word for k, word in said.items()}
         left = [word.name for word in words if word.dimension not in seen]
         if left:
-            refuse(
-                "units", f"units of {', '.join(sorted(seen.values()))}", ", ".join(map(repr, left))
-            )
+            expected = f"units of {', '.join(sorted(seen.values()))}"
+            refuse("units", expected, ", ".join(map(repr, left)))
         if sizes or words:
             data.attrs["units"] = SCALED if sizes and not scaled else SI
         return data
@@ -352,12 +391,12 @@ def _by_numpy(result):
     return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, result)
 
 
-def as_it_is(counted: str | None, x: Any, unit: str) -> tuple[Any, dict[str, str]]:
-    """Numbers, and attributes that say their unit in SI where they are counted in that."""
+def _said(counted, unit):
+    """Attributes that say the unit of numbers counted in SI or scaled; none where nobody knows."""
     known = known_unit(unit)
     if known is None or not any(known.dimension) or counted == SI:
-        return x, {"units": unit} if unit else {}
-    return x, {"units": SCALED, "si_units": unit} if counted == SCALED else {}
+        return {"units": unit} if unit else {}
+    return {"units": SCALED, "si_units": unit} if counted == SCALED else {}
 
 
 def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:
@@ -394,3 +433,203 @@ def _joined(data: "xarray.Dataset", name: str, inner: "xarray.Dataset") -> "xarr
         if key not in ("granjax", "jax", "units")
     }
     return data.merge(inner, combine_attrs="override").assign_attrs(told)
+
+
+class _Layout(NamedTuple):
+    """How the arrays of a result lie.
+
+    `space`: how many axes count sites, and components of a vector at each; `None` where nobody knows. `lanes`: the
+    shape of a batch, of whose axes `first` lead all others (as `jax.vmap` has them) and the others come last.
+    """
+
+    space: tuple[int, int] | None
+    lanes: tuple[int, ...] = ()
+    first: int = 0
+
+    def words(self, axes: str) -> tuple[list[str], bool]:
+        """The names of an array's own axes, without lanes, and whether these are all that there are."""
+        named, every = [], True
+        for word in axes.split():
+            named.append(word)
+            if word == "...":
+                every = any(map(_is_site, named))
+            elif _is_site(word) and self.space is not None:
+                sites, components = self.space
+                named += [f"{word}_{k}" for k in range(1, sites)] + [COMPONENT] * (components > 0)
+        return named, every and (self.space is not None or not any(map(_is_site, named)))
+
+    def beyond(self, shape: tuple[int, ...], axes: str) -> int | None:
+        """How many axes an array has beside its own ones; `None` where that is not known."""
+        words, every = self.words(axes)
+        return len(shape) - len(words) + words.count("...") if every else None
+
+    def around(self, shape: tuple[int, ...], axes: str) -> bool:
+        """Whether the lanes stand around an array's own axes."""
+        behind = len(shape) - len(self.lanes) + self.first
+        if not self.lanes or behind < self.first or self.beyond(shape, axes) == 0:
+            return False
+        return shape[: self.first] + shape[behind:] == self.lanes
+
+    def named(self, shape: tuple[int, ...], axes: str, name: str, lanes: list[str]) -> list[str]:
+        """A name for every axis of an array; those that are not told are `NAME_k`, behind sites `site_k`."""
+        around = self.around(shape, axes)
+        count = len(shape) - len(lanes) * around
+        words, _ = self.words(axes)
+        place = words.index("...") if "..." in words else len(words)
+        last = words[place + 1 :]
+        first = words[: min(place, max(count - len(last), 0))]
+        site = first[-1] if first and _is_site(first[-1]) else None
+        between = [
+            f"{site}_{k - len(first) + 1}" if site else f"{name}_{k}"
+            for k in range(len(first), count - len(last))
+        ]
+        own = first + between + last[len(last) - min(len(last), count) :]
+        return [*lanes[: self.first], *own, *lanes[self.first :]] if around else own
+
+
+def _is_site(word):
+    return word.partition("_")[0] == "site"
+
+
+def _layout(arrays, mark, space, lanes):
+    """How arrays of such shapes and axes lie.
+
+    Lanes are what the mark of their lattice has beside one entry for all sites; without a mark what every array has
+    beyond its own axes, or where no number of axes is known what `lanes` names.
+    """
+    plain, mark = _Layout(space), np.shape(mark)
+    beyond = [(shape, plain.beyond(shape, axes)) for shape, axes in arrays]
+    own = space and space[0] + (space[1] > 0)
+    if space is not None and len(mark) >= own:
+        count = len(mark) - own
+        ways = [k for k in range(count + 1) if set(mark[k : k + own]) <= {1}]
+        beyond.append((mark, count))
+    else:
+        counts = {n for _, n in beyond if n is not None}
+        if lanes and not counts:
+            return _Layout(space, tuple(map(np.size, lanes.values())))
+        count = max(*counts, 0) if len(counts) == 1 else 0
+        ways = [0, count]
+    found = []
+    for first in ways:
+        ends = {x[:first] + x[len(x) - count + first :] for x, n in beyond if n == count}
+        found += [_Layout(space, one, first) for one in ends if len(ends) == 1]
+    return found[0] if found else plain
+
+
+def _lanes_named(lanes, shape):
+    """Names of the lanes' axes, and {name: (axes, values)} of the parameters that were swept.
+
+    One parameter for each axis gives it its name; others, one value for each lane, stand along it.
+    """
+    plain = [f"{LANE}_{k}" if k else LANE for k in range(len(shape))]
+    if lanes is None:
+        return plain, {}
+    if not shape:
+        refuse("lanes", "a result of a batch", "one of a single scene", "Leave lanes= out.")
+    values = {str(name): np.asarray(x) for name, x in lanes.items()}
+    # columns of a table
+    values = {name: x.astype(str) if x.dtype == object else x for name, x in values.items()}
+    sizes = [x.shape for x in values.values()]
+    if sizes == [(n,) for n in shape]:
+        return [*values], {name: ((name,), x) for name, x in values.items()}
+    if values and {*sizes} == {shape}:
+        return plain, {name: (plain, x) for name, x in values.items()}
+    axes = " x ".join(map(str, shape))
+    got = ", ".join(f"{name} of shape {size}" for name, size in zip(values, sizes)) or "none"
+    remedy = "One value for each lane: lanes={'ratio': ratios}."
+    refuse("lanes", f"names and values of {axes} lanes", got, remedy)
+
+
+class _Table:
+    """A dataset in the making, which is filled field by field. `cell`: fields along one axis."""
+
+    def __init__(self, layout, lanes, counted):
+        self.layout, self.counted = layout, counted
+        self.lanes, self.swept = _lanes_named(lanes, layout.lanes)
+        self.sizes, self.own = dict(zip(self.lanes, layout.lanes)), set()
+        self.variables, self.attributes, self.cell = {}, {}, []
+
+    def add(self, name, value, held):
+        """What a field of a result holds: an array, or a dict or named tuple of such."""
+        over_sites = "site" in (held.axes or "").split()
+        if hasattr(value, "_asdict"):
+            for key, x in value._asdict().items():
+                self.add(f"{name}_{key}", x, held._replace(unit=held.unit_of(key)))
+        elif isinstance(value, dict) and over_sites and self._alike(value):
+            self.cell, arrays = [*value], [np.asarray(x) for x in value.values()]
+            axes = self._axes(name, arrays[0].shape, held)
+            place = axes.index("site")
+            axes.insert(place, FIELD)
+            self._put(name, np.stack(arrays, place), axes, held)
+        elif isinstance(value, dict):
+            for key, x in value.items():
+                axes = held.axes.replace("site", f"site_{key}", 1) if over_sites else held.axes
+                self.add(f"{name}_{key}", x, held._replace(axes=axes))
+        else:
+            name, x = name.replace("/", "_") or "_", _numbers(value)
+            if x is not None:
+                self._put(name, x, self._axes(name, x.shape, held), held)
+
+    def _alike(self, cell):
+        """Whether the fields of a cell lie along one axis: all have one shape, and are those of others."""
+        return len({np.shape(x) for x in cell.values()}) == 1 and self.cell in ([], [*cell])
+
+    def _axes(self, name, shape, held):
+        axes = self.layout.named(shape, held.axes or "", name, self.lanes)
+        self.own |= {*axes} - {*self.lanes}
+        return axes
+
+    def _put(self, name, x, axes, held):
+        """An array as a variable, or where it has neither axes nor lanes as an attribute."""
+        told, parts = _said(self.counted, held.unit), {name: x}
+        if x.dtype.kind == "c":
+            parts = {f"{name}_real": x.real, f"{name}_imag": x.imag}
+        if not x.ndim or held.axes is None and x.shape != self.layout.lanes:
+            for key, y in parts.items():
+                y = y.astype(int) if y.dtype == bool else y
+                # a list of one is one in netCDF
+                self.attributes[key] = y.item() if y.size == 1 else y.tolist()
+            self.attributes |= {f"{name}_{key}": word for key, word in told.items()}
+            return
+        axes = [
+            axis if self.sizes.setdefault(axis, n) == n else f"{name}_{axis}"
+            for axis, n in zip(axes, x.shape)
+        ]
+        self.sizes |= dict(zip(axes, x.shape))
+        told |= {"long_name": held.doc} if held.doc else {}
+        self.variables |= {key: (axes, y, told) for key, y in parts.items()}
+
+    def finished(self, attributes):
+        """The dataset, lanes last, with its coordinates and further attributes."""
+        import xarray
+
+        taken = {*self.swept} & {*self.variables, *self.attributes, *self.own, FIELD, COMPONENT}
+        if taken:
+            rest = repr(min(taken)), "Call it otherwise."
+            refuse("lanes", "names that nothing else in the result has", *rest)
+        labels = {FIELD: self.cell, COMPONENT: COMPONENTS}
+        coordinates = {
+            axis: (axis, labels.get(axis, np.arange(n))[:n])
+            for axis, n in self.sizes.items()
+            if _is_site(axis) or axis in labels
+        }
+        variables = {}
+        for key, told in self.variables.items():
+            x = xarray.Variable(*told).transpose(..., *self.lanes, missing_dims="ignore")
+            if key in self.sizes and x.dims != (key,):
+                # times of each lane: one clock where all lanes have the same, else beside the axis of that name
+                one = x.isel(dict.fromkeys(self.lanes, 0), missing_dims="ignore") if x.size else x
+                key, x = (key, one) if one.dims == (key,) and (x == one).all() else (f"{key}s", x)
+            variables[key] = x
+        coordinates = {key: x for key, x in coordinates.items() if key not in variables}
+        return xarray.Dataset(variables, coordinates | self.swept, self.attributes | attributes)
+
+
+def _numbers(value):
+    """Numbers or words as an array, `None` of what is neither."""
+    try:
+        x = np.asarray(value)
+    except ValueError:
+        return None
+    return x if x.dtype.kind in "biufcU" else None

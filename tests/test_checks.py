@@ -214,7 +214,7 @@ BAD = (
     *(
         (
             f"{name} of a sweep",
-            lambda name=name: gx.driven.sweep(driven, [0.8, 0.9], 6.0, **{name: 0.0}),
+            lambda name=name: gx.driven.response(driven, [0.8, 0.9], 6.0, **{name: 0.0}),
             name,
         )
         for name in ("accuracy", "tolerance", "jump")

@@ -288,7 +288,7 @@ def test_a_period_that_is_not_the_drive_s_is_refused():
         with refused("period: expected one after which the forces repeat"):
             gx.forced.forced_orbit(lattice, wrong, far)
     with refused("period: expected one after which"):
-        driven.sweep(lambda a: driven.driven_chain(chain, a, 1e4), [1e-8, 2e-8], 1e-4)
+        driven.response(lambda a: driven.driven_chain(chain, a, 1e4), [1e-8, 2e-8], 1e-4)
     wave = gx.Modulated(
         gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)), gx.Harmonic(0.2, 2.0, mean=1.0)
     )
@@ -326,7 +326,7 @@ def folds(force, damping, K4):
 @pytest.mark.slow
 def test_jumps_and_hysteresis_of_a_duffing_oscillator():
     values = np.linspace(0.98, 1.06, 17)
-    found = driven.sweep(
+    found = driven.response(
         lambda w: duffing(0.01, w, K4=0.4), values, lambda w: 2 * jnp.pi / w, accuracy=1e-4
     )
     (up,), (down,) = found.up.jumps, found.down.jumps
@@ -348,7 +348,7 @@ def test_jumps_and_hysteresis_of_a_duffing_oscillator():
 @pytest.mark.study
 def test_a_period_doubling_is_located_from_either_side():
     make = lambda force: duffing(force, **DOUBLE_WELL)
-    found = driven.sweep(
+    found = driven.response(
         make, [0.24, 0.27, 0.282], lambda force: 2 * jnp.pi / 1.2, state=WELL, steps=48
     )
     (up,), (down,) = found.up.bifurcations, found.down.bifurcations
@@ -365,7 +365,7 @@ def test_a_period_doubling_is_located_from_either_side():
     assert data.up_jumps_value.shape == (
         0,
     ) and data.up_response.dims == data.down_response.dims == ("value",)
-    alone = driven.Sweep(found.values, found.up, None, [])
+    alone = driven.ResponseCurve(found.values, found.up, None, [])
     assert "down" not in repr(alone).lower() and "down_response" not in alone.to_xarray()
 
 
@@ -373,7 +373,7 @@ def test_a_period_doubling_is_located_from_either_side():
 @pytest.mark.parametrize("values, damping", [([0.95, 1.01], 0.01), ([0.9, 0.97, 0.998], 0.004)])
 def test_neither_a_steep_flank_nor_slow_settling_is_a_jump(values, damping):
     # an oscillator without nonlinearity has one attractor, which moves steadily; the budget is too small for the second
-    found = driven.sweep(
+    found = driven.response(
         lambda w: duffing(0.01, w, damping=damping),
         values,
         lambda w: 2 * jnp.pi / w,

@@ -46,7 +46,7 @@ def script():
         return 1 / frequency
 
     branch = gx.forced.forced_branch(shaken, 4480.0, 3950.0, period=period)
-    sweep = gx.driven.sweep(shaken, [3990.0, 4030.0, 4070.0], period)
+    sweep = gx.driven.response(shaken, [3990.0, 4030.0, 4070.0], period)
     return Study(waves, gap, family, branch, sweep)
 
 

@@ -8,7 +8,7 @@ from refusals import refused
 from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import granjax as gx
-from granjax.driven import driven_chain, settle, sweep
+from granjax.driven import driven_chain, response, settle
 from granjax.forced import forced_branch, forced_orbit
 
 DAMPING, FORCE, QUARTIC = 0.05, 0.1, 0.1
@@ -226,7 +226,9 @@ def test_sweeps_jump_at_the_folds(steel):
     assert [b.kind for b in branch.bifurcations] == ["fold", "fold"]
     low, high = np.sort(branch.folds) / CUT_OFF
     assert low == pytest.approx(0.964804, abs=2e-6) and high == pytest.approx(0.970653, abs=2e-6)
-    found = sweep(make, np.linspace(0.96, 0.975, 16) * CUT_OFF, over, accuracy=2e-4, tolerance=1e-7)
+    found = response(
+        make, np.linspace(0.96, 0.975, 16) * CUT_OFF, over, accuracy=2e-4, tolerance=1e-7
+    )
     (up,), (down,) = found.up.jumps, found.down.jumps
     assert up.value / CUT_OFF == pytest.approx(high, rel=1e-3)
     assert down.value / CUT_OFF == pytest.approx(low, rel=1e-3)

@@ -7,7 +7,7 @@ ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
     {"checks", "files", "printing", "tuning", "types"},
-    {"entry", "programs", "variables"},
+    {"entry", "programs"},
     {"split_system", "units"},
     {"results"},
     {

@@ -60,7 +60,7 @@ omega = 0.98 * modes[-1]
 period, drives = 2 * np.pi / omega, np.linspace(0.05e-6, 0.35e-6, 7)
 how = {"down": False, "jump": 0.5, "accuracy": 0.01, "periods": 1500, "watch": 60}
 near, far = (
-    gx.driven.sweep(
+    gx.driven.response(
         partial(driven, long, omega, end), drives, period, response=partial(power, beyond), **how
     ).up
     for end, beyond in (("left", slice(10, 20)), ("right", slice(0, 10)))

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, traced
+from ..checks import refuse
 from ..lattice import Lattice
-from ..programs import compiled, wait
+from ..programs import compiled, is_untraced, wait
 from ..types import Scalar, StateLike
 from .control import rounding_unit
 from .dispatch import facts
@@ -44,11 +44,9 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
     wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
     """
-    if traced((t0, t1, plan.step)):
-        return integrate(lattice, state, t0, t1, plan)
     about = facts(lattice)
     if plan.tolerance is not None and about.lanes:
-        return (_lane_by_lane if _is_untraced() else integrate)(lattice, state, t0, t1, plan)
+        return (_lane_by_lane if is_untraced() else integrate)(lattice, state, t0, t1, plan)
     forward = plan.has_pieces and plan.openings != CUBICS
     takes, ends, budget = seconds_a_step(lattice, plan.solver, TAKES), [], None
     span = float(t1) - float(t0)
@@ -64,7 +62,7 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         long = not forward or about.known.get(pace, math.inf) * span > SHORT
         budget = 1 << int(LONG / takes).bit_length() if forward else None
     # in a program that somebody else traces, constants too become its values
-    if (long or budget) and not _is_untraced():
+    if (long or budget) and not is_untraced():
         return integrate(lattice, state, t0, t1, plan)
     if not ends:
         least = steps * seconds_a_step(lattice, plan.solver) if plan.tolerance is None else 0
@@ -91,11 +89,6 @@ def _steps(count, dtype):
     return round(count) if abs(count - round(count)) <= known else math.ceil(count)
 
 
-def _is_untraced():
-    """Whether nothing at all is traced here, whatever the arguments are."""
-    return not traced(-_kept_number(1.0, np.dtype(float)))
-
-
 def _number(x):
     """A number as JAX's array, which a program takes more quickly than NumPy's, and which takes longer to make."""
     return _kept_number(x, x.dtype) if isinstance(x, np.generic) else x
@@ -104,8 +97,8 @@ def _number(x):
 @lru_cache(maxsize=256)
 def _kept_number(x, dtype):
     with jax.ensure_compile_time_eval():
-        # of NumPy's array, since a conversion is another program
-        return jnp.asarray(np.asarray(x, dtype))
+        # `jnp.asarray` would compile a program
+        return jax.device_put(np.asarray(x, dtype))
 
 
 def seconds_a_step(

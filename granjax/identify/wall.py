@@ -17,6 +17,7 @@ from ..laws import Hertz
 from ..materials import Material, hertz_coefficient
 from ..results import SI, Result, array
 from ..terms import Wall
+from ..terms.chain import walls
 from ..types import Count, Numbers, Parameter, Scalar
 
 NAME = "modulus"
@@ -77,7 +78,7 @@ class WallScene(eqx.Module):
     def __call__(self, parameters: dict[str, Numbers]) -> Lattice:
         others = {name: parameters[name] for name in self.others}
         free = self.free(others) if callable(self.free) else self.free
-        if any(self.side in term.walls() for term in free.terms):
+        if any(self.side in walls(term) for term in free.terms):
             refuse(
                 "lattice",
                 f"no contact with a wall at its {self.side} end",
@@ -163,10 +164,8 @@ def wall_modulus(
     scan = whole("scan", scan, 3)
     ladder = start * np.geomspace(1 / factor, factor, scan)
     # the stiffest wall sets the step
-    given = {name: options[name] for name in ("t0", "step", "solver") if name in options}
-    problem = prepared(
-        scene, {**others, NAME: ladder[-1]}, traces, state=state, bounds=bounds, **given
-    )
+    stiffest = {**others, NAME: ladder[-1]}
+    problem = prepared(scene, stiffest, traces, state=state, bounds=bounds, **options)
     at = np.zeros((len(ladder), problem.coordinates.size))
     at[:, -1] = np.log(ladder / ladder[-1])
     chi_square = np.array(

@@ -1,5 +1,7 @@
 """Periodically forced chains, period by period, until what is seen once a period repeats."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,36 +10,29 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import positive, traced, whole
 from ..checks import tolerance as checked_tolerance
+from ..checks import traced
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..measures import contacts
-from ..results import Result, array, part
+from ..results import Result, array, hidden, part
 from ..solvers import SRKN11b
-from ..types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
+from ..types import Count, Counts, Displacements, Flags, Numbers, Pytree, Scalar, StateLike, Times
 from .orbit import forced_orbit
-from .repeats import checked_period, checked_state, one_lattice
-from .steps import default_steps, fixed_step_solver
+from .repeats import asked
+from .steps import COARSE
 
-# h omega of the default step, with omega the highest linear frequency
-STEP_FRACTION = 0.4
-# periods after which a stroboscopic state may repeat
-MULTIPLES = (1, 2, 3, 4)
+# periods after which a stroboscopic state may repeat: one to four
+MOST = 4
 # a repetition after m periods counts where that after a divisor of m is this many times worse
 APART = 1e3
-# the disturbance that the motion must forget, over the tolerance: too small to be taken for a doubled period
-DISTURBANCE = 1e2
-# periods that are kept of a motion that does not repeat
-KEPT = 16
 # repetitions over which changes are compared with those of as many before
 STRETCH = 8
 # steps of a settled motion that one call of its program makes
 AT_ONCE = 64
-# numbers of a state, up to which its orbit is looked for by Newton's method: a matrix of as many rows
-POLISHED = 512
 # of what half the steps change: where contacts open that may be small by accident
 SAFETY = 4
+NAMES = {2: "period-doubled", 3: "period-tripled", 4: "doubled twice"}
 
 
 class Attractor(Result):
@@ -81,12 +76,37 @@ class Attractor(Result):
     amplitude_error: Displacements = array("The error of the amplitude.", "m/s", "site")
     peak_force_error: Numbers = array("The error of the peak force.", "N", "contact")
     energy_error: Numbers = array("The error of the energy.", "J")
-    outcome: str = eqx.field(static=True)
+    near: str = hidden("Of what does not repeat, which stable orbit is near.", static=True)
 
     @property
     def settled(self) -> bool:
         """Whether the motion repeats."""
         return self.multiple > 0
+
+    @property
+    def outcome(self) -> str:
+        """Whether it repeats, and after how many periods."""
+        used, change = f"after {self.periods} periods", f"{self.change:.1e}"
+        if not np.isfinite(self.change):
+            return f"The state ceased to be finite {used}: take more steps per period."
+        if self.multiple == 1:
+            return f"Settled: it repeats every period to {change}, {used}."
+        if self.multiple:
+            return (
+                f"Settled, {NAMES[self.multiple]}: it repeats every {self.multiple} periods to "
+                f"{change}, {used}."
+            )
+        if still_settles(self.changes, self.periods):
+            return (
+                f"Still settling {used}: the change a period is {change} and falls; "
+                "give more periods."
+            )
+        if self.near:
+            return f"Undecided {used}: it changes by {change} a period. {self.near}"
+        return (
+            f"Not periodic within {self.periods} periods: quasi-periodic or chaotic, it changes by "
+            f"{change} a period."
+        )
 
 
 def settle(
@@ -126,56 +146,95 @@ def settle(
     >>> found.multiple, found.outcome.split(":")[0]
     (1, 'Settled')
     """
-    state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
-    tolerance = float(checked_tolerance("tolerance", tolerance))
-    steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
-    checked_period(lattice, state, 0.0, period)
-    solver = fixed_step_solver(lattice, solver, SRKN11b())
-    # arrays, whose values compile nothing anew
-    flow, T = Flow(jnp.asarray(steps), solver), jnp.asarray(period, lattice.dtype)
-    tight = jnp.asarray(tolerance, lattice.dtype)
-    end, used, multiple, changes, _, rate = _follow(flow, lattice, state, T, periods, tight)
-    used, multiple = int(used), int(multiple)
-    (ts, us, vs), seen, sampling = _watch(solver, lattice, end, T, multiple or KEPT, steps)
-    found = end, *seen
-    errors = jax.tree.map(lambda x: np.full_like(x, np.nan), found)
+    state, period, flow = asked(lattice, state, period, 0.0, steps, solver, SRKN11b(), COARSE)
+    tolerance = jnp.asarray(float(checked_tolerance("tolerance", tolerance)), lattice.dtype)
+    # an array, whose value compiles nothing anew
+    T = jnp.asarray(period, lattice.dtype)
+    found = _follow(flow, lattice, state, T, periods, tolerance)
+    used, multiple = int(found.used), int(found.multiple)
+    # of a motion that does not repeat sixteen periods are kept
+    (ts, us, vs), *seen, sampling = _watch(flow, lattice, found.state, T, multiple or 16)
+    seen = found.state, *seen
+    errors = jax.tree.map(lambda x: np.full_like(x, np.nan), seen)
     if multiple:
-        other, left = _otherwise(
-            flow, lattice, end, T, jnp.asarray(multiple), jnp.asarray(periods), tight, rate
-        )
-        errors = _apart(
-            found, (other, *_watch(solver, lattice, other, T, multiple, steps)[1]), left, sampling
-        )
-    changes = np.asarray(changes)[:used]
-    change = float(changes[-1, MULTIPLES.index(multiple)] if multiple else changes[-1, 0])
-    outcome = _sentence(used, multiple, change, changes[:, 0])
-    if outcome is None:
-        slow, changing = slowly(flow, lattice, end, period), f"it changes by {change:.1e} a period."
-        outcome = (
-            f"Undecided after {used} periods: {changing} {slow}"
-            if slow
-            else f"Not periodic within {used} periods: quasi-periodic or chaotic, {changing}"
-        )
+        other, left = _otherwise(flow, lattice, found, T, periods, tolerance)
+        _, *others, _ = _watch(flow, lattice, other, T, multiple)
+        errors = _apart(seen, (other, *others), left, sampling)
+    changes = np.asarray(found.changes)[:used]
+    near = ""
+    if not multiple and np.isfinite(changes[-1, 0]) and not still_settles(changes[:, 0], used):
+        near = slowly(flow, lattice, found.state, period)
     return Attractor(
-        end,
+        found.state,
         period,
         used,
         multiple,
-        change,
+        float(changes[-1, max(multiple, 1) - 1]),
         changes[:, 0],
         ts,
         us,
         vs,
-        *seen,
+        *seen[1:],
         *errors,
-        outcome,
+        near,
         **lattice.origin,
     )
 
 
-def steps_per_period(lattice: Lattice, period: Scalar) -> Scalar:
-    """Steps in a period such that h omega_max <= 0.4, with omega_max the highest linear frequency."""
-    return default_steps(lattice, period, fineness=STEP_FRACTION)
+def still_settles(changes: Numbers, used: Count) -> Flags:
+    """Whether the changes of the last periods of a run are below half of those in its middle."""
+    part, half = max(1, used // 8), used // 2
+    return np.median(changes[-part:]) < np.median(changes[half - part : half]) / 2
+
+
+class Followed(NamedTuple):
+    """What `follow` returns: the state, the periods that were run, after how many it repeats (or 0).
+
+    `changes` (periods, 4) over one to four periods; `once`: whether it has repeated before it was disturbed; `rate`: by
+    which a change becomes less from one repetition to the next, after the disturbance.
+    """
+
+    state: State
+    used: Counts
+    multiple: Counts
+    changes: Numbers
+    once: Flags
+    rate: Numbers
+
+
+def _until(multiple_at, flow, lattice, y, period, used, changes, most):
+    """Run period by period until a state repeats: (periods used, state, after how many or 0, changes).
+
+    `multiple_at(i, change, changes)`: what the changes of period i, over one to four of them, say.
+    """
+    kept, weight = len(changes), _weight(y, period)
+
+    def going(carry):
+        i, _, _, multiple, changes = carry
+        last = changes[jnp.maximum(i - 1, 0) % kept, 0]
+        return (i < most) & (multiple == 0) & jnp.isfinite(last)
+
+    def one(carry):
+        i, y, before, _, changes = carry
+        y = flow(y, 0.0, period, lattice)
+        x = weight * ravel_pytree(y)[0]
+        size = jnp.max(jnp.abs(x))
+        change = jnp.max(jnp.abs(x - before), 1) / jnp.where(size > 0, size, 1)
+        multiple = multiple_at(i, change, changes)
+        before = jnp.concatenate([x[None], before[:-1]])
+        return i + 1, y, before, multiple, changes.at[i % kept].set(change)
+
+    x = weight * ravel_pytree(y)[0]
+    start = used, y, jnp.broadcast_to(x, (MOST, x.size)), jnp.zeros((), int), changes
+    used, y, _, multiple, changes = jax.lax.while_loop(going, one, start)
+    return used, y, multiple, changes
+
+
+def _weight(y, period):
+    """Displacements count times 2 pi/T."""
+    flat, _ = ravel_pytree(y)
+    weight = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi / period, 1)
+    return weight.astype(flat.dtype)
 
 
 def follow(
@@ -186,79 +245,54 @@ def follow(
     periods: Count,
     tolerance: Scalar,
     most: Counts | None = None,
-) -> tuple:
-    """From phase 0 on until a state repeats, twice: (state, periods used, multiple or 0, changes, once, rate).
+) -> Followed:
+    """From phase 0 on until a state repeats, twice, the second time after a disturbance.
 
-    `changes` (periods, 4); `once`: whether it has repeated before it was disturbed; `rate`: by which a change becomes
-    less from one repetition to the next, after the disturbance. For use inside of `jax.jit`; `periods` is a Python
-    integer, how many changes are kept, and unless there is `most`, which may be traced, also the most that are run.
+    For use inside of `jax.jit`; `periods` is a Python integer, how many changes are kept, and unless there is `most`,
+    which may be traced, also the most that are run.
     """
     most = periods if most is None else most
-    flat, unravel = ravel_pytree(State(*state))
-    half = flat.size // 2
-    weight = jnp.concatenate([jnp.full(half, 2 * jnp.pi / period), jnp.ones(half)])
-    noise = np.concatenate([np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half)])
+    multiples = np.arange(1, MOST + 1)
+    divides = (multiples[:, None] % multiples == 0) & (multiples[:, None] > multiples)
+    lag = np.minimum(STRETCH * multiples, periods - 1)
 
-    def repeats(change, changes, now):
-        found = 0
-        for i, m in reversed(list(enumerate(MULTIPLES))):
-            own = change[i] <= tolerance
-            divisors = jnp.array([change[j] for j, d in enumerate(MULTIPLES[:i]) if m % d == 0])
-            if divisors.size:
-                # what comes slowly to an orbit of fewer periods changes by little in several: what is left of its way
-                # is the sum of a geometric series
-                lag = min(STRETCH * m, periods - 1)
-                early = changes[(now - lag) % periods, i]
-                rate = jnp.where(early > 0, change[i] / jnp.where(early > 0, early, 1), 0) ** (
-                    m / lag
-                )
-                left = jnp.where(rate < 1, change[i] / jnp.where(rate < 1, 1 - rate, 1), jnp.inf)
-                own &= (now >= lag) & jnp.all(
-                    divisors > jnp.maximum(APART * tolerance, SAFETY * left)
-                )
-            found = jnp.where(own, m, found)
-        return found
+    def repeats_from(begin):
+        def multiple_at(i, change, changes):
+            # what comes slowly to an orbit of fewer periods changes by little in several: what is left of its way is
+            # the sum of a geometric series
+            early = changes[(i - lag) % periods, multiples - 1]
+            rate = jnp.where(early > 0, change / jnp.where(early > 0, early, 1), 0)
+            rate = rate ** (multiples / lag)
+            left = jnp.where(rate < 1, change / jnp.where(rate < 1, 1 - rate, 1), jnp.inf)
+            least = jnp.maximum(APART * tolerance, SAFETY * left)
+            alone = ~divides.any(1) | (i >= lag)
+            alone &= jnp.all(~divides | (change > least[:, None]), 1)
+            repeats = (change <= tolerance) & alone & (i >= begin + MOST)
+            return jnp.where(repeats.any(), jnp.argmax(repeats) + 1, 0)
 
-    def going(carry):
-        i, _, _, multiple, changes = carry
-        return (
-            (i < most) & (multiple == 0) & jnp.isfinite(changes[jnp.maximum(i - 1, 0) % periods, 0])
-        )
+        return multiple_at
 
-    def run(y, begin, changes):
-        def one(carry):
-            i, y, last, _, changes = carry
-            y = flow(y, 0.0, period, lattice)
-            x = weight * ravel_pytree(y)[0]
-            size = jnp.max(jnp.abs(x))
-            change = jnp.max(jnp.abs(x - last), 1) / jnp.where(size > 0, size, 1)
-            multiple = jnp.where(i >= begin + max(MULTIPLES), repeats(change, changes, i), 0)
-            return (
-                i + 1,
-                y,
-                jnp.concatenate([x[None], last[:-1]]),
-                multiple,
-                changes.at[i % periods].set(change),
-            )
-
-        x = weight * ravel_pytree(y)[0]
-        start = begin, y, jnp.broadcast_to(x, (max(MULTIPLES), x.size)), 0, changes
-        return jax.lax.while_loop(going, one, start)
-
-    begin = jnp.zeros((), int)
-    used, y, _, before, changes = run(
-        State(*state), begin, jnp.zeros((periods, len(MULTIPLES)), flat.dtype)
+    state, begin = State(*state), jnp.zeros((), int)
+    flat, unravel = ravel_pytree(state)
+    changes = jnp.zeros((periods, MOST), flat.dtype)
+    used, y, before, changes = _until(
+        repeats_from(begin), flow, lattice, state, period, begin, changes, most
     )
-    x = ravel_pytree(y)[0]
-    y = unravel(x + DISTURBANCE * tolerance * jnp.max(jnp.abs(weight * x)) * noise)
+    # a disturbance that the motion must forget, too small to be taken for a doubled period
+    x, half = ravel_pytree(y)[0], flat.size // 2
+    noise = np.append(np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half))
+    y = unravel(x + 1e2 * tolerance * jnp.max(jnp.abs(_weight(y, period) * x)) * noise)
     begin = used
-    used, y, _, multiple, changes = run(y, begin, changes)
-    return y, used, multiple, changes, before > 0, _rate(changes, used, used - begin, multiple)
+    used, y, multiple, changes = _until(
+        repeats_from(begin), flow, lattice, y, period, begin, changes, most
+    )
+    rate = _rate(changes, used, used - begin, multiple)
+    return Followed(y, used, multiple, changes, before > 0, rate)
 
 
 def _rate(changes, used, count, multiple):
     """The rate of the last `count` periods' changes, from the largest of two stretches one after the other."""
-    column = jnp.searchsorted(jnp.array(MULTIPLES), jnp.maximum(multiple, 1))
+    column = jnp.maximum(multiple, 1) - 1
     age = (used - 1 - jnp.arange(len(changes))) % len(changes)
     stretch = jnp.clip(count // 2, 1, STRETCH * jnp.maximum(multiple, 1))
     late, early = (
@@ -291,45 +325,32 @@ _follow = eqx.filter_jit(follow)
 def otherwise(
     flow: Flow,
     lattice: Lattice,
-    state: StateLike,
+    found: Followed,
     period: Scalar,
-    multiple: Counts,
-    most: Counts,
+    periods: Count,
     tolerance: Scalar,
-    rate: Scalar,
 ) -> tuple[State, Scalar]:
-    """Where half the steps settle from a state on, and the share of its size by which either may still be off.
+    """Where half the steps settle from there on, and the share of its size by which either may still be off.
 
-    What changes by c a repetition and by a factor r less at each, `rate` at the least, is c r/(1 - r) from its end. For
-    use inside of `jax.jit`; NaN where it does not settle within `most` periods.
+    What changes by c a repetition and by a factor r less at each, that of `found` at the least, is c r/(1 - r) from its
+    end. For use inside of `jax.jit`; NaN where it does not settle within `periods`.
     """
-    coarse = Flow(jnp.maximum(flow.steps // 2, 1), flow.solver)
-    flat, _ = ravel_pytree(state)
-    weight = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi / period, 1).astype(
-        flat.dtype
+    coarse, multiple = Flow(jnp.maximum(flow.steps // 2, 1), flow.solver), found.multiple
+    column = multiple - 1
+
+    def multiple_at(i, change, _):
+        return jnp.where((i + 1) % multiple == 0, change[column] <= tolerance, False).astype(int)
+
+    changes = jnp.zeros((periods, MOST), found.changes.dtype)
+    begin, most = jnp.zeros((), int), -(-periods // multiple) * multiple
+    used, y, _, changes = _until(
+        multiple_at, coarse, lattice, found.state, period, begin, changes, most
     )
-
-    def going(carry):
-        i, _, _, change = carry
-        return (i * multiple < most) & (change > tolerance)
-
-    def one(carry):
-        i, y, first, _ = carry
-        after = jax.lax.fori_loop(
-            0, multiple, lambda _, y: coarse(y, jnp.zeros_like(period), period, lattice), y
-        )
-        x, before = (weight * ravel_pytree(s)[0] for s in (after, y))
-        size = jnp.max(jnp.abs(x))
-        change = jnp.max(jnp.abs(x - before)) / jnp.where(size > 0, size, 1)
-        return i + 1, after, jnp.where(i == 0, change, first), change
-
-    infinite = jnp.full((), jnp.inf, flat.dtype)
-    count, y, first, last = jax.lax.while_loop(
-        going, one, (jnp.zeros((), int), state, infinite, infinite)
-    )
-    own = jnp.where((count > 1) & (first > 0), (last / first) ** (1 / jnp.maximum(count - 1, 1)), 0)
-    rate = jnp.maximum(own, rate)
-    left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(flat.dtype).eps)
+    first, last = changes[column, column], changes[(used - 1) % periods, column]
+    between = used // multiple - 1
+    own = jnp.where((between > 0) & (first > 0), (last / first) ** (1 / jnp.maximum(between, 1)), 0)
+    rate = jnp.maximum(own, found.rate)
+    left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(changes.dtype).eps)
     return y, jnp.where(last <= tolerance, left, jnp.nan)
 
 
@@ -350,27 +371,25 @@ def _apart(found, other, left, sampling):
 
 
 @eqx.filter_jit
-def _stretch(solver, lattice, state, period, steps, first):
+def _stretch(flow, lattice, state, period, first):
     """Some steps from the one of number `first` on: (the state after them, times, states, forces, energies)."""
-    one, h = Flow(1, solver), period / steps
+    one, h = Flow(1, flow.solver), period / flow.steps
 
     def step(y, i):
-        t = h * (i % steps)  # every period at the same phase
+        t = h * (i % flow.steps)  # every period at the same phase
         return one(y, t, t + h, lattice), (h * i, y, forces(lattice, y, t), lattice.energy(t, *y))
 
     return jax.lax.scan(step, state, first + jnp.arange(AT_ONCE))
 
 
-def _watch(solver, lattice, state, period, count, steps):
-    """(times, displacements, velocities) of so many periods, what is seen in them, and the error of its sampling.
+def _watch(flow, lattice, state, period, count):
+    """(times, displacements, velocities) of so many periods, the tops in them, the mean energy, the tops' errors.
 
     By stretches of one length, so that another number of steps compiles nothing.
     """
-    total, parts = count * steps, []
+    total, parts = count * int(flow.steps), []
     for first in range(0, total, AT_ONCE):
-        state, part = _stretch(
-            solver, lattice, state, period, jnp.asarray(steps), jnp.asarray(first)
-        )
+        state, part = _stretch(flow, lattice, state, period, jnp.asarray(first))
         parts.append(jax.tree.map(np.asarray, part))
     ts, ys, pushes, energy = jax.tree.map(lambda *x: np.concatenate(x)[:total], *parts)
     speeds = jax.tree.map(np.abs, ys.v)
@@ -379,13 +398,13 @@ def _watch(solver, lattice, state, period, count, steps):
     )
     # of the parabola through the samples
     sampling = jax.tree.map(lambda a, b: np.abs(a - b), tops, others)
-    return (ts, ys.u, ys.v), (*tops, np.asarray(np.mean(energy))), sampling
+    return (ts, ys.u, ys.v), *tops, np.asarray(np.mean(energy)), sampling
 
 
 def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> str:
     """A sentence on a stable orbit of one or two periods near a state, to which it may settle slowly; empty without."""
-    size = ravel_pytree(state)[0].size
-    for multiple in (1, 2) if size <= POLISHED else ():
+    # by Newton's method, with a matrix of as many rows
+    for multiple in (1, 2) if ravel_pytree(state)[0].size <= 512 else ():
         after = state
         for _ in range(multiple):
             after = flow(after, 0.0, period, lattice)
@@ -403,28 +422,11 @@ def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> st
             continue
         rho = known.multipliers[0]
         size = f"{rho if rho.imag else rho.real:.6g} +- {known.error[0]:.1e}"
-        name, forgets = (
-            "one period" if multiple == 1 else "two periods",
-            -multiple / np.log(np.abs(rho)),
-        )
+        name = "one period" if multiple == 1 else "two periods"
+        forgets = -multiple / np.log(np.abs(rho))
         return (
             f"An orbit of {name} near it is stable. Its largest multiplier is {size}: a disturbance takes "
             f"{forgets:.2g} periods to fall to 1/e, and the motion may settle to it slowly. Give more periods, or "
             "begin at the orbit that gx.forced.forced_orbit finds."
         )
     return ""
-
-
-def _sentence(used, multiple, change, changes):
-    if not np.isfinite(change):
-        return f"The state ceased to be finite after {used} periods: take more steps per period."
-    if multiple == 1:
-        return f"Settled: it repeats every period to {change:.1e}, after {used} periods."
-    if multiple:
-        name = {2: "period-doubled", 3: "period-tripled", 4: "doubled twice"}[multiple]
-        return f"Settled, {name}: it repeats every {multiple} periods to {change:.1e}, after {used} periods."
-    part = max(1, used // 8)
-    early, late = np.median(changes[used // 2 - part : used // 2]), np.median(changes[-part:])
-    if late < early / 2:
-        return f"Still settling after {used} periods: the change a period is {change:.1e} and falls; give more periods."
-    return None

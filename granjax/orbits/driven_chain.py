@@ -7,6 +7,7 @@ import equinox as eqx
 from ..checks import one_of, per_lane, refuse
 from ..lattice import Lattice
 from ..terms import Damping, Harmonic, Wall
+from ..terms.chain import walls, without_walls
 from ..types import Parameter
 
 SIDES = ("left", "right")
@@ -65,11 +66,11 @@ def driven_chain(
         one_of("field", field, lattice.fields or (None,))
     terms, laws = [], None
     for i, term in enumerate(lattice.terms):
-        parted = term.without_walls(lattice, field) if laws is None else None
+        parted = without_walls(term, lattice, field) if laws is None else None
         if parted is not None:
             inner, *laws = parted
             terms.append(inner)
-        elif term.walls():
+        elif walls(term):
             refuse(
                 "lattice",
                 "one Bond(Shift(1, 'fixed'), law) to the walls and no other term that reaches them",

@@ -1,17 +1,18 @@
 """Breathers of gaps in the wave number: waves that grow out of rest, saturate and return, localised in time."""
 
-from typing import Any
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
+from scipy.optimize import root_scalar
 
 from ..checks import positive, refuse
 from ..flow import Flow
 from ..lattice import Lattice, State
-from ..linear import FloquetBands, floquet_bands
+from ..linear import floquet_bands
 from ..programs import bar
 from ..results import Result, array
 from ..solvers import KahanLi8
@@ -35,11 +36,9 @@ PIECE = 16
 SEARCHES = 12
 # doublings of the steps
 DOUBLINGS = 4
-# of its energy, by which a search ends, and by which a breather may miss it
-RETURNED = 1e-10
+# of its amplitude, by which a search ends, and of its energy, by which a breather may miss it
+RETURNED = 1e-11
 RETURNS = 1e-3
-# of a wave, by which a period of the ring may miss its multiplier
-FITS = 1e-6
 
 
 class GapBreather(Result):
@@ -126,129 +125,102 @@ def k_gap_breather(
     """
     one_lattice(lattice)
     period, t0 = float(positive("period", period)), float(t0)
-    bands, wave = _growing(lattice, k, period, t0)
     solver = fixed_step_solver(lattice, solver, KahanLi8())
+    ring = _ring(lattice, k, period, t0, solver, progress)
     count = 2 * int(default_steps(lattice, period, doubled=True)) if steps is None else steps
-    ring = _Ring(lattice, bands, wave, period, t0, solver, progress)
-    ring.checked(count)
-    begin = ring.size() if amplitude is None else float(amplitude)
-    free = amplitude is None
-    for i in range(DOUBLINGS if steps is None else 1):
-        found = ring.sought(begin, count, free)
-        finer = ring.from_amplitude(found.begin, 2 * count, found.back)
-        error, begin, free = abs(finer.returned - found.returned), found.begin, False
+    size = ring.size()
+    ring.check(1e-4 * size, count)
+    found = ring.returning(size if amplitude is None else float(amplitude), count)
+    for _ in range(SEARCHES if amplitude is None else 0):
+        begin, near = found.peak / BEGIN, 1 / WIDE <= found.peak / BEGIN / found.begin <= WIDE
+        found = ring.returning(begin, count)
+        if near:
+            break
+    for i in range(DOUBLINGS):
+        found = ring.sought(found, count)
+        finer = ring.run(found.begin, 2 * count, found.periods)
+        error = abs(finer.returned - found.returned)
         if error <= tolerance or steps is not None or i == DOUBLINGS - 1:
             break
         count *= 2
-    return ring.result(found, count, error)
+        found = ring.returning(found.begin, count)
+    return GapBreather(
+        t0 + period * np.arange(found.periods + 1),
+        *found.states,
+        found.energy,
+        np.max([np.abs(x).reshape(len(x), -1).max(-1) for x in jax.tree.leaves(found.states.u)], 0),
+        ring.k,
+        ring.growth,
+        found.returned,
+        float(error),
+        ring.stray(jax.tree.map(lambda x: x[-1], found.states)),
+        period,
+        int(count),
+        **lattice.origin,
+    )
 
 
-def _growing(lattice, k, period, t0):
-    """The bands at the wave numbers of a ring that are asked for, and the index of the wave that grows fastest."""
-    cell = floquet_bands(lattice, 0.0, period, t0=t0, steps=16).cell
-    cells = jax.tree.leaves(lattice.template())[0].shape[0] // cell[0]
-    all_k = 2 * np.pi * np.arange(cells // 2 + 1) / cells
-    if k is not None:
-        turns = float(k) * cells / (2 * np.pi)
-        if abs(turns - round(turns)) > 1e-6 * max(1, abs(turns)):
-            refuse(
-                "k",
-                f"a multiple of 2 pi/{cells}, which the ring holds",
-                repr(float(k)),
-                f"The nearest is {2 * np.pi * round(turns) / cells:.10g}.",
-            )
-        all_k = np.array([2 * np.pi * round(turns) / cells, 0.0])
-    bands = floquet_bands(lattice, all_k, period, t0=t0)
-    rate = np.where(bands.grows, np.asarray(bands.growth), 0.0).max(-1)
-    wave = 0 if k is not None else int(np.argmax(rate))
-    if not rate[wave] > 0:
-        gaps = floquet_bands(lattice, np.linspace(0, np.pi, 5), period, t0=t0).gaps
-        there = ", ".join(f"{a:.6g} ... {b:.6g}" for a, b in gaps)
-        refuse(
-            "k",
-            "a wave number in a k-gap",
-            "none of the ring that grows" if k is None else f"{float(k):.6g}",
-            f"Waves grow for k = {there}." if gaps else "This modulation has no k-gap.",
-        )
-    return bands, wave
-
-
-class _Found(eqx.Module):
-    """A breather as it is sought: where it began, its states once a period until it is back."""
+class _Motion(NamedTuple):
+    """The motion from an amplitude on: states and energies once a period, and the largest displacement."""
 
     begin: float
-    us: Any
-    vs: Any
+    states: State
     energy: np.ndarray
-    back: int
+    peak: float
 
     @property
-    def returned(self) -> float:
-        return float(self.energy[self.back] / self.energy[0] - 1)
+    def periods(self):
+        return len(self.energy) - 1
+
+    @property
+    def returned(self):
+        return float(self.energy[-1] / self.energy[0] - 1)
 
 
-class _Ring:
-    """A ring, its linear waves at one wave number, and the motion once a period."""
+class _Ring(NamedTuple):
+    """A ring and its waves of one wave number: `up` grows by `rho` a period, `down` decays."""
 
-    def __init__(
-        self,
-        lattice: Lattice,
-        bands: FloquetBands,
-        wave: int,
-        period: float,
-        t0: float,
-        solver: Any,
-        progress: bool,
-    ):
-        self.progress = progress
-        self.lattice, self.period, self.t0, self.solver = lattice, period, t0, solver
-        self.k = float(np.asarray(bands.k)[wave])
-        rho = np.asarray(bands.multipliers)[wave]
-        self.rho, self.growth = rho[0], float(np.asarray(bands.growth)[wave, 0])
-        self.up = self._wave(bands, wave, 0)
-        # of all waves that decay the partner of the one that grows
-        self.down = self._wave(bands, wave, int(np.argmin(np.abs(rho - 1 / np.conj(rho[0])))))
+    lattice: Lattice
+    period: float
+    t0: float
+    solver: AbstractSolver
+    progress: bool
+    k: float
+    growth: float
+    rho: complex
+    up: State
+    down: State
 
-    def _wave(self, bands, wave, multiplier):
-        """A wave over the sites, complex, its largest displacement 1."""
-        size = bands.cell[0]
-
-        def spread(x):
-            x = np.asarray(x)[wave][..., multiplier]
-            number = np.arange(jax.tree.leaves(self.lattice.template())[0].shape[0])
-            turn = np.exp(1j * self.k * (number // size)).reshape((-1,) + (1,) * (x.ndim - 1))
-            return turn * x[number % size]
-
-        u, v = (jax.tree.map(spread, x) for x in (bands.displacements, bands.velocities))
-        top = max(np.abs(x.real).max() for x in jax.tree.leaves(u))
-        return jax.tree.map(lambda x: x / top, (u, v))
-
-    def state(self, amplitude: float, factor: complex = 1.0) -> State:
+    def state(self, amplitude, factor=1.0):
         """The growing wave, times a factor."""
         part = lambda x: jnp.asarray((amplitude * factor * x).real, self.lattice.dtype)
-        return State(*jax.tree.map(part, self.up))
+        return jax.tree.map(part, self.up)
 
-    def run(self, state: State, periods: int, steps: int) -> tuple:
-        """States and energies once a period, the start first, so many and up to `PIECE` more."""
-        flow, parts = Flow(jnp.asarray(steps), self.solver), []
+    def run(self, begin, steps, periods):
+        """The motion from an amplitude, over some periods."""
+        flow, parts, state = Flow(jnp.asarray(steps), self.solver), [], self.state(begin)
         times = jnp.asarray(self.t0), jnp.asarray(self.period)
         with bar(periods, "period", "k-gap breather", self.progress) as shown:
-            for _ in range(-(-periods // PIECE)):
+            for _ in range(periods // PIECE + 1):
                 state, part = _strobed(flow, self.lattice, state, *times)
                 parts.append(jax.tree.map(np.asarray, part))
                 shown.update(PIECE)
-        last = jax.tree.map(lambda x: x[None], (state, self.lattice.energy(self.t0, *state)))
-        states, energy = jax.tree.map(lambda *x: np.concatenate(x), *parts, last)
-        return tuple(states), energy
+        states, energy = jax.tree.map(lambda *x: np.concatenate(x)[: periods + 1], *parts)
+        return _Motion(
+            begin, states, energy, max(np.abs(x).max() for x in jax.tree.leaves(states.u))
+        )
 
-    def checked(self, steps: int) -> None:
+    def check(self, tiny, steps):
         """Refuse a lattice in which the wave is not multiplied by rho: one with ends."""
-        tiny = self.size() * 1e-4
-        (us, vs), _ = self.run(self.state(tiny), 1, steps)
-        want, begin = self.state(tiny, self.rho), self.state(tiny)
-        pairs = zip(*(jax.tree.leaves(x) for x in (us, want.u, begin.u)))
+        us, want, begin = (
+            self.run(tiny, steps, 1).states.u,
+            self.state(tiny, self.rho).u,
+            self.state(tiny).u,
+        )
+        pairs = zip(*(jax.tree.leaves(x) for x in (us, want, begin)))
         off = max(np.abs(x[1] - w).max() / np.abs(b).max() for x, w, b in pairs)
-        if not off <= FITS + 1e-2 * abs(abs(self.rho) - 1):
+        # of a wave, by which a period of the ring may miss its multiplier
+        if not off <= 1e-6 + 1e-2 * abs(abs(self.rho) - 1):
             refuse(
                 "lattice",
                 "a ring, on which a wave of the k-gap grows as its multiplier says",
@@ -256,7 +228,7 @@ class _Ring:
                 'Build it with boundary="periodic".',
             )
 
-    def size(self) -> float:
+    def size(self):
         """About 1/50 of the amplitude at which the force departs from its linear part enough to leave the gap."""
         u, wanted = self.state(1.0).u, min(0.5, 2 * self.growth * self.period / np.pi)
         share = lambda sizes: np.asarray(_departure(self.lattice, u, jnp.asarray(self.t0), sizes))
@@ -270,41 +242,12 @@ class _Ring:
             )
         return size / BEGIN
 
-    def sought(self, begin: float, steps: int, free: bool) -> _Found:
-        """The breather that begins with about an amplitude; where that is `free`, one of about 1/50 of its peak."""
-        found = self._back(begin, steps)
-        for _ in range(SEARCHES if free else 0):
-            peak = max(np.abs(x).max() for x in jax.tree.leaves(found.us))
-            near = 1 / WIDE <= peak / (BEGIN * found.begin) <= WIDE
-            found = self._back(peak / BEGIN, steps)
-            if near:
-                break
-        # begun larger it is ahead: the energy at the start is more, that at the same time of its return is less
-        best, slope = found, -4.0
-        for _ in range(SEARCHES):
-            miss = np.log1p(found.returned)
-            step = np.clip(-miss / slope, -0.7, 0.7)
-            before, found = (
-                (found.begin, miss),
-                self.from_amplitude(found.begin * np.exp(step), steps, found.back),
-            )
-            change = np.log1p(found.returned) - before[1]
-            slope = np.clip(change / step, -40.0, -0.5) if step else slope
-            best = found if abs(found.returned) < abs(best.returned) else best
-            if abs(found.returned) < RETURNED or abs(step) < 1e-14:
-                break
-        return best
-
-    def from_amplitude(self, begin: float, steps: int, back: int) -> _Found:
-        """The motion from an amplitude, over as many periods."""
-        (us, vs), energy = self.run(self.state(begin), back, steps)
-        return _Found(begin, us, vs, energy, back)
-
-    def _back(self, begin, steps):
+    def returning(self, begin, steps):
         """The motion from an amplitude until its energy, once a period, is next to that of the start."""
         periods = int(2 * np.log(WIDE * BEGIN) / (self.growth * self.period)) + MORE
         while True:
-            (us, vs), energy = self.run(self.state(begin), periods, steps)
+            found = self.run(begin, steps, periods)
+            energy = found.energy
             if not np.isfinite(energy).all():
                 refuse(
                     "amplitude",
@@ -315,10 +258,13 @@ class _Ring:
             high = int(np.argmax(energy >= 0.5 * energy.max()))
             high += int(np.argmax(energy[high:] < 0.5 * energy.max()))
             low = np.flatnonzero(energy[high:] <= energy[0]) + high
-            if energy.max() > 4 * energy[0] and high and len(low):
+            grew = energy.max() > 4 * energy[0]
+            if grew and high and len(low):
                 here, before = (abs(np.log(energy[low[0] - i] / energy[0])) for i in (0, 1))
-                return _Found(begin, us, vs, energy, int(low[0] - (before < here)))
-            if periods >= MOST or energy.max() > 4 * energy[0] and len(energy) > 8 * high + MORE:
+                end = int(low[0] - (before < here)) + 1
+                states = jax.tree.map(lambda x: x[:end], found.states)
+                return found._replace(states=states, energy=energy[:end])
+            if periods >= MOST or grew and periods > 8 * high + MORE:
                 least = energy[high:].min() / energy[0] if high else np.nan
                 refuse(
                     "lattice",
@@ -328,30 +274,22 @@ class _Ring:
                 )
             periods *= 2
 
-    def result(self, found: _Found, steps: int, error: float) -> GapBreather:
-        end = found.back + 1
-        us, vs = jax.tree.map(lambda x: x[:end], (found.us, found.vs))
-        amplitude = np.max(
-            [np.abs(x).reshape(end, -1).max(-1) for x in jax.tree.leaves(us)], axis=0
-        )
-        stray = self._stray(jax.tree.map(lambda x: x[-1], (us, vs)))
-        return GapBreather(
-            self.t0 + self.period * np.arange(end),
-            us,
-            vs,
-            found.energy[:end],
-            amplitude,
-            self.k,
-            self.growth,
-            found.returned,
-            float(error),
-            stray,
-            self.period,
-            int(steps),
-            **self.lattice.origin,
-        )
+    def sought(self, found, steps):
+        """The breather near a motion, over as many periods: that whose energy returns to what it was."""
+        tried = [found]
 
-    def _stray(self, end):
+        def miss(logarithm):
+            tried.append(self.run(np.exp(logarithm), steps, found.periods))
+            return np.log1p(tried[-1].returned)
+
+        # begun larger it is ahead: the energy at the start is more, that at the same time of its return is less
+        begin, step = np.log(found.begin), np.clip(np.log1p(found.returned) / 4, -0.7, 0.7)
+        root_scalar(
+            miss, method="secant", x0=begin, x1=begin + step, xtol=RETURNED, maxiter=SEARCHES
+        )
+        return min(tried, key=lambda motion: abs(motion.returned))
+
+    def stray(self, end):
         """What of a state is not the wave that decays, times the complex number that fits best."""
         scale = self.period / (2 * np.pi)
         flat = lambda y: raveled((y[0], jax.tree.map(lambda v: scale * v, y[1])))
@@ -359,6 +297,51 @@ class _Ring:
         basis = np.stack([wave.real, wave.imag], -1)
         rest = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
         return float(np.linalg.norm(rest) / np.linalg.norm(y))
+
+
+def _ring(lattice, k, period, t0, solver, progress):
+    """The ring and its waves at the wave number that is asked for, or where they grow fastest."""
+    cell = floquet_bands(lattice, 0.0, period, t0=t0, steps=16).cell[0]
+    sites = np.arange(jax.tree.leaves(lattice.template())[0].shape[0])
+    cells = len(sites) // cell
+    all_k = 2 * np.pi * np.arange(cells // 2 + 1) / cells
+    if k is not None:
+        turns = float(k) * cells / (2 * np.pi)
+        near = 2 * np.pi * round(turns) / cells
+        if abs(turns - round(turns)) > 1e-6 * max(1, abs(turns)):
+            wanted = f"a multiple of 2 pi/{cells}, which the ring holds"
+            refuse("k", wanted, repr(float(k)), f"The nearest is {near:.10g}.")
+        all_k = np.array([near, 0.0])
+    bands = floquet_bands(lattice, all_k, period, t0=t0)
+    rate = np.where(bands.grows, np.asarray(bands.growth), 0.0).max(-1)
+    wave = 0 if k is not None else int(np.argmax(rate))
+    if not rate[wave] > 0:
+        gaps = floquet_bands(lattice, np.linspace(0, np.pi, 5), period, t0=t0).gaps
+        there = ", ".join(f"{a:.6g} ... {b:.6g}" for a, b in gaps)
+        refuse(
+            "k",
+            "a wave number in a k-gap",
+            "none of the ring that grows" if k is None else f"{float(k):.6g}",
+            f"Waves grow for k = {there}." if gaps else "This modulation has no k-gap.",
+        )
+    k, rho = float(np.asarray(bands.k)[wave]), np.asarray(bands.multipliers)[wave]
+
+    def spread(multiplier):
+        """A wave over the sites, complex, its largest displacement 1."""
+
+        def over_sites(x):
+            x = np.asarray(x)[wave][..., multiplier]
+            turn = np.exp(1j * k * (sites // cell)).reshape((-1,) + (1,) * (x.ndim - 1))
+            return turn * x[sites % cell]
+
+        y = jax.tree.map(over_sites, State(bands.displacements, bands.velocities))
+        top = max(np.abs(x.real).max() for x in jax.tree.leaves(y.u))
+        return jax.tree.map(lambda x: x / top, y)
+
+    # of all waves that decay the partner of the one that grows
+    down = spread(int(np.argmin(np.abs(rho - 1 / np.conj(rho[0])))))
+    growth = float(np.asarray(bands.growth)[wave, 0])
+    return _Ring(lattice, period, t0, solver, progress, k, growth, rho[0], spread(0), down)
 
 
 @eqx.filter_jit

@@ -1,5 +1,8 @@
 """Lyapunov exponents of a lattice, forced or free, by renormalised tangents."""
 
+import dataclasses
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,16 +11,15 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import positive, refuse, whole
-from ..flow import Flow
+from ..checks import refuse
 from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State
-from ..results import Result, array, part
+from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
-from .attractors import slowly, steps_per_period
-from .repeats import checked_period, checked_state, one_lattice
-from .steps import fixed_step_solver
+from .attractors import slowly
+from .repeats import asked
+from .steps import COARSE
 
 
 class Lyapunov(Result):
@@ -33,13 +35,43 @@ class Lyapunov(Result):
     )
     rates: Float[np.ndarray, "run exponent"] = array("The growth rate over each interval.", "1/s")
     state: State = part("The state at the end.", "site")
-    verdict: str = array(
-        '"chaotic", "periodic", "quasi-periodic", "regular", "at rest", "not finite", or '
-        '"undecided" (the exponent is zero within its uncertainty and a stable orbit is '
-        "near).",
-        static=True,
+    forced: bool = hidden("Whether the lattice depends on time.", static=True)
+    near: str = hidden(
+        "Which stable orbit is near a motion that seems quasi-periodic.", static=True
     )
-    outcome: str = eqx.field(static=True)
+    exported: ClassVar[dict[str, Held]] = {
+        "verdict": Held(
+            doc='"chaotic", "periodic", "quasi-periodic", "regular", "at rest", "not finite", or '
+            '"undecided" (the exponent is zero within its uncertainty and a stable orbit is near).'
+        )
+    }
+
+    @property
+    def verdict(self) -> str:
+        """What the largest exponent says of the motion, a word."""
+        if not np.isfinite(self.exponents).all():
+            return "not finite"
+        if self.chaotic:
+            return "chaotic"
+        if self.exponents[0] < -self.uncertainty[0]:
+            return "periodic" if self.forced else "at rest"
+        if not self.forced:
+            return "regular"
+        return "undecided" if self.near else "quasi-periodic"
+
+    @property
+    def outcome(self) -> str:
+        """What the largest exponent says of the motion, a sentence."""
+        verdict = self.verdict
+        word = verdict.capitalize()
+        value = f"the largest exponent is {self.exponents[0]:.3g} +- {self.uncertainty[0]:.1g}"
+        if verdict == "not finite":
+            return "The state ceased to be finite: take more steps per period."
+        if verdict == "quasi-periodic":
+            word = "Quasi-periodic, or periodic at the edge of stability"
+        zero = {"regular": "its uncertainty", "quasi-periodic": "that", "undecided": "that"}
+        within = f", zero within {zero[verdict]}" if verdict in zero else ""
+        return f"{word}: {value}{within}. {self.near}".strip()
 
     @property
     def chaotic(self) -> bool:
@@ -91,33 +123,25 @@ def lyapunov(
     >>> found.verdict, round(float(found.exponents.sum()), 4)  # -3 gamma
     ('periodic', -1.5)
     """
-    state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
-    checked_period(lattice, state, 0.0, period)
+    state, period, flow = asked(lattice, state, period, 0.0, steps, solver, SRKN11b(), COARSE)
     size = ravel_pytree(state)[0].size
     if number > size:
         refuse("number", f"at most {size}, twice the number of displacements", f"{number}")
     if periods < windows:
         refuse("periods and windows", "a period in each window", f"{periods} and {windows}")
-    steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
-    solver = fixed_step_solver(lattice, solver, SRKN11b())
     start = np.random.default_rng(seed).normal(size=(size, number))
     # arrays, whose values compile nothing anew
-    flow, start, T = (
-        Flow(jnp.asarray(steps), solver),
-        *(jnp.asarray(x, lattice.dtype) for x in (start, period)),
-    )
+    start, T = (jnp.asarray(x, lattice.dtype) for x in (start, period))
     end, logs = _grow(flow, lattice, state, start, T, transient + periods)
     rates = np.asarray(logs)[transient:] / period
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]
     exponents, uncertainty = rates.mean(0), _uncertainty(rates, windows)
-    verdict, outcome = _verdict(lattice, exponents, uncertainty)
-    if verdict == "quasi-periodic" and (slow := slowly(flow, lattice, end, period)):
-        verdict, outcome = (
-            "undecided",
-            f"Undecided: {_value(exponents, uncertainty)}, zero within that. {slow}",
-        )
-    return Lyapunov(exponents, uncertainty, rates, end, verdict, outcome, **lattice.origin)
+    found = Lyapunov(exponents, uncertainty, rates, end, lattice.reads_time, "", **lattice.origin)
+    if found.verdict == "quasi-periodic":
+        near = slowly(flow, lattice, end, period)
+        found = dataclasses.replace(found, near=near)
+    return found
 
 
 @eqx.filter_jit
@@ -147,27 +171,3 @@ def _uncertainty(rates, windows):
     return means.std(0, ddof=1) / np.sqrt(windows) + np.abs(
         rates[:half].mean(0) - rates[half:].mean(0)
     )
-
-
-def _value(exponents, uncertainty):
-    return f"the largest exponent is {exponents[0]:.3g} +- {uncertainty[0]:.1g}"
-
-
-def _verdict(lattice, exponents, uncertainty):
-    """(word, sentence)."""
-    if not np.isfinite(exponents).all():
-        return "not finite", "The state ceased to be finite: take more steps per period."
-    largest, doubt = exponents[0], uncertainty[0]
-    value = _value(exponents, uncertainty)
-    forced = lattice.reads_time
-    if largest > doubt:
-        return "chaotic", f"Chaotic: {value}."
-    if largest < -doubt:
-        word = "periodic" if forced else "at rest"
-        return word, f"{word.capitalize()}: {value}."
-    if forced:
-        return (
-            "quasi-periodic",
-            f"Quasi-periodic, or periodic at the edge of stability: {value}, zero within that.",
-        )
-    return "regular", f"Regular: {value}, zero within its uncertainty."

@@ -4,11 +4,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 from jaxtyping import Float
 
-from ..checks import refuse, traced
+from ..checks import positive, refuse, traced, whole
+from ..flow import Flow
 from ..lattice import Lattice, State
-from ..types import Numbers, Pytree, Scalar, StateLike
+from ..types import Count, Numbers, Pytree, Scalar, StateLike
+from .steps import FINE, default_steps, fixed_step_solver
 from .symmetry import Symmetry
 
 # where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
@@ -154,6 +157,28 @@ def _compared(lattice, symmetry, shape, sizes, t0, period):
         return off, change, rounding, jnp.max(there[: 2 * count])
 
     return jax.lax.map(compared, sizes)
+
+
+def asked(
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    t0: Scalar,
+    steps: Count | None,
+    solver: AbstractSolver | None,
+    otherwise: AbstractSolver,
+    fineness: Scalar = FINE,
+) -> tuple[State, float, Flow]:
+    """A state of one lattice, a period after which its forces repeat, and the flow over it.
+
+    The steps are an array, whose value compiles nothing anew.
+    """
+    state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
+    if steps is None:
+        steps = default_steps(lattice, period, fineness=fineness)
+    steps = jnp.asarray(whole("steps", steps, 1))
+    checked_period(lattice, state, t0, period)
+    return state, period, Flow(steps, fixed_step_solver(lattice, solver, otherwise))
 
 
 def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES) -> Numbers:

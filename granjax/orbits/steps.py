@@ -14,8 +14,9 @@ from ..flow.dispatch import facts
 from ..lattice import Lattice, State
 from ..types import Count, Counts, Numbers, Scalar, StateLike, Times
 
-# h omega of a step, with omega the highest linear frequency
+# h omega of a step, with omega the highest linear frequency: of orbits, and of runs that settle
 FINE = 0.3
+COARSE = 0.4
 # the fewest steps of a period
 LEAST_STEPS = 16
 

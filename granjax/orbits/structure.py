@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ..lattice import Lattice
 from ..printing import told
+from ..terms.tracing import reads
 from ..types import Scalar
 from .symmetry import shifts
 
@@ -40,9 +41,9 @@ def structure(lattice: Lattice) -> Structure:
     mass = np.concatenate([np.broadcast_to(m, x.shape).ravel() for m, x in masses])
     damping = [term.exact_damping() for term in lattice.terms]
     damping = [found for found in damping if found is not None]
-    reads = [term.dependence(lattice) for term in lattice.terms if term.exact_damping() is None]
+    found = [reads(term, lattice) for term in lattice.terms if term.exact_damping() is None]
     # a force that comes from no energy is no more symplectic than one that reads velocities
-    others = [x for x in reads if x.velocity or x.displacement and not x.energy]
+    others = [x for x in found if x.velocity or x.displacement and not x.energy]
     autonomous = not lattice.reads_time
     moves = shifts(lattice).shape[1]
     rates = {float(x) for _, rate in damping for x in np.ravel(rate)}

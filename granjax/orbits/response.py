@@ -19,27 +19,24 @@ from ..printing import told
 from ..programs import shared_size
 from ..results import Result, array, note, part
 from ..solvers import SRKN11b
-from ..types import Count, Displacements, Parameter, Scalar, StateLike
-from .attractors import errors_of, follow, otherwise, steps_per_period
+from ..types import Count, Displacements, Numbers, Parameter, Scalar, StateLike
+from .attractors import Followed, errors_of, follow, otherwise, still_settles
 from .branch import Bifurcation
 from .problems import made, period_at
 from .repeats import checked_period, checked_state, one_lattice
-from .steps import answered, fixed_step_solver, history
+from .steps import COARSE, answered, default_steps, fixed_step_solver, history
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat
 WATCHED = 12
 # of the largest response: a change below it is no jump
 SMALLEST = 1e-6
-# budgets more for what does not repeat, the second where it settles still
-LONGER = (1, 8)
-# the least tolerance
+# budgets, the second for what does not repeat, the third where it settles still
+BUDGETS = (1, 1, 8)
+# the least tolerance, and the share of it to which a jump settles
 LEAST = 1e-12
-# of the tolerance, to which a jump settles
 TIGHT = 1e-2
 # halvings beyond the accuracy for which a jump must last
 NARROW = 10
-# a change of sign, relative to the larger: no response jumps by more
-MOST_JUMP = 2
 # rounds of halving and settling
 AGAIN = 6
 
@@ -54,7 +51,7 @@ class Jump(NamedTuple):
 
 
 class Way(Result):
-    """One way of a sweep, in the order of `Sweep.values` whichever way it went.
+    """One way along a response curve, in the order of `ResponseCurve.values` whichever way it went.
 
     Errors are estimated distances from the true motion, as of `settle`; NaN where nothing repeats, or half the steps
     settle to nothing.
@@ -88,8 +85,8 @@ class Way(Result):
         )
 
 
-class Sweep(Result):
-    """What `sweep` returns: the two ways, and where they differ."""
+class ResponseCurve(Result):
+    """What `response` returns: the two ways, and where they differ."""
 
     values: Float[np.ndarray, " value"] = array(
         "The values of the parameter, ascending.", name="value"
@@ -98,8 +95,8 @@ class Sweep(Result):
     down: Way | None = array("The way down, `None` where it was not run.")
     hysteresis: list = note(
         "Intervals (low, high) of the parameter in which the two ways have settled "
-        "differently; their ends are jumps where there is one beside, else values of the "
-        "sweep."
+        "differently; their ends are jumps where there is one beside, else values that were "
+        "asked for."
     )
 
     @property
@@ -111,7 +108,7 @@ class Sweep(Result):
         return f"Up: {self.up.outcome} Down: {self.down.outcome} They differ {where}."
 
 
-def sweep(
+def response(
     make: Callable[[Any], Any],
     values: Parameter,
     period: Callable[[Any], Any] | Scalar,
@@ -122,11 +119,10 @@ def sweep(
     accuracy: Scalar = 1e-3,
     periods: Count = 2000,
     tolerance: Scalar = 1e-6,
-    watch: Count = WATCHED,
     steps: Count | None = None,
     solver: AbstractSolver | None = None,
     down: bool = True,
-) -> Sweep:
+) -> ResponseCurve:
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
 
     Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`); what has
@@ -146,18 +142,19 @@ def sweep(
       default. `down`: the way back too, from where the way up ended.
     - `response(lattice, u, v, t)`: a number from one history u, v (S, N) over those periods, t (S,) from phase 0 on;
       by default the root mean square of all velocities.
-    - `jump`, `accuracy`: above; both relative. `watch`: periods for the response, more where the motion does not
-      repeat. `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps, which
-      are rounded up by an eighth at most, so that sweeps of near-by scenes are one program.
+    - `jump`, `accuracy`: above; both relative.
+    - `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps, which are
+      rounded up by an eighth at most, so that curves of near-by scenes are one program.
 
-    **Returns:** `Sweep`; without `down` its `down` is `None`, and no hysteresis. **Raises** ValueError for fewer than
-    two values, values that do not ascend, a batch of lattices, or a period after which the forces do not repeat.
+    **Returns:** `ResponseCurve`; without `down` its `down` is `None`, and no hysteresis. **Raises** ValueError
+    for fewer than two values, values that do not ascend, a batch of lattices, or a period after which the forces do
+    not repeat.
 
     **Example:**
 
     >>> chain = gx.scenes.monomer(3, precompression=1.0)
     >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
-    >>> found = gx.driven.sweep(make, [0.01, 0.02, 0.03], 2 * np.pi / 0.5, steps=64, down=False)
+    >>> found = gx.driven.response(make, [0.01, 0.02, 0.03], 2 * np.pi / 0.5, steps=64, down=False)
     >>> (found.up.response / found.up.response[0]).round(2).tolist()
     [1.0, 2.0, 3.0]
     """
@@ -167,47 +164,83 @@ def sweep(
             "values",
             "at least two, ascending",
             f"shape {values.shape}",
-            "The sweep itself goes down again.",
+            "The way down comes by itself.",
         )
-    jump = float(checked_tolerance("jump", jump, MOST_JUMP, 0.2))
+    # no response jumps by more than twice the larger
+    jump = float(checked_tolerance("jump", jump, 2, 0.2))
     accuracy = float(checked_tolerance("accuracy", accuracy, 1, 1e-3))
     tolerance = float(checked_tolerance("tolerance", tolerance))
     scenes = [(scene, float(T)) for scene, T in (made(make, period, w) for w in values[[0, -1]])]
     first = one_lattice(scenes[0][0])
     if steps is None:
-        steps = shared_size(max(steps_per_period(*scene) for scene in scenes))
+        steps = shared_size(max(default_steps(*scene, fineness=COARSE) for scene in scenes))
     flow = Flow(whole("steps", steps, 1), fixed_step_solver(first, solver, SRKN11b()))
     state = State(first.zeros(), first.zeros()) if state is None else checked_state(first, state)
     for lattice, T in scenes:
         checked_period(lattice, state, 0.0, T)
-
     period = period if callable(period) else jnp.asarray(float(period))
-    watched = _Watched(make, period, response, flow, periods, watch)
+    watched = _Watched(make, period, response, flow, periods)
 
     def attractor(value, y, share=1.0):
         """What is settled to a share of the tolerance, run longer than the budget if need be."""
-        tight = jnp.asarray(max(share * tolerance, LEAST))
-        found, _ = watched.run(jnp.asarray(value), y, tight, jnp.asarray(periods))
-        for budgets in LONGER:
-            if found["multiple"] or not np.isfinite(_number(found)):
-                break
-            used, most = found["periods"], jnp.asarray(budgets * periods)
-            found, settles = watched.run(jnp.asarray(value), found["states"], tight, most)
-            found["periods"] = found["periods"] + used
-            if not settles:
+        tight, used = jnp.asarray(max(share * tolerance, LEAST)), 0
+        for budget in BUDGETS:
+            found = watched.run(jnp.asarray(value), y, tight, jnp.asarray(budget * periods))
+            y, used = found.motion.state, used + found.motion.used
+            found = found._replace(motion=found.motion._replace(used=used))
+            settles = found.motion.once or still_settles(found.motion.changes[:, 0], periods)
+            ends = found.multiple or not np.isfinite(found.response)
+            if ends or used > periods and not settles:
                 break
         return found
 
-    def with_errors(value, found):
-        errors = watched.errors(jnp.asarray(value), found, jnp.asarray(tolerance))
-        return {name: x for name, x in found.items() if name != "rate"} | errors
+    def way(y, direction):
+        """The way up or down from a state on."""
+        order, found = values[::direction], []
+        for value in order:
+            found.append(attractor(value, y))
+            y = found[-1].motion.state
+        floor = SMALLEST * max(abs(float(x.response)) for x in found)
+        steps = list(zip(order, found, order[1:], found[1:]))
+        jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
+        changes = [
+            _bifurcation(attractor, step, accuracy, i, first.origin) for i, step in enumerate(steps)
+        ]
+        errors = [
+            watched.errors(jnp.asarray(value), x, jnp.asarray(tolerance))
+            for value, x in zip(order, found)
+        ]
+        stack = lambda items: jax.tree.map(lambda *x: np.stack(x), *items[::direction])
+        found, errors = stack(found), stack(errors)
+        return Way(
+            *found[1:],
+            *errors,
+            found.motion.multiple,
+            found.motion.used,
+            found.motion.state,
+            tuple(filter(None, jumps)),
+            tuple(filter(None, changes)),
+            **first.origin,
+        )
 
-    up = _way(attractor, with_errors, values, state, jump, accuracy, 1, first.origin)
+    up = way(state, 1)
     if not down:
-        return Sweep(values, up, None, [], **first.origin)
-    last = jax.tree.map(lambda x: x[-1], up.states)
-    back = _way(attractor, with_errors, values, last, jump, accuracy, -1, first.origin)
-    return Sweep(values, up, back, _hysteresis(values, up, back, jump), **first.origin)
+        return ResponseCurve(values, up, None, [], **first.origin)
+    back = way(jax.tree.map(lambda x: x[-1], up.states), -1)
+    return ResponseCurve(values, up, back, _hysteresis(values, up, back, jump), **first.origin)
+
+
+class _Found(NamedTuple):
+    """What is found at a value of the parameter: the motion, and what is seen of it."""
+
+    motion: Followed
+    response: Numbers
+    velocity: Displacements
+    energy: Numbers
+
+    @property
+    def multiple(self):
+        return int(self.motion.multiple)
 
 
 class _Watched(eqx.Module):
@@ -218,80 +251,31 @@ class _Watched(eqx.Module):
     response: Callable
     flow: Flow
     periods: int
-    watch: int
 
     @eqx.filter_jit
     def run(self, value, y, tolerance, most):
-        """What is found at a value, and whether it settles still."""
+        """What is found at a value."""
         lattice, T = self.make(value), period_at(self.period, value)
-        y, used, multiple, changes, once, rate = follow(
-            self.flow, lattice, y, T, self.periods, tolerance, most
-        )
-        part, half, change = max(1, self.periods // 8), self.periods // 2, changes[:, 0]
-        early, late = jnp.median(change[half - part : half]), jnp.median(change[-part:])
-        found = self._seen(self.flow, lattice, y, T, multiple, used)
-        return found | {"rate": rate}, once | (late < early / 2)
+        found = follow(self.flow, lattice, y, T, self.periods, tolerance, most)
+        end, *seen = self._seen(self.flow, lattice, found.state, T)
+        return _Found(found._replace(state=end), *seen)
 
     @eqx.filter_jit
     def errors(self, value, found, tolerance):
-        """The errors of what is found at a value."""
+        """The errors of what is seen at a value."""
         lattice, T = self.make(value), jnp.asarray(period_at(self.period, value))
-        multiple, periods = found["multiple"], jnp.asarray(self.periods)
-        y, left = otherwise(
-            self.flow,
-            lattice,
-            found["states"],
-            T,
-            jnp.maximum(multiple, 1),
-            periods,
-            tolerance,
-            found["rate"],
-        )
+        repeats = found.motion.multiple > 0
+        motion = found.motion._replace(multiple=jnp.maximum(found.motion.multiple, 1))
+        y, left = otherwise(self.flow, lattice, motion, T, self.periods, tolerance)
         coarse = Flow(max(self.flow.steps // 2, 1), self.flow.solver)
-        other = self._seen(coarse, lattice, y, T, multiple, found["periods"])
-        left = jnp.where(multiple > 0, left, jnp.nan)
-        return {
-            f"{name}_error": errors_of(found[name], other[name], left)
-            for name in ("response", "velocity", "energy")
-        }
+        _, *other = self._seen(coarse, lattice, y, T)
+        return errors_of([*found[1:]], other, jnp.where(repeats, left, jnp.nan))
 
-    def _seen(self, flow, lattice, y, period, multiple, used):
-        end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, self.watch)
-        return {
-            "response": answered(self.response, lattice, ys, ts),
-            "velocity": jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v),
-            "energy": jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys)),
-            "multiple": multiple,
-            "periods": used,
-            "states": end,
-        }
-
-
-def _way(attractor, with_errors, values, state, jump, accuracy, direction, origin):
-    order, found = values[::direction], []
-    for value in order:
-        found.append(attractor(value, state))
-        state = found[-1]["states"]
-    floor = SMALLEST * max(abs(_number(x)) for x in found)
-    steps = list(zip(order, found, order[1:], found[1:]))
-    jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
-    changes = [_bifurcation(attractor, step, accuracy, i, origin) for i, step in enumerate(steps)]
-    found = [with_errors(value, x) for value, x in zip(order, found)]
-    stacked = jax.tree.map(lambda *x: np.stack(x), *found[::direction])
-    return Way(
-        **stacked,
-        jumps=tuple(filter(None, jumps)),
-        bifurcations=tuple(filter(None, changes)),
-        **origin,
-    )
-
-
-def _number(result):
-    return float(result["response"])
-
-
-def _apart(a, b):
-    return abs(_number(a) - _number(b))
+    def _seen(self, flow, lattice, y, period):
+        end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, WATCHED)
+        velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
+        energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
+        return end, answered(self.response, lattice, ys, ts), velocity, energy
 
 
 def _halved(attractor, step, accuracy, belongs, share=1.0):
@@ -301,7 +285,7 @@ def _halved(attractor, step, accuracy, belongs, share=1.0):
         middle = (low + high) / 2
         if middle in (low, high):
             break
-        c = attractor(middle, a["states"], share)
+        c = attractor(middle, a.motion.state, share)
         if belongs(a, c, b):
             low, a = middle, c
         else:
@@ -310,47 +294,49 @@ def _halved(attractor, step, accuracy, belongs, share=1.0):
 
 
 def _jump(attractor, step, accuracy, share, floor):
-    def is_jump(a, b):
-        return _apart(a, b) > max(share * max(abs(_number(a)), abs(_number(b))), floor)
+    def apart(a, b):
+        return abs(float(a.response) - float(b.response))
 
     def left(step):
         _, a, _, b = step
-        return is_jump(a, b) and _apart(a, b) >= first / 2
+        larger = max(abs(float(a.response)), abs(float(b.response)))
+        return apart(a, b) > max(share * larger, floor) and apart(a, b) >= first / 2
 
     def nearer(a, c, b):
-        return _apart(a, c) < _apart(c, b)
+        return apart(a, c) < apart(c, b)
 
     begin, a, end, b = step
-    first = _apart(a, b)
-    if not is_jump(a, b) or a["multiple"] == b["multiple"] == 0:
+    first = apart(a, b)
+    if not left(step) or a.multiple == b.multiple == 0:
         return None
     share_of_tolerance = 1.0
     for _ in range(AGAIN):
         low, c, high, d = step = _halved(attractor, step, accuracy, nearer, share_of_tolerance)
         if not left(step):
             return None
-        c, d = attractor(low, c["states"], TIGHT), attractor(high, d["states"], TIGHT)
+        c, d = attractor(low, c.motion.state, TIGHT), attractor(high, d.motion.state, TIGHT)
         step, share_of_tolerance = (low, c, high, d), TIGHT
         if left(step):
             break
         # one of them had not left the branch that ends before it: the jump, if any, lies on its other side
-        step = (begin, a, low, c) if _apart(c, b) < _apart(c, a) else (high, d, end, b)
+        step = (begin, a, low, c) if nearer(b, c, a) else (high, d, end, b)
     for halvings in range(NARROW + 1):
         if not left(step):
             return None
         low, a, high, b = step = _halved(attractor, step, accuracy / 2**halvings, nearer, TIGHT)
-    return Jump(float((low + high) / 2), _number(a), _number(b)) if left(step) else None
+    if not left(step):
+        return None
+    return Jump(float((low + high) / 2), float(a.response), float(b.response))
 
 
 def _bifurcation(attractor, step, accuracy, i, origin):
     _, a, _, b = step
-    if a["multiple"] == b["multiple"]:
+    if a.multiple == b.multiple:
         return None
-    low, _, high, _ = _halved(
-        attractor, step, accuracy, lambda a, c, b: a["multiple"] == c["multiple"]
-    )
-    counts = int(a["multiple"]), int(b["multiple"])
-    return Bifurcation("repetition", float((low + high) / 2), i, None, None, *counts, **origin)
+    same = lambda a, c, b: a.multiple == c.multiple
+    low, _, high, _ = _halved(attractor, step, accuracy, same)
+    place = float((low + high) / 2)
+    return Bifurcation("repetition", place, i, None, None, a.multiple, b.multiple, **origin)
 
 
 def _hysteresis(values, up, down, share):
