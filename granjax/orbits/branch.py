@@ -1,21 +1,55 @@
 """A branch of periodic orbits over a parameter, and the bifurcations on it."""
 
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Inexact, Shaped
 
+from ..checks import one_of, positive, refuse, tolerance
 from ..continuation import Curve
-from ..lattice import Lattice, State
-from ..newton import Root
+from ..continuation.system import Point
+from ..flow import Flow
+from ..lattice import Lattice, State, spread_mass
+from ..measures import rms_velocity
+from ..newton import Root, nearby
 from ..results import Held, Result, array, part
-from ..types import Count, Displacements
-from .confirm import OrbitError
-from .orbit import Orbit
-from .problems import Family
+from ..solvers import SRKN14a
+from ..tuning import one_thread
+from ..types import Count, Displacements, Numbers, Scalar, StateLike
+from .asked import (
+    Symmetry,
+    answered,
+    checked_state,
+    checked_symmetry,
+    fixed_step_solver,
+    flow_over,
+    history,
+)
+from .floquet import decide, structure, weights
+from .orbit import (
+    BRANCH,
+    DOUBLINGS,
+    FRAMES,
+    LEFT_ON_BRANCH,
+    Orbit,
+    OrbitError,
+    checked_free,
+    covering,
+    error_of,
+    neighbours,
+    newtons,
+    prepared,
+    rounding,
+)
+from .problems import Family, made
+from .spectrum import reversible_multipliers, spectrum
 
 FOLD = "fold"
 BRANCH_POINT = "branch point"
@@ -165,9 +199,7 @@ def _residual(family, x, q):
     return jnp.max(jnp.abs(family.residual(x, q)))
 
 
-def bifurcation_at(
-    family: Family, kind: str, z: np.ndarray, after: Count, *known: Any
-) -> Bifurcation:
+def _bifurcation_at(family, kind, z, after, *known):
     """A bifurcation at z = (x, q). `known`: its multiplier and what is counted before and behind, if any."""
     x, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
     state = State(*family.shooting.state(x))
@@ -177,4 +209,477 @@ def bifurcation_at(
 
 def special_of(family: Family, curve: Curve) -> list[Bifurcation]:
     """The folds and branch points that continuation has met, as `Bifurcation`s."""
-    return [bifurcation_at(family, s.kind, np.append(s.x, s.p), s.after) for s in curve.special]
+    return [_bifurcation_at(family, s.kind, np.append(s.x, s.p), s.after) for s in curve.special]
+
+
+class _Examined(NamedTuple):
+    """An orbit of a branch, its errors, and its tangent maps by several numbers of steps, the most first.
+
+    Of a breather the maps are over half a period, over u and m v without units; else they are monodromy matrices.
+    `changes`: of a breather how far its unknowns may be off; else of the state (3, 2n), by other steps.
+    """
+
+    state: State
+    period: Numbers
+    energy: Numbers
+    response: Numbers | None
+    error: OrbitError
+    response_error: Numbers | None
+    maps: Numbers | None
+    changes: Numbers
+
+    @property
+    def step_error(self) -> float:
+        """The change of the tangent map between the most steps and the least."""
+        return float(np.abs(np.asarray(self.maps[0]) - np.asarray(self.maps[-1])).max())
+
+
+def examined(family: Family, z: np.ndarray, response: Callable | None = None) -> _Examined:
+    """The orbit z = (x, q) of a family."""
+    z = jnp.asarray(z)
+    return _half(family, z) if family.shooting.reversible else _whole(family, z, response)
+
+
+@eqx.filter_jit
+def _half(family, z):
+    """By the steps of the family, and twice as many; of x at this frequency, as far as the derivative tells."""
+    x, shooting, (lattice, period) = z[:-1], family.shooting, family.scene(z[-1])
+    y, flow, n, moves = shooting.state(x), shooting.flow, shooting.count, shooting.moves
+    mass = ravel_pytree(spread_mass(lattice))[0]
+    weight = jnp.concatenate([jnp.ones_like(mass), mass / mass.mean() * period])
+
+    def mapped(steps):
+        end, map_ = Flow(steps, flow.solver, flow.field).derivative(y, 0.0, period / 2, lattice)
+        return map_ * weight[:, None] / weight, ravel_pytree(end.v)[0]
+
+    maps, ends = jax.lax.map(mapped, flow.steps * jnp.array([2, 1]))
+    # the velocities at the end are zero, and the mean displacement, but for what an idle unknown adds
+    unit = shooting.scale[:n, None] / shooting.scale[n:, None]
+    slope = maps[0][n:, :n] * unit / weight[n:, None]
+    joined = jnp.block(
+        [[slope, moves], [moves.T * mass / mass.sum(), jnp.zeros((moves.shape[1],) * 2)]]
+    )
+    inverse = jnp.linalg.inv(joined)
+    change = inverse[:, :n] @ ((ends[0] - ends[1]) / shooting.scale[n:])
+    apart = covering(change[None], rounding(inverse))
+    state = shooting.state(nearby(x, -inverse[:, :n] @ (ends[1] / shooting.scale[n:])))
+    off = shooting.apart(apart)
+    error = error_of(lattice, 0.0, state, off, 2 * jnp.pi / period, jnp.zeros(()))
+    period, energy = jnp.broadcast_to(period, ()), lattice.energy(0.0, *state)
+    return _Examined(state, period, energy, None, error, None, maps, apart)
+
+
+@eqx.filter_jit
+def _whole(family, z, response):
+    """By the steps of the family, 3/4 and 1/2 of them; the error is the most that the other steps change."""
+    (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
+    t0, period, flow = (
+        family.shooting.t0,
+        jnp.asarray(period, lattice.dtype),
+        family.shooting.whole,
+    )
+
+    def responded(y, n):
+        _, ts, ys = history(Flow(n, flow.solver), lattice, y, t0, period, FRAMES)
+        return answered(response, lattice, ys, ts)
+
+    def mapped(n):
+        end, map_ = Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)
+        return ravel_pytree(end)[0], map_
+
+    counts = jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2])
+    ends, maps = jax.lax.map(mapped, counts)
+    # in one unit for displacements and one for velocities
+    flat, unravel = ravel_pytree(state)
+    scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
+    inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
+    changes = (
+        jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
+    )
+    # of each flow's own orbit
+    others = flat + jnp.concatenate([jnp.zeros_like(changes[:1]), changes[:2]]) / scale
+    numbers = jax.lax.map(lambda x: responded(unravel(x[0]), x[1]), (others, counts))
+    about = covering((numbers[1:] - numbers[0])[:, None], rounding(inverse, jnp.abs(numbers[0])))[0]
+    state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
+    apart = covering(changes, rounding(inverse, jnp.max(jnp.abs(flat * scale))))
+    error = error_of(lattice, t0, state, unravel(apart / scale), 2 * jnp.pi / period, jnp.zeros(()))
+    return _Examined(
+        state, period, lattice.energy(t0, *state), numbers[0], error, about, maps, changes / scale
+    )
+
+
+def examined_along(
+    family: Family, curve: Curve, response: Callable | None = None, stability: bool = True
+) -> tuple[list[_Examined], list[tuple], list[float]]:
+    """Each orbit of a curve without its maps, its (multipliers, error, verdict), and its `step_error`.
+
+    While one is decomposed the next one's maps are on their way.
+    """
+    n, reversible = family.shooting.count, family.shooting.reversible
+    known = structure(family.scene(jnp.asarray(curve.p[0]))[0])
+    unknown = np.full(2 * n, np.nan, complex), np.full(2 * n, np.nan), ""
+
+    def launched(i):
+        return examined(family, np.append(curve.x[i], curve.p[i]), response)
+
+    found, spectra, steps, coming = [], [], [], launched(0)
+    for i in range(len(curve.p)):
+        here, coming = coming, launched(i + 1) if i + 1 < len(curve.p) else None
+        maps = np.asarray(here.maps)
+        if not reversible:
+            scale = weights(known.mass, here.period)
+            maps = maps * scale[:, None] / scale
+        here = here._replace(maps=maps)
+        found.append(jax.tree.map(np.asarray, here._replace(maps=None)))
+        steps.append(here.step_error)
+        if stability:
+            values, error = (
+                reversible_multipliers(*maps)[1:] if reversible else spectrum(*maps)[::2]
+            )
+            verdict, _ = decide(values, error, known.expected, reversible)
+        spectra.append((values, error, verdict) if stability else unknown)
+    return found, spectra, steps
+
+
+def branch_of(
+    family: Family,
+    curve: Curve,
+    along: tuple,
+    bifurcations: tuple[Bifurcation, ...] | list[Bifurcation],
+) -> Branch:
+    """The branch that a curve of a family is, from what `examined_along` gives and its bifurcations."""
+    found, spectra, steps = along
+    found = jax.tree.map(lambda *x: np.stack(x), *found)
+    # an error that is small by accident is as large as its neighbours
+    error, about = jax.tree.map(neighbours, (found.error, found.response_error))
+    multipliers, multiplier_error, verdict = (np.stack(part) for part in zip(*spectra))
+    return Branch(
+        family.values(curve.p),
+        found.period,
+        found.state,
+        found.energy,
+        found.response,
+        error.state,
+        error.energy,
+        about,
+        multipliers,
+        multiplier_error,
+        np.array(steps),
+        verdict,
+        tuple(bifurcations),
+        family.outcome(curve),
+        float(family.shooting.t0),
+        family,
+        curve,
+        **family.scene(jnp.asarray(curve.p[0]))[0].origin,
+    )
+
+
+KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
+# distance from +1 within which half-traces are taken together
+NEAR = 1e-4
+# the least error of a half-trace
+LEAST_ERROR = 1e-12
+# of the way between two points, how near a bifurcation is found, and how far another one lies at least
+LOCATED = 1e-10
+APART = 1e-7
+
+
+@one_thread
+def bifurcations(
+    branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9
+) -> list[Bifurcation]:
+    r"""Bifurcations along a family, each located between two neighbouring breathers.
+
+    With mu = (rho + 1/rho)/2: a pair leaves the circle at +1 where mu crosses 1, at -1 (period doubling) where it
+    crosses -1; two pairs of unlike Krein signature leave it together where two mu meet and become complex. Where mu is
+    1 within its error it counts as the symmetries', which stand there anyway.
+
+    **Arguments:** `branch`: of `gx.breathers.family`. `kinds`: which, of "real pair at +1", "period doubling", "Krein
+    collision", "extremum of energy". `accuracy`: relative, of the frequency.
+
+    **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes between two breathers
+    is not seen: give the family a shorter `longest_arclength`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> branch = gx.breathers.family(chain, points=3, arclength=0.3, steps=64)
+    >>> branch.verdict.tolist(), gx.breathers.bifurcations(branch)
+    (['stable', 'stable', 'stable'], [])
+    """
+    if not branch._family.shooting.reversible:
+        refuse(
+            "branch",
+            "a family of breathers",
+            "a branch of forced orbits",
+            "Its own are branch.bifurcations.",
+        )
+    for kind in kinds:
+        one_of("kinds", kind, KINDS)
+    accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
+    family, curve = branch._family, branch._curve
+    for i in range(len(branch) - 1):
+        way, points, events = family.between(curve, i), {}, []
+        ends = tuple(way.known.values())
+
+        def count(point, kind):
+            key = point.z.tobytes()
+            points.setdefault(key, _Counted(family, point))
+            return points[key].count(kind)
+
+        for kind in kinds:
+            before, behind = (count(point, kind) for point in ends)
+            if before == behind:
+                continue
+            share = accuracy * curve.p[i] / 4 / way.length
+            point = way.zero(lambda point: 1.0 if count(point, kind) == behind else -1.0, share)
+            events.append((kind, point.z, before, behind))
+        events.sort(key=lambda event: (event[1] - way.begin) @ way.direction)
+        found += [_bifurcation_at(family, kind, z, i, None, *counts) for kind, z, *counts in events]
+    return found
+
+
+class _Counted:
+    """A breather of a branch, with what is counted at it."""
+
+    def __init__(self, family: Family, point: Point):
+        self.family, self.z, self.tangent = family, point.z, point.tangent
+
+    @cached_property
+    def spectrum(self) -> tuple:
+        """The half-traces, and the error of a step."""
+        found = examined(self.family, self.z)
+        return reversible_multipliers(*np.asarray(found.maps))[0], found.step_error
+
+    def count(self, kind: str) -> int:
+        """How many of a kind; the energy's slope along the branch, 0 or 1."""
+        if kind == "extremum of energy":
+            slope = _energy_slope(self.family, jnp.asarray(self.z), jnp.asarray(self.tangent))
+            return int(slope > 0)
+        traces, step_error = self.spectrum
+        symmetries = 1 + self.family.shooting.moves.shape[1]
+        # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
+        error = max(step_error, LEAST_ERROR)
+        near = np.abs(traces - 1) < max(NEAR, 10 * np.sqrt(error))
+        apart = traces[~near]
+        real = np.abs(apart.imag) <= np.sqrt(error)
+        if kind == "Krein collision":
+            return int(np.sum(~real)) // 2
+        if kind == "period doubling":
+            return int(np.sum(apart[real].real < -1))
+        beyond = int(np.sum(apart[real].real > 1))
+        if np.sum(near) == symmetries + 1:
+            return beyond + int(np.sum(traces[near] - 1).real > 0)
+        return beyond + int(np.sum(np.sort(traces[near].real)[symmetries:] > 1 + np.sqrt(error)))
+
+
+@eqx.filter_jit
+def _energy_slope(problem, z, tangent):
+    """dE/ds along a tangent (x, q) of a branch."""
+
+    def total(z):
+        state = problem.shooting.state(z[:-1])
+        return problem.scene(z[-1])[0].energy(0.0, state.u, state.v)
+
+    return jax.jvp(total, (z,), (tangent,))[1]
+
+
+def _along_forced(family, curve, multipliers, response):
+    """Those of a branch of forced orbits, in its order; folds are known already.
+
+    Where the number of multipliers outside the unit circle changes, by Brent's method on the modulus that passes 1.
+    """
+    found, zs = [], np.column_stack([curve.x, curve.p])
+    for i, (begin, end) in enumerate(zip(zs[:-1], zs[1:])):
+        known = {begin.tobytes(): multipliers[i], end.tobytes(): multipliers[i + 1]}
+
+        def look(z):
+            if z.tobytes() not in known:
+                maps = examined(family, z, response).maps
+                known[z.tobytes()] = np.linalg.eigvals(np.asarray(maps[0]))
+            return known[z.tobytes()]
+
+        events = [(FOLD, np.append(s.x, s.p)) for s in curve.special if s.after == i]
+        folds, chord = len(events), end - begin
+        for z in _crossings(family.between(curve, i, chord / np.linalg.norm(chord)), look):
+            kind = _kind_of(critical(look(z)))
+            if kind == BRANCH_POINT and folds:  # it passes 1 at a fold too
+                folds -= 1
+            else:
+                events.append((kind, z))
+        events.sort(key=lambda event: (event[1] - begin) @ chord)
+        found += [_bifurcation_at(family, kind, z, i, critical(look(z))) for kind, z in events]
+    return tuple(found)
+
+
+def _crossings(way, look):
+    """Where moduli pass 1 between two points, in order: as many as the number of unstable multipliers changes by."""
+    moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
+    counts = sorted(np.count_nonzero(moduli(point) > 1) for point in way.known.values())
+    found = []
+    for k in range(*counts):
+        # the k-th modulus in order of size is continuous, whatever the multipliers do
+        z = way.zero(lambda point: float(moduli(point)[k] - 1), LOCATED).z
+        if all(np.linalg.norm(z - other) > APART * way.length for other in found):
+            found.append(z)
+    return sorted(found, key=lambda z: (z - way.begin) @ way.direction)
+
+
+def _kind_of(multiplier, near=1e-05):
+    """The kind of a bifurcation with this multiplier on the unit circle; one at +1 is a branch point."""
+    if abs(multiplier.imag) > near:
+        return TORUS
+    return BRANCH_POINT if multiplier.real > 0 else DOUBLING
+
+
+def critical(multipliers: np.ndarray) -> complex:
+    """The multiplier nearest to the unit circle, of a pair the one above the real axis."""
+    rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
+    return complex(rho.real, abs(rho.imag))
+
+
+# of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
+LEAST_SLOPE = 1e-2
+# of two doublings of the steps, the least that they must lower an error by
+HELPS = 4
+
+
+@one_thread
+def forced_branch(
+    make: Callable[[Any], Any],
+    start: Scalar,
+    until: Scalar,
+    *,
+    period: Callable[[Any], Any] | Scalar,
+    guess: StateLike | None = None,
+    transient: Count = 0,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    segments: Count = 1,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = BRANCH,
+    arclength: Scalar = 0.02,
+    longest_arclength: Scalar | None = None,
+    points: Count = 400,
+    response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
+) -> Branch:
+    r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
+
+    Pseudo-arclength continuation of y(t0 + T; p) = y(t0). Stability at every point by the multipliers of the same
+    flow; where their number outside the unit circle changes, the bifurcation between is located by Brent's method on
+    the modulus that passes 1, folds by continuation itself. Two bifurcations within one step whose changes cancel
+    are not seen: shorten `longest_arclength`.
+
+    **Arguments:**
+
+    - `make(p)`: the lattice at a value of the parameter, traced: `lambda f: driven_chain(chain, 0.1, 2 * jnp.pi * f)`.
+      The same function again compiles nothing; a Module with arrays may change them too.
+    - `start`, `until`: the branch begins at p = `start` towards `until`, and ends at either.
+    - `period`: T, a number, or a function of p such as `lambda f: 1 / f`.
+    - `guess`, `transient`, `t0`, `segments`, `solver`: of the first orbit, as in `forced_orbit`.
+    - `steps`: per period, the same all along; `None` begins with the most that `start` or `until` asks for, and doubles
+      them until half as many confirm every orbit to `tolerance`, relative to its size.
+    - `arclength`, `longest_arclength`: first and longest (5 arclength) step along the branch, in which the
+      way from `start` to `until` counts 1, and so does a change of the state by the first orbit's size, or by what its
+      slope in p makes over the whole way, if that is more.
+    - `points`: the most points. `response(lattice, u, v, t)`: a number from one period u, v (F, N), t (F,); by
+      default the root mean square of all velocities.
+
+    **Returns:** `Branch`. **Raises** ValueError for `until` equal to `start`, no forcing, and as `forced_orbit`;
+    RuntimeError where the first orbit does not converge.
+    Source: Doedel, Keller, Kernevez, Int. J. Bifurcation Chaos 1, 493 and 745 (1991); Kuznetsov, Elements of Applied
+    Bifurcation Theory.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, precompression=1.0)
+    >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
+    >>> branch = gx.forced.forced_branch(make, 0.01, 0.02, period=2 * np.pi / 0.5, steps=64, arclength=0.5)
+    >>> branch.outcome
+    'p reached 0.02.'
+    >>> round(float(branch.response[-1] / branch.response[0]), 3)
+    2.0
+    """
+    start, until = float(start), float(until)
+    if start == until:
+        refuse("until", "another value than start", repr(until))
+    period = period if callable(period) else positive("period", period)
+    longest_arclength = 5 * arclength if longest_arclength is None else longest_arclength
+    scenes = [made(make, period, p) for p in (start, until)]
+    solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
+    lattice, T = scenes[0]
+    guess = (
+        State(lattice.zeros(), lattice.zeros())
+        if guess is None
+        else checked_state(lattice, guess, "guess")
+    )
+    flows = [flow_over(lattice, T, steps, solver, segments, guess) for lattice, T in scenes]
+    # an array, whose value compiles nothing anew
+    flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
+    for lattice, T in scenes[::-1]:
+        if checked_free(lattice):
+            refuse(
+                "make",
+                "a lattice under forcing",
+                "none",
+                "Breathers over their frequency: gx.breathers.family.",
+            )
+        checked_symmetry(lattice, Symmetry(), guess, t0, T)
+    shooting, x = prepared(
+        lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient)
+    )
+    left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
+    family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start), left)
+    first = family.follow(x, 0.0, points=1)
+    # the unit of length: the first orbit, or where its slope over the whole way leads, if that is more
+    slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), LEAST_SLOPE)
+    unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
+    family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
+    x, most = first.x[0] / unit, 2**DOUBLINGS * int(flow.steps)
+    while True:
+        curve = family.follow(
+            x,
+            0.0,
+            until=(0.0, 1.0),
+            arclength=arclength,
+            longest_arclength=longest_arclength,
+            points=points,
+            find=("fold",),
+        )
+        along = examined_along(family, curve, response)
+        if steps is not None:
+            break
+        finer = _enough(family, curve, along[0], response, tolerance, most)
+        if finer is family:
+            break
+        family, x = finer, curve.x[0]
+    found = _along_forced(family, curve, [multipliers for multipliers, *_ in along[1]], response)
+    return branch_of(family, curve, along, found)
+
+
+def _enough(family, curve, looked, response, tolerance, most):
+    """The family by steps for which the branch is known well enough where it is known worst.
+
+    What moves an orbit along the branch does not count: at a fold that is all.
+    """
+    scale = np.asarray(family.shooting.scale)
+
+    def share(found, i):
+        changes, along = np.asarray(found.changes) / scale, curve.tangents[i, : len(scale)]
+        # of an orbit at rest neither is there
+        changes = changes - (changes @ along)[:, None] * along / (along @ along or 1)
+        return np.abs(changes).max() / (np.abs(curve.x[i, : len(scale)]).max() or 1)
+
+    shares = [share(found, i) for i, found in enumerate(looked)]
+    worst = int(np.argmax(shares))
+    known, z = [shares[worst]], np.append(curve.x[worst], curve.p[worst])
+    # where two doublings help little it is not the steps: another branch crosses there
+    while (
+        known[-1] > tolerance
+        and 2 * family.shooting.whole.steps <= most
+        and not (len(known) > 2 and known[-1] > known[-3] / HELPS)
+    ):
+        family = family.with_steps(2 * family.shooting.flow.steps)
+        known.append(share(examined(family, z, response), worst))
+    return family

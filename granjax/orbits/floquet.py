@@ -1,6 +1,6 @@
-"""Floquet theory: the monodromy matrix of a periodic orbit, its multipliers with errors, and what follows from them."""
+"""What a lattice's equations promise of a monodromy matrix: the symplectic form, damping, multipliers at +1."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,21 +9,130 @@ import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float, Inexact, Integer
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from ..checks import refuse, whole, within
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
+from ..printing import told
 from ..programs import compiled
 from ..results import Result, array
 from ..solvers import KahanLi8
 from ..tuning import one_thread
-from ..types import Count, Numbers, Pytree, Scalar
-from .repeats import checked_period, checked_state, largest, one_lattice
-from .spectrum import change, known_spectrum, product_spectrum, size_of, uncertain
-from .steps import default_steps, fixed_step_solver
-from .structure import NOTHING, defect, krein, structure, weights
-from .symmetry import Symmetry, free_moves, shifts
+from ..types import Count, Pytree, Scalar, StateLike
+from .asked import (
+    Symmetry,
+    checked_period,
+    checked_state,
+    default_steps,
+    fixed_step_solver,
+    free_moves,
+    largest,
+    one_lattice,
+    shifts,
+)
+from .spectrum import (
+    REGULAR,
+    ROUNDING,
+    SAFETY,
+    change,
+    known_spectrum,
+    matched,
+    product_spectrum,
+    size_of,
+    uncertain,
+)
+
+
+class _Structure(NamedTuple):
+    """`mass`: (n,) of the raveled displacements, or `None` for a flow of which nothing is known.
+
+    `rate`: gamma of a uniform damping, 0 for none, `None` where the flow is not even conformally symplectic.
+    `expected`: multipliers at +1. `autonomous`: nothing depends on time.
+    """
+
+    mass: np.ndarray | None
+    rate: float | None
+    expected: int
+    autonomous: bool
+    __repr__ = told
+
+
+NOTHING = _Structure(None, None, 0, False)
+
+
+def structure(lattice: Lattice) -> _Structure:
+    """The `_Structure` of a lattice.
+
+    Expected at +1: for an orbit of an autonomous, conservative lattice two (phase and energy), and two more for every
+    free displacement (position and momentum): four for a chain with free ends or a ring, two between walls; none where
+    it is driven or damped, but the free displacement of a damped or driven chain, which keeps one (or two).
+    """
+    masses = zip(jax.tree.leaves(lattice.mass), jax.tree.leaves(lattice.template()))
+    mass = np.concatenate([np.broadcast_to(m, x.shape).ravel() for m, x in masses])
+    damping = [term.exact_damping() for term in lattice.terms]
+    damping = [found for found in damping if found is not None]
+    reads = [term.dependence(lattice) for term in lattice.terms if term.exact_damping() is None]
+    # a force that comes from no energy is no more symplectic than one that reads velocities
+    others = [x for x in reads if x.velocity or x.displacement and not x.energy]
+    autonomous = not lattice.reads_time
+    moves = shifts(lattice).shape[1]
+    rates = {float(x) for _, rate in damping for x in np.ravel(rate)}
+    everywhere = all(field is None for field, _ in damping)
+    dissipates = bool(others or any(rates))
+    if dissipates:
+        expected = moves + (1 if autonomous else 0)
+    else:
+        expected = 2 * moves + (2 if autonomous else 0)
+    uniform = (
+        not others
+        and everywhere
+        and all(np.unique(np.ravel(rate)).size == 1 for _, rate in damping)
+    )
+    rate = sum(float(np.ravel(rate)[0]) for _, rate in damping) if uniform else None
+    return _Structure(mass, rate, expected, autonomous)
+
+
+def weights(mass: Float[np.ndarray, " n"], period: Scalar) -> Float[np.ndarray, " two_n"]:
+    """D = sqrt(m/m_mean) (1, T/2 pi) over the raveled (u, v), which turns both into lengths of one size, (2n,).
+
+    D M D^-1 of a tangent map M has no units: norms, condition numbers and errors are taken of it. m_mean is the
+    geometric mean, so that masses and moments of inertia may stand side by side.
+    """
+    root = np.sqrt(mass / np.exp(np.mean(np.log(mass))))
+    return np.concatenate([root, root * float(period) / (2 * np.pi)])
+
+
+def defect(monodromy: np.ndarray, rate: float | None, period: Scalar) -> float:
+    """max |M^T J M - exp(-gamma T) J| of D M D^-1: rounding for a (conformally) symplectic map, whatever its error."""
+    if rate is None:
+        return float("nan")
+    one = np.eye(len(monodromy) // 2)
+    J = np.block([[0 * one, one], [-one, 0 * one]])
+    return float(np.abs(monodromy.T @ J @ monodromy - np.exp(-rate * period) * J).max())
+
+
+def krein(
+    multipliers: np.ndarray,
+    vectors: np.ndarray,
+    mass: np.ndarray | None,
+    tolerance: np.ndarray,
+) -> np.ndarray:
+    """Signature of each multiplier on the unit circle: the sign of Im sum m conj(u) v; 0 off the circle or mixed.
+
+    +1: the motion exp(i omega t) of a positive energy, with its conjugate at -1. Two of one sign pass through each
+    other; of unlike signs they may leave the circle (M. G. Krein; Aubry, Physica D 216, 1 (2006)).
+    """
+    if mass is None:
+        return np.full(len(multipliers), np.nan)
+    n = len(mass)
+    u, v = vectors[:n], vectors[n:]
+    value = np.imag(np.sum(mass[:, None] * np.conj(u) * v, axis=0))
+    size = np.sum(mass[:, None] * np.abs(u) * np.abs(v), axis=0)
+    definite = (np.abs(np.abs(multipliers) - 1) <= tolerance) & (np.abs(value) > 1e-6 * size)
+    return np.where(definite, np.sign(value), 0.0)
+
 
 STABLE = "stable"
 UNSTABLE = "unstable"
@@ -200,7 +309,7 @@ def floquet(
     >>> np.array(gx.linear.normal_modes(chain).omega).round(6).tolist()
     [0.937379, 1.732051, 2.263033]
     """
-    period = one_period(lattice, period)
+    period = _one_period(lattice, period)
     tolerance = checked_tolerance("tolerance", tolerance)
     known, rests = NOTHING, False
     if isinstance(lattice, Lattice):
@@ -256,7 +365,7 @@ def floquet(
     )
     free = shifts(lattice) if isinstance(lattice, Lattice) else None
     if not rests:
-        refuse_open(begin, away, fine[1], coarser[1], free, scale)
+        _refuse_open(begin, away, fine[1], coarser[1], free, scale)
     moved = ((begin + away) / scale).astype(there.dtype)
     other = run(count // 2, moved)[0] if away.any() else coarser[0]
     levels = fine[0], coarse[0], coarser[0]
@@ -280,14 +389,7 @@ def _displacement(known, monodromy, gap, unknown):
     return away * total / max(np.linalg.norm(away), np.finfo(float).tiny)
 
 
-def refuse_open(
-    start: Numbers,
-    away: Numbers,
-    fine: Numbers,
-    coarse: Numbers,
-    free: Numbers | None,
-    scale: Numbers,
-) -> None:
+def _refuse_open(start, away, fine, coarse, free, scale):
     """Refuse a state that does not return, by more than the flow is known to and more than the orbit may be off.
 
     All without units, by the weights `scale`. Uniform displacements that cost nothing, `free`, count in no size.
@@ -308,7 +410,7 @@ def refuse_open(
         )
 
 
-def one_period(lattice: Lattice | Flow, period: Scalar) -> float:
+def _one_period(lattice, period):
     """The period, of one lattice or another flow."""
     if not isinstance(lattice, Flow):
         one_lattice(lattice)
@@ -423,3 +525,117 @@ def multipliers(
     """
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
     return jnp.linalg.eigvals(monodromy)
+
+
+# vectors that Arnoldi's method keeps
+BASIS = 60
+# how often it starts anew from them
+RESTARTS = 30
+
+
+class _Leading(NamedTuple):
+    """What `leading` returns: `multipliers` (count,), the largest first, `vectors` (2n, count), `error` of each."""
+
+    multipliers: Complex[np.ndarray, " count"]
+    vectors: Complex[np.ndarray, "two_n count"]
+    error: Float[np.ndarray, " count"]
+    __repr__ = told
+
+
+@eqx.filter_jit
+def _end(flow, y, t0, period, args):
+    return ravel_pytree(flow(y, t0, t0 + period, args))[0]
+
+
+@eqx.filter_jit
+def _push(flow, y, t0, period, args, direction):
+    _, unravel = ravel_pytree(y)
+    tangent = jax.tree.map(lambda x: x[..., None], unravel(direction))
+    return ravel_pytree(flow.tangents(y, tangent, t0, t0 + period, args)[1])[0]
+
+
+def leading(
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    count: Count = 6,
+    *,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = 1e-9,
+) -> _Leading:
+    """The multipliers of largest modulus by Arnoldi's method over products M x, one tangent a period each.
+
+    For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the
+    unit circle none leads, and the method then ends without them and names those that it has.
+
+    The multipliers are those of the flow by `steps` steps along this state. Their error is four times what
+    3/4 and 1/2 as many change, by the same method from the vectors that were found, and the `tolerance`.
+
+    **Returns:** `_Leading`: multipliers (count,), the largest first, their vectors (2n, count), normalised as in
+    `Floquet`, and the error of each, infinite where fewer steps lead to no such multipliers.
+    **Raises** ValueError in a sonic vacuum without `steps`, for a period or steps not above zero, and for a state that
+    does not return, as far as these steps and half of them tell; RuntimeError where Arnoldi's method does not
+    converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
+    """
+    tolerance = checked_tolerance("tolerance", tolerance)
+    period, state = _one_period(lattice, period), checked_state(lattice, state)
+    checked_period(lattice, state, t0, period)
+    steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
+    solver = fixed_step_solver(lattice, solver, KahanLi8())
+    times = jnp.asarray(float(t0)), jnp.asarray(period)
+    scale = weights(structure(lattice).mass, period)
+    size = len(scale)
+    by = lambda n: Flow(jnp.asarray(max(n, 1)), solver)
+    fine, coarse = (
+        scale * np.asarray(_end(by(n), state, *times, lattice)) for n in (steps, steps // 2)
+    )
+    there = scale * np.asarray(ravel_pytree(state)[0])
+    _refuse_open(there, fine - there, fine, coarse, shifts(lattice), scale)
+
+    def arnoldi(n, start):
+        """Multipliers and vectors by n steps."""
+
+        def product(x):
+            direction = jnp.asarray(x.ravel() / scale)
+            return scale * np.asarray(_push(by(n), state, *times, lattice, direction))
+
+        return eigs(
+            LinearOperator((size, size), product, dtype=float),
+            k=count,
+            v0=start,
+            tol=tolerance,
+            ncv=min(size, max(2 * count + 1, BASIS)),
+            maxiter=RESTARTS,
+        )
+
+    try:
+        values, vectors = arnoldi(steps, np.random.default_rng(0).normal(size=size))
+    except ArpackNoConvergence as error:
+        found = ", ".join(f"{rho:.6g}" for rho in error.eigenvalues) or "none"
+        raise RuntimeError(
+            f"Arnoldi's method found {len(error.eigenvalues)} of {count} multipliers: {found}. The others do not stand "
+            f"out from those on the unit circle: ask for fewer."
+        ) from None
+    except ArpackError as error:
+        raise RuntimeError(
+            f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle."
+        ) from None
+    order = np.argsort(-np.abs(values))
+    values, vectors = values[order], vectors[:, order]
+    start = vectors.real.sum(1) + vectors.imag.sum(1)
+    try:
+        others = [arnoldi(n, start)[0] for n in (3 * steps // 4, steps // 2)]
+        # of a pair that is cut in two either may come
+        near, far = (np.minimum(matched(values, x), matched(values, x.conj())) for x in others)
+        # as `spectrum.change`: those of a smooth flow of high order, or the larger
+        change = (
+            near if np.linalg.norm(far) >= REGULAR * np.linalg.norm(near) else np.maximum(near, far)
+        )
+    except (ArpackError, ArpackNoConvergence):
+        change = np.full(count, np.inf)
+    error = SAFETY * change + (2 * float(tolerance) + ROUNDING * np.finfo(float).eps) * np.abs(
+        values
+    )
+    return _Leading(values, vectors / scale[:, None], error)

@@ -26,9 +26,8 @@ from ..solvers import KahanLi8
 from ..states.places import field_of
 from ..theory import nls
 from ..types import Scalar, Site
-from .repeats import checked_lattice
+from .asked import checked_lattice, shifts
 from .scales import nonlinear_length
-from .symmetry import shifts
 
 # relative distance in omega below which a frequency is an edge's
 AT_EDGE = 1e-9

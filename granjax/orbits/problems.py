@@ -17,7 +17,7 @@ from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
 from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
-from .symmetry import Symmetry, free_moves, shifts
+from .asked import Symmetry, free_moves, shifts
 
 
 class Shooting(eqx.Module):
