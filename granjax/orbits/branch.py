@@ -13,8 +13,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Inexact, Shaped
 
 from ..checks import one_of, positive, refuse, tolerance
-from ..continuation import Curve
-from ..continuation.system import Point
+from ..continuation import Curve, Point
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
 from ..measures import rms_velocity
@@ -124,7 +123,6 @@ class Branch(Result):
     bifurcations: tuple[Bifurcation, ...] = array(
         "The bifurcations in the order of the branch.", axes="bifurcation"
     )
-    outcome: str = eqx.field(static=True)
     t0: float = array("The time at which the orbits begin.")
     exported: ClassVar[dict[str, Held]] = {
         "omega": Held("point", "rad/s"),
@@ -136,6 +134,13 @@ class Branch(Result):
 
     def __len__(self) -> int:
         return len(self.p)
+
+    @property
+    def outcome(self) -> str:
+        """Why the branch ended; continuation itself knows the share of its way alone."""
+        if self._curve.end == "p":
+            return f"p reached {self.p[-1]:.6g}."
+        return self._curve.outcome
 
     @property
     def omega(self) -> Float[np.ndarray, " P"]:
@@ -367,7 +372,6 @@ def branch_of(
         np.array(steps),
         verdict,
         tuple(bifurcations),
-        family.outcome(curve),
         float(family.shooting.t0),
         family,
         curve,

@@ -242,9 +242,7 @@ def _towards(ways, until, probe):
         except RuntimeError as failed:
             said.append(f"the family from the mode at {way.omega:.6g} was not found ({failed})")
             continue
-        if (found.p[-1] - found.p[0]) * (
-            until / way.omega - found.p[0]
-        ) > 0 or "reached" in found.outcome:
+        if (found.p[-1] - found.p[0]) * (until / way.omega - found.p[0]) > 0 or found.end == "p":
             return way
         said.append(
             f"the frequency of the mode at {way.omega:.6g} moves away from it with amplitude"
@@ -426,7 +424,7 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
     start, failed = None, None
     try:
         found = family(lattice, omega, stability=False, points=400, steps=steps, solver=solver)
-        if "reached" not in found.outcome:
+        if found._curve.end != "p":
             raise RuntimeError(f"The family did not reach omega = {omega:.6g}: {found.outcome}")
         start = found.orbit(-1).state, int(found._family.shooting.whole.steps)
         if not check or localisation(lattice, start[0]).bright:
@@ -654,8 +652,6 @@ def _refuse_resonance(lattice, omega, dark, remedy=" check=False tries all the s
 
 # of its amplitude, to which a breather is known
 TOLERANCE = 1e-10
-# what continuation says before the reason of a veto
-VETOED = "vetoed, "
 # of the largest force in the limit, what other sites may move and feel: rounding
 FELT = 1e-9
 
@@ -752,12 +748,14 @@ def anticontinuous(
             points=points,
             veto=_veto(problem, omega, limit),
         )
-        why = curve.outcome.partition(VETOED)[2]
+        why, last = curve.reason.partition("vetoed, ")[2], curve.p[-1]
+        if not why and len(curve.p) > 1 and last == 0:
+            turned = f"turned back at the coupling {curve.p.max() * end:.6g}, a fold, to another breather"
+            why = f"{turned} without; none leads to {end:.6g}"
+        elif why:
+            why = f"beyond its last point {why}"
         if why:
-            curve = dataclasses.replace(curve, outcome=f"Ended: beyond its last point {why}")
-        elif len(curve.p) > 1 and curve.p[-1] == 0:
-            turned = f"turned back at the coupling {curve.p.max() * end:.6g}, a fold, to another breather without"
-            curve = dataclasses.replace(curve, outcome=f"Ended: {turned}; none leads to {end:.6g}.")
+            curve = dataclasses.replace(curve, end="other", reason=why)
         return problem, curve
 
     return _confirmed_branch(follow, count, steps is None, tolerance, stability)

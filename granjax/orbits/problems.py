@@ -11,8 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, refuse
-from ..continuation import Curve, continuation
-from ..continuation.system import Between, Point, System
+from ..continuation import Between, Curve, Point, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
@@ -265,11 +264,6 @@ class Family(eqx.Module):
         ends = [Point(np.append(curve.x[j], curve.p[j]), curve.tangents[j]) for j in (i, i + 1)]
         system = System(self.residual, self.linearise, None, self.left)
         return Between(system, *ends, direction)
-
-    def outcome(self, curve: Curve) -> str:
-        """Why a curve of this family ended; continuation knows q alone."""
-        reached = curve.outcome.startswith("p reached")
-        return f"p reached {self.value(curve.p[-1]):.6g}." if reached else curve.outcome
 
     def scene(self, q: Scalar) -> tuple:
         """(lattice, period) at q."""
