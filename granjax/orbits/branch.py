@@ -1,7 +1,6 @@
 """A branch of periodic orbits over a parameter, and the bifurcations on it."""
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -10,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Bool, Float, Inexact, Shaped
+from jaxtyping import Float, Inexact, Shaped
 
 from ..checks import one_of, positive, refuse, tolerance
-from ..continuation import Curve, Point
+from ..continuation import Curve
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
 from ..measures import rms_velocity
@@ -23,10 +22,9 @@ from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Displacements, Numbers, Scalar, StateLike
 from .asked import (
-    Symmetry,
     answered,
+    checked_period,
     checked_state,
-    checked_symmetry,
     fixed_step_solver,
     flow_over,
     history,
@@ -162,39 +160,34 @@ class Branch(Result):
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
         """Values of the parameter where the branch turns back."""
-        return np.array([b.p for b in self.bifurcations if b.kind == FOLD])
+        return self._places(FOLD)
 
     @property
     def branch_points(self) -> Float[np.ndarray, " B"]:
         """Values of the parameter where another branch crosses."""
-        return np.array([b.p for b in self.bifurcations if b.kind == BRANCH_POINT])
+        return self._places(BRANCH_POINT)
 
-    @property
-    def stable(self) -> Bool[np.ndarray, " P"]:
-        """Which points are stable, (P,)."""
-        return self.verdict == "stable"
+    def _places(self, kind):
+        return np.array([b.p for b in self.bifurcations if b.kind == kind])
 
     def orbit(self, i: Count) -> Orbit:
         """The `Orbit` at point i; -1 is the last."""
-        x, q = jnp.asarray(self._curve.x[i]), jnp.asarray(self._curve.p[i])
-        lattice, _ = self._family.scene(q)
-        residual = _residual(self._family, x, q)
-        none = jnp.zeros((), int)
+        family, x, q = self._family, jnp.asarray(self._curve.x[i]), jnp.asarray(self._curve.p[i])
+        lattice, _ = family.scene(q)
+        residual, none = _residual(family, x, q), jnp.zeros((), int)
         root = Root(x, jnp.full((x.size,) * 2, jnp.nan), residual, residual, none, none, residual)
-        state = jax.tree.map(lambda y: jnp.asarray(y[i]), self.states)
-        apart, exact = (
-            jax.tree.map(lambda e: jnp.asarray(e[i]), (self.state_error, self.energy_error)),
-            jnp.zeros(()),
-        )
+        known = self.states, self.periods, self.energy, self.state_error, self.energy_error
+        state, period, energy, *apart = jax.tree.map(lambda y: jnp.asarray(y[i]), known)
+        exact = jnp.zeros(())
         return Orbit(
             state,
-            jnp.asarray(self.periods[i]),
+            period,
             lattice,
             root,
-            self._family.shooting.whole,
+            family.shooting.whole,
             jnp.asarray(self.t0),
-            jnp.asarray(self.energy[i]),
-            self._family.shooting.symmetry,
+            energy,
+            family.shooting.symmetry,
             OrbitError(*apart, exact, exact, **lattice.origin),
         )
 
@@ -210,11 +203,6 @@ def _bifurcation_at(family, kind, z, after, *known):
     state = State(*family.shooting.state(x))
     origin = family.scene(q)[0].origin
     return Bifurcation(kind, float(family.value(q)), int(after), state, *known, **origin)
-
-
-def special_of(family: Family, curve: Curve) -> list[Bifurcation]:
-    """The folds and branch points that continuation has met, as `Bifurcation`s."""
-    return [_bifurcation_at(family, s.kind, np.append(s.x, s.p), s.after) for s in curve.special]
 
 
 class _Examined(NamedTuple):
@@ -268,8 +256,7 @@ def _half(family, z):
     change = inverse[:, :n] @ ((ends[0] - ends[1]) / shooting.scale[n:])
     apart = covering(change[None], rounding(inverse))
     state = shooting.state(nearby(x, -inverse[:, :n] @ (ends[1] / shooting.scale[n:])))
-    off = shooting.apart(apart)
-    error = error_of(lattice, 0.0, state, off, 2 * jnp.pi / period, jnp.zeros(()))
+    error = error_of(lattice, 0.0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
     period, energy = jnp.broadcast_to(period, ()), lattice.energy(0.0, *state)
     return _Examined(state, period, energy, None, error, None, maps, apart)
 
@@ -315,49 +302,49 @@ def _whole(family, z, response):
 
 def examined_along(
     family: Family, curve: Curve, response: Callable | None = None, stability: bool = True
-) -> tuple[list[_Examined], list[tuple], list[float]]:
-    """Each orbit of a curve without its maps, its (multipliers, error, verdict), and its `step_error`.
+) -> list[tuple]:
+    """Of each orbit of a curve: the orbit without its maps, multipliers, their error, `step_error`, verdict.
 
     While one is decomposed the next one's maps are on their way.
     """
     n, reversible = family.shooting.count, family.shooting.reversible
     known = structure(family.scene(jnp.asarray(curve.p[0]))[0])
-    unknown = np.full(2 * n, np.nan, complex), np.full(2 * n, np.nan), ""
-
-    def launched(i):
-        return examined(family, np.append(curve.x[i], curve.p[i]), response)
-
-    found, spectra, steps, coming = [], [], [], launched(0)
-    for i in range(len(curve.p)):
-        here, coming = coming, launched(i + 1) if i + 1 < len(curve.p) else None
+    found, zs = [], np.column_stack([curve.x, curve.p])
+    coming = examined(family, zs[0], response)
+    for after in [*zs[1:], None]:
+        here, coming = coming, None if after is None else examined(family, after, response)
         maps = np.asarray(here.maps)
         if not reversible:
             scale = weights(known.mass, here.period)
             maps = maps * scale[:, None] / scale
-        here = here._replace(maps=maps)
-        found.append(jax.tree.map(np.asarray, here._replace(maps=None)))
-        steps.append(here.step_error)
+        values, error, verdict = np.full(2 * n, np.nan, complex), np.full(2 * n, np.nan), ""
         if stability:
             values, error = (
                 reversible_multipliers(*maps)[1:] if reversible else spectrum(*maps)[::2]
             )
             verdict, _ = decide(values, error, known.expected, reversible)
-        spectra.append((values, error, verdict) if stability else unknown)
-    return found, spectra, steps
+        step_error = here._replace(maps=maps).step_error
+        here = jax.tree.map(np.asarray, here._replace(maps=None))
+        found.append((here, values, error, step_error, verdict))
+    return found
 
 
 def branch_of(
     family: Family,
     curve: Curve,
-    along: tuple,
-    bifurcations: tuple[Bifurcation, ...] | list[Bifurcation],
+    along: list[tuple],
+    bifurcations: Sequence[Bifurcation] | None = None,
 ) -> Branch:
-    """The branch that a curve of a family is, from what `examined_along` gives and its bifurcations."""
-    found, spectra, steps = along
-    found = jax.tree.map(lambda *x: np.stack(x), *found)
+    """The branch that a curve of a family is, from what `examined_along` gives.
+
+    Its bifurcations are by default the folds and branch points that continuation has met.
+    """
+    if bifurcations is None:
+        special = [(s.kind, np.append(s.x, s.p), s.after) for s in curve.special]
+        bifurcations = [_bifurcation_at(family, *at) for at in special]
+    found, multipliers, about, step_error, verdict = jax.tree.map(lambda *x: np.stack(x), *along)
     # an error that is small by accident is as large as its neighbours
-    error, about = jax.tree.map(neighbours, (found.error, found.response_error))
-    multipliers, multiplier_error, verdict = (np.stack(part) for part in zip(*spectra))
+    error, response_error = jax.tree.map(neighbours, (found.error, found.response_error))
     return Branch(
         family.values(curve.p),
         found.period,
@@ -366,10 +353,10 @@ def branch_of(
         found.response,
         error.state,
         error.energy,
-        about,
+        response_error,
         multipliers,
-        multiplier_error,
-        np.array(steps),
+        about,
+        step_error,
         verdict,
         tuple(bifurcations),
         float(family.shooting.t0),
@@ -380,13 +367,6 @@ def branch_of(
 
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
-# distance from +1 within which half-traces are taken together
-NEAR = 1e-4
-# the least error of a half-trace
-LEAST_ERROR = 1e-12
-# of the way between two points, how near a bifurcation is found, and how far another one lies at least
-LOCATED = 1e-10
-APART = 1e-7
 
 
 @one_thread
@@ -413,24 +393,25 @@ def bifurcations(
     (['stable', 'stable', 'stable'], [])
     """
     if not branch._family.shooting.reversible:
-        refuse(
-            "branch",
-            "a family of breathers",
-            "a branch of forced orbits",
-            "Its own are branch.bifurcations.",
-        )
+        wanted = "a family of breathers"
+        refuse("branch", wanted, "forced orbits", "Their own are branch.bifurcations.")
     for kind in kinds:
         one_of("kinds", kind, KINDS)
     accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
     family, curve = branch._family, branch._curve
     for i in range(len(branch) - 1):
-        way, points, events = family.between(curve, i), {}, []
+        way, spectra, events = family.between(curve, i), {}, []
         ends = tuple(way.known.values())
 
         def count(point, kind):
+            if kind == "extremum of energy":
+                return int(_energy_slope(family, *map(jnp.asarray, (point.z, point.tangent))) > 0)
             key = point.z.tobytes()
-            points.setdefault(key, _Counted(family, point))
-            return points[key].count(kind)
+            if key not in spectra:
+                found = examined(family, point.z)
+                traces, _, _ = reversible_multipliers(*np.asarray(found.maps))
+                spectra[key] = traces, found.step_error
+            return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1])
 
         for kind in kinds:
             before, behind = (count(point, kind) for point in ends)
@@ -444,38 +425,21 @@ def bifurcations(
     return found
 
 
-class _Counted:
-    """A breather of a branch, with what is counted at it."""
-
-    def __init__(self, family: Family, point: Point):
-        self.family, self.z, self.tangent = family, point.z, point.tangent
-
-    @cached_property
-    def spectrum(self) -> tuple:
-        """The half-traces, and the error of a step."""
-        found = examined(self.family, self.z)
-        return reversible_multipliers(*np.asarray(found.maps))[0], found.step_error
-
-    def count(self, kind: str) -> int:
-        """How many of a kind; the energy's slope along the branch, 0 or 1."""
-        if kind == "extremum of energy":
-            slope = _energy_slope(self.family, jnp.asarray(self.z), jnp.asarray(self.tangent))
-            return int(slope > 0)
-        traces, step_error = self.spectrum
-        symmetries = 1 + self.family.shooting.moves.shape[1]
-        # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
-        error = max(step_error, LEAST_ERROR)
-        near = np.abs(traces - 1) < max(NEAR, 10 * np.sqrt(error))
-        apart = traces[~near]
-        real = np.abs(apart.imag) <= np.sqrt(error)
-        if kind == "Krein collision":
-            return int(np.sum(~real)) // 2
-        if kind == "period doubling":
-            return int(np.sum(apart[real].real < -1))
-        beyond = int(np.sum(apart[real].real > 1))
-        if np.sum(near) == symmetries + 1:
-            return beyond + int(np.sum(traces[near] - 1).real > 0)
-        return beyond + int(np.sum(np.sort(traces[near].real)[symmetries:] > 1 + np.sqrt(error)))
+def _counted(kind, traces, step_error, symmetries):
+    """How many of a kind there are among half-traces, of which as many as there are symmetries are 1."""
+    # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
+    error = max(step_error, 1e-12)
+    near = np.abs(traces - 1) < max(1e-4, 10 * np.sqrt(error))
+    apart = traces[~near]
+    real = np.abs(apart.imag) <= np.sqrt(error)
+    if kind == "Krein collision":
+        return int(np.sum(~real)) // 2
+    if kind == "period doubling":
+        return int(np.sum(apart[real].real < -1))
+    beyond = int(np.sum(apart[real].real > 1))
+    if np.sum(near) == symmetries + 1:
+        return beyond + int(np.sum(traces[near] - 1).real > 0)
+    return beyond + int(np.sum(np.sort(traces[near].real)[symmetries:] > 1 + np.sqrt(error)))
 
 
 @eqx.filter_jit
@@ -507,13 +471,15 @@ def _along_forced(family, curve, multipliers, response):
         events = [(FOLD, np.append(s.x, s.p)) for s in curve.special if s.after == i]
         folds, chord = len(events), end - begin
         for z in _crossings(family.between(curve, i, chord / np.linalg.norm(chord)), look):
-            kind = _kind_of(critical(look(z)))
+            rho = _critical(look(z))
+            kind = BRANCH_POINT if rho.real > 0 else DOUBLING
+            kind = TORUS if rho.imag > 1e-5 else kind
             if kind == BRANCH_POINT and folds:  # it passes 1 at a fold too
                 folds -= 1
             else:
                 events.append((kind, z))
         events.sort(key=lambda event: (event[1] - begin) @ chord)
-        found += [_bifurcation_at(family, kind, z, i, critical(look(z))) for kind, z in events]
+        found += [_bifurcation_at(family, kind, z, i, _critical(look(z))) for kind, z in events]
     return tuple(found)
 
 
@@ -524,29 +490,16 @@ def _crossings(way, look):
     found = []
     for k in range(*counts):
         # the k-th modulus in order of size is continuous, whatever the multipliers do
-        z = way.zero(lambda point: float(moduli(point)[k] - 1), LOCATED).z
-        if all(np.linalg.norm(z - other) > APART * way.length for other in found):
+        z = way.zero(lambda point: float(moduli(point)[k] - 1), 1e-10).z
+        if all(np.linalg.norm(z - other) > 1e-7 * way.length for other in found):
             found.append(z)
     return sorted(found, key=lambda z: (z - way.begin) @ way.direction)
 
 
-def _kind_of(multiplier, near=1e-05):
-    """The kind of a bifurcation with this multiplier on the unit circle; one at +1 is a branch point."""
-    if abs(multiplier.imag) > near:
-        return TORUS
-    return BRANCH_POINT if multiplier.real > 0 else DOUBLING
-
-
-def critical(multipliers: np.ndarray) -> complex:
+def _critical(multipliers):
     """The multiplier nearest to the unit circle, of a pair the one above the real axis."""
     rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
     return complex(rho.real, abs(rho.imag))
-
-
-# of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
-LEAST_SLOPE = 1e-2
-# of two doublings of the steps, the least that they must lower an error by
-HELPS = 4
 
 
 @one_thread
@@ -613,23 +566,16 @@ def forced_branch(
     scenes = [made(make, period, p) for p in (start, until)]
     solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
     lattice, T = scenes[0]
-    guess = (
-        State(lattice.zeros(), lattice.zeros())
-        if guess is None
-        else checked_state(lattice, guess, "guess")
-    )
+    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else guess
+    guess = checked_state(lattice, guess, "guess")
     flows = [flow_over(lattice, T, steps, solver, segments, guess) for lattice, T in scenes]
     # an array, whose value compiles nothing anew
     flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
     for lattice, T in scenes[::-1]:
         if checked_free(lattice):
-            refuse(
-                "make",
-                "a lattice under forcing",
-                "none",
-                "Breathers over their frequency: gx.breathers.family.",
-            )
-        checked_symmetry(lattice, Symmetry(), guess, t0, T)
+            remedy = "Breathers over their frequency: gx.breathers.family."
+            refuse("make", "a lattice under forcing", "none", remedy)
+        checked_period(lattice, guess, t0, T)
     shooting, x = prepared(
         lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient)
     )
@@ -637,7 +583,8 @@ def forced_branch(
     family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start), left)
     first = family.follow(x, 0.0, points=1)
     # the unit of length: the first orbit, or where its slope over the whole way leads, if that is more
-    slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), LEAST_SLOPE)
+    # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
+    slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), 1e-2)
     unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
     x, most = first.x[0] / unit, 2**DOUBLINGS * int(flow.steps)
@@ -652,14 +599,14 @@ def forced_branch(
             find=("fold",),
         )
         along = examined_along(family, curve, response)
-        if steps is not None:
-            break
-        finer = _enough(family, curve, along[0], response, tolerance, most)
-        if finer is family:
-            break
-        family, x = finer, curve.x[0]
-    found = _along_forced(family, curve, [multipliers for multipliers, *_ in along[1]], response)
-    return branch_of(family, curve, along, found)
+        enough = family
+        if steps is None:
+            enough = _enough(family, curve, [x for x, *_ in along], response, tolerance, most)
+        if enough is family:
+            multipliers = [x for _, x, *_ in along]
+            found = _along_forced(family, curve, multipliers, response)
+            return branch_of(family, curve, along, found)
+        family, x = enough, curve.x[0]
 
 
 def _enough(family, curve, looked, response, tolerance, most):
@@ -682,7 +629,7 @@ def _enough(family, curve, looked, response, tolerance, most):
     while (
         known[-1] > tolerance
         and 2 * family.shooting.whole.steps <= most
-        and not (len(known) > 2 and known[-1] > known[-3] / HELPS)
+        and not (len(known) > 2 and known[-1] > known[-3] / 4)
     ):
         family = family.with_steps(2 * family.shooting.flow.steps)
         known.append(share(examined(family, z, response), worst))

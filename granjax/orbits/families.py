@@ -21,7 +21,7 @@ from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, Site, StateLike
 from .asked import checked_lattice, checked_state, default_steps, largest
-from .branch import Branch, branch_of, examined, examined_along, special_of
+from .branch import Branch, branch_of, examined, examined_along
 from .guesses import (
     bright_guess,
     dark_guess,
@@ -147,7 +147,7 @@ def _confirmed_branch(follow, count, refine, tolerance, stability):
     if enough > count:
         problem, curve = follow(enough)
     along = examined_along(problem, curve, stability=stability)
-    return branch_of(problem, curve, along, special_of(problem, curve))
+    return branch_of(problem, curve, along)
 
 
 def _enough_steps(problem, curve, count, tolerance, stability):
