@@ -11,7 +11,7 @@ from diffrax import AbstractSolver, Dopri8
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import concrete, described, positive, refuse, traced, whole
+from ..checks import concrete, described, refuse, traced, whole
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.dispatch import facts
 from ..lattice import Lattice, State, uniform_moves
@@ -357,6 +357,13 @@ def _compared(lattice, symmetry, shape, sizes, t0, period):
     return jax.lax.map(compared, sizes)
 
 
+def a_time(period: Scalar) -> float:
+    """A period, above zero."""
+    if not 0 < period < np.inf:
+        refuse("period", "a time above zero", repr(period))
+    return float(period)
+
+
 def asked(
     lattice: Lattice,
     state: StateLike,
@@ -371,7 +378,7 @@ def asked(
 
     The steps are an array, whose value compiles nothing anew.
     """
-    state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
+    state, period = checked_state(one_lattice(lattice), state), a_time(period)
     if steps is None:
         steps = default_steps(lattice, period, fineness=fineness)
     steps = jnp.asarray(whole("steps", steps, 1))

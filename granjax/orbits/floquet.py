@@ -1,5 +1,6 @@
 """What a lattice's equations promise of a monodromy matrix: the symplectic form, damping, multipliers at +1."""
 
+from functools import reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -23,6 +24,8 @@ from ..tuning import one_thread
 from ..types import Count, Pytree, Scalar, StateLike
 from .asked import (
     Symmetry,
+    a_time,
+    asked,
     checked_period,
     checked_state,
     default_steps,
@@ -78,17 +81,10 @@ def structure(lattice: Lattice) -> _Structure:
     others = [x for x in reads if x.velocity or x.displacement and not x.energy]
     autonomous = not lattice.reads_time
     moves = shifts(lattice).shape[1]
-    rates = {float(x) for _, rate in damping for x in np.ravel(rate)}
-    everywhere = all(field is None for field, _ in damping)
-    dissipates = bool(others or any(rates))
-    if dissipates:
-        expected = moves + (1 if autonomous else 0)
-    else:
-        expected = 2 * moves + (2 if autonomous else 0)
-    uniform = (
-        not others
-        and everywhere
-        and all(np.unique(np.ravel(rate)).size == 1 for _, rate in damping)
+    dissipates = bool(others or any(np.any(rate) for _, rate in damping))
+    expected = (moves + autonomous) * (1 if dissipates else 2)
+    uniform = not others and all(
+        field is None and np.unique(np.ravel(rate)).size == 1 for field, rate in damping
     )
     rate = sum(float(np.ravel(rate)[0]) for _, rate in damping) if uniform else None
     return _Structure(mass, rate, expected, autonomous)
@@ -141,14 +137,6 @@ RESOLUTION = 1e-4
 # where refinement ends
 MOST_STEPS = 2**14
 TOLERANCE = 1e-9
-# a state further from returning is no orbit, of its size
-OPEN = 1e-2
-# singular values of M - 1 that are zero, of the largest
-SINGULAR = 1e-10
-# of the forces at an equilibrium, in units of their last place
-BALANCED = 16
-# for a change of M that is known to first order
-TWICE = 2
 
 
 class Floquet(Result):
@@ -261,6 +249,7 @@ def _derivative(flow, like, x, t0, t1, args):
     return ravel_pytree(end)[0], factor
 
 
+@one_thread
 def floquet(
     lattice: Lattice | Flow,
     state: Pytree,
@@ -309,11 +298,12 @@ def floquet(
     >>> np.array(gx.linear.normal_modes(chain).omega).round(6).tolist()
     [0.937379, 1.732051, 2.263033]
     """
-    period = _one_period(lattice, period)
+    period = a_time(period)
     tolerance = checked_tolerance("tolerance", tolerance)
     known, rests = NOTHING, False
     if isinstance(lattice, Lattice):
-        state, known, args = checked_state(lattice, state), structure(lattice), lattice
+        state, known = checked_state(one_lattice(lattice), state), structure(lattice)
+        args = lattice
         if symmetry.trivial:
             checked_period(lattice, state, t0, period)
         rests = known.autonomous and bool(_rests(lattice, state, np.float64(t0)))
@@ -330,50 +320,72 @@ def floquet(
         known = known._replace(expected=expected)
     if whole("steps", start, 1) % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(start))
-
-    scale, there = _weights(known, state, period), raveled(state)
+    scale, there, length = _weights(known, state, period), raveled(state), period / segments
 
     def run(count, x=there):
-        """The factors of S^-1 M without units, and where S^-1 leads y after the period, without units too."""
-        flow = Flow(np.int64(max(count // segments, 1)), solver, **field)
-        found, end = _factors(flow, state, x, t0, period, segments, args)
+        """The factors of S^-1 M, their product, and where S^-1 leads y after the period, all without units."""
+        flow, found = Flow(np.int64(max(count // segments, 1)), solver, **field), []
+        for i in range(segments):
+            times = np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length)
+            x, factor = _derivative(flow, state, x, *times, args)
+            found.append(np.asarray(factor))
+        end = np.asarray(x)
         if not symmetry.trivial:
             back = symmetry.matrix(state).T
-            found, end = [*found[:-1], back @ found[-1]], back @ end
-        return [factor * scale[:, None] / scale for factor in found], end * scale
+            found[-1], end = back @ found[-1], back @ end
+        found = [factor * scale[:, None] / scale for factor in found]
+        return found, reduce(lambda total, factor: factor @ total, found), end * scale
 
     count, coarser, fine = start, run(start // 2), run(start)
     while steps is None and 2 * count <= MOST_STEPS:
-        size = max(np.abs(f).max() for f in fine[0])
-        product = _product(fine[0])
-        if np.abs(product - _product(coarser[0])).max() <= tolerance * max(
-            size, np.abs(product).max()
-        ):
+        size = max(np.abs(x).max() for x in [*fine[0], fine[1]])
+        if np.abs(fine[1] - coarser[1]).max() <= tolerance * size:
             break
         count, coarser, fine = 2 * count, fine, run(2 * count)
     coarse = run(3 * count // 4)
-    if not all(np.isfinite(f).all() for f in fine[0] + coarse[0] + coarser[0]):
-        refuse(
-            "steps",
-            "so many that the motion stays finite",
-            repr(count),
-            "Give more steps=, or look at the state.",
-        )
-    begin = there * scale
-    away = _displacement(
-        known, _product(fine[0]), fine[1] - begin, change(fine[1], coarse[1], coarser[1])
-    )
-    free = shifts(lattice) if isinstance(lattice, Lattice) else None
+    factors, products, ends = zip(fine, coarse, coarser)
+    if not all(np.isfinite(x).all() for found in factors for x in found):
+        remedy = "Give more steps=, or look at the state."
+        refuse("steps", "so many that the motion stays finite", repr(count), remedy)
+    begin, monodromy = there * scale, products[0]
+    away = _displacement(known, monodromy, ends[0] - begin, change(*ends))
     if not rests:
-        _refuse_open(begin, away, fine[1], coarser[1], free, scale)
+        free = shifts(lattice) if isinstance(lattice, Lattice) else None
+        _refuse_open(begin, away, ends[0], ends[2], free, scale)
+    # by the fewest steps, of the orbit that the state may miss: twice, since it is known to first order
     moved = ((begin + away) / scale).astype(there.dtype)
-    other = run(count // 2, moved)[0] if away.any() else coarser[0]
-    levels = fine[0], coarse[0], coarser[0]
+    other = run(count // 2, moved)[0] if away.any() else factors[2]
+    about = uncertain(*products)
+    off = 2 * np.linalg.norm([size_of(a - b) for a, b in zip(other, factors[2])])
+    if segments == 1:
+        multipliers, vectors, error = known_spectrum(monodromy, products[1], about, off)
+    else:
+        multipliers, vectors, error = product_spectrum(*factors, moved=off)
+    vectors = vectors / scale[:, None]
+    verdict, outcome = decide(multipliers, error, known.expected, known.rate == 0, resolution)
+    signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
+    # those of symmetry have none
+    signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0
     origin = getattr(lattice, "origin", {"_mark": np.nan})
-    return _record(known, levels, other, scale, state, period, count, resolution, origin)
+    return Floquet(
+        monodromy * scale / scale[:, None],
+        multipliers,
+        vectors,
+        error,
+        signature,
+        defect(monodromy, known.rate, period),
+        about,
+        known.expected,
+        verdict,
+        outcome,
+        period,
+        int(count),
+        known.rate,
+        state,
+        **origin,
+    )
 
 
-@one_thread
 def _displacement(known, monodromy, gap, unknown):
     """How far the orbit of the exact flow may lie from the state: Newton's step from the gap and from its error.
 
@@ -383,7 +395,7 @@ def _displacement(known, monodromy, gap, unknown):
     left, size, right = np.linalg.svd(monodromy - np.eye(len(monodromy)))
     idle = known.expected // 2 if known.rate == 0 else known.expected
     size[len(size) - idle :] = np.inf
-    size[size <= SINGULAR * size[0]] = np.inf
+    size[size <= 1e-10 * size[0]] = np.inf
     step, doubt = (-right.T @ (left.T @ x / size) for x in (gap, unknown))
     away, total = step + doubt, np.linalg.norm(step) + np.linalg.norm(doubt)
     return away * total / max(np.linalg.norm(away), np.finfo(float).tiny)
@@ -401,22 +413,13 @@ def _refuse_open(start, away, fine, coarse, free, scale):
         columns = np.concatenate([columns, np.zeros_like(columns)])
         start, fine = (x - columns @ (columns.T @ x) for x in (start, fine))
     size = max(np.linalg.norm(start), np.linalg.norm(fine))
-    if not min(gap, np.linalg.norm(away)) <= OPEN * size + known:
+    if not min(gap, np.linalg.norm(away)) <= 1e-2 * size + known:
         refuse(
             "state",
             "one that returns after the period",
             f"a gap of {gap / size:.1e} of its size",
             "gx.orbits.orbit and gx.forced.forced_orbit find the orbit beside it.",
         )
-
-
-def _one_period(lattice, period):
-    """The period, of one lattice or another flow."""
-    if not isinstance(lattice, Flow):
-        one_lattice(lattice)
-    if not 0 < period < np.inf:
-        refuse("period", "a time above zero", repr(period))
-    return float(period)
 
 
 def _weights(known, state, period):
@@ -435,44 +438,6 @@ def raveled(tree: Pytree) -> np.ndarray:
     return np.concatenate(leaves, dtype=np.result_type(*leaves))
 
 
-@one_thread
-def _record(known, levels, moved, scale, state, period, steps, resolution, origin):
-    """From the factors of M by three numbers of steps, and by the third those of the orbit that the state may miss.
-
-    All are in the weights `scale`.
-    """
-    monodromy, about = _product(levels[0]), uncertain(*map(_product, levels))
-    off = TWICE * np.linalg.norm([size_of(a - b) for a, b in zip(moved, levels[2])])
-    if len(moved) == 1:
-        multipliers, vectors, error = known_spectrum(monodromy, levels[1][0], about, off)
-    else:
-        multipliers, vectors, error = product_spectrum(*levels, moved=off)
-    vectors = vectors / scale[:, None]
-    conserves = known.rate == 0
-    verdict, outcome = decide(multipliers, error, known.expected, conserves, resolution)
-    signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
-    signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= (
-        0.0  # those of symmetry have none
-    )
-    return Floquet(
-        monodromy * scale / scale[:, None],
-        multipliers,
-        vectors,
-        error,
-        signature,
-        defect(monodromy, known.rate, float(period)),
-        about,
-        known.expected,
-        verdict,
-        outcome,
-        float(period),
-        int(steps),
-        known.rate,
-        state,
-        **origin,
-    )
-
-
 @compiled
 def _rests(lattice, state, t0):
     """Whether the state is an equilibrium, to rounding, also that of contact forces which balance each other."""
@@ -481,33 +446,13 @@ def _rests(lattice, state, t0):
         jnp.max(jnp.abs(c.force)) for term in lattice.terms for c in term.compressions(t0, state[0])
     ]
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
-    rounding = (
-        BALANCED
-        * jnp.finfo(lattice.dtype).eps
-        * jnp.max(jnp.stack([jnp.zeros(()), *held]))
-        / lightest
-    )
+    # of forces at an equilibrium, in units of their last place
+    top = jnp.max(jnp.stack([jnp.zeros(()), *held]))
+    rounding = 16 * jnp.finfo(lattice.dtype).eps * top / lightest
     return (
         jnp.maximum(largest(v) * omega, largest(a))
         <= 1e-12 * omega**2 * largest(state[0]) + rounding
     )
-
-
-def _factors(flow, like, x, t0, period, segments, args):
-    found, length = [], period / segments
-    for i in range(segments):
-        x, factor = _derivative(
-            flow, like, x, np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length), args
-        )
-        found.append(np.asarray(factor))
-    return found, np.asarray(x)
-
-
-def _product(factors):
-    total = factors[0]
-    for factor in factors[1:]:
-        total = factor @ total
-    return total
 
 
 def multipliers(
@@ -525,12 +470,6 @@ def multipliers(
     """
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
     return jnp.linalg.eigvals(monodromy)
-
-
-# vectors that Arnoldi's method keeps
-BASIS = 60
-# how often it starts anew from them
-RESTARTS = 30
 
 
 class _Leading(NamedTuple):
@@ -580,14 +519,11 @@ def leading(
     converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
     """
     tolerance = checked_tolerance("tolerance", tolerance)
-    period, state = _one_period(lattice, period), checked_state(lattice, state)
-    checked_period(lattice, state, t0, period)
-    steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
-    solver = fixed_step_solver(lattice, solver, KahanLi8())
-    times = jnp.asarray(float(t0)), jnp.asarray(period)
+    state, period, flow = asked(lattice, state, period, t0, steps, solver, KahanLi8())
+    steps, times = int(flow.steps), (jnp.asarray(float(t0)), jnp.asarray(period))
     scale = weights(structure(lattice).mass, period)
     size = len(scale)
-    by = lambda n: Flow(jnp.asarray(max(n, 1)), solver)
+    by = lambda n: Flow(jnp.asarray(max(n, 1)), flow.solver)
     fine, coarse = (
         scale * np.asarray(_end(by(n), state, *times, lattice)) for n in (steps, steps // 2)
     )
@@ -606,8 +542,8 @@ def leading(
             k=count,
             v0=start,
             tol=tolerance,
-            ncv=min(size, max(2 * count + 1, BASIS)),
-            maxiter=RESTARTS,
+            ncv=min(size, max(2 * count + 1, 60)),
+            maxiter=30,
         )
 
     try:
