@@ -122,7 +122,9 @@ def parameter(argument: str, x: Any) -> jax.Array:
         raw = _real(argument, x)
         # a plain number stays one while tracing, so that it is checked there too
         with jax.ensure_compile_time_eval():
-            array = jnp.asarray(raw, dtype=float)
+            own = isinstance(raw, jax.Array)
+            # `jnp.asarray` of NumPy's array would compile a program for each shape
+            array = raw.astype(float) if own else jax.device_put(np.asarray(raw, float))
     value = concrete(array)
     if value is not None and not np.all(np.isfinite(value)):
         refuse(

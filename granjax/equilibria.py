@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,9 +13,14 @@ from jax.flatten_util import ravel_pytree
 from .checks import one_of, refuse, traced
 from .lattice import Lattice, State, uniform_moves
 from .lattice.model import check_shape as _check_shape
+from .laws import Strained
 from .newton import newton
 from .results import Result, array, note, part
+from .terms import Bond, LongRange, Term, chain, tracing
+from .terms.base import Altered, get
+from .terms.walls import undriven
 from .types import AnyArray, Count, Displacements, Flags, Numbers
+from .units import PART
 
 # unknowns up to which Newton's method has a dense derivative
 DENSE = 4000
@@ -183,8 +189,7 @@ def equilibrium(
             f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).",
         )
-    still = tuple(term.undriven() for term in lattice.terms)
-    problem = _posed(eqx.tree_at(lambda x: x.terms, lattice, still), hold, loads, guess)
+    problem = _posed(undriven(lattice), hold, loads, guess)
     x, jacobian, code = problem.guess, None, ""
     if x.size > DENSE:
         code = f"More than {DENSE} displacements are not solved for."
@@ -263,7 +268,9 @@ def _edges(problem):
     """The outermost sites of all axes that do not go around, but those at a wall of a chain, as one row."""
     lattice = problem.lattice
     walls = (
-        {side for term in lattice.terms for side in term.walls()} if lattice.axes == 1 else set()
+        {side for term in lattice.terms for side in chain.walls(term)}
+        if lattice.axes == 1
+        else set()
     )
     edges = np.zeros(problem.guess.size, bool)
     for axis in range(lattice.axes):
@@ -272,12 +279,6 @@ def _edges(problem):
             for end in (0 if name == "left" else -1 for name in sides):
                 edges |= _slab(lattice, axis, end)
     return edges
-
-
-def _stand_in(x):
-    """The value, or ones in its place where it is traced."""
-    x = jax.lax.stop_gradient(x)
-    return jnp.ones(x.shape, x.dtype) if isinstance(x, jax.core.Tracer) else x
 
 
 def _goes_around(problem, axis):
@@ -290,7 +291,7 @@ def _goes_around(problem, axis):
     )
     numbers, flags = eqx.partition(problem, eqx.is_inexact_array)
     with jax.ensure_compile_time_eval():
-        plain = eqx.combine(jax.tree.map(_stand_in, numbers), flags)
+        plain = eqx.combine(jax.tree.map(tracing.stand_in, numbers), flags)
         answer = np.abs(_response(plain, jnp.asarray(push))[1])
     return size > 3 and bool(answer[last].max() > 2 * answer[middle].max())
 
@@ -363,7 +364,7 @@ def _finished(problem, x, jacobian):
     force = problem.total(x)
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
-    measured = tuple(term.measured_from(lattice, u) for term in lattice.terms)
+    measured = tuple(_measured_from(term, lattice, u) for term in lattice.terms)
     measured = eqx.tree_at(lambda x: x.terms, lattice, measured)
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
@@ -384,12 +385,93 @@ def _finished(problem, x, jacobian):
     )
 
 
+class _MeasuredFrom(Altered):
+    """A term whose displacements are counted from others, and whose forces from those that it has there."""
+
+    dimensions = {"term": PART, "start": (0, 1, 0)}
+    term: Term
+    start: Any
+
+    def _moved(self, u):
+        return jax.tree.map(
+            lambda s, x: (
+                jnp.broadcast_to(s.reshape(s.shape + (1,) * (x.ndim - s.ndim)), x.shape) + x
+            ),
+            self.start,
+            u,
+        )
+
+    def force(self, t, u, v, mass):
+        still = jax.tree.map(jnp.zeros_like, u)
+        held = self.term.force(t, self._moved(still), still, mass)
+        return jax.tree.map(jnp.subtract, self.term.force(t, self._moved(u), v, mass), held)
+
+    def energy(self, t, u):
+        energy = self.term.energy(t, self._moved(u))
+        if energy is None:
+            return None
+        start = self._moved(jax.tree.map(jnp.zeros_like, u))
+        held, work = jax.jvp(lambda u: self.term.energy(t, u), (start,), (u,))
+        return jax.tree.map(lambda e, held, work: e - held - work, energy, held, work)
+
+    def preload_force(self, u):
+        still = jax.tree.map(jnp.zeros_like, u)
+        force, held = (
+            self.term.force(jnp.zeros(()), self._moved(still), still, 1.0),
+            self.term.preload_force(u),
+        )
+        return force if held is None else jax.tree.map(jnp.add, force, held)
+
+    def resists(self, lattice, moves):
+        return Term.resists(self, lattice, moves)
+
+    def compressions(self, t, u):
+        start = self._moved(jax.tree.map(jnp.zeros_like, u))
+        found = zip(self.term.compressions(t, self._moved(u)), self.term.compressions(t, start))
+        return tuple(
+            c._replace(
+                law=Strained(c.law, s.compression), compression=c.compression - s.compression
+            )
+            for c, s in found
+        )
+
+
+def _measured_from(term, lattice, u):
+    """The term with its forces beyond those at displacements `u`, which are counted from there."""
+    if isinstance(term, LongRange):
+        rest = get(u, term.field) + (0 if term.rest is None else term.rest)
+        return eqx.tree_at(lambda x: x.rest, term, rest, is_leaf=lambda x: x is None)
+    if type(term) is Bond and term.strain_map.linear:
+        strained = Strained(term.law, term.strain_map.strain(u))
+        return eqx.tree_at(lambda x: x.law, term, strained)
+    return _MeasuredFrom(term, u) if tracing.reads(term, lattice).displacement else term
+
+
+def _wall_loads(term, u):
+    """The forces with which rigid walls press on the left and right end of a chain; `None` where it is not known."""
+    if not isinstance(term, LongRange):
+        if term.linear_in != "law" or chain.boundary_of(term) != "fixed":
+            return None
+        force = term.compressions(0.0, u)[0].force
+        return jnp.stack([force[0], force[-1]])
+    if term.boundary != "fixed":
+        return None
+    x = get(u, term.field)
+    x = x if term.rest is None else x + term._at_rest(x)
+    count = term.kernel.shape[0] if term.beyond is None else term.beyond
+    # what is at rest beyond an end, as sites of a free chain, pushed by all on the other side
+    whole = LongRange(term.kernel, term.law, "free", takes=term.takes)
+    wide = jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1))
+    force = whole.force(0.0, wide, wide, 1.0) + whole.preload_force(wide)
+    return jnp.stack([-force[:count].sum(0), force[-count:].sum(0)])
+
+
 def _ends(lattice, u, loads):
     """The forces that press on the ends of a chain of one field: of walls, or of loads where there is none."""
     if lattice.fields or lattice.axes != 1 or lattice.dimension:
         return None
-    walls = {side for term in lattice.terms for side in term.walls()}
-    found = [term.wall_loads(u) for term in lattice.terms if term.walls()]
+    walls = {side for term in lattice.terms for side in chain.walls(term)}
+    found = [_wall_loads(term, u) for term in lattice.terms if chain.walls(term)]
     if any(x is None for x in found):
         return None
     by_walls = sum(found, jnp.zeros(2, lattice.dtype))

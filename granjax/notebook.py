@@ -20,16 +20,13 @@ from .plots import drawn, figure, space_time, style
 from .types import Count, Quantity, Scalar, Scene, StateLike
 
 INSTALL = "pip install 'granjax[notebook]'"
+# label, what is counted, and the function of time, state and lattice
 MAPS = {
-    "v": ("velocity (m/s)", "site", lambda t, y, lattice: y.v),
-    "u": ("displacement (m)", "site", lambda t, y, lattice: y.u),
-    "force": (
-        "contact force (N)",
-        "contact",
-        lambda t, y, lattice: measures.contact_force(lattice, y, t),
-    ),
-    "strain": ("strain (m)", "contact", lambda t, y, lattice: measures.strain(lattice, y)),
-    "energy": ("energy (J)", "site", lambda t, y, lattice: measures.site_energy(lattice, y, t)),
+    "v": ("velocity (m/s)", "site", lambda t, y, _: y.v),
+    "u": ("displacement (m)", "site", lambda t, y, _: y.u),
+    "force": ("contact force (N)", "contact", lambda t, y, x: measures.contact_force(x, y, t)),
+    "strain": ("strain (m)", "contact", lambda t, y, x: measures.strain(x, y)),
+    "energy": ("energy (J)", "site", lambda t, y, x: measures.site_energy(x, y, t)),
 }
 # of a slider whose ends are not given
 LEAST_RATIO = 0.05
@@ -51,7 +48,6 @@ def explore(
     state: StateLike | Scene | None = None,
     quantity: str | Quantity = "v",
     frames: Count = 240,
-    tolerance: Scalar | None = None,
     **parameters: Any,
 ) -> "Explorer":
     r"""Sliders for the parameters of a scene, above a space-time map that follows them, in a notebook.
@@ -67,7 +63,7 @@ def explore(
       of the lattice. `None`: an impact on site 0, whose velocity is `amplitude`.
     - `quantity`: `"v"`, `"u"`, `"force"`, `"strain"`, `"energy"` (of each site), or a function `(t, y, lattice)` that
       returns a number for each place.
-    - `frames`: rows of the map. `tolerance`: as in `simulate`.
+    - `frames`: rows of the map.
     - Parameters by name: `ratio=(0.1, 1.0)` is a slider, `load=(1, 1e3, "log")` one by the logarithm, whole numbers
       `sites=(20, 100)` one of whole numbers, which compiles once for each; any other value is fixed. What is not named
       has a slider where it is called `ratio` or `precompression`, and where a function of your own gives it a floating
@@ -88,8 +84,7 @@ def explore(
     else:
         quantity = MAPS[one_of("quantity", quantity, MAPS)]
     t1 = None if t1 is None else float(positive("t1", t1))
-    runs = {"save_at": whole("frames", frames, 2), "tolerance": tolerance, "throw": False}
-    return Explorer(widgets, scene, parameters, state, t1, quantity, runs)
+    return Explorer(widgets, scene, parameters, state, t1, quantity, whole("frames", frames, 2))
 
 
 def _widgets():
@@ -100,9 +95,8 @@ def _widgets():
         raise ImportError(f"gx.explore needs ipywidgets. Install it: {INSTALL}.") from None
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if getattr(shell, "kernel", None) is None:
-        raise ImportError(
-            f"gx.explore needs a notebook. Call it in Jupyter; {INSTALL} installs what it needs."
-        )
+        how = f"Call it in Jupyter; {INSTALL} installs what it needs."
+        raise ImportError(f"gx.explore needs a notebook. {how}")
     return ipywidgets
 
 
@@ -114,24 +108,28 @@ def _sliders(widgets, scene, given):
     if len(known) == len(found):
         for name in given:
             one_of("parameter", name, [*known, "amplitude"])
-    ranges, fixed = {}, {}
+    sliders, fixed = {}, {}
     for name in dict.fromkeys([*known, *given]):
-        default, x = known.get(name, inspect.Parameter.empty), given.get(name)
+        default = known.get(name, inspect.Parameter.empty)
         number = default if isinstance(default, float) else None
-        if isinstance(x, (tuple, list)):
-            value = default if isinstance(default, (int, float)) else None
-            ranges[name] = (tuple(x), value)
+        if isinstance(given.get(name), (tuple, list)):
+            number = default if isinstance(default, (int, float)) else None
+            ends = given[name]
         elif name in given:
-            fixed[name] = x
+            fixed[name] = given[name]
+            continue
         elif name == "ratio":
-            ranges[name] = ((LEAST_RATIO, 1.0), number or 0.5)
+            ends, number = (LEAST_RATIO, 1.0), number or 0.5
         elif name == "precompression":
-            ranges[name] = ((0.0, 4 * (number or 0.0) or 1.0), number or 0.0)
-        elif default is inspect.Parameter.empty or own and number is not None and number <= 0:
+            ends, number = (0.0, 4 * (number or 0.0) or 1.0), number or 0.0
+        elif own and number is not None and number > 0:
+            ends = (number / DECADE, number * DECADE, "log")
+        elif default is inspect.Parameter.empty or own and number is not None:
             refuse(name, "a range or a value", "none", f"Such as {name}=(1.0, 10.0).")
-        elif own and number is not None:
-            ranges[name] = ((number / DECADE, number * DECADE, "log"), number)
-    return {name: _slider(widgets, name, *each) for name, each in ranges.items()}, fixed
+        else:
+            continue
+        sliders[name] = _slider(widgets, name, ends, number)
+    return sliders, fixed
 
 
 def _slider(widgets, name, ends, value):
@@ -143,12 +141,8 @@ def _slider(widgets, name, ends, value):
     counts = is_whole(low) and is_whole(high) and not log
     if value is None or not low <= value <= high:
         value = low if counts else math.sqrt(low * high) if log else (low + high) / 2
-    told = {
-        "value": value,
-        "description": name.replace("_", " "),
-        "style": {"description_width": "160px"},
-        "layout": widgets.Layout(width="580px", max_width="100%"),
-    }
+    told = {"value": value, "description": name.replace("_", " ")}
+    told |= {"style": {"description_width": "160px"}, "layout": widgets.Layout(width="580px")}
     if counts and is_whole(value):
         return widgets.IntSlider(min=low, max=high, **told)
     if log:
@@ -173,10 +167,10 @@ class Explorer:
         state: StateLike | Scene | None,
         t1: Scalar | None,
         quantity: tuple,
-        runs: dict,
+        frames: int,
     ):
-        self._scene, self._start, self._quantity, self._runs = scene, state, quantity, runs
-        self.t1 = t1
+        self._scene, self._start, self._quantity, self.t1 = scene, state, quantity, t1
+        self._runs = {"save_at": frames, "throw": False}
         self.sliders, self._fixed = _sliders(widgets, scene, parameters)
         _, _, paired = self._built(self.values)
         if not paired and "amplitude" not in {*self.sliders, *self._fixed}:

@@ -30,7 +30,8 @@ SHOCKS = {
 
 def highest_frequency(lattice, us):
     """The largest eigenfrequency of any frame, of a chain of equal beads, from the law alone."""
-    (law, boundary) = lattice.terms[0].next_neighbours()
+    bonds = lattice.terms[0]
+    law, boundary = bonds.law, bonds.strain_map.boundary[0]
     pad = [(0, 0), (1, 1)]
     ends = np.pad(us, pad) if boundary == "fixed" else us
     k = np.asarray(law.derivative(jnp.asarray(ends[:, :-1] - ends[:, 1:])))

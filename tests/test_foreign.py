@@ -238,7 +238,7 @@ def test_an_energy_that_is_not_kept_has_no_error():
         assert lattice.reads_time == (type(term) is Pushed)
         if type(term) is Slowed:
             assert run.solver == "Dopri8" and lattice.reads_velocity
-            with refused("Slowed, whose `dependence` does not say so"):
+            with refused("Slowed"):
                 gx.simulate(lattice, moving(CASES[0]), 5.0, solver=gx.SRKN11b(), step=0.1)
 
 

@@ -144,7 +144,7 @@ def test_refusals():
         (lambda: scenes.fractional_fput(N, nonlinear="some"), "nonlinear"),
         (
             lambda: scenes.fractional_sine_gordon(N, stiffness=np.ones(N + 1)),
-            r"stiffness: .*\(12,\)",
+            r"OnSite.*\(12,\)",
         ),
     ):
         with pytest.raises(ValueError, match=words):

@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose
 
 import granjax as gx
 from granjax.laws.real_power import root
+from granjax.terms.energies import site_energy
 
 T = 0.3
 FACTORS = (1.0, 1.1, 0.9)
@@ -42,7 +43,7 @@ def _facts(name):
             gradient=jax.grad(lambda u: jnp.asarray(lattice.potential_energy(T, u)))(u),
             potential=jnp.asarray(lattice.potential_energy(T, u)),
             total=jnp.asarray(lattice.energy(T, u, v)),
-            site=[term.site_energy(lattice, T, u) for term in lattice.terms],
+            site=[site_energy(term, lattice, T, u) for term in lattice.terms],
         )
 
     return lattice, u, v, jax.jit(all_of)(lattice, u, v)

@@ -13,6 +13,7 @@ from scipy.special import gamma
 import granjax as gx
 from granjax.first_order.coupling import of_order
 from granjax.lattice import linearised
+from granjax.terms.energies import energy_gap
 
 N, M = 14, 30
 KERNEL = np.arange(1.0, M + 1) ** -2.5
@@ -199,12 +200,12 @@ class Circling(gx.Term):
 def test_uniform_motion_is_not_taken_for_a_force_without_energy(case):
     """What is left of a force is its rounding there; a force that has no energy is found all the same, far away too."""
     lattice = UNIFORM[case](37)
-    gap = jax.jit(lambda u: lattice.terms[0].energy_gap(lattice, 0.0, u))
+    gap = jax.jit(lambda u: energy_gap(lattice.terms[0], lattice, 0.0, u))
     assert max(float(gap(jnp.full(37, x))) for x in np.linspace(0.1, 9.0, 23)) < 1e-9
     with_waves = 3.0 + 0.1 * jnp.cos(jnp.arange(37.0))
     assert (
         float(gap(with_waves)) < 1e-9
-        and float(Circling().energy_gap(lattice, 0.0, with_waves)) > 1e-3
+        and float(energy_gap(Circling(), lattice, 0.0, with_waves)) > 1e-3
     )
 
 

@@ -62,11 +62,11 @@ def test_numbers_of_sites_and_springs_are_lanes_and_are_refused():
         one = gx.scenes.klein_gordon(5, c).force(0.0, u, 0 * u)
         np.testing.assert_allclose(together[:, i], one, rtol=1e-14, atol=1e-15)
     for make, words in (
-        (lambda: gx.scenes.klein_gordon(7, beta=np.ones(6)), r"beta: .*one per site, shape \(7,\)"),
+        (lambda: gx.scenes.klein_gordon(7, beta=np.ones(6)), r"K4: .*one per site, shape \(7,\)"),
         (lambda: gx.scenes.klein_gordon(7, alpha=1.0, law=gx.Sine()), "law"),
         (
             lambda: gx.scenes.sine_gordon(5, np.ones(5)),
-            r"coupling: .*one per contact, shape \(4,\)",
+            r"stiffness: .*one per contact, shape \(4,\)",
         ),
     ):
         with refused(words):

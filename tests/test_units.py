@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
-from granjax.units.names import family, known_unit, readable
+from granjax.units.names import known_unit, readable
 
 plots = gx.plots
 
@@ -73,7 +73,7 @@ def test_what_is_no_unit_is_none(word):
     ],
 )
 def test_the_prefix_makes_numbers_from_1_to_1000(largest, name):
-    assert readable(family(known_unit("s").dimension), largest).name == name
+    assert readable(known_unit("s"), largest).name == name
 
 
 # ------------------------------------------------------------------------------------------------ lattices and results

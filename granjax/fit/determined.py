@@ -45,6 +45,15 @@ class Direction(NamedTuple):
         return " ".join(name if abs(w - 1) < 0.005 else f"{name}^{w:.2f}" for w, name in shown)
 
 
+def factored(
+    jacobian: Float[np.ndarray, "n P"], noise: float
+) -> tuple[Float[np.ndarray, "P P"], Float[np.ndarray, " P"]]:
+    """(C, singular values): the covariance of least squares is C C^T, from columns at unit length."""
+    widths = np.linalg.norm(jacobian, axis=0)
+    _, s, vh = np.linalg.svd(jacobian / widths, full_matrices=False)
+    return vh.T / s * noise / widths[:, None], s
+
+
 def directions(
     jacobian: Float[AnyArray, "n P"],
     sizes: Float[AnyArray, " P"],

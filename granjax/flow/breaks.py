@@ -3,10 +3,12 @@
 from collections.abc import Callable
 
 import diffrax
+import equinox as eqx
 import jax.numpy as jnp
 
 from ..lattice import Lattice
 from ..solvers.wrapped import Wrapped
+from ..terms.base import between
 from ..terms.waveforms import ULPS, count_breaks, next_break
 from ..types import Number, Scalar
 
@@ -32,7 +34,9 @@ def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
     slack = (
         2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
     )
-    return lattice.between(jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack)
+    low, high = jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack
+    held = tuple(between(term, low, high) for term in lattice.terms)
+    return eqx.tree_at(lambda x: x.terms, lattice, held)
 
 
 def one_sided(solver: diffrax.AbstractSolver, lattice: Lattice) -> diffrax.AbstractSolver:

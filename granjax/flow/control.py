@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, traced
+from ..checks import refuse
 from ..types import Number, Pytree, Scalar, StateLike
 from .breaks import cut
 
@@ -45,9 +45,7 @@ def least_step(t0: Scalar, t1: Scalar, dtype: Any, larger: Callable = max) -> Sc
 
 
 def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
-    """Refuse times, where they are known, that the floating type does not tell apart as well as steps need it."""
-    if traced((t0, t1, step)):
-        return
+    """Refuse times, known ones, that the floating type does not tell apart as well as steps need it."""
     if step < least_step(t0, t1, dtype):
         gap = rounding_unit(dtype) * max(abs(t0), abs(t1))
         finer = "" if dtype == np.dtype(float) else " Or compute in float64."

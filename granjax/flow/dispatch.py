@@ -8,6 +8,7 @@ import jax
 from ..checks import traced
 from ..lattice import Lattice
 from ..programs import once
+from ..terms.base import memory_of
 from ..terms.tracing import reads
 
 
@@ -48,7 +49,7 @@ def facts(lattice: Lattice) -> Facts:
         traced=traced(lattice),
         reads_velocity=bool(velocity),
         splits=all(term.exact_damping() is not None for term in velocity),
-        remembers=any(term.remembers() for term in lattice.terms),
+        remembers=any(memory_of(term) for term in lattice.terms),
         has_breaks=bool(lattice.breaks),
         known={},
     )

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, held_in_memory, one_of, real, refuse, show, whole
+from ..checks import concrete, held_in_memory, one_of, real, refuse, show, traced, whole
 from ..lattice import Lattice, State
 from ..types import Scalar, StateLike
 from .dispatch import facts
@@ -19,24 +19,22 @@ RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 def checked_state(lattice: Lattice, state: StateLike) -> State:
     """The state as arrays of the lattice's structure, shape and floating type."""
     template, dtype = facts(lattice)[:2]
-    out = []
-    for name, x in zip(("u", "v"), state):
-        if isinstance(template, dict) != isinstance(x, dict) or (
-            isinstance(x, dict) and set(x) != set(template)
-        ):
-            got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
-            wanted = f"fields {sorted(template)}" if isinstance(template, dict) else "an array"
-            refuse(f"state.{name}", f"{wanted}, as of the lattice", got)
-        if isinstance(x, dict):
-            out.append(
-                {
-                    k: _checked_array(f"state.{name}[{k!r}]", x[k], template[k].shape, dtype)
-                    for k in template
-                }
-            )
-        else:
-            out.append(_checked_array(f"state.{name}", x, template.shape, dtype))
-    return State(*out)
+    return State(
+        _checked_field("state.u", state[0], template, dtype),
+        _checked_field("state.v", state[1], template, dtype),
+    )
+
+
+def _checked_field(name, x, template, dtype):
+    """Displacements or velocities: an array, or a dict of one for each field of a cell."""
+    if not isinstance(x, dict) and not isinstance(template, dict):
+        return _checked_array(name, x, template.shape, dtype)
+    kinds = [
+        f"fields {sorted(tree)}" if isinstance(tree, dict) else "an array" for tree in (template, x)
+    ]
+    if kinds[0] != kinds[1]:
+        refuse(name, f"{kinds[0]}, as of the lattice", kinds[1])
+    return {k: _checked_array(f"{name}[{k!r}]", x[k], template[k].shape, dtype) for k in template}
 
 
 def _checked_array(name, x, shape, dtype):
@@ -65,9 +63,11 @@ def _checked_array(name, x, shape, dtype):
             f"Use lattice.astype({x.dtype.name!r}) for a run in {x.dtype}, or state.astype.",
         )
     value = concrete(x)
-    if value is not None and not np.isfinite(value).all():
-        count = np.count_nonzero(~np.isfinite(value))
-        refuse(name, "finite numbers", f"{count} that are not", "Look for NaN or infinity.")
+    if value is not None:
+        # counting takes half as long as `all`, of a short chain
+        count = value.size - np.count_nonzero(np.isfinite(value))
+        if count:
+            refuse(name, "finite numbers", f"{count} that are not", "Look for NaN or infinity.")
     return x if isinstance(x, jax.Array) else jnp.asarray(x)
 
 
@@ -120,7 +120,8 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> t
         held_frames("save_at", frames, state)
         if frames == 1:
             return None, 1, False
-        return t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, frames), frames - 1, False
+        xp = jnp if traced((t0, t1)) else np
+        return t0 + (t1 - t0) * xp.linspace(0.0, 1.0, frames), frames - 1, False
     ts = (
         save_at
         if isinstance(save_at, jax.core.Tracer)

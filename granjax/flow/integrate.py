@@ -11,6 +11,9 @@ import jax.numpy as jnp
 from ..lattice import Lattice, State, vector_field
 from ..programs import compiled, once
 from ..solvers import AbstractNystrom
+from ..terms import Dashpot, ViscousContact, energies
+from ..terms.base import within
+from ..terms.tracing import reads, time_of
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
 from .control import Scales, StepControl, largest, least_step
@@ -251,13 +254,34 @@ def _code(result, final):
 @once
 def unseen(lattice: Lattice) -> str:
     """The names of the terms that may have contacts of which nobody knows whether they open."""
-    names = [type(term).__name__ for term in lattice.terms if term.opens(lattice) is None]
+    names = [type(term).__name__ for term in lattice.terms if not _known(term, lattice)]
     return ", ".join(dict.fromkeys(names))
+
+
+def _known(term, lattice):
+    """Whether the laws of a term say whether they open; a term without any does not know, where it reads places."""
+    found = []
+
+    def look(t, u):
+        for c in term.compressions(t, u):
+            found.append(
+                c.place == "site"
+                or c.law.opens is not None
+                and (c.overlap is not None or not c.law.opens)
+            )
+
+    # traced, so that nothing is computed for what the laws know
+    jax.eval_shape(look, time_of(lattice), lattice.template())
+    if found:
+        return all(found)
+    # what opens beside a dashpot is its contact
+    beside = isinstance(within(term), (Dashpot, ViscousContact))
+    return beside or not reads(term, lattice).displacement
 
 
 def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
     """The sum of the terms' `energy_gap`."""
-    gaps = [term.energy_gap(lattice, t, u) for term in lattice.terms]
+    gaps = [energies.energy_gap(term, lattice, t, u) for term in lattice.terms]
     return jax.lax.stop_gradient(
         sum(gaps[1:], gaps[0]) if gaps else jnp.zeros(lattice.lanes, lattice.dtype)
     )

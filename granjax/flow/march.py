@@ -44,8 +44,6 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
     wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
     """
-    if traced((t0, t1, plan.step)):
-        return integrate(lattice, state, t0, t1, plan)
     about = facts(lattice)
     if plan.tolerance is not None and about.lanes:
         return (_lane_by_lane if _is_untraced() else integrate)(lattice, state, t0, t1, plan)
@@ -93,7 +91,7 @@ def _steps(count, dtype):
 
 def _is_untraced():
     """Whether nothing at all is traced here, whatever the arguments are."""
-    return not traced(-_kept_number(1.0, np.dtype(float)))
+    return not traced(jax.device_put(0.0))
 
 
 def _number(x):
@@ -104,8 +102,8 @@ def _number(x):
 @lru_cache(maxsize=256)
 def _kept_number(x, dtype):
     with jax.ensure_compile_time_eval():
-        # of NumPy's array, since a conversion is another program
-        return jnp.asarray(np.asarray(x, dtype))
+        # `jnp.asarray` would compile a program
+        return jax.device_put(np.asarray(x, dtype))
 
 
 def seconds_a_step(

@@ -10,6 +10,7 @@ from ..lattice import Lattice, State
 from ..programs import once
 from ..strains import WALL
 from ..strains.maps import TwoEnds
+from ..terms.chain import span
 from ..terms.tracing import reads
 from ..types import Displacements, Number, StateLike, Times
 
@@ -180,7 +181,7 @@ def _beads_of(lattice):
             tail, head = map(np.ravel, pairs.joins(numbers))
             vector = _vectors(strain_map, places, tail, head, lattice.dimension, lanes, batch)
             bonds.append((tail, head, vector, vector is not None and _touches(strain_map, term)))
-        elif term.span() != () and reads(term, lattice).displacement:
+        elif span(term) != () and reads(term, lattice).displacement:
             return None
     if not any(contact for *_, contact in bonds):
         return None

@@ -13,7 +13,6 @@ from ..lattice import Lattice, acceleration_only, split_system
 from ..programs import once
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
-from ..terms.tracing import reads
 from ..terms.waveforms import count_breaks
 from ..types import Number, Scalar, StateLike
 from .control import least_tolerance, refuse_unresolved, rounding_unit
@@ -89,7 +88,6 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
     if isinstance(solver, AbstractSplitting):
         if not splits:
             split_system(lattice)  # refuses, naming the term
-            _refuse_unsaid(lattice)
         if tolerance is not None:
             refuse(
                 "tolerance",
@@ -99,7 +97,6 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
             )
     if velocity and isinstance(solver, AbstractNystrom):
         acceleration_only(lattice)  # refuses, naming the term
-        _refuse_unsaid(lattice)
     if tolerance is not None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
         wanted = "one with an error estimate for a tolerance"
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
@@ -110,17 +107,6 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
             else None
         )
     return tolerance
-
-
-def _refuse_unsaid(lattice):
-    """Where a force reads the velocity and its kind says that it does not."""
-    names = [type(term).__name__ for term in lattice.terms if reads(term, lattice).velocity]
-    refuse(
-        "solver",
-        "forces that do not read the velocity",
-        f"{', '.join(names)}, whose `dependence` does not say so",
-        "Use solver=diffrax.Dopri8() with tolerance=....",
-    )
 
 
 def number(x: Any, dtype: Any) -> Any:
@@ -159,8 +145,8 @@ def fixed_step(
 
     `bound`: the highest frequency, where a run has shown it; by default that of the scene's energy.
     """
-    about, limit, watch = facts(lattice), refused_from(solver), False
-    if step is None:
+    about, limit, watch, given = facts(lattice), refused_from(solver), False, step is not None
+    if not given:
         bound, watch = reachable(lattice, state, t0, t1) if bound is None else (bound, True)
         bound = chosen(bound)
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
@@ -172,7 +158,15 @@ def fixed_step(
             )
         fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
         step = fraction / bound
-        known = not traced((step, t0, t1))
+    known = not traced((step, t0, t1))
+    if given:
+        choice = "given step"
+        if known and limit is not None and not (about.traced or traced(state)):
+            _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
+        if isinstance(step, jax.core.Tracer):
+            step = jnp.where(step > 0, step, jnp.nan)  # what the outcome then says
+    else:
+        choice = f"default step, h omega_max <= {fraction:.3g}"
         if known and useless(step, t0, t1):
             refuse(
                 "step",
@@ -181,14 +175,6 @@ def fixed_step(
                 f"The bound on the stiffness at this energy asks for steps of {step:.1e}: no useful one (a law "
                 "without a floor, or far more energy than moves). Give step= or tolerance=.",
             )
-        choice = f"default step, h omega_max <= {fraction:.3g}"
-    else:
-        known = not traced((step, t0, t1))
-        if known and limit is not None and not (about.traced or traced(state)):
-            _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
-        if isinstance(step, jax.core.Tracer):
-            step = jnp.where(step > 0, step, jnp.nan)  # what the outcome then says
-        choice = "given step"
     remark = ""
     if softens(lattice):
         remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."

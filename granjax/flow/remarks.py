@@ -11,7 +11,8 @@ from ..checks import show
 from ..lattice import Lattice
 from ..programs import compiled, once
 from ..solvers.stability import refused_from
-from ..terms.waveforms import functions_of_time
+from ..terms.base import functions_of_time
+from ..terms.energies import energy_gap
 from ..types import Scalar, StateLike
 from .dispatch import facts
 from .method import reachable
@@ -52,7 +53,7 @@ def doubts(
     if np.isnan(lost).any() and np.all(run.completed):
         ends = [lattice.energy(t, *y) for t, y in ((t0, state), (t1, run.final))]
         gaps = {
-            type(term).__name__: np.max(term.energy_gap(lattice, t1, run.final.u))
+            type(term).__name__: np.max(energy_gap(term, lattice, t1, run.final.u))
             for term in lattice.terms
         }
         if not np.isfinite(ends).all() or not np.isfinite(list(gaps.values())).all():

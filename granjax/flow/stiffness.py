@@ -22,6 +22,10 @@ from ..checks import whole
 from ..lattice import Lattice
 from ..programs import compiled, once
 from ..terms import Reach, Reached
+from ..terms.base import within
+from ..terms.chain import next_neighbours, span, walls
+from ..terms.energies import site_energy
+from ..terms.tracing import reads
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
 from .inputs import checked_state, checked_times
 
@@ -96,7 +100,7 @@ def gathered_frequency(
         share = None if share is None else jnp.where(sides, share, 0)
         reach = Reach(one, 2 * force, share, neighbourhood, ts, state.u)
     bound = _bound(lattice, [reach] * len(lattice.terms))
-    known = not lattice.reads_time and all(term.span() is not None for term in lattice.terms)
+    known = not lattice.reads_time and all(span(term) is not None for term in lattice.terms)
     beyond = jnp.any(whole > 1.01 * most) if known and not softens(lattice) else jnp.ones((), bool)
     beyond = beyond if sides is None else beyond | ~jnp.all(sides)
     contacts = [
@@ -133,7 +137,7 @@ def compressions(lattice: Lattice, t: Number, u: Displacements) -> tuple:
     found = []
     for term in lattice.terms:
         own = tuple(c.compression for c in term.compressions(t, u))
-        if not own and term.dependence(lattice).energy:
+        if not own and reads(term, lattice).energy:
             lanes = len(lattice.lanes)
             own = tuple(
                 e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(term.energy(t, u))
@@ -178,28 +182,28 @@ def _sides(lattice, state, ts):
     """
     plain = lattice.fields is None and lattice.axes == 1 and lattice.dimension is None
     if not plain or any(
-        term.span() is None or max(term.span(), default=0) > 1 for term in lattice.terms
+        span(term) is None or max(span(term), default=0) > 1 for term in lattice.terms
     ):
         return None
     # between two walls and in a ring what extends one bond presses others together
     ring = any(
         found is not None and found[1] == "periodic"
-        for found in (t.next_neighbours() for t in lattice.terms)
+        for found in map(next_neighbours, lattice.terms)
     )
-    if ring or {side for term in lattice.terms for side in term.walls()} == {"left", "right"}:
+    if ring or {side for term in lattice.terms for side in walls(term)} == {"left", "right"}:
         return None
     u, v = state
     extend = press = jnp.zeros((), bool)
     squared, size = jnp.zeros((), lattice.dtype), ROUNDING * jnp.max(jnp.abs(v))
     for term in lattice.terms:
-        reads = term.dependence(lattice)
+        found = reads(term, lattice)
         contacts = term.compressions(ts[0], u)
         if not contacts:
-            if reads.displacement or reads.time:
+            if found.displacement or found.time:
                 return None
             continue
         # a site that is tied down swings back at once, and where stiffness changes in time energy does
-        if any(c.place == "site" for c in contacts) or len(term.energy_times(lattice, ts)) > 1:
+        if any(c.place == "site" for c in contacts) or len(_energy_times(term, lattice, ts)) > 1:
             return None
 
         def rates(t, term=term):
@@ -209,7 +213,7 @@ def _sides(lattice, state, ts):
                 [jnp.max(x) for x in found]
             ).max()
 
-        low, high = jax.lax.map(rates, ts) if reads.time else rates(ts[0])
+        low, high = jax.lax.map(rates, ts) if found.time else rates(ts[0])
         extend, press = extend | (jnp.min(low) < -size), press | (jnp.max(high) > size)
         stiffness = [jnp.max(jnp.abs(c.law.derivative(c.compression))) for c in contacts]
         squared = jnp.maximum(squared, jnp.stack(stiffness).max() / jnp.min(lattice.mass))
@@ -219,7 +223,7 @@ def _sides(lattice, state, ts):
 
 def _way(lattice, v, size):
     """Sites from where a chain moves to the nearest free end of it."""
-    count, held = v.shape[0], {side for term in lattice.terms for side in term.walls()}
+    count, held = v.shape[0], {side for term in lattice.terms for side in walls(term)}
     ways = [jnp.asarray(count)]
     for side, x in (("left", v), ("right", v[::-1])):
         if side not in held:
@@ -232,20 +236,20 @@ def _way(lattice, v, size):
 def _gathered(lattice, state, ts, neighbourhood):
     """The most energy that a neighbourhood holds at the start, what the whole holds, and the first without speeds."""
     u, v = state
-    spans = [term.span() for term in lattice.terms]
+    spans = [span(term) for term in lattice.terms]
     one_shape = lattice.fields is None or len(set(lattice.sites.values())) == 1
     local = one_shape and all(span is not None and len(span) in (0, lattice.axes) for span in spans)
     parts = [jax.tree.map(lambda m, v: m * v * v / 2, lattice.mass, v)]
     for term in lattice.terms:
-        if term.dependence(lattice).energy:
+        if reads(term, lattice).energy:
             energy = (
-                (lambda t, term=term: term.site_energy(lattice, t, u))
+                (lambda t, term=term: site_energy(term, lattice, t, u))
                 if local
                 else (lambda t, term=term: term.energy(t, u))
             )
             parts.append(
                 jax.tree.map(
-                    lambda e: jnp.max(e, axis=0), jax.vmap(energy)(term.energy_times(lattice, ts))
+                    lambda e: jnp.max(e, axis=0), jax.vmap(energy)(_energy_times(term, lattice, ts))
                 )
             )
     lanes = len(lattice.lanes)
@@ -271,6 +275,13 @@ def _gathered(lattice, state, ts, neighbourhood):
         return jnp.max(total, axis=axes), whole
 
     return *most(moving + held), most(held)[0]
+
+
+def _energy_times(term, lattice, ts):
+    """The times at which the energy of the initial state is looked at: all where the stiffness changes."""
+    # a wall that moves is looked at where it begins
+    moves = getattr(within(term), "motion", None) is not None
+    return ts if reads(term, lattice).time and not moves else ts[:1]
 
 
 def _window(x, axis, width):

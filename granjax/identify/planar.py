@@ -10,6 +10,7 @@ from numpy.polynomial import Polynomial, polynomial
 from scipy.optimize import minimize_scalar
 
 from ..checks import parameter, refuse, whole
+from ..fit.determined import factored
 from ..printing import told
 from ..results import Result, array
 from ..types import Count, Numbers, Parameter, Scalar
@@ -71,11 +72,26 @@ class PlanarODE(Result):
     fitted: Float[np.ndarray, " point"] = array("The fitted strains.", "m")
     slopes: Float[np.ndarray, " point"] = array("The slope y' of the fitted strains.", "m")
     window: np.ndarray = array("The window that each point belongs to.", axes="point")
-    outcome: str = eqx.field(static=True)
+    settled: bool = array("Whether the least squares had settled.")
     # f, with powers of (y - middle)/half
     _f: Any = eqx.field(kw_only=True, repr=False)
     # G - y'^2/2 of the trajectory of each window, G' = f
     _levels: Any = eqx.field(kw_only=True, repr=False)
+
+    @property
+    def outcome(self) -> str:
+        """What became of it, in sentences."""
+        misfit = 2 * self.misfit / (self.crest - self.trough)
+        said = [
+            f"Fitted to {misfit:.1e} of half of crest less trough, in {self.window.max() + 1} windows."
+        ]
+        if not self.settled:
+            said.append(
+                "The least squares had not settled: another degree or more windows may help."
+            )
+        if self.correlation > ALIKE and misfit > CLOSE:
+            said.append("The residuals are no noise but what such an equation leaves out.")
+        return " ".join(said)
 
     def bend(self, strain: Parameter) -> Float[np.ndarray, "..."]:
         """f at strains of any shape [m]: y'' where there is no drift."""
@@ -137,7 +153,6 @@ class PlanarODE(Result):
         reach = 12 / decay if homoclinic else way.wavelength / 2
         xi = np.linspace(-reach, reach, TABLE)
         kind = "homoclinic" if homoclinic else "periodic"
-        share = 2 * distance / (self.crest - self.trough)
         return PlanarOrbit(
             kind,
             max(start, end),
@@ -149,7 +164,7 @@ class PlanarODE(Result):
             shift,
             xi,
             way(xi),
-            f"A {kind} orbit, {share:.2g} of half of crest less trough from the measured wave.",
+            2 * distance / (self.crest - self.trough),
             _way=way,
         )
 
@@ -317,9 +332,7 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     window = np.repeat(np.arange(len(pieces)), np.diff(ends))
     alike = _correlation(found.residual, window)
     wider = (1 + max(alike, 0.0)) / max(1 - max(alike, 0.0), 1 / points)
-    widths = np.sqrt((found.jacobian**2).sum(0))
-    _, s, V = np.linalg.svd(found.jacobian / widths, full_matrices=False)
-    factor = (V.T / s)[: shared + drift] * noise * np.sqrt(wider) / widths[: shared + drift, None]
+    factor, _ = factored(found.jacobian, noise * np.sqrt(wider))
     f = found.coefficients[:shared]
     # powers of (y - middle)/half as those of y
     shift = np.zeros((shared, shared))
@@ -335,11 +348,6 @@ def _recorded(trains, pieces, found, degree, drift, scales):
         Equilibrium(float(z), "saddle" if k > 0 else "centre", float(np.sqrt(abs(k))))
         for z, k in zip(roots, bend.deriv()(roots))
     )
-    words = [f"Fitted to {noise:.1e} of half of crest less trough, in {len(pieces)} windows."]
-    if not found.settled:
-        words.append("The least squares had not settled: another degree or more windows may help.")
-    if alike > ALIKE and noise > CLOSE:
-        words.append("The residuals are no noise but what such an equation leaves out.")
     return PlanarODE(
         shift @ f,
         np.sqrt(np.diag(covariance)),
@@ -358,7 +366,7 @@ def _recorded(trains, pieces, found, degree, drift, scales):
         y + half * found.residual,
         half / length * found.slopes,
         window,
-        " ".join(words),
+        found.settled,
         _f=bend,
         _levels=bend.integ()(middle + half * found.starts[0])
         - (half / length * found.starts[1]) ** 2 / 2,

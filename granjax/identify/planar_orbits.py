@@ -42,8 +42,13 @@ class PlanarOrbit(Result):
     strains: Float[np.ndarray, " xi"] = array(
         "The strains of the table; `strain(xi)` gives any place.", "m"
     )
-    outcome: str = eqx.field(static=True)
+    share: float = array("The distance over half of the data's crest less trough.")
     _way: Any = eqx.field(kw_only=True, repr=False)
+
+    @property
+    def outcome(self) -> str:
+        """What it is, in a sentence."""
+        return f"A {self.kind} orbit, {self.share:.2g} of half of crest less trough from the measured wave."
 
     def strain(self, xi: Parameter) -> Float[np.ndarray, "..."]:
         """Strain at places xi, of any shape [m]."""

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
+from ..fit.determined import factored
 from ..fit.judge import AFTER_AND_BEFORE, STRUCTURED, structure
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
@@ -58,7 +59,36 @@ class Regression(Result):
         "The `Lattice` of the terms and the known ones; `None` where a term refuses the "
         "sign of its coefficient."
     )
-    outcome: str = eqx.field(static=True)
+    refused: tuple[str, ...] = array(
+        "The names of the terms that refuse the sign of their coefficient.", axes="refused"
+    )
+    residue: float = array(
+        "What neighbouring residuals share beyond noise, over the rms of the accelerations."
+    )
+
+    @property
+    def outcome(self) -> str:
+        """What became of it, in sentences."""
+        found = [*self.coefficients]
+        said = [
+            f"{len(found)} of {len(found) + len(self.dropped)} terms kept ({', '.join(found)}); "
+            f"R^2 = {self.r_squared:.6g}."
+        ]
+        if self.residue:
+            said.append(
+                f"A residue beyond noise is left, {100 * self.residue:.2g} % of the accelerations: neighbours share "
+                "it, as independent errors would not. A term is missing among the candidates, or lies below the "
+                "threshold; the errors of the coefficients are too small."
+            )
+        if self.condition > ALIKE:
+            said.append(
+                f"They are much alike (condition {self.condition:.1g}): their coefficients stand for each other."
+            )
+        if self.refused:
+            said.append(
+                f"The sign found for {', '.join(self.refused)} is one that the term refuses."
+            )
+        return " ".join(said)
 
 
 def library(
@@ -194,29 +224,23 @@ def regression(
         accelerations, uncertain, inner = _differentiated(ts, vs, noise)
         ts, us, vs = jax.tree.map(lambda x: x[inner], (ts, us, vs))
     a = _flat(jax.tree.map(lambda x: parameter("accelerations", x), accelerations))
-
-    def column(terms):
-        return _flat(_accelerations(Lattice(mass, terms), ts, us, vs))
-
-    names = list(candidates)
-    A = np.stack([column((candidates[name](1.0),)) for name in names], -1)
+    terms = [(make(1.0),) for make in candidates.values()] + [known] * bool(known)
+    columns = _accelerations([Lattice(mass, own) for own in terms], ts, us, vs)
+    columns = [_flat(column) for column in columns]
+    A = np.stack(columns[: len(candidates)], -1)
     if a.shape != A.shape[:1]:
         refuse("accelerations", f"{len(A)} numbers, as the displacements", f"{len(a)}")
-    if len(a) <= len(names):
-        refuse("ts", f"more numbers than the {len(names)} candidates", f"{len(a)}")
-    target = a - column(known) if known else a
+    if len(a) <= len(candidates):
+        refuse("ts", f"more numbers than the {len(candidates)} candidates", f"{len(a)}")
+    target = a - columns[-1] if known else a
     if not target.any():
         refuse(
             "accelerations", "some that are not zero", "none", "A lattice at rest shows no force."
         )
-    for name, size in zip(names, np.linalg.norm(A, axis=0)):
-        if size == 0:
-            refuse(
-                f"candidates[{name!r}]",
-                "a force somewhere along the motion",
-                "none",
-                "Leave it out.",
-            )
+    for name, column in zip(candidates, A.T):
+        if not column.any():
+            expected = "a force somewhere along the motion"
+            refuse(f"candidates[{name!r}]", expected, "none", "Leave it out.")
     c, kept = _thresholded(A, target, threshold, ridge, max_steps)
     residual = target - A @ c
     size = np.sqrt(np.mean(target**2))
@@ -229,12 +253,12 @@ def regression(
         (rms * share for share, surely in found if surely > STRUCTURED and rms * share > least),
         default=0.0,
     )
-    return _record(mass, candidates, names, A, target, c, kept, known, shared / size)
+    return _recorded(mass, candidates, A, target, c, kept, known, shared / size)
 
 
 @eqx.filter_jit
-def _accelerations(lattice, ts, us, vs):
-    return jax.vmap(lattice.acceleration)(ts, us, vs)
+def _accelerations(lattices, ts, us, vs):
+    return [jax.vmap(lattice.acceleration)(ts, us, vs) for lattice in lattices]
 
 
 def _flat(tree):
@@ -317,56 +341,33 @@ def _ridge(X, y, ridge):
     return np.linalg.lstsq(X, y, rcond=None)[0]
 
 
-def _record(mass, candidates, names, A, y, c, kept, known, shared):
-    sizes = np.linalg.norm(A[:, kept], axis=0)
-    _, s, Vh = np.linalg.svd(A[:, kept] / sizes, full_matrices=False)
+def _recorded(mass, candidates, A, y, c, kept, known, residue):
     residual = y - A @ c
     noise = np.sqrt(residual @ residual / (len(y) - kept.sum()))
-    factor = Vh.T / s * noise / sizes[:, None]
+    factor, s = factored(A[:, kept], noise)
     covariance = factor @ factor.T
-    shares = np.abs(c[kept]) * sizes / np.linalg.norm(y)
-    found = [name for name, keep in zip(names, kept) if keep]
+    shares = np.abs(c[kept]) * np.linalg.norm(A[:, kept], axis=0) / np.linalg.norm(y)
+    found = [name for name, keep in zip(candidates, kept) if keep]
     rows = np.stack([c[kept], np.sqrt(np.diag(covariance)), shares], -1).tolist()
     coefficients = {name: Coefficient(*row) for name, row in zip(found, rows)}
-    dropped = tuple(name for name in names if name not in found)
-    r_squared = float(1 - residual @ residual / ((y - y.mean()) @ (y - y.mean())))
-    condition = float(s[0] / s[-1])
-    words = [
-        f"{len(found)} of {len(names)} terms kept ({', '.join(found)}); R^2 = {r_squared:.6g}."
-    ]
-    if shared:
-        words.append(
-            f"A residue beyond noise is left, {100 * shared:.2g} % of the accelerations: neighbours share "
-            "it, as independent errors would not. A term is missing among the candidates, or lies below the "
-            "threshold; the errors of the coefficients are too small."
-        )
-    if condition > ALIKE:
-        words.append(
-            f"They are much alike (condition {condition:.1g}): their coefficients stand for each other."
-        )
-    lattice = None
-    wrong = [name for name in found if not _builds(candidates[name], coefficients[name].value)]
-    if wrong:
-        words.append(f"The sign found for {', '.join(wrong)} is one that the term refuses.")
-    else:
-        lattice = Lattice(
-            mass, tuple(candidates[name](coefficients[name].value) for name in found) + known
-        )
+    terms = {name: _built(candidates[name], x.value) for name, x in coefficients.items()}
+    refused = tuple(name for name, term in terms.items() if term is None)
     return Regression(
         coefficients,
-        dropped,
+        tuple(name for name in candidates if name not in found),
         covariance,
-        r_squared,
+        float(1 - residual @ residual / ((y - y.mean()) @ (y - y.mean()))),
         float(noise),
-        condition,
-        lattice,
-        " ".join(words),
+        float(s[0] / s[-1]),
+        None if refused else Lattice(mass, (*terms.values(), *known)),
+        refused,
+        float(residue),
     )
 
 
-def _builds(make, value):
+def _built(make, value):
+    """The term of a coefficient, `None` where it refuses that."""
     try:
-        make(value)
+        return make(value)
     except ValueError:
-        return False
-    return True
+        return None

@@ -17,6 +17,7 @@ from ..laws import Hertz
 from ..materials import Material, hertz_coefficient
 from ..results import SI, Result, array
 from ..terms import Wall
+from ..terms.chain import walls
 from ..types import Count, Numbers, Parameter, Scalar
 
 NAME = "modulus"
@@ -77,7 +78,7 @@ class WallScene(eqx.Module):
     def __call__(self, parameters: dict[str, Numbers]) -> Lattice:
         others = {name: parameters[name] for name in self.others}
         free = self.free(others) if callable(self.free) else self.free
-        if any(self.side in term.walls() for term in free.terms):
+        if any(self.side in walls(term) for term in free.terms):
             refuse(
                 "lattice",
                 f"no contact with a wall at its {self.side} end",

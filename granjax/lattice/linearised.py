@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..terms.base import wider
 from ..types import Displacements, Number
 from .model import Lattice, check_shape, refuse_memory
 
@@ -27,4 +26,6 @@ def linearised(
     check_shape(lattice, "v", v)
     terms = [term.linearised(lattice, t, u, v) for term in lattice.terms]
     terms = tuple(term for term in terms if term is not None)
-    return eqx.tree_at(lambda x: (x.mass, x.terms), lattice, (wider(lattice.mass), terms))
+    # a mass has the lane even where it is one number, so that the lattice says how wide it is
+    mass = jax.tree.map(lambda m: m[..., None], lattice.mass)
+    return eqx.tree_at(lambda x: (x.mass, x.terms), lattice, (mass, terms))

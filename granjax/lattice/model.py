@@ -12,7 +12,8 @@ import numpy as np
 
 from ..checks import described, held_in_memory, letter, parameter, positive, refuse, whole
 from ..printing import text, told
-from ..terms import Term
+from ..terms import LongRange, Term
+from ..terms.base import memory_of, within
 from ..terms.tracing import reads, traced
 from ..types import Count, Displacements, Number, Parameter, Site
 from ..units import SCALED, SI
@@ -113,7 +114,7 @@ class Lattice(eqx.Module):
                 )
         self._mark = _one(self.axes + (self.dimension is not None), mark_of(units))
         if self.dimension is not None:
-            self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
+            self.terms = tuple(_per_vector(term, self.axes) for term in self.terms)
         self.check_terms()
 
     def __repr__(self) -> str:
@@ -147,13 +148,7 @@ class Lattice(eqx.Module):
                 "one number",
                 "Or say how many sites: Lattice(..., sites=N).",
             )
-        shape = (
-            mass.shape
-            if sites is None
-            else tuple(sites)
-            if isinstance(sites, (tuple, list))
-            else (sites,)
-        )
+        shape = mass.shape if sites is None else tuple(sites) if np.ndim(sites) else (sites,)
         shape = tuple(whole("sites", n, 1) for n in shape)
         each = self.dimension is not None and per_site and mass.shape == (*shape, self.dimension)
         if per_site and mass.shape != shape and not each:
@@ -397,17 +392,10 @@ class Lattice(eqx.Module):
         """The `Breaks` of all terms, where time steps end."""
         return tuple(b for term in self.terms for b in term.jumps())
 
-    def between(self, low: Number, high: Number) -> Any:
-        """The lattice for the times from `low` to `high`: functions of time with breaks are held beyond them."""
-        return eqx.tree_at(
-            lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms)
-        )
-
     def for_run(self) -> Any:
         """The lattice whose terms hold what their forces need and no state changes, such as transforms of kernels."""
-        return eqx.tree_at(
-            lambda x: x.terms, self, tuple(term.for_run(self) for term in self.terms)
-        )
+        own = [term.for_run(self) if isinstance(term, LongRange) else term for term in self.terms]
+        return eqx.tree_at(lambda x: x.terms, self, tuple(own))
 
     def unbalanced(self) -> Displacements:
         """Force on each site at rest, from the total contact forces (preloads included).
@@ -419,6 +407,15 @@ class Lattice(eqx.Module):
         return self.total([term.preload_force(u) for term in self.terms], u)
 
 
+def _per_vector(term, axes):
+    """The term with its parameters of each site made those of a vector, by a trailing axis."""
+    inner = within(term)
+    if not inner.per_site:
+        return term
+    inner = jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) == axes else x, inner)
+    return eqx.tree_at(within, term, inner)
+
+
 @lru_cache
 def _one(axes, mark):
     """A number with an axis for each of a site's: it shows where `jax.vmap` puts its lanes, and says the units.
@@ -426,7 +423,7 @@ def _one(axes, mark):
     No program reads it, so that one serves lattices in SI and in scaled numbers.
     """
     with jax.ensure_compile_time_eval():
-        return jnp.asarray(np.full((1,) * axes, mark))
+        return jax.device_put(np.full((1,) * axes, mark))
 
 
 def _has_sites(lattice, own):
@@ -477,11 +474,11 @@ def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lat
 def refuse_memory(lattice: Lattice) -> None:
     """Refuse terms whose force reads the past, in what knows the present state alone."""
     for i, term in enumerate(lattice.terms):
-        if term.remembers():
+        if memory := memory_of(term):
             refuse(
                 f"terms[{i}] ({type(term).__name__})",
                 "a force of the present state alone",
-                f"one that remembers the {', '.join(term.remembers()).replace('_', ' ')}",
+                f"one that remembers the {', '.join(memory).replace('_', ' ')}",
                 "gx.simulate(lattice, state, t1) runs such a lattice, with the solver it has for them.",
             )
 

@@ -13,6 +13,8 @@ import jax.numpy as jnp
 from ..checks import refuse
 from ..laws import Law
 from ..split_system import Split, pair
+from ..terms import chain
+from ..terms.tracing import reads
 from ..types import Number, StateLike
 from .model import Lattice, check_shape, refuse_memory
 
@@ -200,7 +202,7 @@ def split_system(lattice: Lattice) -> Any:
     refuse_memory(lattice)
     lattice.lanes  # is refused where lanes stand before the sites
     for i, term in enumerate(lattice.terms):
-        if term.exact_damping() is None and term.dependence(lattice).velocity:
+        if term.exact_damping() is None and reads(term, lattice).velocity:
             refuse(
                 "solver",
                 "forces that depend on positions and time, beside linear Damping of each site",
@@ -227,7 +229,7 @@ def next_neighbours(lattice: Lattice) -> tuple[Law, str] | None:
     """(law, boundary) of the bonds of a chain that has, beside damping, bonds to the next site alone; else `None`."""
     forces = _without_velocity(lattice)
     plain = lattice.fields is None and lattice.dimension is None and lattice.axes == 1
-    return forces[0].next_neighbours() if plain and len(forces) == 1 else None
+    return chain.next_neighbours(forces[0]) if plain and len(forces) == 1 else None
 
 
 def acceleration_only(lattice: Lattice) -> Callable:
@@ -237,7 +239,7 @@ def acceleration_only(lattice: Lattice) -> Callable:
     """
     refuse_memory(lattice)
     for i, term in enumerate(lattice.terms):
-        if term.dependence(lattice).velocity:
+        if reads(term, lattice).velocity:
             refuse(
                 "solver",
                 "forces that depend on positions and time alone",

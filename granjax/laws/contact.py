@@ -222,8 +222,9 @@ class PowerLaw(_Contact):
                 "Contacts and magnets are two laws; use two bonds.",
             )
         self._repels = None if value is None else bool((value < 0).all())
-        self._fixed_exponent = float(exponent) if isinstance(exponent, (int, float)) else None
-        self._free_exponent = None if isinstance(exponent, (int, float)) else array
+        static = isinstance(exponent, (int, float))
+        self._fixed_exponent = float(exponent) if static else None
+        self._free_exponent = None if static else array
         if self._repels:
             F0 = None if self.precompression is None else concrete(self.precompression)
             if self.precompression is None or (F0 is not None and not (F0 > 0).all()):

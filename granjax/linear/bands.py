@@ -12,7 +12,7 @@ from ..checks import concrete, refuse
 from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import Count, Numbers
-from .cell import unit_cell
+from .cell import by_lanes, in_lanes, unit_cell
 from .modes import signed_root
 from .stiffness import each, mesh
 
@@ -63,13 +63,12 @@ class Bands(Result):
         upper = concrete(self.upper)
         if upper is not None and not np.any(upper):
             return VACUUM
-        sites, lanes = " x ".join(map(str, self.cell)), np.size(self._mark)
-        count = self.lower.size // lanes
-        each = f" in each of {lanes} lanes" if lanes > 1 else ""
+        sites = f"{' x '.join(map(str, self.cell))} site{'s' * (prod(self.cell) > 1)}"
+        count = by_lanes(self, self.lower).shape[1]
         gaps = (
             f", {len(self.gaps)} gap{'s' * (len(self.gaps) != 1)}" if self.lower.ndim == 1 else ""
         )
-        return f"{count} band{'s' * (count > 1)}{each}{gaps}, cell of {sites} site{'s' * (prod(self.cell) > 1)}."
+        return f"{count} band{'s' * (count > 1)}{in_lanes(self)}{gaps}, cell of {sites}."
 
     def _rows(self) -> Iterator[tuple[str, str]]:
         if self.lower.ndim != 1:

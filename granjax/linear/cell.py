@@ -12,6 +12,7 @@ from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
 from ..printing import told
 from ..results import Held
+from ..terms.chain import span
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from .stiffness import (
     at_rest,
@@ -201,7 +202,7 @@ def given_cell(cell: Cell, sites: tuple) -> tuple:
     """The sites per cell that are asked for, one number an axis, or `None`."""
     if cell is None:
         return (None,) * len(sites)
-    numbers = tuple(cell) if isinstance(cell, (tuple, list)) else (cell,) * len(sites)
+    numbers = tuple(cell) if np.ndim(cell) else (cell,) * len(sites)
     if len(numbers) != len(sites):
         refuse("cell", f"{len(sites)} numbers, one per axis", repr(cell))
     return tuple(whole("cell", n, 1, "It is the number of sites per unit cell.") for n in numbers)
@@ -210,10 +211,10 @@ def given_cell(cell: Cell, sites: tuple) -> tuple:
 def _said(lattice):
     """How far bonds reach along each axis, as the terms say."""
     sites = grid(lattice)
-    reach = [0 if all(term.span() == () for term in lattice.terms) else 1] * len(sites)
+    reach = [0 if all(span(term) == () for term in lattice.terms) else 1] * len(sites)
     for term in lattice.terms:
-        for axis, span in enumerate(term.span() or ()):
-            reach[axis] = max(reach[axis], span)
+        for axis, further in enumerate(span(term) or ()):
+            reach[axis] = max(reach[axis], further)
     # half way around a ring the blocks of both ways are a half each; four sites and less are no ring to tell that from
     short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + (r < 3)]
     if short:
@@ -343,10 +344,24 @@ def one_way(coupling: AnyArray, shells: tuple) -> bool:
     return bool(uneven > TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max())
 
 
+def by_lanes(result: Any, x: AnyArray) -> AnyArray:
+    """A field of a result with the lanes of a batch in front, as one axis; of a single lattice one lane."""
+    sites, components = result._space
+    x, mark, own = np.asarray(x), np.shape(result._mark), sites + (components > 0)
+    count = len(mark) - own
+    if mark[count:] != (1,) * own or x.shape[:count] != mark[:count]:
+        x = np.moveaxis(x, range(x.ndim - count, x.ndim), range(count))
+    return x.reshape(-1, *x.shape[count:])
+
+
+def in_lanes(result: Any) -> str:
+    """Words for how many lanes there are, none for one."""
+    lanes = np.size(result._mark)
+    return f" in each of {lanes} lanes" if lanes > 1 else ""
+
+
 def along_waves(result: Any, held: Held) -> Held:
     """The description of a field of bands, with as many axes for the wave as `k` has: none where it is one number."""
-    sites, components = result._space
-    lanes = np.ndim(result._mark) - sites - (components > 0)
-    count = result.omega.ndim - 1 - lanes
+    count = by_lanes(result, result.omega).ndim - 2
     wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
     return held._replace(axes=held.axes and held.axes.replace("wave", wave))

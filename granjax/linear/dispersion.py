@@ -1,7 +1,5 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
-from math import prod
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +8,7 @@ from ..checks import parameter
 from ..lattice import Lattice
 from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from .cell import UnitCell, along_waves, phases, unit_cell
+from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, unit_cell
 from .modes import signed_root
 from .stiffness import each
 
@@ -49,12 +47,10 @@ class Dispersion(Result):
     @property
     def outcome(self) -> str:
         """How many bands, at how many wave numbers, within which frequencies."""
-        omega, lanes = np.asarray(self.omega), np.size(self._mark)
-        fields = len(self.vectors) if isinstance(self.vectors, dict) else 1
-        bands = prod(self.cell) * fields * max(1, self._space[1])
-        every = f" in each of {lanes} lanes" if lanes > 1 else ""
+        omega = by_lanes(self, self.omega)
+        bands = omega.shape[-1]
         return (
-            f"{bands} band{'s' * (bands > 1)} at {omega.size // bands // lanes} wave numbers{every}, "
+            f"{bands} band{'s' * (bands > 1)} at {omega[0, ..., 0].size} wave numbers{in_lanes(self)}, "
             f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."
         )
 

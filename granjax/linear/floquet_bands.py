@@ -13,7 +13,7 @@ from ..lattice import Lattice, State
 from ..results import Held, Result, array, note
 from ..tuning import one_thread
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
-from .cell import along_waves, phases
+from .cell import along_waves, by_lanes, in_lanes, phases
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
 from .stiffness import in_groups, unpack_waves
@@ -111,9 +111,11 @@ class FloquetBands(Result):
         """How many waves, and where they grow."""
         if traced(self):
             return "Multipliers that are traced."
-        grows = self.grows
-        waves = grows.shape[:-1]
-        text = f"{grows.shape[-1]} multipliers at {int(np.prod(waves))} wave numbers, to {np.max(self.error):.1e}; "
+        grows = by_lanes(self, self.grows)
+        text = (
+            f"{grows.shape[-1]} multipliers at {grows[0, ..., 0].size} wave numbers{in_lanes(self)}, "
+            f"to {np.max(self.error):.1e}; "
+        )
         if self.edges is not None:
             count = len(self.edges)
             fast = f", fastest at {self._told('fastest', np.max(self.fastest))}" if count else ""
@@ -265,9 +267,7 @@ def floquet_bands(
 
 def _held(tree):
     """What is traced without its derivatives, known where these alone are traced; all else as it is."""
-    return jax.tree.map(
-        lambda x: jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x, tree
-    )
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if traced(x) else x, tree)
 
 
 def _angle(rho):

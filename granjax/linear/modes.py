@@ -10,7 +10,9 @@ from jaxtyping import Float
 from ..checks import concrete
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
+from ..terms.tracing import reads
 from ..types import AnyArray, Displacements, Number, Numbers
+from .cell import by_lanes, in_lanes
 from .stiffness import at_rest, each, refuse_one_way, stiffness_product
 
 ROUNDING, AT_ONCE = 8, 512
@@ -42,10 +44,9 @@ class NormalModes(Result):
     @property
     def outcome(self) -> str:
         """How many modes, up to which frequency, and how many of them grow."""
-        omega, lanes = np.asarray(self.omega), np.size(self._mark)
-        each = f" in each of {lanes} lanes," if lanes > 1 else ""
+        omega, each = by_lanes(self, self.omega), in_lanes(self)
         return (
-            f"{omega.size // lanes} modes{each} up to {self._told('omega', omega.max())}, "
+            f"{omega.shape[1]} modes{each and each + ','} up to {self._told('omega', omega.max())}, "
             f"{np.count_nonzero(omega < 0) or 'none'} of them unstable."
         )
 
@@ -88,7 +89,7 @@ def _solve(lattice):
     def column(w):
         return ravel_pytree(product_with(unravel(w)))[0]
 
-    if any(term.dependence(lattice).transforms for term in lattice.terms):
+    if any(reads(term, lattice).transforms for term in lattice.terms):
         K = jax.lax.map(column, unit)
     else:
         K = each(column, unit, AT_ONCE)

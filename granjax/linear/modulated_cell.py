@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..checks import refuse, traced
 from ..flow.breaks import shared_out
 from ..lattice import Lattice
 from ..terms.tracing import reads
@@ -84,10 +84,7 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     ):  # numbers of few digits are followed with all that there are
         lattice = lattice.astype(jnp.result_type(float))
     given = given_cell(cell, grid(lattice))
-    start, length = (
-        float(jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x)
-        for x in (t0, period)
-    )
+    start, length = (float(jax.lax.stop_gradient(x) if traced(x) else x) for x in (t0, period))
     ts = start + length * PHASES
     known = blocks_of(lattice, ts, damped=True)
     missed = _missed(known, ts, length) if known.known else (0.0, 0.0, 0.0)

@@ -9,7 +9,7 @@ from ..checks import parameter, refuse, whole
 from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from .cell import blocks_of, cut_out
+from .cell import blocks_of, by_lanes, cut_out, in_lanes
 from .modes import signed_root
 from .stiffness import at_rest, grid
 
@@ -51,9 +51,10 @@ class RibbonBands(Result):
     @property
     def outcome(self) -> str:
         """How many bands, and how many of them are bound to a place across the strip somewhere."""
-        bound = int((np.asarray(self.participation) < 0.2 * self.width).any(0).sum())
+        within = (by_lanes(self, self.participation) < 0.2 * self.width).any(1)
+        _, waves, bands = by_lanes(self, self.omega).shape
         return (
-            f"{self.omega.shape[-1]} bands at {len(self.k)} wave numbers; {bound} within a fifth of the width "
+            f"{bands} bands at {waves} wave numbers{in_lanes(self)}; {int(within.sum())} within a fifth of the width "
             "at some of them."
         )
 

@@ -13,7 +13,8 @@ from jax.flatten_util import ravel_pytree
 from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
 from ..lattice.model import refuse_memory
-from ..terms.tracing import reads
+from ..terms import walls
+from ..terms.tracing import reads, time_of, used
 from ..types import AnyArray, Displacements, Number, Numbers
 
 # times at which a force that reads time and velocities is looked at: of every scale, none of them a simple fraction
@@ -33,7 +34,7 @@ def undriven(lattice: Any, lanes: bool = False) -> Lattice:
             "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
     refuse_memory(lattice)
-    return eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
+    return walls.undriven(lattice)
 
 
 def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
@@ -44,7 +45,7 @@ def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
     """
     still = undriven(lattice, lanes)
     for i, term in enumerate(still.terms):
-        if term.dependence(still).time and term.stiffness_changes(still):
+        if reads(term, still).time and _stiffness_changes(term, still):
             refuse(
                 f"terms[{i}] ({type(term).__name__})",
                 "a stiffness that is constant in time",
@@ -54,6 +55,16 @@ def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
             )
     _refuse_turning(still)
     return still
+
+
+def _stiffness_changes(term, lattice):
+    """Whether dF/du at rest depends on time."""
+
+    def slope(term, t, u, w, v, mass):
+        return jax.jvp(lambda u: term.force(t, u, v, mass), (u,), (w,))[1]
+
+    u = lattice.template()
+    return used(slope, (term, time_of(lattice), u, u, u, lattice.mass))[2]
 
 
 def _refuse_turning(lattice):
@@ -103,10 +114,10 @@ def stand_in(lattice: Lattice) -> tuple:
 
     def settle(x):
         nonlocal known
-        if not isinstance(x, jax.core.Tracer) or not eqx.is_inexact_array(x):
+        if not traced(x) or not eqx.is_inexact_array(x):
             return x
         x = jax.lax.stop_gradient(x)
-        if isinstance(x, jax.core.Tracer):
+        if traced(x):
             known = False
             x = random.uniform(1, 2, x.shape).astype(x.dtype)
         return x

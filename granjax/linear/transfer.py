@@ -9,7 +9,7 @@ from ..checks import concrete, described, positive, refuse, show
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from ..types import Flags, Number, Parameter
-from .stiffness import at_rest, damping_product, stiffness_product
+from .stiffness import at_rest, blocks, damping_product, stiffness_product
 
 # the growth along a chain is counted in so many pieces, after some to forget where it began
 PIECES, FORGOTTEN = 36, 4
@@ -135,11 +135,11 @@ def _growth(lattice, omega, damped):
 
     What three diagonals miss, how far they are from symmetric, both over the largest entry; the least |k_n|.
     """
-    (tied, k), further, uneven, scale = _springs(lattice, stiffness_product(lattice))
+    (tied, k), further, uneven, scale = _springs(lattice, stiffness_product)
     mass = spread_mass(lattice)[1:-1].reshape(tied.shape)
     rows = [mass, tied, k]
     if damped:
-        damping, more, odd, _ = _springs(lattice, damping_product(lattice))
+        damping, more, odd, _ = _springs(lattice, damping_product)
         rows += damping
         further = jnp.maximum(further, more)
         uneven = jnp.maximum(uneven, odd)
@@ -180,27 +180,26 @@ def _squared(x):
     return x.real**2 + x.imag**2 if jnp.iscomplexobj(x) else x * x
 
 
-def _springs(lattice, product_with):
-    """The springs of a linear map that joins next neighbours.
+def _springs(lattice, make):
+    """The springs of a linear map, `make(lattice)`, that joins next neighbours.
 
     ((what ties a site to its place, what joins it to the right), each (N - 2, lanes), without the ends; what the
     three diagonals miss and how far they are from symmetric, over the largest entry; that entry).
     """
-    zeros = lattice.zeros()
-    sites = zeros.shape[0]
-    n = np.arange(sites).reshape((-1,) + (1,) * (zeros.ndim - 1))
-    answers = [product_with(zeros + (n % 3 == colour))[1:-1] for colour in range(3)]
+    sites = lattice.shape[0]
+    w = np.random.default_rng(1).uniform(-1, 1, (sites, 1)).astype(lattice.dtype)
 
-    def neighbour(offset):
-        colour = (n[1:-1] + offset) % 3
-        return jnp.where(colour == 0, answers[0], jnp.where(colour == 1, answers[1], answers[2]))
+    def of(lattice):
+        product_with = make(lattice)
+        return blocks(lattice, (1,), product_with)[1:-1, :, 0, 0], product_with(w[:, 0])[1:-1]
 
-    left, own, right = neighbour(-1), neighbour(0), neighbour(1)
-    w = zeros + jnp.asarray(np.random.default_rng(1).uniform(-1, 1, n.shape), zeros.dtype)
+    for _ in lattice.lanes:
+        of = jax.vmap(of, -1, -1)
+    found, pulled = of(lattice)
+    left, own, right = jnp.moveaxis(found.reshape(sites - 2, 3, -1), 1, 0)
     summed = left * w[:-2] + own * w[1:-1] + right * w[2:]
     scale = jnp.maximum(jnp.abs(own).max(), jnp.abs(right).max())
     scale = jnp.where(scale > 0, scale, 1)
-    further = jnp.abs(product_with(w)[1:-1] - summed).max() / scale
+    further = jnp.abs(pulled.reshape(sites - 2, -1) - summed).max() / scale
     uneven = jnp.abs(left[1:] - right[:-1]).max() / scale
-    joined = tuple(x.reshape(sites - 2, -1) for x in (left + own + right, -right))
-    return joined, further, uneven, scale
+    return (left + own + right, -right), further, uneven, scale

@@ -14,7 +14,7 @@ from ..checks import concrete, parameter, refuse, whole
 from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
-from .cell import unit_cell
+from .cell import by_lanes, in_lanes, unit_cell
 from .dispersion import DEGENERATE, bloch_waves
 from .gauge import followed
 from .stiffness import mesh
@@ -87,9 +87,9 @@ class PathBands(Result):
     @property
     def outcome(self) -> str:
         """How many bands, along which path."""
-        bands = self.omega.shape[-1]
+        bands = by_lanes(self, self.omega).shape[-1]
         return (
-            f"{bands} band{'s' * (bands > 1)} along {'-'.join(self.names)}, omega = "
+            f"{bands} band{'s' * (bands > 1)} along {'-'.join(self.names)}{in_lanes(self)}, omega = "
             f"{self._told('omega', np.min(self.omega))} ... {self._told('omega', np.max(self.omega))}."
         )
 

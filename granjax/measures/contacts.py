@@ -4,6 +4,7 @@ import jax.numpy as jnp
 
 from ..checks import refuse, whole
 from ..lattice import Lattice
+from ..terms.chain import next_neighbours
 from ..types import Count, Number, Numbers, StateLike
 from .states_of import parts
 
@@ -89,7 +90,7 @@ def sensor_force(
     """
     u, _ = parts(lattice, y, t)
     for term in lattice.terms:
-        found = term.next_neighbours(field)
+        found = next_neighbours(term, field)
         if found is not None:
             force = term.compressions(t, u)[0].force
             if found[1] == "periodic":

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..lattice import Lattice
+from ..terms import energies
 from ..terms.tracing import reads
 from ..types import Displacements, Number, StateLike, Values
 from .states_of import parts
@@ -97,7 +98,7 @@ def _share_out(lattice, u, v, t):
     shapes = dict(lattice.sites) if isinstance(u, dict) else {None: lattice.sites}
     total = {name: _per_site(lattice, m * v * v / 2) for name, m, v in _fields(lattice.mass, v)}
     for term in lattice.terms:
-        shared = term.site_energy(lattice, t, u)
+        shared = energies.site_energy(term, lattice, t, u)
         if shared is None:
             continue
         for name, part in shared.items() if isinstance(shared, dict) else ((None, shared),):

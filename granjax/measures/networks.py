@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from ..checks import parameter, positive, refuse
 from ..lattice import Lattice
 from ..printing import told
+from ..strains.maps import TwoEnds
+from ..terms.base import within
 from ..types import Displacements, Number, Numbers, Parameter, Scalar, StateLike
 from .states_of import parts
 
@@ -52,7 +54,9 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
     u, _ = parts(lattice, y, t)
     segments, forces = [], []
     for term in lattice.terms:
-        for ends, contact in zip(term.ends(places, u), term.compressions(t, u)):
+        strain_map = getattr(within(term), "strain_map", None)
+        ends = None if strain_map is None else _ends(strain_map, places, u)
+        for contact in term.compressions(t, u):
             if ends is not None:
                 d = ends[0].shape[-1]
                 segments.append(jnp.stack(ends, -2).reshape(-1, 2, d))
@@ -62,6 +66,27 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
     # a bond between numbers, not vectors, that goes around a ring
     short = length < 2.5 * jnp.nanmin(length)
     return ForceNetwork(lines[short], force[short])
+
+
+def _ends(strain_map, places, u):
+    """Present places (bonds, d) of tails and heads, from those at rest; NaN where no site is, `None` of other maps."""
+    pairs = getattr(strain_map, "pairs", strain_map)
+    if not isinstance(pairs, TwoEnds) or strain_map.tangential:
+        return None
+    tail, head = pairs.ends(places)
+    there = pairs.ends(jax.tree.map(jnp.ones_like, places))
+    vector = getattr(strain_map, "vector", None)
+    if vector is None:
+        both = jnp.minimum(*there) > 0
+        return jnp.where(both, tail, jnp.nan), jnp.where(both, head, jnp.nan)
+    axis, count = pairs.axes, strain_map.components
+    moved, pushed = (jax.lax.slice_in_dim(x, 0, count, axis=axis) for x in pairs.ends(u))
+    if vector.ndim == 1:
+        vector = vector.reshape((count,) + (1,) * (moved.ndim - axis - 1))
+    length = vector - (moved - pushed)
+    # of a bond around a ring the head is where the bond leads, of a wall at the tail where it comes from
+    tail = jnp.where(there[0] > 0, tail + moved, head + pushed - length)
+    return tail, tail + length
 
 
 def angular_momentum(

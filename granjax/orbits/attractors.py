@@ -23,6 +23,7 @@ from ..programs import shared_size
 from ..results import Held, Result, array, hidden, note, part
 from ..solvers import SRKN11b
 from ..terms import Damping, Harmonic, Wall
+from ..terms.chain import walls, without_walls
 from ..types import (
     Count,
     Counts,
@@ -106,11 +107,11 @@ def driven_chain(
         one_of("field", field, lattice.fields or (None,))
     terms, laws = [], None
     for i, term in enumerate(lattice.terms):
-        parted = term.without_walls(lattice, field) if laws is None else None
+        parted = without_walls(term, lattice, field) if laws is None else None
         if parted is not None:
             inner, *laws = parted
             terms.append(inner)
-        elif term.walls():
+        elif walls(term):
             refuse(
                 "lattice",
                 "one Bond(Shift(1, 'fixed'), law) to the walls and no other term that reaches them",

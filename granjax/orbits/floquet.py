@@ -20,6 +20,7 @@ from ..printing import told
 from ..programs import compiled
 from ..results import Result, array
 from ..solvers import KahanLi8
+from ..terms.tracing import reads
 from ..tuning import one_thread
 from ..types import Count, Pytree, Scalar, StateLike
 from .asked import (
@@ -76,9 +77,9 @@ def structure(lattice: Lattice) -> _Structure:
     mass = np.concatenate([np.broadcast_to(m, x.shape).ravel() for m, x in masses])
     damping = [term.exact_damping() for term in lattice.terms]
     damping = [found for found in damping if found is not None]
-    reads = [term.dependence(lattice) for term in lattice.terms if term.exact_damping() is None]
+    found = [reads(term, lattice) for term in lattice.terms if term.exact_damping() is None]
     # a force that comes from no energy is no more symplectic than one that reads velocities
-    others = [x for x in reads if x.velocity or x.displacement and not x.energy]
+    others = [x for x in found if x.velocity or x.displacement and not x.energy]
     autonomous = not lattice.reads_time
     moves = shifts(lattice).shape[1]
     dissipates = bool(others or any(np.any(rate) for _, rate in damping))

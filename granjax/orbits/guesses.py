@@ -24,6 +24,7 @@ from ..newton import newton
 from ..printing import told
 from ..solvers import KahanLi8
 from ..states.places import field_of
+from ..terms.chain import next_neighbours
 from ..theory import nls
 from ..types import Scalar, Site
 from .asked import checked_lattice, shifts
@@ -153,7 +154,7 @@ def chain_of(lattice: Lattice) -> Chain | Dressed | None:
 
 def cell_of(lattice: Lattice) -> Chain | None:
     """The unit cell of a chain of next neighbours, or `None` where it is none."""
-    found = lattice.terms[0].next_neighbours() if len(lattice.terms) == 1 else None
+    found = next_neighbours(lattice.terms[0]) if len(lattice.terms) == 1 else None
     cell = found and _cell(lattice)
     if not cell:
         return None
@@ -173,7 +174,7 @@ def dressed(lattice: Lattice) -> Dressed | None:
         (i, name, *bonds)
         for i, term in enumerate(lattice.terms)
         for name in lattice.fields
-        if (bonds := term.next_neighbours(name)) is not None
+        if (bonds := next_neighbours(term, name)) is not None
     ]
     cell = _cell(lattice)
     if len(found) != 1 or not cell or cell.cell != (1,):

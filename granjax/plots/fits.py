@@ -98,7 +98,6 @@ def corner(
     axes: Axes | Shaped[np.ndarray, "..."] | None = None,
     *,
     truths: dict[str, Scalar] | None = None,
-    labels: Sequence[str] | None = None,
 ) -> Shaped[np.ndarray, "P P"]:
     """Draw what is known of each pair of parameters: ellipses of one and two deviations, Gaussians on the diagonal.
 
@@ -107,7 +106,7 @@ def corner(
 
     **Arguments:** `result`: a `Fit`, or anything with `parameters` (a dict), `names` (P,) of its numbers, "a" or
     "a[0]", "a[1]", ..., and `covariance` (P, P) in their order. `axes`: Axes (P, P). `truths`: dict of known values to
-    mark, with names as in `names`. `labels`: one per parameter, in place of `names`.
+    mark, with names as in `names`.
 
     **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
     (parameters that are not determined).
@@ -122,7 +121,6 @@ def corner(
         unknown = ", ".join(name for name, d in zip(names, deviations) if not np.isfinite(d))
         wanted = "parameters that the data determine"
         refuse("result", wanted, f"an infinite deviation of {unknown}", "Leave it out.")
-    labels = names if labels is None else list(labels)
     for name in truths or {}:
         one_of("truths", name, names)
     count = len(names)
@@ -131,7 +129,7 @@ def corner(
     powers = [_power(value) for value in values]
     titles = [
         label if power == 0 else rf"{label} ($10^{{{power}}}$)"
-        for label, power in zip(labels, powers)
+        for label, power in zip(names, powers)
     ]
     unit = 10.0 ** np.array(powers)
     centre, matrix, deviations = values / unit, matrix / np.outer(unit, unit), deviations / unit

@@ -191,7 +191,6 @@ def branch(
     bands: Any = None,
     marks: Any = None,
     omega_label: str = r"angular frequency $\omega_b$",
-    p_label: str = "coupling",
 ) -> np.ndarray:
     """Draw a family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
 
@@ -208,7 +207,7 @@ def branch(
       such as `gx.breathers.bands_of(chain)[0]`; `marks`: bifurcations to mark, those of
       `gx.breathers.bifurcations(br)`, or frequencies. Extrema of the energy, at which stability may change, are
       diamonds on the curves.
-    - `omega_label`: of the frequencies' axis; `p_label`: of the parameter's, where all have one frequency.
+    - `omega_label`: of the frequencies' axis.
 
     **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit.
 
@@ -225,7 +224,7 @@ def branch(
     over = shown(omega_label, br.omega, "rad/s", units)
     if hasattr(br, "p") and len(x) > 1 and np.ptp(x) <= SAME * np.abs(x).max():
         x = np.asarray(br.p)
-        over = shown(p_label, br.p, None, units)
+        over = shown("coupling", br.p, None, units)
     x, bands = over(x), np.zeros((0, 2)) if bands is None else over(bands)
     marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
     axes = axes_or_new(axes, 8.4, 3.4, 1, 2)

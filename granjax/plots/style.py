@@ -22,7 +22,7 @@ from ..checks import one_of, positive, refuse
 from ..files import target, write
 from ..types import Count, Scalar
 from ..units import SCALED, SI
-from ..units.names import family, known_unit, readable
+from ..units.names import known_unit, readable
 
 AxesOrNone: TypeAlias = Axes | None
 """Axes to draw into, `None` for those of a new figure."""
@@ -291,11 +291,9 @@ def shown(label: str, x: Any, unit: str | None = None, units: str | None = None)
         return Shown(1.0, f"{label} ({unit})" if unit else label, unit or "")
     chosen = known
     if known.size in (1.0, HERTZ.size):
-        size = HERTZ.size if known.dimension == HERTZ.dimension else known.size
-        among = family(known.dimension, size)
         numbers = np.abs(np.asarray(x, float))
         largest = numbers[np.isfinite(numbers)].max(initial=0.0) * known.size
-        chosen = readable(among, float(largest)) if len(among) > 1 else known
+        chosen = readable(known, float(largest))
     if "Hz" in chosen.name:
         label = re.sub(r"angular frequency( \$\\omega[^$]*\$)?", "frequency", label)
     return Shown(known.size / chosen.size, f"{label} ({chosen.label})", chosen.label)

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, CenteredNorm, ListedColormap, LogNorm, Normalize
+from matplotlib.colors import BoundaryNorm, CenteredNorm, ListedColormap, Normalize
 
 from ..checks import one_of, refuse
 from ..units import SCALED, SI
@@ -23,7 +23,6 @@ from .style import (
 REASON = "reason"
 LANE = "lane"
 NOT_YET = "not computed yet"
-SCALES = ("linear", "log")
 GAP = "0.85"
 # words that have the same colours everywhere, and what tells their bands apart without colours
 KNOWN = {"stable": 0, "unstable": 1, "undecided": 3, "yes": 0, "no": 1}
@@ -69,8 +68,6 @@ def sweep(
     *,
     lines: str | None = None,
     bands: str | None = None,
-    scale: str = "linear",
-    colour_bar: bool = True,
 ) -> Axes:
     """Draw a sweep: a line over one parameter, a map over two.
 
@@ -87,7 +84,6 @@ def sweep(
       the sweep holds that.
     - `lines`: a parameter of a grid whose values are a line each, in place of an axis of a map.
     - `bands`: of a line, the variable of words that colours its background, such as a verdict.
-    - `scale`: of the variable, `"linear"` or `"log"`.
 
     Of more parameters fix some, `data.sel(load=1.0)`; small multiples are xarray's, `data.peak.plot(col="load")`.
 
@@ -102,7 +98,6 @@ def sweep(
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('ratio', 'cutoff')
     """
-    one_of("scale", scale, SCALES)
     field = _field(data, name, lines)
     count = len(field.axes)
     if count > 2:
@@ -117,10 +112,10 @@ def sweep(
         ax = axes_or_new(ax, 5.4, 3.6)
         if bands is not None:
             _draw_bands(ax, field.axes[0], _field(data, bands))
-        _draw_over_one(field, ax, scale)
+        _draw_over_one(field, ax)
     else:
         ax = axes_or_new(ax, 5.4, 4.0)
-        _draw_over_two(field, ax, scale, colour_bar)
+        _draw_over_two(field, ax)
     add_legend(ax)
     return ax
 
@@ -262,7 +257,7 @@ def _draw_bands(ax, along, field):
             named.add(word)
 
 
-def _draw_over_one(field, ax, scale):
+def _draw_over_one(field, ax):
     """Lines or dots over one parameter: of a variable, of its own axis, or of the values of a second parameter."""
     along, *second = field.axes
     if field.values.dtype.kind == "U":
@@ -286,9 +281,6 @@ def _draw_over_one(field, ax, scale):
         if field.errors is not None and y.shape[1] == 1:
             errors = field.by(np.nan_to_num(np.abs(field.errors[order]), posinf=0.0))
             ax.errorbar(x, y[:, 0], errors, fmt="none", ecolor=colour(0), lw=1)
-        if scale == "log" and (y > 0).any():
-            ax.set_yscale("log")
-            log_ticks(ax.yaxis, y)
     ax.set_ylabel(field.by.label)
     _dress(ax, "x", along)
     x = along.at[field.failed.reshape(len(along.at), -1).any(1)]
@@ -303,7 +295,7 @@ def _draw_crosses(ax, x, y, failed, **where):
         ax.plot(x, y, "x", label=label, **look, **where)
 
 
-def _draw_over_two(field, ax, scale, colour_bar):
+def _draw_over_two(field, ax):
     """A map over two parameters, the first to the right; coloured dots of a list."""
     (x, y), words = field.axes, field.values.dtype.kind == "U"
     if words:
@@ -314,7 +306,7 @@ def _draw_over_two(field, ax, scale, colour_bar):
         tones = ListedColormap([colour(i) for i in kinds.values()])
     else:
         numbers = field.by(field.values)
-        norm, tones = _colours(numbers[np.isfinite(numbers)], scale)
+        norm, tones = _colours(numbers[np.isfinite(numbers)])
     if field.grid:
         i, j = np.argsort(x.at), np.argsort(y.at)
         look = {"norm": norm, "cmap": tones, "rasterized": True}
@@ -328,19 +320,15 @@ def _draw_over_two(field, ax, scale, colour_bar):
     _draw_crosses(ax, x.at[i], y.at[j], field.failed)
     _dress(ax, "x", x)
     _dress(ax, "y", y)
-    if colour_bar:
-        bar = add_colour_bar(ax, image, field.by.label)
-        if words:
-            bar.set_ticks(np.arange(len(kinds)), labels=list(kinds))
-            bar.ax.tick_params(length=0)
+    bar = add_colour_bar(ax, image, field.by.label)
+    if words:
+        bar.set_ticks(np.arange(len(kinds)), labels=list(kinds))
+        bar.ax.tick_params(length=0)
 
 
-def _colours(seen, scale):
+def _colours(seen):
     """Norm and map of numbers."""
-    seen = seen[seen > 0] if scale == "log" else seen
     low, high = (seen.min(), seen.max()) if seen.size else (0.1, 1.0)
-    if scale == "log":
-        return LogNorm(low, high if high > low else 10 * low), "viridis"
     if low < 0 < high:
         return CenteredNorm(halfrange=max(-low, high)), "RdBu_r"
     return Normalize(low, high), "viridis"

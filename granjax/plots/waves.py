@@ -36,7 +36,6 @@ def dispersion(
     *,
     spectrum: Any = None,
     floor: Scalar = 1e-6,
-    colour_bar: bool = True,
 ) -> Axes:
     """Draw the dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
 
@@ -81,8 +80,7 @@ def dispersion(
         image, span = _under(ax, spectrum, by, low)
         _along(ax, 1, span)
         _zones(ax, k, omega, cell, span)
-        if colour_bar:
-            add_colour_bar(ax, image, "power (relative)")
+        add_colour_bar(ax, image, "power (relative)")
     for low, high in _gaps(omega):
         ax.axhspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1.5)
         where = {"transform": ax.get_yaxis_transform(), "ha": "right", "va": "center"}
@@ -151,12 +149,11 @@ def _gaps(omega):
     return below + gaps
 
 
-def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True) -> Axes:
+def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
     """Draw quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, and the growth rate.
 
     **Arguments:** `bands`: anything with `k` (K,), `omega` and `growth` (K, multipliers), `edges` (gaps, 2) or `None`,
-    `period`, `cell`, such as the result of `gx.linear.floquet_bands`. `growth`: whether the largest growth rate is
-    drawn, on an axis of its own.
+    `period`, `cell`, such as the result of `gx.linear.floquet_bands`. The largest growth rate has an axis of its own.
 
     **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
     growth is the last of `ax.figure.axes`. **Raises** ValueError for the record of several axes.
@@ -177,18 +174,17 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True) -> 
     _along(ax, int(np.prod(bands.cell)), (k[0], k[-1]))
     ax.set_ylim(-1.05 * half, 1.05 * half)
     ax.set_ylabel(by.label)
-    if growth:
-        by = shown("growth rate", bands.growth, "1/s", units_of(bands))
-        largest, right = by(np.maximum(rate.max(-1), 0)), ax.twinx()
-        right.spines["right"].set(visible=True, color=COLOURS[2])
-        right.tick_params(axis="y", colors=COLOURS[2])
-        right.plot(k, largest, color=COLOURS[2], lw=1.2)
-        right.set_ylim(0, 2.5 * float(largest.max()) or 1.0)
-        right.set_ylabel(by.label, color=COLOURS[2])
+    by = shown("growth rate", bands.growth, "1/s", units_of(bands))
+    largest, right = by(np.maximum(rate.max(-1), 0)), ax.twinx()
+    right.spines["right"].set(visible=True, color=COLOURS[2])
+    right.tick_params(axis="y", colors=COLOURS[2])
+    right.plot(k, largest, color=COLOURS[2], lw=1.2)
+    right.set_ylim(0, 2.5 * float(largest.max()) or 1.0)
+    right.set_ylabel(by.label, color=COLOURS[2])
     return ax
 
 
-def bands(record: Any, ax: AxesOrNone = None, *, colour_bar: bool = True) -> Axes:
+def bands(record: Any, ax: AxesOrNone = None) -> Axes:
     """Draw bands along a path through the zone, or those of a strip coloured by the edge to which a wave is bound.
 
     **Arguments:** `record`: anything with `distance`, `omega` (K, bands), `names` and `marks`, such as the result of
@@ -206,8 +202,7 @@ def bands(record: Any, ax: AxesOrNone = None, *, colour_bar: bool = True) -> Axe
         strip = ax.scatter(np.broadcast_to(x[:, None], omega.shape), omega, **look)
         _along(ax, 1, (x.min(), x.max()))
         ax.set_xlabel("wave number $k$ (rad/cell)")
-        if colour_bar:
-            add_colour_bar(ax, strip, "place across the strip")
+        add_colour_bar(ax, strip, "place across the strip")
     else:
         x = np.asarray(record.distance)
         ax.plot(x, omega, color=COLOURS[0])
@@ -228,7 +223,6 @@ def zone(
     *,
     levels: Count = 12,
     velocity: bool = False,
-    colour_bar: bool = True,
 ) -> Axes:
     """Draw contours of equal frequency of a band over the Brillouin zone, whose edge is drawn.
 
@@ -253,8 +247,7 @@ def zone(
     ax.add_patch(Polygon(place(record.corners), fill=False, edgecolor="black", lw=1.2))
     names = {f"{x}label": place.label.replace("wave number", f"$q_{x}$") for x in "xy"}
     ax.set(aspect="equal", **names)
-    if colour_bar:
-        add_colour_bar(ax, image, by.label)
+    add_colour_bar(ax, image, by.label)
     return ax
 
 

@@ -12,6 +12,7 @@ from ..checks import concrete, positive, refuse, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..printing import told
+from ..terms.chain import next_neighbours, span, walls, without_walls
 from ..types import Number, Numbers, Scalar
 
 # arguments that a law is evaluated at in one program
@@ -103,12 +104,12 @@ def law_between(lattice: Lattice, wanted: str) -> Law:
             "Look for the wave of each in a loop.",
         )
     # contacts with walls may be others than those between sites
-    inner = [(term.without_walls(lattice) or (term,))[0] for term in lattice.terms]
-    found = [term.next_neighbours() for term in inner]
+    inner = [(without_walls(term, lattice) or (term,))[0] for term in lattice.terms]
+    found = [next_neighbours(term) for term in inner]
     others = [
         term
         for term, one in zip(inner, found)
-        if one is None and not (term.walls() and term.span() == ())
+        if one is None and not (walls(term) and span(term) == ())
     ]
     own = [one[0] for one in found if one is not None]
     if others or not own:

@@ -14,7 +14,7 @@ from ..strains import BOUNDARIES
 from ..terms import Wall
 from ..types import Count, Parameter, Scalar
 from ..units import SI
-from .chains import chain, check_each, contacts_of, stacked
+from .chains import chain, stacked
 
 
 def beads(
@@ -73,7 +73,6 @@ def beads(
     mass = bead_mass(bodies, R)
     if R.ndim:
         bodies, R, mass = jax.tree.map(lambda x: jnp.tile(x, cells), (bodies, R, mass))
-    check_each(contacts_of(sites, boundary), "contact", precompression=precompression)
     law = Hertz(_coefficients(bodies, R, sites, boundary, wall), precompression)
     damping = None
     if damping_time is not None:

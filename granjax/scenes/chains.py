@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -52,9 +53,9 @@ def chain(
     >>> print(band.lower.round(6), band.upper.round(6))  # the roots of 9 and 9 + 4 * 4
     [3.] [5.]
     """
-    terms = [Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), law)]
+    terms = [Bond(Shift(1, boundary), fitting(law, contacts_of(sites, boundary), "contact"))]
     if on_site is not None:
-        terms.append(OnSite(on_site))
+        terms.append(OnSite(fitting(on_site, sites, "site")))
     if damping is not None:
         terms.append(Damping(damping))
     return Lattice(mass, terms, sites=a_chain(sites), units=units)
@@ -71,11 +72,13 @@ def contacts_of(sites: Count, boundary: str) -> int:
     return a_chain(sites) + more[one_of("boundary", boundary, more)]
 
 
-def check_each(count: int, what: str, **parameters: Parameter | None) -> None:
-    """Refuse what is neither one number nor one for each of `count` contacts or sites."""
-    for name, x in parameters.items():
-        if np.shape(x)[:1] not in ((), (1,), (count,)):
-            refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")
+def fitting(law: Law, count: int, what: str) -> Law:
+    """The law, whose parameters are numbers, or one for each of `count` contacts or sites."""
+    for name, x in vars(law).items():
+        if hasattr(x, "shape") and x.shape[:1] not in ((), (1,), (count,)):
+            name = f"{type(law).__name__}.{name}"
+            refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {x.shape}")
+    return law
 
 
 def number(argument: str, x: Scalar) -> Scalar:
@@ -92,7 +95,7 @@ def stacked(argument: str, values: Parameter) -> Any:
         return parameter(argument, values)
     found = [number(f"{argument}[{i}]", x) for i, x in enumerate(values)]
     # by NumPy where it can be, as for JAX each operation is a program to compile
-    return jnp.stack(found) if traced(found) else jnp.asarray(np.stack(found))
+    return jnp.stack(found) if traced(found) else jax.device_put(np.stack(found))
 
 
 def contact(stiffness: Parameter, exponent: Parameter, precompression: Parameter) -> Law:
@@ -140,15 +143,7 @@ def monomer(
     >>> round(float(gx.linear.normal_modes(chain).omega[-1]), 6)  # 6^{1/2} sin(20 pi/42)
     2.44264
     """
-    law = contact(stiffness, exponent, precompression)
-    check_each(
-        contacts_of(sites, boundary),
-        "contact",
-        stiffness=stiffness,
-        exponent=exponent,
-        precompression=precompression,
-    )
-    return chain(sites, mass, law, boundary=boundary)
+    return chain(sites, mass, contact(stiffness, exponent, precompression), boundary=boundary)
 
 
 def pattern(
@@ -168,7 +163,7 @@ def pattern(
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
     repeated = (jnp if traced(cell) else np).tile(cell, -(-sites // len(cell)))
-    mass = jnp.asarray(repeated[:sites])
+    mass = jax.device_put(repeated[:sites])
     return monomer(sites, mass, boundary=boundary, **contacts)
 
 
@@ -345,10 +340,6 @@ def fput(
     if alpha is None:
         alpha = 0.25 if beta is None else 0.0
     beta = 0.0 if beta is None else beta
-    parameter("alpha", alpha)
-    parameter("beta", beta)
-    springs = contacts_of(sites, boundary)
-    check_each(springs, "contact", stiffness=stiffness, alpha=alpha, beta=beta)
     return chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary=boundary)
 
 
@@ -375,5 +366,4 @@ def toda(
     >>> float(gx.linear.sound_speed(chain))
     1.0
     """
-    check_each(contacts_of(sites, boundary), "contact", strength=strength, rate=rate)
     return chain(sites, mass, Toda(strength, rate), boundary=boundary)

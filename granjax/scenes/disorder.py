@@ -10,7 +10,7 @@ from ..lattice import Lattice
 from ..laws import Law
 from ..types import Count, Parameter, Scalar, Seed
 from ..units import SCALED
-from .chains import MANY, a_chain, chain, check_each, contacts_of, monomer, number
+from .chains import MANY, a_chain, chain, contacts_of, monomer, number
 
 DISORDERED = ("mass", "radius", "stiffness", "position")
 CORRELATIONS = ("none", "alike", "opposite")
@@ -107,7 +107,6 @@ def disordered(
     if known is None or known.any():
         wanted = "0 with a law of your own"
         refuse("precompression", wanted, f"{precompression}", "Give it to the law.")
-    check_each(contacts, "contact", stiffness=A)
     return chain(sites, m, law(A), boundary=boundary, units=units)
 
 

@@ -80,6 +80,8 @@ def magnets(
             "These touch.",
         )
     power = exponent if isinstance(exponent, (int, float)) else p
+    # by NumPy where they are known, as for JAX each operation is a program to compile
+    A, d, p = (x if concrete(x) is None else concrete(x) for x in (A, d, p))
     reach, kernel = _kernel(sites, p, reach, boundary)
     beyond = 1 if boundary == "fixed" and reach > 1 else None
     rest = None
@@ -98,7 +100,7 @@ def _kernel(sites, p, reach, boundary):
         refuse(
             "reach", f"at most {most}, less than half way round a ring of {sites} sites", f"{reach}"
         )
-    return min(reach, most), jnp.arange(1.0, min(reach, most) + 1) ** p
+    return min(reach, most), np.arange(1.0, min(reach, most) + 1) ** p
 
 
 def _rest(sites, p, reach, boundary):
@@ -113,7 +115,7 @@ def _rest(sites, p, reach, boundary):
     value = concrete(p)
     if value is None:
         return _found_rest(sites, p, reach, boundary)
-    return jnp.asarray(_known_rest(sites, float(value), reach, boundary))
+    return _known_rest(sites, float(value), reach, boundary)
 
 
 @lru_cache(maxsize=64)

@@ -8,7 +8,7 @@ from ..laws import Law, Linear
 from ..strains import Shift
 from ..terms import Bond, Damping, Harmonic, Modulated, OnSite, Square
 from ..types import Count, Parameter
-from .chains import check_each, contacts_of, number
+from .chains import contacts_of, number
 
 _SHAPES = {"cosine": Harmonic, "square": Square}
 _TURNS = 1e-9
@@ -51,12 +51,10 @@ def modulated(
     >>> bool(bands.fastest[0] > 0)  # waves grow in a gap of k
     True
     """
-    places = _modulated_places(sites, on, boundary)
-    check_each(len(places), "modulated bond or site", amplitude=amplitude, phase=phase)
+    one_of("on", on, ("bonds", "sites"))
     omega = positive("omega", number("omega", omega), "The modulation has a period.")
     wave = _SHAPES[one_of("shape", shape, _SHAPES)](amplitude, omega, phase, 1.0)
     grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
-    check_each(sites, "site", grounding=grounding, damping=damping)
     bond, ground = Bond(Shift(1, boundary), Linear() if law is None else law), None
     if _there(grounding):
         ground = OnSite(Linear(grounding))
@@ -94,7 +92,8 @@ def travelling_modulation(
     divide.
     Source: Swinteck, Matsuo, Runge, Vasseur, Lucas, Deymier, J. Appl. Phys. 118, 063103 (2015).
     """
-    places = _modulated_places(sites, on, boundary)
+    contacts = contacts_of(sites, boundary)
+    places = np.arange(contacts if on == "bonds" else sites)
     wavelength = number("wavelength", wavelength)
     value = concrete(wavelength)
     if value is not None:
@@ -112,12 +111,6 @@ def travelling_modulation(
     place = places - (on == "bonds" and boundary == "fixed")
     phase = -2 * np.pi * place / wavelength
     return modulated(sites, amplitude, omega, on=on, phase=phase, boundary=boundary, **modulation)
-
-
-def _modulated_places(sites, on, boundary):
-    """The numbers of the bonds or sites that are modulated."""
-    contacts = contacts_of(sites, boundary)
-    return np.arange(contacts if one_of("on", on, ("bonds", "sites")) == "bonds" else sites)
 
 
 def _there(x):

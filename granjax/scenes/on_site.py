@@ -1,11 +1,11 @@
 """Chains with a force on every site: Newton's cradle, Klein-Gordon (phi^4), sine-Gordon."""
 
-from ..checks import non_negative, parameter, positive, refuse
+from ..checks import non_negative, positive, refuse
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Sine
 from ..terms import OnSite
 from ..types import Count, Parameter
-from .chains import chain, check_each, contacts_of, monomer
+from .chains import chain, monomer
 
 # what couples weakly is what these chains are about
 COUPLED = "Sites without coupling are coupling=0."
@@ -58,7 +58,6 @@ def cradle(
         refuse("law", "a law, or strings of a length", "both", "Leave one of them out.")
     if length is not None:
         length = positive("length", length, "None is a string so long that the arc is straight.")
-    check_each(sites, "site", pendulum=pendulum, length=length)
     if law is None:
         law = Linear(pendulum) if length is None else Sine(pendulum, 1 / length)
     touching = monomer(sites, mass, boundary=boundary, **contacts)
@@ -110,9 +109,6 @@ def klein_gordon(
         alpha = 0.0
         beta = 1.0 if beta is None else beta
     beta = 0.0 if beta is None else beta
-    parameter("alpha", alpha)
-    parameter("beta", beta)
-    check_each(sites, "site", stiffness=stiffness, alpha=alpha, beta=beta)
     on_site = Polynomial(stiffness, alpha, beta) if law is None else law
     return _coupled(sites, coupling, mass, boundary, on_site)
 
@@ -161,12 +157,10 @@ def pendula(sites: Count, stiffness: Parameter, wavenumber: Parameter) -> Sine:
     """The sine law on each site, whose parameters are one number or one per site."""
     stiffness = positive("stiffness", stiffness, _HELD)
     wavenumber = positive("wavenumber", wavenumber, "The potential's period is 2 pi/q.")
-    check_each(sites, "site", stiffness=stiffness, wavenumber=wavenumber)
     return Sine(stiffness, wavenumber)
 
 
 def _coupled(sites, coupling, mass, boundary, on_site):
     """The chain of springs between sites that a law holds."""
     coupling = non_negative("coupling", coupling, COUPLED)
-    check_each(contacts_of(sites, boundary), "contact", coupling=coupling)
     return chain(sites, mass, Linear(coupling), boundary=boundary, on_site=on_site)

@@ -11,7 +11,7 @@ from ..strains import Pairs, Shift
 from ..terms import Bond
 from ..types import Count, Numbers, Parameter
 from ..units import SCALED
-from .chains import a_chain, check_each, contact, contacts_of
+from .chains import a_chain, contact, contacts_of, fitting
 
 _TIE = "A resonator without stiffness is let go: 0 leaves the chain of beads."
 
@@ -143,26 +143,18 @@ def _resonant(
 
     `resonators`: from field to mass and stiffness, each under its argument's name.
     """
-    contacts, sites = contacts_of(sites, boundary), a_chain(sites)
+    sites = a_chain(sites)
     if law is None:
         stiffness = positive(
             "contact_stiffness", contact_stiffness, "The contact coefficient A is positive."
         )
         law = contact(stiffness, exponent, precompression)
-        check_each(
-            contacts,
-            "contact",
-            contact_stiffness=stiffness,
-            exponent=exponent,
-            precompression=precompression,
-        )
     places = range(sites) if at is None else _places(sites, at)
-    count, carrier = (sites, "bead") if at is None else (len(places), "resonator")
+    count = len(places)
     mass = {"bead": positive("bead_mass", bead_mass, "A bead needs a mass.")}
-    check_each(sites, "bead", bead_mass=bead_mass)
+    law = fitting(law, contacts_of(sites, boundary), "contact")
     terms = [Bond(Shift(1, boundary, "bead"), law)]
     for name, given in resonators.items():
-        check_each(count, carrier, **given)
         (of_mass, mu), (of_spring, kappa) = given.items()
         mass[name] = positive(of_mass, mu, "A resonator needs a mass.")
         fields = ("bead", name)
@@ -175,7 +167,7 @@ def _resonant(
     if at is None:
         return Lattice(mass, terms, sites=sites, units=units)
     sizes = {"bead": sites, "resonator": count}
-    mass = {name: jnp.broadcast_to(m, (sizes[name],)) for name, m in mass.items()}
+    mass = {name: m if m.ndim else jnp.full(sizes[name], m) for name, m in mass.items()}
     return Lattice(mass, terms, units=units)
 
 

@@ -9,7 +9,7 @@ from ..strains import Shift
 from ..terms import PlasticContact
 from ..types import Count, Parameter
 from ..units import SCALED
-from .chains import a_chain, check_each, contacts_of
+from .chains import a_chain
 
 
 def plastic(
@@ -42,13 +42,6 @@ def plastic(
     """
     stiffness, yields = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
     F0 = non_negative("precompression", precompression, "A chain under tension falls apart.")
-    check_each(
-        contacts_of(sites, boundary),
-        "contact",
-        stiffness=stiffness,
-        yield_overlap=yields,
-        precompression=F0,
-    )
     # the overlap that F0 presses virgin contacts to
     first = stiffness * plus_power(yields, 1.5)
     overlap = jnp.where(

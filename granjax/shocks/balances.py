@@ -13,6 +13,7 @@ from ..flow.method import GATHERED, STEP_FRACTION
 from ..flow.stiffness import frequency_bound
 from ..lattice import Lattice, State
 from ..results import Result, array
+from ..terms.chain import next_neighbours
 from ..types import Number, Numbers, Scalar
 from .riemann import Riemann
 
@@ -122,7 +123,7 @@ def balances(
     )
     y = State(*run.final)
     for i, term in enumerate(lattice.terms):
-        if term.next_neighbours() is None:
+        if next_neighbours(term) is None:
             force = np.asarray(term.force(run.ts[-1], y.u, y.v, lattice.mass))
             if np.any(force[first : last + 1]):
                 refuse(
@@ -161,7 +162,7 @@ def _box(problem, box, size):
 def _laws(lattice, low, high):
     """The laws of the bonds from one to another, by bonds between sites, of all terms."""
     axes = 1 + len(lattice.lanes)
-    for law, boundary in filter(None, (term.next_neighbours() for term in lattice.terms)):
+    for law, boundary in filter(None, map(next_neighbours, lattice.terms)):
         shift = 1 if boundary == "fixed" else 0
         yield jax.tree.map(
             lambda x, shift=shift: (

@@ -16,6 +16,8 @@ from ..profiles import front as solver
 from ..profiles.front import FrontShape
 from ..profiles.highest import highest
 from ..profiles.medium import fine_force, implicit, one_number, single, values
+from ..terms import Dashpot
+from ..terms.chain import boundary_of
 from ..types import Scalar
 from .front import DissipativeFront
 
@@ -112,7 +114,10 @@ def _with_dashpot(law, dashpot):
     """The law, or the lattice without its dashpots, and the dashpot between neighbours."""
     own = None
     if isinstance(law, Lattice):
-        found = [term.next_dashpots() for term in law.terms]
+        found = [
+            term.coefficient if isinstance(term, Dashpot) and boundary_of(term) else None
+            for term in law.terms
+        ]
         rest = tuple(term for term, one in zip(law.terms, found) if one is None)
         if len(rest) < len(found):
             own = sum(single("law", "dashpots", one) for one in found if one is not None)

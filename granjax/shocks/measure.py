@@ -10,6 +10,7 @@ from ..checks import one_of, refuse, whole
 from ..flow import Run
 from ..measures import peak_times
 from ..profiles.medium import values
+from ..terms.chain import walls
 from ..types import Count
 from .given import medium_before, problem_of
 from .riemann import Riemann
@@ -194,8 +195,9 @@ def _profile(run, problem, side):
     time, velocity = float(np.asarray(run.ts)[-1]), np.asarray(run.final.v, float)
     places = np.arange(len(strain)) - float(problem.centre)
     if problem.kind == "piston":
-        wall = next(term for term in problem.lattice.terms if term.walls() == ("left",))
-        own, speed = wall.compression(time, run.final.u), jax.jvp(wall.motion, (time,), (1.0,))[1]
+        wall = next(term for term in problem.lattice.terms if walls(term) == ("left",))
+        own = wall.compression(time, run.final.u)[0]
+        speed = jax.jvp(wall.motion, (time,), (1.0,))[1]
         strain, velocity, places = (
             np.append(own, strain),
             np.append(speed, velocity),

@@ -14,8 +14,10 @@ from ..printing import told
 from ..states import velocity_step
 from ..states.places import chain_only, inside
 from ..strains import Shift
-from ..terms import Bond, Breaks, Drive, Wall, tracing
+from ..terms import Bond, Breaks, Drive, Wall
+from ..terms.chain import next_neighbours
 from ..terms.reach import furthest
+from ..terms.tracing import reads
 from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 
@@ -128,12 +130,12 @@ def step(
     bonds = np.arange(-1, size).reshape((-1,) + (1,) * lanes)  # those to the walls as well
     strain, terms = jnp.where(bonds < centre, left, right), []
     for i, term in enumerate(lattice.terms):
-        found = term.next_neighbours()
+        found = next_neighbours(term)
         if found is not None:
             terms.append(
                 Bond(Shift(1, "fixed"), Strained(_alike(found[0], lanes), strain, reference))
             )
-        elif tracing.traced(term, lattice)[1].displacement or term.dependence(lattice).time:
+        elif reads(term, lattice).displacement or reads(term, lattice).time:
             refuse(
                 "lattice",
                 f"{CHAIN}, damping and dashpots",
@@ -265,7 +267,7 @@ def _opened(lattice):
 
 
 def _between(term, lattice):
-    found = term.next_neighbours()
+    found = next_neighbours(term)
     if found is None or found[1] == "free":
         return term
     law, boundary = found
@@ -278,9 +280,7 @@ def _between(term, lattice):
 def _law(lattice):
     """The law of all bonds to the next site."""
     laws = [
-        found[0]
-        for found in (term.next_neighbours() for term in lattice.terms)
-        if found is not None
+        found[0] for found in (next_neighbours(term) for term in lattice.terms) if found is not None
     ]
     if not laws:
         names = ", ".join(type(term).__name__ for term in lattice.terms)
@@ -345,9 +345,9 @@ def _least(lattice):
 
 def _jolt(lattice, into):
     """What the step sends out; `None` for a chain of other bonds as well."""
-    others = [term for term in lattice.terms if term.next_neighbours() is None]
+    others = [term for term in lattice.terms if next_neighbours(term) is None]
     if len(others) == len(lattice.terms) or any(
-        tracing.traced(term, lattice)[1].displacement for term in others
+        reads(term, lattice).displacement for term in others
     ):
         return None
     return Jolt(_law(lattice), _least(lattice), tuple(into), _spread(lattice))
@@ -358,7 +358,7 @@ def _spread(lattice):
     v = lattice.zeros()
     v, found = v.at[v.shape[0] // 2].set(1), jnp.zeros(lattice.lanes)
     for term in lattice.terms:
-        if term.next_neighbours() is None and tracing.traced(term, lattice)[1].velocity:
+        if next_neighbours(term) is None and reads(term, lattice).velocity:
             pulls = jnp.abs(term.force(0.0, 0 * v, v, lattice.mass)) / _least(lattice)
             found = found + jnp.where(v == 0, pulls, 0).max(0)
     return found

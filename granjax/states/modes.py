@@ -1,6 +1,5 @@
 """States in one normal mode of the linear lattice."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from ..checks import concrete, per_lane, refuse, whole
 from ..lattice import Lattice, State
 from ..linear import normal_modes
+from ..terms import Modulated
 from ..types import Count, Parameter
 from .places import chain_only, column, state_of
 
@@ -37,8 +37,8 @@ def normal_mode(
     lanes = lattice.lanes
     amplitude, phase = per_lane("amplitude", amplitude, lanes), per_lane("phase", phase, lanes)
     # of a stiffness that changes in time, the mode at t = 0
-    terms = tuple(term.at(jnp.zeros((), lattice.dtype)) for term in lattice.terms)
-    begun = eqx.tree_at(lambda x: x.terms, lattice, terms)
+    zero, modulated = jnp.zeros((), lattice.dtype), lambda x: isinstance(x, Modulated)
+    begun = jax.tree.map(lambda x: x.at(zero) if modulated(x) else x, lattice, is_leaf=modulated)
     solve = normal_modes
     for _ in lanes:
         solve = jax.vmap(solve, in_axes=-1, out_axes=-1)

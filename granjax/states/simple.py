@@ -74,7 +74,7 @@ def impact(
         x = x.copy()
         x[index] = velocity
     v = x if field is None else {**still, field: x}
-    return State(*jax.tree.map(jnp.asarray, (still, v)))
+    return State(*jax.device_put((still, v)))
 
 
 def radial_impact(

@@ -7,7 +7,7 @@ bonds on any graph, `Stretch` a distance in the plane or in space, `Along` the p
 """
 
 from .along import Along
-from .maps import BOUNDARIES, LinearMap, StrainMap
+from .maps import BOTH, BOUNDARIES, End, LinearMap, Sites, StrainMap
 from .pairs import WALL, Pairs
 from .slip import Slip
 from .stencil import Shift, Stencil
@@ -15,10 +15,13 @@ from .stretch import Stretch
 
 __all__ = [
     "Along",
+    "BOTH",
     "BOUNDARIES",
+    "End",
     "LinearMap",
     "Pairs",
     "Shift",
+    "Sites",
     "Slip",
     "Stencil",
     "StrainMap",

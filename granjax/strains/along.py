@@ -5,10 +5,10 @@ import jax.numpy as jnp
 from ..checks import parameter, refuse
 from ..types import Parameter
 from ..units import PART
-from .maps import LinearMap, TwoEnds
+from .maps import Joined, LinearMap, TwoEnds
 
 
-class Along(LinearMap):
+class Along(Joined, LinearMap):
     r"""The part of a difference of vectors along a fixed direction: e = d . (u_tail - u_head).
 
     `Stretch` without the geometry's nonlinearity, where d is the unit vector from tail to head; the resistance to
@@ -30,42 +30,22 @@ class Along(LinearMap):
         if self.direction.ndim != 1:
             refuse("direction", "a vector, one number per component of u", repr(direction))
 
-    @property
-    def axes(self):
-        return self.pairs.axes
-
     def strain(self, u):
-        return self._component(self.pairs.strain(u), self.direction)
+        return self._along(self.pairs.strain(u), self.direction)
 
     def gather(self, f):
-        return self.pairs.gather(self._vector(f, self.direction))
+        return self.pairs.gather(
+            self._shaped(self.direction, f.ndim + 1) * jnp.expand_dims(f, self.axes)
+        )
 
     def reach(self, w):
-        return self._component(self.pairs.reach(w), jnp.abs(self.direction))
-
-    def reach_back(self, f):
-        return self.pairs.reach_back(self._vector(f, jnp.abs(self.direction)))
-
-    def split(self, bonds, u):
-        return self.pairs.split(bonds, u)
+        return self._along(self.pairs.reach(w), jnp.abs(self.direction))
 
     def stiffness_bound(self, lattice, k):
         return self.pairs.stiffness_bound(lattice, k * jnp.sum(self.direction**2))
 
-    def ends(self, places, u):
-        return self.pairs.ends(places, u)
-
-    def span(self):
-        return self.pairs.span()
-
-    def walls(self):
-        return self.pairs.walls()
-
-    def _component(self, D, direction):
+    def _along(self, D, direction):
         return jnp.sum(self._shaped(direction, D.ndim) * D, self.axes)
-
-    def _vector(self, f, direction):
-        return self._shaped(direction, f.ndim + 1) * jnp.expand_dims(f, self.axes)
 
     def _shaped(self, direction, axes):
         """The direction with axes for the lanes that it lacks."""

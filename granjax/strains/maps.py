@@ -9,12 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import plain_zero
 from ..types import Displacements, Number, Numbers
 from ..units import Dimensional
 
 # what power iteration from a random start may lack
 POWER_STEPS, MARGIN = 40, 1.1
 BOUNDARIES = ("fixed", "free", "periodic")
+BOTH = ("left", "right")
 
 
 class StrainMap(Dimensional):
@@ -35,6 +37,11 @@ class StrainMap(Dimensional):
 
     linear: ClassVar[bool] = False
     tangential: ClassVar[bool] = False
+
+    # sites along each axis between the ends of the longest bond, where that is known
+    span: ClassVar[tuple[int, ...] | None] = None
+    # the ends of a chain at which bonds lead to a wall
+    walls: ClassVar[tuple[str, ...]] = ()
 
     @property
     def axes(self):
@@ -58,8 +65,10 @@ class StrainMap(Dimensional):
 
         The force on the sites is minus this.
         """
+        if self.linear:
+            return self.pull(u, law.force(self.strain(u)))
         e, transpose = jax.vjp(self.strain, u)
-        if isinstance(law.preload, (int, float)) and not law.preload:
+        if plain_zero(law.preload):
             return transpose(law.force(e))[0]
         (now,) = transpose(jnp.broadcast_to(law.preload + law.force(e), e.shape))
         _, transpose = jax.vjp(self.strain, jax.tree.map(jnp.zeros_like, u))
@@ -73,6 +82,8 @@ class StrainMap(Dimensional):
     def energy(self, u: Displacements, law: Any) -> Numbers:
         """Energy of every bond, measured from equilibrium: energy(e) + F0 (e - its linear part)."""
         e = self.strain(u)
+        if self.linear:
+            return law.energy(e)
         _, linear = jax.jvp(self.strain, (jax.tree.map(jnp.zeros_like, u),), (u,))
         return law.energy(e) + law.preload * (e - linear)
 
@@ -95,24 +106,8 @@ class StrainMap(Dimensional):
         """Transverse stiffness that the preload of a bond that turns adds."""
         return 0.0
 
-    def span(self) -> tuple[int, ...] | None:
-        """Sites along each axis between the ends of a bond, the longest; `None` where that is not known."""
-        return None
-
-    def next_neighbours(self, field: str | None = None) -> Any:
-        """The boundary of a map from each site of one array to the next, e = u_n - u_{n+1}; else `None`."""
-        return None
-
     def _wrapped(self, units):
         return InOtherUnits(self, units.length)
-
-    def ends(self, places: Displacements, u: Displacements) -> Any:
-        """Present places (bonds, d) of tails and heads, for pictures, from those at rest; `None` where not known."""
-        return None
-
-    def walls(self) -> tuple[str, ...]:
-        """At which ends of a chain bonds lead to a rigid wall: of "left" and "right"."""
-        return ()
 
 
 class InOtherUnits(StrainMap):
@@ -169,24 +164,64 @@ class LinearMap(StrainMap):
     def reach(self, w: Displacements) -> Numbers:
         """|de/du| w: the sum, with positive weights, over the ends of every bond."""
 
-    @abc.abstractmethod
-    def reach_back(self, f: Numbers) -> Displacements:
-        """Transpose of `reach`."""
-
     def rate(self, u: Displacements, v: Displacements) -> Numbers:
         return self.strain(v)
 
     def pull(self, u: Displacements, f: Numbers) -> Displacements:
         return self.gather(f)
 
-    def load(self, u: Displacements, law: Any) -> Displacements:
-        return self.gather(law.force(self.strain(u)))
-
-    def energy(self, u: Displacements, law: Any) -> Any:
-        return law.energy(self.strain(u))
+    def split(self, bonds: Numbers, u: Displacements) -> Displacements:
+        whole, back = jax.vjp(self.reach, jax.tree.map(jnp.ones_like, u))
+        return back((bonds / jnp.where(whole > 0, whole, 1)).astype(whole.dtype))[0]
 
     def stiffness_bound(self, lattice: Any, k: Numbers) -> Any:
-        return lambda w: self.reach_back(k * self.reach(w))
+        def bound(w):
+            reached, back = jax.vjp(self.reach, w)
+            return back((k * reached).astype(reached.dtype))[0]
+
+        return bound
+
+
+class Sites(LinearMap):
+    """The displacements of the sites themselves, or of those of one field: what ties a site to its place."""
+
+    dimensions = {}
+    axes = None  # as many as the lattice has
+    span: ClassVar[tuple[int, ...] | None] = ()
+    field: str | None = eqx.field(static=True, default=None)
+
+    def strain(self, u):
+        return u if self.field is None else u[self.field]
+
+    def gather(self, f):
+        return f if self.field is None else {self.field: f}
+
+    def reach(self, w):
+        return self.strain(w)
+
+
+class End(StrainMap):
+    """How far the site at an end of a chain has moved towards a wall there, (1,)."""
+
+    dimensions = {}
+    linear: ClassVar[bool] = True
+    span: ClassVar[tuple[int, ...] | None] = ()
+    side: str = eqx.field(static=True)
+    field: str | None = eqx.field(static=True, default=None)
+
+    @property
+    def walls(self):
+        return (self.side,)
+
+    def strain(self, u):
+        x = u if self.field is None else u[self.field]
+        return -x[:1] if self.side == "left" else x[-1:]
+
+    def split(self, bonds, u):
+        return jax.tree.map(jnp.abs, self.pull(u, bonds))
+
+    def stiffness_bound(self, lattice, k):
+        return lambda w: self.pull(w, k * self.strain(w))
 
 
 class TwoEnds(LinearMap):
@@ -202,58 +237,68 @@ class TwoEnds(LinearMap):
     def _return(self, f, end):
         """Transpose of `_select`."""
 
-    @abc.abstractmethod
-    def _joins(self, x, end):
-        """As `_select`, of a NumPy array of whole numbers; -1 at a wall."""
-
     def joins(self, numbers: Any) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the sites, NumPy arrays over them, at the tails and at the heads of all bonds; -1 for a wall."""
-        names = (None, None) if self.fields is None else self.fields
-        return tuple(
-            self._joins(numbers if name is None else numbers[name], end)
-            for end, name in enumerate(names)
-        )
+        ends = self._both(jax.tree.map(lambda x: x + 1, numbers))
+        return tuple(np.asarray(end) - 1 for end in ends)
 
-    def _ends(self, u):
-        if self.fields is None:
-            return self._select(u, 0), self._select(u, 1)
-        tail, head = self.fields
-        return self._select(u[tail], 0), self._select(u[head], 1)
+    def ends(self, x: Displacements) -> tuple:
+        """What stands at the tails and at the heads of all bonds; zero at a wall."""
+        return self._both(x)
 
-    def _gather(self, f, combine, alone=lambda x: x):
-        at_tail, at_head = self._return(f, 0), self._return(f, 1)
-        if self.fields is None:
-            return combine(at_tail, at_head)
-        tail, head = self.fields
-        if tail == head:
-            return {tail: combine(at_tail, at_head)}
-        return {tail: alone(at_tail), head: combine(jnp.zeros_like(at_head), at_head)}
-
-    def strain(self, u):
-        tail, head = self._ends(u)
-        return tail - head
-
-    def ends(self, places, u):
-        tail, head = self._ends(places)
-        both = jnp.minimum(*self._ends(jax.tree.map(jnp.ones_like, places)))
-        return jnp.where(both > 0, tail, jnp.nan), jnp.where(both > 0, head, jnp.nan)
+    def _both(self, x):
+        tail, head = (x, x) if self.fields is None else (x[name] for name in self.fields)
+        return self._select(tail, 0), self._select(head, 1)
 
     def gather(self, f):
-        return self._gather(f, jnp.subtract)
-
-    def reach(self, w):
-        tail, head = self._ends(w)
-        return tail + head
-
-    def reach_back(self, f):
-        return self._gather(f, jnp.add)
+        at_tail, at_head = self._return(f, 0), self._return(f, 1)
+        if self.fields is None:
+            return at_tail - at_head
+        tail, head = self.fields
+        return {tail: at_tail - at_head} if tail == head else {tail: at_tail, head: -at_head}
 
     def push(self, u, law):
+        if self.fields is not None:
+            return super().push(u, law)
         # head less tail, instead of minus (tail less head): one operation less
-        return self._gather(law.force(self.strain(u)), lambda tail, head: head - tail, jnp.negative)
+        f = law.force(self.strain(u))
+        return self._return(f, 1) - self._return(f, 0)
+
+    def strain(self, u):
+        tail, head = self._weighted(u)
+        return tail - head
+
+    def reach(self, w):
+        tail, head = self._weighted(w)
+        return tail + head
+
+    def _weighted(self, x):
+        """The two parts of a strain."""
+        return self.ends(x)
+
+
+class Joined(StrainMap):
+    """A map of bonds between vectors; `pairs` says which sites are joined."""
+
+    pairs: eqx.AbstractVar[TwoEnds]
+
+    @property
+    def axes(self):
+        return self.pairs.axes
+
+    @property
+    def span(self):
+        return self.pairs.span
+
+    @property
+    def walls(self):
+        return self.pairs.walls
 
     def split(self, bonds, u):
-        return jax.tree.map(lambda s: s / 2, self.reach_back(bonds))
+        return self.pairs.split(bonds, self._component(u, 0))
+
+    def _component(self, u, i):
+        return jax.tree.map(lambda x: jax.lax.index_in_dim(x, i, self.axes, keepdims=False), u)
 
 
 def checked_fields(fields: str | Sequence[str] | None):

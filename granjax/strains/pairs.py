@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import positive, refuse, whole
 from ..types import Parameter, Site, Values
-from .maps import TwoEnds, checked_fields
+from .maps import BOTH, TwoEnds, checked_fields
 
 WALL = -1
 
@@ -65,13 +65,7 @@ class Pairs(TwoEnds):
         least = max(self.tail) + 1, max(self.head) + 1
         if within:
             least = (max(least),) * 2
-        given = (
-            least
-            if sites is None
-            else tuple(sites)
-            if isinstance(sites, (tuple, list))
-            else (sites,) * 2
-        )
+        given = least if sites is None else tuple(sites) if np.ndim(sites) else (sites,) * 2
         given = tuple(whole("sites", g) for g in given)
         if any(g < n for g, n in zip(given, least)):
             refuse("sites", f"at least {max(least)}, the largest index and one", repr(sites))
@@ -91,11 +85,17 @@ class Pairs(TwoEnds):
         if (index == WALL).any():
             there = (index != WALL).astype(x.dtype).reshape((-1,) + (1,) * (x.ndim - 1))
             chosen = chosen * there
-        return chosen if self.weights is None else chosen * _over(self.weights[end], chosen)
+        return chosen
 
-    def _joins(self, x, end):
-        index = np.array((self.tail, self.head)[end])
-        return np.where(index == WALL, WALL, x[index])
+    def _weighted(self, x):
+        ends = self.ends(x)
+        if self.weights is None:
+            return ends
+        return tuple(end * _over(w, end) for w, end in zip(self.weights, ends))
+
+    @property
+    def walls(self):
+        return BOTH if WALL in self.tail + self.head else ()
 
     def _return(self, f, end):
         index = np.array((self.tail, self.head)[end])
@@ -104,20 +104,6 @@ class Pairs(TwoEnds):
         f = f if self.weights is None else f * _over(self.weights[end], f)
         spread = jnp.zeros((sites + 1,) + f.shape[1:], f.dtype)
         return spread.at[np.where(index == WALL, sites, index)].add(f)[:sites]
-
-    def split(self, bonds, u):
-        if self.weights is None:
-            return super().split(bonds, u)
-        whole = sum(jnp.broadcast_to(_over(w, bonds), bonds.shape) for w in self.weights)
-        return self.reach_back(bonds / whole)
-
-    def ends(self, places, u):
-        # weights are of displacements, not of places
-        plain = self if self.weights is None else eqx.tree_at(lambda x: x.weights, self, None)
-        return super(Pairs, plain).ends(places, u)
-
-    def walls(self):
-        return ("left", "right") if WALL in self.tail + self.head else ()
 
 
 def _over(weight, x):

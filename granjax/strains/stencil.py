@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import is_whole, one_of, parameter, refuse
 from ..types import Site
-from .maps import BOUNDARIES, LinearMap, TwoEnds, checked_fields
+from .maps import BOTH, BOUNDARIES, LinearMap, TwoEnds, checked_fields
 
 
 class _Grid(LinearMap):
@@ -18,9 +18,18 @@ class _Grid(LinearMap):
 
     boundary: eqx.AbstractVar[tuple[str, ...]]
 
+    @property
     @abc.abstractmethod
-    def _reaches(self):
+    def _reaches(self) -> list[tuple[int, int]]:
         """The least and the largest offset, for every axis."""
+
+    @property
+    def span(self):
+        return tuple(high - low for low, high in self._reaches)
+
+    @property
+    def walls(self):
+        return BOTH if "fixed" in [b for b, n in zip(self.boundary, self.span) if n] else ()
 
     @property
     def axes(self):
@@ -29,71 +38,56 @@ class _Grid(LinearMap):
 
     def _cut_out(self, x, offset):
         """The sites at one offset of all bonds; zero at a wall."""
-        for axis, (k, (low, high), boundary) in enumerate(
-            zip(offset, self._reaches(), self.boundary)
-        ):
-            x = _select(x, axis, k, low, high, boundary)
+        for axis, (k, (low, high), b) in enumerate(zip(offset, self._reaches, self.boundary)):
+            x = _select(x, axis, k, low, high, b)
         return x
 
     def _put_back(self, f, offset):
         """Transpose of `_cut_out`."""
-        for axis, (k, (low, high), boundary) in enumerate(
-            zip(offset, self._reaches(), self.boundary)
-        ):
-            f = _return(f, axis, k, low, high, boundary)
+        for axis, (k, (low, high), b) in enumerate(zip(offset, self._reaches, self.boundary)):
+            f = _return(f, axis, k, low, high, b)
         return f
-
-    def span(self):
-        return tuple(high - low for low, high in self._reaches())
-
-    def walls(self):
-        fixed = any(
-            b == "fixed" and high > low for b, (low, high) in zip(self.boundary, self._reaches())
-        )
-        return ("left", "right") if fixed else ()
 
 
 def _select(x, axis, k, low, high, boundary):
     if boundary == "periodic":
-        return x if k == 0 else jnp.roll(x, -k, axis)
+        return x if k == 0 else _library(x).roll(x, -k, axis)
     before, after = k - low, high - k
-    if boundary == "fixed":
-        return _pad(x, axis, after, before)
-    return (
-        jax.lax.slice_in_dim(x, before, x.shape[axis] - after, axis=axis) if before or after else x
-    )
+    return _pad(x, axis, after, before) if boundary == "fixed" else _cut(x, axis, before, after)
 
 
 def _return(f, axis, k, low, high, boundary):
     if boundary == "periodic":
         return f if k == 0 else jnp.roll(f, k, axis)
     before, after = k - low, high - k
-    if boundary == "fixed":
-        return (
-            jax.lax.slice_in_dim(f, after, f.shape[axis] - before, axis=axis)
-            if before or after
-            else f
-        )
-    return _pad(f, axis, before, after)
+    return _cut(f, axis, after, before) if boundary == "fixed" else _pad(f, axis, before, after)
+
+
+def _cut(x, axis, low, high):
+    return x[(slice(None),) * axis + (slice(low, x.shape[axis] - high),)] if low or high else x
 
 
 def _pad(x, axis, low, high):
     if not low and not high:
         return x
-    widths = [(0, 0)] * x.ndim
-    widths[axis] = (low, high)
-    return jnp.pad(x, widths)
+    widths = [(low, high) if i == axis else (0, 0) for i in range(x.ndim)]
+    return _library(x).pad(x, widths)
+
+
+def _library(x):
+    """NumPy for its arrays, such as the numbers of sites, whose bonds are counted while JAX traces; else JAX."""
+    return np if isinstance(x, np.ndarray) else jnp
 
 
 def _offsets(offset):
-    offsets = tuple(offset) if isinstance(offset, (tuple, list)) else (offset,)
+    offsets = tuple(offset) if np.ndim(offset) else (offset,)
     if not offsets or not all(map(is_whole, offsets)):
         refuse("offset", "a whole number, or one per axis", repr(offset))
     return tuple(int(k) for k in offsets)
 
 
 def _boundaries(boundary, axes):
-    boundaries = tuple(boundary) if isinstance(boundary, (tuple, list)) else (boundary,) * axes
+    boundaries = tuple(boundary) if np.ndim(boundary) else (boundary,) * axes
     if len(boundaries) != axes:
         refuse("boundary", f"{axes} names, one per axis", repr(boundary))
     return tuple(one_of("boundary", b, BOUNDARIES) for b in boundaries)
@@ -140,33 +134,15 @@ class Shift(_Grid, TwoEnds):
                 "A site has no bond to itself.",
             )
 
+    @property
     def _reaches(self):
         return [(min(k, 0), max(k, 0)) for k in self.offset]
 
     def _select(self, x, end):
         return self._cut_out(x, self.offset if end else (0,) * len(self.offset))
 
-    def _joins(self, x, end):
-        for axis, (k, boundary) in enumerate(zip(self.offset, self.boundary)):
-            own, least, most = k if end else 0, min(k, 0), max(k, 0)
-            if boundary == "periodic":
-                x = np.roll(x, -own, axis)
-            elif boundary == "fixed":
-                x = np.pad(
-                    x,
-                    [(most - own, own - least) if i == axis else (0, 0) for i in range(x.ndim)],
-                    constant_values=-1,
-                )
-            else:
-                x = np.take(x, np.arange(own - least, x.shape[axis] - most + own), axis)
-        return x
-
     def _return(self, f, end):
         return self._put_back(f, self.offset if end else (0,) * len(self.offset))
-
-    def next_neighbours(self, field=None):
-        plain = self.offset == (1,) and self.fields == (None if field is None else (field, field))
-        return self.boundary[0] if plain else None
 
 
 class Stencil(_Grid):
@@ -201,6 +177,7 @@ class Stencil(_Grid):
         self.weights = tuple(parameter("weight", weight) for _, _, weight in parts)
         self.boundary = _boundaries(boundary, len(self.offsets[0]))
 
+    @property
     def _reaches(self):
         return [(min(along), max(along)) for along in zip(*self.offsets)]
 
@@ -211,28 +188,15 @@ class Stencil(_Grid):
         ]
         return sum(parts[1:], parts[0])
 
-    def _spread(self, f, change):
-        total = {}
-        for field, offset, weight in zip(self.fields, self.offsets, self.weights):
-            part = self._put_back(change(weight) * f, offset)
-            total[field] = total[field] + part if field in total else part
-        return total[None] if None in total else total
-
     def strain(self, u):
         return self._sum(u, lambda x: x)
-
-    def gather(self, f):
-        return self._spread(f, lambda x: x)
-
-    def push(self, u, law):
-        return self._spread(law.force(self.strain(u)), jnp.negative)
 
     def reach(self, w):
         return self._sum(w, jnp.abs)
 
-    def reach_back(self, f):
-        return self._spread(f, jnp.abs)
-
-    def split(self, bonds, u):
-        whole = sum(jnp.abs(weight) for weight in self.weights)
-        return self.reach_back(bonds / jnp.where(whole > 0, whole, 1))
+    def gather(self, f):
+        total = {}
+        for field, offset, weight in zip(self.fields, self.offsets, self.weights):
+            part = self._put_back(weight * f, offset)
+            total[field] = total[field] + part if field in total else part
+        return total[None] if None in total else total

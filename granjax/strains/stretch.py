@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from ..checks import parameter, positive, refuse
 from ..types import Parameter
 from ..units import PART
-from .maps import StrainMap, TwoEnds
+from .maps import Joined, TwoEnds
 
 
-class Directed(StrainMap):
+class Directed(Joined):
     """Bonds between sites whose places differ by a vector at rest: what distances and slips have in common."""
 
     pairs: TwoEnds
@@ -44,11 +44,6 @@ class Directed(StrainMap):
         e = (2 * along - square) / (rest + length)
         return D, R, rest, along, square, length, e
 
-    def _component(self, u, i):
-        return jax.tree.map(
-            lambda x: jax.lax.index_in_dim(x, i, self.pairs.axes, keepdims=False), u
-        )
-
     def _vectors(self, bonds):
         """The components of R, for bonds (and lanes) of a shape."""
         axis = self.pairs.axes
@@ -57,19 +52,6 @@ class Directed(StrainMap):
             return [R[i] for i in range(self.components)]
         R = jnp.broadcast_to(R, bonds[:axis] + (self.components,) + bonds[axis:])
         return [jax.lax.index_in_dim(R, i, axis, keepdims=False) for i in range(self.components)]
-
-    @property
-    def axes(self):
-        return self.pairs.axes
-
-    def split(self, bonds, u):
-        return self.pairs.split(bonds, u)
-
-    def span(self):
-        return self.pairs.span()
-
-    def walls(self):
-        return self.pairs.walls()
 
 
 class Stretch(Directed):
@@ -113,20 +95,6 @@ class Stretch(Directed):
         _, _, rest, along, square, length, e = self._geometry(u)
         bend = (along * e - square * rest) / (rest * (rest + length))
         return law.energy(e) + law.preload * bend
-
-    def ends(self, places, u):
-        D, R, *_ = self._geometry(u)
-        (tail, head), axis = self.pairs._ends(places), self.pairs.axes
-        R, D = (
-            jnp.stack([jnp.broadcast_to(x, D[0].shape) for x in parts], axis) for parts in (R, D)
-        )
-        there, _ = self.pairs._ends(jax.tree.map(jnp.ones_like, places))
-        moved, pushed = (
-            jax.lax.slice_in_dim(x, 0, self.components, axis=axis) for x in self.pairs._ends(u)
-        )
-        # of a bond around a ring the head is where the bond leads, of a wall at the tail where it comes from
-        tail = jnp.where(there > 0, tail + moved, head + pushed - (R - D))
-        return tail, tail + R - D
 
     def stiffness_bound(self, lattice, k):
         return self.pairs.stiffness_bound(lattice, k)

@@ -3,7 +3,7 @@
 A term that a scene does not need is not in the tuple, and then costs nothing.
 """
 
-from .base import Compression, Excitation, Term
+from .base import Compression, Excitation, Remembering, Term
 from .bonds import Bond, Grip, Modulated
 from .dissipation import BrilliantovContact, CaputoDamping, Damping, Dashpot, Drag, ViscousContact
 from .long_range import LongRange
@@ -35,6 +35,7 @@ __all__ = [
     "PlasticContact",
     "Reach",
     "Reached",
+    "Remembering",
     "Square",
     "Term",
     "ViscousContact",

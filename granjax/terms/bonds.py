@@ -1,20 +1,22 @@
 """Forces between sites: bonds, and terms whose stiffness changes in time."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..laws import Law, Linear, Scaled, Strained
-from ..strains import Shift, StrainMap
-from ..types import Number, Parameter, Waveform
+from ..checks import plain_zero
+from ..laws import Law, Linear, Scaled
+from ..strains import StrainMap
+from ..types import Displacements, Number, Numbers, Parameter, Waveform
 from ..units import PART, Signal
-from .base import Compression, Term, wider
+from .base import Altered, Compression, Term, times, wider
 from .reach import largest_eigenvalue
-from .tracing import RESISTS, Dependence, stand_in
-from .waveforms import Breaks, as_module, checked_breaks, held, jumps_of
+from .tracing import RESISTS, stand_in
+from .waveforms import Breaks, as_module, checked_breaks
 
 _strain = eqx.filter_jit(lambda strain_map, move: strain_map.strain(move))
 
@@ -35,12 +37,6 @@ class Joined(Term):
             size = np.max(np.abs(_strain(strain_map, other)), initial=0.0)
         return np.where(np.abs(answers) > RESISTS * size, answers, 0)
 
-    def span(self):
-        return self.strain_map.span()
-
-    def walls(self):
-        return self.strain_map.walls()
-
 
 class Bond(Joined):
     """Bonds of one kind: a strain map and a law. Force on the sites: -(de/du)^T law.force(e).
@@ -58,14 +54,16 @@ class Bond(Joined):
     """
 
     dimensions = {"strain_map": PART, "law": PART}
+    linear_in: ClassVar[str | None] = "law"
     strain_map: StrainMap
     law: Law
 
     def __init__(self, strain_map: StrainMap, law: Law):
         self.strain_map, self.law = strain_map, law
 
-    def dependence(self, lattice):
-        return Dependence(displacement=True, energy=True)
+    def compression(self, t: Number, u: Displacements) -> Numbers:
+        """Compression of every bond."""
+        return self.strain_map.strain(u)
 
     def force(self, t, u, v, mass):
         return self.strain_map.push(u, self.law)
@@ -73,71 +71,21 @@ class Bond(Joined):
     def energy(self, t, u):
         return self.strain_map.energy(u, self.law)
 
-    def preload_force(self, u):
-        e, transpose = jax.vjp(self.strain_map.strain, jax.tree.map(jnp.zeros_like, u))
-        return jax.tree.map(
-            jnp.negative, transpose(jnp.broadcast_to(self.law.preload, e.shape).astype(e.dtype))[0]
-        )
-
-    def site_energy(self, lattice, t, u):
-        bonds = self.energy(t, u)
-        # what of each bond arrives at a site: 1, or 1/2 where the other end is a wall
-        sites, back = jax.vjp(lambda b: self.strain_map.split(b, u), bonds)
-        (arrives,) = back(jax.tree.map(jnp.ones_like, sites))
-        return self.strain_map.split(bonds / jnp.where(arrives > 0, arrives, 1), u)
-
     def compressions(self, t, u):
-        return (Compression(self.law, self.strain_map.strain(u)),)
-
-    def ends(self, places, u):
-        return (self.strain_map.ends(places, u),)
-
-    def scaled(self, factor):
-        return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))
+        return (Compression(self.law, self.compression(t, u)),)
 
     def linearised(self, lattice, t, u, v):
-        if not self.strain_map.linear:
+        if self.linear_in is None or not self.strain_map.linear:
             return super().linearised(lattice, t, u, v)
-        return eqx.tree_at(
-            lambda term: term.law, wider(self), spring(self.law, self.strain_map.strain(u))
-        )
-
-    def measured_from(self, lattice, u):
-        if not self.strain_map.linear:
-            return super().measured_from(lattice, u)
-        return eqx.tree_at(
-            lambda term: term.law, self, Strained(self.law, self.strain_map.strain(u))
-        )
-
-    def next_neighbours(self, field=None):
-        boundary = self.strain_map.next_neighbours(field)
-        return None if boundary is None else (self.law, boundary)
-
-    def wall_loads(self, u):
-        if self.strain_map.next_neighbours() != "fixed":
-            return None
-        force = Compression(self.law, self.strain_map.strain(u)).force
-        return jnp.stack([force[0], force[-1]])
-
-    def without_walls(self, lattice, field=None):
-        fields = None if field is None else (field, field)
-        if self.strain_map != Shift(1, "fixed", fields):
-            return None
-        axes = 1 + len(lattice.lanes)
-
-        def over(choose):
-            """`choose` applied to every parameter that has an axis over the bonds."""
-            return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes else x, self.law)
-
-        inner = Bond(Shift(1, "free", fields), over(lambda x: x if x.shape[0] == 1 else x[1:-1]))
-        return inner, over(lambda x: x[0]), over(lambda x: x[-1])
+        springs = spring(self.law, self.compression(t, u))
+        return eqx.tree_at(lambda term: term.law, wider(self), springs)
 
     def stiffness_bound(self, lattice, reach, factor=1.0):
         k = factor * reach.stiffest(self.law, 0)
-        if lattice.dimension is not None and jnp.ndim(k) > self.strain_map.axes + len(
-            lattice.lanes
-        ):
-            k = jnp.max(k, axis=self.strain_map.axes)
+        axes = self.strain_map.axes
+        axes = lattice.axes if axes is None else axes
+        if lattice.dimension is not None and jnp.ndim(k) > axes + len(lattice.lanes):
+            k = jnp.max(k, axis=axes)
         largest = jnp.max(jnp.asarray(factor, lattice.dtype))
         k = k + largest * self.strain_map.turning(lattice, self.law)
         bound = self.strain_map.stiffness_bound(lattice, k)
@@ -168,6 +116,7 @@ class Grip(Bond):
     """
 
     dimensions = {"strain_map": PART, "law": PART, "contact": PART}
+    linear_in: ClassVar[str | None] = None
     contact: Bond
 
     def __init__(self, strain_map: StrainMap, law: Law, contact: Bond):
@@ -193,7 +142,7 @@ class Grip(Bond):
     def energy(self, t, u):
         x = self.strain_map.strain(u)
         stored = self._stored(x, self._overlap(u))
-        if isinstance(self.law.preload, (int, float)) and not self.law.preload:
+        if plain_zero(self.law.preload):
             return stored
         _, linear = jax.jvp(self.strain_map.strain, (jax.tree.map(jnp.zeros_like, u),), (u,))
         return stored - self.law.preload * linear
@@ -205,14 +154,8 @@ class Grip(Bond):
         part = jnp.where(own == 0, 1, total / jnp.where(own == 0, 1, own))
         return (Compression(Scaled(self.law, part), x),)
 
-    def linearised(self, lattice, t, u, v):
-        return Term.linearised(self, lattice, t, u, v)
 
-    def measured_from(self, lattice, u):
-        return Term.measured_from(self, lattice, u)
-
-
-class Modulated(Term):
+class Modulated(Altered):
     """A term whose force changes in time: F -> g(t) F.
 
     The factor multiplies the force measured from equilibrium, so that u = 0 stays an equilibrium.
@@ -244,27 +187,9 @@ class Modulated(Term):
         self.term, self.modulation = term, as_module(modulation)
         self.breaks = checked_breaks(breaks)
 
-    def jumps(self):
-        own = jumps_of(self.modulation, self.breaks)
-        return (() if own is None else (own,)) + self.term.jumps()
-
-    def between(self, low, high):
-        inner = eqx.tree_at(lambda x: x.term, self, self.term.between(low, high))
-        return (
-            inner
-            if jumps_of(self.modulation, self.breaks) is None
-            else held(inner, "modulation", low, high)
-        )
-
-    def remembers(self):
-        return self.term.remembers()
-
-    def at(self, t):
+    def at(self, t: Number) -> Term:
         """The term with the stiffness it has at time t."""
-        return self.term.scaled(self.modulation(t))
-
-    def dependence(self, lattice):
-        return self.term.dependence(lattice)._replace(time=True)
+        return times(self.term, self.modulation(t))
 
     def force(self, t, u, v, mass):
         return self.at(t).force(t, u, v, mass)
@@ -272,49 +197,15 @@ class Modulated(Term):
     def energy(self, t, u):
         return self.at(t).energy(t, u)
 
-    def preload_force(self, u):
-        return self.term.preload_force(u)
-
-    def site_energy(self, lattice, t, u):
-        return self.at(t).site_energy(lattice, t, u)
-
     def compressions(self, t, u):
         return self.at(t).compressions(t, u)
-
-    def ends(self, places, u):
-        return self.term.ends(places, u)
 
     def linearised(self, lattice, t, u, v):
         return self.at(t).linearised(lattice, t, u, v)
 
-    def undriven(self):
-        return Modulated(self.term.undriven(), self.modulation, self.breaks)
-
-    def check(self, name, lattice):
-        self.term.check(name, lattice)
-
-    def per_vector(self, axes):
-        return eqx.tree_at(lambda t: t.term, self, self.term.per_vector(axes))
-
-    def resists(self, lattice, moves):
-        return self.term.resists(lattice, moves)
-
-    def span(self):
-        return self.term.span()
-
-    def walls(self):
-        return self.term.walls()
+    def excitation(self, lattice, ts):
+        return self.term.excitation(lattice, ts)
 
     def stiffness_bound(self, lattice, reach, factor=1.0):
         largest = jnp.max(jnp.abs(jax.vmap(self.modulation)(reach.ts)), axis=0)
         return self.term.stiffness_bound(lattice, reach, factor * largest)
-
-    def opens(self, lattice):
-        return self.term.opens(lattice)
-
-    def excitation(self, lattice, ts):
-        return self.term.excitation(lattice, ts)
-
-    def energy_times(self, lattice, ts):
-        # a wall that moves is looked at where it begins
-        return self.term.energy_times(lattice, ts) if self.term.dependence(lattice).time else ts

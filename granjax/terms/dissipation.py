@@ -1,5 +1,7 @@
 """Forces that read velocities: damping, dashpots, viscoelastic contacts, drag."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,10 +11,8 @@ from ..laws import Hertz, plus_power
 from ..strains import StrainMap
 from ..types import Parameter, Scalar
 from ..units import PART
-from .base import Term, wider
+from .base import Remembering, Term, wider
 from .bonds import Bond, Joined
-from .sites import one_a_vector
-from .tracing import Dependence
 
 
 class Damping(Term):
@@ -32,6 +32,9 @@ class Damping(Term):
     """
 
     dimensions = {"rate": (0, 0, -1)}
+    linear_in: ClassVar[str | None] = "rate"
+    per_site: ClassVar[bool] = True
+    span: ClassVar[tuple[int, ...]] = ()
     rate: jax.Array
     field: str | None = eqx.field(static=True)
 
@@ -46,38 +49,18 @@ class Damping(Term):
             return jax.tree.map(lambda v, m: -self.rate * m * v, v, mass)
         return {self.field: -self.rate * mass[self.field] * v[self.field]}
 
-    def dependence(self, lattice):
-        return Dependence(velocity=True)
-
-    def span(self):
-        return ()
-
     def exact_damping(self):
         return self.field, self.rate
 
     def linearised(self, lattice, t, u, v):
         return wider(self)
 
-    def per_vector(self, axes):
-        return one_a_vector(self, axes)
-
-    def scaled(self, factor):
-        return eqx.tree_at(lambda term: term.rate, self, factor * self.rate)
-
 
 class _Viscous(Joined):
     """Bonds whose force reads the rate of strain, in proportion to a coefficient."""
 
+    linear_in: ClassVar[str | None] = "coefficient"
     coefficient: eqx.AbstractVar[jax.Array]
-
-    def dependence(self, lattice):
-        return Dependence(displacement=True, velocity=True)
-
-    def scaled(self, factor):
-        return eqx.tree_at(lambda term: term.coefficient, self, factor * self.coefficient)
-
-    def opens(self, lattice):
-        return False  # what opens is the contact beside it
 
     def stiffness_bound(self, lattice, reach, factor=1.0):
         return jnp.zeros((), lattice.dtype)
@@ -110,12 +93,6 @@ class Dashpot(_Viscous):
     def force(self, t, u, v, mass):
         pull = self.strain_map.pull(u, self.coefficient * self.strain_map.rate(u, v))
         return jax.tree.map(jnp.negative, pull)
-
-    def linearised(self, lattice, t, u, v):
-        return wider(self) if self.strain_map.linear else super().linearised(lattice, t, u, v)
-
-    def next_dashpots(self):
-        return None if self.strain_map.next_neighbours() is None else self.coefficient
 
 
 class ViscousContact(_Viscous):
@@ -172,6 +149,7 @@ class BrilliantovContact(Bond):
     """
 
     dimensions = {"strain_map": PART, "law": PART, "dissipative_time": (0, 0, 1)}
+    linear_in: ClassVar[str | None] = None
     dissipative_time: jax.Array
 
     def __init__(
@@ -184,9 +162,6 @@ class BrilliantovContact(Bond):
         super().__init__(strain_map, Hertz(stiffness, precompression))
         self.dissipative_time = non_negative("dissipative_time", dissipative_time)
 
-    def dependence(self, lattice):
-        return Dependence(displacement=True, velocity=True, energy=True)
-
     def force(self, t, u, v, mass):
         overlap = self.law.overlap(self.strain_map.strain(u))
         rate = self.dissipative_time * self.strain_map.rate(u, v)
@@ -195,30 +170,11 @@ class BrilliantovContact(Bond):
         pushes = total > 0
         total = jnp.where(pushes, total, 0)
         # what it is at rest is the chain's load, which stays
-        return jax.tree.map(jnp.subtract, self._preload_pull(u), self.strain_map.pull(u, total))
-
-    def _preload_pull(self, u):
-        """What the preloads take from the sites at rest."""
-        rest = jax.tree.map(jnp.zeros_like, u)
-        e = self.strain_map.strain(rest)
-        return self.strain_map.pull(
-            rest, jnp.broadcast_to(self.law.preload, e.shape).astype(e.dtype)
-        )
-
-    def linearised(self, lattice, t, u, v):
-        return Term.linearised(self, lattice, t, u, v)
-
-    def next_neighbours(self):
-        return None
-
-    def without_walls(self, lattice, field=None):
-        return None
-
-    def scaled(self, factor):
-        return Term.scaled(self, factor)
+        pull = self.strain_map.pull(u, total)
+        return jax.tree.map(lambda pull, rest: -(pull + rest), pull, self.preload_force(u))
 
 
-class CaputoDamping(Term):
+class CaputoDamping(Remembering):
     r"""Damping of each site with a memory: force -c D^a u, Caputo's derivative of order 0 < a < 1.
 
     D^a u(t) = 1/Gamma(1 - a) times the integral over s < t of v(s)/(t - s)^a: between a spring (a = 0) and a damper
@@ -241,6 +197,9 @@ class CaputoDamping(Term):
     """
 
     dimensions = {"coefficient": lambda term: (1, -1, term.order), "order": (0, 0, 0)}
+    memory: ClassVar[dict[str, str]] = {"velocity": "m/s"}
+    per_site: ClassVar[bool] = True
+    span: ClassVar[tuple[int, ...]] = ()
     coefficient: jax.Array
     order: jax.Array
     field: str | None = eqx.field(static=True)
@@ -250,9 +209,6 @@ class CaputoDamping(Term):
         remedy = "Order 1 is gx.Damping, order 0 a spring."
         self.order = within("order", order, 0, 1, open_low=True, open_high=True, remedy=remedy)
 
-    def remembers(self):
-        return {"velocity": "m/s"}
-
     def check(self, name, lattice):
         if jnp.ndim(self.order) > len(lattice.lanes):
             refuse(
@@ -261,18 +217,6 @@ class CaputoDamping(Term):
                 f"orders of shape {jnp.shape(self.order)}",
                 "Several dampings may stand side by side, each of some fields.",
             )
-
-    def per_vector(self, axes):
-        return one_a_vector(self, axes)
-
-    def fractional_damping(self):
-        return self.field, self.order, self.coefficient
-
-    def dependence(self, lattice):
-        return Dependence(velocity=True)
-
-    def span(self):
-        return ()
 
     def force(self, t, u, v, mass):
         """Zero: of a motion that begins; what else it is, the past says."""
@@ -288,13 +232,11 @@ class Drag(Term):
     """
 
     dimensions = {"coefficient": (1, -2, 2)}
+    span: ClassVar[tuple[int, ...]] = ()
     coefficient: jax.Array
 
     def __init__(self, coefficient: Parameter):
         self.coefficient = non_negative("coefficient", coefficient)
-
-    def dependence(self, lattice):
-        return Dependence(velocity=True)
 
     def check(self, name, lattice):
         if lattice.dimension is not None:
@@ -304,9 +246,6 @@ class Drag(Term):
                 f"vectors of {lattice.dimension}",
                 "In the plane drag couples the components: write a term of your own.",
             )
-
-    def span(self):
-        return ()
 
     def force(self, t, u, v, mass):
         return jax.tree.map(lambda v: -self.coefficient * v * jnp.abs(v), v)

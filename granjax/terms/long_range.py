@@ -1,7 +1,7 @@
 """Bonds to all neighbours of a chain: magnets, algebraic kernels, fractional lattices."""
 
 import math
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,13 +10,12 @@ import numpy as np
 
 from ..checks import one_of, parameter, refuse, whole
 from ..laws import Law, Scaled, Strained
-from ..strains import BOUNDARIES
+from ..strains import BOTH, BOUNDARIES
 from ..types import Count, Parameter
 from ..units import PART
 from .base import Compression, Term, get, put, wider
 from .reach import Reached, steepest
 from .toeplitz import back, behind, forth, neighbour_sums, spectrum
-from .tracing import Dependence
 
 # offsets up to which a sum over neighbours costs less than two transforms; up to which all of them are one array
 FEW = 8
@@ -55,6 +54,7 @@ class LongRange(Term):
     """
 
     dimensions = {"kernel": (0, 0, 0), "law": PART, "rest": (0, 1, 0)}
+    per_site: ClassVar[bool] = True
     kernel: jax.Array
     law: Law
     rest: jax.Array | None
@@ -107,33 +107,22 @@ class LongRange(Term):
         if any(jnp.ndim(x) > len(lattice.lanes) for x in jax.tree.leaves(self.law)):
             refuse(name, "a law with single numbers, the same for all bonds", "one with arrays")
 
-    def dependence(self, lattice):
-        return Dependence(displacement=True, energy=True, transforms=self._powers is not None)
-
-    def per_vector(self, axes):
-        return eqx.tree_at(lambda x: x.kernel, self, self.kernel[..., None])
-
-    def measured_from(self, lattice, u):
-        rest = get(u, self.field) + (0 if self.rest is None else self.rest)
-        return eqx.tree_at(lambda x: x.rest, self, rest, is_leaf=lambda x: x is None)
-
-    def span(self):
-        return (self.kernel.shape[0],)
-
     def resists(self, lattice, moves):
         if self.boundary != "fixed":
             return np.zeros((0, len(moves)))
         return np.stack([np.ravel(get(move, self.field)) for move in moves], -1)
 
+    @property
+    def span(self):
+        """Sites that the bonds couple, along the chain."""
+        return (self.kernel.shape[0],)
+
+    @property
     def walls(self):
-        return ("left", "right") if self.boundary == "fixed" else ()
+        """The ends that are tied to what is at rest."""
+        return BOTH if self.boundary == "fixed" else ()
 
-    def next_neighbours(self, field=None):
-        if self.kernel.shape[0] > 1 or self.field != field:
-            return None
-        return self._nearest(), self.boundary
-
-    def _nearest(self):
+    def nearest(self) -> Law:
         """The law of the bonds to the next site, as they are at rest."""
         law = (
             self.law
@@ -142,15 +131,12 @@ class LongRange(Term):
         )
         return Scaled(law, self.kernel[:1])
 
-    def scaled(self, factor):
-        if jnp.ndim(factor) > self.kernel.ndim - 1:
-            return super().scaled(factor)
-        return eqx.tree_at(
-            lambda x: (x.law, x._kept),
-            self,
-            (Scaled(self.law, factor), None),
-            is_leaf=lambda x: x is None,
-        )
+    @property
+    def _beyond(self):
+        """How many sites at rest there are beyond each end of a chain; `None` around a ring."""
+        if self.boundary == "fixed":
+            return self.kernel.shape[0] if self.beyond is None else self.beyond
+        return 0 if self.boundary == "free" else None
 
     @property
     def _powers(self):
@@ -167,7 +153,7 @@ class LongRange(Term):
         )
         return put(self._sums(rest + x).force(self.law) - held, self.field)
 
-    def for_run(self, lattice):
+    def for_run(self, lattice: Any) -> Any:
         """The term with the transforms of its kernel, and with the forces at rest, which it counts from."""
         plain = eqx.tree_at(lambda x: x._kept, self, None, is_leaf=lambda x: x is None)
         x = get(lattice.zeros(), self.field)
@@ -180,60 +166,41 @@ class LongRange(Term):
     def energy(self, t, u):
         x = get(u, self.field)
         if self.rest is None:
-            return self._sums(x).energy(self.law)
+            return put(self._sums(x).energy(self.law), self.field)
         rest = self._at_rest(x)
         held, work = jax.jvp(lambda x: self._sums(x).energy(self.law), (rest,), (x,))
-        return self._sums(rest + x).energy(self.law) - held - work
-
-    def site_energy(self, lattice, t, u):
-        return put(self.energy(t, u), self.field)
+        return put(self._sums(rest + x).energy(self.law) - held - work, self.field)
 
     def _at_rest(self, x):
         return _spread(self.rest, x)
 
     def _sums(self, x):
-        parts = *self._kernel(x), x, self.boundary, self.beyond
+        parts = *self._kernel(x), x, self._beyond
         if self._powers is None:
             return _Bonds(*parts)
         return _Powers(*parts, self._powers, {} if self._kept is None else self._kept.weights)
 
     def _kernel(self, x):
         """Weights and spacings of the offsets that count, with axes for all of the lanes of `x`."""
-        most = self.kernel.shape[0]
-        if self.boundary == "free" or self.boundary == "fixed" and self.beyond is not None:
-            most = x.shape[0] - 1 + (self.beyond if self.boundary == "fixed" else 0)
-        c = self.kernel[:most]
+        beyond = self._beyond
+        c = self.kernel if beyond is None else self.kernel[: x.shape[0] - 1 + beyond]
         c = c.reshape(c.shape + (1,) * (x.ndim - c.ndim))
         m = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
         return c, m if self.takes == "strain" else jnp.ones_like(m)
 
     def preload_force(self, u):
         x = get(u, self.field)
-        force = jnp.zeros_like(x)
-        if self.boundary == "free" or self.beyond is not None:
-            right, left = _bonds_within(self._kernel(x)[0], x.shape[0], self.boundary, self.beyond)
-            force = jnp.broadcast_to(self.law.preload * (left - right), x.shape).astype(x.dtype)
+        right, left = _bonds_within(self._kernel(x)[0], x.shape[0], self._beyond)
+        force = jnp.broadcast_to(self.law.preload * (left - right), x.shape).astype(x.dtype)
         if self.rest is not None:
             force = force + self._sums(self._at_rest(x)).force(self.law)
         return put(force, self.field)
 
     def compressions(self, t, u):
         """Those of next neighbours."""
-        law, x = self._nearest(), get(u, self.field)
+        law, x = self.nearest(), get(u, self.field)
         c = law.factor.reshape(law.factor.shape + (1,) * (x.ndim - law.factor.ndim))
         return (Compression(Scaled(law.law, c), _strains(x, self.boundary)),)
-
-    def wall_loads(self, u):
-        if self.boundary != "fixed":
-            return None
-        x = get(u, self.field)
-        x = x if self.rest is None else x + self._at_rest(x)
-        count = self.kernel.shape[0] if self.beyond is None else self.beyond
-        # what is at rest beyond an end, as sites of a free chain, pushed by all on the other side
-        whole = LongRange(self.kernel, self.law, "free", takes=self.takes)
-        wide = jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1))
-        force = whole.force(0.0, wide, wide, 1.0) + whole.preload_force(wide)
-        return jnp.stack([-force[:count].sum(0), force[-count:].sum(0)])
 
     def linearised(self, lattice, t, u, v):
         x = get(u, self.field)
@@ -249,7 +216,9 @@ class LongRange(Term):
         def bound(w):
             x = get(w, self.field)
             own = k.reshape(k.shape + (1,) * (x.ndim - k.ndim))
-            return put(2 * own.sum(0) * x + neighbour_sums(own, x, 1, self.boundary), self.field)
+            return put(
+                2 * own.sum(0) * x + neighbour_sums(own, x, 1, self._beyond is None), self.field
+            )
 
         return bound
 
@@ -258,7 +227,7 @@ class LongRange(Term):
         if self.takes == "strain":
             # a mean of m compressions side by side: none is above the largest
             first = jnp.where(c[:1] > 0, c[:1], 1)
-            k = reach.stiffest(Scaled(self._nearest().law, first), 0)
+            k = reach.stiffest(Scaled(self.nearest().law, first), 0)
             return jnp.max(k, 0, keepdims=True) / first * c / m
         if isinstance(reach, Reached):
             offsets = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape(
@@ -276,9 +245,6 @@ class LongRangeTangent(Term):
     term: LongRange
     about: jax.Array
 
-    def dependence(self, lattice):
-        return self.term.dependence(lattice)._replace(energy=False)
-
     def force(self, t, u, v, mass):
         return put(
             self.term._sums(self.about).slope(self.term.law, get(u, self.term.field)),
@@ -287,12 +253,11 @@ class LongRangeTangent(Term):
 
 
 class _Bonds(NamedTuple):
-    """Sums over the bonds of a chain one offset after the other: weights, spacings, displacements, boundary."""
+    """Sums over the bonds of a chain one offset after the other: weights, spacings, displacements, sites `beyond`."""
 
     c: jax.Array
     m: jax.Array
     x: jax.Array
-    boundary: str
     beyond: int | None
 
     def force(self, law):
@@ -318,21 +283,21 @@ class _Bonds(NamedTuple):
     def _sum(self, bond, joined, w=None, halves=False):
         """Each bond is looked at once, at column k + count for a left end at k, and is added to both of its sites."""
         n, count = self.x.shape[0], self.c.shape[0]
-        mode = "wrap" if self.boundary == "periodic" else "constant"
+        mode = "wrap" if self.beyond is None else "constant"
         arrays = (self.x,) if w is None else (self.x, w)
         wide = [jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1), mode=mode) for x in arrays]
         size = n + count
         k = np.arange(-count, n).reshape((-1,) + (1,) * (self.x.ndim - 1))
-        ends = self.boundary == "free" or self.boundary == "fixed" and self.beyond is not None
-        more = self.beyond if ends and self.boundary == "fixed" else 0
+        ends = self.beyond is not None and self.beyond < count
 
         def values(others, offset, c, m):
             es = [far[:size] - other for far, other in zip(wide, others)]
-            there = (k >= -more) & (k + offset < n + more)
-            es = [jnp.where(there, e, 0) for e in es] if ends else es
+            if ends:
+                there = (k >= -self.beyond) & (k + offset < n + self.beyond)
+                es = [jnp.where(there, e, 0) for e in es]
             value = bond(es[0], es[-1], c, m)
             value = jnp.where(there, value, 0) if ends else value
-            shared = (self.boundary != "fixed") | (k >= 0) & (k + offset < n)
+            shared = (self.beyond is None) | (k >= 0) & (k + offset < n)
             return jnp.where(shared, value / 2, value) if halves else value
 
         offsets = np.arange(1, count + 1)
@@ -370,10 +335,14 @@ class _Powers(NamedTuple):
     c: jax.Array
     m: jax.Array
     x: jax.Array
-    boundary: str
     beyond: int | None
     powers: dict
     weights: dict
+
+    @property
+    def around(self):
+        """Whether the chain is a ring."""
+        return self.beyond is None
 
     def known(self):
         """{k: the transform of the weights of e^k, and their sums over the bonds of each site}."""
@@ -384,10 +353,10 @@ class _Powers(NamedTuple):
 
     def energy(self, law):
         total = self._sum([(K / (2 * (k + 1)), k + 1, k) for k, K in self.powers.items()])
-        if self.boundary != "fixed":
+        if not self.beyond:
             return total
         return total + sum(
-            K / (k + 1) / 2 * self._beyond(k) * self.x ** (k + 1) for k, K in self.powers.items()
+            K / (k + 1) / 2 * self._outside(k) * self.x ** (k + 1) for k, K in self.powers.items()
         )
 
     def slope(self, law, w):
@@ -407,7 +376,7 @@ class _Powers(NamedTuple):
                     continue
                 if b not in transforms:
                     transforms[b] = forth(
-                        jnp.broadcast_to(x**b if w is None else x**b * w, shape), self.boundary
+                        jnp.broadcast_to(x**b if w is None else x**b * w, shape), self.around
                     )
                 part = (
                     jnp.asarray(factor)[..., None]
@@ -416,7 +385,7 @@ class _Powers(NamedTuple):
                 )
                 columns[p - b] = columns.get(p - b, 0) + part
         for a, column in columns.items():
-            total = total + x**a * back(column, len(x), self.boundary).astype(x.dtype)
+            total = total + x**a * back(column, len(x), self.around).astype(x.dtype)
         return total
 
     def _known(self, k):
@@ -424,11 +393,11 @@ class _Powers(NamedTuple):
 
     def _found(self, k):
         c, parity = self._weights(k)
-        return spectrum(c, len(self.x), parity, self.boundary, self.x.dtype), self._all(k)
+        return spectrum(c, len(self.x), parity, self.around, self.x.dtype), self._all(k)
 
     def _centred(self):
         """Displacements, of which differences count alone, from their mean where nothing is at rest."""
-        if self.boundary == "fixed":
+        if self.beyond:
             return self.x
         return self.x - jax.lax.stop_gradient(jnp.mean(self.x, 0, keepdims=True))
 
@@ -438,16 +407,15 @@ class _Powers(NamedTuple):
     def _all(self, k):
         """The sum of the weights of all bonds of a site."""
         c, parity = self._weights(k)
-        right, left = _bonds_within(c, self.x.shape[0], self.boundary, self.beyond)
+        right, left = _bonds_within(c, self.x.shape[0], self.beyond)
         return right + parity * left
 
-    def _beyond(self, k):
+    def _outside(self, k):
+        """The sum of the weights of the bonds of a site to what is at rest beyond the ends."""
         c, parity = self._weights(k)
-        inside = _bonds_within(c, self.x.shape[0], "free", None)
-        right, left = (
-            a - b for a, b in zip(_bonds_within(c, self.x.shape[0], "fixed", self.beyond), inside)
-        )
-        return right + parity * left
+        inner_right, inner_left = _bonds_within(c, self.x.shape[0], 0)
+        right, left = _bonds_within(c, self.x.shape[0], self.beyond)
+        return (right - inner_right) + parity * (left - inner_left)
 
 
 def _spread(values, x):
@@ -456,12 +424,12 @@ def _spread(values, x):
     return jnp.broadcast_to(values, x.shape)
 
 
-def _bonds_within(c, n, boundary, beyond):
+def _bonds_within(c, n, beyond):
     """The sums of the weights of all bonds to the right and to the left of each site."""
-    if boundary == "periodic" or boundary == "fixed" and beyond is None:
+    if beyond is None or beyond >= c.shape[0]:
         return c.sum(0, keepdims=True), c.sum(0, keepdims=True)
     sums = jnp.concatenate([jnp.zeros_like(c[:1]), jnp.cumsum(c, 0)])
-    left = sums[jnp.minimum(jnp.arange(n) + (beyond if boundary == "fixed" else 0), c.shape[0])]
+    left = sums[jnp.minimum(jnp.arange(n) + beyond, c.shape[0])]
     return left[::-1], left
 
 

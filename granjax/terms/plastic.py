@@ -11,11 +11,11 @@ from ..laws import Indented, PlasticLaw
 from ..strains import StrainMap
 from ..types import Parameter
 from ..units import PART
-from .base import Term
+from .base import Remembering
 from .bonds import Bond
 
 
-class PlasticContact(Bond):
+class PlasticContact(Bond, Remembering):
     r"""Elastic-plastic contacts: bonds whose force reads the largest overlap P(t) = max s(t') over t' <= t.
 
     Force on the sites: -(de/du)^T (F(s, P) - F0), s = d0 + e, F0 = F(d0, d0) the static force of a contact that has
@@ -31,7 +31,8 @@ class PlasticContact(Bond):
     """
 
     dimensions = {"strain_map": PART, "law": PART}
-    _memory: ClassVar[dict[str, str]] = {"largest_overlap": "m"}
+    linear_in: ClassVar[str | None] = None
+    memory: ClassVar[dict[str, str]] = {"largest_overlap": "m"}
 
     def __init__(
         self,
@@ -46,18 +47,6 @@ class PlasticContact(Bond):
         if low is not None and high is not None and not (high >= low).all():
             refuse("largest", f"at least the overlap at equilibrium, {show(low)}", show(high))
         super().__init__(strain_map, Indented(law, overlap, largest))
-
-    def next_neighbours(self, field=None):
-        return None
-
-    def without_walls(self, lattice, field=None):
-        return None
-
-    def scaled(self, factor):
-        return Term.scaled(self, factor)
-
-    def remembers(self):
-        return self._memory
 
     def variables(self, lattice):
         e = jax.eval_shape(self.strain_map.strain, lattice.template())

@@ -11,6 +11,7 @@ import numpy as np
 from ..printing import told
 from ..strains.maps import spectral_radius
 from ..types import Flags, Numbers
+from .tracing import reads
 
 SAMPLES = 33
 # of the least length, 2^-60, up to 2^40; then of the interval, to 2^-40 of it
@@ -138,7 +139,7 @@ def largest_eigenvalue(term: Any, lattice: Any, reach: Reach | Reached) -> Any:
 
     zero = jnp.zeros((), lattice.dtype)
     largest = jnp.maximum(eigenvalue(zeros), eigenvalue(reach.u))
-    if not term.dependence(lattice).energy:
+    if not reads(term, lattice).energy:
         return largest
 
     def further():

@@ -1,6 +1,7 @@
 """Forces on single sites: on-site laws and drives."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -8,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..laws import Law, Scaled
+from ..laws import Law
+from ..strains import Sites
 from ..types import Parameter, Site, Waveform
 from ..units import PART, Signal
-from .base import Compression, Excitation, Term, get, put
-from .bonds import spring
-from .tracing import Dependence
-from .waveforms import Breaks, as_module, checked_breaks, held, jumps_of
+from .base import Excitation, Term, get, put
+from .bonds import Bond
+from .waveforms import Breaks, as_module, checked_breaks
 
 
-class OnSite(Term):
+class OnSite(Bond):
     """A force that ties each site to its rest position: F = -law.force(u).
 
     **Arguments:** `law`, elementwise in u (Linear, Sine, Polynomial, ...); `field`: name of the field, where a cell
@@ -32,54 +33,19 @@ class OnSite(Term):
     (1.0, 1.1832)
     """
 
-    dimensions = {"law": PART}
-    law: Law
-    field: str | None = eqx.field(static=True)
+    _shown = {"law": "law", "field": "field"}
+    per_site: ClassVar[bool] = True
 
     def __init__(self, law: Law, field: str | None = None):
-        self.law, self.field = law, field
+        super().__init__(Sites(field), law)
 
-    def dependence(self, lattice):
-        return Dependence(displacement=True, energy=True)
-
-    def force(self, t, u, v, mass):
-        return put(-self.law.force(get(u, self.field)), self.field)
-
-    def energy(self, t, u):
-        return self.law.energy(get(u, self.field))
-
-    def site_energy(self, lattice, t, u):
-        return put(self.energy(t, u), self.field)
+    @property
+    def field(self):
+        """Name of the field, or `None`."""
+        return self.strain_map.field
 
     def compressions(self, t, u):
-        return (Compression(self.law, get(u, self.field), "site"),)
-
-    def scaled(self, factor):
-        return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))
-
-    def per_vector(self, axes):
-        return one_a_vector(self, axes)
-
-    def linearised(self, lattice, t, u, v):
-        return eqx.tree_at(lambda term: term.law, self, spring(self.law, get(u, self.field)))
-
-    def resists(self, lattice, moves):
-        return np.stack(
-            [
-                np.concatenate([np.ravel(x) for x in jax.tree.leaves(get(move, self.field))])
-                for move in moves
-            ],
-            -1,
-        )
-
-    def span(self):
-        return ()
-
-    def stiffness_bound(self, lattice, reach, factor=1.0):
-        k = factor * reach.stiffest(self.law, 0)
-        if lattice.dimension is not None and jnp.ndim(k) > lattice.axes:
-            k = jnp.max(k, axis=lattice.axes)
-        return lambda w: put(k * get(w, self.field), self.field)
+        return tuple(c._replace(place="site") for c in super().compressions(t, u))
 
 
 class Drive(Term):
@@ -104,6 +70,7 @@ class Drive(Term):
 
     dimensions = {"waveform": Signal((1, 0, 0)), "breaks": PART}
     waveform: Callable
+    span: ClassVar[tuple[int, ...]] = ()
     breaks: Breaks | None
     site: tuple = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
@@ -116,18 +83,8 @@ class Drive(Term):
         breaks: Parameter | Breaks | None = None,
     ):
         self.waveform = as_module(waveform)
-        self.site = tuple(site) if isinstance(site, (tuple, list)) else (site,)
+        self.site = tuple(site) if np.ndim(site) else (site,)
         self.field, self.breaks = field, checked_breaks(breaks)
-
-    def dependence(self, lattice):
-        return Dependence(time=True)
-
-    def jumps(self):
-        own = jumps_of(self.waveform, self.breaks)
-        return () if own is None else (own,)
-
-    def between(self, low, high):
-        return held(self, "waveform", low, high) if self.jumps() else self
 
     def force(self, t, u, v, mass):
         x = get(u, self.field)
@@ -150,11 +107,3 @@ class Drive(Term):
     def excitation(self, lattice, ts):
         zero = jnp.zeros((), lattice.dtype)
         return Excitation(jnp.max(jnp.abs(jax.vmap(self.waveform)(ts))), zero, zero)
-
-    def span(self):
-        return ()
-
-
-def one_a_vector(term: Term, axes: int):
-    """A term of the sites with one parameter a site made one a vector, by a trailing axis."""
-    return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) == axes else x, term)

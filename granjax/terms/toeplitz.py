@@ -9,23 +9,23 @@ from ..programs import by_rows
 FACTORS = (2, 3, 5, 7)
 
 
-def neighbour_sums(c, x, parity, boundary):
+def neighbour_sums(c, x, parity, around):
     """sum over m >= 1 of c_m (x_{n+m} + parity x_{n-m}), parity 1 or -1, by FFT.
 
     `c` (M,), for offsets 1 to M, and `x` (N, ...): lanes last, of which those of `c` are the first. Beyond the ends of
-    a chain x is zero; around a ring (`boundary` "periodic") every offset counts, as often as it goes around.
+    a chain x is zero; `around` a ring every offset counts, as often as it goes around.
     """
     return back(
-        behind(spectrum(c, x.shape[0], parity, boundary, x.dtype), x.ndim) * forth(x, boundary),
+        behind(spectrum(c, x.shape[0], parity, around, x.dtype), x.ndim) * forth(x, around),
         x.shape[0],
-        boundary,
+        around,
     )
 
 
-def spectrum(c, n, parity, boundary, dtype):
+def spectrum(c, n, parity, around, dtype):
     """The transform of the weights `c` (M, lanes...) on n sites: its real and its imaginary part, lanes last."""
     c = jnp.moveaxis(c.astype(dtype), 0, -1)
-    if boundary == "periodic":
+    if around:
         found = by_rows(jnp.fft.rfft, folded(c, n))
         real, imag = (2 * found.real, None) if parity == 1 else (None, -2 * found.imag)
     else:
@@ -43,18 +43,18 @@ def behind(spectrum, ndim):
     return real if imag is None else 1j * imag if real is None else jax.lax.complex(real, imag)
 
 
-def forth(x, boundary):
+def forth(x, around):
     """The transform of `x` (N, lanes...), its frequencies last."""
     x, n = jnp.moveaxis(x, 0, -1), x.shape[0]
-    if boundary == "periodic":
+    if around:
         return by_rows(jnp.fft.rfft, x)
     turn = _turn(n, x.dtype)
     return by_rows(jnp.fft.fft, turn * jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(turn) - n)]))
 
 
-def back(y, n, boundary):
+def back(y, n, around):
     """Inverse of `forth`, n sites first."""
-    if boundary == "periodic":
+    if around:
         return jnp.moveaxis(by_rows(jnp.fft.irfft, y, n), -1, 0)
     y = by_rows(jnp.fft.ifft, y)
     return jnp.moveaxis((y * _turn(n, y.real.dtype).conj()).real[..., :n], -1, 0)

@@ -12,6 +12,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 
+from ..checks import traced as is_traced
 from ..types import Displacements, Number, Pytree
 
 SCALES = 10.0 ** np.arange(-12, 4)
@@ -42,14 +43,8 @@ def traced(term: Any, lattice: Any):
 
 
 def reads(term: Any, lattice: Any) -> Dependence:
-    """What a term says that its force reads, and what tracing finds that it reads besides."""
-    said, found = term.dependence(lattice), traced(term, lattice)[1]
-    return said._replace(
-        **{
-            name: getattr(said, name) or getattr(found, name)
-            for name in ("time", "displacement", "velocity")
-        }
-    )
+    """What the force of a term reads, found by tracing it."""
+    return traced(term, lattice)[1]
 
 
 def time_of(lattice: Any):
@@ -83,7 +78,7 @@ def _traced_force(structure, leaves):
 def used(function: Callable, arguments: tuple, places: tuple = (1,)):
     """(shapes of the result, whether an FFT is in it, whether it depends on each of the arguments at some places)."""
     arguments = jax.tree.map(_abstract, arguments)
-    dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
+    dynamic, static = eqx.partition(arguments, _is_shape)
     closed, shapes = jax.make_jaxpr(
         lambda dynamic: function(*eqx.combine(dynamic, static)), return_shape=True
     )(dynamic)
@@ -106,8 +101,12 @@ def _holds(jaxpr, primitive):
 
 
 def _shapes(function, arguments):
-    dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
+    dynamic, static = eqx.partition(arguments, _is_shape)
     return jax.eval_shape(lambda dynamic: function(*eqx.combine(dynamic, static)), dynamic)
+
+
+def _is_shape(x):
+    return isinstance(x, jax.ShapeDtypeStruct)
 
 
 def _abstract(x):
@@ -118,8 +117,8 @@ def _abstract(x):
 
 def stand_in(x: Number):
     """The value, or ones in its place where it is traced."""
-    x = jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x
-    return np.ones(x.shape, x.dtype) if isinstance(x, jax.core.Tracer) else x
+    x = jax.lax.stop_gradient(x) if is_traced(x) else x
+    return np.ones(x.shape, x.dtype) if is_traced(x) else x
 
 
 def answers_to(moves: list, term: Any, mass: Displacements | Number, template: Pytree):

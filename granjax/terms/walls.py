@@ -1,23 +1,23 @@
 """Walls at the ends of a chain."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..checks import one_of, refuse
-from ..laws import Law, Scaled, Yielding
-from ..types import Displacements, Number, Numbers, Parameter, Waveform
+from ..laws import Law, Yielding
+from ..strains import End
+from ..types import Parameter, Waveform
 from ..units import PART, Signal
-from .base import Compression, Excitation, Term, get, put
-from .bonds import spring
-from .tracing import Dependence
-from .waveforms import Breaks, as_module, checked_breaks, held, jumps_of
+from .base import Excitation, within
+from .bonds import Bond, spring
+from .waveforms import Breaks, as_module, checked_breaks
 
 
-class Wall(Term):
+class Wall(Bond):
     """A wall at one end of a chain: rigid, elastic, driven or yielding.
 
     Left: e = w(t) - u_0; right: e = u_{N-1} - w(t); the end site feels the contact force law.force(e) away from the
@@ -39,12 +39,10 @@ class Wall(Term):
     -8.0
     """
 
-    dimensions = {"law": PART, "motion": Signal((0, 1, 0)), "breaks": PART}
-    law: Law
+    dimensions = {"strain_map": PART, "law": PART, "motion": Signal((0, 1, 0)), "breaks": PART}
+    _shown = {name: name for name in ("law", "motion", "breaks", "side", "field")}
     motion: Callable | None
     breaks: Breaks | None
-    side: str = eqx.field(static=True)
-    field: str | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -55,17 +53,20 @@ class Wall(Term):
         field: str | None = None,
         breaks: Parameter | Breaks | None = None,
     ):
-        self.law = law if support is None else Yielding(law, support)
-        self.side = one_of("side", side, ("left", "right"))
+        end = End(one_of("side", side, ("left", "right")), field)
+        super().__init__(end, law if support is None else Yielding(law, support))
         self.motion = None if motion is None else as_module(motion)
-        self.field, self.breaks = field, checked_breaks(breaks)
+        self.breaks = checked_breaks(breaks)
 
-    def jumps(self):
-        own = None if self.motion is None else jumps_of(self.motion, self.breaks)
-        return () if own is None else (own,)
+    @property
+    def side(self):
+        """The end of the chain, "left" or "right"."""
+        return self.strain_map.side
 
-    def between(self, low, high):
-        return held(self, "motion", low, high) if self.jumps() else self
+    @property
+    def field(self):
+        """Name of the field, or `None`."""
+        return self.strain_map.field
 
     def check(self, name, lattice):
         if lattice.axes != 1 or lattice.dimension is not None:
@@ -76,71 +77,30 @@ class Wall(Term):
                 "Hold ends by bonds.",
             )
 
-    def dependence(self, lattice):
-        return Dependence(time=self.motion is not None, displacement=True, energy=True)
-
-    def compression(self, t: Number, u: Displacements) -> Numbers:
-        """Compression of the contact with the wall; one value (and lanes)."""
-        x = get(u, self.field)
-        wall = 0.0 if self.motion is None else self.motion(t)
-        return wall - x[0] if self.side == "left" else x[-1] - wall
+    def compression(self, t, u):
+        e = self.strain_map.strain(u)
+        if self.motion is None:
+            return e
+        return self.motion(t) + e if self.side == "left" else e - self.motion(t)
 
     def force(self, t, u, v, mass):
-        return self._push(self.law.force(self.compression(t, u)), u)
-
-    def preload_force(self, u):
-        return self._push(self.law.preload, u)
-
-    def _push(self, force, u):
-        return self._put(force if self.side == "left" else -force, u)
+        force = self.law.force(self.compression(t, u))
+        dtype = jax.tree.leaves(u)[0].dtype
+        return jax.tree.map(jnp.negative, self.strain_map.pull(u, force.astype(dtype)))
 
     def energy(self, t, u):
-        return self.law.energy(self.compression(t, u))[None]
-
-    def site_energy(self, lattice, t, u):
-        return self._put(self.energy(t, u)[0], u)
-
-    def _put(self, value, u):
-        x = jnp.zeros_like(get(u, self.field))
-        return put(
-            x.at[0 if self.side == "left" else -1].set(jnp.asarray(value).astype(x.dtype)),
-            self.field,
-        )
+        return self.law.energy(self.compression(t, u))
 
     def compressions(self, t, u):
-        return (Compression(self.law, jnp.asarray(self.compression(t, u))[None], "wall"),)
+        return tuple(c._replace(place="wall") for c in super().compressions(t, u))
 
-    def undriven(self):
-        return self._still(self.law)
-
-    def _still(self, law):
+    def linearised(self, lattice, t, u, v):
         return eqx.tree_at(
             lambda x: (x.law, x.motion, x.breaks),
             self,
-            (law, None, None),
+            (spring(self.law, self.compression(t, u)), None, None),
             is_leaf=lambda x: x is None,
         )
-
-    def scaled(self, factor):
-        return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))
-
-    def linearised(self, lattice, t, u, v):
-        return self._still(spring(self.law, self.compression(t, u)))
-
-    def resists(self, lattice, moves):
-        end = 0 if self.side == "left" else -1
-        return np.stack([np.ravel(get(move, self.field)[end]) for move in moves], -1)
-
-    def walls(self):
-        return (self.side,)
-
-    def span(self):
-        return ()
-
-    def stiffness_bound(self, lattice, reach, factor=1.0):
-        k = factor * reach.stiffest(self.law, 0)
-        k = k[0] if jnp.ndim(k) > len(lattice.lanes) else k
-        return lambda w: self._put(k * get(w, self.field)[0 if self.side == "left" else -1], w)
 
     def excitation(self, lattice, ts):
         zero = jnp.zeros((), lattice.dtype)
@@ -149,5 +109,14 @@ class Wall(Term):
         w, speed = jax.vmap(lambda t: jax.jvp(self.motion, (t,), (jnp.ones_like(t),)))(ts)
         return Excitation(zero, jnp.max(jnp.abs(w)), jnp.max(jnp.abs(speed)))
 
-    def energy_times(self, lattice, ts):
-        return ts[:1]
+
+def undriven(lattice: Any) -> Any:
+    """The lattice with all moving walls held still."""
+
+    def still(term):
+        if getattr(within(term), "motion", None) is None:
+            return term
+        moving = lambda x: (within(x).motion, within(x).breaks)
+        return eqx.tree_at(moving, term, (None, None), is_leaf=lambda x: x is None)
+
+    return eqx.tree_at(lambda x: x.terms, lattice, tuple(map(still, lattice.terms)))

@@ -182,21 +182,24 @@ class Between(eqx.Module):
         return jumps_of(self.function, None)
 
 
-def held(term: Any, name: str, low: Number, high: Number) -> Any:
-    """A term with one of its functions of time taken `Between` two times."""
+def signal_of(term: Any) -> str | None:
+    """The field of a term that holds a function of time, as its `dimensions` say; `None` where none does."""
+    for name, kind in (type(term).dimensions or {}).items():
+        if isinstance(kind, Signal) and getattr(term, name) is not None:
+            return name
+    return None
+
+
+def own_breaks(term: Any) -> Breaks | None:
+    """The `Breaks` of the function of time that a term holds itself, or `None`."""
+    name = signal_of(term)
+    return None if name is None else jumps_of(getattr(term, name), getattr(term, "breaks", None))
+
+
+def held(term: Any, low: Number, high: Number) -> Any:
+    """The term with its own function of time taken `Between` two times."""
+    name = signal_of(term)
     return eqx.tree_at(lambda x: getattr(x, name), term, Between(getattr(term, name), low, high))
-
-
-def functions_of_time(term: Any) -> list[Callable]:
-    """The functions of time of a term and of those within it, as `dimensions` tell, of which no breaks are known."""
-    found = []
-    for name, kind in ((type(term).dimensions or {}) if not term.jumps() else {}).items():
-        part = getattr(term, name)
-        if isinstance(kind, Signal) and part is not None:
-            found.append(part)
-        elif hasattr(part, "jumps"):
-            found += functions_of_time(part)
-    return found
 
 
 def jumps_of(function: Callable | None, breaks: Breaks | None) -> Breaks | None:

@@ -3,7 +3,6 @@
 import difflib
 import math
 import re
-from collections.abc import Sequence
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -28,7 +27,7 @@ _BASES = {
     "V": (1.0, (0, 0, 0, 0, 1)),
 }
 _PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12}
-# those that pictures choose from, of each dimension, and those that are proposed for what is not known
+# what pictures choose from, the first kind of a dimension, and what is proposed for a name that is not known
 _READ = (
     "s ms us ns",
     "Hz kHz MHz mHz",
@@ -91,24 +90,21 @@ def named_unit(word: str) -> Named:
     return found
 
 
-def family(dimension: Sequence[Fraction], size: float = 1.0) -> tuple[Named, ...]:
-    """The units of a dimension that pictures choose from, the one of SI first; none where a dimension has no name.
-
-    Angles of `size` 2 pi are cycles.
-    """
+def readable(unit: Named, largest: float) -> Named:
+    """Of the units of a dimension the one in which a size in SI is 1 to 1000, or comes next to it; Hz of rad/s."""
     for names in _READ:
-        units = tuple(map(known_unit, names.split()))
-        if units[0].dimension == tuple(dimension) and units[0].size == size:
-            return units
-    return ()
+        units = [known_unit(name) for name in names.split()]
+        if units[0].dimension != unit.dimension:
+            continue
+        if not (largest > 0 and math.isfinite(largest)):
+            return units[0]
+        fitting = [x for x in units if largest >= x.size * (1 - 1e-9)]
+        return max(fitting or [min(units, key=_size)], key=_size)
+    return unit
 
 
-def readable(units: Sequence[Named], largest: float) -> Named:
-    """Of several units the one in which a size is 1 to 1000, or comes next to it."""
-    fitting = [unit for unit in units if largest >= unit.size * (1 - 1e-9)]
-    if not (largest > 0 and math.isfinite(largest)):
-        return units[0]
-    return max(fitting, key=lambda u: u.size) if fitting else min(units, key=lambda u: u.size)
+def _size(unit):
+    return unit.size
 
 
 def mark_of(units: str | None) -> float:

@@ -7,6 +7,7 @@ from jax.scipy.special import gammaln
 
 from ...lattice import Lattice, State
 from ...lattice.split import damping_rates
+from ...terms import CaputoDamping
 from ...terms.tracing import reads
 from ...types import Number, Numbers, Scalar, StateLike, Times
 from ..integrate import overlaps
@@ -55,15 +56,12 @@ def march(
 ) -> tuple[Found, dict]:
     """Integrate and reduce; everything checked. What is found, and what else a `RunWithMemory` has."""
     h, u0, v0 = (t1 - t0) / steps, *state
-    damped = [
-        term.fractional_damping() for term in lattice.terms if term.fractional_damping() is not None
-    ]
+    remember = [term for term in lattice.terms if isinstance(term, CaputoDamping)]
+    damped = [(term.field, term.order, term.coefficient) for term in remember]
     orders = [jnp.asarray(order, lattice.dtype) for _, order, _ in damped]
     tables, misses = ([table(order, h, steps) for order in orders] for table in (weights, missed))
     rates = dict(damping_rates(lattice, v0))
-    plain = [
-        t for t in lattice.terms if t.fractional_damping() is None and t.exact_damping() is None
-    ]
+    plain = [t for t in lattice.terms if not t.memory and t.exact_damping() is None]
 
     def forces(t, u, v):
         return lattice.total([term.force(t, u, v, lattice.mass) for term in plain], u)

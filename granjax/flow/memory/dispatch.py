@@ -9,6 +9,8 @@ import numpy as np
 
 from ...checks import concrete, refuse, show, traced, whole
 from ...lattice import Lattice
+from ...terms import CaputoDamping
+from ...terms.base import memory_of
 from ...terms.tracing import reads
 from ...types import Scalar, StateLike
 from ..control import least_tolerance, refuse_unresolved
@@ -71,12 +73,13 @@ def with_memory(
             "times or a number of them, for a lattice whose forces read the past",
             "'steps'",
         )
-    fractional = any(term.fractional_damping() is not None for term in lattice.terms)
+    fractional = any(isinstance(term, CaputoDamping) for term in lattice.terms)
     for i, term in enumerate(lattice.terms):
-        if (
-            term.remembers()
-            and (term.fractional_damping() if fractional else term.variables(lattice)) is None
-        ):
+        if fractional:
+            solved = isinstance(term, CaputoDamping)
+        else:
+            solved = term.memory and term.variables(lattice) is not None
+        if memory_of(term) and not solved:
             refuse(
                 f"terms[{i}] ({type(term).__name__})",
                 "a term whose memory has a solver here",
@@ -128,9 +131,7 @@ def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
     others = [
         type(term).__name__
         for term in lattice.terms
-        if term.fractional_damping() is None
-        and term.exact_damping() is None
-        and reads(term, lattice).velocity
+        if not term.memory and term.exact_damping() is None and reads(term, lattice).velocity
     ]
     if others:
         refuse(

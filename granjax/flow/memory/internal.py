@@ -186,7 +186,7 @@ def integrate(
 
 def _begin(lattice: Lattice, state: StateLike) -> Moving:
     """The start: internal variables that the state itself has moved already."""
-    memory = tuple(term.variables(lattice) for term in lattice.terms)
+    memory = tuple(term.variables(lattice) if term.memory else None for term in lattice.terms)
     start = Moving(*state, jnp.zeros(lattice.lanes, lattice.dtype), memory)
     return start._replace(
         memory=_advanced(lattice, memory, jnp.zeros((), lattice.dtype), start, start)
@@ -256,7 +256,7 @@ def _named(lattice: Lattice, memory: Pytree) -> tuple[dict, tuple]:
             count = sum(known == name or known.startswith(f"{name}_") for known in named)
             said = f"{name}_{count}" if count else name
             named[said] = x
-            kinds.append((said, term.remembers()[name]))
+            kinds.append((said, term.memory[name]))
     return named, tuple(kinds)
 
 

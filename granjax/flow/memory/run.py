@@ -53,7 +53,7 @@ class RunWithMemory(Run):
         names = iter(name for name, _ in self._kinds)
         found = []
         for term in self.lattice.terms:
-            own = term.variables(self.lattice)
+            own = term.variables(self.lattice) if term.memory else None
             found.append(None if own is None else {key: self.memory[next(names)] for key in own})
         return tuple(found)
 
