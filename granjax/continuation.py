@@ -203,9 +203,11 @@ class Point(NamedTuple):
         return float(self.z[-1])
 
     def test(self, kind: str) -> float:
+        """The function whose zero is a special point of a kind."""
         return self.tangent[-1] if kind == "fold" else self.sign
 
     def crosses(self, other: "Point", kind: str) -> bool:
+        """Whether that changes its sign on the way to another point."""
         return bool(self.test(kind) * other.test(kind) < 0)
 
 
