@@ -58,6 +58,13 @@ class Curve(Result):
         return np.array([s.p for s in self.special if s.kind == "branch point"])
 
     @property
+    def steps(self) -> list[tuple["Point", "Point"]]:
+        """Neighbouring points, as pairs."""
+        zs = np.column_stack([self.x, self.p])
+        points = [Point(z, tangent) for z, tangent in zip(zs, self.tangents)]
+        return list(zip(points[:-1], points[1:]))
+
+    @property
     def outcome(self) -> str:
         """Why it ended."""
         return {
@@ -159,8 +166,8 @@ def continuation(
                 continue
         for kind in find:
             if here.crosses(there, kind):
-                way = Between(system, here, there, share=CLOSER[kind])
-                best = way.zero(lambda point: point.test(kind))
+                test = lambda point: point.test(kind)
+                best = system.zero(here, there, test, share=CLOSER[kind])
                 ways = _directions(system, kind, best, here.tangent)
                 special.append(Special(kind, best.x, best.p, len(zs) - 1, ways))
         here = there
@@ -280,47 +287,39 @@ class System:
         sign = float(sign * np.exp(np.clip(size - self.scale, -200, 200)))
         return Point(np.asarray(root.x), tangent, jacobian, sign, int(root.iterations)), ""
 
-
-class Between:
-    """The branch between two of its points, over the length s along a direction from the first.
-
-    `direction`: a unit vector (n + 1,), by default the tangent at the first point. `share`: of the tolerance, to which
-    Newton's method goes on if it can.
-    """
-
-    def __init__(
+    def zero(
         self,
-        system: System,
         here: Point,
         there: Point,
+        test: Callable[[Point], float],
+        accuracy: float = 1e-13,
         direction: np.ndarray | None = None,
         share: float = 1.0,
-    ):
-        self.system, self.begin, self.share = system, here.z, share
-        self.direction = here.tangent if direction is None else direction
-        self.length = float((there.z - here.z) @ self.direction)
-        self.known = {0.0: here, self.length: there}
+    ) -> Point:
+        """Where a function of the point changes its sign between two points of the branch, by Brent's method.
 
-    def at(self, s: float) -> Point:
-        """The point in the plane across the direction at s. **Raises** RuntimeError where Newton's method fails."""
-        if s not in self.known:
-            predicted = self.begin + s * self.direction
-            point, reason = self.system.correct(
-                predicted, self.direction, self.direction, share=self.share
-            )
-            if point is None:
-                raise RuntimeError(reason)
-            self.known[s] = point
-        return self.known[s]
-
-    def zero(self, test: Callable[[Point], float], accuracy: float = 1e-13) -> Point:
-        """Where a function of the point changes its sign, by Brent's method, to an accuracy of the length."""
+        `direction`: across which points are sought, a unit vector (n + 1,), by default the tangent at the first point.
+        `accuracy`: of the length along it. `share`: of the tolerance, to which Newton's method goes on if it can.
+        """
+        direction = here.tangent if direction is None else direction
+        length = float((there.z - here.z) @ direction)
+        known = {0.0: here, length: there}
         # no number at a branch point itself, where there is no tangent
-        value = lambda s: np.nan_to_num(test(self.at(s)))
+        value = lambda point: np.nan_to_num(test(point))
+
+        def at(s):
+            if s not in known:
+                guess = here.z + s * direction
+                point, reason = self.correct(guess, direction, direction, share=share)
+                if point is None:
+                    raise RuntimeError(reason)
+                known[s] = point
+            return known[s]
+
         try:
-            return self.at(brentq(value, 0.0, self.length, xtol=accuracy * abs(self.length)))
+            return at(brentq(lambda s: value(at(s)), 0.0, length, xtol=accuracy * abs(length)))
         except RuntimeError:  # Newton's method failed on the way: as near as it came
-            return self.at(min(self.known, key=lambda s: abs(value(s))))
+            return min(known.values(), key=lambda point: abs(value(point)))
 
 
 def _advance(system, here, arclength, veto):
@@ -340,12 +339,12 @@ def _bound_met(system, here, there, bounds):
         return None, None
     # p may turn back on the way: up to the fold and from there on it is monotone
     turns = here.crosses(there, "fold")
-    turn = [Between(system, here, there).zero(lambda point: point.test("fold"))] if turns else []
+    turn = [system.zero(here, there, lambda point: point.test("fold"))] if turns else []
     for a, b in zip([here, *turn], [*turn, there]):
         between = [bound for bound in bounds if (a.p - bound) * (b.p - bound) < 0 or b.p == bound]
         if between:
             bound = min(between, key=lambda bound: abs(bound - a.p))
-            return bound, Between(system, a, b).zero(lambda point: point.p - bound)
+            return bound, system.zero(a, b, lambda point: point.p - bound)
     return None, None
 
 

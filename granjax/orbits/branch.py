@@ -398,10 +398,9 @@ def bifurcations(
     for kind in kinds:
         one_of("kinds", kind, KINDS)
     accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
-    family, curve = branch._family, branch._curve
-    for i in range(len(branch) - 1):
-        way, spectra, events = family.between(curve, i), {}, []
-        ends = tuple(way.known.values())
+    family, system = branch._family, branch._family.system()
+    for i, (here, there) in enumerate(branch._curve.steps):
+        spectra, events = {}, []
 
         def count(point, kind):
             if kind == "extremum of energy":
@@ -414,13 +413,14 @@ def bifurcations(
             return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1])
 
         for kind in kinds:
-            before, behind = (count(point, kind) for point in ends)
+            before, behind = count(here, kind), count(there, kind)
             if before == behind:
                 continue
-            share = accuracy * curve.p[i] / 4 / way.length
-            point = way.zero(lambda point: 1.0 if count(point, kind) == behind else -1.0, share)
+            test = lambda point: 1.0 if count(point, kind) == behind else -1.0
+            share = accuracy * here.p / 4 / ((there.z - here.z) @ here.tangent)
+            point = system.zero(here, there, test, share)
             events.append((kind, point.z, before, behind))
-        events.sort(key=lambda event: (event[1] - way.begin) @ way.direction)
+        events.sort(key=lambda event: (event[1] - here.z) @ here.tangent)
         found += [_bifurcation_at(family, kind, z, i, None, *counts) for kind, z, *counts in events]
     return found
 
@@ -458,9 +458,9 @@ def _along_forced(family, curve, multipliers, response):
 
     Where the number of multipliers outside the unit circle changes, by Brent's method on the modulus that passes 1.
     """
-    found, zs = [], np.column_stack([curve.x, curve.p])
-    for i, (begin, end) in enumerate(zip(zs[:-1], zs[1:])):
-        known = {begin.tobytes(): multipliers[i], end.tobytes(): multipliers[i + 1]}
+    found, system = [], family.system()
+    for i, (here, there) in enumerate(curve.steps):
+        known = {here.z.tobytes(): multipliers[i], there.z.tobytes(): multipliers[i + 1]}
 
         def look(z):
             if z.tobytes() not in known:
@@ -468,9 +468,20 @@ def _along_forced(family, curve, multipliers, response):
                 known[z.tobytes()] = np.linalg.eigvals(np.asarray(maps[0]))
             return known[z.tobytes()]
 
+        moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
+        counts = sorted(np.count_nonzero(moduli(point) > 1) for point in (here, there))
+        chord, places = there.z - here.z, []
+        length = np.linalg.norm(chord)
+        along = lambda z: (z - here.z) @ chord
+        for k in range(*counts):
+            # the k-th modulus in order of size is continuous, whatever the multipliers do
+            test = lambda point: float(moduli(point)[k] - 1)
+            z = system.zero(here, there, test, 1e-10, chord / length).z
+            if all(np.linalg.norm(z - other) > 1e-7 * length for other in places):
+                places.append(z)
         events = [(FOLD, np.append(s.x, s.p)) for s in curve.special if s.after == i]
-        folds, chord = len(events), end - begin
-        for z in _crossings(family.between(curve, i, chord / np.linalg.norm(chord)), look):
+        folds = len(events)
+        for z in sorted(places, key=along):
             rho = _critical(look(z))
             kind = BRANCH_POINT if rho.real > 0 else DOUBLING
             kind = TORUS if rho.imag > 1e-5 else kind
@@ -478,22 +489,9 @@ def _along_forced(family, curve, multipliers, response):
                 folds -= 1
             else:
                 events.append((kind, z))
-        events.sort(key=lambda event: (event[1] - begin) @ chord)
+        events.sort(key=lambda event: along(event[1]))
         found += [_bifurcation_at(family, kind, z, i, _critical(look(z))) for kind, z in events]
     return tuple(found)
-
-
-def _crossings(way, look):
-    """Where moduli pass 1 between two points, in order: as many as the number of unstable multipliers changes by."""
-    moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
-    counts = sorted(np.count_nonzero(moduli(point) > 1) for point in way.known.values())
-    found = []
-    for k in range(*counts):
-        # the k-th modulus in order of size is continuous, whatever the multipliers do
-        z = way.zero(lambda point: float(moduli(point)[k] - 1), 1e-10).z
-        if all(np.linalg.norm(z - other) > 1e-7 * way.length for other in found):
-            found.append(z)
-    return sorted(found, key=lambda z: (z - way.begin) @ way.direction)
 
 
 def _critical(multipliers):

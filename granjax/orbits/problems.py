@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, refuse
-from ..continuation import Between, Curve, Point, System, continuation
+from ..continuation import Curve, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
@@ -259,11 +259,9 @@ class Family(eqx.Module):
             self.residual, x, q, linearise=self.linearise, tolerance=self.left, **settings
         )
 
-    def between(self, curve: Curve, i: Count, direction: np.ndarray | None = None) -> Between:
-        """A curve between its points i and i + 1."""
-        ends = [Point(np.append(curve.x[j], curve.p[j]), curve.tangents[j]) for j in (i, i + 1)]
-        system = System(self.residual, self.linearise, None, self.left)
-        return Between(system, *ends, direction)
+    def system(self) -> System:
+        """What continuation solves at every point."""
+        return System(self.residual, self.linearise, None, self.left)
 
     def scene(self, q: Scalar) -> tuple:
         """(lattice, period) at q."""
