@@ -394,7 +394,7 @@ def bifurcations(
     """
     if not branch._family.shooting.reversible:
         wanted = "a family of breathers"
-        refuse("branch", wanted, "forced orbits", "Their own are branch.bifurcations.")
+        refuse("branch", wanted, "a branch of forced orbits", "Its own are branch.bifurcations.")
     for kind in kinds:
         one_of("kinds", kind, KINDS)
     accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
