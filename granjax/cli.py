@@ -164,8 +164,8 @@ def _resonance(arguments):
     folder("--out", stem.parent)
     picture, data = (target("--out", f"{stem}{ending}") for ending in (".png", ".nc"))
     ratios = np.linspace(LOWEST_RATIO, 1, count + 1)[1:]
-    sweep = gx.resonance.transmission(ratios, beads, progress=True)
-    extrema = gx.resonance.refine(sweep, progress=True)
+    sweep = gx.resonance.transmission(ratios, beads)
+    extrema = gx.resonance.refine(sweep)
     write(data, _data(sweep, extrema))
     write(picture, _picture(sweep, extrema))
     if arguments.json:

@@ -7,8 +7,6 @@ import secrets
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from .checks import refuse
 
 if TYPE_CHECKING:
@@ -70,19 +68,15 @@ def save(data: "xarray.Dataset", path: str | Path) -> Path:
 
 
 def netcdf(data: "xarray.Dataset") -> bytes:
-    """A dataset as the bytes of a netCDF file, complex numbers as NAME_real and NAME_imag, arrays with checksums."""
+    """A dataset of real numbers and words as the bytes of a netCDF file, arrays with checksums."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
-    data, buffer = real_parts(data).drop_encoding(), io.BytesIO()
+    data, buffer = data.drop_encoding(), io.BytesIO()
     sums = {
         name: {"fletcher32": True}
         for name, x in data.variables.items()
         if x.dtype.kind in "biuf" and x.ndim and x.size
-    }
-    # netCDF has no truth values among its attributes
-    data.attrs = {
-        name: int(x) if isinstance(x, (bool, np.bool_)) else x for name, x in data.attrs.items()
     }
     with h5netcdf.File(buffer, "w") as file:
         data.dump_to_store(H5NetCDFStore(file), encoding=sums)
@@ -95,10 +89,10 @@ def matlab(data: "xarray.Dataset") -> bytes:
 
     def called(name):
         # MATLAB's names are letters, digits and underscores, at most 63, and begin with a letter
-        name = re.sub(r"\W", "_", str(name), flags=re.ASCII)[:61]
+        name = re.sub(r"\W", "_", name, flags=re.ASCII)[:61]
         return name if name[:1].isalpha() else f"x_{name}"
 
-    data, buffer = real_parts(data), io.BytesIO()
+    buffer = io.BytesIO()
     arrays = {
         called(name): x.values.astype(object) if x.dtype.kind == "U" else x.values
         for name, x in data.variables.items()
@@ -106,41 +100,3 @@ def matlab(data: "xarray.Dataset") -> bytes:
     arrays["attributes"] = {called(name): x for name, x in data.attrs.items()}
     savemat(buffer, arrays, long_field_names=True)
     return buffer.getvalue()
-
-
-def real_parts(data: "xarray.Dataset") -> "xarray.Dataset":
-    """A dataset with complex numbers as two, NAME_real and NAME_imag, attributes too.
-
-    **Raises** ValueError where something else is called so.
-    """
-    variables = {name: x for name, x in data.variables.items() if x.dtype.kind == "c"}
-    attributes = {
-        name: np.asarray(x) for name, x in data.attrs.items() if np.asarray(x).dtype.kind == "c"
-    }
-    for name in (*variables, *attributes):
-        taken = {f"{name}_real", f"{name}_imag"} & {*data.variables, *data.attrs}
-        if taken:
-            refuse(
-                "data",
-                f"no other {min(taken)!r} beside the complex {name!r}",
-                "one",
-                "Call it otherwise.",
-            )
-    if not variables and not attributes:
-        return data
-    coordinates = {*data.coords}
-    made = data.drop_vars([*variables]).assign(
-        {
-            f"{name}_{part}": (x.dims, getattr(x.values, part), x.attrs)
-            for name, x in variables.items()
-            for part in ("real", "imag")
-        }
-    )
-    made.attrs = {key: x for key, x in data.attrs.items() if key not in attributes} | {
-        f"{key}_{part}": getattr(x, part).tolist()
-        for key, x in attributes.items()
-        for part in ("real", "imag")
-    }
-    return made.set_coords(
-        [f"{name}_{part}" for name in variables if name in coordinates for part in ("real", "imag")]
-    )

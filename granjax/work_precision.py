@@ -4,7 +4,6 @@
 list of steps or tolerances and a function that computes the final state with one of them.
 """
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -116,6 +115,19 @@ class Ladder(NamedTuple):
     solver: object = None
 
 
+class _Point(NamedTuple):
+    """What one value of a ladder gave, and why it says nothing; its times are NaN until they are taken."""
+
+    ladder: Ladder
+    value: float
+    error: float
+    evaluations: float
+    steps: float
+    note: str
+    seconds: float = math.nan
+    fastest: float = math.nan
+
+
 class Advice(Result):
     """A method and its step or tolerance for an error; printed, it says so in a sentence."""
 
@@ -199,9 +211,7 @@ class WorkPrecision(Result):
     )
     repeats: int = array("Timed calls of a point", static=True)
     reference_note: str = array("How the reference came about", name="reference", static=True)
-    ladders: tuple[Ladder, ...] = hidden(
-        "What was measured, for `advice` to run more of it", static=True, default=()
-    )
+    points: tuple[_Point, ...] = hidden("The same, for `advice`", static=True, default=())
     reference: Pytree = hidden("What errors are measured against", default=None)
 
     @property
@@ -235,9 +245,9 @@ class WorkPrecision(Result):
         below all that was measured.
         """
         asked = float(positive("error", error))
-        points = [self._point(i, asked) for i in np.flatnonzero(self.drawn)]
-        default = [one for one in points if one.method == DEFAULT]
-        known = [one for one in points if one.method != DEFAULT]
+        points = [one for one in self.points if not one.note]
+        default = [one for one in points if one.ladder.name == DEFAULT]
+        known = [one for one in points if one.ladder.name != DEFAULT]
         if not known:
             got = "one where nothing is drawn"
             refuse("error", "a table with points to choose from", got, "The notes say why.")
@@ -247,53 +257,55 @@ class WorkPrecision(Result):
         best = min(known, key=lambda one: one.error)
         if best.error > asked:
             least = f"at least {best.error:.3g}, the smallest in the table"
-            remedy = f"The best point: {best.method}, {best.parameter} {best.value:.3g}."
+            remedy = (
+                f"The best point: {best.ladder.name}, {best.ladder.parameter} {best.value:.3g}."
+            )
             refuse("error", least, f"{asked:.3g}", remedy)
         good = sorted((one for one in known if one.error <= asked), key=_seconds)
-        safe = [_coarsest(known, name) for name in dict.fromkeys(one.method for one in good)]
-        found = {one.method: self._coarser(one) for one in sorted(safe, key=_seconds)[:FASTEST]}
+        names = dict.fromkeys(one.ladder.name for one in good)
+        safe = [_coarsest([x for x in known if x.ladder.name == name], asked) for name in names]
+        fastest = sorted(safe, key=_seconds)[:FASTEST]
+        found = {one.ladder.name: self._coarser(one, asked) for one in fastest}
         # a finer point of the same method is faster by the clock's noise alone
-        lucky = [x for x in good if x.method not in found or x.value > found[x.method].value]
-        tried = [*found.values(), *default, *lucky[:FASTEST]]
-        calls = [(self._ladder(one.method).call, one.value) for one in tried]
-        seconds, _ = _in_turns(calls, self.repeats)
-        timed = [dataclasses.replace(one, seconds=float(s)) for one, s in zip(tried, seconds)]
+        coarser = lambda x: x.ladder.name not in found or x.value > found[x.ladder.name].value
+        tried = [*found.values(), *default, *filter(coarser, good)][
+            : len(found) + len(default) + FASTEST
+        ]
+        seconds, _ = _in_turns([(one.ladder.call, one.value) for one in tried], self.repeats)
+        timed = [one._replace(seconds=float(x)) for one, x in zip(tried, seconds)]
         best = min((one for one in timed if one.error <= asked), key=_seconds)
-        told = {"solver": self._ladder(best.method).solver}
-        for one in timed[len(found) :][: len(default)]:
-            told |= {"default_error": one.error, "default_seconds": one.seconds}
-        return dataclasses.replace(best, **told)
+        of_default = timed[len(found)] if default else None
+        return Advice(
+            asked,
+            best.ladder.name,
+            best.ladder.parameter,
+            best.value,
+            best.error,
+            best.seconds,
+            best.evaluations,
+            of_default.error if default else math.nan,
+            of_default.seconds if default else math.nan,
+            best.ladder.solver,
+        )
 
-    def _ladder(self, name):
-        return next(ladder for ladder in self.ladders if ladder.name == name)
-
-    def _point(self, i, asked):
-        """A measured point as an advice."""
-        numbers = (float(x[i]) for x in (self.value, self.error, self.seconds, self.evaluations))
-        return Advice(asked, self.method[i], self.parameter[i], *numbers)
-
-    def _coarser(self, one):
-        """The advice at a coarser value, whose error a run has shown to be within [asked/3, asked].
+    def _coarser(self, one, asked):
+        """The point of a coarser value, whose error a run has shown to be within [asked/3, asked].
 
         The interval from the point to its coarser neighbour, which is not good enough, is halved;
         where no run hits, its good end is left.
         """
-        ladder, good = self._ladder(one.method), one.value
-        coarser = [x for x in ladder.values if x > good]
-        if not coarser or one.error >= one.asked / NEAR:
+        coarser = [x for x in one.ladder.values if x > one.value]
+        if not coarser or one.error >= asked / NEAR:
             return one
         bad = min(coarser)
         for _ in range(TRIALS):
-            value = float(f"{math.sqrt(good * bad):.2e}")
-            called = _once(ladder.call, value)
-            error = math.nan if called.note else distance(called.state, self.reference)
-            if not error <= one.asked:
+            value = float(f"{math.sqrt(one.value * bad):.2e}")
+            tried, *_ = _tried(one.ladder, value, self.reference)
+            if not tried.error <= asked:
                 bad = value
                 continue
-            good = value
-            evaluations = called.evaluations
-            one = dataclasses.replace(one, value=value, error=error, evaluations=evaluations)
-            if error >= one.asked / NEAR:
+            one = tried
+            if one.error >= asked / NEAR:
                 break
         return one
 
@@ -440,24 +452,19 @@ def measure(
         twice = next(name for name in names if names.count(name) > 1)
         refuse("ladders", "a name of its own for each", f"{twice!r} twice")
     climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
-    points = [(x, *rung) for x, (_, rungs) in zip(ladders, climbed) for rung in rungs]
-    own, value, called, error, notes = zip(*points)
-    drawn = np.array([not why for why in notes])
-    times = np.full((2, len(points)), np.nan)
-    timed = [(x.call, h) for x, h, why in zip(own, value, notes) if not why]
-    times[:, drawn] = _in_turns(timed, repeats)
-    orders = [_order(x, rungs, floor) for x, (_, rungs) in zip(ladders, climbed)]
+    points = [one for _, found in climbed for one in found]
+    drawn = [i for i, one in enumerate(points) if not one.note]
+    calls = [(points[i].ladder.call, points[i].value) for i in drawn]
+    for i, times in zip(drawn, _in_turns(calls, repeats).T.tolist()):
+        points[i] = points[i]._replace(seconds=times[0], fastest=times[1])
+    numbers = ("value", "error", "seconds", "fastest", "evaluations", "steps")
+    orders = [_order(ladder, found, floor) for ladder, (_, found) in zip(ladders, climbed)]
     return WorkPrecision(
-        method=tuple(ladder.name for ladder in own),
-        parameter=tuple(ladder.parameter for ladder in own),
-        value=np.array(value),
-        error=np.array(error),
-        seconds=times[0],
-        fastest=times[1],
-        evaluations=np.array([x.evaluations for x in called]),
-        steps=np.array([x.steps for x in called]),
-        drawn=drawn,
-        note=notes,
+        method=tuple(one.ladder.name for one in points),
+        parameter=tuple(one.ladder.parameter for one in points),
+        **{name: np.array([getattr(one, name) for one in points]) for name in numbers},
+        drawn=np.array([not one.note for one in points]),
+        note=tuple(one.note for one in points),
         methods=names,
         compile_seconds=np.array([compiling for compiling, _ in climbed]),
         limit=np.array([ladder.limit for ladder in ladders]),
@@ -466,7 +473,7 @@ def measure(
         floor=floor,
         repeats=repeats,
         reference_note=note,
-        ladders=ladders,
+        points=tuple(points),
         reference=reference,
     )
 
@@ -529,71 +536,65 @@ def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[
     return float(slope), float(np.sqrt(squares[0] / (len(x) - 2) / spread))
 
 
-def _order(ladder, rungs, floor):
+def _order(ladder, points, floor):
     """The observed order between half the stability limit and the floor."""
     if ladder.parameter != "step":
         return math.nan, math.nan
-    rungs = [rung for rung in rungs if not rung[3] and rung[0] <= ladder.limit / 2]
-    counts = np.array([called.steps for _, called, _, _ in rungs])
+    points = [one for one in points if not one.note and one.value <= ladder.limit / 2]
+    counts = np.array([one.steps for one in points])
     # the number of steps knows how far a step was shortened to fit
-    steps = 1 / counts if np.all(np.isfinite(counts)) else [value for value, *_ in rungs]
-    return observed_order(steps, [error for _, _, error, _ in rungs], floor)
-
-
-class _Called(NamedTuple):
-    """What one call gave: its state, its counts, its wall time [s], a sentence where it failed."""
-
-    state: object
-    evaluations: float
-    steps: float
-    seconds: float
-    note: str
+    steps = 1 / counts if np.all(np.isfinite(counts)) else [one.value for one in points]
+    return observed_order(steps, [one.error for one in points], floor)
 
 
 def _once(call, value):
-    """Call and wait for the result; a ValueError or RuntimeError becomes a note."""
+    """What a call gives, and its wall time [s]; a ValueError or RuntimeError becomes a sentence."""
     start = time.perf_counter()
     try:
-        state, *counts = jax.block_until_ready(call(value))
+        found = jax.block_until_ready(call(value))
     except (ValueError, RuntimeError) as error:
-        return _Called(None, math.nan, math.nan, time.perf_counter() - start, str(error))
-    seconds = time.perf_counter() - start
+        found = str(error)
+    return found, time.perf_counter() - start
+
+
+def _tried(ladder, value, reference, floor=math.nan):
+    """The `_Point` of a value, the wall time [s] of its call, and whether that went through."""
+    found, seconds = _once(ladder.call, value)
+    if isinstance(found, str):
+        return _Point(ladder, value, math.nan, math.nan, math.nan, found), seconds, False
+    state, *counts = found
     counts = [math.nan if x is None else float(np.max(x)) for x in (*counts, None)[:2]]
-    return _Called(state, *counts, seconds, "")
+    error, why = distance(state, reference), ""
+    if not math.isfinite(error):
+        why = "The state is not finite."
+    elif error < DRAWN * floor:
+        why = f"Below {DRAWN:g} times the reference's uncertainty."
+    elif error > 1:
+        why = "An error above 1: everything is wrong."
+    return _Point(ladder, value, error, *counts, why), seconds, True
 
 
 def _climb(ladder, reference, floor, longest):
-    """Seconds of compiling, and (value, called, error, why it is not drawn) as far as it goes."""
-    compiling, rungs, smallest, waited = 0.0, [], math.inf, 0
+    """Seconds of compiling, and the points as far as the ladder goes."""
+    compiling, points, smallest, waited, works = 0.0, [], math.inf, 0, False
     for value in ladder.values:
-        called = _once(ladder.call, value)
-        if all(rung[1].note for rung in rungs):  # the first call, or none has worked before
-            first, called = called, _once(ladder.call, value)
-            compiling = max(compiling, first.seconds - called.seconds)
-            limit = max(AT_LEAST, LONGER * called.seconds) if longest is None else longest
-        error = math.nan if called.note else distance(called.state, reference)
-        rungs.append((value, called._replace(state=None), error, _judged(error, floor, called)))
-        waited = 0 if error < smallest else waited + 1
-        smallest = error if error < smallest else smallest
+        point, seconds, done = _tried(ladder, value, reference, floor)
+        if not works:  # the first call, or none has worked before
+            _, again = _once(ladder.call, value)
+            compiling, seconds = max(compiling, seconds - again), again
+            limit = max(AT_LEAST, LONGER * seconds) if longest is None else longest
+        points.append(point)
+        works |= done
+        waited = 0 if point.error < smallest else waited + 1
+        smallest = min(smallest, point.error) if math.isfinite(point.error) else smallest
         if not ladder.stops:
             continue
-        if error < DRAWN * floor or smallest < ASYMPTOTIC and waited == STALLED:
+        if point.error < DRAWN * floor or smallest < ASYMPTOTIC and waited == STALLED:
             break
         # once may be another process that had the processor
-        if called.seconds > limit and _once(ladder.call, value).seconds > limit:
+        if seconds > limit and _once(ladder.call, value)[1] > limit:
             break
-    return compiling, rungs
-
-
-def _judged(error, floor, called):
-    """Why a point is not drawn, or nothing."""
-    if called.note:
-        return called.note
-    if not math.isfinite(error):
-        return "The state is not finite."
-    if error < DRAWN * floor:
-        return f"Below {DRAWN:g} times the reference's uncertainty."
-    return "An error above 1: everything is wrong." if error > 1 else ""
+    return compiling, points
 
 
 def _in_turns(calls, repeats):
@@ -605,7 +606,7 @@ def _in_turns(calls, repeats):
     for _ in range(repeats):
         for (call, value), times in zip(calls, spent):
             if sum(times) < ENOUGH:
-                times.append(_once(call, value).seconds)
+                times.append(_once(call, value)[1])
     return np.array([[np.median(times), np.min(times)] for times in spent]).reshape(-1, 2).T
 
 
@@ -613,13 +614,13 @@ def _seconds(one):
     return one.seconds
 
 
-def _coarsest(points, name):
+def _coarsest(points, asked):
     """The coarsest point of a method from which on all are good enough."""
-    own = sorted((one for one in points if one.method == name), key=lambda one: -one.value)
-    good = np.array([one.error <= one.asked for one in own])
+    points = sorted(points, key=lambda one: -one.value)
+    good = np.array([one.error <= asked for one in points])
     # a dip among larger errors is luck; where rounding spoils the finest, the first has to do
     k = 0 if good.all() else int(np.flatnonzero(~good)[-1]) + 1
-    return own[int(np.argmax(good)) if k == len(own) else k]
+    return points[int(np.argmax(good)) if k == len(points) else k]
 
 
 def _time(seconds):

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import brentq
 
 from ..checks import one_of, parameter, refuse, traced
 from ..newton import Root, newton
@@ -15,6 +16,8 @@ from .equations import DNLS, Equation
 WEAK, LONGEST, ALIKE, TRIES = 0.1, 1.5, 0.97, 200
 # of the largest amplitude, that at the ends of what is localised
 LOCALISED = 0.05
+# squares of amplitudes that no site has
+BEYOND = 1e60
 FOUND = "Found: it is localised and stands still."
 
 
@@ -197,24 +200,16 @@ def _alone(equation, omega, place):
         )
 
     high = 1.0
-    for _ in range(200):
-        if above(high) >= 0:
-            break
+    while above(high) < 0 and high < BEYOND:
         high *= 2
-    else:
+    if above(high) < 0:
         refuse(
             "omega",
             "a frequency that a site by itself can have",
             f"{omega:.6g}",
             "Below the band the sites must focus (nonlinearity > 0), above it defocus.",
         )
-    low = 0.0
-    while above(high / 2) >= 0 and high > 1e-250:
-        high /= 2
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (low, middle) if above(middle) >= 0 else (middle, high)
-    return float(np.sqrt(high))
+    return float(np.sqrt(brentq(above, 0.0, high, xtol=1e-300, maxiter=2000)))
 
 
 def _made(equation, omega, root: Root):

@@ -208,8 +208,12 @@ def prepared(
     t0: Scalar = 0.0,
     step: Scalar | None = None,
     solver: diffrax.AbstractSolver | None = None,
+    **others: object,
 ) -> Problem:
-    """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`."""
+    """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`.
+
+    `others`: options of `fit` that say how it goes on from there.
+    """
     coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
     lattice, traces = scene(parameters), checked_traces(traces)

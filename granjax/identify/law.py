@@ -188,8 +188,7 @@ def _until(trace, share):
 def _linear_reach(scene, stiffness, traces, state, others, options):
     of_law, start, _ = law_scene(scene, Linear(stiffness), others, ())
     acting = _acting(of_law, start)
-    given = {name: options[name] for name in ("t0", "step", "solver") if name in options}
-    problem = prepared(of_law, start, traces, state=state, **given)
+    problem = prepared(of_law, start, traces, state=state, **options)
     low, high = _visited(acting, problem, problem.coordinates.start)
     return WIDER * low, WIDER * high
 

@@ -164,10 +164,8 @@ def wall_modulus(
     scan = whole("scan", scan, 3)
     ladder = start * np.geomspace(1 / factor, factor, scan)
     # the stiffest wall sets the step
-    given = {name: options[name] for name in ("t0", "step", "solver") if name in options}
-    problem = prepared(
-        scene, {**others, NAME: ladder[-1]}, traces, state=state, bounds=bounds, **given
-    )
+    stiffest = {**others, NAME: ladder[-1]}
+    problem = prepared(scene, stiffest, traces, state=state, bounds=bounds, **options)
     at = np.zeros((len(ladder), problem.coordinates.size))
     at[:, -1] = np.log(ladder / ladder[-1])
     chi_square = np.array(

@@ -15,13 +15,11 @@ MARGIN = 12
 FIT_WIDTH = 0.01
 
 
-def contact_forces(
-    ratios: Parameter, contacts: Parameter, *, progress: bool = False
-) -> Float[np.ndarray, "contacts n"]:
+def contact_forces(ratios: Parameter, contacts: Parameter) -> Float[np.ndarray, "contacts n"]:
     """Largest contact forces of a long dimer chain with free ends, struck at bead 0 with v = 1.
 
     **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (c,), contact n lies between the beads n
-    and n + 1, counted from 0; an even one has the heavy bead first. `progress`: a progress bar.
+    and n + 1, counted from 0; an even one has the heavy bead first.
 
     Fixed steps with h omega_max = 1/2: relative error about 1e-6 at contact 60.
 
@@ -34,18 +32,16 @@ def contact_forces(
         refuse("contacts", "one contact or more", "none")
     beads = max(bonds) + MARGIN
     held_in_memory("contacts", beads, what="beads")
-    return peak_forces(ratios, beads, "free", bonds, 1.5 * beads + 10, progress)
+    return peak_forces(ratios, beads, "free", bonds, 1.5 * beads + 10)
 
 
-def decay_rate(
-    ratios: Parameter, contacts: Sequence[int] = (200, 600), *, progress: bool = False
-) -> Float[np.ndarray, " n"]:
+def decay_rate(ratios: Parameter, contacts: Sequence[int] = (200, 600)) -> Float[np.ndarray, " n"]:
     """Decay rate of the leading pulse per dimer: -ln(F_b/F_a)/((b - a)/2), F the peak forces at two contacts.
 
     It is zero at anti-resonances and positive between them, up to the error of the step (1e-9).
 
     **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (a, b), a < b, both even or both odd,
-    counted from 0; `progress`: a progress bar.
+    counted from 0.
 
     **Returns:** a NumPy array (n,). **Raises** ValueError for ratios outside (0, 1], or contacts that are not such a
     pair. Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
@@ -57,38 +53,26 @@ def decay_rate(
     (True, 0.042)
     """
     contacts = _checked_contacts(contacts)
-    first, last = contact_forces(ratios, contacts, progress=progress)
+    first, last = contact_forces(ratios, contacts)
     return -np.log(last / first) / ((contacts[1] - contacts[0]) / 2)
 
 
 def _checked_contacts(contacts):
-    a, b = (whole(f"contacts[{i}]", n, 0) for i, n in enumerate(_pair(contacts)))
-    if not a < b or (b - a) % 2:
-        refuse(
-            "contacts",
-            "two contacts (a, b), a < b, both even or both odd",
-            f"({a}, {b})",
-            "Typical: (200, 600).",
-        )
-    return a, b
+    found = [whole(f"contacts[{i}]", n, 0) for i, n in enumerate(contacts)]
+    if len(found) != 2 or not found[0] < found[1] or sum(found) % 2:
+        wanted = "two contacts (a, b), a < b, both even or both odd"
+        refuse("contacts", wanted, f"{tuple(contacts)}", "Typical: (200, 600).")
+    return found
 
 
-def _pair(contacts):
-    if np.shape(contacts) != (2,):
-        refuse("contacts", "two contacts (a, b)", repr(contacts), "Typical: (200, 600).")
-    return contacts
-
-
-def anti_resonance(
-    low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600), progress: bool = False
-) -> float:
+def anti_resonance(low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600)) -> float:
     """Mass ratio between `low` and `high` at which the leading pulse does not decay: zero of the asymptotic decay rate.
 
     The rate touches zero there from above, so it is sought as the rate's minimum: by grids of sixteen ratios until
     the bracket is within 1 % of its centre, then as the minimum of a quartic through such a grid.
 
     **Arguments:** `low` < `high`, in (0, 1], around one anti-resonance; `contacts`: where the decay is read, as in
-    `decay_rate`; further down the chain is closer to the limit; `progress`: a progress bar.
+    `decay_rate`; further down the chain is closer to the limit.
 
     **Returns:** a float, good to about 1e-6 with the default contacts (0.342846, 0.154751, 0.090128; the monomer's
     own, 1, only at that end of the interval). **Raises** ValueError for an interval outside (0, 1] or empty,
@@ -114,7 +98,7 @@ def anti_resonance(
     contacts = _checked_contacts(contacts)
     while True:
         ratios = np.linspace(low, high, 2 * LANES)
-        rates = decay_rate(ratios, contacts, progress=progress)
+        rates = decay_rate(ratios, contacts)
         best = int(np.argmin(rates))
         if best == len(ratios) - 1 and high == 1:
             return 1.0

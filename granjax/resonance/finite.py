@@ -82,7 +82,7 @@ def _run_time(beads):
 
 
 def transmission(
-    ratios: Parameter, beads: Count = 101, *, run_time: Scalar | None = None, progress: bool = False
+    ratios: Parameter, beads: Count = 101, *, run_time: Scalar | None = None
 ) -> Transmission:
     r"""Largest force that a struck dimer chain exerts on a rigid wall at its far end, relative to the monomer's.
 
@@ -96,7 +96,6 @@ def transmission(
     - `beads`: N >= 3 moving beads. A wall also stands behind bead 0, which only its rebound meets.
     - `run_time`: until when the wall is watched [in units (m^2/(A^2 v))^(1/5)]; `None` takes 1.5 N + 10, after the
       leading pulse has been reflected at every ratio; at least 1.2 N + 5, when it has reached the wall.
-    - `progress`: a progress bar.
 
     Fixed steps with h omega_max = 1/2: relative error of T at 101 beads 1e-6, near 0.587 up to 6e-6.
 
@@ -123,17 +122,13 @@ def transmission(
             "A wall that nothing has reached feels no force.",
         )
     lanes = ratios if (ratios == 1).any() else np.append(ratios, 1.0)
-    forces = _wall_forces(lanes, beads, run_time, progress)
+    forces = peak_forces(lanes, beads, "fixed", (beads,), run_time)[0]
     reference = float(forces[lanes == 1][0])
     forces = forces[: len(ratios)]
     return Transmission(ratios, forces, forces / reference, reference, beads, run_time)
 
 
-def _wall_forces(ratios, beads, run_time, progress):
-    return peak_forces(ratios, beads, "fixed", (beads,), run_time, progress)[0]
-
-
-def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = False) -> Extrema:
+def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4) -> Extrema:
     """Local extrema of a transmission over the mass ratio, by search between the neighbours of the grid's.
 
     Brackets of all extrema shrink together by 2/9 a round, eight ratios in each, so that a cusp is no harder than a
@@ -145,8 +140,7 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
     what else is there are local extrema, ripples of a finite chain. The maxima are not yet the zeros of the asymptotic
     decay rate, for which see `anti_resonance`.
 
-    **Arguments:** `sweep`: what `transmission` returned; `accuracy`: half-width of the final brackets; `progress`: a
-    progress bar.
+    **Arguments:** `sweep`: what `transmission` returned; `accuracy`: half-width of the final brackets.
 
     **Returns:** `Extrema`. **Raises** ValueError for fewer than three different ratios or transmissions that are NaN.
     """
@@ -176,15 +170,15 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
     found, signs = inner[signs != 0], signs[signs != 0]
     x, T = ratios[found], values[found]
     if len(found):
-        x, T = _narrowed(sweep, ratios[found - 1], ratios[found + 1], signs, accuracy, progress)
+        x, T = _narrowed(sweep, ratios[found - 1], ratios[found + 1], signs, accuracy)
     if ratios[-1] == 1 and values[-1] > values[-2]:
         x, T, signs = np.append(x, 1.0), np.append(T, values[-1]), np.append(signs, 1)
-    lowest, highest = _named(x, T, signs, ratios[[0, -1]], progress)
+    lowest, highest = _named(x, T, signs, ratios[[0, -1]])
     others = ~(lowest | highest)
     return Extrema(x[lowest], T[lowest], x[highest], T[highest], x[others], T[others])
 
 
-def _named(x, T, signs, ends, progress):
+def _named(x, T, signs, ends):
     """Which of the extrema, whose signs alternate, are resonances, and which anti-resonances."""
     highest, lowest = signs > 0, np.zeros(len(x), bool)
     # around each maximum but the monomer's own, to the minima beside it or the ends of the grid
@@ -197,11 +191,7 @@ def _named(x, T, signs, ends, progress):
         np.linspace(x[tops], edges[tops + 2], LOOKED),
     )
     places = np.concatenate(within)
-    rates = (
-        decay_rate(places.ravel(), DEPTHS, progress=progress).reshape(places.shape)
-        if len(tops)
-        else places
-    )
+    rates = decay_rate(places.ravel(), DEPTHS).reshape(places.shape) if len(tops) else places
     beside = np.stack(
         [np.where(tops > 0, rates[0], np.inf), np.where(tops < len(x) - 1, rates[-1], np.inf)]
     )
@@ -214,7 +204,7 @@ def _named(x, T, signs, ends, progress):
     return lowest, highest
 
 
-def _narrowed(sweep, low, high, signs, accuracy, progress):
+def _narrowed(sweep, low, high, signs, accuracy):
     """Extrema within brackets, and the transmission there.
 
     Each bracket is one chunk of lanes, so that its points share a step and the error of the step does not order them.
@@ -222,9 +212,9 @@ def _narrowed(sweep, low, high, signs, accuracy, progress):
     each, fractions = np.arange(len(low)), np.arange(1, LANES + 1) / (LANES + 1)
     while True:
         points = low[:, None] + (high - low)[:, None] * fractions
-        forces = _wall_forces(points.ravel(), sweep.beads, sweep.run_time, progress).reshape(
-            points.shape
-        )
+        forces = peak_forces(
+            points.ravel(), sweep.beads, "fixed", (sweep.beads,), sweep.run_time
+        ).reshape(points.shape)
         best = np.argmax(signs[:, None] * forces, axis=1)
         points = np.concatenate([low[:, None], points, high[:, None]], axis=1)
         low, middle, high = points[each, best], points[each, best + 1], points[each, best + 2]

@@ -44,7 +44,6 @@ def peak_forces(
     boundary: str,
     bonds: tuple[int, ...],
     t1: Scalar,
-    progress: bool = False,
 ) -> Float[np.ndarray, "bonds n"]:
     """Largest forces of some bonds until t1, shape (bonds, n); NaN for a run that did not complete.
 
@@ -53,7 +52,7 @@ def peak_forces(
     times = np.full(len(ratios), float(t1))
     struck = _struck(int(beads), boundary, tuple(bonds))
     points = paired({"ratio": ratios, "t1": times})
-    return sweep(struck, points, chunk=LANES, progress=progress)["force"].values.T
+    return sweep(struck, points, chunk=LANES)["force"].values.T
 
 
 @cache

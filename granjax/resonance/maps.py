@@ -86,7 +86,6 @@ def resonance_map(
     *,
     cells: tuple[int, int] = (8, 20),
     names: tuple[str, str] | None = None,
-    progress: bool = False,
 ) -> ResonanceMap:
     r"""Decay rate of the leading pulse in chains of one kind of cell, over two parameters of the cell.
 
@@ -104,7 +103,6 @@ def resonance_map(
       behind them, with largest mass 1.
     - `first` (p,), `second` (q,): values of the parameters, above zero.
     - `cells`: (a, b), a < b; further down the chain is closer to the limit. `names`: of the parameters of a function.
-    - `progress`: a progress bar.
 
     Fixed steps with h omega_max = 1/2, eight chains at a time, on every core: rates are good to about 4e-6.
 
@@ -142,7 +140,7 @@ def resonance_map(
             "kind", "cells of one size", "cells of several", "Their sizes are that of the program."
         )
     masses, stiffness = (np.array(x) for x in zip(*made))
-    forces = _forces(masses, stiffness, (a, b), progress)
+    forces = _forces(masses, stiffness, (a, b))
     shape = len(first), len(second)
     rate = -np.log(forces[1] / forces[0]) / (b - a)
     told = kind if isinstance(kind, str) else getattr(kind, "__name__", "a cell of one's own")
@@ -174,7 +172,7 @@ def _cell(make, p, q):
     return masses, stiffness
 
 
-def _forces(masses, stiffness, cells, progress):
+def _forces(masses, stiffness, cells):
     """Largest forces (2, n) of the first contacts of two cells, for n cells (n, P): a sweep, NaN where a run failed."""
     P = masses.shape[1]
     beads = (cells[1] + 1) * P + MARGIN
@@ -185,9 +183,7 @@ def _forces(masses, stiffness, cells, progress):
         f"stiffness_{i}": x for i, x in enumerate(stiffness.T)
     }
     points = paired(lanes | {"until": np.full(len(masses), until)})
-    found = sweep(
-        _pulse(P, beads, P * cells[0], P * cells[1]), points, chunk=LANES, progress=progress
-    )
+    found = sweep(_pulse(P, beads, P * cells[0], P * cells[1]), points, chunk=LANES)
     return found["forces"].values.T
 
 

@@ -12,18 +12,16 @@ import numpy as np
 from ..checks import (
     concrete,
     described,
-    parameter,
     per_lane,
     positive,
     refuse,
-    show,
     within,
 )
 from ..lattice import Lattice, State
 from ..profiles import medium_of, one_given, wave_of
 from ..programs import by_rows
 from ..types import Parameter, Scalar
-from .places import chain_only, column, crest, numbers, state_of
+from .places import chain_only, column, crest, inside, numbers, state_of
 
 UNIFORM = 1e-6
 
@@ -116,15 +114,7 @@ def solitary_wave(
     """
     sites = chain_only(lattice, "solitary_wave")
     one_given(speed=speed, amplitude=amplitude, energy=energy)
-    centre = parameter("centre", (sites - 2) / 2 if centre is None else centre)
-    value = concrete(centre)
-    if value is not None and (value.shape or not 0 <= value <= sites - 2):
-        refuse(
-            "centre",
-            f"a number within 0 ... {sites - 2}",
-            show(value),
-            "Contacts are counted from 0.",
-        )
+    centre = inside("centre", (sites - 2) / 2 if centre is None else centre, sites - 1)
     shape = wave_of(medium_of(lattice), speed, amplitude, energy, side).shape
     xi = jnp.arange(sites) - centre
     return state_of(lattice, shape.at("displacement", xi), shape.at("velocity", xi))
