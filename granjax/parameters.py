@@ -44,7 +44,7 @@ class Coordinates(eqx.Module):
             one_of("bounds", name, tuple(start))
         # by way of NumPy, which has no weak types: each would be another program
         self.start = {
-            name: jnp.asarray(np.asarray(parameter(name, x))) for name, x in start.items()
+            name: jax.device_put(np.asarray(parameter(name, x))) for name, x in start.items()
         }
         self.order = tuple(start)
         both = {name: _interval(name, x, bounds.get(name)) for name, x in self.start.items()}
@@ -52,7 +52,8 @@ class Coordinates(eqx.Module):
         self.high = {name: high for name, (_, high) in both.items()}
         # one scale for an array: an entry that is zero may move as far as its neighbours
         self.scale = {
-            name: jnp.asarray(np.abs(x).max() or 1.0, x.dtype) for name, x in self.start.items()
+            name: jax.device_put(np.asarray(np.abs(x).max() or 1.0, x.dtype))
+            for name, x in self.start.items()
         }
 
     @property

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.layout import Layout, with_layout_constraint
 
+from .checks import traced
 from .types import Pytree
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
@@ -141,6 +142,23 @@ def joined(static: tuple, arrays: list) -> Pytree:
 def _joined(static, arrays):
     treedef, rest = static
     return jax.tree.unflatten(treedef, [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest])
+
+
+def is_untraced() -> bool:
+    """Whether nothing at all is traced here, whatever the arguments are."""
+    return not isinstance(jax.device_put(0.0), jax.core.Tracer)
+
+
+def concretely(function: Callable, *arguments: Any) -> Any:
+    """The result of a compiled function of known arguments, as NumPy arrays, in a program that is traced too.
+
+    There it is computed one operation at a time, each of which compiles.
+    """
+    result = function(*arguments)
+    if traced(result):
+        with jax.ensure_compile_time_eval():
+            result = function(*arguments)
+    return jax.tree.map(np.asarray, result)
 
 
 def shared_size(n: int) -> int:

@@ -68,7 +68,7 @@ def _checked_array(name, x, shape, dtype):
         count = value.size - np.count_nonzero(np.isfinite(value))
         if count:
             refuse(name, "finite numbers", f"{count} that are not", "Look for NaN or infinity.")
-    return x if isinstance(x, jax.Array) else jnp.asarray(x)
+    return x if isinstance(x, jax.Array) else jax.device_put(x)
 
 
 def checked_times(t0: Any, t1: Any) -> tuple:
@@ -144,7 +144,7 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> t
             if value[0] < t0 - slack or value[-1] > t1 + slack:
                 refuse("save_at", f"times within [{t0}, {t1}]", f"{value[0]} ... {value[-1]}")
             value = np.clip(value, t0, t1)
-            return jnp.asarray(value), _intervals(value, t0, t1), False
+            return value, _intervals(value, t0, t1), False
     return jnp.asarray(ts), 1, False
 
 

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, traced
+from ..checks import refuse
 from ..lattice import Lattice
-from ..programs import compiled, wait
+from ..programs import compiled, is_untraced, wait
 from ..types import Scalar, StateLike
 from .control import rounding_unit
 from .dispatch import facts
@@ -46,7 +46,7 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     """
     about = facts(lattice)
     if plan.tolerance is not None and about.lanes:
-        return (_lane_by_lane if _is_untraced() else integrate)(lattice, state, t0, t1, plan)
+        return (_lane_by_lane if is_untraced() else integrate)(lattice, state, t0, t1, plan)
     forward = plan.has_pieces and plan.openings != CUBICS
     takes, ends, budget = seconds_a_step(lattice, plan.solver, TAKES), [], None
     span = float(t1) - float(t0)
@@ -62,7 +62,7 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         long = not forward or about.known.get(pace, math.inf) * span > SHORT
         budget = 1 << int(LONG / takes).bit_length() if forward else None
     # in a program that somebody else traces, constants too become its values
-    if (long or budget) and not _is_untraced():
+    if (long or budget) and not is_untraced():
         return integrate(lattice, state, t0, t1, plan)
     if not ends:
         least = steps * seconds_a_step(lattice, plan.solver) if plan.tolerance is None else 0
@@ -87,11 +87,6 @@ def _steps(count, dtype):
     """Steps in a run that is `count` of them long, as well as the type knows it."""
     known = max(4 * rounding_unit(dtype), 1e-12) * count
     return round(count) if abs(count - round(count)) <= known else math.ceil(count)
-
-
-def _is_untraced():
-    """Whether nothing at all is traced here, whatever the arguments are."""
-    return not traced(jax.device_put(0.0))
 
 
 def _number(x):

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import concrete, refuse, show, traced
 from ..lattice import Lattice, acceleration_only, split_system
-from ..programs import once
+from ..programs import concretely, once
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
 from ..terms.waveforms import count_breaks
@@ -235,16 +235,14 @@ def reachable(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> tup
 
 
 @once
-def linear_bound(lattice: Lattice) -> Any:
-    """A bound on the linear frequencies, quickly found and kept; `None` where it is traced."""
-    # of a lattice that is known, it is known in a program that somebody else traces, too
-    with jax.ensure_compile_time_eval():
-        return concrete(linear_frequency(lattice, 0))
+def linear_bound(lattice: Lattice) -> float:
+    """A bound on the linear frequencies of a lattice that is known, quickly found and kept."""
+    return float(concretely(linear_frequency, lattice, 0))
 
 
 def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
     omega = linear_bound(lattice)
-    if omega is None or 0 < step * omega <= limit:
+    if 0 < step * omega <= limit:
         return
     what = "the highest linear frequency"
     if omega > 0:

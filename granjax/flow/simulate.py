@@ -19,7 +19,7 @@ from .integrate import integrate, unseen
 from .lanes import apart
 from .march import march, refuse_endless
 from .meeting import meeting, passing
-from .memory import with_memory
+from .memory import refuse_with_memory, with_memory
 from .method import Steps, checked_method, fixed_step, linear_bound, number, passed, refuse_far
 from .plan import CUBICS, DENSE, ENDS, Plan
 from .record import Record
@@ -117,26 +117,6 @@ def simulate(
     -0.0711
     """
     about = facts(lattice)
-    if confirm and (about.remembers or isinstance(adjoint, Reversible)):
-        without = "forces that read the past" if about.remembers else "Reversible"
-        remedy = "Compare runs by two steps yourself."
-        refuse("confirm", f"False with {without}", "True", remedy)
-    if about.remembers:
-        return with_memory(
-            lattice,
-            state,
-            t0,
-            t1,
-            solver=solver,
-            step=step,
-            tolerance=tolerance,
-            save_at=save_at,
-            record=record,
-            adjoint=adjoint,
-            progress=progress,
-            throw=throw,
-            max_steps=max_steps,
-        )
 
     # what is given
     state = checked_state(lattice, state)
@@ -145,7 +125,16 @@ def simulate(
     if throw and unknown:
         remedy = "What becomes of a traced run is not known yet."
         refuse("throw", "None or False under a transformation", "True", remedy)
+    if confirm and (about.remembers or isinstance(adjoint, Reversible)):
+        without = "forces that read the past" if about.remembers else "Reversible"
+        remedy = "Compare runs by two steps yourself."
+        refuse("confirm", f"False with {without}", "True", remedy)
     save_ts, frames, every = checked_save_at(save_at, t0, t1, state)
+    if about.remembers:
+        refuse_with_memory(lattice, solver, record, adjoint, every)
+        return with_memory(
+            lattice, state, t0, t1, save_ts, step, tolerance, max_steps, progress, throw
+        )
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     if every and tolerance is not None and about.lanes:
         remedy = "Give times, or step= for steps that lanes share."
@@ -251,8 +240,7 @@ def _adaptive(tolerance, longest):
 def _zone(lattice, plan, step, unknown):
     """From which margin on a contact is known to have stayed closed between the ends of steps."""
     if plan.tolerance is None and step is not None and not unknown:
-        omega = linear_bound(lattice)
-        if omega is not None and plan.step * omega > COARSE:
+        if plan.step * linear_bound(lattice) > COARSE:
             return math.inf
     if plan.tolerance is not None or step is not None:
         return FAR

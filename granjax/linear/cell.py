@@ -11,6 +11,7 @@ import numpy as np
 from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
 from ..printing import told
+from ..programs import concretely
 from ..results import Held
 from ..terms.chain import span
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
@@ -24,7 +25,6 @@ from .stiffness import (
     offsets,
     refuse_one_way,
     sampled,
-    settled,
     sizes,
     stand_in,
     stiffness_product,
@@ -167,7 +167,7 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
     w = random.uniform(-1, 1, sites + (components(plain),)).astype(plain.dtype)
     ts = np.asarray(ts, plain.dtype)
     while True:
-        found, pulled, mass = settled(sampled, plain, tuple(reach), ts, w, damped)
+        found, pulled, mass = concretely(sampled, plain, tuple(reach), ts, w, damped)
         if missed(found, pulled, w, reach) <= LOOSE * np.finfo(plain.dtype).eps:
             break
         further = [min(2 * r, (n - 1) // 2) for n, r in zip(sites, reach)]

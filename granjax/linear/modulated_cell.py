@@ -10,6 +10,7 @@ import numpy as np
 from ..checks import refuse, traced
 from ..flow.breaks import shared_out
 from ..lattice import Lattice
+from ..programs import concretely
 from ..terms.tracing import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
@@ -17,7 +18,6 @@ from .stiffness import (
     damping_product,
     grid,
     sampled,
-    settled,
     sizes,
     undriven,
 )
@@ -117,7 +117,7 @@ def _missed(known: Blocks, ts, period):
     off = np.zeros(2)
     for count in LATER:
         moved = np.asarray(ts, lattice.dtype) + np.asarray(count * period, lattice.dtype)
-        later = settled(sampled, lattice, known.reach, moved, known.w, True)[0]
+        later = concretely(sampled, lattice, known.reach, moved, known.w, True)[0]
         off = np.maximum(off, np.abs(later - found).max(tuple(range(found.ndim - 1))) / count)
     wrong = off > MISSED * change + 1e3 * eps * size
     if wrong.any():
@@ -145,7 +145,7 @@ def _repeating(lattice):
 def _late(lattice, period, eps):
     """The time by which jumps that repeat miss the period; refused where that is more than rounding makes."""
     late = 0.0
-    for own in (float(x) for some in settled(_repeating, lattice) for x in np.ravel(some)):
+    for own in (float(x) for some in concretely(_repeating, lattice) for x in np.ravel(some)):
         turns = period / own
         off = abs(turns - round(turns))
         if off > MISSED or turns < 0.5:

@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
 from ..lattice.model import refuse_memory
+from ..programs import concretely
 from ..terms import walls
 from ..terms.tracing import reads, time_of, used
 from ..types import AnyArray, Displacements, Number, Numbers
@@ -83,7 +84,7 @@ def _refuse_turning(lattice):
             continue
         alone = eqx.tree_at(lambda x: x.terms, plain, (term,))
         times = np.asarray(GENERIC if read.time else [0.0], plain.dtype)
-        if max(settled(_turning, alone, t) for t in times) > 1e3 * np.finfo(plain.dtype).eps:
+        if max(concretely(_turning, alone, t) for t in times) > 1e3 * np.finfo(plain.dtype).eps:
             refuse(
                 f"terms[{i}] ({type(term).__name__})",
                 "a force that damps or does not read the velocity",
@@ -278,15 +279,6 @@ def in_groups(function: Callable, points: Any, count: int) -> Any:
     padded = np.zeros((groups, count, axes), points.dtype)
     padded.reshape(-1, axes)[: len(points)] = points
     return np.concatenate([function(x) for x in padded])[: len(points)]
-
-
-def settled(function: Callable, *arguments: Any) -> Any:
-    """The result of concrete arguments as NumPy arrays, inside `jit` too."""
-    result = function(*arguments)
-    if traced(result):
-        with jax.ensure_compile_time_eval():
-            result = function(*arguments)
-    return jax.tree.map(np.asarray, result)
 
 
 def sizes(found: Any) -> Any:

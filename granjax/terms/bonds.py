@@ -10,6 +10,7 @@ import numpy as np
 
 from ..checks import plain_zero
 from ..laws import Law, Linear, Scaled
+from ..programs import concretely
 from ..strains import StrainMap
 from ..types import Displacements, Number, Numbers, Parameter, Waveform
 from ..units import PART, Signal
@@ -28,13 +29,10 @@ class Joined(Term):
 
     def resists(self, lattice, moves):
         strain_map = jax.tree.map(stand_in, self.strain_map)
-        with jax.ensure_compile_time_eval():
-            answers = np.stack([np.ravel(_strain(strain_map, move)) for move in moves], -1)
-            random = np.random.default_rng(0)
-            other = jax.tree.map(
-                lambda x: random.uniform(0.5, 1.5, x.shape).astype(x.dtype), moves[0]
-            )
-            size = np.max(np.abs(_strain(strain_map, other)), initial=0.0)
+        answers = np.stack([np.ravel(concretely(_strain, strain_map, move)) for move in moves], -1)
+        random = np.random.default_rng(0)
+        other = jax.tree.map(lambda x: random.uniform(0.5, 1.5, x.shape).astype(x.dtype), moves[0])
+        size = np.max(np.abs(concretely(_strain, strain_map, other)), initial=0.0)
         return np.where(np.abs(answers) > RESISTS * size, answers, 0)
 
 

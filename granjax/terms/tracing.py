@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ..checks import traced as is_traced
+from ..programs import concretely
 from ..types import Displacements, Number, Pytree
 
 SCALES = 10.0 ** np.arange(-12, 4)
@@ -128,10 +129,8 @@ def answers_to(moves: list, term: Any, mass: Displacements | Number, template: P
         jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template)
         for _ in range(2)
     )
-    with jax.ensure_compile_time_eval():
-        return np.stack(
-            [_answers(moves, term, mass, where, other, jnp.asarray(scale)) for scale in SCALES]
-        )
+    fixed = moves, term, mass, where, other
+    return np.stack([concretely(_answers, *fixed, np.asarray(scale)) for scale in SCALES])
 
 
 @eqx.filter_jit

@@ -15,7 +15,7 @@ from ...terms.tracing import reads
 from ...types import Scalar, StateLike
 from ..control import least_tolerance, refuse_unresolved
 from ..dispatch import facts
-from ..inputs import checked_save_at, checked_size, checked_state, checked_times, held_frames
+from ..inputs import checked_size, held_frames
 from ..meeting import passing
 from ..method import number, refuse_far
 from ..run import COMPLETED, FILLED, Run
@@ -27,53 +27,22 @@ from .run import RunWithMemory
 TOLERANCE = 1e-11
 
 
-def with_memory(
-    lattice: Lattice,
-    state: StateLike,
-    t0: Scalar,
-    t1: Scalar,
-    *,
-    solver: Any,
-    step: Any,
-    tolerance: Any,
-    save_at: Any,
-    record: Any,
-    adjoint: Any,
-    progress: bool,
-    throw: bool | None,
-    max_steps: Any,
-) -> Run:
-    """The run of `simulate` where forces read the past, with those of its keywords that such runs have."""
-    state, (t0, t1) = checked_state(lattice, state), checked_times(t0, t1)
+def refuse_with_memory(
+    lattice: Lattice, solver: Any, record: Any, adjoint: Any, every: bool
+) -> None:
+    """Refuse keywords of `simulate` that runs do not have whose forces read the past, and terms that nothing solves."""
+    whose = "for a lattice whose forces read the past"
     remedy = "Terms that remember are carried by a solver of their own; save_at= keeps what happens on the way."
     if solver is not None:
-        refuse(
-            "solver", "None for a lattice whose forces read the past", type(solver).__name__, remedy
-        )
+        refuse("solver", f"None {whose}", type(solver).__name__, remedy)
     if record:
-        refuse("record", "None for a lattice whose forces read the past", "records", remedy)
+        refuse("record", f"None {whose}", "records", remedy)
     if adjoint is not None and not isinstance(adjoint, diffrax.ForwardMode):
-        refuse(
-            "adjoint",
-            "None or diffrax.ForwardMode(), as such a run has forward derivatives (jax.jvp, jax.jacfwd)",
-            type(adjoint).__name__,
-        )
-    unknown = facts(lattice).traced or traced((state, t0, t1, step, tolerance, save_at))
-    if throw and unknown:
-        refuse(
-            "throw",
-            "None or False under a transformation",
-            "True",
-            "What becomes of a traced run is not known yet.",
-        )
-    save_ts, _, every = checked_save_at(save_at, t0, t1, state)
+        modes = "as such a run has forward derivatives (jax.jvp, jax.jacfwd)"
+        refuse("adjoint", f"None or diffrax.ForwardMode(), {modes}", type(adjoint).__name__)
     if every:
-        refuse(
-            "save_at",
-            "times or a number of them, for a lattice whose forces read the past",
-            "'steps'",
-        )
-    fractional = any(isinstance(term, CaputoDamping) for term in lattice.terms)
+        refuse("save_at", f"times or a number of them, {whose}", "'steps'")
+    fractional = _is_fractional(lattice)
     for i, term in enumerate(lattice.terms):
         if fractional:
             solved = isinstance(term, CaputoDamping)
@@ -86,7 +55,26 @@ def with_memory(
                 "one that has none",
                 "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.",
             )
-    if fractional:
+
+
+def _is_fractional(lattice):
+    return any(isinstance(term, CaputoDamping) for term in lattice.terms)
+
+
+def with_memory(
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    save_ts: Any,
+    step: Any,
+    tolerance: Any,
+    max_steps: Any,
+    progress: bool,
+    throw: bool | None,
+) -> Run:
+    """The run of `simulate` where forces read the past, its state and its times checked."""
+    if _is_fractional(lattice):
         return _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw)
     dtype, step = facts(lattice).dtype, checked_size("step", step)
     refuse_far(lattice, state, t0, t1)
