@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 import granjax as gx
 from granjax import travelling
 from granjax.travelling.cells import wave as solving
+from granjax.travelling.cells.cell import chain_of
 
 TODA = gx.Toda(1.0, 1.0)
 # zeros of the decay rate of a struck chain's pulse, contacts 200 -> 600: good to 3e-6
@@ -161,7 +162,7 @@ def test_a_nanopteron_runs_on_unchanged_and_its_ripple_grows_with_contrast():
 @pytest.mark.study
 def test_no_box_has_a_smaller_ripple():
     law = gx.Hertz(1.0, 1.0)
-    lattice = solving.chain_of(law, [1.0, 0.75], 1.1 * np.sqrt(3 / 1.75)).chain
+    lattice = chain_of(law, [1.0, 0.75], 1.1 * np.sqrt(3 / 1.75))
     found = solving.on_a_box(lattice)
     smallest, period = abs(found.tail.amplitude), np.pi / found.ripple.wavenumber
     for part in (-0.3, -0.1, 0.1, 0.3, 1.0, 2.0):

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import bisect
 
 from ..checks import one_of, refuse
 from ..laws import Law
@@ -11,7 +12,6 @@ from .medium import values
 
 # binary orders of magnitude of the strain that are looked through, strains in each; rounding of 2 W/e^2
 ORDERS, EACH, ROUNDING = 200, 4, 1e-10
-HALVINGS = 60
 # tops that are looked at: rounding makes many of a law that is linear somewhere
 MOST = 4
 SIDES = {"compression": 1, "tension": -1}
@@ -77,14 +77,8 @@ def reached(law: Law, found: Bounds, level: float) -> float | None:
     if not above.any() or above[0]:
         return None
     i = int(np.argmax(above))
-    low, high = found.strains[i - 1], found.strains[i]
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        if twice_energy(law, np.array([middle]))[0] >= level:
-            high = middle
-        else:
-            low = middle
-    return high if np.isfinite(twice_energy(law, np.array([high]))[0]) else low
+    over = lambda e: twice_energy(law, np.array([e]))[0] - level
+    return bisect(over, *found.strains[i - 1 : i + 1], xtol=1e-300, rtol=1e-15)
 
 
 def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:

@@ -10,61 +10,71 @@ are equal, and the mean strain is the mean force (over 1 + nu), which says that 
 at zero, of a wave that repeats with the box.
 """
 
+import copy
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+
+from ..laws import Law
+from .medium import values
 
 # unknowns of a box: Newton's matrix of twice as many takes seconds
 MOST = 3600
 
 
 class Chain(NamedTuple):
-    """A cell in its own units: lengths in sites, masses of mean 1, forces over M c^2.
+    """A cell and a speed: the law of each bond, of single numbers, masses (P,) over their mean M, and M c^2.
 
-    `masses` (P,); `force`, `slope`: (P, X) to (P, X), elementwise along X; `K2` (P,); `resonator`: (nu, kappa) or
-    `None`; `mirror`: s where m_j = m_{s-j} and F_j = F_{s-1-j}, `None` where the cell has no such centre.
+    `given` (P,): the masses in their own unit. `stiffness` (P,): of the bonds at rest. `resonator`: its mass over M and
+    its stiffness, or `None`. `mirror`: s where m_j = m_{s-j} and F_j = F_{s-1-j}, `None` where there is no such centre.
     """
 
+    laws: tuple[Law, ...]
     masses: np.ndarray
-    force: Callable
-    slope: Callable
-    K2: np.ndarray
+    given: np.ndarray
+    unit: float
+    stiffness: np.ndarray
     resonator: tuple[float, float] | None
     mirror: int | None
 
+    @property
+    def K2(self) -> np.ndarray:
+        """The stiffness of the bonds at rest (P,) over M c^2."""
+        return self.stiffness / self.unit
 
-def faster(chain: Chain, factor: float) -> Chain:
-    """The same chain for a wave that many times as fast."""
-    square = factor**2
-    own = None if chain.resonator is None else (chain.resonator[0], chain.resonator[1] / square)
-    return chain._replace(
-        force=lambda e: chain.force(e) / square,
-        slope=lambda e: chain.slope(e) / square,
-        K2=chain.K2 / square,
-        resonator=own,
-    )
+    @property
+    def total(self) -> float:
+        """The mean mass over M of a site with its resonator."""
+        return self.masses.mean() + (self.resonator[0] if self.resonator else 0.0)
 
+    def faster(self, factor: float) -> "Chain":
+        """The same chain for a wave that many times as fast."""
+        return self._replace(unit=self.unit * factor**2)
 
-def heaviness(chain, k):
-    """Masses at each wave number (P, K), with what the resonators add."""
-    masses = chain.masses[:, None] + 0 * k
-    if chain.resonator is None:
-        return masses
-    nu, kappa = chain.resonator
-    return masses + nu * kappa / (kappa - nu * k**2)
+    def bonds(self, e: np.ndarray) -> np.ndarray:
+        """Forces, slopes and energies of the bonds at compressions (P, X), over M c^2: (3, P, X)."""
+        found = [values(law, row) for law, row in zip(self.laws, e)]
+        return np.swapaxes(found, 0, 1) / self.unit
 
+    def inertia(self, k: np.ndarray) -> np.ndarray:
+        """Masses at each wave number (P, K), with what the resonators add."""
+        masses = self.masses[:, None] + 0 * k
+        if self.resonator is None:
+            return masses
+        nu, kappa = self.resonator[0], self.resonator[1] / self.unit
+        return masses + nu * kappa / (kappa - nu * k**2)
 
-def response(chain, k):
-    """B(k), shape (P, P, K)."""
-    light, P = 1 / heaviness(chain, k), len(chain.masses)
-    B, turn = np.zeros((P, P, len(k)), complex), np.exp(1j * k)
-    for j in range(P):
-        after = (j + 1) % P
-        B[j, j] += light[j] + light[after]
-        B[j, j - 1] -= light[j] / turn
-        B[j, after] -= light[after] * turn
-    return B
+    def response(self, k: np.ndarray) -> np.ndarray:
+        """B(k), shape (P, P, K)."""
+        light, P = 1 / self.inertia(k), len(self.masses)
+        B, turn = np.zeros((P, P, len(k)), complex), np.exp(1j * k)
+        for j in range(P):
+            after = (j + 1) % P
+            B[j, j] += light[j] + light[after]
+            B[j, j - 1] -= light[j] / turn
+            B[j, after] -= light[after] * turn
+        return B
 
 
 class Box:
@@ -100,24 +110,18 @@ class Box:
     def _maps(self):
         """Matrices of the strains' and the forces' parts of the residual, rows of the unknowns."""
         P, N = self.shape
-        square = np.where(self.k == 0, 1, self.k**2)
         # the highest wave number of an even grid is its own negative
-        B = response(self.chain, self.k) / square
+        B = self.chain.response(self.k) / np.where(self.k == 0, 1, self.k**2)
         B[:, :, N // 2] = B[:, :, N // 2].real
+        # the mean strains differ by nothing that the forces make
+        means = 1 / P - np.eye(P)
+        B[:, :, 0] = self.at_rest / self.chain.total / P + means
         bond, at = np.divmod(self.first, N)
-        total = heaviness(self.chain, np.zeros(1)).mean()
-        force = np.empty((len(self.first), P, N))
-        strain = np.zeros_like(force)
         lag = (at[:, None] - np.arange(N)) % N
-        for i in range(P):
-            rows = np.flatnonzero(bond == i)
-            for j in range(P):
-                B[i, j, 0] = (self.at_rest / total + 1) / P - (i == j)
-                force[rows, j] = np.fft.ifft(B[i, j]).real[lag[rows]]
-                strain[rows, j] = (1 / P - (i == j)) / N
-            strain[rows, i, at[rows]] += 1
-        flat = len(self.first), P * N
-        return self.gathered(strain.reshape(flat)), force.reshape(flat)
+        turned = np.fft.ifft(B).real
+        force = np.concatenate([turned[bond[:, None], j, lag] for j in range(P)], 1)
+        strain = np.eye(P * N)[self.first] + np.repeat(means[bond] / N, N, 1)
+        return self.gathered(strain), force
 
     def gathered(self, rows):
         """Rows that act on the strains (..., P N) as rows that act on the unknowns."""
@@ -130,12 +134,17 @@ class Box:
     def strains(self, z):
         return z[self.place].reshape(self.shape)
 
-    def residual(self, z):
-        return self.of_strain @ z - self.of_force @ self.chain.force(self.strains(z)).ravel()
+    def equations(self, z):
+        """What the equations leave, and their matrix."""
+        force, slope, _ = self.chain.bonds(self.strains(z))
+        gap = self.of_strain @ z - self.of_force @ force.ravel()
+        return gap, self.of_strain - self.gathered(self.of_force * slope.ravel())
 
-    def linearised(self, z):
-        slope = self.chain.slope(self.strains(z)).ravel()
-        return self.of_strain - self.gathered(self.of_force * slope)
+    def of_level(self, unit: float) -> "Box":
+        """The same box of a wave with another M c^2, of a chain without resonators."""
+        other = copy.copy(self)
+        other.chain = self.chain._replace(unit=unit)
+        return other
 
 
 def fourier(phi, half, x):
@@ -166,15 +175,14 @@ def newton(box: Box, phi: np.ndarray, tolerance: float = 1e-12, most: int = 14) 
     """
     start = box.unknowns(phi)
     if box.chain.mirror is not None:
-        return _descended(
-            box, lambda z, _: (box.residual(z), box.linearised(z)), start, np.nan, tolerance, most
-        )
+        return _descended(box, lambda z, _: box.equations(z), start, np.nan, tolerance, most)
     across = np.fft.ifft(1j * box.k * np.fft.fft(phi, axis=1), axis=1).real.ravel()
     across = across / np.linalg.norm(across)
 
     def held(z, push):
-        gap = np.append(box.residual(z) + push * across, across @ (z - start))
-        return gap, _bordered(box.linearised(z), across, across)
+        gap, matrix = box.equations(z)
+        gap = np.append(gap + push * across, across @ (z - start))
+        return gap, _bordered(matrix, across, across)
 
     return _descended(box, held, start, 0.0, tolerance, most)
 
@@ -198,9 +206,9 @@ def newton_with(
         box = box_of(p)
         # the change of the residual with p needs no more digits than make the step good
         shift, at = 1e-6 * max(abs(p), reach), box.gathered(row(box))
-        gap = box.residual(z)
-        along = (box_of(p + shift).residual(z) - gap) / shift
-        return np.append(gap, at @ z - target), _bordered(box.linearised(z), along, at)
+        gap, matrix = box.equations(z)
+        along = (box_of(p + shift).equations(z)[0] - gap) / shift
+        return np.append(gap, at @ z - target), _bordered(matrix, along, at)
 
     box = box_of(parameter)
     return _descended(box, laid, box.unknowns(phi), parameter, tolerance, most, reach)

@@ -44,8 +44,6 @@ def _powers():
 
 _POWERS = _powers()
 _T, _W = np.polynomial.legendre.leggauss(12)
-# ln z/(1 - z) where a first front ends, and places between
-LOGIT, FINE = 12.0, 2001
 # places of the smallest table; others have 4^k times that
 TABLE = 4096
 
@@ -179,6 +177,11 @@ class Trial(NamedTuple):
         """The larger rate of the two tails."""
         return max(abs(self.behind), self.ahead)
 
+    def first(self, x: np.ndarray) -> np.ndarray:
+        """A front that falls as its tails do."""
+        rate = np.where(x < 0, self.behind.real, self.ahead)
+        return 1 / (1 + np.exp(np.minimum(rate * x, 700.0)))
+
     def layout(self, apart: float) -> tuple[int, int]:
         """How many places so far apart there are, and which one is the centre."""
         centre, after = (
@@ -188,29 +191,16 @@ class Trial(NamedTuple):
         return centre + after + 1, centre
 
 
-def broad(force: Callable, zeta: float) -> Callable:
-    """The front where the damping rules: zeta z' = f(z) - z."""
-    logit = np.linspace(-LOGIT, LOGIT, FINE)
-    z = 1 / (1 + np.exp(logit))
-    rate = zeta * z * (1 - z) / (z - force(z)[0])
-    x = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2) * (logit[1] - logit[0]))
-    x = x - np.interp(0.0, logit, x)
-    far = np.array([-25.0, 25.0])
-    ends = x[[0, -1]] + rate[[0, -1]] * (far - logit[[0, -1]])
-    z, x = np.concatenate([[1.0], z, [0.0]]), np.concatenate([ends[:1], x, ends[1:]])
-    return lambda y: np.interp(y, x, z, left=1.0, right=0.0)
-
-
 def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tuple[Callable, float]:
-    """A coarse front of one damping, from the broad one of a larger damping down; and the residual.
+    """A coarse front of one damping, from that of a larger damping down; and the residual.
 
     `trial(zeta)` gives a `Trial`.
     """
     now, change = max(zeta, start), CHANGE
     apart = trial(zeta).spacing()
+    shape, last = trial(now).first, None
     if 4 * trial(zeta).layout(apart)[0] > PLACES:
-        return broad(force, now), np.inf
-    shape, last = broad(force, now), None
+        return shape, np.inf
     while True:
         count, centre = trial(now).layout(apart)
         if count > PLACES:

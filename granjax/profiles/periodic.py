@@ -1,14 +1,14 @@
 """Periodic waves: Newton's method on the Fourier form in a box of one wavelength."""
 
-import copy
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..laws import Law
-from .fourier import Box, Chain, Solved, faster, fourier, newton, newton_with
+from ..laws import Law, Strained
+from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
 from .shape import Shape
 
@@ -81,36 +81,26 @@ class _Family(NamedTuple):
     law: Law
     mean: float
     wavelength: float
+    stiffness: float
     small: float
 
     def box(self, points: int) -> Box:
         """With so many points from a crest to the next trough, of waves whose level is 1."""
-        rest = values(self.law, np.array([self.mean]))[0]
-
-        def force(e):
-            return values(self.law, self.mean + e)[0] - rest
-
-        def slope(e):
-            return values(self.law, self.mean + e)[1]
-
-        chain = Chain(np.ones(1), force, slope, slope(np.zeros(1)), None, 0)
+        laws, one = (Strained(self.law, jnp.asarray(self.mean)),), np.ones(1)
+        chain = Chain(laws, one, one, 1.0, np.array([self.stiffness]), None, 0)
         return Box(chain, self.wavelength / 2, 2 * points, at_rest=False)
 
     def solved(
         self, box: Box, phi: np.ndarray, level: float, amplitude: float | None
     ) -> tuple[Solved, float]:
         """The wave near a guess, and its level: that one, or what goes with half of crest less trough."""
-
-        def at(level):
-            own = copy.copy(box)
-            own.chain = faster(box.chain, np.sqrt(level))
-            return own
-
         if amplitude is None:
-            return newton(at(level), phi, 1e-15, STEPS), level
+            return newton(box.of_level(level), phi, 1e-15, STEPS), level
         crest = np.zeros(box.points)
         crest[[0, box.points // 2]] = -0.5, 0.5
-        found = newton_with(at, lambda _: crest, phi, level, level / 2, amplitude, 1e-15, STEPS)
+        found = newton_with(
+            box.of_level, lambda _: crest, phi, level, level / 2, amplitude, 1e-15, STEPS
+        )
         return found, found.parameter
 
     def grown(self, box: Box, amplitude: float, before: tuple | None) -> tuple | None:
@@ -120,6 +110,18 @@ class _Family(NamedTuple):
             phi, level = before[0] * (amplitude / before[2]), before[1]
         found, level = self.solved(box, phi, level, amplitude)
         return (found.phi, level, amplitude) if found.residual < FOLLOWED else None
+
+    def growing(self, box: Box, first: float, most: float) -> Iterator[tuple]:
+        """Waves of growing amplitudes up to the most, as far as they are found."""
+        wave, now = None, first
+        for _ in range(MOST):
+            wave = self.grown(box, min(now, most), wave)
+            if wave is None:
+                return
+            yield wave
+            if wave[2] == most:
+                return
+            now *= GROWTH
 
 
 def train(
@@ -142,7 +144,7 @@ def train(
             f"{mean:g}, where its stiffness is {stiffness:g}",
             "Without a precompression the mean strain has to close the contacts.",
         )
-    waves = _Family(law, mean, wavelength, stiffness * np.sinc(1 / wavelength) ** 2)
+    waves = _Family(law, mean, wavelength, stiffness, stiffness * np.sinc(1 / wavelength) ** 2)
     box = waves.box(POINTS[0])
     first = FIRST * _scale(law, mean, stiffness)
     if speed is None:
@@ -191,16 +193,10 @@ def _scale(law, mean, stiffness):
 
 
 def _to_amplitude(waves, box, first, amplitude):
-    now, wave = min(amplitude, first), None
-    for _ in range(MOST):
-        new = waves.grown(box, now, wave)
-        if new is None:
-            break
-        wave = new
-        if now == amplitude:
-            return wave[:2]
-        now = min(amplitude, now * GROWTH)
-    reached = 0.0 if wave is None else wave[2]
+    reached = 0.0
+    for *wave, reached in waves.growing(box, first, amplitude):
+        if reached == amplitude:
+            return wave
     refuse(
         "amplitude",
         f"one that the family reaches, up to about {reached:.3g}",
@@ -209,22 +205,18 @@ def _to_amplitude(waves, box, first, amplitude):
     )
 
 
-def _to_speed(waves, box, now, mass, speed):
-    level, wanted, wave = waves.small, mass * speed**2, None
-    for _ in range(MOST):
-        new = waves.grown(box, now, wave)
-        if new is None:
-            break
-        if (new[1] - wanted) * (level - wanted) <= 0:
+def _to_speed(waves, box, first, mass, speed):
+    wanted, wave, small = mass * speed**2, None, waves.small
+    for new in waves.growing(box, first, np.inf):
+        if (new[1] - wanted) * (small - wanted) <= 0:
             return _between(waves, box, wave, new, wanted)
         if wave is not None and abs(new[1] - wanted) > abs(wave[1] - wanted):
             break
-        wave, now = new, now * GROWTH
-    small, last = np.sqrt(level / mass), np.sqrt((wave or (0, level))[1] / mass)
+        wave = new
+    way = "below" if wave is not None and wave[1] < small else "above"
     refuse(
         "speed",
-        f"one {'above' if last >= small else 'below'} that of small waves of this length, {small:.6g}, "
-        "as far as their family goes",
+        f"one {way} that of small waves of this length, {np.sqrt(small / mass):.6g}, as far as their family goes",
         f"{speed:g}",
         "Amplitudes say which it has: amplitude=...",
     )

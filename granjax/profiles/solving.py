@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.optimize import root_scalar
 
 from ..checks import refuse, traced
 from ..printing import told
@@ -23,7 +24,8 @@ PLACES, ENOUGH, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
 TAIL = 1e-12
 # ln of the strain over its peak where places end: of an exponential tail, and of one that falls faster
 DEEP, DEEPEST = -42.0, -560.0
-SECANTS = 8
+# secants for a peak by its energy, and how near its logarithm is to come
+SECANTS, NEAR = 8, 1e-3
 # slope of ln F per contact times the length of a piece, at first
 STEEP = 2.0
 # units of rounding that an equation is known to
@@ -174,29 +176,28 @@ def _refuse_fast(medium, found, mass, c):
 
 
 def _by_energy(medium, found, E):
-    """By secants on the energy of first shapes over their peaks."""
+    """The wave of a peak whose first shape has about that energy."""
     usable = np.isfinite(found.secant) & (found.secant > found.linear * (1 + 1e-9))
     strains, secant = found.strains[usable], found.secant[usable]
     rate = [decay_rate(s / found.linear) if found.linear else 3.0 for s in secant]
     with np.errstate(over="ignore"):
         crude = 2 * secant * strains**2 * (0.5 + 1 / np.array(rate))
-    logs = np.log(np.abs(strains))
-    at = float(np.interp(np.log(E), np.log(crude), logs))
-    points = []
-    for _ in range(SECANTS):
-        a = found.side * np.exp(at)
+
+    def of_peak(log):
+        a = found.side * np.exp(log)
         level = float(twice_energy(medium.law, np.array([a]))[0])
-        problem = _Problem(medium, a, level, found.linear / level, "energy", E)
-        x, psi, _, settled = _shape(problem)
-        F, _, W = values(medium.law, a * psi)
-        points.append((at, np.log((a * psi * F / 2 + W).sum() * (x[1] - x[0]) / E), problem))
-        if abs(points[-1][1]) < 1e-3:
-            break
-        slope = 2.5
-        if len(points) > 1 and points[-1][0] != points[-2][0]:
-            slope = (points[-1][1] - points[-2][1]) / (points[-1][0] - points[-2][0])
-        at -= np.clip(points[-1][1] / (slope if slope > 0.1 else 2.5), -2, 2)
-    return min(points, key=lambda x: abs(x[1]))[2]
+        return _Problem(medium, a, level, found.linear / level, "energy", E)
+
+    def over(log):
+        problem = of_peak(log)
+        x, psi, *_ = _shape(problem)
+        F, _, W = values(medium.law, problem.unit * psi)
+        return np.log((problem.unit * psi * F / 2 + W).sum() * (x[1] - x[0]) / E)
+
+    start = np.interp(np.log(E), np.log(crude), np.log(np.abs(strains)))
+    with np.errstate(all="ignore"):
+        near = root_scalar(over, x0=start, xtol=NEAR, method="secant", maxiter=SECANTS).root
+    return of_peak(near if np.isfinite(over(near)) else start)
 
 
 def _bell(problem, rate):
@@ -226,18 +227,22 @@ def _shape(problem):
     return x, psi, change, level if problem.held else 1.0
 
 
+def _refuse_unsettled():
+    refuse(
+        "law",
+        "one whose first shape settles",
+        "one whose shape does not",
+        "Try another speed or amplitude.",
+    )
+
+
 def _first(problem):
     """ln of the strain over its unit as a function of place, the level, decay rate, end of the places, exponent."""
     x, psi, change, level = _shape(problem)
     half = len(x) // 2
     x, psi = x[half:], psi[half:]
     if not np.isfinite(psi).all() or not psi[0] > 0:
-        refuse(
-            "law",
-            "one whose first shape settles",
-            "one whose shape does not",
-            "Try another speed or amplitude.",
-        )
+        _refuse_unsettled()
     q = np.log(np.maximum(psi, 1e-300))
     below = q - q[0]
     smooth = CubicSpline(x, q)
@@ -256,12 +261,7 @@ def _first(problem):
     parabola = np.polynomial.Polynomial.fit(x[[i, j, k]], q[[i, j, k]], 2)
     reach = x[k] + np.arange(0, 100 * x[k], 0.1)
     if not parabola.deriv(2)(0) < 0 or not parabola(reach[-1]) < q[0] + DEEPEST:
-        refuse(
-            "law",
-            "one whose first shape settles",
-            "one whose shape does not",
-            "Try another speed or amplitude.",
-        )
+        _refuse_unsettled()
     end = float(reach[np.argmax(parabola(reach) < q[0] + DEEPEST)])
 
     def first(y):
@@ -323,7 +323,8 @@ def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, 
 def _assembled(medium, problem, tent, found, error, numbers):
     """Everything of the wave from the solution, to be differentiated by the implicit function theorem."""
     law, mass = medium.law, medium.mass
-    q, level, unit = jnp.asarray(found.q), jnp.asarray(found.level), problem.unit
+    # put, as a conversion is a program
+    q, level, unit = map(_put, (found.q, found.level, problem.unit))
     if traced((law, mass, numbers)):
         q, level = _implicit(medium, problem, tent, found, numbers)
     square = jnp.exp(level) * problem.level / mass
@@ -334,9 +335,7 @@ def _assembled(medium, problem, tent, found, error, numbers):
     places = tent.places
     rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
     steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
-    shape, energy, compression = _whole(
-        law, mass, speed, jnp.asarray(unit), q, jnp.asarray(places.apart), jnp.asarray(steep)
-    )
+    shape, energy, compression = _whole(law, mass, speed, unit, q, _put(places.apart), _put(steep))
     exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
     if traced((law, mass, numbers)):
         rate, exponent = _tails(law, mass * speed**2, rate, exponent, unit)
@@ -350,6 +349,10 @@ def _assembled(medium, problem, tent, found, error, numbers):
         mass * speed * compression,
         compression,
     )
+
+
+def _put(x):
+    return jax.device_put(np.asarray(x))
 
 
 def _tails(law, level, rate, exponent, unit):

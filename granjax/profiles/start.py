@@ -1,4 +1,4 @@
-"""A first shape of a wave, by iteration of the Fourier form: of one peak, or of one level by Petviashvili's factor."""
+"""A first shape of a wave of one peak, by iteration of the Fourier form."""
 
 from collections.abc import Callable
 
@@ -6,10 +6,6 @@ import numpy as np
 
 # points of the grid, decays in half of the box, most iterations, change at which one ends
 POINTS, DECAYS, ITERATIONS, SETTLED = 1024, 40.0, 400, 1e-5
-# change at which Petviashvili's iteration has gone astray
-ASTRAY = 1e-2
-# the least exponent that a factor is computed for
-LEAST = 1.02
 
 
 def decay_rate(ratio: float) -> float:
@@ -30,47 +26,6 @@ def decay_rate(ratio: float) -> float:
         if abs(step) <= 1e-15 * x:
             break
     return 2 * x
-
-
-@np.errstate(all="ignore")
-def petviashvili(
-    force: Callable,
-    linear: float,
-    half: float,
-    guess: Callable,
-    points: int = POINTS,
-    inertia: Callable | None = None,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """The shape of a wave whose level is 1: psi = tent * f(psi), by the Fourier form.
-
-    (1 - linear sinc^2) psi = sinc^2 N(psi), N = f - linear psi, iterated with the factor S^gamma, gamma = p/(p - 1), p
-    the exponent by which N grows at present. `force(psi)`: f and its slope. `half`: half the length of the box.
-    `inertia(k)`: mass that a site has at each wave number, which divides sinc^2; `None` is 1.
-    """
-    x = (np.arange(points) - points // 2) * (2 * half / points)
-    turns = np.fft.rfftfreq(points, 2 * half / points)
-    box = np.sinc(turns) ** 2
-    if inertia is not None:
-        # where the inertia vanishes, so does sinc^2, and faster
-        box = np.nan_to_num(box / inertia(2 * np.pi * turns), posinf=0.0)
-    psi, change = guess(x), np.inf
-    for _ in range(ITERATIONS):
-        f, slope = force(psi)
-        N, grows = f - linear * psi, (slope - linear) * psi
-        hat = np.fft.rfft(np.stack([psi, N, grows]), axis=1)
-        pull = np.fft.irfft(box * hat[1], points)
-        exponent = max((psi @ np.fft.irfft(box * hat[2], points)) / (psi @ pull), LEAST)
-        size = psi @ np.fft.irfft((1 - linear * box) * hat[0], points) / (psi @ pull)
-        new = size ** (exponent / (exponent - 1)) * np.fft.irfft(
-            box * hat[1] / (1 - linear * box), points
-        )
-        new = np.maximum(new, 0.0)
-        if not np.isfinite(new).all() or not new.any():
-            return x, psi, np.inf
-        change, psi = np.abs(new - psi).max() / np.abs(new).max(), new
-        if change < SETTLED:
-            break
-    return x, psi, change
 
 
 @np.errstate(all="ignore")

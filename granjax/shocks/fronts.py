@@ -104,10 +104,12 @@ def dissipative_front(
     plain = _from_ahead(medium.known, known[1])
     jump = _jump(plain, known[2]) if behind is None else known[0] - known[1]
     step = _checked_step(plain, jump, known)
-    critical, behind_root = tails.critical(step.excess), tails.behind(step.excess, step.zeta)
-    trial = _trials(step)
+    critical = tails.critical(step.excess)
+    trial = lambda zeta: solver.Trial(
+        zeta, tails.behind(step.excess, zeta), tails.ahead(step.short, zeta)
+    )
     front = _solved(plain.law, step, trial, critical)
-    return _recorded(medium, given, step, front, critical, behind_root)
+    return _recorded(medium, given, step, front, critical, trial(step.zeta))
 
 
 def _with_dashpot(law, dashpot):
@@ -157,25 +159,25 @@ def _checked_step(medium, jump, given):
     behind, ahead, _, dashpot = given
     if not jump or behind is not None and abs(jump) <= ROUNDING * abs(ahead):
         refuse("behind", "another strain than ahead", f"{behind:g}", "A front joins two.")
-    mass, law = float(medium.mass), medium.law
-    force, slope, _ = values(law, np.array([jump, 0.0]))
-    chord = force[0] / jump
-    if not (np.isfinite(chord) and chord > 0 and np.isfinite(slope).all()):
+    step = _Step(*map(float, _sides(medium.law, medium.mass, jnp.asarray(jump), dashpot)))
+    chord, excess, short = step.force / jump, step.excess, step.short
+    if not (np.isfinite(chord) and chord > 0 and np.isfinite(excess + short)):
         refuse(
             "behind",
             "a strain to which the law's force grows from that ahead, both stiff by finite amounts",
-            f"forces that differ by {force[0]:g} and stiffness {slope[0]:g} behind, {slope[1]:g} ahead",
+            f"forces that differ by {step.force:g} and stiffness {(1 + excess) * chord:g} behind, "
+            f"{(1 - short) * chord:g} ahead",
         )
-    excess, short, speed = slope[0] / chord - 1, 1 - slope[1] / chord, np.sqrt(chord / mass)
     sound = ", ".join(
-        f"{name} {np.sqrt(max(k, 0.0) / mass):.6g}" for name, k in zip(("behind", "ahead"), slope)
+        f"{name} {step.speed * np.sqrt(max(k, 0.0)):.6g}"
+        for name, k in (("behind", 1 + excess), ("ahead", 1 - short))
     )
     if not (excess > ROUNDING and short > ROUNDING):
         other = "below" if jump > 0 else "above"
         refuse(
             "behind",
             "a strain whose front is faster than sound ahead and slower than sound behind",
-            f"the speed {speed:.6g} and sound {sound}",
+            f"the speed {step.speed:.6g} and sound {sound}",
             f"Such a step spreads out as it runs; of this law there may be fronts from strains {other} that ahead.",
         )
     if not (excess > LEAST and short > LEAST):
@@ -186,23 +188,14 @@ def _checked_step(medium, jump, given):
             "Such a front is as wide as that, a solution of the equation of Korteweg, de Vries and Burgers.",
         )
     z = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
-    if not (values(law, jump * z)[0] / force[0] < z).all():
+    if not (values(medium.law, jump * z)[0] / step.force < z).all():
         refuse(
             "behind",
             "a strain between which and that ahead the force stays on one side of its chord",
             "one that crosses it",
             "Such a step falls apart into several waves.",
         )
-    return _Step(
-        excess, short, float(force[0]), jump, float(speed), dashpot / (mass * float(speed))
-    )
-
-
-def _trials(step):
-    def trial(zeta):
-        return solver.Trial(zeta, tails.behind(step.excess, zeta), tails.ahead(step.short, zeta))
-
-    return trial
+    return step
 
 
 def _solved(law, step, trial, critical):
@@ -225,30 +218,19 @@ def _solved(law, step, trial, critical):
     return found
 
 
-def _recorded(medium, given, known_step, front, critical, root):
+def _recorded(medium, given, known_step, front, critical, trial):
     behind, ahead, piston, dashpot = (None if x is None else jnp.asarray(x, float) for x in given)
-    law, mass, free = Strained(medium.law, ahead), medium.mass, traced((medium, given))
+    law, mass = Strained(medium.law, ahead), medium.mass
     jump = (
         behind - ahead if behind is not None else _implicit_jump(law, mass, known_step.jump, piston)
     )
-    step = _sides(law, mass, jump, dashpot) if free else _Step(*map(jnp.asarray, known_step))
-    z = (
-        _implicit(front, law, (mass, jump, dashpot), known_step)
-        if free
-        else jnp.asarray(solver.padded(front))
-    )
-    shape = _whole(
-        law,
-        mass,
-        step.speed,
-        dashpot,
-        ahead,
-        step.jump,
-        z,
-        jnp.asarray(float(front.centre)),
-        jnp.asarray(front.apart),
-    )
-    root, rate, limit = _rates(step, known_step, critical, root)
+    step = _sides(law, mass, jump, dashpot)
+    z = jnp.asarray(solver.padded(front))
+    if traced((medium, given)):
+        z = _implicit(front, law, (mass, jump, dashpot), known_step)
+    centre, apart = jnp.asarray(float(front.centre)), jnp.asarray(front.apart)
+    shape = _whole(law, mass, step.speed, dashpot, ahead, step.jump, z, centre, apart)
+    root, rate, limit = _rates(step, known_step, critical, trial)
     place = front.places[np.argmax(front.z)]
     top, most = highest(front.at, place - front.apart, place + front.apart)
     overshoot = jnp.sign(known_step.jump) * (shape.at("strain", top) - ahead - step.jump)
@@ -281,16 +263,19 @@ def _recorded(medium, given, known_step, front, critical, root):
     )
 
 
-def _rates(step, known, critical, root):
+def _rates(step, known, critical, trial):
     """The root behind, the rate ahead and the critical zeta, with the derivatives of what they solve."""
     more, less, zeta = step.excess - known.excess, step.short - known.short, step.zeta - known.zeta
-    rate = tails.ahead(known.short, known.zeta)
+    root, rate = trial.behind, trial.ahead
     steep = complex(tails.lack_slope(root)) - known.zeta, float(tails.lack_slope(rate)) + known.zeta
     return (
         root - (more - root * zeta) / steep[0],
         rate + (less - rate * zeta) / steep[1],
         critical.zeta + critical.slope * more,
     )
+
+
+_whole = eqx.filter_jit(FrontShape.of)
 
 
 @eqx.filter_jit
@@ -313,11 +298,6 @@ def _sides(law, mass, jump, dashpot):
 def _power(law, step):
     """What the dashpots take: the work of both forces less what the law stores and the beads keep."""
     return step.speed * (step.force * step.jump / 2 - law.energy(step.jump))
-
-
-@eqx.filter_jit
-def _whole(law, mass, speed, dashpot, ahead, jump, z, centre, apart):
-    return FrontShape.of(law, mass, speed, dashpot, ahead, jump, z, centre, apart)
 
 
 def _implicit_jump(law, mass, jump, piston):

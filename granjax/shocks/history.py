@@ -31,8 +31,19 @@ class SpaceTime(Result):
         "The error of the energy as of a `Run`, at the times of the map; NaN where a term "
         "does not keep the energy."
     )
-    outcome: str = eqx.field(static=True)
     kind: str = array("The kind of the `Riemann` problem.", static=True)
+    # the highest frequency that was reached over that for which the step was chosen
+    _faster: float = eqx.field(static=True, default=0.0)
+
+    @property
+    def outcome(self) -> str:
+        """How much the map holds, and whether the time steps were short enough."""
+        told = (
+            f"{len(self.ts)} frames of {len(self.bonds)} bonds, at time steps of {self.step:.4g}."
+        )
+        if self._faster > PASSED:
+            told += f" Energy gathered beyond the bound at the start: give step={self.step / self._faster:.3g}."
+        return told
 
     @property
     def places(self) -> Numbers:
@@ -83,9 +94,6 @@ def space_time(
         omega = max(omega, float(_reached(lattice, high, state.u)))
     rows.append(_row(problem, state.u, bonds))
     lost = lost if lattice.conserves else jnp.full_like(lost, jnp.nan)
-    told = f"{frames} frames of {len(bonds)} bonds, at time steps of {step or float(run.stats['step']):.4g}."
-    if tolerance is None and by_default and step * omega > PASSED * STEP_FRACTION:
-        told += f" Energy gathered beyond the bound at the start: give step={STEP_FRACTION / omega:.3g}."
     return SpaceTime(
         ts,
         bonds,
@@ -95,8 +103,8 @@ def space_time(
         state,
         np.asarray(step if tolerance is None else run.stats["step"]),
         lost,
-        told,
         problem.kind,
+        step * omega / STEP_FRACTION if tolerance is None and by_default else 0.0,
         **lattice.origin,
     )
 

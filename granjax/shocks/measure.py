@@ -22,8 +22,6 @@ from .windows import BEYOND, LocalWave, local_wave, tops, windows
 CREST, QUIET = 0.3, 1e-6
 # waves that have room in a shock, at least; other shares of the plateau, and what its mean may be wrong by beyond them
 WAVES, SHARES, DOUBT = 3, (0.3, 0.4, 0.6), 5.0
-# part of the jump by which a theory may miss without a word
-MISSES = 0.3
 # quiet bonds at the end; share of the leading speed within which the plateau is first looked for;
 # of time by which the leading crest's speed may differ from place over time; rounds in which plateau and edge agree
 EVEN, NEAR, WANDER, ROUNDS = 8, 0.05, 0.1, 3
@@ -155,7 +153,7 @@ def _measured(profile, problem, medium, theory, points, step):
         speeds_of_m=fit.speeds,
         phases=fit.phases,
         theory_errors=fit.errors,
-        outcome=_told(profile, fit, local, edge),
+        _not_compared=fit.why,
     )
 
 
@@ -337,17 +335,3 @@ def _edge(s, local, height, time):
     others = [at(3, slice(None))] + [at(2, slice(1, None))] * int(small.sum() > 4)
     length = 2 * np.pi / local.wavenumber[small][0] / time
     return edge, max(abs(edge - other) for other in others) + length
-
-
-def _told(profile, fit, local, edge):
-    crests = int(np.isfinite(local.amplitude).sum())
-    told = (
-        f"A shock of {'compression' if profile.sign > 0 else 'rarefaction'}; waves found in {crests} of "
-        f"{local.amplitude.size} windows."
-    )
-    if not np.isfinite(edge):
-        told += " No trailing edge: the waves reach as far as the step, or tell too little of it."
-    misses = np.nanmax(fit.errors, initial=0)
-    if misses > MISSES:
-        told += f" The theory's waves miss the strains by up to {misses:.2g} of the jump."
-    return f"{told} {fit.outcome}".strip()

@@ -8,6 +8,9 @@ from ..laws import Law
 from ..results import Result, array, note
 from ..types import Number
 
+# part of the jump by which a theory may miss without a word
+MISSES = 0.3
+
 
 class Shock(Result):
     r"""What `measure` returns, of a shock between a plateau and the chain `ahead` of it, at a time t.
@@ -65,4 +68,22 @@ class Shock(Result):
     )
     law: Law = note("The law of the contacts.")
     mass: Number = array("The mass of the beads.", "kg")
-    outcome: str = eqx.field(static=True)
+    # why the theory has no waves to compare with
+    _not_compared: str = eqx.field(static=True, default="")
+
+    @property
+    def outcome(self) -> str:
+        """What kind of shock, and where its waves are found and told by the theory."""
+        found = np.isfinite(self.amplitudes)
+        told = [
+            f"A shock of {'compression' if self.mean > self.ahead else 'rarefaction'}; waves found in "
+            f"{found.sum()} of {found.size} windows."
+        ]
+        if not np.isfinite(self.trailing_speed):
+            told.append(
+                "No trailing edge: the waves reach as far as the step, or tell too little of it."
+            )
+        misses = np.nanmax(self.theory_errors, initial=0)
+        if misses > MISSES:
+            told.append(f"The theory's waves miss the strains by up to {misses:.2g} of the jump.")
+        return " ".join([*told, self._not_compared]).strip()

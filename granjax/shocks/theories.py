@@ -36,7 +36,10 @@ class Seen(NamedTuple):
 
 
 class Modulated(NamedTuple):
-    """The c whose plateau has the mean; per window m, its error, s of it, Theta_0, and what remains over the jump."""
+    """The c whose plateau has the mean; per window m, its error, s of it, Theta_0, and what remains over the jump.
+
+    `why` there are none.
+    """
 
     c: float
     m: np.ndarray
@@ -44,7 +47,7 @@ class Modulated(NamedTuple):
     speeds: np.ndarray
     phases: np.ndarray
     errors: np.ndarray
-    outcome: str
+    why: str
 
 
 def _toda_constants(K2, K3, mass):

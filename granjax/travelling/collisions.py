@@ -30,6 +30,8 @@ LONGER = 1, 4, 16
 # errors over how far the line through the frames before is away: what waves shed may fall like 1/t, whose end is 3.5
 # times as far from the last line as that from the one before
 LEFT = 4
+# share of the least separation from which on waves have parted
+APART = 0.8
 # share of its peak at which a wave ends, over the tolerance, and not below; speeds and laws that are the same
 TAIL, ROUNDING, SAME = 1e-6, 1e-15, 1e-12
 
@@ -91,7 +93,49 @@ class Collision(Result):
         "The place of each wave in each frame.", "1", "wave found"
     )
     run: Run = note("The run.")
-    outcome: str = eqx.field(static=True)
+    # of each phase why what leaves is no solitary wave
+    _lost: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """Whether the waves have parted, and to what their shifts are known."""
+        shifts, errors, misfits, (separation,) = (
+            np.reshape(x, (-1, len(self._lost)))
+            for x in (self.shifts, self.shift_errors, self.misfits, self.separation)
+        )
+        parted, said = ~np.isnan(shifts[0]), []
+        if len(parted) > 1:
+            said = [f"At {parted.sum()} of {len(parted)} phases they have parted"]
+            if parted.any():
+                ranges = (f"{x.min():.6g} to {x.max():.6g}" for x in shifts[:, parted])
+                accuracy = f"to {errors[:, parted].max():.1e} contacts"
+                said[0] += f"; shifts from {' and from '.join(ranges)}, {accuracy}"
+            said[0] += "."
+        elif parted.all():
+            said = [
+                f"They have parted, by {separation[0]:.4g} contacts; shifts to {errors.max():.1e} contacts."
+            ]
+        if not parted.all():
+            k = int(np.argmin(parted))
+            if self._lost[k]:
+                said.append(f"No shift: what leaves is no solitary wave. {self._lost[k]}")
+            elif not separation[k] > APART * self.least_separation:
+                said.append(
+                    f"No shift: the waves have not parted, {separation[k]:.4g} contacts are between them and "
+                    f"{self.least_separation:.4g} would be needed."
+                )
+            else:
+                said.append(
+                    f"No shift: what leaves differs from a solitary wave by {np.nanmax(misfits[:, k]):.1%} of its "
+                    "peak: other waves are still about it."
+                )
+        if np.isnan(self.toda_shifts).all():
+            said.append(
+                "KdV and Toda have no such waves: this chain has no sound, or its K3 is zero or of the other sign."
+            )
+        elif np.isnan(self.kdv_shifts).all():
+            said.append("KdV knows waves of one way alone.")
+        return " ".join(said)
 
 
 class Course(NamedTuple):
@@ -175,34 +219,26 @@ def collide(
         courses = [_course(waves, parted, longer, x) for x in np.ravel(phases)]
         runs = _runs(waves, courses, phases.shape, step, progress)
         both = [-np.diff(np.reshape(run.us, (*run.us.shape[:2], -1)), axis=1) for run in runs]
-        found = [
-            _measured(waves, course, parted, runs[0], [x[..., k] for x in both])
-            for k, course in enumerate(courses)
-        ]
-        if all(one.shift_errors.max() <= tolerance for one in found):
-            break
-    return _together(found) if phases.ndim else found[0]
-
-
-def _together(each):
-    """The collisions at several phases as one, the phases last."""
-    common = {name for name, x in Collision._described.items() if x.axes is None} | {"kind"}
-    fields = {
-        name: getattr(each[0], name)
-        if name in common
-        else np.stack([getattr(one, name) for one in each], -1)
-        for name in Collision._described
-    }
-    shifts, errors = fields["shifts"], fields["shift_errors"]
-    parted = ~np.isnan(shifts[0])
-    said = f"At {parted.sum()} of {len(each)} phases they have parted"
-    if parted.any():
-        ranges = (f"{x.min():.6g} to {x.max():.6g}" for x in shifts[:, parted])
-        said += (
-            f"; shifts from {' and from '.join(ranges)}, to {errors[:, parted].max():.1e} contacts"
+        found, lost = zip(
+            *(
+                _measured(waves, course, parted, runs[0], [x[..., k] for x in both])
+                for k, course in enumerate(courses)
+            )
         )
-    why = [each[np.argmin(parted)].outcome] if not parted.all() else []
-    return Collision(**fields, outcome=" ".join([f"{said}.", *why]), _mark=each[0].run._mark)
+        if all(one["shift_errors"].max() <= tolerance for one in found):
+            break
+    # several phases are the last axis
+    numbers = {name: np.stack([one[name] for one in found], -1) for name in found[0]}
+    return Collision(
+        **{name: x if phases.ndim else x[..., 0] for name, x in numbers.items()},
+        kind=_kind(waves),
+        meeting=courses[0].meeting,
+        energy=float(waves[0].energy + waves[1].energy),
+        least_separation=float(parted),
+        run=runs[0],
+        _lost=lost,
+        _mark=runs[0]._mark,
+    )
 
 
 def _runs(waves, courses, lanes, step, progress):
@@ -268,7 +304,7 @@ def _course(waves, parted, longer, phase):
 
 
 def _measured(waves, course, parted, run, both):
-    """What became of the waves, by the strains of both runs."""
+    """What became of the waves, by the strains of both runs; and why what leaves is no solitary wave."""
     ts, meeting = np.asarray(run.ts, float), course.meeting
     share, rest = MORE / (1 + MORE), course.time - course.meeting
     early, late, sooner = (
@@ -301,22 +337,15 @@ def _measured(waves, course, parted, run, both):
     )
     misfits = np.array([track.misfit for track in after])
     separation = float(np.min(np.abs(after[0].places - after[1].places)))
-    told = _apart(misfits, separation, parted, lost)
-    if told:
+    why = next(filter(None, lost), "")
+    if why or not separation > APART * parted or not (misfits < MISFIT).all():
         shifts, errors, amplitudes, energies = (
             np.full_like(x, np.nan) for x in (shifts, errors, amplitudes, energies)
         )
-    kdv, toda_shifts, reasons = predicted(*waves)
-    energy = float(sum(float(w.energy) for w in waves))
+    kdv, toda_shifts = predicted(*waves)
     of = lambda name: np.array([float(getattr(w, name)) for w in waves])
     speeds = np.array([[track.speed, track.speed_error] for track in after])
-    told = (
-        told
-        or f"They have parted, by {separation:.4g} contacts; shifts to {errors.max():.1e} contacts."
-    )
-    return Collision(
-        kind=_kind(waves),
-        meeting=meeting,
+    return dict(
         phase=float(course.phase % 1),
         meeting_place=float(course.places(np.array([meeting]))[0, 0]),
         shifts=shifts,
@@ -329,18 +358,13 @@ def _measured(waves, course, parted, run, both):
         amplitudes=of("amplitude"),
         amplitudes_after=amplitudes[:, 0],
         amplitude_errors=amplitudes[:, 1],
-        energy=energy,
-        radiated=float(energy - energies[:, 0].sum()),
-        radiated_error=float(energies[:, 1].sum()),
+        radiated=of("energy").sum() - energies[:, 0].sum(),
+        radiated_error=energies[:, 1].sum(),
         separation=separation,
-        least_separation=float(parted),
         misfits=misfits,
         times=np.concatenate([ts[early], ts[late]]),
         places=np.stack([np.concatenate([b.places, a.places]) for b, a in zip(before, after)]),
-        run=run,
-        outcome=" ".join([told, *reasons]),
-        _mark=waves[0]._mark,
-    )
+    ), why
 
 
 def _kind(waves):
@@ -363,44 +387,21 @@ def _own(track, strains):
         return track, track.wave, str(error)
 
 
-def _apart(misfits, separation, parted, lost):
-    """Why there is no shift; empty where there is one."""
-    if any(lost):
-        return f"No shift: what leaves is no solitary wave. {next(filter(None, lost))}"
-    if not separation > 0.8 * parted:
-        return (
-            f"No shift: the waves have not parted, {separation:.4g} contacts are between them and {parted:.4g} "
-            "would be needed."
-        )
-    if not (misfits < MISFIT).all():
-        return (
-            f"No shift: what leaves differs from a solitary wave by {np.nanmax(misfits):.1%} of its peak: other "
-            "waves are still about it."
-        )
-    return ""
-
-
-def predicted(first: Wave, second: Wave) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Shifts by Korteweg-de Vries and by Toda for solitons of the same speeds, and why there are none."""
-    none = np.full(2, np.nan)
+def predicted(first: Wave, second: Wave) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts by Korteweg-de Vries and by Toda for solitons of the same speeds; NaN where there are none."""
+    waves, none = (first, second), np.full(2, np.nan)
     K2, K3, _ = (float(x) for x in taylor(first.law))
-    waves = first, second
-    if not (np.isfinite(K2) and K2 > 0):
-        return none, none, ["KdV and Toda say nothing of a chain without sound."]
-    if K3 == 0 or any(K3 * float(wave.amplitude) < 0 for wave in waves):
-        return (
-            none,
-            none,
-            ["KdV and Toda have no such waves: K3 of this chain is zero or of the other sign."],
-        )
+    sound = np.isfinite(K2) and K2 > 0
+    if not sound or not all(K3 * float(wave.amplitude) > 0 for wave in waves):
+        return none, none
     sound, speeds = np.sqrt(K2 / float(first.mass)), np.array([float(wave.speed) for wave in waves])
     way, head_on = np.sign(speeds[0]), _kind(waves) == "head-on"
-    constants = dict(zip(("strength", "rate"), toda.matched(K2, K3)), mass=first.mass)
+    constants = toda.matched(K2, K3)._asdict() | {"mass": first.mass}
     k = toda.wavenumber(speed=np.abs(speeds), **constants)
     toda_shifts = way * np.array([float(x) for x in toda.phase_shifts(k[0], k[1], head_on=head_on)])
     if head_on:
-        return none, toda_shifts, ["KdV knows waves of one way alone."]
+        return none, toda_shifts
     # sech^2(kappa x), kappa^2 = 6 (c/sigma - 1)
     kappa = np.sqrt(6 * (np.abs(speeds) / sound - 1))
     log = np.log((kappa[0] + kappa[1]) / abs(kappa[0] - kappa[1])) * np.sign(kappa[0] - kappa[1])
-    return way * log / kappa * np.array([1, -1]), toda_shifts, []
+    return way * log / kappa * np.array([1, -1]), toda_shifts

@@ -75,32 +75,15 @@ def family(
         wave = wave_of(medium, **{name: x}, side=side)
         return (wave.shape.speed, wave.energy), wave
 
-    for x in _shown(np.atleast_1d(np.asarray(numbers, float))):
+    for x in np.atleast_1d(np.asarray(numbers, float)):
         (c, E), (dc, dE), wave = jax.jvp(solved, (x,), (1.0,), has_aux=True)
-        shape = wave.shape
-        width, slope = full_width(shape, float(shape.end)), dE / dc
-        rows.append(
-            (
-                c,
-                shape.strain(0.0),
-                E,
-                wave.momentum,
-                wave.compression,
-                width,
-                slope,
-                wave.error,
-            )
-        )
+        shape, slope = wave.shape, dE / dc
+        width = full_width(shape, float(shape.end))
+        momentum, compression = wave.momentum, wave.compression
+        rows.append((c, shape.strain(0.0), E, momentum, compression, width, slope, wave.error))
     columns = np.array(rows, float).T
     turns = _zeros(np.abs(columns[0]), columns[6] * np.sign(columns[0]))
     return WaveFamily(*columns, turns, medium.law, **medium.origin)
-
-
-def _shown(numbers):
-    from tqdm import tqdm
-
-    # on a terminal alone
-    return tqdm(numbers, desc="waves", leave=False, disable=None)
 
 
 def _zeros(c, slope):

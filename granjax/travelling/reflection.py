@@ -59,7 +59,29 @@ class Reflection(Result):
         "1",
     )
     run: Run = note("The run.")
-    outcome: str = eqx.field(static=True)
+    # of each lane why nothing is known; the static forces of the wall and of the chain
+    _lost: tuple[str, ...] = eqx.field(static=True)
+    _loads: tuple[float, float] = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """Whether a wave came back from every wall, or why not."""
+        why = list(dict.fromkeys(filter(None, self._lost)))
+        if not why:
+            said = f"Came back; delays to {np.max(self.delay_error):.1e} of their unit."
+        else:
+            count = len(self._lost)
+            some = f"{sum(map(bool, self._lost))} of {count} walls" if count > 1 else "this wall"
+            said = (
+                f"Of {some} nothing is known: {'; '.join(why)}. A larger distance lets waves part."
+            )
+        wall, chain = self._loads
+        if abs(wall - chain) > 1e-9 * max(abs(wall), abs(chain)):
+            said += (
+                f" The wall's static force {wall:.4g} is not the chain's {chain:.4g}: a constant load on the "
+                "last bead holds the difference."
+            )
+        return said
 
 
 def reflect(
@@ -124,7 +146,8 @@ def reflect(
         energy=float(wave.energy),
         distance=distance,
         run=runs[0],
-        outcome=_told(scene, columns[..., 1], lost),
+        _lost=lost,
+        _loads=tuple(float(np.max(law.preload)) for law in (scene.wall, wave.law)),
         _mark=runs[0]._mark,
     )
 
@@ -229,24 +252,3 @@ def _leading(scene, ts, strains):
     past = bool(within.any()) and first + count < len(ts)
     frames = np.arange(first, first + count)
     return frames, places[frames].astype(float), past
-
-
-def _told(scene, errors, lost):
-    """The outcome, in sentences."""
-    why = list(dict.fromkeys(filter(None, lost)))
-    if not why:
-        said = f"Came back; delays to {np.max(errors):.1e} of their unit."
-    else:
-        some = (
-            f"Of {sum(map(bool, lost))} of {scene.count} walls"
-            if scene.count > 1
-            else "Of this wall"
-        )
-        said = f"{some} nothing is known: {'; '.join(why)}. A larger distance lets waves part."
-    loads = [float(np.max(np.asarray(law.preload))) for law in (scene.wall, scene.wave.law)]
-    if abs(loads[0] - loads[1]) > 1e-9 * max(map(abs, loads)):
-        said += (
-            f" The wall's static force {loads[0]:.4g} is not the chain's {loads[1]:.4g}: a constant load on the "
-            "last bead holds the difference."
-        )
-    return said

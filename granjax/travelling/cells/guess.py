@@ -1,16 +1,22 @@
 """Where Newton's method for a wave of a cell begins: a pulse of the chain's own nonlinearity, or a simulated one."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
-from ...profiles.fourier import Box, Chain, heaviness
+from ...flow import simulate
+from ...lattice import Lattice
+from ...profiles.fourier import Box, Chain
+from ...strains import Shift
+from ...terms import Bond
 from .tail import decay, stiffness
 
 # compressions that are tried for the peak, over any unit of length
 LENGTHS = np.logspace(-40, 40, 8001)
-# the simulated pulse: cells of the chain, those between which its speed is measured, steps per shortest period
-CELLS, FIRST, LAST, STEPS = 32, 14, 20, 40
+# the simulated pulse: cells of the chain, those between which its speed is measured, frames per shortest period
+CELLS, FIRST, LAST, FRAMES = 32, 14, 20, 40
 
 
 class Peak(NamedTuple):
@@ -31,89 +37,54 @@ def peak(chain: Chain) -> Peak | None:
 
 
 def _peak(chain, sign):
-    # all masses that go with a slow pulse
-    total = heaviness(chain, np.zeros(1)).mean()
-    P, K = len(chain.masses), stiffness(chain) / total
+    # all masses go with a slow pulse
+    P, K = len(chain.masses), stiffness(chain) / chain.total
     with np.errstate(all="ignore"):
-        forces = sign * chain.force(sign * np.tile(LENGTHS, (P, 1))) / total
+        forces = sign * chain.bonds(sign * np.tile(LENGTHS, (P, 1)))[0] / chain.total
         usable = np.all(np.isfinite(forces) & (forces > 0), axis=0)
         usable[1:] &= np.all(np.diff(forces, axis=1) > 0, axis=0)
-        begin = usable
-        if K > 0:
-            # below some length a force that a preload is taken from has no digits
-            linear = np.all(np.abs(forces / LENGTHS * total / chain.K2[:, None] - 1) < 1e-3, axis=0)
-            begin = np.convolve(linear & usable, np.ones(20), "full")[19:][: len(usable)] > 19.5
-    first = int(np.argmax(begin))
+    first = int(np.argmax(usable))
     last = first + int(np.argmin(np.append(usable[first:], False)))
-    own = slice(first, last)
-    if not begin.any() or last - first < 9:
+    if last - first < 9:
         return None
-    e, log_f = LENGTHS[own], np.log(forces[:, own])
+    e, log_f = LENGTHS[first:last], np.log(forces[:, first:last])
     f = np.linspace(log_f[:, 0].max(), log_f[:, -1].min(), 8001)
     each = np.stack([np.exp(np.interp(f, row, np.log(e))) for row in log_f])
     mean = each.mean(0)
     gain = np.exp(f) / mean - K
     with np.errstate(all="ignore"):
-        power = np.gradient(np.log(gain), np.log(mean))
-        past = gain > (1 + np.clip(power, 0.05, 6) / 2) * (1 - K)
-    # above the digits that F/e - K loses near equilibrium
-    past &= gain > 1e-6 * K
-    if not past.any() or past[0] or not np.argmax(past):
-        return None
+        power = np.clip(np.gradient(np.log(gain), np.log(mean)), 0.05, 6)
+        past = gain > (1 + power / 2) * (1 - K)
     at = np.argmax(past)
-    return Peak(sign * each[:, at], float(np.clip(power[at], 0.05, 6)))
+    return Peak(sign * each[:, at], float(power[at])) if at else None
 
 
-def pulse(chain: Chain, box: Box, top: Peak):
+def pulse(chain: Chain, box: Box, top: Peak) -> np.ndarray:
     """Strains (P, N) of the form sech^(2/s)(s q x/2) with the decay rate q of the linear tail."""
     argument = np.minimum(top.power * decay(chain) * np.abs(box.x) / 2, 300.0)
     with np.errstate(over="ignore"):
         return top.strain[:, None] / np.cosh(argument) ** (2 / top.power)
 
 
-class Struck(NamedTuple):
-    """A simulated pulse: its speed, places x (P, T) of the bonds behind its centre, strains there, half its width."""
+def struck(chain: Chain, top: Peak) -> tuple[float, float, Callable] | None:
+    """The pulse that a blow to the heaviest bead of a cell sends down a chain with free ends; `None` without one.
 
-    speed: float
-    x: np.ndarray
-    strain: np.ndarray
-    width: float
-
-
-def struck(chain: Chain, top: Peak) -> Struck | None:
-    """The pulse that a blow to the heaviest bead of a cell sends down a chain with free ends; `None` without one."""
+    Its speed, half its width, and its strains (P, N) as a function of a box, zero beyond its core.
+    """
     P = len(chain.masses)
-    slope = np.abs(chain.slope(2 * np.tile(top.strain[:, None], 2))).max()
-    step = np.pi / np.sqrt(slope / chain.masses.min()) / STEPS
-    masses, sites = np.tile(chain.masses, CELLS), P * CELLS
-    u, v = np.zeros(sites), np.zeros(sites)
+    sites = P * CELLS
+    law = jax.tree.map(lambda *x: np.resize(x, sites - 1), *chain.laws)
+    bond = Bond(Shift(1, "free"), law)
+    lattice = Lattice(chain.unit * np.tile(chain.masses, CELLS), bond, sites=sites)
+    u, v = np.zeros((2, sites))
     v[np.argmax(chain.masses)] = 1.6 * top.strain.mean()
-    seen, after = [], 0
+    stiffest = np.abs(chain.bonds(2 * np.tile(top.strain[:, None], 2))[1]).max()
+    frames = int(1.5 * sites * FRAMES * np.sqrt(stiffest / chain.masses.min()) / np.pi)
+    run = simulate(lattice, (u, v), 1.5 * sites, save_at=frames)
+    t, history = np.asarray(run.ts), np.maximum(-np.diff(run.us, axis=1), 0.0)
+    if not (np.isfinite(history).all() and history.max() > 0):
+        return None
 
-    def force(u):
-        e = np.append(u[:-1] - u[1:], -1e-300)
-        f = np.asarray(chain.force(e.reshape(CELLS, P).T)).T.ravel()
-        return e, np.append(0.0, f[:-1]) - np.append(f[:-1], 0.0)
-
-    e, pull = force(u)
-    while after < 6 * P / step and len(seen) < 8 * sites / step:
-        v += step / 2 * pull / masses
-        u += step * v
-        e, pull = force(u)
-        v += step / 2 * pull / masses
-        seen.append(e)
-        # until the pulse has left the last cell that counts by some cells
-        after += e[P * (LAST + 5)] > 0.05 * top.strain.mean() or after > 0
-    history = np.maximum(np.array(seen), 0.0)
-    t = step * np.arange(len(history))
-    return (
-        _measured(chain, t, history, P)
-        if np.isfinite(history).all() and history.max() > 0
-        else None
-    )
-
-
-def _measured(chain, t, history, P):
     def centre(cell):
         """When the pulse is mirrored into itself at a cell."""
         bonds = P * cell + np.arange(P)
@@ -122,10 +93,15 @@ def _measured(chain, t, history, P):
 
     middle = centre(FIRST)
     speed = P * (LAST - FIRST) / (centre(LAST) - middle)
-    bonds = P * FIRST + np.arange(P)
-    x = bonds[:, None] + 0.5 - (P * FIRST + chain.mirror / 2) - speed * (t - middle)
-    strain = history[:, bonds].T
-    return Struck(speed, x, strain, max(_width(*row) for row in zip(x, strain)))
+    x = (np.arange(P) + 0.5 - chain.mirror / 2)[:, None] - speed * (t - middle)
+    strain = history[:, P * FIRST + np.arange(P)].T
+    width = max(_width(*row) for row in zip(x, strain))
+
+    def on(box):
+        rows = [np.interp(box.x, at[::-1], e[::-1], 0.0, 0.0) for at, e in zip(x, strain)]
+        return np.where(np.abs(box.x) < width + 1.5, np.stack(rows), 0.0)
+
+    return speed, width, on
 
 
 def _width(x, strain):
@@ -141,9 +117,3 @@ def _first_centroid(t, strain):
     gone = np.flatnonzero(strain[top:] < 1e-3 * strain.max())
     weight = strain[: top + (gone[0] if len(gone) else len(t))] ** 2
     return t[: len(weight)] @ weight / weight.sum()
-
-
-def from_struck(found: Struck, box: Box):
-    """Strains (P, N) of a simulated pulse on a box, zero beyond its core."""
-    rows = [np.interp(box.x, x[::-1], e[::-1], 0.0, 0.0) for x, e in zip(found.x, found.strain)]
-    return np.where(np.abs(box.x) < found.width + 1.5, np.stack(rows), 0.0)

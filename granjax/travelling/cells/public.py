@@ -15,20 +15,10 @@ from ...profiles.fourier import fourier
 from ...profiles.highest import highest
 from ...results import Result, array, note
 from ...types import Count, Parameter, Scalar
-from .from_lattice import repeated_in
+from .cell import chain_of, repeated_in
 from .resonator import Resonator
 from .tail import margin, periodic
-from .wave import (
-    SILENT,
-    Found,
-    Given,
-    chain_of,
-    error_of,
-    of_one_site,
-    on_a_box,
-    velocities,
-    without_tail,
-)
+from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, velocities, without_tail
 
 # the speed over the sound speed from which on a box holds the wave
 LEAST_MARGIN = 1.004
@@ -48,35 +38,71 @@ class CellWave(Result):
 
     speed: float = note("The speed c in sites (not cells) per time.", "1/s")
     masses: Float[np.ndarray, " place"] = array("The masses of the smallest cell.", "kg")
-    amplitude: float = note("The largest strain in size.", "m")
+    amplitude: float = note("The largest strain in size.", "m", default=np.nan)
     ripple: float = note(
         "The largest strain of the linear wave that runs along; zero in a wave that travels"
         " alone, NaN where several run along.",
         "m",
+        default=np.nan,
     )
     wavenumber: float | None = note(
-        "The wave number of the ripple per site, as measured in the tail.", "rad"
+        "The wave number of the ripple per site, as measured in the tail.", "rad", default=None
     )
     linear_wavenumber: float | None = note(
         "The wave number of the linear wave, omega(k) = c k; it differs by the ripple's square.",
         "rad",
+        default=None,
     )
-    parameter: float | None = array("The parameter of `tail_free`.")
+    parameter: float | None = array("The parameter of `tail_free`.", default=None)
     energy: float = note(
         "The energy, a mean over the places of the wave in a cell; NaN with a ripple, whose"
         " energy has no bound.",
         "J",
+        default=np.nan,
     )
-    residual: float = array("What the equations leave, over the amplitude.")
-    error: float = note("The estimated distance of the strains from the truth.", "m")
-    xi: Float[np.ndarray, " xi"] = array("The places of the table.", "1")
-    strains: Float[np.ndarray, "place xi"] = array("The strains of the table.", "m")
-    velocities: Float[np.ndarray, "place xi"] = array("The velocities of the table.", "m/s")
-    outcome: str = eqx.field(static=True)
-    converged: bool = array("Whether Newton's method converged.", static=True)
+    residual: float = array("What the equations leave, over the amplitude.", default=np.nan)
+    error: float = note(
+        "The estimated distance of the strains from the truth.", "m", default=np.nan
+    )
+    xi: Float[np.ndarray, " xi"] | None = array("The places of the table.", "1", default=None)
+    strains: Float[np.ndarray, "place xi"] | None = array(
+        "The strains of the table.", "m", default=None
+    )
+    velocities: Float[np.ndarray, "place xi"] | None = array(
+        "The velocities of the table.", "m/s", default=None
+    )
+    converged: bool = array("Whether Newton's method converged.", default=False, static=True)
     resonator: Resonator | None = array("The resonator in each bead.", default=None)
     # how far the core reaches, beyond which there is the ripple alone
     _core: float = eqx.field(static=True, default=0.0)
+    # linear waves that keep pace; how far the masses are from those given; why nothing was found
+    _waves: int = eqx.field(static=True, default=0)
+    _off: float = eqx.field(static=True, default=0.0)
+    _lost: str = eqx.field(static=True, default="")
+
+    @property
+    def outcome(self) -> str:
+        """Whether the wave travels without loss, or why there is none."""
+        if self._lost:
+            return f"No wave was found: {self._lost}."
+        if not self.converged:
+            return f"Newton's method stopped at a residual of {self.residual:.1e}."
+        if np.isnan(self.ripple):
+            return (
+                f"A wave with {self._waves} linear waves that keep pace with it; its ripple is of its box, and not "
+                "the smallest there is."
+            )
+        if self.ripple:
+            return (
+                f"A wave with a ripple of {self.ripple / self.amplitude:.2g} of its peak, wave number "
+                f"{self.wavenumber:.7g} (linear {self.linear_wavenumber:.7g}): alone it would lose energy."
+            )
+        at = "" if self.parameter is None else f" at the parameter {self.parameter:.12g}"
+        told = f"A wave that travels without loss{at}: no ripple."
+        if self._off:
+            near = self.masses.min() / self.masses.max()
+            told += f" The masses are those of the anti-resonance, {near:.12g}, {self._off:+.1e} from what was given."
+        return told
 
     def strain(self, xi: Parameter, bond: Count = 0) -> Float[np.ndarray, "..."]:
         """Compression [m] at places xi = n - c t, of any shape, as contact `bond` of the cell sees it."""
@@ -185,13 +211,12 @@ def cell_wave(
         if masses is not None:
             refuse("masses", "None beside a lattice, which has its own", f"{masses}")
         law, masses, origin = repeated_in(law)
-    given = chain_of(law, masses, speed, resonator)
-    if not given.chain.K2.any():
-        return dataclasses.replace(_in_vacuum(law, given, speed, resonator, throw), **origin)
-    _faster_than_sound(given.chain, speed)
-    return dataclasses.replace(
-        _result(on_a_box(given.chain), given, speed, resonator, None, throw), **origin
-    )
+    chain = chain_of(law, masses, speed, resonator)
+    if chain.stiffness.any() or len(chain.masses) == 1:
+        _faster_than_sound(chain, speed)
+        search = on_a_box if chain.stiffness.any() else of_one_site
+        return _recorded(lambda: search(chain), chain, throw, resonator, speed, **origin)
+    return dataclasses.replace(_in_vacuum(law, chain, speed, resonator, throw), **origin)
 
 
 def _faster_than_sound(chain, speed):
@@ -223,10 +248,8 @@ def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Reso
     return wave
 
 
-def _in_vacuum(law, given, speed, resonator, throw):
-    P = len(given.masses)
-    if P == 1:
-        return _result(of_one_site(given.chain), given, speed, resonator, None, throw)
+def _in_vacuum(law, chain, speed, resonator, throw):
+    P, given = len(chain.masses), chain.given
     if resonator is not None:
         refuse(
             "resonator",
@@ -234,14 +257,14 @@ def _in_vacuum(law, given, speed, resonator, throw):
             repr(resonator),
             "Give equal masses or a precompression.",
         )
-    if P > 2 or given.chain.mirror is None:
+    if P > 2 or chain.mirror is None:
         refuse(
             "masses",
             "one or two sites in the smallest cell, mirrored by a bead or a contact",
-            f"{P} that have {'no such mirror' if given.chain.mirror is None else 'one'}",
+            f"{P} that have {'no such mirror' if chain.mirror is None else 'one'}",
             "Without a stiffness at rest a wave then needs two parameters to be right; give a precompression.",
         )
-    ratio = given.masses.min() / given.masses.max()
+    ratio = given.min() / given.max()
     if ratio == 1:
         refuse(
             "law",
@@ -249,19 +272,14 @@ def _in_vacuum(law, given, speed, resonator, throw):
             "two laws between equal beads",
             "`tail_free(lambda r: (law of ratio r, masses), low, high, speed=...)` finds such ratios.",
         )
-    heavy, light = given.masses.max(), np.argmin(given.masses)
-
-    def masses(p):
-        at = np.full(2, heavy)
-        at[light] = p * heavy
-        return at
-
-    found = without_tail(
-        lambda p: chain_of(law, masses(p), speed).chain, 0.9 * ratio, min(1.1 * ratio, 1.0), (0.5,)
-    )
-    near = None if isinstance(found, str) else found.solved.parameter
-    if near is None or abs(near / ratio - 1) > NEAR:
-        nearest = "none is within 10 % of it" if near is None else f"the nearest is {near:.12g}"
+    at = lambda p: chain_of(law, np.where(given == given.max(), given, p * given.max()), speed)
+    try:
+        found = without_tail(at, 0.9 * ratio, min(1.1 * ratio, 1.0), (0.5,))
+        near = found.solved.parameter
+        nearest = f"the nearest is {near:.12g}"
+    except Lost:
+        near, nearest = np.inf, "none is within 10 % of it"
+    if abs(near / ratio - 1) > NEAR:
         refuse(
             "masses",
             "a ratio at which a wave travels without loss in a chain without precompression",
@@ -269,18 +287,7 @@ def _in_vacuum(law, given, speed, resonator, throw):
             f"Here a pulse decays (gx.resonance.decay_rate), since light beads rattle behind it; "
             f"{nearest}. tail_free finds such ratios, a precompression gives a ripple.",
         )
-    own = Given(found.box.chain, masses(near).mean(), masses(near))
-    return _result(
-        found,
-        own,
-        speed,
-        None,
-        None,
-        throw,
-        abs(near / ratio - 1),
-        f" The masses are those of the anti-resonance, {near:.12g}, {near / ratio - 1:+.1e} from what was "
-        "given.",
-    )
+    return _recorded(lambda: found, chain, throw, None, speed, _off=float(near / ratio - 1))
 
 
 def tail_free(
@@ -322,73 +329,73 @@ def tail_free(
         made = cell(p)
         if isinstance(made, Lattice):
             *made, found = repeated_in(made)
-            made = tuple(made)
             origin.update(found)
-        return chain_of(made[0], made[1], speed)
+        return chain_of(*made, speed)
 
-    ends = [given(p).chain for p in (low, (low + high) / 2, high)]
-    if ends[1].mirror is None or len(ends[1].masses) == 1:
+    middle = given((low + high) / 2)
+    if middle.mirror is None or len(middle.masses) == 1:
         refuse(
             "cell",
             "a cell of several sites, mirrored by a bead or a contact",
             "one that is not",
             "Where masses and stiffnesses both alternate, two parameters have to be right.",
         )
-    if not ends[1].K2.any() and len(ends[1].masses) > 2:
+    if not middle.stiffness.any() and len(middle.masses) > 2:
         refuse(
             "cell",
             "two sites in a cell without a stiffness at rest",
-            f"{len(ends[1].masses)}",
+            f"{len(middle.masses)}",
             "A wave then needs two parameters to be right; give a precompression.",
         )
-    for chain in ends:
-        _faster_than_sound(chain, speed)
-    found = without_tail(lambda p: given(p).chain, low, high)
-    near = None if isinstance(found, str) else found.solved.parameter
-    found = _result(
-        found, given((low + high) / 2 if near is None else near), speed, None, near, throw
-    )
-    return dataclasses.replace(found, **origin)
+    for p in (low, high):
+        _faster_than_sound(given(p), speed)
+    search = lambda: without_tail(given, low, high)
+    wave = _recorded(search, middle, throw, None, speed, solved_for=True)
+    return dataclasses.replace(wave, **origin)
 
 
-def _result(found: Found | str, given: Given, speed, resonator, p, throw, off=0.0, remark=""):
-    if not isinstance(found, str) and found.tail is not None:
-        if abs(found.tail.amplitude) > LOUDEST * np.abs(found.solved.phi).max():
-            found = "its ripple is as strong as the wave itself"
-    if isinstance(found, str):
+def _recorded(search, chain, throw, resonator, speed, solved_for=False, **fields):
+    """The wave that a search finds, or that none was found."""
+    try:
+        found = search()
+        phi, tail = found.solved.phi, found.tail
+        top = _top(found.box, phi)
+        size = np.nan if found.waves else 0.0
+        if tail is not None:
+            size = abs(tail.amplitude)
+            if size > LOUDEST * np.abs(phi).max():
+                raise Lost("its ripple is as strong as the wave itself")
+            if size < SILENT * top:
+                size, tail = 0.0, None
+    except Lost as lost:
         if throw:
-            raise RuntimeError(f"No wave of speed {speed:.6g} was found: {found}.")
-        return _none(found, given, speed, resonator)
-    box, phi = found.box, found.solved.phi
-    top = _top(box, phi)
-    silent = found.waves == 0 or found.tail is not None and abs(found.tail.amplitude) < SILENT * top
-    ripple = 0.0 if silent else abs(found.tail.amplitude) if found.tail is not None else np.nan
-    carried = None if found.tail is None or silent else found.tail
-    v = speed * velocities(found)
-    error = (error_of(found) + off) * top + (0.0 if carried is None else carried.rest)
-    outcome = _outcome(found, ripple, top, p, given) + remark
-    if not found.solved.converged and throw:
-        raise RuntimeError(outcome)
-    energy = np.nan if ripple or np.isnan(ripple) else _energy(found, given, speed, v, resonator)
-    return CellWave(
+            raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
+        return CellWave(speed, chain.given, resonator=resonator, _lost=str(lost), **fields)
+    chain, v = found.box.chain, speed * velocities(found)
+    error = (error_of(found) + abs(fields.get("_off", 0.0))) * top + (tail.rest if tail else 0.0)
+    wave = CellWave(
         speed,
-        given.masses,
+        chain.given,
         top,
-        ripple,
-        None if carried is None else carried.wavenumber,
-        None if found.ripple is None else found.ripple.wavenumber,
-        p,
-        energy,
-        found.solved.residual,
-        error,
-        box.x,
-        phi,
-        v,
-        outcome,
-        bool(found.solved.converged),
-        resonator,
-        found.core,
+        size,
+        wavenumber=tail and tail.wavenumber,
+        linear_wavenumber=found.ripple and found.ripple.wavenumber,
+        parameter=found.solved.parameter if solved_for else None,
+        energy=np.nan if size or np.isnan(size) else _energy(found, speed, v, resonator),
+        residual=found.solved.residual,
+        error=error,
+        xi=found.box.x,
+        strains=phi,
+        velocities=v,
+        converged=bool(found.solved.converged),
+        resonator=resonator,
+        _core=found.core,
+        _waves=found.waves,
+        **fields,
     )
+    if throw and not wave.converged:
+        raise RuntimeError(wave.outcome)
+    return wave
 
 
 def _top(box, phi):
@@ -402,60 +409,12 @@ def _top(box, phi):
     return highest(size, near - apart, near + apart)[1]
 
 
-def _none(why, given, speed, resonator):
-    nothing = np.full((len(given.masses), 1), np.nan)
-    return CellWave(
-        speed,
-        given.masses,
-        np.nan,
-        np.nan,
-        None,
-        None,
-        None,
-        np.nan,
-        np.nan,
-        np.nan,
-        np.zeros(1),
-        nothing,
-        nothing,
-        f"No wave was found: {why}.",
-        False,
-        resonator,
-    )
-
-
-def _energy(found, given, speed, v, resonator):
-    """Mean over the phases of a cell of the sum over its sites; the potential by quadrature of the force."""
-    box, phi = found.box, found.solved.phi
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    # s^3 takes the root of an opening contact to a smooth function
-    s = (nodes + 1) / 2
-    work = sum(
-        w / 2 * 3 * q**2 * found.box.chain.force(q**3 * phi) * phi for q, w in zip(s, weights)
-    )
-    density = given.masses[:, None] * v**2 / 2 + given.mass * speed**2 * work
+def _energy(found, speed, v, resonator):
+    """Mean over the phases of a cell of the sum over its sites."""
+    box, chain = found.box, found.box.chain
+    density = chain.given[:, None] * v**2 / 2 + chain.unit * chain.bonds(found.solved.phi)[2]
     if resonator is not None:
         velocity, stretch = swinging(v, box.x, speed, resonator)
-        density = (
-            density
-            + float(resonator.mass) * velocity**2 / 2
-            + float(resonator.stiffness) * stretch**2 / 2
-        )
-    return float(density.sum() * 2 * box.half / box.points / len(given.masses))
-
-
-def _outcome(found, ripple, top, p, given):
-    at = "" if p is None else f" at the parameter {p:.12g}"
-    if not found.solved.converged:
-        return f"Newton's method stopped at a residual of {found.solved.residual:.1e}."
-    if np.isnan(ripple):
-        return (
-            f"A wave with {found.waves} linear waves that keep pace with it; its ripple is of its box, and not the "
-            "smallest there is."
-        )
-    if ripple == 0:
-        return f"A wave that travels without loss{at}: no ripple."
-    return (
-        f"A wave with a ripple of {ripple / top:.2g} of its peak, wave number {found.tail.wavenumber:.7g} (linear "
-        f"{found.ripple.wavenumber:.7g}): alone it would lose energy."
-    )
+        density += float(resonator.mass) * velocity**2 / 2
+        density += float(resonator.stiffness) * stretch**2 / 2
+    return float(density.sum() * 2 * box.half / box.points / len(density))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from ...profiles.fourier import Box, Chain, response
+from ...profiles.fourier import Box, Chain
 
 # no ripple is sought beyond this wave number [rad/site], nor nearer to zero than the first
 HIGHEST, STEP = 60.0, 0.01
@@ -23,7 +23,7 @@ class Ripple(NamedTuple):
 def _excess(chain: Chain, k):
     """omega_b(k)^2/c^2 - k^2 of every band, ascending, (P, K), and the vectors of the strain (P, P, K)."""
     root = np.sqrt(chain.K2)
-    B = root[:, None, None] * response(chain, k) * root[None, :, None]
+    B = root[:, None, None] * chain.response(k) * root[None, :, None]
     squares, vectors = np.linalg.eigh(np.moveaxis(B, -1, 0))
     return squares.T - k**2, np.moveaxis(vectors, 0, -1) / root[:, None, None]
 
@@ -34,7 +34,7 @@ def ripples(chain: Chain) -> list[Ripple]:
         return []
     k = np.arange(1, int(HIGHEST / STEP)) * STEP
     if chain.resonator is not None:
-        nu, kappa = chain.resonator
+        nu, kappa = chain.resonator[0], chain.resonator[1] / chain.unit
         # a bead and its resonator that swing alone: a ripple is the nearer to that, the less the contacts feel of it
         swing = np.sqrt(kappa / nu + kappa / chain.masses)[:, None]
         k = np.unique(
@@ -71,22 +71,19 @@ def stiffness(chain: Chain) -> float:
 
 def margin(chain: Chain) -> float:
     """Speed over the sound speed; infinite in a sonic vacuum."""
-    total, K = 1 + (chain.resonator[0] if chain.resonator else 0.0), stiffness(chain)
-    return np.sqrt(total / K) if K > 0 else np.inf
+    K = stiffness(chain)
+    return np.sqrt(chain.total / K) if K > 0 else np.inf
 
 
 def decay(chain: Chain) -> float:
     """Rate [1/site] at which the core falls: K (2 sinh(q/2))^2 = m(iq) q^2 of the chain that the cell is on average."""
     K = stiffness(chain)
-    at = lambda q: 4 * K * np.sinh(q / 2) ** 2 - _inertia(chain, q) * q**2
+
+    def at(q):
+        inertia = chain.inertia(np.array([1j * q])).real.mean()
+        return 4 * K * np.sinh(q / 2) ** 2 - inertia * q**2
+
     return brentq(at, 1e-4, 40.0) if at(1e-4) < 0 else 0.0
-
-
-def _inertia(chain, q):
-    if chain.resonator is None:
-        return 1.0
-    nu, kappa = chain.resonator
-    return 1 + nu * kappa / (kappa + nu * q**2)
 
 
 class Fit(NamedTuple):
