@@ -195,7 +195,7 @@ def _excesses(law, mass, c, ahead, width, nodes, weights, close):
 
 
 def _front(medium, c, ahead, path, guess):
-    """Speed and amplitude of the solitary wave whose beads reach 4c, with derivatives; how far they are off, and why."""
+    """Speed and amplitude of the solitary wave whose beads reach 4c, with derivatives; how far they are off, why."""
     own = medium
     if path.ahead != 0 or traced(ahead):
         own = medium._replace(law=Strained(medium.law, ahead))
