@@ -1,11 +1,9 @@
 """Breathers: time-periodic, localised orbits of conservative lattices, their families and their stability."""
 
 from .orbits import Bifurcation, Branch, Orbit, guesses
-from .orbits.anticontinuous import anticontinuous
 from .orbits.backbone import Backbone, backbone
-from .orbits.bifurcations import bifurcations
-from .orbits.breather import bands_of, breather, resonant_harmonic
-from .orbits.families import family
+from .orbits.branch import bifurcations
+from .orbits.families import anticontinuous, bands_of, breather, family, resonant_harmonic
 from .orbits.gap_breather import GapBreather, k_gap_breather
 from .orbits.guesses import bright_guess, dark_guess
 from .orbits.localised import Localisation, localisation

@@ -35,7 +35,7 @@ def concrete(x: Any) -> np.ndarray | None:
 
 def plain_zero(x: Any) -> bool:
     """Whether it is a plain number zero: what is that is left out, at no cost; arrays and traced zeros stay."""
-    return isinstance(x, (int, float)) and x == 0
+    return isinstance(x, (int, float)) and bool(x == 0)
 
 
 def traced(tree: Any) -> bool:

@@ -1,10 +1,17 @@
 """Damped, driven chains in the time domain: attractors, response curves, Lyapunov exponents."""
 
 from .orbits import Bifurcation
-from .orbits.attractors import Attractor, settle
-from .orbits.driven_chain import driven_chain
-from .orbits.lyapunov import Lyapunov, lyapunov
-from .orbits.response import Jump, ResponseCurve, Way, response
+from .orbits.attractors import (
+    Attractor,
+    Jump,
+    Lyapunov,
+    ResponseCurve,
+    Way,
+    driven_chain,
+    lyapunov,
+    response,
+    settle,
+)
 
 __all__ = [
     "Attractor",

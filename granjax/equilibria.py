@@ -1,5 +1,6 @@
 """Where a lattice rests: by Newton's method, with the loads that hold it."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,7 +20,7 @@ from .results import Result, array, note, part
 from .terms import Bond, LongRange, Term, chain, tracing
 from .terms.base import Altered, get
 from .terms.walls import undriven
-from .types import AnyArray, Count, Displacements, Numbers
+from .types import AnyArray, Count, Displacements, Flags, Numbers
 from .units import PART
 
 # unknowns up to which Newton's method has a dense derivative
@@ -58,8 +59,9 @@ class Equilibrium(Result):
     )
     error: Numbers | None = array("The error of `stiffness`.", "N/m")
     lattice: Lattice = note("The lattice measured from there, which rests at u = 0.")
-    _code: str = eqx.field(static=True)
-    _remark: str = eqx.field(static=True)
+    _moved: Numbers
+    _borne: Flags
+    _code: str = eqx.field(static=True, default="")
 
     @property
     def verdict(self) -> str:
@@ -92,7 +94,8 @@ class Equilibrium(Result):
         }[self.verdict]
         if self.stiffness is None:
             kind = f"A state of rest; whether it is stable is not known for more than {DENSE} displacements"
-        return f"{kind}: {left}.{self._remark}"
+        moved = _MOVED * bool(self._moved > TIGHT * self.largest)
+        return f"{kind}: {left}.{moved}{_BORNE * bool(self._borne)}"
 
 
 _MOVED = (
@@ -128,10 +131,6 @@ class _Problem(eqx.Module):
         force, away = jnp.where(self.holds, 0, self.total(x)), x - self.guess
         force = force + self.free @ (self.free.T @ (self.scale * away - force))
         return jnp.where(self.holds, self.scale * away, force)
-
-
-def _residual(x, problem):
-    return problem.residual(x)
 
 
 def _total(lattice, u):
@@ -184,17 +183,18 @@ def equilibrium(
     >>> rest.state.u.round(4)
     Array([0.5, 1. , 0.5], dtype=float64)
     """
-    problem = _posed(_still(lattice), hold, loads, guess)
-    if problem.guess.size > DENSE:
-        return _result(
-            problem,
-            problem.guess,
-            None,
-            f"More than {DENSE} displacements are not solved for.",
-            throw,
+    if lattice.lanes:
+        refuse(
+            "lattice",
+            "one lattice",
+            f"a batch with lanes {lattice.lanes}",
+            "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).",
         )
-    x = problem.guess
-    for _ in range(2):
+    problem = _posed(undriven(lattice), hold, loads, guess)
+    x, jacobian, code = problem.guess, None, ""
+    if x.size > DENSE:
+        code = f"More than {DENSE} displacements are not solved for."
+    for _ in range(2 if not code else 0):
         # forces at the guess may be far above those at rest: the second time counts
         largest, scale = jax.lax.stop_gradient(_sizes(problem, x))
         problem = eqx.tree_at(lambda p: p.scale, problem, scale)
@@ -206,20 +206,17 @@ def equilibrium(
             max_steps=max_steps,
             throw=False,
         )
-        x = root.x
-    code = "" if traced(root) or root.converged else root.outcome
-    return _result(problem, x, root.jacobian, code, throw)
+        x, jacobian = root.x, root.jacobian
+    if jacobian is not None and not traced(root) and not root.converged:
+        code = root.outcome
+    found = dataclasses.replace(_finished(problem, x, jacobian), _code=code)
+    if not traced(found) and (throw is None or throw) and not found.found:
+        raise RuntimeError(found.outcome)
+    return found
 
 
-def _still(lattice):
-    if lattice.lanes:
-        refuse(
-            "lattice",
-            "one lattice",
-            f"a batch with lanes {lattice.lanes}",
-            "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).",
-        )
-    return undriven(lattice)
+def _residual(x, problem):
+    return problem.residual(x)
 
 
 def _posed(lattice, hold, loads, guess):
@@ -234,13 +231,9 @@ def _posed(lattice, hold, loads, guess):
     # what is known before tracing stays NumPy's
     none, nothing = np.zeros(start.size, bool), np.zeros((start.size, 0), start.dtype)
     problem = _Problem(lattice, own, own, none, start, nothing, jnp.ones((), start.dtype))
-    if not traced(problem) and not np.all(np.isfinite(_total_of(problem, start))):
-        refuse(
-            "guess",
-            "displacements at which every force is finite",
-            "others",
-            "Magnets that touch have no force: start where all of them are apart.",
-        )
+    if not traced(problem) and not np.all(np.isfinite(_response(problem, own)[0])):
+        remedy = "Magnets that touch have no force: start where all of them are apart."
+        refuse("guess", "displacements at which every force is finite", "others", remedy)
     moves, _ = np.linalg.qr(uniform_moves(lattice).astype(start.dtype))
     edges, acts = _edges(problem), np.False_
     if isinstance(hold, str):
@@ -272,11 +265,6 @@ def _loaded(lattice, own, dead):
     return own + jnp.where(dead, -ravel_pytree(lattice.unbalanced())[0], 0)
 
 
-@eqx.filter_jit
-def _total_of(problem, x):
-    return problem.total(x)
-
-
 def _edges(problem):
     """The outermost sites of all axes that do not go around, but those at a wall of a chain, as one row."""
     lattice = problem.lattice
@@ -304,7 +292,7 @@ def _goes_around(problem, axis):
     )
     numbers, flags = eqx.partition(problem, eqx.is_inexact_array)
     plain = eqx.combine(jax.tree.map(tracing.stand_in, numbers), flags)
-    answer = np.abs(concretely(_response, plain, push))
+    answer = np.abs(concretely(_response, plain, push)[1])
     return size > 3 and bool(answer[last].max() > 2 * answer[middle].max())
 
 
@@ -316,17 +304,13 @@ def _slab(lattice, axis, end):
         flags[(slice(None),) * axis + (end,)] = True
         return flags
 
-    return _row(jax.tree.map(of, lattice.template()))
-
-
-def _row(tree):
-    """NumPy's arrays over the sites as one row."""
-    return np.concatenate([x.ravel() for x in jax.tree.leaves(tree)])
+    return np.concatenate([x.ravel() for x in map(of, jax.tree.leaves(lattice.template()))])
 
 
 @eqx.filter_jit
 def _response(problem, push):
-    return jax.jvp(problem.total, (problem.guess,), (push,))[1]
+    """All forces at the guess, and what a displacement changes of them."""
+    return jax.jvp(problem.total, (problem.guess,), (push,))
 
 
 def _chosen(lattice, hold):
@@ -375,49 +359,30 @@ def _least(jacobian, problem):
 
 @eqx.filter_jit
 def _finished(problem, x, jacobian):
-    """What is known at the state of rest: see `_result`."""
+    """What is known at the state of rest."""
     lattice, u = problem.lattice, _shaped(problem.lattice, x)
     force = problem.total(x)
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
-    measured = eqx.tree_at(
-        lambda x: x.terms,
-        lattice,
-        tuple(_measured_from(term, lattice, u) for term in lattice.terms),
-    )
+    measured = tuple(_measured_from(term, lattice, u) for term in lattice.terms)
+    measured = eqx.tree_at(lambda x: x.terms, lattice, measured)
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
-    inner = jnp.max(jnp.where(problem.holds, 0, inner))
-    borne = jnp.any(problem.holds & (problem.given != 0))
-    least = None if jacobian is None else _least(jax.lax.stop_gradient(jacobian), problem)
-    state = State(u, jax.tree.map(jnp.zeros_like, u))
-    largest, ends = _sizes(problem, x)[0], _ends(lattice, u, loads)
-    return state, loads, residual, largest, inner, borne, least, measured, ends
-
-
-def _result(problem, x, jacobian, code, throw):
-    found = _finished(problem, x, jacobian)
-    state, loads, residual, largest, inner, borne, least, measured, ends = found
-    remark = ""
-    if not traced((inner, largest, borne)):
-        remark = _MOVED * bool(inner > TIGHT * largest) + _BORNE * bool(borne)
-    least, error = (None, None) if least is None else least
-    found = Equilibrium(
-        state,
+    least = None, None
+    if jacobian is not None:
+        least = _least(jax.lax.stop_gradient(jacobian), problem)
+    return Equilibrium(
+        State(u, jax.tree.map(jnp.zeros_like, u)),
         loads,
-        ends,
+        _ends(lattice, u, loads),
         residual,
-        largest,
-        least,
-        error,
+        _sizes(problem, x)[0],
+        *least,
         measured,
-        code,
-        remark,
-        **problem.lattice.origin,
+        jnp.max(jnp.where(problem.holds, 0, inner)),
+        jnp.any(problem.holds & (problem.given != 0)),
+        **lattice.origin,
     )
-    if not traced(found) and (throw is None or throw) and not found.found:
-        raise RuntimeError(found.outcome)
-    return found
 
 
 class _MeasuredFrom(Altered):

@@ -1,9 +1,7 @@
 """Floquet theory: the stability of periodic orbits, of lattices and of any other flow."""
 
-from .orbits.floquet import Floquet, decide, floquet, multipliers
-from .orbits.leading import leading
+from .orbits.floquet import Floquet, decide, floquet, leading, multipliers, structure
 from .orbits.spectrum import product_multipliers, reversible_multipliers, spectrum
-from .orbits.structure import structure
 
 __all__ = [
     "Floquet",

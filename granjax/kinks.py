@@ -1,33 +1,26 @@
 """Kinks: what joins two wells of the force on the sites, at rest, over the Peierls-Nabarro barrier, and moving."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 
 from .checks import refuse
 from .lattice import Lattice, State, spread_mass
 from .newton import newton
+from .orbits.asked import one_lattice
 from .results import Result, array, part
 from .types import Number, Numbers, Scalar
 
-# of the largest force on the way from well to well: what is none in a well, what Newton's method leaves, and what
-# pushes a kink that rests all the same, as in the continuum
-WELL = 1e-9
-LEFT = 1e-13
+# of the largest force on the way from well to well: what pushes a kink that rests all the same, as in the continuum
 PUSHED = 1e-9
 # of the way between the wells: by how much a kink that is let go moves at most, and how far from the wells the ends of
 # a chain with a kink may be
 NEAR = 0.1
 ENDS = 0.05
-# displacements at which the forces between the wells are looked at
-WAY = 65
-# of the largest curvature, what may be rounding
-FLAT = 1e-9
-# of a sum of forces or energies, in units of its last place
-ROUNDING = 16
-# sites of either well beside the profile that is moved
-FAR = 12
 
 
 class Kink(Result):
@@ -107,21 +100,21 @@ def kink(
     >>> found.verdict, round(float(found.energy), 4)  # 8 in the continuum
     ('stable', 7.8666)
     """
-    left, right, scale = _checked_wells(lattice, right, left)
-    n = np.arange(lattice.sites[0])
-    middle = (len(n) - 1) // 2 + 0.5 if centre is None else centre
-    if not 0 < middle < len(n) - 1:
-        refuse("centre", f"a place between the first and the last of {len(n)} sites", f"{middle:g}")
+    wells = _checked_wells(lattice, right, left)
+    left, right, sites = wells.left, wells.right, lattice.sites[0]
+    middle = (sites - 1) // 2 + 0.5 if centre is None else centre
+    if not 0 < middle < sites - 1:
+        wanted = f"a place between the first and the last of {sites} sites"
+        refuse("centre", wanted, f"{middle:g}")
     middle = round(2 * middle) / 2
-    guess = left + (right - left) * 2 / np.pi * np.arctan(
-        np.exp((n - middle) / _width(lattice, left))
-    )
+    width = max(np.sqrt(max(wells.coupling, 0) / wells.own), 0.1)
+    rise = np.arctan(np.exp((np.arange(sites) - middle) / width))
+    guess = left + (right - left) * 2 / np.pi * rise
     size = jnp.asarray(abs(right - left), lattice.dtype)
-    problem = _Rest(size, jnp.asarray(scale, lattice.dtype))
-    wanted = max(
-        LEFT,
-        50 * float(jnp.finfo(lattice.dtype).eps) * float(_stiffest(lattice, left) * size / scale),
-    )
+    problem = _Rest(size, jnp.asarray(wells.force, lattice.dtype))
+    # of the largest force between the wells, what Newton's method leaves
+    rounding = 50 * float(jnp.finfo(lattice.dtype).eps)
+    wanted = max(1e-13, rounding * float(wells.stiffest * size / wells.force))
     begin = jnp.asarray(guess, lattice.dtype) / size
     # held at its place, along which a wide kink is pushed by next to nothing, and then let go
     held = newton(
@@ -136,14 +129,24 @@ def kink(
     let_go = free.converged and float(jnp.max(jnp.abs(free.x - held.x[:-1]))) <= NEAR
     pushed = float(jnp.max(jnp.abs(problem(held.x[:-1], lattice))))
     if not let_go and held.converged and pushed > PUSHED:
-        _refuse_ends(f"{pushed:.1g} of the largest force pushes it there", middle, len(n))
+        _refuse_ends(f"{pushed:.1g} of the largest force pushes it there", middle, sites)
     x = free.x if let_go else held.x[:-1]
     if not (let_go or held.converged):
         raise RuntimeError(held.outcome)
     away = abs(float(x[0] * size) - left), abs(float(x[-1] * size) - right)
     if max(away) > ENDS * float(size):
-        _refuse_ends(f"its ends are {max(away):.3g} from the wells", middle, len(n))
-    return _told(lattice, problem, x, left)
+        _refuse_ends(f"its ends are {max(away):.3g} from the wells", middle, sites)
+    *found, squares = _known(problem, lattice, x, jnp.asarray(left, lattice.dtype))
+    least = float(squares[0])
+    known = abs(least) > 1e-9 * float(jnp.max(jnp.abs(squares)))
+    return Kink(
+        *found,
+        jnp.sqrt(jnp.maximum(squares, 0)),
+        jnp.sqrt(jnp.maximum(-squares[0], 0)),
+        jnp.max(jnp.abs(problem(x, lattice))),
+        ("stable" if least > 0 else "unstable") if known else "undecided",
+        **lattice.origin,
+    )
 
 
 def _refuse_ends(why, middle, sites):
@@ -198,17 +201,16 @@ def moving(
     **Arguments:** `velocity`: V [sites/s], |V| < c0. The others as in `kink`; `centre` is any place.
     **Returns:** a `State`, to `gx.simulate`. **Raises** ValueError for |V| >= c0, and as `kink`.
     """
-    rest = kink(lattice, right, left)
-    speed, top = float(velocity), _long_waves(lattice, float(left))
+    rest, wells = kink(lattice, right, left), _checked_wells(lattice, right, left)
+    middle, speed = (lattice.sites[0] - 1) // 2, float(velocity)
+    mass = np.asarray(spread_mass(lattice))[lattice.sites[0] // 2]
+    top = float(np.sqrt(max(wells.coupling, 0) / mass))
     if not abs(speed) < top:
         refuse("velocity", f"a speed below {top:.6g}, that of long waves", f"{speed:g}")
-    n = np.arange(lattice.sites[0])
-    middle = (len(n) - 1) // 2 + 0.5
-    begin = middle if centre is None else centre
+    begin = middle + 0.5 if centre is None else centre
     stretch = 1 / np.sqrt(1 - (speed / top) ** 2)
-    profile, slope = _profile(
-        np.asarray(rest.state.u), stretch * (n - begin) + middle, float(left), float(right)
-    )
+    x = stretch * (np.arange(lattice.sites[0]) - begin) + middle + 0.5
+    profile, slope = _profile(np.asarray(rest.state.u), x, wells.left, wells.right)
     return State(
         jnp.asarray(profile, lattice.dtype), jnp.asarray(-speed * stretch * slope, lattice.dtype)
     )
@@ -216,16 +218,15 @@ def moving(
 
 def _profile(u, x, left, right):
     """A kink and its slope between the sites, through six of them at a time, and the wells beyond."""
-    wide = np.concatenate([np.full(FAR, left), u, np.full(FAR, right)])
-    first = np.clip(np.floor(x).astype(int) + FAR - 2, 0, len(wide) - 6)
-    s = np.clip(x + FAR - first, 0, 5)
-    nodes = np.arange(6.0)
-    powers = np.linalg.inv(np.vander(nodes, increasing=True))
-    coefficients = powers @ wide[first[None, :] + np.arange(6)[:, None]]
-    value = sum(c * s**k for k, c in enumerate(coefficients))
-    slope = sum(k * c * s ** (k - 1) for k, c in enumerate(coefficients) if k)
-    beyond = (x < -FAR) | (x > len(u) - 1 + FAR)
-    return value, np.where(beyond, 0, slope)
+    far = 12
+    wide = np.concatenate([np.full(far, left), u, np.full(far, right)])
+    first = np.clip(np.floor(x).astype(int) + far - 2, 0, len(wide) - 6)
+    s, six = np.clip(x + far - first, 0, 5), np.arange(6)
+    powers = np.linalg.inv(np.vander(six, increasing=True))
+    coefficients = powers @ wide[first + six[:, None]]
+    value = polyval(s, coefficients, tensor=False)
+    slope = polyval(s, polyder(coefficients), tensor=False)
+    return value, np.where((x < -far) | (x > len(u) - 1 + far), 0, slope)
 
 
 class _Rest(eqx.Module):
@@ -262,97 +263,66 @@ def _stiffness(lattice, u):
     return -jax.jacfwd(lambda u: _forces(lattice, u))(u)
 
 
-def _stiffest(lattice, level):
-    return jnp.max(jnp.abs(_stiffness(lattice, level * jnp.ones_like(lattice.zeros()))))
-
-
-def _at_middle(lattice, level):
-    """What couples the site in the middle to all, sum j^2 k_j/2, and its own force's slope."""
-    row = np.asarray(_stiffness(lattice, level * jnp.ones_like(lattice.zeros())))
-    place = len(row) // 2
-    return -np.sum((np.arange(len(row)) - place) ** 2 * row[place]) / 2, row[place].sum(), place
-
-
-def _width(lattice, level):
-    coupling, own, _ = _at_middle(lattice, level)
-    return max(np.sqrt(max(coupling, 0) / own), 0.1) if own > 0 else 1.0
-
-
-def _long_waves(lattice, level):
-    coupling, _, place = _at_middle(lattice, level)
-    return float(np.sqrt(max(coupling, 0) / np.asarray(spread_mass(lattice))[place]))
-
-
 @eqx.filter_jit
 def _known(problem, lattice, x, left):
-    """(u, energy above the left well, error of u, of the energy, squares of the frequencies)."""
+    """(state, energy above the left well, error of u, of the energy, squares of the frequencies)."""
     u = problem.size * x
     stiffness = _stiffness(lattice, u)
     inverse, force = jnp.linalg.inv(stiffness), _forces(lattice, u)
-    eps = jnp.finfo(u.dtype).eps
-    rounding = ROUNDING * eps * jnp.max(jnp.sum(jnp.abs(stiffness), 1)) * jnp.max(jnp.abs(u))
+    # of a sum of forces or energies, in units of its last place
+    eps = 16 * jnp.finfo(u.dtype).eps
+    rounding = eps * jnp.max(jnp.sum(jnp.abs(stiffness), 1)) * jnp.max(jnp.abs(u))
     error = jnp.abs(inverse @ force) + jnp.sum(jnp.abs(inverse), 1) * rounding
-    rest, zero = left * jnp.ones_like(u), jnp.zeros_like(u)
-    energy = lattice.energy(0.0, u, zero) - lattice.energy(0.0, rest, zero)
+    zero = jnp.zeros_like(u)
+    there, well = (lattice.energy(0.0, y, zero) for y in (u, left * jnp.ones_like(u)))
     # what is at rest has an energy of second order in the error, beside rounding
-    energy_error = jnp.sum(jnp.abs(force) * error) + ROUNDING * eps * (
-        jnp.abs(lattice.energy(0.0, u, zero)) + jnp.abs(lattice.energy(0.0, rest, zero))
-    )
+    energy_error = jnp.sum(jnp.abs(force) * error) + eps * (jnp.abs(there) + jnp.abs(well))
     root = jnp.sqrt(spread_mass(lattice))
     squares = jnp.linalg.eigvalsh((stiffness + stiffness.T) / 2 / root[:, None] / root)
-    return u, energy, error, energy_error, squares
+    return State(u, zero), there - well, error, energy_error, squares
 
 
-def _told(lattice, problem, x, left):
-    u, energy, error, energy_error, squares = _known(
-        problem, lattice, x, jnp.asarray(left, lattice.dtype)
-    )
-    least = float(squares[0])
-    known = abs(least) > FLAT * float(jnp.max(jnp.abs(squares)))
-    verdict = ("stable" if least > 0 else "unstable") if known else "undecided"
-    growth = jnp.sqrt(jnp.maximum(-squares[0], 0))
-    return Kink(
-        State(u, jnp.zeros_like(u)),
-        energy,
-        error,
-        energy_error,
-        jnp.sqrt(jnp.maximum(squares, 0)),
-        growth,
-        jnp.max(jnp.abs(problem(x, lattice))),
-        verdict,
-        **lattice.origin,
-    )
+class _Wells(NamedTuple):
+    """Two wells, the largest force between them, and in the left one the stiffness.
+
+    Its largest entry, what couples the site in the middle to all, sum j^2 k_j/2, and its own force's slope.
+    """
+
+    left: float
+    right: float
+    force: float
+    stiffest: float
+    coupling: float
+    own: float
 
 
 def _checked_wells(lattice, right, left):
-    """(left, right, the largest force between them), of a chain in which both are wells."""
-    if lattice.lanes:
-        refuse(
-            "lattice",
-            "one lattice",
-            f"a batch with lanes {lattice.lanes}",
-            "Ask for one lane at a time.",
-        )
-    if isinstance(lattice.template(), dict) or lattice.dimension is not None or lattice.axes != 1:
+    """The `_Wells` of a chain, both of them wells."""
+    if one_lattice(lattice).fields or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "one chain of scalar displacements", f"one of shape {lattice.shape}")
     if not lattice.conserves:
         refuse("lattice", "forces that depend on positions alone", ", ".join(lattice.unkept()))
     left, right = float(left), float(right)
     if left == right:
         refuse("right", "another well than the left one", f"{right:g}")
-    forces = np.asarray(_uniform(lattice, jnp.linspace(left, right, WAY)))
+    forces = np.asarray(_uniform(lattice, jnp.linspace(left, right, 65)))
     scale = forces[1:-1].max()
     if not scale > 0:
         refuse("lattice", "a force on the sites between the wells", "none")
+    found = []
     for name, x, force in (("left", left, forces[0]), ("right", right, forces[-1])):
-        if not force <= WELL * scale:
+        if not force <= 1e-9 * scale:
             refuse(
                 name,
                 "a well, in which nothing is pushed",
                 f"{x:g}, with {force / scale:.2g} of the largest force on the way",
                 "Ends must be free: walls at u = 0 hold no other well.",
             )
-    for name, x in (("left", left), ("right", right)):
-        if not _at_middle(lattice, x)[1] > 0:
+        stiffness = np.asarray(_stiffness(lattice, x * jnp.ones_like(lattice.zeros())))
+        place = len(stiffness) // 2
+        row = stiffness[place]
+        if not row.sum() > 0:
             refuse(name, "a well, to which sites come back", f"{x:g}, the top of a barrier")
-    return left, right, scale
+        coupling = -np.sum((np.arange(len(row)) - place) ** 2 * row) / 2
+        found.append((np.abs(stiffness).max(), coupling, row.sum()))
+    return _Wells(left, right, scale, *found[0])

@@ -21,7 +21,7 @@ from granjax.floquet import (
     reversible_multipliers,
 )
 from granjax.forced import forced_orbit
-from granjax.orbits.structure import weights
+from granjax.orbits.floquet import weights
 
 
 def apart(a, b):

@@ -9,7 +9,7 @@ import granjax as gx
 from granjax.continuation import continuation
 from granjax.newton import newton
 from granjax.orbits import Mirror, Shooting, Sign, Symmetry, Translation, orbit, shifts
-from granjax.orbits.repeats import checked_symmetry
+from granjax.orbits.asked import checked_symmetry
 
 N = 5
 RNG = np.random.default_rng(4)

@@ -245,7 +245,7 @@ def test_why_there_is_no_bright_breather():
     precompressed = scenes.mass_in_mass(12, 0.3, 1.2, precompression=1.0)
     with refused("only dark"):
         gx.breathers.breather(precompressed, 2.0, "bright")
-    only_pushes = gx.orbits.breather._only_pushes
+    only_pushes = gx.orbits.families._only_pushes
     assert only_pushes(scenes.mass_in_mass(12, 5.0, 1.0)) and only_pushes(scenes.monomer(12))
     chain = scenes.mass_in_mass(6, 5.0, 1.0)
     start = gx.State({"bead": 0.01 * jnp.eye(6)[2], "resonator": jnp.zeros(6)}, chain.zeros())

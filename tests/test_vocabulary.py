@@ -28,7 +28,6 @@ TIME_STEPS = (
     "linear.floquet_bands",
     "orbits.floquet",
     "orbits.gap_breather",
-    "orbits.leading",
     "work_precision",
 )
 

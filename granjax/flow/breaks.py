@@ -8,12 +8,36 @@ import jax.numpy as jnp
 
 from ..lattice import Lattice
 from ..solvers.wrapped import Wrapped
-from ..terms.base import between
+from ..terms import Term
+from ..terms.base import Altered
 from ..terms.waveforms import ULPS, count_breaks, next_break
 from ..types import Number, Scalar
 
 # a step that would end so near before its goal ends there
 NEARLY = 1e-9
+
+
+class Held(Altered):
+    """A term for the times from `low` to `high` alone: beyond them it is what it is there."""
+
+    term: Term
+    low: Number
+    high: Number
+
+    def _within(self, t):
+        return jnp.clip(t, self.low, self.high)
+
+    def force(self, t, u, v, mass):
+        return self.term.force(self._within(t), u, v, mass)
+
+    def energy(self, t, u):
+        return self.term.energy(self._within(t), u)
+
+    def compressions(self, t, u):
+        return self.term.compressions(self._within(t), u)
+
+    def linearised(self, lattice, t, u, v):
+        return self.term.linearised(lattice, self._within(t), u, v)
 
 
 class OneSided(Wrapped):
@@ -35,7 +59,7 @@ def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
         2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
     )
     low, high = jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack
-    held = tuple(between(term, low, high) for term in lattice.terms)
+    held = tuple(Held(term, low, high) if term.jumps() else term for term in lattice.terms)
     return eqx.tree_at(lambda x: x.terms, lattice, held)
 
 

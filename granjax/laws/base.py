@@ -5,6 +5,7 @@ import functools
 from collections.abc import Sequence
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -172,7 +173,31 @@ def _smallest(lengths):
     return functools.reduce(jnp.minimum, known) if known else None
 
 
-class Scaled(Law):
+class Derived(Law):
+    """A law that is made of another one, and is open, or without a force, where that one is."""
+
+    law: eqx.AbstractVar[Law]
+
+    def _moved(self, e):
+        """The compression of the other law."""
+        return e
+
+    @property
+    def softens(self):
+        return self.law.softens
+
+    @property
+    def opens(self):
+        return self.law.opens
+
+    def overlap(self, e):
+        return self.law.overlap(self._moved(e))
+
+    def room(self, e):
+        return self.law.room(self._moved(e))
+
+
+class Scaled(Derived):
     """A law times a factor: F = g F_law(e), for stiffness that changes in time or along the chain.
 
     **Arguments:** `law`; `factor`: number or array over bonds.
@@ -190,14 +215,6 @@ class Scaled(Law):
 
     def __init__(self, law: Law, factor: Number):
         self.law, self.factor = law, factor
-
-    @property
-    def softens(self):
-        return self.law.softens
-
-    @property
-    def opens(self):
-        return self.law.opens
 
     @property
     def power_law(self):
@@ -219,14 +236,8 @@ class Scaled(Law):
     def preload(self):
         return self.factor * self.law.preload
 
-    def overlap(self, e):
-        return self.law.overlap(e)
 
-    def room(self, e):
-        return self.law.room(e)
-
-
-class Strained(Law):
+class Strained(Derived):
     """A law measured from another equilibrium, a strain s: F(e) = F_law(e + s) - F_law(r), with r = s by default.
 
     So a ring carries a mean strain, such as what a solitary wave shortens it by, while its displacements are periodic;
@@ -254,14 +265,6 @@ class Strained(Law):
         return jnp.asarray(self.strain if self.reference is None else self.reference)
 
     @property
-    def softens(self):
-        return self.law.softens
-
-    @property
-    def opens(self):
-        return self.law.opens
-
-    @property
     def preload(self):
         return self.law.preload + self.law.force(self._zero)
 
@@ -275,14 +278,11 @@ class Strained(Law):
             self.law.energy(e + self.strain) - self.law.energy(zero) - self.law.force(zero) * moved
         )
 
-    def overlap(self, e):
-        return self.law.overlap(e + self.strain)
-
-    def room(self, e):
-        return self.law.room(e + self.strain)
+    def _moved(self, e):
+        return e + self.strain
 
 
-class InOtherUnits(Law):
+class InOtherUnits(Derived):
     """A law with compressions and forces counted in other units: F(e) = F_law(length e)/force."""
 
     law: Law
@@ -293,24 +293,19 @@ class InOtherUnits(Law):
     def preload(self):
         return self.law.preload / self.unit
 
-    @property
-    def softens(self):
-        return self.law.softens
-
-    @property
-    def opens(self):
-        return self.law.opens
-
     def force(self, e):
         return self.law.force(self.length * e) / self.unit
 
     def energy(self, e):
         return self.law.energy(self.length * e) / (self.unit * self.length)
 
+    def _moved(self, e):
+        return self.length * e
+
     def overlap(self, e):
-        overlap = self.law.overlap(self.length * e)
+        overlap = super().overlap(e)
         return None if overlap is None else overlap / self.length
 
     def room(self, e):
-        room = self.law.room(self.length * e)
+        room = super().room(e)
         return None if room is None else room / self.length

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 from ..checks import positive
 from ..types import Parameter
 from ..units import PART
-from .base import Law
+from .base import Derived, Law
 
 NEWTON_STEPS = 200
 
 
-class Yielding(Law):
+class Yielding(Derived):
     r"""A law in series with a linear spring of stiffness k: F(e) = F_law(x), where x + F_law(x)/k = e.
 
     The compression e is shared between the contact (x) and what it leans on (F/k). Energy: energy_law(x) + F^2/(2k).
@@ -37,15 +37,7 @@ class Yielding(Law):
     def __init__(self, law: Law, support: Parameter):
         self.law, self.support = law, positive("support", support)
 
-    @property
-    def softens(self):
-        return self.law.softens
-
-    @property
-    def opens(self):
-        return self.law.opens
-
-    def _inner(self, e):
+    def _moved(self, e):
         return _share(self.law, self.support, e)
 
     @property
@@ -53,14 +45,11 @@ class Yielding(Law):
         return self.law.preload
 
     def force(self, e):
-        return self.law.force(self._inner(e))
+        return self.law.force(self._moved(e))
 
     def energy(self, e):
-        x = self._inner(e)
+        x = self._moved(e)
         return self.law.energy(x) + self.law.force(x) ** 2 / (2 * self.support)
-
-    def overlap(self, e):
-        return self.law.overlap(self._inner(e))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=())

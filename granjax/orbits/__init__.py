@@ -2,20 +2,18 @@
 
 `gx.breathers`, `gx.forced`, `gx.floquet` and `gx.driven` are faces of this room. Where to look:
 
-- one orbit: `problems` (the equations, a `Shooting`), `confirm` (Newton's method, steps that are doubled, errors),
-  `orbit` and `breather` (how to ask), `guesses`, `backbone`, `symmetry`, `repeats` and `steps` (what is asked with).
-- a branch: `problems` (a `Family` of shooting problems over a parameter, which `continuation` follows), `families`,
-  `anticontinuous` and `forced_branch` (where it begins and ends), `examined` (what there is to say of each point),
-  `bifurcations` (what lies between two points), `branch` (the results).
-- stability: `floquet`, `leading`, `spectrum`, `structure`. Motions that settle or do not: `attractors`, `sweep`,
-  `lyapunov`, `driven_chain`; waves that grow in a gap and return: `gap_breather`.
+- one orbit: `problems` (the equations, a `Shooting`), `orbit` (Newton's method, steps that are doubled, errors),
+  `guesses`, `backbone`, `asked` (what is asked with: lattice, state, period, symmetry, steps).
+- a branch: `problems` (a `Family` of shooting problems over a parameter, which `continuation` follows), `branch` (the
+  result, what there is to say of each point, what lies between two; forced orbits), `families` (breathers).
+- stability: `floquet`, `spectrum`. Motions that settle or do not: `attractors`; waves that grow in a gap and return:
+  `gap_breather`.
 """
 
+from .asked import Mirror, Sign, Symmetry, Translation, default_steps, history, shifts
 from .branch import Bifurcation, Branch
 from .orbit import Orbit, orbit
 from .problems import Shooting
-from .steps import default_steps, history
-from .symmetry import Mirror, Sign, Symmetry, Translation, shifts
 
 __all__ = [
     "Bifurcation",

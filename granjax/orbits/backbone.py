@@ -14,7 +14,7 @@ from ..linear import normal_modes
 from ..linear.stiffness import at_rest
 from ..results import Result, array
 from ..types import Count, Displacements, Number, Scalar, StateLike
-from .repeats import checked_state
+from .asked import checked_state
 
 # of the largest omega^2: modes of one frequency
 ALIKE = 1e-11

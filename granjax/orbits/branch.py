@@ -1,21 +1,52 @@
 """A branch of periodic orbits over a parameter, and the bifurcations on it."""
 
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Inexact, Shaped
+from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Float, Inexact, Shaped
 
+from ..checks import one_of, positive, refuse, tolerance
 from ..continuation import Curve
-from ..lattice import Lattice, State
-from ..newton import Root
+from ..flow import Flow
+from ..lattice import Lattice, State, spread_mass
+from ..measures import rms_velocity
+from ..newton import Root, nearby
 from ..results import Held, Result, array, part
-from ..types import Count, Displacements
-from .confirm import OrbitError
-from .orbit import Orbit
-from .problems import Family
+from ..solvers import SRKN14a
+from ..tuning import one_thread
+from ..types import Count, Displacements, Numbers, Scalar, StateLike
+from .asked import (
+    answered,
+    checked_period,
+    checked_state,
+    fixed_step_solver,
+    flow_over,
+    history,
+)
+from .floquet import decide, structure, weights
+from .orbit import (
+    BRANCH,
+    DOUBLINGS,
+    FRAMES,
+    LEFT_ON_BRANCH,
+    Orbit,
+    OrbitError,
+    checked_free,
+    covering,
+    error_of,
+    neighbours,
+    newtons,
+    prepared,
+    rounding,
+)
+from .problems import Family, made
+from .spectrum import reversible_multipliers, spectrum
 
 FOLD = "fold"
 BRANCH_POINT = "branch point"
@@ -90,7 +121,6 @@ class Branch(Result):
     bifurcations: tuple[Bifurcation, ...] = array(
         "The bifurcations in the order of the branch.", axes="bifurcation"
     )
-    outcome: str = eqx.field(static=True)
     t0: float = array("The time at which the orbits begin.")
     exported: ClassVar[dict[str, Held]] = {
         "omega": Held("point", "rad/s"),
@@ -102,6 +132,13 @@ class Branch(Result):
 
     def __len__(self) -> int:
         return len(self.p)
+
+    @property
+    def outcome(self) -> str:
+        """Why the branch ended; continuation itself knows the share of its way alone."""
+        if self._curve.end == "p":
+            return f"p reached {self.p[-1]:.6g}."
+        return self._curve.outcome
 
     @property
     def omega(self) -> Float[np.ndarray, " P"]:
@@ -123,39 +160,34 @@ class Branch(Result):
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
         """Values of the parameter where the branch turns back."""
-        return np.array([b.p for b in self.bifurcations if b.kind == FOLD])
+        return self._places(FOLD)
 
     @property
     def branch_points(self) -> Float[np.ndarray, " B"]:
         """Values of the parameter where another branch crosses."""
-        return np.array([b.p for b in self.bifurcations if b.kind == BRANCH_POINT])
+        return self._places(BRANCH_POINT)
 
-    @property
-    def stable(self) -> Bool[np.ndarray, " P"]:
-        """Which points are stable, (P,)."""
-        return self.verdict == "stable"
+    def _places(self, kind):
+        return np.array([b.p for b in self.bifurcations if b.kind == kind])
 
     def orbit(self, i: Count) -> Orbit:
         """The `Orbit` at point i; -1 is the last."""
-        x, q = jnp.asarray(self._curve.x[i]), jnp.asarray(self._curve.p[i])
-        lattice, _ = self._family.scene(q)
-        residual = _residual(self._family, x, q)
-        none = jnp.zeros((), int)
+        family, x, q = self._family, jnp.asarray(self._curve.x[i]), jnp.asarray(self._curve.p[i])
+        lattice, _ = family.scene(q)
+        residual, none = _residual(family, x, q), jnp.zeros((), int)
         root = Root(x, jnp.full((x.size,) * 2, jnp.nan), residual, residual, none, none, residual)
-        state = jax.tree.map(lambda y: jnp.asarray(y[i]), self.states)
-        apart, exact = (
-            jax.tree.map(lambda e: jnp.asarray(e[i]), (self.state_error, self.energy_error)),
-            jnp.zeros(()),
-        )
+        known = self.states, self.periods, self.energy, self.state_error, self.energy_error
+        state, period, energy, *apart = jax.tree.map(lambda y: jnp.asarray(y[i]), known)
+        exact = jnp.zeros(())
         return Orbit(
             state,
-            jnp.asarray(self.periods[i]),
+            period,
             lattice,
             root,
-            self._family.shooting.whole,
+            family.shooting.whole,
             jnp.asarray(self.t0),
-            jnp.asarray(self.energy[i]),
-            self._family.shooting.symmetry,
+            energy,
+            family.shooting.symmetry,
             OrbitError(*apart, exact, exact, **lattice.origin),
         )
 
@@ -165,9 +197,7 @@ def _residual(family, x, q):
     return jnp.max(jnp.abs(family.residual(x, q)))
 
 
-def bifurcation_at(
-    family: Family, kind: str, z: np.ndarray, after: Count, *known: Any
-) -> Bifurcation:
+def _bifurcation_at(family, kind, z, after, *known):
     """A bifurcation at z = (x, q). `known`: its multiplier and what is counted before and behind, if any."""
     x, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
     state = State(*family.shooting.state(x))
@@ -175,6 +205,430 @@ def bifurcation_at(
     return Bifurcation(kind, float(family.value(q)), int(after), state, *known, **origin)
 
 
-def special_of(family: Family, curve: Curve) -> list[Bifurcation]:
-    """The folds and branch points that continuation has met, as `Bifurcation`s."""
-    return [bifurcation_at(family, s.kind, np.append(s.x, s.p), s.after) for s in curve.special]
+class _Examined(NamedTuple):
+    """An orbit of a branch, its errors, and its tangent maps by several numbers of steps, the most first.
+
+    Of a breather the maps are over half a period, over u and m v without units; else they are monodromy matrices.
+    `changes`: of a breather how far its unknowns may be off; else of the state (3, 2n), by other steps.
+    """
+
+    state: State
+    period: Numbers
+    energy: Numbers
+    response: Numbers | None
+    error: OrbitError
+    response_error: Numbers | None
+    maps: Numbers | None
+    changes: Numbers
+
+    @property
+    def step_error(self) -> float:
+        """The change of the tangent map between the most steps and the least."""
+        return float(np.abs(np.asarray(self.maps[0]) - np.asarray(self.maps[-1])).max())
+
+
+def examined(family: Family, z: np.ndarray, response: Callable | None = None) -> _Examined:
+    """The orbit z = (x, q) of a family."""
+    z = jnp.asarray(z)
+    return _half(family, z) if family.shooting.reversible else _whole(family, z, response)
+
+
+@eqx.filter_jit
+def _half(family, z):
+    """By the steps of the family, and twice as many; of x at this frequency, as far as the derivative tells."""
+    x, shooting, (lattice, period) = z[:-1], family.shooting, family.scene(z[-1])
+    y, flow, n, moves = shooting.state(x), shooting.flow, shooting.count, shooting.moves
+    mass = ravel_pytree(spread_mass(lattice))[0]
+    weight = jnp.concatenate([jnp.ones_like(mass), mass / mass.mean() * period])
+
+    def mapped(steps):
+        end, map_ = Flow(steps, flow.solver, flow.field).derivative(y, 0.0, period / 2, lattice)
+        return map_ * weight[:, None] / weight, ravel_pytree(end.v)[0]
+
+    maps, ends = jax.lax.map(mapped, flow.steps * jnp.array([2, 1]))
+    # the velocities at the end are zero, and the mean displacement, but for what an idle unknown adds
+    unit = shooting.scale[:n, None] / shooting.scale[n:, None]
+    slope = maps[0][n:, :n] * unit / weight[n:, None]
+    joined = jnp.block(
+        [[slope, moves], [moves.T * mass / mass.sum(), jnp.zeros((moves.shape[1],) * 2)]]
+    )
+    inverse = jnp.linalg.inv(joined)
+    change = inverse[:, :n] @ ((ends[0] - ends[1]) / shooting.scale[n:])
+    apart = covering(change[None], rounding(inverse))
+    state = shooting.state(nearby(x, -inverse[:, :n] @ (ends[1] / shooting.scale[n:])))
+    error = error_of(lattice, 0.0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
+    period, energy = jnp.broadcast_to(period, ()), lattice.energy(0.0, *state)
+    return _Examined(state, period, energy, None, error, None, maps, apart)
+
+
+@eqx.filter_jit
+def _whole(family, z, response):
+    """By the steps of the family, 3/4 and 1/2 of them; the error is the most that the other steps change."""
+    (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
+    t0, period, flow = (
+        family.shooting.t0,
+        jnp.asarray(period, lattice.dtype),
+        family.shooting.whole,
+    )
+
+    def responded(y, n):
+        _, ts, ys = history(Flow(n, flow.solver), lattice, y, t0, period, FRAMES)
+        return answered(response, lattice, ys, ts)
+
+    def mapped(n):
+        end, map_ = Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)
+        return ravel_pytree(end)[0], map_
+
+    counts = jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2])
+    ends, maps = jax.lax.map(mapped, counts)
+    # in one unit for displacements and one for velocities
+    flat, unravel = ravel_pytree(state)
+    scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
+    inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
+    changes = (
+        jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
+    )
+    # of each flow's own orbit
+    others = flat + jnp.concatenate([jnp.zeros_like(changes[:1]), changes[:2]]) / scale
+    numbers = jax.lax.map(lambda x: responded(unravel(x[0]), x[1]), (others, counts))
+    about = covering((numbers[1:] - numbers[0])[:, None], rounding(inverse, jnp.abs(numbers[0])))[0]
+    state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
+    apart = covering(changes, rounding(inverse, jnp.max(jnp.abs(flat * scale))))
+    error = error_of(lattice, t0, state, unravel(apart / scale), 2 * jnp.pi / period, jnp.zeros(()))
+    return _Examined(
+        state, period, lattice.energy(t0, *state), numbers[0], error, about, maps, changes / scale
+    )
+
+
+def examined_along(
+    family: Family, curve: Curve, response: Callable | None = None, stability: bool = True
+) -> list[tuple]:
+    """Of each orbit of a curve: the orbit without its maps, multipliers, their error, `step_error`, verdict.
+
+    While one is decomposed the next one's maps are on their way.
+    """
+    n, reversible = family.shooting.count, family.shooting.reversible
+    known = structure(family.scene(jnp.asarray(curve.p[0]))[0])
+    found, zs = [], np.column_stack([curve.x, curve.p])
+    coming = examined(family, zs[0], response)
+    for after in [*zs[1:], None]:
+        here, coming = coming, None if after is None else examined(family, after, response)
+        maps = np.asarray(here.maps)
+        if not reversible:
+            scale = weights(known.mass, here.period)
+            maps = maps * scale[:, None] / scale
+        values, error, verdict = np.full(2 * n, np.nan, complex), np.full(2 * n, np.nan), ""
+        if stability:
+            values, error = (
+                reversible_multipliers(*maps)[1:] if reversible else spectrum(*maps)[::2]
+            )
+            verdict, _ = decide(values, error, known.expected, reversible)
+        step_error = here._replace(maps=maps).step_error
+        here = jax.tree.map(np.asarray, here._replace(maps=None))
+        found.append((here, values, error, step_error, verdict))
+    return found
+
+
+def branch_of(
+    family: Family,
+    curve: Curve,
+    along: list[tuple],
+    bifurcations: Sequence[Bifurcation] | None = None,
+) -> Branch:
+    """The branch that a curve of a family is, from what `examined_along` gives.
+
+    Its bifurcations are by default the folds and branch points that continuation has met.
+    """
+    if bifurcations is None:
+        special = [(s.kind, np.append(s.x, s.p), s.after) for s in curve.special]
+        bifurcations = [_bifurcation_at(family, *at) for at in special]
+    found, multipliers, about, step_error, verdict = jax.tree.map(lambda *x: np.stack(x), *along)
+    # an error that is small by accident is as large as its neighbours
+    error, response_error = jax.tree.map(neighbours, (found.error, found.response_error))
+    return Branch(
+        family.values(curve.p),
+        found.period,
+        found.state,
+        found.energy,
+        found.response,
+        error.state,
+        error.energy,
+        response_error,
+        multipliers,
+        about,
+        step_error,
+        verdict,
+        tuple(bifurcations),
+        float(family.shooting.t0),
+        family,
+        curve,
+        **family.scene(jnp.asarray(curve.p[0]))[0].origin,
+    )
+
+
+KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
+
+
+@one_thread
+def bifurcations(
+    branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9
+) -> list[Bifurcation]:
+    r"""Bifurcations along a family, each located between two neighbouring breathers.
+
+    With mu = (rho + 1/rho)/2: a pair leaves the circle at +1 where mu crosses 1, at -1 (period doubling) where it
+    crosses -1; two pairs of unlike Krein signature leave it together where two mu meet and become complex. Where mu is
+    1 within its error it counts as the symmetries', which stand there anyway.
+
+    **Arguments:** `branch`: of `gx.breathers.family`. `kinds`: which, of "real pair at +1", "period doubling", "Krein
+    collision", "extremum of energy". `accuracy`: relative, of the frequency.
+
+    **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes between two breathers
+    is not seen: give the family a shorter `longest_arclength`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> branch = gx.breathers.family(chain, points=3, arclength=0.3, steps=64)
+    >>> branch.verdict.tolist(), gx.breathers.bifurcations(branch)
+    (['stable', 'stable', 'stable'], [])
+    """
+    if not branch._family.shooting.reversible:
+        wanted = "a family of breathers"
+        refuse("branch", wanted, "a branch of forced orbits", "Its own are branch.bifurcations.")
+    for kind in kinds:
+        one_of("kinds", kind, KINDS)
+    accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
+    family, system = branch._family, branch._family.system()
+    for i, (here, there) in enumerate(branch._curve.steps):
+        spectra, events = {}, []
+
+        def count(point, kind):
+            if kind == "extremum of energy":
+                return int(_energy_slope(family, *map(jnp.asarray, (point.z, point.tangent))) > 0)
+            key = point.z.tobytes()
+            if key not in spectra:
+                found = examined(family, point.z)
+                traces, _, _ = reversible_multipliers(*np.asarray(found.maps))
+                spectra[key] = traces, found.step_error
+            return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1])
+
+        for kind in kinds:
+            before, behind = count(here, kind), count(there, kind)
+            if before == behind:
+                continue
+            test = lambda point: 1.0 if count(point, kind) == behind else -1.0
+            share = accuracy * here.p / 4 / ((there.z - here.z) @ here.tangent)
+            point = system.zero(here, there, test, share)
+            events.append((kind, point.z, before, behind))
+        events.sort(key=lambda event: (event[1] - here.z) @ here.tangent)
+        found += [_bifurcation_at(family, kind, z, i, None, *counts) for kind, z, *counts in events]
+    return found
+
+
+def _counted(kind, traces, step_error, symmetries):
+    """How many of a kind there are among half-traces, of which as many as there are symmetries are 1."""
+    # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
+    error = max(step_error, 1e-12)
+    near = np.abs(traces - 1) < max(1e-4, 10 * np.sqrt(error))
+    apart = traces[~near]
+    real = np.abs(apart.imag) <= np.sqrt(error)
+    if kind == "Krein collision":
+        return int(np.sum(~real)) // 2
+    if kind == "period doubling":
+        return int(np.sum(apart[real].real < -1))
+    beyond = int(np.sum(apart[real].real > 1))
+    if np.sum(near) == symmetries + 1:
+        return beyond + int(np.sum(traces[near] - 1).real > 0)
+    return beyond + int(np.sum(np.sort(traces[near].real)[symmetries:] > 1 + np.sqrt(error)))
+
+
+@eqx.filter_jit
+def _energy_slope(problem, z, tangent):
+    """dE/ds along a tangent (x, q) of a branch."""
+
+    def total(z):
+        state = problem.shooting.state(z[:-1])
+        return problem.scene(z[-1])[0].energy(0.0, state.u, state.v)
+
+    return jax.jvp(total, (z,), (tangent,))[1]
+
+
+def _along_forced(family, curve, multipliers, response):
+    """Those of a branch of forced orbits, in its order; folds are known already.
+
+    Where the number of multipliers outside the unit circle changes, by Brent's method on the modulus that passes 1.
+    """
+    found, system = [], family.system()
+    for i, (here, there) in enumerate(curve.steps):
+        known = {here.z.tobytes(): multipliers[i], there.z.tobytes(): multipliers[i + 1]}
+
+        def look(z):
+            if z.tobytes() not in known:
+                maps = examined(family, z, response).maps
+                known[z.tobytes()] = np.linalg.eigvals(np.asarray(maps[0]))
+            return known[z.tobytes()]
+
+        moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
+        counts = sorted(np.count_nonzero(moduli(point) > 1) for point in (here, there))
+        chord, places = there.z - here.z, []
+        length = np.linalg.norm(chord)
+        along = lambda z: (z - here.z) @ chord
+        for k in range(*counts):
+            # the k-th modulus in order of size is continuous, whatever the multipliers do
+            test = lambda point: float(moduli(point)[k] - 1)
+            z = system.zero(here, there, test, 1e-10, chord / length).z
+            if all(np.linalg.norm(z - other) > 1e-7 * length for other in places):
+                places.append(z)
+        events = [(FOLD, np.append(s.x, s.p)) for s in curve.special if s.after == i]
+        folds = len(events)
+        for z in sorted(places, key=along):
+            rho = _critical(look(z))
+            kind = BRANCH_POINT if rho.real > 0 else DOUBLING
+            kind = TORUS if rho.imag > 1e-5 else kind
+            if kind == BRANCH_POINT and folds:  # it passes 1 at a fold too
+                folds -= 1
+            else:
+                events.append((kind, z))
+        events.sort(key=lambda event: along(event[1]))
+        found += [_bifurcation_at(family, kind, z, i, _critical(look(z))) for kind, z in events]
+    return tuple(found)
+
+
+def _critical(multipliers):
+    """The multiplier nearest to the unit circle, of a pair the one above the real axis."""
+    rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
+    return complex(rho.real, abs(rho.imag))
+
+
+@one_thread
+def forced_branch(
+    make: Callable[[Any], Any],
+    start: Scalar,
+    until: Scalar,
+    *,
+    period: Callable[[Any], Any] | Scalar,
+    guess: StateLike | None = None,
+    transient: Count = 0,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    segments: Count = 1,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = BRANCH,
+    arclength: Scalar = 0.02,
+    longest_arclength: Scalar | None = None,
+    points: Count = 400,
+    response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
+) -> Branch:
+    r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
+
+    Pseudo-arclength continuation of y(t0 + T; p) = y(t0). Stability at every point by the multipliers of the same
+    flow; where their number outside the unit circle changes, the bifurcation between is located by Brent's method on
+    the modulus that passes 1, folds by continuation itself. Two bifurcations within one step whose changes cancel
+    are not seen: shorten `longest_arclength`.
+
+    **Arguments:**
+
+    - `make(p)`: the lattice at a value of the parameter, traced: `lambda f: driven_chain(chain, 0.1, 2 * jnp.pi * f)`.
+      The same function again compiles nothing; a Module with arrays may change them too.
+    - `start`, `until`: the branch begins at p = `start` towards `until`, and ends at either.
+    - `period`: T, a number, or a function of p such as `lambda f: 1 / f`.
+    - `guess`, `transient`, `t0`, `segments`, `solver`: of the first orbit, as in `forced_orbit`.
+    - `steps`: per period, the same all along; `None` begins with the most that `start` or `until` asks for, and doubles
+      them until half as many confirm every orbit to `tolerance`, relative to its size.
+    - `arclength`, `longest_arclength`: first and longest (5 arclength) step along the branch, in which the
+      way from `start` to `until` counts 1, and so does a change of the state by the first orbit's size, or by what its
+      slope in p makes over the whole way, if that is more.
+    - `points`: the most points. `response(lattice, u, v, t)`: a number from one period u, v (F, N), t (F,); by
+      default the root mean square of all velocities.
+
+    **Returns:** `Branch`. **Raises** ValueError for `until` equal to `start`, no forcing, and as `forced_orbit`;
+    RuntimeError where the first orbit does not converge.
+    Source: Doedel, Keller, Kernevez, Int. J. Bifurcation Chaos 1, 493 and 745 (1991); Kuznetsov, Elements of Applied
+    Bifurcation Theory.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, precompression=1.0)
+    >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
+    >>> branch = gx.forced.forced_branch(make, 0.01, 0.02, period=2 * np.pi / 0.5, steps=64, arclength=0.5)
+    >>> branch.outcome
+    'p reached 0.02.'
+    >>> round(float(branch.response[-1] / branch.response[0]), 3)
+    2.0
+    """
+    start, until = float(start), float(until)
+    if start == until:
+        refuse("until", "another value than start", repr(until))
+    period = period if callable(period) else positive("period", period)
+    longest_arclength = 5 * arclength if longest_arclength is None else longest_arclength
+    scenes = [made(make, period, p) for p in (start, until)]
+    solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
+    lattice, T = scenes[0]
+    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else guess
+    guess = checked_state(lattice, guess, "guess")
+    flows = [flow_over(lattice, T, steps, solver, segments, guess) for lattice, T in scenes]
+    # an array, whose value compiles nothing anew
+    flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
+    for lattice, T in scenes[::-1]:
+        if checked_free(lattice):
+            remedy = "Breathers over their frequency: gx.breathers.family."
+            refuse("make", "a lattice under forcing", "none", remedy)
+        checked_period(lattice, guess, t0, T)
+    shooting, x = prepared(
+        lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient)
+    )
+    left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
+    family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start), left)
+    first = family.follow(x, 0.0, points=1)
+    # the unit of length: the first orbit, or where its slope over the whole way leads, if that is more
+    # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
+    slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), 1e-2)
+    unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
+    family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
+    x, most = first.x[0] / unit, 2**DOUBLINGS * int(flow.steps)
+    while True:
+        curve = family.follow(
+            x,
+            0.0,
+            until=(0.0, 1.0),
+            arclength=arclength,
+            longest_arclength=longest_arclength,
+            points=points,
+            find=("fold",),
+        )
+        along = examined_along(family, curve, response)
+        enough = family
+        if steps is None:
+            enough = _enough(family, curve, [x for x, *_ in along], response, tolerance, most)
+        if enough is family:
+            multipliers = [x for _, x, *_ in along]
+            found = _along_forced(family, curve, multipliers, response)
+            return branch_of(family, curve, along, found)
+        family, x = enough, curve.x[0]
+
+
+def _enough(family, curve, looked, response, tolerance, most):
+    """The family by steps for which the branch is known well enough where it is known worst.
+
+    What moves an orbit along the branch does not count: at a fold that is all.
+    """
+    scale = np.asarray(family.shooting.scale)
+
+    def share(found, i):
+        changes, along = np.asarray(found.changes) / scale, curve.tangents[i, : len(scale)]
+        # of an orbit at rest neither is there
+        changes = changes - (changes @ along)[:, None] * along / (along @ along or 1)
+        return np.abs(changes).max() / (np.abs(curve.x[i, : len(scale)]).max() or 1)
+
+    shares = [share(found, i) for i, found in enumerate(looked)]
+    worst = int(np.argmax(shares))
+    known, z = [shares[worst]], np.append(curve.x[worst], curve.p[worst])
+    # where two doublings help little it is not the steps: another branch crosses there
+    while (
+        known[-1] > tolerance
+        and 2 * family.shooting.whole.steps <= most
+        and not (len(known) > 2 and known[-1] > known[-3] / 4)
+    ):
+        family = family.with_steps(2 * family.shooting.flow.steps)
+        known.append(share(examined(family, z, response), worst))
+    return family

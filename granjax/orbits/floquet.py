@@ -1,6 +1,7 @@
-"""Floquet theory: the monodromy matrix of a periodic orbit, its multipliers with errors, and what follows from them."""
+"""What a lattice's equations promise of a monodromy matrix: the symplectic form, damping, multipliers at +1."""
 
-from typing import Any
+from functools import reduce
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,21 +10,126 @@ import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float, Inexact, Integer
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from ..checks import refuse, whole, within
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
+from ..printing import told
 from ..programs import compiled
 from ..results import Result, array
 from ..solvers import KahanLi8
+from ..terms.tracing import reads
 from ..tuning import one_thread
-from ..types import Count, Numbers, Pytree, Scalar
-from .repeats import checked_period, checked_state, largest, one_lattice
-from .spectrum import change, known_spectrum, product_spectrum, size_of, uncertain
-from .steps import default_steps, fixed_step_solver
-from .structure import NOTHING, defect, krein, structure, weights
-from .symmetry import Symmetry, free_moves, shifts
+from ..types import Count, Pytree, Scalar, StateLike
+from .asked import (
+    Symmetry,
+    a_time,
+    asked,
+    checked_period,
+    checked_state,
+    default_steps,
+    fixed_step_solver,
+    free_moves,
+    largest,
+    one_lattice,
+    shifts,
+)
+from .spectrum import (
+    REGULAR,
+    ROUNDING,
+    SAFETY,
+    change,
+    known_spectrum,
+    matched,
+    product_spectrum,
+    size_of,
+    uncertain,
+)
+
+
+class _Structure(NamedTuple):
+    """`mass`: (n,) of the raveled displacements, or `None` for a flow of which nothing is known.
+
+    `rate`: gamma of a uniform damping, 0 for none, `None` where the flow is not even conformally symplectic.
+    `expected`: multipliers at +1. `autonomous`: nothing depends on time.
+    """
+
+    mass: np.ndarray | None
+    rate: float | None
+    expected: int
+    autonomous: bool
+    __repr__ = told
+
+
+NOTHING = _Structure(None, None, 0, False)
+
+
+def structure(lattice: Lattice) -> _Structure:
+    """The `_Structure` of a lattice.
+
+    Expected at +1: for an orbit of an autonomous, conservative lattice two (phase and energy), and two more for every
+    free displacement (position and momentum): four for a chain with free ends or a ring, two between walls; none where
+    it is driven or damped, but the free displacement of a damped or driven chain, which keeps one (or two).
+    """
+    masses = zip(jax.tree.leaves(lattice.mass), jax.tree.leaves(lattice.template()))
+    mass = np.concatenate([np.broadcast_to(m, x.shape).ravel() for m, x in masses])
+    damping = [term.exact_damping() for term in lattice.terms]
+    damping = [found for found in damping if found is not None]
+    found = [reads(term, lattice) for term in lattice.terms if term.exact_damping() is None]
+    # a force that comes from no energy is no more symplectic than one that reads velocities
+    others = [x for x in found if x.velocity or x.displacement and not x.energy]
+    autonomous = not lattice.reads_time
+    moves = shifts(lattice).shape[1]
+    dissipates = bool(others or any(np.any(rate) for _, rate in damping))
+    expected = (moves + autonomous) * (1 if dissipates else 2)
+    uniform = not others and all(
+        field is None and np.unique(np.ravel(rate)).size == 1 for field, rate in damping
+    )
+    rate = sum(float(np.ravel(rate)[0]) for _, rate in damping) if uniform else None
+    return _Structure(mass, rate, expected, autonomous)
+
+
+def weights(mass: Float[np.ndarray, " n"], period: Scalar) -> Float[np.ndarray, " two_n"]:
+    """D = sqrt(m/m_mean) (1, T/2 pi) over the raveled (u, v), which turns both into lengths of one size, (2n,).
+
+    D M D^-1 of a tangent map M has no units: norms, condition numbers and errors are taken of it. m_mean is the
+    geometric mean, so that masses and moments of inertia may stand side by side.
+    """
+    root = np.sqrt(mass / np.exp(np.mean(np.log(mass))))
+    return np.concatenate([root, root * float(period) / (2 * np.pi)])
+
+
+def defect(monodromy: np.ndarray, rate: float | None, period: Scalar) -> float:
+    """max |M^T J M - exp(-gamma T) J| of D M D^-1: rounding for a (conformally) symplectic map, whatever its error."""
+    if rate is None:
+        return float("nan")
+    one = np.eye(len(monodromy) // 2)
+    J = np.block([[0 * one, one], [-one, 0 * one]])
+    return float(np.abs(monodromy.T @ J @ monodromy - np.exp(-rate * period) * J).max())
+
+
+def krein(
+    multipliers: np.ndarray,
+    vectors: np.ndarray,
+    mass: np.ndarray | None,
+    tolerance: np.ndarray,
+) -> np.ndarray:
+    """Signature of each multiplier on the unit circle: the sign of Im sum m conj(u) v; 0 off the circle or mixed.
+
+    +1: the motion exp(i omega t) of a positive energy, with its conjugate at -1. Two of one sign pass through each
+    other; of unlike signs they may leave the circle (M. G. Krein; Aubry, Physica D 216, 1 (2006)).
+    """
+    if mass is None:
+        return np.full(len(multipliers), np.nan)
+    n = len(mass)
+    u, v = vectors[:n], vectors[n:]
+    value = np.imag(np.sum(mass[:, None] * np.conj(u) * v, axis=0))
+    size = np.sum(mass[:, None] * np.abs(u) * np.abs(v), axis=0)
+    definite = (np.abs(np.abs(multipliers) - 1) <= tolerance) & (np.abs(value) > 1e-6 * size)
+    return np.where(definite, np.sign(value), 0.0)
+
 
 STABLE = "stable"
 UNSTABLE = "unstable"
@@ -32,14 +138,6 @@ RESOLUTION = 1e-4
 # where refinement ends
 MOST_STEPS = 2**14
 TOLERANCE = 1e-9
-# a state further from returning is no orbit, of its size
-OPEN = 1e-2
-# singular values of M - 1 that are zero, of the largest
-SINGULAR = 1e-10
-# of the forces at an equilibrium, in units of their last place
-BALANCED = 16
-# for a change of M that is known to first order
-TWICE = 2
 
 
 class Floquet(Result):
@@ -152,6 +250,7 @@ def _derivative(flow, like, x, t0, t1, args):
     return ravel_pytree(end)[0], factor
 
 
+@one_thread
 def floquet(
     lattice: Lattice | Flow,
     state: Pytree,
@@ -200,11 +299,12 @@ def floquet(
     >>> np.array(gx.linear.normal_modes(chain).omega).round(6).tolist()
     [0.937379, 1.732051, 2.263033]
     """
-    period = one_period(lattice, period)
+    period = a_time(period)
     tolerance = checked_tolerance("tolerance", tolerance)
     known, rests = NOTHING, False
     if isinstance(lattice, Lattice):
-        state, known, args = checked_state(lattice, state), structure(lattice), lattice
+        state, known = checked_state(one_lattice(lattice), state), structure(lattice)
+        args = lattice
         if symmetry.trivial:
             checked_period(lattice, state, t0, period)
         rests = known.autonomous and bool(_rests(lattice, state, np.float64(t0)))
@@ -221,50 +321,72 @@ def floquet(
         known = known._replace(expected=expected)
     if whole("steps", start, 1) % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(start))
-
-    scale, there = _weights(known, state, period), raveled(state)
+    scale, there, length = _weights(known, state, period), raveled(state), period / segments
 
     def run(count, x=there):
-        """The factors of S^-1 M without units, and where S^-1 leads y after the period, without units too."""
-        flow = Flow(np.int64(max(count // segments, 1)), solver, **field)
-        found, end = _factors(flow, state, x, t0, period, segments, args)
+        """The factors of S^-1 M, their product, and where S^-1 leads y after the period, all without units."""
+        flow, found = Flow(np.int64(max(count // segments, 1)), solver, **field), []
+        for i in range(segments):
+            times = np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length)
+            x, factor = _derivative(flow, state, x, *times, args)
+            found.append(np.asarray(factor))
+        end = np.asarray(x)
         if not symmetry.trivial:
             back = symmetry.matrix(state).T
-            found, end = [*found[:-1], back @ found[-1]], back @ end
-        return [factor * scale[:, None] / scale for factor in found], end * scale
+            found[-1], end = back @ found[-1], back @ end
+        found = [factor * scale[:, None] / scale for factor in found]
+        return found, reduce(lambda total, factor: factor @ total, found), end * scale
 
     count, coarser, fine = start, run(start // 2), run(start)
     while steps is None and 2 * count <= MOST_STEPS:
-        size = max(np.abs(f).max() for f in fine[0])
-        product = _product(fine[0])
-        if np.abs(product - _product(coarser[0])).max() <= tolerance * max(
-            size, np.abs(product).max()
-        ):
+        size = max(np.abs(x).max() for x in [*fine[0], fine[1]])
+        if np.abs(fine[1] - coarser[1]).max() <= tolerance * size:
             break
         count, coarser, fine = 2 * count, fine, run(2 * count)
     coarse = run(3 * count // 4)
-    if not all(np.isfinite(f).all() for f in fine[0] + coarse[0] + coarser[0]):
-        refuse(
-            "steps",
-            "so many that the motion stays finite",
-            repr(count),
-            "Give more steps=, or look at the state.",
-        )
-    begin = there * scale
-    away = _displacement(
-        known, _product(fine[0]), fine[1] - begin, change(fine[1], coarse[1], coarser[1])
-    )
-    free = shifts(lattice) if isinstance(lattice, Lattice) else None
+    factors, products, ends = zip(fine, coarse, coarser)
+    if not all(np.isfinite(x).all() for found in factors for x in found):
+        remedy = "Give more steps=, or look at the state."
+        refuse("steps", "so many that the motion stays finite", repr(count), remedy)
+    begin, monodromy = there * scale, products[0]
+    away = _displacement(known, monodromy, ends[0] - begin, change(*ends))
     if not rests:
-        refuse_open(begin, away, fine[1], coarser[1], free, scale)
+        free = shifts(lattice) if isinstance(lattice, Lattice) else None
+        _refuse_open(begin, away, ends[0], ends[2], free, scale)
+    # by the fewest steps, of the orbit that the state may miss: twice, since it is known to first order
     moved = ((begin + away) / scale).astype(there.dtype)
-    other = run(count // 2, moved)[0] if away.any() else coarser[0]
-    levels = fine[0], coarse[0], coarser[0]
+    other = run(count // 2, moved)[0] if away.any() else factors[2]
+    about = uncertain(*products)
+    off = 2 * np.linalg.norm([size_of(a - b) for a, b in zip(other, factors[2])])
+    if segments == 1:
+        multipliers, vectors, error = known_spectrum(monodromy, products[1], about, off)
+    else:
+        multipliers, vectors, error = product_spectrum(*factors, moved=off)
+    vectors = vectors / scale[:, None]
+    verdict, outcome = decide(multipliers, error, known.expected, known.rate == 0, resolution)
+    signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
+    # those of symmetry have none
+    signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0
     origin = getattr(lattice, "origin", {"_mark": np.nan})
-    return _record(known, levels, other, scale, state, period, count, resolution, origin)
+    return Floquet(
+        monodromy * scale / scale[:, None],
+        multipliers,
+        vectors,
+        error,
+        signature,
+        defect(monodromy, known.rate, period),
+        about,
+        known.expected,
+        verdict,
+        outcome,
+        period,
+        int(count),
+        known.rate,
+        state,
+        **origin,
+    )
 
 
-@one_thread
 def _displacement(known, monodromy, gap, unknown):
     """How far the orbit of the exact flow may lie from the state: Newton's step from the gap and from its error.
 
@@ -274,20 +396,13 @@ def _displacement(known, monodromy, gap, unknown):
     left, size, right = np.linalg.svd(monodromy - np.eye(len(monodromy)))
     idle = known.expected // 2 if known.rate == 0 else known.expected
     size[len(size) - idle :] = np.inf
-    size[size <= SINGULAR * size[0]] = np.inf
+    size[size <= 1e-10 * size[0]] = np.inf
     step, doubt = (-right.T @ (left.T @ x / size) for x in (gap, unknown))
     away, total = step + doubt, np.linalg.norm(step) + np.linalg.norm(doubt)
     return away * total / max(np.linalg.norm(away), np.finfo(float).tiny)
 
 
-def refuse_open(
-    start: Numbers,
-    away: Numbers,
-    fine: Numbers,
-    coarse: Numbers,
-    free: Numbers | None,
-    scale: Numbers,
-) -> None:
+def _refuse_open(start, away, fine, coarse, free, scale):
     """Refuse a state that does not return, by more than the flow is known to and more than the orbit may be off.
 
     All without units, by the weights `scale`. Uniform displacements that cost nothing, `free`, count in no size.
@@ -299,22 +414,13 @@ def refuse_open(
         columns = np.concatenate([columns, np.zeros_like(columns)])
         start, fine = (x - columns @ (columns.T @ x) for x in (start, fine))
     size = max(np.linalg.norm(start), np.linalg.norm(fine))
-    if not min(gap, np.linalg.norm(away)) <= OPEN * size + known:
+    if not min(gap, np.linalg.norm(away)) <= 1e-2 * size + known:
         refuse(
             "state",
             "one that returns after the period",
             f"a gap of {gap / size:.1e} of its size",
             "gx.orbits.orbit and gx.forced.forced_orbit find the orbit beside it.",
         )
-
-
-def one_period(lattice: Lattice | Flow, period: Scalar) -> float:
-    """The period, of one lattice or another flow."""
-    if not isinstance(lattice, Flow):
-        one_lattice(lattice)
-    if not 0 < period < np.inf:
-        refuse("period", "a time above zero", repr(period))
-    return float(period)
 
 
 def _weights(known, state, period):
@@ -333,44 +439,6 @@ def raveled(tree: Pytree) -> np.ndarray:
     return np.concatenate(leaves, dtype=np.result_type(*leaves))
 
 
-@one_thread
-def _record(known, levels, moved, scale, state, period, steps, resolution, origin):
-    """From the factors of M by three numbers of steps, and by the third those of the orbit that the state may miss.
-
-    All are in the weights `scale`.
-    """
-    monodromy, about = _product(levels[0]), uncertain(*map(_product, levels))
-    off = TWICE * np.linalg.norm([size_of(a - b) for a, b in zip(moved, levels[2])])
-    if len(moved) == 1:
-        multipliers, vectors, error = known_spectrum(monodromy, levels[1][0], about, off)
-    else:
-        multipliers, vectors, error = product_spectrum(*levels, moved=off)
-    vectors = vectors / scale[:, None]
-    conserves = known.rate == 0
-    verdict, outcome = decide(multipliers, error, known.expected, conserves, resolution)
-    signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
-    signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= (
-        0.0  # those of symmetry have none
-    )
-    return Floquet(
-        monodromy * scale / scale[:, None],
-        multipliers,
-        vectors,
-        error,
-        signature,
-        defect(monodromy, known.rate, float(period)),
-        about,
-        known.expected,
-        verdict,
-        outcome,
-        float(period),
-        int(steps),
-        known.rate,
-        state,
-        **origin,
-    )
-
-
 @compiled
 def _rests(lattice, state, t0):
     """Whether the state is an equilibrium, to rounding, also that of contact forces which balance each other."""
@@ -379,33 +447,13 @@ def _rests(lattice, state, t0):
         jnp.max(jnp.abs(c.force)) for term in lattice.terms for c in term.compressions(t0, state[0])
     ]
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
-    rounding = (
-        BALANCED
-        * jnp.finfo(lattice.dtype).eps
-        * jnp.max(jnp.stack([jnp.zeros(()), *held]))
-        / lightest
-    )
+    # of forces at an equilibrium, in units of their last place
+    top = jnp.max(jnp.stack([jnp.zeros(()), *held]))
+    rounding = 16 * jnp.finfo(lattice.dtype).eps * top / lightest
     return (
         jnp.maximum(largest(v) * omega, largest(a))
         <= 1e-12 * omega**2 * largest(state[0]) + rounding
     )
-
-
-def _factors(flow, like, x, t0, period, segments, args):
-    found, length = [], period / segments
-    for i in range(segments):
-        x, factor = _derivative(
-            flow, like, x, np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length), args
-        )
-        found.append(np.asarray(factor))
-    return found, np.asarray(x)
-
-
-def _product(factors):
-    total = factors[0]
-    for factor in factors[1:]:
-        total = factor @ total
-    return total
 
 
 def multipliers(
@@ -423,3 +471,108 @@ def multipliers(
     """
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
     return jnp.linalg.eigvals(monodromy)
+
+
+class _Leading(NamedTuple):
+    """What `leading` returns: `multipliers` (count,), the largest first, `vectors` (2n, count), `error` of each."""
+
+    multipliers: Complex[np.ndarray, " count"]
+    vectors: Complex[np.ndarray, "two_n count"]
+    error: Float[np.ndarray, " count"]
+    __repr__ = told
+
+
+@eqx.filter_jit
+def _end(flow, y, t0, period, args):
+    return ravel_pytree(flow(y, t0, t0 + period, args))[0]
+
+
+@eqx.filter_jit
+def _push(flow, y, t0, period, args, direction):
+    _, unravel = ravel_pytree(y)
+    tangent = jax.tree.map(lambda x: x[..., None], unravel(direction))
+    return ravel_pytree(flow.tangents(y, tangent, t0, t0 + period, args)[1])[0]
+
+
+def leading(
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    count: Count = 6,
+    *,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = 1e-9,
+) -> _Leading:
+    """The multipliers of largest modulus by Arnoldi's method over products M x, one tangent a period each.
+
+    For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the
+    unit circle none leads, and the method then ends without them and names those that it has.
+
+    The multipliers are those of the flow by `steps` steps along this state. Their error is four times what
+    3/4 and 1/2 as many change, by the same method from the vectors that were found, and the `tolerance`.
+
+    **Returns:** `_Leading`: multipliers (count,), the largest first, their vectors (2n, count), normalised as in
+    `Floquet`, and the error of each, infinite where fewer steps lead to no such multipliers.
+    **Raises** ValueError in a sonic vacuum without `steps`, for a period or steps not above zero, and for a state that
+    does not return, as far as these steps and half of them tell; RuntimeError where Arnoldi's method does not
+    converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
+    """
+    tolerance = checked_tolerance("tolerance", tolerance)
+    state, period, flow = asked(lattice, state, period, t0, steps, solver, KahanLi8())
+    steps, times = int(flow.steps), (jnp.asarray(float(t0)), jnp.asarray(period))
+    scale = weights(structure(lattice).mass, period)
+    size = len(scale)
+    by = lambda n: Flow(jnp.asarray(max(n, 1)), flow.solver)
+    fine, coarse = (
+        scale * np.asarray(_end(by(n), state, *times, lattice)) for n in (steps, steps // 2)
+    )
+    there = scale * np.asarray(ravel_pytree(state)[0])
+    _refuse_open(there, fine - there, fine, coarse, shifts(lattice), scale)
+
+    def arnoldi(n, start):
+        """Multipliers and vectors by n steps."""
+
+        def product(x):
+            direction = jnp.asarray(x.ravel() / scale)
+            return scale * np.asarray(_push(by(n), state, *times, lattice, direction))
+
+        return eigs(
+            LinearOperator((size, size), product, dtype=float),
+            k=count,
+            v0=start,
+            tol=tolerance,
+            ncv=min(size, max(2 * count + 1, 60)),
+            maxiter=30,
+        )
+
+    try:
+        values, vectors = arnoldi(steps, np.random.default_rng(0).normal(size=size))
+    except ArpackNoConvergence as error:
+        found = ", ".join(f"{rho:.6g}" for rho in error.eigenvalues) or "none"
+        raise RuntimeError(
+            f"Arnoldi's method found {len(error.eigenvalues)} of {count} multipliers: {found}. The others do not stand "
+            f"out from those on the unit circle: ask for fewer."
+        ) from None
+    except ArpackError as error:
+        raise RuntimeError(
+            f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle."
+        ) from None
+    order = np.argsort(-np.abs(values))
+    values, vectors = values[order], vectors[:, order]
+    start = vectors.real.sum(1) + vectors.imag.sum(1)
+    try:
+        others = [arnoldi(n, start)[0] for n in (3 * steps // 4, steps // 2)]
+        # of a pair that is cut in two either may come
+        near, far = (np.minimum(matched(values, x), matched(values, x.conj())) for x in others)
+        # as `spectrum.change`: those of a smooth flow of high order, or the larger
+        change = (
+            near if np.linalg.norm(far) >= REGULAR * np.linalg.norm(near) else np.maximum(near, far)
+        )
+    except (ArpackError, ArpackNoConvergence):
+        change = np.full(count, np.inf)
+    error = SAFETY * change + (2 * float(tolerance) + ROUNDING * np.finfo(float).eps) * np.abs(
+        values
+    )
+    return _Leading(values, vectors / scale[:, None], error)

@@ -18,10 +18,9 @@ from ..results import Result, array
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Displacements, Numbers, Scalar
+from .asked import default_steps, fixed_step_solver, largest, one_lattice
 from .floquet import raveled
-from .repeats import largest, one_lattice
 from .scales import last_near
-from .steps import default_steps, fixed_step_solver
 
 # the peak over where a breather begins, and by what factor a start that is not given may be off
 BEGIN = 50.0

@@ -27,45 +27,24 @@ from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
 from ..types import Scalar, Site
-from .repeats import checked_lattice
+from .asked import checked_lattice, shifts
 from .scales import nonlinear_length
-from .symmetry import shifts
 
-# relative distance in omega below which a frequency is an edge's
-AT_EDGE = 1e-9
 NEEDS = "The envelope equation needs a periodic chain of bonds alone, or of equal beads with linear resonators."
 NO_CELL = "None or a State (such as guesses.single_site gives) for this lattice"
-# distance of an extremum's k from 0 or pi
-SAME_K = 1e-6
-# of an iteration that contracts by the dips' share of the chain
-ROUNDS = 30
-# relative differences that are rounding
+# relative differences that are rounding: of a frequency from an edge, of coefficients
 ROUNDING = 1e-9
 # steps of half a period of one site alone, and the parts of it that are looked at
 HALF_STEPS = 128
 PARTS = 16
-# binary orders of magnitude of an amplitude that are looked through
-ORDERS = 160
-# how far about the one that is found a return is sought, and by which steps
-ABOUT = 4.0
-GROW = 1.25
-# departure of a force from the linear one that is none, and amplitudes next to each other that must have it
-LINEAR = 1e-5
+# amplitudes next to each other at which a force must be linear
 RUN = 4
-# of the oscillating sites' amplitude, from which on the others do not stand still
-CLOSE = 0.25
 # frames of half a period of one harmonic
 FRAMES = 24
-# rounds of the iteration for it, and the change with which it ends
-SETTLING = 400
+# the change with which the iteration for it ends
 SETTLED = 1e-8
-# Newton steps to the mean of one site
-CENTRED = 12
-# by which an amplitude is changed for the degree of the forces, and between which bounds that is believed
+# by which an amplitude is changed for the degree of the forces
 STRETCH = 1.01
-DEGREES = (1.2, 5.0)
-# sites beside the middle of a lattice among which different kinds are looked for
-BESIDE = 3
 
 
 class Chain(NamedTuple):
@@ -230,22 +209,23 @@ def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
         return []
     found = bands(lattice)
     lower, upper = np.asarray(found.lower), np.asarray(found.upper)
-    if np.any((lower * (1 + AT_EDGE) < omega) & (omega < upper * (1 - AT_EDGE))):
+    if np.any((lower * (1 + ROUNDING) < omega) & (omega < upper * (1 - ROUNDING))):
         return []
     edges = [(b, upper[b], found.upper_k, True) for b in np.flatnonzero(upper <= omega)[-1:]]
     if isinstance(chain, Chain):  # at k = 0, the lower edges of a dressed one, no bond is strained
         beyond = np.flatnonzero((lower >= omega) & (omega > 0))[:1]
         edges += [(b, lower[b], found.lower_k, False) for b in beyond]
     return [
-        Edge(float(w), above, chain.coefficients(int(b), k=_at_symmetry(np.ravel(ks)[b])))
+        Edge(float(w), above, chain.coefficients(int(b), k=_at_symmetry(ks, b)))
         for b, w, ks, above in edges
     ]
 
 
-def _at_symmetry(k):
-    """0 or pi itself where an extremum, known to the root of rounding, lies there."""
-    near = np.pi * round(float(k) / np.pi)
-    return near if abs(k - near) < SAME_K else float(k)
+def _at_symmetry(ks, band):
+    """The wave number of an extremum: 0 or pi itself where it lies there, known to the root of rounding."""
+    k = float(np.ravel(ks)[band])
+    near = np.pi * round(k / np.pi)
+    return near if abs(k - near) < 1e-6 else k
 
 
 def _bright(lattice, omega):
@@ -284,8 +264,7 @@ def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) ->
     chain, found = _enveloped(lattice, "'dark'"), bands(lattice)
     branch = int(np.argmin(np.abs(np.asarray(found.upper) - omega)))
     constraint = "force" if chain.boundary == "free" else "length"
-    k = _at_symmetry(np.ravel(found.upper_k)[branch])
-    coefficients = chain.coefficients(branch, constraint, k)
+    coefficients = chain.coefficients(branch, constraint, _at_symmetry(found.upper_k, branch))
     if constraint == "length":
         coefficients = _held(coefficients, omega, _size(lattice) / len(coefficients.mode))
     return _state(lattice, chain, nls.dark_profile, coefficients, omega, centre)
@@ -306,7 +285,7 @@ def _held(c, omega, cells):
     """
     r, kappa = 1.0, omega - c.omega
     effective = lambda r: c.nu3_force + r * (c.nu3 - c.nu3_force)
-    for _ in range(ROUNDS):
+    for _ in range(30):
         width = np.sqrt(np.abs(c.nu3_force * kappa / (2 * c.nu2 * effective(r))))
         r = np.maximum(1 - 4 / (width * cells), 0.0)
     strain = c.mean_strain_force + r * (c.mean_strain - c.mean_strain_force)
@@ -391,17 +370,16 @@ def single_site(
     signs = np.ones(len(places)) if amplitudes is None else np.sign(amplitudes)
     if np.shape(signs) != (len(places),) or not np.all(signs):
         refuse("amplitudes", f"{len(places)} signs, one for each of the sites", repr(amplitudes))
-    u, limit, failed, alone = np.zeros(_mass(lattice).shape), None, None, []
+    u, limit, failed, alone = np.zeros(_mass(lattice).shape), None, None, True
     for place, sign in zip(places, signs):
         size, turns = _amplitude(lattice, omega, int(place), float(sign))
-        u[place] = sign * size
-        alone.append(turns)
-    if all(alone):
+        u[place], alone = sign * size, alone and turns
+    if alone:
         try:
             limit = _together(lattice, omega, u)
         except RuntimeError as error:
             failed = error
-    if limit is None or _follow(lattice, omega, u != 0, limit) > CLOSE:
+    if limit is None or _followed_by(lattice, omega, u != 0, limit) > 0.25:
         together = _balanced(lattice, jnp.asarray(omega, u.dtype), jnp.asarray(u))
         if _about(together, u):
             limit = sum(together[:2])
@@ -421,15 +399,17 @@ def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
     stiffness, mass, seen = _stiffness(lattice), _mass(lattice), []
     for name in lattice.fields or (None,):
         shape = lattice.shape[name] if name else lattice.shape
-        for beside in range(BESIDE):
+        # beside the middle there may be other kinds
+        for beside in range(3):
             site = tuple(min(n // 2 + beside, n - 1) for n in shape)
-            (place,) = _places(lattice, [site] if len(shape) > 1 else site[0], name)
+            sites = [site] if len(shape) > 1 else site[0]
+            (place,) = _places(lattice, sites, name)
             kind = np.array([mass[place], stiffness[place, place]])
             if any(np.allclose(kind, other, rtol=1e-6, atol=0) for other in seen):
                 continue
             seen.append(kind)
             try:
-                yield single_site(lattice, omega, [site] if len(shape) > 1 else site[0], field=name)
+                yield single_site(lattice, omega, sites, field=name)
             except (ValueError, RuntimeError):
                 continue
 
@@ -481,9 +461,8 @@ def _harmonics_of_forces(lattice, u, us):
     """Mean and first harmonic of every site's force over a period, by the trapezoidal rule over half of it."""
     forces = jax.vmap(lambda u: _forces(lattice, u))(jnp.concatenate([u[None], us]))
     weights = jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS
-    return weights @ forces, 2 * (
-        weights * jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)
-    ) @ forces
+    cosines = jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)
+    return weights @ forces, 2 * (weights * cosines) @ forces
 
 
 class _Limit(eqx.Module):
@@ -506,15 +485,11 @@ class _Limit(eqx.Module):
 def _together(lattice, omega, u):
     """Displacements at rest of the whole limit, from each site alone."""
     moving, scale, omega = (jnp.asarray(x, u.dtype) for x in (u != 0, np.abs(u).max(), omega))
-    return (
-        scale
-        * newton(
-            _Limit(moving, scale, omega, shifts(lattice)), u / scale, lattice, tolerance=1e-11
-        ).x
-    )
+    problem = _Limit(moving, scale, omega, shifts(lattice))
+    return scale * newton(problem, u / scale, lattice, tolerance=1e-11).x
 
 
-def _follow(lattice, omega, moving, u):
+def _followed_by(lattice, omega, moving, u):
     """Largest amplitude with which the sites that stand still would answer, over that of the others."""
     us, _ = _path(lattice, jnp.asarray(moving, u.dtype), u, jnp.asarray(np.pi / omega))
     first = np.asarray(_harmonics_of_forces(lattice, u, us)[1])[~moving]
@@ -564,19 +539,15 @@ def _balanced(lattice, omega, start):
         degree = 1 + jnp.log(
             (a @ rest(STRETCH * a, STRETCH**2 * x)) / (STRETCH * (a @ pull))
         ) / jnp.log(STRETCH)
-        degree = jnp.clip(degree, *DEGREES)
+        degree = jnp.clip(degree, 1.2, 5.0)
         after = jax.scipy.linalg.lu_solve(linear, -pull)
         size = (a @ (mass * omega**2 * a - stiffness @ a)) / (a @ -pull)
         after = size ** (degree / (degree - 1)) * after
         return i + 1, after, x, jnp.max(jnp.abs(after - a)) / jnp.max(jnp.abs(after))
 
-    def goes_on(carry):
-        i, _, _, change = carry
-        return (i < SETTLING) & (change > SETTLED)
-
-    _, a, x, change = jax.lax.while_loop(
-        goes_on, round, (0, start, jnp.zeros_like(start), jnp.ones((), start.dtype))
-    )
+    begin = 0, start, jnp.zeros_like(start), jnp.ones((), start.dtype)
+    goes_on = lambda carry: (carry[0] < 400) & (carry[3] > SETTLED)
+    _, a, x, change = jax.lax.while_loop(goes_on, round, begin)
     return x, a, change
 
 
@@ -601,7 +572,7 @@ def _secants(lattice, one, amplitudes):
             mean, slope = jax.jvp(lambda x: forces(x, a).mean(), (x,), (jnp.ones_like(x),))
             return x - jnp.where(slope < 0, mean / slope, 0)
 
-        x = jax.lax.fori_loop(0, CENTRED, centred, jnp.zeros_like(a))
+        x = jax.lax.fori_loop(0, 12, centred, jnp.zeros_like(a))
         return -2 / FRAMES * (cosines @ forces(x, a)) / a
 
     return jax.lax.map(secant, amplitudes)
@@ -626,17 +597,16 @@ def _amplitude(lattice, omega, place, sign):
     def between(low, high):
         before = velocities(low)
         while low < high:
-            top, now = GROW * low, velocities(GROW * low)
+            top, now = 1.25 * low, velocities(1.25 * low)
             if before[0] < 0 and not now[0] < 0:
                 top = high = highest(low, top)
                 now = velocities(top)
             if not np.isfinite(now[-1]):
                 return None
             if before[-1] * now[-1] <= 0:
+                last = lambda a: velocities(a)[-1]
                 try:
-                    found = brentq(
-                        lambda a: velocities(a)[-1], low, top, xtol=1e-14 * low, rtol=1e-14
-                    )
+                    found = brentq(last, low, top, xtol=1e-14 * low, rtol=1e-14)
                 except ValueError:  # not finite on the way
                     return None
                 # a later return belongs to a faster motion
@@ -645,22 +615,18 @@ def _amplitude(lattice, omega, place, sign):
             low, before = top, now
         return None
 
-    grid = 2.0 ** np.arange(-ORDERS, ORDERS + 1)
+    grid = 2.0 ** np.arange(-160, 161)
     above = np.asarray(_secants(lattice, one, jnp.asarray(grid))) / (mass[place] * omega**2) - 1
     # below where it is linear a force may be rounding alone
     small = float(_stiffness(lattice)[place, place]) / (mass[place] * omega**2) - 1
-    linear = (
-        np.convolve(np.abs(above - small) <= LINEAR * (1 + abs(small)), np.ones(RUN), "valid")
-        == RUN
-    )
-    begin = int(np.argmax(linear))
+    linear = np.abs(above - small) <= 1e-5 * (1 + abs(small))
+    begin = int(np.argmax(np.convolve(linear, np.ones(RUN), "valid") == RUN))
     grid, above = grid[begin:], above[begin:]
-    finite = np.isfinite(above)
-    crosses = np.flatnonzero(
-        finite[:-1] & (~finite[1:] | (above[:-1] * np.where(finite[1:], above[1:], 1) <= 0))
-    )
+    now, after = np.isfinite(above[:-1]), np.isfinite(above[1:])
+    crosses = above[:-1] * np.where(after, above[1:], 1) <= 0
+    crosses = np.flatnonzero(now & (~after | crosses))
     for i in crosses:
-        found = between(grid[i] / ABOUT, grid[i + 1] * ABOUT)
+        found = between(grid[i] / 4, grid[i + 1] * 4)
         if found is not None:
             return found, True
     if not len(crosses):

@@ -14,8 +14,8 @@ from ..linear.cell import unit_cell
 from ..measures import participation, site_energy
 from ..printing import told
 from ..types import StateLike
+from .asked import checked_state, one_lattice
 from .orbit import SPREAD, Orbit
-from .repeats import checked_state, one_lattice
 
 # shares of the cells over which energy spreads: of a wave between walls along each axis, and of that the least that is
 # no bright breather; of a background; and of what has left a guess that holds less than half of it

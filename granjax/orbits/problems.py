@@ -11,13 +11,12 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, refuse
-from ..continuation import Curve, continuation
-from ..continuation.system import Between, Point, System
+from ..continuation import Curve, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
 from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
-from .symmetry import Symmetry, free_moves, shifts
+from .asked import Symmetry, free_moves, shifts
 
 
 class Shooting(eqx.Module):
@@ -260,16 +259,9 @@ class Family(eqx.Module):
             self.residual, x, q, linearise=self.linearise, tolerance=self.left, **settings
         )
 
-    def between(self, curve: Curve, i: Count, direction: np.ndarray | None = None) -> Between:
-        """A curve between its points i and i + 1."""
-        ends = [Point(np.append(curve.x[j], curve.p[j]), curve.tangents[j]) for j in (i, i + 1)]
-        system = System(self.residual, self.linearise, None, self.left)
-        return Between(system, *ends, direction)
-
-    def outcome(self, curve: Curve) -> str:
-        """Why a curve of this family ended; continuation knows q alone."""
-        reached = curve.outcome.startswith("p reached")
-        return f"p reached {self.value(curve.p[-1]):.6g}." if reached else curve.outcome
+    def system(self) -> System:
+        """What continuation solves at every point."""
+        return System(self.residual, self.linearise, None, self.left)
 
     def scene(self, q: Scalar) -> tuple:
         """(lattice, period) at q."""

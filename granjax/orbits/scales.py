@@ -10,7 +10,7 @@ from jax.typing import DTypeLike
 
 from ..lattice import Lattice
 from ..types import Displacements, Numbers
-from .repeats import largest
+from .asked import largest
 
 # change of the stiffness at the length, as a share of it
 SHARE = 0.5

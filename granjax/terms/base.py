@@ -12,10 +12,10 @@ import numpy as np
 from ..laws import Law, Scaled
 from ..printing import told
 from ..types import Displacements, Number, Numbers, Pytree
-from ..units import PART, Dimensional, Units
+from ..units import PART, Dimensional
 from .reach import Reach, Reached, largest_eigenvalue
 from .tracing import Dependence, answers_to, reads, stand_in
-from .waveforms import Breaks, held, own_breaks, signal_of
+from .waveforms import Breaks, own_breaks, signal_of
 
 
 class Compression(NamedTuple):
@@ -238,14 +238,6 @@ def functions_of_time(term: Term) -> list[Callable]:
         for part in layers(term)
         if (name := signal_of(part)) is not None and not part.jumps()
     ]
-
-
-def between(term: Term, low: Number, high: Number) -> Term:
-    """The term with its functions of time, where they have breaks, held beyond two times at what they are there."""
-    if isinstance(term, Altered):
-        unit = getattr(term, "units", Units()).time
-        term = eqx.tree_at(lambda x: x.term, term, between(term.term, low * unit, high * unit))
-    return term if own_breaks(term) is None else held(term, low, high)
 
 
 def memory_of(term: Term) -> dict[str, str]:

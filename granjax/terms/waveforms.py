@@ -166,22 +166,6 @@ def count_breaks(breaks: tuple, t0: Number, t1: Number, sign: Number = 1) -> Num
     return sum(b.between(t0, t1, sign) for b in breaks)
 
 
-class Between(eqx.Module):
-    """A function of time for the times from `low` to `high` alone: beyond them it is what it is there."""
-
-    function: Callable
-    low: jax.Array
-    high: jax.Array
-
-    def __call__(self, t):
-        return self.function(jnp.clip(t, self.low, self.high))
-
-    @property
-    def breaks(self) -> Breaks | None:
-        """The breaks that the function itself knows."""
-        return jumps_of(self.function, None)
-
-
 def signal_of(term: Any) -> str | None:
     """The field of a term that holds a function of time, as its `dimensions` say; `None` where none does."""
     for name, kind in (type(term).dimensions or {}).items():
@@ -194,12 +178,6 @@ def own_breaks(term: Any) -> Breaks | None:
     """The `Breaks` of the function of time that a term holds itself, or `None`."""
     name = signal_of(term)
     return None if name is None else jumps_of(getattr(term, name), getattr(term, "breaks", None))
-
-
-def held(term: Any, low: Number, high: Number) -> Any:
-    """The term with its own function of time taken `Between` two times."""
-    name = signal_of(term)
-    return eqx.tree_at(lambda x: getattr(x, name), term, Between(getattr(term, name), low, high))
 
 
 def jumps_of(function: Callable | None, breaks: Breaks | None) -> Breaks | None:

@@ -1,18 +1,216 @@
-"""What an orbit is asked for with: one lattice, a state of it, a period and a symmetry with which its forces repeat."""
+"""Symmetries of orbits, and uniform displacements that a lattice does not resist."""
+
+import math
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from diffrax import AbstractSolver
+from diffrax import AbstractSolver, Dopri8
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import positive, refuse, traced, whole
-from ..flow import Flow
-from ..lattice import Lattice, State
-from ..types import Count, Numbers, Pytree, Scalar, StateLike
-from .steps import FINE, default_steps, fixed_step_solver
-from .symmetry import Symmetry
+from ..checks import concrete, described, refuse, traced, whole
+from ..flow import Flow, frequency_bound, linear_frequency
+from ..flow.dispatch import facts
+from ..lattice import Lattice, State, uniform_moves
+from ..types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times
+
+
+class Symmetry(eqx.Module):
+    r"""S of y(t0 + T) = S y(t0): displacements moved by some cells, reflected, with a sign; velocities alike.
+
+    (S u)_n = sign u_{n - cells}, and with `mirror` first u_n -> -u_{N-1-n}: displacements along a chain turn around
+    with it, so that compressions are reflected. `cells` counts places along the first axis of every field.
+
+    `Translation(1)`, `Mirror()` and `Sign()` make one, and `a @ b` is b, then a.
+    """
+
+    cells: int = eqx.field(static=True, default=0)
+    mirror: bool = eqx.field(static=True, default=False)
+    sign: int = eqx.field(static=True, default=1)
+
+    def __repr__(self) -> str:
+        parts = {
+            "Sign()": self.sign < 0,
+            f"Translation({self.cells})": self.cells,
+            "Mirror()": self.mirror,
+        }
+        return " @ ".join(name for name, there in parts.items() if there) or "the identity"
+
+    @property
+    def trivial(self) -> bool:
+        """Whether it is the identity."""
+        return self == Symmetry()
+
+    def matrix(self, like: StateLike) -> Float[np.ndarray, "two_n two_n"]:
+        """S over the raveled state, (2n, 2n); S^-1 is its transpose."""
+        flat, unravel = ravel_pytree(like)
+        return np.asarray(
+            jax.vmap(lambda x: ravel_pytree(self(unravel(x)))[0], 1, 1)(jnp.eye(flat.size))
+        )
+
+    def __matmul__(self, other: "Symmetry") -> "Symmetry":
+        turned = -other.cells if self.mirror else other.cells
+        return Symmetry(self.cells + turned, self.mirror != other.mirror, self.sign * other.sign)
+
+    def __call__(self, y: Pytree) -> Pytree:
+        """S of displacements, or of a state."""
+
+        def one(x):
+            x = -x[::-1] if self.mirror else x
+            return self.sign * (jnp.roll(x, self.cells, 0) if self.cells else x)
+
+        return y if self.trivial else jax.tree.map(one, y)
+
+
+def Translation(cells: Count = 1) -> Symmetry:
+    """The wave reappears `cells` further on after a period: a rotating wave of a ring, or one that travels.
+
+    **Example:**
+
+    >>> gx.orbits.Translation(1)(jnp.array([1.0, 2.0, 3.0])).tolist()
+    [3.0, 1.0, 2.0]
+    """
+    return Symmetry(cells=whole("cells", cells, -(2**31)))
+
+
+def Mirror() -> Symmetry:
+    """The motion is its own mirror image half of its full period later.
+
+    **Example:**
+
+    >>> gx.orbits.Mirror()(jnp.array([1.0, 2.0, 3.0])).tolist()
+    [-3.0, -2.0, -1.0]
+    """
+    return Symmetry(mirror=True)
+
+
+def Sign() -> Symmetry:
+    """The motion is its own negative half of its full period later, in lattices of odd forces."""
+    return Symmetry(sign=-1)
+
+
+def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
+    """`uniform_moves` of a lattice, found once while it lives."""
+    known = facts(lattice).known
+    if "shifts" not in known:
+        known["shifts"] = uniform_moves(lattice)
+    return jnp.asarray(known["shifts"], lattice.dtype)
+
+
+def free_moves(lattice: Lattice, symmetry: Symmetry) -> Numbers:
+    """Uniform displacements that cost nothing and that S leaves alone, as columns (n, k)."""
+    moves = shifts(lattice)
+    return moves if symmetry.sign * (-1 if symmetry.mirror else 1) > 0 else moves[:, :0]
+
+
+# h omega of a step, with omega the highest linear frequency: of orbits, and of runs that settle
+FINE = 0.3
+COARSE = 0.4
+# the fewest steps of a period
+LEAST_STEPS = 16
+
+
+def fixed_step_solver(
+    lattice: Lattice, solver: AbstractSolver | None, otherwise: AbstractSolver
+) -> AbstractSolver:
+    """The solver that is given; else `otherwise`, a splitting one, where the lattice splits, and Dopri8 where not."""
+    if solver is not None:
+        return solver
+    return otherwise if facts(lattice).splits else Dopri8()
+
+
+def default_steps(
+    lattice: Lattice,
+    period: Scalar,
+    multiple: Count = 1,
+    *,
+    fineness: Scalar = FINE,
+    doubled: bool = False,
+    guess: StateLike | None = None,
+) -> Scalar:
+    """Steps of a period such that h omega_max <= fineness, with omega_max the highest linear frequency; at least 16.
+
+    A multiple of `multiple`; a number, or an array where the lattice or the period is traced. In a sonic vacuum, where
+    that frequency is zero, omega_max is the bound at the energy of a `guess`. **Raises** ValueError there without one,
+    unless the steps are `doubled` by the caller as need be.
+    """
+    turned = period * linear_frequency(lattice)
+    known = concrete(turned)
+    least = -(-LEAST_STEPS // multiple)
+    if known is None:
+        return multiple * jnp.maximum(jnp.ceil(turned / fineness / multiple).astype(int), least)
+    if not known > 0 and guess is not None:
+        known = np.asarray(period * frequency_bound(lattice, guess, 0.0, period))
+    elif not (doubled or known > 0):
+        refuse(
+            "steps",
+            "steps per period",
+            "None",
+            "Nothing is stiff at rest (a sonic vacuum): give steps=.",
+        )
+    return multiple * max(math.ceil(float(known) / fineness / multiple), least)
+
+
+def flow_over(
+    lattice: Lattice,
+    period: Scalar,
+    steps: Count | Counts | None,
+    solver: AbstractSolver,
+    multiple: Count = 1,
+    guess: StateLike | None = None,
+) -> Flow:
+    """The flow over a period; a given number of steps is static, the default one an array.
+
+    `multiple`: segments that must divide them.
+    """
+    if steps is None:
+        return Flow(jnp.asarray(default_steps(lattice, period, multiple, guess=guess)), solver)
+    if traced(steps):
+        return Flow(steps, solver)
+    if whole("steps", steps, multiple) % multiple:
+        refuse("steps", f"a multiple of the {multiple} segments", repr(steps))
+    return Flow(int(steps), solver)
+
+
+def answered(response: Callable, lattice: Lattice, ys: State, ts: Times) -> Numbers:
+    """The number that a response gives of a history."""
+    found = response(lattice, ys.u, ys.v, ts)
+    if np.ndim(found):
+        refuse(
+            "response",
+            "a function (lattice, u, v, t) that gives one number",
+            f"one that gives {described(found)}",
+        )
+    return jnp.asarray(found)
+
+
+def history(
+    flow: Flow,
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    period: Scalar,
+    frames: Count,
+    periods: Count = 1,
+) -> tuple[State, Times, State]:
+    """`periods` periods from t0 on in `frames` equal parts each: (the state at the end, times, states).
+
+    Times and states have a leading axis and leave the end out; `flow` has the steps of one period. Every period begins
+    at the same phase, so that what is periodic does not drift by the rounding of the time.
+    """
+    between = Flow(-(-flow.steps // frames), flow.solver)
+    length = period / frames
+    ts = t0 + length * jnp.arange(frames)
+
+    def one(y, t):
+        return between(y, t, t + length, lattice), y
+
+    end, states = jax.lax.scan(one, State(*state), jnp.tile(ts, periods))
+    return end, t0 + length * jnp.arange(frames * periods), states
+
 
 # where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
 MORE = (0.1 + 0.618034 * np.arange(32)) % 1
@@ -159,6 +357,13 @@ def _compared(lattice, symmetry, shape, sizes, t0, period):
     return jax.lax.map(compared, sizes)
 
 
+def a_time(period: Scalar) -> float:
+    """A period, above zero."""
+    if not 0 < period < np.inf:
+        refuse("period", "a time above zero", repr(period))
+    return float(period)
+
+
 def asked(
     lattice: Lattice,
     state: StateLike,
@@ -173,7 +378,7 @@ def asked(
 
     The steps are an array, whose value compiles nothing anew.
     """
-    state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
+    state, period = checked_state(one_lattice(lattice), state), a_time(period)
     if steps is None:
         steps = default_steps(lattice, period, fineness=fineness)
     steps = jnp.asarray(whole("steps", steps, 1))

@@ -1,0 +1,394 @@
+"""Branches of solutions of F(x, p) = 0 by pseudo-arclength continuation. It knows no physics."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from .checks import one_of, positive, refuse
+from .newton import evaluated, newton
+from .printing import told
+from .results import Result, array, hidden
+from .types import Count, Parameter, Pytree, Scalar
+
+LEAST_COSINE = 0.9
+# of the tolerance, to which points beside a branch point are solved if they can be: the derivative is almost singular
+# there, and what is left of the residual decides where it is found
+CLOSER = {"fold": 1.0, "branch point": 1e-3}
+
+
+class Special(NamedTuple):
+    """A point found on a branch: `kind` "fold" or "branch point", `x`, `p`, and `after`, the index of the point before.
+
+    `directions`: unit tangents (x, p) of the branches that meet at a branch point, the traced one first.
+    """
+
+    kind: str
+    x: Float[np.ndarray, " n"]
+    p: float
+    after: int
+    directions: Float[np.ndarray, "branches n_and_p"]
+    __repr__ = told
+
+
+class Curve(Result):
+    """A branch, what was found on it, and why it ended."""
+
+    x: Float[np.ndarray, "point unknown"] = array("The unknowns of every point.")
+    p: Float[np.ndarray, " point"] = array("The parameter of every point.")
+    tangents: Float[np.ndarray, "point tangent"] = array("Unit tangents.")
+    special: tuple[Special, ...] = array("The special points, in the order of the branch.")
+    newton: int = array("The number of Jacobians that were taken.")
+    end: str = array('Why: "p", "points", "stop", "step", "closed" or "other".', static=True)
+    reason: str = hidden("What else there is to say of the end.", static=True)
+
+    @property
+    def folds(self) -> Float[np.ndarray, " F"]:
+        """Values of the parameter at the folds."""
+        return np.array([s.p for s in self.special if s.kind == "fold"])
+
+    @property
+    def branch_points(self) -> Float[np.ndarray, " B"]:
+        """Values of the parameter where another branch crosses."""
+        return np.array([s.p for s in self.special if s.kind == "branch point"])
+
+    @property
+    def steps(self) -> list[tuple["Point", "Point"]]:
+        """Neighbouring points, as pairs."""
+        zs = np.column_stack([self.x, self.p])
+        points = [Point(z, tangent) for z, tangent in zip(zs, self.tangents)]
+        return list(zip(points[:-1], points[1:]))
+
+    @property
+    def outcome(self) -> str:
+        """Why it ended."""
+        return {
+            "p": f"p reached {self.p[-1]:.6g}.",
+            "points": f"The {len(self.p)} points that were asked for.",
+            "stop": f"Stopped: {self.reason}.",
+            "step": f"The step along the branch fell below {self.reason}.",
+            "closed": "The branch closed upon itself.",
+            "other": f"Ended: {self.reason}.",
+        }[self.end]
+
+
+def continuation(
+    residual: Callable[[Any, Any, Any], Any],
+    x0: Parameter,
+    p0: Scalar,
+    *,
+    args: Any = None,
+    until: Parameter | None = None,
+    direction: Parameter = 1.0,
+    arclength: Scalar = 0.01,
+    least_arclength: Scalar | None = None,
+    longest_arclength: Scalar | None = None,
+    points: Count = 200,
+    tolerance: Scalar = 1e-10,
+    linearise: Callable[[Any, Any, Any], Any] | None = None,
+    veto: Callable[[Any, Any, Any, Any], Any] | None = None,
+    stop: Callable[[Any, Any], Any] | None = None,
+    find: Sequence[str] = ("fold", "branch point"),
+) -> Curve:
+    r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.
+
+    Each point is predicted along the tangent, at a distance s in the plain norm of (x, p), and corrected by Newton's
+    method in the plane across it; so the branch is followed through folds, where dp = 0. The step grows where Newton
+    needs few iterations and shrinks where it needs many, fails, or turns by more than 25 degrees.
+
+    **Arguments:**
+
+    - `residual`: F(x, p, args), (n,) to (n,). `x0`, `p0`: a solution, or near one: it is corrected first.
+    - `until`: end where p reaches this value (a pair: either of two); the last point lies exactly there.
+    - `direction`: +-1, the way p changes first; or a tangent (n + 1,), as in `Special.directions`: then `x0`, `p0` is a
+      branch point, and the first point is sought beside it.
+    - `arclength`, `least_arclength`, `longest_arclength`: first, step along the branch, least
+      (arclength/1e4) and longest (10 arclength).
+    - `points`: the most points. `tolerance`: of max |F|.
+    - `linearise`: (x, p, args) -> (F, dF/dx) or (F, dF/dx, dF/dp), where that is cheaper than `jax.jacfwd`.
+    - `veto`: (x, p, x_before, p_before) -> a reason to take a shorter step instead, or `None`.
+    - `stop`: (x, p) -> a reason to end the branch there, or `None`.
+    - `find`: which special points are located, of "fold" and "branch point".
+
+    **Returns:** `Curve`; `outcome` says why it ended. **Raises** ValueError for input that cannot be meant,
+    RuntimeError where the first point does not converge.
+
+    **Example:**
+
+    >>> curve = gx.continuation.continuation(lambda x, p, args: x**2 + p - 1, [1.0], 0.0, until=(-1.0, 2.0))
+    >>> curve.folds.round(4), curve.outcome
+    (array([1.]), 'p reached -1.')
+    """
+    for kind in find:
+        one_of("find", kind, tuple(CLOSER))
+    arclength = float(positive("arclength", arclength))
+    least_arclength = 1e-4 * arclength if least_arclength is None else least_arclength
+    longest_arclength = 10 * arclength if longest_arclength is None else longest_arclength
+    bounds = () if until is None else tuple(np.atleast_1d(np.asarray(until, float)))
+    x0 = np.atleast_1d(np.asarray(x0, float))
+    if x0.ndim != 1:
+        refuse("x0", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
+    direction = np.asarray(direction, float)
+    if direction.shape not in ((), (x0.size + 1,)) or not direction.any():
+        wanted = f"1, -1 or a tangent of shape ({x0.size + 1},)"
+        refuse("direction", wanted, f"shape {direction.shape}")
+    system, only_p = System(residual, linearise, args, tolerance), np.eye(x0.size + 1)[-1]
+    z = np.append(x0, float(p0))
+    if direction.ndim:
+        tangent = direction / np.linalg.norm(direction)
+        here, reason = system.correct(z + arclength * tangent, tangent, tangent)
+        said = "No solution beside the branch point"
+    else:
+        here, reason = system.correct(z, only_p, direction * only_p, 20)
+        said = "The first point"
+    if here is None:
+        raise RuntimeError(f"{said}: {reason}.")
+    zs, tangents, special, farthest = [here.z], [here.tangent], [], 0.0
+    end, reason, iterations = "points", "", here.iterations
+    while len(zs) < points:
+        if arclength < least_arclength:
+            end, reason = "step", f"{least_arclength:.1e}: {reason}"
+            break
+        there, reason = _advance(system, here, arclength, veto)
+        if there is None:
+            arclength /= 2
+            continue
+        bound, near = _bound_met(system, here, there, bounds)
+        if near is not None:
+            there, _ = system.correct(np.append(near.x, bound), only_p, near.tangent)
+            if there is None:
+                reason, arclength = f"Newton failed at p = {bound:.6g}", arclength / 2
+                continue
+        for kind in find:
+            if here.crosses(there, kind):
+                test = lambda point: point.test(kind)
+                best = system.zero(here, there, test, share=CLOSER[kind])
+                ways = _directions(system, kind, best, here.tangent)
+                special.append(Special(kind, best.x, best.p, len(zs) - 1, ways))
+        here = there
+        zs.append(here.z)
+        tangents.append(here.tangent)
+        iterations += here.iterations
+        if near is not None:
+            end = "p"
+            break
+        why = None if stop is None else stop(here.x, here.p)
+        if why:
+            end, reason = "stop", why
+            break
+        farthest = max(farthest, float(np.linalg.norm(here.z - zs[0])))
+        if len(zs) > 3 and _closed(zs, tangents, arclength, farthest):
+            end = "closed"
+            break
+        # where Newton's method needs four iterations the step is as it should be
+        factor = 2.0 ** ((4 - here.iterations) / 2)
+        arclength = float(np.clip(factor * arclength, least_arclength, longest_arclength))
+    z = np.stack(zs)
+    return Curve(z[:, :-1], z[:, -1], np.stack(tangents), tuple(special), iterations, end, reason)
+
+
+class Point(NamedTuple):
+    """A corrected point: derivatives (n, n + 1), tangent, sign of det of the two, which changes at branch points."""
+
+    z: Float[np.ndarray, " n_and_p"]
+    tangent: Float[np.ndarray, " n_and_p"]
+    jacobian: Float[np.ndarray, "n n_and_p"] | None = None
+    sign: float = np.nan
+    iterations: int = 0
+
+    @property
+    def x(self) -> np.ndarray:
+        return self.z[:-1]
+
+    @property
+    def p(self) -> float:
+        return float(self.z[-1])
+
+    def test(self, kind: str) -> float:
+        """The function whose zero is a special point of a kind."""
+        return self.tangent[-1] if kind == "fold" else self.sign
+
+    def crosses(self, other: "Point", kind: str) -> bool:
+        """Whether that changes its sign on the way to another point."""
+        return bool(self.test(kind) * other.test(kind) < 0)
+
+
+class _Bordered(eqx.Module):
+    """F(x, p) = 0 and border . (z - z_predicted) = 0, for Newton's method."""
+
+    function: Callable
+    slopes: Callable | None
+
+    def residual(self, z, args):
+        inner, border, predicted = args
+        f = evaluated(self.function, z[:-1], z[-1], inner)
+        return jnp.append(f, border @ (z - predicted))
+
+    def linearise(self, z, args):
+        inner, border, predicted = args
+        x, p = z[:-1], z[-1]
+        f, in_x, *in_p = self.slopes(x, p, inner)
+        if not in_p:
+            in_p = [jax.jvp(lambda p: self.function(x, p, inner), (p,), (jnp.ones_like(p),))[1]]
+        jacobian = jnp.vstack([jnp.column_stack([in_x, *in_p]), border])
+        return jnp.append(f, border @ (z - predicted)), jacobian
+
+
+class System:
+    """What continuation solves at every point of a branch."""
+
+    def __init__(
+        self, residual: Callable, linearise: Callable | None, args: Pytree, tolerance: Scalar
+    ):
+        self.bordered = _Bordered(residual, linearise)
+        self.args, self.tolerance = args, tolerance
+        self.scale = None
+
+    def correct(
+        self,
+        guess: np.ndarray,
+        border: np.ndarray,
+        before: np.ndarray,
+        most: Count = 10,
+        share: float = 1.0,
+    ) -> tuple[Point | None, str]:
+        """A `Point` in the plane through a guess across `border`, or `None` and why not.
+
+        `before`: a tangent in the direction of the branch. `share`: of the tolerance, to which it goes on if it can.
+        """
+        guess = jnp.asarray(guess)
+        root = newton(
+            self.bordered.residual,
+            guess,
+            (self.args, jnp.asarray(border), guess),
+            tolerance=share * self.tolerance,
+            max_steps=most,
+            linearise=None if self.bordered.slopes is None else self.bordered.linearise,
+            throw=False,
+            finish=False,
+        )
+        if not root.residual <= self.tolerance:
+            return None, root.outcome.rstrip(".")
+        jacobian = np.asarray(root.jacobian)[:-1]
+        square, sign, size = np.vstack([jacobian, before]), np.nan, np.nan
+        try:
+            tangent = np.linalg.solve(square, np.eye(len(square))[-1])
+            tangent = tangent / np.linalg.norm(tangent)
+            sign, size = np.linalg.slogdet(np.vstack([jacobian, tangent]))
+        except np.linalg.LinAlgError:
+            tangent = np.full(len(square), np.nan)
+        # relative to the first point's, so that its size means how near to zero it is
+        self.scale = size if self.scale is None else self.scale
+        sign = float(sign * np.exp(np.clip(size - self.scale, -200, 200)))
+        return Point(np.asarray(root.x), tangent, jacobian, sign, int(root.iterations)), ""
+
+    def zero(
+        self,
+        here: Point,
+        there: Point,
+        test: Callable[[Point], float],
+        accuracy: float = 1e-13,
+        direction: np.ndarray | None = None,
+        share: float = 1.0,
+    ) -> Point:
+        """Where a function of the point changes its sign between two points of the branch, by Brent's method.
+
+        `direction`: across which points are sought, a unit vector (n + 1,), by default the tangent at the first point.
+        `accuracy`: of the length along it. `share`: of the tolerance, to which Newton's method goes on if it can.
+        """
+        direction = here.tangent if direction is None else direction
+        length = float((there.z - here.z) @ direction)
+        known = {0.0: here, length: there}
+        # no number at a branch point itself, where there is no tangent
+        value = lambda point: np.nan_to_num(test(point))
+
+        def at(s):
+            if s not in known:
+                guess = here.z + s * direction
+                point, reason = self.correct(guess, direction, direction, share=share)
+                if point is None:
+                    raise RuntimeError(reason)
+                known[s] = point
+            return known[s]
+
+        try:
+            return at(brentq(lambda s: value(at(s)), 0.0, length, xtol=accuracy * abs(length)))
+        except RuntimeError:  # Newton's method failed on the way: as near as it came
+            return min(known.values(), key=lambda point: abs(value(point)))
+
+
+def _advance(system, here, arclength, veto):
+    there, reason = system.correct(here.z + arclength * here.tangent, here.tangent, here.tangent)
+    if there is None:
+        return None, reason
+    # no tangent (NaN) where the step has met a branch point itself
+    if not there.tangent @ here.tangent >= LEAST_COSINE:
+        return None, "the branch turns faster than the step resolves, or another branch was met"
+    why = None if veto is None else veto(there.x, there.p, here.x, here.p)
+    return (None, f"vetoed, {why}") if why else (there, "")
+
+
+def _bound_met(system, here, there, bounds):
+    """The bound that p meets first between two points, and a point of the branch near it."""
+    if not bounds:
+        return None, None
+    # p may turn back on the way: up to the fold and from there on it is monotone
+    turns = here.crosses(there, "fold")
+    turn = [system.zero(here, there, lambda point: point.test("fold"))] if turns else []
+    for a, b in zip([here, *turn], [*turn, there]):
+        between = [bound for bound in bounds if (a.p - bound) * (b.p - bound) < 0 or b.p == bound]
+        if between:
+            bound = min(between, key=lambda bound: abs(bound - a.p))
+            return bound, system.zero(a, b, lambda point: point.p - bound)
+    return None, None
+
+
+@eqx.filter_jit
+def _second(function, z, v, w, args):
+    """D^2 F [v, w]."""
+    f = lambda z: function(z[:-1], z[-1], args)
+    return jax.jvp(lambda z: jax.jvp(f, (z,), (v,))[1], (z,), (w,))[1]
+
+
+def _directions(system, kind, point, before):
+    """Tangents of the branches that meet at a special point, the one nearest to `before` first."""
+    if kind == "fold":
+        return point.tangent[None]
+    # dF has two null vectors and one from the left, psi: a tangent v is in their plane, and psi . D^2 F [v, v] = 0
+    left, _, right = np.linalg.svd(point.jacobian)
+    plane, psi = right[-2:], left[:, -1]
+    second = lambda *arrays: _second(
+        system.bordered.function, *map(jnp.asarray, arrays), system.args
+    )
+    form = np.array([[psi @ np.asarray(second(point.z, v, w)) for v in plane] for w in plane])
+    (low, high), axes = np.linalg.eigh((form + form.T) / 2)
+    if low < 0 < high:
+        both = (
+            np.stack(
+                [np.sqrt(high) * axes[:, 0] + sign * np.sqrt(-low) * axes[:, 1] for sign in (1, -1)]
+            )
+            @ plane
+        )
+        both /= np.linalg.norm(both, axis=1, keepdims=True)
+    else:  # no two branches that cross: the traced one, and what is orthogonal to it in the plane
+        own = plane @ before / np.linalg.norm(plane @ before)
+        both = np.stack([own, [-own[1], own[0]]]) @ plane
+    both = both[np.argsort(-np.abs(both @ before), kind="stable")]
+    return both * np.where(both @ before < 0, -1, 1)[:, None]
+
+
+def _closed(zs, tangents, arclength, farthest):
+    """Whether the last step went past the first point, from afar and in its direction."""
+    before, now = ((z - zs[0]) @ tangents[0] for z in zs[-2:])
+    far = np.linalg.norm(zs[-1] - zs[0])
+    return bool(
+        before < 0 <= now
+        and far < 2 * arclength
+        and farthest > 4 * far
+        and tangents[-1] @ tangents[0] > LEAST_COSINE
+    )
