@@ -169,7 +169,7 @@ def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, .
     flat = np.ravel(e)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
-    parts = [program(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
+    parts = [program(law, jax.device_put(part)) for part in padded.reshape(-1, CHUNK)]
     return tuple(
         np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
         for x in zip(*parts)

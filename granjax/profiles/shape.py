@@ -4,6 +4,7 @@ import abc
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -48,8 +49,8 @@ class Shape(eqx.Module):
             part = flat[begin : begin + PLACES]
             padded = np.zeros(shared_size(max(part.size, 1)))
             padded[: part.size] = part
-            parts.append(np.asarray(_evaluated(self, name, jnp.asarray(padded)))[: part.size])
-        return jnp.asarray(np.concatenate(parts).reshape(xi.shape))
+            parts.append(np.asarray(_evaluated(self, name, jax.device_put(padded)))[: part.size])
+        return jax.device_put(np.concatenate(parts).reshape(xi.shape))
 
 
 @eqx.filter_jit

@@ -323,7 +323,8 @@ def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, 
 def _assembled(medium, problem, tent, found, error, numbers):
     """Everything of the wave from the solution, to be differentiated by the implicit function theorem."""
     law, mass = medium.law, medium.mass
-    q, level, unit = jnp.asarray(found.q), jnp.asarray(found.level), problem.unit
+    # put, as a conversion is a program
+    q, level, unit = map(_put, (found.q, found.level, problem.unit))
     if traced((law, mass, numbers)):
         q, level = _implicit(medium, problem, tent, found, numbers)
     square = jnp.exp(level) * problem.level / mass
@@ -334,9 +335,7 @@ def _assembled(medium, problem, tent, found, error, numbers):
     places = tent.places
     rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
     steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
-    shape, energy, compression = _whole(
-        law, mass, speed, jnp.asarray(unit), q, jnp.asarray(places.apart), jnp.asarray(steep)
-    )
+    shape, energy, compression = _whole(law, mass, speed, unit, q, _put(places.apart), _put(steep))
     exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
     if traced((law, mass, numbers)):
         rate, exponent = _tails(law, mass * speed**2, rate, exponent, unit)
@@ -350,6 +349,10 @@ def _assembled(medium, problem, tent, found, error, numbers):
         mass * speed * compression,
         compression,
     )
+
+
+def _put(x):
+    return jax.device_put(np.asarray(x))
 
 
 def _tails(law, level, rate, exponent, unit):
