@@ -59,8 +59,6 @@ RESOLVED = 50
 # most doublings of the steps, of those that Newton's method alone may want
 DOUBLINGS = 10
 TRIALS = 4
-# relative change of a residual that more steps have not changed
-SAME = 1e-3
 # of a change that other steps make, where they are not half as many
 SAFETY = 2
 # finer steps that are looked at: where contacts open the change between two is small by accident
@@ -175,22 +173,22 @@ def confirmed(
     problem = problem.finer(1) if refine else problem
     root = solve(problem, x)
     # a function may hide tracers, which the root then shows
-    if isinstance(root.code, jax.core.Tracer):
-        return problem, root, corrected(problem, root, scene)
+    known = not isinstance(root.code, jax.core.Tracer)
     finer = problem
-    for _ in range(TRIALS if refine else 0):
+    for _ in range(TRIALS if refine and known else 0):
         if root.converged:
             break
         finer = finer.finer(2)
         found = solve(finer, x)
-        same = abs(found.residual - root.residual) <= SAME * root.residual
+        # of what more steps do not change they are not the cause
+        same = abs(found.residual - root.residual) <= 1e-3 * root.residual
         if found.converged or found.residual < root.residual:
             problem, root = finer, found
-        if same:  # it is not the steps
+        if same:
             break
-    if not root.converged and (throw is None or throw):
+    if known and not root.converged and (throw is None or throw):
         raise RuntimeError(root.outcome)
-    if not root.converged or not refine:
+    if not (known and refine and root.converged):
         return problem, root, corrected(problem, root, scene)
     first, iterations = root.first, root.iterations
     for _ in range(DOUBLINGS):
@@ -199,10 +197,8 @@ def confirmed(
         if not found.converged:
             return problem, root, corrected(problem, root, scene)
         change, iterations = np.abs(np.asarray(found.x - root.x)), iterations + found.iterations
-        problem, root = (
-            finer,
-            eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations)),
-        )
+        found = eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
+        problem, root = finer, found
         if spread * change.max() <= tolerance:
             change = np.maximum(change, corrected(problem, root, scene))
             if spread * change.max() <= tolerance:
@@ -221,12 +217,6 @@ def error_of(
         jnp.sum(jnp.abs(g) * e) for g, e in zip(jax.tree.leaves(slope), jax.tree.leaves(apart))
     )
     return OrbitError(apart, energy, in_omega, 2 * jnp.pi / omega**2 * in_omega, **lattice.origin)
-
-
-def neighbours(x: np.ndarray) -> np.ndarray:
-    """The largest of each entry and its neighbours along the first axis."""
-    wide = np.concatenate([x[:1], x, x[-1:]])
-    return np.max([wide[:-2], wide[1:-1], wide[2:]], axis=0)
 
 
 FRAMES = 32
@@ -545,7 +535,7 @@ def orbit_of(
     lattice, period = scene[0], jnp.asarray(scene[1], scene[0].dtype)
     state, t0 = shooting.state(root.x), jnp.asarray(shooting.t0, lattice.dtype)
     omega, in_omega = 2 * jnp.pi / period, jnp.asarray(in_omega)
-    error = error_of(lattice, t0, state, shooting.apart(apart), omega, in_omega)
+    error = error_of(lattice, t0, state, shooting.state(apart), omega, in_omega)
     energy = _energy(lattice, t0, state)
     orbit = Orbit(
         state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error

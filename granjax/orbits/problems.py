@@ -31,8 +31,8 @@ class Shooting(eqx.Module):
     (y - y_ref) . f(y_ref) = 0, and the mean displacement is zero; multipliers of the energy's gradient and of the
     uniform velocity, zero at the root, keep the system square. They belong to orbits at a given period.
 
-    Of a `reversible` orbit (forces of positions alone, even in t) half a period between two rests is enough: unknowns
-    are the displacements at rest, and v(T/2) = 0 in place of the last gap.
+    Of a `reversible` orbit (forces of positions alone, even in t) half a period between two rests is enough, in one
+    segment: unknowns are the displacements at rest, and v(T/2) = 0 in place of the gap.
 
     **Arguments:** `flow`: a `Flow` whose `steps` cover one segment. `like`: a state, for its structure. `scale` (2n,).
     `moves`: (n, k), the uniform displacements that cost no energy and that S leaves alone. `t0`: phase of the drive at
@@ -73,19 +73,13 @@ class Shooting(eqx.Module):
 
     @classmethod
     def half(
-        cls,
-        lattice: Lattice,
-        flow: Flow,
-        segments: Count = 1,
-        *,
-        length: Scalar = 1.0,
-        omega: Scalar = 1.0,
+        cls, lattice: Lattice, flow: Flow, *, length: Scalar = 1.0, omega: Scalar = 1.0
     ) -> "Shooting":
         """Over half a period between two rests, displacements counted in `length` and velocities in length * omega."""
         moves = shifts(lattice)
         like, unit = State(lattice.zeros(), lattice.zeros()), jnp.ones(len(moves), moves.dtype)
         scale = jnp.concatenate([length * unit, length * omega * unit])
-        return cls(flow, like, scale, moves, segments=segments, reversible=True)
+        return cls(flow, like, scale, moves, reversible=True)
 
     def finer(self, by: Scalar) -> "Shooting":
         """The same with so many times the time steps."""
@@ -95,12 +89,8 @@ class Shooting(eqx.Module):
     @property
     def whole(self) -> Flow:
         """The flow over the whole period."""
-        parts = self.segments * (2 if self.reversible else 1)
+        parts = 2 if self.reversible else self.segments
         return Flow(parts * self.flow.steps, self.flow.solver, self.flow.field)
-
-    def apart(self, change: Numbers) -> State:
-        """The state that a change of the unknowns makes, in the lattice's own units."""
-        return State(*ravel_pytree(self.like)[1](self._parts(change)[0][0] * self.scale))
 
     @property
     def count(self) -> int:
@@ -111,12 +101,6 @@ class Shooting(eqx.Module):
     def size(self) -> int:
         """Unknowns of the first state: 2n, or n of a reversible orbit."""
         return self.count if self.reversible else 2 * self.count
-
-    @property
-    def unknowns(self) -> int:
-        """Length of the vector of unknowns."""
-        conditions = self.moves.shape[1] + (self.reference is not None)
-        return (self.segments - 1) * 2 * self.count + self.size + conditions
 
     def guess(self, state: StateLike, scene: tuple | None = None) -> Numbers:
         """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""
@@ -130,7 +114,7 @@ class Shooting(eqx.Module):
         return jnp.concatenate([first, rest, idle])
 
     def state(self, x: Numbers) -> State:
-        """The state at t0 that the unknowns describe."""
+        """The state at t0 that the unknowns describe, or the change of it that a change of them makes."""
         return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))
 
     def residual(self, x: Numbers, scene: tuple) -> Numbers:
@@ -154,9 +138,9 @@ class Shooting(eqx.Module):
         """The residual, its derivative in the unknowns, and that in the period of an autonomous lattice."""
         lattice, period = scene
         starts, _ = self._parts(x)
-        unravel, n, m = ravel_pytree(self.like)[1], self.count, self.segments
-        # of the only segment of a reversible orbit the velocities stay zero
-        columns = n if self.reversible and m == 1 else 2 * n
+        unravel, m = ravel_pytree(self.like)[1], self.segments
+        # the velocities of a reversible orbit stay zero
+        columns = self.size
         unit = jax.vmap(unravel, in_axes=-1, out_axes=-1)(jnp.diag(self.scale)[:, :columns])
 
         def one(start_and_index):
@@ -170,7 +154,7 @@ class Shooting(eqx.Module):
             return ravel_pytree(end)[0] / self.scale, rows / self.scale[:, None], field / self.scale
 
         ends, maps, fields = jax.lax.map(one, (starts, self._indices()))
-        fields = fields / (2 * m if self.reversible else m)
+        fields = fields / (2 if self.reversible else m)
 
         def near(x, change):
             """The conditions to first order in the unknowns and in a change of the period."""
@@ -191,12 +175,10 @@ class Shooting(eqx.Module):
     def _parts(self, x):
         """The states at the segments' beginnings over their scale, (m, 2n), and the multipliers."""
         n, count = self.count, (self.segments - 1) * 2 * self.count + self.size
-        starts = (
-            jnp.concatenate([x[:n], jnp.zeros_like(x[:n]), x[n:count]])
-            if self.reversible
-            else x[:count]
-        )
-        return starts.reshape(self.segments, 2 * n), x[count:]
+        starts, idle = x[:count], x[count:]
+        if self.reversible:
+            starts = jnp.concatenate([starts, jnp.zeros_like(starts)])
+        return starts.reshape(self.segments, 2 * n), idle
 
     def _image(self, x):
         """S of a raveled state."""
@@ -207,8 +189,7 @@ class Shooting(eqx.Module):
         mean = (self.moves.T * weights / weights.sum()) @ starts[0, :n]
         gaps = ends - jnp.concatenate([starts[1:], self._image(starts[0])[None]])
         if self.reversible:
-            velocity = ends[-1, n:] + self.moves @ idle
-            return jnp.concatenate([gaps[:-1].ravel(), velocity, mean])
+            return jnp.concatenate([ends[0, n:] + self.moves @ idle, mean])
         if self.reference is None:
             return gaps.ravel()
         field = ravel_pytree(vector_field(self.t0, self.reference, lattice))[0]
@@ -244,10 +225,6 @@ class Family(eqx.Module):
     def value(self, q: Number) -> Number:
         """The parameter p at q."""
         return self.start + q * self.span
-
-    def values(self, qs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
-        """The parameters p at several known q."""
-        return np.asarray(self.start) + qs * np.asarray(self.span)
 
     def with_steps(self, steps: Count) -> "Family":
         """The same with other time steps in each segment; an array, whose value compiles nothing anew."""
