@@ -15,6 +15,7 @@ from ..continuation import Curve, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
+from ..programs import in_numpy, library
 from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
 from .asked import Symmetry, free_moves, shifts
 
@@ -83,13 +84,16 @@ class Shooting(eqx.Module):
     ) -> "Shooting":
         """Over half a period between two rests, displacements counted in `length` and velocities in length * omega."""
         moves = shifts(lattice)
-        like, unit = State(lattice.zeros(), lattice.zeros()), jnp.ones(len(moves), moves.dtype)
-        scale = jnp.concatenate([length * unit, length * omega * unit])
+        like, xp = State(lattice.zeros(), lattice.zeros()), library(length, omega)
+        length, omega = (x if xp is jnp else np.asarray(x) for x in (length, omega))
+        unit = xp.ones(len(moves), moves.dtype)
+        scale = jax.device_put(xp.concatenate([length * unit, length * omega * unit]))
         return cls(flow, like, scale, moves, segments=segments, reversible=True)
 
     def finer(self, by: Scalar) -> "Shooting":
         """The same with so many times the time steps."""
-        steps = jnp.ceil(by * self.flow.steps).astype(int)
+        by, steps = in_numpy((by, self.flow.steps))
+        steps = jax.device_put(library(by, steps).ceil(by * steps).astype(int))
         return eqx.tree_at(lambda s: s.flow, self, Flow(steps, self.flow.solver, self.flow.field))
 
     @property
@@ -120,6 +124,13 @@ class Shooting(eqx.Module):
 
     def guess(self, state: StateLike, scene: tuple | None = None) -> Numbers:
         """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""
+        return _unknowns(self, state, scene)
+
+    def state(self, x: Numbers) -> State:
+        """The state at t0 that the unknowns describe."""
+        return _state(self, x)
+
+    def _guess(self, state, scene):
         starts = [state]
         for i in range(self.segments - 1):
             state = self.flow(state, *self._times(i, scene[1]), scene[0])
@@ -128,10 +139,6 @@ class Shooting(eqx.Module):
         first, rest = x[: self.size], x[2 * self.count :]
         idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)
         return jnp.concatenate([first, rest, idle])
-
-    def state(self, x: Numbers) -> State:
-        """The state at t0 that the unknowns describe."""
-        return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))
 
     def residual(self, x: Numbers, scene: tuple) -> Numbers:
         """Gaps between the segments, then the conditions."""
@@ -219,6 +226,15 @@ class Shooting(eqx.Module):
         gaps = gaps.at[-1].add(self._image(idle[0] * gradient + uniform @ idle[1:]))
         phase = along @ (starts[0] - ravel_pytree(self.reference)[0] / self.scale)
         return jnp.concatenate([gaps.ravel(), phase[None], mean])
+
+
+_unknowns = eqx.filter_jit(Shooting._guess)
+
+
+@eqx.filter_jit
+def _state(shooting, x):
+    states, _ = shooting._parts(x)
+    return State(*ravel_pytree(shooting.like)[1](states[0] * shooting.scale))
 
 
 def _unit(x):
