@@ -392,7 +392,7 @@ def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES)
     return t0 + period * jnp.asarray(shares)
 
 
-def largest(x: Pytree) -> Numbers:
+def largest(x: Pytree) -> Scalar:
     """The largest modulus in a tree of arrays, NaN where one is."""
     x, xp = in_numpy(x), library(x)
     return xp.max(xp.stack([xp.max(abs(leaf)) for leaf in jax.tree.leaves(x)]))

@@ -203,7 +203,7 @@ def confirmed(
         if not found.converged:
             return problem, root, corrected(problem, root, scene)
         change = np.abs(np.asarray(found.x) - np.asarray(root.x))
-        iterations = np.asarray(iterations) + np.asarray(found.iterations)
+        iterations = jax.device_put(np.asarray(iterations) + np.asarray(found.iterations))
         problem, root = (
             finer,
             eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations)),
