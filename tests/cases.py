@@ -180,12 +180,6 @@ class MapCase(NamedTuple):
     map: StrainMap
     shape: object
 
-    @property
-    def walls(self):
-        """Whether some bond leads to a wall."""
-        joined = getattr(self.map, "pairs", self.map)
-        return "fixed" in getattr(joined, "boundary", ()) or -1 in getattr(joined, "tail", ())
-
 
 class OwnMap(StrainMap):
     """A map of one's own that writes `strain` alone: everything else comes from the base class."""

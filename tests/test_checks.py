@@ -267,9 +267,9 @@ BAD = (
         "nu3_force",
     ),
     (
-        "more windows than periods",
-        lambda: gx.driven.lyapunov(LINEAR, gx.states.impact(LINEAR), 1.0, windows=2000),
-        "periods and windows",
+        "too few periods",
+        lambda: gx.driven.lyapunov(LINEAR, gx.states.impact(LINEAR), 1.0, periods=9),
+        "periods",
     ),
     (
         "run_time before the pulse arrives",

@@ -557,7 +557,7 @@ def test_columns_of_a_table_are_read_in_si(tmp_path):
     [
         (
             {"velocity": "Bead 7"},
-            r"the unit of 'Bead 7 \[V\]': m/s, mm/s, um/s, or its size in m/s, got 'V'",
+            r"the unit of 'Bead 7 \[V\]', such as m/s, or its size in m/s, got 'V'",
         ),
         ({"velocity": "Load"}, "got None. Give units={'Load': 'm/s'}"),
         ({"velocity": "Bead 33"}, r"velocity: expected one of .*Did you mean 'Bead 3 \[mm/s\]'"),

@@ -136,8 +136,9 @@ def test_split_shares_every_bond_out_to_its_ends(case):
     assert_ulps(x.split, touched(x.shares, x.split), 16)
 
 
-@over([case for case in ALL_STRAIN_MAPS if not case.walls])
-def test_split_loses_nothing_without_walls(case):
+# its corners join wall to wall
+@over([case for case in ALL_STRAIN_MAPS if case.name != "shift_grid_fixed_fixed"])
+def test_split_loses_nothing(case):
     _, f, x = forms(case)
     total = sum(float(s.sum()) for s in jax.tree.leaves(x.split))
     np.testing.assert_allclose(total, float(f.sum()), rtol=16 * EPS)

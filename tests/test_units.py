@@ -169,7 +169,7 @@ def test_what_a_transformation_returns_knows_it_too():
     "units, message",
     [
         (("kHz",), "units of m, m/s, s, got 'kHz'"),
-        (("usec",), "name of a unit, got 'usec'. Nearest: 'us'"),
+        (("usec",), "name of a unit, got 'usec'. Did you mean 'us"),
         (("s", "ms"), "one word for each dimension"),
         (("scaled",), "units of numbers in SI"),
         ((gx.Units(), "us"), "words, or a Units"),

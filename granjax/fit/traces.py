@@ -14,16 +14,10 @@ from jaxtyping import Float
 from ..checks import concrete, described, one_of, parameter, positive, real, refuse, show, traced
 from ..printing import told
 from ..types import AnyArray, Count, Displacements, Number, Numbers, Parameter, Scalar, Values
+from ..units.names import known_unit
 
 KINDS = ("velocity", "displacement", "force")
 QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}
-# the units that a column's header may end in, by quantity, with their sizes in SI
-SIZES = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
-    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
-}
 # a name and the unit in brackets at its end: "Time (us)", "v [mm/s]"
 HEADER = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
@@ -161,8 +155,8 @@ class Traces(eqx.Module):
         - `time`: the column of times.
         - `velocity`, `displacement` or `force`, exactly one of them: a column, or a list with one per sensor.
         - `units`: {column: unit}, for columns whose header does not end in a unit such as "Time (us)" or "v [mm/s]".
-          A unit is one of s, ms, us, ns; m/s, mm/s, um/s; m, mm, um, nm; N, mN, kN; or a number, the size in SI of
-          one unit of the column: {"Bead 3": 0.025} for a vibrometer with 0.025 (m/s)/V.
+          A unit is a name, such as us, mm/s, nm or kN; or a number, the size in SI of one unit of the column:
+          {"Bead 3": 0.025} for a vibrometer with 0.025 (m/s)/V.
         - `read`: keywords of `pandas.read_csv`, such as {"sep": ";", "decimal": ",", "comment": "#"}.
         - `traces`: what `Traces` takes besides, such as `sites`, `sigma` or `gain`.
 
@@ -194,17 +188,13 @@ class Traces(eqx.Module):
                     f"{name!r}, which holds text",
                     "Name in read= what the file writes: decimal, na_values, comment.",
                 )
-            word = str(unit).replace("\u00b5", "u").replace("\u03bc", "u")
-            size = unit if isinstance(unit, (int, float)) else SIZES[quantity].get(word)
-            if size is None:
-                refuse(
-                    "units",
-                    f"the unit of {name!r}: {', '.join(SIZES[quantity])}, "
-                    f"or its size in {QUANTITIES[quantity]}",
-                    repr(unit),
-                    f"Give units={{{key!r}: {QUANTITIES[quantity]!r}}}.",
-                )
-            return size * values.astype(float)
+            if isinstance(unit, (int, float)):
+                return unit * values.astype(float)
+            known, own = known_unit(str(unit).replace("\u03bc", "u")), QUANTITIES[quantity]
+            if known is None or known.dimension != known_unit(own).dimension:
+                wanted = f"the unit of {name!r}, such as {own}, or its size in {own}"
+                refuse("units", wanted, repr(unit), f"Give units={{{key!r}: {own!r}}}.")
+            return known.size * values.astype(float)
 
         signals = {}
         for kind, keys in zip(KINDS, (velocity, displacement, force)):

@@ -33,8 +33,6 @@ class FlatBands(Result):
     )
     _states: tuple
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
-    fields: tuple[str, ...] | None = note("The names of the fields of a cell.", static=True)
-    dimension: int | None = array("The number of components of a displacement.", static=True)
 
     @property
     def outcome(self) -> str:
@@ -109,8 +107,6 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
         np.array(residual),
         tuple(states),
         found.cell,
-        found.fields,
-        found.dimension,
         **lattice.origin,
     )
 

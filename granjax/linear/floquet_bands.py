@@ -102,11 +102,6 @@ class FloquetBands(Result):
         return [(float(a), float(b)) for a, b in self.edges]
 
     @property
-    def exponents(self) -> ComplexNumbers:
-        """log(rho)/T = growth - i omega, (k..., 2P) [1/s]."""
-        return self.growth - 1j * self.omega
-
-    @property
     def outcome(self) -> str:
         """How many waves, and where they grow."""
         if traced(self):
@@ -302,8 +297,9 @@ class _Known:
         points = np.asarray(k).reshape(-1, len(cell.cell))
         self.steps = self._found(points, tolerance) if steps is None else steps
 
-    def maps(self, k: np.ndarray, steps: int) -> np.ndarray:
-        """M(k) over (q, q'/omega), (K, 2P, 2P)."""
+    def maps(self, k: np.ndarray, steps: int | None = None) -> np.ndarray:
+        """M(k) over (q, q'/omega), (K, 2P, 2P), by n steps or as many as are given."""
+        steps = self.steps if steps is None else steps
         along = self.t0, self.period, jnp.asarray(self.omega), jnp.asarray(steps)
         points = k.astype(self.cell.coupling.dtype)
         return in_groups(lambda k: monodromies(self.cell, k, *along), points, TOGETHER)
@@ -331,13 +327,9 @@ class _Known:
             # as many as order 6 needs, and no more than twice
             count, last = count * np.clip(1.1 * (off / least) ** (1 / 6), 1.25, 2.0), off
 
-    def fine(self, k: np.ndarray) -> np.ndarray:
-        """M(k) by n steps."""
-        return self.maps(k, self.steps)
-
     def levels(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """M(k) by n steps, by 3n/4, and the norm to which the former is known, (K,)."""
-        fine, coarse = self.fine(k), self.maps(k, max(1, 3 * self.steps // 4))
+        fine, coarse = self.maps(k), self.maps(k, max(1, 3 * self.steps // 4))
         size = np.linalg.norm(fine, axis=(1, 2))
         rounding = (ROUNDING * self.eps * (1 + self.turned) + self.missed) * size
         return fine, coarse, SAFETY * np.linalg.norm(fine - coarse, axis=(1, 2)) + rounding

@@ -100,7 +100,7 @@ def _half_zone(known):
 def _largest(known, which, k, width):
     """Where one of what `_look` tells is largest within a width of some k, at which it is larger than beside them."""
     found = find_minimum(
-        lambda k: -_look(known, known.fine(k[:, None]))[which], (k - width, k, k + width)
+        lambda k: -_look(known, known.maps(k[:, None]))[which], (k - width, k, k + width)
     )
     return np.where(found.success, found.x, k)
 
@@ -111,7 +111,7 @@ def _edges(known, outside, inside):
         return np.zeros((2, 0))
 
     def unstable(k, outside):
-        f = _look(known, known.fine(k[:, None]))[0]
+        f = _look(known, known.maps(k[:, None]))[0]
         return np.where(k == outside, np.minimum(f, -1e-300), f)
 
     k = find_root(unstable, (outside, inside), args=(outside,)).x
@@ -129,7 +129,7 @@ def _fastest(known, edges):
     # of two mirror images the one in 0 <= k <= pi
     low, high = np.clip(edges, 0, np.pi).T
     k = np.linspace(low, high, WITHIN, axis=1)
-    growth = _look(known, known.fine(k.reshape(-1, 1)))[2].reshape(k.shape)
+    growth = _look(known, known.maps(k.reshape(-1, 1)))[2].reshape(k.shape)
     best = np.take_along_axis(k, growth.argmax(1)[:, None], 1)[:, 0]
     best = _largest(known, 2, best, k[:, 1] - k[:, 0])
-    return best, _look(known, known.fine(best[:, None]))[2]
+    return best, _look(known, known.maps(best[:, None]))[2]

@@ -1,5 +1,6 @@
 """Waves that spread from a point of the plane: how far their energy is, their rings, how their front falls."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import cKDTree
@@ -28,11 +29,7 @@ def energy_radius(
     **Raises** ValueError for a lattice without positions, or a batch.
     """
     places = placed(lattice, "a radius")
-    e, places = site_energy(lattice, y, t), {"": places} if not isinstance(places, dict) else places
-    parts = [
-        (jnp.asarray(places[name]), x)
-        for name, x in (e if isinstance(e, dict) else {"": e}).items()
-    ]
+    parts = [*zip(*map(jax.tree.leaves, (places, site_energy(lattice, y, t))))]
     total = sum(x.sum() for _, x in parts)
     if centre is None:
         c = sum((x[..., None] * at).sum(tuple(range(x.ndim))) for at, x in parts) / total
@@ -104,7 +101,8 @@ def radial_profile(
         else np.asarray(concrete(_point("centre", centre, at.shape[-1])), float)
     )
     distance = np.linalg.norm(at - c, axis=-1)
-    width = _spacing(at) if width is None else float(positive("width", width))
+    width = cKDTree(at).query(at, 2)[0][:, 1].min() if width is None else positive("width", width)
+    width = float(width)
     _, which = np.unique(np.floor(distance / width + 0.5).astype(int), return_inverse=True)
     count, rings = np.bincount(which), which.max() + 1
     gather = lambda how, start: getattr(
@@ -131,12 +129,6 @@ def _history_of(name, given, sites):
             called, f"one number per site, shape {sites}, or with times before", f"shape {x.shape}"
         )
     return x.reshape(x.shape[: x.ndim - len(sites)] + (-1,))
-
-
-def _spacing(at):
-    """The least distance between two of the places."""
-    near = cKDTree(at).query(at, 2)[0][:, 1]
-    return float(near.min())
 
 
 class FrontDecay(Result):

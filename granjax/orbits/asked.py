@@ -322,38 +322,32 @@ def _compared(lattice, symmetry, shape, sizes, t0, period):
 
     At displacements of each size, (sizes,) each; third what rounding of these displacements makes.
     """
-    ts, count = phases(t0, period, MORE), len(MORE)
-    nearby = 1 + 8 * jnp.finfo(lattice.dtype).eps
+    ts, nearby = phases(t0, period, MORE), 1 + 8 * jnp.finfo(lattice.dtype).eps
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
 
-    def accelerated(t, size, image):
-        """S a(t, y), or a(t, S y) of the image, and how large accelerations are, of contacts by themselves too."""
-        y = State(
-            *(
-                jax.tree.map(lambda x: jnp.asarray(scale * x, lattice.dtype), shape)
-                for scale in (size, size * (2 * jnp.pi / period))
-            )
-        )
-        y = jax.tree.map(lambda a, b: jnp.where(image, a, b), symmetry(y), y)
+    def state(size):
+        sizes = size, size * (2 * jnp.pi / period)
+        scaled = lambda a: jax.tree.map(lambda x: jnp.asarray(a * x, lattice.dtype), shape)
+        return State(*map(scaled, sizes))
+
+    def accelerated(t, y):
+        """Accelerations, and how large they are, of contacts by themselves too."""
         found = lattice.acceleration(t, *y)
         contacts = [c.force for term in lattice.terms for c in term.compressions(t, y.u)]
         there = [largest(found), *(largest(force) / lightest for force in contacts)]
-        found = jax.tree.map(lambda a, b: jnp.where(image, a, b), found, symmetry(found))
         return found, jnp.max(jnp.stack(there))
 
     def compared(size):
-        times = jnp.concatenate([ts, ts + period, ts])
-        scales = jnp.repeat(jnp.stack([size, size, nearby * size]), count)
-        images = jnp.repeat(jnp.array([False, True, False]), count)
-        found, there = jax.lax.map(lambda x: accelerated(*x), (times, scales, images))
-        now, later, moved = (
-            jax.tree.map(lambda a: a[i : i + count], found) for i in (0, count, 2 * count)
-        )
+        y = state(size)
+        ys = jax.tree.map(lambda *x: jnp.stack(x), y, symmetry(y), state(nearby * size))
+        times = jnp.stack([ts, ts + period, ts])
+        during = lambda x: jax.lax.map(lambda t: accelerated(t, x[1]), x[0])
+        found, there = jax.lax.map(during, (times, ys))
+        now, later, moved = (jax.tree.map(lambda a: a[i], found) for i in range(3))
+        now, moved = jax.vmap(symmetry)(now), jax.vmap(symmetry)(moved)
         others = later, jax.tree.map(lambda a: a[0], now), moved
-        off, change, rounding = (
-            largest(jax.tree.map(jnp.subtract, now, other)) for other in others
-        )
-        return off, change, rounding, jnp.max(there[: 2 * count])
+        apart = [largest(jax.tree.map(jnp.subtract, now, other)) for other in others]
+        return *apart, jnp.max(there[:2])
 
     return jax.lax.map(compared, sizes)
 

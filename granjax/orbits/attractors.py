@@ -875,6 +875,10 @@ def _hysteresis(values, up, down, share):
     return intervals
 
 
+# parts of a run, whose exponents differ by their uncertainty
+WINDOWS = 10
+
+
 class Lyapunov(Result):
     """What `lyapunov` returns."""
 
@@ -882,7 +886,7 @@ class Lyapunov(Result):
         "The exponents, from the largest down.", "1/s"
     )
     uncertainty: Float[np.ndarray, " exponent"] = array(
-        "The standard error of the mean over the windows plus the difference between the "
+        "The standard error of the mean over tenths of the run plus the difference between the "
         "first and the second half of the run.",
         "1/s",
     )
@@ -940,7 +944,6 @@ def lyapunov(
     periods: Count = 1000,
     transient: Count = 100,
     number: Count = 1,
-    windows: Count = 10,
     steps: Count | None = None,
     solver: AbstractSolver | None = None,
     seed: Count = 0,
@@ -958,8 +961,9 @@ def lyapunov(
 
     - `lattice`, `state` at t = 0; forced or not. `period`: T of the forcing, or of a lattice that no time drives any
       time between two orthonormalisations, short against 1/lambda.
-    - `periods`: P, that count; `transient`: that do not, while state and tangents turn to where they belong.
-    - `number`: k, from 1 to twice the number of displacements. `windows`: for the uncertainty, at least 4.
+    - `periods`: P, that count, at least 10; `transient`: that do not, while state and tangents turn to where they
+      belong.
+    - `number`: k, from 1 to twice the number of displacements.
     - `steps`, `solver`: as in `settle`. `seed`: of the first tangents.
 
     **Returns:** `Lyapunov`. **Raises** ValueError for numbers that do not fit, a period after which the forces do not
@@ -980,8 +984,7 @@ def lyapunov(
     size = ravel_pytree(state)[0].size
     if number > size:
         refuse("number", f"at most {size}, twice the number of displacements", f"{number}")
-    if periods < windows:
-        refuse("periods and windows", "a period in each window", f"{periods} and {windows}")
+    whole("periods", periods, WINDOWS)
     start = np.random.default_rng(seed).normal(size=(size, number))
     # arrays, whose values compile nothing anew
     start, T = (jnp.asarray(x, lattice.dtype) for x in (start, period))
@@ -989,7 +992,7 @@ def lyapunov(
     rates = np.asarray(logs)[transient:] / period
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]
-    exponents, uncertainty = rates.mean(0), _uncertainty(rates, windows)
+    exponents, uncertainty = rates.mean(0), _uncertainty(rates)
     found = Lyapunov(exponents, uncertainty, rates, end, lattice.reads_time, "", **lattice.origin)
     if found.verdict == "quasi-periodic":
         near = slowly(flow, lattice, end, period)
@@ -1018,9 +1021,9 @@ def _grow(flow, lattice, state, start, period, periods):
     return state, logs
 
 
-def _uncertainty(rates, windows):
-    means = np.stack([part.mean(0) for part in np.array_split(rates, windows)])
+def _uncertainty(rates):
+    means = np.stack([part.mean(0) for part in np.array_split(rates, WINDOWS)])
     half = len(rates) // 2
-    return means.std(0, ddof=1) / np.sqrt(windows) + np.abs(
+    return means.std(0, ddof=1) / np.sqrt(WINDOWS) + np.abs(
         rates[:half].mean(0) - rates[half:].mean(0)
     )

@@ -40,7 +40,6 @@ from .orbit import (
     checked_free,
     covering,
     error_of,
-    neighbours,
     newtons,
     prepared,
     rounding,
@@ -126,6 +125,7 @@ class Branch(Result):
         "omega": Held("point", "rad/s"),
         "amplitude": Held("point", "m"),
         "folds": Held(None),
+        "energy_extrema": Held(None),
     }
     _family: Family
     _curve: Curve
@@ -166,6 +166,14 @@ class Branch(Result):
     def branch_points(self) -> Float[np.ndarray, " B"]:
         """Values of the parameter where another branch crosses."""
         return self._places(BRANCH_POINT)
+
+    @property
+    def energy_extrema(self) -> Float[np.ndarray, " E"]:
+        """Values of the parameter at the points whose energy is above or below that of both neighbours.
+
+        There the stability of a family may change; `gx.breathers.bifurcations` places them between the points.
+        """
+        return self.p[1 + np.flatnonzero(np.diff(np.sign(np.diff(self.energy))))]
 
     def _places(self, kind):
         return np.array([b.p for b in self.bifurcations if b.kind == kind])
@@ -258,7 +266,7 @@ def _half(family, z):
     change = inverse[:, :n] @ ((ends[0] - ends[1]) / shooting.scale[n:])
     apart = covering(change[None], rounding(inverse))
     state = shooting.state(nearby(x, -inverse[:, :n] @ (ends[1] / shooting.scale[n:])))
-    error = error_of(lattice, 0.0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
+    error = error_of(lattice, 0.0, state, shooting.state(apart), 2 * jnp.pi / period, jnp.zeros(()))
     period, energy = jnp.broadcast_to(period, ()), lattice.energy(0.0, *state)
     return _Examined(state, period, energy, None, error, None, maps, apart)
 
@@ -331,6 +339,12 @@ def examined_along(
     return found
 
 
+def _neighbours(x):
+    """The largest of each entry and its neighbours along the first axis."""
+    wide = np.concatenate([x[:1], x, x[-1:]])
+    return np.max([wide[:-2], wide[1:-1], wide[2:]], axis=0)
+
+
 def branch_of(
     family: Family,
     curve: Curve,
@@ -346,9 +360,9 @@ def branch_of(
         bifurcations = [_bifurcation_at(family, *at) for at in special]
     found, multipliers, about, step_error, verdict = jax.tree.map(lambda *x: np.stack(x), *along)
     # an error that is small by accident is as large as its neighbours
-    error, response_error = jax.tree.map(neighbours, (found.error, found.response_error))
+    error, response_error = jax.tree.map(_neighbours, (found.error, found.response_error))
     return Branch(
-        family.values(curve.p),
+        np.asarray(family.value(curve.p)),
         found.period,
         found.state,
         found.energy,

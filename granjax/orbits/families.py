@@ -388,7 +388,9 @@ def breather(
                 "the state at rest",
                 "Velocities are dropped: of a motion take a state where it turns.",
             )
-        kind = kind if unknown else _kind(lattice, guess)
+        # one that fills the lattice may lead to a bright breather or a dark one
+        if not unknown and localisation(lattice, guess).fills:
+            kind = "any"
     if not unknown:
         if not omega > 0:
             refuse("omega", "a frequency above zero", repr(omega))
@@ -474,13 +476,6 @@ def _only_pushes(lattice):
     return not any(np.any(np.asarray(f)[1:-1]) for f in jax.tree.leaves(forces))
 
 
-def _half(lattice, flow, guess, omega):
-    """Half a period in the units of the guess."""
-    length, omega = jax.lax.stop_gradient((largest(guess[0]), omega))
-    length = library(length).where(length > 0, length, 1)
-    return Shooting.half(lattice, flow, length=length, omega=omega)
-
-
 def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
     """A State to start at: the envelope's soliton, or one nearer to the edge followed to omega."""
     make = dark_guess if kind == "dark" else bright_guess
@@ -503,7 +498,11 @@ def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
 
 def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
     """The `Orbit` at a frequency, or from there at an energy."""
-    half, settings = _half(lattice, flow, guess, omega), {"throw": throw} | settings
+    settings = {"throw": throw} | settings
+    # half a period in the units of the guess
+    length, unit = jax.lax.stop_gradient((largest(guess[0]), omega))
+    length = library(length).where(length > 0, length, 1)
+    half = Shooting.half(lattice, flow, length=length, omega=unit)
     x, in_omega = half.guess(guess), 0.0
     if energy is None:
         half, root, apart = confirmed(half, x, (lattice, 2 * jnp.pi / omega), **settings)
@@ -548,11 +547,6 @@ class _AtEnergy(eqx.Module):
         return jnp.append(gaps, excess), jnp.block(
             [[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]]
         )
-
-
-def _kind(lattice, guess):
-    """What a State may lead to: one that fills the lattice to a bright breather or a dark one."""
-    return "any" if localisation(lattice, guess).fills else "bright"
 
 
 def _check(lattice, omega, guess, kind):

@@ -60,8 +60,6 @@ RESOLVED = 50
 # most doublings of the steps, of those that Newton's method alone may want
 DOUBLINGS = 10
 TRIALS = 4
-# relative change of a residual that more steps have not changed
-SAME = 1e-3
 # of a change that other steps make, where they are not half as many
 SAFETY = 2
 # finer steps that are looked at: where contacts open the change between two is small by accident
@@ -179,22 +177,22 @@ def confirmed(
     problem = problem.finer(1) if refine else problem
     root = solve(problem, x)
     # a function may hide tracers, which the root then shows
-    if isinstance(root.code, jax.core.Tracer):
-        return problem, root, corrected(problem, root, scene)
+    known = not isinstance(root.code, jax.core.Tracer)
     finer = problem
-    for _ in range(TRIALS if refine else 0):
+    for _ in range(TRIALS if refine and known else 0):
         if root.converged:
             break
         finer = finer.finer(2)
         found = solve(finer, x)
-        same = abs(found.residual - root.residual) <= SAME * root.residual
+        # of what more steps do not change they are not the cause
+        same = abs(found.residual - root.residual) <= 1e-3 * root.residual
         if found.converged or found.residual < root.residual:
             problem, root = finer, found
-        if same:  # it is not the steps
+        if same:
             break
-    if not root.converged and (throw is None or throw):
+    if known and not root.converged and (throw is None or throw):
         raise RuntimeError(root.outcome)
-    if not root.converged or not refine:
+    if not (known and refine and root.converged):
         return problem, root, corrected(problem, root, scene)
     first, iterations = root.first, root.iterations
     for _ in range(DOUBLINGS):
@@ -204,10 +202,8 @@ def confirmed(
             return problem, root, corrected(problem, root, scene)
         change = np.abs(np.asarray(found.x) - np.asarray(root.x))
         iterations = jax.device_put(np.asarray(iterations) + np.asarray(found.iterations))
-        problem, root = (
-            finer,
-            eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations)),
-        )
+        found = eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
+        problem, root = finer, found
         if spread * change.max() <= tolerance:
             change = np.maximum(change, corrected(problem, root, scene))
             if spread * change.max() <= tolerance:
@@ -226,12 +222,6 @@ def error_of(
         jnp.sum(jnp.abs(g) * e) for g, e in zip(jax.tree.leaves(slope), jax.tree.leaves(apart))
     )
     return OrbitError(apart, energy, in_omega, 2 * jnp.pi / omega**2 * in_omega, **lattice.origin)
-
-
-def neighbours(x: np.ndarray) -> np.ndarray:
-    """The largest of each entry and its neighbours along the first axis."""
-    wide = np.concatenate([x[:1], x, x[-1:]])
-    return np.max([wide[:-2], wide[1:-1], wide[2:]], axis=0)
 
 
 FRAMES = 32
@@ -565,7 +555,7 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
     """Of an orbit its state at t0, the energy, the error, and the code of its root: another one where it is at rest."""
     state, t0 = shooting.state(x), jnp.asarray(shooting.t0, lattice.dtype)
     omega = 2 * jnp.pi / period
-    error = error_of(lattice, t0, state, shooting.apart(apart), omega, jnp.asarray(in_omega))
+    error = error_of(lattice, t0, state, shooting.state(apart), omega, jnp.asarray(in_omega))
 
     def speed(y, t=t0):
         v, a = vector_field(t, y, lattice)

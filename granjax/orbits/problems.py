@@ -32,8 +32,8 @@ class Shooting(eqx.Module):
     (y - y_ref) . f(y_ref) = 0, and the mean displacement is zero; multipliers of the energy's gradient and of the
     uniform velocity, zero at the root, keep the system square. They belong to orbits at a given period.
 
-    Of a `reversible` orbit (forces of positions alone, even in t) half a period between two rests is enough: unknowns
-    are the displacements at rest, and v(T/2) = 0 in place of the last gap.
+    Of a `reversible` orbit (forces of positions alone, even in t) half a period between two rests is enough, in one
+    segment: unknowns are the displacements at rest, and v(T/2) = 0 in place of the gap.
 
     **Arguments:** `flow`: a `Flow` whose `steps` cover one segment. `like`: a state, for its structure. `scale` (2n,).
     `moves`: (n, k), the uniform displacements that cost no energy and that S leaves alone. `t0`: phase of the drive at
@@ -74,13 +74,7 @@ class Shooting(eqx.Module):
 
     @classmethod
     def half(
-        cls,
-        lattice: Lattice,
-        flow: Flow,
-        segments: Count = 1,
-        *,
-        length: Scalar = 1.0,
-        omega: Scalar = 1.0,
+        cls, lattice: Lattice, flow: Flow, *, length: Scalar = 1.0, omega: Scalar = 1.0
     ) -> "Shooting":
         """Over half a period between two rests, displacements counted in `length` and velocities in length * omega."""
         moves = shifts(lattice)
@@ -88,7 +82,7 @@ class Shooting(eqx.Module):
         length, omega = (x if xp is jnp else np.asarray(x) for x in (length, omega))
         unit = xp.ones(len(moves), moves.dtype)
         scale = jax.device_put(xp.concatenate([length * unit, length * omega * unit]))
-        return cls(flow, like, scale, moves, segments=segments, reversible=True)
+        return cls(flow, like, scale, moves, reversible=True)
 
     def finer(self, by: Scalar) -> "Shooting":
         """The same with so many times the time steps."""
@@ -99,12 +93,8 @@ class Shooting(eqx.Module):
     @property
     def whole(self) -> Flow:
         """The flow over the whole period."""
-        parts = self.segments * (2 if self.reversible else 1)
+        parts = 2 if self.reversible else self.segments
         return Flow(parts * self.flow.steps, self.flow.solver, self.flow.field)
-
-    def apart(self, change: Numbers) -> State:
-        """The state that a change of the unknowns makes, in the lattice's own units."""
-        return State(*ravel_pytree(self.like)[1](self._parts(change)[0][0] * self.scale))
 
     @property
     def count(self) -> int:
@@ -116,21 +106,9 @@ class Shooting(eqx.Module):
         """Unknowns of the first state: 2n, or n of a reversible orbit."""
         return self.count if self.reversible else 2 * self.count
 
-    @property
-    def unknowns(self) -> int:
-        """Length of the vector of unknowns."""
-        conditions = self.moves.shape[1] + (self.reference is not None)
-        return (self.segments - 1) * 2 * self.count + self.size + conditions
-
+    @eqx.filter_jit
     def guess(self, state: StateLike, scene: tuple | None = None) -> Numbers:
         """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""
-        return _unknowns(self, state, scene)
-
-    def state(self, x: Numbers) -> State:
-        """The state at t0 that the unknowns describe."""
-        return _state(self, x)
-
-    def _guess(self, state, scene):
         starts = [state]
         for i in range(self.segments - 1):
             state = self.flow(state, *self._times(i, scene[1]), scene[0])
@@ -139,6 +117,11 @@ class Shooting(eqx.Module):
         first, rest = x[: self.size], x[2 * self.count :]
         idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)
         return jnp.concatenate([first, rest, idle])
+
+    @eqx.filter_jit
+    def state(self, x: Numbers) -> State:
+        """The state at t0 that the unknowns describe, or the change of it that a change of them makes."""
+        return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))
 
     def residual(self, x: Numbers, scene: tuple) -> Numbers:
         """Gaps between the segments, then the conditions."""
@@ -161,9 +144,9 @@ class Shooting(eqx.Module):
         """The residual, its derivative in the unknowns, and that in the period of an autonomous lattice."""
         lattice, period = scene
         starts, _ = self._parts(x)
-        unravel, n, m = ravel_pytree(self.like)[1], self.count, self.segments
-        # of the only segment of a reversible orbit the velocities stay zero
-        columns = n if self.reversible and m == 1 else 2 * n
+        unravel, m = ravel_pytree(self.like)[1], self.segments
+        # the velocities of a reversible orbit stay zero
+        columns = self.size
         unit = jax.vmap(unravel, in_axes=-1, out_axes=-1)(jnp.diag(self.scale)[:, :columns])
 
         def one(start_and_index):
@@ -177,7 +160,7 @@ class Shooting(eqx.Module):
             return ravel_pytree(end)[0] / self.scale, rows / self.scale[:, None], field / self.scale
 
         ends, maps, fields = jax.lax.map(one, (starts, self._indices()))
-        fields = fields / (2 * m if self.reversible else m)
+        fields = fields / (2 if self.reversible else m)
 
         def near(x, change):
             """The conditions to first order in the unknowns and in a change of the period."""
@@ -198,12 +181,10 @@ class Shooting(eqx.Module):
     def _parts(self, x):
         """The states at the segments' beginnings over their scale, (m, 2n), and the multipliers."""
         n, count = self.count, (self.segments - 1) * 2 * self.count + self.size
-        starts = (
-            jnp.concatenate([x[:n], jnp.zeros_like(x[:n]), x[n:count]])
-            if self.reversible
-            else x[:count]
-        )
-        return starts.reshape(self.segments, 2 * n), x[count:]
+        starts, idle = x[:count], x[count:]
+        if self.reversible:
+            starts = jnp.concatenate([starts, jnp.zeros_like(starts)])
+        return starts.reshape(self.segments, 2 * n), idle
 
     def _image(self, x):
         """S of a raveled state."""
@@ -214,8 +195,7 @@ class Shooting(eqx.Module):
         mean = (self.moves.T * weights / weights.sum()) @ starts[0, :n]
         gaps = ends - jnp.concatenate([starts[1:], self._image(starts[0])[None]])
         if self.reversible:
-            velocity = ends[-1, n:] + self.moves @ idle
-            return jnp.concatenate([gaps[:-1].ravel(), velocity, mean])
+            return jnp.concatenate([ends[0, n:] + self.moves @ idle, mean])
         if self.reference is None:
             return gaps.ravel()
         field = ravel_pytree(vector_field(self.t0, self.reference, lattice))[0]
@@ -226,15 +206,6 @@ class Shooting(eqx.Module):
         gaps = gaps.at[-1].add(self._image(idle[0] * gradient + uniform @ idle[1:]))
         phase = along @ (starts[0] - ravel_pytree(self.reference)[0] / self.scale)
         return jnp.concatenate([gaps.ravel(), phase[None], mean])
-
-
-_unknowns = eqx.filter_jit(Shooting._guess)
-
-
-@eqx.filter_jit
-def _state(shooting, x):
-    states, _ = shooting._parts(x)
-    return State(*ravel_pytree(shooting.like)[1](states[0] * shooting.scale))
 
 
 def _unit(x):
@@ -260,10 +231,6 @@ class Family(eqx.Module):
     def value(self, q: Number) -> Number:
         """The parameter p at q."""
         return self.start + q * self.span
-
-    def values(self, qs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
-        """The parameters p at several known q."""
-        return np.asarray(self.start) + qs * np.asarray(self.span)
 
     def with_steps(self, steps: Count) -> "Family":
         """The same with other time steps in each segment; an array, whose value compiles nothing anew."""

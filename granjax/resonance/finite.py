@@ -76,11 +76,6 @@ class Extrema(Result):
         )
 
 
-def _run_time(beads):
-    # the pulse takes 0.93 per bead at epsilon = 0.05, 1.2 in the monomer and up to 1.35 at the first resonance
-    return 1.5 * beads + 10
-
-
 def transmission(
     ratios: Parameter, beads: Count = 101, *, run_time: Scalar | None = None
 ) -> Transmission:
@@ -112,7 +107,8 @@ def transmission(
     ratios = checked_ratios(ratios)
     beads = whole("beads", beads, LEAST_BEADS, "A dimer chain between walls.")
     held_in_memory("beads", beads, what="beads")
-    run_time = float(_run_time(beads) if run_time is None else positive("run_time", run_time))
+    # the pulse takes 0.93 per bead at epsilon = 0.05, 1.2 in the monomer and up to 1.35 at the first resonance
+    run_time = 1.5 * beads + 10 if run_time is None else float(positive("run_time", run_time))
     least = SLOWEST * beads + LEAST_TIME
     if run_time < least:
         refuse(

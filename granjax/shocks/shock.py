@@ -2,11 +2,10 @@
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
 
 from ..laws import Law
 from ..results import Result, array, note
-from ..types import Number
+from ..types import Number, Numbers
 
 # part of the jump by which a theory may miss without a word
 MISSES = 0.3
@@ -27,9 +26,7 @@ class Shock(Result):
     sound: float = array("The speed of sound ahead.", "1/s")
     mean: float = array("The strain of the plateau, Hann-weighted over the bonds of `window`.", "m")
     mean_error: float = array("The error of the mean.", "m")
-    window: Float[np.ndarray, "2"] = array(
-        "The first and the last bond of the plateau.", "1", "end"
-    )
+    window: Numbers = array("The first and the last bond of the plateau.", "1", "end")
     leading_speed: float = array("The speed of the leading crest.", "1/s")
     leading_speed_error: float = array("The error of the leading speed.", "1/s")
     leading_place: float = array("The place n of the leading crest.", "1")
@@ -42,29 +39,24 @@ class Shock(Result):
     )
     trailing_speed_error: float = array("The error of the trailing speed.", "1/s")
     c: float = array("The velocity c whose plateau has this mean, by `theory`.", "m/s")
-    s: Float[np.ndarray, " s"] = array("The speed n/t of windows inside the shock.", "1/s")
-    means: Float[np.ndarray, " s"] = array("The mean strain in each window.", "m")
-    amplitudes: Float[np.ndarray, " s"] = array("Crest less trough in each window.", "m")
-    wavelengths: Float[np.ndarray, " s"] = array("The wavelength in each window, in bonds.", "1")
-    omegas: Float[np.ndarray, " s"] = array("The frequency in each window.", "rad/s")
-    misfits: Float[np.ndarray, " s"] = array(
-        "What the wave leaves of the strains, over the amplitude.", "1"
-    )
+    s: Numbers = array("The speed n/t of windows inside the shock.", "1/s", "s")
+    means: Numbers = array("The mean strain in each window.", "m", "s")
+    amplitudes: Numbers = array("Crest less trough in each window.", "m", "s")
+    wavelengths: Numbers = array("The wavelength in each window, in bonds.", "1", "s")
+    omegas: Numbers = array("The frequency in each window.", "rad/s", "s")
+    misfits: Numbers = array("What the wave leaves of the strains, over the amplitude.", "1", "s")
     theory: str = array('The theory, "toda" or "kdv", matched to the law at `ahead`.', static=True)
-    m: Float[np.ndarray, " s"] = array(
-        "The modulation parameter whose wave is nearest to the strains.", "1"
-    )
-    m_errors: Float[np.ndarray, " s"] = array("The error of m.", "1")
-    speeds_of_m: Float[np.ndarray, " s"] = array(
-        "The speed s that Whitham's theory has for m.", "1/s"
-    )
-    phases: Float[np.ndarray, " s"] = array(
+    m: Numbers = array("The modulation parameter whose wave is nearest to the strains.", "1", "s")
+    m_errors: Numbers = array("The error of m.", "1", "s")
+    speeds_of_m: Numbers = array("The speed s that Whitham's theory has for m.", "1/s", "s")
+    phases: Numbers = array(
         "Theta_0 with the theory's own m(s), for a velocity shock of Toda as in "
         "`gx.theory.toda.modulation(m, c).phase`.",
         "rad",
+        "s",
     )
-    theory_errors: Float[np.ndarray, " s"] = array(
-        "What the theory leaves of the strains at most, over the jump `mean - ahead`.", "1"
+    theory_errors: Numbers = array(
+        "What the theory leaves of the strains at most, over the jump `mean - ahead`.", "1", "s"
     )
     law: Law = note("The law of the contacts.")
     mass: Number = array("The mass of the beads.", "kg")

@@ -50,31 +50,6 @@ class Modulated(NamedTuple):
     why: str
 
 
-def _toda_constants(K2, K3, mass):
-    a, b = toda.matched(K2, K3)
-    return {"strength": a, "rate": b, "mass": mass}
-
-
-def _toda_c(jump, strength, rate, mass):
-    return np.expm1(rate * jump / 2) * np.sqrt(strength * rate / mass) / rate
-
-
-def _toda_wave(n, wave, constants):
-    return toda.periodic_wave(n, 0.0, wave.E1, wave.E2, wave.E3, wave.E4, **constants).strain
-
-
-def _kdv_constants(K2, K3, mass):
-    return {"K2": K2, "K3": K3, "mass": mass}
-
-
-def _kdv_c(jump, K2, K3, mass):
-    return jump / 2 * np.sqrt(K2 / mass)
-
-
-def _kdv_wave(n, wave, constants):
-    return kdv.cnoidal(n, 0.0, wave.r1, wave.r2, wave.r3, **constants).strain
-
-
 class Theory(NamedTuple):
     """A theory's formulas, its constants of K2, K3 and the mass, c of the plateau's jump, and its periodic wave."""
 
@@ -86,8 +61,24 @@ class Theory(NamedTuple):
 
 
 THEORIES = {
-    "toda": Theory("Toda", toda, _toda_constants, _toda_c, _toda_wave),
-    "kdv": Theory("KdV", kdv, _kdv_constants, _kdv_c, _kdv_wave),
+    "toda": Theory(
+        "Toda",
+        toda,
+        lambda K2, K3, mass: toda.matched(K2, K3)._asdict() | {"mass": mass},
+        lambda jump, strength, rate, mass: (
+            np.expm1(rate * jump / 2) * np.sqrt(strength * rate / mass) / rate
+        ),
+        lambda n, wave, constants: toda.periodic_wave(
+            n, 0.0, wave.E1, wave.E2, wave.E3, wave.E4, **constants
+        ),
+    ),
+    "kdv": Theory(
+        "KdV",
+        kdv,
+        lambda K2, K3, mass: {"K2": K2, "K3": K3, "mass": mass},
+        lambda jump, K2, K3, mass: jump / 2 * np.sqrt(K2 / mass),
+        lambda n, wave, constants: kdv.cnoidal(n, 0.0, wave.r1, wave.r2, wave.r3, **constants),
+    ),
 }
 
 
@@ -193,4 +184,4 @@ def _periodic(theory, turns, m, c, constants):
     """Strains of waves with m at places counted in wavelengths from a crest."""
     own = THEORIES[theory]
     wave = own.formulas.modulation(m, c, **constants)
-    return own.wave(turns * wave.wavelength, wave, constants)
+    return own.wave(turns * wave.wavelength, wave, constants).strain

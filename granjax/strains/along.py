@@ -5,10 +5,10 @@ import jax.numpy as jnp
 from ..checks import parameter, refuse
 from ..types import Parameter
 from ..units import PART
-from .maps import Joined, LinearMap, TwoEnds
+from .maps import LinearMap, TwoEnds, VectorMap
 
 
-class Along(Joined, LinearMap):
+class Along(VectorMap, LinearMap):
     r"""The part of a difference of vectors along a fixed direction: e = d . (u_tail - u_head).
 
     `Stretch` without the geometry's nonlinearity, where d is the unit vector from tail to head; the resistance to

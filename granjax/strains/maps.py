@@ -277,7 +277,7 @@ class TwoEnds(LinearMap):
         return self.ends(x)
 
 
-class Joined(StrainMap):
+class VectorMap(StrainMap):
     """A map of bonds between vectors; `pairs` says which sites are joined."""
 
     pairs: eqx.AbstractVar[TwoEnds]

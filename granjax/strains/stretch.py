@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from ..checks import parameter, positive, refuse
 from ..types import Parameter
 from ..units import PART
-from .maps import Joined, TwoEnds
+from .maps import TwoEnds, VectorMap
 
 
-class Directed(Joined):
+class Directed(VectorMap):
     """Bonds between sites whose places differ by a vector at rest: what distances and slips have in common."""
 
     pairs: TwoEnds

@@ -117,7 +117,15 @@ def sweep(
         "design": points.design,
         "chunk": list(shape),
     }
-    arguments = points, shape, blocks, dict(units or {}), _attributes(function)
+    attributes = {
+        "function": own.name_of(function),
+        "granjax": sys.modules["granjax"].__version__,
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+    }
+    commit = _commit()
+    attributes |= {"commit": commit} if commit else {}
+    arguments = points, shape, blocks, dict(units or {}), attributes
     target = (
         Target(*arguments) if root is None else Store(root, identity, _source(function), *arguments)
     )
@@ -214,16 +222,6 @@ def _source(function):
         return inspect.getsource(function)
     except (OSError, TypeError):
         return ""
-
-
-def _attributes(function):
-    versions = {
-        "granjax": sys.modules["granjax"].__version__,
-        "jax": jax.__version__,
-        "numpy": np.__version__,
-    }
-    commit = _commit()
-    return {"function": own.name_of(function), **versions, **({"commit": commit} if commit else {})}
 
 
 def _commit():

@@ -84,7 +84,32 @@ class FittedEdges(Result):
     amplitude: Number | None = array(
         "The strain of that wave above the strain ahead, `None` without `wave=True`.", "m"
     )
-    outcome: str
+    # V_-/V_+ - 1; how far the beads of that wave are from 4c, relative, and why there is none
+    _growth: float = eqx.field(static=True)
+    _gap: float = eqx.field(static=True, default=np.nan)
+    _lost: str = eqx.field(static=True, default="")
+
+    @property
+    def outcome(self) -> str:
+        """How well the edges are known."""
+        if traced((self.leading_speed, self.wave_speed, self.error)):
+            return "Not known while traced."
+        strong = not self._growth < BINARY - 1
+        told = f"Found to {self.error:.0e} of what the formulas say, which are exact of Toda's chain alone."
+        if strong:
+            grown = (
+                f"The speed of sound grows {self._growth + 1:.4g} times, which is twofold or more"
+            )
+            told = STRONG.format(grown if self.sound else "Ahead there is no sound")
+        if self.wave_speed is None:
+            return f"{told} wave=True tells how far to trust them elsewhere."
+        if self._lost:
+            return f"{told} No solitary wave was found: {self._lost}"
+        told += f" The beads of that wave reach 4c to {self._gap:.0e}."
+        if not strong:
+            apart = self.wave_speed / self.leading_speed - 1
+            told += f" Its speed differs by {apart:.1e}, about what the fit misses."
+        return told
 
 
 def shock_edges(
@@ -126,10 +151,7 @@ def shock_edges(
     if not path.growth > 0:
         refuse("c", "a jump that changes the speed of sound by what numbers resolve", f"{path.c:g}")
     mean, sound, trailing, leading = _excesses(medium.law, medium.mass, c, ahead, *path.arrays)
-    speeds, front = [sound * (1 + trailing), sound * (1 + leading)], (None, None)
-    sentences = [
-        f"Found to {path.error:.0e} of what the formulas say, which are exact of Toda's chain alone."
-    ]
+    speeds, front, told = [sound * (1 + trailing), sound * (1 + leading)], (None, None), ()
     strong = not path.growth < BINARY - 1
     if strong or wave:
         fit = (
@@ -138,34 +160,20 @@ def shock_edges(
             else float(jax.lax.stop_gradient(speeds[1]))
         )
         *front, told = _front(medium, c, ahead, path, fit)
-        apart = float(jax.lax.stop_gradient(front[0])) / fit - 1
-        sentences.append(told)
-        if np.isfinite(apart) and not strong:
-            sentences.append(f"Its speed differs by {apart:.1e}, about what the fit misses.")
-    else:
-        sentences.append("wave=True tells how far to trust them elsewhere.")
     if strong:
-        speeds = [jnp.full((), jnp.nan), front[0]]
-        trailing, leading = (
-            speeds[0],
-            front[0] / sound - 1 if path.sound > 0 else jnp.full((), jnp.inf),
-        )
-        sentences[0] = STRONG.format(
-            f"The speed of sound grows {path.growth + 1:.4g} times, which is twofold or more"
-            if path.sound
-            else "Ahead there is no sound"
-        )
+        trailing = jnp.full((), jnp.nan)
+        leading = front[0] / sound - 1 if path.sound > 0 else jnp.full((), jnp.inf)
+        speeds = [trailing, front[0]]
     return FittedEdges(
-        trailing_speed=speeds[0],
-        leading_speed=speeds[1],
-        mean=mean,
-        sound=sound,
-        trailing_excess=trailing,
-        leading_excess=leading,
-        error=jnp.asarray(path.error),
-        wave_speed=front[0],
-        amplitude=front[1],
-        outcome=" ".join(sentences),
+        *speeds,
+        mean,
+        sound,
+        trailing,
+        leading,
+        jnp.asarray(path.error),
+        *front,
+        float(path.growth),
+        *told,
         **medium.origin,
     )
 
@@ -187,7 +195,7 @@ def _excesses(law, mass, c, ahead, width, nodes, weights, close):
 
 
 def _front(medium, c, ahead, path, guess):
-    """Speed and amplitude of the solitary wave whose beads reach 4c, with derivatives, and how well it is known."""
+    """Speed and amplitude of the solitary wave whose beads reach 4c, with derivatives; how far they are off, why."""
     own = medium
     if path.ahead != 0 or traced(ahead):
         own = medium._replace(law=Strained(medium.law, ahead))
@@ -203,7 +211,7 @@ def _front(medium, c, ahead, path, guess):
         x = root_scalar(lambda x: reached(x)[0], method="secant", x0=start, xtol=SETTLED).root
         gap, amplitude = reached(x)
     except ValueError as error:
-        return jnp.full((), jnp.nan), jnp.full((), jnp.nan), f"No solitary wave was found: {error}"
+        return *jnp.full(2, jnp.nan), (np.nan, str(error))
     speed = jnp.asarray(path.sound + np.exp(x))
     if traced((own.law, own.mass, c)):
         (_, amplitude), (steeper, taller) = jax.jvp(
@@ -213,7 +221,7 @@ def _front(medium, c, ahead, path, guess):
         off = jnp.abs(velocity) - PEAK * jnp.abs(c)
         moved = -(off - jax.lax.stop_gradient(off)) / jnp.abs(steeper)
         speed, amplitude = speed + moved, higher + taller * moved
-    return speed, amplitude, f"The beads of that wave reach 4c to {abs(gap):.0e}."
+    return speed, amplitude, (float(abs(gap)),)
 
 
 def _wave(medium, speed, side):

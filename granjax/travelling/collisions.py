@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from ..checks import refuse, within
 from ..flow import Run
@@ -18,7 +17,7 @@ from ..results import Result, array, note
 from ..strains import Shift
 from ..terms import Bond
 from ..theory import toda
-from ..types import Number, Parameter, Scalar
+from ..types import Number, Numbers, Parameter, Scalar
 from .tracking import MISFIT, number_of, of_own_speed, reach_of, run_twice, tracked
 from .wave import Wave
 
@@ -46,36 +45,34 @@ class Collision(Result):
     meeting: float = note("The time at which the waves would have met as points.", "s")
     phase: Number = array("The part of `meeting_place` beyond a contact, as it was given.", "1")
     meeting_place: Number = array("The place where the waves would have met, in contacts.", "1")
-    shifts: Float[np.ndarray, "2 ..."] = array(
+    shifts: Numbers = array(
         "How far each wave is along n beyond where it would be alone, at `meeting`, by "
         "straight lines through its places before and after; NaN where the waves have not "
         "parted.",
         "1",
         "wave",
     )
-    shift_errors: Float[np.ndarray, "2 ..."] = array(
+    shift_errors: Numbers = array(
         "The distance of the shifts from the truth, by either half of the frames, by as many "
         "frames before, and by twice the time step.",
         "1",
         "wave",
     )
-    kdv_shifts: Float[np.ndarray, "2 ..."] = array(
+    kdv_shifts: Numbers = array(
         "The shifts of the solitons of Korteweg and de Vries of the same speeds (overtaking"
         " alone).",
         "1",
         "wave",
     )
-    toda_shifts: Float[np.ndarray, "2 ..."] = array(
+    toda_shifts: Numbers = array(
         "The shifts of the solitons of the Toda chain of the same K2 and K3.", "1", "wave"
     )
-    speeds: Float[np.ndarray, "2 ..."] = array("The speeds before.", "1/s", "wave")
-    speeds_after: Float[np.ndarray, "2 ..."] = array("The speeds after.", "1/s", "wave")
-    speed_errors: Float[np.ndarray, "2 ..."] = array("The errors of the speeds.", "1/s", "wave")
-    amplitudes: Float[np.ndarray, "2 ..."] = array("The amplitudes before.", "m", "wave")
-    amplitudes_after: Float[np.ndarray, "2 ..."] = array("The amplitudes after.", "m", "wave")
-    amplitude_errors: Float[np.ndarray, "2 ..."] = array(
-        "The errors of the amplitudes.", "m", "wave"
-    )
+    speeds: Numbers = array("The speeds before.", "1/s", "wave")
+    speeds_after: Numbers = array("The speeds after.", "1/s", "wave")
+    speed_errors: Numbers = array("The errors of the speeds.", "1/s", "wave")
+    amplitudes: Numbers = array("The amplitudes before.", "m", "wave")
+    amplitudes_after: Numbers = array("The amplitudes after.", "m", "wave")
+    amplitude_errors: Numbers = array("The errors of the amplitudes.", "m", "wave")
     energy: float = note("The energy of both waves before.", "J")
     radiated: Number = array("The energy that neither wave has afterwards.", "J")
     radiated_error: Number = array("The error of the radiated energy.", "J")
@@ -85,13 +82,11 @@ class Collision(Result):
     least_separation: float = note(
         "The separation from which on the waves have parted, in contacts.", "1"
     )
-    misfits: Float[np.ndarray, "2 ..."] = array(
+    misfits: Numbers = array(
         "What the waves leave of the strains about them, over their peaks.", "1", "wave"
     )
-    times: Float[np.ndarray, "found ..."] = array("The times of the frames.", "s", "found")
-    places: Float[np.ndarray, "2 found ..."] = array(
-        "The place of each wave in each frame.", "1", "wave found"
-    )
+    times: Numbers = array("The times of the frames.", "s", "found")
+    places: Numbers = array("The place of each wave in each frame.", "1", "wave found")
     run: Run = note("The run.")
     # of each phase why what leaves is no solitary wave
     _lost: tuple[str, ...] = eqx.field(static=True)

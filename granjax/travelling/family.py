@@ -2,13 +2,12 @@
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of, one_given, wave_of
 from ..results import Result, array
-from ..types import Parameter, Scalar
+from ..types import Numbers, Parameter, Scalar
 from .wave import full_width
 
 
@@ -19,21 +18,19 @@ class WaveFamily(Result):
     of `Wave.floquet` is at +1 there, and waves on the side where energy falls with speed are unstable.
     """
 
-    speed: Float[np.ndarray, " wave"] = array("The speed of each wave in contacts per time.", "1/s")
-    amplitude: Float[np.ndarray, " wave"] = array("The largest strain.", "m")
-    energy: Float[np.ndarray, " wave"] = array("The energy.", "J")
-    momentum: Float[np.ndarray, " wave"] = array("The momentum.", "N s")
-    compression: Float[np.ndarray, " wave"] = array("int phi.", "m")
-    width: Float[np.ndarray, " wave"] = array(
-        "The number of contacts between the places where the strain is half of the amplitude.", "1"
+    speed: Numbers = array("The speed of each wave in contacts per time.", "1/s", "wave")
+    amplitude: Numbers = array("The largest strain.", "m", "wave")
+    energy: Numbers = array("The energy.", "J", "wave")
+    momentum: Numbers = array("The momentum.", "N s", "wave")
+    compression: Numbers = array("int phi.", "m", "wave")
+    width: Numbers = array(
+        "The number of contacts between the places where the strain is half of the amplitude.",
+        "1",
+        "wave",
     )
-    energy_slope: Float[np.ndarray, " wave"] = array(
-        "dE/dc, by the implicit function theorem.", "J s"
-    )
-    error: Float[np.ndarray, " wave"] = array(
-        "The estimated distance of the strain from the truth.", "m"
-    )
-    turns: Float[np.ndarray, " turn"] = array("The speeds at which the slope passes zero.", "1/s")
+    energy_slope: Numbers = array("dE/dc, by the implicit function theorem.", "J s", "wave")
+    error: Numbers = array("The estimated distance of the strain from the truth.", "m", "wave")
+    turns: Numbers = array("The speeds at which the slope passes zero.", "1/s", "turn")
     law: Law = array("The law of the contacts.")
 
     @property

@@ -1,13 +1,12 @@
 """Units by their names, and what numbers are counted in."""
 
-import difflib
 import math
 import re
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from ..checks import concrete, one_of, refuse
+from ..checks import concrete, nearest, one_of, refuse
 
 SI, SCALED = "SI", "scaled"
 """What numbers are counted in: those of SI, or units of their own."""
@@ -84,8 +83,7 @@ def named_unit(word: str) -> Named:
     """The unit of a name. **Raises** ValueError for one that is not known, with the nearest that is."""
     found = known_unit(word)
     if found is None:
-        near = difflib.get_close_matches(word, " ".join(_READ).split(), 3, 0.5)
-        remedy = f"Nearest: {', '.join(map(repr, near or ['us', 'kHz', 'mm/s', 'N']))}."
+        remedy = nearest(word, " ".join(_READ).split(), 3) or "Such as 'us', 'kHz', 'mm/s', 'N'."
         refuse("units", "the name of a unit", repr(word), remedy)
     return found
 

@@ -14,7 +14,7 @@ from ...laws import Law
 from ...profiles.fourier import fourier
 from ...profiles.highest import highest
 from ...results import Result, array, note
-from ...types import Count, Parameter, Scalar
+from ...types import Count, Numbers, Parameter, Scalar
 from .cell import chain_of, repeated_in
 from .resonator import Resonator
 from .tail import margin, periodic
@@ -37,7 +37,7 @@ class CellWave(Result):
     """
 
     speed: float = note("The speed c in sites (not cells) per time.", "1/s")
-    masses: Float[np.ndarray, " place"] = array("The masses of the smallest cell.", "kg")
+    masses: Numbers = array("The masses of the smallest cell.", "kg", "place")
     amplitude: float = note("The largest strain in size.", "m", default=np.nan)
     ripple: float = note(
         "The largest strain of the linear wave that runs along; zero in a wave that travels"
@@ -64,12 +64,10 @@ class CellWave(Result):
     error: float = note(
         "The estimated distance of the strains from the truth.", "m", default=np.nan
     )
-    xi: Float[np.ndarray, " xi"] | None = array("The places of the table.", "1", default=None)
-    strains: Float[np.ndarray, "place xi"] | None = array(
-        "The strains of the table.", "m", default=None
-    )
-    velocities: Float[np.ndarray, "place xi"] | None = array(
-        "The velocities of the table.", "m/s", default=None
+    xi: Numbers | None = array("The places of the table.", "1", "xi", default=None)
+    strains: Numbers | None = array("The strains of the table.", "m", "place xi", default=None)
+    velocities: Numbers | None = array(
+        "The velocities of the table.", "m/s", "place xi", default=None
     )
     converged: bool = array("Whether Newton's method converged.", default=False, static=True)
     resonator: Resonator | None = array("The resonator in each bead.", default=None)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...profiles import Medium, wave_of
 from ...profiles.fourier import MOST, Box, Chain, Solved, fourier, newton, newton_with
 from .guess import peak, pulse, struck
 from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
@@ -20,6 +21,8 @@ SLOW = 1.06
 FASTEST = 8.0
 # of the peak: the most that a wave without ripple leaves at the ends of a first box
 FLAT = 0.05
+# places at which the width of a wave is looked for
+WIDTHS = 1001
 # of the peak: what counts as no ripple
 SILENT = 1e-11
 
@@ -283,25 +286,26 @@ def of_one_site(chain: Chain) -> Found:
 
     **Raises** `Lost`.
     """
-    first, phi, _, _, core = _simulated(
-        chain._replace(masses=np.full(1, chain.total), resonator=None)
-    )
+    shape = wave_of(Medium(chain.laws[0], chain.total * chain.unit, {}), 1.0).shape
+    on = lambda x: np.asarray(shape.at("strain", x))
+    x = np.linspace(0, float(shape.end), WIDTHS)
+    core = float(x[np.argmax(np.abs(on(x)) < 1e-2 * np.abs(on(0.0)))]) + 5.0
     if chain.resonator is None:
-        solved = newton(first, phi)
-        if not solved.converged:
-            raise Lost("Newton's method did not converge")
-        return Found(first, solved, None, None, core, 0)
-    nu, kappa = chain.resonator
-    ripple = Ripple(float(np.sqrt(kappa / chain.unit * (1 + nu) / nu)), np.ones(1, complex))
-    # as far from the lengths that the ripple fits as can be, four wavelengths beyond the core
-    count = np.ceil(2 * core * ripple.wavenumber / (2 * np.pi)) + 8
-    half = (count + 0.5) * np.pi / ripple.wavenumber
-    box = _box(chain, half, max(10, 2 * ripple.wavenumber))
-    solved = newton(box, fourier(phi, first.half, np.clip(box.x, -first.half, first.half)), most=30)
-    if not solved.converged or not 0.3 < np.abs(solved.phi).max() / np.abs(phi).max() < 3:
+        half, density, ripple = core + 2.0, 8, None
+    else:
+        nu, kappa = chain.resonator
+        ripple = Ripple(float(np.sqrt(kappa / chain.unit * (1 + nu) / nu)), np.ones(1, complex))
+        # as far from the lengths that the ripple fits as can be, four wavelengths beyond the core
+        count = np.ceil(2 * core * ripple.wavenumber / (2 * np.pi)) + 8
+        half, density = (count + 0.5) * np.pi / ripple.wavenumber, max(10, 2 * ripple.wavenumber)
+    box = _box(chain, half, density)
+    solved = newton(box, on(box.x)[None], most=30)
+    if not solved.converged or not 0.3 < np.abs(solved.phi).max() / np.abs(on(0.0)) < 3:
         raise Lost(
             f"Newton's method did not reach a pulse from that of beads of the whole mass ({solved.residual:.1e})"
         )
+    if ripple is None:
+        return Found(box, solved, None, None, core, 0)
     return _smallest(chain, box, solved, ripple, core)
 
 
