@@ -51,19 +51,12 @@ from .problems import Shooting
 # the tolerance of an orbit, and of the orbits of a branch, relative to their size
 TOLERANCE = 1e-8
 BRANCH = 1e-7
-# of that, what Newton's method may leave, and its floor
-LEFT = 1e-3
+# of that, what Newton's method may leave
 LEFT_ON_BRANCH = 1e-4
-FLOOR = 1e-12
-# what a floating type resolves, in units of its last place
-RESOLVED = 50
-# most doublings of the steps, of those that Newton's method alone may want
+# most doublings of the steps
 DOUBLINGS = 10
-TRIALS = 4
 # of a change that other steps make, where they are not half as many
 SAFETY = 2
-# finer steps that are looked at: where contacts open the change between two is small by accident
-FINER = (1.25, 1.5, 2.0)
 # of a residual, in units of its last place
 ROUNDING = 16
 # of the largest error, below which no unknown is known
@@ -96,11 +89,11 @@ def size_of(x: Pytree) -> float:
     return float(np.max([np.abs(leaf).max() for leaf in jax.tree.leaves(x)]))
 
 
-def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = LEFT) -> Scalar:
+def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
     """What Newton's method may leave of the residual for an orbit of this tolerance, which is refused where none is."""
     tolerance, least = (
         checked_tolerance("tolerance", tolerance),
-        RESOLVED * float(jnp.finfo(dtype).eps),
+        50 * float(jnp.finfo(dtype).eps),
     )
     if not isinstance(tolerance, jax.core.Tracer) and tolerance < least:
         refuse(
@@ -109,7 +102,7 @@ def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = LEFT) -> Scalar:
             repr(float(tolerance)),
         )
     xp = library(tolerance)
-    return xp.maximum(share * xp.asarray(tolerance), xp.minimum(tolerance, max(FLOOR, least)))
+    return xp.maximum(share * xp.asarray(tolerance), xp.minimum(tolerance, max(1e-12, least)))
 
 
 def corrected(problem: Any, root: Root, scene: Pytree) -> Numbers:
@@ -132,9 +125,9 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
 def _corrected(problem, x, jacobian, scene, code):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
     inverse = jnp.linalg.inv(jacobian)
-    changes = jax.lax.map(
-        lambda by: inverse @ problem.finer(by).residual(x, scene), jnp.asarray(FINER)
-    )
+    # where contacts open the change between two is small by accident
+    finer = jnp.asarray((1.25, 1.5, 2.0))
+    changes = jax.lax.map(lambda by: inverse @ problem.finer(by).residual(x, scene), finer)
     return jnp.where(code == CONVERGED, covering(changes, rounding(inverse)), jnp.nan)
 
 
@@ -179,7 +172,7 @@ def confirmed(
     # a function may hide tracers, which the root then shows
     known = not isinstance(root.code, jax.core.Tracer)
     finer = problem
-    for _ in range(TRIALS if refine and known else 0):
+    for _ in range(4 if refine and known else 0):
         if root.converged:
             break
         finer = finer.finer(2)

@@ -76,6 +76,16 @@ class Chain(NamedTuple):
             B[j, after] -= light[after] * turn
         return B
 
+    def symbol(self, half: float, points: int, at_rest: bool = True) -> np.ndarray:
+        """What takes forces to strains on a box, (P, P, points); at k = 0 the equations are the means'."""
+        k = 2 * np.pi * np.fft.fftfreq(points, 2 * half / points)
+        B = self.response(k) / np.where(k == 0, 1, k**2)
+        # the highest wave number of an even grid is its own negative
+        B[:, :, points // 2] = B[:, :, points // 2].real
+        P = len(self.masses)
+        B[:, :, 0] = (at_rest / self.total + 1) / P - np.eye(P)
+        return B
+
 
 class Box:
     """Places x = n - c t in [-half, half) of the bonds n, and the linear maps of the equations there.
@@ -110,12 +120,9 @@ class Box:
     def _maps(self):
         """Matrices of the strains' and the forces' parts of the residual, rows of the unknowns."""
         P, N = self.shape
-        # the highest wave number of an even grid is its own negative
-        B = self.chain.response(self.k) / np.where(self.k == 0, 1, self.k**2)
-        B[:, :, N // 2] = B[:, :, N // 2].real
+        B = self.chain.symbol(self.half, N, self.at_rest)
         # the mean strains differ by nothing that the forces make
         means = 1 / P - np.eye(P)
-        B[:, :, 0] = self.at_rest / self.chain.total / P + means
         bond, at = np.divmod(self.first, N)
         lag = (at[:, None] - np.arange(N)) % N
         turned = np.fft.ifft(B).real

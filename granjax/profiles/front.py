@@ -170,12 +170,8 @@ class Trial(NamedTuple):
 
     def spacing(self) -> float:
         """A first distance of places, a power of two."""
-        return float(2.0 ** max(-2.0, np.floor(np.log2(FIRST / self.fastest))))
-
-    @property
-    def fastest(self) -> float:
-        """The larger rate of the two tails."""
-        return max(abs(self.behind), self.ahead)
+        fastest = max(abs(self.behind), self.ahead)
+        return float(2.0 ** max(-2.0, np.floor(np.log2(FIRST / fastest))))
 
     def first(self, x: np.ndarray) -> np.ndarray:
         """A front that falls as its tails do."""

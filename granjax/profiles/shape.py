@@ -1,6 +1,5 @@
 """The shape of a solitary wave as a function of place: strain, velocity and displacement at any xi = n - c t."""
 
-import abc
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +10,7 @@ import numpy as np
 from ..checks import traced
 from ..laws import Law
 from ..programs import shared_size
-from ..types import Number, Numbers
+from ..types import Numbers
 from .medium import fine_force
 from .tent import RULE
 
@@ -23,21 +22,9 @@ _T, _W = np.polynomial.legendre.leggauss(12)
 class Shape(eqx.Module):
     """What a wave knows of itself at any place: functions of xi = n - c t, elementwise, that JAX may trace.
 
-    The strain is that of contact n, between the beads n and n + 1; velocity and displacement are those of bead n, which
-    is at rest far ahead of the wave (xi -> infinity).
+    A shape writes `strain(xi)`, the compression [m] of contact n, between the beads n and n + 1; `velocity(xi)` [m/s]
+    and `displacement(xi)` [m] of bead n, which is at rest far ahead of the wave (xi -> infinity).
     """
-
-    @abc.abstractmethod
-    def strain(self, xi: Number) -> Numbers:
-        """Compression of the contact at xi [m]."""
-
-    @abc.abstractmethod
-    def velocity(self, xi: Number) -> Numbers:
-        """Velocity of the bead at xi [m/s]."""
-
-    @abc.abstractmethod
-    def displacement(self, xi: Number) -> Numbers:
-        """Displacement of the bead at xi [m]."""
 
     def at(self, name: str, xi: Any) -> Numbers:
         """One of them at many places: by a program of few sizes, or within the one that traces it."""

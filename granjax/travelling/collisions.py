@@ -18,6 +18,7 @@ from ..strains import Shift
 from ..terms import Bond
 from ..theory import toda
 from ..types import Number, Numbers, Parameter, Scalar
+from ..units import SCALED
 from .tracking import MISFIT, number_of, of_own_speed, reach_of, run_twice, tracked
 from .wave import Wave
 
@@ -239,11 +240,11 @@ def collide(
 def _runs(waves, courses, lanes, step, progress):
     """With a step, and with twice as much; a lane for each course, or one course alone."""
     course, shape = courses[0], (-1, *lanes)
-    made = lambda m: Lattice(m, Bond(Shift(1, "free"), waves[0].law), sites=course.sites)
+    bond, units = Bond(Shift(1, "free"), waves[0].law), waves[0].units or SCALED
+    made = lambda m: Lattice(m, bond, sites=course.sites, units=units)
     lattice = (
         jax.vmap(made, out_axes=-1)(np.full(lanes, waves[0].mass)) if lanes else made(waves[0].mass)
     )
-    lattice = lattice.counted_in(waves[0].units or lattice.units)
     parts = [
         [wave.state(course.sites, start) for wave, start in zip(waves, one.starts)]
         for one in courses

@@ -16,6 +16,7 @@ from ..results import Result, array, note
 from ..strains import Shift
 from ..terms import Bond, Wall
 from ..types import Count, Numbers, Scalar
+from ..units import SCALED
 from .tracking import MISFIT, number_of, of_own_speed, reach_of, run_twice, tracked
 from .wave import Wave
 
@@ -186,11 +187,11 @@ class _Scene:
         return run_twice(lattice, state, time, FRAMES, step, progress)
 
     def _lattice(self):
-        bond, units = Bond(Shift(1, "free"), self.wave.law), self.wave.units
+        bond, units = Bond(Shift(1, "free"), self.wave.law), self.wave.units or SCALED
 
         def made(wall):
-            lattice = Lattice(self.wave.mass, (bond, Wall(wall, "right")), sites=self.sites)
-            return lattice.counted_in(units or lattice.units)
+            terms = bond, Wall(wall, "right")
+            return Lattice(self.wave.mass, terms, sites=self.sites, units=units)
 
         if not self.lanes:
             return made(self.wall)

@@ -18,6 +18,7 @@ from ..solvers import KahanLi8
 from ..strains import Shift
 from ..terms import Bond
 from ..types import Count, Scalar, StateLike
+from ..units import SCALED
 
 # strain over the peak where a ring closes, by default; sites of the shortest and the longest
 CLOSED, SHORTEST, LONGEST = 1e-10, 12, 200
@@ -43,9 +44,11 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
     e = jnp.asarray(wave.strain(xi)) - s
     e = e - e.mean()
     u = jnp.concatenate([jnp.zeros(1), -jnp.cumsum(e)[:-1]])
-    units = {} if wave.units is None else {"units": wave.units}
     lattice = Lattice(
-        wave.mass, Bond(Shift(1, "periodic"), Strained(wave.law, s)), sites=sites, **units
+        wave.mass,
+        Bond(Shift(1, "periodic"), Strained(wave.law, s)),
+        sites=sites,
+        units=wave.units or SCALED,
     )
     v = wave.velocity(xi)
     return lattice, State(u - u.mean(), v - v.mean())
@@ -140,8 +143,9 @@ def _judged(found, wave, sites):
 
 
 def _held(wave, sites):
-    units = {} if wave.units is None else {"units": wave.units}
-    lattice = Lattice(wave.mass, Bond(Shift(1, "free"), wave.law), sites=sites, **units)
+    lattice = Lattice(
+        wave.mass, Bond(Shift(1, "free"), wave.law), sites=sites, units=wave.units or SCALED
+    )
     state, period, forward = wave.state(sites), 1 / abs(float(wave.speed)), float(wave.speed) > 0
     decay = float(wave.decay)
     rate = decay / 2 if np.isfinite(decay) else RATE

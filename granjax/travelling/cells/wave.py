@@ -328,12 +328,9 @@ def error_of(found: Found) -> float:
     box, chain, phi = found.box, found.box.chain, found.solved.phi
     N = box.points
     fine = fourier(phi, box.half, -box.half + np.arange(2 * N) * box.half / N)
-    k = 2 * np.pi * np.fft.fftfreq(2 * N, box.half / N)
     F, own = np.fft.fft(chain.bonds(fine)[0], axis=1), np.fft.fft(fine, axis=1)
-    B = chain.response(k) / np.where(k == 0, 1, k**2)
-    left = own - np.einsum("ijk,jk->ik", B, F)
-    left[:, 0] = own[:, 0].mean() + F[:, 0] - (1 + 1 / chain.total) * F[:, 0].mean()
-    left[:, N] = 0
+    own[:, 0] = own[:, 0].mean()
+    left = own - np.einsum("ijk,jk->ik", chain.symbol(box.half, 2 * N), F)
     defect = np.fft.ifft(left, axis=1).real
     J = found.solved.jacobian
     coarse = box.unknowns(defect[:, ::2])
