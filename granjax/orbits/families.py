@@ -16,7 +16,7 @@ from ..checks import one_of, positive, refuse, traced
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
-from ..programs import compiled
+from ..programs import compiled, in_numpy, library
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, Site, StateLike
@@ -141,7 +141,7 @@ def _enough_steps(problem, curve, count, tolerance, stability):
         error = found.step_error
         # a doubling that lowers the change of the map by little has met a contact that opens
         passes = not stability or error <= 1e-8 or error > before / 20
-        if passes and found.changes.max() <= tolerance * size:
+        if passes and np.asarray(found.changes).max() <= tolerance * size:
             break
         before = error
     return int(doubled)
@@ -188,10 +188,9 @@ def _modes(lattice, modes, until, mode):
             "none (a sonic vacuum?)",
             "Give guess=, from gx.breathers.breather.",
         )
+    shape = in_numpy(modes.modes)
     return [
-        _beside(
-            lattice, float(omega[i]), shapes[:, i], jax.tree.map(lambda x: x[..., i], modes.modes)
-        )
+        _beside(lattice, float(omega[i]), shapes[:, i], jax.tree.map(lambda x: x[..., i], shape))
         for i in chosen
     ]
 
@@ -277,10 +276,14 @@ def _over_frequency(lattice, steps, solver, length, omega, tolerance):
     The steps of half a period may change without compiling anew.
     """
     half = Shooting.half(
-        lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8()), length=length, omega=omega
+        lattice,
+        Flow(jax.device_put(np.asarray(steps, int)), solver or KahanLi8()),
+        length=length,
+        omega=omega,
     )
     left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
-    return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega), left)
+    start, omega = jax.device_put((np.zeros(()), np.asarray(omega, float)))
+    return Family(half, lattice, over_omega, start, omega, left)
 
 
 # relative distance to a frequency of the finite lattice that is a resonance by itself
@@ -384,7 +387,7 @@ def breather(
         guess, first = _unguessed(lattice, float(omega), steps, solver, tolerance, check)
     known = guess if isinstance(guess, State) else None
     count = half_steps(lattice, 2 * np.pi / omega, first if steps is None else steps, known)
-    flow = Flow(count if unknown else jnp.asarray(count), solver or KahanLi8())
+    flow = Flow(count if unknown else jax.device_put(np.asarray(count)), solver or KahanLi8())
     if isinstance(guess, str):
         guess = _from_envelope(lattice, flow, float(omega), guess, centre, tolerance)
     settings = {"tolerance": tolerance, "max_steps": max_steps}
@@ -479,7 +482,8 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
     settings = {"throw": throw} | settings
     # half a period in the units of the guess
     length, unit = jax.lax.stop_gradient((largest(guess[0]), omega))
-    half = Shooting.half(lattice, flow, length=jnp.where(length > 0, length, 1), omega=unit)
+    length = library(length).where(length > 0, length, 1)
+    half = Shooting.half(lattice, flow, length=length, omega=unit)
     x, in_omega = half.guess(guess), 0.0
     if energy is None:
         half, root, apart = confirmed(half, x, (lattice, 2 * jnp.pi / omega), **settings)
