@@ -261,18 +261,18 @@ class System:
 
         `before`: a tangent in the direction of the branch. `share`: of the tolerance, to which it goes on if it can.
         """
-        guess = jnp.asarray(guess)
+        guess, border = jax.device_put((guess, border))
         root = newton(
             self.bordered.residual,
             guess,
-            (self.args, jnp.asarray(border), guess),
+            (self.args, border, guess),
             tolerance=share * self.tolerance,
             max_steps=most,
             linearise=None if self.bordered.slopes is None else self.bordered.linearise,
             throw=False,
             finish=False,
         )
-        if not root.residual <= self.tolerance:
+        if not float(root.residual) <= self.tolerance:
             return None, root.outcome.rstrip(".")
         jacobian = np.asarray(root.jacobian)[:-1]
         square, sign, size = np.vstack([jacobian, before]), np.nan, np.nan

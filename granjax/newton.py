@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import described, refuse, traced
+from .programs import in_numpy
 from .results import Result, array
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
@@ -35,7 +36,7 @@ class Root(Result):
     @property
     def converged(self) -> Flags:
         """Whether the residual came below the tolerance."""
-        return self.code == CONVERGED
+        return in_numpy(self.code) == CONVERGED
 
     @property
     def outcome(self) -> str:
@@ -93,7 +94,8 @@ def newton(
     >>> round(float(root.x[0]), 6)
     1.414214
     """
-    x0 = jnp.asarray(guess)
+    # put, as a conversion is a program to compile
+    x0 = guess if isinstance(guess, jax.Array) else jax.device_put(np.asarray(guess))
     if x0.ndim != 1:
         refuse("guess", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
     if not isinstance(tolerance, jax.core.Tracer) and not 0 <= float(tolerance) < np.inf:
@@ -106,8 +108,8 @@ def newton(
         linearise,
         x0,
         args,
-        jnp.asarray(tolerance, x0.dtype),
-        jnp.asarray(max_steps),
+        _number(tolerance, x0.dtype),
+        _number(max_steps, int),
         finish,
     )
     # without tracers nobody differentiates; a function may hide some, which the result then shows
@@ -117,6 +119,10 @@ def newton(
     if not traced(root) and (throw is None or throw) and not np.all(root.converged):
         raise RuntimeError(root.outcome)
     return root
+
+
+def _number(x, dtype):
+    return jnp.asarray(x, dtype) if traced(x) else jax.device_put(np.asarray(x, dtype))
 
 
 @eqx.filter_jit

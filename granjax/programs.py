@@ -161,6 +161,16 @@ def concretely(function: Callable, *arguments: Any) -> Any:
     return jax.tree.map(np.asarray, result)
 
 
+def in_numpy(tree: Pytree) -> Pytree:
+    """A tree whose known arrays are NumPy's, of which an operation is no program to compile."""
+    return jax.tree.map(lambda x: x if isinstance(x, jax.core.Tracer) else np.asarray(x), tree)
+
+
+def library(*values: Any) -> Any:
+    """NumPy where all values are known, so that nothing is compiled; else `jax.numpy`."""
+    return jnp if traced(values) else np
+
+
 def shared_size(n: int) -> int:
     """A size rounded up to one of 8, 9, ..., 15, 16, 18, ..., 30, 32, ...: arrays of near-by sizes are one program."""
     unit = 1 << max(n.bit_length() - 4, 0)

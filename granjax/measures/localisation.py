@@ -1,5 +1,7 @@
 """How far the energy has spread: participation, centre, second moment."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 
@@ -15,7 +17,11 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
     **Arguments:** `weights`: such as energies, or squares of a mode's displacements times mass; `axis`: one axis of
     the sites, or several. **Returns:** the array without these axes; NaN where all weights are zero.
     """
-    weights = parameter("weights", weights)
+    return _participation(parameter("weights", weights), axis)
+
+
+@partial(jax.jit, static_argnums=1)
+def _participation(weights, axis):
     return weights.sum(axis) ** 2 / (weights * weights).sum(axis)
 
 

@@ -15,6 +15,7 @@ from ..checks import concrete, described, refuse, traced, whole
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.dispatch import facts
 from ..lattice import Lattice, State, uniform_moves
+from ..programs import in_numpy, library
 from ..types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times
 
 
@@ -137,7 +138,7 @@ def default_steps(
     that frequency is zero, omega_max is the bound at the energy of a `guess`. **Raises** ValueError there without one,
     unless the steps are `doubled` by the caller as need be.
     """
-    turned = period * linear_frequency(lattice)
+    turned = in_numpy(period) * in_numpy(linear_frequency(lattice))
     known = concrete(turned)
     least = -(-LEAST_STEPS // multiple)
     if known is None:
@@ -385,6 +386,7 @@ def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES)
     return t0 + period * jnp.asarray(shares)
 
 
-def largest(x: Pytree) -> Numbers:
+def largest(x: Pytree) -> Scalar:
     """The largest modulus in a tree of arrays, NaN where one is."""
-    return jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(x)]))
+    x, xp = in_numpy(x), library(x)
+    return xp.max(xp.stack([xp.max(abs(leaf)) for leaf in jax.tree.leaves(x)]))

@@ -180,13 +180,14 @@ class Branch(Result):
 
     def orbit(self, i: Count) -> Orbit:
         """The `Orbit` at point i; -1 is the last."""
-        family, x, q = self._family, jnp.asarray(self._curve.x[i]), jnp.asarray(self._curve.p[i])
+        family, (x, q) = self._family, jax.device_put((self._curve.x[i], self._curve.p[i]))
         lattice, _ = family.scene(q)
-        residual, none = _residual(family, x, q), jnp.zeros((), int)
-        root = Root(x, jnp.full((x.size,) * 2, jnp.nan), residual, residual, none, none, residual)
+        residual, none = _residual(family, x, q), np.zeros((), int)
+        unknown = np.full((x.size,) * 2, np.nan)
+        root = Root(x, unknown, residual, residual, none, none, residual)
         known = self.states, self.periods, self.energy, self.state_error, self.energy_error
-        state, period, energy, *apart = jax.tree.map(lambda y: jnp.asarray(y[i]), known)
-        exact = jnp.zeros(())
+        state, period, energy, *apart = jax.tree.map(lambda y: jax.device_put(y[i]), known)
+        exact = np.zeros(())
         return Orbit(
             state,
             period,
@@ -232,12 +233,13 @@ class _Examined(NamedTuple):
     @property
     def step_error(self) -> float:
         """The change of the tangent map between the most steps and the least."""
-        return float(np.abs(np.asarray(self.maps[0]) - np.asarray(self.maps[-1])).max())
+        maps = np.asarray(self.maps)
+        return float(np.abs(maps[0] - maps[-1]).max())
 
 
 def examined(family: Family, z: np.ndarray, response: Callable | None = None) -> _Examined:
     """The orbit z = (x, q) of a family."""
-    z = jnp.asarray(z)
+    z = jax.device_put(z)
     return _half(family, z) if family.shooting.reversible else _whole(family, z, response)
 
 
@@ -316,7 +318,7 @@ def examined_along(
     While one is decomposed the next one's maps are on their way.
     """
     n, reversible = family.shooting.count, family.shooting.reversible
-    known = structure(family.scene(jnp.asarray(curve.p[0]))[0])
+    known = structure(family.scene(jax.device_put(curve.p[0]))[0])
     found, zs = [], np.column_stack([curve.x, curve.p])
     coming = examined(family, zs[0], response)
     for after in [*zs[1:], None]:

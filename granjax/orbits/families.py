@@ -16,7 +16,7 @@ from ..checks import one_of, positive, refuse, traced
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
-from ..programs import compiled
+from ..programs import compiled, in_numpy, library
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, Site, StateLike
@@ -36,22 +36,6 @@ from .orbit import BRANCH, LEFT_ON_BRANCH, TOLERANCE, Orbit, confirmed, newtons,
 from .problems import Family, Shooting, over_omega
 from .scales import nonlinear_length
 
-# change of the tangent map between two step sizes that is let pass
-LET_PASS = 1e-8
-# a doubling that lowers this change by less has met a contact that opens
-SLOW = 20
-# how often the steps are doubled
-DOUBLINGS = 8
-# the first step along the branch, in the lattice's own length and the first frequency, the longest over it, and that
-# to the first orbit beside a linear mode
-ARCLENGTH = 0.05
-LONGEST = 7.5
-FIRST = 0.1
-# points by which the way of a family is told
-PROBE = 4
-# of the largest entry of a mode, by which another one is as large
-EQUAL = 1e-6
-
 
 @one_thread
 def family(
@@ -61,7 +45,7 @@ def family(
     guess: Orbit | None = None,
     amplitude: Scalar | None = None,
     mode: Count | None = None,
-    arclength: Scalar | None = None,
+    arclength: Scalar = 0.05,
     longest_arclength: Scalar | None = None,
     points: Count = 200,
     steps: Count | None = None,
@@ -109,8 +93,7 @@ def family(
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
     modes = normal_modes(lattice) if guess is None else None
     ways = [_from(guess, until)] if guess is not None else _modes(lattice, modes, until, mode)
-    arclength = ARCLENGTH if arclength is None else arclength
-    longest_arclength = LONGEST * arclength if longest_arclength is None else longest_arclength
+    longest_arclength = 7.5 * arclength if longest_arclength is None else longest_arclength
 
     def follow(way, count, most=points):
         problem = _over_frequency(lattice, count, solver, way.length, way.omega, tolerance)
@@ -123,7 +106,8 @@ def family(
             until=None if until is None else until / way.omega,
             direction=direction,
             points=most,
-            arclength=arclength if guess is not None else FIRST * arclength,
+            # to the first orbit beside a linear mode
+            arclength=arclength if guess is not None else 0.1 * arclength,
             longest_arclength=longest_arclength,
             least_arclength=1e-6 * arclength,
             stop=_ends(problem, amplitude, stop),
@@ -131,9 +115,7 @@ def family(
 
     count = half_steps(lattice, 2 * np.pi / ways[0].omega, steps or ways[0].steps)
     chosen = (
-        ways[0]
-        if len(ways) == 1
-        else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
+        ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, 4)[1])
     )
     return _confirmed_branch(
         lambda count: follow(chosen, count), count, steps is None, tolerance, stability
@@ -154,11 +136,12 @@ def _enough_steps(problem, curve, count, tolerance, stability):
     """Steps for which the largest breather is known well enough, and its tangent map too, or more would help little."""
     before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
     z, size = np.append(curve.x[i], curve.p[i]), np.abs(curve.x[i]).max()
-    for doubled in count * 2 ** np.arange(DOUBLINGS):
+    for doubled in count * 2 ** np.arange(8):
         found = examined(problem.with_steps(doubled), z)
         error = found.step_error
-        passes = not stability or error <= LET_PASS or error > before / SLOW
-        if passes and found.changes.max() <= tolerance * size:
+        # a doubling that lowers the change of the map by little has met a contact that opens
+        passes = not stability or error <= 1e-8 or error > before / 20
+        if passes and np.asarray(found.changes).max() <= tolerance * size:
             break
         before = error
     return int(doubled)
@@ -205,10 +188,9 @@ def _modes(lattice, modes, until, mode):
             "none (a sonic vacuum?)",
             "Give guess=, from gx.breathers.breather.",
         )
+    shape = in_numpy(modes.modes)
     return [
-        _beside(
-            lattice, float(omega[i]), shapes[:, i], jax.tree.map(lambda x: x[..., i], modes.modes)
-        )
+        _beside(lattice, float(omega[i]), shapes[:, i], jax.tree.map(lambda x: x[..., i], shape))
         for i in chosen
     ]
 
@@ -221,7 +203,7 @@ def _flat_modes(modes):
 
 def _beside(lattice, omega, shape, mode):
     # the first of equal ones, whichever rounding makes the largest
-    peak = shape[np.argmax(np.abs(shape) > (1 - EQUAL) * np.abs(shape).max())]
+    peak = shape[np.argmax(np.abs(shape) > (1 - 1e-6) * np.abs(shape).max())]
     length = nonlinear_length(lattice, jax.tree.map(lambda w: w / peak, mode))
     if not 0 < length < np.inf:
         refuse(
@@ -294,19 +276,20 @@ def _over_frequency(lattice, steps, solver, length, omega, tolerance):
     The steps of half a period may change without compiling anew.
     """
     half = Shooting.half(
-        lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8()), length=length, omega=omega
+        lattice,
+        Flow(jax.device_put(np.asarray(steps, int)), solver or KahanLi8()),
+        length=length,
+        omega=omega,
     )
     left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
-    return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega), left)
+    start, omega = jax.device_put((np.zeros(()), np.asarray(omega, float)))
+    return Family(half, lattice, over_omega, start, omega, left)
 
 
 # relative distance to a frequency of the finite lattice that is a resonance by itself
 MEETS = 1e-9
 # neighbouring extended modes this much closer than the spectrum's width belong to one band
 SPACING = 8
-GUESSES = ("bright", "dark")
-# lengths by which parts of a chain are moved apart
-FAR = 10.0 ** np.arange(-9, 7, 3)
 # displacements at which forces are compared with those of the opposite ones, whatever the unit of length
 LENGTHS = 2.0 ** np.arange(-100, 101, 2)
 PUSHES = (
@@ -375,7 +358,7 @@ def breather(
         checked_lattice(lattice)
     kind = "bright"
     if isinstance(guess, str):
-        kind = one_of("guess", guess, GUESSES)
+        kind = one_of("guess", guess, ("bright", "dark"))
     elif guess is not None:
         guess = checked_state(lattice, guess, "guess")
         if not unknown and not largest(guess.u) > 0:
@@ -404,7 +387,7 @@ def breather(
         guess, first = _unguessed(lattice, float(omega), steps, solver, tolerance, check)
     known = guess if isinstance(guess, State) else None
     count = half_steps(lattice, 2 * np.pi / omega, first if steps is None else steps, known)
-    flow = Flow(count if unknown else jnp.asarray(count), solver or KahanLi8())
+    flow = Flow(count if unknown else jax.device_put(np.asarray(count)), solver or KahanLi8())
     if isinstance(guess, str):
         guess = _from_envelope(lattice, flow, float(omega), guess, centre, tolerance)
     settings = {"tolerance": tolerance, "max_steps": max_steps}
@@ -468,7 +451,8 @@ def _only_pushes(lattice):
         return False
     zero = lattice.zeros()
     apart = jax.tree.map(lambda x: (jnp.arange(len(x)) >= len(x) // 2).astype(x.dtype), zero)
-    forces = [lattice.force(0.0, jax.tree.map(lambda x: far * x, apart), zero) for far in FAR]
+    lengths = 10.0 ** np.arange(-9, 7, 3)
+    forces = [lattice.force(0.0, jax.tree.map(lambda x: far * x, apart), zero) for far in lengths]
     # a wall has a force of its own at the end
     return not any(np.any(np.asarray(f)[1:-1]) for f in jax.tree.leaves(forces))
 
@@ -498,7 +482,8 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
     settings = {"throw": throw} | settings
     # half a period in the units of the guess
     length, unit = jax.lax.stop_gradient((largest(guess[0]), omega))
-    half = Shooting.half(lattice, flow, length=jnp.where(length > 0, length, 1), omega=unit)
+    length = library(length).where(length > 0, length, 1)
+    half = Shooting.half(lattice, flow, length=length, omega=unit)
     x, in_omega = half.guess(guess), 0.0
     if energy is None:
         half, root, apart = confirmed(half, x, (lattice, 2 * jnp.pi / omega), **settings)
@@ -644,12 +629,6 @@ def _refuse_resonance(lattice, omega, dark, remedy=" check=False tries all the s
     )
 
 
-# of its amplitude, to which a breather is known
-TOLERANCE = 1e-10
-# of the largest force in the limit, what other sites may move and feel: rounding
-FELT = 1e-9
-
-
 @one_thread
 def anticontinuous(
     scene: Callable[[Any], Any],
@@ -663,7 +642,7 @@ def anticontinuous(
     points: Count = 100,
     steps: Count | None = None,
     solver: AbstractSolver | None = None,
-    tolerance: Scalar = TOLERANCE,
+    tolerance: Scalar = 1e-10,
     stability: bool = True,
 ) -> Branch:
     r"""Breathers of one frequency over the coupling, from the limit of none, in which each site moves by itself.
@@ -781,7 +760,7 @@ def _limit(lattice, omega, sites, amplitudes, field):
     u, force = (ravel_pytree(x)[0] for x in (state.u, lattice.force(jnp.zeros(()), *state)))
     named = 1 if np.ndim(sites) == 0 else len(sites)
     others = jnp.argsort(-jnp.abs(u))[named:]
-    if any(float(largest(x[others])) > FELT * float(largest(x)) for x in (u, force)):
+    if any(float(largest(x[others])) > 1e-9 * float(largest(x)) for x in (u, force)):
         refuse(
             "scene",
             "sites that do not feel each other at coupling 0",

@@ -199,7 +199,9 @@ class Edge(NamedTuple):
     def bright(self) -> bool:
         """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
         c = self.coefficients
-        return bool(c.focusing) and (float(c.nu3_force) > 0) == self.above
+        # in numbers, of which nothing is compiled
+        nu2, nu3 = float(c.nu2), float(c.nu3_force)
+        return nu2 * nu3 > 0 and (nu3 > 0) == self.above
 
 
 def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:

@@ -17,6 +17,7 @@ from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
+from ..programs import in_numpy, library
 from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..terms import tracing
@@ -50,19 +51,12 @@ from .problems import Shooting
 # the tolerance of an orbit, and of the orbits of a branch, relative to their size
 TOLERANCE = 1e-8
 BRANCH = 1e-7
-# of that, what Newton's method may leave, and its floor
-LEFT = 1e-3
+# of that, what Newton's method may leave
 LEFT_ON_BRANCH = 1e-4
-FLOOR = 1e-12
-# what a floating type resolves, in units of its last place
-RESOLVED = 50
-# most doublings of the steps, of those that Newton's method alone may want
+# most doublings of the steps
 DOUBLINGS = 10
-TRIALS = 4
 # of a change that other steps make, where they are not half as many
 SAFETY = 2
-# finer steps that are looked at: where contacts open the change between two is small by accident
-FINER = (1.25, 1.5, 2.0)
 # of a residual, in units of its last place
 ROUNDING = 16
 # of the largest error, below which no unknown is known
@@ -95,11 +89,11 @@ def size_of(x: Pytree) -> float:
     return float(np.max([np.abs(leaf).max() for leaf in jax.tree.leaves(x)]))
 
 
-def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = LEFT) -> Scalar:
+def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
     """What Newton's method may leave of the residual for an orbit of this tolerance, which is refused where none is."""
     tolerance, least = (
         checked_tolerance("tolerance", tolerance),
-        RESOLVED * float(jnp.finfo(dtype).eps),
+        50 * float(jnp.finfo(dtype).eps),
     )
     if not isinstance(tolerance, jax.core.Tracer) and tolerance < least:
         refuse(
@@ -107,12 +101,13 @@ def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = LEFT) -> Scalar:
             f"at least {least:.1e}, what {jnp.dtype(dtype).name} can hold",
             repr(float(tolerance)),
         )
-    return jnp.maximum(share * jnp.asarray(tolerance), jnp.minimum(tolerance, max(FLOOR, least)))
+    xp = library(tolerance)
+    return xp.maximum(share * xp.asarray(tolerance), xp.minimum(tolerance, max(1e-12, least)))
 
 
 def corrected(problem: Any, root: Root, scene: Pytree) -> Numbers:
     """The change of the unknowns that finer steps would make, by Newton's step with the derivative that is there."""
-    return jnp.where(root.converged, _corrected(problem, root.x, root.jacobian, scene), jnp.nan)
+    return _corrected(problem, root.x, root.jacobian, scene, root.code)
 
 
 def covering(changes: Numbers, rounding: Scalar) -> Numbers:
@@ -127,13 +122,13 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
 
 
 @eqx.filter_jit
-def _corrected(problem, x, jacobian, scene):
+def _corrected(problem, x, jacobian, scene, code):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
     inverse = jnp.linalg.inv(jacobian)
-    changes = jax.lax.map(
-        lambda by: inverse @ problem.finer(by).residual(x, scene), jnp.asarray(FINER)
-    )
-    return covering(changes, rounding(inverse))
+    # where contacts open the change between two is small by accident
+    finer = jnp.asarray((1.25, 1.5, 2.0))
+    changes = jax.lax.map(lambda by: inverse @ problem.finer(by).residual(x, scene), finer)
+    return jnp.where(code == CONVERGED, covering(changes, rounding(inverse)), jnp.nan)
 
 
 def confirmed(
@@ -165,8 +160,10 @@ def confirmed(
             throw=False,
         )
         # what rounding leaves, or a derivative that is almost singular, is in the error
-        enough = ((root.code == STALLED) | (root.code == SPENT)) & (root.residual <= tolerance)
-        return eqx.tree_at(lambda r: r.code, root, jnp.where(enough, CONVERGED, root.code))
+        code, left = in_numpy((root.code, root.residual))
+        enough = ((code == STALLED) | (code == SPENT)) & (left <= tolerance)
+        code = library(code).where(enough, CONVERGED, code)
+        return eqx.tree_at(lambda r: r.code, root, jax.device_put(code))
 
     # plain numbers are inputs of what is compiled, not a part of it
     scene = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, scene)
@@ -175,7 +172,7 @@ def confirmed(
     # a function may hide tracers, which the root then shows
     known = not isinstance(root.code, jax.core.Tracer)
     finer = problem
-    for _ in range(TRIALS if refine and known else 0):
+    for _ in range(4 if refine and known else 0):
         if root.converged:
             break
         finer = finer.finer(2)
@@ -196,7 +193,8 @@ def confirmed(
         found = solve(finer, root.x)
         if not found.converged:
             return problem, root, corrected(problem, root, scene)
-        change, iterations = np.abs(np.asarray(found.x - root.x)), iterations + found.iterations
+        change = np.abs(np.asarray(found.x) - np.asarray(root.x))
+        iterations = jax.device_put(np.asarray(iterations) + np.asarray(found.iterations))
         found = eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
         problem, root = finer, found
         if spread * change.max() <= tolerance:
@@ -533,27 +531,36 @@ def orbit_of(
     A guess that moves may have led there.
     """
     lattice, period = scene[0], jnp.asarray(scene[1], scene[0].dtype)
-    state, t0 = shooting.state(root.x), jnp.asarray(shooting.t0, lattice.dtype)
-    omega, in_omega = 2 * jnp.pi / period, jnp.asarray(in_omega)
-    error = error_of(lattice, t0, state, shooting.state(apart), omega, in_omega)
-    energy = _energy(lattice, t0, state)
+    numbers = root.x, root.code, apart, in_omega
+    state, t0, energy, error, code = _reached(shooting, lattice, period, guess, *numbers)
+    root = eqx.tree_at(lambda r: r.code, root, code)
     orbit = Orbit(
         state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error
     )
+    fell = not isinstance(code, jax.core.Tracer) and np.asarray(code) == FELL
+    if fell and (throw is None or throw):
+        raise RuntimeError(orbit.outcome)
+    return orbit
+
+
+@eqx.filter_jit
+def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
+    """Of an orbit its state at t0, the energy, the error, and the code of its root: another one where it is at rest."""
+    state, t0 = shooting.state(x), jnp.asarray(shooting.t0, lattice.dtype)
+    omega = 2 * jnp.pi / period
+    error = error_of(lattice, t0, state, shooting.state(apart), omega, jnp.asarray(in_omega))
 
     def speed(y, t=t0):
         v, a = vector_field(t, y, lattice)
         return jnp.maximum(omega * largest(v), largest(a))
 
-    found, before = speed(orbit.state), speed(guess)
-    fell = orbit.root.converged & (before > 0) & (found <= AT_REST * before)
+    found, before = speed(state), speed(guess)
+    fell = (code == CONVERGED) & (before > 0) & (found <= AT_REST * before)
     if lattice.reads_time:  # what is driven at rest may well move by little
-        rest, ts = State(lattice.zeros(), lattice.zeros()), phases(orbit.t0, orbit.period)
+        rest, ts = State(lattice.zeros(), lattice.zeros()), phases(t0, period)
         fell = fell & (largest(jax.vmap(lambda t: speed(rest, t))(ts)) <= AT_REST**2 * before)
-    orbit = eqx.tree_at(lambda o: o.root.code, orbit, jnp.where(fell, FELL, orbit.root.code))
-    if not isinstance(fell, jax.core.Tracer) and fell and (throw is None or throw):
-        raise RuntimeError(orbit.outcome)
-    return orbit
+    energy = lattice.energy(t0, state.u, state.v)
+    return state, t0, energy, error, jnp.where(fell, FELL, code)
 
 
 @eqx.filter_jit
@@ -597,4 +604,3 @@ def prepared(
 
 
 _history = eqx.filter_jit(history)
-_energy = eqx.filter_jit(lambda lattice, t, state: lattice.energy(t, state.u, state.v))

@@ -15,6 +15,7 @@ from ..continuation import Curve, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
+from ..programs import in_numpy, library
 from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
 from .asked import Symmetry, free_moves, shifts
 
@@ -77,13 +78,16 @@ class Shooting(eqx.Module):
     ) -> "Shooting":
         """Over half a period between two rests, displacements counted in `length` and velocities in length * omega."""
         moves = shifts(lattice)
-        like, unit = State(lattice.zeros(), lattice.zeros()), jnp.ones(len(moves), moves.dtype)
-        scale = jnp.concatenate([length * unit, length * omega * unit])
+        like, xp = State(lattice.zeros(), lattice.zeros()), library(length, omega)
+        length, omega = (x if xp is jnp else np.asarray(x) for x in (length, omega))
+        unit = xp.ones(len(moves), moves.dtype)
+        scale = jax.device_put(xp.concatenate([length * unit, length * omega * unit]))
         return cls(flow, like, scale, moves, reversible=True)
 
     def finer(self, by: Scalar) -> "Shooting":
         """The same with so many times the time steps."""
-        steps = jnp.ceil(by * self.flow.steps).astype(int)
+        by, steps = in_numpy((by, self.flow.steps))
+        steps = jax.device_put(library(by, steps).ceil(by * steps).astype(int))
         return eqx.tree_at(lambda s: s.flow, self, Flow(steps, self.flow.solver, self.flow.field))
 
     @property
@@ -102,6 +106,7 @@ class Shooting(eqx.Module):
         """Unknowns of the first state: 2n, or n of a reversible orbit."""
         return self.count if self.reversible else 2 * self.count
 
+    @eqx.filter_jit
     def guess(self, state: StateLike, scene: tuple | None = None) -> Numbers:
         """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""
         starts = [state]
@@ -113,6 +118,7 @@ class Shooting(eqx.Module):
         idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)
         return jnp.concatenate([first, rest, idle])
 
+    @eqx.filter_jit
     def state(self, x: Numbers) -> State:
         """The state at t0 that the unknowns describe, or the change of it that a change of them makes."""
         return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))
