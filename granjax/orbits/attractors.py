@@ -547,8 +547,6 @@ def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> st
     return ""
 
 
-# periods over which a response is taken: a multiple of those after which a motion may repeat
-WATCHED = 12
 # of the largest response: a change below it is no jump
 SMALLEST = 1e-6
 # budgets, the second for what does not repeat, the third where it settles still
@@ -640,6 +638,7 @@ def response(
     accuracy: Scalar = 1e-3,
     periods: Count = 2000,
     tolerance: Scalar = 1e-6,
+    watch: Count = 12,
     steps: Count | None = None,
     solver: AbstractSolver | None = None,
     down: bool = True,
@@ -663,7 +662,8 @@ def response(
       default. `down`: the way back too, from where the way up ended.
     - `response(lattice, u, v, t)`: a number from one history u, v (S, N) over those periods, t (S,) from phase 0 on;
       by default the root mean square of all velocities.
-    - `jump`, `accuracy`: above; both relative.
+    - `jump`, `accuracy`: above; both relative. `watch`: periods for the response, more where the motion does not
+      repeat.
     - `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps, which are
       rounded up by an eighth at most, so that curves of near-by scenes are one program.
 
@@ -700,7 +700,7 @@ def response(
     for lattice, T in scenes:
         checked_period(lattice, state, 0.0, T)
     period = period if callable(period) else jnp.asarray(float(period))
-    watched = _Watched(make, period, response, flow, periods)
+    watched = _Watched(make, period, response, flow, periods, watch)
 
     def attractor(value, y, share=1.0):
         """What is settled to a share of the tolerance, run longer than the budget if need be."""
@@ -772,6 +772,7 @@ class _Watched(eqx.Module):
     response: Callable
     flow: Flow
     periods: int
+    watch: int
 
     @eqx.filter_jit
     def run(self, value, y, tolerance, most):
@@ -793,7 +794,7 @@ class _Watched(eqx.Module):
         return errors_of([*found[1:]], other, jnp.where(repeats, left, jnp.nan))
 
     def _seen(self, flow, lattice, y, period):
-        end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, WATCHED)
+        end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, self.watch)
         velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
         energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
         return end, answered(self.response, lattice, ys, ts), velocity, energy
