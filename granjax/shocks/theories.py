@@ -105,7 +105,7 @@ def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen
     part = seen.only(np.flatnonzero(np.isfinite(seen.local.amplitude)), ahead)
     if not part.places.size:
         return told("no waves were found in the windows.")
-    m, errors, speeds, phases, rest = (none.copy() for _ in range(5))
+    m, errors, speeds, phases, rest = np.full((5, len(none)), np.nan)
     start = np.interp(part.local.amplitude, np.abs(np.asarray(table.amplitude)), TABLE)
     known = np.isfinite(seen.local.amplitude)
     m[known], errors[known] = _parameters(theory, c, numbers, part, np.clip(start, 1e-3, 1 - 1e-3))

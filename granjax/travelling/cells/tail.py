@@ -105,11 +105,6 @@ def tail(box: Box, phi, core: float):
     return y[order], phi[:, order]
 
 
-def _columns(y, shape, k):
-    wave = shape[:, None] * np.exp(1j * k * y)
-    return np.stack([wave.real.ravel(), -wave.imag.ravel()], axis=1)
-
-
 def periodic(y, k: float):
     """Columns (Y, 1 + 2 HARMONICS) of a periodic function at places y: the constant, then cosines and sines."""
     turns = k * np.outer(y, np.arange(1, HARMONICS + 1))
@@ -139,16 +134,13 @@ def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
     return Fit(complex(amplitude), float(k), float(np.abs(left).max()))
 
 
-def ripple_row(ripple: Ripple, core: float):
-    """box -> the row that takes strains (P N,) to the real amplitude of a ripple that its mirror makes itself."""
-
-    def row(box):
-        y, at = tail(box, np.arange(box.shape[0] * box.points).reshape(box.shape), core)
-        out = np.zeros(box.shape[0] * box.points)
-        out[at.ravel()] = np.linalg.pinv(_columns(y, ripple.shape, ripple.wavenumber))[0]
-        return out
-
-    return row
+def ripple_row(box: Box, ripple: Ripple, core: float) -> np.ndarray:
+    """The row that takes strains (P N,) to the real amplitude of a ripple that its mirror makes itself."""
+    y, at = tail(box, np.arange(box.shape[0] * box.points).reshape(box.shape), core)
+    wave = ripple.shape[:, None] * np.exp(1j * ripple.wavenumber * y)
+    out = np.zeros(box.shape[0] * box.points)
+    out[at.ravel()] = np.linalg.pinv(np.stack([wave.real.ravel(), -wave.imag.ravel()], axis=1))[0]
+    return out
 
 
 def drift_row(box):

@@ -262,7 +262,7 @@ def _with_ripple(chain):
         raise Lost(
             f"{begun.waves} linear waves keep pace with it, and one parameter can silence one"
         )
-    row = lambda box: ripple_row(ripples(box.chain)[0], begun.core)(box)
+    row = lambda box: ripple_row(box, ripples(box.chain)[0], begun.core)
     return begun.box, begun.solved.phi, 1.0, row, begun.core
 
 
