@@ -362,7 +362,8 @@ def branch_of(
     # an error that is small by accident is as large as its neighbours
     error, response_error = jax.tree.map(_neighbours, (found.error, found.response_error))
     return Branch(
-        np.asarray(family.value(curve.p)),
+        # by NumPy, which compiles nothing for another number of points
+        np.asarray(family.start) + curve.p * np.asarray(family.span),
         found.period,
         found.state,
         found.energy,
