@@ -110,40 +110,39 @@ def kink(
     width = max(np.sqrt(max(wells.coupling, 0) / wells.own), 0.1)
     rise = np.arctan(np.exp((np.arange(sites) - middle) / width))
     guess = left + (right - left) * 2 / np.pi * rise
-    size = jnp.asarray(abs(right - left), lattice.dtype)
-    problem = _Rest(size, jnp.asarray(wells.force, lattice.dtype))
+    # by NumPy, of which nothing is compiled
+    size, begin = np.asarray(abs(right - left), lattice.dtype), guess.astype(lattice.dtype)
+    begin = begin / size
+    problem = _Rest(*jax.device_put((size, np.asarray(wells.force, lattice.dtype))))
     # of the largest force between the wells, what Newton's method leaves
     rounding = 50 * float(jnp.finfo(lattice.dtype).eps)
     wanted = max(1e-13, rounding * float(wells.stiffest * size / wells.force))
-    begin = jnp.asarray(guess, lattice.dtype) / size
     # held at its place, along which a wide kink is pushed by next to nothing, and then let go
     held = newton(
-        _Rest(problem.size, problem.scale, begin),
-        jnp.append(begin, 0.0),
+        _Rest(problem.size, problem.scale, jax.device_put(begin)),
+        np.append(begin, np.zeros(1, begin.dtype)),
         lattice,
         tolerance=wanted,
         max_steps=60,
         throw=False,
     )
-    free = newton(problem, held.x[:-1], lattice, tolerance=wanted, max_steps=10, throw=False)
-    let_go = free.converged and float(jnp.max(jnp.abs(free.x - held.x[:-1]))) <= NEAR
-    pushed = float(jnp.max(jnp.abs(problem(held.x[:-1], lattice))))
+    there = np.asarray(held.x)[:-1]
+    free = newton(problem, there, lattice, tolerance=wanted, max_steps=10, throw=False)
+    let_go = free.converged and np.abs(np.asarray(free.x) - there).max() <= NEAR
+    x = np.asarray(free.x) if let_go else there
+    *found, squares = _known(problem, lattice, x, np.asarray(left, lattice.dtype))
+    pushed, squares = float(found[-1]), np.asarray(squares)
     if not let_go and held.converged and pushed > PUSHED:
         _refuse_ends(f"{pushed:.1g} of the largest force pushes it there", middle, sites)
-    x = free.x if let_go else held.x[:-1]
     if not (let_go or held.converged):
         raise RuntimeError(held.outcome)
     away = abs(float(x[0] * size) - left), abs(float(x[-1] * size) - right)
     if max(away) > ENDS * float(size):
         _refuse_ends(f"its ends are {max(away):.3g} from the wells", middle, sites)
-    *found, squares = _known(problem, lattice, x, jnp.asarray(left, lattice.dtype))
     least = float(squares[0])
-    known = abs(least) > 1e-9 * float(jnp.max(jnp.abs(squares)))
+    known = abs(least) > 1e-9 * np.abs(squares).max()
     return Kink(
         *found,
-        jnp.sqrt(jnp.maximum(squares, 0)),
-        jnp.sqrt(jnp.maximum(-squares[0], 0)),
-        jnp.max(jnp.abs(problem(x, lattice))),
         ("stable" if least > 0 else "unstable") if known else "undecided",
         **lattice.origin,
     )
@@ -265,7 +264,7 @@ def _stiffness(lattice, u):
 
 @eqx.filter_jit
 def _known(problem, lattice, x, left):
-    """(state, energy above the left well, error of u, of the energy, squares of the frequencies)."""
+    """What a `Kink` has before its verdict, and the squares of the frequencies."""
     u = problem.size * x
     stiffness = _stiffness(lattice, u)
     inverse, force = jnp.linalg.inv(stiffness), _forces(lattice, u)
@@ -279,7 +278,9 @@ def _known(problem, lattice, x, left):
     energy_error = jnp.sum(jnp.abs(force) * error) + eps * (jnp.abs(there) + jnp.abs(well))
     root = jnp.sqrt(spread_mass(lattice))
     squares = jnp.linalg.eigvalsh((stiffness + stiffness.T) / 2 / root[:, None] / root)
-    return State(u, zero), there - well, error, energy_error, squares
+    omega, growth = jnp.sqrt(jnp.maximum(squares, 0)), jnp.sqrt(jnp.maximum(-squares[0], 0))
+    residual = jnp.max(jnp.abs(problem(x, lattice)))
+    return State(u, zero), there - well, error, energy_error, omega, growth, residual, squares
 
 
 class _Wells(NamedTuple):
@@ -305,7 +306,7 @@ def _checked_wells(lattice, right, left):
     left, right = float(left), float(right)
     if left == right:
         refuse("right", "another well than the left one", f"{right:g}")
-    forces = np.asarray(_uniform(lattice, jnp.linspace(left, right, 65)))
+    forces = np.asarray(_uniform(lattice, np.linspace(left, right, 65)))
     scale = forces[1:-1].max()
     if not scale > 0:
         refuse("lattice", "a force on the sites between the wells", "none")
@@ -318,7 +319,7 @@ def _checked_wells(lattice, right, left):
                 f"{x:g}, with {force / scale:.2g} of the largest force on the way",
                 "Ends must be free: walls at u = 0 hold no other well.",
             )
-        stiffness = np.asarray(_stiffness(lattice, x * jnp.ones_like(lattice.zeros())))
+        stiffness = np.asarray(_stiffness(lattice, np.full(lattice.shape, x, lattice.dtype)))
         place = len(stiffness) // 2
         row = stiffness[place]
         if not row.sum() > 0:
