@@ -3,7 +3,6 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,6 +15,7 @@ from ..results import Result, array
 from ..terms.chain import next_neighbours
 from ..types import Number, Numbers, Scalar
 from .riemann import Riemann
+from .scenes import over_bonds
 
 KINDS = "strain", "momentum", "energy"
 # units of rounding of a sum, over the sum of the sizes of its parts
@@ -161,15 +161,9 @@ def _box(problem, box, size):
 
 def _laws(lattice, low, high):
     """The laws of the bonds from one to another, by bonds between sites, of all terms."""
-    axes = 1 + len(lattice.lanes)
     for law, boundary in filter(None, map(next_neighbours, lattice.terms)):
         shift = 1 if boundary == "fixed" else 0
-        yield jax.tree.map(
-            lambda x, shift=shift: (
-                x[low + shift : high + shift] if jnp.ndim(x) == axes and x.shape[0] > 1 else x
-            ),
-            law,
-        )
+        yield over_bonds(law, lattice, lambda x, by=shift: x[low + by : high + by])
 
 
 def _force(lattice, u, bond):
