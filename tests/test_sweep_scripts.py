@@ -16,7 +16,7 @@ def transmitted(first, second):
 
 radii = np.linspace(4e-3, 12e-3, 20)
 data = gx.sweep(transmitted, {"first": radii, "second": radii}, units={"first": "m", "second": "m", "transmitted": "N"})
-gx.plots.save(gx.plots.sweep(data, units="mm"), "crystal.png")
+gx.plots.save(gx.plots.sweep(data), "crystal.png")
 """
 
 BREATHERS = """\

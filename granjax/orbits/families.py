@@ -114,6 +114,7 @@ def family(
         )
 
     count = half_steps(lattice, 2 * np.pi / ways[0].omega, steps or ways[0].steps)
+    # four points tell which way a family goes
     chosen = (
         ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, 4)[1])
     )
@@ -136,6 +137,7 @@ def _enough_steps(problem, curve, count, tolerance, stability):
     """Steps for which the largest breather is known well enough, and its tangent map too, or more would help little."""
     before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
     z, size = np.append(curve.x[i], curve.p[i]), np.abs(curve.x[i]).max()
+    # eight doublings at most
     for doubled in count * 2 ** np.arange(8):
         found = examined(problem.with_steps(doubled), z)
         error = found.step_error
@@ -202,7 +204,7 @@ def _flat_modes(modes):
 
 
 def _beside(lattice, omega, shape, mode):
-    # the first of equal ones, whichever rounding makes the largest
+    # the first of those that are equal to 1e-6, whichever rounding makes the largest
     peak = shape[np.argmax(np.abs(shape) > (1 - 1e-6) * np.abs(shape).max())]
     length = nonlinear_length(lattice, jax.tree.map(lambda w: w / peak, mode))
     if not 0 < length < np.inf:
@@ -760,6 +762,7 @@ def _limit(lattice, omega, sites, amplitudes, field):
     u, force = (ravel_pytree(x)[0] for x in (state.u, lattice.force(jnp.zeros(()), *state)))
     named = 1 if np.ndim(sites) == 0 else len(sites)
     others = jnp.argsort(-jnp.abs(u))[named:]
+    # what is below 1e-9 of the largest is rounding
     if any(float(largest(x[others])) > 1e-9 * float(largest(x)) for x in (u, force)):
         refuse(
             "scene",

@@ -1,4 +1,4 @@
-"""The error of an orbit: what a second step size makes of it, and steps that are doubled until the two agree."""
+"""A periodic orbit, y(t0 + T) = S y(t0): how to ask for one, and its error by steps that are doubled."""
 
 import math
 from collections.abc import Iterator
@@ -91,16 +91,16 @@ def size_of(x: Pytree) -> float:
 
 def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
     """What Newton's method may leave of the residual for an orbit of this tolerance, which is refused where none is."""
-    tolerance, least = (
-        checked_tolerance("tolerance", tolerance),
-        50 * float(jnp.finfo(dtype).eps),
-    )
+    # fifty units in the last place are what a residual resolves
+    least = 50 * float(jnp.finfo(dtype).eps)
+    tolerance = checked_tolerance("tolerance", tolerance)
     if not isinstance(tolerance, jax.core.Tracer) and tolerance < least:
         refuse(
             "tolerance",
             f"at least {least:.1e}, what {jnp.dtype(dtype).name} can hold",
             repr(float(tolerance)),
         )
+    # no tighter than 1e-12, which rounding of long flows leaves
     xp = library(tolerance)
     return xp.maximum(share * xp.asarray(tolerance), xp.minimum(tolerance, max(1e-12, least)))
 
@@ -172,6 +172,7 @@ def confirmed(
     # a function may hide tracers, which the root then shows
     known = not isinstance(root.code, jax.core.Tracer)
     finer = problem
+    # steps that are too long for Newton's method at once are halved up to four times
     for _ in range(4 if refine and known else 0):
         if root.converged:
             break

@@ -72,7 +72,7 @@ def contacts_of(sites: Count, boundary: str) -> int:
     return a_chain(sites) + more[one_of("boundary", boundary, more)]
 
 
-def fitting(law: Law, count: int, what: str) -> Law:
+def fitting(law: Any, count: int, what: str) -> Any:
     """The law, whose parameters are numbers, or one for each of `count` contacts or sites."""
     for name, x in vars(law).items():
         if hasattr(x, "shape") and x.shape[:1] not in ((), (1,), (count,)):

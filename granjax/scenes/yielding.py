@@ -9,7 +9,7 @@ from ..strains import Shift
 from ..terms import PlasticContact
 from ..types import Count, Parameter
 from ..units import SCALED
-from .chains import a_chain
+from .chains import a_chain, contacts_of, fitting
 
 
 def plastic(
@@ -42,10 +42,11 @@ def plastic(
     """
     stiffness, yields = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
     F0 = non_negative("precompression", precompression, "A chain under tension falls apart.")
+    law = fitting(Thornton(stiffness, yields), contacts_of(sites, boundary), "contact")
     # the overlap that F0 presses virgin contacts to
     first = stiffness * plus_power(yields, 1.5)
     overlap = jnp.where(
         F0 > first, yields * (2 * F0 / first + 1) / 3, plus_power(F0 / stiffness, 2 / 3)
     )
-    contacts = PlasticContact(Shift(1, boundary), Thornton(stiffness, yields), overlap)
+    contacts = PlasticContact(Shift(1, boundary), law, overlap)
     return Lattice(parameter("mass", mass), contacts, sites=a_chain(sites), units=units)
