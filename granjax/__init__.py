@@ -97,7 +97,7 @@ Periodic orbits
     breathers           breathers and their families
     forced              orbits of driven lattices, and their branches
     kinks               what joins two wells of on-site forces: at rest, its Peierls-Nabarro barrier, moving
-    driven              where driven lattices settle: attractors, sweeps, Lyapunov exponents
+    driven              where driven lattices settle: attractors, response curves, Lyapunov exponents
     floquet             stability of periodic orbits
     orbits              what these are made of: any orbit, its symmetry
     newton              Newton's method

@@ -123,8 +123,8 @@ def parameter(argument: str, x: Any) -> jax.Array:
         # a plain number stays one while tracing, so that it is checked there too
         with jax.ensure_compile_time_eval():
             own = isinstance(raw, jax.Array)
-            # `jnp.asarray` of NumPy's array would compile a program for each shape
-            array = raw.astype(float) if own else jax.device_put(np.asarray(raw, float))
+            # `jnp.asarray` of NumPy's array would compile a program for each shape; a copy, whose memory nobody changes
+            array = raw.astype(float) if own else jax.device_put(np.array(raw, float))
     value = concrete(array)
     if value is not None and not np.all(np.isfinite(value)):
         refuse(

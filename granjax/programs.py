@@ -5,6 +5,7 @@ import sys
 import time
 import weakref
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial, wraps
 from typing import Any
 
@@ -154,11 +155,8 @@ def concretely(function: Callable, *arguments: Any) -> Any:
 
     There it is computed one operation at a time, each of which compiles.
     """
-    result = function(*arguments)
-    if traced(result):
-        with jax.ensure_compile_time_eval():
-            result = function(*arguments)
-    return jax.tree.map(np.asarray, result)
+    with nullcontext() if is_untraced() else jax.ensure_compile_time_eval():
+        return jax.tree.map(np.asarray, function(*arguments))
 
 
 def in_numpy(tree: Pytree) -> Pytree:

@@ -153,12 +153,12 @@ def test_lanes_units_and_derivatives():
 @pytest.mark.parametrize(
     "make, said",
     [
-        (lambda: scenes.mass_in_mass(5, mass=np.ones(4)), "one mass per site"),
+        (lambda: scenes.mass_in_mass(5, mass=np.ones(4)), "one per bead"),
         (lambda: scenes.mass_in_mass(5, precompression=np.ones(5)), "one per contact"),
         (lambda: scenes.mass_with_mass(5, at=[5]), "at: expected sites from 0 to 4"),
         (lambda: scenes.mass_with_mass(5, at=[1, -4]), "each once"),
         (lambda: scenes.mass_with_mass(5, at=[]), "at: expected .* one at least, got"),
-        (lambda: scenes.mass_with_mass(5, np.ones(3), at=[1, 2]), "'resonator': .3,"),
+        (lambda: scenes.mass_with_mass(5, np.ones(3), at=[1, 2]), "one per resonator"),
         (lambda: scenes.woodpile(5, [0.3], [1.2, 1.0]), "stiffnesses: expected 1"),
     ],
 )

@@ -19,7 +19,7 @@ LOOSE = 0.3
 PART = 0.2
 SINGULAR = 1e-14
 # a singular value over the largest that rounding may leave of zero
-ROUNDING = 1e-17
+ROUNDING = float(np.finfo(float).eps)
 # names that one sentence lists
 MANY = 6
 

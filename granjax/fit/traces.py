@@ -102,7 +102,9 @@ class Traces(eqx.Module):
                 "at least two rising times",
                 show(self.times) if value is not None else "another shape",
             )
-        data = jax.device_put(real(self.kind, data) if concrete(data) is not None else data)
+        data = jax.device_put(
+            np.array(real(self.kind, data)) if concrete(data) is not None else data
+        )
         data = data[:, None] if data.ndim == 1 else data
         wanted = (self.times.size, len(self.places))
         if data.shape != wanted:

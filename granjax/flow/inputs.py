@@ -68,7 +68,7 @@ def _checked_array(name, x, shape, dtype):
         count = value.size - np.count_nonzero(np.isfinite(value))
         if count:
             refuse(name, "finite numbers", f"{count} that are not", "Look for NaN or infinity.")
-    return x if isinstance(x, jax.Array) else jax.device_put(x)
+    return x if isinstance(x, jax.Array) else jax.device_put(np.array(x))
 
 
 def checked_times(t0: Any, t1: Any) -> tuple:

@@ -280,7 +280,7 @@ def _known(term, lattice):
 
 
 def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
-    """The sum of the terms' `energy_gap`."""
+    """The sum of the gaps of all terms."""
     gaps = [energies.energy_gap(term, lattice, t, u) for term in lattice.terms]
     return jax.lax.stop_gradient(
         sum(gaps[1:], gaps[0]) if gaps else jnp.zeros(lattice.lanes, lattice.dtype)

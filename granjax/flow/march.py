@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..programs import compiled, is_untraced, wait
 from ..types import Scalar, StateLike
@@ -44,6 +44,9 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
     wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
     """
+    # the step of known inputs is traced where somebody else's program computes it
+    if traced(plan.step):
+        return integrate(lattice, state, t0, t1, plan)
     about = facts(lattice)
     if plan.tolerance is not None and about.lanes:
         return (_lane_by_lane if is_untraced() else integrate)(lattice, state, t0, t1, plan)

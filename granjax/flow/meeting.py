@@ -10,6 +10,7 @@ from ..lattice import Lattice, State
 from ..programs import once
 from ..strains import WALL
 from ..strains.maps import TwoEnds
+from ..terms.base import within as inner_of
 from ..terms.chain import span
 from ..terms.tracing import reads
 from ..types import Displacements, Number, StateLike, Times
@@ -173,8 +174,7 @@ def _beads_of(lattice):
         return None
     numbers, bonds = numbers[None] if None in numbers else numbers, []
     for term in lattice.terms:
-        while hasattr(term, "term"):
-            term = term.term
+        term = inner_of(term)
         strain_map = getattr(term, "strain_map", None)
         pairs = getattr(strain_map, "pairs", strain_map)
         if isinstance(pairs, TwoEnds):

@@ -21,7 +21,7 @@ import numpy as np
 from ..checks import whole
 from ..lattice import Lattice
 from ..programs import compiled, once
-from ..terms import Reach, Reached
+from ..terms import Reach, Reached, Wall
 from ..terms.base import within
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
@@ -280,7 +280,7 @@ def _gathered(lattice, state, ts, neighbourhood):
 def _energy_times(term, lattice, ts):
     """The times at which the energy of the initial state is looked at: all where the stiffness changes."""
     # a wall that moves is looked at where it begins
-    moves = getattr(within(term), "motion", None) is not None
+    moves = isinstance(within(term), Wall) and within(term).motion is not None
     return ts if reads(term, lattice).time and not moves else ts[:1]
 
 

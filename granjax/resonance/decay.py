@@ -58,10 +58,11 @@ def decay_rate(ratios: Parameter, contacts: Sequence[int] = (200, 600)) -> Float
 
 
 def _checked_contacts(contacts):
-    found = [whole(f"contacts[{i}]", n, 0) for i, n in enumerate(contacts)]
-    if len(found) != 2 or not found[0] < found[1] or sum(found) % 2:
+    pair = np.shape(contacts) == (2,)
+    found = [whole(f"contacts[{i}]", n, 0) for i, n in enumerate(contacts)] if pair else ()
+    if not pair or not found[0] < found[1] or sum(found) % 2:
         wanted = "two contacts (a, b), a < b, both even or both odd"
-        refuse("contacts", wanted, f"{tuple(contacts)}", "Typical: (200, 600).")
+        refuse("contacts", wanted, f"{contacts}", "Typical: (200, 600).")
     return found
 
 

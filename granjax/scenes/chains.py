@@ -72,12 +72,20 @@ def contacts_of(sites: Count, boundary: str) -> int:
     return a_chain(sites) + more[one_of("boundary", boundary, more)]
 
 
+def check_each(count: int, what: str, **parameters: Parameter | None) -> None:
+    """Refuse what is neither one number nor one for each of `count` contacts or sites."""
+    for name, x in parameters.items():
+        if np.shape(x)[:1] not in ((), (1,), (count,)):
+            refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")
+
+
 def fitting(law: Any, count: int, what: str) -> Any:
     """The law, whose parameters are numbers, or one for each of `count` contacts or sites."""
-    for name, x in vars(law).items():
-        if hasattr(x, "shape") and x.shape[:1] not in ((), (1,), (count,)):
-            name = f"{type(law).__name__}.{name}"
-            refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {x.shape}")
+    kind = type(law)
+    # a law of one's own may hold other arrays
+    if kind.__module__.startswith("granjax."):
+        arrays = {name.removeprefix("_free_"): x for name, x in vars(law).items() if np.shape(x)}
+        check_each(count, what, **{f"{kind.__name__}.{name}": x for name, x in arrays.items()})
     return law
 
 

@@ -8,7 +8,7 @@ from ..laws import Law, Linear
 from ..strains import Shift
 from ..terms import Bond, Damping, Harmonic, Modulated, OnSite, Square
 from ..types import Count, Parameter
-from .chains import contacts_of, number
+from .chains import check_each, contacts_of, number
 
 _SHAPES = {"cosine": Harmonic, "square": Square}
 _TURNS = 1e-9
@@ -51,10 +51,13 @@ def modulated(
     >>> bool(bands.fastest[0] > 0)  # waves grow in a gap of k
     True
     """
-    one_of("on", on, ("bonds", "sites"))
+    contacts = contacts_of(sites, boundary)
+    places = contacts if one_of("on", on, ("bonds", "sites")) == "bonds" else sites
+    check_each(places, "modulated bond or site", amplitude=amplitude, phase=phase)
     omega = positive("omega", number("omega", omega), "The modulation has a period.")
     wave = _SHAPES[one_of("shape", shape, _SHAPES)](amplitude, omega, phase, 1.0)
     grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
+    check_each(sites, "site", grounding=grounding, damping=damping)
     bond, ground = Bond(Shift(1, boundary), Linear() if law is None else law), None
     if _there(grounding):
         ground = OnSite(Linear(grounding))

@@ -5,7 +5,7 @@ from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Sine
 from ..terms import OnSite
 from ..types import Count, Parameter
-from .chains import chain, monomer
+from .chains import chain, check_each, monomer
 
 # what couples weakly is what these chains are about
 COUPLED = "Sites without coupling are coupling=0."
@@ -60,6 +60,7 @@ def cradle(
         length = positive("length", length, "None is a string so long that the arc is straight.")
     if law is None:
         law = Linear(pendulum) if length is None else Sine(pendulum, 1 / length)
+    check_each(sites, "site", pendulum=pendulum, length=length)
     touching = monomer(sites, mass, boundary=boundary, **contacts)
     return Lattice(mass, (*touching.terms, OnSite(law)), sites=sites)
 

@@ -11,7 +11,7 @@ from ..strains import Pairs, Shift
 from ..terms import Bond
 from ..types import Count, Numbers, Parameter
 from ..units import SCALED
-from .chains import a_chain, contact, contacts_of, fitting
+from .chains import a_chain, check_each, contact, contacts_of, fitting
 
 _TIE = "A resonator without stiffness is let go: 0 leaves the chain of beads."
 
@@ -150,11 +150,12 @@ def _resonant(
         )
         law = contact(stiffness, exponent, precompression)
     places = range(sites) if at is None else _places(sites, at)
-    count = len(places)
+    count, carrier = (sites, "bead") if at is None else (len(places), "resonator")
     mass = {"bead": positive("bead_mass", bead_mass, "A bead needs a mass.")}
     law = fitting(law, contacts_of(sites, boundary), "contact")
     terms = [Bond(Shift(1, boundary, "bead"), law)]
     for name, given in resonators.items():
+        check_each(count, carrier, **given)
         (of_mass, mu), (of_spring, kappa) = given.items()
         mass[name] = positive(of_mass, mu, "A resonator needs a mass.")
         fields = ("bead", name)

@@ -82,6 +82,10 @@ class Term(Dimensional):
     memory: ClassVar[dict[str, str]] = {}
     # whether arrays over the sites hold for every component of a vector there
     per_site: ClassVar[bool] = False
+    # sites along each axis that it couples, () for single ones, `None` where that is not known
+    span: ClassVar[tuple[int, ...] | None] = None
+    # the ends of a chain that it ties to a wall
+    walls: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def force(

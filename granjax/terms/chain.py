@@ -8,24 +8,24 @@ import jax.numpy as jnp
 from ..laws import Law
 from ..strains import Shift
 from .base import Term, within
-from .bonds import Bond
+from .bonds import Bond, Joined
 from .long_range import LongRange
 
 
 def span(term: Term) -> tuple[int, ...] | None:
     """Sites along each axis that the term couples; () for single sites, `None` where that is not known."""
-    return getattr(_coupling(term), "span", None)
+    return _coupling(term).span
 
 
 def walls(term: Term) -> tuple[str, ...]:
     """The ends of a chain that the term ties to a wall: of "left" and "right"."""
-    return getattr(_coupling(term), "walls", ())
+    return _coupling(term).walls
 
 
 def _coupling(term):
     """The strain map of a term that joins sites, or else the term itself."""
     inner = within(term)
-    return getattr(inner, "strain_map", inner)
+    return inner.strain_map if isinstance(inner, Joined) else inner
 
 
 def boundary_of(term: Term, field: str | None = None) -> str | None:

@@ -170,8 +170,10 @@ class BrilliantovContact(Bond):
         pushes = total > 0
         total = jnp.where(pushes, total, 0)
         # what it is at rest is the chain's load, which stays
-        pull = self.strain_map.pull(u, total)
-        return jax.tree.map(lambda pull, rest: -(pull + rest), pull, self.preload_force(u))
+        pull, load = self.strain_map.pull(u, total), self.preload_force(u)
+        if isinstance(pull, dict):
+            load = {name: load[name] for name in pull}
+        return jax.tree.map(lambda pull, rest: -(pull + rest), pull, load)
 
 
 class CaputoDamping(Remembering):

@@ -9,6 +9,7 @@ import numpy as np
 from ..checks import refuse
 from ..types import Displacements, Number, Numbers
 from .base import Term, within
+from .bonds import Joined
 
 DENSE = 4000
 
@@ -19,11 +20,11 @@ def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displa
     Bonds share theirs as their ends weigh in the strain; an array over the sites stays as it is. The energies of other
     terms are shared out as the squares of their derivatives weigh the sites; dense, and refused for a large lattice.
     """
-    energy, strain_map = term.energy(t, u), getattr(within(term), "strain_map", None)
+    energy, inner = term.energy(t, u), within(term)
     if energy is None or isinstance(energy, dict):
         return energy
-    if strain_map is not None:
-        return strain_map.split(energy, u)
+    if isinstance(inner, Joined):
+        return inner.strain_map.split(energy, u)
     if not isinstance(u, dict) and energy.shape == u.shape:
         return energy
     size = sum(x.size for x in jax.tree.leaves(u))

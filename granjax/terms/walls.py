@@ -114,7 +114,7 @@ def undriven(lattice: Any) -> Any:
     """The lattice with all moving walls held still."""
 
     def still(term):
-        if getattr(within(term), "motion", None) is None:
+        if not isinstance(within(term), Wall) or within(term).motion is None:
             return term
         moving = lambda x: (within(x).motion, within(x).breaks)
         return eqx.tree_at(moving, term, (None, None), is_leaf=lambda x: x is None)

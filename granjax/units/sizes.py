@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -91,6 +92,12 @@ class Signal(tuple):
     """Powers of force, length and time of the values of a function of time."""
 
 
+def _said(cls):
+    """The variables of the class that the kinds say of which it is one."""
+    kinds = (vars(base).get("__annotations__", {}) for base in cls.__mro__[1:])
+    return {name for own in kinds for name, kind in own.items() if "ClassVar" in str(kind)}
+
+
 class Dimensional(eqx.Module):
     """A kind that can be written in other units.
 
@@ -104,13 +111,19 @@ class Dimensional(eqx.Module):
 
     def __init_subclass__(cls, **keywords):
         super().__init_subclass__(**keywords)
-        for name in vars(cls).get("__annotations__", {}):
-            if callable(getattr(super(cls, cls), name, None)):
+        for name, kind in vars(cls).get("__annotations__", {}).items():
+            known = getattr(super(cls, cls), name, None)
+            # what its kind says of all, such as `span`, stays a variable of the class
+            fixed = name in _said(cls) and "ClassVar" not in str(kind)
+            if callable(known) or fixed:
                 refuse(
                     f"{cls.__name__}.{name}",
                     "a field of a name of its own",
-                    "the name of a method of its kind",
+                    "the name of a method of its kind" if callable(known) else "that of a variable",
                 )
+        for name in _said(cls) & vars(cls).keys():
+            if isinstance(vars(cls)[name], FunctionType):
+                refuse(f"{cls.__name__}.{name}", "a value, or a property", "a method")
 
     def in_units(self, units: Units) -> Any:
         """The same with arguments and results counted in `units`."""
