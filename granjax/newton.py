@@ -95,7 +95,8 @@ def newton(
     1.414214
     """
     # put, as a conversion is a program to compile
-    x0 = guess if isinstance(guess, jax.Array) else jax.device_put(np.asarray(guess))
+    known = not (isinstance(guess, jax.Array) or traced(guess))
+    x0 = jax.device_put(np.array(guess)) if known else jnp.asarray(guess)
     if x0.ndim != 1:
         refuse("guess", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
     if not isinstance(tolerance, jax.core.Tracer) and not 0 <= float(tolerance) < np.inf:

@@ -1,4 +1,4 @@
-"""Symmetries of orbits, and uniform displacements that a lattice does not resist."""
+"""What orbits are asked with: lattice, state, period, symmetry, steps; uniform displacements that nothing resists."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A chain between walls that move."""
+"""Where driven lattices settle: attractors, response curves, Lyapunov exponents; a chain between walls that move."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -265,7 +265,7 @@ def settle(
     tolerance = jnp.asarray(float(checked_tolerance("tolerance", tolerance)), lattice.dtype)
     # an array, whose value compiles nothing anew
     T = jnp.asarray(period, lattice.dtype)
-    found = _follow(flow, lattice, state, T, periods, tolerance)
+    found = _follow(flow, lattice, state, T, whole("periods", periods, 8), tolerance)
     used, multiple = int(found.used), int(found.multiple)
     # of a motion that does not repeat sixteen periods are kept
     (ts, us, vs), *seen, sampling = _watch(flow, lattice, found.state, T, multiple or 16)
@@ -647,7 +647,7 @@ def response(
 
     Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`); what has
     spent its budget runs on for another one, and for up to eight more where it settles still, before it counts as not
-    repeating. The response is then taken over twelve periods more. A change of the response between two values by more
+    repeating. The response is then taken over `watch` periods more. A change of the response between two values by more
     than `jump`, relative to the larger, is halved, each time from the state before it, until it is known to `accuracy`.
     It is a jump if more than half of it is left when both sides have settled to a hundredth of `tolerance`, and still
     is when it is known a thousand times better: a steep flank is none. Changes between two motions that do not repeat
@@ -662,8 +662,7 @@ def response(
       default. `down`: the way back too, from where the way up ended.
     - `response(lattice, u, v, t)`: a number from one history u, v (S, N) over those periods, t (S,) from phase 0 on;
       by default the root mean square of all velocities.
-    - `jump`, `accuracy`: above; both relative. `watch`: periods for the response, more where the motion does not
-      repeat.
+    - `jump`, `accuracy`: above; both relative. `watch`: the periods over which the response is taken.
     - `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps, which are
       rounded up by an eighth at most, so that curves of near-by scenes are one program.
 

@@ -1,4 +1,4 @@
-"""Families of breathers by continuation from a linear mode or from a breather."""
+"""Breathers: one by Newton's method, families from a linear mode or from a breather, from the anticontinuous limit."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -45,7 +45,7 @@ def family(
     guess: Orbit | None = None,
     amplitude: Scalar | None = None,
     mode: Count | None = None,
-    arclength: Scalar = 0.05,
+    arclength: Scalar | None = None,
     longest_arclength: Scalar | None = None,
     points: Count = 200,
     steps: Count | None = None,
@@ -93,6 +93,7 @@ def family(
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
     modes = normal_modes(lattice) if guess is None else None
     ways = [_from(guess, until)] if guess is not None else _modes(lattice, modes, until, mode)
+    arclength = 0.05 if arclength is None else arclength
     longest_arclength = 7.5 * arclength if longest_arclength is None else longest_arclength
 
     def follow(way, count, most=points):

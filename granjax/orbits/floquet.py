@@ -1,4 +1,4 @@
-"""What a lattice's equations promise of a monodromy matrix: the symplectic form, damping, multipliers at +1."""
+"""Floquet theory: multipliers of an orbit, their errors, and what the equations promise of the monodromy matrix."""
 
 from functools import reduce
 from typing import Any, NamedTuple

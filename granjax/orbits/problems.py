@@ -79,7 +79,7 @@ class Shooting(eqx.Module):
         """Over half a period between two rests, displacements counted in `length` and velocities in length * omega."""
         moves = shifts(lattice)
         like, xp = State(lattice.zeros(), lattice.zeros()), library(length, omega)
-        length, omega = (x if xp is jnp else np.asarray(x) for x in (length, omega))
+        length, omega = (xp.asarray(x, moves.dtype) for x in (length, omega))
         unit = xp.ones(len(moves), moves.dtype)
         scale = jax.device_put(xp.concatenate([length * unit, length * omega * unit]))
         return cls(flow, like, scale, moves, reversible=True)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..checks import refuse
 from ..lattice import Lattice
 from ..laws import Law, taylor
 from ..profiles import medium_of
@@ -56,6 +57,10 @@ def closed_forms(law: Law | Lattice, speed: Parameter, *, mass: Scalar = 1.0) ->
     speeds = np.atleast_1d(np.asarray(speed, float))
     medium = medium_of(law, mass)
     K2, K3, _ = (float(x) for x in taylor(medium.law))
+    if not K2 > 0 or K3 == 0:
+        wanted = "one with K2 > 0 and with K3, which sets the width of both solitons"
+        remedy = "Without sound there is neither; waves of a symmetric force are of the modified equation."
+        refuse("law", wanted, f"K2 = {K2:g}, K3 = {K3:g}", remedy)
     constants = toda.matched(K2, K3)._asdict() | {"mass": medium.mass}
     sound = np.sqrt(K2 / np.asarray(medium.mass))
     rows = [_row(law, mass, c, K2, K3, constants) for c in speeds]
