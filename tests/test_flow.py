@@ -628,7 +628,7 @@ def test_times_that_are_far_but_told_apart_are_those_of_the_drive(t0):
     assert np.abs(np.concatenate(run.final) - want).max() < 3e-9
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_a_run_of_plain_numbers_inside_jit(closed):
     chain, state = closed
     for how in ({}, {"step": 0.1}, {"step": 0.1, "save_at": 5}, {"tolerance": 1e-9}):

@@ -50,7 +50,7 @@ from .spectrum import (
 
 
 class _Structure(NamedTuple):
-    """`mass`: (n,) of the raveled displacements, or `None` for a flow of which nothing is known.
+    """What `structure` returns. `mass`: (n,) of the raveled displacements, or `None` where nothing is known of a flow.
 
     `rate`: gamma of a uniform damping, 0 for none, `None` where the flow is not even conformally symplectic.
     `expected`: multipliers at +1. `autonomous`: nothing depends on time.
@@ -67,7 +67,7 @@ NOTHING = _Structure(None, None, 0, False)
 
 
 def structure(lattice: Lattice) -> _Structure:
-    """The `_Structure` of a lattice.
+    """Find what a lattice's equations promise of a monodromy matrix: `mass`, `rate`, `expected`, `autonomous`.
 
     Expected at +1: for an orbit of an autonomous, conservative lattice two (phase and energy), and two more for every
     free displacement (position and momentum): four for a chain with free ends or a ring, two between walls; none where
@@ -513,7 +513,7 @@ def leading(
     The multipliers are those of the flow by `steps` steps along this state. Their error is four times what
     3/4 and 1/2 as many change, by the same method from the vectors that were found, and the `tolerance`.
 
-    **Returns:** `_Leading`: multipliers (count,), the largest first, their vectors (2n, count), normalised as in
+    **Returns:** a named tuple: `multipliers` (count,), the largest first, their `vectors` (2n, count), normalised as in
     `Floquet`, and the error of each, infinite where fewer steps lead to no such multipliers.
     **Raises** ValueError in a sonic vacuum without `steps`, for a period or steps not above zero, and for a state that
     does not return, as far as these steps and half of them tell; RuntimeError where Arnoldi's method does not

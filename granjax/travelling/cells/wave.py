@@ -150,7 +150,7 @@ def _turned_on(chain, half):
             f"Newton's method did not reach a wave of the chain of equal masses (residual {solved.residual:.1e})"
         )
     step = 1.0 if np.ptp(chain.masses) < 0.5 and chain.resonator is None else 0.25
-    box, solved, part = _followed(blended, box, solved, 0.0, step, 0.05, (0.6, 1.6))
+    box, solved, part = _followed(blended, box, solved, 0.0, step, 0.02, (0.6, 1.6))
     if part < 1:
         raise Lost(
             f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
