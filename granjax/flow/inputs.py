@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, held_in_memory, one_of, real, refuse, show, traced, whole
+from ..checks import concrete, held_in_memory, one_of, real, refuse, show, whole
 from ..lattice import Lattice, State
+from ..programs import library
 from ..types import Scalar, StateLike
 from .dispatch import facts
 from .record import CLOSEST, EXTREMES
@@ -120,8 +121,7 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> t
         held_frames("save_at", frames, state)
         if frames == 1:
             return None, 1, False
-        xp = jnp if traced((t0, t1)) else np
-        return t0 + (t1 - t0) * xp.linspace(0.0, 1.0, frames), frames - 1, False
+        return t0 + (t1 - t0) * library(t0, t1).linspace(0.0, 1.0, frames), frames - 1, False
     ts = (
         save_at
         if isinstance(save_at, jax.core.Tracer)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..lattice import Lattice
+from ..programs import library
 from ..terms import Term
 from ..tuning import lanes_abreast
 from ..types import AnyArray, Number, Pytree, Scalar, StateLike
@@ -105,13 +106,8 @@ def _over_lanes(x, lanes):
     own, last = shape[: len(shape) - len(lanes)], shape[len(shape) - len(lanes) :]
     if any(n not in (1, count) for n, count in zip(last, lanes)):
         return None
-    xp = _module(x)
+    xp = library(x)
     return xp.broadcast_to(xp.reshape(x, shape), own + lanes).reshape(own + (-1,))
-
-
-def _module(x):
-    """NumPy where nothing is traced, which compiles nothing."""
-    return jnp if isinstance(x, jax.core.Tracer) else np
 
 
 def together(run: Found) -> Found:
@@ -119,7 +115,7 @@ def together(run: Found) -> Found:
 
     What a lane that stopped would have to show at a time that another one came to is NaN.
     """
-    over, xp = tuple(range(1, run.ts.ndim)), _module(run.ts)
+    over, xp = tuple(range(1, run.ts.ndim)), library(run.ts)
     reached = xp.max(xp.where(xp.isfinite(run.ts), run.ts, -xp.inf), axis=over)
     ts = xp.where(xp.isfinite(reached), reached, xp.inf)
     there = run.ts == ts.reshape((-1,) + (1,) * len(over))

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, traced
+from ..checks import concrete
 from ..lattice import Lattice, State
+from ..programs import in_numpy
 from ..results import Held, Result, array, entries, hidden, note, part
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 from .dispatch import facts
@@ -127,7 +128,7 @@ class Run(Result):
         What a lane that stopped would have to show at later times is NaN.
         """
         # by NumPy where it can be, as for JAX each comparison is a program to compile
-        return (self.code if traced(self.code) else np.asarray(self.code)) == COMPLETED
+        return in_numpy(self.code) == COMPLETED
 
     @property
     def outcome(self) -> str:
@@ -162,8 +163,7 @@ class Run(Result):
         With `confirm=True` by the finer run, found between steps; else at the ends of the steps; under a
         transformation also on the cubic through both ends of each step.
         """
-        overlap = self._margin if self.error is None else self.error.overlap
-        return (overlap if traced(overlap) else np.asarray(overlap)) < 0
+        return in_numpy(self._margin if self.error is None else self.error.overlap) < 0
 
     @property
     def opening(self) -> str:

@@ -12,14 +12,14 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Integer
 
-from ..checks import one_of, per_lane, refuse, traced, whole
+from ..checks import one_of, per_lane, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State
 from ..measures import contacts, rms_velocity
 from ..printing import told
-from ..programs import shared_size
+from ..programs import library, shared_size
 from ..results import Held, Result, array, hidden, note, part
 from ..solvers import SRKN11b
 from ..terms import Damping, Harmonic, Wall
@@ -426,7 +426,7 @@ def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
 def largest(x: Numbers) -> Numbers:
     """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
     # NumPy compiles nothing for another number of steps
-    xp = jnp if traced(x) else np
+    xp = library(x)
     x = xp.asarray(x)
     i = xp.argmax(x, 0)[None]
     a, b, c = (xp.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))

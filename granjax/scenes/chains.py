@@ -9,6 +9,7 @@ import numpy as np
 from ..checks import one_of, parameter, positive, refuse, traced, whole, within
 from ..lattice import Lattice
 from ..laws import Hertz, Law, Polynomial, PowerLaw, Toda
+from ..programs import library
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, Damping, OnSite
 from ..types import Count, Parameter, Scalar
@@ -170,7 +171,7 @@ def pattern(
         refuse("masses", "the masses of a cell", "none")
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
-    repeated = (jnp if traced(cell) else np).tile(cell, -(-sites // len(cell)))
+    repeated = library(cell).tile(cell, -(-sites // len(cell)))
     mass = jax.device_put(repeated[:sites])
     return monomer(sites, mass, boundary=boundary, **contacts)
 
