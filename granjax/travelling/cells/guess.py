@@ -1,73 +1,48 @@
-"""Where Newton's method for a wave of a cell begins: a pulse of the chain's own nonlinearity, or a simulated one."""
+"""Where Newton's method for a wave of a cell begins: the wave of a uniform chain, or a simulated pulse."""
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from ...flow import simulate
 from ...lattice import Lattice
-from ...profiles.fourier import Box, Chain
+from ...profiles import Medium, TentShape, wave_of
+from ...profiles.existence import bounds, reached
+from ...profiles.fourier import Chain
 from ...strains import Shift
 from ...terms import Bond
-from .tail import decay, stiffness
+from .tail import stiffness
 
-# compressions that are tried for the peak, over any unit of length
-LENGTHS = np.logspace(-40, 40, 8001)
 # the simulated pulse: cells of the chain, those between which its speed is measured, frames per shortest period
 CELLS, FIRST, LAST, FRAMES = 32, 14, 20, 40
 
 
-class Peak(NamedTuple):
-    """The peak of a pulse: strains of the bonds (P,), and s in F/e - K ~ |e|^s there."""
+def uniform(chain: Chain) -> TentShape:
+    """The wave of a chain of equal bonds like the cell's first one, as much faster than sound as that of the cell.
 
-    strain: np.ndarray
-    power: float
-
-
-def peak(chain: Chain) -> Peak | None:
-    """Peak strains of a pulse of speed 1, of the sign whose is lower; `None` where the law has none of that speed.
-
-    All bonds of the cell carry one force f, the mean strain is e: (f/e - K) = (1 + s/2) (1 - K), which is right for a
-    weak pulse of quadratic (s = 1) and cubic (s = 2) laws, and within a few percent for Hertz without precompression.
+    Where there are waves of both signs it has the smaller strains. **Raises** ValueError where there is none.
     """
-    found = [top for sign in (1.0, -1.0) if (top := _peak(chain, sign)) is not None]
-    return min(found, key=lambda top: np.abs(top.strain).mean(), default=None)
+    law, mass = chain.laws[0], chain.total * chain.unit
+    if chain.stiffness.any():
+        mass *= chain.K2[0] / stiffness(chain)
+    sides = [bounds(law, side) for side in (1, -1)]
+    peaks = [reached(law, side, mass) if side.exist else None for side in sides]
+    tension = peaks[1] is not None and (peaks[0] is None or -peaks[1] < peaks[0])
+    side = "tension" if tension else "compression"
+    return wave_of(Medium(law, mass, {}), 1.0, side=side).shape
 
 
-def _peak(chain, sign):
-    # all masses go with a slow pulse
-    P, K = len(chain.masses), stiffness(chain) / chain.total
-    with np.errstate(all="ignore"):
-        forces = sign * chain.bonds(sign * np.tile(LENGTHS, (P, 1)))[0] / chain.total
-        usable = np.all(np.isfinite(forces) & (forces > 0), axis=0)
-        usable[1:] &= np.all(np.diff(forces, axis=1) > 0, axis=0)
-    first = int(np.argmax(usable))
-    last = first + int(np.argmin(np.append(usable[first:], False)))
-    if last - first < 9:
-        return None
-    e, log_f = LENGTHS[first:last], np.log(forces[:, first:last])
-    f = np.linspace(log_f[:, 0].max(), log_f[:, -1].min(), 8001)
-    each = np.stack([np.exp(np.interp(f, row, np.log(e))) for row in log_f])
-    mean = each.mean(0)
-    gain = np.exp(f) / mean - K
-    with np.errstate(all="ignore"):
-        power = np.clip(np.gradient(np.log(gain), np.log(mean)), 0.05, 6)
-        past = gain > (1 + power / 2) * (1 - K)
-    at = np.argmax(past)
-    return Peak(sign * each[:, at], float(power[at])) if at else None
+def on_bonds(chain: Chain, shape: TentShape, x: np.ndarray) -> np.ndarray:
+    """Strains (P, X) of the bonds that carry the forces of the uniform chain, to first order."""
+    share = chain.K2[0] / chain.K2 if chain.stiffness.any() else np.ones(len(chain.masses))
+    return share[:, None] * np.asarray(shape.at("strain", x))
 
 
-def pulse(chain: Chain, box: Box, top: Peak) -> np.ndarray:
-    """Strains (P, N) of the form sech^(2/s)(s q x/2) with the decay rate q of the linear tail."""
-    argument = np.minimum(top.power * decay(chain) * np.abs(box.x) / 2, 300.0)
-    with np.errstate(over="ignore"):
-        return top.strain[:, None] / np.cosh(argument) ** (2 / top.power)
-
-
-def struck(chain: Chain, top: Peak) -> tuple[float, float, Callable] | None:
+def struck(chain: Chain, peak: float) -> tuple[float, float, Callable] | None:
     """The pulse that a blow to the heaviest bead of a cell sends down a chain with free ends; `None` without one.
+
+    `peak`: the strain of a wave of speed 1, about.
 
     Its speed, half its width, and its strains (P, N) as a function of a box, zero beyond its core.
     """
@@ -77,8 +52,8 @@ def struck(chain: Chain, top: Peak) -> tuple[float, float, Callable] | None:
     bond = Bond(Shift(1, "free"), law)
     lattice = Lattice(chain.unit * np.tile(chain.masses, CELLS), bond, sites=sites)
     u, v = np.zeros((2, sites))
-    v[np.argmax(chain.masses)] = 1.6 * top.strain.mean()
-    stiffest = np.abs(chain.bonds(2 * np.tile(top.strain[:, None], 2))[1]).max()
+    v[np.argmax(chain.masses)] = 1.6 * peak
+    stiffest = np.abs(chain.bonds(np.full((P, 2), 2 * peak))[1]).max()
     frames = int(1.5 * sites * FRAMES * np.sqrt(stiffest / chain.masses.min()) / np.pi)
     run = simulate(lattice, (u, v), 1.5 * sites, save_at=frames)
     t, history = np.asarray(run.ts), np.maximum(-np.diff(run.us, axis=1), 0.0)
