@@ -15,10 +15,10 @@ import scipy.sparse as sparse
 # where the wave comes from
 STENCIL, PIECE = 12, 12
 PIECES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
-# ln of the strain over its peak where a far tail begins
-TAIL = -12.0
-# and the least that numbers hold
+# ln of the least strain over its peak that numbers hold
 LEAST = -690.0
+# most iterations for a first shape, and the change at which it is steady
+ITERATIONS, STEADY = 400, 1e-5
 STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
 _BARY = np.array(
     [1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)]
@@ -85,6 +85,11 @@ class Places(NamedTuple):
         )
         return matrix, -self.decay * np.maximum(y - self.end, 0.0)
 
+    def interpolated(self, q: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """q at places y >= 0."""
+        matrix, shift = self.interpolation(y)
+        return matrix @ q + shift
+
     def coefficients(self, q: Any) -> Any:
         """Those of Chebyshev's polynomials on every cell (I - 1, STENCIL)."""
         columns = self._stencils(np.arange(self.count - 1))
@@ -146,14 +151,21 @@ class Found(NamedTuple):
     jacobian: np.ndarray
 
 
-def swept(tent: Tent, force: Callable, q: np.ndarray, level: float) -> np.ndarray:
-    """q with its far tail, of which each contact follows from the one before, by as many iterations as are needed."""
-    far = q < q[0] + TAIL
-    for _ in range(int(np.ceil(tent.places.end)) + 2):
+def iterated(tent: Tent, force: Callable, q: np.ndarray, sweeps: int) -> tuple[np.ndarray, float]:
+    """q with the peak 0 and ln of the level, of psi <- tent * f(psi) over its peak, until the shape settles.
+
+    It takes `sweeps` iterations at least. The level is infinite where the shape is lost.
+    """
+    for n in range(ITERATIONS):
         with np.errstate(all="ignore"):
-            new = np.log(tent.integral(force(tent.strain(q))[0])) - level
-        q = np.where(far, np.maximum(np.minimum(new, q), q[0] + LEAST), q)
-    return q
+            new = np.log(tent.integral(force(tent.strain(q))[0]))
+        level, before = new[0], q
+        if not np.isfinite(level):
+            return q, np.inf
+        q = np.maximum(new - level, LEAST)
+        if n >= sweeps and np.abs(np.exp(q) - np.exp(before)).max() < STEADY:
+            break
+    return q, level
 
 
 def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.ndarray:
@@ -164,10 +176,9 @@ def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.n
     places, ends = tent.places, np.asarray(pieces)
     middle = places.nodes[:-1] + places.apart / 2
     finer = Tent.of(places, np.sort(np.append(ends, (ends[1:] + ends[:-1]) / 2)), middle)
-    matrix, shift = places.interpolation(middle)
     with np.errstate(all="ignore"):
         integral = finer.integral(force(finer.strain(found.q))[0])
-        left = np.abs(np.log(integral) - found.level - (matrix @ found.q + shift))
+        left = np.abs(np.log(integral) - found.level - places.interpolated(found.q, middle))
     return np.maximum(np.append(left, 0.0), np.append(0.0, left))
 
 
