@@ -56,7 +56,7 @@ class _Problem(NamedTuple):
     unit: float
     level: float
     linear: float
-    held: str | None
+    given: str
     target: float
 
     def force(self, e):
@@ -69,27 +69,22 @@ class _Problem(NamedTuple):
         f, slope = self.force(np.array([e]))
         return float(e * slope[0] / f[0])
 
-    def condition(self, tent: Tent) -> Callable | None:
-        """What is zero besides the equations where the level is unknown."""
-        if self.held is None:
-            return None
-        if self.held == "amplitude":
-            top = tent.top.toarray()[0]
-            return lambda q, level: (top @ q, top, 0.0)
-        return self._energy(tent.places)
+    def held(self, places: Places) -> Callable:
+        """What is zero besides the equations, of q and ln of the level, and its derivatives in both."""
+        first = np.eye(1, places.count)[0]
 
-    def _energy(self, places):
         def energy(q, level):
             e = self.unit * np.exp(q)
             F, slope, W = values(self.medium.law, e)
             whole = 2 * places.weights @ (e * F / 2 + W)
-            return (
-                np.log(whole / self.target),
-                2 * places.weights * (3 * e * F + e * e * slope) / 2 / whole,
-                0.0,
-            )
+            grows = 2 * places.weights * (3 * e * F + e * e * slope) / 2
+            return np.log(whole / self.target), grows / whole, 0.0
 
-        return energy
+        return {
+            "speed": lambda q, level: (level, 0 * first, 1.0),
+            "amplitude": lambda q, level: (q[0], first, 0.0),
+            "energy": energy,
+        }[self.given]
 
 
 def decay_rate(ratio: float) -> float:
@@ -170,7 +165,7 @@ def _problem(medium, found: Bounds, c, a, E):
         unit = reached(medium.law, found, level)
         if unit is None:
             _refuse_fast(medium, found, mass, c)
-        return _Problem(medium, unit, level, found.linear / level, None, 0.0)
+        return _Problem(medium, unit, level, found.linear / level, "speed", c)
     if a is not None:
         level = float(twice_energy(medium.law, np.array([a]))[0])
         if not np.isfinite(level) or not level > found.linear:
@@ -180,7 +175,7 @@ def _problem(medium, found: Bounds, c, a, E):
                 f"{a:g}",
                 "There it has ended, or is softer than at rest.",
             )
-        return _Problem(medium, a, level, found.linear / level, "amplitude", 0.0)
+        return _Problem(medium, a, level, found.linear / level, "amplitude", a)
     if not E > 0:
         refuse("energy", "a number above zero", f"{E:g}", "That is the chain at rest.")
     return _by_energy(medium, found, E)
@@ -266,7 +261,7 @@ def _first(problem):
             "Try another speed or amplitude.",
         )
     x, within = places.nodes, places.interpolated
-    level = level if problem.held else 0.0
+    level = 0.0 if problem.given == "speed" else level
     if not problem.linear > 0:
         return lambda y: within(q, y), level, 0.0, float(x[int(np.argmax(q < DEEPEST)) or -1])
     rate = decay_rate(max(np.exp(level) / problem.linear, 1 + 1e-9))
@@ -285,7 +280,9 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
         if problem.linear > 0:
             pieces = _pieces(max(rate, problem.exponent(1.0)), count // PLACES[0])
         tent = Tent.of(Places(count, end / (count - 1), rate), pieces)
-        found = solve(tent, problem.force, first(tent.places.nodes), level, problem.condition(tent))
+        found = solve(
+            tent, problem.force, first(tent.places.nodes), level, problem.held(tent.places)
+        )
         if not found.residual < CONVERGED:
             if count == PLACES[-1]:
                 refuse(
@@ -296,7 +293,7 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
                 )
             continue
         places, level = tent.places, found.level
-        if problem.held and problem.linear > 0:
+        if problem.linear > 0:
             rate = decay_rate(np.exp(level) / problem.linear)
 
         def first(y, places=places, q=found.q):
@@ -320,11 +317,10 @@ def _assembled(medium, problem, tent, found, error, numbers):
     q, level, unit = map(_put, (found.q, found.level, problem.unit))
     if traced((law, mass, numbers)):
         q, level = _implicit(medium, problem, tent, found, numbers)
-    square = jnp.exp(level) * problem.level / mass
-    sign = (
-        -1.0 if problem.held is None and float(jax.lax.stop_gradient(numbers["speed"])) < 0 else 1.0
-    )
-    speed = sign * jnp.sqrt(square) if problem.held else jnp.asarray(numbers["speed"], float)
+    if problem.given == "speed":
+        speed = jnp.asarray(numbers["speed"], float)
+    else:
+        speed = jnp.sqrt(jnp.exp(level) * problem.level / mass)
     places = tent.places
     rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
     steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
@@ -365,29 +361,29 @@ def _tails(law, level, rate, exponent, unit):
 def _whole(law, mass, speed, unit, q, apart, steep):
     """The shape, its energy and its compression, by one program for each number of places."""
     places = Places(len(q), apart, 0.0)
-    shape = TentShape.of(law, mass, speed, unit, places.coefficients(q), apart, steep)
+    shape = TentShape(law, mass, speed, places.coefficients(q).T, apart, unit, steep).with_tail()
     e, weights = unit * jnp.exp(q), jnp.full(len(q), apart).at[0].divide(2)
     F, _, W = fine(law, e)
     return shape, 2 * weights @ (e * F / 2 + W), 2 * weights @ e
 
 
 def _implicit(medium, problem, tent, found, numbers):
-    """q and the level, whose derivatives are those of the equations at fixed q over -Jacobian."""
-    strain = problem.unit * tent.strain(found.q)
-    f = fine_force(medium.law, jnp.asarray(strain))
-    level = jnp.asarray(found.level) + np.log(problem.level)
-    if problem.held is None:
-        level = jnp.log(medium.mass * jnp.asarray(numbers["speed"], float) ** 2)
+    """q and the level, whose derivatives are those of the equations at fixed q and level over -Jacobian."""
+    f = fine_force(medium.law, jnp.asarray(problem.unit * tent.strain(found.q)))
     integral = (jnp.asarray(tent.weights) * f).sum(1) / problem.unit
-    gap = jnp.log(integral) - level - found.q
-    if problem.held == "amplitude":
-        gap = jnp.append(gap, jnp.log(problem.unit / jnp.asarray(numbers["amplitude"], float)))
-    elif problem.held == "energy":
-        e = problem.unit * jnp.exp(jnp.asarray(found.q))
+    # in q and the level that were found, which stand still
+    e, given = (
+        problem.unit * jnp.exp(jnp.asarray(found.q)),
+        jnp.asarray(numbers[problem.given], float),
+    )
+    if problem.given == "speed":
+        more = -jnp.log(medium.mass * given**2)
+    elif problem.given == "amplitude":
+        more = -jnp.log(given)
+    else:
         F, _, W = fine(medium.law, e)
-        whole = 2 * jnp.asarray(tent.places.weights) @ (e * F / 2 + W)
-        gap = jnp.append(gap, jnp.log(whole / jnp.asarray(numbers["energy"], float)))
+        more = jnp.log(jnp.asarray(tent.places.weights) @ (e * F / 2 + W) / given)
+    gap = jnp.append(jnp.log(integral), more)
     # what is left of the equations stays as it was found
     change = jnp.asarray(np.linalg.inv(found.jacobian)) @ (gap - jax.lax.stop_gradient(gap))
-    moved = jnp.asarray(found.q) - change[: len(found.q)]
-    return moved, jnp.asarray(found.level) - change[len(found.q) :].sum()
+    return jnp.asarray(found.q) - change[:-1], jnp.asarray(found.level) - change[-1]

@@ -89,9 +89,9 @@ class Collision(Result):
         if len(parted) > 1:
             said.append(f"At {parted.sum()} of {len(parted)} phases they have parted.")
         if parted.any():
-            ranges = (f"{x.min():.6g} to {x.max():.6g}" for x in shifts[:, parted])
+            ranges = (f"{x.min():.6g} ... {x.max():.6g}" for x in shifts[:, parted])
             error = errors[:, parted].max()
-            said.append(f"Shifts from {' and from '.join(ranges)}, to {error:.1e} contacts.")
+            said.append(f"They are shifted by {' and by '.join(ranges)} contacts, to {error:.1e}.")
         if not parted.all():
             said.append(f"No shift: {next(filter(None, self._lost))}.")
         return " ".join(said)

@@ -1,6 +1,7 @@
 """Where Newton's method for a wave of a cell begins: the wave of a uniform chain, or a simulated pulse."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -12,31 +13,44 @@ from ...profiles.existence import bounds, reached
 from ...profiles.fourier import Chain
 from ...strains import Shift
 from ...terms import Bond
-from .tail import stiffness
 
 # the simulated pulse: cells of the chain, those between which its speed is measured, frames per shortest period
 CELLS, FIRST, LAST, FRAMES = 32, 14, 20, 40
 
 
-def uniform(chain: Chain) -> TentShape:
-    """The wave of a chain of equal bonds like the cell's first one, as much faster than sound as that of the cell.
+class Uniform(NamedTuple):
+    """The wave of a uniform chain, and the strain of each bond (P,) over its own."""
+
+    shape: TentShape
+    share: np.ndarray
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """Strains (P, X) of the bonds."""
+        return self.share[:, None] * np.asarray(self.shape.at("strain", x))
+
+
+def uniform(chain: Chain) -> Uniform:
+    """The wave of equal bonds in which all masses go along, and which give way as the cell's bonds do in the mean.
 
     Where there are waves of both signs it has the smaller strains. **Raises** ValueError where there is none.
     """
-    law, mass = chain.laws[0], chain.total * chain.unit
+    law, mass, share = chain.laws[0], chain.total * chain.unit, np.ones(len(chain.masses))
     if chain.stiffness.any():
-        mass *= chain.K2[0] / stiffness(chain)
+        # all bonds carry one force
+        share = chain.K2[0] / chain.K2
+        mass *= share.mean()
     sides = [bounds(law, side) for side in (1, -1)]
     peaks = [reached(law, side, mass) if side.exist else None for side in sides]
-    tension = peaks[1] is not None and (peaks[0] is None or -peaks[1] < peaks[0])
-    side = "tension" if tension else "compression"
-    return wave_of(Medium(law, mass, {}), 1.0, side=side).shape
-
-
-def on_bonds(chain: Chain, shape: TentShape, x: np.ndarray) -> np.ndarray:
-    """Strains (P, X) of the bonds that carry the forces of the uniform chain, to first order."""
-    share = chain.K2[0] / chain.K2 if chain.stiffness.any() else np.ones(len(chain.masses))
-    return share[:, None] * np.asarray(shape.at("strain", x))
+    peaks = sorted([x for x in peaks if x is not None], key=abs)
+    if peaks and not chain.stiffness.any():
+        # as powers of the strain
+        F, slope, _ = chain.bonds(np.full((len(share), 1), peaks[0]))[..., 0]
+        power = peaks[0] * slope / F
+        share = (F[0] / F) ** (1 / power)
+        mass *= share.mean() ** power[0]
+    side = "tension" if peaks and peaks[0] < 0 else "compression"
+    shape = wave_of(Medium(law, mass, {}), 1.0, side=side).shape
+    return Uniform(shape, share / share.mean())
 
 
 def struck(chain: Chain, peak: float) -> tuple[float, float, Callable] | None:

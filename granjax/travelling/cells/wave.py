@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...profiles.fourier import MOST, Box, Chain, Solved, fourier, newton, newton_with
-from .guess import on_bonds, struck, uniform
+from .guess import struck, uniform
 from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
 
 POINTS = 5
@@ -130,7 +130,7 @@ def _started(chain, half):
 
 def _turned_on(chain, half):
     """A wave on some box, from a pulse of the chain of equal masses, on which the cell's own are turned on."""
-    shape = _begun(chain)
+    begun = _begun(chain)
 
     def blended(part):
         masses = (1 - part) * chain.total + part * chain.masses
@@ -142,7 +142,7 @@ def _turned_on(chain, half):
         return chain._replace(masses=masses, resonator=(part * nu, kappa))
 
     box = _box(blended(0.0), half, POINTS)
-    start = on_bonds(chain, shape, box.x)
+    start = begun.at(box.x)
     solved = newton(box, start)
     height = np.abs(solved.phi).max()
     # a chain that is compressed alike everywhere is a solution as well
@@ -268,7 +268,7 @@ def _with_ripple(chain):
 
 
 def _simulated(chain):
-    found = struck(chain, float(_begun(chain).at("strain", 0.0)))
+    found = struck(chain, float(_begun(chain).at(np.zeros(1)).mean()))
     if found is None:
         raise Lost("a blow made no pulse that could be followed")
     speed, width, on = found
@@ -284,7 +284,7 @@ def of_one_site(chain: Chain) -> Found:
 
     **Raises** `Lost`.
     """
-    shape = _begun(chain)
+    shape = _begun(chain).shape
     on = lambda x: np.asarray(shape.at("strain", x))
     x = np.linspace(0, float(shape.end), WIDTHS)
     core = float(x[np.argmax(np.abs(on(x)) < 1e-2 * np.abs(on(0.0)))]) + 5.0
