@@ -261,7 +261,6 @@ def planar_ode(
 
 def _trains(xi, strain):
     """Pairs of places and strains."""
-
     pairs = [(xi, strain)] if np.ndim(xi[0]) == 0 else list(zip(xi, strain, strict=True))
     found = []
     for x, y in pairs:
