@@ -1,19 +1,70 @@
-"""What `simulate` is given, checked before tracing."""
+"""What `simulate` is given, checked before tracing; and what every call asks of a lattice."""
 
 import math
-from typing import Any
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, held_in_memory, one_of, real, refuse, show, whole
+from ..checks import concrete, held_in_memory, one_of, real, refuse, show, traced, whole
 from ..lattice import Lattice, State
-from ..programs import library
+from ..programs import library, once
+from ..terms.base import memory_of
+from ..terms.tracing import reads
 from ..types import Scalar, StateLike
-from .dispatch import facts
 from .record import CLOSEST, EXTREMES
 
+
+class Facts(NamedTuple):
+    """What every call asks of a lattice, and what only its terms and shapes decide.
+
+    `template`: arrays of the shape of its displacements, of type `dtype`; `space`: the axes of its sites and the
+    components of a vector; `numbers`: how many displacements there are; `lanes`: of a batch. `traced`: whether a
+    parameter is. `reads_velocity`: whether some force does; `splits`: whether none does but linear damping;
+    `remembers`: whether some force reads the past; `has_breaks`: whether some force jumps in time. `known`: a dict for
+    what others work out when they first ask for it.
+    """
+
+    template: object
+    dtype: object
+    space: tuple[int, int]
+    numbers: int
+    lanes: tuple[int, ...]
+    traced: bool
+    reads_velocity: bool
+    splits: bool
+    remembers: bool
+    has_breaks: bool
+    known: dict
+
+
+@once
+def facts(lattice: Lattice) -> Facts:
+    """The `Facts` of a lattice, kept while it lives: its parameters never change."""
+    velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
+    template = lattice.template()
+    return Facts(
+        template=template,
+        dtype=lattice.dtype,
+        space=lattice.space,
+        numbers=sum(math.prod(x.shape) for x in jax.tree.leaves(template)),
+        lanes=lattice.lanes,
+        traced=traced(lattice),
+        reads_velocity=bool(velocity),
+        splits=all(term.exact_damping() is not None for term in velocity),
+        remembers=any(memory_of(term) for term in lattice.terms),
+        has_breaks=bool(lattice.breaks),
+        known={},
+    )
+
+
+# rounding units of t0 that a step has at least, as what they cost can be avoided
+UNITS_AT_START = 256
+# and of the later of t0 and t1, as a long run loses much in other ways: steps that change the time at all
+UNITS_AT_END = 4
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 
 
@@ -167,3 +218,33 @@ def checked_records(record: Any) -> dict:
             taken = f"Taken: {', '.join(RESERVED)}, and error_NAME."
             refuse("record", "names other than those of a run's own results", repr(name), taken)
     return dict(record)
+
+
+@cache
+def rounding_unit(dtype: Any) -> float:
+    """The spacing of the numbers of a floating type at 1, kept, as JAX takes long to say it."""
+    return float(jnp.finfo(dtype).eps)
+
+
+def least_tolerance(dtype: Any) -> float:
+    """The smallest tolerance that a floating type can hold."""
+    return 16 * rounding_unit(dtype)
+
+
+def least_step(t0: Scalar, t1: Scalar, dtype: Any, larger: Callable = max) -> Scalar:
+    """The shortest step whose ends the floating type tells apart well enough; `larger` takes two numbers."""
+    start = UNITS_AT_START * abs(t0)
+    return rounding_unit(dtype) * larger(start, UNITS_AT_END * larger(abs(t0), abs(t1)))
+
+
+def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
+    """Refuse times, known ones, that the floating type does not tell apart as well as steps need it."""
+    if step < least_step(t0, t1, dtype):
+        gap = rounding_unit(dtype) * max(abs(t0), abs(t1))
+        finer = "" if dtype == np.dtype(float) else " Or compute in float64."
+        refuse(
+            "t0, t1, step",
+            f"a step that is long against the gaps between numbers of {dtype} at these times",
+            f"a step of {step:.3g} from t0 = {t0:g} to t1 = {t1:g}, where numbers lie {gap:.2g} apart",
+            f"Count time from t0=0 (of what drives the lattice too), or take a longer step.{finer}",
+        )

@@ -16,12 +16,11 @@ from ..terms import Dashpot, ViscousContact, energies
 from ..terms.base import within
 from ..terms.tracing import reads, time_of
 from ..types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
-from .breaks import Landing, one_sided
-from .control import Scales, StepControl, largest, least_step
+from .control import Landing, Scales, StepControl, largest, one_sided
+from .inputs import least_step
 from .lanes import by_groups, each_lane
-from .plan import CUBICS, DENSE, ENDS, Plan
-from .record import CLOSEST, EXTREMES, AtEnds, Lowest, Recorded, leaf_by_leaf
-from .record.dips import Dips
+from .method import CUBICS, DENSE, ENDS, Plan
+from .record import CLOSEST, EXTREMES, AtEnds, Dips, Lowest, Recorded, leaf_by_leaf
 from .run import (
     COMPLETED,
     FAILED,

@@ -1,4 +1,4 @@
-"""Which solver and which step: the choice, and what is refused."""
+"""Which solver and which step: the choice, what is refused, and the plan that follows."""
 
 import math
 from typing import Any, NamedTuple
@@ -14,12 +14,43 @@ from ..programs import concretely, once
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
 from ..terms.waveforms import count_breaks
-from ..types import Number, Scalar, StateLike
-from .control import least_tolerance, refuse_unresolved, rounding_unit
-from .dispatch import facts
-from .inputs import checked_size
+from ..types import Number, Scalar, StateLike, Times
+from .inputs import checked_size, facts, least_tolerance, refuse_unresolved, rounding_unit
+from .record import Record
 from .run import Found
 from .stiffness import chosen, frequency_bound, gathered_frequency, linear_frequency, softens
+
+# where it is looked for the smallest overlap of a contact: at the ends of steps, also on the cubic through both ends of
+# each step, or on the dense output
+ENDS, CUBICS, DENSE = "ends", "cubics", "dense output"
+
+
+class Plan(NamedTuple):
+    """How a run is integrated. As a pytree its arrays are those of `step`, `tolerance`, `save_ts` and `records`.
+
+    `step` [s]: the fixed step; with a `tolerance` the longest, or `None`. `save_ts`: times to save at, `None` for the
+    end alone; `every`: save the end of each step. `max_steps`: `None` for a loop that may go on, which has no reverse
+    mode. `watch`: follow every compression, for the highest frequency that the run reaches. `openings`: where it is
+    looked for contacts that open.
+    """
+
+    solver: diffrax.AbstractSolver
+    step: Number | None
+    tolerance: Number | None
+    save_ts: Times | None
+    records: dict[str, Record]
+    adjoint: diffrax.AbstractAdjoint
+    max_steps: int | None = None
+    every: bool = False
+    progress: bool = False
+    watch: bool = False
+    openings: str = ENDS
+
+    @property
+    def has_pieces(self) -> bool:
+        """Whether a run may have pieces: it is not saved at each step, and its adjoint keeps nothing of it."""
+        return isinstance(self.adjoint, diffrax.ForwardMode) and not self.every
+
 
 # h omega of the default step
 STEP_FRACTION = 0.5

@@ -14,7 +14,7 @@ from ..lattice import Lattice, State
 from ..programs import in_numpy
 from ..results import Held, Result, array, entries, hidden, note, part
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
-from .dispatch import facts
+from .inputs import facts
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNRESOLVED = range(8)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
