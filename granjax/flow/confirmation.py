@@ -9,10 +9,9 @@ from ..lattice import Lattice, State, vector_field
 from ..programs import compiled
 from ..types import Flags, Number, StateLike
 from .batching import batched
-from .inputs import least_tolerance
 from .integrate import overlaps
 from .march import march
-from .method import DENSE, Plan
+from .method import DENSE, Plan, least_tolerance
 from .run import Errors, Found
 
 # a run is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second one where

@@ -23,12 +23,21 @@ from ..terms.base import memory_of
 from ..terms.tracing import reads
 from ..types import Number, Numbers, Scalar, StateLike, Times
 from .control import StepControl, largest, one_sided
-from .inputs import checked_size, facts, held_frames, least_tolerance, refuse_unresolved
 from .integrate import least_overlap, solved
-from .method import Plan, checked_tolerance, number, refuse_far
+from .method import (
+    Plan,
+    checked_size,
+    checked_tolerance,
+    facts,
+    frequency_bound,
+    held_frames,
+    least_tolerance,
+    number,
+    refuse_far,
+    refuse_unresolved,
+)
 from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
-from .stiffness import frequency_bound
 
 # of steps that carry internal variables, whose first one has this part of the run with a tolerance of 1
 TOLERANCE, FIRST = 1e-11, 0.01

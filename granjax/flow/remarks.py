@@ -19,8 +19,7 @@ from ..terms.chain import span
 from ..terms.energies import energy_gap
 from ..terms.tracing import reads
 from ..types import Displacements, Number, Scalar, StateLike, Times
-from .inputs import facts
-from .method import reachable
+from .method import facts, reachable
 from .run import Found
 
 # tolerance from which on a run is remarked upon, and relative energy error

@@ -13,14 +13,6 @@ from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .batching import TRACED_STEPS, batched, without_the_lost
 from .confirmation import confirmed
-from .inputs import (
-    checked_records,
-    checked_save_at,
-    checked_state,
-    checked_times,
-    facts,
-    held_frames,
-)
 from .integrate import integrate, unseen
 from .lanes import apart
 from .march import march, refuse_endless
@@ -32,7 +24,13 @@ from .method import (
     Plan,
     Steps,
     checked_method,
+    checked_records,
+    checked_save_at,
+    checked_state,
+    checked_times,
+    facts,
     fixed_step,
+    held_frames,
     linear_bound,
     number,
     passed,
