@@ -20,5 +20,5 @@ from .histories import along, rms_velocity
 from .localisation import energy_centre, participation, participation_number, second_moment
 from .modal import modal_amplitudes, modal_energy
 from .networks import ForceNetwork, force_network, slip_ratio
-from .rings import FrontDecay, RadialProfile, energy_radius, front_decay, radial_profile
+from .rings import FrontDecay, energy_radius, front_decay
 from .spectra import Spectrogram, Spectrum, spectrogram, spectrum
