@@ -8,8 +8,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..flow import Integral
-from ..flow.method import GATHERED, STEP_FRACTION
-from ..flow.stiffness import frequency_bound
+from ..flow.method import GATHERED, STEP_FRACTION, frequency_bound
 from ..lattice import Lattice, State
 from ..results import Result, array
 from ..terms.chain import next_neighbours
