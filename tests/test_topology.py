@@ -22,7 +22,7 @@ def test_the_chain_of_su_schrieffer_and_heeger():
         )
         assert topology.winding(chain) == turns
     with refused("touch"):
-        topology.winding(scenes.ssh(8, 1.0, 1.0, boundary="periodic"), cell=None)
+        topology.winding(scenes.ssh(8, 1.0, 1.0, boundary="periodic"))
 
 
 def haldane(k, mass=0.2, second=0.1):
@@ -586,86 +586,3 @@ def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
     # sites of a free edge are held by less
     loose, share, _ = near(0.2, 1.0, boundary="free")
     assert share[corners].max() < 0.85 or len(loose) != 3
-
-
-def linked(found, masses):
-    """<q_j|q_{j+1}> of the vectors of a path, (K - 1, bands)."""
-    vectors = found.vectors if isinstance(found.vectors, dict) else {"": found.vectors}
-    flat = [
-        np.asarray(x).reshape(len(x), -1, x.shape[-1]) * np.sqrt(masses[name])
-        for name, x in vectors.items()
-    ]
-    q = np.concatenate(flat, 1)
-    return (q[:-1].conj() * q[1:]).sum(1), q
-
-
-def test_the_vectors_of_a_path_follow_their_bands():
-    crystal = scenes.honeycomb(
-        6, mass={"a": 1.0, "b": 1.4}, out_of_plane=True, boundary="periodic", ground=0.3
-    )
-    found = gx.linear.path(crystal, "GKMG", count=60)
-    overlap, q = linked(found, {"a": 1.0, "b": 1.4})
-    assert np.abs(overlap.imag).max() < 1e-14 and overlap.real.min() > 0.9
-    assert np.abs(np.linalg.norm(q, axis=1) - 1).max() < 1e-12
-    # they are those of the bands
-    for k, squared, x in zip(found.k[::7], found.omega_squared[::7], q[::7]):
-        D = np.asarray(gx.linear.unit_cell(crystal).dynamical_matrix(jnp.asarray(k)))
-        assert np.abs(D @ x - x * np.asarray(squared)).max() < 1e-12
-    # two polarisations that are together at G and K and cross between: each continues one of those before
-    _, q = linked(
-        gx.linear.path(scenes.triangular(6, 6, boundary="periodic"), "GKMG", count=60), {"": 1.0}
-    )
-    links = np.einsum("kpm,kpn->kmn", q[:-1].conj(), q[1:])
-    best = np.take_along_axis(links, np.abs(links).argmax(1)[:, None], 1)
-    assert np.abs(best.imag).max() < 1e-14 and best.real.min() > 0.7
-
-
-@pytest.mark.study
-def test_the_vectors_of_a_path_in_float32_and_their_derivative():
-    make = lambda m: gx.linear.path(
-        scenes.honeycomb(
-            6, mass={"a": 1.0, "b": m}, out_of_plane=True, boundary="periodic", ground=0.3
-        ),
-        "KM",
-        3,
-    )
-    small = gx.linear.path(
-        scenes.triangular(6, 6, boundary="periodic").astype(np.float32), "GK", count=8
-    )
-    assert small.vectors.dtype == np.complex64
-    slope = jax.jvp(lambda m: make(m).vectors["a"], (1.4,), (1.0,))[1]
-    step = (make(1.4 + 1e-5).vectors["a"] - make(1.4 - 1e-5).vectors["a"]) / 2e-5
-    assert np.abs(slope - step).max() < 1e-7
-
-
-@pytest.mark.slow
-def test_a_smooth_gauge_is_closed_up_to_the_zak_phase():
-    k = 2 * np.pi * np.arange(64) / 64
-    shifted = lambda k: jnp.array(
-        [[0.3, 0.4 + jnp.exp(1j * k[0])], [0.4 + jnp.exp(-1j * k[0]), -0.3]]
-    )
-    own = np.linalg.eigh(np.stack([np.asarray(shifted(jnp.array([x]))) for x in k]))[1]
-    dimer = scenes.dimer(12, 0.4, precompression=1.0, boundary="periodic")
-    ssh = scenes.ssh(8, 1.0, 2.0, boundary="periodic")
-    for lattice, vectors, mass in (
-        (shifted, own, 1.0),
-        (dimer, gx.linear.dispersion(dimer, k).vectors, [1.0, 0.4]),
-        (ssh, gx.linear.dispersion(ssh, k).vectors, {"a": 1.0, "b": 1.0}),
-    ):
-        found = gx.linear.smooth_gauge(vectors, mass)
-        apart = np.angle(np.exp(1j * (found.phase - topology.zak(lattice).phase)))
-        assert np.abs(apart).max() < 1e-10 and found.overlap.min() > 0.99
-        for q, phase in ((found.vectors, 0 * found.phase), (found.periodic, found.phase / 64)):
-            if isinstance(q, dict):
-                q = np.concatenate([np.sqrt(mass[name]) * x for name, x in q.items()], 1)
-            else:
-                q = np.asarray(q) * np.sqrt(np.broadcast_to(mass, 2))[:, None]
-            links = (q.conj() * np.roll(q, -1, 0)).sum(1)
-            assert np.abs(np.angle(links[:-1]) + phase).max() < 1e-12
-        assert np.abs(np.angle(links * np.exp(1j * phase))).max() < 1e-10
-    coarse = gx.linear.smooth_gauge(RNG.normal(size=(8, 3, 3)))
-    assert "hardly overlap" in coarse.outcome
-    with refused("four wave numbers"):
-        gx.linear.smooth_gauge(own[:3])
-    with refused("broadcasting"):
-        gx.linear.smooth_gauge(own, [1.0, 1.0, 1.0])

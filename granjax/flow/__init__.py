@@ -1,13 +1,15 @@
 """Flow: integrating a lattice in time."""
 
+from .caputo import CaputoRun, caputo
 from .derivative import Derivative, derivative
-from .memory import CaputoRun, RunWithMemory, caputo
+from .memory import RunWithMemory
+from .method import frequency_bound
 from .record import Arrival, Integral, Lowest, Peak, PeakTime, Record
 from .reversible import Reversible, return_error
 from .run import Run
 from .simulate import simulate
 from .stepping import Flow
-from .stiffness import frequency_bound, linear_frequency
+from .stiffness import linear_frequency
 
 __all__ = [
     "Arrival",

@@ -13,17 +13,31 @@ from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .batching import TRACED_STEPS, batched, without_the_lost
 from .confirmation import confirmed
-from .dispatch import facts
-from .inputs import checked_records, checked_save_at, checked_state, checked_times, held_frames
 from .integrate import integrate, unseen
 from .lanes import apart
 from .march import march, refuse_endless
-from .meeting import meeting, passing
-from .memory import refuse_with_memory, with_memory
-from .method import Steps, checked_method, fixed_step, linear_bound, number, passed, refuse_far
-from .plan import CUBICS, DENSE, ENDS, Plan
+from .memory import with_memory
+from .method import (
+    CUBICS,
+    DENSE,
+    ENDS,
+    Plan,
+    Steps,
+    checked_method,
+    checked_records,
+    checked_save_at,
+    checked_state,
+    checked_times,
+    facts,
+    fixed_step,
+    held_frames,
+    linear_bound,
+    number,
+    passed,
+    refuse_far,
+)
 from .record import Record
-from .remarks import doubts, missed
+from .remarks import doubts, meeting, missed, passing
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 
@@ -131,10 +145,8 @@ def simulate(
         refuse("confirm", f"False with {without}", "True", remedy)
     save_ts, frames, every = checked_save_at(save_at, t0, t1, state)
     if about.remembers:
-        refuse_with_memory(lattice, solver, record, adjoint, every)
-        return with_memory(
-            lattice, state, t0, t1, save_ts, step, tolerance, max_steps, progress, throw
-        )
+        how = every, solver, step, tolerance, record, adjoint, progress, throw, max_steps
+        return with_memory(lattice, state, t0, t1, save_ts, *how)
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     if every and tolerance is not None and about.lanes:
         remedy = "Give times, or step= for steps that lanes share."

@@ -17,8 +17,8 @@ from ..printing import told
 from ..programs import compiled, parted
 from ..solvers import AbstractNystrom, AbstractSplitting, SRKN14a
 from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
-from .breaks import OneSided, breaks_of, shared_out
-from .control import refuse_unresolved
+from .control import OneSided, breaks_of, shared_out
+from .method import refuse_unresolved
 
 # numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
 VECTOR = 8

@@ -7,18 +7,15 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from numpy.polynomial import Polynomial, polynomial
-from scipy.optimize import minimize_scalar
 
 from ..checks import parameter, refuse, whole
 from ..fit.determined import factored
 from ..printing import told
 from ..results import Result, array
 from ..types import Count, Numbers, Parameter, Scalar
-from .planar_fit import LEAST, Train, first, fit, growth, split
+from .planar_fit import fitted
 from .planar_orbits import TABLE, PlanarOrbit, Way
 
-# waves in a window
-WAVES = 1.2
 # points for each unknown
 EACH = 2
 # how far from the middle of the data orbits are looked for, in halves of their range
@@ -29,8 +26,6 @@ REAL = 1e-7
 ALIKE = 0.5
 # a share of the data's range that rounding makes of none
 CLOSE = 1e-9
-# powers of e that trajectories of a window part by
-PARTS = 4.0
 
 
 class Equilibrium(NamedTuple):
@@ -75,8 +70,6 @@ class PlanarODE(Result):
     settled: bool = array("Whether the least squares had settled.")
     # f, with powers of (y - middle)/half
     _f: Any = eqx.field(kw_only=True, repr=False)
-    # G - y'^2/2 of the trajectory of each window, G' = f
-    _levels: Any = eqx.field(kw_only=True, repr=False)
 
     @property
     def outcome(self) -> str:
@@ -86,9 +79,7 @@ class PlanarODE(Result):
             f"Fitted to {misfit:.1e} of half of crest less trough, in {self.window.max() + 1} windows."
         ]
         if not self.settled:
-            said.append(
-                "The least squares had not settled: another degree or more windows may help."
-            )
+            said.append("The least squares had not settled: another degree may help.")
         if self.correlation > ALIKE and misfit > CLOSE:
             said.append("The residuals are no noise but what such an equation leaves out.")
         return " ".join(said)
@@ -128,7 +119,8 @@ class PlanarODE(Result):
         elif energy is not None:
             level = G(0.0) - float(energy)
         else:
-            level = self._levels[self.window[np.argmax(self.strains)]]
+            k = np.argmax(self.window == self.window[np.argmax(self.strains)])
+            level = G(self.fitted[k]) - self.slopes[k] ** 2 / 2
         # where y'^2/2 = G - level is above zero, between two turns
         roots = _real_roots(G - level)
         pairs = [(b, a) for a, b in zip(roots[:-1], roots[1:]) if G((a + b) / 2) > level]
@@ -149,7 +141,6 @@ class PlanarODE(Result):
     def _orbit(self, start, end, homoclinic):
         way, G = Way(self._f, start, end, homoclinic), self._f.integ()
         decay = float(np.sqrt(self._f.deriv()(end))) if homoclinic else None
-        distance, shift = self._distance(way, start > end)
         reach = 12 / decay if homoclinic else way.wavelength / 2
         xi = np.linspace(-reach, reach, TABLE)
         kind = "homoclinic" if homoclinic else "periodic"
@@ -160,29 +151,10 @@ class PlanarODE(Result):
             np.inf if homoclinic else way.wavelength,
             float(G(0.0) - G(end)),
             decay,
-            distance,
-            shift,
             xi,
             way(xi),
-            2 * distance / (self.crest - self.trough),
             _way=way,
         )
-
-    def _distance(self, way, up):
-        """Rms of the data about their highest crest (or lowest trough) less an orbit, at the best place."""
-        best = int(np.argmax(self.strains if up else -self.strains))
-        near = (np.abs(self.xi - self.xi[best]) <= self.wavelength / 2) & (
-            self.window == self.window[best]
-        )
-        x, y = self.xi[near], self.strains[near]
-        width = self.wavelength / 4
-        found = minimize_scalar(
-            lambda shift: float(np.mean((y - way(x - shift)) ** 2)),
-            bounds=(self.xi[best] - width, self.xi[best] + width),
-            method="bounded",
-            options={"xatol": 1e-10 * width},
-        )
-        return float(np.sqrt(found.fun)), float(found.x)
 
     def _overlap(self, a, b):
         """How much of the data's range lies between two strains."""
@@ -207,23 +179,21 @@ def planar_ode(
     strain: Parameter | Sequence[Numbers],
     *,
     degree: Count = 3,
-    windows: Count | None = None,
     drift: bool = False,
 ) -> PlanarODE:
     r"""A planar equation y'' = f(y), f a polynomial, fitted to a travelling wave or to the interior of a shock.
 
-    A first guess comes from the equation in weak form, int y phi'' = int f(y) phi, which needs no derivative of data;
-    then the trajectories of the equation are fitted, in windows of about one wave that share f and have starts of
-    their own: least squares, exact of data that obey such an equation, with error bars of independent errors of one
-    size, widened where residuals of neighbouring points are alike.
+    The trajectories of the equation are fitted by least squares: first in short pieces, whose equation is found from
+    that of a harmonic oscillation, then in windows of about one wave that share f and have starts of their own. The
+    fit is exact for data that obey such an equation. Its error bars are those of independent errors of one size, wider
+    where residuals of neighbouring points are alike.
 
     **Arguments:**
 
     - `xi`, `strain`: places n - c t, increasing, and strains (P,) there, of contacts or of anything else that
       oscillates; or lists of several trains, rows of a table too. Five points a wave or more, evenly spaced or not.
     - `degree`: of f; 2 is the equation of waves of Korteweg and de Vries. Compare `misfit` of several.
-    - `windows`: of each train; more of them where the wave is modulated, as in a shock, where each has a mean and
-      an amplitude of its own. `drift`: whether a term g y' is fitted too, for waves that grow or decay slowly.
+    - `drift`: whether a term g y' is fitted too, for waves that grow or decay slowly.
 
     **Returns:** `PlanarODE`, which does not differ between units: of a y and b xi it is that of y and xi, converted.
     It is not differentiated.
@@ -249,42 +219,22 @@ def planar_ode(
     if not half > CLOSE * np.abs(everything).max():
         refuse("strain", "numbers that oscillate", "ones that are all alike")
     length = _wavelength(trains, middle) / (2 * np.pi)
-    scaled = [Train((x - x[0]) / length, (y - middle) / half) for x, y in trains]
-    guess, pieces = first(scaled, degree, drift), []
-    for train in scaled:
-        if windows is None:
-            # the longer a trajectory runs beside a saddle, the less its start says of its end
-            wanted = max(train.x[-1] / (2 * np.pi * WAVES), growth(train, guess, degree) / PARTS)
-            count = min(int(np.ceil(wanted - CLOSE)), len(train.x) // LEAST)
-        else:
-            count = whole("windows", windows, 1)
-        pieces += split(train, max(1, count))
+    scaled = [((x - x[0]) / length, (y - middle) / half) for x, y in trains]
+    pieces, found = fitted(scaled, degree, drift)
     unknown, points = degree + 1 + drift + 2 * len(pieces), len(everything)
-    if points < EACH * unknown or min(len(piece.x) for piece in pieces) < 5:
+    if points < EACH * unknown or min(map(len, pieces)) < 5:
         refuse(
             "xi",
             f"{EACH * unknown} points or more, {EACH} for each of {unknown} unknowns, and five in a window",
             f"{points} in {len(pieces)} windows",
-            "Lower the degree, or take fewer windows.",
+            "Lower the degree.",
         )
-    found = fit(pieces, degree, drift)
     return _recorded(trains, pieces, found, degree, drift, (middle, half, length))
 
 
 def _trains(xi, strain):
     """Pairs of places and strains."""
-
-    def several(x):
-        if hasattr(x, "ndim") or not isinstance(x, Sequence):
-            return np.ndim(x) == 2
-        return any(np.ndim(part) for part in x)
-
-    both = several(xi), several(strain)
-    if both[0] != both[1] or both[0] and len(xi) != len(strain):
-        refuse(
-            "xi and strain", "one train, or as many trains of both", f"{len(xi)} and {len(strain)}"
-        )
-    pairs = list(zip(xi, strain)) if both[0] else [(xi, strain)]
+    pairs = [(xi, strain)] if np.ndim(xi[0]) == 0 else list(zip(xi, strain, strict=True))
     found = []
     for x, y in pairs:
         x, y = np.asarray(parameter("xi", x)), np.asarray(parameter("strain", y))
@@ -328,8 +278,7 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     points, unknown = found.jacobian.shape
     free = points - unknown
     noise = np.sqrt(found.residual @ found.residual / free)
-    ends = np.cumsum([0] + [len(piece.x) for piece in pieces])
-    window = np.repeat(np.arange(len(pieces)), np.diff(ends))
+    window = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
     alike = _correlation(found.residual, window)
     wider = (1 + max(alike, 0.0)) / max(1 - max(alike, 0.0), 1 / points)
     factor, _ = factored(found.jacobian, noise * np.sqrt(wider))
@@ -368,8 +317,6 @@ def _recorded(trains, pieces, found, degree, drift, scales):
         window,
         found.settled,
         _f=bend,
-        _levels=bend.integ()(middle + half * found.starts[0])
-        - (half / length * found.starts[1]) ** 2 / 2,
     )
 
 

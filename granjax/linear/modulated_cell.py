@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, traced
-from ..flow.breaks import shared_out
+from ..flow.control import shared_out
 from ..lattice import Lattice
 from ..programs import concretely
 from ..terms.tracing import reads
