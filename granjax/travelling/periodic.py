@@ -47,7 +47,7 @@ class PeriodicWave(Profile):
 
     def averages(self) -> Averages:
         """Mean strain, force, energy, action and their fluxes over a wavelength, for modulation theory."""
-        points = AVERAGED * (len(self._shape.wavenumbers) + 1)
+        points = AVERAGED * (len(self._shape.strain) // 2 + 1)
         return averages_of(self, points, float(self.error / self.amplitude))
 
 
@@ -108,19 +108,17 @@ def periodic_wave(
 
 
 def _recorded(medium, found, wavelength, mean, mass):
-    psi, shape = found.strains, found.shape(medium.law, mass, mean)
-    crest, trough, b = psi[len(psi) // 2], psi[0], np.asarray(shape.velocities)
-    stored = wavelength * values(medium.law, mean + psi)[2].mean()
-    xi = np.linspace(-wavelength / 2, wavelength / 2, TABLE)
-    amplitude = (crest - trough) / 2
+    psi = found.strain
+    crest, trough = psi[len(psi) // 2], psi[0]
+    stored = values(medium.law, mean + psi)[2].mean() + mass / 2 * np.mean(found.velocity**2)
     numbers = dict(
-        speed=shape.speed,
+        speed=found.speed,
         wavelength=wavelength,
         mean=mean,
-        amplitude=amplitude,
+        amplitude=(crest - trough) / 2,
         crest=mean + crest,
         trough=mean + trough,
-        energy=stored + mass * wavelength / 4 * b @ b,
+        energy=wavelength * stored,
         residual=found.residual,
         error=found.error,
     )
@@ -128,6 +126,6 @@ def _recorded(medium, found, wavelength, mean, mass):
         **{name: jnp.asarray(x) for name, x in numbers.items()},
         law=medium.law,
         mass=medium.mass,
-        **tabled(shape, xi),
+        **tabled(found, np.linspace(-wavelength / 2, wavelength / 2, TABLE)),
         **medium.origin,
     )

@@ -18,7 +18,7 @@ from ...types import Count, Numbers, Parameter, Scalar
 from .cell import chain_of, repeated_in
 from .resonator import Resonator
 from .tail import margin, periodic
-from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, velocities, without_tail
+from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, without_tail
 
 # the speed over the sound speed from which on a box holds the wave
 LEAST_MARGIN = 1.004
@@ -369,7 +369,7 @@ def _recorded(search, chain, throw, resonator, speed, solved_for=False, **fields
         if throw:
             raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
         return CellWave(speed, chain.given, resonator=resonator, _lost=str(lost), **fields)
-    chain, v = found.box.chain, speed * velocities(found)
+    v = speed * found.box.velocities(phi)
     error = (error_of(found) + abs(fields.get("_off", 0.0))) * top + (tail.rest if tail else 0.0)
     wave = CellWave(
         speed,
