@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
-from ..fit.determined import factored
+from ..fit.determined import covariance, directions
 from ..fit.judge import AFTER_AND_BEFORE, STRUCTURED, structure
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
@@ -341,25 +341,26 @@ def _ridge(X, y, ridge):
     return np.linalg.lstsq(X, y, rcond=None)[0]
 
 
-def _recorded(mass, candidates, A, y, c, kept, known, residue):
+def _recorded(mass, candidates, A, y, c, kept, others, residue):
     residual = y - A @ c
     noise = np.sqrt(residual @ residual / (len(y) - kept.sum()))
-    factor, s = factored(A[:, kept], noise)
-    covariance = factor @ factor.T
-    shares = np.abs(c[kept]) * np.linalg.norm(A[:, kept], axis=0) / np.linalg.norm(y)
+    widths = np.linalg.norm(A[:, kept], axis=0)
+    known = directions(A[:, kept], 1 / widths, noise)
+    matrix = covariance(known, 1 / widths)
+    shares = np.abs(c[kept]) * widths / np.linalg.norm(y)
     found = [name for name, keep in zip(candidates, kept) if keep]
-    rows = np.stack([c[kept], np.sqrt(np.diag(covariance)), shares], -1).tolist()
+    rows = np.stack([c[kept], np.sqrt(np.diag(matrix)), shares], -1).tolist()
     coefficients = {name: Coefficient(*row) for name, row in zip(found, rows)}
     terms = {name: _built(candidates[name], x.value) for name, x in coefficients.items()}
     refused = tuple(name for name, term in terms.items() if term is None)
     return Regression(
         coefficients,
         tuple(name for name in candidates if name not in found),
-        covariance,
+        matrix,
         float(1 - residual @ residual / ((y - y.mean()) @ (y - y.mean()))),
         float(noise),
-        float(s[0] / s[-1]),
-        None if refused else Lattice(mass, (*terms.values(), *known)),
+        known[0].deviation / known[-1].deviation,
+        None if refused else Lattice(mass, (*terms.values(), *others)),
         refused,
         float(residue),
     )
