@@ -263,7 +263,7 @@ def half_steps(
     period: Scalar,
     steps: Count | Counts | None = None,
     guess: StateLike | None = None,
-) -> Count:
+) -> Count | Counts:
     """Steps of half a period, from those of a whole one or by default; `guess`: as in `default_steps`."""
     if traced(steps):
         return steps // 2
