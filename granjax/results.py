@@ -274,8 +274,6 @@ class Result(eqx.Module):
             name, records = held.name or field, _records(types.get(field), x)
             if isinstance(x, Result) or held.axes is None and hasattr(x, "_asdict"):
                 within |= {} if held.axes is None else {name: x}
-            elif isinstance(x, dict) and any(isinstance(y, Result) for y in x.values()):
-                within |= {f"{name}_{key}".replace("/", "_"): y for key, y in x.items()}
             elif records is not None:
                 table.add(name, records, held._replace(axes=held.axes or name))
             else:

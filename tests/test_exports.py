@@ -470,14 +470,3 @@ def test_names_that_files_do_not_have(tmp_path):
         "\u00e9\u00df",
     ]
     assert loadmat(result.save(tmp_path / "odd.mat"))["parameters_2nd"].tolist() == [[1.0, 1.0]]
-
-
-@pytest.mark.slow
-def test_every_model_of_a_comparison_is_kept():
-    fits = {"one": fitted(), "on-site": fitted()}
-    found = gx.identify.Comparison(tuple(fits), fits, np.array([1, 2]), *np.ones((3, 2)), 10.0, 0.5)
-    data = found.to_xarray()
-    assert (
-        data["fits_on-site_parameter"].values.tolist() == ["stiffness/A"]
-        and "fits_one_outcome" in data.attrs
-    )

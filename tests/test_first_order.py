@@ -280,18 +280,6 @@ def test_refusals():
             make()
 
 
-@pytest.mark.study
-def test_what_takes_long_goes_in_pieces_with_a_bar(monkeypatch, capsys):
-    equation, psi = gx.first_order.DNLS(8, 1.0, 3.0), np.eye(8)[4]
-    whole = gx.first_order.evolve(equation, psi, 5.0, save_at=[1.0, 4.9], tolerance=1e-8)
-    monkeypatch.setattr("granjax.first_order.evolution.LONG", 0)
-    parts = gx.first_order.evolve(equation, psi, 5.0, save_at=[1.0, 4.9], tolerance=1e-8)
-    assert_allclose(parts.psis, whole.psis, atol=1e-13)
-    assert parts.ts.tolist() == [1.0, 4.9] and float(parts.step) == float(whole.step)
-    # neither on no terminal, nor before two seconds
-    assert capsys.readouterr().err == ""
-
-
 def test_a_mapped_soliton_says_what_became_of_it():
     """The outcome is composed when it is read, of what each lane has found."""
     equation = DNLS(12)

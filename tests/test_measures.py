@@ -423,41 +423,6 @@ def test_spectrogram_follows_a_chirp():
     np.testing.assert_allclose(s.power.sum(1) * s.omega[1], 1.0, rtol=0.01)
 
 
-# ---- the vibrometer
-
-
-def test_velocity_trace_samples_between_frames():
-    ts = np.linspace(0, 2, 401)
-    vs = np.stack([np.sin(7 * ts), np.cos(7 * ts)], 1)
-    trace = measures.velocity_trace(ts, vs, -1, sampling=333.0)
-    np.testing.assert_allclose(np.diff(trace.time), 1 / 333, rtol=1e-10)
-    np.testing.assert_allclose(trace.velocity, np.cos(7 * trace.time), atol=1e-6)
-    # one unit of time 1e-3 s, of length 2e-3 m: velocities in 2 m/s
-    scaled = measures.velocity_trace(
-        ts, vs, -1, sampling=333e3, units=gx.Units(length=2e-3, time=1e-3)
-    )
-    np.testing.assert_allclose(
-        scaled.time, 1e-3 * trace.time[: len(scaled.time)], rtol=1e-12, atol=1e-15
-    )
-    np.testing.assert_allclose(
-        scaled.velocity, 2 * trace.velocity[: len(scaled.velocity)], atol=1e-12
-    )
-
-
-def test_velocity_trace_has_the_noise_it_was_asked_for():
-    ts = np.linspace(0, 1, 101)
-    vs = np.zeros((101, 2))
-    one, again, other = (
-        measures.velocity_trace(ts, vs, 0, sampling=2e4, noise=0.03, seed=k) for k in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(one.velocity, again.velocity)
-    assert np.any(one.velocity != other.velocity)
-    # 20001 samples: the deviation is known to 0.5 %, three of which are allowed
-    assert abs(one.velocity.std() / 0.03 - 1) < 0.015 and abs(
-        one.velocity.mean()
-    ) < 4 * 0.03 / np.sqrt(20001)
-
-
 # ---- bad input
 
 REST = states.rest(chain(8))
@@ -499,7 +464,6 @@ BAD = {
         lambda: measures.spectrogram(Q, 0.1, 5.0),
         "window and dt: expected a window of 4 to",
     ),
-    "sampling": (lambda: measures.velocity_trace(TS, Q, 1, sampling=0.5), "sampling: expected"),
 }
 
 

@@ -1,7 +1,5 @@
 """Runs of first-order lattices, each with its error."""
 
-import itertools
-
 import diffrax
 import equinox as eqx
 import jax
@@ -11,7 +9,7 @@ import numpy as np
 from ..checks import positive, refuse, show, traced
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
-from ..programs import bar, compiled
+from ..programs import compiled
 from ..results import Result, array, note
 from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
 from .equations import Equation, check_shape, field
@@ -21,8 +19,6 @@ from .split_step import SplitStep
 BEGIN = {True: 1.0, False: 0.3}
 # how often the step is halved, at most
 HALVINGS = 6
-# steps times numbers from which a run goes in so many pieces, with a bar
-LONG, PIECES = 4_000_000, 50
 # power iterations for the fastest rate
 ITERATIONS = 30
 # units in the last place that a step loses
@@ -86,25 +82,22 @@ def evolve(
     psi: Amplitudes,
     t1: Scalar,
     *,
-    t0: Scalar = 0.0,
     save_at: Count | Parameter | None = None,
     solver: diffrax.AbstractSolver | None = None,
     step: Scalar | None = None,
     tolerance: Scalar = 1e-10,
-    progress: bool = True,
 ) -> Evolution:
-    """psi from t0 to t1, by fixed steps that are halved until two runs agree.
+    """Integrate psi from 0 to t1, by fixed steps that are halved until two runs agree.
 
     **Arguments:**
 
     - `equation`: `DNLS`, `DpS` or one of your own. `psi`: the start (N, *lanes), real or complex.
-    - `save_at`: `None` for the end alone, a number of frames, or increasing times within [t0, t1].
+    - `save_at`: `None` for the end alone, a number of frames, or increasing times within [0, t1].
     - `solver`: `None` takes `SplitStep`, which keeps the norm, where the equation has its flows, and `diffrax.Dopri8`
       elsewhere; or any diffrax solver.
     - `step`: the first run's longest step, then it is run once more with half of it, and no further. `None` chooses it
       by the fastest rate at the start, and halves it until the tolerance is met, six times at most.
-    - `tolerance`: of |psi_n|, over the root of the norm. `progress`: a bar with the time left, after two seconds, of
-      what takes long.
+    - `tolerance`: of |psi_n|, over the root of the norm.
 
     **Returns:** `Evolution`; its `outcome` says how well it is known. It
     differentiates in both modes in the start and in the numbers of the equation: then the step must be given.
@@ -118,33 +111,26 @@ def evolve(
     0.223891
     """
     psi = _start(equation, psi)
-    times, first = _times(t0, t1, save_at)
+    times, first = _times(t1, save_at)
     checked_tolerance("tolerance", tolerance)
     solver = solver or (SplitStep() if equation.has_flows else diffrax.Dopri8())
     known = not traced((equation, psi))
     halve = known and step is None
     step = (
-        _step(equation, psi, solver, known, times[-1] - times[0])
-        if step is None
-        else positive("step", step)
+        _step(equation, psi, solver, known, times[-1]) if step is None else positive("step", step)
     )
     counts = np.maximum(np.ceil(np.diff(times) / float(step) * (1 - 1e-12)), 1).astype(int)
-    total = int(counts.sum())
-    long = known and total * psi.size > LONG
-    with bar(4 * total, "step", "evolve", progress and long) as shown:
-        run = lambda counts, psi=psi: _run(
-            solver, equation, psi, times, counts, shown if long else None
-        )
-        before, now, halvings = run(counts), run(2 * counts), 1
-        rounding = jnp.abs(run(counts, _turned(psi, jnp.asarray(total))) - before)
-        far = _apart(before, now) if halve else 0.0
-        while far > float(tolerance) and halvings < HALVINGS:
-            shown.total += 2 ** (halvings + 1) * total
-            after = run(2 ** (halvings + 1) * counts)
-            closer = _apart(now, after)
-            if not closer < far:  # rounding, or chaos
-                break
-            before, now, halvings, far = now, after, halvings + 1, closer
+    run = lambda counts, psi=psi: _run(solver, equation, psi, times, counts)
+    before, now, halvings = run(counts), run(2 * counts), 1
+    turned = _turned(psi, jnp.asarray(int(counts.sum())))
+    rounding = jnp.abs(run(counts, turned) - before)
+    far = _apart(before, now) if halve else 0.0
+    while far > float(tolerance) and halvings < HALVINGS:
+        after = run(2 ** (halvings + 1) * counts)
+        closer = _apart(now, after)
+        if not closer < far:  # rounding, or chaos
+            break
+        before, now, halvings, far = now, after, halvings + 1, closer
     taken = float(np.max(np.diff(times) / counts)) / 2**halvings
     error = jnp.max(jnp.abs(before - now) + 2**halvings * rounding, axis=1)
     return _told(equation, solver, times, first, now, error, taken, tolerance)
@@ -169,21 +155,21 @@ def _start(equation, psi):
     return psi.astype(found.dtype)
 
 
-def _times(t0, t1, save_at):
+def _times(t1, save_at):
     """All times at which a span ends, the first included, and the index of the first that is kept."""
-    t0, t1 = float(t0), float(t1)
-    if not t1 > t0:
-        refuse("t1", f"a time after t0 = {t0}", f"{t1}")
-    if save_at is None:
-        return np.array([t0, t1]), 1
+    t1 = float(t1)
+    if not t1 > 0:
+        refuse("t1", "a time above zero", f"{t1}")
+    if save_at is None or np.ndim(save_at) == 0 and save_at <= 1:
+        return np.array([0.0, t1]), 1
     if np.ndim(save_at) == 0:
-        return (np.linspace(t0, t1, int(save_at)), 0) if save_at > 1 else (np.array([t0, t1]), 1)
+        return np.linspace(0.0, t1, int(save_at)), 0
     times = np.asarray(save_at, float)
     if not np.all(np.diff(times) > 0):
         refuse("save_at", "increasing times", show(times))
-    if times[0] < t0 or times[-1] > t1:
-        refuse("save_at", f"times within [{t0}, {t1}]", f"{times[0]} ... {times[-1]}")
-    return (times, 0) if times[0] == t0 else (np.concatenate([[t0], times]), 1)
+    if times[0] < 0 or times[-1] > t1:
+        refuse("save_at", f"times within [0, {t1}]", f"{times[0]} ... {times[-1]}")
+    return (times, 0) if times[0] == 0 else (np.concatenate([[0.0], times]), 1)
 
 
 def _step(equation, psi, solver, known, longest):
@@ -225,31 +211,14 @@ def _turned(psi, steps):
     return psi * jnp.exp(1j * steps * ROUNDED * jnp.finfo(psi.dtype).eps * jnp.cos(_angles(psi)))
 
 
-def _run(solver, equation, psi, times, counts, shown):
+def _run(solver, equation, psi, times, counts):
     ends = jnp.asarray(times, jnp.real(psi).dtype)
     if traced((equation, psi)):  # of as many steps as are known, for reverse mode
         frames = [psi]
         for a, b, count in zip(ends[:-1], ends[1:], counts):
             frames.append(Flow(int(count), solver, field)(frames[-1], a, b, equation))
         return jnp.stack(frames)
-    if shown is None:
-        return _marched(solver, equation, psi, ends, jnp.asarray(counts))
-    frames, most = [np.asarray(psi)], max(int(counts.sum()) // PIECES, 1)
-    for begin, end, count in zip(times[:-1], times[1:], counts):
-        steps = count * np.arange(-(-count // most) + 1) // -(-count // most)
-        for i, j in itertools.pairwise(steps):
-            a, b = (begin + (end - begin) * k / count for k in (i, j))
-            psi = _piece(
-                solver, equation, psi, *jnp.asarray([a, b], ends.dtype), jnp.asarray(j - i)
-            )
-            shown.update(int(j - i))
-        frames.append(np.asarray(psi))
-    return jnp.asarray(np.stack(frames))
-
-
-@eqx.filter_jit
-def _piece(solver, equation, psi, begin, end, count):
-    return Flow(count, solver, field)(psi, begin, end, equation)
+    return _marched(solver, equation, psi, ends, jnp.asarray(counts))
 
 
 @eqx.filter_jit

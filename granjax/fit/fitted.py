@@ -10,9 +10,18 @@ from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..lattice import Lattice
 from ..results import Held, Result, array, hidden
 from ..types import AnyArray, Count, Numbers
-from .determined import Direction
+from .determined import Direction, sentences
 from .problem import Problem
 from .traces import Traces
+
+# a step error, in units of sigma, from which on it is said
+NOTICEABLE = 0.1
+# a share of the traces' squares below which a scene is said to show something else than what was measured
+SHOWN = 0.5
+# mean squares of the residuals, in units of sigma^2, above which noise alone does not make them
+NOISY = 2.0
+# contacts that one sentence lists
+MANY = 6
 
 
 class Fit(Result):
@@ -35,9 +44,6 @@ class Fit(Result):
     noise: float = array(
         "The standard deviation of the residuals where no sigma was given, else 1.", static=True
     )
-    undetermined: tuple[str, ...] = hidden(
-        "Sentences that name what the data do not determine.", static=True
-    )
     directions: tuple[Direction, ...] = hidden(
         "Combinations of parameters with their relative deviations, the least known first."
     )
@@ -45,7 +51,25 @@ class Fit(Result):
         "The parameters that deviations are relative to; their starts where a parameter is "
         "near zero to within its error.",
     )
-    remarks: tuple[str, ...] = hidden("What else the outcome says.", static=True)
+    quantities: tuple[tuple, ...] = hidden(
+        "The linear stiffness of every kind of bond: its name, and the gradient of its logarithm."
+    )
+    explained: float = array(
+        "The share of the traces' squares that the scene explains.", static=True
+    )
+    residue: float = array(
+        "What neighbouring residuals share beyond noise, over all of them; 0 where it is noise.",
+        static=True,
+    )
+    at_bounds: tuple[str, ...] = hidden("Parameters at a bound, by name.", static=True)
+    meeting: float | None = hidden(
+        "How well windows meet, in units of sigma; `None` for a record in one piece.",
+        static=True,
+    )
+    windows: int = hidden("The number of windows.", static=True)
+    silent: tuple[tuple, ...] = hidden(
+        "Terms and contacts that never close, where nothing depends on the parameters.", static=True
+    )
     iterations: int = array("The number of iterations of the minimiser.", static=True)
     code: int = hidden("How the minimiser ended.", static=True)
     step: float = array("The time step.", static=True)
@@ -111,6 +135,11 @@ class Fit(Result):
         return self.code == CONVERGED
 
     @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Sentences that name what the data do not determine."""
+        return sentences(self.directions, self.names, self.quantities)
+
+    @property
     def outcome(self) -> str:
         """What became of it, in sentences: convergence, agreement with the noise, what is not determined."""
         how = {
@@ -124,7 +153,46 @@ class Fit(Result):
         if len(self.starts) > 1:
             near = sum(c <= 1.001 * min(self.starts) for c in self.starts)
             said.append(f"{near} of {len(self.starts)} starts reached it.")
-        return " ".join([*said, *self.remarks, *self.undetermined])
+        return " ".join([*said, *self._remarks(), *self.undetermined])
+
+    def _remarks(self):
+        known, said = all(trace.sigma is not None for trace in self.traces), []
+        if -np.inf < self.explained <= SHOWN and not (known and self.reduced_chi_square < NOISY):
+            much = "no more of the traces than rest does"
+            if self.explained > 0:
+                much = f"only {100 * self.explained:.2g} % of the traces' squares"
+            unless = "" if known else "unless noise is most of them, "
+            said.append(
+                f"The scene explains {much}: {unless}this is another minimum than the one sought, and what follows "
+                "holds there. Start nearer, with bounds on both sides, or from more starts with a larger spread."
+            )
+        if self.code == NO_START:
+            return [*said, "Give a start whose run stays finite."]
+        if self.code == NO_GRADIENT:
+            for i, contacts in self.silent:
+                shown = ", ".join(map(str, contacts[:MANY])) + " ..." * (len(contacts) > MANY)
+                said.append(
+                    f"Contacts {shown} of terms[{i}] never close, and an open contact has no derivative."
+                )
+            return [*said, "Start where the motion reaches the sensors."]
+        if self.at_bounds:
+            held = ", ".join(self.at_bounds)
+            said.append(f"At its bound, and beyond it if it could: {held}.")
+        if self.step_error > NOTICEABLE:
+            said.append(
+                f"The time step moves the signals by up to {self.step_error:.2g} sigma: give a shorter step=."
+            )
+        if self.residue and not said:
+            said.append(
+                f"A residue beyond noise is left, {100 * self.residue:.2g} % of the residuals: neighbouring "
+                "samples share it, as independent errors would not. The scene does not describe what was "
+                "measured, or the noise is correlated; the deviations are too small."
+            )
+        if not known:
+            said.append(f"Noise, as the residuals have it: {self.noise:.3g}.")
+        if self.meeting is not None:
+            said.append(f"{self.windows} windows, which meet to {self.meeting:.2g} sigma.")
+        return said
 
     def _rows(self) -> Iterator[tuple[str, str]]:
         flat = np.concatenate(

@@ -1,4 +1,4 @@
-"""From where a minimiser ended to a `Fit`: errors, directions, remarks."""
+"""From where a minimiser ended to a `Fit`: errors, directions, what is left in the residuals."""
 
 import equinox as eqx
 import jax
@@ -10,19 +10,15 @@ from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..flow import return_error
 from ..solvers import AbstractSplitting
 from ..types import AnyArray, Numbers
-from .determined import LOOSE, covariance, directions, quantities, sentences
-from .fitted import Fit
+from .determined import LOOSE, covariance, directions, quantities
+from .fitted import NOTICEABLE, Fit
 from .problem import Problem
 from .solve import Found, evaluated, linearised, still_to_go
 from .windows import Windows
 
-NOTICEABLE = 0.1
 # a minimiser that has stalled or spent its steps has converged if chi^2 could fall by less: a hundredth of a deviation
 ARRIVED = 1e-4
-# a share of the traces' squares below which a scene is said to show something else than what was measured
-SHOWN = 0.5
-# mean squares of the residuals, in units of sigma^2, above which noise alone does not make them
-NOISY = 2.0
+# what is taken for zero
 EXACT = 1e-30
 # deviations of white noise from which on neighbours are said to have something in common
 STRUCTURED = 4.0
@@ -76,97 +72,61 @@ def judged(
     residuals = tuple(r / noise for r in residuals)
     # directions are of logarithms, so that their components are the exponents of a product
     sizes = np.where(flat != 0, flat, np.where(start != 0, start, slopes))
-    code, undetermined, found_directions = int(found.code), (), ()
-    remarks = _elsewhere(plain, squares, squares / free if known else None)
+    code, known_directions, stiffnesses = int(found.code), (), ()
     if code in (SPENT, STALLED) and still_to_go(value, jacobian)[0] < ARRIVED * noise**2:
         code = CONVERGED
-    matrix, step_error = np.full((flat.size, flat.size), np.nan), np.nan
-    if code == NO_START:
-        remarks.append("Give a start whose run stays finite.")
-    elif code == NO_GRADIENT:
-        remarks.append(_silence(plain, parameters))
-    else:
-        held = coordinates.at_bounds(parameters)
-        if held:
-            remarks.append(f"At its bound, and beyond it if it could: {', '.join(held)}.")
+    matrix, step_error, residue = np.full((flat.size, flat.size), np.nan), np.nan, 0.0
+    if code not in (NO_START, NO_GRADIENT):
         seen = np.abs(slopes) > EXACT * np.abs(sizes)
         by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
         # near zero, as far as the data tell, a logarithm says nothing
         known_to = noise / np.maximum(np.linalg.norm(by_parameter, axis=0), EXACT)
         vanishing = (np.abs(flat) < LOOSE * np.abs(start)) & (LOOSE * np.abs(flat) < known_to)
         sizes = np.where(vanishing, start, sizes)
-        found_directions = tuple(directions(by_parameter, sizes, noise))
-        matrix = covariance(found_directions, sizes)
-        undetermined = sentences(
-            found_directions, names, quantities(plain, parameters, flat, sizes)
-        )
+        known_directions = tuple(directions(by_parameter, sizes, noise))
+        matrix = covariance(known_directions, sizes)
+        stiffnesses = tuple(quantities(plain, parameters, flat, sizes))
         halved = linearised(problem.with_step(float(plain.step) / 2), x)[0]
         step_error = float(np.max(np.abs(np.asarray(halved) - value))) / noise
-        if step_error > NOTICEABLE:
-            remarks.append(
-                f"The time step moves the signals by up to {step_error:.2g} sigma: give a shorter step=."
-            )
         one, after = (
             np.concatenate([r[part].ravel() for r in residuals]) for part in AFTER_AND_BEFORE
         )
         share, surely = structure(one, after)
         left = share * np.sqrt(squares / samples) / noise
-        if surely > STRUCTURED and left > max(NOTICEABLE, step_error) and not remarks:
-            remarks.append(
-                f"A residue beyond noise is left, {100 * share:.2g} % of the residuals: neighbouring "
-                "samples share it, as independent errors would not. The scene does not describe what was "
-                "measured, or the noise is correlated; the deviations are too small."
-            )
-        if not known:
-            remarks.append(
-                f"Noise, as the residuals have it: {noise * float(plain.traces[0].size):.3g}."
-            )
-        if problem is not plain:
-            remarks.append(problem.remark(value))
-    return Fit(
-        parameters,
-        matrix,
-        names,
-        signals,
-        residuals,
-        samples,
-        noise if known else noise * float(plain.traces[0].size),
-        undetermined,
-        found_directions,
-        sizes,
-        tuple(remarks),
-        int(found.iterations),
-        code,
-        float(plain.step),
-        step_error,
-        way_back(plain, parameters),
-        adjoint,
-        tuple(cost / noise**2 for cost in starts),
-        plain.traces,
-        plain,
-        **plain.lattice(parameters).origin,
-    )
-
-
-def _elsewhere(problem, squares, noise):
-    """A sentence where little of what was measured is shown; `noise`: residuals in units of sigma^2, `None` unknown."""
+        residue = share if surely > STRUCTURED and left > max(NOTICEABLE, step_error) else 0.0
+    windowed = problem is not plain
     still = sum(
         np.sum(np.square(np.nan_to_num(trace.data) * np.asarray(trace.weights)))
-        for trace in problem.traces
+        for trace in plain.traces
     )
-    shown = 1 - float(squares) / max(float(still), EXACT)
-    if not np.isfinite(shown) or shown > SHOWN or noise is not None and noise < NOISY:
-        return []
-    much = (
-        f"only {100 * shown:.2g} % of the traces' squares"
-        if shown > 0
-        else "no more of the traces than rest does"
+    return Fit(
+        parameters=parameters,
+        covariance=matrix,
+        names=names,
+        signals=signals,
+        residuals=residuals,
+        samples=samples,
+        noise=noise if known else noise * float(plain.traces[0].size),
+        directions=known_directions,
+        sizes=sizes,
+        quantities=stiffnesses,
+        explained=1 - float(squares) / max(float(still), EXACT),
+        residue=residue,
+        at_bounds=tuple(coordinates.at_bounds(parameters)),
+        meeting=problem.meeting_of(value) if windowed else None,
+        windows=len(problem.edges) - 1 if windowed else 1,
+        silent=_silent(plain, parameters) if code == NO_GRADIENT else (),
+        iterations=int(found.iterations),
+        code=code,
+        step=float(plain.step),
+        step_error=step_error,
+        return_error=way_back(plain, parameters),
+        adjoint=adjoint,
+        starts=tuple(cost / noise**2 for cost in starts),
+        traces=plain.traces,
+        problem=plain,
+        **plain.lattice(parameters).origin,
     )
-    unless = "unless noise is most of them, " if noise is None else ""
-    return [
-        f"The scene explains {much}: {unless}this is another minimum than the one sought, and what follows holds "
-        "there. Start nearer, with bounds on both sides, or from more starts with a larger spread."
-    ]
 
 
 def _own(jacobian, count):
@@ -194,21 +154,18 @@ def _way_back(problem, parameters):
     )
 
 
-def _silence(problem, parameters):
-    """Why nothing depends on the parameters: contacts that never close."""
+def _silent(problem, parameters):
+    """Contacts that never close, by the index of their term."""
     lattice = problem.lattice(parameters)
     times = jnp.linspace(problem.t0, problem.t1, 129)
     run = problem.run(parameters, times)
     overlaps = jax.vmap(
         lambda t, u: [[c.overlap for c in term.compressions(t, u)] for term in lattice.terms]
     )
-    said = []
-    for i, contacts in enumerate(overlaps(run.ts, run.us)):
-        for gaps in contacts:
-            never = () if gaps is None else np.flatnonzero(~np.any(np.asarray(gaps) > 0, axis=0))
-            if len(never):
-                shown = ", ".join(map(str, never[:6])) + (" ..." if len(never) > 6 else "")
-                said.append(
-                    f"Contacts {shown} of terms[{i}] never close, and an open contact has no derivative."
-                )
-    return " ".join([*said, "Start where the motion reaches the sensors."])
+    never = [
+        (i, tuple(np.flatnonzero(~np.any(np.asarray(gaps) > 0, axis=0)).tolist()))
+        for i, contacts in enumerate(overlaps(run.ts, run.us))
+        for gaps in contacts
+        if gaps is not None
+    ]
+    return tuple(one for one in never if one[1])

@@ -59,10 +59,9 @@ class Windows(eqx.Module):
         """The same at another time step."""
         return eqx.tree_at(lambda w: w.problem, self, self.problem.with_step(step))
 
-    def remark(self, residuals: Float[AnyArray, " n"]) -> str:
-        """How well the windows meet, from the residuals, whose last ones these are."""
-        jumps = MEETING * np.abs(residuals[-self.starts.size :]).max()
-        return f"{len(self.starts) + 1} windows, which meet to {jumps:.2g} sigma."
+    def meeting_of(self, residuals: Float[AnyArray, " n"]) -> float:
+        """How well the windows meet, in units of sigma, from the residuals, whose last ones say it."""
+        return float(MEETING * np.abs(residuals[-self.starts.size :]).max())
 
     def _cut(self, x):
         """(the parameters' coordinates, states at the starts of all windows (K, n))."""

@@ -1,7 +1,8 @@
 """Flow: integrating a lattice in time."""
 
+from .caputo import CaputoRun, caputo
 from .derivative import Derivative, derivative
-from .memory import CaputoRun, RunWithMemory, caputo
+from .memory import RunWithMemory
 from .record import Arrival, Integral, Lowest, Peak, PeakTime, Record
 from .reversible import Reversible, return_error
 from .run import Run

@@ -1,5 +1,6 @@
 """The compiled part of `simulate`."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from ..solvers import AbstractNystrom
 from ..terms import Dashpot, ViscousContact, energies
 from ..terms.base import within
 from ..terms.tracing import reads, time_of
-from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
+from ..types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
 from .control import Scales, StepControl, largest, least_step
 from .lanes import by_groups, each_lane
@@ -123,20 +124,38 @@ def _parted(lattice, begin, state, t0, t1, plan, carried):
         controller = Landing(lattice.breaks, plan.step, t1)
     else:
         controller = _FixedStep(plan.step)
+    own, shared = solved(vector_field, solver, controller, lattice.for_run(), state, t0, t1, plan)
+    return (*own[:2], own[2][1] if records else {}), shared
+
+
+def solved(
+    field: Callable,
+    solver: diffrax.AbstractSolver,
+    controller: diffrax.AbstractStepSizeController,
+    lattice: Lattice,
+    y: Pytree,
+    t0: Scalar,
+    t1: Scalar,
+    plan: Plan,
+) -> tuple[tuple, tuple]:
+    """What diffrax finds of a field: (saved states, the last, the solver's) of each lane, and what lanes share.
+
+    That is the saved times, the time it came to, its numbers of steps (all, accepted, rejected) and a code.
+    """
     subs = [diffrax.SubSaveAt(t1=True)]
     if plan.every:
         subs.append(diffrax.SubSaveAt(t0=True, steps=True))
     elif plan.save_ts is not None:
         subs.append(diffrax.SubSaveAt(ts=plan.save_ts))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(vector_field),
+        diffrax.ODETerm(field),
         solver,
         t0,
         t1,
         None,
-        state,
-        args=lattice.for_run(),
-        saveat=diffrax.SaveAt(subs=subs, solver_state=bool(records)),
+        y,
+        args=lattice,
+        saveat=diffrax.SaveAt(subs=subs, solver_state=bool(plan.records)),
         stepsize_controller=controller,
         adjoint=plan.adjoint,
         max_steps=plan.max_steps,
@@ -144,10 +163,9 @@ def _parted(lattice, begin, state, t0, t1, plan, carried):
         progress_meter=diffrax.TqdmProgressMeter() if plan.progress else diffrax.NoProgressMeter(),
     )
     final = jax.tree.map(lambda x: x[0], solution.ys[0])
-    ts, ys = solution.ts[-1], solution.ys[-1]
-    carried = solution.solver_state[1] if records else {}
     counts = (solution.stats[f"num_{kind}steps"] for kind in ("", "accepted_", "rejected_"))
-    return (ys, final, carried), (ts, solution.ts[0][0], *counts, _code(solution.result, final))
+    own = solution.ys[-1], final, solution.solver_state
+    return own, (solution.ts[-1], solution.ts[0][0], *counts, _code(solution.result, final))
 
 
 def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
@@ -203,6 +221,12 @@ def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
         return found[0]
     lanes = len(lattice.lanes)
     return jnp.concatenate([s.reshape((-1,) + s.shape[s.ndim - lanes :]) for s in found])
+
+
+def least_overlap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
+    """The least overlap of all contacts that can open, per lane; infinite where there is none."""
+    found = [_least(lattice, overlap) for overlap in overlaps(lattice, t, u)]
+    return jnp.min(jnp.stack([jnp.full(lattice.lanes, jnp.inf, lattice.dtype), *found]), axis=0)
 
 
 def _still_overlap(t, y, lattice):

@@ -56,16 +56,15 @@ def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple 
 
 
 class _Beads(NamedTuple):
-    """What touches without a bond: `places` at rest of beads that move, and then of those of the walls.
+    """What touches without a bond: `places` at rest of all sites, and then of the beads of the walls.
 
-    `radii` [m] of all; `sites`: numbers of the beads that move; `joined`: codes of the pairs that have a bond;
-    `periods`: vectors by which the lattice repeats itself; `gap`: the least distance between rims without a bond, at
-    rest, at most half a diameter.
+    `radii` [m] of all, -inf of a site without a contact; `joined`: codes of the pairs that have a bond; `periods`:
+    vectors by which the lattice repeats itself; `gap`: the least distance between rims without a bond, at rest, at most
+    half a diameter.
     """
 
     places: np.ndarray
     radii: np.ndarray
-    sites: np.ndarray
     joined: np.ndarray
     periods: np.ndarray
     gap: float = 0.0
@@ -80,79 +79,66 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
     lanes = _beads_of(lattice)
     if lanes is None:
         return ""
-    sites, d = lanes[0].sites, lanes[0].places.shape[1]
-    walled = any(len(beads.places) > len(sites) for beads in lanes)
-    parts = [
-        [np.asarray(x[name] if lattice.fields else x) for name in lattice.fields or (None,)]
-        for x in (us, jax.tree.map(lambda x: x[None], end))
-    ]
-    components, saved = lattice.dimension or 1, len(parts[0][0])
-    gap, last = np.array([beads.gap for beads in lanes]), 0
-    for frame in range(saved + 1):
-        now = [x[frame % saved] for x in parts[frame // saved]]
-        u = np.concatenate([x.reshape(-1, components, len(lanes)) for x in now])[sites, :d]
-        # as long as nothing has moved by half of the gap since it was found nothing can have met
-        moved = u - last
-        moved = moved if walled else moved - moved.mean(0)
-        far = 4 * (moved * moved).sum(1).max(0) > gap * np.abs(gap)
-        last = np.where(far, u, last)
-        for lane in np.flatnonzero(far & np.isfinite(u).all((0, 1))):
-            gap[lane], pairs, apart, touch = _gaps(lanes[lane], u[..., lane])
-            near = apart < (1 - ALIKE) * touch
-            if near.any():
-                return _overlap_in_words(
-                    lattice, np.asarray(ts), frame, lane, pairs[near], apart[near], touch[near]
-                )
+    names, components = lattice.fields or (None,), lattice.dimension or 1
+    gap = np.array([beads.gap for beads in lanes])
+    for frame in range(len(ts) + 1):
+        now = [_of(us, name)[frame] if frame < len(ts) else _of(end, name) for name in names]
+        u = np.concatenate([np.asarray(x).reshape(-1, components, len(lanes)) for x in now])
+        count, d = len(u), lanes[0].places.shape[1]
+        # as long as nothing has moved by half of the gap at rest nothing can have met; what has no walls may move on
+        moved = u[:, :d]
+        walled = any(len(beads.places) > count for beads in lanes)
+        away = moved if walled else moved - moved.mean(0)
+        far = 4 * (away * away).sum(1).max(0) > gap * np.abs(gap)
+        for lane in np.flatnonzero(far & np.isfinite(moved).all((0, 1))):
+            pairs, apart, touch = _near(lanes[lane], moved[..., lane])
+            met = apart < (1 - ALIKE) * touch
+            if not met.any():
+                continue
+            pairs, apart, touch = pairs[met], apart[met], touch[met]
+            worst, index = int(np.argmin(apart / touch)), np.unravel_index(lane, lattice.lanes)
+            when = f"at t = {np.asarray(ts)[frame]:g}" if frame < len(ts) else "at the end"
+            within = f" in lane {', '.join(map(str, index))}" if index else ""
+            first, second = (_site(lattice, i) for i in pairs[worst])
+            others = f", and {len(pairs) - 1} more" if len(pairs) > 1 else ""
+            return (
+                f"Beads that have no bond overlap {when}{within}: {first} and {second}, {apart[worst]:.3g} apart "
+                f"where they touch at {touch[worst]:.3g}{others}. Bonds are fixed: such beads pass through one another."
+            )
     return ""
 
 
-def _overlap_in_words(lattice, ts, frame, lane, pairs, apart, touch):
-    index, worst = np.unravel_index(lane, lattice.lanes), int(np.argmin(apart / touch))
-    beads = _beads_of(lattice)[lane]
-    ts = ts[index] if ts.ndim > 1 else ts
-    when = f"at t = {ts[frame]:g}" if frame < ts.size else "at the end"
-    within = f" in lane {', '.join(map(str, index))}" if index else ""
-    first, second = (
-        _site(lattice, beads.sites[i]) if i < beads.sites.size else "a bead of the wall"
-        for i in pairs[worst]
-    )
-    others = f", and {len(pairs) - 1} more" if len(pairs) > 1 else ""
-    return (
-        f"Beads that have no bond overlap {when}{within}: {first} and {second}, {apart[worst]:.3g} apart where "
-        f"they touch at {touch[worst]:.3g}{others}. Bonds are fixed: such beads pass through one another."
-    )
+def _of(tree, name):
+    return tree if name is None else tree[name]
 
 
 def _site(lattice, number):
     """A site in words, from its number in the order of the fields."""
     for name in lattice.fields or (None,):
-        shape = lattice.sites if name is None else lattice.sites[name]
+        shape = _of(lattice.sites, name)
         if number < np.prod(shape):
-            break
+            index = tuple(map(int, np.unravel_index(number, shape)))
+            own = "" if name is None else f" of {name!r}"
+            return f"site {index[0] if len(index) == 1 else index}{own}"
         number -= int(np.prod(shape))
-    index = tuple(map(int, np.unravel_index(number, shape)))
-    return f"site {index[0] if len(index) == 1 else index}{'' if name is None else f' of {name!r}'}"
+    return "a bead of the wall"
 
 
-def _gaps(beads, u):
-    """The least gap between beads without a bond, at most half a diameter; their pairs, distances, and of touch."""
+def _near(beads, u):
+    """The pairs of beads without a bond that are near each other, their distances, and those of touch."""
     from scipy.spatial import cKDTree
 
-    count, total = beads.sites.size, len(beads.places)
-    at = beads.places + np.pad(u, ((0, total - count), (0, 0)))
-    wide = 2 * beads.radii.max()
-    images = [at, *(at[:count] + period for period in beads.periods)]
+    count, total = len(u), len(beads.places)
+    at = np.concatenate([beads.places[:count] + u, beads.places[count:]])
     number = np.concatenate([np.arange(total), *(np.arange(count) for _ in beads.periods)])
-    at = np.concatenate(images)
-    pairs = cKDTree(at).query_pairs((1 + SKIN) * wide, output_type="ndarray")
+    at = np.concatenate([at, *(at[:count] + period for period in beads.periods)])
+    reach = (1 + SKIN) * 2 * beads.radii.max()
+    pairs = cKDTree(at).query_pairs(reach, output_type="ndarray")
     low, high = np.sort(number[pairs], 1).T
     # one of both moves and is no image, and they are not joined
-    codes = low * total + high
-    joined = beads.joined[np.searchsorted(beads.joined[:-1], codes)] == codes
-    apart = (pairs[:, 0] < count) & (low != high) & ~joined
-    pairs, touch = pairs[apart], (beads.radii[low] + beads.radii[high])[apart]
-    distance = np.sqrt(((at[pairs[:, 0]] - at[pairs[:, 1]]) ** 2).sum(1))
-    return (distance - touch).min(initial=SKIN * wide), number[pairs], distance, touch
+    apart = (pairs[:, 0] < count) & (low != high) & ~np.isin(low * total + high, beads.joined)
+    distance = np.linalg.norm(at[pairs[apart, 0]] - at[pairs[apart, 1]], axis=1)
+    return number[pairs[apart]], distance, (beads.radii[low] + beads.radii[high])[apart]
 
 
 @once
@@ -160,14 +146,11 @@ def _beads_of(lattice):
     """The `_Beads` of each lane; `None` of a lattice that does not know their radii."""
     if lattice.positions is None:
         return None
-    names, lanes = lattice.fields or (None,), len(lattice.lanes)
-    batch = int(np.prod(lattice.lanes))
-    places, numbers, count = [], {}, 0
-    for name in names:
-        shape = lattice.sites if name is None else lattice.sites[name]
-        x = np.asarray(lattice.positions if name is None else lattice.positions[name])
+    batch, places, numbers, count = int(np.prod(lattice.lanes)), [], {}, 0
+    for name in lattice.fields or (None,):
+        shape = _of(lattice.sites, name)
         size = int(np.prod(shape))
-        places.append(x.reshape(size, -1, batch))
+        places.append(np.asarray(_of(lattice.positions, name)).reshape(size, -1, batch))
         numbers[name], count = count + np.arange(size).reshape(shape), count + size
     places = np.concatenate(places)
     if places.shape[1] > (lattice.dimension or 1):
@@ -179,33 +162,33 @@ def _beads_of(lattice):
         pairs = getattr(strain_map, "pairs", strain_map)
         if isinstance(pairs, TwoEnds):
             tail, head = map(np.ravel, pairs.joins(numbers))
-            vector = _vectors(strain_map, places, tail, head, lattice.dimension, lanes, batch)
-            bonds.append((tail, head, vector, vector is not None and _touches(strain_map, term)))
+            vector = _vectors(lattice, strain_map, places, tail, head)
+            touches = np.full(len(tail), _touches(strain_map, term))
+            bonds.append((tail, head, vector, touches))
         elif span(term) != () and reads(term, lattice).displacement:
             return None
-    if not any(contact for *_, contact in bonds):
+    if not any(touches.any() for *_, touches in bonds):
         return None
-    found = [
-        _one_lane(
-            places[..., i], [(t, h, None if v is None else v[..., i], c) for t, h, v, c in bonds]
-        )
-        for i in range(batch)
-    ]
+    tail, head, vector, touches = map(np.concatenate, zip(*bonds))
+    found = [_one_lane(places[..., i], tail, head, vector[..., i], touches) for i in range(batch)]
     return None if None in found else found
 
 
-def _vectors(strain_map, places, tail, head, dimension, lanes, batch):
-    """From tail to head of every bond at rest, (bonds, d, lanes); NaN where not known, `None` of other bonds."""
+def _vectors(lattice, strain_map, places, tail, head):
+    """From tail to head of every bond at rest, (bonds, d, lanes); NaN where not known."""
+    shape = len(tail), *places.shape[1:]
     vector = getattr(strain_map, "vector", None)
     if vector is not None:
-        own = np.ndim(vector) - lanes
-        vector = np.asarray(vector).reshape(1 if own == 1 else len(tail), -1, batch)
-        return np.broadcast_to(vector, (len(tail), *vector.shape[1:]))
-    if dimension is not None:
-        return None
-    vector = places[head] - places[tail]
-    length = np.where((tail == WALL) | (head == WALL), np.nan, np.abs(vector[:, 0, 0]))
-    return np.where((length < AROUND * np.nanmedian(length))[:, None, None], vector, np.nan)
+        one = np.ndim(vector) - len(lattice.lanes) == 1
+        vector = np.asarray(vector).reshape(1 if one else len(tail), -1, shape[2])
+    elif lattice.dimension is None:
+        vector = places[head] - places[tail]
+        wall = (tail == WALL) | (head == WALL)
+        length = np.where(wall, np.nan, np.abs(vector[:, 0, 0]))
+        near = length < AROUND * np.nanmedian(length)
+        vector = np.where(near[:, None, None], vector, np.nan)
+    known = vector is not None and vector.shape[1] == shape[1]
+    return np.broadcast_to(vector if known else np.nan, shape)
 
 
 def _touches(strain_map, term):
@@ -217,26 +200,18 @@ def _touches(strain_map, term):
     return room is None or not np.isfinite(room).all()
 
 
-def _one_lane(places, bonds):
+def _one_lane(places, tail, head, vector, touches):
     """The `_Beads` of one lattice; `None` where its bonds say nothing of radii, or other than its places."""
     count, d = places.shape
-    tail, head = (np.concatenate([bond[i] for bond in bonds]) for i in (0, 1))
-    unknown = [
-        np.full((len(t), d), np.nan) if v is None or v.shape[1] != d else v for t, _, v, _ in bonds
-    ]
-    vector = np.concatenate(unknown)
-    touches = np.concatenate([np.full(len(t), c) for t, *_, c in bonds]) & np.isfinite(vector).all(
-        1
-    )
+    touches = touches & np.isfinite(vector).all(1)
     inner, number = (tail != WALL) & (head != WALL), np.maximum(tail, head)
-    length = np.sqrt((vector * vector).sum(1))
-    radii = _radii(count, tail, head, length, touches, inner)
+    length = np.linalg.norm(vector, axis=1)
+    radii = _radii(count, tail, head, length, touches)
     if radii is None:
         return None
-    size = length[touches].mean()
+    near = ALIKE * length[touches].mean()
     # a bond around a ring is another vector than that between the places of its ends
     around = (vector - places[head] + places[tail])[inner & np.isfinite(length)]
-    near = ALIKE * size
     periods = _halves(around[np.abs(around).max(1, initial=0) > near], near)
     if len(periods) > REPEATS:
         return None
@@ -245,51 +220,44 @@ def _one_lane(places, bonds):
     at_wall = ~inner & touches & np.isfinite(radii[number])
     ends = np.where((head == WALL)[:, None], places[tail] + vector, places[head] - vector)[at_wall]
     walls, which = _distinct(ends, near)
-    which = count + which
     rim = np.zeros(len(walls))
-    rim[which - count] = (length - radii[number])[at_wall].clip(0)
-    codes = np.concatenate(
-        [np.stack([tail, head], 1)[inner], np.stack([number[at_wall], which], 1)]
-    )
-    # beads alone: of a site without a contact nothing is known
-    kept = np.flatnonzero(np.isfinite(radii))
-    order = np.full(count + len(walls), -1)
-    order[kept], order[count:] = np.arange(len(kept)), len(kept) + np.arange(len(walls))
-    codes = np.sort(order[codes], 1)
-    codes = codes[codes[:, 0] >= 0]
+    rim[which] = (length - radii[number])[at_wall].clip(0)
+    pairs = [np.stack([tail, head])[:, inner], np.stack([number[at_wall], count + which])]
+    low, high = np.sort(np.concatenate(pairs, 1), 0)
     beads = _Beads(
-        np.concatenate([places[kept], walls]),
-        np.concatenate([radii[kept], rim]),
-        kept,
-        np.sort(codes[:, 0] * (len(kept) + len(walls)) + codes[:, 1]),
+        np.concatenate([places, walls]),
+        np.concatenate([radii, rim]),
+        low * (count + len(walls)) + high,
         periods,
     )
-    return beads._replace(gap=_gaps(beads, np.zeros((len(kept), d)))[0])
+    _, distance, touch = _near(beads, np.zeros((count, d)))
+    return beads._replace(gap=(distance - touch).min(initial=SKIN * 2 * beads.radii.max()))
 
 
-def _radii(count, tail, head, length, touches, inner):
-    """The radii that the lengths of contacts are sums of, the most even ones; NaN of sites that have no contact."""
+def _radii(count, tail, head, length, touches):
+    """The radii that the lengths of contacts are sums of, the most even ones; -inf of sites that have no contact."""
     if not touches.any():
         return None
-    known, radii = length[touches], np.full(count, np.nan)
-    mean = known.mean()
+    ends, known = np.stack([tail, head], 1)[touches], length[touches]
+    mean, radii = known.mean(), np.full(count, -np.inf)
+    radii[ends[ends != WALL]] = mean / 2
     if np.ptp(known) <= ALIKE * mean:
-        ends = np.concatenate([tail[touches], head[touches]])
-        radii[ends[ends != WALL]] = mean / 2
         return radii
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import lsqr
 
-    both = touches & inner
-    ends, row = np.stack([tail[both], head[both]], 1), np.arange(np.count_nonzero(both))
-    if not len(row):
+    both = (ends != WALL).all(1)
+    ends, known = ends[both], known[both]
+    if not len(ends):
         return None
-    matrix = coo_array(
-        (np.ones(2 * len(row)), (np.repeat(row, 2), ends.ravel())), shape=(len(row), count)
-    ).tocsr()
-    found = mean / 2 + lsqr(matrix, length[both] - mean, atol=ALIKE**2, btol=ALIKE**2)[0]
-    if (np.abs(matrix @ found - length[both]) > ALIKE * mean).any() or (found[ends] <= 0).any():
+    rows = np.repeat(np.arange(len(ends)), 2)
+    matrix = coo_array((np.ones(2 * len(ends)), (rows, ends.ravel())), shape=(len(ends), count))
+    matrix = matrix.tocsr()
+    found = mean / 2 + lsqr(matrix, known - mean, atol=ALIKE**2, btol=ALIKE**2)[0]
+    if (np.abs(matrix @ found - known) > ALIKE * mean).any() or (found[ends] <= 0).any():
         return None
+    # of what touches walls alone nothing is known
+    radii[:] = -np.inf
     radii[ends] = found[ends]
     return radii
 
@@ -302,13 +270,7 @@ def _halves(vectors, near):
 
 def _distinct(points, near):
     """The points that differ, and which of these each one is."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    pairs = cKDTree(points).query_pairs(near, output_type="ndarray").T
-    graph = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(len(points),) * 2)
-    count, which = connected_components(graph)
-    kept = np.zeros(count, int)
-    kept[which] = np.arange(len(points))
-    return points[kept], which
+    # round numbers do not lie where one place ends and the next begins
+    places = np.floor(points / near + 0.37)
+    _, first, which = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    return points[first], which.ravel()

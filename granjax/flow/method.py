@@ -62,8 +62,13 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
             tolerance = None if step is not None else _default_tolerance(dtype)
     else:
         tolerance = _refuse_unfit(lattice, solver, step, tolerance, found)
-    value = None if tolerance is None else concrete(tolerance)
-    least = 0 if value is None else least_tolerance(dtype)
+    return solver, step, None if tolerance is None else checked_tolerance(tolerance, dtype)
+
+
+def checked_tolerance(tolerance: Any, dtype: Any) -> Any:
+    """A tolerance that the floating type holds, as an array, so that another one compiles nothing."""
+    tolerance = checked_size("tolerance", tolerance)
+    value, least = concrete(tolerance), least_tolerance(dtype)
     if value is not None and value < least:
         refuse(
             "tolerance",
@@ -78,8 +83,7 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
             show(value),
             "1e-6 to 1e-9 are usual.",
         )
-    # an array, so that another tolerance compiles nothing
-    return solver, step, None if tolerance is None else number(tolerance, dtype)
+    return number(tolerance, dtype)
 
 
 def _refuse_unfit(lattice, solver, step, tolerance, found):

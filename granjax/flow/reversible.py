@@ -4,12 +4,12 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..checks import positive, refuse
-from ..lattice import Lattice, split_system, vector_field
+from ..lattice import Lattice, State, split_system, vector_field
 from ..printing import told
 from ..solvers import AbstractSplitting
+from ..split_system import by_stages
 from ..types import Count, Counts, Number, Scalar, StateLike
 from .integrate import integrate
 from .plan import Plan
@@ -123,6 +123,46 @@ def _return_error(lattice, state, t0, t1, steps, solver):
     return jnp.maximum(*(_missed(*x) for x in zip(back, state, end)))
 
 
+class _Backwards(eqx.Module):
+    """A split system that undoes kicks and drifts: w = (that of the lattice, its time, its cotangent, the gradient)."""
+
+    free: object
+    fixed: object
+
+    def _system(self, free):
+        return split_system(eqx.combine(free, self.fixed))
+
+    def refresh(self, w, t):
+        return self._system(self.free).refresh(w[0], t), t, *w[2:]
+
+    def kick(self, w, bh):
+        own, t, *rest = w
+        system = self._system(self.free)
+        if hasattr(system, "spread"):
+            own, (*pulled, idle), gradient = system.kick(own, bh), *rest
+            move = lambda system, w: system.kick(w, -bh)
+            zero = jnp.zeros_like(idle)
+            own, t, pulled, gradient = self._pulled(move, own, t, (*pulled, zero), gradient)
+            force = lambda free, e: self._system(free).law.force(e)
+            _, pull = jax.vjp(force, self.free, system.compression(own))
+            # what the force leaves in its slot is a buffer, not a cotangent
+            change, pulled = system.spread(pulled, pull, idle)
+            return own, t, pulled, jax.tree.map(jnp.add, gradient, change)
+        move = lambda system, w: system.kick(system.refresh(w, t), -bh)
+        return self._pulled(move, self._system(self.free).kick(own, bh), t, *rest)
+
+    def drift(self, w, ah):
+        own, *rest = w
+        move = lambda system, w: system.drift(w, -ah)
+        return self._pulled(move, self._system(self.free).drift(own, ah), *rest)
+
+    def _pulled(self, move, own, t, cotangent, gradient):
+        """The working form before a move, with the cotangent pulled through it."""
+        moved = lambda free, w: move(self._system(free), w)
+        change, cotangent = jax.vjp(moved, self.free, own)[1](cotangent)
+        return own, t, cotangent, jax.tree.map(jnp.add, gradient, change)
+
+
 @eqx.filter_custom_vjp
 def reversible(moved: tuple, span: tuple, plan: Plan) -> Found:
     """`integrate` with the derivative of `Reversible`; moved = (lattice, state, adjoint)."""
@@ -139,39 +179,54 @@ def _(perturbed, moved, *rest):
 @reversible.def_bwd
 def _(residuals, cotangents, perturbed, moved, span, plan):
     (final, count), (lattice, state, adjoint) = residuals, moved
-    free = perturbed[0]
-    dt, save_ts = plan.step, plan.save_ts
-    way = _Way(plan.solver, *eqx.partition(lattice, free), span[0], dt)
-    zero = jax.tree.map(jnp.zeros_like, final)
-    pulled = _filled(cotangents.final, zero)
-    if save_ts is None:  # the one frame that is saved is the end
-        frame = type(zero)(
-            *(
-                jax.tree.map(lambda x: x[0], _filled(c, jax.tree.map(lambda z: z[None], z)))
-                for c, z in zip((cotangents.us, cotangents.vs), zero)
-            )
+    free, fixed = eqx.partition(lattice, perturbed[0])
+    solver, save_ts = plan.solver, plan.save_ts
+    time = lambda k: span[0] + k * plan.step
+
+    def seen(free, y, k, t):
+        """The state at t, within step k that begins with y."""
+        args = diffrax.ODETerm(vector_field), time(k), time(k + 1), y, eqx.combine(free, fixed)
+        _, _, dense, _, _ = solver.step(*args, solver.init(*args), False)
+        return solver.interpolation_cls(t0=time(k), t1=time(k + 1), **dense).evaluate(t)
+
+    def undone(i, carry):
+        """The state before a step, what it passes on of the cotangent, and the gradient of the parameters."""
+        k, y, pulled, gradient = carry
+        way, system = _Backwards(free, fixed), split_system(lattice)
+        _, pull = jax.vjp(
+            lambda w: system.leave(w, y)[0], system.enter(y, system.start(time(k), y))
         )
-        pulled = jax.tree.map(jnp.add, pulled, frame)
-    carry = way.enter(final, pulled, span[0] + count * dt)
-    like = (
-        None
-        if save_ts is None
-        else jax.tree.map(lambda x: jnp.zeros((len(save_ts), *x.shape), x.dtype), zero)
-    )
+        w = system.enter(y, system.start(time(k), y)), time(k), *pull(pulled), gradient
+        w, _, pulled, gradient = by_stages(way, w, solver.table(), time(k), -plan.step)
+        y, _ = system.leave(w, y)
+        _, pull = jax.vjp(lambda y: system.enter(y, w[2:] and w[2])[:2], y)
+        return k - 1, y, *pull(pulled[:2]), gradient
+
+    def to_step(k, carry):
+        return jax.lax.fori_loop(0, carry[0] - k, undone, carry)
+
+    zero = jax.tree.map(jnp.zeros_like, final)
+    ends = _filled(cotangents.final, zero)
+    if save_ts is None:  # the one frame that is saved is the end
+        frames = _filled(State(cotangents.us, cotangents.vs), jax.tree.map(lambda x: x[None], zero))
+        ends = jax.tree.map(lambda x, frame: x + frame[0], ends, frames)
+    carry = count, final, ends, jax.tree.map(jnp.zeros_like, free)
     if save_ts is not None and jax.tree.leaves((cotangents.us, cotangents.vs)):
-        saved = type(zero)(_filled(cotangents.us, like.u), _filled(cotangents.vs, like.v))
+        like = jax.tree.map(lambda x: jnp.zeros((len(save_ts), *x.shape), x.dtype), zero)
+        frames = _filled(State(cotangents.us, cotangents.vs), like)
         places = jnp.clip(
-            jnp.floor((save_ts - span[0]) / dt).astype(int), 0, jnp.maximum(count - 1, 0)
+            jnp.floor((save_ts - span[0]) / plan.step).astype(int), 0, jnp.maximum(count - 1, 0)
         )
 
         def sample(i, carry):
-            i, (k, carry) = len(save_ts) - 1 - i, carry
-            carry = way.back(carry, k, places[i])
-            pulled = jax.tree.map(lambda x: x[i], saved)
-            return places[i], way.sample(carry, places[i], save_ts[i], pulled)
+            i = len(save_ts) - 1 - i
+            k, y, pulled, gradient = to_step(places[i], carry)
+            frame = jax.tree.map(lambda x: x[i], frames)
+            change, more = jax.vjp(lambda *x: seen(*x, k, save_ts[i]), free, y)[1](frame)
+            return k, y, *jax.tree.map(jnp.add, (pulled, gradient), (more, change))
 
-        count, carry = jax.lax.fori_loop(0, len(save_ts), sample, (count, carry))
-    back, pulled, gradient = way.leave(way.back(carry, count, 0))
+        carry = jax.lax.fori_loop(0, len(save_ts), sample, carry)
+    _, back, pulled, gradient = to_step(0, carry)
     error = jnp.maximum(*(_missed(*x) for x in zip(back, state, final)))
     good = error <= adjoint.tolerance
     if cotangents.energy_error is not None:
@@ -192,107 +247,3 @@ def _missed(back, start, end):
     scale = jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in parts[1] + parts[2]]))
     error = jnp.max(jnp.stack([jnp.max(jnp.abs(x - y)) for x, y in zip(*parts[:2])]))
     return jnp.where(jnp.isnan(error), jnp.inf, error / jnp.where(scale > 0, scale, 1))
-
-
-class _Way(eqx.Module):
-    """The way back, in the solver's working form w: carry = (w, its cotangent, that of the free parameters)."""
-
-    solver: AbstractSplitting
-    free: object
-    fixed: object
-    t0: Number
-    h: Number
-
-    def _system(self, free):
-        return split_system(eqx.combine(free, self.fixed))
-
-    def enter(self, y, pulled, t):
-        """The carry at a state with its cotangent."""
-        system = self._system(self.free)
-        w = system.enter(y, system.start(t, y))
-        _, pull = jax.vjp(lambda w: tuple(system.leave(w, y)[0]), w)
-        return w, pull(tuple(pulled))[0], jax.tree.map(jnp.zeros_like, self.free)
-
-    def leave(self, carry):
-        """The state, its cotangent, that of the parameters."""
-        w, pulled, gradient = carry
-        system = self._system(self.free)
-        y = tuple(system.leave(w, (w[0], w[1]))[0])
-        _, pull = jax.vjp(lambda y: system.enter(y, w[2:] and w[2])[:2], y)
-        return y, pull(tuple(pulled[:2]))[0], gradient
-
-    def back(self, carry, start, stop):
-        """From the end of step `start` - 1 to the beginning of step `stop`."""
-        table = self.solver.table()
-        count = len(table.a) if table.b[-1] != 0 else len(table.a) - 1
-        times, opening = np.cumsum(table.a)[:count][::-1], table.b[0] * self.h
-        ah, bh = table.a[:count][::-1] * self.h, table.b[1 : count + 1][::-1] * self.h
-
-        def stage(carry, x):
-            ah, bh, t = x
-            w, pulled, gradient = carry
-            system = self._system(self.free)
-            if hasattr(system, "spread"):
-                # what the force leaves in its slot is a buffer, not a cotangent
-                *pulled, idle = pulled
-                force = lambda free, e: self._system(free).law.force(e)
-                forces, pull = jax.vjp(force, self.free, system.compression(w))
-                carry = system.filled(w, forces), (*pulled, jnp.zeros_like(idle)), gradient
-                w, pulled, gradient = self._undone("kick", carry, bh)
-                change, pulled = system.spread(pulled, pull, idle)
-            else:
-                w, pull = jax.vjp(lambda free, w: self._system(free).refresh(w, t), self.free, w)
-                w, pulled, gradient = self._undone("kick", (w, pulled, gradient), bh)
-                change, pulled = pull(pulled)
-            gradient = jax.tree.map(jnp.add, gradient, change)
-            return self._undone("drift", (w, pulled, gradient), ah), None
-
-        def step(i, both):
-            carry, pending = both
-            t = self.t0 + (start - 1 - i) * self.h
-            if count < len(table.a):
-                carry = self._undone("drift", carry, table.a[-1] * self.h)
-            # the kick that opened the later step reads the force that this step's last kick reads
-            kicks = jnp.asarray(bh).at[0].add(pending)
-            carry, _ = jax.lax.scan(stage, carry, (jnp.asarray(ah), kicks, t + times * self.h))
-            return carry, jnp.asarray(opening)
-
-        none = jnp.zeros_like(jnp.asarray(opening))
-        carry, pending = jax.lax.fori_loop(0, start - stop, step, (carry, none))
-        if table.b[0] == 0:
-            return carry
-        # an empty drift: only the pending kick and the force that it reads
-        return stage(carry, (jnp.zeros_like(self.h), pending, self.t0 + stop * self.h))[0]
-
-    def _undone(self, flow, carry, length):
-        """One kick or drift undone, and the cotangents pulled through it."""
-        w, pulled, gradient = carry
-        move = lambda free, w: getattr(self._system(free), flow)(w, length)
-        w = getattr(self._system(self.free), flow)(w, -length)
-        change, pulled = jax.vjp(move, self.free, w)[1](pulled)
-        return w, pulled, jax.tree.map(jnp.add, gradient, change)
-
-    def sample(self, carry, k, t, pulled):
-        """The carry at the beginning of step k, with the cotangent of the state read off at t within that step."""
-        w, before, gradient = carry
-        system = self._system(self.free)
-        y, _ = system.leave(w, (w[0], w[1]))
-        start = self.t0 + k * self.h
-
-        def read(free, y):
-            lattice = eqx.combine(free, self.fixed)
-            terms = diffrax.ODETerm(vector_field)
-            kept = self.solver.init(terms, start, start + self.h, y, lattice)
-            _, _, dense, _, _ = self.solver.step(
-                terms, start, start + self.h, y, lattice, kept, False
-            )
-            u, v = self.solver.interpolation_cls(t0=start, t1=start + self.h, **dense).evaluate(t)
-            return u, v
-
-        change, at_y = jax.vjp(read, self.free, tuple(y))[1](tuple(pulled))
-        _, pull = jax.vjp(lambda w: tuple(system.leave(w, (w[0], w[1]))[0]), w)
-        return (
-            w,
-            jax.tree.map(jnp.add, before, pull(at_y)[0]),
-            jax.tree.map(jnp.add, gradient, change),
-        )

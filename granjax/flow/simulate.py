@@ -19,7 +19,7 @@ from .integrate import integrate, unseen
 from .lanes import apart
 from .march import march, refuse_endless
 from .meeting import meeting, passing
-from .memory import refuse_with_memory, with_memory
+from .memory import with_memory
 from .method import Steps, checked_method, fixed_step, linear_bound, number, passed, refuse_far
 from .plan import CUBICS, DENSE, ENDS, Plan
 from .record import Record
@@ -131,10 +131,8 @@ def simulate(
         refuse("confirm", f"False with {without}", "True", remedy)
     save_ts, frames, every = checked_save_at(save_at, t0, t1, state)
     if about.remembers:
-        refuse_with_memory(lattice, solver, record, adjoint, every)
-        return with_memory(
-            lattice, state, t0, t1, save_ts, step, tolerance, max_steps, progress, throw
-        )
+        how = every, solver, step, tolerance, record, adjoint, progress, throw, max_steps
+        return with_memory(lattice, state, t0, t1, save_ts, *how)
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     if every and tolerance is not None and about.lanes:
         remedy = "Give times, or step= for steps that lanes share."

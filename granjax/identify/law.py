@@ -82,7 +82,7 @@ class ForceLaw(Result):
             else "not everywhere as well as its own size"
         )
         # a number of the law may stay open where its force does not
-        said = dataclasses.replace(self.fit, undetermined=()).outcome
+        said = dataclasses.replace(self.fit, directions=()).outcome
         return f"The force from e = {low:.3g} to {high:.3g} is known {known} (one standard deviation). {said}"
 
 

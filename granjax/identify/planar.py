@@ -14,11 +14,9 @@ from ..fit.determined import factored
 from ..printing import told
 from ..results import Result, array
 from ..types import Count, Numbers, Parameter, Scalar
-from .planar_fit import LEAST, Train, first, fit, growth, split
+from .planar_fit import fitted
 from .planar_orbits import TABLE, PlanarOrbit, Way
 
-# waves in a window
-WAVES = 1.2
 # points for each unknown
 EACH = 2
 # how far from the middle of the data orbits are looked for, in halves of their range
@@ -29,8 +27,6 @@ REAL = 1e-7
 ALIKE = 0.5
 # a share of the data's range that rounding makes of none
 CLOSE = 1e-9
-# powers of e that trajectories of a window part by
-PARTS = 4.0
 
 
 class Equilibrium(NamedTuple):
@@ -212,10 +208,10 @@ def planar_ode(
 ) -> PlanarODE:
     r"""A planar equation y'' = f(y), f a polynomial, fitted to a travelling wave or to the interior of a shock.
 
-    A first guess comes from the equation in weak form, int y phi'' = int f(y) phi, which needs no derivative of data;
-    then the trajectories of the equation are fitted, in windows of about one wave that share f and have starts of
-    their own: least squares, exact of data that obey such an equation, with error bars of independent errors of one
-    size, widened where residuals of neighbouring points are alike.
+    The trajectories of the equation are fitted by least squares: first in short pieces, whose equation is found from
+    that of a harmonic oscillation, then in windows of about one wave that share f and have starts of their own. The
+    fit is exact for data that obey such an equation. Its error bars are those of independent errors of one size, wider
+    where residuals of neighbouring points are alike.
 
     **Arguments:**
 
@@ -249,42 +245,23 @@ def planar_ode(
     if not half > CLOSE * np.abs(everything).max():
         refuse("strain", "numbers that oscillate", "ones that are all alike")
     length = _wavelength(trains, middle) / (2 * np.pi)
-    scaled = [Train((x - x[0]) / length, (y - middle) / half) for x, y in trains]
-    guess, pieces = first(scaled, degree, drift), []
-    for train in scaled:
-        if windows is None:
-            # the longer a trajectory runs beside a saddle, the less its start says of its end
-            wanted = max(train.x[-1] / (2 * np.pi * WAVES), growth(train, guess, degree) / PARTS)
-            count = min(int(np.ceil(wanted - CLOSE)), len(train.x) // LEAST)
-        else:
-            count = whole("windows", windows, 1)
-        pieces += split(train, max(1, count))
+    scaled = [((x - x[0]) / length, (y - middle) / half) for x, y in trains]
+    windows = None if windows is None else whole("windows", windows, 1)
+    pieces, found = fitted(scaled, degree, drift, windows)
     unknown, points = degree + 1 + drift + 2 * len(pieces), len(everything)
-    if points < EACH * unknown or min(len(piece.x) for piece in pieces) < 5:
+    if points < EACH * unknown or min(map(len, pieces)) < 5:
         refuse(
             "xi",
             f"{EACH * unknown} points or more, {EACH} for each of {unknown} unknowns, and five in a window",
             f"{points} in {len(pieces)} windows",
             "Lower the degree, or take fewer windows.",
         )
-    found = fit(pieces, degree, drift)
     return _recorded(trains, pieces, found, degree, drift, (middle, half, length))
 
 
 def _trains(xi, strain):
     """Pairs of places and strains."""
-
-    def several(x):
-        if hasattr(x, "ndim") or not isinstance(x, Sequence):
-            return np.ndim(x) == 2
-        return any(np.ndim(part) for part in x)
-
-    both = several(xi), several(strain)
-    if both[0] != both[1] or both[0] and len(xi) != len(strain):
-        refuse(
-            "xi and strain", "one train, or as many trains of both", f"{len(xi)} and {len(strain)}"
-        )
-    pairs = list(zip(xi, strain)) if both[0] else [(xi, strain)]
+    pairs = [(xi, strain)] if np.ndim(xi[0]) == 0 else list(zip(xi, strain, strict=True))
     found = []
     for x, y in pairs:
         x, y = np.asarray(parameter("xi", x)), np.asarray(parameter("strain", y))
@@ -328,8 +305,7 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     points, unknown = found.jacobian.shape
     free = points - unknown
     noise = np.sqrt(found.residual @ found.residual / free)
-    ends = np.cumsum([0] + [len(piece.x) for piece in pieces])
-    window = np.repeat(np.arange(len(pieces)), np.diff(ends))
+    window = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
     alike = _correlation(found.residual, window)
     wider = (1 + max(alike, 0.0)) / max(1 - max(alike, 0.0), 1 / points)
     factor, _ = factored(found.jacobian, noise * np.sqrt(wider))

@@ -11,7 +11,6 @@ from .dispersion import Dispersion, dispersion
 from .evanescent import ComplexBands, complex_bands
 from .flat import FlatBands, flat_bands
 from .floquet_bands import FloquetBands, floquet_bands
-from .gauge import SmoothGauge, smooth_gauge
 from .modes import NormalModes, normal_modes
 from .ribbon import RibbonBands, ribbon
 from .sound import sound_speed
@@ -29,7 +28,6 @@ __all__ = [
     "NormalModes",
     "PathBands",
     "RibbonBands",
-    "SmoothGauge",
     "UnitCell",
     "ZoneMap",
     "bands",
@@ -42,7 +40,6 @@ __all__ = [
     "normal_modes",
     "path",
     "ribbon",
-    "smooth_gauge",
     "sound_speed",
     "unit_cell",
     "zone_map",

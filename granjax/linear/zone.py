@@ -3,20 +3,17 @@
 import re
 from typing import Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial import Voronoi
 
-from ..checks import concrete, parameter, refuse, whole
+from ..checks import refuse, whole
 from ..lattice import Lattice
 from ..results import Result, array, note
-from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
+from ..types import Cell, Count, Numbers
 from .cell import by_lanes, in_lanes, unit_cell
-from .dispersion import DEGENERATE, bloch_waves
-from .gauge import followed
+from .dispersion import bloch_waves
 from .stiffness import mesh
 
 SHAPE, NEIGHBOURS = 1e-9, 7
@@ -59,12 +56,7 @@ def named_points(vectors: np.ndarray | None, axes: int) -> dict:
 
 
 class PathBands(Result):
-    """Bands along a path through the Brillouin zone.
-
-    The phases of the Bloch vectors follow each band: sum conj(x) m y of each with the one before is real and positive
-    along the path; where bands change places, with that one which it continues, and where they are together the basis
-    is the nearest one.
-    """
+    """Bands along a path through the Brillouin zone; `gx.linear.dispersion(lattice, found.k)` has their vectors."""
 
     names: tuple[str, ...] = note("The names of the points of the path.", static=True)
     marks: Any = array("The places of the points in the arrays.", axes="point")
@@ -74,9 +66,6 @@ class PathBands(Result):
     )
     omega: Numbers = array("The frequencies.", "rad/s", "place band")
     omega_squared: Numbers = array("omega^2.", "rad^2/s^2", "place band")
-    vectors: ComplexNumbers | dict[str, ComplexNumbers] = array(
-        "Bloch vectors.", axes="place site ... band"
-    )
     slope: Numbers = array(
         "The group velocity along the path, d omega/d distance; NaN where bands cross.",
         "m/s",
@@ -99,8 +88,6 @@ def path(
     points: str = "GXMG",
     count: Count = 120,
     cell: Cell | None = None,
-    *,
-    named: dict[str, Parameter] | None = None,
 ) -> PathBands:
     """Bands of a lattice along straight lines between points of its Brillouin zone.
 
@@ -110,7 +97,6 @@ def path(
     - `points`: names one after the other, "GKMG" (an apostrophe belongs to the letter before it: "GK'MG"). A chain has
       G, X; a square lattice G, X, M, Y; a rectangular one G, X, S, Y; axes at 60 or 120 degrees G, K, M, K'.
     - `count`: places in all, shared out as the lengths of the lines are. `cell`: as in `unit_cell`.
-    - `named`: points more, from name to phases per cell [rad].
 
     **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable in the lattice's numbers but positions.
     **Raises** ValueError for a point that the zone does not have, fewer than two points, and where `dispersion` does.
@@ -125,9 +111,11 @@ def path(
     axes = len(found.cell)
     vectors = lattice_vectors(lattice, found.cell)
     known = named_points(vectors, axes)
-    for name, k in (named or {}).items():
-        known[name] = np.asarray(concrete(parameter(f"named[{name!r}]", k)), float).reshape(axes)
-    names = _letters(points, known)
+    names = tuple(re.findall("[^- ]'*", points))
+    for name in names:
+        if name not in known:
+            remedy = "The positions of the lattice tell the shape of its zone."
+            refuse("points", f"names among {sorted(known)}", repr(name), remedy)
     corners = np.array([known[name] for name in names])
     # lengths in space: k = A q for phases k, lattice vectors A
     space = corners if vectors is None else corners @ np.linalg.pinv(vectors).T
@@ -137,44 +125,11 @@ def path(
     place = np.arange(marks[-1] + 1)
     k = np.stack([np.interp(place, marks, x) for x in corners.T], -1)
     distance = np.interp(place, marks, np.append(0, np.cumsum(lengths)))
-    squared, omega, q, velocity, _ = bloch_waves(found, k)
+    squared, omega, _, velocity, _ = bloch_waves(found, k)
     along = np.repeat(np.diff(corners, axis=0) / lengths[:, None], shares, axis=0)
     along = np.concatenate([along, along[-1:]])
     slope = jnp.einsum("kba,ka->kb", velocity, jnp.asarray(along))
-    return PathBands(
-        names,
-        marks,
-        k,
-        distance,
-        omega,
-        squared,
-        _in_phase(found, q, squared),
-        slope,
-        found.cell,
-        **lattice.origin,
-    )
-
-
-@eqx.filter_jit
-def _in_phase(found, vectors, squared):
-    """The Bloch vectors of a path, each in phase with the one before."""
-    root = found.displacements(jnp.ones((found.mass.size, 1), found.mass.dtype))
-    mass = jax.tree.map(lambda x: 1 / x[..., 0] ** 2, root)
-    near = DEGENERATE * jnp.finfo(squared.dtype).eps * jnp.abs(squared).max()
-    return followed(vectors, mass, jax.lax.stop_gradient(squared), jax.lax.stop_gradient(near))
-
-
-def _letters(points, known):
-    names = re.findall("[^- ]'*", points)
-    for name in names:
-        if name not in known:
-            refuse(
-                "points",
-                f"names among {sorted(known)}",
-                repr(name),
-                "Others by named={'P': (k1, k2)}; positions tell the shape of the zone.",
-            )
-    return tuple(names)
+    return PathBands(names, marks, k, distance, omega, squared, slope, found.cell, **lattice.origin)
 
 
 class DensityOfStates(Result):

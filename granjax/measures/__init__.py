@@ -17,9 +17,8 @@ from .energies import (
 )
 from .fronts import Front, Peaks, arrival_times, front_speed, peak_times
 from .histories import along, rms_velocity
-from .instruments import Trace, velocity_trace
 from .localisation import energy_centre, participation, participation_number, second_moment
 from .modal import modal_amplitudes, modal_energy
-from .networks import ForceNetwork, angular_momentum, force_network, slip_ratio
-from .rings import FrontDecay, RadialProfile, energy_radius, front_decay, radial_profile
+from .networks import ForceNetwork, force_network, slip_ratio
+from .rings import FrontDecay, energy_radius, front_decay
 from .spectra import Spectrogram, Spectrum, spectrogram, spectrum

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, positive, refuse
+from ..checks import refuse
 from ..lattice import Lattice
 from ..printing import told
 from ..strains.maps import TwoEnds
 from ..terms.base import within
-from ..types import Displacements, Number, Numbers, Parameter, Scalar, StateLike
+from ..types import Displacements, Number, Numbers, StateLike
 from .states_of import parts
 
 
@@ -87,45 +87,6 @@ def _ends(strain_map, places, u):
     # of a bond around a ring the head is where the bond leads, of a wall at the tail where it comes from
     tail = jnp.where(there[0] > 0, tail + moved, head + pushed - length)
     return tail, tail + length
-
-
-def angular_momentum(
-    lattice: Lattice,
-    y: StateLike,
-    t: Number = 0.0,
-    *,
-    centre: Parameter = (0.0, 0.0),
-    radius: Scalar | None = None,
-) -> Number:
-    r"""Angular momentum about a point of the plane: sum m (r - c) x v, and m_theta R s' of beads that turn.
-
-    r = position + u; of a bead with the displacement s = R theta its own part is (I/R^2) R s'.
-
-    **Arguments:** `centre`: c (2,) [m]; `radius`: R [m] of beads that turn. **Returns:** a number [kg m^2/s]; it stays
-    in a lattice with free ends, whose bonds push along themselves and slip nowhere under a rotation. **Raises**
-    ValueError for a lattice without positions or of scalar displacements, beads that turn without a radius.
-    """
-    places = placed(lattice, "an angular momentum")
-    u, v = parts(lattice, y, t)
-    if lattice.dimension not in (2, 3):
-        refuse("lattice", "displacements in the plane", f"{lattice.dimension or 1} components")
-    R = None if radius is None else positive("radius", radius)
-    if lattice.dimension == 3 and R is None:
-        refuse("radius", "the radius of the beads, which turn", "None", "Half of the spacing.")
-    c = parameter("centre", centre)
-    if c.shape != (2,):
-        refuse("centre", "a point of the plane, two numbers", f"shape {c.shape}")
-    total = 0.0
-    for place, w, speed, mass in zip(*(jax.tree.leaves(x) for x in (places, u, v, lattice.mass))):
-        r = place + w[..., :2] - c
-        m = jnp.broadcast_to(mass, speed.shape)
-        total = (
-            total
-            + (r[..., 0] * m[..., 1] * speed[..., 1] - r[..., 1] * m[..., 0] * speed[..., 0]).sum()
-        )
-        if lattice.dimension == 3:
-            total = total + (m[..., 2] * R * speed[..., 2]).sum()
-    return total
 
 
 def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:

@@ -3,9 +3,8 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import cKDTree
 
-from ..checks import concrete, parameter, positive, refuse, traced
+from ..checks import parameter, refuse, traced
 from ..lattice import Lattice
 from ..results import Result, array
 from ..types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
@@ -34,101 +33,8 @@ def energy_radius(
     if centre is None:
         c = sum((x[..., None] * at).sum(tuple(range(x.ndim))) for at, x in parts) / total
     else:
-        c = _point("centre", centre, parts[0][0].shape[-1])
+        c = parameter("centre", centre)
     return jnp.sqrt(sum((x * ((at - c) ** 2).sum(-1)).sum() for at, x in parts) / total)
-
-
-def _point(name, given, size):
-    point = parameter(name, given)
-    if point.shape != (size,):
-        refuse(name, f"a point, {size} numbers", f"shape {point.shape}")
-    return point
-
-
-class RadialProfile(Result):
-    """A quantity against the distance from a point of the plane, at one time or several."""
-
-    distance: Numbers = array("The mean distance of the sites of each ring.", "m", "distance")
-    mean: Numbers = array("The mean of the quantity over each ring.", axes="... distance")
-    lowest: Numbers = array("The lowest value on each ring.", axes="... distance")
-    highest: Numbers = array("The highest value on each ring.", axes="... distance")
-    crest: Numbers = array("The distance of the ring whose mean is the largest.", "m", "...")
-    error: Number = array("Half of the width of a ring, within which the crest is known.", "m")
-
-    @property
-    def outcome(self) -> str:
-        """Where the crest is."""
-        at = np.asarray(self.crest).ravel()
-        where = " ... ".join(
-            self._told("crest", float(x)) for x in (at[:1] if at.size == 1 else at[[0, -1]])
-        )
-        return f"Crest at the distance {where} +- {self._told('error', float(self.error))}."
-
-
-def radial_profile(
-    lattice: Lattice,
-    quantity: Parameter | dict[str, Parameter],
-    centre: Parameter | None = None,
-    *,
-    width: Scalar | None = None,
-) -> RadialProfile:
-    """A quantity of the sites by the distance from a point: means, lowest and highest values of rings.
-
-    **Arguments:** `quantity`: numbers of the shape of the sites, or with an axis of times before them, such as energies
-    by `gx.measures.along(gx.measures.site_energy, lattice, run)`; a dict of such for fields. `centre`: a point (2,)
-    [m], `None` for the middle of the positions. `width` > 0 of a ring [m]; `None` is the least distance of two sites.
-
-    **Returns:** `RadialProfile`; means are differentiable in the quantity.
-    **Raises** ValueError for a lattice without positions, a batch, or shapes that do not fit.
-
-    **Example:**
-
-    >>> crystal = gx.scenes.square(9)
-    >>> distance = np.linalg.norm(np.indices((9, 9)) - 4, axis=0)
-    >>> profile = gx.measures.radial_profile(crystal, distance**2)
-    >>> np.array(profile.mean[:3]).round(6).tolist()
-    [0.0, 1.5, 4.666667]
-    """
-    places = placed(lattice, "distances")
-    fields = places if isinstance(places, dict) else {"": places}
-    given = quantity if isinstance(quantity, dict) else {"": quantity}
-    at = np.concatenate([np.asarray(x, float).reshape(-1, x.shape[-1]) for x in fields.values()])
-    parts = [_history_of(name, given[name], x.shape[:-1]) for name, x in fields.items()]
-    q = jnp.concatenate(parts, -1)
-    c = (
-        at.mean(0)
-        if centre is None
-        else np.asarray(concrete(_point("centre", centre, at.shape[-1])), float)
-    )
-    distance = np.linalg.norm(at - c, axis=-1)
-    width = cKDTree(at).query(at, 2)[0][:, 1].min() if width is None else positive("width", width)
-    width = float(width)
-    _, which = np.unique(np.floor(distance / width + 0.5).astype(int), return_inverse=True)
-    count, rings = np.bincount(which), which.max() + 1
-    gather = lambda how, start: getattr(
-        jnp.full(q.shape[:-1] + (rings,), start).at[..., which], how
-    )(q)
-    mean = gather("add", 0.0) / count
-    away = np.bincount(which, distance) / count
-    return RadialProfile(
-        away,
-        mean,
-        gather("min", jnp.inf),
-        gather("max", -jnp.inf),
-        jnp.asarray(away)[jnp.argmax(mean, -1)],
-        np.float64(width / 2),
-        **lattice.origin,
-    )
-
-
-def _history_of(name, given, sites):
-    called = f"quantity[{name!r}]" if name else "quantity"
-    x = parameter(called, given)
-    if x.shape[-len(sites) :] != sites or x.ndim > len(sites) + 1:
-        refuse(
-            called, f"one number per site, shape {sites}, or with times before", f"shape {x.shape}"
-        )
-    return x.reshape(x.shape[: x.ndim - len(sites)] + (-1,))
 
 
 class FrontDecay(Result):

@@ -5,7 +5,7 @@ Displacements are measured from static equilibrium, so a precompressed chain at 
 
 from .bloch import bloch_packet
 from .modes import normal_mode, sine_mode
-from .simple import impact, radial_impact, random, rest, thermal
+from .simple import impact, random, rest, thermal
 from .solitons import kdv_soliton, toda_soliton
 from .steps import strain_step, velocity_step
 from .stored import stored

@@ -5,22 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import (
-    concrete,
     non_negative,
     parameter,
     per_lane,
-    positive,
     random_key,
     refuse,
-    show,
     traced,
 )
 from ..lattice import Lattice, State
-from ..types import Parameter, Scalar, Seed, Site
+from ..types import Parameter, Seed, Site
 from .places import field_of, site_of
-
-# a site on the edge of a disc belongs to it with rounding, and one at its centre is there with rounding
-EDGE = 1e-9
 
 
 def rest(lattice: Lattice) -> State:
@@ -75,58 +69,6 @@ def impact(
         x[index] = velocity
     v = x if field is None else {**still, field: x}
     return State(*jax.device_put((still, v)))
-
-
-def radial_impact(
-    lattice: Lattice,
-    velocity: Parameter,
-    radius: Scalar,
-    centre: Parameter | None = None,
-) -> State:
-    r"""Sites of the plane within a distance of a point move away from it, all else is at rest: what a burst leaves.
-
-    v_n = V (r_n - c)/|r_n - c| for |r_n - c| <= radius, u = 0; a site at c itself is at rest. V < 0 draws inwards. A
-    front runs outwards in a ring and falls on its way (`gx.measures.front_decay`, `gx.measures.radial_profile`), where
-    one in a chain, or one along a whole row, keeps its height.
-
-    **Arguments:** `velocity`: V [m/s]; `radius` [m]; `centre`: c (2,) [m], `None` for the middle of the positions.
-    **Raises** ValueError for a lattice without positions or with displacements that are numbers, a batch, fields, or no
-    site that moves. Typical: a radius of 1 ... 5 spacings.
-    """
-    places = lattice.positions
-    if (
-        places is None
-        or lattice.fields
-        or lattice.lanes
-        or (lattice.dimension or 1) < places.shape[-1]
-    ):
-        refuse(
-            "lattice",
-            "one lattice of one field that moves in the plane, with positions",
-            "another one",
-        )
-    radius, V, size = positive("radius", radius), parameter("velocity", velocity), places.shape[-1]
-    c = places.reshape(-1, size).mean(0) if centre is None else parameter("centre", centre)
-    if c.shape != (size,) or V.shape:
-        refuse(
-            "centre, velocity",
-            f"a point of {size} numbers, and one number",
-            f"shapes {c.shape}, {V.shape}",
-        )
-    away = places - c
-    squared = (away**2).sum(-1, keepdims=True)
-    there = (squared > (EDGE * radius) ** 2) & (squared <= radius**2 * (1 + EDGE))
-    known = concrete(there)
-    if known is not None and not known.any():
-        refuse(
-            "radius",
-            "one within which sites lie",
-            show(radius),
-            "Spacings are those of lattice.positions.",
-        )
-    v = jnp.where(there, V * away / jnp.sqrt(jnp.where(there, squared, 1)), 0)
-    zeros = lattice.zeros()
-    return State(zeros, zeros.at[..., :size].set(v.astype(zeros.dtype)))
 
 
 def random(

@@ -25,9 +25,9 @@ from ..checks import concrete, parameter, refuse, show, within
 from ..printing import told
 from ..types import Numbers, Parameter
 from .elliptic_functions import _jacobi, _zeta
-from .elliptic_integrals import _E, _F, _K, _complete, _complete_Pi, _incomplete_E, _incomplete_Pi
+from .elliptic_integrals import _E, _F, _K, _complete, _complete_Pi
 
-__all__ = ["E", "F", "Jacobi", "K", "Pi", "incomplete_E", "incomplete_Pi", "jacobi", "zeta"]
+__all__ = ["E", "F", "Jacobi", "K", "Pi", "jacobi", "zeta"]
 
 
 class Jacobi(NamedTuple):
@@ -130,36 +130,6 @@ def F(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
     """
     (phi,), m1 = _arguments(m, m1, phi=phi)
     return _F(phi, m1)
-
-
-def incomplete_E(
-    phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
-) -> Numbers:
-    """Incomplete integral of the second kind E(phi, m) = int_0^phi (1 - m sin^2)^{1/2}. As `F`, but always finite.
-
-    **Example:**
-
-    >>> round(float(gx.theory.elliptic.incomplete_E(np.pi / 2, 0.5)), 6)  # E(1/2)
-    1.350644
-    """
-    (phi,), m1 = _arguments(m, m1, phi=phi)
-    return _incomplete_E(phi, m1)
-
-
-def incomplete_Pi(
-    n: Parameter, phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
-) -> Numbers:
-    """Incomplete integral of the third kind Pi(n; phi, m) = int_0^phi 1/((1 - n sin^2)(1 - m sin^2)^{1/2}).
-
-    **Arguments:** as `F` and `Pi`; infinite for |phi| >= pi/2 at n = 1 and at m = 1. **Raises** ValueError as `Pi`.
-
-    **Example:**
-
-    >>> round(float(gx.theory.elliptic.incomplete_Pi(0.5, np.pi / 4, 0.0)), 6)  # 2^{1/2} arctan 2^{-1/2}
-    0.87042
-    """
-    (n, phi), m1 = _arguments(m, m1, n=_characteristic(n), phi=phi)
-    return _incomplete_Pi(n, phi, m1)
 
 
 # ----------------------------------------------------------------------------------------------------------- arguments

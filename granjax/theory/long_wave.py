@@ -19,19 +19,15 @@ Source: V. F. Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001); 
 026209 (2009); P. Rosenau, Phys. Lett. A 118, 222 (1986).
 """
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..checks import one_of, parameter, positive
-from ..programs import by_rows
-from ..types import Numbers, Parameter, Scalar
+from ..types import Numbers, Parameter
 from . import compacton
 from .chain_wave import _numbers, _sech
 
-__all__ = ["FORMS", "omega_squared", "regularised_wave", "residual", "travelling_residual"]
+__all__ = ["FORMS", "omega_squared", "regularised_wave"]
 
 FORMS = ("displacement", "strain", "regularised")
 
@@ -85,95 +81,3 @@ def _regularised(x, p, c, ratio):
     height = (ratio * c**2 * (p + 1) / 2) ** (1 / (p - 1))
     profile = lambda x: height * _sech(jnp.sqrt(3.0) * (p - 1) * x) ** (2 / (p - 1))
     return profile(x), c * profile(x - 0.5), jnp.full_like(x * p, jnp.inf)
-
-
-def travelling_residual(
-    profile: Callable,
-    x: Parameter,
-    force: Callable,
-    speed: Parameter,
-    form: str,
-    *,
-    mass: Parameter = 1.0,
-) -> Numbers:
-    r"""What a wave y = profile(n - c t) leaves of an equation, integrated twice: m c^2 y - F(y) - R/12 [N].
-
-    R = d_x^2 F - F'' y_x^2/2, d_x^2 F, or m c^2 y_xx, by automatic differentiation; zero for a solitary wave of the
-    equation, whose strain is zero far away.
-
-    **Arguments:** `profile`: a function of one place, such as `lambda x: compacton.nesterenko(x).strain`; `x`: places
-    (...,), inside of a compacton; `force`: F, a function of the strain, such as `law.force`; `speed` c; `form`: of
-    `FORMS`; `mass`. **Returns:** (...,). **Raises** ValueError for another form, functions that give no numbers.
-
-    **Example:**
-
-    >>> wave = lambda x: 25 / 16 / jnp.cosh(3**0.5 * x / 2) ** 4  # that of `regularised_wave`
-    >>> left = gx.theory.long_wave.travelling_residual(wave, 1.0, gx.Hertz().force, 1.0, "regularised")
-    >>> abs(float(left)) < 1e-12
-    True
-    """
-    one_of("form", form, FORMS)
-    x, speed, mass = _numbers(x=x, speed=speed, mass=positive("mass", mass))
-    place, speed, mass = jnp.broadcast_arrays(x, speed, mass)
-
-    def left(x, c, m):
-        y, slope, bend = profile(x), jax.grad(profile)(x), jax.grad(jax.grad(profile))(x)
-        F1, F2 = jax.grad(force)(y), jax.grad(jax.grad(force))(y)
-        second = {
-            "displacement": F1 * bend + F2 * slope**2 / 2,
-            "strain": F1 * bend + F2 * slope**2,
-            "regularised": m * c**2 * bend,
-        }[form]
-        return m * c**2 * y - force(y) - second / 12
-
-    if not place.size:
-        return place
-    found = jax.vmap(left)(place.ravel(), speed.ravel(), mass.ravel())
-    return found.reshape(place.shape)
-
-
-def residual(
-    y: Parameter,
-    y_tt: Parameter,
-    force: Callable,
-    form: str,
-    *,
-    spacing: Scalar,
-    mass: Parameter = 1.0,
-) -> Numbers:
-    r"""What a field leaves of an equation, m y_tt - d_x^2 [F + R/12] [N], by spectral derivatives in a periodic box.
-
-    **Arguments:** `y`, `y_tt`: strain and its second derivative in time on X places (X, *lanes), `spacing` > 0 apart
-    [sites]; `force`: F, elementwise; `form`: of `FORMS`; `mass`. **Returns:** (X, *lanes).
-    **Raises** ValueError for another form, shapes that differ, fewer than four places.
-
-    **Example:**
-
-    >>> x, k = jnp.linspace(0.0, 20.0, 64, endpoint=False), 2 * jnp.pi / 20.0
-    >>> y, square = jnp.cos(k * x), gx.theory.long_wave.omega_squared(k, "strain")
-    >>> left = gx.theory.long_wave.residual(y, -square * y, lambda y: y, "strain", spacing=20.0 / 64)
-    >>> float(abs(left).max()) < 1e-12  # a linear wave solves the equation
-    True
-    """
-    one_of("form", form, FORMS)
-    y, y_tt, mass, spacing = (
-        parameter("y", y),
-        parameter("y_tt", y_tt),
-        positive("mass", mass),
-        positive("spacing", spacing),
-    )
-    k = (2 * np.pi * np.fft.rfftfreq(len(y))).reshape(-1, *[1] * (y.ndim - 1)) / spacing
-    # the shortest wave has no slope
-    odd = jnp.asarray(1j * k).at[-1 if len(y) % 2 == 0 else len(k) :].set(0)
-    derivative = lambda f, symbol: by_rows(
-        jnp.fft.irfft, symbol * by_rows(jnp.fft.rfft, f, axis=0), len(y), axis=0
-    )
-    F = force(y)
-    if form == "regularised":
-        return mass * y_tt - derivative(F, -(k**2)) - mass / 12 * derivative(y_tt, -(k**2))
-    inner = derivative(F, -(k**2))
-    if form == "displacement":
-        one = jnp.ones_like(y)
-        bend = jax.jvp(lambda y: jax.jvp(force, (y,), (one,))[1], (y,), (one,))[1]
-        inner = inner - bend * derivative(y, odd) ** 2 / 2
-    return mass * y_tt - derivative(F + inner / 12, -(k**2))

@@ -34,13 +34,12 @@ from ..checks import concrete, parameter, refuse, show, traced
 from ..results import Result, array
 from ..types import Count, Number, Parameter, Scalar
 from .chain_wave import _numbers, _sech
-from .nls_coefficients import B, Coefficients, band_edges, coefficients
+from .nls_coefficients import B, Coefficients, coefficients
 
 __all__ = [
     "B",
     "Coefficients",
     "Profile",
-    "band_edges",
     "bright",
     "bright_profile",
     "coefficients",

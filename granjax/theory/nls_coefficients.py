@@ -141,7 +141,7 @@ def coefficients(
     return found
 
 
-def _cell(mass, K2, K3=0.0, K4=0.0):
+def _cell(mass, K2, K3, K4):
     """Masses and coefficients of one cell, (P,) each."""
     arrays = {"mass": positive("mass", mass), "K3": parameter("K3", K3), "K4": parameter("K4", K4)}
     arrays["K2"] = positive(
@@ -270,27 +270,3 @@ def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Flo
         parameter("K4", K4),
     )
     return (3 * K2 * K4 - 4 * K3**2) / (K2 * jnp.sqrt(K2 * mass))
-
-
-def band_edges(mass: Parameter, K2: Parameter) -> Float[Array, "P 2"]:
-    """Edges of all bands, (P, 2): lowest and highest omega of each.
-
-    In a chain of nearest neighbours they lie at k = 0 and pi: even branches rise from 0 to pi, odd ones fall.
-    **Arguments:** as in `coefficients`. **Raises** ValueError for masses or K2 that are not positive.
-    Typical: dimer (2 K2/M)^{1/2}, (2 K2/m)^{1/2}, (2 K2 (1/m + 1/M))^{1/2}.
-
-    **Example:**
-
-    >>> gx.theory.nls.band_edges([1.0, 3.0], 1.5).round(4).tolist()
-    [[0.0, 1.0], [1.7321, 2.0]]
-    """
-    mass, K2, _, _ = _cell(mass, K2)
-    return _edges(mass, K2)
-
-
-@jax.jit
-def _edges(mass, K2):
-    S = jnp.stack([_strains(turn, mass.size).real / jnp.sqrt(mass) for turn in (1, -1)])
-    squared = jnp.linalg.eigvalsh(jnp.einsum("kba,b,kbc->kac", S, K2, S)).T
-    least = TOUCHING * jnp.finfo(squared.dtype).eps * squared.max()
-    return jnp.sort(jnp.sqrt(jnp.where(squared > least, squared, 0)), axis=-1)

@@ -23,14 +23,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, non_negative, parameter, positive, refuse, show, traced
+from ..checks import concrete, parameter, refuse
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
 from ..types import Numbers, Parameter, Scalar
 from .simple_states import _path_to, _slopes_at, _width_of
 
-__all__ = ["fan", "mean", "power_law_mean"]
+__all__ = ["fan", "mean"]
 
 HALVINGS = 60
 
@@ -133,45 +133,3 @@ def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weig
             usable, (stiff - mass * speed**2) / jnp.where(usable, bend, 1.0), 0.0
         )
     return ahead + jnp.where(inside, further, jnp.where(behind, width, 0.0))
-
-
-def power_law_mean(
-    c: Parameter,
-    stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5,
-    rest: Parameter = 0.0,
-    mass: Parameter = 1.0,
-) -> Numbers:
-    r"""`mean` of a contact A [d0 + y]^p in closed form: y = [d0^r + 2 r c (m/(p A))^{1/2}]^{1/r} - d0, 2r = p + 1.
-
-    **Arguments:** `c` [m/s]; `stiffness` A > 0; `exponent` p > 0; `rest`: overlap d0 >= 0 at rest [m], zero in a sonic
-    vacuum, where y = (2 r c)^{1/r} (m/(p A))^{1/(2r)}; `mass`: arrays that broadcast. **Returns:** strains [m],
-    differentiable in all. **Raises** ValueError for p <= 0, and a c that opens the contacts.
-    Typical: d0 = 1/2, A = 2^{3/2}/3, p = 3/2, m = 1: [(1 + 5c)^{4/5} - 1]/2.
-
-    **Example:**
-
-    >>> round(float(gx.theory.simple_wave.power_law_mean(0.5)), 5)
-    1.01646
-    """
-    c, A, p = parameter("c", c), positive("stiffness", stiffness), positive("exponent", exponent)
-    d0, m = non_negative("rest", rest), positive("mass", mass)
-    r, more = (p + 1) / 2, 2 * c * jnp.sqrt(m / (p * A))
-    squeezed = d0 > 0
-    base = jnp.where(squeezed, d0, 1.0)
-    # (1 + x)^{1/r} - 1 with its digits where x is small
-    share = r * more * base**-r
-    if not traced((share, d0)):
-        grown = np.where(concrete(squeezed), concrete(share) + 1, concrete(c))
-        if np.any(grown < 0):
-            refuse(
-                "c",
-                "numbers at which contacts stay closed",
-                show(c),
-                "At -d0^r (p A/m)^{1/2}/(2r) they open.",
-            )
-    closed = squeezed & (share > -1)
-    near = base * jnp.expm1(jnp.log1p(jnp.where(closed, share, 0.0)) / r)
-    free = ~squeezed & (more > 0)
-    far = jnp.where(free, r * jnp.where(free, more, 1.0), 1.0) ** (1 / r)
-    return jnp.where(closed, near, jnp.where(free, far, jnp.where(squeezed, -d0, 0.0)))

@@ -1,0 +1,585 @@
+"""Runs of lattices whose forces read the past: steps that carry internal variables, or the whole history."""
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammaln
+
+from ..checks import concrete, refuse, show, traced, whole
+from ..lattice import Lattice, State
+from ..lattice.split import damping_rates
+from ..printing import text
+from ..results import Held, array, entries, hidden
+from ..solvers.wrapped import Wrapped
+from ..terms import CaputoDamping
+from ..terms.base import memory_of
+from ..terms.tracing import reads
+from ..types import Number, Numbers, Scalar, StateLike, Times
+from .breaks import one_sided
+from .control import StepControl, largest, least_tolerance, refuse_unresolved
+from .dispatch import facts
+from .inputs import checked_size, held_frames
+from .integrate import least_overlap, solved
+from .meeting import passing
+from .method import checked_tolerance, number, refuse_far
+from .plan import Plan
+from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
+from .stiffness import frequency_bound
+
+# of steps that carry internal variables, whose first one has this part of the run with a tolerance of 1
+TOLERANCE, FIRST = 1e-11, 0.01
+# times at which drives are looked at
+SAMPLES = 257
+# h omega of the default step with the whole history, whose square is the error
+STEP_FRACTION = 0.02
+WHOSE = "for a lattice whose forces read the past"
+
+
+class RunWithMemory(Run):
+    """A `Run` of a lattice with terms that remember, from `simulate`.
+
+    Its `energy_error` is the largest |E - E0 - work| over the largest of |E0|, the kinetic energy at t0 and |work|,
+    where E counts `lost`: what the balance misses. NaN where the work is not known.
+
+    Whether a contact opened is looked at at the saved times alone.
+    """
+
+    lattice: Lattice | None = hidden(
+        "The lattice with its internal variables as they are at the end, from which a run goes on: "
+        "`gx.simulate(run.lattice, run.final, t1, t0=...)`.",
+        default=None,
+    )
+    memory: dict[str, Numbers] | None = entries(
+        "The internal variables at the saved times, (T, bonds), such as `largest_overlap` [m] of `PlasticContact`; of "
+        "several such terms the second is `largest_overlap_1`.",
+        axes="time bond",
+        default=None,
+    )
+    lost: Numbers | None = array(
+        "The energy that terms with internal variables have dissipated since their virgin state.",
+        "J",
+        "time",
+        default=None,
+    )
+    work: Numbers | None = array(
+        "The work on the lattice, since t0, of all terms that do not keep the energy: of drives above zero, of "
+        "dashpots below.",
+        "J",
+        "time",
+        default=None,
+    )
+    _kinds: tuple = eqx.field(static=True, default=())
+
+    @property
+    def by_term(self) -> tuple[dict[str, Numbers] | None, ...]:
+        """The internal variables at the saved times, one dict for each term of the lattice; `None` for the others."""
+        names = iter(name for name, _ in self._kinds)
+        found = []
+        for term in self.lattice.terms:
+            own = term.variables(self.lattice) if term.memory else None
+            found.append(None if own is None else {key: self.memory[next(names)] for key in own})
+        return tuple(found)
+
+    def _held(self, name: str) -> Held:
+        held = super()._held(name)
+        return held._replace(unit=dict(self._kinds)) if name == "memory" else held
+
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        *rows, outcome = super()._rows()
+        yield from rows
+        last = {"lost", "work", *(self.memory or {})}
+        for name, x, held in self._fields():
+            if name in last:
+                yield name.replace("_", " "), text(np.asarray(x)[-1], self._unit(held))
+        yield outcome
+
+
+def with_memory(
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    save_ts: Any,
+    every: bool,
+    solver: Any,
+    step: Any,
+    tolerance: Any,
+    record: Any,
+    adjoint: Any,
+    progress: bool,
+    throw: bool | None,
+    max_steps: Any,
+) -> Run:
+    """The run of `simulate` where forces read the past, its state and its times checked."""
+    remedy = "Terms that remember are carried by a solver of their own; save_at= keeps what happens on the way."
+    if solver is not None:
+        refuse("solver", f"None {WHOSE}", type(solver).__name__, remedy)
+    if record:
+        refuse("record", f"None {WHOSE}", "records", remedy)
+    if adjoint is not None and not isinstance(adjoint, diffrax.ForwardMode):
+        modes = "as such a run has forward derivatives (jax.jvp, jax.jacfwd)"
+        refuse("adjoint", f"None or diffrax.ForwardMode(), {modes}", type(adjoint).__name__)
+    if every:
+        refuse("save_at", f"times or a number of them, {WHOSE}", "'steps'")
+    history = any(isinstance(term, CaputoDamping) for term in lattice.terms)
+    for i, term in enumerate(lattice.terms):
+        own = (
+            isinstance(term, CaputoDamping) if history else term.memory and term.variables(lattice)
+        )
+        if memory_of(term) and not own:
+            refuse(
+                f"terms[{i}] ({type(term).__name__})",
+                "a term whose memory has a solver here",
+                "one that has none",
+                "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.",
+            )
+    dtype, step = facts(lattice).dtype, checked_size("step", step)
+    begin = lattice, state, number(t0, dtype), number(t1, dtype)
+    save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
+    if history:
+        steps = _steps_of_history(lattice, state, t0, t1, step, tolerance)
+        choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ h^2"
+        name, (found, own) = "velocity Verlet", _with_history(*begin, save_ts, steps)
+    else:
+        refuse_far(lattice, state, t0, t1)
+        longest = None if step is None else number(step, dtype)
+        max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
+        given = max(TOLERANCE, least_tolerance(dtype)) if tolerance is None else tolerance
+        given = checked_tolerance(given, dtype)
+        adjoint = diffrax.ForwardMode()
+        plan = Plan(None, longest, given, save_ts, {}, adjoint, max_steps, progress=progress)
+        name, (found, own) = "Dopri8", _with_variables(*begin, plan)
+        said = "traced" if traced(given) else show(np.asarray(given))
+        choice = f"adaptive steps that carry internal variables, tolerance {said}"
+    run = RunWithMemory(
+        **{name: x for name, x in found._asdict().items() if name in FILLED},
+        **own,
+        _margin=found.margin,
+        solver=name,
+        choice=choice,
+        remark="" if traced(found) else passing(lattice, found.ts, found.us, found.final.u),
+        _mark=lattice._mark,
+        _space=lattice.space,
+    )
+    failed = not traced(found.code) and not (np.asarray(found.code) == COMPLETED).all()
+    if failed and (throw is None or throw):
+        raise RuntimeError(run.outcome)
+    return run
+
+
+def _total(lattice, tree):
+    """The sum of all arrays over their sites or bonds, per lane."""
+    lanes, none = len(lattice.lanes), jnp.zeros(lattice.lanes, lattice.dtype)
+    return sum((x.sum(tuple(range(x.ndim - lanes))) for x in jax.tree.leaves(tree)), none)
+
+
+def _power(lattice, force, v):
+    """The power of a force, of which a dict may hold some fields alone."""
+    v = {name: v[name] for name in force} if isinstance(force, dict) else v
+    return _total(lattice, jax.tree.map(jnp.multiply, force, v))
+
+
+def _conserve(lattice):
+    return [reads(term, lattice).conserves for term in lattice.terms]
+
+
+def _found(lattice, state, begin, works, missed, seen, ts, us, vs, final, code, **stats):
+    """What is found of a run that began with an energy, with the work at each time and what its balance misses.
+
+    `seen`: the least overlaps at times along the run.
+    """
+    scale = jnp.maximum(jnp.abs(begin), lattice.kinetic_energy(state.v))
+    scale = jnp.maximum(scale, jnp.max(jnp.abs(works), axis=0))
+    error, least = missed / jnp.where(scale > 0, scale, 1), jnp.min(seen, axis=0)
+    margin = jnp.where(least < 0, -1.0, jnp.inf)
+    return Found(ts, us, vs, final, {}, error, margin, least, {}, code, stats)
+
+
+class Moving(NamedTuple):
+    """Displacements, velocities, the work of terms that keep no energy (lanes), and the internal variables by term."""
+
+    u: Any
+    v: Any
+    work: Any
+    memory: tuple
+
+
+@eqx.filter_jit
+def _with_variables(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
+) -> tuple[Found, dict]:
+    """The run by adaptive steps that carry internal variables; lanes share them. What else a `RunWithMemory` has."""
+    # internal variables that the state itself has moved already
+    memory = tuple(term.variables(lattice) if term.memory else None for term in lattice.terms)
+    start = Moving(*state, jnp.zeros(lattice.lanes, lattice.dtype), memory)
+    none = jnp.zeros((), lattice.dtype)
+    start = start._replace(memory=_advanced(lattice, memory, none, start, start))
+    norm = _Speeds(_speed(lattice, start, t0, t1))
+    controller = StepControl(plan.tolerance, norm, FIRST * (t1 - t0), plan.step, lattice.breaks)
+    if plan.save_ts is not None:
+        controller = diffrax.ClipStepSizeController(controller, step_ts=plan.save_ts)
+    solver = Remembering(one_sided(diffrax.Dopri8(scan_kind="lax"), lattice))
+    found = solved(_field, solver, controller, lattice, start, t0, t1, plan)
+    (ys, final, _), (ts, _, steps, accepted, rejected, code) = found
+
+    def looked(frame):
+        t, y = frame
+        return _kept_energy(lattice, t, y), least_overlap(recalled(lattice, y.memory), t, y.u)
+
+    energies, seen = jax.lax.map(looked, (ts, ys))
+    begin = _kept_energy(lattice, t0, start)
+    lost = [jax.lax.map(term.lost, x) for term, x in zip(lattice.terms, ys.memory) if x is not None]
+    lanes = len(lattice.lanes)
+    named, kinds = {}, []
+    for term, variables in zip(lattice.terms, ys.memory):
+        for name, x in (variables or {}).items():
+            count = sum(known == name or known.startswith(f"{name}_") for known in named)
+            said = f"{name}_{count}" if count else name
+            named[said] = x
+            kinds.append((said, term.memory[name]))
+    found = _found(
+        lattice,
+        state,
+        begin,
+        ys.work,
+        jnp.max(jnp.abs(energies - begin - ys.work), axis=0),
+        seen,
+        ts,
+        ys.u,
+        ys.v,
+        State(final.u, final.v),
+        code,
+        steps=steps,
+        accepted=accepted,
+        rejected=rejected,
+        step=(t1 - t0) / jnp.maximum(accepted, 1),
+        force_evaluations=jnp.nan,
+    )
+    return found, {
+        "lattice": recalled(lattice, final.memory),
+        "memory": named,
+        "lost": sum(
+            (x.sum(tuple(range(1, x.ndim - lanes))) for x in lost), jnp.zeros_like(ys.work)
+        ),
+        "work": ys.work,
+        "_kinds": tuple(kinds),
+        "unseen": "looked at at the saved times alone",
+    }
+
+
+def recalled(lattice: Lattice, memory: tuple) -> Lattice:
+    """The lattice that holds these internal variables."""
+    terms = tuple(
+        term if x is None else term.recalling(x) for term, x in zip(lattice.terms, memory)
+    )
+    return eqx.tree_at(lambda x: x.terms, lattice, terms)
+
+
+def _advanced(lattice, memory, h, start, end):
+    pairs = (start.u, start.v), (end.u, end.v)
+    return tuple(
+        None if x is None else term.advanced(x, h, *pairs) for term, x in zip(lattice.terms, memory)
+    )
+
+
+def _field(t, y, lattice):
+    now = recalled(lattice, y.memory)
+    forces = [term.force(t, y.u, y.v, now.mass) for term in now.terms]
+    acceleration = jax.tree.map(jnp.divide, now.total(forces, y.u), now.mass)
+    work = jnp.zeros_like(y.work)
+    for force, conserves in zip(forces, _conserve(lattice)):
+        if not conserves:
+            work = work + _power(lattice, force, y.v)
+    return Moving(y.v, acceleration, work, jax.tree.map(jnp.zeros_like, y.memory))
+
+
+def _kept_energy(lattice, t, y):
+    """Energy of the motion and of the terms that keep it, what they have lost included."""
+    terms = zip(recalled(lattice, y.memory).terms, _conserve(lattice))
+    kept = [term.energy(t, y.u) for term, conserves in terms if conserves]
+    return lattice.kinetic_energy(y.v) + _total(lattice, kept)
+
+
+class _Speeds(eqx.Module):
+    """The largest error of a velocity, by the speed that all energy would give to the lightest site."""
+
+    speed: jax.Array
+
+    def __call__(self, y):
+        return largest(y.v) / self.speed
+
+
+def _speed(lattice, start, t0, t1):
+    """That speed; where nothing moves at first, what drives and walls give within the run."""
+    lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
+    speed = jnp.sqrt(2 * jnp.max(jnp.abs(_kept_energy(lattice, t0, start))) / lightest)
+    if lattice.reads_time:
+        ts = jnp.linspace(t0, t1, SAMPLES)
+        for term in lattice.terms:
+            driven = term.excitation(lattice, ts)
+            given = jnp.maximum(driven.force * (t1 - t0) / lightest, driven.speed)
+            speed = jnp.maximum(speed, given)
+    return jax.lax.stop_gradient(jnp.where(speed > 0, speed, 1.0))
+
+
+class Remembering(Wrapped):
+    """A solver that takes each step with the internal variables of its start, and then moves them.
+
+    A contact that turns within a step has loaded all along it. What that misses in the force at the end, times the
+    step, joins the error: so steps are short where a contact turns, and what is missed falls with their third power.
+    """
+
+    @property
+    def interpolation_cls(self):
+        return partial(_Path, self.solver.interpolation_cls)
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        y1, error, dense, own, result = self.solver.step(
+            terms, t0, t1, y0, args, solver_state, True
+        )
+        h = t1 - t0
+        end = y1._replace(memory=_advanced(args, y0.memory, h, y0, y1))
+        before, after = terms.vf(t1, y1, args).v, terms.vf(t1, end, args).v
+        missed = jax.tree.map(lambda a, b: jnp.abs(h * (a - b)), before, after)
+        more = lambda e, x: jnp.abs(e) + x
+        error = error._replace(
+            u=jax.tree.map(lambda e, x: more(e, h * x), error.u, missed),
+            v=jax.tree.map(more, error.v, missed),
+        )
+        dense = {"inner": dense, "start": y0, "lattice": args}
+        return end, error, dense, own, result
+
+
+class _Path(diffrax.AbstractLocalInterpolation):
+    """The dense output of a step, with the internal variables as they have become at a time within it."""
+
+    kind: Callable = eqx.field(static=True)
+    t0: Any
+    t1: Any
+    inner: Any
+    start: Any
+    lattice: Any
+
+    def evaluate(self, t0, t1=None, left=True):
+        if t1 is not None:
+            return jax.tree.map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
+        y = self.kind(t0=self.t0, t1=self.t1, **self.inner).evaluate(t0)
+        return y._replace(
+            memory=_advanced(self.lattice, self.start.memory, t0 - self.t0, self.start, y)
+        )
+
+
+def _steps_of_history(lattice, state, t0, t1, step, tolerance):
+    """How many equal steps a lattice with Caputo damping takes."""
+    if tolerance is not None:
+        refuse(
+            "tolerance",
+            "None with Caputo damping, whose steps are equal",
+            show(np.asarray(tolerance)),
+            "Give step=; the error falls with its square.",
+        )
+    others = [
+        type(term).__name__
+        for term in lattice.terms
+        if not term.memory and term.exact_damping() is None and reads(term, lattice).velocity
+    ]
+    if others:
+        refuse(
+            "lattice", "no force of velocities beside CaputoDamping and Damping", ", ".join(others)
+        )
+    if traced((step, t0, t1)):
+        refuse(
+            "step, t0, t1",
+            "known numbers, which say how many steps of history are kept",
+            "traced ones",
+        )
+    omega = None
+    if step is None or not traced((lattice, state)):
+        omega = concrete(frequency_bound(lattice, state, t0, t1))
+    if step is None:
+        if omega is None or not omega > 0:
+            refuse(
+                "step",
+                "a time step, where the highest frequency is not known or zero",
+                "None",
+                f"h omega = {STEP_FRACTION} is usual with Caputo damping.",
+            )
+        step = STEP_FRACTION / float(omega)
+    elif omega is not None and step * omega >= 2:
+        refuse(
+            "step",
+            f"below {2 / float(omega):.3g}, where velocity Verlet is stable",
+            show(np.asarray(step)),
+        )
+    refuse_unresolved(t0, t1, step, facts(lattice).dtype)
+    steps = max(math.ceil((t1 - t0) / step * (1 - 1e-9)), 2)
+    held_frames("step", steps, state, "steps of history")
+    return steps
+
+
+def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers]:
+    """(b_j of the value j steps ago, those of the value at the start, of j steps) of the product trapezoidal rule.
+
+    For the integral of v(s) (t - s)^{-a}/Gamma(1 - a), v linear within steps; (count + 1,) and the shape of `order`.
+    """
+    j = jnp.arange(count + 1, dtype=order.dtype).reshape((-1,) + (1,) * order.ndim)
+    far, q = jnp.maximum(j, 1), 2 - order
+    before = jnp.where(far > 1, jnp.expm1(q * jnp.log1p(-1 / jnp.maximum(far, 2))), -1.0)
+    inner = far**q * (jnp.expm1(q * jnp.log1p(1 / far)) + before)
+    # (j - 1)^q - (j - q) j^{q - 1}
+    first = far**q * (before + q / far)
+    unit = step ** (1 - order) / jnp.exp(gammaln(3 - order))
+    return unit * jnp.where(j > 0, inner, 1.0), unit * jnp.where(j > 0, first, 1.0)
+
+
+def missed(order: Number, step: Number, count: int) -> Numbers:
+    """What the trapezoidal rule misses of t^{1-a}/Gamma(2 - a) in each of `count` steps, (count,) and `order`'s shape.
+
+    The damping of a velocity that is there at the start: of order h^{2-a} in the first steps, which would stay.
+    """
+    j = jnp.arange(count + 1, dtype=order.dtype).reshape((-1,) + (1,) * order.ndim)
+    q = 2 - order
+    one_less = jnp.where(j > 0, jnp.maximum(j, 1) ** (q - 1), 0.0)
+    found = jnp.diff(j * one_less, axis=0) - q / 2 * (one_less[1:] + one_less[:-1])
+    return step**q / jnp.exp(gammaln(1 + q)) * found
+
+
+@eqx.filter_jit
+def _with_history(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, save_ts: Times | None, steps: int
+) -> tuple[Found, dict]:
+    """The run by velocity Verlet with the whole history of the velocities. What else a `RunWithMemory` has."""
+    h, (u0, v0) = (t1 - t0) / steps, state
+    # of each damping: its field, its coefficient, the weights of the past and of the start, what they miss
+    damped = []
+    for term in lattice.terms:
+        if isinstance(term, CaputoDamping):
+            order = jnp.asarray(term.order, lattice.dtype)
+            rules = *weights(order, h, steps), missed(order, h, steps)
+            damped.append((term.field, term.coefficient, *rules))
+    plain = [t for t in lattice.terms if not t.memory and t.exact_damping() is None]
+    kept = [term for term in plain if reads(term, lattice).conserves]
+    rates = {name: 0.0 if rate is None else rate for name, rate in damping_rates(lattice, v0)}
+    own = {
+        name: sum((c * inner[0] for field, c, inner, *_ in damped if field in (None, name)), 0.0)
+        for name in rates
+    }
+    of_fields = lambda found: found if isinstance(v0, dict) else found[None]
+    rates, own = of_fields(rates), of_fields(own)
+    slowing = jax.tree.map(lambda m, rate, own: rate + own / m, lattice.mass, rates, own)
+
+    def forces(terms, t, u, v):
+        return lattice.total([term.force(t, u, v, lattice.mass) for term in terms], u)
+
+    def momenta(vs, each):
+        """Sum over the dampings of c times a function of each and of velocities."""
+        parts = []
+        for field, c, *rules in damped:
+            own = vs if field is None else {field: vs[field]}
+            parts.append(jax.tree.map(lambda v, c=c, rules=rules: c * each(v, *rules), own))
+        return lattice.total(parts, v0)
+
+    def power(t, u, v, a):
+        """Of the terms that keep no energy: of all forces, m a v, less those that do."""
+        keep = forces(kept, t, u, v)
+        rest = jax.tree.map(lambda m, a, f: m * a - f, lattice.mass, a, keep)
+        return _power(lattice, rest, v)
+
+    def energy(t, u, v):
+        return lattice.kinetic_energy(v) + _total(lattice, [term.energy(t, u) for term in kept])
+
+    def step(carry, n):
+        u, v, a, us, vs, work, before, worst = carry
+        t = t0 + (n + 1) * h
+        half = jax.tree.map(lambda v, a: v + h / 2 * a, v, a)
+        u = jax.tree.map(lambda u, w: u + h * w, u, half)
+        # of each damping what the velocities before this step say
+        past = momenta(vs, lambda v, inner, first, _: _convolved(v, inner, first, n + 1))
+        pushed = jax.tree.map(jnp.subtract, forces(plain, t, u, half), past)
+        slow = jax.tree.map(
+            lambda w, f, m, rate: (w + h / 2 * f / m) / (1 + h / 2 * rate),
+            half,
+            pushed,
+            lattice.mass,
+            slowing,
+        )
+        a = jax.tree.map(lambda v, w: 2 / h * (v - w), slow, half)
+        # what this step still has to take
+        taken = momenta(v0, lambda v, *rules: rules[-1][n] * v)
+        v = jax.tree.map(lambda v, p, m: v - p / m, slow, taken, lattice.mass)
+        us, vs = (_written(xs, x, n + 1) for xs, x in ((us, u), (vs, v)))
+        now = power(t, u, v, a)
+        mean = jax.tree.map(lambda a, b: (a + b) / 2, slow, v)
+        work = work + h / 2 * (before + now) - _power(lattice, taken, mean)
+        worst = jnp.maximum(worst, jnp.abs(energy(t, u, v) - begin - work))
+        return (u, v, a, us, vs, work, now, worst), (work, least_overlap(lattice, t, u))
+
+    begin, none = energy(t0, u0, v0), jnp.zeros(lattice.lanes, lattice.dtype)
+    a0 = jax.tree.map(
+        lambda f, m, rate, v: f / m - rate * v, forces(plain, t0, u0, v0), lattice.mass, rates, v0
+    )
+    us, vs = (
+        _written(jax.tree.map(lambda x: jnp.zeros((steps + 1, *x.shape), x.dtype), x), x, 0)
+        for x in (u0, v0)
+    )
+    carry = u0, v0, a0, us, vs, none, power(t0, u0, v0, a0), none
+    carry, (works, seen) = jax.lax.scan(step, carry, jnp.arange(steps))
+    u, v, _, us, vs, _, _, worst = carry
+    final, ts = State(u, v), t1[None] if save_ts is None else save_ts
+
+    # displacements by the cubic through both ends of a step, the others linear between
+    place = (ts - t0) / h
+    k = jnp.clip(jnp.floor(place).astype(int), 0, steps - 1)
+    within = lambda x: (place - k).reshape((-1,) + (1,) * (x.ndim - 1))
+
+    def cubic(u, v):
+        x, a, b, d, e = within(u), u[k], u[k + 1], h * v[k], h * v[k + 1]
+        return a + x * (d + x * (3 * (b - a) - 2 * d - e + x * (d + e - 2 * (b - a))))
+
+    def linear(w):
+        return (1 - within(w)) * w[k] + within(w) * w[k + 1]
+
+    found = _found(
+        lattice,
+        state,
+        begin,
+        works,
+        worst,
+        seen,
+        ts,
+        jax.tree.map(cubic, us, vs),
+        jax.tree.map(linear, vs),
+        final,
+        jnp.where(finite(final), COMPLETED, NOT_FINITE),
+        steps=jnp.asarray(steps),
+        accepted=jnp.asarray(steps),
+        rejected=jnp.asarray(0),
+        step=h,
+        force_evaluations=jnp.asarray(steps + 1.0),
+    )
+    work = linear(jnp.concatenate([none[None], works]))
+    return found, {"work": work, "unseen": "looked at at the ends of steps alone"}
+
+
+def _convolved(x, inner, first, n):
+    """Sum over k < n of b_{n-k} v_k, of an array of all velocities (T + 1, sites, lanes) that is zero from n on."""
+    count = x.shape[0]
+    # b_n, b_{n-1}, ..., b_1 and what meets zeros
+    rows = jnp.abs(n - jnp.arange(count))
+    b = inner[rows].at[0].set(first[n])
+    b = b.reshape((count,) + (1,) * (x.ndim - b.ndim) + b.shape[1:])
+    return jnp.sum(b * x, axis=0)
+
+
+def _written(xs, x, n):
+    return jax.tree.map(lambda xs, x: jax.lax.dynamic_update_index_in_dim(xs, x, n, 0), xs, x)
