@@ -467,7 +467,7 @@ def another(
             return None
         largest = np.abs(jacobian).max() if largest is None else largest
         if np.abs(f).max() <= LEFT * size * largest:
-            return x
+            return np.where(np.abs(x) > LEFT * size, x, 0)
         away = [(x - other) / size for other in known]
         slope = sum(-2 * d / (d @ d * (d @ d + 1)) for d in away) / size
         step = np.linalg.lstsq(jacobian, -f)[0]

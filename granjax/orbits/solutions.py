@@ -57,6 +57,10 @@ class Sought(Problem):
         """The state half a period later, `None` at rest."""
         return None
 
+    def trivial(self) -> list[np.ndarray]:
+        """Solutions that are not looked for."""
+        return []
+
     def images(self, x: Numbers) -> list[tuple[str | None, np.ndarray]]:
         """Unknowns of the images under symmetries that a lattice may have, and what they are called.
 
@@ -109,6 +113,11 @@ class _Returning(Sought):
 
     def state(self, x):
         return self.shooting.state(x)
+
+    def trivial(self):
+        # at rest every time is a period
+        rest = State(self.lattice.zeros(), self.lattice.zeros())
+        return [np.asarray(self.unknowns(rest))] if self.shooting.reversible else []
 
     def later(self, state):
         flow = self.shooting.flow
@@ -202,16 +211,19 @@ def find_all(sought: Sought, guesses: Sequence[StateLike], *, most: Count = 20) 
 
     >>> wells = gx.OnSite(gx.Polynomial(-1.0, 0.0, 1.0))
     >>> pair = gx.Lattice(1.0, (wells, gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2))), sites=2)
-    >>> found = gx.orbits.find_all(gx.orbits.problem(pair), [gx.State(jnp.array([0.3, 0.1]), jnp.zeros(2))])
+    >>> found = gx.orbits.find_all(gx.orbits.problem(pair), [gx.State(jnp.array([0.5, 0.2]), jnp.zeros(2))])
     >>> for rest, copies in zip(found.solutions, found.copies):
     ...     print(np.array(rest.state.u).round(4).tolist(), rest.verdict, len(copies))
+    [0.864, -0.2315] unstable 3
+    [0.0, 0.0] unstable 0
+    [1.0, 1.0] stable 1
     """
     states = [checked_state(sought.lattice, guess, "guess") for guess in guesses]
     starts = [np.asarray(sought.unknowns(state)) for state in states]
     size = max((float(np.abs(x).max()) for x in starts), default=0.0)
     if not size > 0:
         refuse("guesses", "states that are not all at rest at u = 0", f"{len(starts)} of them")
-    roots, copies, known = [], [], []
+    roots, copies, known = [], [], sought.trivial()
     for start in starts:
         while len(roots) < most:
             x = another(sought, start, known, size)
