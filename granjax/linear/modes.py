@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ..checks import concrete
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import AnyArray, Displacements, Number, Numbers
 from .cell import by_lanes, in_lanes
 from .stiffness import at_rest, each, refuse_one_way, stiffness_product
