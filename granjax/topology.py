@@ -7,7 +7,8 @@ zone it is: there is no number then. A function that returns a record or a real 
 says where the bands touch; one that returns a whole number raises ValueError.
 
 The vectors q are those of D(k) q = omega^2 q with the phases of cells, D(k + 2 pi) = D(k); a Zak phase depends on which
-sites are called one cell, as `gx.linear.unit_cell` has them.
+sites are called one cell, as `gx.linear.unit_cell` has them; `unit_cell(lattice, cell).dynamical_matrix` in place of a
+lattice takes another one.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +28,7 @@ from .linear.stiffness import in_groups, mesh
 from .linear.zone import lattice_vectors as _vectors
 from .linear.zone import named_points as _named_points
 from .results import Result, array, note
-from .types import AnyArray, Cell, Count, Number, Numbers, Parameter
+from .types import AnyArray, Count, Number, Numbers, Parameter
 
 # a gap that is less, of the largest omega^2, is closed
 CLOSED = 1e-9
@@ -80,14 +81,14 @@ class _Waves(NamedTuple):
     def vectors(self, lines, bands=slice(None)):
         """Vectors (..., P, bands) on the mesh of some lines, one array of phases an axis."""
         points = mesh(*lines).reshape(-1, self.axes)
-        parts = [points[i : i + POINTS] for i in range(0, len(points), POINTS)]
+        parts = np.array_split(points, -(-len(points) // POINTS))
         q = [np.linalg.eigh(self.matrices(part))[1][..., bands] for part in parts]
         return np.concatenate(q).reshape(*map(len, lines), *q[0].shape[1:])
 
 
-def _waves_of(lattice, cell, axes=None):
+def _waves_of(lattice, axes=None):
     if isinstance(lattice, Lattice):
-        found = unit_cell(lattice, cell)
+        found = unit_cell(lattice)
         if axes is not None and len(found.cell) != axes:
             kinds = {1: "a chain", 2: "a lattice of the plane"}
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
@@ -256,9 +257,7 @@ def zak(
     lattice: Any,
     *,
     points: Count = 64,
-    axis: Count = 0,
     k: Parameter | None = None,
-    cell: Cell | None = None,
 ) -> Zak:
     r"""Zak phases: gamma = -Im log prod_j <q(k_j)|q(k_{j+1})> over the zone, closed by D(k + 2 pi) = D(k).
 
@@ -266,8 +265,8 @@ def zak(
     bonds between cells are the stiffer ones, and a cut between cells leaves a state at the end.
 
     **Arguments:** `lattice`: one `Lattice`, or a function from k (axes,) to a Hermitian matrix D(k) of period 2 pi.
-    `points`: of the mesh, at least. Of a plane: `axis`, along which it is taken, and `k`, wave numbers along the other.
-    `cell`: as in `unit_cell`. **Returns:** `Zak`. **Raises** ValueError for a lattice with three axes, a plane without
+    `points`: of the mesh, at least. Of a plane it is taken along the first axis: `k`, wave numbers along the second.
+    **Returns:** `Zak`. **Raises** ValueError for a lattice with three axes, a plane without
     `k`, and where `unit_cell` does. Source: Zak, Phys. Rev. Lett. 62, 2747 (1989); Resta, Rev. Mod. Phys. 66, 899.
 
     **Example:**
@@ -276,41 +275,33 @@ def zak(
     >>> found.outcome
     'Zak phases +1 pi, +1 pi.'
     """
-    waves = _waves_of(lattice, cell, None if isinstance(lattice, Lattice) or k is None else 2)
+    waves = _waves_of(lattice, None if isinstance(lattice, Lattice) or k is None else 2)
     if waves.axes > 2 or (waves.axes == 2) != (k is not None):
         refuse(
             "k",
-            "None of a chain; of a plane the wave numbers along the other axis",
+            "None of a chain; of a plane the wave numbers along the second axis",
             f"{k} with {waves.axes} axes",
         )
     n = whole("points", points, 4)
-    other, rows = None, [waves]
-    if waves.axes == 2:
-        if axis not in (0, 1):
-            refuse("axis", "0 or 1", repr(axis))
-        other = np.atleast_1d(np.asarray(parameter("k", k), float))
-        rows = [
-            waves._replace(matrix=jax.tree_util.Partial(_on_line, waves.matrix, axis, x), axes=1)
-            for x in other
-        ]
+    if k is None:
+        phase, below, error, faults = _phases(waves, n)
+        return Zak(phase, below, error, None, tuple(faults), **waves.origin)
+    other = np.atleast_1d(np.asarray(parameter("k", k), float))
+    line = jax.tree_util.Partial
+    rows = [waves._replace(matrix=line(_on_line, waves.matrix, x), axes=1) for x in other]
     phase, below, error, faults = zip(*(_phases(row, n) for row in rows))
-    phase, below = np.stack(phase, -1), np.stack(below, -1)
-    if other is None:
-        phase, below = phase[:, 0], below[:, 0]
-        told = faults[0]
-    else:
-        told = [
-            f"At k = {x:.6g} along the other axis: {said}"
-            for x, some in zip(other, faults)
-            for said in some
-        ]
-    return Zak(phase, below, max(error), other, tuple(told), **waves.origin)
+    told = [
+        f"At k = {x:.6g} along the other axis: {said}"
+        for x, some in zip(other, faults)
+        for said in some
+    ]
+    below = np.stack(below, -1)
+    return Zak(np.stack(phase, -1), below, max(error), other, tuple(told), **waves.origin)
 
 
-def _on_line(matrix, axis, other, k):
-    """D at k (1,) along one axis of a plane, and a given phase along the other."""
-    pair = (k[0], other) if axis == 0 else (other, k[0])
-    return matrix(jnp.stack(pair))
+def _on_line(matrix, other, k):
+    """D at k (1,) along the first axis of a plane, and a given phase along the second."""
+    return matrix(jnp.stack([k[0], other]))
 
 
 def _between(k):
@@ -345,7 +336,7 @@ def _phases(waves, count):
     return fine[:size], fine[size:], error, [x.fault for x in cuts if x.fault]
 
 
-def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> int:
+def winding(lattice: Any, *, points: Count = 256) -> int:
     r"""Winding number of a chain whose sites are of two kinds, each bound to the other alone.
 
     D(k) - Omega^2 = [[0, h^+], [h, 0]], Omega^2 equal at all sites, the kind of the cell's first site first: nu = how
@@ -360,7 +351,7 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
     >>> gx.topology.winding(gx.scenes.ssh(8, 1.0, 2.0, boundary="periodic"))
     1
     """
-    waves = _waves_of(lattice, cell, 1)
+    waves = _waves_of(lattice, 1)
     D = waves.matrices(2 * np.pi * np.arange(whole("points", points, 8))[:, None] / points)
     own = np.einsum("kaa->ka", D)
     scale = np.abs(D).max()
@@ -454,7 +445,6 @@ def berry_curvature(
     band: Count | Sequence[Count] = 0,
     *,
     points: Count = 24,
-    cell: Cell | None = None,
 ) -> BerryCurvature:
     r"""Berry curvature of a band, or of several together, of a lattice of the plane.
 
@@ -463,7 +453,7 @@ def berry_curvature(
     1e-9 of the largest omega^2 have their right whole number.
 
     **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `band`:
-    counted from the lowest. `points`: along each axis of the zone. `cell`: as in `unit_cell`.
+    counted from the lowest. `points`: along each axis of the zone.
     **Returns:** `BerryCurvature`. A lattice of masses and springs, whose D(-k) is the conjugate of D(k), has Chern
     numbers zero; with a centre of inversion the flux is zero too. Where bands touch others, on the mesh or between its
     points, the flux is NaN and `outcome` says where. **Raises** ValueError where `unit_cell` does.
@@ -478,7 +468,7 @@ def berry_curvature(
     >>> round(abs(gx.topology.berry_curvature(haldane).chern), 6)
     1.0
     """
-    waves = _waves_of(lattice, cell, 2)
+    waves = _waves_of(lattice, 2)
     n = whole("points", points, 4)
     numbers = _chosen(band, waves)
     cut, fine = _fluxes(waves, n, numbers)
@@ -508,7 +498,6 @@ def chern(
     band: Count | Sequence[Count] = 0,
     *,
     points: Count = 24,
-    cell: Cell | None = None,
 ) -> int:
     """Chern number of a band, or of several together: the flux of `berry_curvature` over 2 pi.
 
@@ -521,7 +510,7 @@ def chern(
     >>> gx.topology.chern(crystal, points=12)
     0
     """
-    found = berry_curvature(lattice, band, points=points, cell=cell)
+    found = berry_curvature(lattice, band, points=points)
     if found.fault:
         _refuse_touching(found.band, found.fault)
     return round(found.chern)
@@ -542,7 +531,6 @@ def valley_chern(
     *,
     valley: str | Parameter = "K",
     points: Count = 96,
-    cell: Cell | None = None,
 ) -> float:
     r"""Valley Chern number: the Berry flux over 2 pi through the half of the zone that is nearer to one valley.
 
@@ -553,12 +541,12 @@ def valley_chern(
     of `berry_curvature`. **Returns:** the number; NaN where bands touch, of which `berry_curvature(...).outcome` says
     where. **Raises** ValueError as there, and for a point that is its own minus.
     """
-    waves = _waves_of(lattice, cell, 2)
+    waves = _waves_of(lattice, 2)
     cut, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
     if isinstance(valley, str):
         vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
         if isinstance(lattice, Lattice):
-            vectors = _vectors(lattice, unit_cell(lattice, cell).cell)
+            vectors = _vectors(lattice, unit_cell(lattice).cell)
         known = _named_points(vectors, 2)
         if valley not in known:
             refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))
@@ -603,7 +591,6 @@ def polarisation(
     bands: Count | Sequence[Count] = 0,
     *,
     points: Count = 48,
-    cell: Cell | None = None,
 ) -> Polarisation:
     r"""Bulk polarisation p = (p_1, p_2) of a band of the plane, or of several together, by Wilson loops.
 
@@ -618,12 +605,12 @@ def polarisation(
     sites, as hopping models have it; with free ends sites at the edge are held by less and leave the gap.
 
     **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `bands`:
-    counted from the lowest. `points`: along each axis of the zone, even. `cell`: as in `unit_cell`.
+    counted from the lowest. `points`: along each axis of the zone, even.
     **Returns:** `Polarisation`. **Raises** ValueError for bands that touch others, bands with a Chern number, whose
     centres wind, a mesh on which centres jump, and where `unit_cell` does. Source: King-Smith, Vanderbilt, Phys. Rev.
     B 47, 1651 (1993); Ezawa, Phys. Rev. Lett. 120, 026801 (2018).
     """
-    waves = _waves_of(lattice, cell, 2)
+    waves = _waves_of(lattice, 2)
     n = whole("points", points, 6)
     n += n % 2
     k = 2 * np.pi * np.arange(n) / n
@@ -702,7 +689,6 @@ def quadrupole(
     bands: Sequence[Count] | None = None,
     *,
     points: Count = 24,
-    cell: Cell | None = None,
 ) -> tuple[float, float]:
     r"""Nested Zak phases of the lower bands, p_x and p_y over 2 pi: (1/2, 1/2) is a quadrupole, with corner states.
 
@@ -715,7 +701,7 @@ def quadrupole(
     touch. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
     (2017).
     """
-    waves = _waves_of(lattice, cell, 2)
+    waves = _waves_of(lattice, 2)
     n = whole("points", points, 4)
     numbers = list(range(waves.size // 2)) if bands is None else _chosen(bands, waves)
     if len(numbers) % 2:

@@ -17,8 +17,7 @@ from jaxtyping import Bool, Float
 
 from .checks import one_of, positive, real, refuse, show, whole
 from .flow import frequency_bound, linear_frequency, simulate
-from .flow.dispatch import facts
-from .flow.inputs import checked_state, checked_times
+from .flow.method import checked_state, checked_times, facts
 from .lattice import Lattice
 from .results import SI, Result, array, hidden
 from .solvers import (

@@ -10,7 +10,7 @@ import pytest
 
 import granjax as gx
 from granjax import programs
-from granjax.flow import dispatch
+from granjax.flow.method import facts
 
 # other tests of the same process must not have compiled these shapes
 N = 7
@@ -44,8 +44,8 @@ def test_compiled_differentiates_and_nests():
 
 def test_facts_are_found_once_and_go_with_the_lattice():
     chain = gx.scenes.monomer(N)
-    found = dispatch.facts(chain)
-    assert dispatch.facts(chain) is found
+    found = facts(chain)
+    assert facts(chain) is found
     assert found.template.shape == (N,) and not found.traced and not found.reads_velocity
     found.known["own"] = gx.Hertz()
     kept = weakref.ref(found.known["own"])
@@ -59,7 +59,7 @@ def test_facts_tell_traced_lattices():
 
     @jax.jit
     def f(stiffness):
-        seen.append(dispatch.facts(gx.scenes.monomer(N, stiffness=stiffness)).traced)
+        seen.append(facts(gx.scenes.monomer(N, stiffness=stiffness)).traced)
         return stiffness
 
     f(1.0)
@@ -68,4 +68,4 @@ def test_facts_tell_traced_lattices():
 
 def test_another_lattice_in_the_same_place_has_its_own_facts():
     for sites in (5, 6, 7, 8):
-        assert dispatch.facts(gx.scenes.monomer(sites)).template.shape == (sites,)
+        assert facts(gx.scenes.monomer(sites)).template.shape == (sites,)

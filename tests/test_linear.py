@@ -350,6 +350,24 @@ def test_normal_modes_are_normalised_and_differentiable():
     assert_allclose(ring, np.sin(np.arange(8) * np.pi / 8).sum(), rtol=1e-12)
 
 
+@pytest.mark.parametrize("boundary, rigid", [("fixed", 0), ("periodic", 2)])
+def test_the_lowest_modes_by_the_sparse_matrix_are_those_of_the_dense_one(boundary, rigid):
+    mass = np.random.default_rng(4).uniform(0.5, 2, (7, 6))
+
+    def crystal(K):
+        return gx.scenes.triangular(7, 6, mass=mass, stiffness=K, boundary=boundary)
+
+    all_of_them, found = linear.normal_modes(crystal(1.3)), linear.normal_modes(crystal(1.3), 6)
+    assert_allclose(found.omega_squared, all_of_them.omega_squared[:6], rtol=0, atol=1e-13)
+    assert found.modes.shape == (7, 6, 2, 6) and np.sum(found.omega == 0) == rigid
+    gram = np.einsum("nmda,nm,nmdb->ab", found.modes, mass, found.modes)
+    assert_allclose(gram, np.eye(6), atol=1e-12)
+    slope = jax.grad(lambda K: linear.normal_modes(crystal(K), 6).omega[rigid])(1.3)
+    assert slope == pytest.approx(float(found.omega[rigid]) / 2.6, rel=1e-12)
+    with refused("count: expected None where masses or laws are traced"):
+        jax.jit(lambda K: linear.normal_modes(crystal(K), 6).omega)(1.3)
+
+
 def test_unstable_sites_have_negative_frequencies():
     # a site potential -u^2/2 over springs of stiffness 1/4: omega^2 = sin^2(k/2) - 1
     chain = springs(np.ones(8), 0.25, "periodic", OnSite(Linear(-1.0)))

@@ -13,7 +13,7 @@ from refusals import refused
 
 import granjax as gx
 from granjax.flow.march import refuse_endless
-from granjax.flow.plan import Plan
+from granjax.flow.method import Plan
 
 march = sys.modules["granjax.flow.march"]
 RECORD = {"sum": gx.Integral(gx.measures.contact_force)}

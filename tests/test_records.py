@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import granjax as gx
-from granjax.flow.record.within import crossing, guesses, lobatto, mean, series, tops
+from granjax.flow.within import crossing, guesses, lobatto, mean, series, tops
 
 T1 = 30.0
 

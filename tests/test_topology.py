@@ -22,7 +22,7 @@ def test_the_chain_of_su_schrieffer_and_heeger():
         )
         assert topology.winding(chain) == turns
     with refused("touch"):
-        topology.winding(scenes.ssh(8, 1.0, 1.0, boundary="periodic"), cell=None)
+        topology.winding(scenes.ssh(8, 1.0, 1.0, boundary="periodic"))
 
 
 def haldane(k, mass=0.2, second=0.1):

@@ -13,9 +13,7 @@ from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse
 from ..flow import Run, frequency_bound, simulate
-from ..flow.dispatch import facts
-from ..flow.inputs import checked_state
-from ..flow.method import STEP_FRACTION
+from ..flow.method import STEP_FRACTION, checked_state, facts
 from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..parameters import Bounds, Coordinates

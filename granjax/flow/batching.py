@@ -18,7 +18,7 @@ from ..lattice import Lattice, State, vector_field
 from ..programs import joined, parted
 from ..types import Scalar, StateLike
 from .integrate import integrate
-from .plan import CUBICS, ENDS, Plan
+from .method import CUBICS, ENDS, Plan
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing

@@ -12,7 +12,7 @@ from jax.scipy.special import gammaln
 from ..checks import concrete, held_in_memory, parameter, refuse, whole, within
 from ..results import Result, array
 from ..types import Count, Number, Pytree, Scalar, Times, VectorField
-from .inputs import checked_times
+from .method import checked_times
 
 # of Newton's method at each step: most iterations, and where they end, over the size of the solution
 ITERATIONS, SETTLED = 20, 1e-13

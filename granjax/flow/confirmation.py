@@ -9,10 +9,9 @@ from ..lattice import Lattice, State, vector_field
 from ..programs import compiled
 from ..types import Flags, Number, StateLike
 from .batching import batched
-from .control import tighter
 from .integrate import overlaps
 from .march import march
-from .plan import DENSE, Plan
+from .method import DENSE, Plan, least_tolerance
 from .run import Errors, Found
 
 # a run is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second one where
@@ -51,7 +50,9 @@ def confirmed(
         (plan.step, plan.tolerance, plan.save_ts, plan.records)
     )
     if tolerance is not None:
-        tolerance = tighter(tolerance, TIGHTER, lattice.dtype)
+        # where the type does not hold so small a one, one so many times larger
+        less, more = tolerance / TIGHTER, tolerance * TIGHTER
+        tolerance = jnp.where(less >= least_tolerance(lattice.dtype), less, more)
         how = f"a second run with a tolerance {TIGHTER} times smaller"
     else:
         opened = jnp.any(first.margin < 0)

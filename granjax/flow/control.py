@@ -1,19 +1,129 @@
-"""Step control: adaptive steps for scenes whose contacts open and close."""
+"""Step control: steps that end where forces jump in time, and adaptive steps where contacts open and close."""
 
 import math
 from collections.abc import Callable
-from functools import cache
-from typing import Any
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..checks import refuse
+from ..lattice import Lattice
+from ..solvers.wrapped import Wrapped
+from ..terms import Term
+from ..terms.base import Altered
+from ..terms.waveforms import ULPS, count_breaks, next_break
 from ..types import Number, Pytree, Scalar, StateLike
-from .breaks import cut
+
+# a step that would end so near before its goal ends there
+NEARLY = 1e-9
+
+
+class Held(Altered):
+    """A term for the times from `low` to `high` alone: beyond them it is what it is there."""
+
+    term: Term
+    low: Number
+    high: Number
+
+    def _within(self, t):
+        return jnp.clip(t, self.low, self.high)
+
+    def force(self, t, u, v, mass):
+        return self.term.force(self._within(t), u, v, mass)
+
+    def energy(self, t, u):
+        return self.term.energy(self._within(t), u)
+
+    def compressions(self, t, u):
+        return self.term.compressions(self._within(t), u)
+
+    def linearised(self, lattice, t, u, v):
+        return self.term.linearised(lattice, self._within(t), u, v)
+
+
+class OneSided(Wrapped):
+    """A solver whose steps see a lattice as it is inside of them, and start with a force of their own."""
+
+    def init(self, terms, t0, t1, y0, args):
+        return None
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        args = inside(args, t0, t1)
+        own = self.solver.init(terms, t0, t1, y0, args)
+        y1, error, dense, _, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
+        return y1, error, dense, None, result
+
+
+def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
+    """A lattice as it is inside of a step, at its ends too."""
+    slack = (
+        2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
+    )
+    low, high = jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack
+    held = tuple(Held(term, low, high) if term.jumps() else term for term in lattice.terms)
+    return eqx.tree_at(lambda x: x.terms, lattice, held)
+
+
+def one_sided(solver: diffrax.AbstractSolver, lattice: Lattice) -> diffrax.AbstractSolver:
+    """The solver itself where nothing breaks."""
+    return OneSided(solver) if lattice.breaks else solver
+
+
+def breaks_of(field: Callable, args: object) -> tuple:
+    """The `Breaks` of a vector field with these arguments; none of one that says nothing of them."""
+    found = getattr(field, "breaks", None)
+    return () if found is None else found(args)
+
+
+def landing(breaks: tuple, t: Number, step: Number, end: Scalar) -> Number:
+    """The end of a step from t: equal steps, none longer than `step`, up to the next break, or to `end`."""
+    goal = jnp.minimum(next_break(breaks, t), end)
+    count = jnp.maximum(jnp.ceil((goal - t) / step * (1 - NEARLY)), 1)
+    return jnp.where(count == 1, goal, t + (goal - t) / count)
+
+
+def shared_out(breaks: tuple, t: Number, left: Number, end: Number, sign: Number) -> Number:
+    """The end of a step from t, where `left` steps lead to `end`, through all breaks: each stretch has its share."""
+    goal = jnp.minimum(next_break(breaks, t, sign), end)
+    beyond = jnp.where(goal < end, 1 + count_breaks(breaks, goal, end, sign), 0)
+    share = jnp.round(left * (goal - t) / jnp.where(end > t, end - t, 1))
+    count = jnp.clip(share, 1, jnp.maximum(left - beyond, 1))
+    return jnp.where(left == 1, end, jnp.where(count == 1, goal, t + (goal - t) / count))
+
+
+class Landing(diffrax.AbstractStepSizeController):
+    """Fixed steps that end at breaks; none is longer than `step`."""
+
+    breaks: tuple
+    step: Number
+    end: Number
+
+    def wrap(self, direction):
+        return self
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        return landing(self.breaks, t0, self.step, self.end), None
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        return (
+            True,
+            t1,
+            landing(self.breaks, t1, self.step, self.end),
+            False,
+            None,
+            diffrax.RESULTS.successful,
+        )
+
+
+def cut(breaks: tuple, t: Number, step: Number) -> tuple:
+    """(the end of a step from t, the length that a break has cut short, or zero)."""
+    goal = next_break(breaks, t)
+    short = t + step * (1 + NEARLY) > goal
+    return jnp.where(short, goal, t + step), jnp.where(short, step, 0).astype(jnp.result_type(step))
+
 
 SAFETY = 0.8
 SHRINK, GROW = 0.2, 3.0
@@ -21,45 +131,6 @@ HALVINGS = 3
 # of an octave, to which a factor is rounded: an error is known to its rounding only, which steps that close in on an
 # opening contact would else make larger from one to the next
 PARTS = 8
-# rounding units of t0 that a step has at least, as what they cost can be avoided
-UNITS_AT_START = 256
-# and of the later of t0 and t1, as a long run loses much in other ways: steps that change the time at all
-UNITS_AT_END = 4
-
-
-@cache
-def rounding_unit(dtype: Any) -> float:
-    """The spacing of the numbers of a floating type at 1, kept, as JAX takes long to say it."""
-    return float(jnp.finfo(dtype).eps)
-
-
-def least_tolerance(dtype: Any) -> float:
-    """The smallest tolerance that a floating type can hold."""
-    return 16 * rounding_unit(dtype)
-
-
-def least_step(t0: Scalar, t1: Scalar, dtype: Any, larger: Callable = max) -> Scalar:
-    """The shortest step whose ends the floating type tells apart well enough; `larger` takes two numbers."""
-    start = UNITS_AT_START * abs(t0)
-    return rounding_unit(dtype) * larger(start, UNITS_AT_END * larger(abs(t0), abs(t1)))
-
-
-def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
-    """Refuse times, known ones, that the floating type does not tell apart as well as steps need it."""
-    if step < least_step(t0, t1, dtype):
-        gap = rounding_unit(dtype) * max(abs(t0), abs(t1))
-        finer = "" if dtype == np.dtype(float) else " Or compute in float64."
-        refuse(
-            "t0, t1, step",
-            f"a step that is long against the gaps between numbers of {dtype} at these times",
-            f"a step of {step:.3g} from t0 = {t0:g} to t1 = {t1:g}, where numbers lie {gap:.2g} apart",
-            f"Count time from t0=0 (of what drives the lattice too), or take a longer step.{finer}",
-        )
-
-
-def tighter(tolerance: Number, by: Scalar, dtype: Any) -> Number:
-    """A tolerance so many times smaller, or where the type does not hold that, one so many times larger."""
-    return jnp.where(tolerance / by >= least_tolerance(dtype), tolerance / by, tolerance * by)
 
 
 class Scales(eqx.Module):

@@ -14,14 +14,12 @@ from ..programs import compiled, once
 from ..solvers import AbstractNystrom
 from ..terms import Dashpot, ViscousContact, energies
 from ..terms.base import within
-from ..terms.tracing import reads, time_of
+from ..terms.reach import reads, time_of
 from ..types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
-from .breaks import Landing, one_sided
-from .control import Scales, StepControl, largest, least_step
+from .control import Landing, Scales, StepControl, largest, one_sided
 from .lanes import by_groups, each_lane
-from .plan import CUBICS, DENSE, ENDS, Plan
-from .record import CLOSEST, EXTREMES, AtEnds, Lowest, Recorded, leaf_by_leaf
-from .record.dips import Dips
+from .method import CUBICS, DENSE, ENDS, Plan, least_step
+from .record import CLOSEST, EXTREMES, AtEnds, Dips, Lowest, Recorded, leaf_by_leaf
 from .run import (
     COMPLETED,
     FAILED,
@@ -33,7 +31,7 @@ from .run import (
     Found,
     finite,
 )
-from .stiffness import chosen, compressions, frequency_bound, reached_frequency
+from .stiffness import chosen, compressions, gathered_frequency, reached_frequency
 
 # how many times the root of the rounding unit a force may miss the slope of its energy
 KEPT = 100
@@ -342,7 +340,7 @@ class _FixedStep(diffrax.ConstantStepSize):
 def _controller(lattice, state, t0, t1, plan):
     # a step is a choice, not a function of the scene
     lattice, state, t0, t1 = jax.tree.map(chosen, (lattice, state, t0, t1))
-    omega = frequency_bound(lattice, state, t0, t1)
+    omega = gathered_frequency(lattice, state, t0, t1)[0]
     omega = jnp.where(omega > 0, omega, 1 / (t1 - t0))
     velocity = jnp.maximum(largest(state.v), omega * largest(state.u))
     velocity = jnp.where(velocity > 0, velocity, 1.0)

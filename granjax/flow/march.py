@@ -15,11 +15,9 @@ from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..programs import compiled, is_untraced, wait
 from ..types import Scalar, StateLike
-from .control import rounding_unit
-from .dispatch import facts
 from .integrate import Part, integrate, part_of, planned, reduced
 from .lanes import apart, refuse_lanes_within, together
-from .plan import CUBICS, Plan
+from .method import CUBICS, Plan, facts, rounding_unit
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # seconds that an evaluation of the forces takes, and more for each number of a state: about, and at the least

@@ -20,18 +20,24 @@ from ..results import Held, array, entries, hidden
 from ..solvers.wrapped import Wrapped
 from ..terms import CaputoDamping
 from ..terms.base import memory_of
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import Number, Numbers, Scalar, StateLike, Times
-from .breaks import one_sided
-from .control import StepControl, largest, least_tolerance, refuse_unresolved
-from .dispatch import facts
-from .inputs import checked_size, held_frames
+from .control import StepControl, largest, one_sided
 from .integrate import least_overlap, solved
-from .meeting import passing
-from .method import checked_tolerance, number, refuse_far
-from .plan import Plan
+from .method import (
+    Plan,
+    checked_size,
+    checked_tolerance,
+    facts,
+    frequency_bound,
+    held_frames,
+    least_tolerance,
+    number,
+    refuse_far,
+    refuse_unresolved,
+)
+from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
-from .stiffness import frequency_bound
 
 # of steps that carry internal variables, whose first one has this part of the run with a tolerance of 1
 TOLERANCE, FIRST = 1e-11, 0.01

@@ -1,6 +1,6 @@
-"""What is said of a run that has ended: a loose tolerance, energy that was lost, a pulse between two steps."""
+"""What is said of a run that has ended: energy lost, pulses missed, magnets that met, beads that passed through."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import jax
@@ -8,14 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import show
-from ..lattice import Lattice
+from ..lattice import Lattice, State
 from ..programs import compiled, once
 from ..solvers.stability import refused_from
+from ..strains import WALL
+from ..strains.maps import TwoEnds
 from ..terms.base import functions_of_time
+from ..terms.base import within as inner_of
+from ..terms.chain import span
 from ..terms.energies import energy_gap
-from ..types import Scalar, StateLike
-from .dispatch import facts
-from .method import reachable
+from ..terms.reach import reads
+from ..types import Displacements, Number, Scalar, StateLike, Times
+from .method import facts, reachable
 from .run import Found
 
 # tolerance from which on a run is remarked upon, and relative energy error
@@ -158,3 +162,264 @@ def _lost(lattice, state, t0, t1, step, tolerance, solver, lost):
             )
     way = "a shorter step=" if tolerance is None else "a smaller tolerance="
     return f"Much energy was lost or won, {lost:.2g} of it: the run is not accurate; give {way}."
+
+
+# of the distance at rest, which is none
+TOUCH = 1e-6
+# of a contact's length: what float32 resolves across a thousand of them, and what counts as overlap
+ALIKE = 1e-4
+# how much further than touch it is looked, over the largest diameter, until something has moved so far
+SKIN = 0.5
+# the least multiple of the middle length at which a bond on a line leads around a ring
+AROUND = 1.5
+# vectors by which a lattice repeats itself, along two axes and between; more mean other places than of bonds
+REPEATS = 8
+
+
+def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple | None:
+    """(bond, number of its term, time, lane) where a law ends at a length within a time; `None` for nowhere."""
+    found, time, lanes = [], jnp.asarray(t, lattice.dtype), len(lattice.lanes)
+
+    def rooms(u):
+        return [[c.room for c in term.compressions(time, u)] for term in lattice.terms]
+
+    still = rooms(lattice.zeros())
+    now, rates = jax.jvp(rooms, (State(*y).u,), (State(*y).v,))
+    for number, parts in enumerate(zip(still, now, rates)):
+        for rest, room, rate in zip(*parts):
+            if room is None:
+                continue
+            rest, room, rate = np.broadcast_arrays(rest, room, rate)
+            left = np.where(rate < 0, room / np.where(rate < 0, -rate, 1), np.inf)
+            left = np.where(room <= TOUCH * rest, 0.0, left)
+            own, at = left.shape[: left.ndim - lanes], int(np.argmin(left))
+            if left.flat[at] <= within:
+                bond, *lane = np.unravel_index(
+                    at, (int(np.prod(own)), *left.shape[left.ndim - lanes :])
+                )
+                found.append((float(left.flat[at]), int(bond), number, tuple(map(int, lane))))
+    if not found:
+        return None
+    left, bond, number, lane = min(found)
+    return bond, number, t + left, lane
+
+
+class _Beads(NamedTuple):
+    """What touches without a bond: `places` at rest of all sites, and then of the beads of the walls.
+
+    `radii` [m] of all, -inf of a site without a contact; `joined`: codes of the pairs that have a bond; `periods`:
+    vectors by which the lattice repeats itself; `gap`: the least distance between rims without a bond, at rest, at most
+    half a diameter.
+    """
+
+    places: np.ndarray
+    radii: np.ndarray
+    joined: np.ndarray
+    periods: np.ndarray
+    gap: float = 0.0
+
+
+def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) -> str:
+    """Which beads without a bond overlap, at the saved times or the end of a run that is not traced, in a sentence.
+
+    Empty where none do, where the lattice does not know the radii of its beads (no positions, no contacts), and where a
+    term does not say which sites it joins.
+    """
+    lanes = _beads_of(lattice)
+    if lanes is None:
+        return ""
+    names, components = lattice.fields or (None,), lattice.dimension or 1
+    gap = np.array([beads.gap for beads in lanes])
+    for frame in range(len(ts) + 1):
+        now = [_of(us, name)[frame] if frame < len(ts) else _of(end, name) for name in names]
+        u = np.concatenate([np.asarray(x).reshape(-1, components, len(lanes)) for x in now])
+        count, d = len(u), lanes[0].places.shape[1]
+        # as long as nothing has moved by half of the gap at rest nothing can have met; what has no walls may move on
+        moved = u[:, :d]
+        walled = any(len(beads.places) > count for beads in lanes)
+        away = moved if walled else moved - moved.mean(0)
+        far = 4 * (away * away).sum(1).max(0) > gap * np.abs(gap)
+        for lane in np.flatnonzero(far & np.isfinite(moved).all((0, 1))):
+            pairs, apart, touch = _near(lanes[lane], moved[..., lane])
+            met = apart < (1 - ALIKE) * touch
+            if not met.any():
+                continue
+            pairs, apart, touch = pairs[met], apart[met], touch[met]
+            worst, index = int(np.argmin(apart / touch)), np.unravel_index(lane, lattice.lanes)
+            when = f"at t = {np.asarray(ts)[frame]:g}" if frame < len(ts) else "at the end"
+            within = f" in lane {', '.join(map(str, index))}" if index else ""
+            first, second = (_site(lattice, i) for i in pairs[worst])
+            others = f", and {len(pairs) - 1} more" if len(pairs) > 1 else ""
+            return (
+                f"Beads that have no bond overlap {when}{within}: {first} and {second}, {apart[worst]:.3g} apart "
+                f"where they touch at {touch[worst]:.3g}{others}. Bonds are fixed: such beads pass through one another."
+            )
+    return ""
+
+
+def _of(tree, name):
+    return tree if name is None else tree[name]
+
+
+def _site(lattice, number):
+    """A site in words, from its number in the order of the fields."""
+    for name in lattice.fields or (None,):
+        shape = _of(lattice.sites, name)
+        if number < np.prod(shape):
+            index = tuple(map(int, np.unravel_index(number, shape)))
+            own = "" if name is None else f" of {name!r}"
+            return f"site {index[0] if len(index) == 1 else index}{own}"
+        number -= int(np.prod(shape))
+    return "a bead of the wall"
+
+
+def _near(beads, u):
+    """The pairs of beads without a bond that are near each other, their distances, and those of touch."""
+    from scipy.spatial import cKDTree
+
+    count, total = len(u), len(beads.places)
+    at = np.concatenate([beads.places[:count] + u, beads.places[count:]])
+    number = np.concatenate([np.arange(total), *(np.arange(count) for _ in beads.periods)])
+    at = np.concatenate([at, *(at[:count] + period for period in beads.periods)])
+    reach = (1 + SKIN) * 2 * beads.radii.max()
+    pairs = cKDTree(at).query_pairs(reach, output_type="ndarray")
+    low, high = np.sort(number[pairs], 1).T
+    # one of both moves and is no image, and they are not joined
+    apart = (pairs[:, 0] < count) & (low != high) & ~np.isin(low * total + high, beads.joined)
+    distance = np.linalg.norm(at[pairs[apart, 0]] - at[pairs[apart, 1]], axis=1)
+    return number[pairs[apart]], distance, (beads.radii[low] + beads.radii[high])[apart]
+
+
+@once
+def _beads_of(lattice):
+    """The `_Beads` of each lane; `None` of a lattice that does not know their radii."""
+    if lattice.positions is None:
+        return None
+    batch, places, numbers, count = int(np.prod(lattice.lanes)), [], {}, 0
+    for name in lattice.fields or (None,):
+        shape = _of(lattice.sites, name)
+        size = int(np.prod(shape))
+        places.append(np.asarray(_of(lattice.positions, name)).reshape(size, -1, batch))
+        numbers[name], count = count + np.arange(size).reshape(shape), count + size
+    places = np.concatenate(places)
+    if places.shape[1] > (lattice.dimension or 1):
+        return None
+    numbers, bonds = numbers[None] if None in numbers else numbers, []
+    for term in lattice.terms:
+        term = inner_of(term)
+        strain_map = getattr(term, "strain_map", None)
+        pairs = getattr(strain_map, "pairs", strain_map)
+        if isinstance(pairs, TwoEnds):
+            tail, head = map(np.ravel, pairs.joins(numbers))
+            vector = _vectors(lattice, strain_map, places, tail, head)
+            touches = np.full(len(tail), _touches(strain_map, term))
+            bonds.append((tail, head, vector, touches))
+        elif span(term) != () and reads(term, lattice).displacement:
+            return None
+    if not any(touches.any() for *_, touches in bonds):
+        return None
+    tail, head, vector, touches = map(np.concatenate, zip(*bonds))
+    found = [_one_lane(places[..., i], tail, head, vector[..., i], touches) for i in range(batch)]
+    return None if None in found else found
+
+
+def _vectors(lattice, strain_map, places, tail, head):
+    """From tail to head of every bond at rest, (bonds, d, lanes); NaN where not known."""
+    shape = len(tail), *places.shape[1:]
+    vector = getattr(strain_map, "vector", None)
+    if vector is not None:
+        one = np.ndim(vector) - len(lattice.lanes) == 1
+        vector = np.asarray(vector).reshape(1 if one else len(tail), -1, shape[2])
+    elif lattice.dimension is None:
+        vector = places[head] - places[tail]
+        wall = (tail == WALL) | (head == WALL)
+        length = np.where(wall, np.nan, np.abs(vector[:, 0, 0]))
+        near = length < AROUND * np.nanmedian(length)
+        vector = np.where(near[:, None, None], vector, np.nan)
+    known = vector is not None and vector.shape[1] == shape[1]
+    return np.broadcast_to(vector if known else np.nan, shape)
+
+
+def _touches(strain_map, term):
+    """Whether the ends of a bond are in touch: a contact that opens, or one that slips."""
+    law = getattr(term, "law", None)
+    if strain_map.tangential or law is None or not law.opens:
+        return strain_map.tangential
+    room = law.room(0.0)
+    return room is None or not np.isfinite(room).all()
+
+
+def _one_lane(places, tail, head, vector, touches):
+    """The `_Beads` of one lattice; `None` where its bonds say nothing of radii, or other than its places."""
+    count, d = places.shape
+    touches = touches & np.isfinite(vector).all(1)
+    inner, number = (tail != WALL) & (head != WALL), np.maximum(tail, head)
+    length = np.linalg.norm(vector, axis=1)
+    radii = _radii(count, tail, head, length, touches)
+    if radii is None:
+        return None
+    near = ALIKE * length[touches].mean()
+    # a bond around a ring is another vector than that between the places of its ends
+    around = (vector - places[head] + places[tail])[inner & np.isfinite(length)]
+    periods = _halves(around[np.abs(around).max(1, initial=0) > near], near)
+    if len(periods) > REPEATS:
+        return None
+    sums = [p + sign * q for i, p in enumerate(periods) for q in periods[:i] for sign in (1, -1)]
+    periods = _halves(np.concatenate([periods, np.reshape(sums, (-1, d))]), near)
+    at_wall = ~inner & touches & np.isfinite(radii[number])
+    ends = np.where((head == WALL)[:, None], places[tail] + vector, places[head] - vector)[at_wall]
+    walls, which = _distinct(ends, near)
+    rim = np.zeros(len(walls))
+    rim[which] = (length - radii[number])[at_wall].clip(0)
+    pairs = [np.stack([tail, head])[:, inner], np.stack([number[at_wall], count + which])]
+    low, high = np.sort(np.concatenate(pairs, 1), 0)
+    beads = _Beads(
+        np.concatenate([places, walls]),
+        np.concatenate([radii, rim]),
+        low * (count + len(walls)) + high,
+        periods,
+    )
+    _, distance, touch = _near(beads, np.zeros((count, d)))
+    return beads._replace(gap=(distance - touch).min(initial=SKIN * 2 * beads.radii.max()))
+
+
+def _radii(count, tail, head, length, touches):
+    """The radii that the lengths of contacts are sums of, the most even ones; -inf of sites that have no contact."""
+    if not touches.any():
+        return None
+    ends, known = np.stack([tail, head], 1)[touches], length[touches]
+    mean, radii = known.mean(), np.full(count, -np.inf)
+    radii[ends[ends != WALL]] = mean / 2
+    if np.ptp(known) <= ALIKE * mean:
+        return radii
+    from scipy.sparse import coo_array
+    from scipy.sparse.linalg import lsqr
+
+    both = (ends != WALL).all(1)
+    ends, known = ends[both], known[both]
+    if not len(ends):
+        return None
+    rows = np.repeat(np.arange(len(ends)), 2)
+    matrix = coo_array((np.ones(2 * len(ends)), (rows, ends.ravel())), shape=(len(ends), count))
+    matrix = matrix.tocsr()
+    found = mean / 2 + lsqr(matrix, known - mean, atol=ALIKE**2, btol=ALIKE**2)[0]
+    if (np.abs(matrix @ found - known) > ALIKE * mean).any() or (found[ends] <= 0).any():
+        return None
+    # of what touches walls alone nothing is known
+    radii[:] = -np.inf
+    radii[ends] = found[ends]
+    return radii
+
+
+def _halves(vectors, near):
+    """Vectors that differ, each one of a pair of opposite ones."""
+    first = np.argmax(np.abs(vectors) > near, 1)[:, None]
+    return _distinct(np.sign(np.take_along_axis(vectors, first, 1)) * vectors, near)[0]
+
+
+def _distinct(points, near):
+    """The points that differ, and which of these each one is."""
+    # round numbers do not lie where one place ends and the next begins
+    places = np.floor(points / near + 0.37)
+    _, first, which = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    return points[first], which.ravel()

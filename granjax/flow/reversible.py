@@ -12,7 +12,7 @@ from ..solvers import AbstractSplitting
 from ..split_system import by_stages
 from ..types import Count, Counts, Number, Scalar, StateLike
 from .integrate import integrate
-from .plan import Plan
+from .method import Plan
 from .run import Found
 from .stepping import Flow, check_moved, check_steps
 

@@ -14,7 +14,6 @@ from ..lattice import Lattice, State
 from ..programs import in_numpy
 from ..results import Held, Result, array, entries, hidden, note, part
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
-from .dispatch import facts
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNRESOLVED = range(8)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
@@ -227,11 +226,6 @@ class Run(Result):
         )
         yield "outcome", self.outcome
 
-    def to_numpy(self) -> dict:
-        """A dict of NumPy arrays: ts, us, vs and the records."""
-        tree = {"ts": self.ts, "us": self.us, "vs": self.vs, **self.recorded}
-        return jax.tree.map(np.asarray, tree)
-
 
 class Found(NamedTuple):
     """What the compiled part of a run returns, of which a `Run` is made.
@@ -270,7 +264,7 @@ MOST_STRUCTURES = 256
 
 def run_of(found: Found, lattice: Lattice, names: tuple, more: tuple = ()) -> Run:
     """The `Run` of what was found. `names`: solver, choice, remark, unseen, zone; `more`: pairs, of other fields."""
-    space = facts(lattice).space
+    space = lattice.space
     key = names, space
     own = found._asdict() | {"_margin": found.margin, "_mark": lattice._mark} | dict(more)
     fields = [own.get(name) for name in _FIELDS]

@@ -13,17 +13,31 @@ from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .batching import TRACED_STEPS, batched, without_the_lost
 from .confirmation import confirmed
-from .dispatch import facts
-from .inputs import checked_records, checked_save_at, checked_state, checked_times, held_frames
 from .integrate import integrate, unseen
 from .lanes import apart
 from .march import march, refuse_endless
-from .meeting import meeting, passing
 from .memory import with_memory
-from .method import Steps, checked_method, fixed_step, linear_bound, number, passed, refuse_far
-from .plan import CUBICS, DENSE, ENDS, Plan
+from .method import (
+    CUBICS,
+    DENSE,
+    ENDS,
+    Plan,
+    Steps,
+    checked_method,
+    checked_records,
+    checked_save_at,
+    checked_state,
+    checked_times,
+    facts,
+    fixed_step,
+    held_frames,
+    linear_bound,
+    number,
+    passed,
+    refuse_far,
+)
 from .record import Record
-from .remarks import doubts, missed
+from .remarks import doubts, meeting, missed, passing
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 

@@ -18,16 +18,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import whole
 from ..lattice import Lattice
 from ..programs import compiled, once
 from ..terms import Reach, Reached, Wall
 from ..terms.base import within
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
-from .inputs import checked_state, checked_times
 
 # of power iteration; few are enough for a look, which a tenth too much does not mislead
 POWER_STEPS, FEW_STEPS = 40, 12
@@ -38,35 +36,6 @@ NEIGHBOURHOOD = 16
 ROUNDING = 1e-12
 # where contacts open all over a lattice, the order of every method is 5/2: shorter steps
 OPENING = 2.0
-
-
-def frequency_bound(
-    lattice: Lattice,
-    state: StateLike,
-    t0: Scalar,
-    t1: Scalar,
-    neighbourhood: Count = NEIGHBOURHOOD,
-) -> Number:
-    """Bound on the angular frequencies that linearisation finds at what the scene's energy can reach.
-
-    The energy that may gather in a bond is the largest that a neighbourhood, so many bonds' lengths wide, holds at the
-    start (the whole lattice's, where a term says nothing of how far it couples). A drive adds what a quasi-static push
-    to twice its largest value would store; a moving wall the energy of the heaviest site at twice its largest speed, or
-    its displacement shared by all sites, whichever is more. A modulation counts with its largest value and with the
-    energy that it gives the initial state. Where contacts may open all over the lattice it is doubled.
-
-    **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
-    **Raises** ValueError for a state of another shape, and times that are not in order.
-    """
-    state, neighbourhood = checked_state(lattice, state), whole("neighbourhood", neighbourhood, 1)
-    # arrays, whose values compile nothing anew
-    t0, t1 = (jnp.asarray(t, lattice.dtype) for t in checked_times(t0, t1))
-    return _bound_at(lattice, state, t0, t1, neighbourhood)
-
-
-@compiled
-def _bound_at(lattice, state, t0, t1, neighbourhood):
-    return gathered_frequency(lattice, state, t0, t1, neighbourhood)[0]
 
 
 @compiled

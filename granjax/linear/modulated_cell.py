@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, traced
-from ..flow.breaks import shared_out
+from ..flow.control import shared_out
 from ..lattice import Lattice
 from ..programs import concretely
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
 from .stiffness import (

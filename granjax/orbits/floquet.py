@@ -20,7 +20,7 @@ from ..printing import told
 from ..programs import compiled
 from ..results import Result, array
 from ..solvers import KahanLi8
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..tuning import one_thread
 from ..types import Count, Pytree, Scalar, StateLike
 from .asked import (
