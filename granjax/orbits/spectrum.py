@@ -130,7 +130,7 @@ def product_multipliers(factors: Parameter) -> Inexact[np.ndarray, " n"]:
 def product_spectrum(fine: list, coarse: list, coarser: list, *, moved: Scalar = 0.0) -> tuple:
     """`spectrum` of the product M_m ... M_1, which keeps what `product_multipliers` keeps.
 
-    The error is that of the differences between the three spectra, and of the rounding of each multiplier's own block.
+    The error is that of the differences between the three spectra, and of the rounding of each factor and each block.
     `moved`: what else the factors together are not known to.
     """
     blocks, basis, sizes = _by_blocks(fine)
@@ -138,11 +138,11 @@ def product_spectrum(fine: list, coarse: list, coarser: list, *, moved: Scalar =
     others = [product_multipliers(factors) for factors in (coarse, coarser)]
     apart = np.max([matched(values, other) for other in others], axis=0)
     # sizes fall from block to block, as the moduli do
-    rounded = np.empty(len(values))
-    rounded[np.argsort(-np.abs(values), kind="stable")] = ROUNDING * np.finfo(float).eps * sizes
+    m, eps, rounded = len(fine), ROUNDING * np.finfo(float).eps, np.empty(len(values))
+    rounded[np.argsort(-np.abs(values), kind="stable")] = eps * sizes
     # a change of one factor counts as much as that factor's share of the multiplier lets it
-    m = len(fine)
-    by_factor = m * np.abs(values) ** ((m - 1) / m) * moved
+    change_of_one = moved + eps * max(map(size_of, fine))
+    by_factor = m * np.abs(values) ** ((m - 1) / m) * change_of_one
     return values, basis @ vectors, (rounded + by_factor) / overlap + SAFETY * apart
 
 
