@@ -98,6 +98,17 @@ def matrices(matrix: Callable, points: Numbers) -> ComplexNumbers:
     return jax.vmap(matrix)(points)
 
 
+def chosen_bands(bands: Any, size: int) -> list[int]:
+    """The bands that are asked for, of `size`, as a sorted list."""
+    given = [bands] if np.ndim(bands) == 0 else list(bands)
+    given = [whole("band", b, -size) for b in given]
+    numbers = sorted({b % size for b in given if b < size})
+    if len(numbers) != len(given):
+        wanted = f"whole numbers below {size}, each once"
+        refuse("band", wanted, repr(bands), "Bands are counted from the lowest, 0.")
+    return numbers
+
+
 def phases(k: Numbers, axes: int) -> Numbers:
     """Wave numbers as points (..., axes), those of a chain (...,) too; others are refused."""
     if axes == 1:
