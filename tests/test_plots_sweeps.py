@@ -1,4 +1,4 @@
-"""Pictures of sweeps: one to three parameters, lists, words, failed lanes, units; made by hand."""
+"""Pictures of sweeps: one to three parameters, failed lanes, units; made by hand."""
 
 import numpy as np
 import pytest
@@ -40,24 +40,6 @@ def two(units="N"):
     )
 
 
-def listed(*names):
-    draw = np.random.default_rng(0)
-    parameters = {name: ("lane", 10 ** draw.uniform(0, 3, 30), {"units": "mm/s"}) for name in names}
-    reason = np.where(np.arange(30) == 4, FAILED, "")
-    return xarray.Dataset(
-        {
-            "peak": (
-                "lane",
-                np.where(reason == "", draw.uniform(size=30), np.nan),
-                {"units": "scaled"},
-            ),
-            "done": ("lane", np.arange(30) % 2 == 0),
-            "reason": ("lane", reason),
-        },
-        parameters,
-    )
-
-
 def legend(ax):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 
@@ -72,16 +54,6 @@ def test_one_parameter_is_a_line_with_gaps_and_bands():
     assert_allclose(ax.lines[-1].get_xdata(), RATIOS[2])
     ends = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in ax.patches]
     assert_allclose(ends[1], [0.475, 0.775])
-
-
-def test_words_and_axes_of_their_own():
-    ax = gx.plots.sweep(one(), "verdict")
-    words = [text.get_text() for text in ax.get_yticklabels()]
-    assert words == ["stable", "unstable", "undecided"]
-    assert_allclose(ax.lines[1].get_xdata(), RATIOS[3:5])
-    ax = gx.plots.sweep(one(), "multipliers")
-    assert ax.get_ylabel() == "|multipliers|" and len(ax.lines) == 3
-    assert_allclose(ax.lines[1].get_ydata(), 1.0)
 
 
 def test_errors_are_bars():
@@ -111,20 +83,6 @@ def test_values_of_a_parameter_as_lines():
     turned = gx.plots.sweep(two(), lines="ratio")
     assert_allclose(turned.lines[3].get_ydata(), two().rate.values[3])
     assert turned.get_xscale() == "log"
-
-
-def test_a_list_is_dots():
-    ax = gx.plots.sweep(listed("speed"))
-    assert (
-        ax.get_xscale() == "log"
-        and ax.get_ylabel() == "peak (scaled)"
-        and "failed: 1 of 30" in legend(ax)
-    )
-    ax = gx.plots.sweep(listed("speed", "drop"))
-    assert len(ax.collections[0].get_offsets()) == 29
-    assert [
-        text.get_text() for text in gx.plots.sweep(listed("speed"), "done").get_yticklabels()
-    ] == ["yes", "no"]
 
 
 BAD = [

@@ -226,11 +226,6 @@ class Run(Result):
         )
         yield "outcome", self.outcome
 
-    def to_numpy(self) -> dict:
-        """A dict of NumPy arrays: ts, us, vs and the records."""
-        tree = {"ts": self.ts, "us": self.us, "vs": self.vs, **self.recorded}
-        return jax.tree.map(np.asarray, tree)
-
 
 class Found(NamedTuple):
     """What the compiled part of a run returns, of which a `Run` is made.

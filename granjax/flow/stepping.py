@@ -185,45 +185,28 @@ def _by_itself(solver, field, steps, y, t0, t1, args, tangents):
 
 
 def _march(solver, field, steps, y, t0, t1, args, breaks):
-    terms = diffrax.ODETerm(field)
-    if (
-        getattr(solver, "scan_kind", "own") is None
-    ):  # diffrax's loop over stages, in the kind with both modes
+    """The state after equal steps, or after as many that end at breaks: time runs forwards in `t * sign`."""
+    terms, flat = diffrax.ODETerm(field), _of_times(y)
+    if getattr(solver, "scan_kind", "own") is None:
+        # diffrax's loop over stages, in the kind with both modes
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
-    flat = _of_times(y)
-    if breaks:
-        return _march_to_breaks(
-            OneSided(solver),
-            terms,
-            steps,
-            y,
-            jnp.asarray(t0, flat),
-            jnp.asarray(t1, flat),
-            args,
-            breaks,
-        )
-    t0, h = jnp.asarray(t0, flat), jnp.asarray((t1 - t0) / steps, flat)
-    state = solver.init(terms, t0, t0 + h, y, args)
+    solver = OneSided(solver) if breaks else solver
+    t0, t1, h = (jnp.asarray(x, flat) for x in (t0, t1, (t1 - t0) / steps))
+    sign = jnp.where(t1 < t0, -1, 1).astype(flat)
 
     def step(i, carry):
-        y, state = carry
-        # each step ends where the next begins: lengths that are rounded alike would add up
-        y, _, _, state, _ = solver.step(terms, t0 + i * h, t0 + (i + 1) * h, y, args, state, False)
-        return y, state
+        y, t, state = carry
+        if breaks:
+            left = (steps - i).astype(flat)
+            end = shared_out(breaks, t * sign, left, t1 * sign, sign).astype(flat) * sign
+        else:
+            # lengths that are rounded alike would add up
+            end = t0 + (i + 1) * h
+        y, _, _, state, _ = solver.step(terms, t, end, y, args, state, False)
+        return y, end, state
 
-    return jax.lax.fori_loop(0, steps, step, (y, state))[0]
-
-
-def _march_to_breaks(solver, terms, steps, y, t0, t1, args, breaks):
-    """The same by steps that end at breaks; time runs forwards in `t * sign`."""
-    sign = jnp.where(t1 < t0, -1, 1).astype(t0.dtype)
-
-    def step(i, carry):
-        y, t = carry
-        end = shared_out(breaks, t, (steps - i).astype(t.dtype), t1 * sign, sign).astype(t.dtype)
-        return solver.step(terms, t * sign, end * sign, y, args, None, False)[0], end
-
-    return jax.lax.fori_loop(0, steps, step, (y, t0 * sign))[0]
+    begin = y, t0, solver.init(terms, t0, t0 + h, y, args)
+    return jax.lax.fori_loop(0, steps, step, begin)[0]
 
 
 def _is_pair(y):

@@ -95,15 +95,13 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
     place that counts.
     """
     q, x = jax.lax.stop_gradient(q), lobatto(len(q)).x.tolist()
-    if count == 1:
-        return [_guess_by_highest(q, x, until)]
     found = [Guess(jnp.zeros_like(q[0]), jnp.full_like(q[0], -jnp.inf))] * count
     # one by one, which XLA makes one pass of
     for j in range(1, len(x) - 1):
         left, right = x[j] - x[j - 1], x[j + 1] - x[j]
-        before, after = (q[j] - q[j - 1]) / left, (q[j + 1] - q[j]) / right
-        bend = 2 * (after - before) / (left + right)
-        rise = (before * right + after * left) / (left + right)
+        before, after = (q[j] - q[j - 1]) * (1 / left), (q[j + 1] - q[j]) * (1 / right)
+        bend = (after - before) * (2 / (left + right))
+        rise = (before * right + after * left) * (1 / (left + right))
         move = -rise / jnp.where(bend < 0, bend, -jnp.inf)
         # the outermost look as far as the ends
         nearest = -left if j == 1 else -SLACK * left / 2
@@ -115,37 +113,6 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
             found[k] = jax.tree.map(lambda a, b, above=above: jnp.where(above, a, b), new, old)
             new = jax.tree.map(lambda a, b, above=above: jnp.where(above, b, a), new, old)
     return found
-
-
-def _guess_by_highest(q, x, until):
-    """The top of the parabola about the highest sample, with one division."""
-    bend, rise, at, top = (
-        0 * q[0],
-        0 * q[0],
-        jnp.full_like(q[0], x[1]),
-        jnp.full_like(q[0], -jnp.inf),
-    )
-    middle = q[1]
-    for j in range(1, len(x) - 1):
-        left, right = x[j] - x[j - 1], x[j + 1] - x[j]
-        before, after = (q[j] - q[j - 1]) * (1 / left), (q[j + 1] - q[j]) * (1 / right)
-        # the outermost stand for the ends too
-        own = (
-            jnp.maximum(q[j], q[0])
-            if j == 1
-            else jnp.maximum(q[j], q[-1])
-            if j == len(x) - 2
-            else q[j]
-        )
-        above = (own > top) & (x[j - 1] <= until)
-        top = jnp.where(above, own, top)
-        bend = jnp.where(above, (after - before) * (2 / (left + right)), bend)
-        rise = jnp.where(above, (before * right + after * left) * (1 / (left + right)), rise)
-        at, middle = jnp.where(above, x[j], at), jnp.where(above, q[j], middle)
-    move = -rise / jnp.where(bend < 0, bend, -jnp.inf)
-    place = at + move
-    there = (bend < 0) & (place >= -1) & (place <= jnp.minimum(until, 1.0))
-    return Guess(place, jnp.where(there, middle + rise * move / 2, -jnp.inf))
 
 
 def higher(q: Numbers, guesses: list[Guess], than: Number) -> Flags:

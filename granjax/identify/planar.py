@@ -7,10 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from numpy.polynomial import Polynomial, polynomial
-from scipy.optimize import minimize_scalar
 
 from ..checks import parameter, refuse, whole
-from ..fit.determined import factored
+from ..fit.determined import covariance, directions
 from ..printing import told
 from ..results import Result, array
 from ..types import Count, Numbers, Parameter, Scalar
@@ -71,8 +70,6 @@ class PlanarODE(Result):
     settled: bool = array("Whether the least squares had settled.")
     # f, with powers of (y - middle)/half
     _f: Any = eqx.field(kw_only=True, repr=False)
-    # G - y'^2/2 of the trajectory of each window, G' = f
-    _levels: Any = eqx.field(kw_only=True, repr=False)
 
     @property
     def outcome(self) -> str:
@@ -82,9 +79,7 @@ class PlanarODE(Result):
             f"Fitted to {misfit:.1e} of half of crest less trough, in {self.window.max() + 1} windows."
         ]
         if not self.settled:
-            said.append(
-                "The least squares had not settled: another degree or more windows may help."
-            )
+            said.append("The least squares had not settled: another degree may help.")
         if self.correlation > ALIKE and misfit > CLOSE:
             said.append("The residuals are no noise but what such an equation leaves out.")
         return " ".join(said)
@@ -124,7 +119,8 @@ class PlanarODE(Result):
         elif energy is not None:
             level = G(0.0) - float(energy)
         else:
-            level = self._levels[self.window[np.argmax(self.strains)]]
+            k = np.argmax(self.window == self.window[np.argmax(self.strains)])
+            level = G(self.fitted[k]) - self.slopes[k] ** 2 / 2
         # where y'^2/2 = G - level is above zero, between two turns
         roots = _real_roots(G - level)
         pairs = [(b, a) for a, b in zip(roots[:-1], roots[1:]) if G((a + b) / 2) > level]
@@ -145,7 +141,6 @@ class PlanarODE(Result):
     def _orbit(self, start, end, homoclinic):
         way, G = Way(self._f, start, end, homoclinic), self._f.integ()
         decay = float(np.sqrt(self._f.deriv()(end))) if homoclinic else None
-        distance, shift = self._distance(way, start > end)
         reach = 12 / decay if homoclinic else way.wavelength / 2
         xi = np.linspace(-reach, reach, TABLE)
         kind = "homoclinic" if homoclinic else "periodic"
@@ -156,29 +151,10 @@ class PlanarODE(Result):
             np.inf if homoclinic else way.wavelength,
             float(G(0.0) - G(end)),
             decay,
-            distance,
-            shift,
             xi,
             way(xi),
-            2 * distance / (self.crest - self.trough),
             _way=way,
         )
-
-    def _distance(self, way, up):
-        """Rms of the data about their highest crest (or lowest trough) less an orbit, at the best place."""
-        best = int(np.argmax(self.strains if up else -self.strains))
-        near = (np.abs(self.xi - self.xi[best]) <= self.wavelength / 2) & (
-            self.window == self.window[best]
-        )
-        x, y = self.xi[near], self.strains[near]
-        width = self.wavelength / 4
-        found = minimize_scalar(
-            lambda shift: float(np.mean((y - way(x - shift)) ** 2)),
-            bounds=(self.xi[best] - width, self.xi[best] + width),
-            method="bounded",
-            options={"xatol": 1e-10 * width},
-        )
-        return float(np.sqrt(found.fun)), float(found.x)
 
     def _overlap(self, a, b):
         """How much of the data's range lies between two strains."""
@@ -203,7 +179,6 @@ def planar_ode(
     strain: Parameter | Sequence[Numbers],
     *,
     degree: Count = 3,
-    windows: Count | None = None,
     drift: bool = False,
 ) -> PlanarODE:
     r"""A planar equation y'' = f(y), f a polynomial, fitted to a travelling wave or to the interior of a shock.
@@ -218,8 +193,7 @@ def planar_ode(
     - `xi`, `strain`: places n - c t, increasing, and strains (P,) there, of contacts or of anything else that
       oscillates; or lists of several trains, rows of a table too. Five points a wave or more, evenly spaced or not.
     - `degree`: of f; 2 is the equation of waves of Korteweg and de Vries. Compare `misfit` of several.
-    - `windows`: of each train; more of them where the wave is modulated, as in a shock, where each has a mean and
-      an amplitude of its own. `drift`: whether a term g y' is fitted too, for waves that grow or decay slowly.
+    - `drift`: whether a term g y' is fitted too, for waves that grow or decay slowly.
 
     **Returns:** `PlanarODE`, which does not differ between units: of a y and b xi it is that of y and xi, converted.
     It is not differentiated.
@@ -246,15 +220,14 @@ def planar_ode(
         refuse("strain", "numbers that oscillate", "ones that are all alike")
     length = _wavelength(trains, middle) / (2 * np.pi)
     scaled = [((x - x[0]) / length, (y - middle) / half) for x, y in trains]
-    windows = None if windows is None else whole("windows", windows, 1)
-    pieces, found = fitted(scaled, degree, drift, windows)
+    pieces, found = fitted(scaled, degree, drift)
     unknown, points = degree + 1 + drift + 2 * len(pieces), len(everything)
     if points < EACH * unknown or min(map(len, pieces)) < 5:
         refuse(
             "xi",
             f"{EACH * unknown} points or more, {EACH} for each of {unknown} unknowns, and five in a window",
             f"{points} in {len(pieces)} windows",
-            "Lower the degree, or take fewer windows.",
+            "Lower the degree.",
         )
     return _recorded(trains, pieces, found, degree, drift, (middle, half, length))
 
@@ -308,15 +281,16 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     window = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
     alike = _correlation(found.residual, window)
     wider = (1 + max(alike, 0.0)) / max(1 - max(alike, 0.0), 1 / points)
-    factor, _ = factored(found.jacobian, noise * np.sqrt(wider))
+    widths = np.linalg.norm(found.jacobian, axis=0)
+    known = directions(found.jacobian, 1 / widths, noise * np.sqrt(wider))
+    matrix = covariance(known, 1 / widths)
     f = found.coefficients[:shared]
     # powers of (y - middle)/half as those of y
     shift = np.zeros((shared, shared))
     for k in range(shared):
         shift[: k + 1, k] = polynomial.polypow([-middle / half, 1 / half], k) if k else [1.0]
     shift *= half / length**2
-    factor_y = shift @ factor[:shared]
-    covariance = factor_y @ factor_y.T
+    matrix_y = shift @ matrix[:shared, :shared] @ shift.T
     y = np.concatenate([y for _, y in trains])
     bend = Polynomial(f * half / length**2, domain=[middle - half, middle + half])
     roots = _real_roots(bend)
@@ -326,10 +300,10 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     )
     return PlanarODE(
         shift @ f,
-        np.sqrt(np.diag(covariance)),
-        covariance,
+        np.sqrt(np.diag(matrix_y)),
+        matrix_y,
         float(found.coefficients[shared] / length) if drift else None,
-        float(np.sqrt(factor[shared] @ factor[shared]) / length) if drift else None,
+        float(np.sqrt(matrix[shared, shared]) / length) if drift else None,
         float(noise * half),
         float(noise * half * np.sqrt(wider / (2 * free))),
         alike,
@@ -344,8 +318,6 @@ def _recorded(trains, pieces, found, degree, drift, scales):
         window,
         found.settled,
         _f=bend,
-        _levels=bend.integ()(middle + half * found.starts[0])
-        - (half / length * found.starts[1]) ** 2 / 2,
     )
 
 

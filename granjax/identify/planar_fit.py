@@ -38,11 +38,11 @@ class Found(NamedTuple):
     settled: bool
 
 
-def fitted(trains: list, degree: int, drift: bool, windows: int | None) -> tuple[list, Found]:
+def fitted(trains: list, degree: int, drift: bool) -> tuple[list, Found]:
     """The windows, each the indices of its points among all, and what the last fit found in them.
 
-    `trains`: pairs of places and strains. `windows` of each, `None` for as many as the length of a wave and the growth
-    of small differences ask for.
+    `trains`: pairs of places and strains. There are as many windows as the length of a wave and the growth of small
+    differences ask for.
     """
     x, y = (np.concatenate(parts) for parts in zip(*trains))
     slopes = np.concatenate([CubicSpline(*train)(train[0], 1) for train in trains])
@@ -59,8 +59,7 @@ def fitted(trains: list, degree: int, drift: bool, windows: int | None) -> tuple
                     places[-1] / (2 * np.pi * WAVES),
                     _growth(places, strains, c[: degree + 1]) / PARTS,
                 )
-            count = min(int(np.ceil(wanted - CLOSE)), len(places) // LEAST)
-            counts.append(max(1, count if windows is None or length is not None else windows))
+            counts.append(max(1, min(int(np.ceil(wanted - CLOSE)), len(places) // LEAST)))
         pieces = _pieces([len(places) for places, _ in trains], counts)
         heads = start[:, [piece[0] for piece in pieces]]
         found = _least_squares(x, y, pieces, c, heads, drift)

@@ -18,7 +18,7 @@ EXACT = 1e-13
 
 
 class PlanarOrbit(Result):
-    """An orbit of a planar equation y'' = f(y), a crest or its trough at xi = 0, beside the measured wave."""
+    """An orbit of a planar equation y'' = f(y), a crest or its trough at xi = 0."""
 
     kind: str = array('"homoclinic" or "periodic".', static=True)
     crest: float = array(
@@ -28,22 +28,16 @@ class PlanarOrbit(Result):
     wavelength: float = array("The wavelength, infinite for a homoclinic orbit.")
     energy: float = array("y'^2/2 - int_0^y f, in m^2.")
     decay: float | None = array("The decay rate of a homoclinic orbit's tail.")
-    distance: float = array(
-        "The rms of the measured wave less the orbit about the highest crest, at the best place.",
-        "m",
-    )
-    shift: float = array("The best place.")
     xi: Float[np.ndarray, " xi"] = array("The places of the table.", "1")
     strains: Float[np.ndarray, " xi"] = array(
         "The strains of the table; `strain(xi)` gives any place.", "m"
     )
-    share: float = array("The distance over half of the data's crest less trough.")
     _way: Any = eqx.field(kw_only=True, repr=False)
 
     @property
     def outcome(self) -> str:
         """What it is, in a sentence."""
-        return f"A {self.kind} orbit, {self.share:.2g} of half of crest less trough from the measured wave."
+        return f"A {self.kind} orbit from {self.trough:.6g} to {self.crest:.6g}."
 
     def strain(self, xi: Parameter) -> Float[np.ndarray, "..."]:
         """Strain at places xi, of any shape [m]."""

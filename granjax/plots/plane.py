@@ -179,10 +179,8 @@ def film(
     quantity: Any = "v",
     limit: Scalar | None = None,
     label: str | None = None,
-    frames: Count | None = None,
     rate: Count = 20,
     move: Scalar = 0.0,
-    radius: Scalar | None = None,
     ax: AxesOrNone = None,
 ) -> FuncAnimation:
     """Make a film of a run: a chain as a curve over its sites, a lattice of the plane as beads.
@@ -195,8 +193,8 @@ def film(
     - `places`: of the plane, as in `beads`; `None` for a chain.
     - `quantity`: `"v"`, `"u"` (of vectors in the plane their length), or an array over times and sites.
     - `limit` > 0: of the colour or the axis, the largest of all frames by default. `label`: as in `beads`.
-    - `frames`: how many, spread over the times; all by default. `rate` a second. `move`: beads are drawn displaced by
-      so many times u. `radius`: as in `beads`. `ax`: where it is drawn, by default in a figure of its own.
+    - `rate`: frames a second. `move`: beads are drawn displaced by so many times u. `ax`: where it is drawn, by default
+      in a figure of its own.
 
     **Returns:** an animation of matplotlib's, for `gx.plots.save`. **Raises** ValueError for a run of one time, and
     shapes that do not fit.
@@ -223,21 +221,19 @@ def film(
         ax.set(xlabel="site", ylabel=by.label, ylim=(1.08 * low, 1.08 * top))
         show = lambda i: line.set_ydata(data[i])
     else:
-        show = _moving(ax, run, places, radius, move, data, top, by, found.units)
+        show = _moving(ax, run, places, move, data, top, by, found.units)
 
     def frame(i):
         show(i)
         title.set_text(f"t = {ts[i]:.4g} {unit}".rstrip())
 
-    count = len(ts) if frames is None else min(whole("frames", frames, 2), len(ts))
-    chosen = np.unique(np.round(np.linspace(0, len(ts) - 1, count)).astype(int))
     pause = 1000 / whole("rate", rate, 1)
-    return FuncAnimation(ax.figure, frame, frames=chosen, interval=pause, blit=False)
+    return FuncAnimation(ax.figure, frame, frames=len(ts), interval=pause, blit=False)
 
 
-def _moving(ax, run, places, radius, move, data, top, by, units):
+def _moving(ax, run, places, move, data, top, by, units):
     """Beads drawn as they are at first, and the function that shows a later frame."""
-    at, radius = _places(places, radius)
+    at, radius = _places(places, None)
     place = shown("x", at, "m", units_of(places) or units)
     at, radius = place(at), place.factor * radius
     circles = _circles(ax, at, radius)
