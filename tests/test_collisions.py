@@ -34,18 +34,10 @@ def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, shi
     assert (
         np.abs(found.shifts - shifts) <= found.shift_errors
     ).all() and found.shift_errors.max() < 1e-7
-    np.testing.assert_allclose(found.toda_shifts, shifts, rtol=1e-12)
     # integrable: nothing is lost
     np.testing.assert_allclose(found.speeds_after, found.speeds, rtol=1e-9)
     np.testing.assert_allclose(found.amplitudes_after, found.amplitudes, rtol=1e-8)
     assert abs(found.radiated) <= max(found.radiated_error, 1e-9) and found.radiated_error < 1e-7
-    if way > 0:
-        # of the same speeds, which are 18 % and 4 % above that of sound
-        np.testing.assert_allclose(found.kdv_shifts, shifts, rtol=0.15)
-    else:
-        assert (
-            np.isnan(found.kdv_shifts).all() and "KdV knows waves of one way alone" in found.outcome
-        )
     assert plots.space_time(found.run) is not None
 
 

@@ -185,44 +185,6 @@ def test_the_mirrored_law_has_the_mirrored_shock():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("kind", ["velocity", "piston", "strain", "impacts"])
-def test_the_balances_close(kind):
-    chain = hertz(121)
-    problem = {
-        "velocity": lambda: gx.shocks.velocity_shock(chain, 0.3),
-        "strain": lambda: gx.shocks.step(chain, 0.6),
-        "piston": lambda: gx.shocks.piston(chain, 0.6),
-        "impacts": lambda: gx.shocks.impacts(chain, 0.5, 2.0),
-    }[kind]()
-    found = gx.shocks.balances(problem, 20.0, (62, 80) if kind in ("velocity", "strain") else None)
-    assert "close to the error" in found.outcome
-    for name in ("strain", "momentum", "energy"):
-        change, missed, error = (
-            getattr(found, f"{name}_{what}") for what in ("change", "residual", "error")
-        )
-        assert (
-            abs(change) > 0.1
-            and abs(missed) < 1e-10 * max(1, abs(change))
-            and abs(missed) <= error < 1e-7
-        )
-    if kind != "velocity":
-        return
-    in_si = gx.scenes.scaled(chain, units=gx.Units(2.0**-10, 2.0**-20, 2.0**-18)).lattice
-    other = gx.shocks.balances(
-        gx.shocks.velocity_shock(in_si, 0.3 * 2.0**2), 20.0 * 2.0**18, (62, 80)
-    )
-    assert float(other.momentum_change) == pytest.approx(
-        2.0**12 * float(found.momentum_change), rel=1e-9
-    )
-    damped = gx.Lattice(np.ones(60), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Damping(0.1)))
-    with refused("problem: expected bonds to the next site alone inside of the box.*Damp"):
-        gx.shocks.balances(gx.shocks.step(damped, 0.4), 10.0, (20, 40))
-    for box in ((0, 4), (5, 5), (3, 120), (1, 2, 3)):
-        with refused("^box: expected"):
-            gx.shocks.balances(problem, 10.0, box)
-
-
-@pytest.mark.study
 def test_every_impact_gives_its_momentum():
     chain, impulse = gx.scenes.toda(120), 0.4
     problem = gx.shocks.impacts(chain, impulse, 5.0, 3, duration=1.0)

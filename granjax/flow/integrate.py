@@ -14,7 +14,7 @@ from ..programs import compiled, once
 from ..solvers import AbstractNystrom
 from ..terms import Dashpot, ViscousContact, energies
 from ..terms.base import within
-from ..terms.tracing import reads, time_of
+from ..terms.reach import reads, time_of
 from ..types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
 from .control import Landing, Scales, StepControl, largest, one_sided
 from .lanes import by_groups, each_lane

@@ -20,7 +20,7 @@ from ..results import Held, array, entries, hidden
 from ..solvers.wrapped import Wrapped
 from ..terms import CaputoDamping
 from ..terms.base import memory_of
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import Number, Numbers, Scalar, StateLike, Times
 from .control import StepControl, largest, one_sided
 from .integrate import least_overlap, solved

@@ -16,7 +16,7 @@ from ..programs import compiled, concretely, library, once
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
 from ..terms.base import memory_of
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..terms.waveforms import count_breaks
 from ..types import Count, Number, Scalar, StateLike, Times
 from .record import CLOSEST, EXTREMES, Record

@@ -17,7 +17,7 @@ from ..terms.base import functions_of_time
 from ..terms.base import within as inner_of
 from ..terms.chain import span
 from ..terms.energies import energy_gap
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import Displacements, Number, Scalar, StateLike, Times
 from .method import facts, reachable
 from .run import Found

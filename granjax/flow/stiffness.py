@@ -25,7 +25,7 @@ from ..terms import Reach, Reached, Wall
 from ..terms.base import Excitation, within
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
 
 # of power iteration; few are enough for a look, which a tenth too much does not mislead

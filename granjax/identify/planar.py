@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.polynomial import Polynomial, polynomial
 
 from ..checks import parameter, refuse, whole
-from ..fit.determined import factored
+from ..fit.determined import covariance, directions
 from ..printing import told
 from ..results import Result, array
 from ..types import Count, Numbers, Parameter, Scalar
@@ -281,15 +281,16 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     window = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
     alike = _correlation(found.residual, window)
     wider = (1 + max(alike, 0.0)) / max(1 - max(alike, 0.0), 1 / points)
-    factor, _ = factored(found.jacobian, noise * np.sqrt(wider))
+    widths = np.linalg.norm(found.jacobian, axis=0)
+    known = directions(found.jacobian, 1 / widths, noise * np.sqrt(wider))
+    matrix = covariance(known, 1 / widths)
     f = found.coefficients[:shared]
     # powers of (y - middle)/half as those of y
     shift = np.zeros((shared, shared))
     for k in range(shared):
         shift[: k + 1, k] = polynomial.polypow([-middle / half, 1 / half], k) if k else [1.0]
     shift *= half / length**2
-    factor_y = shift @ factor[:shared]
-    covariance = factor_y @ factor_y.T
+    matrix_y = shift @ matrix[:shared, :shared] @ shift.T
     y = np.concatenate([y for _, y in trains])
     bend = Polynomial(f * half / length**2, domain=[middle - half, middle + half])
     roots = _real_roots(bend)
@@ -299,10 +300,10 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     )
     return PlanarODE(
         shift @ f,
-        np.sqrt(np.diag(covariance)),
-        covariance,
+        np.sqrt(np.diag(matrix_y)),
+        matrix_y,
         float(found.coefficients[shared] / length) if drift else None,
-        float(np.sqrt(factor[shared] @ factor[shared]) / length) if drift else None,
+        float(np.sqrt(matrix[shared, shared]) / length) if drift else None,
         float(noise * half),
         float(noise * half * np.sqrt(wider / (2 * free))),
         alike,

@@ -12,7 +12,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from ..checks import concrete, refuse, whole
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import AnyArray, Count, Displacements, Number, Numbers
 from .cell import blocks_of, by_lanes, in_lanes
 from .stiffness import at_rest, each, offsets, refuse_one_way, stiffness_product, unpack_waves

@@ -11,7 +11,7 @@ from ..checks import refuse, traced
 from ..flow.control import shared_out
 from ..lattice import Lattice
 from ..programs import concretely
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
 from .stiffness import (

@@ -14,8 +14,8 @@ from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
 from ..lattice.model import refuse_memory
 from ..programs import concretely
-from ..terms import walls
-from ..terms.tracing import reads, time_of, used
+from ..terms.reach import reads, time_of, used
+from ..terms.sites import with_still_walls
 from ..types import AnyArray, Displacements, Number, Numbers
 
 # times at which a force that reads time and velocities is looked at: of every scale, none of them a simple fraction
@@ -35,7 +35,7 @@ def undriven(lattice: Any, lanes: bool = False) -> Lattice:
             "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
     refuse_memory(lattice)
-    return walls.undriven(lattice)
+    return with_still_walls(lattice)
 
 
 def at_rest(lattice: Any, lanes: bool = False) -> Lattice:

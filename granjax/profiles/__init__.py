@@ -2,7 +2,7 @@
 
 from .medium import Medium, medium_of
 from .profile import Profile, places, tabled
-from .shape import Shape
+from .shape import Shape, TentShape
 from .solving import Solved, one_given, wave_of
 
 __all__ = [
@@ -10,6 +10,7 @@ __all__ = [
     "Profile",
     "Shape",
     "Solved",
+    "TentShape",
     "medium_of",
     "one_given",
     "places",

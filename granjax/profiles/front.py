@@ -12,12 +12,14 @@ behind follows from the others: the front's place stands in for the first one.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_banded
 
+from .damped import damped
 from .medium import fine_force
-from .shape import Shape
+from .shape import ContactShape
 from .tent import RULE
 
 STENCIL = 7
@@ -25,7 +27,7 @@ STENCIL = 7
 FIRST, AGREE, FLOOR = 0.5, 1e-13, 1e-7
 # powers of e that the tails fall by before they end, and contacts besides
 DEEP, BEYOND = 38.0, 4.0
-NEWTON, SETTLED, CONVERGED, LEAST_SHARE = 30, 1e-15, 1e-9, 1e-2
+CONVERGED = 1e-9
 # of the damping from one front to the next, and the least such change; most places
 CHANGE, LEAST_CHANGE, PLACES, HALVINGS = 0.7, 0.98, 400_000, 7
 # least distance of places, and the error that is put up with there
@@ -43,7 +45,6 @@ def _powers():
 
 
 _POWERS = _powers()
-_T, _W = np.polynomial.legendre.leggauss(12)
 # places of the smallest table; others have 4^k times that
 TABLE = 4096
 
@@ -96,6 +97,10 @@ class Kernels(NamedTuple):
             z - np.convolve(f, self.tent, "valid") + zeta * np.convolve(wide, self.slope, "valid")
         )
 
+    def solve(self, bands: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """The solution of the equations of some Jacobian."""
+        return solve_banded((self.reach, self.reach + 1), bands, right)
+
 
 def _stencils(width):
     """Weights of z(x + j h), |j| <= STENCIL, for a tent that is `width` h wide to either side, and for its slope."""
@@ -133,32 +138,13 @@ def newton(
     """z and the residual that is left; `force(z)` gives f and its slope."""
     kernels = Kernels.of(apart)
 
-    def state(z):
+    def equations(z):
         f, slope = force(z)
         gap = ordered(kernels.gap(z, f, zeta), z[centre] - 0.5, centre)
-        size = np.abs(gap).max()
-        return z, slope, gap, size if np.isfinite(size) and np.isfinite(slope).all() else np.inf
+        return gap, jacobian(kernels, slope, zeta, centre)
 
-    best = state(z)
-    for _ in range(NEWTON):
-        z, slope, gap, size = best
-        if not np.isfinite(size) or size < SETTLED:
-            break
-        bands = jacobian(kernels, slope, zeta, centre)
-        try:
-            step = solve_banded((kernels.reach, kernels.reach + 1), bands, gap)
-        except np.linalg.LinAlgError:
-            break
-        share = 1.0
-        while (
-            not (new := state(z - share * step))[-1] < size * (1 - share / 4)
-            and share > LEAST_SHARE
-        ):
-            share /= 2
-        if not new[-1] < size:
-            break
-        best = new
-    return best[0], float(best[-1])
+    found = damped(equations, kernels.solve, z)
+    return found.x, found.size
 
 
 class Trial(NamedTuple):
@@ -250,7 +236,7 @@ def moved(
     drag = np.convolve(wide, kernels.slope, "valid")
     pushed = np.stack([np.convolve(x, kernels.tent, "same") for x in force.T], -1)
     gap = ordered(drag[:, None] * more - pushed, np.zeros(len(more)), front.centre)
-    return -solve_banded((kernels.reach, kernels.reach + 1), bands, gap)
+    return -kernels.solve(bands, gap)
 
 
 def padded(front: Front) -> np.ndarray:
@@ -280,78 +266,49 @@ def interpolated(xp: Any, rows: Any, centre: Any, apart: Any, x: Any) -> Any:
     return total
 
 
-class FrontShape(Shape):
-    r"""Strain ahead + jump z(x), and what moves with it, the beads ahead at rest; g = F - F ahead, eta the dashpot.
+class FrontShape(ContactShape):
+    r"""Strain ahead + jump z(x), and what moves with it, the beads ahead at rest; eta the dashpot, y the strain.
 
-    m s v(x) = int_{x-1}^x g - eta s (y(x) - y(x - 1)),  m s^2 u(x) = int min(1, y + 1 - x)_+ g dy + eta s int_{x-1}^x
-    (y - ahead); u is counted from where a bead is ahead of the front.
+    The dashpot lessens m s v(x) by eta s (y(x) - y(x - 1)) and adds eta s int_{x-1}^x (y - ahead) to m s^2 u(x). u is
+    counted from where a bead is ahead of the front. `law` is measured from the strain ahead.
     """
 
     law: Any
     mass: Any
     speed: Any
+    rows: Any
+    centre: Any
+    length: Any
     dashpot: Any
     ahead: Any
     jump: Any
-    rows: Any
-    centre: Any
-    apart: Any
-    edges: Any
+    edges: Any = None
 
-    @classmethod
-    def of(
-        cls,
-        law: Any,
-        mass: Any,
-        speed: Any,
-        dashpot: Any,
-        ahead: Any,
-        jump: Any,
-        z: Any,
-        centre: Any,
-        apart: Any,
-    ) -> "FrontShape":
-        """From z at places; `law` is measured from the strain ahead."""
-        rows = coefficients(jnp, z)
-        cells = jnp.asarray(np.vander(_T / 2, 2 * STENCIL, increasing=True)) @ rows
-        parts = apart * (jnp.asarray(_W / 2) @ fine_force(law, jump * cells))
-        edges = jnp.append(jnp.cumsum(parts[::-1])[::-1], 0.0)
-        return cls(law, mass, speed, dashpot, ahead, jump, rows, centre, apart, edges)
+    @property
+    def first(self):
+        return -self.centre * self.length
+
+    def over(self, x):
+        return self.jump * interpolated(jnp, self.rows, self.centre, self.length, x)
 
     def strain(self, xi):
-        return self.ahead + self._over(jnp.asarray(xi, float))
+        return self.ahead + super().strain(xi)
 
     def velocity(self, xi):
-        xi = jnp.asarray(xi, float)
-        s, w = RULE
-        push = self._force(xi[..., None] - s) @ jnp.asarray(w)
-        drag = self.dashpot * self.speed * (self._over(xi) - self._over(xi - 1))
-        return (push - drag) / (self.mass * self.speed)
+        drag = self.dashpot * (self.over(xi) - self.over(xi - 1)) / self.mass
+        return super().velocity(xi) - drag
 
     def displacement(self, xi):
-        xi = jnp.asarray(xi, float)
-        s, w = RULE
-        near = xi[..., None] - s
-        ramp = self._force(near) @ jnp.asarray(w * (1 - s)) + self._beyond(xi)
-        drag = self.dashpot * self.speed * (self._over(near) @ jnp.asarray(w))
-        return (ramp + drag) / (self.mass * self.speed**2)
+        near = self.over(jnp.asarray(xi)[..., None] - RULE[0]) @ jnp.asarray(RULE[1])
+        return super().displacement(xi) + self.dashpot * near / (self.mass * self.speed)
 
-    def _over(self, x):
-        return self.jump * interpolated(jnp, self.rows, self.centre, self.apart, x)
+    def beyond(self, x):
+        behind = jnp.maximum(self.first - x, 0.0) * fine_force(self.law, self.jump)
+        return super().beyond(x) + behind
 
-    def _force(self, x):
-        return fine_force(self.law, self._over(x))
 
-    def _beyond(self, x):
-        """The integral of g from x on."""
-        at = x / self.apart + self.centre
-        cell = jnp.clip(jnp.ceil(at), 0, len(self.edges) - 1)
-        part = jnp.maximum(self.apart * (cell - at), 0.0)
-        inner = jnp.minimum(part, self.apart)
-        places = (x + part - inner)[..., None] + inner[..., None] * jnp.asarray((1 + _T) / 2)
-        behind = (part - inner) * fine_force(self.law, self.jump)
-        return (
-            self.edges[cell.astype(int)]
-            + inner * (self._force(places) @ jnp.asarray(_W / 2))
-            + behind
-        )
+@eqx.filter_jit
+def shape_of(z: Any, centre: Any, apart: Any, **numbers: Any) -> FrontShape:
+    """The shape from z at places."""
+    rows = coefficients(jnp, z)
+    return FrontShape(rows=rows, centre=centre, length=apart, **numbers).with_edges(0.0)

@@ -45,83 +45,115 @@ def _evaluated(shape, name, xi):
     return getattr(shape, name)(xi)
 
 
-class TentShape(Shape):
-    r"""A wave of one sign, even in xi: ln(strain/unit) by a polynomial on each cell, with a straight line beyond.
+class ContactShape(Shape):
+    r"""A wave whose strain is a polynomial on each of `rows.shape[1]` cells, `length` long, from a place `first` on.
 
-    m c v(xi) = int_{xi-1}^{xi} F(phi),  m c^2 u(xi) = int min(1, y + 1 - xi)_+ F(phi(y)) dy: positive terms alone.
+    With F the force beyond that ahead, m c v(xi) = int_{xi-1}^{xi} F(phi) and m c^2 u(xi) = int min(1, y + 1 - xi)_+
+    F(phi(y)) dy.
+    """
+
+    law: eqx.AbstractVar[Law]
+    mass: eqx.AbstractVar[Any]
+    speed: eqx.AbstractVar[Any]
+    rows: eqx.AbstractVar[Any]
+    first: eqx.AbstractVar[Any]
+    length: eqx.AbstractVar[Any]
+    # the integral of the force beyond the beginning of every cell and the end of the last one
+    edges: eqx.AbstractVar[Any]
+
+    @property
+    def end(self) -> Any:
+        """Where the last cell ends."""
+        return self.first + self.length * self.rows.shape[1]
+
+    def over(self, x: Any) -> Any:
+        """The strain beyond that ahead."""
+        raise NotImplementedError
+
+    def strain(self, xi):
+        return self.over(jnp.asarray(xi, float))
+
+    def velocity(self, xi):
+        xi = jnp.asarray(xi, float)
+        return (
+            self.force(xi[..., None] - 1 + RULE[0])
+            @ jnp.asarray(RULE[1])
+            / (self.mass * self.speed)
+        )
+
+    def displacement(self, xi):
+        xi, (s, w) = jnp.asarray(xi, float), RULE
+        pushed = self.force(xi[..., None] - 1 + s) @ jnp.asarray(w * s) + self.beyond(xi)
+        return pushed / (self.mass * self.speed**2)
+
+    def force(self, x: Any) -> Any:
+        """The force beyond that ahead."""
+        return fine_force(self.law, self.over(x))
+
+    def with_edges(self, beyond: Any) -> "ContactShape":
+        """The shape with its edges, from the integral of the force beyond the last cell."""
+        count = self.rows.shape[1]
+        y = self.first + self.length * (np.arange(count)[:, None] + (1 + _T) / 2)
+        parts = self.length / 2 * (self.force(y) @ jnp.asarray(_W))
+        edges = jnp.append(jnp.cumsum(parts[::-1])[::-1] + beyond, beyond)
+        return eqx.tree_at(lambda s: s.edges, self, edges, is_leaf=lambda x: x is None)
+
+    def cell(self, x: Any) -> tuple[Any, Any]:
+        """The cell of a place, the nearest one of places beyond, and where in it from -1 to 1."""
+        at = (jnp.clip(x, self.first, self.end) - self.first) / self.length
+        k = jnp.clip(at.astype(int), 0, self.rows.shape[1] - 1)
+        return k, 2 * (at - k) - 1
+
+    def beyond(self, x: Any) -> Any:
+        """The integral of the force from a place on, from cell to cell."""
+        low = jnp.clip(x, self.first, self.end)
+        k = self.cell(x)[0]
+        half = (self.first + self.length * (k + 1) - low) / 2
+        inner = self.force(low[..., None] + half[..., None] * (1 + _T))
+        return self.edges[k + 1] + half * (inner @ jnp.asarray(_W))
+
+
+class TentShape(ContactShape):
+    """A wave of one sign, even in xi: ln(strain/unit) by Chebyshev's polynomials, with a straight line beyond.
+
+    All integrals have positive terms alone.
     """
 
     law: Law
     mass: Any
     speed: Any
-    unit: Any
-    coefficients: Any
+    rows: Any
     length: Any
+    unit: Any
     decay: Any
-    edges: Any
-
-    @classmethod
-    def of(
-        cls, law: Law, mass: Any, speed: Any, unit: Any, coefficients: Any, length: Any, decay: Any
-    ) -> "TentShape":
-        """With the integral of the force beyond every cell's beginning."""
-        count = coefficients.shape[0]
-        plain = cls(law, mass, speed, unit, coefficients, length, decay, None)
-        y = length * (np.arange(count)[:, None] + (1 + _T) / 2)
-        parts = length / 2 * (plain._force(y) @ jnp.asarray(_W))
-        beyond = jnp.where(
-            decay > 0,
-            plain._force(jnp.asarray(length * count)) / jnp.where(decay > 0, decay, 1),
-            0.0,
-        )
-        edges = jnp.append(jnp.cumsum(parts[::-1])[::-1] + beyond, beyond)
-        return eqx.tree_at(lambda s: s.edges, plain, edges, is_leaf=lambda x: x is None)
+    edges: Any = None
 
     @property
-    def end(self) -> Numbers:
-        """Where the last cell ends."""
-        return self.length * self.coefficients.shape[0]
+    def first(self):
+        return 0.0
 
-    def strain(self, xi):
-        x = jnp.abs(jnp.asarray(xi, float))
-        k, t, beyond = self._cell(x)
-        rows = self.coefficients[k]
+    def with_tail(self) -> "TentShape":
+        """The shape with its edges."""
+        decay = jnp.where(self.decay > 0, self.decay, 1)
+        return self.with_edges(jnp.where(self.decay > 0, self.force(self.end) / decay, 0.0))
+
+    def over(self, x):
+        x = jnp.abs(x)
+        k, t = self.cell(x)
         b, c = jnp.zeros_like(x), jnp.zeros_like(x)
-        for j in range(rows.shape[-1] - 1, 0, -1):
-            b, c = rows[..., j] + 2 * t * b - c, b
-        return self.unit * jnp.exp(rows[..., 0] + t * b - c - self.decay * beyond)
+        for row in self.rows[:0:-1]:
+            b, c = row[k] + 2 * t * b - c, b
+        past = jnp.maximum(x - self.end, 0.0)
+        return self.unit * jnp.exp(self.rows[0][k] + t * b - c - self.decay * past)
 
     def velocity(self, xi):
-        xi = jnp.asarray(xi, float)
         # even about the middle between two contacts
-        x = jnp.maximum(xi, 1 - xi)
-        s, w = RULE
-        return self._force(x[..., None] - 1 + s) @ jnp.asarray(w) / (self.mass * self.speed)
+        return super().velocity(jnp.maximum(xi, 1 - xi))
 
     def displacement(self, xi):
-        xi = jnp.asarray(xi, float)
-        s, w = RULE
-        ahead = jnp.maximum(xi, 1 - xi)
-        ramp = self._force(ahead[..., None] - 1 + s)
-        # of the interval before xi, from its far end or, behind the wave, from its near one
-        ramp = jnp.where(xi >= 0.5, ramp @ jnp.asarray(w * s), ramp @ jnp.asarray(w * (1 - s)))
-        beyond = self._beyond(jnp.abs(xi))
-        return (ramp + jnp.where(xi >= 0, beyond, 2 * self.edges[0] - beyond)) / (
-            self.mass * self.speed**2
-        )
+        # odd about there
+        ahead = super().displacement(jnp.maximum(xi, 1 - xi))
+        return jnp.where(xi >= 0.5, ahead, 2 * self.edges[0] / (self.mass * self.speed**2) - ahead)
 
-    def _cell(self, x):
-        inside = jnp.minimum(x, self.end)
-        k = jnp.clip((inside / self.length).astype(int), 0, self.coefficients.shape[0] - 1)
-        return k, 2 * (inside / self.length - k) - 1, jnp.maximum(x - self.end, 0.0)
-
-    def _force(self, y):
-        return fine_force(self.law, self.strain(y))
-
-    def _beyond(self, x):
-        """int_x^infinity F(phi), x >= 0."""
-        k, _, past = self._cell(x)
-        low = jnp.minimum(x, self.end)
-        half = (self.length * (k + 1) - low) / 2
-        part = half * (self._force(low[..., None] + half[..., None] * (1 + _T)) @ jnp.asarray(_W))
-        return (self.edges[k + 1] + part) * jnp.exp(-self.decay * past)
+    def beyond(self, x):
+        return super().beyond(x) * jnp.exp(-self.decay * jnp.maximum(x - self.end, 0.0))

@@ -1,4 +1,4 @@
-"""The solitary wave of a law: a first shape by the Fourier form, then the tent integral at two resolutions."""
+"""The solitary wave of a law by the tent integral: a first shape by iteration, then Newton's method."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.optimize import root_scalar
 
 from ..checks import refuse, traced
@@ -15,15 +14,17 @@ from ..printing import told
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine, fine_force, implicit, one_number, values
 from .shape import TentShape
-from .start import DECAYS, decay_rate, normalised
-from .tent import PIECES, Found, Places, Tent, left_between, solve, swept
+from .tent import PIECES, Found, Places, Tent, iterated, left_between, solve
 
 # numbers of places; error relative to the peak at which they are enough; what the residual of Newton's method may be
 PLACES, ENOUGH, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
 # what the equation may leave of ln(strain), so that the tail has its digits too
 TAIL = 1e-12
-# ln of the strain over its peak where places end: of an exponential tail, and of one that falls faster
-DEEP, DEEPEST = -42.0, -560.0
+# ln of the strain over its peak where places end: of an exponential tail, and of one that falls faster; and from where
+# on a first shape falls exponentially
+DEEP, DEEPEST, FAR = -42.0, -560.0, -18.0
+# the width of a first shape without a tail, over (p - 1)^(-1/2) of the power p
+WIDTH = 0.45
 # secants for a peak by its energy, and how near its logarithm is to come
 SECANTS, NEAR = 8, 1e-3
 # slope of ln F per contact times the length of a piece, at first
@@ -55,7 +56,7 @@ class _Problem(NamedTuple):
     unit: float
     level: float
     linear: float
-    held: str | None
+    given: str
     target: float
 
     def force(self, e):
@@ -68,27 +69,42 @@ class _Problem(NamedTuple):
         f, slope = self.force(np.array([e]))
         return float(e * slope[0] / f[0])
 
-    def condition(self, tent: Tent) -> Callable | None:
-        """What is zero besides the equations where the level is unknown."""
-        if self.held is None:
-            return None
-        if self.held == "amplitude":
-            top = tent.top.toarray()[0]
-            return lambda q, level: (top @ q, top, 0.0)
-        return self._energy(tent.places)
+    def held(self, places: Places) -> Callable:
+        """What is zero besides the equations, of q and ln of the level, and its derivatives in both."""
+        first = np.eye(1, places.count)[0]
 
-    def _energy(self, places):
         def energy(q, level):
             e = self.unit * np.exp(q)
             F, slope, W = values(self.medium.law, e)
             whole = 2 * places.weights @ (e * F / 2 + W)
-            return (
-                np.log(whole / self.target),
-                2 * places.weights * (3 * e * F + e * e * slope) / 2 / whole,
-                0.0,
-            )
+            grows = 2 * places.weights * (3 * e * F + e * e * slope) / 2
+            return np.log(whole / self.target), grows / whole, 0.0
 
-        return energy
+        return {
+            "speed": lambda q, level: (level, 0 * first, 1.0),
+            "amplitude": lambda q, level: (q[0], first, 0.0),
+            "energy": energy,
+        }[self.given]
+
+
+def decay_rate(ratio: float) -> float:
+    """kappa > 0 of a tail exp(-kappa |xi|): sinh^2(kappa/2) = ratio (kappa/2)^2, ratio = m c^2/K2 > 1."""
+    root = np.sqrt(ratio)
+    x = np.sqrt(6 * (ratio - 1)) if ratio < 3 else min(np.log(4 * ratio), 600.0)
+    for _ in range(100):
+        with np.errstate(over="ignore"):
+            # ln sinh(x)/x = ln root, by Newton in ln x
+            value = (
+                np.log(np.sinh(x) / x) - np.log(root)
+                if x > 1e-3
+                else x * x / 6 - np.log1p(ratio - 1) / 2
+            )
+            slope = 1 / np.tanh(x) - 1 / x if x > 1e-3 else x / 3
+        step = value / slope
+        x = max(x - step, x / 4)
+        if abs(step) <= 1e-15 * x:
+            break
+    return 2 * x
 
 
 def one_given(**numbers: Any) -> tuple[str, Any]:
@@ -149,7 +165,7 @@ def _problem(medium, found: Bounds, c, a, E):
         unit = reached(medium.law, found, level)
         if unit is None:
             _refuse_fast(medium, found, mass, c)
-        return _Problem(medium, unit, level, found.linear / level, None, 0.0)
+        return _Problem(medium, unit, level, found.linear / level, "speed", c)
     if a is not None:
         level = float(twice_energy(medium.law, np.array([a]))[0])
         if not np.isfinite(level) or not level > found.linear:
@@ -159,7 +175,7 @@ def _problem(medium, found: Bounds, c, a, E):
                 f"{a:g}",
                 "There it has ended, or is softer than at rest.",
             )
-        return _Problem(medium, a, level, found.linear / level, "amplitude", 0.0)
+        return _Problem(medium, a, level, found.linear / level, "amplitude", a)
     if not E > 0:
         refuse("energy", "a number above zero", f"{E:g}", "That is the chain at rest.")
     return _by_energy(medium, found, E)
@@ -190,9 +206,10 @@ def _by_energy(medium, found, E):
 
     def over(log):
         problem = of_peak(log)
-        x, psi, *_ = _shape(problem)
-        F, _, W = values(medium.law, problem.unit * psi)
-        return np.log((problem.unit * psi * F / 2 + W).sum() * (x[1] - x[0]) / E)
+        places, q, _ = _settled(problem)
+        e = problem.unit * np.exp(q)
+        F, _, W = values(medium.law, e)
+        return np.log(2 * places.weights @ (e * F / 2 + W) / E)
 
     start = np.interp(np.log(E), np.log(crude), np.log(np.abs(strains)))
     with np.errstate(all="ignore"):
@@ -200,98 +217,72 @@ def _by_energy(medium, found, E):
     return of_peak(near if np.isfinite(over(near)) else start)
 
 
-def _bell(problem, rate):
-    """sech^(2/s)(s rate x/2), to which weak waves tend of a force that grows beyond its linear part as e^(1 + s)."""
-    grown = (problem.force(np.ones(1))[0][0] - problem.linear) / (1 - problem.linear)
-    power = np.clip(2 * (grown - 1), 0.05, 6)
-    return lambda x: 1 / np.cosh(np.clip(power * rate * x / 2, -300, 300)) ** (2 / power)
+def _settled(problem: _Problem) -> tuple[Places, np.ndarray, float]:
+    """Places, ln of the strain over its peak and ln of the level there, by iteration with a coarse tent.
 
-
-def _compact(rate):
-    return lambda x: np.where(
-        np.abs(x) < 2.5 / rate,
-        np.cos(np.clip(np.pi * rate * x / 5, -np.pi / 2, np.pi / 2)) ** 4,
-        0.0,
-    )
-
-
-def _shape(problem):
-    """A first shape on the Fourier form's grid: places, strain over its unit, its change, the level."""
-    if problem.linear > 0:
-        rate = decay_rate(1 / problem.linear)
-        half, guess = DECAYS / rate + 4, _bell(problem, rate)
+    It begins with sech^(2/s)(s rate x/2), to which weak waves tend of a force that grows beyond its linear part as
+    e^(1 + s); without a linear part with a Gaussian, whose tail is above one that falls ever faster.
+    """
+    rate = decay_rate(1 / problem.linear) if problem.linear > 0 else 0.0
+    steep = max(rate, problem.exponent(1.0))
+    if rate:
+        end, sweeps = -DEEP / rate + 4, 0
     else:
-        over = np.sqrt(max(problem.exponent(SMALL) - 1, 1e-6))
-        half, guess = 3 + 5 / over, _compact(1 / max(1.0, 0.45 / over))
-    x, psi, change, level = normalised(problem.force, half, guess)
-    return x, psi, change, level if problem.held else 1.0
+        over = max(problem.exponent(SMALL) - 1, 1e-6)
+        end = 3 + 5 / over**0.5 + np.log(-DEEPEST / 10) / np.log1p(over)
+        # each contact of the tail follows from the one before
+        sweeps = int(np.ceil(end))
+    # so near that the corner of a strong wave is resolved
+    count = max(PLACES[0], int(2 * end * max(rate, steep - 1)))
+    places = Places(count, end / (count - 1), rate)
+    x = places.nodes
+    if rate:
+        grown = (problem.force(np.ones(1))[0][0] - problem.linear) / (1 - problem.linear)
+        power = np.clip(2 * (grown - 1), 0.05, min(6.0, 3.2 / rate**2))
+        q = 2 / power * (np.log(2) + power * rate * x / 2 - np.logaddexp(power * rate * x, 0))
+    else:
+        q = -0.8 * (x / max(1.0, WIDTH / over**0.5)) ** 2
+    return places, *iterated(Tent.of(places, _pieces(steep / 2)), problem.force, q, sweeps)
 
 
-def _refuse_unsettled():
-    refuse(
-        "law",
-        "one whose first shape settles",
-        "one whose shape does not",
-        "Try another speed or amplitude.",
-    )
+def _pieces(steep, finer=1):
+    """The ends of pieces so short that ln F changes little over each."""
+    return np.linspace(0, 1, 1 + finer * int(np.ceil(max(steep / STEEP, 1))))
 
 
 def _first(problem):
-    """ln of the strain over its unit as a function of place, the level, decay rate, end of the places, exponent."""
-    x, psi, change, level = _shape(problem)
-    half = len(x) // 2
-    x, psi = x[half:], psi[half:]
-    if not np.isfinite(psi).all() or not psi[0] > 0:
-        _refuse_unsettled()
-    q = np.log(np.maximum(psi, 1e-300))
-    below = q - q[0]
-    smooth = CubicSpline(x, q)
-    if problem.linear > 0:
-        rate = decay_rate(max(level / problem.linear, 1 + 1e-9))
-        k = int(np.argmax(below < -18)) or len(x) - 1
-        end = x[k] + (below[k] - DEEP) / rate
-
-        def first(y):
-            return np.where(y < x[k], smooth(y), q[k] - rate * (y - x[k]))
-
-        return first, np.log(level), rate, end, np.nan
-    # a parabola is above a tail that falls ever faster, which the tent brings down to it
-    i, j, k = (int(np.argmax(below < depth)) or len(x) - 1 for depth in (-14, -19, -25))
-    j, k = max(j, i + 1), max(k, j + 1, i + 2)
-    parabola = np.polynomial.Polynomial.fit(x[[i, j, k]], q[[i, j, k]], 2)
-    reach = x[k] + np.arange(0, 100 * x[k], 0.1)
-    if not parabola.deriv(2)(0) < 0 or not parabola(reach[-1]) < q[0] + DEEPEST:
-        _refuse_unsettled()
-    end = float(reach[np.argmax(parabola(reach) < q[0] + DEEPEST)])
+    """ln of the strain over its unit as a function of place, the level, decay rate, end of the places."""
+    places, q, level = _settled(problem)
+    if not np.isfinite(level):
+        refuse(
+            "law",
+            "one whose first shape settles",
+            "one whose shape does not",
+            "Try another speed or amplitude.",
+        )
+    x, within = places.nodes, places.interpolated
+    level = 0.0 if problem.given == "speed" else level
+    if not problem.linear > 0:
+        return lambda y: within(q, y), level, 0.0, float(x[int(np.argmax(q < DEEPEST)) or -1])
+    rate = decay_rate(max(np.exp(level) / problem.linear, 1 + 1e-9))
+    k = int(np.argmax(q < FAR)) or len(x) - 1
 
     def first(y):
-        return np.where(y < x[k], smooth(y), parabola(y))
+        return within(q, np.minimum(y, x[k])) - rate * np.maximum(y - x[k], 0.0)
 
-    return *_brought_down(problem, first, np.log(level), end), problem.exponent(SMALL)
-
-
-def _brought_down(problem, first, level, end):
-    """The first shape with the tail that follows from it, the level, no decay rate, the end of the places."""
-    places = Places(PLACES[0], end / (PLACES[0] - 1), 0.0)
-    q = swept(Tent.of(places), problem.force, first(places.nodes), level)
-    last = int(np.argmax(q < q[0] + DEEPEST)) or places.count - 1
-    return (
-        CubicSpline(places.nodes[: last + 2], q[: last + 2]),
-        level,
-        0.0,
-        float(places.nodes[last]),
-    )
+    return first, level, rate, float(x[k] + (q[k] - DEEP) / rate)
 
 
-def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, float]:
+def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
     """Newton's method on the tent integral, with more places and pieces until the equation holds between them too."""
-    steep = max(rate, problem.exponent(1.0)) if problem.linear > 0 else None
     for count in PLACES:
         pieces = PIECES
-        if steep is not None:
-            pieces = np.linspace(0, 1, 1 + count // PLACES[0] * int(np.ceil(max(steep / STEEP, 1))))
+        if problem.linear > 0:
+            pieces = _pieces(max(rate, problem.exponent(1.0)), count // PLACES[0])
         tent = Tent.of(Places(count, end / (count - 1), rate), pieces)
-        found = solve(tent, problem.force, first(tent.places.nodes), level, problem.condition(tent))
+        found = solve(
+            tent, problem.force, first(tent.places.nodes), level, problem.held(tent.places)
+        )
         if not found.residual < CONVERGED:
             if count == PLACES[-1]:
                 refuse(
@@ -302,12 +293,11 @@ def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, 
                 )
             continue
         places, level = tent.places, found.level
-        if problem.held and problem.linear > 0:
+        if problem.linear > 0:
             rate = decay_rate(np.exp(level) / problem.linear)
 
         def first(y, places=places, q=found.q):
-            matrix, shift = places.interpolation(y)
-            return matrix @ q + shift
+            return places.interpolated(q, y)
 
         strain, moves = np.exp(found.q), np.abs(np.linalg.inv(found.jacobian))[:count, :count]
         # what the rounding of each equation's logarithms, and of the level's own digits, does to the strain
@@ -327,11 +317,10 @@ def _assembled(medium, problem, tent, found, error, numbers):
     q, level, unit = map(_put, (found.q, found.level, problem.unit))
     if traced((law, mass, numbers)):
         q, level = _implicit(medium, problem, tent, found, numbers)
-    square = jnp.exp(level) * problem.level / mass
-    sign = (
-        -1.0 if problem.held is None and float(jax.lax.stop_gradient(numbers["speed"])) < 0 else 1.0
-    )
-    speed = sign * jnp.sqrt(square) if problem.held else jnp.asarray(numbers["speed"], float)
+    if problem.given == "speed":
+        speed = jnp.asarray(numbers["speed"], float)
+    else:
+        speed = jnp.sqrt(jnp.exp(level) * problem.level / mass)
     places = tent.places
     rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
     steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
@@ -372,29 +361,29 @@ def _tails(law, level, rate, exponent, unit):
 def _whole(law, mass, speed, unit, q, apart, steep):
     """The shape, its energy and its compression, by one program for each number of places."""
     places = Places(len(q), apart, 0.0)
-    shape = TentShape.of(law, mass, speed, unit, places.coefficients(q), apart, steep)
+    shape = TentShape(law, mass, speed, places.coefficients(q).T, apart, unit, steep).with_tail()
     e, weights = unit * jnp.exp(q), jnp.full(len(q), apart).at[0].divide(2)
     F, _, W = fine(law, e)
     return shape, 2 * weights @ (e * F / 2 + W), 2 * weights @ e
 
 
 def _implicit(medium, problem, tent, found, numbers):
-    """q and the level, whose derivatives are those of the equations at fixed q over -Jacobian."""
-    strain = problem.unit * tent.strain(found.q)
-    f = fine_force(medium.law, jnp.asarray(strain))
-    level = jnp.asarray(found.level) + np.log(problem.level)
-    if problem.held is None:
-        level = jnp.log(medium.mass * jnp.asarray(numbers["speed"], float) ** 2)
+    """q and the level, whose derivatives are those of the equations at fixed q and level over -Jacobian."""
+    f = fine_force(medium.law, jnp.asarray(problem.unit * tent.strain(found.q)))
     integral = (jnp.asarray(tent.weights) * f).sum(1) / problem.unit
-    gap = jnp.log(integral) - level - found.q
-    if problem.held == "amplitude":
-        gap = jnp.append(gap, jnp.log(problem.unit / jnp.asarray(numbers["amplitude"], float)))
-    elif problem.held == "energy":
-        e = problem.unit * jnp.exp(jnp.asarray(found.q))
+    # in q and the level that were found, which stand still
+    e, given = (
+        problem.unit * jnp.exp(jnp.asarray(found.q)),
+        jnp.asarray(numbers[problem.given], float),
+    )
+    if problem.given == "speed":
+        more = -jnp.log(medium.mass * given**2)
+    elif problem.given == "amplitude":
+        more = -jnp.log(given)
+    else:
         F, _, W = fine(medium.law, e)
-        whole = 2 * jnp.asarray(tent.places.weights) @ (e * F / 2 + W)
-        gap = jnp.append(gap, jnp.log(whole / jnp.asarray(numbers["energy"], float)))
+        more = jnp.log(jnp.asarray(tent.places.weights) @ (e * F / 2 + W) / given)
+    gap = jnp.append(jnp.log(integral), more)
     # what is left of the equations stays as it was found
     change = jnp.asarray(np.linalg.inv(found.jacobian)) @ (gap - jax.lax.stop_gradient(gap))
-    moved = jnp.asarray(found.q) - change[: len(found.q)]
-    return moved, jnp.asarray(found.level) - change[len(found.q) :].sum()
+    return jnp.asarray(found.q) - change[:-1], jnp.asarray(found.level) - change[-1]

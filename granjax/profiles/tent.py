@@ -11,15 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
 
+from .damped import damped
+
 # places that one value is interpolated from; nodes of a piece of the tent, pieces of either of its sides, finer towards
 # where the wave comes from
 STENCIL, PIECE = 12, 12
 PIECES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
-# ln of the strain over its peak where a far tail begins
-TAIL = -12.0
-# and the least that numbers hold
+# ln of the least strain over its peak that numbers hold
 LEAST = -690.0
-STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
+# what is left of Newton's equations where rounding may be met
+ENOUGH = 1e-12
+# most iterations for a first shape, and the change at which it is steady
+ITERATIONS, STEADY = 400, 1e-5
 _BARY = np.array(
     [1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)]
 )
@@ -85,6 +88,11 @@ class Places(NamedTuple):
         )
         return matrix, -self.decay * np.maximum(y - self.end, 0.0)
 
+    def interpolated(self, q: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """q at places y >= 0."""
+        matrix, shift = self.interpolation(y)
+        return matrix @ q + shift
+
     def coefficients(self, q: Any) -> Any:
         """Those of Chebyshev's polynomials on every cell (I - 1, STENCIL)."""
         columns = self._stencils(np.arange(self.count - 1))
@@ -109,7 +117,6 @@ class Tent(NamedTuple):
     weights: np.ndarray
     matrix: sparse.csr_matrix
     shift: np.ndarray
-    top: sparse.csr_matrix
 
     @classmethod
     def of(cls, places: Places, pieces: Any = PIECES, at: np.ndarray | None = None) -> "Tent":
@@ -119,7 +126,7 @@ class Tent(NamedTuple):
         y = np.concatenate([x - 1 + s, x + s], 1)
         matrix, shift = places.interpolation(np.abs(y).ravel())
         weights = np.broadcast_to(np.concatenate([w * s, w * (1 - s)]), y.shape)
-        return cls(places, weights, matrix, shift, places.interpolation(np.zeros(1))[0])
+        return cls(places, weights, matrix, shift)
 
     def strain(self, q: np.ndarray) -> np.ndarray:
         """The strain over its peak where the tent reads it, (I, Q)."""
@@ -138,7 +145,7 @@ class Tent(NamedTuple):
 
 
 class Found(NamedTuple):
-    """q at the nodes, ln of the level, the residual per node that was left, and the Jacobian with its border."""
+    """q at the nodes, ln of the level, the residual that was left, and the Jacobian with its border, the level's."""
 
     q: np.ndarray
     level: float
@@ -146,14 +153,21 @@ class Found(NamedTuple):
     jacobian: np.ndarray
 
 
-def swept(tent: Tent, force: Callable, q: np.ndarray, level: float) -> np.ndarray:
-    """q with its far tail, of which each contact follows from the one before, by as many iterations as are needed."""
-    far = q < q[0] + TAIL
-    for _ in range(int(np.ceil(tent.places.end)) + 2):
+def iterated(tent: Tent, force: Callable, q: np.ndarray, sweeps: int) -> tuple[np.ndarray, float]:
+    """q with the peak 0 and ln of the level, of psi <- tent * f(psi) over its peak, until the shape settles.
+
+    It takes `sweeps` iterations at least. The level is infinite where the shape is lost.
+    """
+    for n in range(ITERATIONS):
         with np.errstate(all="ignore"):
-            new = np.log(tent.integral(force(tent.strain(q))[0])) - level
-        q = np.where(far, np.maximum(np.minimum(new, q), q[0] + LEAST), q)
-    return q
+            new = np.log(tent.integral(force(tent.strain(q))[0]))
+        level, before = new[0], q
+        if not np.isfinite(level):
+            return q, np.inf
+        q = np.maximum(new - level, LEAST)
+        if n >= sweeps and np.abs(np.exp(q) - np.exp(before)).max() < STEADY:
+            break
+    return q, level
 
 
 def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.ndarray:
@@ -164,59 +178,27 @@ def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.n
     places, ends = tent.places, np.asarray(pieces)
     middle = places.nodes[:-1] + places.apart / 2
     finer = Tent.of(places, np.sort(np.append(ends, (ends[1:] + ends[:-1]) / 2)), middle)
-    matrix, shift = places.interpolation(middle)
     with np.errstate(all="ignore"):
         integral = finer.integral(force(finer.strain(found.q))[0])
-        left = np.abs(np.log(integral) - found.level - (matrix @ found.q + shift))
+        left = np.abs(np.log(integral) - found.level - places.interpolated(found.q, middle))
     return np.maximum(np.append(left, 0.0), np.append(0.0, left))
 
 
-def solve(
-    tent: Tent, force: Callable, q: np.ndarray, level: float = 0.0, held: Callable | None = None
-) -> Found:
-    """Newton's method for q = ln(tent * f(e^q)) - level.
+def solve(tent: Tent, force: Callable, q: np.ndarray, level: float, held: Callable) -> Found:
+    """Newton's method for q = ln(tent * f(e^q)) - level, and one condition more.
 
     `force(e)`: f and its slope at strains over the peak's unit. `held(q, level)`: what is zero besides, and its
-    derivatives, where the level is unknown. It ends where the residual falls no more.
+    derivatives. It ends where the residual falls no more.
     """
-    best = _state(tent, force, q, level, held)
-    for _ in range(STEPS):
-        size, q, level, gap, jacobian = best
-        if not np.isfinite(size):
-            break
-        try:
-            step = np.linalg.solve(jacobian, -gap)
-        except np.linalg.LinAlgError:
-            break
-        for k in range(HALVINGS):
-            new = _state(
-                tent, force, q + step[: len(q)] / 2**k, level + (step[len(q) :].sum() / 2**k), held
-            )
-            if new[0] < size:
-                break
-        else:
-            break
-        best = new
-        if new[0] > 0.5 * size and new[0] < 1e-12 or new[0] < SETTLED:
-            break
-    size, q, level, gap, jacobian = best
-    return Found(q, level, float(np.abs(gap).max()), jacobian)
 
-
-def _state(tent, force, q, level, held):
-    """(size of the gap, q, level, gap, Jacobian)."""
-    with np.errstate(all="ignore"):
+    def equations(x):
+        q, level = x[:-1], x[-1]
         e = tent.strain(q)
         f, slope = force(e)
-        integral = tent.integral(f)
-        gap = np.log(integral) - level - q
-        if not np.isfinite(gap).all():
-            return np.inf, q, level, gap, None
+        integral, (value, *row) = tent.integral(f), held(q, level)
         jacobian = tent.slopes(e * slope) / integral[:, None] - np.eye(len(q))
-    if held is not None:
-        value, in_q, in_level = held(q, level)
-        gap = np.append(gap, value)
-        jacobian = np.block(
-            [[jacobian, -np.ones((len(q), 1))], [in_q[None], np.array([[in_level]])]]
-        )
-    return float(np.sqrt(np.mean(gap**2))), q, level, gap, jacobian
+        matrix = np.block([[jacobian, -np.ones((len(q), 1))], [np.hstack(row)[None]]])
+        return np.append(np.log(integral) - level - q, value), matrix
+
+    found = damped(equations, np.linalg.solve, np.append(q, level), ENOUGH)
+    return Found(found.x[:-1], float(found.x[-1]), found.size, found.matrix)

@@ -1,9 +1,5 @@
-"""Dispersive shocks: the scenes that make them, what is measured of them, and what is kept along them.
+"""Dispersive shocks, the scenes that make them and what is measured of them; stationary fronts of damped chains."""
 
-And the stationary fronts of chains with dashpots.
-"""
-
-from .balances import Balances, balances
 from .front import DissipativeFront
 from .fronts import dissipative_front
 from .history import SpaceTime, space_time
@@ -13,12 +9,10 @@ from .scenes import impacts, piston, step, velocity_shock
 from .shock import Shock
 
 __all__ = [
-    "Balances",
     "DissipativeFront",
     "Riemann",
     "Shock",
     "SpaceTime",
-    "balances",
     "dissipative_front",
     "impacts",
     "measure",

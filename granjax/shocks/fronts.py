@@ -13,7 +13,6 @@ from ..lattice import Lattice
 from ..laws import Law, Strained
 from ..profiles import Medium, medium_of, tabled, tails
 from ..profiles import front as solver
-from ..profiles.front import FrontShape
 from ..profiles.highest import highest
 from ..profiles.medium import fine_force, implicit, one_number, single, values
 from ..terms import Dashpot
@@ -229,7 +228,8 @@ def _recorded(medium, given, known_step, front, critical, trial):
     if traced((medium, given)):
         z = _implicit(front, law, (mass, jump, dashpot), known_step)
     centre, apart = jnp.asarray(float(front.centre)), jnp.asarray(front.apart)
-    shape = _whole(law, mass, step.speed, dashpot, ahead, step.jump, z, centre, apart)
+    numbers = dict(dashpot=dashpot, ahead=ahead, jump=step.jump)
+    shape = solver.shape_of(z, centre, apart, law=law, mass=mass, speed=step.speed, **numbers)
     root, rate, limit = _rates(step, known_step, critical, trial)
     place = front.places[np.argmax(front.z)]
     top, most = highest(front.at, place - front.apart, place + front.apart)
@@ -273,9 +273,6 @@ def _rates(step, known, critical, trial):
         rate + (less - rate * zeta) / steep[1],
         critical.zeta + critical.slope * more,
     )
-
-
-_whole = eqx.filter_jit(FrontShape.of)
 
 
 @eqx.filter_jit

@@ -17,8 +17,7 @@ from ..states.places import chain_only, inside
 from ..strains import Shift
 from ..terms import Bond, Breaks, Drive, Wall
 from ..terms.chain import next_neighbours
-from ..terms.reach import furthest
-from ..terms.tracing import reads
+from ..terms.reach import furthest, reads
 from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 
@@ -189,7 +188,7 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     chain_only(lattice, "piston")
     speed = per_lane("speed", speed, lattice.lanes)
     # the law of the bond to a wall on the left where there is one, else of the first bond
-    contact, free = over_bonds(_law(lattice), lattice, lambda x: x[0]), _opened(lattice)
+    contact, free = _over_bonds(_law(lattice), lattice, lambda x: x[0]), _opened(lattice)
     chain = _with(free, (*free.terms, Wall(contact, "left", Uniform(speed.astype(lattice.dtype)))))
     zeros = chain.zeros()
     return Riemann(
@@ -274,7 +273,7 @@ def _between(term, lattice):
     law, boundary = found
     return Bond(
         Shift(1, "free"),
-        over_bonds(law, lattice, (lambda x: x[1:-1]) if boundary == "fixed" else lambda x: x[:-1]),
+        _over_bonds(law, lattice, (lambda x: x[1:-1]) if boundary == "fixed" else lambda x: x[:-1]),
     )
 
 
@@ -294,7 +293,7 @@ def _law(lattice):
     return sum(laws[1:], laws[0])
 
 
-def over_bonds(law: Law, lattice: Lattice, choose: Callable) -> Law:
+def _over_bonds(law: Law, lattice: Lattice, choose: Callable) -> Law:
     """`choose` applied to every parameter that has an axis over the bonds."""
     axes = 1 + len(lattice.lanes)
     return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes and x.shape[0] > 1 else x, law)

@@ -1,4 +1,4 @@
-"""Two waves that meet: phase shifts, speeds and energies after it, beside those of Korteweg-de Vries and of Toda."""
+"""Two waves that meet: phase shifts, speeds and energies after it."""
 
 from typing import NamedTuple
 
@@ -10,16 +10,14 @@ import numpy as np
 from ..checks import refuse, within
 from ..flow import Run
 from ..lattice import Lattice, State
-from ..laws import taylor
 from ..profiles.medium import values
 from ..programs import shared_size
 from ..results import Result, array, note
 from ..strains import Shift
 from ..terms import Bond
-from ..theory import toda
 from ..types import Number, Numbers, Parameter, Scalar
 from ..units import SCALED
-from .tracking import MISFIT, number_of, of_own_speed, reach_of, run_twice, tracked
+from .tracking import leaving, reach_of, run_twice, tracked
 from .wave import Wave
 
 # frames of the time before and as long after, how much longer it is than the least, contacts beyond, h omega, and how
@@ -59,15 +57,6 @@ class Collision(Result):
         "1",
         "wave",
     )
-    kdv_shifts: Numbers = array(
-        "The shifts of the solitons of Korteweg and de Vries of the same speeds (overtaking"
-        " alone).",
-        "1",
-        "wave",
-    )
-    toda_shifts: Numbers = array(
-        "The shifts of the solitons of the Toda chain of the same K2 and K3.", "1", "wave"
-    )
     speeds: Numbers = array("The speeds before.", "1/s", "wave")
     speeds_after: Numbers = array("The speeds after.", "1/s", "wave")
     speed_errors: Numbers = array("The errors of the speeds.", "1/s", "wave")
@@ -89,55 +78,29 @@ class Collision(Result):
     times: Numbers = array("The times of the frames.", "s", "found")
     places: Numbers = array("The place of each wave in each frame.", "1", "wave found")
     run: Run = note("The run.")
-    # of each phase why what leaves is no solitary wave
+    # of each phase why there are no shifts
     _lost: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def outcome(self) -> str:
         """Whether the waves have parted, and to what their shifts are known."""
-        shifts, errors, misfits, (separation,) = (
-            np.reshape(x, (-1, len(self._lost)))
-            for x in (self.shifts, self.shift_errors, self.misfits, self.separation)
-        )
+        shifts, errors = (np.reshape(x, (2, -1)) for x in (self.shifts, self.shift_errors))
         parted, said = ~np.isnan(shifts[0]), []
         if len(parted) > 1:
-            said = [f"At {parted.sum()} of {len(parted)} phases they have parted"]
-            if parted.any():
-                ranges = (f"{x.min():.6g} to {x.max():.6g}" for x in shifts[:, parted])
-                accuracy = f"to {errors[:, parted].max():.1e} contacts"
-                said[0] += f"; shifts from {' and from '.join(ranges)}, {accuracy}"
-            said[0] += "."
-        elif parted.all():
-            said = [
-                f"They have parted, by {separation[0]:.4g} contacts; shifts to {errors.max():.1e} contacts."
-            ]
+            said.append(f"At {parted.sum()} of {len(parted)} phases they have parted.")
+        if parted.any():
+            ranges = (f"{x.min():.6g} ... {x.max():.6g}" for x in shifts[:, parted])
+            error = errors[:, parted].max()
+            said.append(f"They are shifted by {' and by '.join(ranges)} contacts, to {error:.1e}.")
         if not parted.all():
-            k = int(np.argmin(parted))
-            if self._lost[k]:
-                said.append(f"No shift: what leaves is no solitary wave. {self._lost[k]}")
-            elif not separation[k] > APART * self.least_separation:
-                said.append(
-                    f"No shift: the waves have not parted, {separation[k]:.4g} contacts are between them and "
-                    f"{self.least_separation:.4g} would be needed."
-                )
-            else:
-                said.append(
-                    f"No shift: what leaves differs from a solitary wave by {np.nanmax(misfits[:, k]):.1%} of its "
-                    "peak: other waves are still about it."
-                )
-        if np.isnan(self.toda_shifts).all():
-            said.append(
-                "KdV and Toda have no such waves: this chain has no sound, or its K3 is zero or of the other sign."
-            )
-        elif np.isnan(self.kdv_shifts).all():
-            said.append("KdV knows waves of one way alone.")
+            said.append(f"No shift: {next(filter(None, self._lost))}.")
         return " ".join(said)
 
 
-class Course(NamedTuple):
+class _Course(NamedTuple):
     """Where two waves would be at times 0 ... `time`, had they never met: x + c t; as points they do at `meeting`.
 
-    `sound`: the largest speed of it at strains of both waves together.
+    `starts` (2, P): x of each phase. `sound`: the largest speed of it at strains of both waves together.
     """
 
     starts: np.ndarray
@@ -146,17 +109,7 @@ class Course(NamedTuple):
     time: float
     sites: int
     longer: int
-    phase: float
     sound: float
-
-    @property
-    def frames(self) -> int:
-        """As close as before they meet."""
-        return FRAMES * (1 + self.longer) + 1
-
-    def places(self, times: np.ndarray) -> np.ndarray:
-        """(2, T), in contacts."""
-        return self.starts[:, None] + self.speeds[:, None] * times
 
 
 def collide(
@@ -166,7 +119,6 @@ def collide(
     phase: Parameter = 0.0,
     tolerance: Scalar = 1e-7,
     step: Scalar | None = None,
-    progress: bool = False,
 ) -> Collision:
     r"""Two solitary waves of one chain meet: where each is afterwards, beside where it would be alone.
 
@@ -188,7 +140,6 @@ def collide(
       sites grow with the length of the tail over the difference in speed.
     - `step`: time step; `None` a fifth of one over the highest frequency of the chain at strains of both waves
       together, to begin with.
-    - `progress`: a progress bar.
 
     **Returns:** `Collision`. **Raises** ValueError for two of different chains, equal speeds, traced numbers.
     Not differentiable: places are fitted. Toda's k = 1 and 0.5: shifts +1.180269670641735, -2.360539341283469
@@ -212,24 +163,27 @@ def collide(
     phases = np.asarray(phase, float)
     parted = max(reach_of(wave, max(TAIL * tolerance, ROUNDING)) for wave in waves)
     for longer in LONGER:
-        courses = [_course(waves, parted, longer, x) for x in np.ravel(phases)]
-        runs = _runs(waves, courses, phases.shape, step, progress)
+        course = _course(waves, parted, longer, np.ravel(phases) % 1)
+        runs = _runs(waves, course, phases.shape, step)
         both = [-np.diff(np.reshape(run.us, (*run.us.shape[:2], -1)), axis=1) for run in runs]
+        ts = np.asarray(runs[0].ts, float)
         found, lost = zip(
             *(
-                _measured(waves, course, parted, runs[0], [x[..., k] for x in both])
-                for k, course in enumerate(courses)
+                _measured(waves, course, start, parted, ts, [x[..., k] for x in both])
+                for k, start in enumerate(course.starts.T)
             )
         )
         if all(one["shift_errors"].max() <= tolerance for one in found):
             break
     # several phases are the last axis
     numbers = {name: np.stack([one[name] for one in found], -1) for name in found[0]}
+    numbers["phase"] = np.ravel(phases) % 1
+    one, two = course.speeds
     return Collision(
         **{name: x if phases.ndim else x[..., 0] for name, x in numbers.items()},
-        kind=_kind(waves),
-        meeting=courses[0].meeting,
-        energy=float(waves[0].energy + waves[1].energy),
+        kind="overtaking" if one * two > 0 else "head-on",
+        meeting=course.meeting,
+        energy=float(first.energy + second.energy),
         least_separation=float(parted),
         run=runs[0],
         _lost=lost,
@@ -237,24 +191,24 @@ def collide(
     )
 
 
-def _runs(waves, courses, lanes, step, progress):
-    """With a step, and with twice as much; a lane for each course, or one course alone."""
-    course, shape = courses[0], (-1, *lanes)
+def _runs(waves, course, lanes, step):
+    """With a step, and with twice as much; a lane for each phase, or one run alone."""
     bond, units = Bond(Shift(1, "free"), waves[0].law), waves[0].units or SCALED
     made = lambda m: Lattice(m, bond, sites=course.sites, units=units)
-    lattice = (
-        jax.vmap(made, out_axes=-1)(np.full(lanes, waves[0].mass)) if lanes else made(waves[0].mass)
-    )
+    mass = waves[0].mass
+    lattice = jax.vmap(made, out_axes=-1)(np.full(lanes, mass)) if lanes else made(mass)
     parts = [
-        [wave.state(course.sites, start) for wave, start in zip(waves, one.starts)]
-        for one in courses
+        [wave.state(course.sites, x) for wave, x in zip(waves, start)] for start in course.starts.T
     ]
+    shape = (-1, *lanes)
     state = State(
         *(jnp.stack([sum(y[i] for y in pair) for pair in parts], -1).reshape(shape) for i in (0, 1))
     )
     if step is None:
         step = STEP / course.longer**0.5 / (2 * course.sound)
-    return run_twice(lattice, state, course.time, course.frames, step, progress)
+    # as close as before they meet
+    frames = FRAMES * (1 + course.longer) + 1
+    return run_twice(lattice, state, course.time, frames, step)
 
 
 def _of_one_chain(first, second):
@@ -276,7 +230,7 @@ def _of_one_chain(first, second):
         )
 
 
-def _course(waves, parted, longer, phase):
+def _course(waves, parted, longer, phases):
     speeds = np.array([float(wave.speed) for wave in waves])
     meeting = (1 + MORE) * parted / abs(speeds[0] - speeds[1])
     # of the strains between those of both waves together, of either sign
@@ -286,85 +240,67 @@ def _course(waves, parted, longer, phase):
     ends = np.concatenate([-speeds, longer * speeds]) * meeting
     margin = parted + BEYOND
     sites = shared_size(int(np.ceil(np.ptp(ends) + 2 * margin)) + 4)
-    place = np.ceil(margin - ends.min()) + phase % 1
-    return Course(
-        place - speeds * meeting,
-        speeds,
-        meeting,
-        (1 + longer) * meeting,
-        sites,
-        longer,
-        phase,
-        sound,
-    )
+    places = np.ceil(margin - ends.min()) + phases
+    starts = places - speeds[:, None] * meeting
+    return _Course(starts, speeds, meeting, (1 + longer) * meeting, sites, longer, sound)
 
 
-def _measured(waves, course, parted, run, both):
-    """What became of the waves, by the strains of both runs; and why what leaves is no solitary wave."""
-    ts, meeting = np.asarray(run.ts, float), course.meeting
-    share, rest = MORE / (1 + MORE), course.time - course.meeting
-    early, late, sooner = (
-        ts <= share * meeting * (1 + SAME),
-        *(ts >= course.time - many * share * rest * (1 + SAME) for many in (1, 2)),
-    )
+def _measured(waves, course, start, parted, ts, both):
+    """What became of the waves, by the strains of both runs; and why there are no shifts."""
+    meeting, speeds = course.meeting, course.speeds
+    share, rest = MORE / (1 + MORE), course.time - meeting
+    early = ts <= share * meeting * (1 + SAME)
+    late, sooner = (ts >= course.time - many * share * rest * (1 + SAME) for many in (1, 2))
     sooner &= ~late
-    free = course.places(ts)
+    free = start[:, None] + speeds[:, None] * ts
 
-    def followed(wave, place, frames):
+    def followed(method, wave, place, frames):
         strains = [x[frames] for x in both]
         first = _highest(wave, strains[0], place[frames], parted)
-        return tracked(wave, ts[frames], *strains, first)
+        return method(wave, ts[frames], *strains, first)
 
     before = [
         tracked(w, ts[early], *(x[early] for x in both), place[early])
         for w, place in zip(waves, free)
     ]
-    after, besides, lost = zip(
-        *(_own(followed(w, place, late), [x[late] for x in both]) for w, place in zip(waves, free))
-    )
+    left = [followed(leaving, w, place, late) for w, place in zip(waves, free)]
+    after = [one.track for one in left]
     lines = np.array([[track.at(meeting) for track in tracks] for tracks in (before, after)])
     shifts, errors = lines[1, :, 0] - lines[0, :, 0], lines[..., 1].sum(0)
     for k, track in enumerate(after):
-        line = followed(track.wave, free[k], sooner).at(meeting)[0]
+        line = followed(tracked, track.wave, free[k], sooner).at(meeting)[0]
         errors[k] += LEFT * abs(line - lines[1, k, 0])
     amplitudes, energies = (
-        np.array([number_of(*pair, name) for pair in zip(after, besides)])
-        for name in ("amplitude", "energy")
+        np.array([getattr(x, n) for x in left]) for n in ("amplitude", "energy")
     )
-    misfits = np.array([track.misfit for track in after])
     separation = float(np.min(np.abs(after[0].places - after[1].places)))
-    why = next(filter(None, lost), "")
-    if why or not separation > APART * parted or not (misfits < MISFIT).all():
+    why = next((f"what leaves {one.why}" for one in left if one.why), "")
+    if not separation > APART * parted:
+        why = why or (
+            f"the waves have not parted, {separation:.4g} contacts are between them and {parted:.4g} would be needed"
+        )
+    if why:
         shifts, errors, amplitudes, energies = (
             np.full_like(x, np.nan) for x in (shifts, errors, amplitudes, energies)
         )
-    kdv, toda_shifts = predicted(*waves)
     of = lambda name: np.array([float(getattr(w, name)) for w in waves])
-    speeds = np.array([[track.speed, track.speed_error] for track in after])
     return dict(
-        phase=float(course.phase % 1),
-        meeting_place=float(course.places(np.array([meeting]))[0, 0]),
+        meeting_place=start[0] + speeds[0] * meeting,
         shifts=shifts,
         shift_errors=errors,
-        kdv_shifts=kdv,
-        toda_shifts=toda_shifts,
-        speeds=of("speed"),
-        speeds_after=speeds[:, 0],
-        speed_errors=speeds[:, 1],
+        speeds=speeds,
+        speeds_after=np.array([track.speed for track in after]),
+        speed_errors=np.array([track.speed_error for track in after]),
         amplitudes=of("amplitude"),
         amplitudes_after=amplitudes[:, 0],
         amplitude_errors=amplitudes[:, 1],
         radiated=of("energy").sum() - energies[:, 0].sum(),
         radiated_error=energies[:, 1].sum(),
         separation=separation,
-        misfits=misfits,
+        misfits=np.array([track.misfit for track in after]),
         times=np.concatenate([ts[early], ts[late]]),
         places=np.stack([np.concatenate([b.places, a.places]) for b, a in zip(before, after)]),
     ), why
-
-
-def _kind(waves):
-    return "overtaking" if float(waves[0].speed) * float(waves[1].speed) > 0 else "head-on"
 
 
 def _highest(wave, strains, free, parted):
@@ -373,31 +309,3 @@ def _highest(wave, strains, free, parted):
     return np.argmax(np.where(near, np.sign(float(wave.amplitude)) * strains, -np.inf), 1).astype(
         float
     )
-
-
-def _own(track, strains):
-    """The track by the wave of its own speed, one near by, and why there is none."""
-    try:
-        return *of_own_speed(track, *strains), ""
-    except ValueError as error:
-        return track, track.wave, str(error)
-
-
-def predicted(first: Wave, second: Wave) -> tuple[np.ndarray, np.ndarray]:
-    """Shifts by Korteweg-de Vries and by Toda for solitons of the same speeds; NaN where there are none."""
-    waves, none = (first, second), np.full(2, np.nan)
-    K2, K3, _ = (float(x) for x in taylor(first.law))
-    sound = np.isfinite(K2) and K2 > 0
-    if not sound or not all(K3 * float(wave.amplitude) > 0 for wave in waves):
-        return none, none
-    sound, speeds = np.sqrt(K2 / float(first.mass)), np.array([float(wave.speed) for wave in waves])
-    way, head_on = np.sign(speeds[0]), _kind(waves) == "head-on"
-    constants = toda.matched(K2, K3)._asdict() | {"mass": first.mass}
-    k = toda.wavenumber(speed=np.abs(speeds), **constants)
-    toda_shifts = way * np.array([float(x) for x in toda.phase_shifts(k[0], k[1], head_on=head_on)])
-    if head_on:
-        return none, toda_shifts
-    # sech^2(kappa x), kappa^2 = 6 (c/sigma - 1)
-    kappa = np.sqrt(6 * (np.abs(speeds) / sound - 1))
-    log = np.log((kappa[0] + kappa[1]) / abs(kappa[0] - kappa[1])) * np.sign(kappa[0] - kappa[1])
-    return way * log / kappa * np.array([1, -1]), toda_shifts

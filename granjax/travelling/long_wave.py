@@ -7,14 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, parameter, positive, refuse, show
+from ..checks import concrete, parameter, positive, refuse, show
 from ..lattice import Lattice, State
 from ..laws import Law, Scaled
 from ..printing import told
 from ..programs import by_rows
 from ..strains import StrainMap
 from ..terms import Bond
-from ..theory.long_wave import FORMS
 from ..types import Displacements, Number, Numbers, Parameter, Scalar, StateLike
 
 # places of a box, and what a mean rate may be
@@ -100,7 +99,6 @@ def long_wave(
     spacing: Scalar,
     speed: Scalar | None = None,
     mass: Scalar = 1.0,
-    form: str = "regularised",
 ) -> LongWave:
     r"""The equation m y_tt = d_x^2 F(y) + (m/12) d_x^2 y_tt in a periodic box, ready for `gx.simulate`.
 
@@ -121,11 +119,13 @@ def long_wave(
     - `law`: F and its energy W, of single numbers; `mass` of a site.
     - `strain` (X,), at places `spacing` apart [sites], X >= 8; `rate` (X,), dy/dt there, of mean zero, as a box has one
       length. Or `speed`: that with which the strain travels, rate = -speed dy/dx. Neither: at rest.
-    - `form`: `"regularised"` alone; of the other two (`theory.long_wave`) residuals can be had.
+
+    The linear branch of the other two long-wave equations of `theory.long_wave` turns negative beyond k = sqrt(12),
+    omega^2 = (K2/m) k^2 (1 - k^2/12): their short waves grow, the finer the grid the faster. They cannot be run.
 
     **Returns:** `LongWave(lattice, state, places)`. What a box of X places does not resolve `LongWave.unresolved`
     tells, of the start and of a run's end: an F that is not smooth at zero (Hertz in tension) costs digits there.
-    **Raises** ValueError for another form, with the reason; for arrays that do not fit, a rate of another mean.
+    **Raises** ValueError for arrays that do not fit, a rate of another mean.
     Typical: 60 sites in 512 places, a wave of a few sites.
 
     **Example:**
@@ -136,15 +136,6 @@ def long_wave(
     >>> scene.state.u.shape  # of 96 places on 24 sites
     (96,)
     """
-    if one_of("form", form, FORMS) != "regularised":
-        refuse(
-            "form",
-            "'regularised'",
-            repr(form),
-            "The linear branch of this equation turns negative beyond k = "
-            "sqrt(12), omega^2 = (K2/m) k^2 (1 - k^2/12): its short waves grow, the finer the grid the faster. "
-            "theory.long_wave has its residual.",
-        )
     y, spacing, mass = (
         parameter("strain", strain),
         positive("spacing", spacing),

@@ -17,7 +17,7 @@ from ..strains import Shift
 from ..terms import Bond, Wall
 from ..types import Count, Numbers, Scalar
 from ..units import SCALED
-from .tracking import MISFIT, number_of, of_own_speed, reach_of, run_twice, tracked
+from .tracking import leaving, reach_of, run_twice, tracked
 from .wave import Wave
 
 # frames of a run, contacts beyond, h omega, share of its peak at which a wave ends, and the least frames for a line
@@ -91,7 +91,6 @@ def reflect(
     *,
     distance: Count | None = None,
     step: Scalar | None = None,
-    progress: bool = False,
 ) -> Reflection:
     r"""A solitary wave is sent against the wall at the end of its chain: when and as what it comes back.
 
@@ -107,7 +106,6 @@ def reflect(
     - `distance`: contacts; `None` is so far that sound has fallen behind, 30 at least. Further away more of what else
       comes back has done so.
     - `step`: time step; `None` a fifth of one over the bound on the frequencies of the stiffest lane.
-    - `progress`: a progress bar.
 
     A bead of radius R on an elastic half-space of Young's modulus E (an array: lanes), in SI:
     `wall = gx.Hertz(gx.materials.hertz_coefficient("steel 316", R, gx.Material("wall", E, 0.3, 1.0), jnp.inf), F0)`.
@@ -135,7 +133,7 @@ def reflect(
     distance = max(30, int(reach * max(2, 1 / (1 - sound)))) if distance is None else distance
     scene = _Scene(wave, wall, reach, distance)
     for i in range(AGAIN):
-        runs = scene.runs(scene.time * 2**i, step, progress)
+        runs = scene.runs(scene.time * 2**i, step)
         found, lost = zip(*(_returned(scene, runs, lane) for lane in range(scene.count)))
         if not any(why == LATE for why in lost):
             break
@@ -172,7 +170,7 @@ class _Scene:
         self.arrival, self.before = (reach + more) / speed, more / speed
         self.time = self.arrival + 1.25 * (1.5 * distance + reach) / speed
 
-    def runs(self, time: float, step: float | None, progress: bool) -> list[Run]:
+    def runs(self, time: float, step: float | None) -> list[Run]:
         """With a step, and with twice as much."""
         lattice, state = self._lattice(), self.wave.state(self.sites, self.start)
         # the beads ahead of the wave are at rest in place, as the wall is
@@ -184,7 +182,7 @@ class _Scene:
         )
         if step is None:
             step = STEP / float(frequency_bound(lattice, state, 0.0, time))
-        return run_twice(lattice, state, time, FRAMES, step, progress)
+        return run_twice(lattice, state, time, FRAMES, step)
 
     def _lattice(self):
         bond, units = Bond(Shift(1, "free"), self.wave.law), self.wave.units or SCALED
@@ -218,28 +216,13 @@ def _returned(scene, runs, lane):
     frames, guesses, past = _leading(scene, ts, np.sign(float(wave.amplitude)) * both[0])
     if not past or len(frames) < LEAST:
         return none, LATE
-    strains = [x[frames] for x in both]
-    try:
-        back = tracked(wave, ts[frames], *strains, guesses)
-        back, beside = of_own_speed(back, *strains)
-    except ValueError as error:
-        return none, f"what comes back is no solitary wave: {error}"
-    if not back.misfit < MISFIT:
-        return (
-            none,
-            f"what comes back differs from a solitary wave by {back.misfit:.1%} of its peak",
-        )
+    found = leaving(wave, ts[frames], *(x[frames] for x in both), guesses)
+    if found.why:
+        return none, f"what comes back {found.why}"
+    back = found.track
     (came, early), (left, late) = sent.passes(scene.mirror), back.passes(scene.mirror)
-    amplitude, energy = (number_of(back, beside, name) for name in ("amplitude", "energy"))
-    return [
-        left - came,
-        early + late,
-        -back.speed,
-        back.speed_error,
-        *amplitude,
-        *energy,
-        back.misfit,
-    ], ""
+    delay, speed = (left - came, early + late), (-back.speed, back.speed_error)
+    return [*delay, *speed, *found.amplitude, *found.energy, back.misfit], ""
 
 
 def _leading(scene, ts, strains):

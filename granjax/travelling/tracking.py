@@ -60,15 +60,10 @@ class Track(NamedTuple):
         ]
 
 
-def run_twice(
-    lattice: Lattice, state: State, time: float, frames: int, step: float, progress: bool
-) -> list[Run]:
+def run_twice(lattice: Lattice, state: State, time: float, frames: int, step: float) -> list[Run]:
     """Runs with a step and with twice as much, which is to fit between two frames."""
     step = min(step, time / (2 * (frames - 1)))
-    return [
-        simulate(lattice, state, time, step=h, save_at=frames, progress=progress)
-        for h in (step, 2 * step)
-    ]
+    return [simulate(lattice, state, time, step=h, save_at=frames) for h in (step, 2 * step)]
 
 
 def reach_of(wave: Wave, share: float) -> float:
@@ -87,8 +82,35 @@ def tracked(
     return Track(wave, times, places, fitted(wave, coarse, places)[0], misfit)
 
 
-def of_own_speed(track: Track, strains: np.ndarray, coarse: np.ndarray) -> tuple[Track, Wave]:
-    """The same, by the exact wave of the speed that it has; and another wave near by, for derivatives in the speed.
+class Leaving(NamedTuple):
+    """A wave that leaves: its track by the exact wave of its own speed, amplitude and energy each with its error.
+
+    `why` it is no solitary wave, in words; empty where it is one.
+    """
+
+    track: Track
+    amplitude: np.ndarray
+    energy: np.ndarray
+    why: str
+
+
+def leaving(
+    wave: Wave, times: np.ndarray, strains: np.ndarray, coarse: np.ndarray, guesses: np.ndarray
+) -> Leaving:
+    """What became of a wave, followed as by `tracked`."""
+    track, none = tracked(wave, times, strains, coarse, guesses), np.full(2, np.nan)
+    try:
+        track, beside = _of_own_speed(track, strains, coarse)
+    except ValueError as error:
+        return Leaving(track, none, none, f"is no solitary wave: {error}")
+    if not track.misfit < MISFIT:
+        why = f"differs from a solitary wave by {track.misfit:.1%} of its peak: other waves are still about it"
+        return Leaving(track, none, none, why)
+    return Leaving(track, *(_number(track, beside, name) for name in ("amplitude", "energy")), "")
+
+
+def _of_own_speed(track, strains, coarse):
+    """The track by the exact wave of the speed that it has; and another wave near by, for derivatives in the speed.
 
     **Raises** ValueError where the law has no wave of that speed, or the track is of no wave.
     """
@@ -114,14 +136,15 @@ def of_own_speed(track: Track, strains: np.ndarray, coarse: np.ndarray) -> tuple
     return track, wave
 
 
-def number_of(track: Track, beside: Wave, name: str) -> tuple[float, float]:
+def _number(track, beside, name):
     """Amplitude or energy of the wave of the track's speed, and its error; NaN where no other wave is beside it."""
     if beside is track.wave:
-        return np.nan, np.nan
+        return np.full(2, np.nan)
     at, speed = float(getattr(track.wave, name)), float(track.wave.speed)
     slope = (float(getattr(beside, name)) - at) / (float(beside.speed) - speed)
     rounding = np.finfo(float).eps * abs(at) * 8
-    return at + slope * (track.speed - speed), abs(slope) * track.speed_error + rounding
+    error = abs(slope) * track.speed_error + rounding
+    return np.array([at + slope * (track.speed - speed), error])
 
 
 def fitted(wave: Wave, strains: np.ndarray, guesses: np.ndarray) -> tuple[np.ndarray, float]:

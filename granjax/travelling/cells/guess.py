@@ -1,4 +1,4 @@
-"""Where Newton's method for a wave of a cell begins: a pulse of the chain's own nonlinearity, or a simulated one."""
+"""Where Newton's method for a wave of a cell begins: the wave of a uniform chain, or a simulated pulse."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,66 +8,55 @@ import numpy as np
 
 from ...flow import simulate
 from ...lattice import Lattice
-from ...profiles.fourier import Box, Chain
+from ...profiles import Medium, TentShape, wave_of
+from ...profiles.existence import bounds, reached
+from ...profiles.fourier import Chain
 from ...strains import Shift
 from ...terms import Bond
-from .tail import decay, stiffness
 
-# compressions that are tried for the peak, over any unit of length
-LENGTHS = np.logspace(-40, 40, 8001)
 # the simulated pulse: cells of the chain, those between which its speed is measured, frames per shortest period
 CELLS, FIRST, LAST, FRAMES = 32, 14, 20, 40
 
 
-class Peak(NamedTuple):
-    """The peak of a pulse: strains of the bonds (P,), and s in F/e - K ~ |e|^s there."""
+class Uniform(NamedTuple):
+    """The wave of a uniform chain, and the strain of each bond (P,) over its own."""
 
-    strain: np.ndarray
-    power: float
+    shape: TentShape
+    share: np.ndarray
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """Strains (P, X) of the bonds."""
+        return self.share[:, None] * np.asarray(self.shape.at("strain", x))
 
 
-def peak(chain: Chain) -> Peak | None:
-    """Peak strains of a pulse of speed 1, of the sign whose is lower; `None` where the law has none of that speed.
+def uniform(chain: Chain) -> Uniform:
+    """The wave of equal bonds in which all masses go along, and which give way as the cell's bonds do in the mean.
 
-    All bonds of the cell carry one force f, the mean strain is e: (f/e - K) = (1 + s/2) (1 - K), which is right for a
-    weak pulse of quadratic (s = 1) and cubic (s = 2) laws, and within a few percent for Hertz without precompression.
+    Where there are waves of both signs it has the smaller strains. **Raises** ValueError where there is none.
     """
-    found = [top for sign in (1.0, -1.0) if (top := _peak(chain, sign)) is not None]
-    return min(found, key=lambda top: np.abs(top.strain).mean(), default=None)
+    law, mass, share = chain.laws[0], chain.total * chain.unit, np.ones(len(chain.masses))
+    if chain.stiffness.any():
+        # all bonds carry one force
+        share = chain.K2[0] / chain.K2
+        mass *= share.mean()
+    sides = [bounds(law, side) for side in (1, -1)]
+    peaks = [reached(law, side, mass) if side.exist else None for side in sides]
+    peaks = sorted([x for x in peaks if x is not None], key=abs)
+    if peaks and not chain.stiffness.any():
+        # as powers of the strain
+        F, slope, _ = chain.bonds(np.full((len(share), 1), peaks[0]))[..., 0]
+        power = peaks[0] * slope / F
+        share = (F[0] / F) ** (1 / power)
+        mass *= share.mean() ** power[0]
+    side = "tension" if peaks and peaks[0] < 0 else "compression"
+    shape = wave_of(Medium(law, mass, {}), 1.0, side=side).shape
+    return Uniform(shape, share / share.mean())
 
 
-def _peak(chain, sign):
-    # all masses go with a slow pulse
-    P, K = len(chain.masses), stiffness(chain) / chain.total
-    with np.errstate(all="ignore"):
-        forces = sign * chain.bonds(sign * np.tile(LENGTHS, (P, 1)))[0] / chain.total
-        usable = np.all(np.isfinite(forces) & (forces > 0), axis=0)
-        usable[1:] &= np.all(np.diff(forces, axis=1) > 0, axis=0)
-    first = int(np.argmax(usable))
-    last = first + int(np.argmin(np.append(usable[first:], False)))
-    if last - first < 9:
-        return None
-    e, log_f = LENGTHS[first:last], np.log(forces[:, first:last])
-    f = np.linspace(log_f[:, 0].max(), log_f[:, -1].min(), 8001)
-    each = np.stack([np.exp(np.interp(f, row, np.log(e))) for row in log_f])
-    mean = each.mean(0)
-    gain = np.exp(f) / mean - K
-    with np.errstate(all="ignore"):
-        power = np.clip(np.gradient(np.log(gain), np.log(mean)), 0.05, 6)
-        past = gain > (1 + power / 2) * (1 - K)
-    at = np.argmax(past)
-    return Peak(sign * each[:, at], float(power[at])) if at else None
-
-
-def pulse(chain: Chain, box: Box, top: Peak) -> np.ndarray:
-    """Strains (P, N) of the form sech^(2/s)(s q x/2) with the decay rate q of the linear tail."""
-    argument = np.minimum(top.power * decay(chain) * np.abs(box.x) / 2, 300.0)
-    with np.errstate(over="ignore"):
-        return top.strain[:, None] / np.cosh(argument) ** (2 / top.power)
-
-
-def struck(chain: Chain, top: Peak) -> tuple[float, float, Callable] | None:
+def struck(chain: Chain, peak: float) -> tuple[float, float, Callable] | None:
     """The pulse that a blow to the heaviest bead of a cell sends down a chain with free ends; `None` without one.
+
+    `peak`: the strain of a wave of speed 1, about.
 
     Its speed, half its width, and its strains (P, N) as a function of a box, zero beyond its core.
     """
@@ -77,8 +66,8 @@ def struck(chain: Chain, top: Peak) -> tuple[float, float, Callable] | None:
     bond = Bond(Shift(1, "free"), law)
     lattice = Lattice(chain.unit * np.tile(chain.masses, CELLS), bond, sites=sites)
     u, v = np.zeros((2, sites))
-    v[np.argmax(chain.masses)] = 1.6 * top.strain.mean()
-    stiffest = np.abs(chain.bonds(2 * np.tile(top.strain[:, None], 2))[1]).max()
+    v[np.argmax(chain.masses)] = 1.6 * peak
+    stiffest = np.abs(chain.bonds(np.full((P, 2), 2 * peak))[1]).max()
     frames = int(1.5 * sites * FRAMES * np.sqrt(stiffest / chain.masses.min()) / np.pi)
     run = simulate(lattice, (u, v), 1.5 * sites, save_at=frames)
     t, history = np.asarray(run.ts), np.maximum(-np.diff(run.us, axis=1), 0.0)

@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...profiles import Medium, wave_of
 from ...profiles.fourier import MOST, Box, Chain, Solved, fourier, newton, newton_with
-from .guess import peak, pulse, struck
+from .guess import struck, uniform
 from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
 
 POINTS = 5
@@ -77,6 +76,13 @@ def on_a_box(chain: Chain) -> Found:
     return _smallest(chain, box, solved, waves[0], core)
 
 
+def _begun(chain):
+    try:
+        return uniform(chain)
+    except (ValueError, RuntimeError) as error:
+        raise Lost(str(error)) from None
+
+
 def _rest(solved):
     """The strain at the ends of the box over the largest."""
     return np.abs(solved.phi[:, 0]).max() / np.abs(solved.phi).max()
@@ -124,11 +130,7 @@ def _started(chain, half):
 
 def _turned_on(chain, half):
     """A wave on some box, from a pulse of the chain of equal masses, on which the cell's own are turned on."""
-    top = peak(chain)
-    if top is None:
-        raise Lost(
-            "no strain at which the law is stiff enough for this speed, in compression or in tension"
-        )
+    begun = _begun(chain)
 
     def blended(part):
         masses = (1 - part) * chain.total + part * chain.masses
@@ -140,12 +142,11 @@ def _turned_on(chain, half):
         return chain._replace(masses=masses, resonator=(part * nu, kappa))
 
     box = _box(blended(0.0), half, POINTS)
-    solved = newton(box, pulse(blended(0.0), box, top))
+    start = begun.at(box.x)
+    solved = newton(box, start)
     height = np.abs(solved.phi).max()
     # a chain that is compressed alike everywhere is a solution as well
-    if not (
-        solved.converged and 0.2 < height / np.abs(top.strain).max() < 5 and _rest(solved) < FLAT
-    ):
+    if not (solved.converged and 0.2 < height / np.abs(start).max() < 5 and _rest(solved) < FLAT):
         raise Lost(
             f"Newton's method did not reach a wave of the chain of equal masses (residual {solved.residual:.1e})"
         )
@@ -267,10 +268,7 @@ def _with_ripple(chain):
 
 
 def _simulated(chain):
-    top = peak(chain)
-    if top is None:
-        raise Lost("no strain at which the law is stiff enough for this speed")
-    found = struck(chain, top)
+    found = struck(chain, float(_begun(chain).at(np.zeros(1)).mean()))
     if found is None:
         raise Lost("a blow made no pulse that could be followed")
     speed, width, on = found
@@ -286,10 +284,7 @@ def of_one_site(chain: Chain) -> Found:
 
     **Raises** `Lost`.
     """
-    try:
-        shape = wave_of(Medium(chain.laws[0], chain.total * chain.unit, {}), 1.0).shape
-    except (ValueError, RuntimeError) as error:
-        raise Lost(str(error)) from None
+    shape = _begun(chain).shape
     on = lambda x: np.asarray(shape.at("strain", x))
     x = np.linspace(0, float(shape.end), WIDTHS)
     core = float(x[np.argmax(np.abs(on(x)) < 1e-2 * np.abs(on(0.0)))]) + 5.0

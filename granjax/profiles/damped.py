@@ -1,0 +1,48 @@
+"""Newton's method with steps that are halved until they leave less."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
+
+
+class Left(NamedTuple):
+    """What is left at x: its largest size, itself, and the matrix of its derivatives."""
+
+    size: float
+    x: np.ndarray
+    gap: np.ndarray
+    matrix: Any
+
+
+def damped(equations: Callable, solve: Callable, x: np.ndarray, enough: float = 0.0) -> Left:
+    """The x that leaves the least of equations, from a guess.
+
+    `equations(x)`: what they leave and their matrix; `solve(matrix, gap)`: the step. It ends where no step leaves less,
+    or where less than `enough` is left and a step gains less than a half.
+    """
+
+    def at(x):
+        with np.errstate(all="ignore"):
+            gap, matrix = equations(x)
+        size = float(np.abs(gap).max())
+        return Left(size if np.isfinite(size) else np.inf, x, gap, matrix)
+
+    best = at(x)
+    for _ in range(STEPS):
+        if not SETTLED <= best.size < np.inf:
+            break
+        try:
+            step = solve(best.matrix, best.gap)
+        except (np.linalg.LinAlgError, ValueError):
+            break
+        trials = (at(best.x - step / 2**k) for k in range(HALVINGS))
+        new = next((trial for trial in trials if trial.size < best.size), None)
+        if new is None:
+            break
+        best, before = new, best.size
+        if before / 2 < best.size < enough:
+            break
+    return best
