@@ -38,6 +38,7 @@ from .method import (
 )
 from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
+from .stiffness import largest_excitation
 
 # of steps that carry internal variables, whose first one has this part of the run with a tolerance of 1
 TOLERANCE, FIRST = 1e-11, 0.01
@@ -327,11 +328,9 @@ def _speed(lattice, start, t0, t1):
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
     speed = jnp.sqrt(2 * jnp.max(jnp.abs(_kept_energy(lattice, t0, start))) / lightest)
     if lattice.reads_time:
-        ts = jnp.linspace(t0, t1, SAMPLES)
-        for term in lattice.terms:
-            driven = term.excitation(lattice, ts)
-            given = jnp.maximum(driven.force * (t1 - t0) / lightest, driven.speed)
-            speed = jnp.maximum(speed, given)
+        driven = largest_excitation(lattice, jnp.linspace(t0, t1, SAMPLES))
+        given = jnp.maximum(driven.force * (t1 - t0) / lightest, driven.speed)
+        speed = jnp.maximum(speed, given)
     return jax.lax.stop_gradient(jnp.where(speed > 0, speed, 1.0))
 
 

@@ -27,14 +27,16 @@ from .stiffness import NEIGHBOURHOOD, chosen, gathered_frequency, linear_frequen
 class Facts(NamedTuple):
     """What every call asks of a lattice, and what only its terms and shapes decide.
 
-    `template`: arrays of the shape of its displacements, of type `dtype`; `numbers`: how many displacements there are;
-    `lanes`: of a batch. `traced`: whether a parameter is. `reads_velocity`: whether some force does; `splits`: whether
-    none does but linear damping; `remembers`: whether some force reads the past; `has_breaks`: whether some force jumps
-    in time. `known`: a dict for what others work out when they first ask for it.
+    `template`: arrays of the shape of its displacements, of type `dtype`; `space`: the axes of its sites and the
+    components of a vector; `numbers`: how many displacements there are; `lanes`: of a batch. `traced`: whether a
+    parameter is. `reads_velocity`: whether some force does; `splits`: whether none does but linear damping;
+    `remembers`: whether some force reads the past; `has_breaks`: whether some force jumps in time. `known`: a dict for
+    what others work out when they first ask for it.
     """
 
     template: object
     dtype: object
+    space: tuple[int, int]
     numbers: int
     lanes: tuple[int, ...]
     traced: bool
@@ -53,6 +55,7 @@ def facts(lattice: Lattice) -> Facts:
     return Facts(
         template=template,
         dtype=lattice.dtype,
+        space=lattice.space,
         numbers=sum(math.prod(x.shape) for x in jax.tree.leaves(template)),
         lanes=lattice.lanes,
         traced=traced(lattice),

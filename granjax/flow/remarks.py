@@ -178,7 +178,7 @@ REPEATS = 8
 
 def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple | None:
     """(bond, number of its term, time, lane) where a law ends at a length within a time; `None` for nowhere."""
-    found, time, lanes = [], jnp.asarray(t, lattice.dtype), len(lattice.lanes)
+    found, time = [], jnp.asarray(t, lattice.dtype)
 
     def rooms(u):
         return [[c.room for c in term.compressions(time, u)] for term in lattice.terms]
@@ -189,19 +189,17 @@ def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple 
         for rest, room, rate in zip(*parts):
             if room is None:
                 continue
-            rest, room, rate = np.broadcast_arrays(rest, room, rate)
+            # of bonds and lanes
+            shape = (-1, int(np.prod(lattice.lanes)))
+            rest, room, rate = (x.reshape(shape) for x in np.broadcast_arrays(rest, room, rate))
             left = np.where(rate < 0, room / np.where(rate < 0, -rate, 1), np.inf)
             left = np.where(room <= TOUCH * rest, 0.0, left)
-            own, at = left.shape[: left.ndim - lanes], int(np.argmin(left))
-            if left.flat[at] <= within:
-                bond, *lane = np.unravel_index(
-                    at, (int(np.prod(own)), *left.shape[left.ndim - lanes :])
-                )
-                found.append((float(left.flat[at]), int(bond), number, tuple(map(int, lane))))
-    if not found:
+            bond, lane = np.unravel_index(np.argmin(left), left.shape)
+            found.append((float(left[bond, lane]), int(bond), number, lane))
+    if not found or min(found)[0] > within:
         return None
     left, bond, number, lane = min(found)
-    return bond, number, t + left, lane
+    return bond, number, t + left, tuple(map(int, np.unravel_index(lane, lattice.lanes)))
 
 
 class _Beads(NamedTuple):

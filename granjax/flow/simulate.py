@@ -236,7 +236,7 @@ def simulate(
         more |= _located(found, begin, plan)
     zone = _zone(lattice, plan, step, unknown)
     names = type(solver).__name__, steps.choice, remark, unseen(lattice), zone
-    run = run_of(found, lattice, names, tuple(more.items()))
+    run = run_of(found, lattice, about.space, names, more)
     if failed and (throw is None or throw):
         raise RuntimeError(run.outcome)
     return run
