@@ -58,9 +58,8 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         if steps * takes > LONG and forward and enough:
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
     else:
-        # what an adaptive run takes is known from the one before
-        pace = "pace", type(plan.solver), float(plan.tolerance)
-        long = not forward or about.known.get(pace, math.inf) * span > SHORT
+        # nobody knows what an adaptive run takes
+        long = True
         budget = 1 << int(LONG / takes).bit_length() if forward else None
     # in a program that somebody else traces, constants too become its values
     if (long or budget) and not is_untraced():
@@ -69,7 +68,6 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         least = steps * seconds_a_step(lattice, plan.solver) if plan.tolerance is None else 0
         if least > TOLD and not plan.progress:
             _warn(f"{steps} steps, which take {_spoken(least)} at the least")
-        since = time.perf_counter()
         limit = plan.max_steps if budget is None else min(budget, plan.max_steps or budget)
         own = plan._replace(
             step=_number(plan.step), tolerance=_number(plan.tolerance), max_steps=limit
@@ -77,8 +75,6 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         run = integrate(lattice, state, _number(t0), _number(t1), own)
         if long:
             wait(run.code)
-            if plan.tolerance is not None:
-                about.known[pace] = (time.perf_counter() - since) / span
         if limit == plan.max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
             return run
     return _in_pieces(lattice, (state, t0, t1), ends, budget, plan)
