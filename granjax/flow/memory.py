@@ -28,7 +28,6 @@ from .method import (
     Plan,
     checked_size,
     checked_tolerance,
-    facts,
     frequency_bound,
     held_frames,
     least_tolerance,
@@ -156,7 +155,7 @@ def with_memory(
                 "one that has none",
                 "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.",
             )
-    dtype, step = facts(lattice).dtype, checked_size("step", step)
+    dtype, step = lattice.dtype, checked_size("step", step)
     begin = lattice, state, number(t0, dtype), number(t1, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     if history:
@@ -427,7 +426,7 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
             f"below {2 / float(omega):.3g}, where velocity Verlet is stable",
             show(np.asarray(step)),
         )
-    refuse_unresolved(t0, t1, step, facts(lattice).dtype)
+    refuse_unresolved(t0, t1, step, lattice.dtype)
     steps = max(math.ceil((t1 - t0) / step * (1 - 1e-9)), 2)
     held_frames("step", steps, state, "steps of history")
     return steps

@@ -13,7 +13,7 @@ from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .batching import TRACED_STEPS, batched, without_the_lost
 from .confirmation import confirmed
-from .integrate import integrate, unseen
+from .integrate import integrate
 from .lanes import apart
 from .march import march, refuse_endless
 from .memory import with_memory
@@ -36,7 +36,7 @@ from .method import (
     refuse_far,
 )
 from .record import Record
-from .remarks import doubts, meeting, missed, passing
+from .remarks import doubts, meeting, missed, passing, unseen
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 
