@@ -159,7 +159,6 @@ def density_of_states(
     lattice: Lattice,
     bins: Count = 100,
     points: Count | None = None,
-    cell: Cell | None = None,
 ) -> DensityOfStates:
     """Density of states of the infinite lattice: bands summed over the zone, by linear interpolation between points.
 
@@ -167,7 +166,7 @@ def density_of_states(
     below a frequency is exact for it.
 
     **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis of the zone, even,
-    `None` for 512 of a chain and 96 of a plane. `cell`: as in `unit_cell`. **Returns:** `DensityOfStates`; a picture is
+    `None` for 512 of a chain and 96 of a plane. **Returns:** `DensityOfStates`; a picture is
     `plt.plot(found.omega, found.density)`. **Raises** ValueError for a lattice with three axes, and where
     `unit_cell` does.
 
@@ -177,7 +176,7 @@ def density_of_states(
     >>> int(found.density.argmax())   # the last bin, at the band's edge
     19
     """
-    found = unit_cell(lattice, cell)
+    found = unit_cell(lattice)
     axes = len(found.cell)
     if axes > 2:
         refuse("lattice", "a chain or a lattice of the plane", f"one with {axes} axes")
@@ -246,10 +245,10 @@ class ZoneMap(Result):
         return f"{self.omega.shape[-1]} bands on {self.omega.shape[0]} x {self.omega.shape[1]} wave vectors."
 
 
-def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> ZoneMap:
+def zone_map(lattice: Lattice, points: Count = 81) -> ZoneMap:
     """Frequencies and group velocities over the Brillouin zone of a lattice of the plane, for `gx.plots.zone`.
 
-    **Arguments:** `lattice`: one with `positions`; `points` along each side; `cell`: as in `unit_cell`.
+    **Arguments:** `lattice`: one with `positions`; `points` along each side.
     **Returns:** `ZoneMap`. **Raises** ValueError for a lattice of one axis, or without positions.
 
     **Example:**
@@ -258,7 +257,7 @@ def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> 
     >>> found.omega.shape, len(found.corners)
     ((9, 9, 2), 6)
     """
-    found = unit_cell(lattice, cell)
+    found = unit_cell(lattice)
     vectors = lattice_vectors(lattice, found.cell)
     if len(found.cell) != 2 or vectors is None:
         refuse(
