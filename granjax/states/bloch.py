@@ -9,7 +9,7 @@ from ..lattice import Lattice, State
 from ..linear.cell import by_sites, chosen_bands, matrices, unit_cell
 from ..linear.stiffness import grid, mesh, unpack
 from ..linear.zone import lattice_vectors, named_points
-from ..types import Cell, Count, Parameter
+from ..types import Count, Parameter
 
 # bands that are nearer than this share of the largest omega^2 meet, and a root of less below zero is rounding
 MEET, ROUNDING = 1e-9, 1e-12
@@ -24,7 +24,6 @@ def bloch_packet(
     polarisation: Parameter | dict[str, Parameter] | None = None,
     centre: Parameter | None = None,
     amplitude: Parameter = 0.01,
-    cell: Cell | None = None,
 ) -> State:
     r"""A Gaussian packet of Bloch waves, which runs as the linear lattice has it: in chains of any cell, in the plane.
 
@@ -43,7 +42,7 @@ def bloch_packet(
     - `band`: from 0 upwards, or several: the packet is projected on these at every wave number, and p is the wave of
       the first at k. `polarisation`: p, (cell..., [vector]) or a dict of such, complex or real; `None` where a band or
       the lattice (one number per cell) says it. With a polarisation alone all bands that it excites run.
-    - `amplitude`: a [m], the largest component of p before the projection is one. `cell`: as in `gx.linear.unit_cell`.
+    - `amplitude`: a [m], the largest component of p before the projection is one.
 
     **Returns:** `State`; differentiable in `amplitude`, `width` and `centre`. **Raises** ValueError for traced lattices
     (bands that meet have no derivative), bands that meet at k without a polarisation, a lattice that is unstable at
@@ -57,7 +56,7 @@ def bloch_packet(
             "traced ones",
             "Differentiate by amplitude, width or centre; bands that meet have no derivative.",
         )
-    found = unit_cell(lattice, cell)
+    found = unit_cell(lattice)
     axes, sites, size = len(found.cell), grid(lattice), found.mass.size
     if any(n % c for n, c in zip(sites, found.cell)):
         refuse("lattice", f"whole cells of {found.cell}", f"{sites} sites")
