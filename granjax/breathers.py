@@ -3,7 +3,15 @@
 from .orbits import Bifurcation, Branch, Orbit, guesses
 from .orbits.backbone import Backbone, backbone
 from .orbits.branch import bifurcations
-from .orbits.families import anticontinuous, bands_of, breather, family, resonant_harmonic
+from .orbits.families import (
+    QBreather,
+    anticontinuous,
+    bands_of,
+    breather,
+    family,
+    q_breather,
+    resonant_harmonic,
+)
 from .orbits.gap_breather import GapBreather, k_gap_breather
 from .orbits.guesses import bright_guess, dark_guess
 from .orbits.localised import Localisation, localisation
@@ -14,6 +22,7 @@ __all__ = [
     "Branch",
     "GapBreather",
     "Localisation",
+    "QBreather",
     "Orbit",
     "anticontinuous",
     "backbone",
@@ -26,5 +35,6 @@ __all__ = [
     "guesses",
     "k_gap_breather",
     "localisation",
+    "q_breather",
     "resonant_harmonic",
 ]

@@ -1,5 +1,9 @@
-"""Branches of solutions of F(x, p) = 0 by pseudo-arclength continuation. It knows no physics."""
+"""Solutions of F(x, p) = 0: branches by pseudo-arclength continuation, several from one guess by deflation.
 
+It knows no physics.
+"""
+
+import abc
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -14,12 +18,39 @@ from .checks import one_of, positive, refuse
 from .newton import evaluated, newton
 from .printing import told
 from .results import Result, array, hidden
-from .types import Count, Parameter, Pytree, Scalar
+from .types import Count, Numbers, Parameter, Pytree, Scalar
 
 LEAST_COSINE = 0.9
 # of the tolerance, to which points beside a branch point are solved if they can be: the derivative is almost singular
 # there, and what is left of the residual decides where it is found
 CLOSER = {"fold": 1.0, "branch point": 1e-3}
+
+
+class Problem(eqx.Module):
+    """F(x, p) = 0, as many equations as unknowns x, with a parameter p. Write `residual`."""
+
+    @abc.abstractmethod
+    def residual(self, x: Numbers, p: Scalar) -> Numbers:
+        """F(x, p), (n,)."""
+
+    def linearise(self, x: Numbers, p: Scalar) -> tuple:
+        """(F, dF/dx), or (F, dF/dx, dF/dp) where that costs nothing more; by default in forward mode."""
+        both = lambda x: (evaluated(self.residual, x, p),) * 2
+        return jax.jacfwd(both, has_aux=True)(x)[::-1]
+
+
+class _Given(Problem):
+    """A function F(x, p, args) and its derivative, as they are given."""
+
+    function: Callable
+    args: Pytree
+    slopes: Callable | None
+
+    def residual(self, x, p):
+        return self.function(x, p, self.args)
+
+    def linearise(self, x, p):
+        return super().linearise(x, p) if self.slopes is None else self.slopes(x, p, self.args)
 
 
 class Special(NamedTuple):
@@ -78,7 +109,7 @@ class Curve(Result):
 
 
 def continuation(
-    residual: Callable[[Any, Any, Any], Any],
+    residual: Callable[[Any, Any, Any], Any] | Problem,
     x0: Parameter,
     p0: Scalar,
     *,
@@ -103,7 +134,8 @@ def continuation(
 
     **Arguments:**
 
-    - `residual`: F(x, p, args), (n,) to (n,). `x0`, `p0`: a solution, or near one: it is corrected first.
+    - `residual`: F(x, p, args), (n,) to (n,), or a `Problem`.
+    - `x0`, `p0`: a solution, or near one: it is corrected first.
     - `until`: end where p reaches this value (a pair: either of two); the last point lies exactly there.
     - `direction`: +-1, the way p changes first; or a tangent (n + 1,), as in `Special.directions`: then `x0`, `p0` is a
       branch point, and the first point is sought beside it.
@@ -137,7 +169,9 @@ def continuation(
     if direction.shape not in ((), (x0.size + 1,)) or not direction.any():
         wanted = f"1, -1 or a tangent of shape ({x0.size + 1},)"
         refuse("direction", wanted, f"shape {direction.shape}")
-    system, only_p = System(residual, linearise, args, tolerance), np.eye(x0.size + 1)[-1]
+    given = isinstance(residual, Problem)
+    problem = residual if given else _Given(residual, args, linearise)
+    system, only_p = System(problem, tolerance), np.eye(x0.size + 1)[-1]
     z = np.append(x0, float(p0))
     if direction.ndim:
         tangent = direction / np.linalg.norm(direction)
@@ -221,20 +255,19 @@ class Point(NamedTuple):
 class _Bordered(eqx.Module):
     """F(x, p) = 0 and border . (z - z_predicted) = 0, for Newton's method."""
 
-    function: Callable
-    slopes: Callable | None
+    problem: Problem
 
     def residual(self, z, args):
-        inner, border, predicted = args
-        f = evaluated(self.function, z[:-1], z[-1], inner)
+        border, predicted = args
+        f = evaluated(self.problem.residual, z[:-1], z[-1])
         return jnp.append(f, border @ (z - predicted))
 
     def linearise(self, z, args):
-        inner, border, predicted = args
+        border, predicted = args
         x, p = z[:-1], z[-1]
-        f, in_x, *in_p = self.slopes(x, p, inner)
+        f, in_x, *in_p = self.problem.linearise(x, p)
         if not in_p:
-            in_p = [jax.jvp(lambda p: self.function(x, p, inner), (p,), (jnp.ones_like(p),))[1]]
+            in_p = [jax.jvp(lambda p: self.problem.residual(x, p), (p,), (jnp.ones_like(p),))[1]]
         jacobian = jnp.vstack([jnp.column_stack([in_x, *in_p]), border])
         return jnp.append(f, border @ (z - predicted)), jacobian
 
@@ -242,11 +275,8 @@ class _Bordered(eqx.Module):
 class System:
     """What continuation solves at every point of a branch."""
 
-    def __init__(
-        self, residual: Callable, linearise: Callable | None, args: Pytree, tolerance: Scalar
-    ):
-        self.bordered = _Bordered(residual, linearise)
-        self.args, self.tolerance = args, tolerance
+    def __init__(self, problem: Problem, tolerance: Scalar):
+        self.bordered, self.tolerance = _Bordered(problem), tolerance
         self.scale = None
 
     def correct(
@@ -265,10 +295,10 @@ class System:
         root = newton(
             self.bordered.residual,
             guess,
-            (self.args, border, guess),
+            (border, guess),
             tolerance=share * self.tolerance,
             max_steps=most,
-            linearise=None if self.bordered.slopes is None else self.bordered.linearise,
+            linearise=self.bordered.linearise,
             throw=False,
             finish=False,
         )
@@ -349,9 +379,9 @@ def _bound_met(system, here, there, bounds):
 
 
 @eqx.filter_jit
-def _second(function, z, v, w, args):
+def _second(problem, z, v, w):
     """D^2 F [v, w]."""
-    f = lambda z: function(z[:-1], z[-1], args)
+    f = lambda z: problem.residual(z[:-1], z[-1])
     return jax.jvp(lambda z: jax.jvp(f, (z,), (v,))[1], (z,), (w,))[1]
 
 
@@ -362,9 +392,7 @@ def _directions(system, kind, point, before):
     # dF has two null vectors and one from the left, psi: a tangent v is in their plane, and psi . D^2 F [v, v] = 0
     left, _, right = np.linalg.svd(point.jacobian)
     plane, psi = right[-2:], left[:, -1]
-    second = lambda *arrays: _second(
-        system.bordered.function, *map(jnp.asarray, arrays), system.args
-    )
+    second = lambda *arrays: _second(system.bordered.problem, *map(jnp.asarray, arrays))
     form = np.array([[psi @ np.asarray(second(point.z, v, w)) for v in plane] for w in plane])
     (low, high), axes = np.linalg.eigh((form + form.T) / 2)
     if low < 0 < high:
@@ -392,3 +420,58 @@ def _closed(zs, tangents, arclength, farthest):
         and farthest > 4 * far
         and tangents[-1] @ tangents[0] > LEAST_COSINE
     )
+
+
+# of the size of the guesses: what Newton's method leaves of a solution, and how far two of them are apart
+LEFT = 1e-11
+APART = 1e-5
+# of the size, the longest step of Newton's method with deflation
+LONGEST = 0.3
+
+
+@eqx.filter_jit
+def _linearised(problem, x, p):
+    return problem.linearise(x, p)[:2]
+
+
+def solve(problem: Problem, root: np.ndarray, others: Sequence[np.ndarray], size: float) -> list:
+    """Which of some unknowns solve F(x, 0) = 0 as well as a root does that `another` finds."""
+    zero = jnp.zeros(())
+    slope = np.abs(_linearised(problem, jnp.asarray(root), zero)[1]).max()
+    left = [np.abs(_residual(problem, jnp.asarray(x), zero)).max() for x in others]
+    return [bool(x <= 1e2 * LEFT * size * slope) for x in left]
+
+
+@eqx.filter_jit
+def _residual(problem, x, p):
+    return problem.residual(x, p)
+
+
+def another(
+    problem: Problem,
+    guess: np.ndarray,
+    known: Sequence[np.ndarray],
+    size: float,
+    max_steps: Count = 200,
+) -> np.ndarray | None:
+    """A solution of F(x, 0) = 0 beside those that are known, by Newton's method with deflation, or `None`.
+
+    Newton's method for F times the product of 1 + (size/|x - x_j|)^2 over the known solutions x_j, which has no root at
+    them; its step is Newton's own times a number. Source: Farrell, Birkisson, Funke, SIAM J. Sci. Comput. 37, A2026
+    (2015).
+    """
+    x, largest = guess, None
+    for _ in range(max_steps):
+        f, jacobian = map(np.asarray, _linearised(problem, jnp.asarray(x), jnp.zeros(())))
+        if not (np.isfinite(f).all() and np.isfinite(jacobian).all()):
+            return None
+        largest = np.abs(jacobian).max() if largest is None else largest
+        if np.abs(f).max() <= LEFT * size * largest:
+            return np.where(np.abs(x) > LEFT * size, x, 0)
+        away = [(x - other) / size for other in known]
+        slope = sum(-2 * d / (d @ d * (d @ d + 1)) for d in away) / size
+        step = np.linalg.lstsq(jacobian, -f)[0]
+        step = step / (1 - np.dot(slope, step))
+        # without halving: on its way to another solution the product rises and falls
+        x = x + step * min(1, LONGEST * size / np.abs(step).max())
+    return None

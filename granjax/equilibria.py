@@ -17,9 +17,9 @@ from .laws import Strained
 from .newton import newton
 from .programs import concretely
 from .results import Result, array, note, part
-from .terms import Bond, LongRange, Term, chain, tracing
+from .terms import Bond, LongRange, Term, chain, reach
 from .terms.base import Altered, get
-from .terms.walls import undriven
+from .terms.sites import with_still_walls
 from .types import AnyArray, Count, Displacements, Flags, Numbers
 from .units import PART
 
@@ -190,7 +190,7 @@ def equilibrium(
             f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).",
         )
-    problem = _posed(undriven(lattice), hold, loads, guess)
+    problem = _posed(with_still_walls(lattice), hold, loads, guess)
     x, jacobian, code = problem.guess, None, ""
     if x.size > DENSE:
         code = f"More than {DENSE} displacements are not solved for."
@@ -291,7 +291,7 @@ def _goes_around(problem, axis):
         lattice.dtype
     )
     numbers, flags = eqx.partition(problem, eqx.is_inexact_array)
-    plain = eqx.combine(jax.tree.map(tracing.stand_in, numbers), flags)
+    plain = eqx.combine(jax.tree.map(reach.stand_in, numbers), flags)
     answer = np.abs(concretely(_response, plain, push)[1])
     return size > 3 and bool(answer[last].max() > 2 * answer[middle].max())
 
@@ -444,7 +444,7 @@ def _measured_from(term, lattice, u):
     if type(term) is Bond and term.strain_map.linear:
         strained = Strained(term.law, term.strain_map.strain(u))
         return eqx.tree_at(lambda x: x.law, term, strained)
-    return _MeasuredFrom(term, u) if tracing.reads(term, lattice).displacement else term
+    return _MeasuredFrom(term, u) if reach.reads(term, lattice).displacement else term
 
 
 def _wall_loads(term, u):

@@ -1,13 +1,12 @@
 """Floquet theory: the stability of periodic orbits, of lattices and of any other flow."""
 
-from .orbits.floquet import Floquet, decide, floquet, leading, multipliers, structure
+from .orbits.floquet import Floquet, decide, floquet, multipliers, structure
 from .orbits.spectrum import product_multipliers, reversible_multipliers, spectrum
 
 __all__ = [
     "Floquet",
     "decide",
     "floquet",
-    "leading",
     "multipliers",
     "product_multipliers",
     "reversible_multipliers",

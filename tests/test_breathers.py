@@ -139,10 +139,6 @@ def test_newton_that_fails_says_how_far_it_came():
         (lambda: gx.breathers.breather(monomer(24), 2.5, "brigth"), "bright"),
         (lambda: gx.breathers.family(gx.scenes.monomer(8), until=1.0), "sonic vacuum"),
         (
-            lambda: gx.floquet.leading(gx.scenes.monomer(8), [np.ones(8), np.zeros(8)], 1.0),
-            "sonic vacuum",
-        ),
-        (
             lambda: gx.breathers.breather(dimer(25), 0.985 * OMEGA2, (np.ones(24), np.zeros(24))),
             r"guess.u: .*\(25,\)",
         ),

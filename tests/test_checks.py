@@ -387,7 +387,6 @@ def test_every_tolerance_that_asks_for_nothing_is_refused():
         lambda x: gx.forced.forced_orbit(driven, np.pi, tolerance=x),
         lambda x: gx.driven.settle(driven, rest, np.pi, tolerance=x),
         lambda x: gx.floquet.floquet(chain, rest, 1.0, tolerance=x),
-        lambda x: gx.floquet.leading(chain, rest, 1.0, 1, tolerance=x),
         lambda x: gx.design(lambda p: p["x"] ** 2, {"x": 1.0}, tolerance=x),
     )
     for use in uses:

@@ -15,7 +15,6 @@ import granjax as gx
 from granjax.floquet import (
     decide,
     floquet,
-    leading,
     multipliers,
     product_multipliers,
     reversible_multipliers,
@@ -272,9 +271,8 @@ def test_lanes_are_not_taken_for_one_lattice():
     lanes = jax.vmap(lambda r: gx.scenes.dimer(4, r, precompression=1.0), out_axes=-1)(
         jnp.array([0.4, 0.7])
     )
-    for ask in (floquet, leading):
-        with refused("lattice: expected one Lattice, got a batch with lanes"):
-            ask(lanes, rest(lanes), 1.0)
+    with refused("lattice: expected one Lattice, got a batch with lanes"):
+        floquet(lanes, rest(lanes), 1.0)
 
 
 def test_where_a_free_lattice_stands_does_not_tell_whether_its_state_returns():
@@ -296,8 +294,6 @@ def test_a_state_that_is_no_orbit_is_refused(dimers):
             2 * np.pi,
             args=jnp.asarray(0.1),
         )
-    with refused("state: expected one that returns"):
-        leading(b.lattice, b.state, 1.1 * float(b.period), 1)
     # not quite an orbit: the multipliers are those of an orbit near by, within errors that say so
     other = gx.State(1.003 * b.state.u, b.state.v)
     fl, exact = floquet(b.lattice, other, float(b.period)), b.floquet().multipliers
@@ -454,33 +450,12 @@ def test_the_word_follows_from_the_error(rho, error, expected, conserves, verdic
     assert got == verdict and words in sentence
 
 
-# large lattices -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_leading_multipliers_are_those_of_the_matrix():
-    chain, state, growth = inverted(40)
-    values, vectors, error = leading(chain, state, 3.0, 4)
-    # coarse steps: what is stated holds the truth, and is not much more
-    coarse = leading(chain, state, 3.0, 4, steps=8)
-    off = np.abs(coarse.multipliers - np.exp(3.0 * growth[:4]))
-    assert (off <= coarse.error).all() and (coarse.error <= 1e3 * off).all()
-    assert (np.abs(values - np.exp(3.0 * growth[:4])) <= error).all() and (
-        error < coarse.error
-    ).all()
-    fl = floquet(chain, state, 3.0)
-    np.testing.assert_allclose(values, fl.multipliers[:4], rtol=1e-8)
-    np.testing.assert_allclose(values, np.exp(3.0 * growth[:4]), rtol=1e-8)
-    assert np.abs(fl.monodromy @ vectors - values * vectors).max() < 1e-6 * np.abs(values).max()
-
-
 def test_no_time_and_no_steps_are_refused():
     chain, state, _ = inverted(4)
     with refused("period: expected a time above zero, got 0"):
-        leading(chain, state, 0)
-    for ask in (floquet, leading):
-        with refused("steps: expected a whole number not below 1, got -1"):
-            ask(chain, state, 3.0, steps=-1)
+        floquet(chain, state, 0)
+    with refused("steps: expected a whole number not below 1, got -1"):
+        floquet(chain, state, 3.0, steps=-1)
 
 
 # derivatives --------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from refusals import refused
 
 import granjax as gx
-from granjax.terms.tracing import reads
+from granjax.terms.reach import reads
 
 STEP = 0.05
 # of order 6: the error of the difference is 1e-12 of the function's size at this width

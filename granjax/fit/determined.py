@@ -18,8 +18,6 @@ LOOSE = 0.3
 # a parameter takes part in a direction from this component on, relative to the largest
 PART = 0.2
 SINGULAR = 1e-14
-# a singular value over the largest that rounding may leave of zero
-ROUNDING = float(np.finfo(float).eps)
 # names that one sentence lists
 MANY = 6
 
@@ -45,19 +43,6 @@ class Direction(NamedTuple):
         shown = [(flip * w, name) for w, name in parts]
         shown = sorted(shown, key=lambda part: -abs(part[0]))[:MANY] if len(shown) > MANY else shown
         return " ".join(name if abs(w - 1) < 0.005 else f"{name}^{w:.2f}" for w, name in shown)
-
-
-def factored(
-    jacobian: Float[np.ndarray, "n P"], noise: float
-) -> tuple[Float[np.ndarray, "P P"], Float[np.ndarray, " P"]]:
-    """(C, singular values): the covariance of least squares is C C^T, from columns at unit length.
-
-    A direction that the data do not see has a large error, and no infinite one: rounding says how large.
-    """
-    widths = np.linalg.norm(jacobian, axis=0)
-    _, s, vh = np.linalg.svd(jacobian / widths, full_matrices=False)
-    s = np.maximum(s, ROUNDING * s[0])
-    return vh.T / s * noise / widths[:, None], s
 
 
 def directions(

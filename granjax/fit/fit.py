@@ -10,14 +10,15 @@ from diffrax import AbstractSolver
 
 from ..checks import one_of, refuse
 from ..checks import tolerance as checked_tolerance
+from ..descent import NO_GRADIENT, NO_START
 from ..flow import Reversible
 from ..parameters import Bounds
 from ..tuning import one_thread
 from ..types import Count, Parameter, Scalar, Scene
 from .fitted import Fit
-from .judge import judged, looked_at, way_back
+from .judge import judged, way_back
 from .problem import Problem, Start, prepared
-from .solve import MeanSquare, evaluated, gradient_descent, least_squares, patience
+from .solve import Found, MeanSquare, evaluated, gradient_descent, least_squares, patience
 from .traces import Traces
 from .windows import cut
 
@@ -102,10 +103,9 @@ def fit(
     if windows > 1:
         problem = cut(problem, windows)
         x0 = np.concatenate([x0, np.zeros((starts, problem.starts.size))], axis=1)
-    problem = _sized(problem, x0[0])
-    failed = looked_at(problem, x0[0])
+    problem, failed = _looked_at(problem, x0[0])
     if failed is not None:
-        return _ended(failed, throw)
+        return _ended(judged(problem, Found(x0[0], np.nan, 0, failed), (), "forward mode"), throw)
     reached = ()
     for _ in range(3):
         every, adjoint = _minimised(problem, x0, method, optimiser, tolerance, max_steps)
@@ -115,7 +115,7 @@ def fit(
         reached = reached or tuple(2 * float(cost) for cost in costs)
         x0, plain = best.x[None], problem.plain
         parameters = plain.coordinates.parameters(jnp.asarray(best.x[:count], plain.dtype))
-        wanted = plain.step if step is not None else plain.wanted_step(parameters)
+        wanted = plain.step if step is not None else plain.pace(parameters)[1]
         shorter = float(plain.step) > TOO_LONG * float(wanted)
         later = plain.times(parameters).max() > float(plain.t1) * (1 + 1e-9)
         if shorter:
@@ -128,15 +128,22 @@ def fit(
     return _ended(judged(problem, best, reached, adjoint), throw)
 
 
-def _sized(problem, x):
-    """The problem with a scale for what starts at zero: the change that moves the residuals by their own size."""
+def _looked_at(problem, x):
+    """The problem with a scale for what starts at zero, and the code of a start x that has no derivatives, or `None`.
+
+    The scale is the change that moves the residuals by their own size.
+    """
     coordinates = problem.plain.coordinates
-    if not coordinates.sizeless:
-        return problem
     value, jacobian = evaluated(problem, x)
-    slopes = np.linalg.norm(jacobian[:, : coordinates.size], axis=0)
-    sized = coordinates.sized(np.linalg.norm(value), slopes)
-    return eqx.tree_at(lambda p: p.plain.coordinates, problem, sized)
+    jacobian = jacobian[:, : coordinates.size]
+    if not (np.isfinite(value).all() and np.isfinite(jacobian).all()):
+        return problem, NO_START
+    if not np.any(jacobian):
+        return problem, NO_GRADIENT
+    if not coordinates.sizeless:
+        return problem, None
+    sized = coordinates.sized(np.linalg.norm(value), np.linalg.norm(jacobian, axis=0))
+    return eqx.tree_at(lambda p: p.plain.coordinates, problem, sized), None
 
 
 def _minimised(problem, x0, method, optimiser, tolerance, max_steps):

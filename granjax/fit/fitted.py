@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..lattice import Lattice
 from ..results import Held, Result, array, hidden
-from ..types import AnyArray, Count, Numbers
+from ..types import AnyArray, Numbers
 from .determined import Direction, sentences
 from .problem import Problem
 from .traces import Traces
@@ -118,16 +118,13 @@ class Fit(Result):
         with np.errstate(invalid="ignore"):
             return covariance / np.outer(size, size)
 
-    def whiteness(self, lags: Count | None = None) -> list[Float[np.ndarray, " _"]]:
+    def whiteness(self) -> list[Float[np.ndarray, " _"]]:
         """Probability that residuals as correlated as these are white noise, per sensor (a list of (S,)).
 
-        Ljung and Box's test: n(n+2) sum_k r_k^2/(n-k) against chi^2 of `lags` degrees of freedom (min(20, T/5)).
+        Ljung and Box's test: n(n+2) sum_k r_k^2/(n-k) against chi^2 of min(20, T/5) degrees of freedom.
         Source: Biometrika 65, 297 (1978).
         """
-        return [
-            np.array([_ljung_box(column, lags) for column in np.asarray(r).T])
-            for r in self.residuals
-        ]
+        return [np.array([_ljung_box(x) for x in np.asarray(r).T]) for r in self.residuals]
 
     @property
     def converged(self) -> bool:
@@ -217,11 +214,11 @@ class Fit(Result):
             yield f"residual_{k}", self.residuals[k], Held(both, "1")
 
 
-def _ljung_box(x, lags):
+def _ljung_box(x):
     from scipy.stats import chi2
 
     n = x.size
-    lags = min(20, n // 5) if lags is None else lags
+    lags = min(20, n // 5)
     x = x - x.mean()
     power = float(x @ x)
     if power == 0 or lags < 1:

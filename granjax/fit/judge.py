@@ -9,11 +9,11 @@ from jaxtyping import Float
 from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..flow import return_error
 from ..solvers import AbstractSplitting
-from ..types import AnyArray, Numbers
+from ..types import Numbers
 from .determined import LOOSE, covariance, directions, quantities
 from .fitted import NOTICEABLE, Fit
 from .problem import Problem
-from .solve import Found, evaluated, linearised, still_to_go
+from .solve import Found, linearised, still_to_go
 from .windows import Windows
 
 # a minimiser that has stalled or spent its steps has converged if chi^2 could fall by less: a hundredth of a deviation
@@ -38,22 +38,11 @@ def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> t
     return float(share), float(common / max(deviation, EXACT))
 
 
-def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | None:
-    """A failed `Fit` where the start x has no finite residuals or no derivatives, else `None`."""
-    value, jacobian = evaluated(problem, x)
-    jacobian = jacobian[:, : problem.plain.coordinates.size]
-    finite = np.isfinite(value).all() and np.isfinite(jacobian).all()
-    if finite and np.any(jacobian):
-        return None
-    code = NO_GRADIENT if finite else NO_START
-    return judged(problem, Found(x, 0.5 * np.sum(value**2), 0, code), ())
-
-
 def judged(
     problem: Problem | Windows,
     found: Found,
     starts: tuple[float, ...],
-    adjoint: str = "forward mode",
+    adjoint: str,
 ) -> Fit:
     """The `Fit` at what a minimiser found."""
     plain, x = problem.plain, jnp.asarray(found.x, problem.dtype)

@@ -154,27 +154,20 @@ class Problem(eqx.Module):
         times = self.times(parameters)
         return jnp.asarray(times.max() + ROOM * np.ptp(times) * self.moving, self.dtype)
 
-    def frequency(self, parameters: dict[str, Numbers]) -> float:
-        """The highest frequency that the energy of the start allows, of linear modes or of contacts that close."""
-        lattice = self.lattice(parameters)
-        state = checked_state(lattice, self.state(parameters, lattice))
-        return float(frequency_bound(lattice, state, self.t0, self.t1))
+    def pace(self, parameters: dict[str, Numbers]) -> tuple[float, float]:
+        """(frequency, step) of some parameters; an infinite step where no time scale sets one.
 
-    def wanted_step(self, parameters: dict[str, Numbers], omega: float | None = None) -> float:
-        """The step that some parameters ask for, of that frequency; ValueError where no time scale sets one."""
-        omega = self.frequency(parameters) if omega is None else omega
+        The highest frequency that the energy of the start allows, of linear modes or of contacts that close, and the
+        step that it asks for.
+        """
         lattice = self.lattice(parameters)
         state = checked_state(lattice, self.state(parameters, lattice))
+        omega = float(frequency_bound(lattice, state, self.t0, self.t1))
         if not omega > 0:
-            refuse(
-                "step",
-                "a time step",
-                "None",
-                "Nothing is stiff at this energy, so no time scale sets one: give step=.",
-            )
+            return omega, np.inf
         # what a splitting solver does not take exactly
         rate = 0.0 if facts(lattice).splits else float(_fastest_decay(lattice, self.t0, *state))
-        return min(STEP_FRACTION / omega, FASTEST / rate if rate > 0 else np.inf)
+        return omega, min(STEP_FRACTION / omega, FASTEST / rate if rate > 0 else np.inf)
 
 
 @eqx.filter_jit
@@ -245,11 +238,12 @@ def prepared(
             "Give offset=, or an earlier t0.",
         )
     problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
-    omega = problem.frequency(parameters)
-    _refuse_other_units(problem.lattice(parameters).units, omega, float(np.ptp(times)))
-    return problem.with_step(
-        problem.wanted_step(parameters, omega) if step is None else float(positive("step", step))
-    )
+    omega, wanted = problem.pace(parameters)
+    _refuse_other_units(lattice.units, omega, float(np.ptp(times)))
+    if step is None and not np.isfinite(wanted):
+        remedy = "Nothing is stiff at this energy, so no time scale sets one: give step=."
+        refuse("step", "a time step", "None", remedy)
+    return problem.with_step(wanted if step is None else float(positive("step", step)))
 
 
 def _refuse_other_units(units, omega, span):

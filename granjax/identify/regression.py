@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
-from ..fit.determined import factored
+from ..checks import non_negative, one_of, parameter, positive, refuse, within
+from ..fit.determined import covariance, directions
 from ..fit.judge import AFTER_AND_BEFORE, STRUCTURED, structure
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
@@ -167,7 +167,6 @@ def regression(
     known: Term | Sequence[Term] = (),
     threshold: Scalar = 0.02,
     ridge: Scalar = 0.0,
-    max_steps: Count = 20,
 ) -> Regression:
     r"""Coefficients of the equation of motion from motion seen at every site: a = sum_j c_j f_j(t, u, v)/m.
 
@@ -188,7 +187,7 @@ def regression(
       three times at each end are left out. About twenty frames a period are wanted.
     - `known`: terms whose coefficients are known (walls, drives); their accelerations are subtracted.
     - `threshold`: least share, in [0, 1); typical 0.01 ... 0.1, above the relative noise and below the weakest term.
-      `ridge`: added to the diagonal of the scaled normal matrix while columns are chosen; `max_steps`: most rounds.
+      `ridge`: added to the diagonal of the scaled normal matrix while columns are chosen.
 
     **Returns:** `Regression`. **Raises** ValueError for shapes that do not fit, fewer numbers than candidates, a
     candidate that gives no force at all, or a threshold that drops them all.
@@ -205,7 +204,7 @@ def regression(
     {'e': 1.0, 'e^3': 0.5}
     """
     threshold = float(within("threshold", threshold, 0, 1, open_high=True))
-    ridge, max_steps = float(non_negative("ridge", ridge)), whole("max_steps", max_steps, 1)
+    ridge = float(non_negative("ridge", ridge))
     known = (known,) if isinstance(known, Term) else tuple(known)
     ts, us, vs = (jax.tree.map(lambda x: parameter("ts, us, vs", x), x) for x in (ts, us, vs))
     for name, x in (("us", us), ("vs", vs), ("accelerations", accelerations)):
@@ -241,11 +240,10 @@ def regression(
         if not column.any():
             expected = "a force somewhere along the motion"
             refuse(f"candidates[{name!r}]", expected, "none", "Leave it out.")
-    c, kept = _thresholded(A, target, threshold, ridge, max_steps)
+    c, kept = _thresholded(A, target, threshold, ridge)
     residual = target - A @ c
-    size = np.sqrt(np.mean(target**2))
+    size, rms = np.sqrt(np.mean(target**2)), np.sqrt(np.mean(residual**2))
     least = max(MARGIN * uncertain, ROUNDING * float(jnp.finfo(ts.dtype).eps) * size)
-    rms = np.sqrt(np.mean(residual**2))
     found = [
         structure(*pairs) for pairs in (_in_time(residual, accelerations), _alike(residual, A))
     ]
@@ -253,7 +251,27 @@ def regression(
         (rms * share for share, surely in found if surely > STRUCTURED and rms * share > least),
         default=0.0,
     )
-    return _recorded(mass, candidates, A, target, c, kept, known, shared / size)
+    spread = np.sqrt(residual @ residual / (len(target) - kept.sum()))
+    widths = np.linalg.norm(A[:, kept], axis=0)
+    seen = directions(A[:, kept], 1 / widths, spread)
+    matrix = covariance(seen, 1 / widths)
+    shares = np.abs(c[kept]) * widths / np.linalg.norm(target)
+    rows = np.stack([c[kept], np.sqrt(np.diag(matrix)), shares], -1).tolist()
+    names = [name for name, keep in zip(candidates, kept) if keep]
+    coefficients = {name: Coefficient(*row) for name, row in zip(names, rows)}
+    built = {name: _built(candidates[name], x.value) for name, x in coefficients.items()}
+    refused = tuple(name for name, term in built.items() if term is None)
+    return Regression(
+        coefficients=coefficients,
+        dropped=tuple(name for name in candidates if name not in names),
+        covariance=matrix,
+        r_squared=float(1 - residual @ residual / np.sum((target - target.mean()) ** 2)),
+        noise=float(spread),
+        condition=seen[0].deviation / seen[-1].deviation,
+        lattice=None if refused else Lattice(mass, (*built.values(), *known)),
+        refused=refused,
+        residue=float(shared / size),
+    )
 
 
 @eqx.filter_jit
@@ -308,7 +326,7 @@ def _alike(residual, A):
     return tuple(residual[some[np.unique(np.sort(nearest, axis=1), axis=0)]].T)
 
 
-def _thresholded(A, y, threshold, ridge, max_steps):
+def _thresholded(A, y, threshold, ridge):
     """Coefficients and which of them are kept."""
     sizes = np.linalg.norm(A, axis=0)
     kept = np.ones(len(sizes), bool)
@@ -318,7 +336,7 @@ def _thresholded(A, y, threshold, ridge, max_steps):
         c[kept] = _ridge((A / sizes)[:, kept], y, ridge)
         return c
 
-    for _ in range(max_steps):
+    while True:
         stays = kept & (np.abs(solved(ridge)) >= threshold * np.linalg.norm(y))
         if (stays == kept).all():
             break
@@ -339,30 +357,6 @@ def _ridge(X, y, ridge):
         X = np.concatenate([X, np.sqrt(ridge) * np.eye(X.shape[1])])
         y = np.concatenate([y, np.zeros(X.shape[1])])
     return np.linalg.lstsq(X, y, rcond=None)[0]
-
-
-def _recorded(mass, candidates, A, y, c, kept, known, residue):
-    residual = y - A @ c
-    noise = np.sqrt(residual @ residual / (len(y) - kept.sum()))
-    factor, s = factored(A[:, kept], noise)
-    covariance = factor @ factor.T
-    shares = np.abs(c[kept]) * np.linalg.norm(A[:, kept], axis=0) / np.linalg.norm(y)
-    found = [name for name, keep in zip(candidates, kept) if keep]
-    rows = np.stack([c[kept], np.sqrt(np.diag(covariance)), shares], -1).tolist()
-    coefficients = {name: Coefficient(*row) for name, row in zip(found, rows)}
-    terms = {name: _built(candidates[name], x.value) for name, x in coefficients.items()}
-    refused = tuple(name for name, term in terms.items() if term is None)
-    return Regression(
-        coefficients,
-        tuple(name for name in candidates if name not in found),
-        covariance,
-        float(1 - residual @ residual / ((y - y.mean()) @ (y - y.mean()))),
-        float(noise),
-        float(s[0] / s[-1]),
-        None if refused else Lattice(mass, (*terms.values(), *known)),
-        refused,
-        float(residue),
-    )
 
 
 def _built(make, value):

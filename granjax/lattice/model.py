@@ -14,7 +14,7 @@ from ..checks import described, held_in_memory, letter, parameter, positive, ref
 from ..printing import text, told
 from ..terms import LongRange, Term
 from ..terms.base import memory_of, within
-from ..terms.tracing import reads, traced
+from ..terms.reach import reads, traced
 from ..types import Count, Displacements, Number, Parameter, Site
 from ..units import SCALED, SI
 from ..units.names import counted_in, mark_of

@@ -14,7 +14,7 @@ from ..checks import refuse
 from ..laws import Law
 from ..split_system import Split, pair
 from ..terms import chain
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import Number, StateLike
 from .model import Lattice, check_shape, refuse_memory
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import refuse
 from ..lattice import Lattice
 from ..terms import energies
-from ..terms.tracing import reads
+from ..terms.reach import reads
 from ..types import Displacements, Number, StateLike, Values
 from .states_of import parts
 

@@ -4,6 +4,7 @@
 
 - one orbit: `problems` (the equations, a `Shooting`), `orbit` (Newton's method, steps that are doubled, errors),
   `guesses`, `backbone`, `asked` (what is asked with: lattice, state, period, symmetry, steps).
+- several orbits or states of rest from the same guesses: `solutions`.
 - a branch: `problems` (a `Family` of shooting problems over a parameter, which `continuation` follows), `branch` (the
   result, what there is to say of each point, what lies between two; forced orbits), `families` (breathers).
 - stability: `floquet`, `spectrum`. Motions that settle or do not: `attractors`; waves that grow in a gap and return:
@@ -14,6 +15,7 @@ from .asked import Mirror, Sign, Symmetry, Translation, default_steps, history, 
 from .branch import Bifurcation, Branch
 from .orbit import Orbit, orbit
 from .problems import Shooting
+from .solutions import Solutions, find_all, problem
 
 __all__ = [
     "Bifurcation",
@@ -22,10 +24,13 @@ __all__ = [
     "Orbit",
     "Shooting",
     "Sign",
+    "Solutions",
     "Symmetry",
     "Translation",
     "default_steps",
+    "find_all",
     "history",
     "orbit",
+    "problem",
     "shifts",
 ]

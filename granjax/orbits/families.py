@@ -16,7 +16,9 @@ from ..checks import one_of, positive, refuse, traced
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
+from ..measures import modal_energy
 from ..programs import compiled, in_numpy, library
+from ..results import Result, array, hidden, part
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, Site, StateLike
@@ -28,6 +30,7 @@ from .guesses import (
     edge_of,
     edges_beside,
     local_guesses,
+    named_sites,
     refuse_bright,
     single_site,
 )
@@ -263,7 +266,7 @@ def half_steps(
     period: Scalar,
     steps: Count | Counts | None = None,
     guess: StateLike | None = None,
-) -> Count:
+) -> Count | Counts:
     """Steps of half a period, from those of a whole one or by default; `guess`: as in `default_steps`."""
     if traced(steps):
         return steps // 2
@@ -632,12 +635,77 @@ def _refuse_resonance(lattice, omega, dark, remedy=" check=False tries all the s
     )
 
 
+class QBreather(Result):
+    """A q-breather: the continuation of one normal mode of a finite chain to an energy, and the way there."""
+
+    orbit: Orbit = part("The orbit at the energy that was asked for.")
+    branch: Branch = hidden(
+        "The family from the mode on, up to its first orbit of that energy or more."
+    )
+    mode: int = array("The number of the mode.")
+    modal_energy: Float[np.ndarray, " mode"] = array(
+        "The energy of every normal mode in the linear chain, its mean over a period.", "J"
+    )
+    along: Float[np.ndarray, "point mode"] = array("The same along the family.", "J")
+
+    @property
+    def outcome(self) -> str:
+        """How much of the energy stays in the mode."""
+        share = self.modal_energy[self.mode] / self.modal_energy.sum()
+        return f"Mode {self.mode} holds {share:.4g} of the modal energy. {self.orbit.outcome}"
+
+
+def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -> QBreather:
+    r"""Follow a normal mode of a finite chain to an energy: a q-breather, with the energies of all modes along the way.
+
+    A Lyapunov family: the linear mode is its limit of zero energy, whether its frequency lies in a band or not. The
+    energies of the other modes fall off exponentially with the distance in q; they are E_k = (a_k'^2 + omega_k^2
+    a_k^2)/2, means over a period.
+
+    **Arguments:** `lattice`: conservative and autonomous. `mode`: the number of a mode of `gx.linear.normal_modes`,
+    from the lowest. `energy`: above zero [J]. `keywords`: of `gx.breathers.family`, such as `arclength`, `steps`.
+
+    **Returns:** `QBreather`; `found.orbit.floquet()` is its stability, `found.branch` the family.
+    **Raises** ValueError as `family`, and for an energy that is not above zero; RuntimeError where the family ends
+    before it, or the orbit is not found. Typical: energies of 0.01 to 1 in FPUT chains of 32 sites.
+    Source: Flach, Ivanchenko, Kanakov, Phys. Rev. Lett. 95, 064102 (2005).
+
+    **Example:**
+
+    >>> chain = gx.scenes.fput(5, alpha=0.25)
+    >>> found = gx.breathers.q_breather(chain, 0, 0.01, steps=64, stability=False)
+    >>> found.modal_energy.round(6).tolist()
+    [0.009945, 5.2e-05, 0.0, 0.0, 0.0]
+    """
+    wanted = float(positive("energy", energy))
+
+    def reached(u, omega):
+        state = State(u, lattice.zeros())
+        return "the energy is reached" if float(lattice.energy(0.0, *state)) >= wanted else None
+
+    branch = family(lattice, mode=mode, stop=reached, **keywords)
+    if branch._curve.end != "stop":
+        raise RuntimeError(f"The family ends before the energy {wanted:.6g}: {branch.outcome}")
+    steps = {name: keywords[name] for name in ("steps", "solver") if name in keywords}
+    last = branch.orbit(-1)
+    found = breather(lattice, float(last.omega), last, energy=wanted, check=False, **steps)
+    modes = normal_modes(lattice)
+
+    def shares(orbit):
+        run = orbit.run()
+        one = lambda u, v: modal_energy(lattice, State(u, v), _flat_modes(modes), modes.omega)
+        return np.asarray(jnp.mean(jax.vmap(one)(run.us, run.vs), 0))
+
+    along = np.stack([shares(branch.orbit(i)) for i in range(len(branch))])
+    return QBreather(found, branch, mode % len(along[0]), shares(found), along, **lattice.origin)
+
+
 @one_thread
 def anticontinuous(
     scene: Callable[[Any], Any],
     coupling: Scalar,
     omega: Scalar,
-    sites: Site | Sequence[Site] | None = None,
+    sites: Site | Sequence[Site] | str | None = None,
     *,
     amplitudes: Sequence[Scalar] | None = None,
     field: str | None = None,
@@ -664,8 +732,9 @@ def anticontinuous(
     - `omega` [rad/s]: above the frequency of small oscillations where the force on the sites hardens, below it where it
       softens.
     - `sites`: an index or several (on a grid a pair or several pairs), which oscillate in the limit; `None` is the
-      middle. `amplitudes`: their signs +-1 (None: all in phase), a code of a multibreather; `field`: where a cell
-      holds several. All sites but one make a dark breather.
+      middle. `amplitudes`: their signs +-1 (None: all in phase). Or a code such as "+-0+", put in the middle of a
+      chain: a multibreather of neighbours in phase, in opposite phase, or at rest. `field`: where a cell holds several.
+      All sites but one make a dark breather.
     - `arclength`: first step along the branch, in which the way of the coupling counts 1, and so does a change of a
       displacement by the amplitude in the limit; `points`: the most breathers.
     - `steps`: time steps in a period, an even number; `None` doubles them until half as many confirm the largest
@@ -754,15 +823,10 @@ def _scene(scene, coupling):
 def _limit(lattice, omega, sites, amplitudes, field):
     """The state at rest of the limit, of a lattice whose sites do not feel each other."""
     _refuse_resonance(lattice, omega, False, "")
-    if sites is None:
-        shape = lattice.sites
-        shape = shape[field or lattice.fields[0]] if isinstance(shape, dict) else shape
-        middle = tuple(n // 2 for n in shape)
-        sites = middle[0] if len(middle) == 1 else [middle]
     state = single_site(lattice, omega, sites, amplitudes=amplitudes, field=field)
     u, force = (ravel_pytree(x)[0] for x in (state.u, lattice.force(jnp.zeros(()), *state)))
-    named = 1 if np.ndim(sites) == 0 else len(sites)
-    others = jnp.argsort(-jnp.abs(u))[named:]
+    places, _ = named_sites(lattice, sites, amplitudes, field)
+    others = jnp.argsort(-jnp.abs(u))[len(places) :]
     # what is below 1e-9 of the largest is rounding
     if any(float(largest(x[others])) > 1e-9 * float(largest(x)) for x in (u, force)):
         refuse(

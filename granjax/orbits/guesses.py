@@ -37,6 +37,8 @@ ROUNDING = 1e-9
 # steps of half a period of one site alone, and the parts of it that are looked at
 HALF_STEPS = 128
 PARTS = 16
+# a code of sites that oscillate in phase, in opposite phase, or not at all
+SIGNS = {"+": 1, "-": -1, "0": 0}
 # amplitudes next to each other at which a force must be linear
 RUN = 4
 # frames of half a period of one harmonic
@@ -325,7 +327,7 @@ def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
 def single_site(
     lattice: Lattice,
     omega: Scalar,
-    sites: Site | Sequence[Site],
+    sites: Site | Sequence[Site] | str | None = None,
     *,
     amplitudes: Sequence[Scalar] | None = None,
     field: str | None = None,
@@ -348,8 +350,9 @@ def single_site(
     with K the linear stiffness and N the rest of the force's first harmonic, by Petviashvili's iteration.
 
     **Arguments:** `lattice`: of scalar displacements. `omega`. `sites`: an index or several (on a grid a pair or
-    several pairs). `amplitudes`: signs +-1, one a site, for multibreathers (None: all +1, in phase). `field`: where a
-    cell holds several.
+    several pairs), `None` for the middle. `amplitudes`: signs +-1, one a site, for multibreathers (None: all +1, in
+    phase). Or `sites` is a code such as "+-0+", which stands in the middle of a chain. `field`: where a cell holds
+    several.
 
     **Returns:** a `State` at rest. **Raises** ValueError where no amplitude has that frequency (omega is on the wrong
     side of the site's linear frequency); RuntimeError where neither way converges.
@@ -368,10 +371,7 @@ def single_site(
     checked_lattice(lattice)
     if lattice.dimension is not None:
         refuse("lattice", "scalar displacements", f"vectors of {lattice.dimension} components")
-    places = _places(lattice, sites, field)
-    signs = np.ones(len(places)) if amplitudes is None else np.sign(amplitudes)
-    if np.shape(signs) != (len(places),) or not np.all(signs):
-        refuse("amplitudes", f"{len(places)} signs, one for each of the sites", repr(amplitudes))
+    places, signs = named_sites(lattice, sites, amplitudes, field)
     u, limit, failed, alone = np.zeros(_mass(lattice).shape), None, None, True
     for place, sign in zip(places, signs):
         size, turns = _amplitude(lattice, omega, int(place), float(sign))
@@ -414,6 +414,32 @@ def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
                 yield single_site(lattice, omega, sites, field=name)
             except (ValueError, RuntimeError):
                 continue
+
+
+def named_sites(
+    lattice: Lattice,
+    sites: Site | Sequence[Site] | str | None,
+    amplitudes: Sequence[Scalar] | None,
+    field: str | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the sites that oscillate stand in the raveled displacements, and their signs; as in `single_site`."""
+    name = field_of(lattice, field)
+    shape = lattice.sites if name is None else lattice.sites[name]
+    if sites is None:
+        sites = [tuple(n // 2 for n in shape)] if len(shape) > 1 else shape[0] // 2
+    elif isinstance(sites, str):
+        code = np.array([SIGNS.get(sign, np.nan) for sign in sites])
+        if len(shape) > 1 or len(code) > shape[0] or not np.any(code) or np.isnan(code).any():
+            wanted = f'a code of "+", "-" and "0" for at most {shape[0]} sites of a chain'
+            refuse("sites", wanted, repr(sites))
+        if amplitudes is not None:
+            refuse("amplitudes", "None beside a code, which has the signs", repr(amplitudes))
+        sites, amplitudes = (shape[0] - len(code)) // 2 + np.flatnonzero(code), code[code != 0]
+    places = _places(lattice, sites, field)
+    signs = np.ones(len(places)) if amplitudes is None else np.sign(amplitudes)
+    if np.shape(signs) != (len(places),) or not np.all(signs):
+        refuse("amplitudes", f"{len(places)} signs, one for each of the sites", repr(amplitudes))
+    return places, signs
 
 
 def _places(lattice, sites, field):

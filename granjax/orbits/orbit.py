@@ -20,7 +20,7 @@ from ..newton import CONVERGED, SPENT, STALLED, Root, newton
 from ..programs import in_numpy, library
 from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
-from ..terms import tracing
+from ..terms.reach import reads
 from ..tuning import one_thread
 from ..types import (
     Count,
@@ -370,7 +370,7 @@ class Orbit(Result):
     def energy_input(self) -> Number:
         """Energy that the drive gives in a period, which is what damping takes: -int sum v . F_damping dt [J]."""
         run, lattice = self.run(), self.lattice
-        lossy = [term for term in lattice.terms if tracing.reads(term, lattice).velocity]
+        lossy = [term for term in lattice.terms if reads(term, lattice).velocity]
 
         def power(t, u, v):
             force = lattice.sum_forces(t, u, v, lossy)

@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, refuse
-from ..continuation import Curve, System, continuation
+from ..continuation import Curve, Problem, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
@@ -213,7 +213,7 @@ def _unit(x):
     return x / jnp.where(size > 0, size, 1)
 
 
-class Family(eqx.Module):
+class Family(Problem):
     """The orbits of a lattice over one parameter, p = start + q span, as a problem F(x, q) = 0.
 
     `make(p)`: the lattice, or one lattice for all. `period`: T, a number or a function of p. With one lattice that no
@@ -238,13 +238,11 @@ class Family(eqx.Module):
 
     def follow(self, x: Numbers, q: Scalar, **settings: Any) -> Curve:
         """The curve of orbits from (x, q) on, with the settings of `continuation`."""
-        return continuation(
-            self.residual, x, q, linearise=self.linearise, tolerance=self.left, **settings
-        )
+        return continuation(self, x, q, tolerance=self.left, **settings)
 
     def system(self) -> System:
         """What continuation solves at every point."""
-        return System(self.residual, self.linearise, None, self.left)
+        return System(self, self.left)
 
     def scene(self, q: Scalar) -> tuple:
         """(lattice, period) at q."""
@@ -253,11 +251,11 @@ class Family(eqx.Module):
             self.period, p
         )
 
-    def residual(self, x: Numbers, q: Scalar, args: None = None) -> Numbers:
+    def residual(self, x: Numbers, q: Scalar) -> Numbers:
         """Gaps between the segments at q."""
         return self.shooting.residual(x, self.scene(q))
 
-    def linearise(self, x: Numbers, q: Scalar, args: None = None) -> tuple:
+    def linearise(self, x: Numbers, q: Scalar) -> tuple:
         """The residual, its derivative in x, and where it costs nothing that in q."""
         gaps, in_x, in_period = self.shooting.slopes(x, self.scene(q))
         if not isinstance(self.make, Lattice):

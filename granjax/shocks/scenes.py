@@ -17,8 +17,7 @@ from ..states.places import chain_only, inside
 from ..strains import Shift
 from ..terms import Bond, Breaks, Drive, Wall
 from ..terms.chain import next_neighbours
-from ..terms.reach import furthest
-from ..terms.tracing import reads
+from ..terms.reach import furthest, reads
 from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 

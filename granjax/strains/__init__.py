@@ -6,12 +6,10 @@ bonds on any graph, `Stretch` a distance in the plane or in space, `Along` the p
 `Slip` how far two beads that turn have slipped. A map of one's own needs `strain` alone.
 """
 
-from .along import Along
 from .maps import BOTH, BOUNDARIES, End, LinearMap, Sites, StrainMap
 from .pairs import WALL, Pairs
-from .slip import Slip
 from .stencil import Shift, Stencil
-from .stretch import Stretch
+from .stretch import Along, Slip, Stretch
 
 __all__ = [
     "Along",

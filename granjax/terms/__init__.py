@@ -5,13 +5,18 @@ A term that a scene does not need is not in the tuple, and then costs nothing.
 
 from .base import Compression, Excitation, Remembering, Term
 from .bonds import Bond, Grip, Modulated
-from .dissipation import BrilliantovContact, CaputoDamping, Damping, Dashpot, Drag, ViscousContact
+from .dissipation import (
+    BrilliantovContact,
+    CaputoDamping,
+    Damping,
+    Dashpot,
+    Drag,
+    PlasticContact,
+    ViscousContact,
+)
 from .long_range import LongRange
-from .plastic import PlasticContact
-from .reach import Reach, Reached
-from .sites import Drive, OnSite
-from .tracing import Dependence
-from .walls import Wall
+from .reach import Dependence, Reach, Reached
+from .sites import Drive, OnSite, Wall
 from .waveforms import Breaks, Function, Harmonic, Square
 
 __all__ = [

@@ -13,8 +13,7 @@ from ..laws import Law, Scaled
 from ..printing import told
 from ..types import Displacements, Number, Numbers, Pytree
 from ..units import PART, Dimensional
-from .reach import Reach, Reached, largest_eigenvalue
-from .tracing import Dependence, answers_to, reads, stand_in
+from .reach import Dependence, Reach, Reached, answers_to, largest_eigenvalue, reads, stand_in
 from .waveforms import Breaks, own_breaks, signal_of
 
 

@@ -15,8 +15,7 @@ from ..strains import StrainMap
 from ..types import Displacements, Number, Numbers, Parameter, Waveform
 from ..units import PART, Signal
 from .base import Altered, Compression, Term, times, wider
-from .reach import largest_eigenvalue
-from .tracing import RESISTS, stand_in
+from .reach import RESISTS, largest_eigenvalue, stand_in
 from .waveforms import Breaks, as_module, checked_breaks
 
 _strain = eqx.filter_jit(lambda strain_map, move: strain_map.strain(move))

@@ -1,20 +1,20 @@
-"""Forces on single sites: on-site laws and drives."""
+"""What acts on single sites: on-site laws, drives, walls at the ends of a chain."""
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
-from ..laws import Law
-from ..strains import Sites
+from ..checks import one_of, refuse
+from ..laws import Law, Yielding
+from ..strains import End, Sites
 from ..types import Parameter, Site, Waveform
 from ..units import PART, Signal
-from .base import Excitation, Term, get, put
-from .bonds import Bond
+from .base import Excitation, Term, get, put, within
+from .bonds import Bond, spring
 from .waveforms import Breaks, as_module, checked_breaks
 
 
@@ -107,3 +107,108 @@ class Drive(Term):
     def excitation(self, lattice, ts):
         zero = jnp.zeros((), lattice.dtype)
         return Excitation(jnp.max(jnp.abs(jax.vmap(self.waveform)(ts))), zero, zero)
+
+
+class Wall(Bond):
+    """A wall at one end of a chain: rigid, elastic, driven or yielding.
+
+    Left: e = w(t) - u_0; right: e = u_{N-1} - w(t); the end site feels the contact force law.force(e) away from the
+    wall. Use it with a `Shift` whose boundary is `"free"` at that end.
+
+    **Arguments:** `law`: the contact with the wall (a sphere on a plane of another material:
+    `Hertz(materials.hertz_coefficient(...), F0)`). `side`: `"left"` or `"right"`. `motion`: the wall's displacement
+    w(t), a function or Module, `None` for a wall at rest. `support`: stiffness of a linear spring behind the wall
+    [N/m], for a wall that yields; `None` for none. `field`: as in `OnSite`. `breaks`: times at which the motion or its
+    speed jumps, as in `Modulated`.
+    **Raises** ValueError for another side, a motion that cannot be called, support <= 0.
+
+    **Example:**
+
+    >>> wall = gx.Wall(gx.Hertz(), "right")
+    >>> chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Hertz()), wall), sites=3)
+    >>> v, a = gx.vector_field(0.0, gx.State(jnp.array([0.0, 0.0, 4.0]), jnp.zeros(3)), chain)
+    >>> float(a[-1])
+    -8.0
+    """
+
+    dimensions = {"strain_map": PART, "law": PART, "motion": Signal((0, 1, 0)), "breaks": PART}
+    _shown = {name: name for name in ("law", "motion", "breaks", "side", "field")}
+    motion: Callable | None
+    breaks: Breaks | None
+
+    def __init__(
+        self,
+        law: Law,
+        side: str = "right",
+        motion: Waveform | None = None,
+        support: Parameter | None = None,
+        field: str | None = None,
+        breaks: Parameter | Breaks | None = None,
+    ):
+        end = End(one_of("side", side, ("left", "right")), field)
+        super().__init__(end, law if support is None else Yielding(law, support))
+        self.motion = None if motion is None else as_module(motion)
+        self.breaks = checked_breaks(breaks)
+
+    @property
+    def side(self):
+        """The end of the chain, "left" or "right"."""
+        return self.strain_map.side
+
+    @property
+    def field(self):
+        """Name of the field, or `None`."""
+        return self.strain_map.field
+
+    def check(self, name, lattice):
+        if lattice.axes != 1 or lattice.dimension is not None:
+            refuse(
+                name,
+                "a chain with scalar displacements",
+                f"a lattice of shape {lattice.shape}",
+                "Hold ends by bonds.",
+            )
+
+    def compression(self, t, u):
+        e = self.strain_map.strain(u)
+        if self.motion is None:
+            return e
+        return self.motion(t) + e if self.side == "left" else e - self.motion(t)
+
+    def force(self, t, u, v, mass):
+        force = self.law.force(self.compression(t, u))
+        dtype = jax.tree.leaves(u)[0].dtype
+        return jax.tree.map(jnp.negative, self.strain_map.pull(u, force.astype(dtype)))
+
+    def energy(self, t, u):
+        return self.law.energy(self.compression(t, u))
+
+    def compressions(self, t, u):
+        return tuple(c._replace(place="wall") for c in super().compressions(t, u))
+
+    def linearised(self, lattice, t, u, v):
+        return eqx.tree_at(
+            lambda x: (x.law, x.motion, x.breaks),
+            self,
+            (spring(self.law, self.compression(t, u)), None, None),
+            is_leaf=lambda x: x is None,
+        )
+
+    def excitation(self, lattice, ts):
+        zero = jnp.zeros((), lattice.dtype)
+        if self.motion is None:
+            return Excitation(zero, zero, zero)
+        w, speed = jax.vmap(lambda t: jax.jvp(self.motion, (t,), (jnp.ones_like(t),)))(ts)
+        return Excitation(zero, jnp.max(jnp.abs(w)), jnp.max(jnp.abs(speed)))
+
+
+def with_still_walls(lattice: Any) -> Any:
+    """The lattice with all moving walls held still."""
+
+    def still(term):
+        if not isinstance(within(term), Wall) or within(term).motion is None:
+            return term
+        moving = lambda x: (within(x).motion, within(x).breaks)
+        return eqx.tree_at(moving, term, (None, None), is_leaf=lambda x: x is None)
+
+    return eqx.tree_at(lambda x: x.terms, lattice, tuple(map(still, lattice.terms)))

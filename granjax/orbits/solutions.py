@@ -1,0 +1,245 @@
+"""All solutions from some guesses: states of rest, breathers, orbits under forcing."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
+
+from ..checks import positive, refuse
+from ..continuation import APART, Problem, another, solve
+from ..equilibria import equilibrium
+from ..flow import Flow
+from ..lattice import Lattice, State
+from ..results import Result, array, note, part
+from ..solvers import KahanLi8, SRKN14a
+from ..types import Count, Numbers, Scalar, StateLike
+from .asked import (
+    Mirror,
+    Sign,
+    Symmetry,
+    Translation,
+    checked_lattice,
+    checked_period,
+    checked_state,
+    fixed_step_solver,
+    flow_over,
+    one_lattice,
+    shifts,
+)
+from .families import breather, half_steps
+from .orbit import checked_free, forced_orbit
+from .problems import Shooting
+
+
+class Sought(Problem):
+    """What `find_all` solves: F(x) = 0, and what the unknowns stand for."""
+
+    lattice: Lattice
+
+    @abc.abstractmethod
+    def unknowns(self, state: StateLike) -> Numbers:
+        """The unknowns of a state, all of them lengths."""
+
+    @abc.abstractmethod
+    def state(self, x: Numbers) -> State:
+        """The state that the unknowns stand for."""
+
+    @abc.abstractmethod
+    def solution(self, state: StateLike) -> Result:
+        """The result that is found from a state next to it, with its error."""
+
+    def later(self, state: StateLike) -> State | None:
+        """The state half a period later, `None` at rest."""
+        return None
+
+    def trivial(self) -> list[np.ndarray]:
+        """Solutions that are not looked for."""
+        return []
+
+    def images(self, x: Numbers) -> list[tuple[str | None, np.ndarray]]:
+        """Unknowns of the images under symmetries that a lattice may have, and what they are called.
+
+        `None`: of the same orbit half a period later.
+        """
+        state, signs = self.state(jnp.asarray(x)), [Symmetry(), Sign()]
+        if self.lattice.dimension is None and self.lattice.axes == 1:
+            signs += [Mirror(), Mirror() @ Sign()]
+        size = min(x.shape[0] for x in jax.tree.leaves(self.lattice.template()))
+        found = []
+        for later, there in ((False, state), (True, self.later(state))):
+            for symmetry in [Translation(n) @ b for n in range(size) for b in signs]:
+                if there is not None and (later or not symmetry.trivial):
+                    name = f"{symmetry!r}, half a period later" if later else repr(symmetry)
+                    y = np.asarray(self.unknowns(State(*map(symmetry, there))))
+                    found.append((None if symmetry.trivial else name, y))
+        return found
+
+
+class _AtRest(Sought):
+    moves: Numbers
+
+    def residual(self, x, p):
+        force = self.lattice.force(jnp.zeros((), x.dtype), *self.state(x))
+        # the mean displacement of what is free to move stays as it is
+        return ravel_pytree(force)[0] + self.moves @ (self.moves.T @ x)
+
+    def unknowns(self, state):
+        return ravel_pytree(state[0])[0]
+
+    def state(self, x):
+        return State(ravel_pytree(self.lattice.zeros())[1](x), self.lattice.zeros())
+
+    def solution(self, state):
+        return equilibrium(self.lattice, guess=state, hold="loads")
+
+
+class _Returning(Sought):
+    shooting: Shooting
+    period: Scalar
+
+    def residual(self, x, p):
+        return self.shooting.residual(x, (self.lattice, self.period))
+
+    def linearise(self, x, p):
+        return self.shooting.linearise(x, (self.lattice, self.period))
+
+    def unknowns(self, state):
+        return self.shooting.guess(State(*state), (self.lattice, self.period))
+
+    def state(self, x):
+        return self.shooting.state(x)
+
+    def trivial(self):
+        # at rest every time is a period
+        rest = State(self.lattice.zeros(), self.lattice.zeros())
+        return [np.asarray(self.unknowns(rest))] if self.shooting.reversible else []
+
+    def later(self, state):
+        flow = self.shooting.flow
+        if not self.shooting.reversible:
+            flow = Flow(flow.steps // 2, flow.solver)
+        t0 = self.shooting.t0
+        return flow(state, t0, t0 + self.period / 2, self.lattice)
+
+    def solution(self, state):
+        if self.shooting.reversible:
+            omega = 2 * np.pi / float(self.period)
+            return breather(self.lattice, omega, state, check=False)
+        return forced_orbit(self.lattice, float(self.period), state, t0=float(self.shooting.t0))
+
+
+def problem(
+    lattice: Lattice,
+    *,
+    omega: Scalar | None = None,
+    period: Scalar | None = None,
+    t0: Scalar = 0.0,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+) -> Sought:
+    """The problem of which `find_all` finds the solutions: states of rest, breathers or orbits under forcing.
+
+    **Arguments:** `lattice`: one `Lattice`. Without `omega` and `period` its states of rest. `omega`: breathers of this
+    frequency, time-reversible and at rest twice a period; of a conservative, autonomous lattice. `period`: orbits of
+    this period under forcing, at the phase `t0`. `steps`, `solver`: of a period, as in `gx.breathers.breather` and
+    `gx.forced.forced_orbit`; the solutions are confirmed with finer steps.
+    **Raises** ValueError for both a frequency and a period, and as those functions do.
+    """
+    one_lattice(lattice)
+    if omega is not None and period is not None:
+        refuse("period", "a period or a frequency", "both", "Breathers have no forcing.")
+    if omega is not None:
+        checked_lattice(lattice)
+        period = 2 * np.pi / float(positive("omega", omega))
+        flow = Flow(jnp.asarray(half_steps(lattice, period, steps)), solver or KahanLi8())
+        shooting = Shooting.half(lattice, flow, omega=2 * np.pi / period)
+        return _Returning(lattice, shooting, jnp.asarray(period))
+    if period is None:
+        if not lattice.conserves:
+            wanted, names = "forces that depend on positions alone", ", ".join(lattice.unkept())
+            refuse("lattice", wanted, names, "Give the period= of its forcing.")
+        return _AtRest(lattice, shifts(lattice))
+    if checked_free(lattice):
+        refuse("lattice", "a lattice under forcing", "none", "Give omega=, for its breathers.")
+    period = float(positive("period", period))
+    rest = State(lattice.zeros(), lattice.zeros())
+    checked_period(lattice, rest, t0, period)
+    solver = fixed_step_solver(lattice, solver, SRKN14a())
+    flow = flow_over(lattice, period, steps, solver, 2, rest)
+    n = shifts(lattice).shape[0]
+    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, 2 * np.pi / period)])
+    shooting = Shooting.of(lattice, flow, t0=jnp.asarray(t0, lattice.dtype), scale=scale)
+    return _Returning(lattice, shooting, jnp.asarray(period))
+
+
+class Solutions(Result):
+    """Solutions of one problem, from `find_all`."""
+
+    solutions: tuple[Any, ...] = array(
+        "The solutions, each with its error, none of them a symmetric copy of another.",
+        axes="solution",
+    )
+    states: State = part("The state of each solution.", "solution site", name="state")
+    copies: tuple[tuple[str, ...], ...] = note(
+        "Of each solution the symmetries that take it to another one."
+    )
+
+    @property
+    def outcome(self) -> str:
+        """How many were found."""
+        count = len(self.solutions)
+        return f"{count} solutions, {count + sum(map(len, self.copies))} with symmetric copies."
+
+
+def find_all(sought: Sought, guesses: Sequence[StateLike], *, most: Count = 20) -> Solutions:
+    """Find distinct solutions of a problem: from each guess one after the other, by Newton's method with deflation.
+
+    What has been found is divided out, with its symmetric copies (mirror image, sign, translation, half a period
+    later), so that the same guess leads to another solution, until it leads to none. No search of this kind proves that
+    there are no more.
+
+    **Arguments:** `sought`: of `problem`. `guesses`: `State`s, not all at rest at u = 0. `most`: where it ends.
+    **Returns:** `Solutions`, of `Equilibrium`s or `Orbit`s. **Raises** ValueError for guesses that do not fit;
+    RuntimeError where nothing is found.
+
+    **Example:**
+
+    >>> wells = gx.OnSite(gx.Polynomial(-1.0, 0.0, 1.0))
+    >>> pair = gx.Lattice(1.0, (wells, gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2))), sites=2)
+    >>> found = gx.orbits.find_all(gx.orbits.problem(pair), [gx.State(jnp.array([0.5, 0.2]), jnp.zeros(2))])
+    >>> for rest, copies in zip(found.solutions, found.copies):
+    ...     print(np.array(rest.state.u).round(4).tolist(), rest.verdict, len(copies))
+    [0.864, -0.2315] unstable 3
+    [0.0, 0.0] unstable 0
+    [1.0, 1.0] stable 1
+    """
+    states = [checked_state(sought.lattice, guess, "guess") for guess in guesses]
+    starts = [np.asarray(sought.unknowns(state)) for state in states]
+    size = max((float(np.abs(x).max()) for x in starts), default=0.0)
+    if not size > 0:
+        refuse("guesses", "states that are not all at rest at u = 0", f"{len(starts)} of them")
+    roots, copies, known = [], [], sought.trivial()
+    for start in starts:
+        while len(roots) < most:
+            x = another(sought, start, known, size)
+            if x is None:
+                break
+            known.append(x)
+            roots.append(x)
+            copies.append(())
+            # an image is a solution where the lattice has the symmetry
+            names, images = zip(*sought.images(x))
+            for name, y, solves in zip(names, images, solve(sought, x, images, size)):
+                if solves and all(np.abs(y - other).max() > APART * size for other in known):
+                    known.append(y)
+                    copies[-1] += () if name is None else (name,)
+    if not roots:
+        raise RuntimeError("Newton's method found no solution from any of the guesses.")
+    found = tuple(sought.solution(sought.state(jnp.asarray(x))) for x in roots)
+    states = jax.tree.map(lambda *x: np.stack(x), *(one.state for one in found))
+    return Solutions(found, states, tuple(copies), **sought.lattice.origin)

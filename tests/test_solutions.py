@@ -1,0 +1,95 @@
+"""Several solutions from one guess, q-breathers, codes, and the same multipliers from any number of segments."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from refusals import refused
+
+import granjax as gx
+from granjax.orbits import find_all, problem
+
+
+def pair(*more, well=-1.0, coupling=0.1):
+    wells, spring = gx.OnSite(gx.Polynomial(well, 0.0, 1.0)), gx.Linear(coupling)
+    return gx.Lattice(1.0, (wells, gx.Bond(gx.Shift(1, "free"), spring), *more), sites=2)
+
+
+def still(*u):
+    return gx.State(jnp.array(u), jnp.zeros(len(u)))
+
+
+def test_two_coupled_double_wells_rest_in_nine_ways():
+    found = find_all(problem(pair()), [still(0.3, 0.1), still(0.9, -0.8), still(0.1, -0.5)])
+    # 0, +-(1, 1), +-(a, -a) with a^2 = 1 - 2 c, and (x, y) with x y = -c, x^2 + y^2 = 1 - c and its three images
+    forms = {(0.0, 0.0): 1, (1.0, 1.0): 2, (0.8**0.5, 0.8**0.5): 2}
+    root = 0.77**0.5
+    forms[((0.9 + root) / 2) ** 0.5, ((0.9 - root) / 2) ** 0.5] = 4
+    got = {}
+    for rest, copies in zip(found.solutions, found.copies):
+        x = np.sort(np.abs(np.asarray(rest.state.u)))[::-1]
+        got[next(f for f in forms if np.allclose(f, x, atol=1e-9))] = 1 + len(copies)
+    assert got == forms and found.outcome == "4 solutions, 9 with symmetric copies."
+    verdicts = [rest.verdict for rest in found.solutions]
+    assert sorted(verdicts) == ["stable", "stable", "unstable", "unstable"]
+
+
+@pytest.mark.slow
+def test_breathers_and_forced_orbits_from_one_guess():
+    chain = gx.scenes.klein_gordon(5, 0.02)
+    found = find_all(problem(chain, omega=1.4, steps=64), [still(0, 0, 1.1, 0, 0)], most=3)
+    energies = [float(b.energy) for b in found.solutions]
+    assert len(set(np.round(energies, 6))) == 3 and abs(min(energies) - 1.0427) < 1e-4
+    assert all(b.converged for b in found.solutions)
+    both = [gx.Drive(gx.Harmonic(0.3, 1.6), site) for site in (0, 1)]
+    driven = pair(gx.Damping(0.1), *both, well=1.0, coupling=0.05)
+    found = find_all(problem(driven, period=2 * np.pi / 1.6), [still(0.1, 0.1), still(-1.0, -1.0)])
+    amplitudes = [np.asarray(orbit.amplitude) for orbit in found.solutions]
+    alike = sorted(a[0] for a in amplitudes if np.ptp(a) < 1e-9)
+    # ((1 - omega^2 + 3 a^2/4)^2 + (gamma omega)^2) a^2 = f^2, but for third harmonics
+    squares = np.roots([0.75**2, -2 * 1.56 * 0.75, 1.56**2 + 0.16**2, -0.09])
+    np.testing.assert_allclose(alike, np.sort(np.sqrt(squares.real)), rtol=0.02)
+
+
+def test_what_find_all_does_not_take():
+    with refused("guesses: expected states that are not all at rest at u = 0"):
+        find_all(problem(pair()), [still(0.0, 0.0)])
+    with refused("period: expected a period or a frequency"):
+        problem(pair(), omega=1.0, period=1.0)
+    with refused("sites: expected a code"):
+        gx.breathers.guesses.single_site(gx.scenes.klein_gordon(5, 0.02), 1.4, "+x")
+
+
+@pytest.mark.slow
+def test_q_breathers_fall_off_as_flach_ivanchenko_and_kanakov_say():
+    chain = gx.scenes.fput(32, alpha=0.0, beta=0.1)
+    found = gx.breathers.q_breather(chain, 2, 0.02, stability=False)
+    assert abs(float(found.orbit.energy) / 0.02 - 1) < 1e-12
+    # E_9/E_3 = (3 beta E (N + 1)/(8 pi^2 q^2))^2, long waves
+    share = found.modal_energy[8] / found.modal_energy[2]
+    assert abs(share / (3 * 0.1 * 0.02 * 33 / (72 * np.pi**2)) ** 2 - 1) < 0.03
+    assert found.along.shape == (len(found.branch), 32)
+
+
+@pytest.mark.slow
+def test_a_code_is_a_multibreather():
+    scene = lambda coupling: gx.scenes.klein_gordon(10, coupling)
+    branch = gx.breathers.anticontinuous(scene, 0.02, 1.4, "+-0+", stability=False)
+    large = np.abs(branch.u[-1]) > 0.5
+    assert np.flatnonzero(large).tolist() == [3, 4, 6]
+    assert np.sign(branch.u[-1][large]).tolist() == [1, -1, 1]
+
+
+@pytest.mark.slow
+def test_the_verdict_is_the_same_from_any_number_of_segments():
+    chain = gx.scenes.dimer(41, ratio=0.5, precompression=1.0)
+    deep = gx.breathers.breather(chain, 1.947, "bright")
+    driven = gx.driven.driven_chain(
+        gx.scenes.monomer(8, precompression=1.0), 0.3, 2.0, damping=0.05, ends="left"
+    )
+    forced = gx.forced.forced_orbit(driven, np.pi, steps=128)
+    for orbit, steps in ((deep, 1088), (forced, 128)):
+        found = [orbit.floquet(segments=m, steps=steps) for m in (1, 2, 4, 8, 16)]
+        for other in found[1:]:
+            assert other.verdict == found[0].verdict
+            away = np.abs(other.multipliers[:, None] - found[0].multipliers)
+            assert np.all(away.min(1) <= other.error + found[0].error[away.argmin(1)])
