@@ -214,7 +214,7 @@ def newton_with(
     parameter: float,
     reach: float,
     target: float = 0.0,
-    tolerance: float = 1e-12,
+    tolerance: float = 1e-14,
     most: int = 14,
 ) -> Solved:
     """Strains and a parameter p of a symmetric chain, on which one more equation row(box) @ strains = target is laid.

@@ -193,4 +193,4 @@ def solve(tent: Tent, force: Callable, q: np.ndarray, level: float, held: Callab
         return np.append(np.log(integral) - level - q, value), matrix
 
     found = damped(equations, np.linalg.solve, np.append(q, level), ENOUGH)
-    return Found(found.x[:-1], float(found.x[-1]), found.size, found.matrix)
+    return Found(found.x[:-1], float(found.x[-1]), found.residual, found.matrix)

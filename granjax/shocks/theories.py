@@ -29,21 +29,6 @@ class Seen(NamedTuple):
     local: LocalWave
 
 
-class Modulated(NamedTuple):
-    """The c whose plateau has the mean; per window m, its error, s of it, Theta_0, and what remains over the jump.
-
-    `why` there are none.
-    """
-
-    c: float
-    m: np.ndarray
-    m_errors: np.ndarray
-    speeds: np.ndarray
-    phases: np.ndarray
-    errors: np.ndarray
-    why: str
-
-
 class Theory(NamedTuple):
     """A theory's formulas, its constants of K2, K3 and the mass, c of the plateau's jump, and its periodic wave."""
 
@@ -76,12 +61,14 @@ THEORIES = {
 }
 
 
-def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> Modulated:
-    """The theory's waves in every window; NaN, and a reason, where it has none."""
+def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> dict:
+    """The fields of a `Shock` that tell of the theory's waves in every window; NaN, and a reason, where it has none."""
     own, none = THEORIES[theory], np.full(seen.places.shape, np.nan)
+    names = "m", "m_errors", "speeds_of_m", "phases", "theory_errors"
     K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, jnp.asarray(ahead))))
-    told = lambda why: Modulated(
-        np.nan, none, none, none, none, none, f"Not compared with {own.name}: {why}"
+    told = lambda why: (
+        dict.fromkeys(names, none)
+        | dict(c=np.nan, _not_compared=f"Not compared with {own.name}: {why}")
     )
     if not (np.isfinite(K2) and K2 > 0 and np.isfinite(K3)):
         return told("the chain ahead has no sound.")
@@ -98,13 +85,14 @@ def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen
     known = np.flatnonzero(np.isfinite(seen.local.amplitude))
     if not known.size:
         return told("no waves were found in the windows.")
-    m, errors, speeds, phases, rest = np.full((5, len(none)), np.nan)
+    found = np.full((5, len(none)), np.nan)
     start = np.interp(seen.local.amplitude, np.abs(np.asarray(table.amplitude)), TABLE)
     for j in known:
         strains = seen.strains[..., j] - ahead
-        m[j], errors[j], speeds[j] = _parameter(theory, c, constants, seen, j, strains, start[j])
-        phases[j], rest[j] = _phase(own, c, constants, seen, j, strains)
-    return Modulated(c, m, errors, speeds, phases, rest / abs(mean - ahead), "")
+        parameter = _parameter(theory, c, constants, seen, j, strains, start[j])
+        found[:, j] = *parameter, *_phase(own, c, constants, seen, j, strains)
+    found[-1] /= abs(mean - ahead)
+    return dict(zip(names, found), c=c)
 
 
 def _parameter(theory, c, constants, seen, j, strains, start):

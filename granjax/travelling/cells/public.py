@@ -366,7 +366,7 @@ def _recorded(search, chain, throw, resonator, speed, solved_for=False, **fields
         if throw:
             raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
         return CellWave(speed, chain.given, resonator=resonator, _lost=str(lost), **fields)
-    v = speed * found.box.velocities(phi)
+    chain, v = found.box.chain, speed * found.box.velocities(phi)
     error = (error_of(found) + abs(fields.get("_off", 0.0))) * top + (tail.rest if tail else 0.0)
     wave = CellWave(
         speed,
