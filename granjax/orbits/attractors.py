@@ -498,7 +498,7 @@ def _stretch(flow, lattice, state, period, first):
 
 
 def _watch(flow, lattice, state, period, count):
-    """(times, displacements, velocities) of `count` periods, their largest values, the mean energy, the errors of these.
+    """(times, displacements, velocities) of `count` periods, largest values, the mean energy, the errors of the former.
 
     By stretches of one length, so that another number of steps compiles nothing.
     """
