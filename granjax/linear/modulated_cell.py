@@ -73,10 +73,8 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     period after which the forces do not repeat.
     """
     lattice = undriven(lattice)
-    if lattice.dtype != jnp.result_type(
-        float
-    ):  # numbers of few digits are followed with all that there are
-        lattice = lattice.astype(jnp.result_type(float))
+    # numbers of few digits are followed with all that there are
+    lattice = lattice.astype(jnp.result_type(float))
     given = given_cell(cell, grid(lattice))
     start, length = (float(jax.lax.stop_gradient(x) if traced(x) else x) for x in (t0, period))
     ts = start + length * PHASES
