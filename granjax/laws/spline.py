@@ -15,9 +15,9 @@ class Spline(Law):
 
     The stiffness k(e) = F'(e) is a quadratic spline; its coefficients k_j >= 0 are those of B-splines, which are
     positive and sum to one. F is then monotone (an I-spline), twice differentiable between the ends and linear in
-    every k_j: `scipy.optimize.nnls` finds those of measured forces (below). k_0 and the last k_j are the stiffness at the
-    end knots and beyond them, where F goes on as a straight line; each of the others is nearly the stiffness midway
-    between two knots. k_0 = 0 makes a contact that opens at the first knot.
+    every k_j: `scipy.optimize.nnls` finds those of measured forces (below). k_0 and the last k_j are the stiffness
+    at the end knots and beyond them, where F goes on as a straight line; each of the others is nearly the stiffness
+    midway between two knots. k_0 = 0 makes a contact that opens at the first knot.
 
     **Arguments:** `knots`: (K,) compressions that increase, with first <= 0 <= last [m]; plain numbers, static.
     `stiffness`: k_j >= 0 [N/m], (K + 1,), or (K + 1, bonds) for one law per bond; what a fit moves, with the bounds
