@@ -347,8 +347,7 @@ class InOtherUnits(Altered):
         return _times(energy, 1 / self.units.energy)
 
     def preload_force(self, u):
-        force = self.term.preload_force(_times(u, self.units.length))
-        return _times(force, 1 / self.units.force)
+        return _times(self.term.preload_force(u), 1 / self.units.force)
 
     def compressions(self, t, u):
         found = self.term.compressions(t * self.units.time, _times(u, self.units.length))
