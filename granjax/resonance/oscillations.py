@@ -3,17 +3,16 @@
 from functools import cache
 
 import diffrax
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..checks import held_in_memory, refuse, whole
 from ..flow import simulate
-from ..programs import wait
 from ..results import Result, array, note
 from ..scenes import dimer
 from ..states import impact
+from ..sweeps import paired, sweep
 from ..types import Count, Parameter
 from .decay import MARGIN
 from .lanes import LANES, checked_ratios
@@ -57,24 +56,21 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
         refuse("bead", "a light one, of an odd number", str(bead))
     beads = bead + 2 + MARGIN
     held_in_memory("bead", beads, FRAMES * LANES * 16, "beads")
-    # until the pulse has passed at any ratio
-    ts = np.linspace(0.5 * bead, 1.4 * bead + 12, FRAMES)
-    padded = np.pad(ratios, (0, -len(ratios) % LANES), mode="edge").reshape(-1, LANES)
-    found = [np.asarray(wait(_program(beads, bead)(chunk, ts))) for chunk in padded]
-    left, right = np.concatenate(found, axis=2)[..., : len(ratios)]
-    return Oscillations(ratios, np.array([squeeze_count(*x) for x in zip(left.T, right.T)]), bead)
+    found = sweep(_squeezed(beads, bead), paired({"ratio": ratios}), chunk=LANES)
+    counts = map(squeeze_count, found.left.values, found.right.values)
+    return Oscillations(ratios, np.array(list(counts)), bead)
 
 
 @cache
-def _program(beads, bead):
-    """Compressions (2, T, 8) of the two contacts of a bead."""
+def _squeezed(beads, bead):
+    """The swept function: compressions (T,) of the two contacts of a bead until the pulse has passed at any ratio."""
+    ts = np.linspace(0.5 * bead, 1.4 * bead + 12, FRAMES)
 
-    @jax.jit
-    def strains(ratios, ts):
-        lattice = jax.vmap(lambda ratio: dimer(beads, ratio, boundary="free"), out_axes=-1)(ratios)
+    def strains(ratio):
+        lattice = dimer(beads, ratio, boundary="free")
         run = simulate(lattice, impact(lattice), ts[-1], save_at=ts, adjoint=diffrax.ForwardMode())
-        u = run.us[:, bead - 1 : bead + 2]
-        return jnp.where(run.completed, jnp.stack([u[:, 0] - u[:, 1], u[:, 1] - u[:, 2]]), jnp.nan)
+        compressions = jnp.where(run.completed, -jnp.diff(run.us[:, bead - 1 : bead + 2]), jnp.nan)
+        return {"left": compressions[:, 0], "right": compressions[:, 1]}
 
     return strains
 
