@@ -21,13 +21,8 @@ import numpy as np
 
 from ..lattice import Lattice
 from ..programs import compiled, once
-<<<<<<< HEAD
 from ..terms import Reach, Wall
-from ..terms.base import within
-=======
-from ..terms import Reach, Reached, Wall
 from ..terms.base import Excitation, within
->>>>>>> main
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
 from ..terms.reach import reads
