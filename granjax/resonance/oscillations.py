@@ -3,17 +3,17 @@
 from functools import cache
 
 import diffrax
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import find_peaks
 
 from ..checks import held_in_memory, refuse, whole
 from ..flow import simulate
-from ..programs import wait
 from ..results import Result, array, note
 from ..scenes import dimer
 from ..states import impact
+from ..sweeps import sweep
 from ..types import Count, Parameter
 from .decay import MARGIN
 from .lanes import LANES, checked_ratios
@@ -57,24 +57,20 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
         refuse("bead", "a light one, of an odd number", str(bead))
     beads = bead + 2 + MARGIN
     held_in_memory("bead", beads, FRAMES * LANES * 16, "beads")
-    # until the pulse has passed at any ratio
-    ts = np.linspace(0.5 * bead, 1.4 * bead + 12, FRAMES)
-    padded = np.pad(ratios, (0, -len(ratios) % LANES), mode="edge").reshape(-1, LANES)
-    found = [np.asarray(wait(_program(beads, bead)(chunk, ts))) for chunk in padded]
-    left, right = np.concatenate(found, axis=2)[..., : len(ratios)]
-    return Oscillations(ratios, np.array([squeeze_count(*x) for x in zip(left.T, right.T)]), bead)
+    found = sweep(_contacts(beads, bead), {"ratio": ratios}, chunk=LANES)["strain"].values
+    return Oscillations(ratios, np.array([squeeze_count(*x) for x in found]), bead)
 
 
 @cache
-def _program(beads, bead):
-    """Compressions (2, T, 8) of the two contacts of a bead."""
+def _contacts(beads, bead):
+    """The swept function: compressions (2, T) of the two contacts of a bead until the pulse has passed at any ratio."""
+    ts = np.linspace(0.5 * bead, 1.4 * bead + 12, FRAMES)
 
-    @jax.jit
-    def strains(ratios, ts):
-        lattice = jax.vmap(lambda ratio: dimer(beads, ratio, boundary="free"), out_axes=-1)(ratios)
+    def strains(ratio):
+        lattice = dimer(beads, ratio, boundary="free")
         run = simulate(lattice, impact(lattice), ts[-1], save_at=ts, adjoint=diffrax.ForwardMode())
-        u = run.us[:, bead - 1 : bead + 2]
-        return jnp.where(run.completed, jnp.stack([u[:, 0] - u[:, 1], u[:, 1] - u[:, 2]]), jnp.nan)
+        strain = -jnp.diff(run.us[:, bead - 1 : bead + 2]).T
+        return {"strain": jnp.where(run.completed, strain, jnp.nan)}
 
     return strains
 
@@ -105,22 +101,6 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     begin = top - int(np.argmax(low[top::-1])) if low[: top + 1].any() else 0
     rising = np.append(np.diff(approach[top:]) > 0, True)
     end = top + int(np.argmax(low[top:] | rising))
-    return _turns(z[begin : end + 1], TURN * approach[top]) / 2
-
-
-def _turns(z, least):
-    """How often z turns, by more than `least` from one turn to the next; its way in and out counts as such a change."""
-    turns, way, last = 0, 0, z[0]
-    for x in z:
-        if way >= 0 and x > last or way <= 0 and x < last:
-            way = (
-                way
-                if abs(x - last) < least and not way
-                else int(np.sign(x - last))
-                if not way
-                else way
-            )
-            last = x if way else last
-        elif abs(x - last) > least:
-            turns, way, last = turns + 1, -way, x
-    return turns
+    z, least = z[begin : end + 1], TURN * approach[top]
+    turns = sum(len(find_peaks(way * z, prominence=least)[0]) for way in (1, -1))
+    return turns / 2
