@@ -1,8 +1,8 @@
-"""Minimisers: Levenberg and Marquardt's method of MINPACK, and descent along gradients by an optimiser of optax."""
+"""Descent along gradients, by an optimiser of optax."""
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,49 +19,6 @@ SHORT = 0.3
 DECREASE = 1e-4
 # part of a step below which none is tried
 SHORTEST = 1e-8
-
-
-def levenberg_marquardt(
-    evaluate: Callable,
-    x: Float[np.ndarray, " n"],
-    ftol: float,
-    xtol: float,
-    max_steps: int,
-) -> Any:
-    """Least squares from x (n,): SciPy's result, or `None` where the Jacobian at x is not finite.
-
-    `evaluate(x)` gives residuals (m,), their Jacobian (m, n) and what else it likes, by one run: MINPACK asks for the
-    Jacobian where it has just asked for the residuals. No step ends where the Jacobian is not finite.
-    `ftol`, `xtol`: relative changes of the sum of squares and of x at which it ends.
-    Source: Moré, Lecture Notes in Mathematics 630, 105 (1978).
-    """
-    from scipy import optimize
-
-    latest = {}
-
-    def both(x):
-        if x.tobytes() not in latest:
-            value, jacobian, *_ = evaluate(x)
-            value = np.where(np.isfinite(jacobian).all(), value, np.nan)
-            # MINPACK wants as many residuals as unknowns
-            more = max(0, x.size - value.size)
-            latest.clear()
-            latest[x.tobytes()] = np.pad(value, (0, more)), np.pad(jacobian, ((0, more), (0, 0)))
-        return latest[x.tobytes()]
-
-    if not np.isfinite(both(x)[0]).all():
-        return None
-    return optimize.least_squares(
-        lambda x: both(x)[0],
-        x,
-        lambda x: both(x)[1],
-        method="lm",
-        x_scale="jac",
-        ftol=ftol,
-        xtol=xtol,
-        gtol=xtol,
-        max_nfev=max_steps + 1,
-    )
 
 
 class Descent(NamedTuple):

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import shortest_path
 from .checks import parameter, refuse, whole
 from .lattice import Lattice
 from .linear import unit_cell
-from .linear.cell import matrices
+from .linear.cell import chosen_bands, matrices
 from .linear.stiffness import in_groups, mesh
 from .linear.zone import lattice_vectors as _vectors
 from .linear.zone import named_points as _named_points
@@ -99,22 +99,6 @@ def _waves_of(lattice, axes=None):
         shape = jax.eval_shape(lattice, jnp.zeros(axes))
         size, dtype = shape.shape[0], shape.dtype
     return _Waves(matrix, axes, size, max(CLOSED, 64 * float(jnp.finfo(dtype).eps)), origin)
-
-
-def _chosen(bands, waves):
-    """The bands that are asked for, as a sorted list."""
-    size = waves.size
-    given = [bands] if np.ndim(bands) == 0 else list(bands)
-    given = [whole("band", b, -size) for b in given]
-    numbers = sorted({b % size for b in given if b < size})
-    if len(numbers) != len(given):
-        refuse(
-            "band",
-            f"numbers from 0 to {size - 1}, each once",
-            repr(bands),
-            "Bands are counted from the lowest.",
-        )
-    return numbers
 
 
 class _Mesh(NamedTuple):
@@ -470,7 +454,7 @@ def berry_curvature(
     """
     waves = _waves_of(lattice, 2)
     n = whole("points", points, 4)
-    numbers = _chosen(band, waves)
+    numbers = chosen_bands(band, waves.size)
     cut, fine = _fluxes(waves, n, numbers)
     plain = 2 * np.pi / n * np.arange(n)
     first, second = (np.searchsorted(x, plain) for x in cut.lines)
@@ -542,7 +526,7 @@ def valley_chern(
     where. **Raises** ValueError as there, and for a point that is its own minus.
     """
     waves = _waves_of(lattice, 2)
-    cut, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
+    cut, flux = _fluxes(waves, whole("points", points, 4), chosen_bands(band, waves.size))
     if isinstance(valley, str):
         vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
         if isinstance(lattice, Lattice):
@@ -614,7 +598,7 @@ def polarisation(
     n = whole("points", points, 6)
     n += n % 2
     k = 2 * np.pi * np.arange(n) / n
-    numbers = _chosen(bands, waves)
+    numbers = chosen_bands(bands, waves.size)
     cut = _cut(waves, n, numbers)
     if cut.gap <= waves.closed:
         _refuse_touching(numbers, cut.fault)
@@ -703,7 +687,7 @@ def quadrupole(
     """
     waves = _waves_of(lattice, 2)
     n = whole("points", points, 4)
-    numbers = list(range(waves.size // 2)) if bands is None else _chosen(bands, waves)
+    numbers = list(range(waves.size // 2)) if bands is None else chosen_bands(bands, waves.size)
     if len(numbers) % 2:
         refuse("bands", "an even number, whose Wannier bands come in pairs", f"{numbers}")
     cut = _cut(waves, n, numbers)

@@ -309,24 +309,22 @@ class WorkPrecision(Result):
         return one
 
     def __repr__(self) -> str:
-        known = f"floor {self.floor:.3g}" if math.isfinite(self.floor) else "floor not known"
-        lines = [f"reference: {self.reference_note or 'given'}; {known}"]
-        for name, compiling in zip(self.methods, self.compile_seconds):
-            order, uncertain = self.orders[name]
-            observed = f", order {order:.2f} +- {uncertain:.2f}" if math.isfinite(order) else ""
-            compiled = f", compiled in {_time(compiling)}" if compiling > 1e-3 else ""
-            lines.append(f"{name}{observed}{compiled}")
-            lines += [self._line(i) for i, own in enumerate(self.method) if own == name]
-        return "\n".join(lines)
+        import pandas
 
-    def _line(self, i):
-        value, error, forces = self.value[i], self.error[i], self.evaluations[i]
-        start = f"  {self.parameter[i]:<10}{value:<10.3g}" if math.isfinite(value) else " " * 22
-        start += f"error {error:<10.2e}" if math.isfinite(error) else ""
-        if not self.drawn[i]:
-            return start + " ".join(self.note[i].split())
-        counted = f"{forces:.0f} forces" if math.isfinite(forces) else ""
-        return f"{start}{_time(self.seconds[i]):<11}{counted}"
+        known = f"floor {self.floor:.3g}" if math.isfinite(self.floor) else "floor not known"
+        orders = [
+            f"{k} {x:.2f} +- {e:.2f}" for k, (x, e) in self.orders.items() if math.isfinite(x)
+        ]
+        names = ("method", "parameter", "value", "error", "seconds", "evaluations")
+        table = pandas.DataFrame({name: getattr(self, name) for name in names})
+        notes = [
+            f"{one.ladder.name} at {one.ladder.parameter} {one.value:.3g}: {' '.join(one.note.split())}"
+            for one in self.points
+            if one.note
+        ]
+        rows = table.to_string(index=False, na_rep="", float_format="{:.3g}".format)
+        said = f"reference: {self.reference_note or 'given'}; {known}"
+        return "\n".join([said, f"orders: {', '.join(orders) or 'none'}", rows, *notes])
 
 
 def work_precision(
@@ -355,7 +353,7 @@ def work_precision(
       scene splits, RKN86 and RKN1210 where no force reads the velocity, diffrax's Tsit5 and Dopri8
       always.
     - `steps`: what they are tried with: one list for all (steps for solvers of fixed step,
-      tolerances for adaptive ones), a list of lists, or a dict from a solver's name to its list.
+      tolerances for adaptive ones), or a dict from a solver's name to its list.
       `None`, or a name that is not in the dict: steps from the stability limit down in ratios of
       10^(1/order), tolerances in decades from 1e-2, until the error reaches the floor or falls no
       more, or a call takes longer than `longest`.
@@ -660,12 +658,7 @@ def _named(solvers):
 
 def _by_name(steps, solvers):
     """A dict from name to values, for the solvers that the user gave values for."""
-    if not isinstance(steps, Mapping):
-        nested = isinstance(steps, list | tuple) and any(np.ndim(x) for x in steps)
-        if nested and len(steps) != len(solvers):
-            expected = f"one list per solver ({len(solvers)}), or one list for all"
-            refuse("steps", expected, f"{len(steps)} lists")
-        steps = dict(zip(solvers, steps)) if nested else dict.fromkeys(solvers, steps)
+    steps = steps if isinstance(steps, Mapping) else dict.fromkeys(solvers, steps)
     return {one_of("steps", name, solvers): _values(name, x) for name, x in steps.items()}
 
 

@@ -3,13 +3,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import quad
-from scipy.optimize import brentq
-from scipy.special import ellipe, ellipk
 
 import granjax as gx
 from granjax import materials
-from granjax.materials import Material, bead_mass, crossed_cylinders, hertz_coefficient, material
+from granjax.materials import Material, bead_mass, hertz_coefficient, material
 
 SOLIDS = [name for name in materials.NAMES if name != "rigid"]
 R = 9.53e-3
@@ -84,57 +81,6 @@ def test_a_material_of_ones_own_passes_through():
     assert material(mine) is mine
 
 
-def test_crossed_cylinders_of_equal_radius_at_a_right_angle_are_a_sphere_on_a_plane():
-    sphere = hertz_coefficient("steel 316", R, "PTFE", jnp.inf)
-    assert_allclose(crossed_cylinders("steel 316", R, "PTFE", R), sphere, rtol=1e-15)
-
-
-@pytest.mark.parametrize("k", [0.999, 0.7, 0.3, 0.05, 1e-3])
-def test_crossed_cylinders_against_the_ellipsoid_of_pressure(k):
-    # Pressure p0 sqrt(1 - x^2/a^2 - y^2/b^2) on a half-space: displacement delta - Q1 x^2 - Q2 y^2 with the integrals
-    # below, load (2/3) pi a b p0 (Johnson, Contact Mechanics, 3.5 and 4.2). Here p0 = E* = a = 1, b = k, s = t^2.
-    def integral(n, m):
-        return (
-            k * quad(lambda t: (1 + t * t) ** -n * (k * k + t * t) ** -m, 0, np.inf, limit=400)[0]
-        )
-
-    delta, Q1, Q2 = integral(0.5, 0.5), integral(1.5, 0.5), integral(0.5, 1.5)
-    radius = 1 / (Q1 + Q2)
-    angle = np.arcsin(2 * radius * np.sqrt(Q1 * Q2))
-    unit = Material("unit", 2.0, 0.0, 1.0)
-    assert_allclose(
-        crossed_cylinders(unit, radius, angle=angle), 2 / 3 * np.pi * k / delta**1.5, rtol=1e-9
-    )
-
-
-@pytest.mark.parametrize(
-    "R1, R2, angle", [(1.0, 1.0, 0.5), (1.0, 3.0, np.pi / 2), (0.2, 5.0, 1.1), (1.0, 1.0, 1e-3)]
-)
-def test_crossed_cylinders_against_scipy(R1, R2, angle):
-    total = (1 / R1 + 1 / R2) / 2
-    difference = np.sqrt(1 / R1**2 + 1 / R2**2 + 2 * np.cos(2 * angle) / (R1 * R2)) / 2
-    ratio = (total + difference) ** 2 * R1 * R2 / np.sin(angle) ** 2
-
-    def defect(x):
-        k2 = np.exp(2 * x)
-        K, E = ellipk(1 - k2), ellipe(1 - k2)
-        return np.log((E / k2 - K) / (K - E) / ratio)
-
-    k = np.exp(brentq(defect, -15, -1e-3, xtol=1e-15))
-    K, E = ellipk(1 - k * k), ellipe(1 - k * k)
-    expected = 2 * np.pi / 3 * np.sqrt(E / K**3 / total) / k
-    unit = Material("unit", 2.0, 0.0, 1.0)
-    assert_allclose(crossed_cylinders(unit, R1, unit, R2, angle), expected, rtol=1e-10)
-
-
-def test_crossed_cylinders_scale_and_are_symmetric():
-    A = crossed_cylinders("brass", 1e-3, "nylon", 4e-3, 0.7)
-    assert_allclose(crossed_cylinders("brass", 9e-3, "nylon", 36e-3, 0.7), 3 * A, rtol=1e-14)
-    assert_allclose(crossed_cylinders("nylon", 4e-3, "brass", 1e-3, 0.7), A, rtol=1e-14)
-    angles = jnp.linspace(0.01, jnp.pi / 2, 30)
-    assert jnp.all(jnp.diff(crossed_cylinders("brass", 1e-3, angle=angles)) < 0)
-
-
 def sphere_on_plane(x):
     return (
         hertz_coefficient(Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", jnp.inf)
@@ -142,34 +88,15 @@ def sphere_on_plane(x):
     )
 
 
-def crossed(x):
-    return (
-        crossed_cylinders(
-            Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", 2e-3, x[2]
-        )
-        / 1e7
-    )
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("function", [sphere_on_plane, crossed])
-def test_gradients(function):
-    x, step = jnp.array([2.0, 3.0, 1.0]), 1e-5
-    shifts = step * jnp.eye(3)
+def test_gradients():
+    function = sphere_on_plane
+    x, step = jnp.array([2.0, 3.0]), 1e-5
+    shifts = step * jnp.eye(2)
     at = jax.jit(jax.vmap(function))
     central = (at(x + shifts) - at(x - shifts)) / (2 * step)
     assert_allclose(jax.jit(jax.grad(function))(x), central, rtol=1e-8, atol=1e-9)
     assert_allclose(jax.jit(jax.jacfwd(function))(x), central, rtol=1e-8, atol=1e-9)
-
-
-def test_gradient_at_the_circle():
-    # a right angle and equal radii are the extremum where the root in the formula has no slope
-    def coefficient(x):
-        return crossed_cylinders("brass", x[0], "brass", 1.0, x[1]) / 1e11
-
-    slope = jax.jit(jax.grad(coefficient))(jnp.array([1.0, jnp.pi / 2]))
-    # A ~ (R1 R2)^(1/4) near R1 = R2 at a right angle
-    assert_allclose(slope, [coefficient([1.0, jnp.pi / 2]) / 4, 0.0], rtol=1e-12, atol=1e-12)
 
 
 def test_radii_may_be_lanes():
@@ -208,10 +135,6 @@ def test_stack_places_materials_along_a_chain():
             "radius_1 and .* shapes that broadcast",
         ),
         (lambda: bead_mass("rigid", 1.0), "material: expected a material with a density"),
-        (
-            lambda: crossed_cylinders("brass", 1.0, angle=0.0),
-            r"angle: expected numbers in \(0, 1.57",
-        ),
     ],
 )
 def test_bad_input_gets_a_sentence(call, words):

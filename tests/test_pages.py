@@ -49,7 +49,7 @@ def test_there_are_pages():
 @pytest.mark.parametrize("page", PAGES, ids=IDS)
 def test_names_and_links_of_a_page_exist(page):
     text = page.read_text()
-    assert re.match(r"# [^\n]+\n\nThis page answers ", text), "a title, and then the question"
+    assert re.match(r"# [^\n]+\n\n[A-Z][^#`|]+[.:]\s", text), "a title, and then a sentence"
     assert {language for language, _ in FENCE.findall(text)} <= LANGUAGES
     assert text.count("```") == 2 * len(FENCE.findall(text))
     unknown = set(re.findall(r"{py:\w+}`([^`]+)`", text)) - NAMES

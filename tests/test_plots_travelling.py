@@ -47,22 +47,6 @@ def test_the_soliton_of_toda_is_the_wave_of_its_law():
     assert found.toda_error[0] < 1e-12 < 1e-2 < found.kdv_error[0] and "Toda by" in found.outcome
 
 
-@pytest.mark.slow
-def test_a_front_with_its_tails():
-    front = gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=1.0)
-    ax = plots.wave(front)
-    line, dots = ax.lines[:2]
-    assert_allclose(line.get_ydata(), front.strain(line.get_xdata()))
-    assert (
-        ax.get_ylabel().startswith("strain")
-        and "contacts" in ax.get_xlabel()
-        and len(ax.child_axes) == 2
-    )
-    for tail, rate in zip(ax.child_axes, (front.decay_behind, -front.decay_ahead)):
-        x, y = tail.lines[1].get_data()
-        assert abs(np.log(y[-1] / y[0]) / (x[-1] - x[0]) / rate - 1) < 1e-9
-
-
 @pytest.mark.parametrize(
     ("call", "said"),
     [

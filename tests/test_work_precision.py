@@ -348,11 +348,6 @@ REST = np.zeros(6), np.ones(6)
         ((CHAIN, STATE, 1.0, [gx.RKN86(), gx.RKN86()]), {}, "'RKN86' twice. Give a dict"),
         ((CHAIN, STATE, 1.0, [gx.RKN86()], {"RKN68": [1e-3]}), {}, "Did you mean 'RKN86'"),
         (
-            (CHAIN, STATE, 1.0, [gx.RKN86()], [[1e-3], [1e-4]]),
-            {},
-            "steps: expected one list per solver",
-        ),
-        (
             (CHAIN, STATE, 1.0),
             {"reference": (REST[0][1:], REST[1])},
             "reference: expected arrays of the shapes",

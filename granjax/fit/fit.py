@@ -113,16 +113,16 @@ def fit(
         # of those that reach one minimum, as far as the tolerance tells, the first
         best = every[int(np.argmax(costs <= (1 + tolerance) * costs.min()))]
         reached = reached or tuple(2 * float(cost) for cost in costs)
-        x0, plain = best.x[None], problem.plain
-        parameters = plain.coordinates.parameters(jnp.asarray(best.x[:count], plain.dtype))
-        wanted = plain.step if step is not None else plain.pace(parameters)[1]
-        shorter = float(plain.step) > TOO_LONG * float(wanted)
-        later = plain.times(parameters).max() > float(plain.t1) * (1 + 1e-9)
+        x0 = best.x[None]
+        parameters = problem.coordinates.parameters(jnp.asarray(best.x[:count], problem.dtype))
+        wanted = problem.step if step is not None else problem.pace(parameters)[1]
+        shorter = float(problem.step) > TOO_LONG * float(wanted)
+        later = problem.times(parameters).max() > float(problem.t1) * (1 + 1e-9)
         if shorter:
             problem = problem.with_step(wanted)
         if later:
             # not with windows, which know their times
-            problem = eqx.tree_at(lambda p: p.t1, problem, plain.end(parameters))
+            problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
         if not shorter and not later:
             break
     return _ended(judged(problem, best, reached, adjoint), throw)
@@ -133,7 +133,7 @@ def _looked_at(problem, x):
 
     The scale is the change that moves the residuals by their own size.
     """
-    coordinates = problem.plain.coordinates
+    coordinates = problem.coordinates
     value, jacobian = evaluated(problem, x)
     jacobian = jacobian[:, : coordinates.size]
     if not (np.isfinite(value).all() and np.isfinite(jacobian).all()):
@@ -143,13 +143,13 @@ def _looked_at(problem, x):
     if not coordinates.sizeless:
         return problem, None
     sized = coordinates.sized(np.linalg.norm(value), np.linalg.norm(jacobian, axis=0))
-    return eqx.tree_at(lambda p: p.plain.coordinates, problem, sized), None
+    return eqx.tree_at(lambda p: p.coordinates, problem, sized), None
 
 
 def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
     """What a method found from every start, and the name of its derivatives."""
     if method == METHODS[0]:
-        delay = patience(problem.plain)
+        delay = patience(problem)
         return [least_squares(problem, x, tolerance, max_steps, delay) for x in x0], "forward mode"
     adjoint, most = reverse_mode(problem)
     cost, x0 = MeanSquare(problem, adjoint, most), np.asarray(x0, problem.dtype)

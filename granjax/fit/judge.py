@@ -39,22 +39,22 @@ def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> t
 
 
 def judged(
-    problem: Problem | Windows,
+    problem: Problem,
     found: Found,
     starts: tuple[float, ...],
     adjoint: str,
 ) -> Fit:
     """The `Fit` at what a minimiser found."""
-    plain, x = problem.plain, jnp.asarray(found.x, problem.dtype)
-    coordinates = plain.coordinates
+    x = jnp.asarray(found.x, problem.dtype)
+    coordinates = problem.coordinates
     own, names = x[: coordinates.size], tuple(coordinates.names)
     parameters = coordinates.parameters(own)
     flat, start = (np.asarray(coordinates.flat(p)) for p in (parameters, coordinates.start))
     slopes = np.asarray(coordinates.slopes(own))
     value, jacobian, signals, residuals = jax.tree.map(np.asarray, linearised(problem, x))
     jacobian = _own(jacobian, flat.size)
-    samples = int(sum(np.isfinite(trace.data).sum() for trace in plain.traces))
-    known = all(trace.sigma is not None for trace in plain.traces)
+    samples = int(sum(np.isfinite(trace.data).sum() for trace in problem.traces))
+    known = all(trace.sigma is not None for trace in problem.traces)
     squares, free = sum(np.sum(np.square(r)) for r in residuals), max(samples - flat.size, 1)
     # in units of the size of the data where no sigma says more
     noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / free))
@@ -74,8 +74,8 @@ def judged(
         sizes = np.where(vanishing, start, sizes)
         known_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(known_directions, sizes)
-        stiffnesses = tuple(quantities(plain, parameters, flat, sizes))
-        halved = linearised(problem.with_step(float(plain.step) / 2), x)[0]
+        stiffnesses = tuple(quantities(problem, parameters, flat, sizes))
+        halved = linearised(problem.with_step(float(problem.step) / 2), x)[0]
         step_error = float(np.max(np.abs(np.asarray(halved) - value))) / noise
         one, after = (
             np.concatenate([r[part].ravel() for r in residuals]) for part in AFTER_AND_BEFORE
@@ -83,10 +83,10 @@ def judged(
         share, surely = structure(one, after)
         left = share * np.sqrt(squares / samples) / noise
         residue = share if surely > STRUCTURED and left > max(NOTICEABLE, step_error) else 0.0
-    windowed = problem is not plain
+    windowed = isinstance(problem, Windows)
     still = sum(
         np.sum(np.square(np.nan_to_num(trace.data) * np.asarray(trace.weights)))
-        for trace in plain.traces
+        for trace in problem.traces
     )
     return Fit(
         parameters=parameters,
@@ -95,7 +95,7 @@ def judged(
         signals=signals,
         residuals=residuals,
         samples=samples,
-        noise=noise if known else noise * float(plain.traces[0].size),
+        noise=noise if known else noise * float(problem.traces[0].size),
         directions=known_directions,
         sizes=sizes,
         quantities=stiffnesses,
@@ -104,17 +104,17 @@ def judged(
         at_bounds=tuple(coordinates.at_bounds(parameters)),
         meeting=problem.meeting_of(value) if windowed else None,
         windows=len(problem.edges) - 1 if windowed else 1,
-        silent=_silent(plain, parameters) if code == NO_GRADIENT else (),
+        silent=_silent(problem, parameters) if code == NO_GRADIENT else (),
         iterations=int(found.iterations),
         code=code,
-        step=float(plain.step),
+        step=float(problem.step),
         step_error=step_error,
-        return_error=way_back(plain, parameters),
+        return_error=way_back(problem, parameters),
         adjoint=adjoint,
         starts=tuple(cost / noise**2 for cost in starts),
-        traces=plain.traces,
-        problem=plain,
-        **plain.lattice(parameters).origin,
+        traces=problem.traces,
+        problem=problem,
+        **problem.lattice(parameters).origin,
     )
 
 

@@ -58,11 +58,6 @@ class Problem(eqx.Module):
         return self.step.dtype
 
     @property
-    def plain(self) -> "Problem":
-        """Itself: a record in one piece."""
-        return self
-
-    @property
     def moving(self) -> bool:
         """Whether the time of some trace is fitted."""
         return any(isinstance(trace.offset, str) for trace in self.traces)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..descent import CONVERGED, NO_START, NOT_FINITE, SPENT, STALLED, descend, levenberg_marquardt
+from ..descent import CONVERGED, NO_START, NOT_FINITE, SPENT, STALLED, descend
 from ..flow.march import seconds_a_step
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
@@ -29,7 +29,7 @@ class Found(NamedTuple):
 
 @eqx.filter_jit
 def linearised(
-    problem: Problem | eqx.Module,
+    problem: Problem,
     x: Float[AnyArray, " n"],
 ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m n"], Signals, Signals]:
     """(residuals, their Jacobian, signals, misfits per trace) at x: the one program of a fit by least squares."""
@@ -38,7 +38,7 @@ def linearised(
 
 
 def evaluated(
-    problem: Problem | eqx.Module,
+    problem: Problem,
     x: Float[AnyArray, " n"],
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m n"]]:
     """(residuals, Jacobian) at x in double precision."""
@@ -58,31 +58,51 @@ def still_to_go(
 
 
 def least_squares(
-    problem: Problem | eqx.Module,
+    problem: Problem,
     x: Float[AnyArray, " n"],
     tolerance: Scalar,
     max_steps: int,
     delay: float = PATIENCE,
 ) -> Found:
-    """Levenberg and Marquardt's method from x (n,).
+    """Levenberg and Marquardt's method of MINPACK from x (n,).
 
     A bar shows the steps that are left at most after a `delay` [s]. It has converged where the sum of squares could
     fall by less than the tolerance, relatively, or the step to there is as short, and has stalled where neither is so,
-    but no step is better.
+    but no step is better. No step ends where the Jacobian is not finite.
+    Source: Moré, Lecture Notes in Mathematics 630, 105 (1978).
     """
+    from scipy import optimize
     from tqdm import tqdm
 
     tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
+    x, latest = np.asarray(x, float), {}
     with tqdm(total=max_steps, desc="fit", unit="step", delay=delay, leave=False) as bar:
 
-        def followed(x):
-            bar.update()
-            return evaluated(problem, x)
+        def both(x):
+            # by one run, as MINPACK asks for the Jacobian where it has just asked for the residuals
+            if x.tobytes() not in latest:
+                bar.update()
+                value, jacobian = evaluated(problem, x)
+                value = np.where(np.isfinite(jacobian).all(), value, np.nan)
+                # MINPACK wants as many residuals as unknowns
+                more = (0, max(0, x.size - value.size))
+                latest.clear()
+                latest[x.tobytes()] = np.pad(value, more), np.pad(jacobian, (more, (0, 0)))
+            return latest[x.tobytes()]
 
-        x = np.asarray(x, float)
-        found = levenberg_marquardt(followed, x, tolerance, tolerance, max_steps)
-    if found is None:
-        return Found(x, np.inf, 0, NO_START)
+        if not np.isfinite(both(x)[0]).all():
+            return Found(x, np.inf, 0, NO_START)
+        found = optimize.least_squares(
+            lambda x: both(x)[0],
+            x,
+            lambda x: both(x)[1],
+            method="lm",
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=max_steps + 1,
+        )
     fall, step = still_to_go(found.fun, found.jac)
     near = np.abs(step).max() <= tolerance * (1 + np.abs(found.x).max())
     code = (

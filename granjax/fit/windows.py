@@ -1,6 +1,5 @@
 """Multiple shooting: a long or chaotic record in windows, each with a state of its own at its start."""
 
-import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -13,15 +12,15 @@ from jaxtyping import Float, Integer
 from ..checks import refuse
 from ..lattice import State
 from ..printing import told
-from ..types import AnyArray, Scalar
+from ..types import AnyArray
 from .problem import Problem, Signals, misfits
-from .traces import Traces, number
+from .traces import number
 
 # how much better than the noise neighbouring windows have to meet, in deviations
 MEETING = 0.1
 
 
-class Windows(eqx.Module):
+class Windows(Problem):
     r"""A `Problem` in K windows: free are the parameters and the states s_j at the starts of windows 1 ... K - 1.
 
     Residuals are those of the data, each window run from its own start, and what the ends of windows miss of the
@@ -30,7 +29,6 @@ class Windows(eqx.Module):
     Source: Bock, Recent advances in parameter identification techniques for ODE, Birkhaeuser (1983).
     """
 
-    problem: Problem
     starts: Float[AnyArray, "K1 n"]
     scale: Float[AnyArray, " n"]
     meeting: Float[AnyArray, " n"]
@@ -40,47 +38,23 @@ class Windows(eqx.Module):
     unravel: Callable = eqx.field(static=True)
     __repr__ = told
 
-    @property
-    def plain(self) -> Problem:
-        """The problem in one piece."""
-        return self.problem
-
-    @property
-    def traces(self) -> tuple[Traces, ...]:
-        """Those of the whole record."""
-        return self.problem.traces
-
-    @property
-    def dtype(self) -> jnp.dtype:
-        """The floating type of the lattice."""
-        return self.problem.dtype
-
-    def with_step(self, step: Scalar) -> "Windows":
-        """The same at another time step."""
-        return eqx.tree_at(lambda w: w.problem, self, self.problem.with_step(step))
-
     def meeting_of(self, residuals: Float[AnyArray, " n"]) -> float:
         """How well the windows meet, in units of sigma, from the residuals, whose last ones say it."""
         return float(MEETING * np.abs(residuals[-self.starts.size :]).max())
 
     def _cut(self, x):
         """(the parameters' coordinates, states at the starts of all windows (K, n))."""
-        own, rest = jnp.split(x, [self.problem.coordinates.size])
-        parameters = self.problem.coordinates.parameters(own)
-        first = ravel_pytree(self.problem.state(parameters, self.problem.lattice(parameters)))[0]
+        own, rest = jnp.split(x, [self.coordinates.size])
+        parameters = self.coordinates.parameters(own)
+        first = ravel_pytree(self.state(parameters, self.lattice(parameters)))[0]
         moved = self.starts + self.scale * rest.reshape(self.starts.shape)
         return own, jnp.concatenate([first[None], moved])
 
     def _window(self, own, start, parts, t0, t1):
         """Residuals (m,), end (n,) and signals of one window."""
-        problem = dataclasses.replace(
-            self.problem,
-            traces=parts,
-            t0=t0,
-            t1=t1,
-            make_state=None,
-            given_state=self.unravel(start),
-        )
+        start = self.unravel(start)
+        how = self.coordinates, parts, t0, t1, self.step, self.solver
+        problem = Problem(self.scene, None, start, *how)
         signals, final = problem.signals(problem.coordinates.parameters(own))
         return misfits(parts, signals), ravel_pytree(final)[0], signals
 
@@ -175,14 +149,14 @@ def cut(problem: Problem, count: int) -> Windows:
         for trace, weights in ((trace, np.asarray(trace.weights)) for trace in problem.traces)
     )
     return Windows(
-        problem,
-        jnp.asarray(flat),
-        jnp.asarray(scale),
-        jnp.asarray(MEETING * noise * scale),
-        jnp.asarray(edges),
-        parts,
-        jnp.asarray(np.flatnonzero(~repeated)),
-        ravel_pytree(state)[1],
+        **vars(problem),
+        starts=jnp.asarray(flat),
+        scale=jnp.asarray(scale),
+        meeting=jnp.asarray(MEETING * noise * scale),
+        edges=jnp.asarray(edges),
+        parts=parts,
+        kept=jnp.asarray(np.flatnonzero(~repeated)),
+        unravel=ravel_pytree(state)[1],
     )
 
 

@@ -37,7 +37,7 @@ def batched(
     step = plan.step
     static, arrays = parted((lattice, state, plan.records))
     fixed, shared = parted((t0, t1, plan._replace(step=None, records={})))
-    kinds, kept = _kinds(arrays), []
+    kinds = _kinds(arrays)
 
     def scenes(arrays, step, shared):
         """What `integrate` is given, of the arrays of one scene or of many."""
@@ -46,26 +46,23 @@ def batched(
         return lattice, state, t0, t1, plan._replace(step=step, records=records)
 
     def plain(arrays, step, shared):
-        rest, parts = parted(integrate(*scenes(arrays, step, shared)))
-        kept[:] = [rest]
-        return parts
+        return integrate(*scenes(arrays, step, shared))
 
     closed, shapes = jax.make_jaxpr(plain, return_shape=True)(arrays, step, shared)
     if any(isinstance(x, jax.core.Tracer) for x in closed.consts):
         # a function within reads traced numbers from outside, of which a rule would not know
-        return joined(kept[0], plain(arrays, step, shared))
-    ndims = [len(x.shape) for x in shapes]
-    place = joined(kept[0], list(range(len(shapes))))
+        return plain(arrays, step, shared)
+    everywhere = lambda own: jax.tree.map(lambda _: own, shapes)
 
     def lanes_last(size, over, arrays, step, shared):
         mapped, step_mapped, shared_mapped = over
         if not any(jax.tree.leaves(over)):
             # differentiated behind a map of its tangents alone: this ends the recursion
-            return plain(arrays, step, shared), [False] * len(ndims)
+            return plain(arrays, step, shared), everywhere(False)
         alone = any(jax.tree.leaves(shared_mapped)) or step_mapped and not own_step
         if alone or not any(mapped) or not _keeps_lanes_apart(static, kinds):
             axes = jax.tree.map(lambda own: 0 if own else None, tuple(over))
-            return jax.vmap(plain, in_axes=axes)(arrays, step, shared), [True] * len(ndims)
+            return jax.vmap(plain, in_axes=axes)(arrays, step, shared), everywhere(True)
         good = jnp.ones(size, bool)
         if step_mapped:
             t0, t1, _ = joined(fixed, shared)
@@ -79,22 +76,21 @@ def batched(
             adjoint=diffrax.ForwardMode(), openings=ENDS if looks else plan.openings
         )
         run = batched(lattice, state, t0, t1, plan, own_step=own_step)
-        found = parted(run)[1]
         code = code_of_each(run.code, run.final, lattice.lanes)
-        found[place.code] = jnp.where(good, code, TOO_MANY_STEPS)
+        run = run._replace(code=jnp.where(good, code, TOO_MANY_STEPS))
         if looks:
             # looking between steps takes half as long as the run: XLA drops this one where nobody reads what it saw
             plan = plan._replace(save_ts=None, records={}, openings=CUBICS)
             seen = batched(lattice, state, t0, t1, plan, own_step=own_step)
-            found[place.margin] = seen.margin
-        over = [jnp.ndim(x) > n for x, n in zip(found, ndims)]
-        return [jnp.moveaxis(x, -1, 0) if own else x for x, own in zip(found, over)], over
+            run = run._replace(margin=seen.margin)
+        over = jax.tree.map(lambda x, one: jnp.ndim(x) > one.ndim, run, shapes)
+        return jax.tree.map(lambda x, own: jnp.moveaxis(x, -1, 0) if own else x, run, over), over
 
     mapped = custom_vmap(plain)
     mapped.def_vmap(lanes_last)
     both = jax.custom_jvp(mapped)
     both.defjvp(lambda primals, tangents: jax.jvp(plain, primals, tangents))
-    return joined(kept[0], both(arrays, step, shared))
+    return both(arrays, step, shared)
 
 
 def code_of_each(code: Any, final: State, lanes: tuple[int, ...]) -> Any:

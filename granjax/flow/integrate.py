@@ -10,11 +10,9 @@ import jax
 import jax.numpy as jnp
 
 from ..lattice import Lattice, State, vector_field
-from ..programs import compiled, once
+from ..programs import compiled
 from ..solvers import AbstractNystrom
-from ..terms import Dashpot, ViscousContact, energies
-from ..terms.base import within
-from ..terms.reach import reads, time_of
+from ..terms import energies
 from ..types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
 from .control import Landing, Scales, StepControl, largest, one_sided
 from .lanes import by_groups, each_lane
@@ -271,34 +269,6 @@ def _code(result, final):
     for known, number in codes:
         code = jnp.where(result == known, number, code)
     return jnp.where(finite(final), code, NOT_FINITE)
-
-
-@once
-def unseen(lattice: Lattice) -> str:
-    """The names of the terms that may have contacts of which nobody knows whether they open."""
-    names = [type(term).__name__ for term in lattice.terms if not _known(term, lattice)]
-    return ", ".join(dict.fromkeys(names))
-
-
-def _known(term, lattice):
-    """Whether the laws of a term say whether they open; a term without any does not know, where it reads places."""
-    found = []
-
-    def look(t, u):
-        for c in term.compressions(t, u):
-            found.append(
-                c.place == "site"
-                or c.law.opens is not None
-                and (c.overlap is not None or not c.law.opens)
-            )
-
-    # traced, so that nothing is computed for what the laws know
-    jax.eval_shape(look, time_of(lattice), lattice.template())
-    if found:
-        return all(found)
-    # what opens beside a dashpot is its contact
-    beside = isinstance(within(term), (Dashpot, ViscousContact))
-    return beside or not reads(term, lattice).displacement
 
 
 def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:

@@ -58,9 +58,8 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         if steps * takes > LONG and forward and enough:
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
     else:
-        # what an adaptive run takes is known from the one before
-        pace = "pace", type(plan.solver), float(plan.tolerance)
-        long = not forward or about.known.get(pace, math.inf) * span > SHORT
+        # nobody knows what an adaptive run takes
+        long = True
         budget = 1 << int(LONG / takes).bit_length() if forward else None
     # in a program that somebody else traces, constants too become its values
     if (long or budget) and not is_untraced():
@@ -69,7 +68,6 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         least = steps * seconds_a_step(lattice, plan.solver) if plan.tolerance is None else 0
         if least > TOLD and not plan.progress:
             _warn(f"{steps} steps, which take {_spoken(least)} at the least")
-        since = time.perf_counter()
         limit = plan.max_steps if budget is None else min(budget, plan.max_steps or budget)
         own = plan._replace(
             step=_number(plan.step), tolerance=_number(plan.tolerance), max_steps=limit
@@ -77,8 +75,6 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         run = integrate(lattice, state, _number(t0), _number(t1), own)
         if long:
             wait(run.code)
-            if plan.tolerance is not None:
-                about.known[pace] = (time.perf_counter() - since) / span
         if limit == plan.max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
             return run
     return _in_pieces(lattice, (state, t0, t1), ends, budget, plan)
@@ -196,23 +192,25 @@ def _in_pieces(lattice, begin, ends, budget, plan):
     """Pieces between `ends`, numbers of steps; or where these are none as many as it takes, of `budget` steps each."""
     number = facts(lattice).dtype.type
     state, t0, t1 = begin = begin[0], *(number(float(t)) for t in begin[1:])
-    plan, most, wanted, width = planned(lattice, state, t0, plan), plan.max_steps, None, 0
+    plan, most, wanted = planned(lattice, state, t0, plan), plan.max_steps, None
+    stops = [*(number(t0 + (t1 - t0) * (k / ends[-1])) for k in ends[1:-1]), t1]
+    counted = [b - a for a, b in itertools.pairwise(ends)]
     if plan.save_ts is not None:
         wanted = np.asarray(plan.save_ts)
-        places = [number(t0 + (t1 - t0) * (k / ends[-1])) for k in ends[1:-1]]
-        width = np.diff(np.searchsorted(wanted, [*places, t1], side="right"), prepend=0).max()
+        width = np.diff(np.searchsorted(wanted, stops, side="right"), prepend=0).max()
     t, carried, counts, kept, taken = t0, None, np.zeros(3, np.int64), [], 0
     own = plan._replace(adjoint=_FORWARD, max_steps=budget, progress=False)
     bar = _bar(plan.progress)
     try:
-        for k in itertools.count(1):
-            last = state, t, number(t0 + (t1 - t0) * (ends[k] / ends[-1])) if ends[k + 1 :] else t1
-            if ends:
-                own = own._replace(step=number((last[-1] - t) / (ends[k] - ends[k - 1])))
+        pieces = zip(stops, counted) if ends else itertools.repeat((t1, None))
+        for k, (stop, steps) in enumerate(pieces, 1):
+            last = state, t, stop
+            if steps:
+                own = own._replace(step=number((stop - t) / steps))
             if wanted is not None:
                 window = wanted[taken : taken + width]
                 window = np.append(window, np.full(width - len(window), t1))
-                own = own._replace(save_ts=np.minimum(window, last[-1]))
+                own = own._replace(save_ts=np.minimum(window, stop))
             if budget and most:
                 own = own._replace(max_steps=int(min(budget, most - counts[0])))
             since = time.perf_counter()

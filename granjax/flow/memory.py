@@ -28,7 +28,6 @@ from .method import (
     Plan,
     checked_size,
     checked_tolerance,
-    facts,
     frequency_bound,
     held_frames,
     least_tolerance,
@@ -38,6 +37,7 @@ from .method import (
 )
 from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
+from .stiffness import largest_excitation
 
 # of steps that carry internal variables, whose first one has this part of the run with a tolerance of 1
 TOLERANCE, FIRST = 1e-11, 0.01
@@ -81,21 +81,23 @@ class RunWithMemory(Run):
         "time",
         default=None,
     )
-    _kinds: tuple = eqx.field(static=True, default=())
 
     @property
     def by_term(self) -> tuple[dict[str, Numbers] | None, ...]:
         """The internal variables at the saved times, one dict for each term of the lattice; `None` for the others."""
-        names = iter(name for name, _ in self._kinds)
-        found = []
-        for term in self.lattice.terms:
-            own = term.variables(self.lattice) if term.memory else None
-            found.append(None if own is None else {key: self.memory[next(names)] for key in own})
+        found = [{} if term.memory else None for term in self.lattice.terms]
+        for i, own, name in _named(self.lattice):
+            found[i][own] = self.memory[name]
         return tuple(found)
 
     def _held(self, name: str) -> Held:
         held = super()._held(name)
-        return held._replace(unit=dict(self._kinds)) if name == "memory" else held
+        if name != "memory" or self.memory is None:
+            return held
+        terms = self.lattice.terms
+        return held._replace(
+            unit={name: terms[i].memory[own] for i, own, name in _named(self.lattice)}
+        )
 
     def _rows(self) -> Iterator[tuple[str, str]]:
         *rows, outcome = super()._rows()
@@ -105,6 +107,13 @@ class RunWithMemory(Run):
             if name in last:
                 yield name.replace("_", " "), text(np.asarray(x)[-1], self._unit(held))
         yield outcome
+
+
+def _named(lattice):
+    """(number of the term, its own name, name in a run) of every internal variable."""
+    owned = [(i, own) for i, term in enumerate(lattice.terms) for own in term.memory]
+    before = [sum(own == other for _, other in owned[:k]) for k, (_, own) in enumerate(owned)]
+    return [(i, own, f"{own}_{n}" if n else own) for (i, own), n in zip(owned, before)]
 
 
 def with_memory(
@@ -146,7 +155,7 @@ def with_memory(
                 "one that has none",
                 "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.",
             )
-    dtype, step = facts(lattice).dtype, checked_size("step", step)
+    dtype, step = lattice.dtype, checked_size("step", step)
     begin = lattice, state, number(t0, dtype), number(t1, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     if history:
@@ -243,13 +252,6 @@ def _with_variables(
     begin = _kept_energy(lattice, t0, start)
     lost = [jax.lax.map(term.lost, x) for term, x in zip(lattice.terms, ys.memory) if x is not None]
     lanes = len(lattice.lanes)
-    named, kinds = {}, []
-    for term, variables in zip(lattice.terms, ys.memory):
-        for name, x in (variables or {}).items():
-            count = sum(known == name or known.startswith(f"{name}_") for known in named)
-            said = f"{name}_{count}" if count else name
-            named[said] = x
-            kinds.append((said, term.memory[name]))
     found = _found(
         lattice,
         state,
@@ -270,12 +272,11 @@ def _with_variables(
     )
     return found, {
         "lattice": recalled(lattice, final.memory),
-        "memory": named,
+        "memory": {name: ys.memory[i][own] for i, own, name in _named(lattice)},
         "lost": sum(
             (x.sum(tuple(range(1, x.ndim - lanes))) for x in lost), jnp.zeros_like(ys.work)
         ),
         "work": ys.work,
-        "_kinds": tuple(kinds),
         "unseen": "looked at at the saved times alone",
     }
 
@@ -327,11 +328,9 @@ def _speed(lattice, start, t0, t1):
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
     speed = jnp.sqrt(2 * jnp.max(jnp.abs(_kept_energy(lattice, t0, start))) / lightest)
     if lattice.reads_time:
-        ts = jnp.linspace(t0, t1, SAMPLES)
-        for term in lattice.terms:
-            driven = term.excitation(lattice, ts)
-            given = jnp.maximum(driven.force * (t1 - t0) / lightest, driven.speed)
-            speed = jnp.maximum(speed, given)
+        driven = largest_excitation(lattice, jnp.linspace(t0, t1, SAMPLES))
+        given = jnp.maximum(driven.force * (t1 - t0) / lightest, driven.speed)
+        speed = jnp.maximum(speed, given)
     return jax.lax.stop_gradient(jnp.where(speed > 0, speed, 1.0))
 
 
@@ -427,7 +426,7 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
             f"below {2 / float(omega):.3g}, where velocity Verlet is stable",
             show(np.asarray(step)),
         )
-    refuse_unresolved(t0, t1, step, facts(lattice).dtype)
+    refuse_unresolved(t0, t1, step, lattice.dtype)
     steps = max(math.ceil((t1 - t0) / step * (1 - 1e-9)), 2)
     held_frames("step", steps, state, "steps of history")
     return steps

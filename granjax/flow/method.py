@@ -20,21 +20,22 @@ from ..terms.reach import reads
 from ..terms.waveforms import count_breaks
 from ..types import Count, Number, Scalar, StateLike, Times
 from .record import CLOSEST, EXTREMES, Record
-from .run import Found
 from .stiffness import NEIGHBOURHOOD, chosen, gathered_frequency, linear_frequency, softens
 
 
 class Facts(NamedTuple):
     """What every call asks of a lattice, and what only its terms and shapes decide.
 
-    `template`: arrays of the shape of its displacements, of type `dtype`; `numbers`: how many displacements there are;
-    `lanes`: of a batch. `traced`: whether a parameter is. `reads_velocity`: whether some force does; `splits`: whether
-    none does but linear damping; `remembers`: whether some force reads the past; `has_breaks`: whether some force jumps
-    in time. `known`: a dict for what others work out when they first ask for it.
+    `template`: arrays of the shape of its displacements, of type `dtype`; `space`: the axes of its sites and the
+    components of a vector; `numbers`: how many displacements there are; `lanes`: of a batch. `traced`: whether a
+    parameter is. `reads_velocity`: whether some force does; `splits`: whether none does but linear damping;
+    `remembers`: whether some force reads the past; `has_breaks`: whether some force jumps in time. `known`: a dict for
+    what others work out when they first ask for it.
     """
 
     template: object
     dtype: object
+    space: tuple[int, int]
     numbers: int
     lanes: tuple[int, ...]
     traced: bool
@@ -53,6 +54,7 @@ def facts(lattice: Lattice) -> Facts:
     return Facts(
         template=template,
         dtype=lattice.dtype,
+        space=lattice.space,
         numbers=sum(math.prod(x.shape) for x in jax.tree.leaves(template)),
         lanes=lattice.lanes,
         traced=traced(lattice),
@@ -389,14 +391,15 @@ def _default_tolerance(dtype):
 class Steps(NamedTuple):
     """Equal steps: their size, their number (`None` where it is traced), how they were chosen, a remark.
 
-    `watch`: whether the run may pass the bound that set the step, and so is to be looked at when it has ended.
+    `allowed`: h omega that the run may reach, where it may pass the bound that set the step, and so is to be looked at
+    when it has ended; else `None`.
     """
 
     size: Number
     count: int | None
     choice: str
     remark: str
-    watch: bool
+    allowed: float | None
 
 
 def fixed_step(
@@ -413,7 +416,7 @@ def fixed_step(
 
     `bound`: the highest frequency, where a run has shown it; by default that of the scene's energy.
     """
-    about, limit, watch, given = facts(lattice), refused_from(solver), False, step is not None
+    about, limit, allowed, given = facts(lattice), refused_from(solver), None, step is not None
     if not given:
         bound, watch = reachable(lattice, state, t0, t1) if bound is None else (bound, True)
         bound = chosen(bound)
@@ -425,7 +428,7 @@ def fixed_step(
                 "Nothing is stiff at this energy (a sonic vacuum at rest?), so no time scale sets one: give step=.",
             )
         fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
-        step = fraction / bound
+        step, allowed = fraction / bound, PASSED * fraction if watch else None
     known = not traced((step, t0, t1))
     if given:
         choice = "given step"
@@ -451,12 +454,12 @@ def fixed_step(
     count = span / step * (1 - 1e-12)
     if not known:
         count = jnp.maximum(jnp.ceil(count), 1)
-        return Steps((t1 - t0) / (count * frames), None, choice, remark, watch)
+        return Steps((t1 - t0) / (count * frames), None, choice, remark, allowed)
     refuse_unresolved(t0, t1, step, about.dtype)
     count = max(math.ceil(count), 1) * frames
     more = count_breaks(lattice.breaks, t0, t1) if about.has_breaks else 0
     steps = None if isinstance(more, jax.core.Tracer) else count + int(more)
-    return Steps((t1 - t0) / count, steps, choice, remark, watch)
+    return Steps((t1 - t0) / count, steps, choice, remark, allowed)
 
 
 def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> None:
@@ -469,16 +472,6 @@ def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> No
     omega = linear_bound(lattice) or reachable(lattice, state, t0, t1)[0]
     if omega > 0:
         refuse_unresolved(t0, t1, STEP_FRACTION / omega, about.dtype)
-
-
-def passed(solver: diffrax.AbstractSolver | type, run: Found, step: Number) -> Any:
-    """The highest frequency that a run at the default step has reached, where it passed the bound; else `None`."""
-    omega = run.stats["omega"]
-    if isinstance(omega, jax.core.Tracer):
-        return None
-    omega = np.asarray(omega).item()
-    allowed = PASSED * min(STEP_FRACTION, refused_from(solver) or STEP_FRACTION)
-    return omega if step * omega > allowed else None
 
 
 def frequency_bound(

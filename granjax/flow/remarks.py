@@ -13,13 +13,14 @@ from ..programs import compiled, once
 from ..solvers.stability import refused_from
 from ..strains import WALL
 from ..strains.maps import TwoEnds
+from ..terms import Dashpot, ViscousContact
 from ..terms.base import functions_of_time
 from ..terms.base import within as inner_of
 from ..terms.chain import span
 from ..terms.energies import energy_gap
-from ..terms.reach import reads
+from ..terms.reach import reads, time_of
 from ..types import Displacements, Number, Scalar, StateLike, Times
-from .method import facts, reachable
+from .method import reachable
 from .run import Found
 
 # tolerance from which on a run is remarked upon, and relative energy error
@@ -61,7 +62,7 @@ def doubts(
             for term in lattice.terms
         }
         if not np.isfinite(ends).all() or not np.isfinite(list(gaps.values())).all():
-            dtype = facts(lattice).dtype
+            dtype = lattice.dtype
             said.append(
                 f"The energy is larger than any number of {dtype}, or no number at all, so what is lost of it "
                 "is not known. Count lengths and times in larger units."
@@ -94,7 +95,7 @@ def missed(lattice: Lattice, t0: Scalar, t1: Scalar, step: Any, tolerance: Any) 
     step = np.max(step) / (1 if tolerance is None else 4)
     count = max(int(np.ceil((t1 - t0) / step * (1 - 1e-9))), 1)
     places = int(np.clip(4 ** int(np.log2(MOST_PLACES / count) / 2), *PLACES))
-    t0, t1 = (jnp.asarray(t, facts(lattice).dtype) for t in (t0, t1))
+    t0, t1 = (jnp.asarray(t, lattice.dtype) for t in (t0, t1))
     for i, function in _signals(lattice):
         if _leap(function, t0, t1, jnp.asarray(count), places) > LEAP:
             name = type(lattice.terms[i]).__name__
@@ -176,9 +177,37 @@ AROUND = 1.5
 REPEATS = 8
 
 
+@once
+def unseen(lattice: Lattice) -> str:
+    """The names of the terms that may have contacts of which nobody knows whether they open."""
+    names = [type(term).__name__ for term in lattice.terms if not _known(term, lattice)]
+    return ", ".join(dict.fromkeys(names))
+
+
+def _known(term, lattice):
+    """Whether the laws of a term say whether they open; a term without any does not know, where it reads places."""
+    found = []
+
+    def look(t, u):
+        for c in term.compressions(t, u):
+            found.append(
+                c.place == "site"
+                or c.law.opens is not None
+                and (c.overlap is not None or not c.law.opens)
+            )
+
+    # traced, so that nothing is computed for what the laws know
+    jax.eval_shape(look, time_of(lattice), lattice.template())
+    if found:
+        return all(found)
+    # what opens beside a dashpot is its contact
+    beside = isinstance(inner_of(term), (Dashpot, ViscousContact))
+    return beside or not reads(term, lattice).displacement
+
+
 def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple | None:
     """(bond, number of its term, time, lane) where a law ends at a length within a time; `None` for nowhere."""
-    found, time, lanes = [], jnp.asarray(t, lattice.dtype), len(lattice.lanes)
+    found, time = [], jnp.asarray(t, lattice.dtype)
 
     def rooms(u):
         return [[c.room for c in term.compressions(time, u)] for term in lattice.terms]
@@ -189,19 +218,17 @@ def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple 
         for rest, room, rate in zip(*parts):
             if room is None:
                 continue
-            rest, room, rate = np.broadcast_arrays(rest, room, rate)
+            # of bonds and lanes
+            shape = (-1, int(np.prod(lattice.lanes)))
+            rest, room, rate = (x.reshape(shape) for x in np.broadcast_arrays(rest, room, rate))
             left = np.where(rate < 0, room / np.where(rate < 0, -rate, 1), np.inf)
             left = np.where(room <= TOUCH * rest, 0.0, left)
-            own, at = left.shape[: left.ndim - lanes], int(np.argmin(left))
-            if left.flat[at] <= within:
-                bond, *lane = np.unravel_index(
-                    at, (int(np.prod(own)), *left.shape[left.ndim - lanes :])
-                )
-                found.append((float(left.flat[at]), int(bond), number, tuple(map(int, lane))))
-    if not found:
+            bond, lane = np.unravel_index(np.argmin(left), left.shape)
+            found.append((float(left[bond, lane]), int(bond), number, lane))
+    if not found or min(found)[0] > within:
         return None
     left, bond, number, lane = min(found)
-    return bond, number, t + left, lane
+    return bond, number, t + left, tuple(map(int, np.unravel_index(lane, lattice.lanes)))
 
 
 class _Beads(NamedTuple):

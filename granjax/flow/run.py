@@ -262,11 +262,10 @@ _STRUCTURES: dict = {}
 MOST_STRUCTURES = 256
 
 
-def run_of(found: Found, lattice: Lattice, names: tuple, more: tuple = ()) -> Run:
-    """The `Run` of what was found. `names`: solver, choice, remark, unseen, zone; `more`: pairs, of other fields."""
-    space = lattice.space
+def run_of(found: Found, lattice: Lattice, space: tuple, names: tuple, more: dict) -> Run:
+    """The `Run` of what was found. `names`: solver, choice, remark, unseen, zone; `more`: other fields."""
     key = names, space
-    own = found._asdict() | {"_margin": found.margin, "_mark": lattice._mark} | dict(more)
+    own = found._asdict() | {"_margin": found.margin, "_mark": lattice._mark} | more
     fields = [own.get(name) for name in _FIELDS]
     structure = _STRUCTURES.get(key)
     # filling a structure takes a tenth of the time that calling the class takes

@@ -13,7 +13,7 @@ from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .batching import TRACED_STEPS, batched, without_the_lost
 from .confirmation import confirmed
-from .integrate import integrate, unseen
+from .integrate import integrate
 from .lanes import apart
 from .march import march, refuse_endless
 from .memory import with_memory
@@ -33,11 +33,10 @@ from .method import (
     held_frames,
     linear_bound,
     number,
-    passed,
     refuse_far,
 )
 from .record import Record
-from .remarks import doubts, meeting, missed, passing
+from .remarks import doubts, meeting, missed, passing, unseen
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 
@@ -161,7 +160,7 @@ def simulate(
         steps = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
         refuse_far(lattice, state, t0, t1)
-        steps = Steps(step, None, _adaptive(tolerance, step), "", False)
+        steps = Steps(step, None, _adaptive(tolerance, step), "", None)
     backwards = adjoint if isinstance(adjoint, Reversible) else None
     # an adjoint that is asked for by name is asked for its memory, of which looking between steps takes as much again
     openings = DENSE if confirm else CUBICS if unknown and adjoint is None else ENDS
@@ -177,7 +176,7 @@ def simulate(
         _most_steps(adjoint, unknown, every, steps.count, max_steps),
         every,
         progress,
-        steps.watch and not unknown,
+        steps.allowed is not None and not unknown,
         openings,
     )
     refuse_endless(lattice, plan, steps.count, max_steps, unknown)
@@ -202,9 +201,10 @@ def simulate(
             found = batched(*begin, plan, own_step=step is None)
     except TypeError as error:
         refuse_forward_mode(backwards or adjoint, error)
-    bound = passed(solver, found, plan.step) if plan.watch and backwards is None else None
-    if bound is not None:
-        steps = fixed_step(lattice, state, t0, t1, None, solver, frames, bound)
+    known = not isinstance(found.code, jax.core.Tracer)
+    reached = np.asarray(found.stats["omega"]).item() if known and plan.watch else 0.0
+    if reached and backwards is None and plan.step * reached > steps.allowed:
+        steps = fixed_step(lattice, state, t0, t1, None, solver, frames, reached)
         again = ", taken again: energy gathered beyond the bound at the start"
         steps = steps._replace(choice=steps.choice + again)
         limit = None if plan.max_steps is None else max(plan.max_steps, steps.count)
@@ -214,7 +214,6 @@ def simulate(
         found = without_the_lost(found, about.lanes)
 
     # what is said of it
-    known = not isinstance(found.code, jax.core.Tracer)
     if every and known:
         found = _cut(found)
         plan = plan._replace(save_ts=found.ts)
@@ -236,7 +235,7 @@ def simulate(
         more |= _located(found, begin, plan)
     zone = _zone(lattice, plan, step, unknown)
     names = type(solver).__name__, steps.choice, remark, unseen(lattice), zone
-    run = run_of(found, lattice, names, tuple(more.items()))
+    run = run_of(found, lattice, about.space, names, more)
     if failed and (throw is None or throw):
         raise RuntimeError(run.outcome)
     return run

@@ -12,6 +12,7 @@ such matrix add their largest eigenvalue. The neighbourhood is a rule of thumb: 
 
 import inspect
 import math
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -21,11 +22,11 @@ import numpy as np
 from ..lattice import Lattice
 from ..programs import compiled, once
 from ..terms import Reach, Reached, Wall
-from ..terms.base import within
+from ..terms.base import Excitation, within
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
 from ..terms.reach import reads
-from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
+from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
 
 # of power iteration; few are enough for a look, which a tenth too much does not mislead
 POWER_STEPS, FEW_STEPS = 40, 12
@@ -48,15 +49,7 @@ def gathered_frequency(
 ) -> Numbers:
     """(`frequency_bound`, whether a run might pass it), (2,): not where the neighbourhood holds all energy there is."""
     ts = _times(lattice, t0, t1)
-    zero = jnp.zeros((), lattice.dtype)
-    force = displacement = speed = zero
-    for term in lattice.terms:
-        driven = term.excitation(lattice, ts)
-        force = jnp.maximum(force, driven.force)
-        displacement, speed = (
-            jnp.maximum(displacement, driven.displacement),
-            jnp.maximum(speed, driven.speed),
-        )
+    force, displacement, speed = largest_excitation(lattice, ts)
     heaviest = jnp.max(jnp.stack([jnp.max(m) for m in jax.tree.leaves(lattice.mass)]))
     most, whole, stored = _gathered(lattice, state, ts, neighbourhood)
     spread = jnp.any(whole > 2 * most)
@@ -87,6 +80,13 @@ def gathered_frequency(
         )
         bound = jnp.where(opens, OPENING, 1.0).astype(bound.dtype) * bound
     return jnp.stack([bound, beyond.astype(bound.dtype)])
+
+
+def largest_excitation(lattice: Lattice, ts: Times) -> Excitation:
+    """The largest of what drives and walls do at some times."""
+    zero = jnp.zeros((), lattice.dtype)
+    driven = [term.excitation(lattice, ts) for term in lattice.terms]
+    return reduce(partial(jax.tree.map, jnp.maximum), driven, Excitation(zero, zero, zero))
 
 
 @compiled

@@ -18,16 +18,10 @@ from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbe
 from .stiffness import (
     at_rest,
     blocks,
-    components,
     grid,
-    masses,
-    missed,
     offsets,
     refuse_one_way,
-    sampled,
-    sizes,
     stand_in,
-    stiffness_product,
     unpack_waves,
 )
 
@@ -98,6 +92,17 @@ def matrices(matrix: Callable, points: Numbers) -> ComplexNumbers:
     return jax.vmap(matrix)(points)
 
 
+def chosen_bands(bands: Any, size: int) -> list[int]:
+    """The bands that are asked for, of `size`, as a sorted list."""
+    given = [bands] if np.ndim(bands) == 0 else list(bands)
+    given = [whole("band", b, -size) for b in given]
+    numbers = sorted({b % size for b in given if b < size})
+    if len(numbers) != len(given):
+        wanted = f"whole numbers below {size}, each once"
+        refuse("band", wanted, repr(bands), "Bands are counted from the lowest, 0.")
+    return numbers
+
+
 def phases(k: Numbers, axes: int) -> Numbers:
     """Wave numbers as points (..., axes), those of a chain (...,) too; others are refused."""
     if axes == 1:
@@ -138,21 +143,20 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
 
 
 class Blocks(NamedTuple):
-    """The blocks of K and C at some times (times, sites..., offsets, width, width, maps), masses, as far as known.
+    """The blocks of K and C at some times (sites..., offsets, width, width, maps, times), and the masses.
 
     `plain`: the lattice whose they are; `known`: whether it is the given one, or one of the same pattern with random
-    numbers; `reach` of its bonds along each axis, and whether they go around its ends, `rings`; `alike`: what tells a
-    site from another, of order one; `w`: displacements that the blocks were tried on.
+    numbers; `reach` of its bonds along each axis, and whether they go around its ends, `rings`; `size`: the largest
+    entry of each map.
     """
 
     plain: Lattice
     known: bool
     reach: tuple[int, ...]
     found: AnyArray
+    size: AnyArray
     mass: AnyArray
     rings: list[bool]
-    alike: AnyArray
-    w: AnyArray
     __repr__ = told
 
 
@@ -163,12 +167,10 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
     """
     plain, known = stand_in(lattice)
     sites, reach = grid(plain), _said(plain)
-    random = np.random.default_rng(1)
-    w = random.uniform(-1, 1, sites + (components(plain),)).astype(plain.dtype)
     ts = np.asarray(ts, plain.dtype)
     while True:
-        found, pulled, mass = concretely(sampled, plain, tuple(reach), ts, w, damped)
-        if missed(found, pulled, w, reach) <= LOOSE * np.finfo(plain.dtype).eps:
+        found, size, missed, mass = concretely(blocks, plain, tuple(reach), ts, damped)
+        if missed <= LOOSE * np.finfo(plain.dtype).eps:
             break
         further = [min(2 * r, (n - 1) // 2) for n, r in zip(sites, reach)]
         if further == reach:
@@ -179,10 +181,9 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
                 "Use granjax.linear.normal_modes.",
             )
         reach = further
-    reach = tuple(reach)
-    alike = np.moveaxis(found / sizes(found), 0, -1)
-    rings = [is_ring(np.abs(alike).max((-1, -2)), axis, reach) for axis in range(len(sites))]
-    return Blocks(plain, known, reach, found, mass, rings, alike, w)
+    reach, there = tuple(reach), np.abs(found).max((-1, -2))
+    rings = [is_ring(there, axis, reach) for axis in range(len(sites))]
+    return Blocks(plain, known, reach, found, size, mass, rings)
 
 
 def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) -> UnitCell:
@@ -192,10 +193,9 @@ def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) ->
     if traced(lattice):
         shells, coupling, mass = assembled(lattice, cell, chosen, reach)
     else:
-        shells, coupling, mass = assemble(np, found.found[0, ..., 0], mass, cell, chosen, reach)
-    return UnitCell(
-        jnp.asarray(coupling), jnp.asarray(mass), cell, shells, lattice.fields, lattice.dimension
-    )
+        shells, coupling, mass = assemble(np, found.found, mass, cell, chosen, reach)
+    coupling = jnp.asarray(coupling[..., 0, 0])
+    return UnitCell(coupling, jnp.asarray(mass), cell, shells, lattice.fields, lattice.dimension)
 
 
 def given_cell(cell: Cell, sites: tuple) -> tuple:
@@ -228,9 +228,9 @@ def _said(lattice):
     return reach
 
 
-def is_ring(stiffness: AnyArray, axis: int, reach: tuple) -> bool:
+def is_ring(found: AnyArray, axis: int, reach: tuple) -> bool:
     """Whether bonds go around the ends of one axis."""
-    rows = np.moveaxis(stiffness, axis, 0)[: reach[axis]]
+    rows = np.moveaxis(found, axis, 0)[: reach[axis]]
     near = np.array(offsets(reach))[:, axis]
     return any(np.any(rows[n][..., near < -n, :, :] != 0) for n in range(len(rows)))
 
@@ -242,7 +242,7 @@ def periods(blocks: Blocks, rings: list, given: tuple) -> tuple:
         np.arange(n) if ring else np.arange(r, n - r)
         for n, r, ring in zip(mass.shape, blocks.reach, rings)
     ]
-    parts = blocks.alike, mass / mass.max()
+    parts = blocks.found / blocks.size[:, None], mass / mass.max()
     features = np.concatenate([x.reshape(x.shape[: mass.ndim - 1] + (-1,)) for x in parts], -1)
     features = features[np.ix_(*interior)]
     tolerance = TIGHT * np.finfo(mass.dtype).eps
@@ -306,41 +306,47 @@ def repeats_after(
 
 @eqx.filter_jit
 def assembled(
-    lattice: Lattice, cell: tuple, chosen: tuple, reach: tuple, t: Number = 0.0, product: Any = None
+    lattice: Lattice,
+    cell: tuple,
+    chosen: tuple,
+    reach: tuple,
+    t: Number = 0.0,
+    damped: bool = False,
 ) -> tuple:
-    """As `assemble`, from a lattice that may be traced: of K, or the map that `product(lattice, t)` makes."""
-    product_with = (product or stiffness_product)(lattice, t)
-    own = blocks(lattice, reach, product_with)
-    return assemble(jnp, own, masses(lattice), cell, chosen, reach)
+    """As `assemble`, from a lattice that may be traced, at one time."""
+    own, _, _, mass = blocks(lattice, reach, jnp.asarray(t, lattice.dtype)[None], damped)
+    return assemble(jnp, own, mass, cell, chosen, reach)
 
 
 def assemble(
-    xp: Any, stiffness: AnyArray, mass: AnyArray, cell: tuple, chosen: tuple, reach: tuple
+    xp: Any, own: AnyArray, mass: AnyArray, cell: tuple, chosen: tuple, reach: tuple
 ) -> tuple:
-    """From blocks between sites to those between cells, over the masses: neighbours R, coupling, masses of the cell."""
-    at, width = np.ix_(*chosen), mass.shape[-1]
+    """From blocks between sites to those between cells, over the masses: neighbours R, coupling, masses of the cell.
+
+    The coupling is (shells, P, P, maps, times).
+    """
+    at, width, rest = np.ix_(*chosen), mass.shape[-1], own.shape[-2:]
     home, near = np.indices(cell).reshape(len(cell), -1).T, np.array(offsets(reach))
     target = home[:, None] + near
     shells, number = np.unique((target // cell).reshape(-1, len(cell)), axis=0, return_inverse=True)
     there = np.ravel_multi_index(np.moveaxis(target % cell, -1, 0), cell)
-    rows = stiffness[at].reshape(-1, width, width)
+    rows = own[at].reshape(-1, width, width, *rest)
     # one block for every pair of sites in two cells; the last, of zeros, where no bond is
     source = np.full((len(shells), len(home), len(home)), len(rows))
     number = number.reshape(there.shape)
     source[number, np.arange(len(home))[:, None], there] = np.arange(len(rows)).reshape(there.shape)
-    every = xp.concatenate([rows, xp.zeros((1, width, width), rows.dtype)])[source]
+    every = xp.concatenate([rows, xp.zeros((1, *rows.shape[1:]), rows.dtype)])[source]
     size = len(home) * width
     mass = mass[at].reshape(size)
-    coupling = xp.swapaxes(every, 2, 3).reshape(len(shells), size, size) / xp.sqrt(
-        mass[:, None] * mass
-    )
+    over = xp.sqrt(mass[:, None] * mass)[..., None, None]
+    coupling = xp.swapaxes(every, 2, 3).reshape(len(shells), size, size, *rest) / over
     return tuple(tuple(int(n) for n in R) for R in shells), coupling, mass
 
 
 def one_way(coupling: AnyArray, shells: tuple) -> bool:
-    """Whether forces (..., shells, P, P) come from no energy: K_R is not the transpose of K_{-R}."""
+    """Whether forces (shells, P, P, ...) come from no energy: K_R is not the transpose of K_{-R}."""
     back = [shells.index(tuple(-n for n in R)) for R in shells]
-    uneven = np.abs(coupling - coupling[..., back, :, :].swapaxes(-1, -2)).max()
+    uneven = np.abs(coupling - coupling[back].swapaxes(1, 2)).max()
     return bool(uneven > TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max())
 
 

@@ -65,14 +65,14 @@ class FlatBands(Result):
         return State(unpack(u, lattice.fields, lattice.dimension), lattice.zeros())
 
 
-def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WIDEST) -> FlatBands:
+def flat_bands(lattice: Lattice) -> FlatBands:
     r"""The flat bands of a lattice, and their compact localised states.
 
     A band is flat where omega^2 varies over the zone by rounding alone. Its compact state is looked for on 1, 2, ...
     cells along each axis, as the null vector of the equations of all sites that it touches, (D - omega^2) q = 0: so
     its neighbours feel no force. Of several states that fit on so few cells the sparsest found is given.
 
-    **Arguments:** `lattice`: one `Lattice`; `cell`: as in `unit_cell`; `cells`: the most along each axis.
+    **Arguments:** `lattice`: one `Lattice`.
     **Returns:** `FlatBands`; none where no band is flat. Its displacements as a state to start from: `.state(lattice)`.
     **Raises** ValueError where `unit_cell` does. Source: Leykam, Andreanov, Flach, Advances in Physics: X 3, 1473052
     (2018); Maimaiti, Andreanov, Park, Gendelman, Flach, Phys. Rev. B 95, 115135 (2017).
@@ -83,7 +83,7 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
     >>> print(found.omega.round(4))
     [1.7321]
     """
-    found = unit_cell(lattice, cell)
+    found = unit_cell(lattice)
     axes = len(found.cell)
     line = 2 * np.pi * (np.arange(MESH[axes]) + 0.3) / MESH[axes]
     k = mesh(*[line] * axes).reshape(-1, axes)
@@ -94,7 +94,7 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
     mean = squared[:, flat].mean(0)
     groups = np.split(flat, np.flatnonzero(np.diff(mean) > FLAT * scale) + 1) if len(flat) else []
     values = squared.mean(0)[[group[0] for group in groups]]
-    compact = [_compact(found, value, scale, cells) for value in values]
+    compact = [_compact(found, value, scale) for value in values]
     states, residual = zip(*compact) if compact else ((), ())
     support = [np.count_nonzero(np.abs(s) > 1e-9 * np.abs(s).max()) for s in states]
     omega = np.sign(values) * np.sqrt(np.abs(values))
@@ -111,14 +111,14 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
     )
 
 
-def _compact(found: UnitCell, squared: float, scale: float, most: int) -> tuple:
+def _compact(found: UnitCell, squared: float, scale: float) -> tuple:
     """Displacements of a compact state on as few cells as possible, and what is left of its equations."""
     axes, size = len(found.cell), found.mass.size
     blocks = dict(zip(found.shells, np.asarray(found.coupling)))
     blocks[(0,) * axes] = blocks[(0,) * axes] - squared * np.eye(size)
     none = np.zeros((size, size))
     for counts in sorted(
-        product(range(1, most + 1), repeat=axes), key=lambda c: (np.prod(c), max(c), c)
+        product(range(1, WIDEST + 1), repeat=axes), key=lambda c: (np.prod(c), max(c), c)
     ):
         places = list(np.ndindex(counts))
         # all cells that the state touches
@@ -137,9 +137,9 @@ def _compact(found: UnitCell, squared: float, scale: float, most: int) -> tuple:
             width = size // int(np.prod(found.cell))
             return u.reshape(*counts, *found.cell, width), left
     refuse(
-        "cells",
-        "enough for a compact state of the flat band",
-        f"{most}",
+        "lattice",
+        f"flat bands whose compact states live on at most {WIDEST} cells along each axis",
+        "one whose state was not found",
         "A band that is flat only by accident of the mesh has none.",
     )
 

@@ -8,7 +8,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..checks import parameter, positive, refuse, traced, whole
-from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
 from ..results import Held, Result, array, note
 from ..tuning import one_thread
@@ -172,7 +171,6 @@ def floquet_bands(
     t0: Scalar = 0.0,
     cell: Cell = None,
     steps: Count | None = None,
-    tolerance: Scalar = TOLERANCE,
 ) -> FloquetBands:
     r"""Floquet-Bloch bands of the infinite lattice that a lattice belongs to, modulated with a period T in time.
 
@@ -188,7 +186,7 @@ def floquet_bands(
     - `period`: T > 0, that of the modulation or a multiple; any for a lattice that does not change. `t0`: where M
       begins; multipliers do not depend on it.
     - `cell`: sites per unit cell; `None` finds the smallest period, which a travelling modulation makes larger.
-    - `steps`: of a period; `None` doubles them until M is known to `tolerance`, relative to its largest entry.
+    - `steps`: of a period; `None` doubles them until M is known to 2e-12, relative to its largest entry.
 
     **Returns:** `FloquetBands`. Uniform modulation of K: each k is a Hill equation with omega(k)^2 g(t); the first
     k-gap lies where omega(k) = pi/T. Differentiable in `k` and every parameter where multipliers are simple; within
@@ -207,11 +205,7 @@ def floquet_bands(
      [3.04 3.24]]
     """
     period = positive("period", period, "It is the modulation's, 2 pi/omega.")
-    k, t0, tolerance = (
-        parameter("k", k),
-        parameter("t0", t0),
-        float(checked_tolerance("tolerance", tolerance)),
-    )
+    k, t0 = parameter("k", k), parameter("t0", t0)
     steps = None if steps is None else whole("steps", steps, 1)
     if traced(_held((period, t0))):
         refuse(
@@ -225,7 +219,7 @@ def floquet_bands(
     points = phases(k, axes)
     shape, points = points.shape[:-1], points.reshape(-1, axes)
     held = _held((found, k, t0, period))
-    known = None if traced(held) else _Known(*held, steps, tolerance)
+    known = None if traced(held) else _Known(*held, steps)
     if known is None and steps is None:
         refuse(
             "steps",
@@ -276,9 +270,7 @@ def _angle(rho):
 class _Known:
     """The waves of a cell whose numbers are known, for any k: M by n and by 3n/4 steps, n found once."""
 
-    def __init__(
-        self, cell: ModulatedCell, k: Any, t0: Any, period: Any, steps: int | None, tolerance: float
-    ):
+    def __init__(self, cell: ModulatedCell, k: Any, t0: Any, period: Any, steps: int | None):
         self.cell, self.t0, self.period = cell, jnp.asarray(t0), jnp.asarray(period)
         self.eps = float(np.finfo(cell.coupling.dtype).eps)
         self.omega = cell.omega or 1 / float(period)
@@ -295,7 +287,7 @@ class _Known:
                 "Look at its unit.",
             )
         points = np.asarray(k).reshape(-1, len(cell.cell))
-        self.steps = self._found(points, tolerance) if steps is None else steps
+        self.steps = self._found(points) if steps is None else steps
 
     def maps(self, k: np.ndarray, steps: int | None = None) -> np.ndarray:
         """M(k) over (q, q'/omega), (K, 2P, 2P), by n steps or as many as are given."""
@@ -304,7 +296,7 @@ class _Known:
         points = k.astype(self.cell.coupling.dtype)
         return in_groups(lambda k: monodromies(self.cell, k, *along), points, TOGETHER)
 
-    def _found(self, k, tolerance):
+    def _found(self, k):
         some = np.concatenate([k[:: max(1, len(k) // 32)][:32], np.full((1, k.shape[1]), np.pi)])
         count, last = max(LEAST_STEPS, PER_RADIAN * self.turned), np.inf
         while True:
@@ -320,7 +312,7 @@ class _Known:
                     "Look at its stiffness, or give a shorter period.",
                 )
             rounding = ROUNDING * self.eps * size * (1 + self.turned)
-            least = max(tolerance * size, rounding)
+            least = max(TOLERANCE * size, rounding)
             stalled = off > last / 2 and off <= STALLED * rounding
             if off <= least or stalled or count >= MOST_STEPS:
                 return count

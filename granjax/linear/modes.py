@@ -15,7 +15,7 @@ from ..results import Result, array
 from ..terms.reach import reads
 from ..types import AnyArray, Count, Displacements, Number, Numbers
 from .cell import blocks_of, by_lanes, in_lanes
-from .stiffness import at_rest, each, offsets, refuse_one_way, stiffness_product, unpack_waves
+from .stiffness import at_rest, each, linear_map, offsets, refuse_one_way, unpack_waves
 
 ROUNDING, AT_ONCE = 8, 512
 # of the largest |D|: how far below zero the matrix is inverted, so that rigid motions do not make it singular
@@ -95,7 +95,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
 def _solve(lattice):
     """The modes, and the largest difference between K and its transpose, relative to K."""
     flat, unravel = ravel_pytree(lattice.zeros())
-    product_with = stiffness_product(lattice)
+    product_with = linear_map(lattice)
     unit = jnp.eye(flat.size, dtype=flat.dtype)
 
     def column(w):
@@ -152,7 +152,7 @@ def _lowest(lattice, count):
 @eqx.filter_jit
 def _quotients(lattice, modes):
     """phi K phi/(phi M phi) of each mode: to second order in its error, and with the derivatives of omega^2."""
-    product_with, mass = stiffness_product(lattice), spread_mass(lattice)
+    product_with, mass = linear_map(lattice), spread_mass(lattice)
 
     def quotient(phi):
         over, under = (

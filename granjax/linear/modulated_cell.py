@@ -14,13 +14,7 @@ from ..programs import concretely
 from ..terms.reach import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
-from .stiffness import (
-    damping_product,
-    grid,
-    sampled,
-    sizes,
-    undriven,
-)
+from .stiffness import blocks, grid, largest, undriven
 
 # where in a period the forces are looked at: at no simple fraction, where waveforms have their zeros and jumps
 PHASES = (0.1 + 0.6180339887498949 * np.arange(32)) % 1
@@ -39,13 +33,12 @@ class ModulatedCell(eqx.Module):
     A wave is u_j(R) = M_j^{-1/2} q_j(t) exp(i k . R) with q'' = -K(k, t) q - C(k, t) q', both over the masses.
 
     **Fields:** `lattice`: without drives. `cell`: sites along each axis; `chosen`: those that stand for them; `shells`:
-    the R of the neighbours. `coupling`, `loss`: at 32 times of a period, (times, shells, P, P) [1/s^2], [1/s].
+    the R of the neighbours. `coupling`: K_R and C_R at 32 times of a period, (shells, P, P, 2, times) [1/s^2], [1/s].
     `mass`: (P,). `missed`: by how much they miss the period. `damped`: whether forces read velocities.
     """
 
     lattice: Lattice
     coupling: AnyArray
-    loss: AnyArray
     mass: AnyArray
     missed: tuple
     cell: tuple = eqx.field(static=True)
@@ -56,19 +49,20 @@ class ModulatedCell(eqx.Module):
 
     def at(self, t: Number) -> tuple:
         """K_R/M and C_R/M at a time, (shells, P, P) each; `None` for C where no force reads velocities."""
-        where = self.lattice, self.cell, self.chosen, self.reach, t
-        loss = assembled(*where, damping_product)[1] if self.damped else None
-        return assembled(*where)[1], loss
+        where = self.cell, self.chosen, self.reach, t, self.damped
+        coupling = assembled(self.lattice, *where)[1][..., 0]
+        return coupling[..., 0], coupling[..., 1] if self.damped else None
 
     @property
     def conserves(self) -> bool:
         """Whether the waves are those of a Hamiltonian: no losses, and K_R the transpose of K_{-R}."""
-        return not np.any(self.loss) and not one_way(self.coupling, self.shells)
+        stiffness, loss = self.coupling[..., 0, :], self.coupling[..., 1, :]
+        return not np.any(loss) and not one_way(stiffness, self.shells)
 
     @property
     def omega(self) -> float:
         """A bound on the frequencies at rest: the root of the largest row of |K|, and the largest row of |C|."""
-        stiff, loss = (np.abs(x).sum((1, 3)).max() for x in (self.coupling, self.loss))
+        stiff, loss = np.abs(self.coupling).sum((0, 2)).max((0, 2))
         return float(max(np.sqrt(stiff), loss))
 
 
@@ -79,47 +73,28 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     period after which the forces do not repeat.
     """
     lattice = undriven(lattice)
-    if lattice.dtype != jnp.result_type(
-        float
-    ):  # numbers of few digits are followed with all that there are
-        lattice = lattice.astype(jnp.result_type(float))
+    # numbers of few digits are followed with all that there are
+    lattice = lattice.astype(jnp.result_type(float))
     given = given_cell(cell, grid(lattice))
     start, length = (float(jax.lax.stop_gradient(x) if traced(x) else x) for x in (t0, period))
     ts = start + length * PHASES
     known = blocks_of(lattice, ts, damped=True)
     missed = _missed(known, ts, length) if known.known else (0.0, 0.0, 0.0)
     size, chosen = periods(known, known.rings, given)
-    own = [
-        [assemble(np, x[..., i], known.mass, size, chosen, known.reach) for x in known.found]
-        for i in (0, 1)
-    ]
-    coupling, loss = (np.stack([x[1] for x in one]) for one in own)
+    shells, coupling, mass = assemble(np, known.found, known.mass, size, chosen, known.reach)
     damped = any(reads(term, lattice).velocity for term in lattice.terms)
-    return ModulatedCell(
-        lattice,
-        coupling,
-        loss,
-        own[0][0][2],
-        missed,
-        size,
-        chosen,
-        known.reach,
-        own[0][0][0],
-        damped,
-    )
+    return ModulatedCell(lattice, coupling, mass, missed, size, chosen, known.reach, shells, damped)
 
 
 def _missed(known: Blocks, ts, period):
     """By how much K and C over the masses differ some periods later; refused where that is more than rounding makes."""
-    lattice, found = known.plain, known.found
-    size, eps = sizes(found), np.finfo(found.dtype).eps
-    change = np.abs(found - found[:1]).max(tuple(range(found.ndim - 1)))
-    off = np.zeros(2)
+    lattice, found, eps = known.plain, known.found, np.finfo(known.found.dtype).eps
+    change, off = largest(found - found[..., :1]), np.zeros(2)
     for count in LATER:
         moved = np.asarray(ts, lattice.dtype) + np.asarray(count * period, lattice.dtype)
-        later = concretely(sampled, lattice, known.reach, moved, known.w, True)[0]
-        off = np.maximum(off, np.abs(later - found).max(tuple(range(found.ndim - 1))) / count)
-    wrong = off > MISSED * change + 1e3 * eps * size
+        later = concretely(blocks, lattice, known.reach, moved, True)[0]
+        off = np.maximum(off, largest(later - found) / count)
+    wrong = off > MISSED * change + 1e3 * eps * known.size
     if wrong.any():
         what = "stiffness" if wrong[0] else "damping"
         share = (off / np.where(change > 0, change, 1))[0 if wrong[0] else 1]

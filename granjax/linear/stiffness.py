@@ -99,7 +99,7 @@ def _turning(lattice, t):
     """How far C = -d force/dv is from symmetric: (a C b - b C a)/(|a C b| + |b C a|) of random velocities a, b."""
     flat, unravel = ravel_pytree(lattice.zeros())
     a, b = np.random.default_rng(3).normal(size=(2, flat.size)).astype(flat.dtype)
-    damping = damping_product(lattice, t)
+    damping = linear_map(lattice, t, velocity=True)
     forth, back = (x * ravel_pytree(damping(unravel(y)))[0] for x, y in ((a, b), (b, a)))
     size = jnp.sum(jnp.abs(forth) + jnp.abs(back))
     return jnp.abs(jnp.sum(forth - back)) / jnp.where(size > 0, size, 1)
@@ -136,17 +136,13 @@ def refuse_one_way() -> NoReturn:
     )
 
 
-def stiffness_product(lattice: Lattice, t: Number = 0.0) -> Callable:
-    """The linear map w -> K w = -(d force/du) w at rest, on displacements of the lattice's own structure."""
+def linear_map(lattice: Lattice, t: Number = 0.0, velocity: bool = False) -> Callable:
+    """The map w -> K w = -(d force/du) w at rest, or w -> C w = -(d force/dv) w, of displacements as the lattice's."""
     zeros, time = lattice.zeros(), jnp.asarray(t, lattice.dtype)
-    _, slope = jax.linearize(lambda u: lattice.force(time, u, zeros), zeros)
-    return lambda w: jax.tree.map(jnp.negative, slope(w))
-
-
-def damping_product(lattice: Lattice, t: Number = 0.0) -> Callable:
-    """The linear map w -> C w = -(d force/dv) w at rest."""
-    zeros, time = lattice.zeros(), jnp.asarray(t, lattice.dtype)
-    _, slope = jax.linearize(lambda v: lattice.force(time, zeros, v), zeros)
+    _, slope = jax.linearize(
+        lambda x: lattice.force(time, zeros, x) if velocity else lattice.force(time, x, zeros),
+        zeros,
+    )
     return lambda w: jax.tree.map(jnp.negative, slope(w))
 
 
@@ -219,51 +215,58 @@ def _colours(size, reach):
     return np.where(index < whole, index % spacing, spacing + index - whole)
 
 
-def blocks(lattice: Lattice, reach: Any, product_with: Callable) -> Any:
-    """Blocks of a linear map, such as K, (sites..., offsets, components, components): on site n from site n + offset.
+@eqx.filter_jit
+def blocks(lattice: Lattice, reach: Any, ts: Any, damped: bool = False) -> tuple:
+    """Blocks of K at some times, (sites..., offsets, components, components, maps, times): on n from n + offset.
+
+    There are two maps, K and C, where the lattice is looked at as a `damped` one. With the blocks come the largest
+    entry of each map (maps,), 1 where there is none; by how much the blocks miss what the maps make of random
+    displacements, relative to these; and the masses (sites..., components).
 
     Sites of one colour are displaced together, so the cost is that of a few forces, however long the chain. Offsets
     go around the ends of an open lattice too, where the blocks are zero.
     """
-    sites, width = grid(lattice), components(lattice)
-    axes = [_colours(n, r) for n, r in zip(sites, reach)]
-    colour = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), [a.max() + 1 for a in axes])
+    sites, width, near = grid(lattice), components(lattice), offsets(reach)
+    axes = range(len(sites))
+    colours = [_colours(n, r) for n, r in zip(sites, reach)]
+    many = [a.max() + 1 for a in colours]
+    colour = np.ravel_multi_index(np.meshgrid(*colours, indexing="ij"), many)
     unit = jnp.eye(width, dtype=lattice.dtype)
-
-    def answer(number, component):
-        comb = jnp.where((colour == number)[..., None], unit[component], 0)
-        return pack(lattice, product_with(unpack(comb, lattice.fields, lattice.dimension)))
-
-    every = jax.vmap(jax.vmap(answer, (None, 0), -1), (0, None), -2)
-    answers = every(np.arange(colour.max() + 1), np.arange(width))
-    there = np.stack(
-        [np.roll(colour, [-o for o in offset], range(len(sites))) for offset in offsets(reach)], -1
-    )
-    found = jnp.take_along_axis(answers[..., None, :, :, :], there[..., None, None, None], -2)[
-        ..., 0, :
-    ]
-    # half way around a ring is one place for both ways
-    both = (np.array(sites) == 2 * np.array(reach)) & (np.abs(offsets(reach)) == reach)
-    twice = np.prod(np.where(both, 0.5, 1.0), axis=1)
-    return found * twice[:, None, None].astype(lattice.dtype) if np.any(twice != 1) else found
-
-
-@eqx.filter_jit
-def sampled(lattice: Lattice, reach: Any, ts: Any, w: Any, damped: bool) -> Any:
-    """Blocks of K at some times, (times, sites..., offsets, components, components, maps); K w; the masses.
-
-    There are two maps, K and C, where the lattice is looked at as a `damped` one.
-    """
-    parts = unpack(w, lattice.fields, lattice.dimension)
+    random = np.random.default_rng(1).uniform(-1, 1, sites + (width,)).astype(lattice.dtype)
+    moved = lambda x: np.stack([np.roll(x, [-o for o in way], axes) for way in near], len(sites))
 
     def at(t):
-        maps = [make(lattice, t) for make in (stiffness_product, damping_product)[: 1 + damped]]
-        return (
-            jnp.stack([blocks(lattice, reach, one) for one in maps], -1),
-            jnp.stack([pack(lattice, one(parts)) for one in maps], -1),
-        )
+        maps = [linear_map(lattice, t, velocity) for velocity in (False, True)[: 1 + damped]]
 
-    return *jax.vmap(at)(ts), masses(lattice)
+        def made_of(w):
+            w = unpack(w, lattice.fields, lattice.dimension)
+            return jnp.stack([pack(lattice, one(w)) for one in maps], -1)
+
+        def answer(number, component):
+            return made_of(jnp.where((colour == number)[..., None], unit[component], 0))
+
+        each_one = jax.vmap(jax.vmap(answer, (None, 0), -2), (0, None), -3)
+        answers = each_one(np.arange(colour.max() + 1), np.arange(width))
+        answers = jnp.expand_dims(answers, len(sites))
+        there = moved(colour)[..., None, None, None, None]
+        found = jnp.take_along_axis(answers, there, -3)[..., 0, :, :]
+        return found, made_of(random)
+
+    found, pulled = jax.vmap(at, out_axes=-1)(ts)
+    # half way around a ring is one place for both ways
+    both = (np.array(sites) == 2 * np.array(reach)) & (np.abs(near) == reach)
+    twice = np.prod(np.where(both, 0.5, 1.0), axis=1)
+    if np.any(twice != 1):
+        found = found * twice.reshape(-1, 1, 1, 1, 1).astype(lattice.dtype)
+    size = largest(found)
+    size = jnp.where(size > 0, size, 1)
+    summed = jnp.einsum("...oabmt,...ob->...amt", found, moved(random))
+    return found, size, (largest(pulled - summed) / size).max(), masses(lattice)
+
+
+def largest(x: Any) -> Any:
+    """The largest entry of each map, (maps,), of an array (..., maps, times)."""
+    return abs(x).max(axis=(*range(x.ndim - 2), x.ndim - 1))
 
 
 def each(function: Callable, x: Any, at_once: int) -> Any:
@@ -279,16 +282,3 @@ def in_groups(function: Callable, points: Any, count: int) -> Any:
     padded = np.zeros((groups, count, axes), points.dtype)
     padded.reshape(-1, axes)[: len(points)] = points
     return np.concatenate([function(x) for x in padded])[: len(points)]
-
-
-def sizes(found: Any) -> Any:
-    """The largest entry of each map, 1 where there is none."""
-    size = np.abs(found).max(tuple(range(found.ndim - 1)))
-    return np.where(size > 0, size, 1)
-
-
-def missed(found: Any, pulled: Any, w: Any, reach: Any) -> Any:
-    """By how much the blocks of the maps miss what these make of w, relative to their largest entries."""
-    near = [np.roll(w, [-o for o in offset], range(len(reach))) for offset in offsets(reach)]
-    summed = np.einsum("...oabm,...ob->...am", found, np.stack(near, -2))
-    return (np.abs(pulled - summed).max(tuple(range(summed.ndim - 1))) / sizes(found)).max()

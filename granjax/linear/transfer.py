@@ -9,7 +9,7 @@ from ..checks import concrete, described, positive, refuse, show
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from ..types import Flags, Number, Parameter
-from .stiffness import at_rest, blocks, damping_product, stiffness_product
+from .stiffness import at_rest, blocks
 
 # the growth along a chain is counted in so many pieces, after some to forget where it began
 PIECES, FORGOTTEN = 36, 4
@@ -135,14 +135,10 @@ def _growth(lattice, omega, damped):
 
     What three diagonals miss, how far they are from symmetric, both over the largest entry; the least |k_n|.
     """
-    (tied, k), further, uneven, scale = _springs(lattice, stiffness_product)
+    springs, further, uneven, scale = _springs(lattice, damped)
+    tied, k = springs[0]
     mass = spread_mass(lattice)[1:-1].reshape(tied.shape)
-    rows = [mass, tied, k]
-    if damped:
-        damping, more, odd, _ = _springs(lattice, damping_product)
-        rows += damping
-        further = jnp.maximum(further, more)
-        uneven = jnp.maximum(uneven, odd)
+    rows = [mass, *(x for pair in springs for x in pair)]
     count, lanes = mass.shape
     pieces = min(PIECES, count)
     forgotten, length = pieces * FORGOTTEN // PIECES, count // pieces
@@ -180,26 +176,20 @@ def _squared(x):
     return x.real**2 + x.imag**2 if jnp.iscomplexobj(x) else x * x
 
 
-def _springs(lattice, make):
-    """The springs of a linear map, `make(lattice)`, that joins next neighbours.
+def _springs(lattice, damped):
+    """The springs and dashpots of a chain that join next neighbours.
 
-    ((what ties a site to its place, what joins it to the right), each (N - 2, lanes), without the ends; what the
-    three diagonals miss and how far they are from symmetric, over the largest entry; that entry).
+    [(what ties a site to its place, what joins it to the right), each (N - 2, lanes), without the ends]; what three
+    diagonals miss and how far they are from symmetric, over the largest entry; that entry of the springs.
     """
-    sites = lattice.shape[0]
-    w = np.random.default_rng(1).uniform(-1, 1, (sites, 1)).astype(lattice.dtype)
-
-    def of(lattice):
-        product_with = make(lattice)
-        return blocks(lattice, (1,), product_with)[1:-1, :, 0, 0], product_with(w[:, 0])[1:-1]
-
+    of = lambda lattice: blocks(lattice, (1,), jnp.zeros(1, lattice.dtype), damped)
     for _ in lattice.lanes:
         of = jax.vmap(of, -1, -1)
-    found, pulled = of(lattice)
-    left, own, right = jnp.moveaxis(found.reshape(sites - 2, 3, -1), 1, 0)
-    summed = left * w[:-2] + own * w[1:-1] + right * w[2:]
-    scale = jnp.maximum(jnp.abs(own).max(), jnp.abs(right).max())
+    found, _, further, _ = of(lattice)
+    rows = found[1:-1].reshape(lattice.shape[0] - 2, 3, 1 + damped, -1)
+    left, own, right = jnp.moveaxis(rows, 1, 0)
+    scale = jnp.maximum(jnp.abs(own).max((0, 2)), jnp.abs(right).max((0, 2)))
     scale = jnp.where(scale > 0, scale, 1)
-    further = jnp.abs(pulled.reshape(sites - 2, -1) - summed).max() / scale
-    uneven = jnp.abs(left[1:] - right[:-1]).max() / scale
-    return (left + own + right, -right), further, uneven, scale
+    uneven = jnp.abs(left[1:] - right[:-1]).max((0, 2)) / scale
+    pairs = zip(*(jnp.moveaxis(x, 1, 0) for x in (left + own + right, -right)))
+    return [*pairs], further.max(), uneven.max(), scale[0]

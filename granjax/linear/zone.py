@@ -42,6 +42,8 @@ def named_points(vectors: np.ndarray | None, axes: int) -> dict:
     """Points of the zone that have a name, as phases per cell: by the lengths and angles of the lattice vectors."""
     if axes == 1:
         return {name: np.pi * np.array(k) for name, k in CHAIN.items()}
+    if vectors is not None and axes == 3:
+        return _named_in_space(vectors)
     if vectors is None or axes != 2:
         return {"G": np.zeros(axes)}
     (aa, ab), (_, bb) = vectors @ vectors.T
@@ -52,6 +54,23 @@ def named_points(vectors: np.ndarray | None, axes: int) -> dict:
         table = HEXAGON if ab > 0 else {name: (k[0], k[1] - k[0]) for name, k in HEXAGON.items()}
     else:
         table = {"G": (0, 0)}
+    return {name: np.pi * np.array(k, float) for name, k in table.items()}
+
+
+def _named_in_space(vectors):
+    """Those of a cubic, a face-centred cubic and a hexagonal lattice, the latter two with axes at 60 degrees."""
+    scalar = vectors @ vectors.T
+    scalar = scalar / scalar[0, 0]
+    cubic, fcc = np.eye(3), np.full((3, 3), 0.5) + np.eye(3) / 2
+    table = {"G": (0, 0, 0)}
+    if np.abs(scalar - cubic).max() < SHAPE:
+        table |= {"X": (0, 1, 0), "M": (1, 1, 0), "R": (1, 1, 1)}
+    elif np.abs(scalar - fcc).max() < SHAPE:
+        table |= {"X": (0, 1, 1), "L": (1, 1, 1), "W": (0.5, 1, 1.5), "K": (0.75, 0.75, 1.5)}
+        table |= {"U": (0.5, 1.25, 1.25)}
+    elif np.abs(scalar[:2] - fcc[:2] * [1, 1, 0]).max() < SHAPE:
+        names = (("G", "A"), ("M", "L"), ("K", "H"))
+        table = {above[i]: (*HEXAGON[above[0]], i) for above in names for i in (0, 1)}
     return {name: np.pi * np.array(k, float) for name, k in table.items()}
 
 
@@ -95,7 +114,8 @@ def path(
 
     - `lattice`: one `Lattice` on a grid; the shape of its zone is read from its `positions`.
     - `points`: names one after the other, "GKMG" (an apostrophe belongs to the letter before it: "GK'MG"). A chain has
-      G, X; a square lattice G, X, M, Y; a rectangular one G, X, S, Y; axes at 60 or 120 degrees G, K, M, K'.
+      G, X; a square lattice G, X, M, Y; a rectangular one G, X, S, Y; axes at 60 or 120 degrees G, K, M, K'. In space
+      a cubic one has G, X, M, R, a face-centred one G, X, L, W, K, U, a hexagonal one G, M, K, A, L, H.
     - `count`: places in all, shared out as the lengths of the lines are. `cell`: as in `unit_cell`.
 
     **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable in the lattice's numbers but positions.
@@ -159,7 +179,6 @@ def density_of_states(
     lattice: Lattice,
     bins: Count = 100,
     points: Count | None = None,
-    cell: Cell | None = None,
 ) -> DensityOfStates:
     """Density of states of the infinite lattice: bands summed over the zone, by linear interpolation between points.
 
@@ -167,7 +186,7 @@ def density_of_states(
     below a frequency is exact for it.
 
     **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis of the zone, even,
-    `None` for 512 of a chain and 96 of a plane. `cell`: as in `unit_cell`. **Returns:** `DensityOfStates`; a picture is
+    `None` for 512 of a chain and 96 of a plane. **Returns:** `DensityOfStates`; a picture is
     `plt.plot(found.omega, found.density)`. **Raises** ValueError for a lattice with three axes, and where
     `unit_cell` does.
 
@@ -177,7 +196,7 @@ def density_of_states(
     >>> int(found.density.argmax())   # the last bin, at the band's edge
     19
     """
-    found = unit_cell(lattice, cell)
+    found = unit_cell(lattice)
     axes = len(found.cell)
     if axes > 2:
         refuse("lattice", "a chain or a lattice of the plane", f"one with {axes} axes")
@@ -246,10 +265,10 @@ class ZoneMap(Result):
         return f"{self.omega.shape[-1]} bands on {self.omega.shape[0]} x {self.omega.shape[1]} wave vectors."
 
 
-def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> ZoneMap:
+def zone_map(lattice: Lattice, points: Count = 81) -> ZoneMap:
     """Frequencies and group velocities over the Brillouin zone of a lattice of the plane, for `gx.plots.zone`.
 
-    **Arguments:** `lattice`: one with `positions`; `points` along each side; `cell`: as in `unit_cell`.
+    **Arguments:** `lattice`: one with `positions`; `points` along each side.
     **Returns:** `ZoneMap`. **Raises** ValueError for a lattice of one axis, or without positions.
 
     **Example:**
@@ -258,7 +277,7 @@ def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> 
     >>> found.omega.shape, len(found.corners)
     ((9, 9, 2), 6)
     """
-    found = unit_cell(lattice, cell)
+    found = unit_cell(lattice)
     vectors = lattice_vectors(lattice, found.cell)
     if len(found.cell) != 2 or vectors is None:
         refuse(

@@ -101,14 +101,12 @@ def front_speed(
     sites: Parameter | None = None,
     *,
     by: str = "peak",
-    threshold: Parameter | None = None,
-    fraction: Scalar = 0.5,
 ) -> Front:
     """Speed of a front, from a least-squares line of arrival time against site: t = t0 + n/c.
 
     **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices of the sites that count, `None` for all; leave
-    out those near the ends. `by`: `"peak"`, the time of the maximum, or `"arrival"`, the first crossing of
-    `threshold` or `fraction`. Sites that have no arrival (NaN) are left out.
+    out those near the ends. `by`: `"peak"`, the time of the maximum, or `"arrival"`, the first crossing of half of
+    each site's maximum. Sites that have no arrival (NaN) are left out.
     **Returns:** `Front(speed, error, arrivals)`; speed in sites per time, positive towards higher index; `error` is the
     standard error from the scatter about the line, NaN with fewer than three arrivals.
     **Raises** ValueError for another `by`, sites that are not indices, or fewer than two of them.
@@ -125,11 +123,10 @@ def front_speed(
         refuse("q", "frames of several sites, shape (T, N)", f"shape {q.shape}")
     n = _indices(sites, q.shape[1])
     chosen = q[:, n]
-    _threshold(threshold, fraction, chosen)
     if one_of("by", by, ("peak", "arrival")) == "peak":
         arrivals = peak_times(ts, chosen).times
     else:
-        arrivals = arrival_times(ts, chosen, threshold, fraction=fraction)
+        arrivals = arrival_times(ts, chosen)
     there = jnp.isfinite(arrivals)
     count = there.sum(0)
     n = jnp.asarray(n, ts.dtype).reshape((-1,) + (1,) * (arrivals.ndim - 1))

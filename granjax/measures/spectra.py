@@ -104,7 +104,6 @@ def spectrogram(
     dt: Scalar,
     window: Scalar,
     *,
-    hop: Scalar | None = None,
     units: str | None = None,
 ) -> Spectrogram:
     """Power density of a signal over time and frequency, by a short-time Fourier transform with a Hann window.
@@ -113,7 +112,7 @@ def spectrogram(
     record are returned.
 
     **Arguments:** `v`: (T,) and trailing axes, frames equally spaced by `dt`. `window`: length of the window, in the
-    units of `dt`; the resolution in frequency is about 4 pi/window. `hop`: time between windows, `None` for a quarter.
+    units of `dt`, each a quarter of it after the one before; the resolution in frequency is about 4 pi/window.
     `units`: as in `spectrum`.
     **Returns:** `Spectrogram(time, omega, power)`, NumPy arrays, time counted from the first frame; power (S, W) and
     trailing axes. **Raises** ValueError for a window shorter than four frames or longer than the record, or traced
@@ -138,14 +137,7 @@ def spectrogram(
             f"{window}, {size:.3g} frames of {dt:g}",
         )
     size = round(size)
-    step = max(1, size // 4) if hop is None else float(positive("hop", hop)) / dt
-    if not 1 <= round(min(step, frames + 1)) <= frames:
-        refuse(
-            "hop and dt",
-            f"1 to {frames} frames between windows",
-            f"{hop}, {step:.3g} frames of {dt:g}",
-        )
-    step = round(step)
+    step = max(1, size // 4)
     from scipy.signal import ShortTimeFFT
     from scipy.signal.windows import hann
 

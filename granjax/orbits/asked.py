@@ -278,7 +278,7 @@ def checked_lattice(lattice: Lattice) -> Lattice:
 def checked_symmetry(
     lattice: Lattice, symmetry: Symmetry, state: StateLike, t0: Scalar, period: Scalar
 ) -> Symmetry:
-    """Refuse what is no symmetry of the lattice: where S a(t, y) and a(t + T, S y) differ, with a its accelerations.
+    """Refuse a symmetry that the lattice does not have: its accelerations S a(t, y) and a(t + T, S y) differ.
 
     Of the identity: a period after which the forces do not repeat. At rest, where drives and walls show however little
     they do, and at displacements of the state's size, where modulations do; of a state at rest at those of many sizes.

@@ -498,7 +498,7 @@ def _stretch(flow, lattice, state, period, first):
 
 
 def _watch(flow, lattice, state, period, count):
-    """(times, displacements, velocities) of so many periods, the tops in them, the mean energy, the tops' errors.
+    """(times, displacements, velocities) of `count` periods, largest values, the mean energy, the errors of the former.
 
     By stretches of one length, so that another number of steps compiles nothing.
     """
@@ -549,7 +549,7 @@ def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> st
 
 # of the largest response: a change below it is no jump
 SMALLEST = 1e-6
-# budgets, the second for what does not repeat, the third where it settles still
+# budgets: the second for a motion that does not repeat, the third for one that still settles
 BUDGETS = (1, 1, 8)
 # the least tolerance, and the share of it to which a jump settles
 LEAST = 1e-12

@@ -245,7 +245,7 @@ def examined(family: Family, z: np.ndarray, response: Callable | None = None) ->
 
 @eqx.filter_jit
 def _half(family, z):
-    """By the steps of the family, and twice as many; of x at this frequency, as far as the derivative tells."""
+    """By the steps of the family and by twice as many; the orbit at this frequency is found to first order."""
     x, shooting, (lattice, period) = z[:-1], family.shooting, family.scene(z[-1])
     y, flow, n, moves = shooting.state(x), shooting.flow, shooting.count, shooting.moves
     mass = ravel_pytree(spread_mass(lattice))[0]
@@ -256,7 +256,7 @@ def _half(family, z):
         return map_ * weight[:, None] / weight, ravel_pytree(end.v)[0]
 
     maps, ends = jax.lax.map(mapped, flow.steps * jnp.array([2, 1]))
-    # the velocities at the end are zero, and the mean displacement, but for what an idle unknown adds
+    # at the end the velocities are zero but for what an idle unknown adds, and so is the mean displacement
     unit = shooting.scale[:n, None] / shooting.scale[n:, None]
     slope = maps[0][n:, :n] * unit / weight[n:, None]
     joined = jnp.block(
@@ -443,7 +443,7 @@ def bifurcations(
 
 
 def _counted(kind, traces, step_error, symmetries):
-    """How many of a kind there are among half-traces, of which as many as there are symmetries are 1."""
+    """Count the multipliers of a kind from half-traces; one half-trace is 1 for each symmetry."""
     # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
     error = max(step_error, 1e-12)
     near = np.abs(traces - 1) < max(1e-4, 10 * np.sqrt(error))

@@ -128,7 +128,7 @@ def family(
 
 
 def _confirmed_branch(follow, count, refine, tolerance, stability):
-    """The breathers that `follow(count)` finds by so many steps of half a period, or by enough of them."""
+    """The breathers that `follow(count)` finds with `count` steps of half a period, or with as many as are needed."""
     problem, curve = follow(count)
     enough = _enough_steps(problem, curve, count, tolerance, stability) if refine else count
     if enough > count:
@@ -510,7 +510,7 @@ class _AtEnergy(eqx.Module):
     omega: Scalar
 
     def finer(self, by: Scalar) -> "_AtEnergy":
-        """The same with so many times the time steps."""
+        """The same problem with `by` times as many time steps."""
         return _AtEnergy(self.half.finer(by), self.omega)
 
     def _family(self, lattice):

@@ -62,7 +62,7 @@ class GapBreather(Result):
     def outcome(self) -> str:
         """How far it grew, and how much of it came back."""
         off = abs(self.returned)
-        # nor does what is not finite return
+        # a motion that is not finite does not return either
         breaks_up = not max(off, self.error) <= RETURNS
         return (
             f"The energy grew {self.energy.max() / self.energy[0]:.4g} times and returned within {off:.1e} +- "

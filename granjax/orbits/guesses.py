@@ -135,7 +135,7 @@ def chain_of(lattice: Lattice) -> Chain | Dressed | None:
 
 
 def cell_of(lattice: Lattice) -> Chain | None:
-    """The unit cell of a chain of next neighbours, or `None` where it is none."""
+    """The unit cell of a chain of next neighbours, or `None` of any other lattice."""
     found = next_neighbours(lattice.terms[0]) if len(lattice.terms) == 1 else None
     cell = found and _cell(lattice)
     if not cell:
@@ -201,7 +201,7 @@ class Edge(NamedTuple):
     def bright(self) -> bool:
         """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
         c = self.coefficients
-        # in numbers, of which nothing is compiled
+        # as plain numbers, so that nothing is compiled
         nu2, nu3 = float(c.nu2), float(c.nu3_force)
         return nu2 * nu3 > 0 and (nu3 > 0) == self.above
 

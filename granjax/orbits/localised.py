@@ -90,7 +90,7 @@ def localisation(lattice: Lattice, state: StateLike) -> Localisation:
 
 
 def checked_localised(orbit: Orbit, kind: str, guess: State, throw: bool | None) -> Orbit:
-    """A breather with a remark on its localisation, or what is none, marked. `kind` as in `why_not`.
+    """A breather with a remark on its localisation; an orbit that is no breather is marked. `kind`: as in `why_not`.
 
     Of fewer than five cells the remark is all: there is no room for waves and breathers to differ.
     **Raises** RuntimeError with the participation number where it is none and `throw`.

@@ -219,7 +219,7 @@ def error_of(
 
 
 FRAMES = 32
-# of the guess's size, below which an orbit is none
+# of the guess's size: an orbit below it counts as rest
 AT_REST = 1e-6
 # codes beside those of `newton`: at rest, and no breather
 FELL = 4
@@ -576,7 +576,7 @@ def prepared(
     symmetry: Symmetry = Symmetry(),
     free: bool = False,
 ) -> tuple[Shooting, Numbers]:
-    """The problem and the unknowns of the guess, neither of which is differentiated.
+    """The problem and the unknowns of the guess; neither is differentiated.
 
     The unknowns have the norm of the relative amplitude, whatever the units of the lattice: the unit is the size of the
     guess, or of where it is a period later, if that is more.

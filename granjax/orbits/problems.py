@@ -85,7 +85,7 @@ class Shooting(eqx.Module):
         return cls(flow, like, scale, moves, reversible=True)
 
     def finer(self, by: Scalar) -> "Shooting":
-        """The same with so many times the time steps."""
+        """The same problem with `by` times as many time steps."""
         by, steps = in_numpy((by, self.flow.steps))
         steps = jax.device_put(library(by, steps).ceil(by * steps).astype(int))
         return eqx.tree_at(lambda s: s.flow, self, Flow(steps, self.flow.solver, self.flow.field))

@@ -142,7 +142,7 @@ def problem(
     steps: Count | None = None,
     solver: AbstractSolver | None = None,
 ) -> Sought:
-    """The problem of which `find_all` finds the solutions: states of rest, breathers or orbits under forcing.
+    """Pose the problem that `find_all` solves: states of rest, breathers, or orbits under forcing.
 
     **Arguments:** `lattice`: one `Lattice`. Without `omega` and `period` its states of rest. `omega`: breathers of this
     frequency, time-reversible and at rest twice a period; of a conservative, autonomous lattice. `period`: orbits of

@@ -13,7 +13,7 @@ from ..flow import simulate
 from ..results import Result, array, note
 from ..scenes import dimer
 from ..states import impact
-from ..sweeps import sweep
+from ..sweeps import paired, sweep
 from ..types import Count, Parameter
 from .decay import MARGIN
 from .lanes import LANES, checked_ratios
@@ -57,20 +57,21 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
         refuse("bead", "a light one, of an odd number", str(bead))
     beads = bead + 2 + MARGIN
     held_in_memory("bead", beads, FRAMES * LANES * 16, "beads")
-    found = sweep(_contacts(beads, bead), {"ratio": ratios}, chunk=LANES)["strain"].values
-    return Oscillations(ratios, np.array([squeeze_count(*x) for x in found]), bead)
+    found = sweep(_squeezed(beads, bead), paired({"ratio": ratios}), chunk=LANES)
+    counts = map(squeeze_count, found.left.values, found.right.values)
+    return Oscillations(ratios, np.array(list(counts)), bead)
 
 
 @cache
-def _contacts(beads, bead):
-    """The swept function: compressions (2, T) of the two contacts of a bead until the pulse has passed at any ratio."""
+def _squeezed(beads, bead):
+    """The swept function: compressions (T,) of the two contacts of a bead until the pulse has passed at any ratio."""
     ts = np.linspace(0.5 * bead, 1.4 * bead + 12, FRAMES)
 
     def strains(ratio):
         lattice = dimer(beads, ratio, boundary="free")
         run = simulate(lattice, impact(lattice), ts[-1], save_at=ts, adjoint=diffrax.ForwardMode())
-        strain = -jnp.diff(run.us[:, bead - 1 : bead + 2]).T
-        return {"strain": jnp.where(run.completed, strain, jnp.nan)}
+        compressions = jnp.where(run.completed, -jnp.diff(run.us[:, bead - 1 : bead + 2]), jnp.nan)
+        return {"left": compressions[:, 0], "right": compressions[:, 1]}
 
     return strains
 

@@ -13,7 +13,18 @@ from .on_site import cradle, klein_gordon, sine_gordon
 from .plane.build import crystal
 from .plane.cells import CrystalCell, Tie
 from .plane.chains import aubry_andre, diamond, sawtooth, ssh, stub
-from .plane.lattices import hexagon, honeycomb, kagome, lieb, quadrupole, square, triangular
+from .plane.lattices import (
+    cubic,
+    fcc,
+    hcp,
+    hexagon,
+    honeycomb,
+    kagome,
+    lieb,
+    quadrupole,
+    square,
+    triangular,
+)
 from .plane.networks import junction, network
 from .plane.packing import packing
 from .plane.rotating import rotating_chain

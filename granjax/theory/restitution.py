@@ -9,17 +9,6 @@ from ..types import Number, Parameter
 FIRST = 1.1534488581
 
 
-def walton_braun(loading: Parameter, unloading: Parameter) -> Number:
-    """e = sqrt(k1/k2), at every speed. Source: O. R. Walton, R. L. Braun, J. Rheol. 30, 949 (1986).
-
-    **Example:**
-
-    >>> round(float(gx.theory.restitution.walton_braun(1.0, 4.0)), 6)
-    0.5
-    """
-    return jnp.sqrt(positive("loading", loading) / positive("unloading", unloading))
-
-
 def thornton(speed: Parameter, yield_speed: Parameter) -> Number:
     r"""Of elastic, perfectly plastic spheres, with r = V_y/V.
 

@@ -29,7 +29,7 @@ def mindlin(poisson: Any) -> Any:
 
 def crystal(
     cell: CrystalCell,
-    n: Count,
+    n: Count | Sequence[Count],
     m: Count | None = None,
     *,
     mass: Parameter | dict[str, Parameter] = 1.0,
@@ -51,7 +51,7 @@ def crystal(
     equal: bool = False,
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a lattice of the plane, or a chain, from a cell, as `square`, `kagome` and `ssh` do.
+    r"""Build a lattice of the plane or of space, or a chain, from a cell, as `square`, `fcc` and `ssh` do.
 
     m u'' = sum over neighbours j of [F(|R| - |R + u_j - u|) times the bond's direction], as `gx.Stretch` has it.
 
@@ -59,7 +59,7 @@ def crystal(
 
     - `cell`: a `gx.scenes.CrystalCell` of `vectors`, `sites` and `ties`, in lengths of a bond.
     - `n`, `m`: cells along the two axes, `None` for as many; n in all is the number of rows of beads. A cell with one
-      vector makes a chain of n cells.
+      vector makes a chain of n cells; in space n may be three numbers.
     - `mass`: a number, which stays one in the lattice's `mass` (`gx.lattice.spread_mass`), or an array (n, m); in cells
       of several sites also a dict of one for each.
     - `stiffness`: K, `precompression`: F0 of each bond, of either sign, numbers or one for each of the cell's bonds
@@ -97,15 +97,17 @@ def crystal(
     Array([4., 8.], dtype=float64)
     """
     axes = len(cell.vectors)
-    counts = (n,) * axes if m is None else (n, m)
+    counts = (n, m) if m is not None else tuple(n) if isinstance(n, Sequence) else (n,) * axes
     if len(counts) != axes:
-        refuse("m", "None for a cell that repeats along one axis", repr(m))
-    counts = tuple(whole(name, count, 1) for name, count in zip(("n", "m"), counts))
+        wanted = f"{axes} numbers of cells, one for each vector of the cell"
+        refuse("n, m", wanted, repr(counts))
+    counts = tuple(whole("n, m", count, 1) for count in counts)
     spacing = positive("spacing", number("spacing", spacing), "It is the length of a bond.")
     laws = _laws(cell, law, stiffness, exponent, precompression)
-    if rotation and out_of_plane:
-        wanted = "False where sites move out of the plane"
-        refuse("rotation", wanted, "True", "Beads turn in the plane.")
+    space = len(cell.vectors[0]) > 2
+    if rotation and (out_of_plane or space) or space and outline != "cells":
+        wanted = "False and 'cells' in space, and False where sites move out of the plane"
+        refuse("rotation, outline", wanted, f"{rotation}, {outline!r}")
     if rotation:
         tangential, rolling, pull = _turning(laws[0], tangential, bending, attraction)
     elif tangential is not None or not (plain_zero(bending) and plain_zero(attraction)):
@@ -153,7 +155,7 @@ def crystal(
         masses,
         terms,
         sites=next(iter(sites.values())) if len(set(sites.values())) == 1 else None,
-        dimension=None if out_of_plane else 3 if rotation else 2,
+        dimension=None if out_of_plane else 3 if rotation or space else 2,
         positions=positions,
         units=units,
     )

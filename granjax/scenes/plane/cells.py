@@ -16,7 +16,10 @@ class Tie(NamedTuple):
 
 
 class CrystalCell(NamedTuple):
-    """A unit cell: `vectors` (axes, 2) to the next cells, `sites` by name, `ties` once for each cell."""
+    """A unit cell: `vectors` (axes, 2) to the next cells, `sites` by name, `ties` once for each cell.
+
+    In space vectors and sites have three components.
+    """
 
     vectors: tuple
     sites: dict
@@ -28,7 +31,7 @@ class CrystalCell(NamedTuple):
         return len(self.sites) == 1
 
     def spans(self) -> np.ndarray:
-        """The vector from tail to head of every tie, (ties, 2)."""
+        """The vector from tail to head of every tie, (ties, 2 or 3)."""
         a = np.array(self.vectors)
         ends = [
             (np.array(self.sites[tie.tail]), np.array(self.sites[tie.head]), tie.offset)
@@ -87,6 +90,23 @@ QUADRUPOLE = CrystalCell(
         Tie("c", "a", (0, 1)),
         Tie("d", "b", (0, 1)),
     ),
+)
+# packings of spheres in space
+CUBIC = CrystalCell(
+    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    {"a": (0.0, 0.0, 0.0)},
+    tuple(Tie("a", "a", offset) for offset in ((1, 0, 0), (0, 1, 0), (0, 0, 1))),
+)
+FCC = CrystalCell(
+    tuple(tuple(np.sqrt(HALF) * np.array(v)) for v in ((0, 1, 1), (1, 0, 1), (1, 1, 0))),
+    {"a": (0.0, 0.0, 0.0)},
+    CUBIC.ties + tuple(Tie("a", "a", offset) for offset in ((1, -1, 0), (0, 1, -1), (1, 0, -1))),
+)
+HCP = CrystalCell(
+    ((1.0, 0.0, 0.0), (HALF, ROOT, 0.0), (0.0, 0.0, np.sqrt(8 / 3))),
+    {"a": (0.0, 0.0, 0.0), "b": (HALF, ROOT / 3, np.sqrt(2 / 3))},
+    tuple(Tie(name, name, (*tie.offset, 0)) for name in "ab" for tie in TRIANGULAR.ties)
+    + tuple(Tie("a", "b", (-i, -j, -k)) for k in (0, 1) for i, j in ((0, 0), (1, 0), (0, 1))),
 )
 # chains, drawn in the plane
 CHAIN = CrystalCell(((1.0, 0.0),), {"a": (0.0, 0.0)}, (Tie("a", "a", (1,)),))

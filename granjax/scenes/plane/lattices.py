@@ -1,5 +1,6 @@
-"""Lattices of the plane by name: square, triangular, honeycomb, kagome, Lieb; a hexagon of beads."""
+"""Lattices by name: square, triangular, honeycomb, kagome, Lieb; a hexagon of beads; cubic and close packings."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from ...checks import positive, whole
@@ -7,7 +8,7 @@ from ...lattice import Lattice
 from ...laws import Linear
 from ...types import Count, Scalar
 from .build import crystal
-from .cells import HONEYCOMB, KAGOME, LIEB, QUADRUPOLE, SQUARE, TRIANGULAR
+from .cells import CUBIC, FCC, HCP, HONEYCOMB, KAGOME, LIEB, QUADRUPOLE, SQUARE, TRIANGULAR
 
 
 def square(n: Count, m: Count | None = None, **bonds: Any) -> Lattice:
@@ -143,3 +144,45 @@ def quadrupole(
     return crystal(
         QUADRUPOLE, n, m, law=laws, out_of_plane=True, ground=ground, equal=True, **bonds
     )
+
+
+def cubic(n: Count | Sequence[Count], **bonds: Any) -> Lattice:
+    """Build a simple cubic packing in space: each site is bound to its 6 neighbours.
+
+    Springs K hold it along its axes alone: it resists no shear. **Arguments:** `n`: cells along the three axes, one
+    number for all or three; `bonds`: as of `crystal`. **Returns:** a `Lattice`, u of shape (n, n, n, 3). **Raises**
+    ValueError as `crystal` does.
+    """
+    return crystal(CUBIC, n, **bonds)
+
+
+def fcc(n: Count | Sequence[Count], **bonds: Any) -> Lattice:
+    r"""Build a face-centred cubic packing in space, one of the two closest ones: each site is bound to 12 neighbours.
+
+    The axes are those of the primitive cell, (0, 1, 1), (1, 0, 1), (1, 1, 0) over 2^{1/2}. With springs K, m = 1 and
+    |R| = 1 long waves along a cube's edge have the squares of speed 1, 1/2, 1/2 (K |R|^2/m), and omega^2 = 8, 4, 4 K/m
+    at X, 8, 2, 2 at L.
+
+    **Arguments:** `n`: cells along the three axes, one number for all or three; `bonds`: as of `crystal`.
+    **Returns:** a `Lattice`, u of shape (n, n, n, 3). **Raises** ValueError as `crystal` does.
+
+    **Example:**
+
+    >>> packing = gx.scenes.fcc(4, boundary="periodic")
+    >>> found = gx.linear.path(packing, "GXWLGK", count=50)
+    >>> found.omega_squared[found.marks[1]].round(6)   # at X
+    Array([4., 4., 8.], dtype=float64)
+    """
+    return crystal(FCC, n, **bonds)
+
+
+def hcp(n: Count | Sequence[Count], **bonds: Any) -> Lattice:
+    r"""Build a hexagonal close packing in space: two sites `a`, `b` in a cell, each bound to 12 neighbours.
+
+    The first two axes are at 60 degrees, the third is normal to them, (8/3)^{1/2} long. With springs K, m = 1 and
+    |R| = 1 long waves along the third axis have the squares of speed 4/3, 1/3, 1/3 (K |R|^2/m).
+
+    **Arguments:** `n`: cells along the three axes, one number for all or three; `bonds`: as of `crystal`.
+    **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `crystal` does.
+    """
+    return crystal(HCP, n, **bonds)

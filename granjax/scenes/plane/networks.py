@@ -1,7 +1,7 @@
 """Chains of beads in guides that meet: Y-junctions, and networks of any number of guides in the plane or in space."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,30 +20,21 @@ from ..chains import contact, number
 SQUARE_ON = 1e-9
 
 
-class _Ends(NamedTuple):
-    """What the ends of guides touch: rows (guide whose last bead, guide whose first bead, guide whose law), weights."""
-
-    meetings: list
-    weights: tuple
-    # guides whose first bead, and whose last one, touches a wall
-    begin: list
-    end: list
-
-
-def _guided(counts: list, ends: _Ends, laws: Callable, mass, positions, units) -> Lattice:
-    """The lattice of guides of so many beads; `laws`: a function from the guides of contacts to their law."""
+def _guided(tail, head, direction, counts, laws: Callable, mass, positions, boundary, units):
+    """The lattice of guides between nodes; `laws`: a function from the guides of contacts to their law."""
+    meetings, weights, begin, end = _meet(tail, head, direction)
     last = np.cumsum(counts) - 1
     first = last + 1 - counts
-    rows = [(WALL, first[i], i) for i in ends.begin]
-    rows += [(n, n + 1, i) for i in range(len(counts)) for n in range(first[i], last[i])]
-    rows += [(last[i], WALL, i) for i in ends.end]
+    rows = [(n, n + 1, i) for i in range(len(counts)) for n in range(first[i], last[i])]
+    if one_of("boundary", boundary, ("fixed", "free")) == "fixed":
+        rows = [(WALL, first[i], i) for i in begin] + rows + [(last[i], WALL, i) for i in end]
     total, terms = int(last[-1]) + 1, []
     if rows:
         tails, heads, guides = (list(map(int, column)) for column in zip(*rows))
         terms.append(Bond(Pairs(tails, heads, sites=total), laws(guides)))
-    if ends.meetings:
-        come, leave, guides = (list(column) for column in zip(*ends.meetings))
-        pairs = Pairs(last[come], first[leave], sites=total, weights=ends.weights)
+    if meetings:
+        come, leave, guides = (list(column) for column in zip(*meetings))
+        pairs = Pairs(last[come], first[leave], sites=total, weights=weights)
         terms.append(Bond(pairs, laws(guides)))
     sites = None if np.ndim(mass) else total
     return Lattice(mass, terms, sites=sites, positions=positions, units=units)
@@ -93,15 +84,13 @@ def junction(
     if any(a is not None and not np.cos(a) > 0 for a in known):
         remedy = "A bead does not push backwards."
         refuse("angles", "angles within -pi/2 ... pi/2", repr(known), remedy)
-    cosines = jnp.cos(jnp.stack(turned))
-    one_of("boundary", boundary, ("fixed", "free"))
     law = contact(stiffness, exponent, precompression) if law is None else law
-    out, fixed = list(range(1, len(counts) + 1)), boundary == "fixed"
-    ends = _Ends(
-        [(0, i, i) for i in out], (cosines, jnp.ones(len(counts))), [0] * fixed, out * fixed
-    )
+    angle = jnp.stack([jnp.zeros(()), *turned])
+    direction = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    tail, head = np.minimum(np.arange(len(angle)), 1), np.arange(len(angle)) + 1
     places = _positions(stem, counts, np.array([0.0 if a is None else a for a in known]))
-    return _guided([stem, *counts], ends, lambda _: law, mass, places, units)
+    guides = tail, head, direction, [stem, *counts]
+    return _guided(*guides, lambda _: law, mass, places, boundary, units)
 
 
 def _positions(stem, counts, angles):
@@ -187,8 +176,6 @@ def network(
         refuse("edges", "guides between different places", "one without length")
     span = at[head] - at[tail]
     direction = span / jnp.linalg.norm(span, axis=-1, keepdims=True)
-    one_of("boundary", boundary, ("fixed", "free"))
-    met = _meet(tail, head, direction, boundary == "fixed")
     for name, x in {"mass": mass, "stiffness": stiffness, "precompression": precompression}.items():
         shapes = [(len(ends),)] + [(sum(counts),)] * (name == "mass")
         if np.ndim(x) and np.shape(x)[:1] not in shapes:
@@ -205,7 +192,7 @@ def network(
 
     along = [(np.arange(n) + 0.5)[:, None] / n for n in counts]
     places = jnp.concatenate([at[a] + x * (at[b] - at[a]) for a, b, x in zip(tail, head, along)])
-    return _guided(counts, met, laws, mass, places, units)
+    return _guided(tail, head, direction, counts, laws, mass, places, boundary, units)
 
 
 def _ends(name, edge, names, count):
@@ -214,9 +201,12 @@ def _ends(name, edge, names, count):
     return (tail, head) if names is None else (names.index(tail), names.index(head))
 
 
-def _meet(tail, head, direction, fixed):
-    """Which ends touch at each node, and by what weights."""
-    known = np.asarray(concrete(jax.lax.stop_gradient(direction)))
+def _meet(tail, head, direction):
+    """Contacts at the nodes (guide that comes in, guide that leaves, guide whose law), their weights; loose ends.
+
+    Those are the guides whose first bead, and whose last one, touches a wall. Where directions are traced all touch.
+    """
+    known = concrete(jax.lax.stop_gradient(direction))
     meetings, kinds, begin, end = [], [], [], []
     for node in sorted({*tail.tolist(), *head.tolist()}):
         come, leave = np.flatnonzero(head == node), np.flatnonzero(tail == node)
@@ -224,7 +214,9 @@ def _meet(tail, head, direction, fixed):
             begin += leave.tolist()
             end += come.tolist()
             continue
-        touching = known[come] @ known[leave].T > SQUARE_ON
+        touching = np.ones((len(come), len(leave)), bool)
+        if known is not None:
+            touching = known[come] @ known[leave].T > SQUARE_ON
         lost = [*come[~touching.any(1)], *leave[~touching.any(0)]]
         if lost:
             i = int(lost[0])
@@ -235,8 +227,9 @@ def _meet(tail, head, direction, fixed):
                 "At a right angle a rigid contact passes no force on at first order: turn the guide, or the "
                 "direction in which it is counted, or end it at a node of its own.",
             )
-        for i, j in zip(*np.nonzero(touching)):
-            kind = 0 if len(come) == 1 else 1 if len(leave) == 1 else 2
+        # one comes in, one leaves, several meet several
+        kind = 0 if len(come) == 1 else 1 if len(leave) == 1 else 2
+        for i, j in np.argwhere(touching):
             kinds.append(kind)
             meetings.append((int(come[i]), int(leave[j]), int(come[i] if kind == 1 else leave[j])))
     weights: Any = ()
@@ -244,8 +237,7 @@ def _meet(tail, head, direction, fixed):
         last, first, _ = np.array(meetings).T
         cosine = (direction[last] * direction[first]).sum(-1)
         kind, half = np.array(kinds), jnp.sqrt((1 + cosine) / 2)
-        weights = (
-            jnp.where(kind == 0, cosine, jnp.where(kind == 1, 1.0, half)),
-            jnp.where(kind == 0, 1.0, jnp.where(kind == 1, cosine, half)),
+        weights = tuple(
+            jnp.choose(kind, x, mode="clip") for x in ((cosine, 1.0, half), (1.0, cosine, half))
         )
-    return _Ends(meetings, weights, sorted(begin) if fixed else [], sorted(end) if fixed else [])
+    return meetings, weights, sorted(begin), sorted(end)
