@@ -180,8 +180,9 @@ def _(perturbed, moved, *rest):
 def _(residuals, cotangents, perturbed, moved, span, plan):
     (final, count), (lattice, state, adjoint) = residuals, moved
     free, fixed = eqx.partition(lattice, perturbed[0])
-    solver, save_ts = plan.solver, plan.save_ts
-    time = lambda k: span[0] + k * plan.step
+    # older versions of JAX give literals, which know less than arrays
+    solver, save_ts, h = plan.solver, plan.save_ts, jnp.asarray(plan.step)
+    time = lambda k: span[0] + k * h
 
     def seen(free, y, k, t):
         """The state at t, within step k that begins with y."""
@@ -197,7 +198,7 @@ def _(residuals, cotangents, perturbed, moved, span, plan):
             lambda w: system.leave(w, y)[0], system.enter(y, system.start(time(k), y))
         )
         w = system.enter(y, system.start(time(k), y)), time(k), *pull(pulled), gradient
-        w, _, pulled, gradient = by_stages(way, w, solver.table(), time(k), -plan.step)
+        w, _, pulled, gradient = by_stages(way, w, solver.table(), time(k), -h)
         y, _ = system.leave(w, y)
         _, pull = jax.vjp(lambda y: system.enter(y, w[2:] and w[2])[:2], y)
         return k - 1, y, *pull(pulled[:2]), gradient
@@ -215,7 +216,7 @@ def _(residuals, cotangents, perturbed, moved, span, plan):
         like = jax.tree.map(lambda x: jnp.zeros((len(save_ts), *x.shape), x.dtype), zero)
         frames = _filled(State(cotangents.us, cotangents.vs), like)
         places = jnp.clip(
-            jnp.floor((save_ts - span[0]) / plan.step).astype(int), 0, jnp.maximum(count - 1, 0)
+            jnp.floor((save_ts - span[0]) / h).astype(int), 0, jnp.maximum(count - 1, 0)
         )
 
         def sample(i, carry):

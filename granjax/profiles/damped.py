@@ -9,12 +9,17 @@ STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
 
 
 class Left(NamedTuple):
-    """What is left at x: its largest size, itself, and the matrix of its derivatives."""
+    """What is left at x: its root mean square, itself, and the matrix of its derivatives."""
 
     size: float
     x: np.ndarray
     gap: np.ndarray
     matrix: Any
+
+    @property
+    def residual(self) -> float:
+        """The largest size of what is left."""
+        return float(np.abs(self.gap).max())
 
 
 def damped(equations: Callable, solve: Callable, x: np.ndarray, enough: float = 0.0) -> Left:
@@ -27,7 +32,7 @@ def damped(equations: Callable, solve: Callable, x: np.ndarray, enough: float = 
     def at(x):
         with np.errstate(all="ignore"):
             gap, matrix = equations(x)
-        size = float(np.abs(gap).max())
+            size = float(np.sqrt(np.mean(gap**2)))
         return Left(size if np.isfinite(size) else np.inf, x, gap, matrix)
 
     best = at(x)

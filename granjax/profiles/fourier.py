@@ -147,6 +147,19 @@ class Box:
         gap = self.of_strain @ z - self.of_force @ force.ravel()
         return gap, self.of_strain - self.gathered(self.of_force * slope.ravel())
 
+    def velocities(self, phi: np.ndarray) -> np.ndarray:
+        """Velocities (P, N) of the sites at the places x = n - c t, in units of c times the length of strains.
+
+        m_j v_j' = F_j(phi_j(x)) - F_{j-1}(phi_{j-1}(x - 1)), and the far field, or the mean, is at rest.
+        """
+        force = np.fft.fft(self.chain.bonds(phi)[0], axis=1)
+        k = np.where(self.k == 0, 1, self.k)
+        inertia = 1j * k * self.chain.inertia(self.k)
+        hat = (force - np.roll(force, 1, axis=0) * np.exp(-1j * k)) / inertia
+        hat[:, 0] = phi.mean() * self.points
+        hat[:, self.points // 2] = 0
+        return np.fft.ifft(hat, axis=1).real
+
     def of_level(self, unit: float) -> "Box":
         """The same box of a wave with another M c^2, of a chain without resonators."""
         other = copy.copy(self)
@@ -201,7 +214,7 @@ def newton_with(
     parameter: float,
     reach: float,
     target: float = 0.0,
-    tolerance: float = 1e-12,
+    tolerance: float = 1e-14,
     most: int = 14,
 ) -> Solved:
     """Strains and a parameter p of a symmetric chain, on which one more equation row(box) @ strains = target is laid.

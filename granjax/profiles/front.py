@@ -144,7 +144,7 @@ def newton(
         return gap, jacobian(kernels, slope, zeta, centre)
 
     found = damped(equations, kernels.solve, z)
-    return found.x, found.size
+    return found.x, found.residual
 
 
 class Trial(NamedTuple):

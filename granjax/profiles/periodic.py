@@ -1,7 +1,7 @@
 """Periodic waves: Newton's method on the Fourier form in a box of one wavelength."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +10,6 @@ from ..checks import refuse
 from ..laws import Law, Strained
 from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
-from .shape import Shape
 
 # points on half of a wavelength; what two numbers of them may differ by
 POINTS, AGREE = (32, 64, 128, 256, 512), 1e-13
@@ -24,55 +23,26 @@ FOLLOWED = 1e-6
 GROWTH, MOST, FIRST = 1.5, 60, 1e-2
 
 
-class FourierShape(Shape):
-    """phi = mean + sum a_k cos(k xi), v = sum b_k cos(k (xi - 1/2)); displacements fall by the mean a bead."""
-
-    speed: jnp.ndarray
-    mean: jnp.ndarray
-    wavenumbers: jnp.ndarray
-    strains: jnp.ndarray
-    velocities: jnp.ndarray
-
-    def strain(self, xi):
-        xi = jnp.asarray(xi, float)
-        return self.mean + jnp.cos(self.wavenumbers * xi[..., None]) @ self.strains
-
-    def velocity(self, xi):
-        xi = jnp.asarray(xi, float)
-        return jnp.cos(self.wavenumbers * (xi[..., None] - 0.5)) @ self.velocities
-
-    def displacement(self, xi):
-        xi = jnp.asarray(xi, float)
-        moved = jnp.sin(self.wavenumbers * (xi[..., None] - 0.5)) @ (
-            self.velocities / self.wavenumbers
-        )
-        return -moved / self.speed - self.mean * xi
-
-
 class Train(NamedTuple):
-    """A periodic wave: its box, strains about the mean there, m c^2, residual and error."""
+    """A periodic wave: its speed, tables (N,) over the places of its box, its mean strain, residual and error.
 
-    box: Box
-    strains: np.ndarray
-    level: float
+    `strain` is about the mean; displacements fall by the mean a bead besides.
+    """
+
+    speed: float
+    half: float
+    strain: np.ndarray
+    velocity: np.ndarray
+    displacement: np.ndarray
+    mean: float
     residual: float
     error: float
 
-    def shape(self, law: Law, mass: float, mean: float) -> FourierShape:
-        """Strain, velocity and displacement at any place."""
-        c, k = np.sqrt(self.level / mass), self.box.k[1 : self.box.points // 2 + 1]
-        middle, strains = _cosines(self.strains)
-        force = _cosines(values(law, mean + self.strains)[0])[1]
-        velocities = np.sinc(k / (2 * np.pi)) * force / (mass * c)
-        numbers = c, mean + middle, np.abs(k), strains, velocities
-        return FourierShape(*map(jnp.asarray, numbers))
-
-
-def _cosines(x):
-    """The mean of what is even about the middle of a box, and its coefficients of cos(k xi)."""
-    found = np.fft.rfft(np.fft.ifftshift(x)).real * 2 / len(x)
-    found[[0, -1]] /= 2
-    return found[0], found[1:]
+    def at(self, name: str, xi: Any) -> np.ndarray:
+        """Strain, velocity or displacement at any places."""
+        x = np.asarray(xi, float)
+        own = fourier(getattr(self, name)[None], self.half, x.ravel())[0].reshape(x.shape)
+        return own + {"strain": self.mean, "velocity": 0.0, "displacement": -self.mean * x}[name]
 
 
 class _Family(NamedTuple):
@@ -168,8 +138,11 @@ def train(
             "one whose periodic wave is found",
             f"a residual of {found.residual:.1e} after Newton's method",
         )
-    error = max(apart, ROUNDING * float(np.abs(phi).max()))
-    return Train(box, phi[0], float(level), float(found.residual), error)
+    error, c = max(apart, ROUNDING * float(np.abs(phi).max())), float(np.sqrt(level / mass))
+    v = box.of_level(level).velocities(phi)
+    # of mean zero
+    u = np.fft.ifft(1j * np.fft.fft(v, axis=1) / np.where(box.k == 0, 1, box.k), axis=1).real
+    return Train(c, box.half, phi[0], c * v[0], u[0], mean, float(found.residual), error)
 
 
 def _scale(law, mean, stiffness):

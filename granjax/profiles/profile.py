@@ -9,7 +9,6 @@ from ..lattice import State
 from ..laws import Law
 from ..results import Result, array
 from ..types import Count, Number, Numbers, Parameter, Scalar
-from .shape import Shape
 
 
 class Profile(Result):
@@ -29,7 +28,7 @@ class Profile(Result):
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
-    _shape: Shape = eqx.field(kw_only=True, repr=False)
+    _shape: Any = eqx.field(kw_only=True, repr=False)
 
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - c t, of any shape [m]."""
@@ -57,7 +56,7 @@ def places(sites: Count, centre: Scalar | None = None) -> np.ndarray:
     return np.arange(sites) - ((sites - 2) / 2 if centre is None else centre)
 
 
-def tabled(shape: Shape, xi: np.ndarray) -> dict[str, Any]:
+def tabled(shape: Any, xi: np.ndarray) -> dict[str, Any]:
     """The fields of a profile that follow from its shape: that itself and the table at places xi."""
     return dict(
         xi=xi, strains=shape.at("strain", xi), velocities=shape.at("velocity", xi), _shape=shape

@@ -361,7 +361,7 @@ def _tails(law, level, rate, exponent, unit):
 def _whole(law, mass, speed, unit, q, apart, steep):
     """The shape, its energy and its compression, by one program for each number of places."""
     places = Places(len(q), apart, 0.0)
-    shape = TentShape(law, mass, speed, places.coefficients(q).T, apart, unit, steep).with_tail()
+    shape = TentShape(law, mass, speed, places.coefficients(q), apart, unit, steep).with_tail()
     e, weights = unit * jnp.exp(q), jnp.full(len(q), apart).at[0].divide(2)
     F, _, W = fine(law, e)
     return shape, 2 * weights @ (e * F / 2 + W), 2 * weights @ e

@@ -11,7 +11,7 @@ it kappa < 1 and Re lambda < 0.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import bisect, brentq
 
 # of 1 - (x/sinh x)^2 in powers of x^2, and below which |x| they are taken
 _SERIES = (
@@ -29,7 +29,6 @@ NEAR = 0.3
 # real parts that are looked through one after the other; starts across each, and how far apart along the imaginary axis
 REACHES, ACROSS, APART = (1.5, 3.0, 6.0), 12, 0.3
 STEPS, CONVERGED, REAL = 30, 1e-10, 1e-7
-BISECTIONS, POLISH = 16, 20
 # lambda at which g'' = 0
 TOP = 2.34694130416726903
 
@@ -152,27 +151,10 @@ def critical(excess: float) -> Critical:
         low, high = high, 2 * high
     while _pair(excess, low) is None:
         low, high = low / 2, low
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if _pair(excess, middle) is not None else (low, middle)
-    return _crossing(excess, low)
-
-
-def _crossing(excess, zeta):
-    """Newton's method for a real root a and a pair a +- i b of one zeta."""
-    a, b = _real(excess, zeta), _pair(excess, zeta).imag
-    for _ in range(POLISH):
-        z = a + 1j * b
-        first, second = excess + float(lack(a)) - zeta * a, excess + complex(lack(z)) - zeta * z
-        slopes = float(lack_slope(a)) - zeta, complex(lack_slope(z)) - zeta
-        matrix = np.array(
-            [
-                [slopes[0], 0.0, -a],
-                [slopes[1].real, -slopes[1].imag, -a],
-                [slopes[1].imag, slopes[1].real, -b],
-            ]
-        )
-        a, b, zeta = np.array([a, b, zeta]) - np.linalg.solve(
-            matrix, [first, second.real, second.imag]
-        )
-    return Critical(float(zeta), float(-np.linalg.solve(matrix, [1.0, 1.0, 0.0])[2]), False)
+    gone = lambda zeta: 1.0 if _pair(excess, zeta) is None else -1.0
+    zeta = bisect(gone, low, high, xtol=1e-300, rtol=4 * np.finfo(float).eps)
+    # both go on to decay alike as kappa grows: of each root r' = (1 - zeta' r)/(zeta - (1 - g)'(r))
+    # the bisection's last zeta may be on either side
+    real, pair = _real(excess, zeta), _pair(excess, zeta * (1 - 1e-12))
+    p, q = 1 / (zeta - complex(lack_slope(pair))), 1 / (zeta - float(lack_slope(real)))
+    return Critical(zeta, (p.real - q) / ((p * pair).real - q * real), False)

@@ -68,23 +68,22 @@ class Places(NamedTuple):
         weights[0] /= 2
         return weights
 
-    def _stencils(self, cells):
-        """The nodes (cells, STENCIL) that stand for each cell, as numbers that may be below zero."""
-        first = np.minimum(cells - (STENCIL // 2 - 1), self.count - STENCIL)
-        return first[:, None] + np.arange(STENCIL)
-
-    def interpolation(self, y: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
-        """q at places y >= 0 from q at the nodes: a matrix, and what the slope beyond the end adds."""
-        inside = np.minimum(y, self.end) / self.apart
-        columns = self._stencils(np.minimum(inside.astype(int), self.count - 2))
-        gaps = inside[:, None] - columns
+    def _rows(self, inside):
+        """Weights (Y, STENCIL) of the nodes that stand for places, counted in cells; the nodes, also below zero."""
+        first = np.minimum(inside.astype(int), self.count - 2) - (STENCIL // 2 - 1)
+        nodes = np.minimum(first, self.count - STENCIL)[:, None] + np.arange(STENCIL)
+        gaps = inside[:, None] - nodes
         exact = gaps == 0
         rows = _BARY / np.where(exact, 1.0, gaps)
         rows = np.where(exact.any(1)[:, None], exact, rows)
-        rows = rows / rows.sum(1, keepdims=True)
+        return rows / rows.sum(1, keepdims=True), nodes
+
+    def interpolation(self, y: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
+        """q at places y >= 0 from q at the nodes: a matrix, and what the slope beyond the end adds."""
+        rows, nodes = self._rows(np.minimum(y, self.end) / self.apart)
         starts = np.arange(len(y) + 1) * STENCIL
         matrix = sparse.csr_matrix(
-            (rows.ravel(), np.abs(columns).ravel(), starts), (len(y), self.count)
+            (rows.ravel(), np.abs(nodes).ravel(), starts), (len(y), self.count)
         )
         return matrix, -self.decay * np.maximum(y - self.end, 0.0)
 
@@ -94,20 +93,13 @@ class Places(NamedTuple):
         return matrix @ q + shift
 
     def coefficients(self, q: Any) -> Any:
-        """Those of Chebyshev's polynomials on every cell (I - 1, STENCIL)."""
-        columns = self._stencils(np.arange(self.count - 1))
+        """Those of Chebyshev's polynomials on every cell (STENCIL, I - 1)."""
         at = np.cos(np.pi * (np.arange(STENCIL) + 0.5) / STENCIL)
-        # of cells within, and of those at either end: one matrix for each distance from the stencil's first node
-        found = jnp.zeros((self.count - 1, STENCIL))
-        for offset in np.unique(np.arange(self.count - 1) - columns[:, 0]):
-            own = np.flatnonzero(np.arange(self.count - 1) - columns[:, 0] == offset)
-            gaps = (offset + (1 + at) / 2)[:, None] - np.arange(STENCIL)
-            rows = _BARY / gaps
-            rows = np.linalg.solve(
-                np.polynomial.chebyshev.chebvander(at, STENCIL - 1), rows / rows.sum(1)[:, None]
-            )
-            found = found.at[own].set(jnp.asarray(q)[np.abs(columns[own])] @ jnp.asarray(rows.T))
-        return found
+        rows, nodes = self._rows(np.add.outer((1 + at) / 2, np.arange(self.count - 1)).ravel())
+        found = (jnp.asarray(rows) * q[np.abs(nodes)]).sum(1).reshape(STENCIL, -1)
+        return (
+            jnp.asarray(np.linalg.inv(np.polynomial.chebyshev.chebvander(at, STENCIL - 1))) @ found
+        )
 
 
 class Tent(NamedTuple):
@@ -201,4 +193,4 @@ def solve(tent: Tent, force: Callable, q: np.ndarray, level: float, held: Callab
         return np.append(np.log(integral) - level - q, value), matrix
 
     found = damped(equations, np.linalg.solve, np.append(q, level), ENOUGH)
-    return Found(found.x[:-1], float(found.x[-1]), found.size, found.matrix)
+    return Found(found.x[:-1], float(found.x[-1]), found.residual, found.matrix)

@@ -1,7 +1,6 @@
 """Dispersive shocks, the scenes that make them and what is measured of them; stationary fronts of damped chains."""
 
-from .front import DissipativeFront
-from .fronts import dissipative_front
+from .fronts import DissipativeFront, dissipative_front
 from .history import SpaceTime, space_time
 from .measure import measure
 from .riemann import Riemann

@@ -75,12 +75,12 @@ def space_time(
     ts, rows = np.linspace(0.0, float(t1), frames), []
     energy, lost = _energy(lattice, 0.0, state), 0.0
     for low, high in zip(ts[:-1], _bar(ts[1:])):
-        rows.append(_row(problem, state.u, bonds))
+        rows.append(np.asarray(problem.strain(state.u))[bonds])
         run = simulate(lattice, state, high, t0=low, solver=solver, step=step, tolerance=tolerance)
         state, now = State(*run.final), _energy(lattice, high, run.final)
         size = jnp.maximum(jnp.abs(energy[0]), now[1])
         lost = jnp.maximum(lost, jnp.abs(now[0] - energy[0]) / size)
-    rows.append(_row(problem, state.u, bonds))
+    rows.append(np.asarray(problem.strain(state.u))[bonds])
     return SpaceTime(
         ts,
         bonds,
@@ -103,12 +103,6 @@ def _bonds(sites, count):
     if np.any((bonds < 0) | (bonds >= count)):
         refuse("sites", f"how many bonds, or their indices from 0 to {count - 1}", show(bonds))
     return bonds
-
-
-def _row(problem, u, bonds):
-    own = jnp.ndim(problem.rest) > len(problem.lattice.lanes)
-    rest = problem.rest[bonds] if own else problem.rest
-    return np.asarray(u[bonds] - u[bonds + 1] + rest)
 
 
 @eqx.filter_jit

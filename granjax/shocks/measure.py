@@ -141,19 +141,13 @@ def _measured(profile, problem, medium, theory, points, step):
         amplitude_error=height_error,
         trailing_speed=edge,
         trailing_speed_error=edge_error,
-        c=fit.c,
         s=places / middle,
         means=local.mean,
         amplitudes=local.amplitude,
         wavelengths=2 * np.pi / local.wavenumber,
         omegas=local.omega,
         misfits=local.misfit,
-        m=fit.m,
-        m_errors=fit.m_errors,
-        speeds_of_m=fit.speeds,
-        phases=fit.phases,
-        theory_errors=fit.errors,
-        _not_compared=fit.why,
+        **fit,
     )
 
 

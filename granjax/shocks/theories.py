@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
+from scipy.special import expit, logit
 
 from ..laws import Strained, taylor
 from ..profiles.medium import Medium
@@ -26,28 +27,6 @@ class Seen(NamedTuple):
     tau: np.ndarray
     strains: np.ndarray
     local: LocalWave
-
-    def only(self, some: np.ndarray, ahead: float) -> "Seen":
-        """Some of the windows, their strains from that ahead."""
-        local = LocalWave(*(x[some] for x in self.local))
-        return Seen(
-            self.places[some], self.time, self.xi, self.tau, self.strains[..., some] - ahead, local
-        )
-
-
-class Modulated(NamedTuple):
-    """The c whose plateau has the mean; per window m, its error, s of it, Theta_0, and what remains over the jump.
-
-    `why` there are none.
-    """
-
-    c: float
-    m: np.ndarray
-    m_errors: np.ndarray
-    speeds: np.ndarray
-    phases: np.ndarray
-    errors: np.ndarray
-    why: str
 
 
 class Theory(NamedTuple):
@@ -82,12 +61,14 @@ THEORIES = {
 }
 
 
-def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> Modulated:
-    """The theory's waves in every window; NaN, and a reason, where it has none."""
+def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> dict:
+    """The fields of a `Shock` that tell of the theory's waves in every window; NaN, and a reason, where it has none."""
     own, none = THEORIES[theory], np.full(seen.places.shape, np.nan)
+    names = "m", "m_errors", "speeds_of_m", "phases", "theory_errors"
     K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, jnp.asarray(ahead))))
-    told = lambda why: Modulated(
-        np.nan, none, none, none, none, none, f"Not compared with {own.name}: {why}"
+    told = lambda why: (
+        dict.fromkeys(names, none)
+        | dict(c=np.nan, _not_compared=f"Not compared with {own.name}: {why}")
     )
     if not (np.isfinite(K2) and K2 > 0 and np.isfinite(K3)):
         return told("the chain ahead has no sound.")
@@ -101,87 +82,65 @@ def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen
         table = own.formulas.modulation(TABLE, c, **constants)
     except ValueError as error:
         return told(str(error))
-    numbers = {name: jnp.asarray(x) for name, x in constants.items()}
-    part = seen.only(np.flatnonzero(np.isfinite(seen.local.amplitude)), ahead)
-    if not part.places.size:
+    known = np.flatnonzero(np.isfinite(seen.local.amplitude))
+    if not known.size:
         return told("no waves were found in the windows.")
-    m, errors, speeds, phases, rest = np.full((5, len(none)), np.nan)
-    start = np.interp(part.local.amplitude, np.abs(np.asarray(table.amplitude)), TABLE)
-    known = np.isfinite(seen.local.amplitude)
-    m[known], errors[known] = _parameters(theory, c, numbers, part, np.clip(start, 1e-3, 1 - 1e-3))
-    phases[known], rest[known] = _phases(own, c, constants, part)
-    speeds[known] = np.asarray(own.formulas.modulation(m[known], c, **constants).speed)
-    return Modulated(c, m, errors, speeds, phases, rest / abs(mean - ahead), "")
+    found = np.full((5, len(none)), np.nan)
+    start = np.interp(seen.local.amplitude, np.abs(np.asarray(table.amplitude)), TABLE)
+    for j in known:
+        strains = seen.strains[..., j] - ahead
+        parameter = _parameter(theory, c, constants, seen, j, strains, start[j])
+        found[:, j] = *parameter, *_phase(own, c, constants, seen, j, strains)
+    found[-1] /= abs(mean - ahead)
+    return dict(zip(names, found), c=c)
 
 
-def _parameters(theory, c, numbers, seen, start):
-    """m nearest to the strains of every window, and how far the mean of those of either half of the frames is from it.
+def _parameter(theory, c, constants, seen, j, strains, start):
+    """m nearest to the strains of a window, how far the mean of those of either half of the frames is from it, and s.
 
     In the phase k n - omega t as it was seen: another law's waves have the theory's shape sooner than its dispersion.
     """
-    frames, _, count = seen.strains.shape
-    half, local = (frames + 1) // 2, seen.local
-    turns = (local.wavenumber * seen.xi[:, None] - local.omega * seen.tau[:, None, None]) / (
-        2 * np.pi
-    )
-    weights = np.ones((frames, 1, 3, 1))
-    weights[half:, :, 1], weights[: frames - half, :, 2] = 0, 0
-    scale = np.abs(seen.strains).max((0, 1))
+    wave = LocalWave(*(x[j] for x in seen.local))
+    turns = (wave.wavenumber * seen.xi - wave.omega * seen.tau[:, None]) / (2 * np.pi)
+    numbers = {name: jnp.asarray(x) for name, x in constants.items()}
+    first = logit(np.clip(start, 1e-3, 1 - 1e-3)), wave.crest * wave.wavenumber / (2 * np.pi)
 
-    def rest(p):
-        # (all frames or a half of them, windows)
-        x, crest = p.reshape(2, 3, count)
-        wave = np.asarray(
-            _periodic(theory, turns[:, :, None] - crest, 1 / (1 + np.exp(-x)), c, numbers)
-        )
-        return (weights * (wave - seen.strains[:, :, None]) / scale).ravel()
+    def nearest(frames):
+        def rest(p):
+            theirs = _periodic(theory, turns - p[1], expit(p[0]), c, numbers)[0]
+            return (np.asarray(theirs) - strains)[frames].ravel() / np.abs(strains).max()
 
-    own = np.arange(3 * count)
-    sparsity = np.kron(np.ones((frames * len(seen.xi), 1)), np.eye(len(own)))
-    first = np.stack(
-        [np.log(start / (1 - start)), seen.local.crest * local.wavenumber / (2 * np.pi)]
-    )
-    found = least_squares(
-        rest,
-        np.repeat(first, 3, 0).ravel(),
-        jac_sparsity=np.tile(sparsity, 2),
-        xtol=1e-9,
-        ftol=1e-12,
-        max_nfev=40,
-    )
-    m = 1 / (1 + np.exp(-found.x.reshape(2, 3, count)[0]))
+        return expit(least_squares(rest, first, xtol=1e-9, ftol=1e-12, max_nfev=40).x[0])
+
+    half = (len(strains) + 1) // 2
+    whole, *parts = map(nearest, (slice(None), slice(half), slice(len(strains) - half, None)))
     # between the halves m moves on, evenly
-    return m[0], np.abs(m[1:].mean(0) - m[0])
+    speed = _periodic(theory, turns, whole, c, numbers)[1]
+    return whole, abs(np.mean(parts) - whole), float(speed)
 
 
-def _phases(own, c, constants, seen):
-    """Theta_0 of the theory's modulated wave that is nearest in every window, and what remains at most."""
+def _phase(own, c, constants, seen, j, strains):
+    """Theta_0 of the theory's modulated wave that is nearest in a window, and what remains at most."""
     phases = 2 * np.pi * np.arange(STARTS) / STARTS
-    n, t = seen.places + seen.xi[:, None], seen.time + seen.tau[:, None, None]
-    wave = np.asarray(
-        own.formulas.shock_wave(n[..., None], t[..., None], c, phase=phases, **constants).strain
-    )
+    n, t = seen.places[j] + seen.xi[:, None], seen.time + seen.tau[:, None, None]
+    wave = np.asarray(own.formulas.shock_wave(n, t, c, phase=phases, **constants).strain)
     # the wave is periodic in its phase
     series, order = np.fft.rfft(wave, axis=-1) / STARTS, np.arange(STARTS // 2 + 1)
-    twice = np.where((order == 0) | (order == STARTS // 2), 1, 2)
-    found = []
-    for j in range(len(seen.places)):
-        own_series, strains = series[:, :, j] * twice, seen.strains[..., j]
-        at = lambda phase: (own_series @ np.exp(1j * order * phase)).real - strains
-        best = phases[np.argmin(np.sum((wave[:, :, j] - strains[..., None]) ** 2, (0, 1)))]
-        near = minimize_scalar(
-            lambda x: np.sum(at(x) ** 2),
-            bounds=(best - 0.2, best + 0.2),
-            method="bounded",
-            options={"xatol": 1e-6},
-        )
-        found.append((near.x % (2 * np.pi), np.abs(at(near.x)).max()))
-    return np.array(found).T
+    series[..., 1:-1] *= 2
+    left = lambda phase: (series @ np.exp(1j * order * phase)).real - strains
+    best = phases[np.argmin(np.sum((wave - strains[..., None]) ** 2, (0, 1)))]
+    near = minimize_scalar(
+        lambda x: np.sum(left(x) ** 2),
+        bounds=(best - 0.2, best + 0.2),
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
+    return near.x % (2 * np.pi), np.abs(left(near.x)).max()
 
 
 @partial(jax.jit, static_argnums=0)
 def _periodic(theory, turns, m, c, constants):
-    """Strains of waves with m at places counted in wavelengths from a crest."""
+    """Strains of a wave with m at places counted in wavelengths from a crest, and the speed s of m."""
     own = THEORIES[theory]
     wave = own.formulas.modulation(m, c, **constants)
-    return own.wave(turns * wave.wavelength, wave, constants).strain
+    return own.wave(turns * wave.wavelength, wave, constants).strain, wave.speed

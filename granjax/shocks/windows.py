@@ -2,20 +2,18 @@
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
 from ..flow import simulate
 from ..lattice import Lattice, State
 from ..profiles.medium import Medium
+from ..programs import shared_size
 from ..strains import Shift
 from ..terms import Bond
 
-# frames in time, of which one in three counts where waves are fitted; sites beyond what the ends of a window can reach,
-# and a multiple to which its length is rounded up
-FRAMES, THIRD, BEYOND, ROUND = 97, 3, 8, 16
+# frames in time, of which one in three counts where waves are fitted; sites beyond what the ends of a window can reach
+FRAMES, THIRD, BEYOND = 97, 3, 8
 # bonds on each side of the middle that count; harmonics of a wave
 BESIDE, HARMONICS = 3, 6
 SAMPLES = 256
@@ -49,23 +47,22 @@ def windows(
     fastest: float,
     step: float,
 ) -> Windows:
-    """Each window of the strains (N - 1,) and velocities (N,), run on for a time with free ends, by steps of a length.
+    """The part of the strains (N - 1,) and velocities (N,) that holds the windows, run on for a time by equal steps.
 
-    What the ends send inwards at the `fastest` speed comes as far as some bonds from the middle, not nearer.
+    Its ends are free: what they send inwards at the `fastest` speed stays some bonds from the middle of each window.
     """
-    half = -(-int(np.ceil(fastest * span) + BEYOND + BESIDE) // ROUND) * ROUND
+    half = int(np.ceil(fastest * span)) + BEYOND + BESIDE
+    first, count = places.min() - half, shared_size(int(np.ptp(places)) + 2 * half + 1)
     # beyond the chain all is at rest as at its ends
-    index = np.clip(places + np.arange(-half, half + 1)[:, None], 0, len(strain) - 1)
-    sites = np.clip(places + np.arange(-half, half + 2)[:, None], 0, len(velocity) - 1)
-    u = np.concatenate([np.zeros((1, len(places))), -np.cumsum(strain[index], 0)])
-    chain = jax.vmap(
-        lambda m: Lattice(m, (Bond(Shift(1, "free"), medium.law),), sites=2 * half + 2), out_axes=-1
-    )
-    lattice = chain(jnp.broadcast_to(medium.mass, (len(places),)))
-    state = State(u - u.mean(0), velocity[sites] - velocity[sites].mean(0))
+    bonds = np.clip(first + np.arange(count), 0, len(strain) - 1)
+    sites = np.clip(first + np.arange(count + 1), 0, len(velocity) - 1)
+    u = np.append(0.0, -np.cumsum(strain[bonds]))
+    lattice = Lattice(medium.mass, Bond(Shift(1, "free"), medium.law), sites=count + 1)
+    state = State(u - u.mean(), velocity[sites] - velocity[sites].mean())
     run = simulate(lattice, state, span, step=step, save_at=FRAMES)
-    us = np.asarray(run.us)
-    return Windows(places, np.asarray(run.ts), us[:, :-1] - us[:, 1:])
+    strains = -np.diff(np.asarray(run.us), axis=1)
+    window = places - first + np.arange(-half, half + 1)[:, None]
+    return Windows(places, np.asarray(run.ts), strains[:, window])
 
 
 class LocalWave(NamedTuple):

@@ -1,16 +1,14 @@
 """Waves that travel along a lattice without changing their shape."""
 
-from .averages import Averages
 from .cells import CellWave, Resonator, cell_wave, tail_free, tail_free_stiffness
 from .closed_forms import ClosedForms, closed_forms
 from .collisions import Collision, collide
 from .family import WaveFamily, family
 from .long_wave import LongWave, SpectralStrain, long_wave
-from .periodic import PeriodicWave, periodic_wave
+from .periodic import Averages, PeriodicWave, periodic_wave
 from .reflection import Reflection, reflect
-from .solitary import solitary_wave
+from .solitary import Wave, solitary_wave
 from .stability import ring, stability, wave_orbit
-from .wave import Wave
 
 __all__ = [
     "Averages",

@@ -17,8 +17,8 @@ from ..strains import Shift
 from ..terms import Bond
 from ..types import Number, Numbers, Parameter, Scalar
 from ..units import SCALED
+from .solitary import Wave
 from .tracking import leaving, reach_of, run_twice, tracked
-from .wave import Wave
 
 # frames of the time before and as long after, how much longer it is than the least, contacts beyond, h omega, and how
 # many strains are looked at for that

@@ -8,7 +8,7 @@ from ..laws import Law
 from ..profiles import medium_of, one_given, wave_of
 from ..results import Result, array
 from ..types import Numbers, Parameter, Scalar
-from .wave import full_width
+from .solitary import full_width
 
 
 class WaveFamily(Result):

@@ -17,8 +17,8 @@ from ..strains import Shift
 from ..terms import Bond, Wall
 from ..types import Count, Numbers, Scalar
 from ..units import SCALED
+from .solitary import Wave
 from .tracking import leaving, reach_of, run_twice, tracked
-from .wave import Wave
 
 # frames of a run, contacts beyond, h omega, share of its peak at which a wave ends, and the least frames for a line
 FRAMES, BEYOND, STEP, TAIL, LEAST = 257, 8, 0.2, 1e-14, 6

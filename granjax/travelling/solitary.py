@@ -1,19 +1,86 @@
 """`solitary_wave`: the wave of a law, or of a uniform chain."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import brentq
 
-from ..checks import positive, refuse, show
+from ..checks import positive, refuse, show, traced
 from ..lattice import Lattice
 from ..laws import Law
-from ..profiles import Solved, medium_of, one_given, tabled, wave_of
-from ..types import Scalar
+from ..orbits.floquet import Floquet
+from ..profiles import Profile, Shape, Solved, medium_of, one_given, tabled, wave_of
+from ..profiles.medium import implicit
+from ..results import array
+from ..types import Count, Number, Scalar
 from .cells import CellWave, Resonator, alone_with_resonators
-from .wave import Wave, full_width
+from .stability import stability
 
 # places of the table, and decays or contacts that it reaches
 TABLE, REACH = 257, 20.0
+
+
+class Wave(Profile):
+    r"""A wave that runs without changing its shape: strain phi(n - c t) of contact n, between the beads n and n + 1.
+
+    m c^2 phi = tent * F(phi), tent(x) = [1 - |x|]_+. Places xi = n - c t count contacts; the beads ahead of the wave
+    are at rest, and each has moved by `compression` when it has passed. Beads are fastest at xi = 1/2, midway between
+    two contacts. `state` is meant for a long chain with free ends: the beads ahead are at rest in place, those behind
+    have moved, which a wall there would feel.
+
+    Differentiable once in the parameters of the law, the mass and the given speed, amplitude or energy, by the implicit
+    function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around the search are refused.
+    """
+
+    amplitude: Number = array("The largest strain phi(0), negative for tension.", "m")
+    energy: Number = array("int (phi F/2 + W); the kinetic energy is int phi F/2.", "J")
+    momentum: Number = array("m c int phi.", "N s")
+    compression: Number = array("int phi.", "m")
+    width: Number = array(
+        "The number of contacts between the places where the strain is half of the amplitude.", "1"
+    )
+    decay: Number = array(
+        "kappa of the tail exp(-kappa |xi|); NaN for a tail that falls faster (no sound at rest).",
+        "1",
+    )
+    exponent: Number = array(
+        "ln phi(xi + 1) / ln phi(xi) of a tail that falls faster than an exponential; NaN "
+        "where there is a `decay`.",
+        "1",
+    )
+
+    @property
+    def outcome(self) -> str:
+        """How well it is known, and how its tail falls."""
+        if traced((self.amplitude, self.error, self.decay, self.exponent)):
+            return "Not known while traced."
+        tail = (
+            f"exp(-{self.decay:.6g} |xi|)"
+            if np.isfinite(self.decay)
+            else f"double exponential, of exponent {self.exponent:.6g}"
+        )
+        share = self.error / abs(self.amplitude)
+        return f"Found to {share:.1e} of its peak; its tail is {tail}."
+
+    def floquet(
+        self, sites: Count | None = None, ends: str | None = None, **keywords: Any
+    ) -> Floquet:
+        """Stability over the time in which it runs one site: `granjax.travelling.stability`."""
+        return stability(self, sites, ends, **keywords)
+
+
+def full_width(shape: Shape, reach: float) -> Number:
+    """The full width at half of the largest strain, whose ends lie within `reach`, with its derivative."""
+    known = jax.lax.stop_gradient(shape)
+    level = float(known.at("strain", 0.0)) / 2
+    half = brentq(lambda x: float(known.at("strain", x)) - level, 0.0, reach, xtol=1e-15)
+    # the slope takes ten times as long as the search
+    if not traced(shape):
+        return jnp.asarray(2 * half)
+    gap = shape.at("strain", half) - shape.at("strain", 0.0) / 2
+    return 2 * implicit(half, gap, jax.grad(known.strain)(half))
 
 
 def solitary_wave(
@@ -82,26 +149,20 @@ def solitary_wave(
 
 
 def _recorded(medium, found: Solved) -> Wave:
-    shape = found.shape
-    known = jax.lax.stop_gradient(shape)
-    end = float(known.end)
-    decay, exponent = (float(jax.lax.stop_gradient(x)) for x in (found.decay, found.exponent))
+    shape, numbers = (
+        found.shape,
+        {name: jnp.asarray(x) for name, x in found._asdict().items() if name != "shape"},
+    )
+    end = float(jax.lax.stop_gradient(shape).end)
+    decay = float(jax.lax.stop_gradient(numbers["decay"]))
     reach = min(end, REACH / decay) if np.isfinite(decay) else min(end, 8.0 * max(1.0, end / 12))
-    xi = np.linspace(-reach, reach, TABLE)
-    amplitude = shape.at("strain", 0.0)
     return Wave(
         speed=shape.speed,
-        amplitude=amplitude,
-        energy=found.energy,
-        momentum=found.momentum,
-        compression=found.compression,
+        amplitude=shape.at("strain", 0.0),
         width=full_width(shape, end),
-        decay=jnp.asarray(found.decay),
-        exponent=jnp.asarray(found.exponent),
-        residual=jnp.asarray(found.residual),
-        error=jnp.asarray(found.error),
         law=medium.law,
         mass=medium.mass,
-        **tabled(shape, xi),
+        **numbers,
+        **tabled(shape, np.linspace(-reach, reach, TABLE)),
         **medium.origin,
     )

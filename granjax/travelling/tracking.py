@@ -7,8 +7,7 @@ import numpy as np
 from ..checks import refuse
 from ..flow import Run, simulate
 from ..lattice import Lattice, State
-from .solitary import solitary_wave
-from .wave import Wave
+from .solitary import Wave, solitary_wave
 
 # least squares: of Gauss's iteration, and its last step in contacts
 ITERATIONS, STILL = 12, 1e-13

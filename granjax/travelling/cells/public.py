@@ -11,6 +11,7 @@ from jaxtyping import Float
 from ...checks import positive, refuse
 from ...lattice import Lattice, State
 from ...laws import Law
+from ...profiles import places
 from ...profiles.fourier import fourier
 from ...profiles.highest import highest
 from ...results import Result, array, note
@@ -18,7 +19,7 @@ from ...types import Count, Numbers, Parameter, Scalar
 from .cell import chain_of, repeated_in
 from .resonator import Resonator
 from .tail import margin, periodic
-from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, velocities, without_tail
+from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, without_tail
 
 # the speed over the sound speed from which on a box holds the wave
 LEAST_MARGIN = 1.004
@@ -117,24 +118,20 @@ class CellWave(Result):
         place. Meant for free ends: those behind have moved. Contacts beyond the box see its own ripple go on. With
         resonators dicts of `"bead"` and `"resonator"`.
         """
-        centre = (sites - 2) / 2 if centre is None else centre
-        u, v = np.zeros(sites), self._along(self.velocities, sites, centre)
-        u[:-1] = np.cumsum(self._along(self.strains, sites - 1, centre)[::-1])[::-1]
+        xi = places(sites, centre)
+        u, v = np.zeros(sites), self._along(self.velocities, xi)
+        u[:-1] = np.cumsum(self._along(self.strains, xi[:-1])[::-1])[::-1]
         if self.resonator is None:
             return State(u, v)
         velocity, stretch = swinging(self.velocities, self.xi, self.speed, self.resonator)
-        inner = {
-            "u": u - self._along(stretch, sites, centre),
-            "v": self._along(velocity, sites, centre),
-        }
-        return State({"bead": u, "resonator": inner["u"]}, {"bead": v, "resonator": inner["v"]})
+        inner = u - self._along(stretch, xi), self._along(velocity, xi)
+        return State(*({"bead": x, "resonator": y} for x, y in zip((u, v), inner)))
 
-    def _along(self, table, count, centre):
-        """Values along a chain."""
-        out = np.empty(count)
-        for j in range(len(self.masses)):
-            own = np.arange(j, count, len(self.masses))
-            out[own] = self._at(table, own - centre, j)
+    def _along(self, table, xi):
+        """Values along a chain whose sites are at places xi."""
+        out, P = np.empty(len(xi)), len(self.masses)
+        for j in range(P):
+            out[j::P] = self._at(table, xi[j::P], j)
         return out
 
     def _at(self, table, xi, j):
@@ -369,7 +366,7 @@ def _recorded(search, chain, throw, resonator, speed, solved_for=False, **fields
         if throw:
             raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
         return CellWave(speed, chain.given, resonator=resonator, _lost=str(lost), **fields)
-    chain, v = found.box.chain, speed * velocities(found)
+    chain, v = found.box.chain, speed * found.box.velocities(phi)
     error = (error_of(found) + abs(fields.get("_off", 0.0))) * top + (tail.rest if tail else 0.0)
     wave = CellWave(
         speed,

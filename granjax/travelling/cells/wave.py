@@ -307,20 +307,6 @@ def of_one_site(chain: Chain) -> Found:
     return _smallest(chain, box, solved, ripple, core)
 
 
-def velocities(found: Found) -> np.ndarray:
-    """Velocities (P, N) of the sites at the box's places x = n - c t, in units of c times the length of strains.
-
-    m_j v_j' = F_j(phi_j(x)) - F_{j-1}(phi_{j-1}(x - 1)), and the far field is at rest.
-    """
-    box, chain = found.box, found.box.chain
-    force = np.fft.fft(chain.bonds(found.solved.phi)[0], axis=1)
-    k = np.where(box.k == 0, 1, box.k)
-    hat = (force - np.roll(force, 1, axis=0) * np.exp(-1j * k)) / (1j * k * chain.inertia(box.k))
-    hat[:, 0] = found.solved.phi.mean() * box.points
-    hat[:, box.points // 2] = 0
-    return np.fft.ifft(hat, axis=1).real
-
-
 def error_of(found: Found) -> float:
     """Estimated error of the strains, over their peak: a Newton step for the defect on a grid twice as fine."""
     box, chain, phi = found.box, found.box.chain, found.solved.phi
