@@ -4,7 +4,6 @@ The table holds published constants for orientation. A measured chain has its ow
 polymers by a factor of two with rate and temperature.
 """
 
-import difflib
 import math
 import warnings
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import broadcast, concrete, positive, real, refuse, within
+from .checks import broadcast, concrete, one_of, positive, real, refuse, within
 from .printing import called
 from .types import Number, Parameter
 
@@ -123,7 +122,7 @@ def _plain(name):
     return "".join(c for c in name.lower() if c not in " -_,./")
 
 
-_PLAIN = {_plain(name): name for name in (*NAMES, *_ALIASES)}
+_PLAIN = {_plain(name): _ALIASES.get(name, name) for name in (*NAMES, *_ALIASES)}
 
 
 def material(name: str | Material) -> Material:
@@ -144,21 +143,11 @@ def named(argument: str, name: str | Material) -> Material:
     """As `material`, for an argument of another name, which the sentence says."""
     if isinstance(name, Material):
         return name
-    known = _PLAIN.get(_plain(name))
+    known = one_of(argument, _PLAIN.get(_plain(name), name), NAMES)
     if known == "rigid":
         unit = Material("rigid", 1.0, 0.0, 1.0, "a body that does not yield and does not move")
         infinite = jnp.full((), jnp.inf)
         return eqx.tree_at(lambda m: (m.young, m.density), unit, (infinite, infinite))
-    if known is None:
-        near = [_PLAIN[n] for n in difflib.get_close_matches(_plain(name), _PLAIN, n=3, cutoff=0.5)]
-        near = dict.fromkeys(_ALIASES.get(n, n) for n in near)
-        remedy = (
-            f"Did you mean {' or '.join(map(repr, near))}?"
-            if near
-            else "Or give Material(name, E, nu, rho)."
-        )
-        refuse(argument, "one of " + ", ".join(map(repr, NAMES)), repr(name), remedy)
-    known = _ALIASES.get(known, known)
     return Material(known, *_TABLE[known])
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, get_args, get_origin
 
@@ -15,7 +16,7 @@ from .files import save
 from .printing import text
 from .types import Values
 from .units import SCALED, SI, Units
-from .units.names import counted_in, known_unit, mark_of, named_unit
+from .units.names import counted_in, known_unit, named_unit
 
 if TYPE_CHECKING:
     import xarray  # half a second
@@ -211,7 +212,7 @@ class Result(eqx.Module):
         """The unit in which a field is counted; nothing where it is scaled."""
         if isinstance(held.unit, dict):
             return ""
-        unit = _said(self.units, held.unit).get("units", "")
+        unit = _said(self.units, None, held.unit)[1].get("units", "")
         return "" if unit == SCALED else unit
 
     def _held(self, name: str) -> Held:
@@ -252,10 +253,13 @@ class Result(eqx.Module):
         `si_units` what a `gx.Units` leads back to.
         **Raises** ValueError where the result is traced, or `lanes` do not fit the batch.
         """
-        return _by_numpy(self)._dataset(lanes, self.units)
+        return _by_numpy(self)._dataset(lanes, self.units, _said)
 
-    def _dataset(self, lanes, counted, outer=(None, None)):
-        """The dataset of numbers `counted` in SI or scaled. Of a result around it: its mark, how its arrays lie."""
+    def _dataset(self, lanes, counted, count, outer=(None, None)):
+        """The dataset of numbers `counted` in SI or scaled, which `count` gives another unit.
+
+        Of a result around it: its mark, how its arrays lie.
+        """
         if traced(self):
             refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
         fields = list(self._fields())
@@ -268,7 +272,7 @@ class Result(eqx.Module):
         mark = outer[0] if mark is None else mark
         layout = _layout(arrays, mark, space or (outer[1] and outer[1].space), lanes)
         alike = outer[1] is None or layout.lanes == outer[1].lanes
-        table = _Table(layout, lanes if alike else None, counted)
+        table = _Table(layout, lanes if alike else None, partial(count, counted))
         types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
         for field, x, held in fields:
             name, records = held.name or field, _records(types.get(field), x)
@@ -283,7 +287,8 @@ class Result(eqx.Module):
         versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__}
         data = table.finished(origin | versions)
         for name, x in within.items():
-            data = _joined(data, name, x._dataset(lanes, x.units or counted, (mark, layout)))
+            inner = x._dataset(lanes, x.units or counted, count, (mark, layout))
+            data = _joined(data, name, inner)
         return data
 
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
@@ -299,6 +304,8 @@ class Result(eqx.Module):
         **Raises** ValueError for a word that nothing here takes or that is not known, for words of scaled numbers, and
         for units of what nobody has said.
         """
+        if not units:
+            return self.to_xarray(lanes=lanes)
         kinds = [x for x in units if isinstance(x, str) and x in (SI, SCALED)]
         # by NumPy, as for JAX each power is a program
         sizes = [jax.tree.map(np.asarray, x) for x in units if isinstance(x, Units)]
@@ -307,7 +314,7 @@ class Result(eqx.Module):
         scaled, asked = counted == SCALED, repr(units)
         if max(len(kinds), len(sizes)) > 1 or len({x.dimension for x in words}) < len(words):
             refuse("units", "one word for each dimension, and one Units at most", asked)
-        if units and counted is None:
+        if counted is None:
             got = f"a {type(self).__name__}, which does not"
             refuse("units", "units of a result that says what it is in", got, SAY)
         if scaled and not sizes and (words or SI in kinds):
@@ -315,44 +322,25 @@ class Result(eqx.Module):
         if not scaled and (SCALED in kinds or sizes and words):
             expected = "units of numbers in SI: words, or a Units, which makes scaled ones of them"
             refuse("units", expected, asked)
-        told, seen = _by_numpy(self), {}
-        if units and self.units is None:
-            mark = np.full(np.shape(self._mark), mark_of(counted))
-            told = eqx.tree_at(lambda x: x._mark, told, mark, is_leaf=lambda x: x is None)
-        data = told._dataset(lanes, told.units)
-        if not units:
-            return data
+        seen = {}
 
-        def converted(x, units, si_units=None):
+        def count(counted, x, unit):
             """Numbers in the units that are asked for, and attributes that say these."""
-            unit, scaled = si_units or units, units == SCALED
+            x, told = _said(counted, x, unit)
             known = known_unit(unit)
             if known is None or not any(known.dimension):
-                return x, {"units": unit}
+                own = sizes and x.ndim and x.dtype.kind in "fc"
+                return x, told or ({"units": counted} if own else {})
             seen[known.dimension] = unit
-            if scaled and not sizes:
-                return x, {"units": units, "si_units": unit}
+            if counted == SCALED and not sizes:
+                return x, told
             size = float(sizes[0].of(*map(float, known.dimension[:3]))) if sizes else 1.0
-            if sizes and not scaled:
+            if sizes and counted == SI:
                 return x / size, {"units": SCALED, "si_units": unit}
             word = next((word for word in words if word.dimension == known.dimension), known)
             return x * (size * known.size / word.size), {"units": word.name}
 
-        for name, x in {**data.variables}.items():
-            told = {key: x.attrs[key] for key in ("units", "si_units") if key in x.attrs}
-            if told:
-                values, told = converted(x.values, **told)
-                said = {"long_name": x.attrs["long_name"]} if "long_name" in x.attrs else {}
-                data[name] = (x.dims, values, told | said)
-            elif sizes and x.dtype.kind in "fc" and name not in (lanes or ()):
-                data[name].attrs["units"] = counted
-        for name in [x.removesuffix("_units") for x in data.attrs if x.endswith("_units")]:
-            if name.endswith("_si"):
-                continue
-            told = {key: data.attrs.pop(f"{name}_{key}", None) for key in ("units", "si_units")}
-            for key in {name, f"{name}_real", f"{name}_imag"} & {*data.attrs}:
-                x, said = converted(np.asarray(data.attrs[key]), **told)
-                data.attrs |= {key: x.tolist()} | {f"{name}_{k}": word for k, word in said.items()}
+        data = _by_numpy(self)._dataset(lanes, counted, count)
         left = [word.name for word in words if word.dimension not in seen]
         if left:
             expected = f"units of {', '.join(sorted(seen.values()))}"
@@ -389,12 +377,12 @@ def _by_numpy(result):
     return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, result)
 
 
-def _said(counted, unit):
-    """Attributes that say the unit of numbers counted in SI or scaled; none where nobody knows."""
+def _said(counted, x, unit):
+    """Numbers counted in SI or scaled, and attributes that say their unit; none where nobody knows."""
     known = known_unit(unit)
     if known is None or not any(known.dimension) or counted == SI:
-        return {"units": unit} if unit else {}
-    return {"units": SCALED, "si_units": unit} if counted == SCALED else {}
+        return x, {"units": unit} if unit else {}
+    return x, {"units": SCALED, "si_units": unit} if counted == SCALED else {}
 
 
 def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:
@@ -542,8 +530,8 @@ def _lanes_named(lanes, shape):
 class _Table:
     """A dataset in the making, which is filled field by field. `cell`: fields along one axis."""
 
-    def __init__(self, layout, lanes, counted):
-        self.layout, self.counted = layout, counted
+    def __init__(self, layout, lanes, count):
+        self.layout, self.count = layout, count
         self.lanes, self.swept = _lanes_named(lanes, layout.lanes)
         self.sizes, self.own = dict(zip(self.lanes, layout.lanes)), set()
         self.variables, self.attributes, self.cell = {}, {}, []
@@ -580,9 +568,12 @@ class _Table:
 
     def _put(self, name, x, axes, held):
         """An array as a variable, or where it has neither axes nor lanes as an attribute."""
-        told, parts = _said(self.counted, held.unit), {name: x}
+        parts = {name: x}
         if x.dtype.kind == "c":
             parts = {f"{name}_real": x.real, f"{name}_imag": x.imag}
+        # both parts have one unit
+        for key, part in parts.items():
+            parts[key], told = self.count(part, held.unit)
         if not x.ndim or held.axes is None and x.shape != self.layout.lanes:
             for key, y in parts.items():
                 y = y.astype(int) if y.dtype == bool else y

@@ -197,7 +197,7 @@ BAD = (
     (
         "force of an array for fields",
         lambda: chain(mass=CELL).force(0.0, np.zeros(6), np.zeros(6)),
-        "fields",
+        "'bead': (6,)",
     ),
     *(
         (f"tolerance {x}", lambda x=x: checks.tolerance("tolerance", x), "tolerance")

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..lattice import Lattice
 from ..programs import compiled, once
-from ..terms import Reach, Reached, Wall
+from ..terms import Reach, Wall
 from ..terms.base import Excitation, within
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
@@ -123,7 +123,8 @@ def reached_frequency(
     none, reaches = jnp.zeros(lattice.lanes, lattice.dtype), []
     for term, *ends in zip(lattice.terms, low, high):
         has_laws = bool(term.compressions(ts[0], u))
-        reaches.append(Reached(*ends, ts, u, none if has_laws else sum(ends[1], none)))
+        energy = none if has_laws else sum(ends[1], none)
+        reaches.append(Reach(energy, none, None, 1, ts, u, tuple(ends)))
     return _bound(lattice, reaches, FEW_STEPS)
 
 

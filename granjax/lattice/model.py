@@ -161,27 +161,16 @@ class Lattice(eqx.Module):
 
     def _places(self, positions):
         """The positions of the sites, checked."""
-        sites = self.sites
-        known, given = (sorted(x) if isinstance(x, dict) else None for x in (sites, positions))
-        if known != given:
+        each = positions if isinstance(positions, dict) else {None: positions}
+        each = {name: parameter("positions", x) for name, x in each.items()}
+        places = each.get(None, each)
+        shapes = jax.tree.map(lambda x: x.shape[:-1], places)
+        if shapes != self.sites or any(x.shape[-1] not in (1, 2, 3) for x in each.values()):
+            given = jax.tree.map(lambda x: x.shape, places)
             refuse(
-                "positions",
-                f"an array for each of {known}" if known else "one array",
-                f"{given or 'one array'}",
+                "positions", f"places of 1 to 3 numbers for sites {self.sites}", f"shape {given}"
             )
-
-        def checked_places(name, x, shape):
-            x = parameter(name, x)
-            if x.ndim != len(shape) + 1 or x.shape[:-1] != shape or x.shape[-1] not in (1, 2, 3):
-                refuse(name, f"shape {(*shape, 2)}, a place for every site", f"shape {x.shape}")
-            return x
-
-        if not isinstance(positions, dict):
-            return checked_places("positions", positions, sites)
-        return {
-            name: checked_places(f"positions[{name!r}]", x, sites[name])
-            for name, x in positions.items()
-        }
+        return places
 
     def check_terms(self) -> None:
         """Refuse terms whose parameters do not fit the sites, naming them."""
@@ -204,17 +193,10 @@ class Lattice(eqx.Module):
             wanted = (
                 u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
             )
-            same = jax.tree.structure(got) == jax.tree.structure(wanted)
-            if not same or any(
-                a.shape != b.shape for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(wanted))
-            ):
-                shapes = jax.tree.map(lambda x: x.shape, got)
-                refuse(
-                    name,
-                    f"a force of shape {self.shape}",
-                    f"{shapes}",
-                    "Its parameters do not fit the lattice.",
-                )
+            got, wanted = (jax.tree.map(lambda x: x.shape, shapes) for shapes in (got, wanted))
+            if got != wanted:
+                remedy = "Its parameters do not fit the lattice."
+                refuse(name, f"a force of shape {self.shape}", f"{got}", remedy)
 
     @property
     def fields(self):
@@ -436,39 +418,27 @@ def _has_sites(lattice, own):
 
 def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lattice") -> None:
     """That displacements or velocities are real, with an entry for every site and lane; more axes may follow."""
-    shape, lanes = lattice.shape, lattice.lanes
-    if (
-        isinstance(shape, dict) != isinstance(x, dict)
-        or isinstance(x, dict)
-        and x.keys() != shape.keys()
-    ):
-        refuse(
-            name,
-            f"{f'fields {sorted(shape)}' if isinstance(shape, dict) else 'an array'}, as of {whose}",
-            f"fields {sorted(x)}" if isinstance(x, dict) else "an array",
-            "Start from lattice.zeros().",
-        )
-    pairs = [(shape, x)] if not isinstance(x, dict) else [(shape[field], x[field]) for field in x]
-    for own, array in pairs:
-        if letter(array) == "c":
-            refuse(
-                name,
-                "real numbers",
-                described(array),
-                "Real and imaginary part move for themselves.",
-            )
-        wanted, got = own + lanes, np.shape(array)
+    sites, lanes = lattice.shape, lattice.lanes
+    sites = sites if isinstance(sites, dict) else {None: sites}
+    given = x if isinstance(x, dict) else {None: x}
+    wanted = {field: own + lanes for field, own in sites.items()}
+    got = {field: np.shape(array) for field, array in given.items()}
+    if wanted.keys() != got.keys() or not all(
+        len(got[field]) >= len(shape)
         # one lane serves many, as of a lattice whose tangents they are
-        fits = len(got) >= len(wanted) and all(
-            w == g or w == 1 and i >= len(own) for i, (w, g) in enumerate(zip(wanted, got))
+        and all(
+            w == g or w == 1 and i >= len(sites[field])
+            for i, (w, g) in enumerate(zip(shape, got[field]))
         )
-        if not fits:
-            refuse(
-                name,
-                f"shape {wanted}, that of {whose}",
-                f"shape {got}",
-                "Start from lattice.zeros().",
-            )
+        for field, shape in wanted.items()
+    ):
+        wanted, got = (shapes.get(None, shapes) for shapes in (wanted, got))
+        remedy = "Start from lattice.zeros()."
+        refuse(name, f"shape {wanted}, that of {whose}", f"shape {got}", remedy)
+    for array in given.values():
+        if letter(array) == "c":
+            remedy = "Real and imaginary part move for themselves."
+            refuse(name, "real numbers", described(array), remedy)
 
 
 def refuse_memory(lattice: Lattice) -> None:

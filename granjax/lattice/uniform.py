@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from ..terms.reach import components
 from .model import Lattice
 
 NOT_RESISTED = 1e-9
@@ -15,26 +16,12 @@ def uniform_moves(lattice: Lattice) -> np.ndarray:
     Fields that no term joins move each for themselves. Asked of the terms, whatever their parameters, so that a traced
     lattice has them too.
     """
-    moves = _components(lattice)
+    moves = components(lattice)
     answers = [term.resists(lattice, moves) for term in lattice.terms]
     columns = [np.concatenate([x.ravel() for x in jax.tree.leaves(move)]) for move in moves]
     return np.stack(columns, -1) @ _null_space(
         np.concatenate([np.zeros((1, len(moves))), *answers])
     )
-
-
-def _components(lattice):
-    """The displacement of one component of one field, for each."""
-    zeros = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), lattice.template())
-    moves = []
-    for i in range(lattice.dimension or 1):
-        # the vector axis lies before the lanes
-        place = (..., i) + (slice(None),) * len(lattice.lanes) if lattice.dimension else ...
-        for name in zeros if isinstance(zeros, dict) else (None,):
-            move = jax.tree.map(np.copy, zeros)
-            (move if name is None else move[name])[place] = 1
-            moves.append(move)
-    return moves
 
 
 def _null_space(answers):

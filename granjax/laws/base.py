@@ -97,7 +97,7 @@ class Law(Dimensional):
         return None
 
     def _wrapped(self, units):
-        return InOtherUnits(self, units.length, units.force)
+        return Scaled(self, 1 / units.force, 1 / units.length)
 
     def __add__(self, law: "Law") -> "Law":
         return Sum(self.parts + law.parts)
@@ -191,17 +191,23 @@ class Derived(Law):
     def opens(self):
         return self.law.opens
 
+    def _own(self, x):
+        """A length of the other law, or `None`, as one of this law."""
+        return x
+
     def overlap(self, e):
-        return self.law.overlap(self._moved(e))
+        return self._own(self.law.overlap(self._moved(e)))
 
     def room(self, e):
-        return self.law.room(self._moved(e))
+        return self._own(self.law.room(self._moved(e)))
 
 
 class Scaled(Derived):
     """A law times a factor: F = g F_law(e), for stiffness that changes in time or along the chain.
 
-    **Arguments:** `law`; `factor`: number or array over bonds.
+    With a length l it is stretched as well, F = g F_law(e/l): as l bonds in series, or in other units.
+
+    **Arguments:** `law`; `factor`: g, and `length`: l > 0, numbers or arrays over bonds, dimensionless; `None` for 1.
 
     **Example:**
 
@@ -210,28 +216,40 @@ class Scaled(Derived):
     (14.0, 2.0)
     """
 
-    dimensions = {"law": PART, "factor": (0, 0, 0)}
+    dimensions = {"law": PART, "factor": (0, 0, 0), "length": (0, 0, 0)}
     law: Law
     factor: object
+    length: object
 
-    def __init__(self, law: Law, factor: Number):
-        self.law, self.factor = law, factor
+    def __init__(self, law: Law, factor: Number, length: Number | None = None):
+        self.law, self.factor, self.length = law, factor, length
 
     @property
     def power_law(self):
         found = self.law.power_law
-        return None if found is None else (self.factor * found[0], found[1])
+        if found is None or self.length is not None:
+            return None
+        return self.factor * found[0], found[1]
 
     @property
     def powers(self):
         found = self.law.powers
-        return None if found is None else {k: self.factor * K for k, K in found.items()}
+        if found is None:
+            return None
+        length = 1 if self.length is None else self.length
+        return {k: self.factor / length**k * K for k, K in found.items()}
+
+    def _moved(self, e):
+        return e if self.length is None else e / self.length
+
+    def _own(self, x):
+        return x if x is None or self.length is None else x * self.length
 
     def force(self, e):
-        return self.factor * self.law.force(e)
+        return self.factor * self.law.force(self._moved(e))
 
     def energy(self, e):
-        return self.factor * self.law.energy(e)
+        return self.factor * self._own(self.law.energy(self._moved(e)))
 
     @property
     def preload(self):
@@ -281,35 +299,6 @@ class Strained(Derived):
 
     def _moved(self, e):
         return e + self.strain
-
-
-class InOtherUnits(Derived):
-    """A law with compressions and forces counted in other units: F(e) = F_law(length e)/force."""
-
-    law: Law
-    length: jax.Array
-    unit: jax.Array
-
-    @property
-    def preload(self):
-        return self.law.preload / self.unit
-
-    def force(self, e):
-        return self.law.force(self.length * e) / self.unit
-
-    def energy(self, e):
-        return self.law.energy(self.length * e) / (self.unit * self.length)
-
-    def _moved(self, e):
-        return self.length * e
-
-    def overlap(self, e):
-        overlap = super().overlap(e)
-        return None if overlap is None else overlap / self.length
-
-    def room(self, e):
-        room = super().room(e)
-        return None if room is None else room / self.length
 
 
 class Taylor(NamedTuple):

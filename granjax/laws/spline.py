@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import nnls
 
 from ..checks import concrete, non_negative, parameter, refuse, show
 from ..types import Parameter, Values
@@ -16,9 +15,9 @@ class Spline(Law):
 
     The stiffness k(e) = F'(e) is a quadratic spline; its coefficients k_j >= 0 are those of B-splines, which are
     positive and sum to one. F is then monotone (an I-spline), twice differentiable between the ends and linear in
-    every k_j: fitted to forces, it is a linear least-squares problem. k_0 and the last k_j are the stiffness at the
-    end knots and beyond them, where F goes on as a straight line; each of the others is nearly the stiffness midway
-    between two knots. k_0 = 0 makes a contact that opens at the first knot.
+    every k_j: `scipy.optimize.nnls` finds those of measured forces (below). k_0 and the last k_j are the stiffness
+    at the end knots and beyond them, where F goes on as a straight line; each of the others is nearly the stiffness
+    midway between two knots. k_0 = 0 makes a contact that opens at the first knot.
 
     **Arguments:** `knots`: (K,) compressions that increase, with first <= 0 <= last [m]; plain numbers, static.
     `stiffness`: k_j >= 0 [N/m], (K + 1,), or (K + 1, bonds) for one law per bond; what a fit moves, with the bounds
@@ -33,6 +32,15 @@ class Spline(Law):
     >>> law = gx.Spline(knots=[-1.0, 0.0, 1.0], stiffness=[0.0, 1.0, 1.0, 1.0])
     >>> law.force(jnp.array([-1.0, 1.0])).round(4)
     Array([-0.6667,  1.    ], dtype=float64)
+
+    Least squares: the force is the sum of k_j times that of one bond each.
+
+    >>> from scipy.optimize import nnls
+    >>> knots, e = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 50)
+    >>> columns = gx.Spline(knots, np.eye(6)).force(e[:, None])
+    >>> law = gx.Spline(knots, nnls(np.asarray(columns), e**1.5)[0])
+    >>> round(float(law.force(0.64)), 2)
+    0.51
     """
 
     positive = ("coefficients",)
@@ -55,27 +63,6 @@ class Spline(Law):
         self._coefficients = tuple(stiffness)
         self._preload = checked_preload("preload", preload, "A contact can only push.")
 
-    @classmethod
-    def fitted(cls, knots, e, force, preload=0.0):
-        """The spline nearest, in least squares, to forces measured at some compressions: a static test.
-
-        **Arguments:** `knots`, `preload`: as for `Spline`; `e`, `force`: (n,) compressions and forces beyond the
-        preload, n > K. **Raises** ValueError for too few points or lists of different length.
-        """
-        e, force = np.asarray(parameter("e", e)), np.asarray(parameter("force", force))
-        knots = _checked_knots(knots)
-        if e.ndim != 1 or e.shape != force.shape or len(np.unique(e)) <= len(knots):
-            got = f"{len(np.unique(e))} different ones of shape {e.shape}, forces of shape {force.shape}"
-            refuse(
-                "e",
-                f"more than {len(knots)} compressions, one per force",
-                got,
-                "Each coefficient needs a point.",
-            )
-        # the force is linear in every k_j: of one bond each
-        columns = cls(knots, np.eye(len(knots) + 1)).force(jnp.asarray(e)[:, None])
-        return cls(knots, nnls(np.asarray(columns), force)[0], preload)
-
     @property
     def stiffness(self):
         """The coefficients k_j, (K + 1,)."""
@@ -86,60 +73,47 @@ class Spline(Law):
         return 0.0 if self._preload is None else self._preload
 
     def force(self, e):
-        x, F, _, k, slope, curve = self._piece(e)
-        return F + x * (k + x * (slope / 2 + x * (curve / 3)))
+        return sum(h * _mean_stiffness(h, *k) for h, _, *k in self._pieces(e))
 
     def energy(self, e):
-        x, F, E, k, slope, curve = self._piece(e)
-        return E + x * (F + x * (k / 2 + x * (slope / 6 + x * (curve / 12))))
+        total = 0.0
+        for h, beyond, k, slope, curve in self._pieces(e):
+            within = h * h * (k / 2 + h * (slope / 6 + h * curve / 12))
+            total = total + within + beyond * (h * _mean_stiffness(h, k, slope, curve))
+        return total
 
-    def _piece(self, e):
-        """What holds at e: e less an anchor, the force, energy and stiffness there, and the latter's derivatives.
+    def _pieces(self, e):
+        """For each interval: the way to e within it and beyond it, and k, k', k''/2 where that way begins.
 
-        Pieces are laid outwards from equilibrium, so that no digits are lost near it.
+        It begins at the point nearest to equilibrium, so that no digits are lost near there.
         """
-        dtype = jnp.result_type(e, *self._coefficients)
-        zero = jnp.zeros((), dtype)
-        chosen = None
-        for sign in (1, -1):
-            F, E, end = zero, zero, 0.0
-            side = []
-            for start, end, k, slope, curve in self._outwards(sign):
-                side.append((start, (F, E, k, slope, curve)))
-                h = end - start
-                E = E + h * (F + h * (k / 2 + h * (slope / 6 + h * (curve / 12))))
-                F = F + h * (k + h * (slope / 2 + h * (curve / 3)))
-            side.append((end, (F, E, self._coefficients[-1 if sign > 0 else 0], zero, zero)))
-            for anchor, values in side:
-                new = (jnp.asarray(anchor, dtype), *values)
-                here = e >= anchor if sign > 0 else e < anchor
-                chosen = (
-                    new
-                    if chosen is None
-                    else tuple(jnp.where(here, a, b) for a, b in zip(new, chosen))
-                )
-        return (e - chosen[0], *chosen[1:])
-
-    def _outwards(self, sign):
-        """The intervals on one side of 0, outwards: where they start and end, k, k', k''/2 at the start."""
         middle = self._coefficients[1:-1]
         ends = [self._coefficients[0], *self._inner_ends(), self._coefficients[-1]]
-        intervals = list(zip(self.knots, self.knots[1:], ends, middle, ends[1:]))
-        for low, high, at_low, between, at_high in intervals[::sign]:
-            start, end = (max(low, 0.0), high) if sign > 0 else (min(high, 0.0), low)
-            if sign * (end - start) <= 0:
-                continue
-            h = high - low
+        pieces = [
+            (-np.inf, self.knots[0], self.knots[0], ends[0], 0.0, 0.0),
+            (self.knots[-1], np.inf, self.knots[-1], ends[-1], 0.0, 0.0),
+        ]
+        for low, high, at_low, between, at_high in zip(
+            self.knots, self.knots[1:], ends, middle, ends[1:]
+        ):
+            h, start = high - low, min(max(low, 0.0), high)
             slope, curve = 2 * (between - at_low) / h, (at_low - 2 * between + at_high) / h**2
             x = start - low
             k = at_high if start == high else at_low + x * (slope + x * curve)
-            yield start, end, k, slope + 2 * x * curve, curve
+            pieces.append((low, high, start, k, slope + 2 * x * curve, curve))
+        for low, high, start, *k in pieces:
+            there = jnp.where(e >= high, high, jnp.where(e < low, low, e))
+            yield there - start, e - there, *k
 
     def _inner_ends(self):
         """Stiffness at the inner knots: between its neighbours, so that its slope is continuous."""
         h = np.diff(self.knots).tolist()
         k = self._coefficients[1:-1]
         return [(h[i + 1] * k[i] + h[i] * k[i + 1]) / (h[i] + h[i + 1]) for i in range(len(h) - 1)]
+
+
+def _mean_stiffness(h, k, slope, curve):
+    return k + h * (slope / 2 + h * curve / 3)
 
 
 def _checked_knots(knots):

@@ -60,12 +60,10 @@ class Extrema(Result):
         "The transmission at the maxima.", "1"
     )
     local_extrema: Float[np.ndarray, " local_extremum"] = array(
-        "Other minima and maxima, ripples of a finite chain.",
-        "1",
-        default_factory=lambda: np.zeros(0),
+        "Other minima and maxima, ripples of a finite chain.", "1"
     )
     local_transmission: Float[np.ndarray, " local_extremum"] = array(
-        "The transmission at the other extrema.", "1", default_factory=lambda: np.zeros(0)
+        "The transmission at the other extrema.", "1"
     )
 
     @property

@@ -13,7 +13,7 @@ from ..flow import Peak, simulate
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..measures import contact_force
-from ..results import Held, Result, array, note
+from ..results import Result, array, note
 from ..states import impact
 from ..strains import Shift
 from ..sweeps import paired, sweep
@@ -51,14 +51,8 @@ class ResonanceMap(Result):
     force: Float[np.ndarray, "first second"] = array(
         "The largest contact force of the pulse in the last of the cells.", "A^(2/5) (m v^2)^(3/5)"
     )
-    names: tuple[str, str] = note("What the two parameters are.", static=True)
     kind: str = note("The kind of the chain.", static=True)
     cells: tuple[int, int] = note("The cells between which the decay was read.", static=True)
-
-    def _held(self, name: str) -> Held:
-        held, named = super()._held(name), dict(zip(("first", "second"), self.names))
-        axes = held.axes and " ".join(named[word] for word in held.axes.split())
-        return held._replace(axes=axes, name=named.get(name, ""))
 
     @property
     def outcome(self) -> str:
@@ -67,12 +61,11 @@ class ResonanceMap(Result):
             return "No run completed."
         i, j = np.unravel_index(np.nanargmin(self.rate), self.rate.shape)
         k, m = np.unravel_index(np.nanargmax(self.rate), self.rate.shape)
-        one, two = (name.replace("_", " ") for name in self.names)
         failed = f" {lost} runs failed." if lost else ""
         return (
             f"{self.rate.size} chains ({self.kind}): the pulse decays least, by {self.rate[i, j]:.2g} a cell, at "
-            f"{one} {self.first[i]:.4g}, {two} {self.second[j]:.4g}; most, by {self.rate[k, m]:.2g}, at "
-            f"{self.first[k]:.4g}, {self.second[m]:.4g}.{failed}"
+            f"({self.first[i]:.4g}, {self.second[j]:.4g}); most, by {self.rate[k, m]:.2g}, at "
+            f"({self.first[k]:.4g}, {self.second[m]:.4g}).{failed}"
         )
 
 
@@ -85,7 +78,6 @@ def resonance_map(
     second: Parameter,
     *,
     cells: tuple[int, int] = (8, 20),
-    names: tuple[str, str] | None = None,
 ) -> ResonanceMap:
     r"""Decay rate of the leading pulse in chains of one kind of cell, over two parameters of the cell.
 
@@ -102,7 +94,7 @@ def resonance_map(
       `third`, equal contacts. Or a function of two numbers that gives masses (P,) and stiffnesses (P,) of the contacts
       behind them, with largest mass 1.
     - `first` (p,), `second` (q,): values of the parameters, above zero.
-    - `cells`: (a, b), a < b; further down the chain is closer to the limit. `names`: of the parameters of a function.
+    - `cells`: (a, b), a < b; further down the chain is closer to the limit.
 
     Fixed steps with h omega_max = 1/2, eight chains at a time, on every core: rates are good to about 4e-6.
 
@@ -119,20 +111,10 @@ def resonance_map(
     if not callable(kind):
         one_of("kind", kind, KINDS)
     make = kind if callable(kind) else _trimer if kind == "trimer" else _mixed(int(kind[0]))
-    own = (
-        ("second", "third")
-        if kind == "trimer"
-        else ("first", "second")
-        if callable(kind)
-        else ("ratio", "stiffness")
-    )
-    names = own if names is None else names
     first, second = _row("first", first), _row("second", second)
     a, b = (whole(f"cells[{i}]", n, 0) for i, n in enumerate(cells))
     if not a < b:
         refuse("cells", "two cells (a, b), a < b", f"({a}, {b})", "Typical: (8, 20).")
-    if names[0] == names[1] or {*names} & {"rate", "force"}:
-        refuse("names", "two names of their own", repr(names))
     made = [_cell(make, p, q) for p in first for q in second]
     P = len(made[0][0])
     if any(len(masses) != P for masses, _ in made):
@@ -144,9 +126,7 @@ def resonance_map(
     shape = len(first), len(second)
     rate = -np.log(forces[1] / forces[0]) / (b - a)
     told = kind if isinstance(kind, str) else getattr(kind, "__name__", "a cell of one's own")
-    return ResonanceMap(
-        first, second, rate.reshape(shape), forces[1].reshape(shape), names, told, (a, b)
-    )
+    return ResonanceMap(first, second, rate.reshape(shape), forces[1].reshape(shape), told, (a, b))
 
 
 def _row(argument, x):

@@ -6,6 +6,7 @@ import diffrax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import find_peaks
 
 from ..checks import held_in_memory, refuse, whole
 from ..flow import simulate
@@ -101,22 +102,6 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     begin = top - int(np.argmax(low[top::-1])) if low[: top + 1].any() else 0
     rising = np.append(np.diff(approach[top:]) > 0, True)
     end = top + int(np.argmax(low[top:] | rising))
-    return _turns(z[begin : end + 1], TURN * approach[top]) / 2
-
-
-def _turns(z, least):
-    """How often z turns, by more than `least` from one turn to the next; its way in and out counts as such a change."""
-    turns, way, last = 0, 0, z[0]
-    for x in z:
-        if way >= 0 and x > last or way <= 0 and x < last:
-            way = (
-                way
-                if abs(x - last) < least and not way
-                else int(np.sign(x - last))
-                if not way
-                else way
-            )
-            last = x if way else last
-        elif abs(x - last) > least:
-            turns, way, last = turns + 1, -way, x
-    return turns
+    z, least = z[begin : end + 1], TURN * approach[top]
+    turns = sum(len(find_peaks(way * z, prominence=least)[0]) for way in (1, -1))
+    return turns / 2

@@ -239,14 +239,11 @@ class TwoEnds(LinearMap):
 
     def joins(self, numbers: Any) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the sites, NumPy arrays over them, at the tails and at the heads of all bonds; -1 for a wall."""
-        ends = self._both(jax.tree.map(lambda x: x + 1, numbers))
+        ends = self.ends(jax.tree.map(lambda x: x + 1, numbers))
         return tuple(np.asarray(end) - 1 for end in ends)
 
     def ends(self, x: Displacements) -> tuple:
         """What stands at the tails and at the heads of all bonds; zero at a wall."""
-        return self._both(x)
-
-    def _both(self, x):
         tail, head = (x, x) if self.fields is None else (x[name] for name in self.fields)
         return self._select(tail, 0), self._select(head, 1)
 

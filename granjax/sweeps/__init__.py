@@ -1,6 +1,6 @@
-"""Sweeps: a function of parameters over a grid, a list or a random design; kept, resumed, on many machines."""
+"""Sweeps: a function of parameters over a grid or a list; kept, resumed, on many machines."""
 
-from .points import Points, paired, random
+from .points import Points, paired
 from .sweep import sweep
 
-__all__ = ["Points", "paired", "random", "sweep"]
+__all__ = ["Points", "paired", "sweep"]

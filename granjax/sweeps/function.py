@@ -3,13 +3,14 @@
 import inspect
 import itertools
 import pickle
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
+import xarray
 from jax.typing import ArrayLike
 
 from ..checks import described, refuse
@@ -20,7 +21,7 @@ ODD = "The function returned shapes {} here, but {} before. Return the same name
 # failed points of a chunk that are computed again alone, for what their errors say
 ASKED = 4
 # attributes of a result that say nothing of its numbers
-KNOWN = ("granjax", "jax", "result", "units", "cite", "commit")
+KNOWN = ("granjax", "jax", "result", "units", "cite")
 DRAWS = (
     "It is compiled once for many points, which would share what NumPy's or Python's random draws. Draw from a "
     "parameter: jax.random.normal(jax.random.key(seed), shape), with a seed for each point."
@@ -42,31 +43,34 @@ class Task(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """Results of n points: {name: (n, ...)}, a reason for each, "" where it did not fail, {name: dims and units}."""
+    """Results of n points: {name: (n, ...)}, and a reason for each, "" where it did not fail."""
 
-    columns: dict[str, np.ndarray]
+    columns: dict[str, xarray.Variable]
     reasons: np.ndarray
-    told: dict[str, dict]
 
 
 def by_keywords(function: Callable, names: tuple[str, ...]) -> bool:
     """Whether a function takes parameters by their names, else all of them as one dict."""
     try:
-        wanted = inspect.signature(function).parameters.values()
+        signature = inspect.signature(function)
     except (TypeError, ValueError):
         return True
-    free = any(p.kind is p.VAR_KEYWORD for p in wanted)
-    plain = [
-        p for p in wanted if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
-    ]
-    needed, known = {p.name for p in plain if p.default is p.empty}, {p.name for p in plain}
-    if needed <= set(names) and (free or set(names) <= known):
+    if _binds(signature, **dict.fromkeys(names)):
         return True
-    if len(needed) == 1 and not needed & set(names):
+    own = [*signature.parameters]
+    if _binds(signature, {}) and own[0] not in names:
         return False
-    got = f"{getattr(function, '__name__', 'one')}({', '.join(p.name for p in plain)})"
+    got = f"{getattr(function, '__name__', 'one')}({', '.join(own)})"
     remedy = "Parameters are given by their names."
     refuse("function", f"a function of {', '.join(names)}, or of one dict with these", got, remedy)
+
+
+def _binds(signature, *arguments, **named):
+    try:
+        signature.bind(*arguments, **named)
+    except TypeError:
+        return False
+    return True
 
 
 def packed(function: Callable) -> bytes:
@@ -135,9 +139,8 @@ def _by_program(task, function, values, points, together, rows):
         found = jax.device_get(run(np.arange(size), arrays))
         for row, i in enumerate(group):
             whole = eqx.combine(jax.tree.map(lambda x, row=row: x[row], found), rest)
-            rows[i] = columns(
-                {name: whole[name] for name in order} if order else whole, name_of(function)
-            )
+            whole = {name: whole[name] for name in order} if order else whole
+            rows[i] = columns(whole, name_of(function), values)
 
 
 def kinds(values: dict[str, np.ndarray]) -> tuple:
@@ -223,7 +226,7 @@ def _refusal(function, keywords, point):
 def _alone(function, keywords, point):
     """The columns of one point, `None` where it raises, and why it failed."""
     try:
-        row = columns(call(function, point, keywords), name_of(function))
+        row = columns(call(function, point, keywords), name_of(function), point)
     except Exception as error:
         return None, said(error)
     return row, _not_finite(row)
@@ -245,30 +248,24 @@ def said(error: BaseException) -> str:
 
 
 def _not_finite(row):
-    bad = [
-        name for name, (x, _) in row.items() if x.dtype.kind in "fc" and not np.isfinite(x).all()
-    ]
+    own = {name: x.values for name, x in row.items()}
+    bad = [name for name, x in own.items() if x.dtype.kind in "fc" and not np.isfinite(x).all()]
     return f"Not finite: {', '.join(bad[:4])}{', ...' if len(bad) > 4 else ''}." if bad else ""
 
 
 def _stacked(rows, reasons):
     """The rows of points as a `Chunk`: NaN, or "", for those that failed or whose names or shapes are others."""
+    shapes = lambda row: {name: x.shape for name, x in row.items()}
     first = next((row for row in rows if row), {})
-    empty = {
-        name: ("", object) if x.dtype.kind == "U" else (np.nan, x.dtype)
-        for name, (x, _) in first.items()
-    }
-    found = {name: np.full((len(rows), *x.shape), *empty[name]) for name, (x, _) in first.items()}
     for i, row in enumerate(rows):
-        if row is None:
-            continue
-        shapes, wanted = ({name: x.shape for name, (x, _) in r.items()} for r in (row, first))
-        if shapes != wanted:
-            reasons[i] = ODD.format(shapes, wanted)
-            continue
-        for name, (x, _) in row.items():
-            found[name][i] = x
-    return Chunk(found, reasons, {name: told for name, (_, told) in first.items()})
+        if row is not None and shapes(row) != shapes(first):
+            reasons[i], rows[i] = ODD.format(shapes(row), shapes(first)), None
+    found = {}
+    for name, x in first.items():
+        blank = np.full(x.shape, "" if x.dtype.kind == "U" else np.nan, x.dtype)
+        values = np.stack([blank if row is None else row[name].values for row in rows])
+        found[name] = xarray.Variable(("point of the chunk", *x.dims), values, x.attrs)
+    return Chunk(found, reasons)
 
 
 def name_of(function: Callable) -> str:
@@ -277,20 +274,23 @@ def name_of(function: Callable) -> str:
     return name if name.isidentifier() else "value"
 
 
-def columns(value: Any, name: str) -> dict[str, tuple[np.ndarray, dict]]:
-    """{name: (array, its dims and units)} of what a function returned at one point; numbers as floats.
+def columns(value: Any, name: str, taken: Iterable[str]) -> dict[str, xarray.Variable]:
+    """What a function returned at one point, by names, which are not those of its parameters; numbers as floats.
 
     **Raises** ValueError for what is no number, word, array, dict of them or result.
     """
     found = {}
-    for key, x, told in _entries(value, ""):
-        x = np.asarray(x)
+    for key, x in _entries(value, ""):
+        key = f"{key or name}_found" if (key or name) in (*taken, "reason", "done") else key or name
+        if not isinstance(x, xarray.Variable):
+            x = np.asarray(x)
+            x = xarray.Variable([f"{key}_{k}" for k in range(x.ndim)], x)
         if x.dtype.kind not in "biufcU":
-            got = f"{key or 'one'} of {described(value)}"
+            got = f"{key} of {described(value)}"
             refuse(
                 "function", "one that returns numbers, words, arrays, dicts of them or results", got
             )
-        found[key or name] = (x if x.dtype.kind in "fcU" else x.astype(float)), told
+        found[key] = x if x.dtype.kind in "fcU" else x.astype(float)
     if not found:
         refuse(
             "function", "one that returns numbers or words", f"one that returns {described(value)}"
@@ -298,42 +298,30 @@ def columns(value: Any, name: str) -> dict[str, tuple[np.ndarray, dict]]:
     return found
 
 
-def _entries(value, name) -> Iterator[tuple[str, Any, dict]]:
+def _entries(value, name) -> Iterator[tuple[str, Any]]:
     value = value._asdict() if hasattr(value, "_asdict") else value
     value = value.to_xarray() if isinstance(value, Result) else value
-    if isinstance(value, Mapping) and not hasattr(value, "data_vars"):
-        for key, x in value.items():
-            yield from _entries(x, f"{name}_{key}" if name else str(key))
-    elif hasattr(value, "data_vars"):
+    called = lambda key: f"{name}_{key}" if name else str(key)
+    if isinstance(value, xarray.Dataset):
         for key, x in value.variables.items():
             if x.dtype.kind != "O" and key not in ("site", "component", "field"):
-                yield (
-                    f"{name}_{key}" if name else key,
-                    x.values,
-                    {"dims": list(x.dims), **_units(x)},
-                )
+                yield called(key), _with_unit(x.dims, x.values, x.attrs.get("units"))
         for key, x in value.attrs.items():
-            if (
-                isinstance(x, (bool, int, float, str, np.number))
-                and key not in KNOWN
-                and not key.endswith("_units")
-            ):
-                told = (
-                    {"units": value.attrs[f"{key}_units"]} if f"{key}_units" in value.attrs else {}
-                )
-                yield f"{name}_{key}" if name else key, x, told
-    elif hasattr(value, "dims"):
-        yield (
-            name or str(value.name or ""),
-            value.values,
-            {"dims": list(value.dims), **_units(value)},
-        )
+            own = key not in KNOWN and not key.endswith("_units")
+            if own and isinstance(x, (bool, int, float, str, np.number)):
+                yield called(key), _with_unit((), x, value.attrs.get(f"{key}_units"))
+    elif isinstance(value, Mapping):
+        for key, x in value.items():
+            yield from _entries(x, called(key))
+    elif isinstance(value, xarray.DataArray):
+        x = _with_unit(value.dims, value.values, value.attrs.get("units"))
+        yield name or str(value.name or ""), x
     elif isinstance(value, (tuple, list)) and not all(np.ndim(x) == 0 for x in value):
         for i, x in enumerate(value):
             yield from _entries(x, f"{name or 'value'}_{i}")
     elif value is not None:
-        yield name, value, {}
+        yield name, value
 
 
-def _units(x):
-    return {"units": x.attrs["units"]} if "units" in x.attrs else {}
+def _with_unit(dims, values, unit):
+    return xarray.Variable(dims, values, None if unit is None else {"units": unit})

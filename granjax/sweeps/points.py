@@ -1,13 +1,13 @@
-"""Where a sweep looks: a grid, a list, a random design."""
+"""Where a sweep looks: a grid, or a list."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..checks import described, is_whole, positive, refuse, whole
+from ..checks import described, refuse
 from ..printing import called, numbers
-from ..types import Count, Seed, Values
+from ..types import Values
 
 LANE = "lane"
 # names that the results of a sweep have
@@ -47,7 +47,7 @@ class Points:
 
 
 Parameters: TypeAlias = Mapping[str, Any] | Sequence[Mapping[str, Any]] | Points
-"""What a sweep varies: {name: values} for all combinations, a list of dicts, or what `paired` and `random` give."""
+"""What a sweep varies: {name: values} for all combinations, a list of dicts, or what `paired` gives."""
 
 
 def points_of(parameters: Parameters) -> Points:
@@ -97,62 +97,6 @@ def paired(parameters: dict[str, Values]) -> Points:
             "A dict given to gx.sweep itself means all combinations.",
         )
     return Points(axes, "list")
-
-
-def random(bounds: dict[str, tuple], count: Count, *, seed: Seed = 0) -> Points:
-    """A random design: `count` lanes, spread more evenly between bounds than chance does (scrambled Sobol points).
-
-    **Arguments:** `bounds`: {name: (low, high)}, or (low, high, "log") for even spreading over decades; two whole
-    numbers give whole numbers, both ends included. `count`: lanes; powers of two are spread best. `seed`: equal ones
-    give equal designs.
-
-    **Returns:** what `gx.sweep` takes. **Raises** ValueError for bounds that are no such pair.
-    Source: Sobol points as in `scipy.stats.qmc`.
-
-    **Example:**
-
-    >>> points = gx.sweeps.random({"ratio": (0.1, 1.0), "load": (1.0, 1e3, "log")}, 8)
-    >>> points.count, bool((points.axes["load"] > 1.0).all())
-    (8, True)
-    """
-    import warnings
-
-    from scipy.stats import qmc
-
-    count = whole("count", count, 1)
-    seed = whole("seed", seed, 0, "Equal seeds give equal draws.")
-    if not bounds:
-        refuse("bounds", '{name: (low, high)}, such as {"ratio": (0.1, 1.0)}', "none")
-    with warnings.catch_warnings():
-        # of a number of points that is no power of two
-        warnings.simplefilter("ignore", UserWarning)
-        unit = qmc.Sobol(len(bounds), seed=seed).random(count)
-    return Points(
-        {_name(name): _between(name, pair, x) for (name, pair), x in zip(bounds.items(), unit.T)},
-        "list",
-    )
-
-
-def _between(name, pair, x):
-    scale = pair[2] if len(pair) == 3 else "linear"
-    if len(pair) not in (2, 3) or scale not in ("linear", "log"):
-        refuse(f"bounds[{name!r}]", '(low, high) or (low, high, "log")', repr(pair))
-    low, high = pair[:2]
-    for end in (low, high):
-        if (
-            not isinstance(end, (int, float, np.number))
-            or isinstance(end, bool)
-            or not np.isfinite(end)
-        ):
-            refuse(f"bounds[{name!r}]", "two finite numbers", repr(pair))
-    if not low < high:
-        refuse(f"bounds[{name!r}]", "low below high", repr(pair))
-    if scale == "log":
-        positive(f"bounds[{name!r}]", low)
-        return np.exp(np.log(low) + x * (np.log(high) - np.log(low)))
-    if is_whole(low) and is_whole(high):
-        return np.minimum(low + np.floor(x * (high - low + 1)).astype(int), high)
-    return low + x * (high - low)
 
 
 def _name(name):

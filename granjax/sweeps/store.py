@@ -18,96 +18,31 @@ from .points import Points
 NOT_YET = "not computed yet"
 
 
-class Target:
-    """Arrays by name over the design, and which of its blocks are there; in memory."""
+class Store:
+    """Arrays by name over the design, and which of its blocks are there.
+
+    `root`: a folder or a URL, `None` for the memory. `identity` tells a sweep from others; another `source` is a
+    warning. **Raises** ValueError for a store of another sweep, and for what is none.
+    """
 
     def __init__(
         self,
+        root: str | None,
+        identity: dict,
+        source: str,
         points: Points,
-        chunk: tuple[int, ...],
         blocks: list,
         units: dict[str, str],
         attrs: dict,
     ):
-        self.points, self.chunk, self.blocks, self.units, self.attrs = (
-            points,
-            chunk,
-            blocks,
-            units,
-            attrs,
-        )
-        self.arrays, self.dims, self.waiting = {}, {}, []
+        self.points, self.blocks, self.units, self.attrs = points, blocks, units, attrs
+        self.chunk, self.root = identity["chunk"], root
+        self.arrays, self.variables, self.waiting = {}, {}, []
         self.done = np.zeros(len(blocks), bool)
-
-    def put(self, number: int, chunk: Chunk) -> None:
-        """Keep a chunk. Those in which every point failed wait for one that tells names and shapes."""
-        self.waiting.append((number, chunk))
-        if not self.arrays and chunk.columns:
-            self._begin(chunk)
-        while self.arrays and self.waiting:
-            self._write(*self.waiting.pop())
-
-    def _write(self, number, chunk):
-        block, over = self.blocks[number], len(self.points.shape)
-        shape = tuple(part.stop - part.start for part in block)
-        found, reasons = {self._key(name): x for name, x in chunk.columns.items()}, chunk.reasons
-        got = {key: x.shape[1:] for key, x in found.items()}
-        wanted = {key: x.shape[over:] for key, x in self.arrays.items() if key != "reason"}
-        if got and got != wanted:
-            found, reasons = {}, np.where(reasons == "", ODD.format(got, wanted), reasons)
-        for key, x in found.items():
-            self.arrays[key][block] = x.reshape(*shape, *x.shape[1:])
-        self.arrays["reason"][block] = reasons.reshape(shape)
-        self.done[number] = True
-
-    def _key(self, name):
-        return f"{name}_found" if name in self.points.axes or name in ("reason", "done") else name
-
-    def _begin(self, chunk):
-        """Arrays for what a first chunk holds."""
-        sizes = dict(zip(self.points.dims, self.points.shape))
-        for name, x in chunk.columns.items():
-            told, key, own = chunk.told[name], self._key(name), x.shape[1:]
-            dims = told.get("dims", [f"{key}_{k}" for k in range(len(own))])
-            taken = [
-                dim in self.points.dims or sizes.setdefault(dim, n) != n
-                for dim, n in zip(dims, own)
-            ]
-            dims = [f"{key}_{dim}" if other else dim for dim, other in zip(dims, taken)]
-            unit = self.units.get(name, told.get("units"))
-            self.dims[key] = (*self.points.dims, *dims), {} if unit is None else {"units": unit}
-            self.arrays[key] = self._array(key, own, x.dtype, "" if x.dtype.kind == "O" else np.nan)
-        self.dims["reason"] = self.points.dims, {}
-        self.arrays["reason"] = self._array("reason", (), np.dtype(object), NOT_YET)
-
-    def _array(self, key, own, dtype, fill):
-        return np.full((*self.points.shape, *own), fill, dtype)
-
-    @property
-    def coordinates(self) -> dict[str, tuple]:
-        """The parameters: along an axis each, or all along the lanes of a list."""
-        attrs = lambda name: {"units": self.units[name]} if name in self.units else {}
-        dims = lambda name: (name,) if self.points.design == "grid" else self.points.dims
-        return {name: (dims(name), x, attrs(name)) for name, x in self.points.axes.items()}
-
-    def dataset(self) -> xarray.Dataset:
-        """What there is."""
-        found = {key: (dims, self.arrays[key], attrs) for key, (dims, attrs) in self.dims.items()}
-        return _spelt(xarray.Dataset(found, self.coordinates, self.attrs))
-
-
-class Store(Target):
-    """The same in a zarr store, a folder or a URL. `identity` tells a sweep from others; another `source` is a warning.
-
-    **Raises** ValueError for a store of another sweep, and for what is none.
-    """
-
-    def __init__(self, root: str, identity: dict, source: str, *arguments):
-        super().__init__(*arguments)
-        self.root = root
-        self.attrs |= {"sweep": json.dumps(identity), "source": source}
-        found = opened(root)
+        found = None if root is None else opened(root)
         self.unfinished = found is not None and "done" not in found
+        if root is not None:
+            self.attrs |= {"sweep": json.dumps(identity), "source": source}
         if found is None or self.unfinished:
             return
         refuse_another(root, json.loads(found.attrs["sweep"]), identity)
@@ -117,64 +52,94 @@ class Store(Target):
                 "computed by the earlier one. Give another store to compute everything anew.",
                 stacklevel=3,
             )
-        keys = [name for name in found if name not in self.points.axes and name != "done"]
+        keys = [name for name in found if name not in points.axes and name != "done"]
         self.arrays = {key: found[key] for key in keys}
         self.flags = found["done"]
         self.done = self.flags[:]
 
-    def _begin(self, chunk):
+    def put(self, number: int, chunk: Chunk) -> None:
+        """Keep a chunk. Those in which every point failed wait for one that tells names and shapes."""
+        self.waiting.append((number, chunk))
+        if not self.arrays and chunk.columns:
+            self._begin(chunk.columns)
+        while self.arrays and self.waiting:
+            self._write(*self.waiting.pop())
+
+    def _begin(self, columns):
+        """Arrays for what a first chunk holds."""
         import zarr
 
-        mode = "w" if self.unfinished else "w-"
-        self.group = zarr.open_group(self.root, mode=mode, zarr_format=2, attributes=self.attrs)
-        for name, (dims, x, attrs) in self.coordinates.items():
-            self.dims[name] = dims, attrs
-            self._made(
-                name, x.shape, x.shape, np.dtype(object) if x.dtype.kind == "U" else x.dtype
-            )[...] = x
-        super()._begin(chunk)
-        zarr.consolidate_metadata(self.group.store)
-        self.flags = self._made("done", self.done.shape, self.done.shape, np.dtype(bool))
+        if self.root is not None:
+            mode = "w" if self.unfinished else "w-"
+            self.group = zarr.open_group(self.root, mode=mode, zarr_format=2, attributes=self.attrs)
+        over, shape = self.points.dims, self.points.shape
+        for name, x in self.points.axes.items():
+            dims = (name,) if self.points.design == "grid" else over
+            self._made(name, dims, x.shape, x.shape, x.dtype)[...] = x
+        sizes = dict(zip(over, shape))
+        for name, x in columns.items():
+            own = x.shape[1:]
+            dims = [
+                f"{name}_{dim}" if dim in over or sizes.setdefault(dim, n) != n else dim
+                for dim, n in zip(x.dims[1:], own)
+            ]
+            layout = (*over, *dims), (*shape, *own), (*self.chunk, *own)
+            self.arrays[name] = self._made(name, *layout, x.dtype, **x.attrs)
+        self.arrays["reason"] = self._made("reason", over, shape, self.chunk, np.dtype(str))
+        self.arrays["reason"][...] = np.full(shape, NOT_YET)
+        if self.root is not None:
+            # before `done`, which xarray then does not read
+            zarr.consolidate_metadata(self.group.store)
+        flags = ("chunk",), self.done.shape, self.done.shape
+        self.flags = self._made("done", *flags, np.dtype(bool))
         self.flags[...] = self.done
 
-    def _array(self, key, own, dtype, fill):
-        made = self._made(key, (*self.points.shape, *own), (*self.chunk, *own), dtype)
-        if dtype.kind == "O":
-            made[...] = np.full(made.shape, fill, object)
-        return made
-
-    def _made(self, key, shape, chunks, dtype):
-        dims, attrs = self.dims.get(key, (("chunk",), {}))
-        fill = (
-            complex(np.nan, np.nan) if dtype.kind == "c" else np.nan if dtype.kind == "f" else None
-        )
-        return self.group.create_array(
-            key,
+    def _made(self, name, dims, shape, chunks, dtype, **attrs):
+        attrs |= {"units": self.units[name]} if name in self.units else {}
+        words = dtype.kind == "U"
+        fill = {"f": np.nan, "c": complex(np.nan, np.nan)}.get(dtype.kind)
+        if self.root is None:
+            blank = "" if words else fill or 0
+            made = np.full(shape, blank, object if words else dtype)
+            self.variables[name] = dims, made, attrs
+            return made
+        made = self.group.create_array(
+            name,
             shape=shape,
             chunks=tuple(max(n, 1) for n in chunks),
-            dtype=str if dtype.kind == "O" else dtype,
+            dtype=str if words else dtype,
             fill_value=fill,
             attributes={"_ARRAY_DIMENSIONS": list(dims), **attrs},
         )
+        if words:
+            made[...] = np.full(shape, "")
+        return made
 
     def _write(self, number, chunk):
-        super()._write(number, chunk)
-        self.flags[number] = True
+        block, over = self.blocks[number], len(self.points.shape)
+        shape = tuple(part.stop - part.start for part in block)
+        found, reasons = chunk
+        got = {name: x.shape[1:] for name, x in found.items()}
+        wanted = {name: x.shape[over:] for name, x in self.arrays.items() if name != "reason"}
+        if got and got != wanted:
+            found, reasons = {}, np.where(reasons == "", ODD.format(got, wanted), reasons)
+        for name, x in found.items():
+            self.arrays[name][block] = x.values.reshape(*shape, *x.shape[1:])
+        self.arrays["reason"][block] = reasons.reshape(shape)
+        self.flags[number] = self.done[number] = True
 
     def dataset(self) -> xarray.Dataset:
-        """What there is; values are read when they are asked for."""
-        found = xarray.open_zarr(self.root, chunks=None, consolidated=True)
-        return _spelt(
-            found[[*(name for name in self.arrays if name != "reason"), "reason"]]
-        ).assign_attrs(self.attrs)
-
-
-def _spelt(data):
-    """Words as NumPy's own, whatever the store or the version made of them."""
-    kinds = {name: x for name, x in data.variables.items() if x.dtype.kind not in "biufcU"}
-    return data.assign(
-        {name: (x.dims, np.array(x.values.tolist(), str), x.attrs) for name, x in kinds.items()}
-    )
+        """What there is; of a store on disk the values are read when they are asked for."""
+        if self.root is None:
+            data = xarray.Dataset(self.variables)
+        else:
+            data = xarray.open_zarr(self.root, chunks=None, consolidated=True)
+        data = data.set_coords(self.points.axes)[[*self.arrays]].assign_attrs(self.attrs)
+        # words as NumPy's own, whatever the store or the version made of them
+        for name, x in data.variables.items():
+            if x.dtype.kind not in "biufcU":
+                data[name] = x.dims, np.array(x.values.tolist(), str), x.attrs
+        return data
 
 
 def opened(root: str):

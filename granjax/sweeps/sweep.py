@@ -5,11 +5,9 @@ import itertools
 import json
 import math
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, ThreadPoolExecutor, wait
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,7 @@ from ..tuning import cores
 from ..types import Count
 from . import function as own
 from .points import Parameters, points_of
-from .store import Store, Target, opened
+from .store import Store, opened
 
 # points of a chunk: as many fit a core's cache, and no more chunks than that many
 LEAST, MOST, CHUNKS = 64, 256, 16
@@ -62,7 +60,7 @@ def sweep(
       time, and its runs have their lanes last; words stay as they are, and whole numbers where they decide a size. A
       function that holds Python (breathers, fits, shocks) is called for one point after another.
     - `parameters`: {name: values}, all combinations of numbers or words; `gx.sweeps.paired` for lists side by side, or
-      a list of dicts; `gx.sweeps.random` for a random design.
+      a list of dicts.
     - `store`: a folder, or a URL that fsspec knows (`"s3://bucket/map.zarr"`), for a zarr store, which
       `xarray.open_zarr` reads at any time. The same call resumes after any interruption.
     - `chunk`: points at a time, which share their default step, that of the stiffest; `None`: 64 to 256, or that of the
@@ -73,10 +71,10 @@ def sweep(
     A point that is refused, raises, does not complete or gives what is not finite has a sentence in `reason` and NaN;
     the others stand.
 
-    **Returns:** an `xarray.Dataset` over the parameters, with units, and the versions, the commit and an `outcome` as
-    attributes. **Raises** ValueError for parameters that the function does not take, for one that computes something
-    else when it is called again, and for a store of another sweep; RuntimeError where every point failed, or a process
-    of the executor died.
+    **Returns:** an `xarray.Dataset` over the parameters, with units, and the versions and an `outcome` as attributes.
+    **Raises** ValueError for parameters that the function does not take, for one that computes something else when it
+    is called again, and for a store of another sweep; RuntimeError where every point failed, or a process of the
+    executor died.
 
     **Example:**
 
@@ -123,12 +121,7 @@ def sweep(
         "jax": jax.__version__,
         "numpy": np.__version__,
     }
-    commit = _commit()
-    attributes |= {"commit": commit} if commit else {}
-    arguments = points, shape, blocks, dict(units or {}), attributes
-    target = (
-        Target(*arguments) if root is None else Store(root, identity, _source(function), *arguments)
-    )
+    target = Store(root, identity, _source(function), points, blocks, dict(units or {}), attributes)
     sent = b"" if executor is None else own.packed(function)
     task = own.Task(sent, keywords, static, shared, chunk or math.prod(shape))
     todo = [i for i in range(len(blocks)) if not target.done[i]]
@@ -221,21 +214,6 @@ def _source(function):
     try:
         return inspect.getsource(function)
     except (OSError, TypeError):
-        return ""
-
-
-def _commit():
-    """The commit of the package, "" where that is not known."""
-    try:
-        told = json.loads(metadata.distribution("granjax").read_text("direct_url.json") or "{}")
-        if "vcs_info" in told:
-            return told["vcs_info"]["commit_id"]
-        root = Path(__file__).parents[2]
-        command = ["git", "-C", str(root), "rev-parse", "HEAD"]
-        return (
-            subprocess.check_output(command, text=True).strip() if (root / ".git").exists() else ""
-        )
-    except (metadata.PackageNotFoundError, OSError, subprocess.SubprocessError):
         return ""
 
 

@@ -15,7 +15,7 @@ from .dissipation import (
     ViscousContact,
 )
 from .long_range import LongRange
-from .reach import Dependence, Reach, Reached
+from .reach import Dependence, Reach
 from .sites import Drive, OnSite, Wall
 from .waveforms import Breaks, Function, Harmonic, Square
 
@@ -39,7 +39,6 @@ __all__ = [
     "OnSite",
     "PlasticContact",
     "Reach",
-    "Reached",
     "Remembering",
     "Square",
     "Term",

@@ -13,7 +13,7 @@ from ..laws import Law, Scaled
 from ..printing import told
 from ..types import Displacements, Number, Numbers, Pytree
 from ..units import PART, Dimensional
-from .reach import Dependence, Reach, Reached, answers_to, largest_eigenvalue, reads, stand_in
+from .reach import Dependence, Reach, answers_to, largest_eigenvalue, reads, stand_in
 from .waveforms import Breaks, own_breaks, signal_of
 
 
@@ -161,7 +161,7 @@ class Term(Dimensional):
         term, mass = jax.tree.map(stand_in, (self, lattice.mass))
         return np.asarray(answers_to(moves, term, mass, lattice.template())).reshape(-1, len(moves))
 
-    def stiffness_bound(self, lattice: Any, reach: Reach | Reached, factor: Number = 1.0) -> Any:
+    def stiffness_bound(self, lattice: Any, reach: Reach, factor: Number = 1.0) -> Any:
         """A bound on the stiffness at what the motion may reach, times a factor.
 
         A function that takes w > 0 on the sites to |K| w, with |K| no less than |dF/du| entry by entry; or a number,
@@ -347,8 +347,7 @@ class InOtherUnits(Altered):
         return _times(energy, 1 / self.units.energy)
 
     def preload_force(self, u):
-        force = self.term.preload_force(_times(u, self.units.length))
-        return _times(force, 1 / self.units.force)
+        return _times(self.term.preload_force(u), 1 / self.units.force)
 
     def compressions(self, t, u):
         found = self.term.compressions(t * self.units.time, _times(u, self.units.length))

@@ -15,7 +15,7 @@ from ..strains import BOTH, BOUNDARIES
 from ..types import Count, Parameter
 from ..units import PART
 from .base import Compression, Term, get, put, wider
-from .reach import Reached, steepest
+from .reach import steepest
 
 # offsets up to which a sum over neighbours costs less than two transforms; up to which all of them are one array
 FEW = 8
@@ -146,19 +146,17 @@ class LongRange(Term):
     def force(self, t, u, v, mass):
         x = get(u, self.field)
         if self.rest is None:
-            return put(self._sums(x).force(self.law), self.field)
+            return put(self._sums(x).force(), self.field)
         rest = self._at_rest(x)
-        held = (
-            self._sums(rest).force(self.law) if self._kept is None else _spread(self._kept.held, x)
-        )
-        return put(self._sums(rest + x).force(self.law) - held, self.field)
+        held = self._sums(rest).force() if self._kept is None else _spread(self._kept.held, x)
+        return put(self._sums(rest + x).force() - held, self.field)
 
     def for_run(self, lattice: Any) -> Any:
         """The term with the transforms of its kernel, and with the forces at rest, which it counts from."""
         plain = eqx.tree_at(lambda x: x._kept, self, None, is_leaf=lambda x: x is None)
         x = get(lattice.zeros(), self.field)
         weights = {} if self._powers is None else plain._sums(x).known()
-        held = None if self.rest is None else plain._sums(self._at_rest(x)).force(self.law)
+        held = None if self.rest is None else plain._sums(self._at_rest(x)).force()
         return eqx.tree_at(
             lambda x: x._kept, self, _Kept(weights, held), is_leaf=lambda x: x is None
         )
@@ -166,34 +164,34 @@ class LongRange(Term):
     def energy(self, t, u):
         x = get(u, self.field)
         if self.rest is None:
-            return put(self._sums(x).energy(self.law), self.field)
+            return put(self._sums(x).energy(), self.field)
         rest = self._at_rest(x)
-        held, work = jax.jvp(lambda x: self._sums(x).energy(self.law), (rest,), (x,))
-        return put(self._sums(rest + x).energy(self.law) - held - work, self.field)
+        held, work = jax.jvp(lambda x: self._sums(x).energy(), (rest,), (x,))
+        return put(self._sums(rest + x).energy() - held - work, self.field)
 
     def _at_rest(self, x):
         return _spread(self.rest, x)
 
     def _sums(self, x):
-        parts = *self._kernel(x), x, self._beyond
+        law = self._law(x)
         if self._powers is None:
-            return _Bonds(*parts)
-        return _Powers(*parts, self._powers, {} if self._kept is None else self._kept.weights)
+            return _Bonds(law, x, self._beyond)
+        weights = {} if self._kept is None else self._kept.weights
+        return _Powers(law.powers, x, self._beyond, weights)
 
-    def _kernel(self, x):
-        """Weights and spacings of the offsets that count, with axes for all of the lanes of `x`."""
+    def _law(self, x):
+        """The law of the bonds of every offset that counts, with axes for all of the lanes of `x`."""
         beyond = self._beyond
         c = self.kernel if beyond is None else self.kernel[: x.shape[0] - 1 + beyond]
         c = c.reshape(c.shape + (1,) * (x.ndim - c.ndim))
-        m = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
-        return c, m if self.takes == "strain" else jnp.ones_like(m)
+        return Scaled(self.law, c, _offsets(c) if self.takes == "strain" else None)
 
     def preload_force(self, u):
         x = get(u, self.field)
-        right, left = _bonds_within(self._kernel(x)[0], x.shape[0], self._beyond)
+        right, left = _bonds_within(self._law(x).factor, x.shape[0], self._beyond)
         force = jnp.broadcast_to(self.law.preload * (left - right), x.shape).astype(x.dtype)
         if self.rest is not None:
-            force = force + self._sums(self._at_rest(x)).force(self.law)
+            force = force + self._sums(self._at_rest(x)).force()
         return put(force, self.field)
 
     def compressions(self, t, u):
@@ -210,32 +208,32 @@ class LongRange(Term):
     def stiffness_bound(self, lattice, reach, factor=1.0):
         if self.rest is not None and self.takes != "strain" and not self.law.is_linear:
             return super().stiffness_bound(lattice, reach, factor)
-        c, m = self._kernel(get(lattice.zeros(), self.field))
-        k = jnp.abs(self._steepest(jnp.abs(c), m, reach) * factor)
+        law = self._law(get(lattice.zeros(), self.field))
+        law = Scaled(self.law, jnp.abs(law.factor), law.length)
+        k = jnp.abs(self._steepest(law, reach) * factor)
 
         def bound(w):
             x = get(w, self.field)
             own = k.reshape(k.shape + (1,) * (x.ndim - k.ndim))
-            return put(
-                2 * own.sum(0) * x + neighbour_sums(own, x, 1, self._beyond is None), self.field
-            )
+            springs = _Powers({1: own}, x, self._beyond, {})
+            # the springs' force is what the neighbours push, less what holds the site
+            pushed = springs.force() + springs.held(1, self._beyond) * x
+            return put(2 * own.sum(0) * x + pushed, self.field)
 
         return bound
 
-    def _steepest(self, c, m, reach):
+    def _steepest(self, law, reach):
         """Largest stiffness of the bonds of each offset, (M, lanes...)."""
+        c = law.factor
         if self.takes == "strain":
             # a mean of m compressions side by side: none is above the largest
             first = jnp.where(c[:1] > 0, c[:1], 1)
             k = reach.stiffest(Scaled(self.nearest().law, first), 0)
-            return jnp.max(k, 0, keepdims=True) / first * c / m
-        if isinstance(reach, Reached):
-            offsets = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape(
-                (-1,) + (1,) * (c.ndim - 1)
-            )
-            low, high = jnp.min(reach.low[0], 0) * offsets, jnp.max(reach.high[0], 0) * offsets
-            return c * steepest(self.law, jnp.minimum(low, 0), jnp.maximum(high, 0))
-        return reach.stiffest(Scaled(self.law, c), 0)
+            return jnp.max(k, 0, keepdims=True) / first * c / law.length
+        if reach.seen is None:
+            return reach.stiffest(law, 0)
+        low, high = reach.ends(law, 0)
+        return steepest(law, jnp.min(low, 0) * _offsets(c), jnp.max(high, 0) * _offsets(c))
 
 
 class LongRangeTangent(Term):
@@ -246,43 +244,33 @@ class LongRangeTangent(Term):
     about: jax.Array
 
     def force(self, t, u, v, mass):
-        return put(
-            self.term._sums(self.about).slope(self.term.law, get(u, self.term.field)),
-            self.term.field,
-        )
+        return put(self.term._sums(self.about).slope(get(u, self.term.field)), self.term.field)
 
 
 class _Bonds(NamedTuple):
-    """Sums over the bonds of a chain one offset after the other: weights, spacings, displacements, sites `beyond`."""
+    """Sums over the bonds of a chain one offset after the other: its `law`, displacements, sites `beyond`."""
 
-    c: jax.Array
-    m: jax.Array
+    law: Scaled
     x: jax.Array
     beyond: int | None
 
-    def force(self, law):
+    def force(self):
+        return self._sum(lambda law, e, own: law.force(e), lambda left, right: left - right)
+
+    def slope(self, w):
         return self._sum(
-            lambda e, own, c, m: c * law.force(e / m), lambda left, right: left - right
+            lambda law, e, own: law.derivative(e) * own, lambda left, right: left - right, w
         )
 
-    def slope(self, law, w):
-        return self._sum(
-            lambda e, own, c, m: c * law.derivative(e / m) / m * own,
-            lambda left, right: left - right,
-            w,
-        )
-
-    def energy(self, law):
+    def energy(self):
         """Half of each bond's at either end, all of it where the other end is at rest beyond the chain."""
         return self._sum(
-            lambda e, own, c, m: c * m * law.energy(e / m),
-            lambda left, right: left + right,
-            halves=True,
+            lambda law, e, own: law.energy(e), lambda left, right: left + right, halves=True
         )
 
     def _sum(self, bond, joined, w=None, halves=False):
         """Each bond is looked at once, at column k + count for a left end at k, and is added to both of its sites."""
-        n, count = self.x.shape[0], self.c.shape[0]
+        n, count = self.x.shape[0], self.law.factor.shape[0]
         mode = "wrap" if self.beyond is None else "constant"
         arrays = (self.x,) if w is None else (self.x, w)
         wide = [jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1), mode=mode) for x in arrays]
@@ -290,32 +278,33 @@ class _Bonds(NamedTuple):
         k = np.arange(-count, n).reshape((-1,) + (1,) * (self.x.ndim - 1))
         ends = self.beyond is not None and self.beyond < count
 
-        def values(others, offset, c, m):
+        def values(others, offset, scale):
+            law = Scaled(self.law.law, *scale)
             es = [far[:size] - other for far, other in zip(wide, others)]
             if ends:
                 there = (k >= -self.beyond) & (k + offset < n + self.beyond)
                 es = [jnp.where(there, e, 0) for e in es]
-            value = bond(es[0], es[-1], c, m)
+            value = bond(law, es[0], es[-1])
             value = jnp.where(there, value, 0) if ends else value
             shared = (self.beyond is None) | (k >= 0) & (k + offset < n)
             return jnp.where(shared, value / 2, value) if halves else value
 
-        offsets = np.arange(1, count + 1)
+        offsets, scales = np.arange(1, count + 1), (self.law.factor, self.law.length)
         if count <= FEW:
             others = [jnp.stack([far[i : i + size] for i in offsets]) for far in wide]
             rows = offsets.reshape((-1,) + (1,) * k.ndim)
-            value = values(others, rows, self.c[:, None], self.m[:, None])
+            value = values(others, rows, jax.tree.map(lambda x: x[:, None], scales))
             left = sum(row[count - i :][:n] for i, row in zip(offsets, value))
             return joined(left, value[:, count:].sum(0))
 
         def add(total, part):
-            offset, c, m = part
+            offset, scale = part
             others = [jax.lax.dynamic_slice_in_dim(far, offset, size) for far in wide]
-            value = values(others, offset, c, m)
+            value = values(others, offset, scale)
             left = jax.lax.dynamic_slice_in_dim(value, count - offset, n)
             return total + joined(left, value[count:]), None
 
-        return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), (offsets, self.c, self.m))[0]
+        return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), (offsets, scales))[0]
 
 
 class _Kept(NamedTuple):
@@ -326,17 +315,17 @@ class _Kept(NamedTuple):
 
 
 class _Powers(NamedTuple):
-    """The same for a law that is a polynomial, by FFT: fields as of `_Bonds`, coefficients, and what is `known`.
+    """The same for a law that is a polynomial, by FFT, from its coefficients c, (M, lanes...).
 
-    The sum over j of s_j c_j K (x_n - x_j)^p, s_j = -1 for even k where j < n, is that of x_n^a times sums over all
+    `weights`: what is `known` of each power.
+
+    The sum over j of s_j c_j (x_n - x_j)^p, s_j = -1 for even k where j < n, is that of x_n^a times sums over all
     neighbours of x_j^b, a + b = p: a transform of each x^b, and one back for each x^a.
     """
 
-    c: jax.Array
-    m: jax.Array
+    powers: dict
     x: jax.Array
     beyond: int | None
-    powers: dict
     weights: dict
 
     @property
@@ -348,29 +337,28 @@ class _Powers(NamedTuple):
         """{k: the transform of the weights of e^k, and their sums over the bonds of each site}."""
         return {k: self._found(k) for k in self.powers}
 
-    def force(self, law):
-        return self._sum([(-K, k, k) for k, K in self.powers.items()])
+    def force(self):
+        return self._sum([(-1, k, k) for k in self.powers])
 
-    def energy(self, law):
-        total = self._sum([(K / (2 * (k + 1)), k + 1, k) for k, K in self.powers.items()])
+    def energy(self):
+        total = self._sum([(1 / (2 * (k + 1)), k + 1, k) for k in self.powers])
         if not self.beyond:
             return total
-        return total + sum(
-            K / (k + 1) / 2 * self._outside(k) * self.x ** (k + 1) for k, K in self.powers.items()
-        )
+        outside = {k: self.held(k, self.beyond) - self.held(k, 0) for k in self.powers}
+        return total + sum(x / (k + 1) / 2 * self.x ** (k + 1) for k, x in outside.items())
 
-    def slope(self, law, w):
-        parts = [(-K * k, k - 1, k) for k, K in self.powers.items()]
+    def slope(self, w):
+        parts = [(-k, k - 1, k) for k in self.powers]
         return self._sum(parts) * w - self._sum(parts, w)
 
     def _sum(self, parts, w=None):
-        """Sum over `parts` = (K, p, k) of K s_j c_j (x_n - x_j)^p [w_j] over all neighbours, with weights of e^k."""
+        """Sum over `parts` = (a, p, k) of a s_j c_j (x_n - x_j)^p [w_j] over all neighbours, with weights of e^k."""
         x, one = self._centred(), 0 if w is None else w
         shape = jnp.broadcast_shapes(x.shape, jnp.shape(one))
         transforms, total, columns = {}, 0.0, {}
-        for K, p, k in parts:
+        for a, p, k in parts:
             for b in range(p + 1):
-                factor = (-1) ** b * math.comb(p, b) * K
+                factor = (-1) ** b * math.comb(p, b) * a
                 if b == 0 and w is None:
                     total = total + factor * x**p * _spread(self._known(k)[1], x)
                     continue
@@ -378,11 +366,7 @@ class _Powers(NamedTuple):
                     transforms[b] = forth(
                         jnp.broadcast_to(x**b if w is None else x**b * w, shape), self.around
                     )
-                part = (
-                    jnp.asarray(factor)[..., None]
-                    * behind(self._known(k)[0], len(shape))
-                    * transforms[b]
-                )
+                part = factor * behind(self._known(k)[0], len(shape)) * transforms[b]
                 columns[p - b] = columns.get(p - b, 0) + part
         for a, column in columns.items():
             total = total + x**a * back(column, len(x), self.around).astype(x.dtype)
@@ -392,8 +376,15 @@ class _Powers(NamedTuple):
         return self.weights[k] if k in self.weights else self._found(k)
 
     def _found(self, k):
-        c, parity = self._weights(k)
-        return spectrum(c, len(self.x), parity, self.around, self.x.dtype), self._all(k)
+        transform = spectrum(
+            self.powers[k], len(self.x), (-1) ** (k + 1), self.around, self.x.dtype
+        )
+        return transform, self.held(k, self.beyond)
+
+    def held(self, k, beyond):
+        """The sum of the weights of all bonds of a site, with so many sites beyond the ends."""
+        right, left = _bonds_within(self.powers[k], self.x.shape[0], beyond)
+        return right - (-1) ** k * left
 
     def _centred(self):
         """Displacements, of which differences count alone, from their mean where nothing is at rest."""
@@ -401,21 +392,10 @@ class _Powers(NamedTuple):
             return self.x
         return self.x - jax.lax.stop_gradient(jnp.mean(self.x, 0, keepdims=True))
 
-    def _weights(self, k):
-        return self.c / self.m**k, 1 if k % 2 else -1
 
-    def _all(self, k):
-        """The sum of the weights of all bonds of a site."""
-        c, parity = self._weights(k)
-        right, left = _bonds_within(c, self.x.shape[0], self.beyond)
-        return right + parity * left
-
-    def _outside(self, k):
-        """The sum of the weights of the bonds of a site to what is at rest beyond the ends."""
-        c, parity = self._weights(k)
-        inner_right, inner_left = _bonds_within(c, self.x.shape[0], 0)
-        right, left = _bonds_within(c, self.x.shape[0], self.beyond)
-        return (right - inner_right) + parity * (left - inner_left)
+def _offsets(c):
+    """The offsets 1 ... M, with axes as the weights."""
+    return jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
 
 
 def _spread(values, x):
@@ -443,19 +423,6 @@ def _strains(x, boundary):
 
 
 FACTORS = (2, 3, 5, 7)
-
-
-def neighbour_sums(c, x, parity, around):
-    """sum over m >= 1 of c_m (x_{n+m} + parity x_{n-m}), parity 1 or -1, by FFT.
-
-    `c` (M,), for offsets 1 to M, and `x` (N, ...): lanes last, of which those of `c` are the first. Beyond the ends of
-    a chain x is zero; `around` a ring every offset counts, as often as it goes around.
-    """
-    return back(
-        behind(spectrum(c, x.shape[0], parity, around, x.dtype), x.ndim) * forth(x, around),
-        x.shape[0],
-        around,
-    )
 
 
 def spectrum(c, n, parity, around, dtype):

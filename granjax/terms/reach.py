@@ -31,7 +31,8 @@ class Reach(eqx.Module):
     **Fields:** `energy`: of one bond or site [J], (2,) and lanes: what may extend it, and what may press it together.
     `force`: what a drive pushes with. `displacement` (2,): what a wall that moves leaves to each bond, to extend it and
     to press it together, `None` where nothing moves, and `width`: the bonds whose energy of that may gather in one.
-    `ts`: times at which changing parameters are looked at. `u`: displacements at the start.
+    `ts`: times at which changing parameters are looked at. `u`: displacements at the start. `seen`: the least and the
+    largest compressions of every law of the term that a run has seen, which then count instead; else `None`.
     """
 
     energy: jax.Array
@@ -40,20 +41,25 @@ class Reach(eqx.Module):
     width: int
     ts: jax.Array
     u: object
+    seen: tuple | None = None
     __repr__ = told
 
     def stiffest(self, law: Any, index: int) -> Numbers:
         """Largest |F'(x)| over the compressions x within reach, per bond; `index` counts the term's compressions."""
-        return steepest(law, *self._ends(law))
+        return steepest(law, *self.ends(law, index))
 
     def opens(self, law: Any) -> Flags:
         """Whether some contact of the law may open."""
-        overlaps = [law.overlap(x) for x in self._ends(law)]
+        overlaps = [law.overlap(x) for x in self.ends(law, 0)]
         return jnp.any(
             jnp.stack([jnp.min(s) <= 0 for s in overlaps if s is not None] or [jnp.zeros((), bool)])
         )
 
-    def _ends(self, law):
+    def ends(self, law: Any, index: int) -> Any:
+        """The least compression within reach, not above zero, and the largest, not below."""
+        if self.seen is not None:
+            low, high = self.seen
+            return jnp.minimum(low[index], 0), jnp.maximum(high[index], 0)
         like = jax.eval_shape(
             lambda e: law.force(e) + 0 * self.energy[0], jnp.zeros_like(self.energy[0])
         )
@@ -73,21 +79,6 @@ class Reach(eqx.Module):
             return within | (jnp.abs(law.force(x)) <= self.force) & (self.force > 0)
 
         return furthest(reachable, jnp.zeros((2, *like.shape), like.dtype), sign)
-
-
-class Reached(eqx.Module):
-    """The least and the largest compressions, `low` and `high`, of every law of a term that a run has seen."""
-
-    low: tuple
-    high: tuple
-    ts: jax.Array
-    u: object
-    energy: jax.Array
-    __repr__ = told
-
-    def stiffest(self, law: Any, index: int) -> Numbers:
-        """Largest |F'(x)| over the compressions that were reached, per bond."""
-        return steepest(law, jnp.minimum(self.low[index], 0), jnp.maximum(self.high[index], 0))
 
 
 def steepest(law: Any, low: Numbers, high: Numbers):
@@ -120,7 +111,7 @@ def furthest(reachable: Callable, zero: Numbers, sign: Numbers | float):
     return sign * jnp.where(low >= start, low, 0)
 
 
-def largest_eigenvalue(term: Any, lattice: Any, reach: Reach | Reached) -> Any:
+def largest_eigenvalue(term: Any, lattice: Any, reach: Reach) -> Any:
     """Largest |eigenvalue| of M^{-1/2} dF/du M^{-1/2} of one term over displacements of the energy within reach."""
     t, zeros, lanes = reach.ts[0], lattice.zeros(), len(lattice.lanes)
     energy = jnp.max(reach.energy)
@@ -155,20 +146,32 @@ def largest_eigenvalue(term: Any, lattice: Any, reach: Reach | Reached) -> Any:
     return jnp.maximum(largest, jax.lax.cond(energy > 0, further, lambda: zero))
 
 
+def components(lattice: Any) -> list:
+    """The uniform displacement of one component of one field, for each."""
+    zeros = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), lattice.template())
+    moves = []
+    for i in range(lattice.dimension or 1):
+        # the vector axis lies before the lanes
+        place = (..., i) + (slice(None),) * len(lattice.lanes) if lattice.dimension else ...
+        for name in zeros if isinstance(zeros, dict) else (None,):
+            move = jax.tree.map(np.copy, zeros)
+            (move if name is None else move[name])[place] = 1
+            moves.append(move)
+    return moves
+
+
 def _directions(lattice):
     """Single displacements, neighbours in antiphase, a step and all together, of both signs; every lane alike."""
-    template = lattice.template()
     found = []
-    for name in template if isinstance(template, dict) else (None,):
-        for component in range(lattice.dimension or 1):
-            shape = (template if name is None else template[name]).shape[: lattice.axes]
-            for pattern in _patterns(shape):
-                for sign in (1.0, -1.0):
-                    zeros = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), template)
-                    x = zeros if name is None else zeros[name]
-                    x = x[(slice(None),) * lattice.axes + (component,)] if lattice.dimension else x
-                    x += sign * pattern.reshape(pattern.shape + (1,) * (x.ndim - pattern.ndim))
-                    found.append(zeros)
+    for move in components(lattice):
+        moving = next(x for x in jax.tree.leaves(move) if x.any())
+        for pattern in _patterns(moving.shape[: lattice.axes]):
+            wide = pattern.reshape(pattern.shape + (1,) * (moving.ndim - pattern.ndim))
+            wide = wide.astype(moving.dtype)
+            found += [
+                jax.tree.map(lambda x: sign * wide * x if x.any() else x, move)
+                for sign in (1.0, -1.0)
+            ]
     return jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *found)
 
 
@@ -239,19 +242,17 @@ def _traced_force(structure, leaves):
         return term.force(t, u, v, mass)
 
     shapes, transforms, time, displacement, velocity = used(force, (term, t, u, u, mass), (1, 2, 3))
-    stores = _shapes(lambda term, t, u: term.energy(t, u), (term, t, u)) is not None
+    stores = eqx.filter_eval_shape(lambda term, t, u: term.energy(t, u), term, t, u) is not None
     return shapes, Dependence(time, displacement, velocity, stores, transforms)
 
 
 def used(function: Callable, arguments: tuple, places: tuple = (1,)):
     """(shapes of the result, whether an FFT is in it, whether it depends on each of the arguments at some places)."""
     arguments = jax.tree.map(_abstract, arguments)
-    dynamic, static = eqx.partition(arguments, _is_shape)
-    closed, shapes = jax.make_jaxpr(
-        lambda dynamic: function(*eqx.combine(dynamic, static)), return_shape=True
-    )(dynamic)
+    closed, shapes, _ = eqx.filter_make_jaxpr(function)(*arguments)
     _, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.out_avals))
-    used = jax.tree.unflatten(jax.tree.structure(dynamic), used)
+    shaped = eqx.filter(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
+    used = jax.tree.unflatten(jax.tree.structure(shaped), used)
     return (
         shapes,
         _holds(closed.jaxpr, "fft"),
@@ -266,15 +267,6 @@ def _holds(jaxpr, primitive):
     return any(eqn.primitive.name == primitive for eqn in jaxpr.eqns) or any(
         _holds(part, primitive) for part in inner
     )
-
-
-def _shapes(function, arguments):
-    dynamic, static = eqx.partition(arguments, _is_shape)
-    return jax.eval_shape(lambda dynamic: function(*eqx.combine(dynamic, static)), dynamic)
-
-
-def _is_shape(x):
-    return isinstance(x, jax.ShapeDtypeStruct)
 
 
 def _abstract(x):

@@ -177,12 +177,11 @@ def signal_of(term: Any) -> str | None:
 def own_breaks(term: Any) -> Breaks | None:
     """The `Breaks` of the function of time that a term holds itself, or `None`."""
     name = signal_of(term)
-    return None if name is None else jumps_of(getattr(term, name), getattr(term, "breaks", None))
-
-
-def jumps_of(function: Callable | None, breaks: Breaks | None) -> Breaks | None:
-    """The breaks that are given with a function of time, or else those that it knows itself, by its `breaks`."""
-    return checked_breaks(getattr(function, "breaks", None) if breaks is None else breaks)
+    if name is None:
+        return None
+    given = getattr(term, "breaks", None)
+    # else those that the function knows itself
+    return checked_breaks(getattr(getattr(term, name), "breaks", None) if given is None else given)
 
 
 def checked_breaks(breaks: Parameter | Breaks | None) -> Breaks | None:
