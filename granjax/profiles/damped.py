@@ -37,7 +37,7 @@ def damped(equations: Callable, solve: Callable, x: np.ndarray, enough: float = 
 
     best = at(x)
     for _ in range(STEPS):
-        if not SETTLED <= best.size < np.inf:
+        if best.size == np.inf or best.residual < SETTLED:
             break
         try:
             step = solve(best.matrix, best.gap)
