@@ -29,7 +29,7 @@ class Found(NamedTuple):
 
 @eqx.filter_jit
 def linearised(
-    problem: Problem,
+    problem: eqx.Module,
     x: Float[AnyArray, " n"],
 ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m n"], Signals, Signals]:
     """(residuals, their Jacobian, signals, misfits per trace) at x: the one program of a fit by least squares."""
@@ -38,7 +38,7 @@ def linearised(
 
 
 def evaluated(
-    problem: Problem,
+    problem: eqx.Module,
     x: Float[AnyArray, " n"],
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m n"]]:
     """(residuals, Jacobian) at x in double precision."""
@@ -58,7 +58,7 @@ def still_to_go(
 
 
 def least_squares(
-    problem: Problem,
+    problem: eqx.Module,
     x: Float[AnyArray, " n"],
     tolerance: Scalar,
     max_steps: int,
