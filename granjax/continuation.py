@@ -142,7 +142,8 @@ def continuation(
     - `arclength`, `least_arclength`, `longest_arclength`: first, step along the branch, least
       (arclength/1e4) and longest (10 arclength).
     - `points`: the most points. `tolerance`: of max |F|.
-    - `linearise`: (x, p, args) -> (F, dF/dx) or (F, dF/dx, dF/dp), where that is cheaper than `jax.jacfwd`.
+    - `args`, `linearise`: of a function: what it reads, and (x, p, args) -> (F, dF/dx) or (F, dF/dx, dF/dp), where that
+      is cheaper than `jax.jacfwd`. A `Problem` has its own.
     - `veto`: (x, p, x_before, p_before) -> a reason to take a shorter step instead, or `None`.
     - `stop`: (x, p) -> a reason to end the branch there, or `None`.
     - `find`: which special points are located, of "fold" and "branch point".
@@ -460,14 +461,17 @@ def another(
     them; its step is Newton's own times a number. Source: Farrell, Birkisson, Funke, SIAM J. Sci. Comput. 37, A2026
     (2015).
     """
+    known_here = lambda x: any(np.abs(x - other).max() <= APART * size for other in known)
     x, largest = guess, None
+    if known_here(x):  # next to a known one the product has no direction of its own
+        x = x + LONGEST / 2 * size * np.random.default_rng(0).uniform(-1, 1, x.size)
     for _ in range(max_steps):
         f, jacobian = map(np.asarray, _linearised(problem, jnp.asarray(x), jnp.zeros(())))
         if not (np.isfinite(f).all() and np.isfinite(jacobian).all()):
             return None
         largest = np.abs(jacobian).max() if largest is None else largest
         if np.abs(f).max() <= LEFT * size * largest:
-            return np.where(np.abs(x) > LEFT * size, x, 0)
+            return None if known_here(x) else np.where(np.abs(x) > LEFT * size, x, 0)
         away = [(x - other) / size for other in known]
         slope = sum(-2 * d / (d @ d * (d @ d + 1)) for d in away) / size
         step = np.linalg.lstsq(jacobian, -f)[0]

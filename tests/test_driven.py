@@ -281,7 +281,7 @@ def test_a_period_that_is_not_the_drive_s_is_refused():
         1.0001 * period,
         0.50001,
     ):
-        for ask in (driven.settle, driven.lyapunov, gx.floquet.floquet, gx.floquet.leading):
+        for ask in (driven.settle, driven.lyapunov, gx.floquet.floquet):
             for start in (rest(lattice), far):
                 with refused("period: expected one after which the forces repeat"):
                     ask(lattice, start, wrong)

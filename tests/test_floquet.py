@@ -9,6 +9,7 @@ from cases import ended
 from known_orbits import reference
 from refusals import refused
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.optimize import fsolve, linear_sum_assignment
 
 import granjax as gx
@@ -132,6 +133,24 @@ def test_multipliers_of_a_product_from_its_factors():
     np.testing.assert_allclose(product_multipliers(factors).real, exact, rtol=1e-8)
     plain = np.linalg.eigvals(factors[2] @ factors[1] @ factors[0])
     assert np.abs(plain).min() > 1e3 * np.abs(exact).min()
+
+
+def test_multipliers_of_many_symplectic_factors():
+    rng, zero, one = np.random.default_rng(0), np.zeros((4, 4)), np.eye(4)
+    for _ in range(20):
+        factors = []
+        for _ in range(16):  # of Hamiltonians A, exp(J A/2)
+            A = rng.normal(size=(8, 8))
+            factors.append(expm(np.block([[zero, one], [-one, zero]]) @ (A + A.T) / 4))
+        found, plain = product_multipliers(factors), one_product(factors)
+        large = np.sort(np.abs(plain))[::-1] > 1e-6 * np.abs(plain).max()
+        np.testing.assert_allclose(
+            np.abs(found)[large], np.sort(np.abs(plain))[::-1][large], rtol=1e-5
+        )
+
+
+def one_product(factors):
+    return np.linalg.eigvals(np.linalg.multi_dot(factors[::-1]))
 
 
 def test_a_segment_count_that_does_not_divide_the_steps_is_refused():

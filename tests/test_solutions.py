@@ -50,6 +50,12 @@ def test_breathers_and_forced_orbits_from_one_guess():
     np.testing.assert_allclose(alike, np.sort(np.sqrt(squares.real)), rtol=0.02)
 
 
+def test_a_guess_that_is_a_solution_is_found_once():
+    found = find_all(problem(pair()), [still(1.0, 1.0), still(0.0, 0.0), still(1.0, 1.0)])
+    states = np.round(found.states.u, 6)
+    assert len(np.unique(np.abs(states), axis=0)) == len(states) >= 2
+
+
 def test_what_find_all_does_not_take():
     with refused("guesses: expected states that are not all at rest at u = 0"):
         find_all(problem(pair()), [still(0.0, 0.0)])
@@ -93,3 +99,4 @@ def test_the_verdict_is_the_same_from_any_number_of_segments():
             assert other.verdict == found[0].verdict
             away = np.abs(other.multipliers[:, None] - found[0].multipliers)
             assert np.all(away.min(1) <= other.error + found[0].error[away.argmin(1)])
+            assert np.all(away.min(0) <= found[0].error + other.error[away.argmin(0)])

@@ -446,7 +446,10 @@ def _halves(vectors, near):
 
 def _distinct(points, near):
     """The points that differ, and which of these each one is."""
-    # round numbers do not lie where one place ends and the next begins
-    places = np.floor(points / near + 0.37)
-    _, first, which = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    return points[first], which.ravel()
+    from scipy.spatial import cKDTree
+
+    if not len(points):
+        return points, np.zeros(0, int)
+    alike = [min(others) for others in cKDTree(points).query_ball_point(points, near)]
+    first, which = np.unique(alike, return_inverse=True)
+    return points[first], which

@@ -118,7 +118,11 @@ def _solve(lattice):
 
 def _lowest(lattice, count):
     """Modes nearest to omega = 0, from the blocks of the stiffness between near sites."""
-    found = blocks_of(lattice)
+    try:
+        found = blocks_of(lattice)
+    except ValueError:
+        wanted = "None where bonds reach half of the lattice or more"
+        refuse("count", wanted, f"{count}", "Leave it out, and take the modes of lowest frequency.")
     if not found.known:
         refuse("count", "None where masses or laws are traced by jit or vmap", f"{count}")
     sites, size = found.mass.shape[:-1], found.mass.size

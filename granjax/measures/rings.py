@@ -33,7 +33,9 @@ def energy_radius(
     if centre is None:
         c = sum((x[..., None] * at).sum(tuple(range(x.ndim))) for at, x in parts) / total
     else:
-        c = parameter("centre", centre)
+        c, components = parameter("centre", centre), parts[0][0].shape[-1]
+        if c.shape != (components,):
+            refuse("centre", f"a place of {components} numbers", f"shape {c.shape}")
     return jnp.sqrt(sum((x * ((at - c) ** 2).sum(-1)).sum() for at, x in parts) / total)
 
 

@@ -663,11 +663,12 @@ def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -
     a_k^2)/2, means over a period.
 
     **Arguments:** `lattice`: conservative and autonomous. `mode`: the number of a mode of `gx.linear.normal_modes`,
-    from the lowest. `energy`: above zero [J]. `keywords`: of `gx.breathers.family`, such as `arclength`, `steps`.
+    from the lowest. `energy`: above zero [J]. `keywords`: of `gx.breathers.family` but `stop`, such as `arclength`.
 
     **Returns:** `QBreather`; `found.orbit.floquet()` is its stability, `found.branch` the family.
-    **Raises** ValueError as `family`, and for an energy that is not above zero; RuntimeError where the family ends
-    before it, or the orbit is not found. Typical: energies of 0.01 to 1 in FPUT chains of 32 sites.
+    **Raises** ValueError as `family`, for a mode that is not there, and for an energy that is not above zero;
+    RuntimeError where the family ends before it, or the orbit is not found. Typical: energies of 0.01 to 1 in FPUT
+    chains of 32 sites.
     Source: Flach, Ivanchenko, Kanakov, Phys. Rev. Lett. 95, 064102 (2005).
 
     **Example:**
@@ -677,7 +678,10 @@ def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -
     >>> found.modal_energy.round(6).tolist()
     [0.009945, 5.2e-05, 0.0, 0.0, 0.0]
     """
-    wanted = float(positive("energy", energy))
+    wanted, modes = float(positive("energy", energy)), normal_modes(lattice)
+    count = len(modes.omega)
+    if not -count <= mode < count:
+        refuse("mode", f"a number of one of {count} modes", f"{mode}")
 
     def reached(u, omega):
         state = State(u, lattice.zeros())
@@ -686,10 +690,9 @@ def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -
     branch = family(lattice, mode=mode, stop=reached, **keywords)
     if branch._curve.end != "stop":
         raise RuntimeError(f"The family ends before the energy {wanted:.6g}: {branch.outcome}")
-    steps = {name: keywords[name] for name in ("steps", "solver") if name in keywords}
+    shared = {name: keywords[name] for name in ("steps", "solver", "tolerance") if name in keywords}
     last = branch.orbit(-1)
-    found = breather(lattice, float(last.omega), last, energy=wanted, check=False, **steps)
-    modes = normal_modes(lattice)
+    found = breather(lattice, float(last.omega), last, energy=wanted, check=False, **shared)
 
     def shares(orbit):
         run = orbit.run()

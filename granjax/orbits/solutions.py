@@ -13,8 +13,8 @@ from jax.flatten_util import ravel_pytree
 from ..checks import positive, refuse
 from ..continuation import APART, Problem, another, solve
 from ..equilibria import equilibrium
-from ..flow import Flow
-from ..lattice import Lattice, State
+from ..flow import Flow, linear_frequency
+from ..lattice import Lattice, State, spread_mass
 from ..results import Result, array, note, part
 from ..solvers import KahanLi8, SRKN14a
 from ..types import Count, Numbers, Scalar, StateLike
@@ -82,11 +82,12 @@ class Sought(Problem):
 
 class _AtRest(Sought):
     moves: Numbers
+    tie: Scalar
 
     def residual(self, x, p):
         force = self.lattice.force(jnp.zeros((), x.dtype), *self.state(x))
-        # the mean displacement of what is free to move stays as it is
-        return ravel_pytree(force)[0] + self.moves @ (self.moves.T @ x)
+        # the mean displacement of what is free to move is zero
+        return ravel_pytree(force)[0] + self.tie * (self.moves @ (self.moves.T @ x))
 
     def unknowns(self, state):
         return ravel_pytree(state[0])[0]
@@ -144,10 +145,11 @@ def problem(
 ) -> Sought:
     """Pose the problem that `find_all` solves: states of rest, breathers, or orbits under forcing.
 
-    **Arguments:** `lattice`: one `Lattice`. Without `omega` and `period` its states of rest. `omega`: breathers of this
-    frequency, time-reversible and at rest twice a period; of a conservative, autonomous lattice. `period`: orbits of
-    this period under forcing, at the phase `t0`. `steps`, `solver`: of a period, as in `gx.breathers.breather` and
-    `gx.forced.forced_orbit`; the solutions are confirmed with finer steps.
+    **Arguments:** `lattice`: one `Lattice`. Without `omega` and `period` its states of rest. `omega` [rad/s]: breathers
+    of this frequency, time-reversible and at rest twice a period; of a conservative, autonomous lattice. `period` [s]:
+    orbits of this period under forcing, at the phase `t0`. `steps`, `solver`: of a period, as in
+    `gx.breathers.breather` and `gx.forced.forced_orbit`; the solutions are confirmed with finer steps.
+    **Returns:** the problem, a `gx.continuation.Problem`.
     **Raises** ValueError for both a frequency and a period, and as those functions do.
     """
     one_lattice(lattice)
@@ -163,7 +165,8 @@ def problem(
         if not lattice.conserves:
             wanted, names = "forces that depend on positions alone", ", ".join(lattice.unkept())
             refuse("lattice", wanted, names, "Give the period= of its forcing.")
-        return _AtRest(lattice, shifts(lattice))
+        mass = sum(jnp.sum(m) for m in jax.tree.leaves(spread_mass(lattice)))
+        return _AtRest(lattice, shifts(lattice), mass * linear_frequency(lattice) ** 2)
     if checked_free(lattice):
         refuse("lattice", "a lattice under forcing", "none", "Give omega=, for its breathers.")
     period = float(positive("period", period))
@@ -199,13 +202,13 @@ class Solutions(Result):
 def find_all(sought: Sought, guesses: Sequence[StateLike], *, most: Count = 20) -> Solutions:
     """Find distinct solutions of a problem: from each guess one after the other, by Newton's method with deflation.
 
-    What has been found is divided out, with its symmetric copies (mirror image, sign, translation, half a period
-    later), so that the same guess leads to another solution, until it leads to none. No search of this kind proves that
-    there are no more.
+    What has been found is divided out, with its symmetric copies (the sign, translations along the first axis, the
+    mirror image of a chain, half a period later), so that the same guess leads to another solution, until it leads to
+    none. Other symmetries of a lattice are not tried, and no search of this kind proves that there are no more.
 
     **Arguments:** `sought`: of `problem`. `guesses`: `State`s, not all at rest at u = 0. `most`: where it ends.
     **Returns:** `Solutions`, of `Equilibrium`s or `Orbit`s. **Raises** ValueError for guesses that do not fit;
-    RuntimeError where nothing is found.
+    RuntimeError where nothing is found. Source: Farrell, Birkisson, Funke, SIAM J. Sci. Comput. 37, A2026 (2015).
 
     **Example:**
 

@@ -20,6 +20,8 @@ ALIGNED = 0.95
 GAP = 10
 SETTLED = 1e-14
 SWEEPS = 60
+# what rounding may leave of a turn at which a block below is set to zero
+ROUNDED = 1e-9
 
 Map = Float[np.ndarray, "n n"]
 
@@ -166,10 +168,12 @@ def _by_blocks(factors):
         below = np.maximum.accumulate(stretches[::-1])[::-1][1:]
         cuts = [0, *1 + np.flatnonzero(above > GAP * below), n]
         turns = max(np.abs(rotation[cut:, :cut]).max(initial=0) for cut in cuts)
-        # one that no longer falls is rounding
-        if turns <= SETTLED or turns > before / 2:
+        # a small one that no longer falls is rounding
+        if turns <= SETTLED or turns > before / 2 and turns < ROUNDED:
             break
         basis, before = turned, turns
+    # of columns that still turn, the product is taken as it is
+    cuts = [cut for cut in cuts if np.abs(rotation[cut:, :cut]).max(initial=0) < ROUNDED]
     for cut in cuts:
         rotation[cut:, :cut] = 0
     blocks = rotation @ product

@@ -106,7 +106,7 @@ def _polarisation(found, k, band, given, scale):
         parts = [given[name] for name in sorted(found.fields)] if found.fields else [given]
         sites = int(np.prod(found.cell))
         p = np.concatenate([np.asarray(x).reshape(sites, -1) for x in parts], -1).ravel()
-        if p.shape != (size,) or not np.abs(p).max() > 0:
+        if p.shape != (size,) or not 0 < np.abs(p).max() < np.inf:
             wanted = f"{size} displacements of a cell that are not all zero"
             refuse("polarisation", wanted, repr(given))
         return root * p / np.abs(p).max()

@@ -242,7 +242,7 @@ class TwoEnds(LinearMap):
         ends = self.ends(jax.tree.map(lambda x: x + 1, numbers))
         return tuple(np.asarray(end) - 1 for end in ends)
 
-    def ends(self, x: Displacements) -> tuple:
+    def ends(self, x: Any) -> tuple:
         """What stands at the tails and at the heads of all bonds; zero at a wall."""
         tail, head = (x, x) if self.fields is None else (x[name] for name in self.fields)
         return self._select(tail, 0), self._select(head, 1)

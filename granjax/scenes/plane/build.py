@@ -97,7 +97,7 @@ def crystal(
     Array([4., 8.], dtype=float64)
     """
     axes = len(cell.vectors)
-    counts = (n, m) if m is not None else tuple(n) if isinstance(n, Sequence) else (n,) * axes
+    counts = (n, m) if m is not None else tuple(n) if np.ndim(n) else (n,) * axes
     if len(counts) != axes:
         wanted = f"{axes} numbers of cells, one for each vector of the cell"
         refuse("n, m", wanted, repr(counts))
