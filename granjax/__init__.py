@@ -106,13 +106,13 @@ Measurements and design
     fit                 parameters from traces, with errors
     Fit                 what it returns
     Traces              what was measured, from arrays and files
-    identify            force laws, comparison of models, regression, dynamic modes
+    identify            force laws, regression
     design              parameters that minimise an objective
     Design              what it returns
     smooth_peak         a maximum that differentiates
 Sweeps
-    sweep               a function of parameters over a grid, a list or a random design; kept, resumed, on many machines
-    sweeps              designs of a sweep: `paired`, `random`
+    sweep               a function of parameters over a grid or a list; kept, resumed, on many machines
+    sweeps              `paired`, the points of a list
 Theory
     theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks, Stokes waves
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection

@@ -4,6 +4,7 @@ The table holds published constants for orientation. A measured chain has its ow
 polymers by a factor of two with rate and temperature.
 """
 
+import difflib
 import math
 import warnings
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import broadcast, concrete, one_of, positive, real, refuse, within
+from .checks import broadcast, concrete, positive, real, refuse, within
 from .printing import called
 from .types import Number, Parameter
 
@@ -143,7 +144,12 @@ def named(argument: str, name: str | Material) -> Material:
     """As `material`, for an argument of another name, which the sentence says."""
     if isinstance(name, Material):
         return name
-    known = one_of(argument, _PLAIN.get(_plain(name), name), NAMES)
+    known = _PLAIN.get(_plain(name))
+    if known is None:
+        close = difflib.get_close_matches(_plain(name), _PLAIN, n=3, cutoff=0.5)
+        near = " or ".join(repr(x) for x in dict.fromkeys(_PLAIN[x] for x in close))
+        remedy = f"Did you mean {near}?" if near else "Or give Material(name, E, nu, rho)."
+        refuse(argument, "one of " + ", ".join(map(repr, NAMES)), repr(name), remedy)
     if known == "rigid":
         unit = Material("rigid", 1.0, 0.0, 1.0, "a body that does not yield and does not move")
         infinite = jnp.full((), jnp.inf)

@@ -658,7 +658,10 @@ def _named(solvers):
 
 def _by_name(steps, solvers):
     """A dict from name to values, for the solvers that the user gave values for."""
-    steps = steps if isinstance(steps, Mapping) else dict.fromkeys(solvers, steps)
+    if not isinstance(steps, Mapping):
+        if any(np.ndim(x) for x in np.ravel(np.asarray(steps, object))) or np.ndim(steps) > 1:
+            refuse("steps", "numbers, or a dict from names to numbers", repr(steps))
+        steps = dict.fromkeys(solvers, steps)
     return {one_of("steps", name, solvers): _values(name, x) for name, x in steps.items()}
 
 

@@ -206,8 +206,6 @@ ONE_MORE_LENGTH = """
 import json, os
 from pathlib import Path
 import granjax as gx
-from granjax import outside
-from granjax.flow import dispatch
 from granjax.terms import reach
 
 def resident():
@@ -224,7 +222,7 @@ chain, found = run(6)
 grown = resident() - before
 gx.clear()
 left = resident() - before
-kept = len(dispatch._FACTS) + outside._known.cache_info().currsize + reach._traced_force.cache_info().currsize
+kept = reach._traced_force.cache_info().currsize
 again = run(6)[1].final.u
 same = (again == found.final.u).all().item()
 print(json.dumps([grown, left, kept, found.to_xarray().sizes["site"], same]))

@@ -267,7 +267,7 @@ def regression(
         covariance=matrix,
         r_squared=float(1 - residual @ residual / np.sum((target - target.mean()) ** 2)),
         noise=float(spread),
-        condition=seen[0].deviation / seen[-1].deviation,
+        condition=float(np.linalg.cond(A[:, kept] / widths)),
         lattice=None if refused else Lattice(mass, (*built.values(), *known)),
         refused=refused,
         residue=float(shared / size),

@@ -84,7 +84,8 @@ def sweep(
     parameters fix some, `data.sel(load=1.0)`; small multiples are `data.peak.plot(col="load")`.
 
     **Returns:** the Axes. The map is `ax.collections[0]`, the lines `ax.lines`.
-    **Raises** ValueError for a name that is not there, and for more than two parameters.
+    **Raises** ValueError for a name that is not there, more than two parameters, the lanes of a list, parameters that
+    are words, and a dataset without a variable of one real number for each point.
 
     **Example:**
 
@@ -108,7 +109,9 @@ def sweep(
     known = [
         key for key, x in data.data_vars.items() if {*x.dims} == {*dims} and x.dtype.kind in "fiub"
     ]
-    name = one_of("name", next(iter(known), None) if name is None else name, known)
+    if not known:
+        refuse("data", "a variable with one real number for each point", "none")
+    name = one_of("name", known[0] if name is None else name, known)
     values = np.asarray(data[name].transpose(*dims), float)
     values, by = np.where(np.isfinite(values), values, np.nan), _shown(data, name, values)
     failed = np.zeros(values.shape, bool)
@@ -143,9 +146,9 @@ def sweep(
 def _parameters(data):
     """The dimensions of the lanes, which are the names of the parameters."""
     own = [key for key in data.coords if data[key].dims == (key,)]
-    lanes = data[REASON].dims if REASON in data else data.dims
     shared = [{*x.dims} for x in data.data_vars.values()] or [set()]
-    dims = [key for key in lanes if key in own and key in set.intersection(*shared)]
+    lanes = data[REASON].dims if REASON in data else set.intersection(*shared)
+    dims = [key for key in data.dims if key in own and key in lanes]
     if not dims:
         wanted = "coordinates by the names of the parameters that vary"
         remedy = "Lanes of a list: data.plot.scatter(x=..., y=...)."
@@ -162,6 +165,10 @@ def _shown(data, name, x):
 
 def _along(data, name):
     """A parameter on an axis. Of a logarithmic one the middle has to be readable."""
+    if data[name].dtype.kind not in "fiub":
+        refuse(
+            "data", "parameters that are numbers", f"words of {name!r}", "Choose one by data.sel."
+        )
     x = data[name].values.astype(float)
     log = len(x) > 2 and bool(x[0] > 0)
     if log:

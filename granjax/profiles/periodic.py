@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..checks import refuse, traced
 from ..laws import Law, Strained
 from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
@@ -40,8 +40,16 @@ class Train(NamedTuple):
 
     def at(self, name: str, xi: Any) -> np.ndarray:
         """Strain, velocity or displacement at any places."""
-        x = np.asarray(xi, float)
-        own = fourier(getattr(self, name)[None], self.half, x.ravel())[0].reshape(x.shape)
+        table = getattr(self, name)
+        if traced(xi):
+            x, hat = jnp.asarray(xi, float), np.fft.rfft(table) / len(table)
+            # each wave and its conjugate, but for the mean and the shortest
+            hat[1:-1] *= 2
+            angle = (x[..., None] + self.half) * np.pi / self.half * np.arange(len(hat))
+            own = jnp.cos(angle) @ hat.real - jnp.sin(angle) @ hat.imag
+        else:
+            x = np.asarray(xi, float)
+            own = fourier(table[None], self.half, x.ravel())[0].reshape(x.shape)
         return own + {"strain": self.mean, "velocity": 0.0, "displacement": -self.mean * x}[name]
 
 

@@ -229,6 +229,8 @@ def _settled(problem: _Problem) -> tuple[Places, np.ndarray, float]:
         end, sweeps = -DEEP / rate + 4, 0
     else:
         over = max(problem.exponent(SMALL) - 1, 1e-6)
+        if not np.isfinite(over):  # steeper than numbers hold
+            return Places(PLACES[0], 1.0, rate), np.zeros(PLACES[0]), np.inf
         end = 3 + 5 / over**0.5 + np.log(-DEEPEST / 10) / np.log1p(over)
         # each contact of the tail follows from the one before
         sweeps = int(np.ceil(end))

@@ -90,12 +90,13 @@ class Store:
         if self.root is not None:
             # before `done`, which xarray then does not read
             zarr.consolidate_metadata(self.group.store)
-        flags = ("chunk",), self.done.shape, self.done.shape
-        self.flags = self._made("done", *flags, np.dtype(bool))
-        self.flags[...] = self.done
+            flags = ("chunk",), self.done.shape, self.done.shape
+            self.flags = self._made("done", *flags, np.dtype(bool))
+            self.flags[...] = self.done
 
     def _made(self, name, dims, shape, chunks, dtype, **attrs):
-        attrs |= {"units": self.units[name]} if name in self.units else {}
+        own = name.removesuffix("_found")
+        attrs |= {"units": self.units[own]} if own in self.units else {}
         words = dtype.kind == "U"
         fill = {"f": np.nan, "c": complex(np.nan, np.nan)}.get(dtype.kind)
         if self.root is None:
@@ -126,7 +127,9 @@ class Store:
         for name, x in found.items():
             self.arrays[name][block] = x.values.reshape(*shape, *x.shape[1:])
         self.arrays["reason"][block] = reasons.reshape(shape)
-        self.flags[number] = self.done[number] = True
+        self.done[number] = True
+        if self.root is not None:
+            self.flags[number] = True
 
     def dataset(self) -> xarray.Dataset:
         """What there is; of a store on disk the values are read when they are asked for."""

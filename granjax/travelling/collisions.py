@@ -89,7 +89,8 @@ class Collision(Result):
         if len(parted) > 1:
             said.append(f"At {parted.sum()} of {len(parted)} phases they have parted.")
         if parted.any():
-            ranges = (f"{x.min():.6g} ... {x.max():.6g}" for x in shifts[:, parted])
+            ends = [(f"{x.min():.6g}", f"{x.max():.6g}") for x in shifts[:, parted]]
+            ranges = (low if low == high else f"{low} ... {high}" for low, high in ends)
             error = errors[:, parted].max()
             said.append(f"They are shifted by {' and by '.join(ranges)} contacts, to {error:.1e}.")
         if not parted.all():
