@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 
 from .checks import one_of, positive, refuse
-from .newton import evaluated, newton
+from .newton import by_forward_mode, evaluated, newton
 from .printing import told
 from .results import Result, array, hidden
 from .types import Count, Numbers, Parameter, Pytree, Scalar
@@ -35,8 +35,7 @@ class Problem(eqx.Module):
 
     def linearise(self, x: Numbers, p: Scalar) -> tuple:
         """(F, dF/dx), or (F, dF/dx, dF/dp) where that costs nothing more; by default in forward mode."""
-        both = lambda x: (evaluated(self.residual, x, p),) * 2
-        return jax.jacfwd(both, has_aux=True)(x)[::-1]
+        return by_forward_mode(self.residual, x, p)
 
 
 class _Given(Problem):

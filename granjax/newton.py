@@ -1,5 +1,6 @@
 """Newton's method for a square system, with outcomes as values and derivatives by the implicit function theorem."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -128,7 +129,7 @@ def _number(x, dtype):
 
 @eqx.filter_jit
 def _solved(residual, linearise, x0, args, tolerance, max_steps, finish, differentiable):
-    both = _by_forward_mode(residual) if linearise is None else linearise
+    both = functools.partial(by_forward_mode, residual) if linearise is None else linearise
     if not differentiable:
         x, rest = _iterate(both, x0, args, tolerance, max_steps, finish)
         return Root(x, *rest, tolerance)
@@ -148,13 +149,11 @@ def _solved(residual, linearise, x0, args, tolerance, max_steps, finish, differe
     return Root(x, *rest, steps.astype(int), code.astype(int), tolerance)
 
 
-def _by_forward_mode(residual):
-    def both(x, args):
-        f = lambda x: (evaluated(residual, x, args),) * 2
-        jacobian, value = jax.jacfwd(f, has_aux=True)(x)
-        return value, jacobian
-
-    return both
+def by_forward_mode(residual: Callable, x: Numbers, *others: Any) -> tuple:
+    """(F, dF/dx) of F(x, ...), in one pass."""
+    both = lambda x: (evaluated(residual, x, *others),) * 2
+    jacobian, value = jax.jacfwd(both, has_aux=True)(x)
+    return value, jacobian
 
 
 def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
