@@ -20,7 +20,7 @@ from ..results import Held, array, entries, hidden
 from ..solvers.wrapped import Wrapped
 from ..terms import CaputoDamping
 from ..terms.base import memory_of
-from ..terms.reach import reads
+from ..terms.reach import per_lane, reads
 from ..types import Number, Numbers, Scalar, StateLike, Times
 from .control import StepControl, largest, one_sided
 from .integrate import least_overlap, solved
@@ -191,8 +191,7 @@ def with_memory(
 
 def _total(lattice, tree):
     """The sum of all arrays over their sites or bonds, per lane."""
-    lanes, none = len(lattice.lanes), jnp.zeros(lattice.lanes, lattice.dtype)
-    return sum((x.sum(tuple(range(x.ndim - lanes))) for x in jax.tree.leaves(tree)), none)
+    return jnp.zeros(lattice.lanes, lattice.dtype) + per_lane(tree, len(lattice.lanes))
 
 
 def _power(lattice, force, v):

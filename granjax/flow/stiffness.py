@@ -25,7 +25,7 @@ from ..terms import Reach, Wall
 from ..terms.base import Excitation, within
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
-from ..terms.reach import reads
+from ..terms.reach import per_lane, reads
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
 
 # of power iteration; few are enough for a look, which a tenth too much does not mislead
@@ -227,9 +227,7 @@ def _gathered(lattice, state, ts, neighbourhood):
     moving, held = energies[0], [x for part in energies[1:] for x in part]
     none = jnp.zeros(lattice.lanes, lattice.dtype)
     if not local:
-        moves, holds = (
-            sum((x.sum(tuple(range(x.ndim - lanes))) for x in own), none) for own in (moving, held)
-        )
+        moves, holds = (none + per_lane(own, lanes) for own in (moving, held))
         return moves + holds, moves + holds, holds
     shape = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
     axes = tuple(range(lattice.axes))

@@ -14,7 +14,7 @@ from ..checks import described, held_in_memory, letter, parameter, positive, ref
 from ..printing import text, told
 from ..terms import LongRange, Term
 from ..terms.base import memory_of, within
-from ..terms.reach import reads, traced
+from ..terms.reach import per_lane, reads, traced
 from ..types import Count, Displacements, Number, Parameter, Site
 from ..units import SCALED, SI
 from ..units.names import counted_in, mark_of
@@ -331,20 +331,14 @@ class Lattice(eqx.Module):
         for term in self.terms:
             energy = term.energy(t, u)
             if energy is not None:
-                lanes = len(self.lanes)
-                total = total + sum(
-                    e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(energy)
-                )
+                total = total + per_lane(energy, len(self.lanes))
         return total
 
     def kinetic_energy(self, v: Displacements) -> Number:
         """Sum of m v^2/2; shape of the lanes."""
         check_shape(self, "v", v)
-
-        def kinetic(m, v):
-            return (m * v * v / 2).sum(tuple(range(v.ndim - len(self.lanes))))
-
-        return sum(jax.tree.leaves(jax.tree.map(kinetic, self.mass, v)))
+        kinetic = jax.tree.map(lambda m, v: m * v * v / 2, self.mass, v)
+        return per_lane(kinetic, len(self.lanes))
 
     def energy(self, t: Number, u: Displacements, v: Displacements) -> Number:
         """Kinetic and potential energy of the whole lattice, from equilibrium; shape of the lanes."""

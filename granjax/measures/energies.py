@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import refuse
 from ..lattice import Lattice
 from ..terms import energies
-from ..terms.reach import reads
+from ..terms.reach import per_lane, reads
 from ..types import Displacements, Number, StateLike, Values
 from .states_of import parts
 
@@ -70,9 +70,7 @@ def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     for term in terms:
         if reads(term, lattice).energy:
             rates = jax.jvp(term.energy, *along)[1]
-            total = total + sum(
-                r.sum(tuple(range(r.ndim - len(lattice.lanes)))) for r in jax.tree.leaves(rates)
-            )
+            total = total + per_lane(rates, len(lattice.lanes))
     return total
 
 

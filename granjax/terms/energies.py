@@ -10,6 +10,7 @@ from ..checks import refuse
 from ..types import Displacements, Number, Numbers
 from .base import Term, within
 from .bonds import Joined
+from .reach import per_lane
 
 DENSE = 4000
 
@@ -59,9 +60,6 @@ def energy_gap(term: Term, lattice: Any, t: Number, u: Displacements) -> Numbers
     """
     lanes = len(lattice.lanes)
 
-    def total(x):
-        return x.sum(tuple(range(x.ndim - lanes)))
-
     def along(force):
         return [force[name] * w[name] for name in force] if isinstance(force, dict) else [force * w]
 
@@ -79,11 +77,11 @@ def energy_gap(term: Term, lattice: Any, t: Number, u: Displacements) -> Numbers
         (jax.tree.map(lambda x: far * x, w),),
     )
     parts = jax.tree.leaves(change) + along(force)
-    size = sum(total(jnp.abs(x)) for x in parts)
+    size = sum(per_lane(jnp.abs(x), lanes) for x in parts)
     held = [jnp.broadcast_to(c.law.preload, c.compression.shape) for c in term.compressions(t, u)]
-    rounded = sum(total(jnp.abs(x)) for x in held + along(uncertain))
+    rounded = sum(per_lane(jnp.abs(x), lanes) for x in held + along(uncertain))
     rounding = 16 * jnp.finfo(size.dtype).eps * rounded
-    missed = jnp.maximum(jnp.abs(sum(total(x) for x in parts)) - rounding, 0)
+    missed = jnp.maximum(jnp.abs(per_lane(parts, lanes)) - rounding, 0)
     return missed / jnp.where(size > 0, size, 1)
 
 

@@ -111,14 +111,18 @@ def furthest(reachable: Callable, zero: Numbers, sign: Numbers | float):
     return sign * jnp.where(low >= start, low, 0)
 
 
+def per_lane(tree: Pytree, lanes: int) -> Number:
+    """The sum of all arrays over their sites or bonds, whose last `lanes` axes are those of a batch."""
+    return sum(x.sum(tuple(range(x.ndim - lanes))) for x in jax.tree.leaves(tree))
+
+
 def largest_eigenvalue(term: Any, lattice: Any, reach: Reach) -> Any:
     """Largest |eigenvalue| of M^{-1/2} dF/du M^{-1/2} of one term over displacements of the energy within reach."""
     t, zeros, lanes = reach.ts[0], lattice.zeros(), len(lattice.lanes)
     energy = jnp.max(reach.energy)
 
     def stored(u):
-        parts = [e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(term.energy(t, u))]
-        return jnp.max(sum(parts))
+        return jnp.max(per_lane(term.energy(t, u), lanes))
 
     def along(a, direction):
         return jax.tree.map(lambda x: a * x, direction)
