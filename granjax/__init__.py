@@ -54,7 +54,6 @@ Laws
     Thornton            a plastic contact of spheres
     PlasticLaw          what a plastic law of your own derives from
     Spline              a law of free shape that never falls
-    Network             a law of free shape as a small network
     Law                 what a law of your own derives from
     laws                the same, and their Taylor coefficients
 Motion
@@ -157,7 +156,6 @@ from .laws import (  # noqa: E402
     Hertz,
     Law,
     Linear,
-    Network,
     PlasticLaw,
     Polynomial,
     PowerLaw,
@@ -268,7 +266,6 @@ __all__ = [
     "LongRange",
     "Lowest",
     "Modulated",
-    "Network",
     "OnSite",
     "Pairs",
     "Peak",

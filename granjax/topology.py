@@ -1,4 +1,4 @@
-r"""Topology of bands: Zak phases, winding, Berry curvature, Chern and valley numbers, polarisation, the quadrupole.
+r"""Topology of bands: Zak phases, winding, Berry curvature, Chern and valley numbers, the quadrupole.
 
 All is computed from Bloch vectors on a mesh by products of their overlaps, in which arbitrary phases of the vectors
 cancel: no gauge is chosen. Where bands come near to each other the mesh is refined until they turn little from point
@@ -32,8 +32,6 @@ from .types import AnyArray, Count, Number, Numbers, Parameter
 
 # a gap that is less, of the largest omega^2, is closed
 CLOSED = 1e-9
-# what Wannier centres are rounded to
-ROUNDED = 1e-13
 # by what part of its gap a band may move or turn between the middle of a piece of the mesh and its rim
 TURN = 0.5
 # how often a piece may be halved: 2 pi 2^-45 is 2e-13
@@ -49,11 +47,9 @@ ALONG = 0.7
 
 __all__ = [
     "BerryCurvature",
-    "Polarisation",
     "Zak",
     "berry_curvature",
     "chern",
-    "polarisation",
     "quadrupole",
     "valley_chern",
     "winding",
@@ -549,123 +545,12 @@ def _distance(k, place):
     return 3 - np.cos(a) - np.cos(b) - np.cos(a - b)
 
 
-class Polarisation(Result):
-    """Bulk polarisation of bands of the plane: where, of a cell, their Wannier centres are."""
-
-    polarisation: Numbers = array(
-        "p_1 and p_2 along the lattice vectors in [0, 1), in cells, summed over the bands.",
-        axes="axis",
-    )
-    centres: Numbers = array(
-        "The Wannier centres along each axis in [0, 1).", axes="axis wave band"
-    )
-    k: Numbers = array("The phase along the other axis.", "rad", "wave")
-    error: Number = array("How much a mesh of half as many points differs.")
-    band: tuple[int, ...] = note("The bands.", static=True)
-
-    @property
-    def outcome(self) -> str:
-        """The two numbers and their error."""
-        p = ", ".join(f"{x:.6g}" for x in self.polarisation)
-        return f"Polarisation ({p}) cells of band {', '.join(map(str, self.band))}, to {self.error:.1e}."
-
-
-def polarisation(
-    lattice: Any,
-    bands: Count | Sequence[Count] = 0,
-    *,
-    points: Count = 48,
-) -> Polarisation:
-    r"""Bulk polarisation p = (p_1, p_2) of a band of the plane, or of several together, by Wilson loops.
-
-    The product of overlaps along axis i, closed around the zone, has the eigenvalues exp(-2 pi i x): x are Wannier
-    centres along that axis, at each phase along the other one. p_i is the mean of their sum over that phase, modulo 1.
-    All sites of a cell count as at its corner, so that p depends on which are called one cell.
-
-    A threefold axis leaves p = (0, 0), (1/3, 1/3) or (2/3, 2/3). For `gx.scenes.kagome(..., out_of_plane=True,
-    stiffness=(k1, k1, k1, k2, k2, k2))` the band below the gap has 0 where the triangles of cells are the stiffer ones,
-    k1 > k2, and 2/3 for k1 < k2. A triangle of whole cells with fixed ends then has a state at each corner, at
-    omega^2 = 2 (k1 + k2)/m, within the gap for k1 < k2/2. Fixed ends are what makes the sums of springs equal at all
-    sites, as hopping models have it; with free ends sites at the edge are held by less and leave the gap.
-
-    **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `bands`:
-    counted from the lowest. `points`: along each axis of the zone, even.
-    **Returns:** `Polarisation`. **Raises** ValueError for bands that touch others, bands with a Chern number, whose
-    centres wind, a mesh on which centres jump, and where `unit_cell` does. Source: King-Smith, Vanderbilt, Phys. Rev.
-    B 47, 1651 (1993); Ezawa, Phys. Rev. Lett. 120, 026801 (2018).
-    """
-    waves = _waves_of(lattice, 2)
-    n = whole("points", points, 6)
-    n += n % 2
-    k = 2 * np.pi * np.arange(n) / n
-    numbers = chosen_bands(bands, waves.size)
-    cut = _cut(waves, n, numbers)
-    if cut.gap <= waves.closed:
-        _refuse_touching(numbers, cut.fault)
-    q = waves.vectors([k, k], numbers)
-    number = round(_flux(q).sum() / (2 * np.pi))
-    if number:
-        refuse(
-            "bands",
-            "bands whose Chern number is zero",
-            f"{numbers}, whose is {number}",
-            "Their Wannier centres wind around the cell: gx.topology.chern.",
-        )
-    (centres, fine), (_, coarse) = (
-        map(np.array, zip(_wannier(x), _wannier(x.swapaxes(0, 1)))) for x in (q, q[::2, ::2])
-    )
-    if np.isnan(fine).any():
-        refuse(
-            "points",
-            "a mesh on which Wannier centres move smoothly",
-            f"{n}",
-            f"Give points={4 * n}.",
-        )
-    off = np.abs(_turned(2 * np.pi * (fine - coarse))).max() / (2 * np.pi)
-    error = 0.5 if np.isnan(off) else max(float(off), ROUNDED)
-    return Polarisation(_in_cell(fine), centres, k, error, tuple(numbers), **waves.origin)
-
-
 def _loops(q):
     """Wilson loops along the first axis, (second, bands, bands)."""
     loop = np.eye(q.shape[-1])[None]
     for link in _overlap(q, np.roll(q, -1, 0)):
         loop = loop @ link
     return loop
-
-
-def _wannier(q):
-    """Wannier centres along the first axis, (second, bands), and the mean of their sum; NaN where that jumps or winds.
-
-    Products of overlaps miss the integral by the square of the mesh; so their vectors are taken in a smooth gauge, of
-    parallel transport with the loop's phases shared out evenly, and the derivative by Fourier series.
-    """
-    n, frame = len(q), [q[0]]
-    for x in q[1:]:
-        frame.append(x @ _overlap(frame[-1], x).conj().mT)
-    values, vectors = np.linalg.eig(_overlap(frame[-1], frame[0]))
-    basis, _ = np.linalg.qr(vectors)
-    phase = -np.angle(values)
-    smooth = (
-        np.stack(frame)
-        @ basis
-        * np.exp(-1j * phase[:, None, :] * (np.arange(n) / n)[:, None, None, None])
-    )
-    order = np.fft.fftfreq(n, 1 / n)
-    order[n // 2] = 0
-    slope = np.fft.ifft(1j * order[:, None, None, None] * np.fft.fft(smooth, axis=0), axis=0)
-    # i <q|dq/dk>, the mean over k: the centre
-    centre = -(smooth.conj() * slope).imag.sum(2).mean(0)
-    angle = 2 * np.pi * centre.sum(-1)
-    steps = _turned(np.roll(angle, -1) - angle)
-    jumps = np.abs(steps).max() > 0.9 * np.pi or abs(steps.sum()) > 1
-    mean = (angle[0] + np.concatenate([[0], np.cumsum(steps[:-1])]).mean()) / (2 * np.pi)
-    return np.sort(_in_cell(centre), -1), np.nan if jumps else mean
-
-
-def _in_cell(x):
-    """A place within the cell, in [0, 1)."""
-    return np.round(x % 1.0, 13) % 1.0
 
 
 def quadrupole(

@@ -146,8 +146,6 @@ ALL_LAWS = (
     LawCase(
         "spline", gx.laws.Spline([-1.0, -0.3, 0.2, 1.0], [0.0, 0.7, 1.3, 1.1, 2.0], 0.4), _SMOOTH
     ),
-    LawCase("network", gx.laws.Network(3, 1.2, 0.8), _SMOOTH),
-    LawCase("network_any_sign", gx.laws.Network(2, monotone=False, preload=0.3), _SMOOTH),
     LawCase("sum_hertz_power", gx.Hertz(1.0, 0.3) + gx.PowerLaw(0.2, 2.5)),
     LawCase("sum_linear_sine", gx.Linear(0.4) + gx.Sine(0.9, 1.7), _SMOOTH),
     LawCase("scaled", Scaled(gx.Hertz(1.0, 0.3), jnp.asarray(1.7))),

@@ -465,8 +465,8 @@ def test_an_opening_that_no_law_tells_of_is_unknown():
         return gx.simulate(lattice, gx.states.impact(lattice, velocity=0.1), 0.5, step=0.1)
 
     spline = gx.laws.Spline([-1.0, 0.0, 1.0], [0.5, 1.0, 1.0, 1.5])
-    unknown = (spline, gx.Hertz(1.0, 0.5) + spline, gx.laws.Network(2), gx.Yielding(spline, 2.0))
-    assert [law.opens for law in unknown] == [None] * 4
+    unknown = (spline, gx.Hertz(1.0, 0.5) + spline, gx.Yielding(spline, 2.0))
+    assert [law.opens for law in unknown] == [None] * 3
     assert not (gx.Toda() + gx.Linear()).opens and (gx.Toda() + gx.Hertz()).opens
     run = ring(unknown[1])
     assert run.opening == "unknown" and "contact opened unknown (Bond)" in repr(run)

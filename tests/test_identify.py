@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 import granjax as gx
 from granjax import Drag, ViscousContact
 from granjax.identify import library, regression
-from granjax.laws import Network, Scaled, Spline
+from granjax.laws import Scaled, Spline
 
 N = 8
 WALLS = gx.Shift(1, "fixed")
@@ -83,7 +83,6 @@ def test_a_fitted_spline_is_hertz():
         (lambda: Spline([-1, -1, 1], [1] * 4), "knots"),
         (lambda: Spline([-1, 1], [1, 1]), "3 numbers"),
         (lambda: Spline([-1, 1], [1, -1, 1]), "stiffness"),
-        (lambda: Network(2, parameters=np.zeros(6)), "7 numbers"),
     ],
 )
 def test_laws_that_cannot_be_are_refused(make, word):
@@ -91,49 +90,12 @@ def test_laws_that_cannot_be_are_refused(make, word):
         make()
 
 
-def test_network_starts_nearly_linear_and_rises_whatever_its_parameters():
-    e = np.linspace(-1, 1, 101)
-    np.testing.assert_allclose(force(Network(), e), e, rtol=0, atol=0.06)
-    scaled = force(Network(8, 1e-3, 50.0), 1e-3 * e)
-    np.testing.assert_allclose(scaled, 50 * force(Network(), e), rtol=1e-12, atol=1e-12)
-    for seed in range(3):
-        free = 5 * np.random.default_rng(seed).normal(size=13)
-        assert (np.diff(force(Network(4, parameters=free), np.linspace(-5, 5, 500))) >= 0).all()
-        np.testing.assert_array_equal(Network(4, parameters=free).parameters, free)
-    falling = Network(1, monotone=False, parameters=[0.5, 0.0, -1.0, 0.0])
-    assert float(force(falling, 1.0)) < -0.5
-
-
 @pytest.mark.slow
-def test_network_keeps_its_digits_near_rest():
-    law = Network(3, parameters=np.array([0.3, 1.0, -0.4, 0.9, -0.2, 1.5, 0.1, 0.4, -0.3, 0.2]))
-    K2, K3, _ = gx.laws.taylor(law)
-    for e in (1e-5, -1e-7):
-        np.testing.assert_allclose(force(law, e), K2 * e + K3 * e * e, rtol=1e-9)
-        np.testing.assert_allclose(energy(law, e), K2 * e * e / 2 + K3 * e**3 / 3, rtol=1e-9)
-    # both sides of the change of formula
-    for b in (0.0, 0.7, -3.0):
-        one = Network(1, parameters=[np.log(np.expm1(1.0)), b, np.log(np.expm1(1.0)), -800.0])
-        for y in (0.0199, 0.0201, -0.0199, -0.0201):
-            np.testing.assert_allclose(
-                force(one, y), np.tanh(b + y) - np.tanh(b), rtol=0, atol=4 * EPS
-            )
-            work = np.log(np.cosh(b + y) / np.cosh(b)) - y * np.tanh(b)
-            np.testing.assert_allclose(energy(one, y), work, rtol=0, atol=8 * EPS)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "make, start",
-    [
-        (lambda k: Spline(KNOTS, k), STIFFNESS[1:] + [1.0]),
-        (lambda p: Network(1, parameters=p), [0.3, 1.0, -0.4, 0.2]),
-    ],
-    ids=["spline", "network"],
-)
-def test_derivatives_in_the_parameters(make, start):
+def test_derivatives_in_the_parameters():
     """Both modes, at knots, at rest and beyond the ends, against differences."""
-    e, start, h = jnp.asarray([-2.0, -0.3, 0.0, 0.2, 0.7, 3.0]), jnp.asarray(start), 1e-6
+    e, h = jnp.asarray([-2.0, -0.3, 0.0, 0.2, 0.7, 3.0]), 1e-6
+    start = jnp.asarray(STIFFNESS[1:] + [1.0])
+    make = lambda k: Spline(KNOTS, k)
     both = jax.jit(lambda p: jnp.stack([make(p).force(e), make(p).energy(e)]))
     forward, reverse = jax.jit(jax.jacfwd(both))(start), jax.jit(jax.jacrev(both))(start)
     np.testing.assert_allclose(forward, reverse, rtol=0, atol=1e-14)
@@ -144,8 +106,8 @@ def test_derivatives_in_the_parameters(make, start):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("law", [Spline(KNOTS, STIFFNESS), Network(3)], ids=["spline", "network"])
-def test_a_chain_of_them_runs_and_has_modes(law):
+def test_a_chain_of_them_runs_and_has_modes():
+    law = Spline(KNOTS, STIFFNESS)
     chain = gx.Lattice(np.ones(N), (gx.Bond(WALLS, law),))
     run = gx.simulate(chain, gx.states.impact(chain, velocity=0.3), 20.0)
     assert run.completed and float(run.energy_error) < 1e-5

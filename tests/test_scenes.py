@@ -114,7 +114,6 @@ def test_what_a_scene_passes_on_is_named_where_it_is_wrong():
         lambda **k: scenes.origami(9, **k),
         lambda **k: scenes.woodpile(9, **k),
         lambda **k: scenes.cradle(9, **k),
-        lambda **k: scenes.travelling_modulation(9, **k),
         lambda **k: scenes.kagome(3, **k),
         lambda **k: scenes.stub(3, **k),
     ):

@@ -166,17 +166,6 @@ def test_a_fit_finds_what_made_the_data(tmp_path):
     )
     fit = gx.fit(of_stiffness, {"stiffness": 1.0}, traces, state=struck)
     assert fit.parameters["stiffness"] == pytest.approx(1.2, rel=1e-4)
-    law = gx.identify.law(
-        of_law,
-        gx.Hertz(1.0, 1.0),
-        traces,
-        state=struck(None, true),
-        hold=("precompression",),
-        stages=1,
-    )
-    assert law.force(0.1)[0] == pytest.approx(
-        1.2 * ((1 / 1.2) ** (2 / 3) + 0.1) ** 1.5 - 1, rel=1e-4
-    )
 
 
 def test_a_design_lowers_its_objective():

@@ -518,45 +518,6 @@ def breathing(k1, k2, cells=6, **options):
     return scenes.kagome(cells, out_of_plane=True, stiffness=(k1, k1, k1, k2, k2, k2), **options)
 
 
-def test_the_polarisation_of_a_breathing_kagome_is_a_third():
-    for k1, k2, third in ((1.0, 0.3, 0), (0.3, 1.0, 2), (0.2, 2.0, 2)):
-        for bands, expected in ((0, third), ((1, 2), -third % 3)):
-            found = topology.polarisation(breathing(k1, k2, boundary="periodic"), bands)
-            assert np.abs(found.polarisation - expected / 3).max() < 1e-10 and found.error < 1e-7
-            assert found.centres.shape == (2, 48, np.size(bands))
-    with refused("touch"):
-        topology.polarisation(breathing(1.0, 1.0, boundary="periodic"))
-
-
-def test_the_polarisation_without_symmetry_and_its_error():
-    def matrix(k):
-        h = 0.5 + jnp.exp(1j * k[0]) + 0.2 * jnp.exp(1j * k[1])
-        return jnp.array([[0.2, h], [jnp.conj(h), -0.2]])
-
-    fine = topology.polarisation(matrix, points=128)
-    assert fine.error < 1e-12 and np.abs(fine.polarisation * 6 % 1 - 0.5).max() < 0.499
-    for points in (12, 24, 48):
-        found = topology.polarisation(matrix, points=points)
-        assert np.abs(found.polarisation - fine.polarisation).max() <= found.error
-    # both bands together are a cell's two sites
-    both = topology.polarisation(lambda k: matrix(k), (0, 1), points=8)
-    assert np.abs(both.polarisation).max() < 1e-10
-    # by the Berry connection on a dense mesh, in a gauge that is smooth: the vector of the lower band in closed form
-    k = 2 * np.pi * np.arange(256) / 256
-    x, y = np.meshgrid(k, k, indexing="ij")
-    h = 0.5 + np.exp(1j * x) + 0.2 * np.exp(1j * y)
-    size = np.sqrt(0.04 + np.abs(h) ** 2)
-    weight = (
-        1 + 0.2 / size
-    ) / 2  # of the second site, in the gauge where the first component is real
-    for axis, slope in enumerate((1j * np.exp(1j * x), 0.2j * np.exp(1j * y))):
-        # q = (a, -b exp(-i arg h)): i <q|dq> = b^2 d(arg h)
-        mean = (weight * (slope * h.conj()).imag / np.abs(h) ** 2).mean()
-        assert abs((fine.polarisation[axis] - mean + 0.5) % 1 - 0.5) < 1e-10
-    with refused("Chern"):
-        topology.polarisation(haldane)
-
-
 def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
     inside = lambda p: p[..., 0] + p[..., 1] / 3**0.5 < 2 * 6 - 0.5
 

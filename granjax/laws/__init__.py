@@ -2,7 +2,6 @@
 
 from .base import Law, Scaled, Strained, Sum, Taylor, taylor
 from .contact import Hertz, PowerLaw
-from .network import Network
 from .plastic import Indented, PlasticLaw, Thornton, WaltonBraun
 from .power import plus_power
 from .smooth import Linear, Polynomial, Sine, Toda
@@ -14,7 +13,6 @@ __all__ = [
     "Indented",
     "Law",
     "Linear",
-    "Network",
     "PlasticLaw",
     "Polynomial",
     "PowerLaw",

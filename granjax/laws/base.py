@@ -25,8 +25,7 @@ class Law(Dimensional):
 
     Everything is elementwise: `e` has the shape of the bonds (then lanes), parameters are scalars or arrays over them.
     To add a law write `force` and `energy`, with parameters that are arrays (another value of a plain number compiles
-    anew), and one line in the tests' list of cases. `law + law` is their sum. `positive`: names of the parameters that
-    do not change their sign; `held`: those that a fit leaves alone.
+    anew), and one line in the tests' list of cases. `law + law` is their sum.
 
     **Example:**
 
@@ -38,8 +37,6 @@ class Law(Dimensional):
     Taylor(K2=0, K3=0, K4=2)
     """
 
-    positive: ClassVar[tuple[str, ...]] = ()
-    held: ClassVar[tuple[str, ...]] = ()
     is_linear: ClassVar[bool] = False
 
     @abc.abstractmethod

@@ -149,7 +149,6 @@ class Hertz(_Contact):
     """
 
     dimensions = {"stiffness": (1, -_HERTZ, 0), "precompression": (1, 0, 0)}
-    positive = ("stiffness", "precompression")
     stiffness: jax.Array
     precompression: jax.Array | None
 
@@ -192,7 +191,6 @@ class PowerLaw(_Contact):
         "precompression": (1, 0, 0),
         "_free_exponent": (0, 0, 0),
     }
-    positive = ("stiffness", "precompression", "exponent")
     _shown = {"stiffness": "stiffness", "exponent": "exponent", "precompression": "precompression"}
     stiffness: jax.Array
     precompression: jax.Array | None

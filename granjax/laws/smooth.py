@@ -79,7 +79,6 @@ class Toda(Law):
 
     opens = False
     dimensions = {"strength": (1, 0, 0), "rate": (0, -1, 0)}
-    positive = ("strength", "rate")
     strength: jax.Array
     rate: jax.Array
 
@@ -148,7 +147,6 @@ class Sine(Law):
 
     opens = False
     dimensions = {"stiffness": (1, -1, 0), "wavenumber": (0, -1, 0)}
-    positive = ("wavenumber",)
     stiffness: jax.Array
     wavenumber: jax.Array
 

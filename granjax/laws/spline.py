@@ -43,8 +43,6 @@ class Spline(Law):
     0.51
     """
 
-    positive = ("coefficients",)
-    held = ("preload",)
     _shown = {"knots": "knots", "stiffness": "_coefficients", "preload": "_preload"}
     _coefficients: tuple[jax.Array, ...]
     _preload: jax.Array | None

@@ -8,7 +8,7 @@ from .chains import chain, defects, dimer, fput, monomer, n_to_one, pattern, tap
 from .disorder import disordered
 from .fractional import fractional, fractional_fput, fractional_sine_gordon
 from .long_range import long_range, magnets
-from .modulated import modulated, travelling_modulation
+from .modulated import modulated
 from .on_site import cradle, klein_gordon, sine_gordon
 from .plane.build import crystal
 from .plane.cells import CrystalCell, Tie

@@ -11,7 +11,6 @@ from ..types import Count, Parameter
 from .chains import check_each, contacts_of, number
 
 _SHAPES = {"cosine": Harmonic, "square": Square}
-_TURNS = 1e-9
 
 
 def modulated(
@@ -36,7 +35,10 @@ def modulated(
     **Arguments:** `sites`: N >= 2; `amplitude`: a; `omega`: Omega > 0 [rad/s], period 2 pi/Omega; `shape`: `"cosine"`
     or `"square"`; `on`: `"bonds"` or `"sites"` (the grounding, as of magnets between electromagnets); `law`: of the
     bonds, `Linear(1)` by default, such as `PowerLaw(1, -3, 1)` for magnets, one of your own; `grounding`: k_0 >= 0
-    [N/m], one number or one per site; `damping`: gamma >= 0 [1/s]; `phase` [rad]; `mass`, `boundary`: as in `monomer`.
+    [N/m], one number or one per site; `damping`: gamma >= 0 [1/s]; `phase`: one number or one per modulated bond or
+    site [rad]; `mass`, `boundary`: as in `monomer`. With `phase=-2 * np.pi * np.arange(sites) / L` a wave of L sites
+    modulates a ring: it travels to the right, and the bands are non-reciprocal, omega(k) != omega(-k) (Swinteck and
+    others, J. Appl. Phys. 118, 063103, 2015).
 
     **Returns:** a `Lattice`; `gx.linear.floquet_bands(lattice, k, 2 * np.pi / omega)` has its bands and k-gaps: the
     first where omega(k) = Omega/2. **Raises** ValueError for N < 2, unknown words, Omega <= 0, k_0 or gamma < 0, sites
@@ -70,50 +72,6 @@ def modulated(
         terms = [bond, Modulated(ground, wave)]
     terms.append(Damping(damping) if _there(damping) else None)
     return Lattice(mass, [term for term in terms if term is not None], sites=sites)
-
-
-def travelling_modulation(
-    sites: Count,
-    amplitude: Parameter = 0.1,
-    omega: Parameter = 0.5,
-    wavelength: Parameter = 3.0,
-    *,
-    on: str = "bonds",
-    boundary: str = "periodic",
-    **modulation: Parameter | str | Law | None,
-) -> Lattice:
-    r"""Build a chain whose stiffness is modulated in space and time, by a wave that travels: non-reciprocal bands.
-
-    As `modulated`, with g_n(t) = 1 + a cos(Omega t - 2 pi n/L) for the bond between n and n + 1 (or site n), so that a
-    wave to the right meets another medium than one to the left: omega(k) != omega(-k).
-
-    **Arguments:** `wavelength`: L in sites, |L| >= 2, negative for one that travels to the left; where L = P/q in
-    lowest terms the unit cell has P sites. `modulation`: `shape`, `law`, `grounding`, `damping` and `mass`; all others
-    as in `modulated`.
-
-    **Returns:** a `Lattice`. **Raises** ValueError as `modulated` does, for |L| < 2, and for a ring that L does not
-    divide.
-    Source: Swinteck, Matsuo, Runge, Vasseur, Lucas, Deymier, J. Appl. Phys. 118, 063103 (2015).
-    """
-    contacts = contacts_of(sites, boundary)
-    places = np.arange(contacts if on == "bonds" else sites)
-    wavelength = number("wavelength", wavelength)
-    value = concrete(wavelength)
-    if value is not None:
-        if not abs(value) >= 2:
-            refuse("wavelength", "a number of sites, 2 or more in size", repr(value.tolist()))
-        turns = sites / float(value)
-        if boundary == "periodic" and abs(turns - round(turns)) > _TURNS * sites:
-            refuse(
-                "wavelength",
-                f"one that goes into a ring of {sites} sites",
-                repr(float(value)),
-                "Take as many sites as several wavelengths, or free ends.",
-            )
-    # the bond to a left wall comes first
-    place = places - (on == "bonds" and boundary == "fixed")
-    phase = -2 * np.pi * place / wavelength
-    return modulated(sites, amplitude, omega, on=on, phase=phase, boundary=boundary, **modulation)
 
 
 def _there(x):

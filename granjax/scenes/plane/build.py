@@ -180,7 +180,6 @@ class _Pull(Law):
     """A constant force that pulls: F0 = -T, and no stiffness of its own."""
 
     dimensions = {"tension": (1, 0, 0)}
-    positive = ("tension",)
     opens = False
     is_linear = True
     tension: jnp.ndarray

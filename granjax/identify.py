@@ -1,4 +1,8 @@
-"""Sparse regression of the forces of a lattice on a library of terms."""
+"""Identification of the terms of a lattice from data: sparse regression on a library of terms.
+
+`regression` finds which terms act, and how strongly, from motion seen at every site; `library` offers it granjax's own
+terms as candidates. The parameters of a known law, or the coefficients of a `Spline`, are found by `granjax.fit`.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -9,16 +13,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import non_negative, one_of, parameter, positive, refuse, within
-from ..fit.determined import covariance, directions
-from ..fit.judge import AFTER_AND_BEFORE, STRUCTURED, structure
-from ..lattice import Lattice
-from ..laws import Polynomial, PowerLaw, Scaled
-from ..printing import told
-from ..results import Result, array
-from ..strains import StrainMap
-from ..terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
-from ..types import Count, Displacements, Parameter, Scalar, Times
+from .checks import non_negative, one_of, parameter, positive, refuse, within
+from .fit.determined import covariance, directions
+from .fit.judge import AFTER_AND_BEFORE, STRUCTURED, structure
+from .lattice import Lattice
+from .laws import Polynomial, PowerLaw, Scaled
+from .printing import told
+from .results import Result, array
+from .strains import StrainMap
+from .terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
+from .types import Count, Displacements, Parameter, Scalar, Times
+
+__all__ = ["Coefficient", "Regression", "library", "regression"]
 
 # condition of the scaled columns from which on coefficients are said to stand for each other
 ALIKE = 1e6
