@@ -105,7 +105,7 @@ Measurements and design
     fit                 parameters from traces, with errors
     Fit                 what it returns
     Traces              what was measured, from arrays and files
-    identify            force laws, regression
+    identify            sparse regression on lattice terms
     design              parameters that minimise an objective
     Design              what it returns
     smooth_peak         a maximum that differentiates
@@ -115,7 +115,7 @@ Sweeps
 Theory
     theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks, Stokes waves
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
-    shocks              dispersive shocks: strain steps, velocity shocks, pistons, impacts
+    shocks              dispersive shocks: strain steps, velocity shocks, pistons
     Resonator           a mass on a spring in every bead
     resonance           transmission of dimers over their mass ratio
 Pictures and files

@@ -268,32 +268,6 @@ def test_compactons_of_hertz():
     assert_allclose(found.strain, np.where(np.abs(x) < found.half_width, want, 0), rtol=1e-13)
 
 
-def test_compactons_of_rosenau_and_hyman():
-    x = np.linspace(-8, 8, 9)
-    inside = np.abs(x) < 2 * np.pi
-    assert_allclose(
-        compacton.rosenau_hyman(x), np.where(inside, 4 / 3 * np.cos(x / 4) ** 2, 0), atol=1e-14
-    )
-    edge = np.abs(x) < 1.5 * np.pi
-    assert_allclose(
-        compacton.rosenau_hyman(x, 3.0, 3.0, speed=2.0),
-        np.where(edge, np.sqrt(3) * np.cos(x / 3), 0),
-        atol=1e-14,
-    )
-
-
-@pytest.mark.slow
-def test_what_a_compacton_of_any_powers_leaves():
-    @jax.jit
-    def residual(x, m, n):
-        u = lambda x: compacton.rosenau_hyman(x, m, n, speed=0.7)
-        return u(x) ** m - 0.7 * u(x) + jax.grad(jax.grad(lambda x: u(x) ** n))(x)
-
-    for m, n in ((3.0, 2.0), (2.0, 3.0), (1.5, 1.2), (5.0, 1.5), (1.3, 2.5)):
-        for x in (0.01, 0.5, 2.0):
-            assert abs(residual(x, m, n)) < 1e-12, (m, n, x)
-
-
 @pytest.mark.parametrize(
     "call, said",
     [

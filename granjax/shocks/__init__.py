@@ -4,7 +4,7 @@ from .fronts import DissipativeFront, dissipative_front
 from .history import SpaceTime, space_time
 from .measure import measure
 from .riemann import Riemann
-from .scenes import impacts, piston, step, velocity_shock
+from .scenes import piston, step, velocity_shock
 from .shock import Shock
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "Shock",
     "SpaceTime",
     "dissipative_front",
-    "impacts",
     "measure",
     "piston",
     "space_time",

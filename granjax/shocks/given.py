@@ -29,13 +29,6 @@ def problem_of(run: Run, problem: Riemann | None) -> Riemann:
     problem = (
         (run.started if isinstance(run.started, Riemann) else None) if problem is None else problem
     )
-    if problem is not None and problem.kind == "impacts":
-        refuse(
-            "problem",
-            "a step, a velocity shock or a piston",
-            "repeated impacts",
-            "See gx.shocks.space_time.",
-        )
     if problem is not None:
         size = np.shape(problem.state.v)
         if np.shape(run.final.v) != size:

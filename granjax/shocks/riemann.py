@@ -43,8 +43,8 @@ class Riemann(eqx.Module):
     """The initial data of a shock: unpacks as (lattice, state), so that `gx.simulate(*problem, t1)` runs it.
 
     - `lattice`, `state`: the chain as it is run, and where it starts, lanes last.
-    - `kind`: "velocity", "strain", "piston" or "impacts". `c`: what was given: c, `left - right`, half the piston's
-      speed (the c of the velocity shock that it is one half of), the impulse.
+    - `kind`: "velocity", "strain" or "piston". `c`: what was given: c, `left - right`, half the piston's
+      speed (the c of the velocity shock that it is one half of).
     - `centre`: place of the step on the scale of bonds, bond n being that between sites n and n + 1:
       x = n - centre, and n/t of the theory is x/t.
     - `rest`: strain of each bond at u = 0, (N - 1,), or 0.0.

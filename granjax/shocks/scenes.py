@@ -1,6 +1,5 @@
 """The scenes of shocks: a step in the strain, colliding halves, a piston."""
 
-import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -8,41 +7,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, per_lane, positive, refuse, show, traced
+from ..checks import concrete, per_lane, refuse, show, traced
 from ..lattice import Lattice, State
 from ..laws import Law, Strained
 from ..printing import told
 from ..states import velocity_step
 from ..states.places import chain_only, inside
 from ..strains import Shift
-from ..terms import Bond, Breaks, Drive, Wall
+from ..terms import Bond, Wall
 from ..terms.chain import next_neighbours
-from ..terms.reach import furthest, reads
+from ..terms.reach import reads
 from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 
 CHAIN = "a chain of bonds between neighbours"
 # of the largest force of a term, what counts as none
 ROUNDED = 1e-9
-
-
-class Pulses(eqx.Module):
-    """A force that acts for a `duration` at the beginning of every `interval`, with the same impulse each time.
-
-    `count`: how many times, infinite for no end. Numbers that can be swept and differentiated.
-    """
-
-    impulse: jax.Array
-    interval: jax.Array
-    duration: jax.Array
-    count: jax.Array
-    __repr__ = told
-
-    def __call__(self, t: Number) -> Number:
-        """The force at time t."""
-        turn = jnp.floor(t / self.interval)
-        acts = (t >= 0) & (turn < self.count) & (t - turn * self.interval < self.duration)
-        return jnp.where(acts, self.impulse / self.duration, 0.0)
 
 
 class Uniform(eqx.Module):
@@ -202,59 +182,6 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     )
 
 
-def impacts(
-    lattice: Lattice,
-    impulse: Parameter,
-    interval: Parameter,
-    count: Count | None = None,
-    *,
-    duration: Parameter | None = None,
-) -> Riemann:
-    r"""Repeated impacts on the first site of a chain at rest, as of a hammer: each gives it the same momentum.
-
-    The first site is pushed to the right by the force impulse/duration from t = 0, interval, 2 interval, ... on, for
-    `duration` each time; time steps end where a pulse begins and ends, so that none is lost. Impacts that follow each
-    other before a pulse has run off add up to a shock, as of a piston, with the mean force impulse/interval behind it.
-
-    **Arguments:** `lattice`: a chain, whose ends become free; `impulse` [N s], a number or one per lane, negative ones
-    pull; `interval` > 0 [s]; `count`: how many impacts, `None` for no end; `duration` [s], above zero and at most the
-    interval (a constant force), `None` for a tenth of it. **Returns:** `Riemann`, with c = impulse and the centre at
-    bond -1.
-    **Raises** ValueError for what is no chain of bonds to the next site, an impulse of zero, times not above zero or a
-    duration beyond the interval.
-    Source: E. B. Herbold, V. F. Nesterenko, Phys. Rev. E 75, 021304 (2007).
-    """
-    chain_only(lattice, "impacts")
-    impulse = per_lane("impulse", impulse, lattice.lanes)
-    interval = positive("interval", interval)
-    duration = interval / 10 if duration is None else positive("duration", duration)
-    for name, x in (("interval", interval), ("duration", duration)):
-        if x.ndim:
-            refuse(name, "one number", f"shape {x.shape}", "Lanes share their time steps.")
-    over = concrete(duration > interval)
-    if over is not None and over:
-        refuse("duration", f"at most the interval, {show(interval)}", show(duration))
-    count = math.inf if count is None else count
-    free = _opened(lattice)
-    pulses = Pulses(
-        *(x.astype(lattice.dtype) for x in (impulse, interval, duration)),
-        jnp.asarray(count, lattice.dtype),
-    )
-    breaks = Breaks(jnp.stack([jnp.zeros_like(pulses.duration), pulses.duration]), pulses.interval)
-    chain = _with(free, (*free.terms, Drive(pulses, 0, breaks=breaks)))
-    zeros, law, mass = chain.zeros(), _law(chain), _least(chain)
-    single, steady = impulse / mass, _steady_velocity(law, mass, impulse / interval)
-    return Riemann(
-        chain,
-        State(zeros, zeros),
-        impulse,
-        jnp.asarray(-1.0),
-        0.0,
-        "impacts",
-        _jolt(free, [(0.0, 2 * jnp.sign(impulse) * jnp.maximum(jnp.abs(single), jnp.abs(steady)))]),
-    )
-
-
 def _with(lattice, terms):
     chain = eqx.tree_at(lambda x: x.terms, lattice, tuple(terms))
     chain.check_terms()
@@ -321,20 +248,6 @@ def _alike(law, lanes):
         return x[0]
 
     return jax.tree.map(one, law)
-
-
-@eqx.filter_jit
-def _steady_velocity(law, mass, force):
-    """The velocity of beads behind a smooth jump into a medium at rest, of a given force: m v^2 = F y."""
-    sign = jnp.sign(force)
-    zero = 0 * (law.derivative(0.0) + force)
-    strain = furthest(lambda x: law.force(sign * x) * sign <= jnp.abs(force), zero, 1.0)
-    reached = jnp.sqrt(jnp.abs(force) * strain / mass)
-    return (
-        reached.max(0)
-        if reached.ndim > jnp.ndim(mass) and reached.ndim > jnp.ndim(force)
-        else reached
-    )
 
 
 def _least(lattice):

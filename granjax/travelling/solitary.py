@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
-from ..checks import positive, refuse, show, traced
+from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..orbits.floquet import Floquet
@@ -92,7 +92,6 @@ def solitary_wave(
     mass: Scalar = 1.0,
     side: str | None = None,
     resonator: Resonator | None = None,
-    spacing: Scalar | None = None,
 ) -> Wave | CellWave:
     r"""The solitary wave of a chain of equal masses with one law between neighbours, exact on the lattice.
 
@@ -106,8 +105,6 @@ def solitary_wave(
       equal masses and bonds to the next site, whose walls and boundary do not count and whose units the result has.
     - exactly one of `speed` (contacts per time; below zero it runs to the left), `amplitude` (the largest strain, below
       zero in tension) and `energy`.
-    - `spacing`: distance of neighbouring sites, such as the diameter of a bead [m]: `speed` is then in m/s. The `speed`
-      of the result is in contacts per time all the same.
     - `side`: `"compression"` or `"tension"`, where a law has waves on both; `None` is the first that has some. Hertz,
       p > 1, magnets: compression; 0 < p < 1: tension (rarefaction).
     - `resonator`: a `gx.Resonator` in every bead. Such a wave is alone at single stiffnesses, `tail_free_stiffness`; at
@@ -128,12 +125,6 @@ def solitary_wave(
     1.487359
     """
     given, _ = one_given(speed=speed, amplitude=amplitude, energy=energy)
-    if spacing is not None:
-        if speed is None:
-            refuse(
-                "spacing", "None without a speed", show(spacing), "Only a speed is counted in it."
-            )
-        speed = speed / positive("spacing", spacing, "It is a length, such as a bead's diameter.")
     medium = medium_of(law, mass)
     if resonator is not None:
         if given != "speed":
