@@ -194,12 +194,6 @@ def _turns(q, axis=0):
     return link / np.abs(link)
 
 
-def _overlap(q, after):
-    """Overlap matrices of neighbouring points, without their lengths."""
-    left, _, right = np.linalg.svd(q.conj().mT @ after)
-    return left @ right
-
-
 class Zak(Result):
     """Zak phases of the bands of a chain, or of a plane along one axis."""
 
@@ -492,17 +486,13 @@ def chern(
     """
     found = berry_curvature(lattice, band, points=points)
     if found.fault:
-        _refuse_touching(found.band, found.fault)
+        refuse(
+            "band",
+            "bands apart from all others",
+            _told(found.band),
+            f"{found.fault} Take the bands that touch together, as band=(0, 1), or open the gap.",
+        )
     return round(found.chern)
-
-
-def _refuse_touching(numbers, fault):
-    refuse(
-        "band",
-        "bands apart from all others",
-        _told(numbers),
-        f"{fault} Take the bands that touch together, as band=(0, 1), or open the gap.",
-    )
 
 
 def valley_chern(
@@ -547,8 +537,10 @@ def _distance(k, place):
 
 def _loops(q):
     """Wilson loops along the first axis, (second, bands, bands)."""
+    # overlap matrices of neighbouring points, without their lengths
+    left, _, right = np.linalg.svd(q.conj().mT @ np.roll(q, -1, 0))
     loop = np.eye(q.shape[-1])[None]
-    for link in _overlap(q, np.roll(q, -1, 0)):
+    for link in left @ right:
         loop = loop @ link
     return loop
 

@@ -139,10 +139,7 @@ def struck(p, lattice):
 
 
 def of_stiffness(p):
-    return of_law(gx.Hertz(p["stiffness"], 1.0))
-
-
-def of_law(law):
+    law = gx.Hertz(p["stiffness"], 1.0)
     return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), law),), sites=4)
 
 

@@ -518,6 +518,25 @@ def breathing(k1, k2, cells=6, **options):
     return scenes.kagome(cells, out_of_plane=True, stiffness=(k1, k1, k1, k2, k2, k2), **options)
 
 
+def test_the_wilson_loops_of_a_breathing_kagome_give_a_third():
+    """The polarisation of the bands, by loops on a mesh whose error falls with the square of the mesh."""
+
+    def polarisation(matrix, bands, n):
+        k = 2 * np.pi * np.arange(n) / n
+        points = np.stack(np.meshgrid(k, k, indexing="ij"), -1).reshape(-1, 2)
+        q = np.linalg.eigh(np.asarray(jax.vmap(matrix)(points)))[1][..., bands]
+        q = q.reshape(n, n, *q.shape[1:])
+        link = np.linalg.det(q.conj().mT @ np.roll(q, -1, 0))
+        return np.unwrap(-np.angle(link.prod(0))).mean() / (2 * np.pi)
+
+    for k1, k2, third in ((1.0, 0.3, 0), (0.3, 1.0, 2), (0.2, 2.0, 2)):
+        cell = gx.linear.unit_cell(breathing(k1, k2, boundary="periodic"))
+        for bands, expected in (([0], third), ([1, 2], -third)):
+            coarse, fine = (polarisation(cell.dynamical_matrix, bands, n) for n in (24, 48))
+            off = (4 * fine - coarse) / 3 - expected / 3
+            assert abs(off - np.round(off)) < 1e-5
+
+
 def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
     inside = lambda p: p[..., 0] + p[..., 1] / 3**0.5 < 2 * 6 - 0.5
 

@@ -2,8 +2,8 @@
 
 from .fit import fit
 from .fitted import Fit
-from .problem import Problem, prepared
+from .problem import Problem
 from .solve import linearised
 from .traces import Traces
 
-__all__ = ["Fit", "Problem", "Traces", "fit", "linearised", "prepared"]
+__all__ = ["Fit", "Problem", "Traces", "fit", "linearised"]

@@ -101,7 +101,7 @@ def sentences(
     for name, gradient in quantities:
         if not np.any(np.abs(gradient[involved]) > 1e-6 * np.abs(gradient).max(initial=0.0)):
             continue
-        deviation = float(along(found, gradient))
+        deviation = along(found, gradient)
         if deviation < LOOSE / 3:
             said.append(f"They determine {name} to {_percent(deviation)}.")
     if not any(part.startswith("They determine") for part in said):
@@ -154,24 +154,20 @@ def _stiffnesses(problem, flat):
     return every(flat), jax.jacfwd(every)(flat)
 
 
-def along(
-    found: Sequence[Direction], gradients: Float[AnyArray, "... P"]
-) -> Float[np.ndarray, "..."]:
-    """Standard deviation of quantities with gradients (..., P) in parameters relative to their sizes.
+def along(found: Sequence[Direction], gradient: Float[AnyArray, " P"]) -> float:
+    """Standard deviation of a quantity with a gradient (P,) in parameters relative to their sizes.
 
     Summed over directions, and not through the covariance, since directions that the data hardly see cancel in what
     they do see.
     """
-    total = np.zeros(gradients.shape[:-1])
+    variance, unseen = 0.0, 1e-6 * np.linalg.norm(gradient)
     for direction in found:
-        share = gradients @ direction.weights
-        if np.isinf(direction.deviation):
-            total = np.where(
-                np.abs(share) > 1e-6 * np.linalg.norm(gradients, axis=-1), np.inf, total
-            )
-        else:
-            total = total + (direction.deviation * share) ** 2
-    return np.sqrt(total)
+        share = gradient @ direction.weights
+        if not np.isinf(direction.deviation):
+            variance += (direction.deviation * share) ** 2
+        elif abs(share) > unseen:
+            return np.inf
+    return float(np.sqrt(variance))
 
 
 def _simplest(directions):
