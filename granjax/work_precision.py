@@ -41,16 +41,20 @@ SPLITTING = (VelocityVerlet, SRKN6b, ABA864, SRKN11b, SRKN14a, KahanLi8, Sofroni
 NYSTROM = (RKN86, RKN1210)
 DIFFRAX = (diffrax.Tsit5, diffrax.Dopri8)
 
-# tolerances of an adaptive solver, down to what the floating type holds
-TOLERANCES = tuple(float(f"1e-{k}") for k in range(2, 15))
+# from one value of a ladder to the next the error falls by about this factor
+RUNG = 10.0
+# the first tolerance of a ladder
+FIRST_TOLERANCE = 1e-2
 # the first step of a ladder, over the longest stable one: just inside
 FIRST_STEP = 0.95
-# steps of a ladder at most
-MOST_STEPS = 48
+# values of a ladder at most
+MOST_VALUES = 48
 # fewest steps that a run is divided into
 LEAST_INTERVALS = 4
 # of a solver without a table
 ORDER = 4
+# of the rounding unit: the least tolerance; references at 16 are worse than at 20
+ROUNDINGS = 20
 
 # errors below this many floors (uncertainties of the reference) are neither drawn nor used
 DRAWN = 4.0
@@ -69,24 +73,10 @@ LONGER = 10.0
 # ... and this long [s]
 AT_LEAST = 0.2
 
-# the reference's first tolerance, and its first step over the stability limit
-REFERENCE_TOLERANCE = 1e-9
-REFERENCE_STEP = 0.25
-# its next step over the last; tolerances go down by decades
-SHORTER = 2.0**-0.5
-MOST_LEVELS = 14
-# levels without a gain before the search ends, twice as many where nothing agrees yet
-PATIENCE = 2
-GAIN = 0.7
-# steps and tolerances of the confirming runs, over those that they confirm
+# tolerances of the reference, of which the one with the least distance between two runs is taken
+REFERENCE_TOLERANCES = 10.0 ** -np.arange(9, 15)
+# tolerances of the confirming runs, over those that they confirm
 OTHER_MESH = 1.3
-
-# an advised error lies between a third of what was asked and that, where a run hits it
-NEAR = 3.0
-# such runs at most: halvings of the interval between two points of the table
-TRIALS = 8
-# methods, and points of the table, that are timed once more for an advice
-FASTEST = 3
 
 
 class Ladder(NamedTuple):
@@ -111,20 +101,17 @@ class Ladder(NamedTuple):
     call: Callable[[float], tuple]
     stops: bool = False
     limit: float = np.inf
-    solver: object = None
+    solver: diffrax.AbstractSolver | None = None
 
 
 class _Point(NamedTuple):
-    """What one value of a ladder gave, and why it says nothing; its times are NaN until they are taken."""
+    """What one value of a ladder gave, and why it says nothing."""
 
-    ladder: Ladder
     value: float
-    error: float
-    evaluations: float
-    steps: float
-    note: str
-    seconds: float = math.nan
-    fastest: float = math.nan
+    error: float = math.nan
+    evaluations: float = math.nan
+    steps: float = math.nan
+    note: str = ""
 
 
 class Advice(Result):
@@ -135,8 +122,8 @@ class Advice(Result):
     method: str = array('What to use; `"default"` where that is no choice at all', static=True)
     parameter: str = array('`"step"` or `"tolerance"`', static=True)
     value: float = array("Its value; NaN for the default")
-    error: float = array("What that gave when it was run")
-    seconds: float = array("How long that took", "s")
+    error: float = array("The error that was measured with it")
+    seconds: float = array("The wall time that was measured", "s")
     evaluations: float = array("Its evaluations of the force; NaN where they are not known")
     default_error: float = array("What no choice at all gives; NaN if unknown", default=math.nan)
     default_seconds: float = array("How long that takes", "s", default=math.nan)
@@ -154,13 +141,13 @@ class Advice(Result):
 
     @property
     def outcome(self) -> str:
-        cost = f"{_time(self.seconds)} (error {self.error:.3g})"
+        cost = f"{self.seconds:.3g} s (error {self.error:.3g})"
         if self.method == DEFAULT:
             return f"For {self.asked:.3g}: the default, {cost}."
         sentence = f"For {self.asked:.3g}: {self.method}, {self.parameter} {self.value!r}, {cost}"
         if math.isfinite(self.default_error):
-            seconds = _time(self.default_seconds)
-            sentence += f"; the default would give {self.default_error:.3g} in {seconds}"
+            sentence += f"; the default would give {self.default_error:.3g}"
+            sentence += f" in {self.default_seconds:.3g} s"
         return sentence + "."
 
     def __repr__(self) -> str:
@@ -188,7 +175,6 @@ class WorkPrecision(Result):
     value: Float[np.ndarray, " point"] = array("Its value; NaN for the default")
     error: Float[np.ndarray, " point"] = array("Error, dimensionless, see `distance`")
     seconds: Float[np.ndarray, " point"] = array("Median wall time of a call, compiled", "s")
-    fastest: Float[np.ndarray, " point"] = array("Shortest wall time of a call", "s")
     evaluations: Float[np.ndarray, " point"] = array("Evaluations of the force; NaN if unknown")
     steps: Float[np.ndarray, " point"] = array("Steps; NaN where they are not known")
     drawn: Bool[np.ndarray, " point"] = array("Whether the point says something")
@@ -210,8 +196,8 @@ class WorkPrecision(Result):
     )
     repeats: int = array("Timed calls of a point", static=True)
     reference_note: str = array("How the reference came about", name="reference", static=True)
-    points: tuple[_Point, ...] = hidden("The same, for `advice`", static=True, default=())
     reference: Pytree = hidden("What errors are measured against", default=None)
+    solvers: tuple = hidden("The solvers, for the advice", static=True, default=())
 
     @property
     def outcome(self) -> str:
@@ -233,80 +219,40 @@ class WorkPrecision(Result):
     def advice(self, error: Scalar) -> Advice:
         """Say what to use for an error that you can live with, in the measure of `distance`.
 
-        Each of the three fastest methods is tried at values between its measured points until a
-        run has shown an error between `error`/3 and `error`; where there is none (one step fewer
-        is too few), at the coarsest value that is good enough. Of these runs, of coarser points of
-        the table that happen to be as good, and of the default, the fastest is the advice: all
-        are timed in the same turns. What is promised (`.error`, `.seconds`) has been measured.
+        Of all points of the table with no larger error it is the fastest. For a finer choice give
+        `work_precision` more steps.
 
         **Returns:** `Advice`; `str` of it says so in a sentence, `gx.simulate(...,
         **advice.keywords)` follows it. **Raises** ValueError for an error below four floors, or
         below all that was measured.
         """
         asked = float(positive("error", error))
-        points = [one for one in self.points if not one.note]
-        default = [one for one in points if one.ladder.name == DEFAULT]
-        known = [one for one in points if one.ladder.name != DEFAULT]
-        if not known:
-            got = "one where nothing is drawn"
-            refuse("error", "a table with points to choose from", got, "The notes say why.")
         if asked < self.least_error:
             least = f"at least {self.least_error:.3g}, four times the floor"
             refuse("error", least, f"{asked:.3g}", "The reference itself is no better.")
-        best = min(known, key=lambda one: one.error)
-        if best.error > asked:
-            least = f"at least {best.error:.3g}, the smallest in the table"
-            remedy = (
-                f"The best point: {best.ladder.name}, {best.ladder.parameter} {best.value:.3g}."
-            )
-            refuse("error", least, f"{asked:.3g}", remedy)
-        good = sorted((one for one in known if one.error <= asked), key=_seconds)
-        names = dict.fromkeys(one.ladder.name for one in good)
-        safe = [_coarsest([x for x in known if x.ladder.name == name], asked) for name in names]
-        fastest = sorted(safe, key=_seconds)[:FASTEST]
-        found = {one.ladder.name: self._coarser(one, asked) for one in fastest}
-        # a finer point of the same method is faster by the clock's noise alone
-        coarser = lambda x: x.ladder.name not in found or x.value > found[x.ladder.name].value
-        tried = [*found.values(), *default, *filter(coarser, good)][
-            : len(found) + len(default) + FASTEST
-        ]
-        seconds, _ = _in_turns([(one.ladder.call, one.value) for one in tried], self.repeats)
-        timed = [one._replace(seconds=float(x)) for one, x in zip(tried, seconds)]
-        best = min((one for one in timed if one.error <= asked), key=_seconds)
-        of_default = timed[len(found)] if default else None
+        known = np.flatnonzero(self.drawn)
+        if not known.size:
+            got = "one where nothing is drawn"
+            refuse("error", "a table with points to choose from", got, "The notes say why.")
+        good = known[self.error[known] <= asked]
+        if not good.size:
+            i = known[np.argmin(self.error[known])]
+            least = f"at least {self.error[i]:.3g}, the smallest in the table"
+            best = f"{self.method[i]}, {self.parameter[i]} {self.value[i]:.3g}"
+            refuse("error", least, f"{asked:.3g}", f"The best point: {best}.")
+        best = good[np.argmin(self.seconds[good])]
+        default = [i for i in known if self.method[i] == DEFAULT]
+        numbers = [(float(self.error[i]), float(self.seconds[i])) for i in (best, *default)]
         return Advice(
             asked,
-            best.ladder.name,
-            best.ladder.parameter,
-            best.value,
-            best.error,
-            best.seconds,
-            best.evaluations,
-            of_default.error if default else math.nan,
-            of_default.seconds if default else math.nan,
-            best.ladder.solver,
+            self.method[best],
+            self.parameter[best],
+            float(self.value[best]),
+            *numbers[0],
+            float(self.evaluations[best]),
+            *numbers[-1] if default else (math.nan, math.nan),
+            dict(zip(self.methods, self.solvers)).get(self.method[best]),
         )
-
-    def _coarser(self, one, asked):
-        """The point of a coarser value, whose error a run has shown to be within [asked/3, asked].
-
-        The interval from the point to its coarser neighbour, which is not good enough, is halved;
-        where no run hits, its good end is left.
-        """
-        coarser = [x for x in one.ladder.values if x > one.value]
-        if not coarser or one.error >= asked / NEAR:
-            return one
-        bad = min(coarser)
-        for _ in range(TRIALS):
-            value = float(f"{math.sqrt(one.value * bad):.2e}")
-            tried, *_ = _tried(one.ladder, value, self.reference)
-            if not tried.error <= asked:
-                bad = value
-                continue
-            one = tried
-            if one.error >= asked / NEAR:
-                break
-        return one
 
     def __repr__(self) -> str:
         import pandas
@@ -315,16 +261,11 @@ class WorkPrecision(Result):
         orders = [
             f"{k} {x:.2f} +- {e:.2f}" for k, (x, e) in self.orders.items() if math.isfinite(x)
         ]
-        names = ("method", "parameter", "value", "error", "seconds", "evaluations")
+        names = ("method", "parameter", "value", "error", "seconds", "evaluations", "note")
         table = pandas.DataFrame({name: getattr(self, name) for name in names})
-        notes = [
-            f"{one.ladder.name} at {one.ladder.parameter} {one.value:.3g}: {' '.join(one.note.split())}"
-            for one in self.points
-            if one.note
-        ]
         rows = table.to_string(index=False, na_rep="", float_format="{:.3g}".format)
         said = f"reference: {self.reference_note or 'given'}; {known}"
-        return "\n".join([said, f"orders: {', '.join(orders) or 'none'}", rows, *notes])
+        return "\n".join([said, f"orders: {', '.join(orders) or 'none'}", rows])
 
 
 def work_precision(
@@ -355,11 +296,11 @@ def work_precision(
     - `steps`: what they are tried with: one list for all (steps for solvers of fixed step,
       tolerances for adaptive ones), or a dict from a solver's name to its list.
       `None`, or a name that is not in the dict: steps from the stability limit down in ratios of
-      10^(1/order), tolerances in decades from 1e-2, until the error reaches the floor or falls no
-      more, or a call takes longer than `longest`.
+      10^(1/order), tolerances from 1e-2 down by decades, until the error reaches the floor or falls
+      no more, or a call takes longer than `longest`.
     - `reference`: the final state, a `State` or a pair; `uncertainty`: its, in the measure of the
       error; `None` if not known, and then nothing is held back. `None`: two independent runs of
-      high order, refined until their distance stops falling; that is the floor.
+      high order, refined until their distance is least; that is the floor.
     - `repeats`: timed calls of each point, of which the median counts (fewer where they add up to
       more than 3 s); solvers take turns. `longest` [s]; `None`: ten times what the solver takes at
       its coarsest, but at least 0.2 s.
@@ -386,7 +327,9 @@ def work_precision(
     state = checked_state(lattice, state)
     t0, t1 = (float(t) for t in checked_times(t0, t1))
     solvers = sensible_solvers(lattice) if solvers is None else _named(solvers)
-    steps = {} if steps is None else _by_name(steps, solvers)
+    if not isinstance(steps, Mapping):
+        steps = {} if steps is None else dict.fromkeys(solvers, steps)
+    steps = {one_of("steps", name, solvers): _values(name, x) for name, x in steps.items()}
     if reference is None:
         reference, uncertainty, note = find_reference(lattice, state, t0, t1)
     else:
@@ -449,19 +392,19 @@ def measure(
         twice = next(name for name in names if names.count(name) > 1)
         refuse("ladders", "a name of its own for each", f"{twice!r} twice")
     climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
-    points = [one for _, found in climbed for one in found]
-    drawn = [i for i, one in enumerate(points) if not one.note]
-    calls = [(points[i].ladder.call, points[i].value) for i in drawn]
-    for i, times in zip(drawn, _in_turns(calls, repeats).T.tolist()):
-        points[i] = points[i]._replace(seconds=times[0], fastest=times[1])
-    numbers = ("value", "error", "seconds", "fastest", "evaluations", "steps")
+    points = [(ladder, one) for ladder, (_, found) in zip(ladders, climbed) for one in found]
+    drawn = np.array([not one.note for _, one in points])
+    seconds = np.full(len(points), math.nan)
+    seconds[drawn] = _in_turns([(x.call, one.value) for x, one in points if not one.note], repeats)
+    numbers = ("value", "error", "evaluations", "steps")
     orders = [_order(ladder, found, floor) for ladder, (_, found) in zip(ladders, climbed)]
     return WorkPrecision(
-        method=tuple(one.ladder.name for one in points),
-        parameter=tuple(one.ladder.parameter for one in points),
-        **{name: np.array([getattr(one, name) for one in points]) for name in numbers},
-        drawn=np.array([not one.note for one in points]),
-        note=tuple(one.note for one in points),
+        method=tuple(ladder.name for ladder, _ in points),
+        parameter=tuple(ladder.parameter for ladder, _ in points),
+        **{name: np.array([getattr(one, name) for _, one in points]) for name in numbers},
+        seconds=seconds,
+        drawn=drawn,
+        note=tuple(one.note for _, one in points),
         methods=names,
         compile_seconds=np.array([compiling for compiling, _ in climbed]),
         limit=np.array([ladder.limit for ladder in ladders]),
@@ -470,8 +413,8 @@ def measure(
         floor=floor,
         repeats=repeats,
         reference_note=note,
-        points=tuple(points),
         reference=reference,
+        solvers=tuple(ladder.solver for ladder in ladders),
     )
 
 
@@ -554,11 +497,11 @@ def _once(call, value):
     return found, time.perf_counter() - start
 
 
-def _tried(ladder, value, reference, floor=math.nan):
+def _tried(ladder, value, reference, floor):
     """The `_Point` of a value, the wall time [s] of its call, and whether that went through."""
     found, seconds = _once(ladder.call, value)
     if isinstance(found, str):
-        return _Point(ladder, value, math.nan, math.nan, math.nan, found), seconds, False
+        return _Point(value, note=found), seconds, False
     state, *counts = found
     counts = [math.nan if x is None else float(np.max(x)) for x in (*counts, None)[:2]]
     error, why = distance(state, reference), ""
@@ -568,7 +511,7 @@ def _tried(ladder, value, reference, floor=math.nan):
         why = f"Below {DRAWN:g} times the reference's uncertainty."
     elif error > 1:
         why = "An error above 1: everything is wrong."
-    return _Point(ladder, value, error, *counts, why), seconds, True
+    return _Point(value, error, *counts, why), seconds, True
 
 
 def _climb(ladder, reference, floor, longest):
@@ -595,7 +538,7 @@ def _climb(ladder, reference, floor, longest):
 
 
 def _in_turns(calls, repeats):
-    """Median and shortest wall times (2, calls) [s] of pairs (call, value) that take turns.
+    """Median wall times [s] of pairs (call, value) that take turns.
 
     Each is called `repeats` times, or until its times add up to `ENOUGH`.
     """
@@ -604,28 +547,7 @@ def _in_turns(calls, repeats):
         for (call, value), times in zip(calls, spent):
             if sum(times) < ENOUGH:
                 times.append(_once(call, value)[1])
-    return np.array([[np.median(times), np.min(times)] for times in spent]).reshape(-1, 2).T
-
-
-def _seconds(one):
-    return one.seconds
-
-
-def _coarsest(points, asked):
-    """The coarsest point of a method from which on all are good enough."""
-    points = sorted(points, key=lambda one: -one.value)
-    good = np.array([one.error <= asked for one in points])
-    # a dip among larger errors is luck; where rounding spoils the finest, the first has to do
-    k = 0 if good.all() else int(np.flatnonzero(~good)[-1]) + 1
-    return points[int(np.argmax(good)) if k == len(points) else k]
-
-
-def _time(seconds):
-    """A time with its unit: 1.9 ms."""
-    if not math.isfinite(seconds):
-        return "no time"
-    unit, name = next(((u, n) for u, n in ((1.0, "s"), (1e-3, "ms")) if seconds >= u), (1e-6, "us"))
-    return f"{seconds / unit:.3g} {name}"
+    return [np.median(times) for times in spent]
 
 
 def _values(name, values):
@@ -642,27 +564,17 @@ def _named(solvers):
     if isinstance(solvers, diffrax.AbstractSolver):
         solvers = [solvers]
     if not isinstance(solvers, Mapping):
-        names = [type(solver).__name__ for solver in solvers]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            remedy = "Give a dict from names to solvers."
-            refuse("solvers", "solvers of different names", f"{twice!r} twice", remedy)
+        names = [getattr(x, "__name__", type(x).__name__) for x in solvers]
+        for name in names:
+            if names.count(name) > 1:
+                remedy = "Give a dict from names to solvers."
+                refuse("solvers", "solvers of different names", f"{name!r} twice", remedy)
         solvers = dict(zip(names, solvers))
-    for solver in solvers.values():
+    for name, solver in solvers.items():
         if not isinstance(solver, diffrax.AbstractSolver):
-            got = getattr(solver, "__name__", repr(solver))
             remedy = "Solvers are instances: write the brackets."
-            refuse("solvers", "solvers, such as gx.SRKN11b()", got, remedy)
-    return dict(solvers)
-
-
-def _by_name(steps, solvers):
-    """A dict from name to values, for the solvers that the user gave values for."""
-    if not isinstance(steps, Mapping):
-        if any(np.ndim(x) for x in np.ravel(np.asarray(steps, object))) or np.ndim(steps) > 1:
-            refuse("steps", "numbers, or a dict from names to numbers", repr(steps))
-        steps = dict.fromkeys(solvers, steps)
-    return {one_of("steps", name, solvers): _values(name, x) for name, x in steps.items()}
+            refuse("solvers", "solvers, such as gx.SRKN11b()", name, remedy)
+    return solvers
 
 
 def sensible_solvers(lattice: Lattice) -> dict[str, diffrax.AbstractSolver]:
@@ -691,18 +603,21 @@ def stable_step(solver: diffrax.AbstractSolver, omega: Scalar) -> float:
 
 
 def _least(dtype):
-    """The smallest tolerance; at 16 rounding units references are worse than at 20."""
-    return 20 * float(jnp.finfo(dtype).eps)
+    """The smallest tolerance."""
+    return ROUNDINGS * float(jnp.finfo(dtype).eps)
 
 
 def _sensible_values(solver, limit, span, dtype):
-    """Tolerances in decades, or steps down from the limit in ratios of 10^(1/order)."""
+    """Tolerances, or steps, between which the error falls by about `RUNG`."""
+    down = RUNG ** -np.arange(MOST_VALUES)
     if isinstance(solver, diffrax.AbstractAdaptiveSolver):
-        return tuple(x for x in TOLERANCES if x > _least(dtype))
-    table = getattr(type(solver), "table", None)
-    order = ORDER if table is None else table().order
-    first = min(FIRST_STEP * limit, span / LEAST_INTERVALS)
-    return tuple(float(f"{first * 10.0 ** (-k / order):.3g}") for k in range(MOST_STEPS))
+        values = FIRST_TOLERANCE * down
+        values = values[values > _least(dtype)]
+    else:
+        table = getattr(type(solver), "table", None)
+        order = ORDER if table is None else table().order
+        values = min(FIRST_STEP * limit, span / LEAST_INTERVALS) * down ** (1 / order)
+    return tuple(float(f"{x:.3g}") for x in values)
 
 
 def _counts(run):
@@ -718,69 +633,43 @@ def _counts(run):
 def find_reference(
     lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar
 ) -> tuple[Pytree, float, str]:
-    r"""Refine two runs by methods of high order until their distance stops falling.
+    r"""Run two adaptive methods of high order at ever finer tolerances, and take the closest pair.
 
-    The first is RKN1210, or Dopri8 where a force reads the velocity. The second is of another
-    family: SofroniouSpaletta10 at fixed steps, where the lattice splits and no contact opens;
-    elsewhere, as every fixed step has order 5/2 at contact opening, another adaptive pair: RKN86,
-    or Tsit5 where a force reads the velocity. Then both run once more on another mesh, so that no
-    chance agreement passes: the floor is the largest distance of the other three from the first. In
-    float64, whatever the type of the lattice, unless JAX is held to float32.
+    RKN1210 and RKN86, or Dopri8 and Tsit5 where a force reads the velocity. Both run once more at
+    another tolerance, so that no chance agreement passes: the floor is the largest distance of the
+    other three from the first. In float64, whatever the type of the lattice, unless JAX is held to
+    float32.
 
     **Returns:** (final state, floor, what the runs were). **Raises** RuntimeError where they do not
     agree to 1e-3, or one does not complete.
     """
     wide = jnp.zeros(()).dtype
     lattice, state = lattice.astype(wide), jax.tree.map(lambda x: jnp.asarray(x, wide), state)
-    known = facts(lattice)
+    kinds = (diffrax.Dopri8, diffrax.Tsit5) if facts(lattice).reads_velocity else (RKN1210, RKN86)
 
-    def end(solver, how):
-        return simulate(lattice, state, t1, t0=t0, solver=solver, **how)
+    def ends(tolerance):
+        runs = [
+            simulate(lattice, state, t1, t0=t0, solver=kind(), tolerance=tolerance)
+            for kind in kinds
+        ]
+        return [jax.tree.map(np.asarray, run.final) for run in runs]
 
-    first = diffrax.Dopri8() if known.reads_velocity else RKN1210()
-    second = diffrax.Tsit5() if known.reads_velocity else RKN86()
-    step = None
+    found = []
     try:
-        trial = end(first, {"tolerance": REFERENCE_TOLERANCE})
-        if known.splits and not np.any(trial.contact_opened):
-            second = SofroniouSpaletta10()
-            limit = stable_step(second, highest_frequency(lattice, state, t0, t1))
-            step = min(REFERENCE_STEP * limit, (t1 - t0) / LEAST_INTERVALS)
-        found, floor, note = _refined(end, (first, second), step, _least(wide))
+        for tolerance in REFERENCE_TOLERANCES[REFERENCE_TOLERANCES > _least(wide)]:
+            first, second = ends(tolerance)
+            found.append((distance(second, first), tolerance, first))
     except RuntimeError as error:
-        raise RuntimeError(f"No reference: a run of high order fails. {error}") from None
+        # a finer run may fail where a coarser one did not
+        if not found:
+            raise RuntimeError(f"No reference: a run of high order fails. {error}") from None
+    apart, tolerance, final = min(found, key=lambda x: x[0])
+    floor = max(apart, *(distance(end, final) for end in ends(OTHER_MESH * tolerance)))
+    names = f"{kinds[0].__name__} and {kinds[1].__name__} at tolerance {tolerance:.0e}"
     if not floor <= LARGEST_FLOOR:
         raise RuntimeError(
-            f"No reference exists at t1 = {t1:g}: {note} differ by {floor:.3g}, and finer ones no "
+            f"No reference exists at t1 = {t1:g}: {names} differ by {floor:.3g}, and finer ones no "
             "less. Such a trajectory amplifies rounding (chaos), or an unstable scene its errors: "
             "end the run earlier, or compare averages."
         )
-    return found, floor, note
-
-
-def _refined(end, solvers, step, least):
-    """The pair of runs with the smallest distance among ever finer ones, confirmed on another mesh."""
-    smallest, best, waited = math.inf, None, 0
-    for level in range(MOST_LEVELS):
-        tolerance = {"tolerance": max(REFERENCE_TOLERANCE * 10.0**-level, least)}
-        how = tolerance, tolerance if step is None else {"step": step * SHORTER**level}
-        try:
-            ends = [end(solver, own).final for solver, own in zip(solvers, how)]
-        except RuntimeError:
-            if best is None:
-                raise
-            break
-        apart = distance(ends[1], ends[0])
-        waited = 0 if apart < GAIN * smallest else waited + 1
-        if apart < smallest:
-            smallest, best = apart, (ends[0], how)
-        if waited == (PATIENCE if smallest <= LARGEST_FLOOR else 2 * PATIENCE):
-            break
-    state, how = best
-    note, floor = [], smallest
-    for solver, own in zip(solvers, how):
-        ((parameter, value),) = own.items()
-        other = end(solver, {parameter: OTHER_MESH * value}).final
-        floor = max(floor, distance(other, state))
-        note.append(f"{type(solver).__name__} at {parameter} {value:.3g}")
-    return jax.tree.map(np.asarray, state), floor, " and ".join(note)
+    return final, floor, names

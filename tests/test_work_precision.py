@@ -1,7 +1,6 @@
 """Error against time: the measure, the table, its orders, its advice, on plain functions and on scenes."""
 
 import math
-import sys
 import time
 
 import diffrax
@@ -97,9 +96,8 @@ def test_a_table_has_every_point_in_order(table):
     assert table.drawn.all() and not any(table.note)
     for point, step in zip((0, 3), STEPS[::3]):
         assert table.error[point] == distance(verlet(step)[0], EXACT)
-    assert np.all(table.seconds[:16] >= table.fastest[:16]) and np.all(table.fastest > 0)
-    # an eighth of the step: eight times the loop, whatever else the machine does
-    assert table.fastest[7] > table.fastest[2]
+    # 1/32 of the step: 32 times the loop, whatever else the machine does
+    assert table.seconds[7] > table.seconds[2] > 0
 
 
 def test_orders_with_their_uncertainty(table):
@@ -198,8 +196,7 @@ def test_the_order_says_how_sure_it_is():
 @pytest.mark.parametrize("asked", [3e-3, 1e-4, 2e-6, 1e-8])
 def test_advice_is_what_a_run_gives(table, asked):
     advice = table.advice(asked)
-    # a point of the table that took no longer in its turns may be far better than asked
-    assert advice.error <= asked and (asked / 3 <= advice.error or advice.value in STEPS)
+    assert advice.error <= asked and advice.value in STEPS
     call = {"verlet": verlet, "rk4": runge_kutta}[advice.method]
     assert distance(call(advice.value)[0], EXACT) == advice.error
     # all the digits are in the sentence
@@ -221,28 +218,16 @@ def test_advice_takes_the_faster(order):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_advice_is_never_worse_than_another_point(seed, monkeypatch):
-    # points of any error and time, which calls between them repeat
+def test_no_other_point_is_as_good_and_faster(seed):
     random = np.random.default_rng(seed)
     errors = 10.0 ** random.uniform(-6, -1, (3, len(STEPS)))
-    seconds = np.sort(random.uniform(1, 2, (3, len(STEPS))).ravel()).reshape(3, -1)
-    nearest = lambda step: np.abs(np.log(np.array(STEPS) / step)).argmin()
-    calls = [lambda h, x=x: ((EXACT[0] + x[nearest(h)], EXACT[1]), None) for x in errors]
-    clock = dict(zip(calls, seconds))
-
-    def timed(pairs, repeats, known=None):
-        return np.array([clock[call][nearest(value)] for call, value in pairs] * 2).reshape(2, -1)
-
-    monkeypatch.setattr(sys.modules[measure.__module__], "_in_turns", timed)
-    ladders = [Ladder(name, "step", STEPS, call) for name, call in zip("abc", calls)]
+    at = lambda errors: lambda h: ((EXACT[0] + errors[STEPS.index(h)], EXACT[1]), None)
+    ladders = [Ladder(name, "step", STEPS, at(x)) for name, x in zip("abc", errors)]
     wp = measure(ladders, EXACT, repeats=1)
-    assert_array_equal(wp.seconds, seconds.ravel())
     for asked in (3e-1, 3e-2, 3e-3):
         advice = wp.advice(asked)
         assert advice.error <= asked
-        finer = (np.array(wp.method) == advice.method) & (wp.value <= advice.value)
-        better = (wp.error <= advice.error) & (wp.seconds < advice.seconds) & ~finer
-        assert not np.any(better)
+        assert advice.seconds == wp.seconds[wp.error <= asked].min()
 
 
 def test_advice_below_the_floor_is_refused(table):
@@ -253,19 +238,6 @@ def test_advice_below_the_floor_is_refused(table):
 def test_advice_below_all_that_was_measured_is_refused(table):
     with refused("The best point: rk4, step 0.0031"):
         table.advice(table.error[15] / 2)
-
-
-def test_advice_where_one_step_fewer_is_too_few():
-    # order 12 at a handful of steps: no error within a factor of three of what is asked
-    def call(step):
-        count = math.ceil(1 / step)
-        return (EXACT[0] + (0.8 / count) ** 12, EXACT[1]), count, count
-
-    wp = measure([Ladder("high", "step", (1.0, 0.1), call)], EXACT, repeats=1)
-    three, four = (distance(call(1 / count)[0], EXACT) for count in (3, 4))
-    for asked in (2.9 * four, 10 * four, 0.99 * three):
-        advice = wp.advice(asked)
-        assert advice.error == four and math.ceil(1 / advice.value) == 4 == advice.evaluations
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -445,7 +417,7 @@ def test_the_reference_is_as_good_as_it_says(smooth):
     other = gx.simulate(chain, state, 12.0, solver=diffrax.Dopri8(), tolerance=1e-14)
     assert distance(other.final, smooth.reference) < 10 * smooth.floor < 1e-11
     assert smooth.error[smooth.drawn].min() >= 4 * smooth.floor
-    assert "RKN1210" in smooth.reference_note and "SofroniouSpaletta10" in smooth.reference_note
+    assert "RKN1210" in smooth.reference_note and "RKN86" in smooth.reference_note
 
 
 @pytest.mark.study
@@ -506,15 +478,6 @@ def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
         error = distance(gx.simulate(chain, state, t1, **advice.keywords).final, exact)
         assert advice.error / 3 < error < 3 * advice.error
         assert error < 1.01 * asked
-        if (
-            error < asked / 3.03
-            and advice.value < wp.value[wp.method.index(advice.method)]
-            and not (np.isclose(advice.value, wp.value, rtol=1e-9, atol=0).any())
-        ):  # a measured point that was faster
-            # one step fewer is too few
-            count = int(gx.simulate(chain, state, t1, **advice.keywords).stats["steps"])
-            fewer = gx.simulate(chain, state, t1, solver=advice.solver, step=t1 / (count - 1))
-            assert advice.parameter == "step" and distance(fewer.final, exact) > asked
 
 
 @pytest.mark.slow
