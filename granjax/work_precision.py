@@ -175,6 +175,7 @@ class WorkPrecision(Result):
     value: Float[np.ndarray, " point"] = array("Its value; NaN for the default")
     error: Float[np.ndarray, " point"] = array("Error, dimensionless, see `distance`")
     seconds: Float[np.ndarray, " point"] = array("Median wall time of a call, compiled", "s")
+    fastest: Float[np.ndarray, " point"] = array("Shortest wall time of a call", "s")
     evaluations: Float[np.ndarray, " point"] = array("Evaluations of the force; NaN if unknown")
     steps: Float[np.ndarray, " point"] = array("Steps; NaN where they are not known")
     drawn: Bool[np.ndarray, " point"] = array("Whether the point says something")
@@ -394,15 +395,17 @@ def measure(
     climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
     points = [(ladder, one) for ladder, (_, found) in zip(ladders, climbed) for one in found]
     drawn = np.array([not one.note for _, one in points])
-    seconds = np.full(len(points), math.nan)
-    seconds[drawn] = _in_turns([(x.call, one.value) for x, one in points if not one.note], repeats)
+    seconds = np.full((2, len(points)), math.nan)
+    calls = [(ladder.call, one.value) for ladder, one in points if not one.note]
+    seconds[:, drawn] = _in_turns(calls, repeats)
     numbers = ("value", "error", "evaluations", "steps")
     orders = [_order(ladder, found, floor) for ladder, (_, found) in zip(ladders, climbed)]
     return WorkPrecision(
         method=tuple(ladder.name for ladder, _ in points),
         parameter=tuple(ladder.parameter for ladder, _ in points),
         **{name: np.array([getattr(one, name) for _, one in points]) for name in numbers},
-        seconds=seconds,
+        seconds=seconds[0],
+        fastest=seconds[1],
         drawn=drawn,
         note=tuple(one.note for _, one in points),
         methods=names,
@@ -538,7 +541,7 @@ def _climb(ladder, reference, floor, longest):
 
 
 def _in_turns(calls, repeats):
-    """Median wall times [s] of pairs (call, value) that take turns.
+    """Median and shortest wall times (2, calls) [s] of pairs (call, value) that take turns.
 
     Each is called `repeats` times, or until its times add up to `ENOUGH`.
     """
@@ -547,7 +550,7 @@ def _in_turns(calls, repeats):
         for (call, value), times in zip(calls, spent):
             if sum(times) < ENOUGH:
                 times.append(_once(call, value)[1])
-    return [np.median(times) for times in spent]
+    return np.array([[np.median(times), min(times)] for times in spent]).reshape(-1, 2).T
 
 
 def _values(name, values):
