@@ -113,7 +113,7 @@ Sweeps
     sweep               a function of parameters over a grid or a list; kept, resumed, on many machines
     sweeps              `paired`, the points of a list
 Theory
-    theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks, Stokes waves
+    theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
     shocks              dispersive shocks: strain steps, velocity shocks, pistons
     Resonator           a mass on a spring in every bead

@@ -119,8 +119,8 @@ def test_every_measure_is_recordable_in_either_order(site):
         "kinetic": gx.measures.kinetic_energy,
         "own": lambda lattice, y: y.v,
         "plain": lambda t, y, lattice: y.v + 0 * t,
-        "species": lambda lattice, y, t=0.0: gx.measures.species_energy(
-            lattice, y, t, species=["a", "b"]
+        "species": lambda lattice, y, t=0.0: dict(
+            zip("ab", gx.measures.site_energy(lattice, y, t))
         ),
     }
     run = gx.simulate(

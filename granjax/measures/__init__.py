@@ -13,7 +13,6 @@ from .energies import (
     potential_energy,
     power,
     site_energy,
-    species_energy,
 )
 from .fronts import Front, Peaks, arrival_times, front_speed, peak_times
 from .histories import along, rms_velocity

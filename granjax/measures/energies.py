@@ -1,17 +1,13 @@
 """Energies and momentum of a state, of the whole lattice and site by site."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..checks import refuse
 from ..lattice import Lattice
 from ..terms import energies
 from ..terms.reach import per_lane, reads
-from ..types import Displacements, Number, StateLike, Values
+from ..types import Displacements, Number, StateLike
 from .states_of import parts
 
 
@@ -116,29 +112,3 @@ def _per_site(lattice, x):
     if lattice.dimension is not None and x.ndim == lattice.axes + 1 + len(lattice.lanes):
         return x.sum(lattice.axes)
     return x
-
-
-def species_energy(
-    lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Values | None = None
-) -> dict[Any, Number]:
-    """Energy of each kind of site, from `site_energy` [J]: who holds it, the heavy or the light.
-
-    **Arguments:** `species`: one label per site, numbers or names (`["heavy", "light"] * 50`, a mask); `None` for the
-    fields of a cell. **Returns:** a dict from label to energy, of the shape of the lanes; the values sum to `energy`.
-    **Raises** ValueError for labels that are not one per site, or fields together with labels.
-    """
-    share = site_energy(lattice, y, t)
-    axes = tuple(range(lattice.axes))
-    if isinstance(share, dict):
-        return {name: e.sum(axes) for name, e in share.items()}
-    if isinstance(species, jax.core.Tracer) or np.shape(species) != lattice.sites:
-        got = f"shape {np.shape(species)}"
-        refuse(
-            "species",
-            f"labels of shape {lattice.sites}, one per site",
-            got,
-            "Labels must be known before tracing.",
-        )
-    labels = np.asarray(species)
-    labels = labels.astype(str) if labels.dtype.kind == "O" else labels
-    return {label.item(): share[labels == label].sum(0) for label in np.unique(labels)}

@@ -10,7 +10,6 @@
 - `mittag_leffler`: of fractional relaxation.
 - `restitution`: of two bodies that collide, plastic ones.
 - `simple_wave`: the state behind a velocity step of any law, rarefaction fans.
-- `stokes`: periodic waves of small amplitude to the third order.
 - `toda`: the Toda chain: solitons, periodic waves, dispersive shocks, eigenvalues of its Lax matrix.
 - `shock_edges`: the edges of a dispersive shock of any convex law, by fitting.
 """
@@ -25,7 +24,6 @@ from . import (
     nls,
     restitution,
     simple_wave,
-    stokes,
     toda,
 )
 from .fitting import FittedEdges, shock_edges
@@ -44,6 +42,5 @@ __all__ = [
     "restitution",
     "shock_edges",
     "simple_wave",
-    "stokes",
     "toda",
 ]

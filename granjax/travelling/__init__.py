@@ -1,7 +1,6 @@
 """Waves that travel along a lattice without changing their shape."""
 
 from .cells import CellWave, Resonator, cell_wave, tail_free, tail_free_stiffness
-from .closed_forms import ClosedForms, closed_forms
 from .collisions import Collision, collide
 from .family import WaveFamily, family
 from .long_wave import LongWave, SpectralStrain, long_wave
@@ -13,7 +12,6 @@ from .stability import ring, stability, wave_orbit
 __all__ = [
     "Averages",
     "CellWave",
-    "ClosedForms",
     "Collision",
     "LongWave",
     "PeriodicWave",
@@ -23,7 +21,6 @@ __all__ = [
     "Wave",
     "WaveFamily",
     "cell_wave",
-    "closed_forms",
     "collide",
     "family",
     "long_wave",
