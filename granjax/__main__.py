@@ -1,5 +1,7 @@
 """`python -m granjax`."""
 
-from .cli import command
+import sys
 
-command()
+from .cli import main
+
+sys.exit(main())

@@ -1,17 +1,11 @@
 """Files are there whole or not at all; a result is told where it cannot be written."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from refusals import refused
 
-import granjax as gx
 from granjax import files, plots
-from granjax.cli import main
 from granjax.results import Result, array
-
-ARGUMENTS = ["resonance", "--beads", "11", "--ratios", "12"]
 
 
 def names(folder):
@@ -27,10 +21,6 @@ class Sample(Result):
 
 
 SMALL = Sample(np.arange(3.0))
-
-
-def complaints(captured):
-    return [line for line in captured.err.splitlines() if "JAX has started" not in line]
 
 
 def test_a_file_is_replaced_whole(tmp_path):
@@ -58,17 +48,3 @@ def test_endings_of_pictures(tmp_path):
         with refused("ending: expected one of"):
             plots.save(plots.figure(1, 1), tmp_path / name)
     assert plots.save(plots.figure(1, 1), tmp_path / "a.SVG").read_bytes().startswith(b"<?xml")
-
-
-@pytest.mark.parametrize("out", ["FILE/below", "/proc/none", "NONE/x.nc/FOLDER.png"])
-def test_the_place_is_looked_at_before_anything_is_computed(out, tmp_path, capsys, monkeypatch):
-    def never(*arguments, **keywords):
-        raise AssertionError
-
-    monkeypatch.setattr(gx.resonance, "transmission", never)
-    monkeypatch.chdir(tmp_path)
-    Path("FILE").write_text("")
-    Path("NONE/x.nc/FOLDER.png").mkdir(parents=True)
-    assert main([*ARGUMENTS, "--out", out]) == 2
-    (line,) = complaints(capsys.readouterr())
-    assert line.startswith("granjax: --out: expected")
