@@ -21,7 +21,7 @@ from granjax.floquet import (
     reversible_multipliers,
 )
 from granjax.forced import forced_orbit
-from granjax.orbits.floquet import weights
+from granjax.orbits.floquet import sentence, weights
 
 
 def apart(a, b):
@@ -465,8 +465,8 @@ def test_the_error_covers_the_true_one_where_contacts_open(opened):
 )
 def test_the_word_follows_from_the_error(rho, error, expected, conserves, verdict, words):
     rho = np.asarray(rho, complex)
-    got, sentence = decide(rho, np.full(len(rho), error), expected, conserves)
-    assert got == verdict and words in sentence
+    numbers = rho, np.full(len(rho), error), expected, conserves
+    assert decide(*numbers) == verdict and words in sentence(verdict, *numbers)
 
 
 def test_no_time_and_no_steps_are_refused():

@@ -332,7 +332,7 @@ def examined_along(
             values, error = (
                 reversible_multipliers(*maps)[1:] if reversible else spectrum(*maps)[::2]
             )
-            verdict, _ = decide(values, error, known.expected, reversible)
+            verdict = decide(values, error, known.expected, reversible)
         step_error = here._replace(maps=maps).step_error
         here = jax.tree.map(np.asarray, here._replace(maps=None))
         found.append((here, values, error, step_error, verdict))

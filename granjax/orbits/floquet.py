@@ -165,11 +165,16 @@ class Floquet(Result):
         "The number of multipliers that symmetry puts at +1; they are left out of the verdict."
     )
     verdict: str = array('"stable", "unstable" or "undecided".', static=True)
-    outcome: str = eqx.field(static=True)
     period: float = array("The period T.", "s")
     steps: int = array("The number of steps of a period.")
     rate: float | None = array("The rate of uniform damping.", "1/s")
     state: Pytree = array("The state of the orbit.")
+
+    @property
+    def outcome(self) -> str:
+        """What led to the verdict."""
+        conserves = self.rate == 0
+        return sentence(self.verdict, self.multipliers, self.error, self.expected, conserves)
 
     @property
     def exponents(self) -> Complex[np.ndarray, " two_n"]:
@@ -192,49 +197,62 @@ class Floquet(Result):
         return np.flatnonzero(np.abs(self.multipliers) - 1 > self.error)
 
 
+def _excess(multipliers, error, expected):
+    """Of the multipliers that symmetry does not put at +1: which they are, how far outside the circle, their errors."""
+    rest = np.delete(np.arange(len(multipliers)), np.argsort(np.abs(multipliers - 1))[:expected])
+    return rest, np.abs(multipliers[rest]) - 1, error[rest]
+
+
 def decide(
     multipliers: Inexact[np.ndarray, " two_n"],
     error: Float[np.ndarray, " two_n"],
     expected: int,
     conserves: bool,
     resolution: Scalar = RESOLUTION,
-) -> tuple[str, str]:
-    """(verdict, sentence) from multipliers and their errors.
+) -> str:
+    """The verdict from multipliers and their errors.
 
     The `expected` ones nearest to +1 are left out. Unstable: one lies outside the circle by more than its error.
     Undecided: an error above `resolution` could hide such a one. Stable: neither; in a conservative lattice every
     multiplier then lies on the circle within its error, in a damped one inside.
     """
     resolution = float(within("resolution", resolution, 0, 1, open_high=True))
-    rest = np.delete(np.arange(len(multipliers)), np.argsort(np.abs(multipliers - 1))[:expected])
+    _, excess, error = _excess(multipliers, error, expected)
+    if (excess > error).any():
+        return UNSTABLE
+    doubtful = excess + error > (resolution if conserves else 0)
+    return UNDECIDED if doubtful.any() else STABLE
+
+
+def sentence(
+    verdict: str,
+    multipliers: Inexact[np.ndarray, " two_n"],
+    error: Float[np.ndarray, " two_n"],
+    expected: int,
+    conserves: bool,
+) -> str:
+    """What led to the verdict of `decide`."""
+    rest, excess, error = _excess(multipliers, error, expected)
     left_out = f" {expected} multipliers at +1 are those of symmetry." if expected else ""
     if not len(rest):
-        return STABLE, "Nothing but symmetries." + left_out
-    excess, error = np.abs(multipliers[rest]) - 1, error[rest]
-    outside = excess > error
-    if outside.any():
-        i = np.argmax(np.where(outside, excess, -np.inf))
+        return f"Nothing but symmetries.{left_out}"
+    top = excess + error
+    if verdict == UNSTABLE:
+        i = np.argmax(np.where(excess > error, excess, -np.inf))
         rho = multipliers[rest][i]
         kind = "real" if abs(rho.imag) <= error[i] else "complex"
         direction = " (period doubling)" if kind == "real" and rho.real < 0 else ""
         size = f"{abs(rho):.6g} +- {error[i]:.1e}"
-        return (
-            UNSTABLE,
-            f"A {kind} multiplier{direction} of modulus {size} lies outside the unit circle.{left_out}",
-        )
-    doubtful = (excess + error > resolution) if conserves else (excess + error > 0)
-    if doubtful.any():
-        i = np.argmax(np.where(doubtful, excess + error, -np.inf))
-        return UNDECIDED, (
-            f"A multiplier of modulus {abs(multipliers[rest][i]):.6g} is known to {error[i]:.1e} only: "
-            f"smaller steps would tell.{left_out}"
-        )
-    if conserves:
-        return STABLE, f"Every multiplier is on the unit circle, to {error.max():.1e}.{left_out}"
-    return (
-        STABLE,
-        f"Every multiplier is inside the unit circle, by {-(excess + error).max():.1e} at least.{left_out}",
-    )
+        said = f"A {kind} multiplier{direction} of modulus {size} lies outside the unit circle."
+    elif verdict == UNDECIDED:
+        i = np.argmax(top)
+        size = f"{abs(multipliers[rest][i]):.6g} is known to {error[i]:.1e}"
+        said = f"A multiplier of modulus {size} only: smaller steps would tell."
+    elif conserves:
+        said = f"Every multiplier is on the unit circle, to {error.max():.1e}."
+    else:
+        said = f"Every multiplier is inside the unit circle, by {-top.max():.1e} at least."
+    return said + left_out
 
 
 @eqx.filter_jit
@@ -357,7 +375,7 @@ def floquet(
     else:
         multipliers, vectors, error = product_spectrum(*factors, moved=off)
     vectors = vectors / scale[:, None]
-    verdict, outcome = decide(multipliers, error, known.expected, known.rate == 0, resolution)
+    verdict = decide(multipliers, error, known.expected, known.rate == 0, resolution)
     signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
     # those of symmetry have none
     signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0
@@ -372,7 +390,6 @@ def floquet(
         about,
         known.expected,
         verdict,
-        outcome,
         period,
         int(count),
         known.rate,

@@ -7,7 +7,7 @@ from .long_wave import LongWave, SpectralStrain, long_wave
 from .periodic import Averages, PeriodicWave, periodic_wave
 from .reflection import Reflection, reflect
 from .solitary import Wave, solitary_wave
-from .stability import ring, stability, wave_orbit
+from .stability import WaveStability, ring, stability, wave_orbit
 
 __all__ = [
     "Averages",
@@ -20,6 +20,7 @@ __all__ = [
     "SpectralStrain",
     "Wave",
     "WaveFamily",
+    "WaveStability",
     "cell_wave",
     "collide",
     "family",

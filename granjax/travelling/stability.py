@@ -1,6 +1,6 @@
 """Waves as fixed points of "run for 1/c, then shift by one site", and their stability, by the code of orbits."""
 
-from dataclasses import replace
+from dataclasses import fields
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from ..laws import Strained
 from ..orbits import Orbit, Translation, orbit
 from ..orbits.floquet import STABLE, UNDECIDED, Floquet, decide
 from ..orbits.spectrum import known_spectrum
+from ..results import hidden
 from ..solvers import KahanLi8
 from ..strains import Shift
 from ..terms import Bond
@@ -83,9 +84,41 @@ def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: An
     )
 
 
+class WaveStability(Floquet):
+    """What `stability` returns: a `Floquet` that says on how many sites of which lattice it was found."""
+
+    sites: int = hidden("The sites of the ring or the chain.", static=True, kw_only=True)
+    bound: float = hidden(
+        "The bound on all multipliers but two of a chain with held ends, 0 of a ring.", kw_only=True
+    )
+    ring: Floquet | None = hidden(
+        "What was found on the ring, where held ends have decided.", default=None, kw_only=True
+    )
+    held: Floquet | None = hidden("What these have found.", default=None, kw_only=True)
+
+    @property
+    def outcome(self) -> str:
+        """Where it was found, and what led to the verdict."""
+        if self.bound:
+            place = f"On a chain of {self.sites} sites with held ends:"
+            if self.bound >= 1:
+                return f"{place} {super().outcome}"
+            return (
+                f"{place} every perturbation that does not change the place or the speed falls behind "
+                f"the wave, since all other multipliers are below {self.bound:.4g} in modulus. "
+                "2 multipliers at +1 are those of symmetry."
+            )
+        place = f"On a ring of {self.sites} sites:"
+        if self.ring is None:
+            return f"{place} {super().outcome}"
+        grow = "Small waves that run round the ring and meet the wave again make some grow."
+        fewer = len(self.unstable) < len(self.ring.unstable)
+        return f"{place} {self.ring.outcome} {f'{grow} ' if fewer else ''}{self.held.outcome}"
+
+
 def stability(
     wave: Any, sites: Count | None = None, ends: str | None = None, **keywords: Any
-) -> Floquet:
+) -> WaveStability:
     r"""Multipliers of a wave over the time in which it runs one site: of S^-1 D y(1/c), with errors and a verdict.
 
     `ends="ring"`: the wave is set on a `ring`, refined there by Newton's method and judged as any orbit is, with Krein
@@ -102,7 +135,7 @@ def stability(
 
     **Arguments:** `sites`: of the ring or the chain, `None` by the tail. `ends`: `None` is "ring" where there is sound,
     "held" elsewhere. `keywords`: of `gx.floquet.floquet` on a ring.
-    **Returns:** `Floquet`, whose outcome names the ring or the chain. **Raises** as `ring` and `wave_orbit` do.
+    **Returns:** `WaveStability`, whose outcome names the ring or the chain. **Raises** as `ring` and `wave_orbit` do.
 
     **Example:**
 
@@ -127,9 +160,10 @@ def stability(
 
 def _judged(found, wave, sites):
     """What was found on a ring, judged by held ends where the ring itself may be why a multiplier leaves the circle."""
-    outcome = f"On a ring of {sites} sites: {found.outcome}"
+    told = {field.name: getattr(found, field.name) for field in fields(found)}
+    told |= {"sites": sites, "bound": 0.0}
     if found.verdict == STABLE:
-        return replace(found, outcome=outcome)
+        return WaveStability(**told)
     held, rho = _held(wave, sites), found.multipliers
     # those of the wave, with their inverses; what else is off the circle is the ring's own
     growing = held.multipliers[held.unstable]
@@ -137,9 +171,8 @@ def _judged(found, wave, sites):
     own = np.setdiff1d(np.arange(len(rho)) if held.verdict != UNDECIDED else [], waves).astype(int)
     error = found.error.copy()
     error[own] = np.maximum(error[own], np.abs(np.abs(rho[own]) - 1))
-    if np.isin(found.unstable, own).any():
-        outcome += " Small waves that run round the ring and meet the wave again make some grow."
-    return replace(found, error=error, verdict=held.verdict, outcome=f"{outcome} {held.outcome}")
+    told |= {"error": error, "verdict": held.verdict, "ring": found, "held": held}
+    return WaveStability(**told)
 
 
 def _held(wave, sites):
@@ -165,18 +198,12 @@ def _held(wave, sites):
     radius = _radius(fine, about)
     pair = np.argsort(np.abs(multipliers - 1))[:2]
     inside = np.setdiff1d(np.arange(len(multipliers)), pair)
-    verdict, outcome = decide(multipliers, error, 2, False)
-    outcome = f"On a chain of {sites} sites with held ends: {outcome}"
+    verdict = decide(multipliers, error, 2, False)
     if radius < 1:
         error[inside] = np.minimum(error[inside], np.abs(multipliers[inside]) + radius)
         verdict = STABLE
-        outcome = (
-            f"On a chain of {sites} sites with held ends: every perturbation that does not change the place or "
-            f"the speed falls behind the wave, since all other multipliers are below {radius:.4g} in modulus. "
-            "2 multipliers at +1 are those of symmetry."
-        )
     unsigned = np.full(len(multipliers), np.nan)
-    return Floquet(
+    return WaveStability(
         fine / weights[:, None] * weights,
         multipliers,
         vectors / weights[:, None],
@@ -186,11 +213,12 @@ def _held(wave, sites):
         about,
         2,
         verdict,
-        outcome,
         period,
         int(steps),
         None,
         state,
+        sites=sites,
+        bound=radius,
         **lattice.origin,
     )
 
