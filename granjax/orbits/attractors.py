@@ -44,7 +44,6 @@ from .asked import (
     checked_state,
     default_steps,
     fixed_step_solver,
-    history,
     one_lattice,
 )
 from .branch import Bifurcation
@@ -262,19 +261,24 @@ def settle(
     (1, 'Settled')
     """
     state, period, flow = asked(lattice, state, period, 0.0, steps, solver, SRKN11b(), COARSE)
-    tolerance = jnp.asarray(float(checked_tolerance("tolerance", tolerance)), lattice.dtype)
-    # an array, whose value compiles nothing anew
-    T = jnp.asarray(period, lattice.dtype)
-    found = _follow(flow, lattice, state, T, whole("periods", periods, 8), tolerance)
+    # arrays, whose values compile nothing anew
+    tolerance, T = (
+        jnp.asarray(x, lattice.dtype)
+        for x in (float(checked_tolerance("tolerance", tolerance)), period)
+    )
+    settling, scene = _Settling(_itself, flow, whole("periods", periods, 8)), (lattice, T)
+    found = settling.follow(scene, state, tolerance, jnp.asarray(periods))
     used, multiple = int(found.used), int(found.multiple)
     # of a motion that does not repeat sixteen periods are kept
-    (ts, us, vs), *seen, sampling = _watch(flow, lattice, found.state, T, multiple or 16)
-    seen = found.state, *seen
+    ts, ys, *seen = settling.watch(scene, found.state, multiple or 16)
+    seen, sampling = _extremes(found.state, ys, *seen)
     errors = jax.tree.map(lambda x: np.full_like(x, np.nan), seen)
     if multiple:
-        other, left = _otherwise(flow, lattice, found, T, periods, tolerance)
-        _, *others, _ = _watch(flow, lattice, other, T, multiple)
-        errors = _apart(seen, (other, *others), left, sampling)
+        other, left = settling.otherwise(scene, found, tolerance)
+        _, others, *numbers = settling.watch(scene, other, multiple)
+        others, _ = _extremes(other, others, *numbers)
+        state, *tops, energy = errors_of(seen, others, left)
+        errors = state, *jax.tree.map(np.add, tuple(tops), sampling), energy
     changes = np.asarray(found.changes)[:used]
     near = ""
     if not multiple and np.isfinite(changes[-1, 0]) and not _still_settles(changes[:, 0], used):
@@ -287,8 +291,8 @@ def settle(
         float(changes[-1, max(multiple, 1) - 1]),
         changes[:, 0],
         ts,
-        us,
-        vs,
+        ys.u,
+        ys.v,
         *seen[1:],
         *errors,
         near,
@@ -303,7 +307,7 @@ def _still_settles(changes, used):
 
 
 class Followed(NamedTuple):
-    """What `follow` returns: the state, the periods that were run, after how many it repeats (or 0).
+    """Where a motion was followed to: the state, the periods that were run, after how many it repeats (or 0).
 
     `changes` (periods, 4) over one to four periods; `once`: whether it has repeated before it was disturbed; `rate`: by
     which a change becomes less from one repetition to the next, after the disturbance.
@@ -352,59 +356,6 @@ def _weight(y, period):
     return weight.astype(flat.dtype)
 
 
-def follow(
-    flow: Flow,
-    lattice: Lattice,
-    state: StateLike,
-    period: Scalar,
-    periods: Count,
-    tolerance: Scalar,
-    most: Counts | None = None,
-) -> Followed:
-    """From phase 0 on until a state repeats, twice, the second time after a disturbance.
-
-    For use inside of `jax.jit`; `periods` is a Python integer, how many changes are kept, and unless there is `most`,
-    which may be traced, also the most that are run.
-    """
-    most = periods if most is None else most
-    multiples = np.arange(1, MOST + 1)
-    divides = (multiples[:, None] % multiples == 0) & (multiples[:, None] > multiples)
-    lag = np.minimum(STRETCH * multiples, periods - 1)
-
-    def repeats_from(begin):
-        def multiple_at(i, change, changes):
-            # what comes slowly to an orbit of fewer periods changes by little in several: what is left of its way is
-            # the sum of a geometric series
-            early = changes[(i - lag) % periods, multiples - 1]
-            rate = jnp.where(early > 0, change / jnp.where(early > 0, early, 1), 0)
-            rate = rate ** (multiples / lag)
-            left = jnp.where(rate < 1, change / jnp.where(rate < 1, 1 - rate, 1), jnp.inf)
-            least = jnp.maximum(APART * tolerance, SAFETY * left)
-            alone = ~divides.any(1) | (i >= lag)
-            alone &= jnp.all(~divides | (change > least[:, None]), 1)
-            repeats = (change <= tolerance) & alone & (i >= begin + MOST)
-            return jnp.where(repeats.any(), jnp.argmax(repeats) + 1, 0)
-
-        return multiple_at
-
-    state, begin = State(*state), jnp.zeros((), int)
-    flat, unravel = ravel_pytree(state)
-    changes = jnp.zeros((periods, MOST), flat.dtype)
-    used, y, before, changes = _until(
-        repeats_from(begin), flow, lattice, state, period, begin, changes, most
-    )
-    # a disturbance that the motion must forget, too small to be taken for a doubled period
-    x, half = ravel_pytree(y)[0], flat.size // 2
-    noise = np.append(np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half))
-    y = unravel(x + 1e2 * tolerance * jnp.max(jnp.abs(_weight(y, period) * x)) * noise)
-    begin = used
-    used, y, multiple, changes = _until(
-        repeats_from(begin), flow, lattice, y, period, begin, changes, most
-    )
-    rate = _rate(changes, used, used - begin, multiple)
-    return Followed(y, used, multiple, changes, before > 0, rate)
-
-
 def _rate(changes, used, count, multiple):
     """The rate of the last `count` periods' changes, from the largest of two stretches one after the other."""
     column = jnp.maximum(multiple, 1) - 1
@@ -434,86 +385,143 @@ def largest(x: Numbers) -> Numbers:
     return b + (a - c) ** 2 / (8 * xp.where(curve > 0, curve, 1))
 
 
-_follow = eqx.filter_jit(follow)
-
-
-def otherwise(
-    flow: Flow,
-    lattice: Lattice,
-    found: Followed,
-    period: Scalar,
-    periods: Count,
-    tolerance: Scalar,
-) -> tuple[State, Scalar]:
-    """Where half the steps settle from there on, and the share of its size by which either may still be off.
-
-    What changes by c a repetition and by a factor r less at each, that of `found` at the least, is c r/(1 - r) from its
-    end. For use inside of `jax.jit`; NaN where it does not settle within `periods`.
-    """
-    coarse, multiple = Flow(jnp.maximum(flow.steps // 2, 1), flow.solver), found.multiple
-    column = multiple - 1
-
-    def multiple_at(i, change, _):
-        return jnp.where((i + 1) % multiple == 0, change[column] <= tolerance, False).astype(int)
-
-    changes = jnp.zeros((periods, MOST), found.changes.dtype)
-    begin, most = jnp.zeros((), int), -(-periods // multiple) * multiple
-    used, y, _, changes = _until(
-        multiple_at, coarse, lattice, found.state, period, begin, changes, most
-    )
-    first, last = changes[column, column], changes[(used - 1) % periods, column]
-    between = used // multiple - 1
-    own = jnp.where((between > 0) & (first > 0), (last / first) ** (1 / jnp.maximum(between, 1)), 0)
-    rate = jnp.maximum(own, found.rate)
-    left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(changes.dtype).eps)
-    return y, jnp.where(last <= tolerance, left, jnp.nan)
-
-
-_otherwise = eqx.filter_jit(otherwise)
-
-
-def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
-    """The errors of what is seen of an attractor, from what `otherwise` leads to."""
-    return jax.tree.map(
-        lambda x, y: SAFETY * jnp.abs(x - y) + left * jnp.max(jnp.abs(x), initial=0), found, other
-    )
-
-
-@jax.jit
-def _apart(found, other, left, sampling):
-    state, *tops, energy = errors_of(found, other, left)
-    return state, *jax.tree.map(jnp.add, tuple(tops), sampling), energy
-
-
-@eqx.filter_jit
-def _stretch(flow, lattice, state, period, first):
-    """Some steps from the one of number `first` on: (the state after them, times, states, forces, energies)."""
-    one, h = Flow(1, flow.solver), period / flow.steps
-
-    def step(y, i):
-        t = h * (i % flow.steps)  # every period at the same phase
-        return one(y, t, t + h, lattice), (h * i, y, forces(lattice, y, t), lattice.energy(t, *y))
-
-    return jax.lax.scan(step, state, first + jnp.arange(AT_ONCE))
-
-
-def _watch(flow, lattice, state, period, count):
-    """(times, displacements, velocities) of `count` periods, largest values, the mean energy, the errors of the former.
-
-    By stretches of one length, so that another number of steps compiles nothing.
-    """
-    total, parts = count * int(flow.steps), []
-    for first in range(0, total, AT_ONCE):
-        state, part = _stretch(flow, lattice, state, period, jnp.asarray(first))
-        parts.append(jax.tree.map(np.asarray, part))
-    ts, ys, pushes, energy = jax.tree.map(lambda *x: np.concatenate(x)[:total], *parts)
+def _extremes(state, ys, pushes, energy):
+    """The state, the largest speeds and forces and the mean energy of a motion; errors of the former by its steps."""
     speeds = jax.tree.map(np.abs, ys.v)
     tops, others = (
         jax.tree.map(lambda x: largest(x[::every]), (speeds, pushes)) for every in (1, 2)
     )
     # of the parabola through the samples
     sampling = jax.tree.map(lambda a, b: np.abs(a - b), tops, others)
-    return (ts, ys.u, ys.v), *tops, np.asarray(np.mean(energy)), sampling
+    return (state, *tops, np.asarray(np.mean(energy))), sampling
+
+
+def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
+    """The errors of what is seen of an attractor, from what is seen where half of the steps settle."""
+    found, other, left = jax.tree.map(np.asarray, (found, other, left))
+    return jax.tree.map(
+        lambda x, y: SAFETY * np.abs(x - y) + left * np.max(np.abs(x), initial=0), found, other
+    )
+
+
+def _itself(scene):
+    return scene
+
+
+class _Over(eqx.Module):
+    """The lattice and the period at a value of a parameter."""
+
+    make: Callable
+    period: Callable | Scalar
+
+    def __call__(self, value):
+        return self.make(value), jnp.asarray(period_at(self.period, value))
+
+
+class _Settling(eqx.Module):
+    """How the motion of `at(value)`, a lattice and its period, settles; one program for all values."""
+
+    at: Callable
+    flow: Flow
+    periods: int = eqx.field(static=True)
+
+    @eqx.filter_jit
+    def follow(self, value: Any, state: StateLike, tolerance: Scalar, most: Counts) -> Followed:
+        """From phase 0 on until a state repeats, twice, the second time after a disturbance; `most` periods."""
+        lattice, period = self.at(value)
+        multiples = np.arange(1, MOST + 1)
+        divides = (multiples[:, None] % multiples == 0) & (multiples[:, None] > multiples)
+        lag = np.minimum(STRETCH * multiples, self.periods - 1)
+
+        def repeats_from(begin):
+            def multiple_at(i, change, changes):
+                # what comes slowly to an orbit of fewer periods changes by little in several: what is left of its
+                # way is the sum of a geometric series
+                early = changes[(i - lag) % self.periods, multiples - 1]
+                rate = jnp.where(early > 0, change / jnp.where(early > 0, early, 1), 0)
+                rate = rate ** (multiples / lag)
+                left = jnp.where(rate < 1, change / jnp.where(rate < 1, 1 - rate, 1), jnp.inf)
+                least = jnp.maximum(APART * tolerance, SAFETY * left)
+                alone = ~divides.any(1) | (i >= lag)
+                alone &= jnp.all(~divides | (change > least[:, None]), 1)
+                repeats = (change <= tolerance) & alone & (i >= begin + MOST)
+                return jnp.where(repeats.any(), jnp.argmax(repeats) + 1, 0)
+
+            return multiple_at
+
+        state, begin = State(*state), jnp.zeros((), int)
+        flat, unravel = ravel_pytree(state)
+        changes = jnp.zeros((self.periods, MOST), flat.dtype)
+        until = lambda y, begin, changes: _until(
+            repeats_from(begin), self.flow, lattice, y, period, begin, changes, most
+        )
+        used, y, before, changes = until(state, begin, changes)
+        # a disturbance that the motion must forget, too small to be taken for a doubled period
+        x, half = ravel_pytree(y)[0], flat.size // 2
+        noise = np.append(np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half))
+        y = unravel(x + 1e2 * tolerance * jnp.max(jnp.abs(_weight(y, period) * x)) * noise)
+        begin = used
+        used, y, multiple, changes = until(y, begin, changes)
+        rate = _rate(changes, used, used - begin, multiple)
+        return Followed(y, used, multiple, changes, before > 0, rate)
+
+    @eqx.filter_jit
+    def otherwise(self, value: Any, found: Followed, tolerance: Scalar) -> tuple[State, Scalar]:
+        """Where half the steps settle from there on, and the share of its size by which either may still be off.
+
+        What changes by c a repetition and by a factor r less at each, that of `found` at the least, is c r/(1 - r)
+        from its end. NaN where it does not settle, or nothing has repeated.
+        """
+        lattice, period = self.at(value)
+        coarse = Flow(jnp.maximum(self.flow.steps // 2, 1), self.flow.solver)
+        multiple = jnp.maximum(found.multiple, 1)
+        column = multiple - 1
+
+        def multiple_at(i, change, _):
+            return jnp.where((i + 1) % multiple == 0, change[column] <= tolerance, False).astype(
+                int
+            )
+
+        changes = jnp.zeros((self.periods, MOST), found.changes.dtype)
+        begin, most = jnp.zeros((), int), -(-self.periods // multiple) * multiple
+        used, y, _, changes = _until(
+            multiple_at, coarse, lattice, found.state, period, begin, changes, most
+        )
+        first, last = changes[column, column], changes[(used - 1) % self.periods, column]
+        between = used // multiple - 1
+        own = (last / first) ** (1 / jnp.maximum(between, 1))
+        rate = jnp.maximum(jnp.where((between > 0) & (first > 0), own, 0), found.rate)
+        left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(changes.dtype).eps)
+        return y, jnp.where((last <= tolerance) & (found.multiple > 0), left, jnp.nan)
+
+    @eqx.filter_jit
+    def _stretch(self, value, state, first):
+        """Some steps from the one of number `first` on: (the state after them, times, states, forces, energies)."""
+        lattice, period = self.at(value)
+        one, h = Flow(1, self.flow.solver), period / self.flow.steps
+
+        def step(y, i):
+            t = h * (i % self.flow.steps)  # every period at the same phase
+            seen = h * i, y, forces(lattice, y, t), lattice.energy(t, *y)
+            return one(y, t, t + h, lattice), seen
+
+        return jax.lax.scan(step, state, first + jnp.arange(AT_ONCE))
+
+    def watch(self, value: Any, state: State, count: Count) -> tuple:
+        """(times, states, contact forces, energies) at every step of `count` periods.
+
+        By stretches of one length, so that another number of steps compiles nothing.
+        """
+        total, parts = count * int(self.flow.steps), []
+        for first in range(0, total, AT_ONCE):
+            state, part = self._stretch(value, state, jnp.asarray(first))
+            parts.append(jax.tree.map(np.asarray, part))
+        return jax.tree.map(lambda *x: np.concatenate(x)[:total], *parts)
+
+
+@eqx.filter_jit
+def _answer(at, response, value, ys, ts):
+    return answered(response, at(value)[0], ys, ts)
 
 
 def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> str:
@@ -699,20 +707,33 @@ def response(
     for lattice, T in scenes:
         checked_period(lattice, state, 0.0, T)
     period = period if callable(period) else jnp.asarray(float(period))
-    watched = _Watched(make, period, response, flow, periods, watch)
+    settling, watch = _Settling(_Over(make, period), flow, periods), whole("watch", watch, 1)
+
+    def seen(value, y):
+        """What there is to say of a motion: the response, root mean square velocities, the mean energy."""
+        ts, ys, _, energy = settling.watch(value, y, watch)
+        velocity = jax.tree.map(lambda v: np.sqrt(np.mean(v * v, 0)), ys.v)
+        number = np.asarray(_answer(settling.at, response, value, ys, ts))
+        return number, velocity, np.asarray(np.mean(energy))
 
     def attractor(value, y, share=1.0):
         """What is settled to a share of the tolerance, run longer than the budget if need be."""
-        tight, used = jnp.asarray(max(share * tolerance, LEAST)), 0
+        value, used = jnp.asarray(value), 0
+        tight = jnp.asarray(max(share * tolerance, LEAST))
         for budget in BUDGETS:
-            found = watched.run(jnp.asarray(value), y, tight, jnp.asarray(budget * periods))
-            y, used = found.motion.state, used + found.motion.used
-            found = found._replace(motion=found.motion._replace(used=used))
-            settles = found.motion.once or _still_settles(found.motion.changes[:, 0], periods)
-            ends = found.multiple or not np.isfinite(found.response)
-            if ends or used > periods and not settles:
+            motion = settling.follow(value, y, tight, jnp.asarray(budget * periods))
+            y, used = motion.state, used + motion.used
+            settles = motion.once or _still_settles(motion.changes[:, 0], periods)
+            finite = np.isfinite(motion.changes).all()
+            if motion.multiple or not finite or used > periods and not settles:
                 break
-        return found
+        return _Found(motion._replace(used=used), *seen(value, y))
+
+    def errors(value, found):
+        """The errors of what is seen at a value."""
+        value = jnp.asarray(value)
+        other, left = settling.otherwise(value, found.motion, jnp.asarray(tolerance))
+        return errors_of(tuple(found[1:]), seen(value, other), left)
 
     def way(y, direction):
         """The way up or down from a state on."""
@@ -726,15 +747,12 @@ def response(
         changes = [
             _bifurcation(attractor, step, accuracy, i, first.origin) for i, step in enumerate(steps)
         ]
-        errors = [
-            watched.errors(jnp.asarray(value), x, jnp.asarray(tolerance))
-            for value, x in zip(order, found)
-        ]
+        about = [errors(value, x) for value, x in zip(order, found)]
         stack = lambda items: jax.tree.map(lambda *x: np.stack(x), *items[::direction])
-        found, errors = stack(found), stack(errors)
+        found, about = stack(found), stack(about)
         return Way(
             *found[1:],
-            *errors,
+            *about,
             found.motion.multiple,
             found.motion.used,
             found.motion.state,
@@ -761,42 +779,6 @@ class _Found(NamedTuple):
     @property
     def multiple(self):
         return int(self.motion.multiple)
-
-
-class _Watched(eqx.Module):
-    """What is run at each value of the parameter, and what is looked at."""
-
-    make: Callable
-    period: Callable | Scalar
-    response: Callable
-    flow: Flow
-    periods: int
-    watch: int
-
-    @eqx.filter_jit
-    def run(self, value, y, tolerance, most):
-        """What is found at a value."""
-        lattice, T = self.make(value), period_at(self.period, value)
-        found = follow(self.flow, lattice, y, T, self.periods, tolerance, most)
-        end, *seen = self._seen(self.flow, lattice, found.state, T)
-        return _Found(found._replace(state=end), *seen)
-
-    @eqx.filter_jit
-    def errors(self, value, found, tolerance):
-        """The errors of what is seen at a value."""
-        lattice, T = self.make(value), jnp.asarray(period_at(self.period, value))
-        repeats = found.motion.multiple > 0
-        motion = found.motion._replace(multiple=jnp.maximum(found.motion.multiple, 1))
-        y, left = otherwise(self.flow, lattice, motion, T, self.periods, tolerance)
-        coarse = Flow(max(self.flow.steps // 2, 1), self.flow.solver)
-        _, *other = self._seen(coarse, lattice, y, T)
-        return errors_of([*found[1:]], other, jnp.where(repeats, left, jnp.nan))
-
-    def _seen(self, flow, lattice, y, period):
-        end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, self.watch)
-        velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
-        energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
-        return end, answered(self.response, lattice, ys, ts), velocity, energy
 
 
 def _halved(attractor, step, accuracy, belongs, share=1.0):
