@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polyval
+from scipy.interpolate import make_interp_spline
 
 from .checks import refuse
 from .lattice import Lattice, State, spread_mass
@@ -216,16 +216,12 @@ def moving(
 
 
 def _profile(u, x, left, right):
-    """A kink and its slope between the sites, through six of them at a time, and the wells beyond."""
+    """A kink and its slope between the sites, by a spline, and the wells beyond."""
     far = 12
-    wide = np.concatenate([np.full(far, left), u, np.full(far, right)])
-    first = np.clip(np.floor(x).astype(int) + far - 2, 0, len(wide) - 6)
-    s, six = np.clip(x + far - first, 0, 5), np.arange(6)
-    powers = np.linalg.inv(np.vander(six, increasing=True))
-    coefficients = powers @ wide[first + six[:, None]]
-    value = polyval(s, coefficients, tensor=False)
-    slope = polyval(s, polyder(coefficients), tensor=False)
-    return value, np.where((x < -far) | (x > len(u) - 1 + far), 0, slope)
+    places = np.arange(-far, len(u) + far)
+    spline = make_interp_spline(places, np.r_[np.full(far, left), u, np.full(far, right)], k=5)
+    inside = np.clip(x, places[0], places[-1])
+    return spline(inside), np.where(inside == x, spline(inside, 1), 0)
 
 
 class _Rest(eqx.Module):

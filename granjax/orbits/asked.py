@@ -195,12 +195,10 @@ def history(
     t0: Scalar,
     period: Scalar,
     frames: Count,
-    periods: Count = 1,
 ) -> tuple[State, Times, State]:
-    """`periods` periods from t0 on in `frames` equal parts each: (the state at the end, times, states).
+    """A period from t0 on in `frames` equal parts: (the state at the end, times, states).
 
-    Times and states have a leading axis and leave the end out; `flow` has the steps of one period. Every period begins
-    at the same phase, so that what is periodic does not drift by the rounding of the time.
+    Times and states have a leading axis and leave the end out; `flow` has the steps of the period.
     """
     between = Flow(-(-flow.steps // frames), flow.solver)
     length = period / frames
@@ -209,8 +207,8 @@ def history(
     def one(y, t):
         return between(y, t, t + length, lattice), y
 
-    end, states = jax.lax.scan(one, State(*state), jnp.tile(ts, periods))
-    return end, t0 + length * jnp.arange(frames * periods), states
+    end, states = jax.lax.scan(one, State(*state), ts)
+    return end, ts, states
 
 
 # where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
