@@ -13,8 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-MOST = 2**63 - 1
-BITS = "A whole number has 64 bits."
 PLAIN = (str, int, float, complex, tuple, list, dict)
 
 
@@ -133,22 +131,23 @@ def parameter(argument: str, x: Any) -> jax.Array:
     return array
 
 
-def positive(argument: str, x: Any, remedy: str = "") -> jax.Array:
-    """A parameter that is finite and above zero."""
+def _checked(argument, x, passes, expected, remedy):
+    """A parameter whose known values all pass."""
     array = parameter(argument, x)
     value = concrete(array)
-    if value is not None and not np.all(value > 0):
-        refuse(argument, "numbers above zero", show(value), remedy)
+    if value is not None and not np.all(passes(value)):
+        refuse(argument, expected, show(value), remedy)
     return array
+
+
+def positive(argument: str, x: Any, remedy: str = "") -> jax.Array:
+    """A parameter that is finite and above zero."""
+    return _checked(argument, x, lambda value: value > 0, "numbers above zero", remedy)
 
 
 def non_negative(argument: str, x: Any, remedy: str = "") -> jax.Array:
     """A parameter that is finite and not below zero."""
-    array = parameter(argument, x)
-    value = concrete(array)
-    if value is not None and not np.all(value >= 0):
-        refuse(argument, "numbers not below zero", show(value), remedy)
-    return array
+    return _checked(argument, x, lambda value: value >= 0, "numbers not below zero", remedy)
 
 
 def within(
@@ -162,15 +161,13 @@ def within(
     remedy: str = "",
 ) -> jax.Array:
     """A parameter inside an interval; a bracket that is open excludes its end."""
-    array = parameter(argument, x)
-    value = concrete(array)
-    if value is not None:
+
+    def passes(value):
         above = value > low if open_low else value >= low
-        below = value < high if open_high else value <= high
-        if not np.all(above & below):
-            interval = f"{'(' if open_low else '['}{low}, {high}{')' if open_high else ']'}"
-            refuse(argument, f"numbers in {interval}", show(value), remedy)
-    return array
+        return above & (value < high if open_high else value <= high)
+
+    interval = f"{'(' if open_low else '['}{low}, {high}{')' if open_high else ']'}"
+    return _checked(argument, x, passes, f"numbers in {interval}", remedy)
 
 
 def broadcast(**arrays: Any) -> None:
@@ -240,8 +237,7 @@ def is_whole(x: Any) -> bool:
 
 def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
     """A Python integer, not below a least value."""
-    if not is_whole(x) or not at_least <= x <= MOST:
-        remedy = BITS if isinstance(x, int) and x > MOST else remedy
+    if not is_whole(x) or x < at_least:
         refuse(argument, f"a whole number not below {at_least}", described(x), remedy)
     return int(x)
 
@@ -257,23 +253,15 @@ def held_in_memory(argument: str, count: int, each: int = 16, what: str = "sites
         refuse(argument, most, described(count))
 
 
-def random_key(seed: Any, remedy: str = "") -> jax.Array:
+def random_key(seed: Any, remedy: str = "Equal seeds give equal draws.") -> jax.Array:
     """A JAX key from a whole number, traced or not, or a key of either kind."""
+    if is_whole(seed):
+        return jax.random.key(int(seed))
     if isinstance(seed, jax.Array):
         if jnp.issubdtype(seed.dtype, jax.dtypes.prng_key) and seed.ndim == 0:
             return seed
-        if seed.dtype == jnp.uint32 and seed.shape == (2,):
-            return jax.random.wrap_key_data(seed)
         if jnp.issubdtype(seed.dtype, jnp.integer) and seed.ndim == 0:
             return jax.random.key(seed)
-        refuse(
-            "seed",
-            "one whole number or one JAX key",
-            f"an array of {seed.dtype}, shape {seed.shape}",
-            remedy,
-        )
-    if not is_whole(seed):
-        refuse(
-            "seed", "a whole number or a JAX key", described(seed), "Equal seeds give equal draws."
-        )
-    return jax.random.key(int(seed))
+        if seed.dtype == jnp.uint32 and seed.shape == (2,):
+            return jax.random.wrap_key_data(seed)
+    refuse("seed", "one whole number or one JAX key", described(seed), remedy)

@@ -9,7 +9,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.scipy.special import gammaln
 
-from ..checks import concrete, held_in_memory, parameter, refuse, whole, within
+from ..checks import concrete, parameter, refuse, whole, within
 from ..results import Result, array
 from ..types import Count, Number, Pytree, Scalar, Times, VectorField
 from .method import checked_times
@@ -95,8 +95,6 @@ def caputo(
     y = jax.tree.map(lambda x: parameter("y", x), y)
     # plain numbers are inputs of what is compiled, not a part of it
     args = jax.tree.map(lambda x: jnp.asarray(x) if type(x) in (int, float, complex) else x, args)
-    size = sum(x.size for x in jax.tree.leaves(y))
-    held_in_memory("steps", steps, 16 * size, "steps of such a state")
     t0, t1 = (jnp.asarray(t, float) for t in (t0, t1))
     return _solved(field, y, t0, t1, order, grading, steps, args)
 

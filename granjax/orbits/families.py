@@ -180,6 +180,8 @@ def _modes(lattice, modes, until, mode):
     omega = np.asarray(modes.omega)
     shapes = _flat_modes(modes)
     if mode is not None:
+        if not -len(omega) <= mode < len(omega):
+            refuse("mode", f"a number of one of {len(omega)} modes", f"{mode}")
         chosen = [mode]
     elif until is None:
         chosen = [len(omega) - 1]
@@ -679,9 +681,6 @@ def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -
     [0.009945, 5.2e-05, 0.0, 0.0, 0.0]
     """
     wanted, modes = float(positive("energy", energy)), normal_modes(lattice)
-    count = len(modes.omega)
-    if not -count <= mode < count:
-        refuse("mode", f"a number of one of {count} modes", f"{mode}")
 
     def reached(u, omega):
         state = State(u, lattice.zeros())

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import held_in_memory, refuse, whole, within
+from ..checks import refuse, whole, within
 from ..types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
@@ -31,7 +31,6 @@ def contact_forces(ratios: Parameter, contacts: Parameter) -> Float[np.ndarray, 
     if not bonds:
         refuse("contacts", "one contact or more", "none")
     beads = max(bonds) + MARGIN
-    held_in_memory("contacts", beads, what="beads")
     return peak_forces(ratios, beads, "free", bonds, 1.5 * beads + 10)
 
 

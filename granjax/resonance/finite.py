@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import held_in_memory, positive, refuse, tolerance, whole
+from ..checks import positive, refuse, tolerance, whole
 from ..results import Result, array, note
 from ..types import Count, Parameter, Scalar
 from .decay import decay_rate
@@ -104,7 +104,6 @@ def transmission(
     """
     ratios = checked_ratios(ratios)
     beads = whole("beads", beads, LEAST_BEADS, "A dimer chain between walls.")
-    held_in_memory("beads", beads, what="beads")
     # the pulse takes 0.93 per bead at epsilon = 0.05, 1.2 in the monomer and up to 1.35 at the first resonance
     run_time = 1.5 * beads + 10 if run_time is None else float(positive("run_time", run_time))
     least = SLOWEST * beads + LEAST_TIME

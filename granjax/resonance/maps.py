@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import described, held_in_memory, one_of, positive, refuse, whole
+from ..checks import described, one_of, positive, refuse, whole
 from ..flow import Peak, simulate
 from ..lattice import Lattice
 from ..laws import Hertz
@@ -156,7 +156,6 @@ def _forces(masses, stiffness, cells):
     """Largest forces (2, n) of the first contacts of two cells, for n cells (n, P): a sweep, NaN where a run failed."""
     P = masses.shape[1]
     beads = (cells[1] + 1) * P + MARGIN
-    held_in_memory("cells", beads, what="beads")
     # one end of all runs is one loop for many lanes
     until = float(_slow(masses.T, stiffness.T).max()) * (PACE * P * cells[1] + PASSING)
     lanes = {f"mass_{i}": x for i, x in enumerate(masses.T)} | {

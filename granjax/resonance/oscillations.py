@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import find_peaks
 
-from ..checks import held_in_memory, refuse, whole
+from ..checks import refuse, whole
 from ..flow import simulate
 from ..results import Result, array, note
 from ..scenes import dimer
@@ -56,7 +56,6 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
     if bead % 2 == 0:
         refuse("bead", "a light one, of an odd number", str(bead))
     beads = bead + 2 + MARGIN
-    held_in_memory("bead", beads, FRAMES * LANES * 16, "beads")
     found = sweep(_squeezed(beads, bead), paired({"ratio": ratios}), chunk=LANES)
     counts = map(squeeze_count, found.left.values, found.right.values)
     return Oscillations(ratios, np.array(list(counts)), bead)
