@@ -57,7 +57,7 @@ def chain(law, masses, sites=140):
 def test_dimers_at_anti_resonances(known):
     wave = travelling.tail_free(dimer, 0.96 * known, 1.05 * known, speed=1.0)
     assert wave.parameter == pytest.approx(known, abs=1.5e-6)
-    assert wave.ripple == 0 and wave.converged and wave.error < 1e-12
+    assert wave.ripple == 0 and wave.error < 1e-12
     # mirrored by the bead between the contacts, and both beads at rest on both sides
     assert np.allclose(wave.strains[0, 1:], wave.strains[1, :0:-1], atol=1e-12)
     assert np.abs(wave.velocities[:, [0, -1]]).max() < 1e-11
@@ -171,7 +171,7 @@ def test_no_box_has_a_smaller_ripple():
             lattice, found.box, found.solved.phi, half, solving._density(found.box)
         )
         size = abs(solving.fit(box, other.phi, found.ripple, found.core).amplitude)
-        assert other.converged and size > 0.99 * smallest
+        assert size > 0.99 * smallest
         # lengths a period apart are alike
         assert part < 1 or size < 1.02 * smallest
 
@@ -218,7 +218,7 @@ def test_anti_resonances_of_chains_with_a_stiffness_at_rest(law, ratio, over):
 @pytest.mark.slow
 def test_a_wave_that_is_lost_at_its_own_speed_is_found_from_a_slower_one():
     wave = travelling.cell_wave(TODA, [1.0, 0.1], speed=1.25 / np.sqrt(0.55))
-    assert wave.converged and 1e-3 < wave.ripple / wave.amplitude < 4e-3
+    assert 1e-3 < wave.ripple / wave.amplitude < 4e-3
 
 
 @pytest.mark.study
@@ -244,13 +244,13 @@ def test_alternating_stiffness():
 @pytest.mark.slow
 def test_masses_and_stiffnesses_that_both_alternate():
     wave = travelling.cell_wave(gx.Polynomial([1.0, 1.2], 0.25, 0.0), [1.0, 0.8], speed=1.16)
-    assert wave.converged and 1e-4 < wave.ripple / wave.amplitude < 0.1
+    assert 1e-4 < wave.ripple / wave.amplitude < 0.1
 
 
 @pytest.mark.slow
 def test_a_trimer_keeps_pace_with_two_waves_and_says_so():
     wave = travelling.cell_wave(TODA, [1.0, 0.9, 0.9], speed=1.12)
-    assert wave.converged and np.isnan(wave.ripple) and "2 linear waves" in wave.outcome
+    assert np.isnan(wave.ripple) and "2 linear waves" in wave.outcome
 
 
 # ---------------------------------------------------------------------------------------------------------- resonators
@@ -466,5 +466,3 @@ def test_where_nothing_is_found():
         travelling.tail_free(dimer, 0.5, 0.55, speed=1.0)
     with pytest.raises(RuntimeError, match="No wave of speed"):
         travelling.cell_wave(gx.Linear(1.0), [1.0, 0.5], speed=2.0)
-    nothing = travelling.cell_wave(gx.Linear(1.0), [1.0, 0.5], speed=2.0, throw=False)
-    assert not nothing.converged and np.isnan(nothing.amplitude)

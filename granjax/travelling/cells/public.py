@@ -39,53 +39,40 @@ class CellWave(Result):
 
     speed: float = note("The speed c in sites (not cells) per time.", "1/s")
     masses: Numbers = array("The masses of the smallest cell.", "kg", "place")
-    amplitude: float = note("The largest strain in size.", "m", default=np.nan)
+    amplitude: float = note("The largest strain in size.", "m")
     ripple: float = note(
         "The largest strain of the linear wave that runs along; zero in a wave that travels"
         " alone, NaN where several run along.",
         "m",
-        default=np.nan,
     )
     wavenumber: float | None = note(
-        "The wave number of the ripple per site, as measured in the tail.", "rad", default=None
+        "The wave number of the ripple per site, as measured in the tail.", "rad"
     )
     linear_wavenumber: float | None = note(
         "The wave number of the linear wave, omega(k) = c k; it differs by the ripple's square.",
         "rad",
-        default=None,
     )
-    parameter: float | None = array("The parameter of `tail_free`.", default=None)
+    parameter: float | None = array("The parameter of `tail_free`.")
     energy: float = note(
         "The energy, a mean over the places of the wave in a cell; NaN with a ripple, whose"
         " energy has no bound.",
         "J",
-        default=np.nan,
     )
-    residual: float = array("What the equations leave, over the amplitude.", default=np.nan)
-    error: float = note(
-        "The estimated distance of the strains from the truth.", "m", default=np.nan
-    )
-    xi: Numbers | None = array("The places of the table.", "1", "xi", default=None)
-    strains: Numbers | None = array("The strains of the table.", "m", "place xi", default=None)
-    velocities: Numbers | None = array(
-        "The velocities of the table.", "m/s", "place xi", default=None
-    )
-    converged: bool = array("Whether Newton's method converged.", default=False, static=True)
-    resonator: Resonator | None = array("The resonator in each bead.", default=None)
+    residual: float = array("What the equations leave, over the amplitude.")
+    error: float = note("The estimated distance of the strains from the truth.", "m")
+    xi: Numbers = array("The places of the table.", "1", "xi")
+    strains: Numbers = array("The strains of the table.", "m", "place xi")
+    velocities: Numbers = array("The velocities of the table.", "m/s", "place xi")
+    resonator: Resonator | None = array("The resonator in each bead.")
     # how far the core reaches, beyond which there is the ripple alone
     _core: float = eqx.field(static=True, default=0.0)
-    # linear waves that keep pace; how far the masses are from those given; why nothing was found
+    # linear waves that keep pace; how far the masses are from those given
     _waves: int = eqx.field(static=True, default=0)
     _off: float = eqx.field(static=True, default=0.0)
-    _lost: str = eqx.field(static=True, default="")
 
     @property
     def outcome(self) -> str:
-        """Whether the wave travels without loss, or why there is none."""
-        if self._lost:
-            return f"No wave was found: {self._lost}."
-        if not self.converged:
-            return f"Newton's method stopped at a residual of {self.residual:.1e}."
+        """Whether the wave travels without loss."""
         if np.isnan(self.ripple):
             return (
                 f"A wave with {self._waves} linear waves that keep pace with it; its ripple is of its box, and not "
@@ -163,7 +150,6 @@ def cell_wave(
     *,
     speed: Scalar,
     resonator: Resonator | None = None,
-    throw: bool = True,
 ) -> CellWave:
     r"""The wave of a given speed in a chain whose masses and laws repeat with a cell of P sites.
 
@@ -186,11 +172,10 @@ def cell_wave(
 
     **Arguments:** `law` and `masses` (P,) [kg]; or a chain `Lattice` that repeats, whose walls do not count and whose
     units the result has. `speed`: c, in sites (not cells) per time. `resonator`: a `gx.Resonator` in every bead.
-    `throw`: raise where it does not converge.
 
     **Returns:** `CellWave`, not differentiable. **Raises** ValueError for a speed that is not supersonic, a law without
-    a wave of that speed, several sites without a stiffness at rest off the anti-resonances; RuntimeError where `throw`
-    and no wave was found, which happens where the ripple is as strong as the wave.
+    a wave of that speed, several sites without a stiffness at rest off the anti-resonances; RuntimeError where
+    no wave was found, which happens where the ripple is as strong as the wave.
     Typical: Toda, masses (1, 0.9), 1.2 times the speed of sound: ripple 2.6 % of the peak.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011); Faver, Wright, SIAM J. Math. Anal. 50,
     473 (2018); Vainchtein, Starosvetsky, Wright, Perline, Phys. Rev. E 93, 042210 (2016).
@@ -210,8 +195,8 @@ def cell_wave(
     if chain.stiffness.any() or len(chain.masses) == 1:
         _faster_than_sound(chain, speed)
         search = on_a_box if chain.stiffness.any() else of_one_site
-        return _recorded(lambda: search(chain), chain, throw, resonator, speed, **origin)
-    return dataclasses.replace(_in_vacuum(law, chain, speed, resonator, throw), **origin)
+        return _recorded(lambda: search(chain), resonator, speed, **origin)
+    return dataclasses.replace(_in_vacuum(law, chain, speed, resonator), **origin)
 
 
 def _faster_than_sound(chain, speed):
@@ -243,7 +228,7 @@ def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Reso
     return wave
 
 
-def _in_vacuum(law, chain, speed, resonator, throw):
+def _in_vacuum(law, chain, speed, resonator):
     P, given = len(chain.masses), chain.given
     if resonator is not None:
         refuse(
@@ -282,7 +267,7 @@ def _in_vacuum(law, chain, speed, resonator, throw):
             f"Here a pulse decays (gx.resonance.decay_rate), since light beads rattle behind it; "
             f"{nearest}. tail_free finds such ratios, a precompression gives a ripple.",
         )
-    return _recorded(lambda: found, chain, throw, None, speed, _off=float(near / ratio - 1))
+    return _recorded(lambda: found, None, speed, _off=float(near / ratio - 1))
 
 
 def tail_free(
@@ -291,7 +276,6 @@ def tail_free(
     high: Scalar,
     *,
     speed: Scalar,
-    throw: bool = True,
 ) -> CellWave:
     r"""The wave that travels without loss, and the parameter between `low` and `high` at which it does.
 
@@ -303,7 +287,7 @@ def tail_free(
     `lambda ratio: (gx.Hertz(), [1.0, ratio])`. `low` < `high`: around one such place. `speed`: c [sites per time].
 
     **Returns:** `CellWave` with `parameter` (dimers of the sonic vacuum: 0.342845781150, any speed).
-    **Raises** ValueError for an empty interval, a cell that does not fit; RuntimeError where `throw` and nothing was
+    **Raises** ValueError for an empty interval, a cell that does not fit; RuntimeError where nothing was
     found between `low` and `high`.
 
     **Example:**
@@ -345,11 +329,11 @@ def tail_free(
     for p in (low, high):
         _faster_than_sound(given(p), speed)
     search = lambda: without_tail(given, low, high)
-    wave = _recorded(search, middle, throw, None, speed, solved_for=True)
+    wave = _recorded(search, None, speed, solved_for=True)
     return dataclasses.replace(wave, **origin)
 
 
-def _recorded(search, chain, throw, resonator, speed, solved_for=False, **fields):
+def _recorded(search, resonator, speed, solved_for=False, **fields):
     """The wave that a search finds, or that none was found."""
     try:
         found = search()
@@ -362,13 +346,14 @@ def _recorded(search, chain, throw, resonator, speed, solved_for=False, **fields
                 raise Lost("its ripple is as strong as the wave itself")
             if size < SILENT * top:
                 size, tail = 0.0, None
+        if not found.solved.converged:
+            left = found.solved.residual
+            raise Lost(f"Newton's method stopped at a residual of {left:.1e}")
     except Lost as lost:
-        if throw:
-            raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
-        return CellWave(speed, chain.given, resonator=resonator, _lost=str(lost), **fields)
+        raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
     chain, v = found.box.chain, speed * found.box.velocities(phi)
     error = (error_of(found) + abs(fields.get("_off", 0.0))) * top + (tail.rest if tail else 0.0)
-    wave = CellWave(
+    return CellWave(
         speed,
         chain.given,
         top,
@@ -382,15 +367,11 @@ def _recorded(search, chain, throw, resonator, speed, solved_for=False, **fields
         xi=found.box.x,
         strains=phi,
         velocities=v,
-        converged=bool(found.solved.converged),
         resonator=resonator,
         _core=found.core,
         _waves=found.waves,
         **fields,
     )
-    if throw and not wave.converged:
-        raise RuntimeError(wave.outcome)
-    return wave
 
 
 def _top(box, phi):
