@@ -4,6 +4,7 @@ from .cells import CellWave, Resonator, cell_wave, tail_free, tail_free_stiffnes
 from .collisions import Collision, collide
 from .family import WaveFamily, family
 from .long_wave import LongWave, SpectralStrain, long_wave
+from .modulation import Modulation, modulation
 from .periodic import Averages, PeriodicWave, periodic_wave
 from .reflection import Reflection, reflect
 from .solitary import Wave, solitary_wave
@@ -14,6 +15,7 @@ __all__ = [
     "CellWave",
     "Collision",
     "LongWave",
+    "Modulation",
     "PeriodicWave",
     "Reflection",
     "Resonator",
@@ -25,6 +27,7 @@ __all__ = [
     "collide",
     "family",
     "long_wave",
+    "modulation",
     "periodic_wave",
     "reflect",
     "ring",

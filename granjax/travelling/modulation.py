@@ -1,0 +1,184 @@
+"""Modulations of a periodic wave: how they grow, and the characteristic speeds of Whitham's equations."""
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.linalg import eig
+
+from ..checks import refuse
+from ..orbits.floquet import STABLE, UNDECIDED, UNSTABLE
+from ..profiles.medium import values
+from ..results import Result, array
+from ..tuning import one_thread
+from ..types import Parameter
+from .periodic import PeriodicWave
+
+# phases of a modulation by default, up to pi
+PHASES = 48
+# harmonics at least, and at most: a matrix has four times as many rows
+FEWEST = 8
+MOST = 96
+# stiffness of a harmonic over that of the mean, below which it does not count
+NEGLIGIBLE = 1e-11
+# share of a perturbation in the lower half of the harmonics from which on it is resolved
+RESOLVED = 0.9
+# what the same with fewer harmonics changes, times this, is the error
+SAFETY = 2
+# a phase beside zero at which speeds are read off, and how often it is halved for the limit
+LONG = 0.1
+HALVINGS = 9
+# phases next to each other from which one limit is found
+TOGETHER = 4
+
+
+class Modulation(Result):
+    r"""How modulations of a periodic wave grow: perturbations exp(i kappa n + lambda t) f(theta), f of its period.
+
+    For kappa -> 0 four of them have lambda = -i C kappa: C are the characteristic speeds of Whitham's four
+    conservation laws (`Averages`), the speeds at which a slow change of the wave runs. Where two of them are complex
+    the wave is unstable to long modulations.
+    """
+
+    kappa: Float[np.ndarray, " kappa"] = array("The phase per site of each modulation.", "rad")
+    growth: Float[np.ndarray, " kappa"] = array(
+        "The largest real part of lambda at each phase.", "1/s"
+    )
+    growth_error: Float[np.ndarray, " kappa"] = array("The error of the growth.", "1/s")
+    speeds: Complex[np.ndarray, " speed"] = array(
+        "The characteristic speeds, in sites per time, from the lowest real part up.", "1/s"
+    )
+    speed_errors: Float[np.ndarray, " speed"] = array("The errors of the speeds.", "1/s")
+    harmonics: int = array("The number of harmonics of a perturbation.")
+
+    @property
+    def verdict(self) -> str:
+        """Of the modulations that were asked for: "stable", "unstable", or "undecided" where an error hides growth."""
+        if np.any(self.growth > self.growth_error):
+            return UNSTABLE
+        # a growth by less than a factor e over a thousand wave crossings of a site is none that one would see
+        fastest = 1e-3 * np.abs(self.speeds).max()
+        return STABLE if np.all(self.growth_error <= fastest) else UNDECIDED
+
+    @property
+    def outcome(self) -> str:
+        """Which modulation grows fastest, and whether long ones do."""
+        i = int(np.argmax(self.growth))
+        ways = "complex: long modulations grow"
+        if np.all(np.abs(self.speeds.imag) <= self.speed_errors):
+            ways = "real"
+        said = {
+            UNSTABLE: f"Modulations grow, by up to {self._told('growth', self.growth[i])} at kappa = "
+            f"{self.kappa[i]:.4g}.",
+            STABLE: f"No modulation grows, to {self._told('growth', self.growth_error.max())}.",
+            UNDECIDED: f"Growth below {self._told('growth', self.growth_error.max())} is not known.",
+        }
+        return f"{said[self.verdict]} The characteristic speeds are {ways}."
+
+
+@one_thread
+def modulation(wave: PeriodicWave, kappa: Parameter | None = None) -> Modulation:
+    r"""Growth of the modulations of a periodic wave on the infinite chain, and its characteristic speeds.
+
+    With w_n = exp(i kappa n + lambda t) sum_j w_j exp(i j theta), theta = k n - omega t, and c_l the Fourier
+    coefficients of the stiffness F'(phi(theta)) along the wave,
+
+        m (lambda - i j omega)^2 w_j = -4 sin^2((kappa + j k)/2) sum_l c_{j-l} w_l
+
+    (Hill's method), an eigenvalue problem for each kappa; exp(2 pi lambda/omega) are the Floquet multipliers on a ring
+    that holds the wave and the modulation. The speeds are the limit of i lambda/kappa, by Richardson's extrapolation.
+
+    **Arguments:** `wave`: of `periodic_wave`. `kappa`: phases per site [rad], any of them; `None` takes 48 up to pi.
+    Others are the same modulations: kappa + k, -kappa and kappa + 2 pi.
+
+    **Returns:** `Modulation`. **Raises** ValueError for no phase at all.
+    Typical: 1 s. Toda's waves are stable, and their speeds those of its four Riemann invariants to 1e-9.
+    Source: Bronski, Hur, Johnson, in New Approaches to Nonlinear Waves, Springer (2016); Whitham, Linear and Nonlinear
+    Waves (1974).
+
+    **Example:**
+
+    >>> wave = gx.travelling.periodic_wave(gx.Toda(), 5.0, amplitude=0.5)
+    >>> found = gx.travelling.modulation(wave, [0.3, 1.0])
+    >>> found.verdict, found.speeds.real.round(3).tolist()
+    ('stable', [-1.0, 0.684, 0.936, 1.013])
+    """
+    phases = np.pi * np.arange(1, PHASES + 1) / PHASES
+    phases = phases if kappa is None else np.ravel(np.asarray(kappa, float))
+    if not phases.size:
+        refuse("kappa", "one phase per site, or several", "none")
+    hat = _stiffnesses(wave, 4 * MOST)
+    counts = np.flatnonzero(np.abs(hat[:MOST]) > NEGLIGIBLE * np.abs(hat[0]))
+    count = int(np.clip(2 * counts[-1], FEWEST, MOST))
+    both = [_Hill(wave, hat, n) for n in (count, 3 * count // 4)]
+    (growth, about), (other, _) = (
+        np.array([hill.growth(phase) for phase in phases]).T for hill in both
+    )
+    (speeds, errors), (others, _) = (hill.speeds() for hill in both)
+    return Modulation(
+        phases,
+        growth,
+        about + SAFETY * np.abs(growth - other),
+        speeds,
+        errors + SAFETY * np.abs(speeds - others),
+        count,
+        _mark=wave._mark,
+        _space=wave._space,
+    )
+
+
+def _stiffnesses(wave, points):
+    """The Fourier coefficients of the stiffness along a wave."""
+    theta = float(wave.wavelength) * np.arange(points) / points
+    return np.fft.fft(values(wave.law, np.asarray(wave.strain(theta)))[1]) / points
+
+
+class _Hill:
+    """The eigenvalue problem of a wave's perturbations with harmonics from -count to count."""
+
+    def __init__(self, wave, hat, count):
+        self.k = 2 * np.pi / float(wave.wavelength)
+        self.omega, self.mass = self.k * float(wave.speed), float(wave.mass)
+        self.j = np.arange(-count, count + 1)
+        self.stiffness = hat[self.j[:, None] - self.j]
+
+    def spectrum(self, kappa):
+        """The exponents whose perturbations are resolved, and their errors by rounding."""
+        pull = 4 * np.sin((kappa + self.j * self.k) / 2) ** 2 / (self.mass * self.omega)
+        turn, one = np.diag(1j * self.omega * self.j), self.omega * np.eye(len(self.j))
+        matrix = np.block([[turn, one], [-pull[:, None] * self.stiffness, turn]])
+        found, left, right = eig(matrix, left=True)
+        weight = np.abs(right[: len(self.j)]) ** 2 + np.abs(right[len(self.j) :]) ** 2
+        low = weight[np.abs(self.j) <= self.j[-1] // 2].sum(0)
+        own = low > RESOLVED * weight.sum(0)
+        alike = np.abs(np.sum(left.conj() * right, 0))
+        rounding = np.finfo(float).eps * np.linalg.norm(matrix)
+        # of eigenvalues that meet the error is the root of rounding
+        error = np.minimum(rounding / np.maximum(alike, rounding), np.sqrt(rounding))
+        return found[own], error[own]
+
+    def growth(self, kappa):
+        """The largest growth of a phase and its error."""
+        found, error = self.spectrum(kappa)
+        i = np.argmax(found.real)
+        return found[i].real, error[i]
+
+    def speeds(self):
+        """The limits of i lambda/kappa of the four smallest exponents, and their errors."""
+        rows = []
+        for kappa in LONG / 2.0 ** np.arange(HALVINGS):
+            found, error = self.spectrum(kappa)
+            near = np.argsort(np.abs(found))[:4]
+            speeds = 1j * found[near] / kappa
+            # the two of a complex pair have one real part
+            digits = np.round(speeds.real / np.abs(speeds).max(), 6)
+            order = np.lexsort((speeds.imag, digits))
+            rows.append((speeds[order], error[near][order] / kappa))
+        best = np.full(4, np.nan), np.full(4, np.inf)
+        for start in range(HALVINGS - TOGETHER + 1):
+            table, rounding = zip(*rows[start : start + TOGETHER])
+            # an even function of kappa
+            for order in range(1, TOGETHER):
+                before = table[-1]
+                table = [(4**order * b - a) / (4**order - 1) for a, b in zip(table, table[1:])]
+            error = np.abs(table[-1] - before) + SAFETY * rounding[-1]
+            best = [np.where(error < best[1], x, old) for x, old in zip((table[-1], error), best)]
+        return best

@@ -1,0 +1,57 @@
+"""Modulations of periodic waves: Toda's Riemann invariants, the envelope equation, and the growth on a ring."""
+
+import numpy as np
+import pytest
+from refusals import refused
+
+import granjax as gx
+from granjax.theory import toda
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("m", [0.2, 0.5, 0.8])
+def test_speeds_are_those_of_toda_s_modulation_equations(m):
+    there = toda.modulation(m, 0.5)
+    E = np.array([float(getattr(there, f"E{i}")) for i in range(1, 5)])
+    E = E - float(toda.periodic_numbers(*E).mean_velocity) / 2
+    numbers = toda.periodic_numbers(*E)
+    length, speed, mean = (
+        float(x) for x in (numbers.wavelength, numbers.speed, numbers.mean_strain)
+    )
+    wave = gx.travelling.periodic_wave(gx.Toda(), length, speed=speed, mean=mean)
+    found = gx.travelling.modulation(wave, [0.4, 1.3, 2.9])
+    off = np.abs(found.speeds - float(there.speed))
+    assert off.min() < 1e-8 and off.min() <= found.speed_errors[off.argmin()]
+    assert found.verdict == "stable" and "real" in found.outcome
+
+
+def test_small_waves_grow_as_the_envelope_equation_says():
+    law, k, a = gx.Polynomial(1.0, 0.0, 1.0), 2.5, 0.02
+    wave = gx.travelling.periodic_wave(law, 2 * np.pi / k, amplitude=a)
+    c = gx.theory.nls.coefficients(1.0, 1.0, 0.0, 1.0, k)
+    # the fastest modulation of |Y|, the amplitude of the displacements in the envelope's own measure
+    phases = np.linspace(0.002, 0.06, 30)
+    found = gx.travelling.modulation(wave, phases)
+    assert found.verdict == "unstable" and "complex" in found.outcome
+    # the envelope's growth is a half ellipse in its square: nu2 Q^2 (s - nu2 Q^2), with one unknown s
+    square = (found.growth / (abs(float(c.nu2)) * phases)) ** 2
+    grows = found.growth > 0.2 * found.growth.max()
+    slope, at_zero = np.polyfit(phases[grows] ** 2, square[grows], 1)
+    assert slope == pytest.approx(-1.0, rel=0.05) and at_zero > 0
+
+
+@pytest.mark.slow
+def test_growth_is_that_of_the_multipliers_on_a_ring():
+    law, length, sites = gx.Polynomial(1.0, 0.0, 1.0), 3.0, 12
+    wave = gx.travelling.periodic_wave(law, length, amplitude=0.3)
+    ring = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "periodic"), law), sites=sites)
+    known = gx.floquet.floquet(ring, wave.state(sites), float(length / wave.speed))
+    found = gx.travelling.modulation(wave, 2 * np.pi * np.arange(1, sites) / sites)
+    rate = np.log(np.abs(known.multipliers).max()) * float(wave.speed) / length
+    assert found.growth.max() == pytest.approx(rate, rel=1e-6) and rate > 1e-3
+
+
+def test_no_phase_is_refused():
+    wave = gx.travelling.periodic_wave(gx.Toda(), 5.0, amplitude=0.2)
+    with refused("^kappa: expected one phase"):
+        gx.travelling.modulation(wave, [])
