@@ -188,7 +188,6 @@ class WorkPrecision(Result):
     compile_seconds: Float[np.ndarray, " method_name"] = array(
         "What the first call took beyond the second", "s"
     )
-    limit: Float[np.ndarray, " method_name"] = array("Longest stable step")
     order: Float[np.ndarray, " method_name"] = array("Observed order, see `observed_order`")
     order_error: Float[np.ndarray, " method_name"] = array("Its standard error")
     floor: float = array(
@@ -410,7 +409,6 @@ def measure(
         note=tuple(one.note for _, one in points),
         methods=names,
         compile_seconds=np.array([compiling for compiling, _ in climbed]),
-        limit=np.array([ladder.limit for ladder in ladders]),
         order=np.array([order for order, _ in orders]),
         order_error=np.array([uncertain for _, uncertain in orders]),
         floor=floor,

@@ -112,15 +112,11 @@ def test_lapack_in_the_same_program_as_the_transforms(boundary):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["phases of light", "long waves", "packet"])
+@pytest.mark.parametrize("name", ["phases of light", "packet"])
 def test_lapack_beside_other_transforms(name):
     if name == "phases of light":
         coupling = of_order(12, jnp.asarray(0.6), "free")
         function, x = lambda x: coupling(x + 0j).real, jnp.linspace(0, 1, 12)
-    elif name == "long waves":
-        wave = gx.theory.long_wave.regularised_wave(jnp.arange(-12, 12, 0.5)).strain
-        scene = gx.travelling.long_wave(gx.Hertz(), wave, spacing=0.5, speed=1.0)
-        function, x = lambda u: scene.lattice.force(0.0, u, 0 * u), scene.state.u
     else:
         ring = gx.scenes.fput(12, boundary="periodic")
         function = lambda p: gx.states.wave_packet(ring, k=1.0, width=3.0, amplitude=p[0]).v * p

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from refusals import refused
 
 import granjax as gx
 from granjax.theory import toda
@@ -49,9 +48,3 @@ def test_growth_is_that_of_the_multipliers_on_a_ring():
     found = gx.travelling.modulation(wave, 2 * np.pi * np.arange(1, sites) / sites)
     rate = np.log(np.abs(known.multipliers).max()) * float(wave.speed) / length
     assert found.growth.max() == pytest.approx(rate, rel=1e-6) and rate > 1e-3
-
-
-def test_no_phase_is_refused():
-    wave = gx.travelling.periodic_wave(gx.Toda(), 5.0, amplitude=0.2)
-    with refused("^kappa: expected one phase"):
-        gx.travelling.modulation(wave, [])

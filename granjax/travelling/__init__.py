@@ -3,7 +3,6 @@
 from .cells import CellWave, Resonator, cell_wave, tail_free, tail_free_stiffness
 from .collisions import Collision, collide
 from .family import WaveFamily, family
-from .long_wave import LongWave, SpectralStrain, long_wave
 from .modulation import Modulation, modulation
 from .periodic import Averages, PeriodicWave, periodic_wave
 from .reflection import Reflection, reflect
@@ -14,19 +13,16 @@ __all__ = [
     "Averages",
     "CellWave",
     "Collision",
-    "LongWave",
     "Modulation",
     "PeriodicWave",
     "Reflection",
     "Resonator",
-    "SpectralStrain",
     "Wave",
     "WaveFamily",
     "WaveStability",
     "cell_wave",
     "collide",
     "family",
-    "long_wave",
     "modulation",
     "periodic_wave",
     "reflect",
