@@ -400,7 +400,9 @@ def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
     """The errors of what is seen of an attractor, from what is seen where half of the steps settle."""
     found, other, left = jax.tree.map(np.asarray, (found, other, left))
     return jax.tree.map(
-        lambda x, y: SAFETY * np.abs(x - y) + left * np.max(np.abs(x), initial=0), found, other
+        lambda x, y: np.asarray(SAFETY * np.abs(x - y) + left * np.max(np.abs(x), initial=0)),
+        found,
+        other,
     )
 
 
