@@ -21,6 +21,7 @@ PARTS = (
     "Shocks",
     "Beyond the granular chain",
     "Disorder and losses",
+    "Thermal chains and chaos",
     "Topology and flat bands",
     "The plane",
     "Data",

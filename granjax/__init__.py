@@ -25,6 +25,7 @@ Lattices
     Dashpot             a force of the rate of a bond
     ViscousContact      a dashpot that acts while a contact is closed
     Drag                a force of the velocity's square
+    Langevin            a heat bath: damping and noise of a temperature
     LongRange           bonds to all neighbours of a chain, with weights of the distance
     Drive               a force of time on a site
     BrilliantovContact  viscoelastic spheres that do not pull
@@ -96,7 +97,8 @@ Periodic orbits
     breathers           breathers and their families
     forced              orbits of driven lattices, and their branches
     kinks               what joins two wells of on-site forces: at rest, its Peierls-Nabarro barrier, moving
-    driven              where driven lattices settle: attractors, response curves, Lyapunov exponents
+    driven              where driven lattices settle: attractors, response curves
+    chaos               Lyapunov exponents, alignment indices, frequencies, averages
     floquet             stability of periodic orbits
     orbits              what these are made of: any orbit, its symmetry
     newton              Newton's method
@@ -189,6 +191,7 @@ from .terms import (  # noqa: E402
     Drag,
     Drive,
     Harmonic,
+    Langevin,
     LongRange,
     Modulated,
     OnSite,
@@ -207,6 +210,7 @@ _LAZY = {
     name: f".{name}"
     for name in (
         "breathers",
+        "chaos",
         "continuation",
         "driven",
         "first_order",
@@ -260,6 +264,7 @@ __all__ = [
     "Hertz",
     "Integral",
     "KahanLi8",
+    "Langevin",
     "Lattice",
     "Law",
     "Linear",

@@ -1,14 +1,12 @@
-"""Damped, driven chains in the time domain: attractors, response curves, Lyapunov exponents."""
+"""Damped, driven chains in the time domain: attractors, response curves."""
 
 from .orbits import Bifurcation
 from .orbits.attractors import (
     Attractor,
     Jump,
-    Lyapunov,
     ResponseCurve,
     Way,
     driven_chain,
-    lyapunov,
     response,
     settle,
 )
@@ -17,11 +15,9 @@ __all__ = [
     "Attractor",
     "Bifurcation",
     "Jump",
-    "Lyapunov",
     "ResponseCurve",
     "Way",
     "driven_chain",
-    "lyapunov",
     "settle",
     "response",
 ]

@@ -207,7 +207,7 @@ def test_what_settles_slowly_is_not_called_chaotic_nor_doubled(force, well):
             and "Undecided" in found.outcome
             and f"{rho:.5g}"[:7] in found.outcome
         )
-    assert driven.lyapunov(lattice, WELL, T, steps=48, periods=200).verdict in (
+    assert gx.chaos.lyapunov(lattice, WELL, T, steps=48, periods=200).verdict in (
         "periodic",
         "undecided",
     )
@@ -281,7 +281,7 @@ def test_a_period_that_is_not_the_drive_s_is_refused():
         1.0001 * period,
         0.50001,
     ):
-        for ask in (driven.settle, driven.lyapunov, gx.floquet.floquet):
+        for ask in (driven.settle, gx.chaos.lyapunov, gx.floquet.floquet):
             for start in (rest(lattice), far):
                 with refused("period: expected one after which the forces repeat"):
                     ask(lattice, start, wrong)
@@ -300,7 +300,7 @@ def test_a_batch_is_not_taken_for_one_lattice():
     lanes = jax.vmap(lambda r: gx.scenes.dimer(4, r, precompression=1.0), out_axes=-1)(
         jnp.array([0.4, 0.7])
     )
-    for ask in (driven.settle, driven.lyapunov):
+    for ask in (driven.settle, gx.chaos.lyapunov):
         with refused("lattice: expected one Lattice, got a batch with lanes"):
             ask(lanes, rest(lanes), 1.0)
 
@@ -416,45 +416,10 @@ def test_what_has_settled_states_its_error_where_contacts_open():
     assert np.isnan(settled(24, periods=8).energy_error)
 
 
-# ------------------------------------------------------------------------------------------------------------- lyapunov
-
-
-def test_a_linear_chain_loses_half_of_its_damping_rate():
-    lattice = gx.Lattice(
-        np.ones(4), (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)), gx.Damping(0.1))
-    )
-    found = driven.lyapunov(lattice, state(lattice), 2.0, periods=400, number=8)
-    # -0.0496 +- 0.0019
-    assert abs(found.exponents[0] + 0.05) < found.uncertainty[0] < 0.005
-    assert found.exponents.sum() == pytest.approx(-0.4, abs=1e-12)
-    assert found.verdict == "at rest" and "At rest" in found.outcome and not found.chaotic
-
-
-@pytest.mark.slow
-def test_exponents_of_a_damped_driven_chain_pair():
-    lattice = driven.driven_chain(gx.scenes.monomer(4, precompression=1.0), 0.3, 2.0, damping=0.05)
-    found = driven.lyapunov(lattice, state(lattice), np.pi, periods=400, number=8)
-    # pairs sum to -0.05 within 2e-4, all of them to -0.2 within 2e-15
-    np.testing.assert_allclose(found.exponents + found.exponents[::-1], -0.05, rtol=0, atol=5e-4)
-    assert found.exponents.sum() == pytest.approx(-0.2, abs=1e-12)
-    assert "Periodic" in found.outcome
-
-
-@pytest.mark.slow
-def test_an_integrable_ring_is_regular_and_a_beta_chain_chaotic():
-    ring = gx.scenes.toda(8, boundary="periodic")
-    found = driven.lyapunov(ring, state(ring, 0.7), 2.0, periods=4000)
-    # 4.6e-4 +- 7.8e-4; the same energy per site in the beta chain gives 0.06
-    assert abs(found.exponents[0]) < found.uncertainty[0] < 2e-3 and "Regular" in found.outcome
-    beta = gx.scenes.fput(8, alpha=0.0, beta=1.0)
-    found = driven.lyapunov(beta, state(beta, 1.0), 2.0, periods=1000)
-    assert found.exponents[0] > 0.03 and found.chaotic and "Chaotic" in found.outcome
-
-
 @pytest.mark.slow
 def test_the_double_well_is_chaotic_where_it_does_not_repeat():
     """0.104 +- 0.004; over 1000 periods 0.097 ... 0.114, by what is rounded."""
-    found = driven.lyapunov(
+    found = gx.chaos.lyapunov(
         duffing(0.5, **DOUBLE_WELL), WELL, 2 * np.pi / 1.2, steps=48, number=4, periods=16_000
     )
     assert found.chaotic and abs(found.exponents[0] - 0.104) < 3 * found.uncertainty[0] < 0.02

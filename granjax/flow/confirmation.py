@@ -18,15 +18,11 @@ from .run import Errors, Found
 # contacts opened, as errors of order 5/2 that come and go with the mesh may be alike twice
 TIGHTER = 100
 SHORTER = 2, 4
-# the part of the largest gap over the entries of an array that every entry's error has at least, as gaps may vanish by
-# chance; where contacts opened, as the errors of the steps at which they do are not regular; and the gap, over the
-# motion, from which on an entry's own says nothing, as both runs have lost each other
-SHARED = 0.1
-SHARED_OPENED = 0.5
+# the gap, over the motion, from which on an entry's own says nothing, as both runs have lost each other
 APART = 0.1
 # over the gap between the smallest overlaps of both
 COVER = 2.0
-# units of rounding that a number is known to at best
+# units of rounding that a number is known to at best, times the root of the number of steps, over which it gathers
 ROUNDED = 8
 
 
@@ -42,8 +38,8 @@ def confirmed(
     """The errors of what was found by the plan's steps, or to its tolerance; infinite where it is not `good`.
 
     They are the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, as contacts that
-    open leave little more), doubled, and a tenth of the largest gap over the entries (at any time so far; half of it
-    where contacts opened), and rounding. They cover the run's own error, that of the dense output, and that of the
+    open leave little more), doubled, and the largest gap over the entries at any time so far, as gaps may vanish by
+    chance, and rounding. They cover the run's own error, that of the dense output, and that of the
     records.
     """
     lattice, state, t0, t1, first, good = jax.lax.stop_gradient(
@@ -82,9 +78,9 @@ def confirmed(
 def _errors(lattice, state, t0, first, second, good, factor):
     """The fields of `Errors`."""
     lanes, good = len(lattice.lanes), good & second.completed
-    opened = (first.margin < 0) | (second.margin < 0)
-    share = jnp.where(opened, SHARED_OPENED, SHARED)
-    saved = lambda x, y: _saved(factor, share, lanes, good, x, y)
+    steps = jnp.maximum(jnp.maximum(first.stats["accepted"], second.stats["accepted"]), 1)
+    units = ROUNDED * jnp.finfo(lattice.dtype).eps * jnp.sqrt(steps)
+    saved = lambda x, y: _saved(factor, units, lanes, good, x, y)
     us, vs = (jax.tree.map(saved, getattr(first, x), getattr(second, x)) for x in ("us", "vs"))
     at_end = jax.tree.map(lambda x, y: saved(x[None], y[None])[0], first.final, second.final)
 
@@ -96,7 +92,7 @@ def _errors(lattice, state, t0, first, second, good, factor):
     energy = saved(own, energies(second))
     if lattice.conserves:
         energy = jnp.maximum(energy, jnp.abs(own - lattice.energy(t0, state.u, state.v)))
-    error = lambda *x: _recorded(factor, share, lanes, good, *x)
+    error = lambda *x: _recorded(factor, units, lanes, good, *x)
     records = {
         name: jax.tree.map(error, x, second.recorded[name], first.short[name], second.short[name])
         for name, x in first.recorded.items()
@@ -110,7 +106,7 @@ def _errors(lattice, state, t0, first, second, good, factor):
     return us, vs, State(*at_end), energy, closest, missed, records
 
 
-def _saved(factor, share, lanes, good, x, finer):
+def _saved(factor, units, lanes, good, x, finer):
     """The error of (T, sites..., lanes...)."""
     gap, over = jnp.abs(x - finer), tuple(range(1, x.ndim - lanes))
     known = jnp.where(jnp.isfinite(gap), gap, 0)
@@ -118,18 +114,17 @@ def _saved(factor, share, lanes, good, x, finer):
     size = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
     scale = jnp.max(size, axis=(0, *over), keepdims=True)
     lost = jnp.minimum(largest / jnp.where(scale > 0, APART * scale, 1), 1)
-    rounding = ROUNDED * jnp.finfo(x.dtype).eps * scale
-    error = factor * known + (share + factor * lost) * largest + rounding
+    error = factor * known + (1 + factor * lost) * largest + units * scale
     return jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
 
 
-def _recorded(factor, share, lanes, good, x, finer, short, finer_short):
+def _recorded(factor, units, lanes, good, x, finer, short, finer_short):
     """The error of a record, whose axes are its own."""
     gap = jnp.abs(x - finer)
     known = jnp.where(jnp.isfinite(gap), gap, 0)
     largest = jnp.max(known, axis=tuple(range(max(x.ndim - lanes, 0))), keepdims=True, initial=0)
-    rounding = ROUNDED * jnp.finfo(x.dtype).eps * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
-    error = factor * known + share * largest + rounding
+    rounding = units * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
+    error = factor * known + largest + rounding
     error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
     # what both runs never saw arrive, and by more than they are known to, has no time that could be wrong
     missed = finer_short > factor * jnp.abs(short - finer_short)

@@ -14,6 +14,7 @@ from ..programs import compiled
 from ..solvers import AbstractNystrom
 from ..terms import energies
 from ..types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
+from .bath import Bathed, baths
 from .control import Landing, Scales, StepControl, largest, one_sided
 from .lanes import by_groups, each_lane
 from .method import CUBICS, DENSE, ENDS, Plan, least_step
@@ -97,7 +98,9 @@ def part_of(
 
     found = None
     own = {CLOSEST, EXTREMES}.issuperset(plan.records)
-    if plan.tolerance is None and own and not (plan.every or plan.progress):
+    # groups of lanes would draw the same noise
+    alone = plan.every or plan.progress or baths(lattice)
+    if plan.tolerance is None and own and not alone:
         found = by_groups(some, lattice, state, carried)
     if found is None:
         found = some(lattice, state, carried)
@@ -113,6 +116,7 @@ def _parted(lattice, begin, state, t0, t1, plan, carried):
     if direct and getattr(solver, "scan_kind", "own") is None:
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
     solver = one_sided(solver, lattice)
+    solver = Bathed(solver) if baths(lattice) else solver
     solver = Recorded(solver, records, carried) if records else solver
     if plan.tolerance is not None:
         controller = _controller(lattice, *begin, plan)

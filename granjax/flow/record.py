@@ -18,6 +18,7 @@ from ..printing import told
 from ..solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped
 from ..solvers.wrapped import Wrapped
 from ..types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
+from .bath import baths, isolated
 from .control import OneSided, inside
 from .within import crossing, guesses, higher, lobatto, mean, places, series, span, tops, value
 
@@ -371,10 +372,10 @@ class Recorded(Wrapped):
             for name, record in self.records.items()
             if not record.sampled
         }
-        # behind a jump in time a step starts with another value than the one before has ended with
-        first = 0 if args.breaks else 1
+        # behind a jump in time, or a heat bath, a step starts with another value than the one before has ended with
+        first = 0 if args.breaks or baths(args) else 1
         if sampled:
-            lattice = inside(args, t0, t1) if args.breaks else args
+            lattice = isolated(inside(args, t0, t1) if args.breaks else args)
             path = self._path(terms, t0, t1, y0, y1, dense, lattice)
             times = jnp.minimum(
                 t0 + (lobatto(self._count(terms)).x[first:] + 1) / 2 * (t1 - t0), t1
@@ -418,7 +419,7 @@ class Recorded(Wrapped):
             return terms.vf(t, y, lattice)[1]
 
         if isinstance(own, QuinticHermite):
-            a0, a1 = own.a0, own.a1
+            y0, y1, a0, a1 = own.y0, own.y1, own.a0, own.a1
         else:
             a0, a1 = acceleration(t0, y0), acceleration(t1, y1)
         return bootstrapped(

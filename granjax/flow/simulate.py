@@ -12,6 +12,7 @@ from ..lattice import Lattice, State
 from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .batching import TRACED_STEPS, batched, without_the_lost
+from .bath import baths, refuse_unfit
 from .confirmation import confirmed
 from .integrate import integrate
 from .lanes import apart
@@ -154,6 +155,10 @@ def simulate(
         remedy = "Steps of two lengths end at other times: give times."
         refuse("confirm", "False under a transformation with save_at='steps'", "True", remedy)
     records = checked_records(record)
+    if baths(lattice):
+        between = save_ts is not None and frames == 1 and not traced(save_ts)
+        even = not between or set(np.asarray(save_ts)).issubset((t0, t1))
+        refuse_unfit(solver, tolerance, confirm, isinstance(adjoint, Reversible), even)
 
     # the steps
     if tolerance is None:

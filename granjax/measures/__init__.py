@@ -17,7 +17,16 @@ from .energies import (
 from .fronts import Front, Peaks, arrival_times, front_speed, peak_times
 from .histories import along, rms_velocity
 from .localisation import energy_centre, participation, participation_number, second_moment
-from .modal import modal_amplitudes, modal_energy
+from .modal import effective_modes, modal_amplitudes, modal_energy, spectral_entropy
 from .networks import ForceNetwork, force_network, slip_ratio
 from .rings import FrontDecay, energy_radius, front_decay
 from .spectra import Spectrogram, Spectrum, spectrogram, spectrum
+from .transport import (
+    Average,
+    Correlation,
+    GreenKubo,
+    correlation,
+    green_kubo,
+    heat_current,
+    time_average,
+)

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, refuse
+from ..checks import non_negative, parameter, refuse
 from ..lattice import Lattice
 from ..types import Numbers, Parameter, StateLike
 from .states_of import parts
@@ -50,6 +50,33 @@ def modal_energy(lattice: Lattice, y: StateLike, modes: Parameter, omega: Parame
         refuse("omega", f"shape {a.shape[:1]}, one per mode", f"shape {omega.shape}")
     omega = omega.reshape(omega.shape + (1,) * (a.ndim - omega.ndim))
     return (rate**2 + omega**2 * a**2) / 2
+
+
+def spectral_entropy(energies: Parameter) -> Numbers:
+    """Entropy of the shares of energy, S = -sum_k e_k ln e_k with e_k = E_k/sum E, over the first axis.
+
+    It is ln M where all of M modes hold as much. In thermal equilibrium energies fluctuate: e_k averages to 1/M, and
+    S to about ln M - 0.4228. The normalised entropy of the FPUT literature is (ln M - S)/(ln M - S(0)), 1 at the start
+    and near 0 at equipartition; the time to equipartition is when it passes some value, such as 1/2, for good.
+
+    **Arguments:** `energies`: (M,) and trailing axes, not negative, such as `modal_energy(...)`, `site_energy(...)`.
+    **Raises** ValueError for energies below zero.
+    Source: Livi, Pettini, Ruffo, Sparpaglione, Vulpiani, Phys. Rev. A 31, 1039 (1985).
+
+    **Example:**
+
+    >>> float(jnp.exp(gx.measures.spectral_entropy([0.5, 0.5, 0.0]))).__round__(6)
+    2.0
+    """
+    energies = non_negative("energies", energies)
+    share = energies / jnp.sum(energies, 0)
+    there = share > 0
+    return -jnp.sum(jnp.where(there, share * jnp.log(jnp.where(there, share, 1)), 0), 0)
+
+
+def effective_modes(energies: Parameter) -> Numbers:
+    """Effective share of the modes that take part, exp(S)/M, with S the `spectral_entropy` of M energies."""
+    return jnp.exp(spectral_entropy(energies)) / len(energies)
 
 
 def _flat(lattice, x):

@@ -4,6 +4,7 @@ Displacements are measured from static equilibrium, so a precompressed chain at 
 """
 
 from .bloch import bloch_packet
+from .gibbs import gibbs
 from .modes import normal_mode, sine_mode
 from .simple import impact, random, rest, thermal
 from .solitons import kdv_soliton, toda_soliton

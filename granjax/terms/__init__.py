@@ -11,6 +11,7 @@ from .dissipation import (
     Damping,
     Dashpot,
     Drag,
+    Langevin,
     PlasticContact,
     ViscousContact,
 )
@@ -34,6 +35,7 @@ __all__ = [
     "Function",
     "Grip",
     "Harmonic",
+    "Langevin",
     "LongRange",
     "Modulated",
     "OnSite",

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from ..checks import concrete, non_negative, parameter, positive, refuse, show, within
 from ..laws import Hertz, Indented, PlasticLaw, plus_power
 from ..strains import StrainMap
-from ..types import Parameter, Scalar
+from ..types import Count, Counts, Parameter, Scalar
 from ..units import PART
 from .base import Remembering, Term, wider
 from .bonds import Bond, Joined
@@ -54,6 +54,52 @@ class Damping(Term):
 
     def linearised(self, lattice, t, u, v):
         return wider(self)
+
+
+class Langevin(Damping):
+    r"""A heat bath at sites: m dv = -gamma m v dt + sqrt(2 gamma m k_B T) dW, on top of the other forces.
+
+    `gx.simulate` takes it exactly over each step, with a splitting solver at a fixed step: over h a velocity v becomes
+    c v + sqrt((1 - c^2) k_B T/m) xi, c = exp(-gamma h), xi Gaussian. With `VelocityVerlet` this happens in the middle
+    of the drift (the BAOAB scheme, in which <u^2> of a harmonic lattice is exact at any stable step and <v^2> is
+    off by -h^2 omega^2/4 of itself); with any other splitting before the step, so that all moments are right to the
+    solver's order. Save at even spacings, which the steps hit. Everything else in the library (linear theory, `Flow`)
+    sees the mean motion, which is that of `Damping`.
+
+    **Arguments:** `rate`: gamma >= 0 [1/s], a number or one per site: zero where there is no bath. `temperature`: k_B T
+    >= 0 [J], a number or one per site. `seed`: a whole number, traced ones too, or one per lane; lanes that share a
+    seed have noise of their own, but for those of `jax.vmap`. A run that starts at another time draws other numbers.
+    `field`: as in `OnSite`. **Raises** ValueError for negative rates or temperatures, or a seed that is not whole.
+    Source: B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013).
+
+    **Example:**
+
+    >>> spring = gx.Bond(gx.Shift(1, "fixed"), gx.Linear())
+    >>> chain = gx.Lattice(1.0, (spring, gx.Langevin(0.5, temperature=2.0, seed=1)), sites=20)
+    >>> run = gx.simulate(chain, gx.states.rest(chain), 2000.0, step=0.2, save_at=401)
+    >>> bool(abs(jnp.mean(run.vs[50:] ** 2) - 2.0) < 0.2)
+    True
+    """
+
+    dimensions = {"rate": (0, 0, -1), "temperature": (1, 2, -2)}
+    temperature: jax.Array
+    seed: jax.Array
+
+    def __init__(
+        self,
+        rate: Parameter,
+        temperature: Parameter,
+        seed: Counts | Count = 0,
+        field: str | None = None,
+    ):
+        super().__init__(rate, field)
+        self.temperature = non_negative("temperature", temperature)
+        self.seed = jnp.asarray(seed)
+        if not jnp.issubdtype(self.seed.dtype, jnp.integer):
+            refuse("seed", "a whole number", show(seed), "Equal seeds give equal noise.")
+
+    def linearised(self, lattice, t, u, v):
+        return wider(Damping(self.rate, self.field))
 
 
 class _Viscous(Joined):

@@ -10,6 +10,7 @@
 - `mittag_leffler`: of fractional relaxation.
 - `restitution`: of two bodies that collide, plastic ones.
 - `simple_wave`: the state behind a velocity step of any law, rarefaction fans.
+- `thermal`: averages of a bond at a temperature and a pressure.
 - `toda`: the Toda chain: solitons, periodic waves, dispersive shocks, eigenvalues of its Lax matrix.
 - `shock_edges`: the edges of a dispersive shock of any convex law, by fitting.
 """
@@ -24,6 +25,7 @@ from . import (
     nls,
     restitution,
     simple_wave,
+    thermal,
     toda,
 )
 from .fitting import FittedEdges, shock_edges
@@ -42,5 +44,6 @@ __all__ = [
     "restitution",
     "shock_edges",
     "simple_wave",
+    "thermal",
     "toda",
 ]

@@ -1,0 +1,330 @@
+"""Chaos: Lyapunov exponents, alignment indices, frequencies and averages that tell regular motion from chaotic."""
+
+import dataclasses
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
+
+from .checks import parameter, positive, refuse, whole
+from .flow.stepping import columns, matrix
+from .lattice import Lattice, State
+from .measures import Average
+from .orbits.asked import COARSE, asked
+from .orbits.attractors import slowly
+from .printing import told
+from .results import Held, Result, array, hidden, part
+from .solvers import SRKN11b
+from .types import Count, Numbers, Parameter, Scalar, StateLike
+
+__all__ = ["Frequency", "Gali", "Lyapunov", "birkhoff", "frequency", "gali", "lyapunov"]
+
+# parts of a run, whose exponents differ by their uncertainty
+WINDOWS = 10
+
+
+class Lyapunov(Result):
+    """What `lyapunov` returns."""
+
+    exponents: Float[np.ndarray, " exponent"] = array(
+        "The exponents, from the largest down.", "1/s"
+    )
+    uncertainty: Float[np.ndarray, " exponent"] = array(
+        "The standard error of the mean over tenths of the run plus the difference between the "
+        "first and the second half of the run.",
+        "1/s",
+    )
+    rates: Float[np.ndarray, "run exponent"] = array("The growth rate over each interval.", "1/s")
+    state: State = part("The state at the end.", "site")
+    forced: bool = hidden("Whether the lattice depends on time.", static=True)
+    near: str = hidden(
+        "Which stable orbit is near a motion that seems quasi-periodic.", static=True
+    )
+    exported: ClassVar[dict[str, Held]] = {
+        "verdict": Held(
+            doc='"chaotic", "periodic", "quasi-periodic", "regular", "at rest", "not finite", or '
+            '"undecided" (the exponent is zero within its uncertainty and a stable orbit is near).'
+        )
+    }
+
+    @property
+    def verdict(self) -> str:
+        """What the largest exponent says of the motion, a word."""
+        if not np.isfinite(self.exponents).all():
+            return "not finite"
+        if self.chaotic:
+            return "chaotic"
+        if self.exponents[0] < -self.uncertainty[0]:
+            return "periodic" if self.forced else "at rest"
+        if not self.forced:
+            return "regular"
+        return "undecided" if self.near else "quasi-periodic"
+
+    @property
+    def outcome(self) -> str:
+        """What the largest exponent says of the motion, a sentence."""
+        verdict = self.verdict
+        word = verdict.capitalize()
+        value = f"the largest exponent is {self.exponents[0]:.3g} +- {self.uncertainty[0]:.1g}"
+        if verdict == "not finite":
+            return "The state ceased to be finite: take more steps per period."
+        if verdict == "quasi-periodic":
+            word = "Quasi-periodic, or periodic at the edge of stability"
+        zero = {"regular": "its uncertainty", "quasi-periodic": "that", "undecided": "that"}
+        within = f", zero within {zero[verdict]}" if verdict in zero else ""
+        return f"{word}: {value}{within}. {self.near}".strip()
+
+    @property
+    def chaotic(self) -> bool:
+        """Whether the largest exponent exceeds its uncertainty."""
+        return bool(self.exponents[0] > self.uncertainty[0])
+
+
+def lyapunov(
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    *,
+    periods: Count = 1000,
+    transient: Count = 100,
+    number: Count = 1,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    seed: Count = 0,
+) -> Lyapunov:
+    r"""The k largest Lyapunov exponents: mean growth of tangents that are made orthonormal again every period.
+
+    With Q_0 random and Phi_i the derivative of the flow over period i: Phi_i Q_i = Q_{i+1} R_i,
+    lambda_j = (1/(P T)) sum_i ln (R_i)_jj. Displacements count times the mean frequency of a step, so that both halves
+    of a tangent have one size; the exponents do not depend on it.
+
+    Exact: damping gamma of all sites makes the exponents pair, lambda_j + lambda_{2N+1-j} = -gamma, and the whole
+    spectrum sum to -gamma N. Autonomous lattices have one exponent zero along the orbit unless it is at rest.
+
+    **Arguments:**
+
+    - `lattice`, `state` at t = 0; forced or not. `period`: T of the forcing, or of a lattice that no time drives any
+      time between two orthonormalisations, short against 1/lambda.
+    - `periods`: P, that count, at least 10; `transient`: that do not, while state and tangents turn to where they
+      belong.
+    - `number`: k, from 1 to twice the number of displacements.
+    - `steps`, `solver`: as in `settle`. `seed`: of the first tangents.
+
+    **Returns:** `Lyapunov`. **Raises** ValueError for numbers that do not fit, a period after which the forces do not
+    repeat, or a batch of lattices.
+    An exponent below ln(P)/(P T) is not told from zero: near-by orbits of an integrable lattice part linearly in time.
+    Source: Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980); pairing: Dressler, Phys. Rev. A 38, 2103
+    (1988).
+
+    **Example:**
+
+    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
+    >>> rest = gx.states.rest(chain)
+    >>> found = gx.chaos.lyapunov(chain, rest, 4 * np.pi, periods=40, transient=10, number=6, steps=64)
+    >>> found.verdict, round(float(found.exponents.sum()), 4)  # -3 gamma
+    ('periodic', -1.5)
+    """
+    state, period, flow, start = _begun(lattice, state, period, number, steps, solver, seed)
+    whole("periods", periods, WINDOWS)
+    end, (logs, _) = _grow(flow, lattice, state, start, period, transient + periods)
+    rates = np.asarray(logs)[transient:] / period
+    order = np.argsort(-rates.mean(0), kind="stable")
+    rates = rates[:, order]
+    exponents, uncertainty = rates.mean(0), _uncertainty(rates)
+    found = Lyapunov(exponents, uncertainty, rates, end, lattice.reads_time, "", **lattice.origin)
+    if found.verdict == "quasi-periodic":
+        near = slowly(flow, lattice, end, period)
+        found = dataclasses.replace(found, near=near)
+    return found
+
+
+def _begun(lattice, state, period, number, steps, solver, seed):
+    """A state, a period, the flow over it, and tangents to start from."""
+    state, period, flow = asked(lattice, state, period, 0.0, steps, solver, SRKN11b(), COARSE)
+    size = ravel_pytree(state)[0].size
+    if not 1 <= number <= size:
+        refuse("number", f"1 to {size}, twice the number of displacements", f"{number}")
+    start = np.random.default_rng(seed).normal(size=(size, number))
+    return state, period, flow, jnp.asarray(start, lattice.dtype)
+
+
+@eqx.filter_jit
+def _grow(flow, lattice, state, start, period, periods):
+    """The state at the end; of each period the logarithms by which the volumes and the lengths of tangents grew."""
+    period = jnp.asarray(period, start.dtype)
+    rate = jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u)
+    rate, one = ravel_pytree(rate)[0], jnp.ones(ravel_pytree(state.v)[0].size)
+    weight = jnp.concatenate([rate, one])[:, None]
+
+    def grown(carry, _):
+        y, Q, C = carry
+        y, tangents = flow.tangents(y, columns(y, Q / weight), 0.0, period, lattice)
+        Q, R = jnp.linalg.qr(weight * matrix(tangents))
+        # the tangents themselves are Q C, each of length 1
+        C = R @ C
+        lengths = jnp.linalg.norm(C, axis=0)
+        logs = jnp.log(jnp.abs(jnp.diagonal(R))), jnp.log(lengths)
+        return (y, Q, C / lengths), logs
+
+    begin = state, jnp.linalg.qr(start)[0], jnp.eye(start.shape[1], dtype=start.dtype)
+    (state, _, _), logs = jax.lax.scan(grown, begin, length=periods)
+    return state, logs
+
+
+def _uncertainty(rates):
+    means = np.stack([part.mean(0) for part in np.array_split(rates, WINDOWS)])
+    half = len(rates) // 2
+    return means.std(0, ddof=1) / np.sqrt(WINDOWS) + np.abs(
+        rates[:half].mean(0) - rates[half:].mean(0)
+    )
+
+
+class Gali(Result):
+    """What `gali` returns."""
+
+    t: Float[np.ndarray, " t"] = array("The ends of the periods.", "s", name="t")
+    order: Float[np.ndarray, " order"] = array("How many tangents, k.", name="order")
+    log_gali: Float[np.ndarray, "t order"] = array("The natural logarithm of GALI_k.")
+    state: State = part("The state at the end.", "site")
+
+    @property
+    def outcome(self) -> str:
+        """The first and the last index at the end."""
+        ends = [f"GALI_{self.order[i]:.0f} = exp({self.log_gali[-1, i]:.4g})" for i in (0, -1)]
+        return f"After {len(self.t)} periods {' and '.join(dict.fromkeys(ends))}."
+
+
+def gali(
+    lattice: Lattice,
+    state: StateLike,
+    period: Scalar,
+    *,
+    number: Count = 2,
+    periods: Count = 1000,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    seed: Count = 0,
+) -> Gali:
+    r"""Generalised alignment indices: the volume that k unit tangents span, GALI_k = |w_1 ^ ... ^ w_k|, k = 2 ... K.
+
+    On a torus of s dimensions of a lattice of N displacements GALI_k stays level for k <= s and falls like a power
+    beyond, t^-2(k-N) for s = N; along a chaotic orbit it falls like exp(-[(l_1 - l_2) + ... + (l_1 - l_k)] t) with the
+    Lyapunov exponents l. It is followed by its logarithm, so that it does not end at rounding.
+
+    **Arguments:** as those of `lyapunov`; `number`: K, from 2 to twice the number of displacements; the index is 1 at
+    the start. **Returns:** `Gali`. **Raises** ValueError as `lyapunov`, and for fewer than two tangents.
+    Source: Skokos, Bountis, Antonopoulos, Physica D 231, 30 (2007).
+
+    **Example:**
+
+    >>> chain = gx.scenes.fput(4, alpha=0.0, beta=1.0)
+    >>> found = gx.chaos.gali(chain, gx.states.sine_mode(chain, 1, 0.5), 1.0, number=4, periods=20)
+    >>> found.log_gali.shape, found.order.tolist()
+    ((20, 3), [2.0, 3.0, 4.0])
+    """
+    whole("number", number, 2, "One tangent spans no volume; its growth is lyapunov's.")
+    state, period, flow, start = _begun(lattice, state, period, number, steps, solver, seed)
+    end, logs = _grow(flow, lattice, state, start, period, whole("periods", periods, 1))
+    volume, lengths = (np.cumsum(np.cumsum(np.asarray(x), 0), 1) for x in logs)
+    t = period * np.arange(1, periods + 1)
+    order = np.arange(2.0, number + 1)
+    return Gali(t, order, (volume - lengths)[:, 1:], end, **lattice.origin)
+
+
+class Frequency(NamedTuple):
+    """The strongest frequency of a signal [rad/s], its amplitude, and the frequency's drift over half of the time."""
+
+    omega: Numbers
+    amplitude: Numbers
+    drift: Numbers
+    __repr__ = told
+
+
+# of Newton's method on the power, from the largest line of the transform
+REFINEMENTS = 12
+
+
+def frequency(q: Parameter, dt: Scalar) -> Frequency:
+    """Strongest frequency of a real history by Laskar's method: the top of its power under a Hann window.
+
+    Of a quasi-periodic signal over a time T it is known to about T^-4, where a line of the Fourier transform is 2 pi/T
+    wide. The drift is the difference of the frequencies of both halves: rounding for regular motion, diffusion for
+    chaotic motion. Over initial states, with lanes, this is a frequency map.
+
+    **Arguments:** `q`: (T,) and trailing axes, frames equally spaced by `dt`. **Raises** ValueError for fewer than 16.
+    Source: J. Laskar, Icarus 88, 266 (1990).
+
+    **Example:**
+
+    >>> t = 0.1 * np.arange(2000)
+    >>> found = gx.chaos.frequency(np.cos(1.2345 * t) + 0.3 * np.cos(2.7 * t), 0.1)
+    >>> round(float(found.omega), 6), round(float(found.amplitude), 4)
+    (1.2345, 1.0)
+    """
+    q, dt = parameter("q", q), positive("dt", dt)
+    if q.ndim == 0 or len(q) < 16:
+        refuse("q", "a history of at least 16 frames", f"shape {q.shape}")
+    half = len(q) // 2
+    omega, amplitude = _strongest(q, dt)
+    (first, _), (second, _) = _strongest(q[:half], dt), _strongest(q[-half:], dt)
+    return Frequency(omega, amplitude, second - first)
+
+
+@jax.jit
+def _strongest(q, dt):
+    size, tail = len(q), (1,) * (q.ndim - 1)
+    along = lambda x: x.reshape((-1,) + tail)
+    window = along(1 - jnp.cos(2 * jnp.pi * (jnp.arange(size) + 0.5) / size)) / size
+    # the mean under the window, so that nothing of it leaks
+    signal = window * (q - jnp.sum(window * q, 0))
+    t = along(dt * (jnp.arange(size) - (size - 1) / 2))
+    lines = jnp.moveaxis(jnp.fft.rfft(jnp.moveaxis(signal, 0, -1)), -1, 0)
+    width = 2 * jnp.pi / (size * dt)
+    start = width * jnp.maximum(jnp.argmax(jnp.abs(lines), 0), 1)
+
+    def closer(_, omega):
+        turned = signal * jnp.exp(-1j * omega * t)
+        A, A1, A2 = (jnp.sum(turned * (-1j * t) ** k, 0) for k in range(3))
+        # of the logarithm of the power, which is concave over the whole line
+        slope = jnp.real(A1 / A)
+        bend = jnp.real(A2 / A - (A1 / A) ** 2)
+        step = -slope / jnp.where(bend < 0, bend, -jnp.inf)
+        return jnp.clip(omega + step, start - width, start + width)
+
+    omega = jax.lax.fori_loop(0, REFINEMENTS, closer, start)
+    return omega, 2 * jnp.abs(jnp.sum(signal * jnp.exp(-1j * omega * t), 0))
+
+
+def birkhoff(q: Parameter) -> Average:
+    """Time average with a smooth weight exp(-1/(s (1 - s))), s = t/T, and how far both halves differ.
+
+    Along a quasi-periodic orbit it converges faster than any power of T, along a chaotic one like T^-1/2: the digits
+    to which both halves agree tell them apart.
+
+    **Arguments:** `q`: (T,) and trailing axes, equally spaced. **Returns:** `Average(value, error)`.
+    **Raises** ValueError for fewer than 16 frames.
+    Source: Das, Saiki, Sander, Yorke, Nonlinearity 30, 4111 (2017).
+
+    **Example:**
+
+    >>> t = 0.1 * np.arange(4000)
+    >>> found = gx.chaos.birkhoff(np.cos(t) ** 2)
+    >>> round(float(found.value), 10), bool(found.error < 1e-8)
+    (0.5, True)
+    """
+    q = parameter("q", q)
+    if q.ndim == 0 or len(q) < 16:
+        refuse("q", "a history of at least 16 frames", f"shape {q.shape}")
+    half = len(q) // 2
+    return Average(_smooth_mean(q), jnp.abs(_smooth_mean(q[:half]) - _smooth_mean(q[-half:])))
+
+
+def _smooth_mean(q):
+    s = (np.arange(len(q)) + 0.5) / len(q)
+    weight = np.exp(-1 / (s * (1 - s)))
+    return jnp.tensordot(weight / weight.sum(), q, 1)

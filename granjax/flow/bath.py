@@ -1,0 +1,124 @@
+"""Heat baths: a splitting step with the exact flow of `Langevin` terms beside it."""
+
+from functools import partial
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..checks import refuse
+from ..lattice import Lattice, split_system
+from ..solvers import AbstractSplitting, VelocityVerlet
+from ..solvers.wrapped import Wrapped
+from ..terms import Langevin
+from ..terms.base import get
+from ..types import Displacements, Number, Numbers
+
+
+def baths(lattice: Lattice) -> tuple[Langevin, ...]:
+    """The heat baths among the terms."""
+    return tuple(term for term in lattice.terms if isinstance(term, Langevin))
+
+
+def isolated(lattice: Lattice) -> Lattice:
+    """The lattice without its heat baths."""
+    if not baths(lattice):
+        return lattice
+    rest = tuple(term for term in lattice.terms if not isinstance(term, Langevin))
+    return eqx.tree_at(lambda x: x.terms, lattice, rest)
+
+
+def refuse_unfit(solver: Any, tolerance: Any, confirm: bool, backwards: bool, even: bool) -> None:
+    """Refuse what a run with heat baths cannot have."""
+    if tolerance is not None or not isinstance(solver, AbstractSplitting):
+        got = f"{type(solver).__name__}, tolerance={tolerance}"
+        refuse("solver", "a splitting solver and step= with heat baths", got, "Try gx.SRKN11b().")
+    if confirm or backwards:
+        got = "confirm=True" if confirm else "Reversible()"
+        remedy = "Steps of another length have other noise: compare averages of runs."
+        refuse("confirm, adjoint", "False and no Reversible() with heat baths", got, remedy)
+    if not even:
+        wanted = "times at an even spacing from t0 to t1, or 'steps', with heat baths"
+        refuse("save_at", wanted, "other times", "Between steps there is no path to read.")
+
+
+class Bathed(Wrapped):
+    """A splitting solver of the isolated lattice, and before each of its steps that of the baths.
+
+    Both keep the canonical distribution, the solver's step to its order. `VelocityVerlet` has the baths in the middle
+    of its drift instead.
+    """
+
+    def init(self, terms, t0, t1, y0, args):
+        # one run that goes on where another ended does not repeat its noise
+        time = jnp.atleast_1d(jax.lax.bitcast_convert_type(t0, jnp.uint32))
+        keys = [_keys(bath.seed, time) for bath in baths(args)]
+        return self.solver.init(terms, t0, t1, y0, isolated(args)), keys
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        own, keys = solver_state
+        pairs = [_each(lambda key: jax.random.split(key), key) for key in keys]
+        keys, draws = [pair[..., 0] for pair in pairs], [pair[..., 1] for pair in pairs]
+        bathed = partial(_bathed, args, h=t1 - t0, keys=draws)
+        alone = isolated(args)
+        if isinstance(self.solver, VelocityVerlet):
+            y1, dense, own = _baoab(alone, y0, t0, t1, own, bathed)
+            return y1, None, dense, (own, keys), diffrax.RESULTS.successful
+        y0 = y0._replace(v=bathed(y0.v))
+        y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, alone, own, made_jump)
+        return y1, error, dense, (own, keys), result
+
+
+def _baoab(lattice, y0, t0, t1, kept, bathed):
+    """Half a kick, half a drift, the baths, half a drift, half a kick."""
+    system, half = split_system(lattice), (t1 - t0) / 2
+    w = system.drift(system.kick(system.enter(y0, kept), half), half)
+    middle, cache = system.leave(w, y0)
+    middle = middle._replace(v=bathed(middle.v))
+    w = system.refresh(system.drift(system.enter(middle, cache), half), t1)
+    y1, new = system.leave(system.kick(w, half), y0)
+    a0, a1 = system.acceleration(y0, kept), system.acceleration(y1, new)
+    return y1, dict(y0=y0, y1=y1, a0=a0, a1=a1, direction=jnp.ones_like(half)), new
+
+
+def _bathed(lattice, v: Displacements, h: Number, keys: list) -> Displacements:
+    """The velocities after a time h in the baths alone."""
+    for bath, key in zip(baths(lattice), keys):
+        names = tuple(v) if isinstance(v, dict) else (None,)
+        for i, name in enumerate(names):
+            if bath.field in (None, name):
+                own = (
+                    key if len(names) == 1 else _each(lambda k, i=i: jax.random.fold_in(k, i), key)
+                )
+                new = _cooled(bath, get(v, name), get(lattice.mass, name), h, own)
+                v = new if name is None else {**v, name: new}
+    return v
+
+
+def _cooled(bath, v, m, h, key):
+    x = -bath.rate * h.astype(v.dtype)
+    width = jnp.sqrt(-jnp.expm1(2 * x) * bath.temperature / m)
+    sites = v.shape[: v.ndim - key.ndim]
+    noise = _each(lambda k: jax.random.normal(k, v.shape if key.ndim == 0 else sites, v.dtype), key)
+    # lanes with a seed each are the first axes of what is drawn
+    noise = jnp.moveaxis(noise, range(key.ndim), range(v.ndim - key.ndim, v.ndim))
+    return jnp.exp(x) * v + width * noise
+
+
+def _keys(seed, time):
+    def one(seed):
+        key = jax.random.key(seed)
+        for part in time:
+            key = jax.random.fold_in(key, part)
+        return key
+
+    return _each(one, seed)
+
+
+def _each(function, seeds: Numbers):
+    """A function of one seed or key, for each lane's."""
+    for _ in range(seeds.ndim):
+        function = jax.vmap(function)
+    return function(seeds)

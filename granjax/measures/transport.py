@@ -1,0 +1,241 @@
+"""Transport: heat current, means with their errors, correlations in space and time, conductivity."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import parameter, positive, refuse, whole
+from ..lattice import Lattice
+from ..printing import told
+from ..results import Result, array, note
+from ..terms.chain import next_neighbours, span
+from ..types import Count, Number, Numbers, Parameter, Scalar, StateLike
+from ..units import names
+from .states_of import parts
+
+# parts of a history whose means say how well the mean of all is known
+BLOCKS = 20
+
+
+class Average(NamedTuple):
+    """A mean and its standard error."""
+
+    value: Numbers
+    error: Numbers
+    __repr__ = told
+
+
+class Correlation(Result):
+    """A correlation in space and time."""
+
+    lag: Numbers = array("The times between.", "s", "lag")
+    offset: Numbers = array("The sites between.", axes="offset")
+    value: Numbers = array("The correlation.", axes="lag offset")
+    error: Numbers = array("Its standard error.", axes="lag offset")
+
+    @property
+    def outcome(self) -> str:
+        """How far the correlation reaches."""
+        return f"{self.lag.size} lags up to {self._told('lag', self.lag[-1])}, {self.offset.size} sites."
+
+
+class GreenKubo(Result):
+    """A conductivity by the formula of Green and Kubo."""
+
+    lag: Numbers = array("The times up to which the correlation is integrated.", "s", "lag")
+    correlation: Numbers = array(
+        "The autocorrelation of the current, over the sites.", "W^2", "lag"
+    )
+    conductivity: Numbers = array("The integral up to that time, over (k_B T)^2.", "1/s", "lag")
+    error: Numbers = array("Its standard error, from blocks.", "1/s", "lag")
+    blocks: Count = note("How many independent parts the error is from.")
+
+    @property
+    def outcome(self) -> str:
+        """The integral up to the longest time, with its error."""
+        value, error = self.conductivity[-1], self.error[-1]
+        return (
+            f"The conductivity over k_B, up to {self._told('lag', self.lag[-1])}, is {value:.4g} "
+            f"+- {error:.2g} from {self.blocks} blocks; whether it still grows with the time the curve shows."
+        )
+
+
+def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
+    r"""Energy that flows through each bond of a chain to the right, j_n = F_n (v_n + v_{n+1})/2 [W].
+
+    F_n is the force of the bond beyond its preload, so that the energies of `site_energy` obey
+    de_n/dt = j_{n-1} - j_n exactly, on-site forces included; a preload F0 adds F0 (v_n + v_{n+1})/2. Walls at rest take
+    no energy.
+
+    **Shapes:** (N - 1,), or (N,) on a ring, whose last bond leads to the first site; then lanes.
+    **Raises** ValueError for what is no chain with scalar displacements, or a force between sites that is no bond to
+    the next.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(4, precompression=1.0)
+    >>> state = gx.State(jnp.array([0.1, 0.0, 0.0, 0.0]), jnp.array([1.0, 0.0, 0.0, 0.0]))
+    >>> gx.measures.heat_current(chain, state).round(4).tolist()
+    [0.0768, 0.0, 0.0]
+    """
+    u, v = parts(lattice, y, t)
+    if lattice.axes != 1 or lattice.dimension is not None or lattice.fields is not None:
+        refuse("lattice", "a chain with scalar displacements", f"a lattice of {lattice.shape}")
+    total, ring = 0.0, False
+    for i, term in enumerate(lattice.terms):
+        found = next_neighbours(term)
+        if found is not None:
+            law, boundary = found
+            ring = boundary == "periodic"
+            fixed = boundary == "fixed"
+            after = jnp.roll(u, -1, 0) if ring else u[1:]
+            e = (u if ring else u[:-1]) - after
+            # the law's parameters may differ from bond to bond, those to the walls among them
+            e = jnp.pad(e, [(1, 1)] + [(0, 0)] * (e.ndim - 1)) if fixed else e
+            force = law.force(e)
+            total = total + (force[1:-1] if fixed else force)
+        elif span(term) != ():
+            wanted = "bonds to the next site, and forces on single sites"
+            refuse(f"terms[{i}]", wanted, type(term).__name__)
+    speeds = v + jnp.roll(v, -1, 0) if ring else v[1:] + v[:-1]
+    return total * speeds / 2
+
+
+def time_average(q: Parameter, *, blocks: Count = BLOCKS) -> Average:
+    """Mean of a history over its frames, with its standard error from the means of blocks.
+
+    The error holds where a block is long against the time over which the quantity is correlated; where it grows as
+    `blocks` falls, the history is too short. Profiles between heat baths: `time_average(mass * run.vs**2)`.
+
+    **Arguments:** `q`: (T,) and trailing axes. `blocks`: 2 or more.
+    **Raises** ValueError for fewer frames than blocks.
+
+    **Example:**
+
+    >>> mean = gx.measures.time_average(np.random.default_rng(0).normal(size=10000))
+    >>> bool(abs(mean.value) < 4 * mean.error), bool(0.005 < mean.error < 0.02)
+    (True, True)
+    """
+    q = parameter("q", q)
+    if q.ndim == 0 or len(q) < whole("blocks", blocks, 2):
+        refuse("q", f"a history of {blocks} frames or more, one a block", f"shape {q.shape}")
+    size = len(q) // blocks
+    means = q[len(q) - size * blocks :].reshape((blocks, size) + q.shape[1:]).mean(1)
+    return Average(*_mean(means))
+
+
+def _mean(x):
+    """Mean and standard error over the first axis."""
+    return x.mean(0), x.std(0, ddof=1) / np.sqrt(len(x))
+
+
+def correlation(
+    a: Parameter,
+    b: Parameter | None = None,
+    dt: Scalar = 1.0,
+    *,
+    lags: Count,
+    units: str | None = None,
+) -> Correlation:
+    r"""Correlation of fluctuations on a ring in thermal equilibrium, C(j, t) = <a_{n+j}(s+t) b_n(s)> - <a><b>.
+
+    The mean is over all sites n, times s and lanes; the standard error is from the lanes, or from blocks in time where
+    there is one lane. With strain, momentum and `site_energy` for a and b these are the functions whose peaks move
+    with the speed of sound.
+
+    **Arguments:** `a`, `b`: (T, N) and lanes, frames equally spaced by `dt`; `b=None` is `a`. `lags`: how many times
+    from 0 on. `units`: as in `spectrum`. **Returns:** `Correlation`, offsets -N/2 ... N/2.
+    **Raises** ValueError for histories that do not fit, or are shorter than two blocks of that length.
+
+    **Example:**
+
+    >>> noise = np.random.default_rng(0).normal(size=(400, 8))
+    >>> found = gx.measures.correlation(noise, lags=3)
+    >>> found.value.shape, bool(abs(found.value[0, 4] - 1.0) < 0.1)  # offset 0
+    ((3, 8), True)
+    """
+    a = parameter("a", a)
+    b = a if b is None else parameter("b", b)
+    if a.shape != b.shape or a.ndim < 2:
+        refuse("a, b", "histories (T, N) and lanes of one shape", f"{a.shape} and {b.shape}")
+    lags = whole("lags", lags, 1)
+    a, b = (x.reshape(x.shape[:2] + (-1,)) for x in (a, b))
+    if a.shape[2] == 1:
+        a, b = (_in_blocks(x, lags) for x in (a, b))
+    means = _correlated(a - a.mean((0, 1)), b - b.mean((0, 1)), lags)
+    sites = a.shape[1]
+    order = (np.arange(sites) - sites // 2) % sites
+    value, error = _mean(jnp.moveaxis(means, -1, 0))
+    offset = jnp.arange(sites) - sites // 2
+    times = positive("dt", dt) * jnp.arange(lags)
+    return Correlation(
+        times, offset * 1.0, value[:, order], error[:, order], _mark=names.mark_of(units)
+    )
+
+
+def _in_blocks(x, lags):
+    """Equal parts of a history as lanes, at least twice as long as the lags."""
+    blocks = min(len(x) // (2 * lags), BLOCKS)
+    if blocks < 2:
+        refuse("lags", f"at most {len(x) // 4}, a quarter of the history", f"{lags}")
+    size = len(x) // blocks
+    x = x[len(x) - size * blocks :].reshape((blocks, size) + x.shape[1:-1])
+    return jnp.moveaxis(x, 0, -1)
+
+
+def _correlated(a, b, lags):
+    """(lags, offsets, lanes)."""
+    frames = len(a)
+    # the axis of a transform comes last, without which XLA's CPU backend fails under a transformation
+    a, b = (jnp.moveaxis(x, (0, 1), (-2, -1)) for x in (a, b))
+    transform = lambda x: jnp.fft.fftn(x, (2 * frames, x.shape[-1]), axes=(-2, -1))
+    product = transform(a) * jnp.conj(transform(b))
+    found = jnp.fft.ifftn(product, axes=(-2, -1)).real[..., :lags, :]
+    found = found / (frames - jnp.arange(lags))[:, None] / a.shape[-1]
+    return jnp.moveaxis(found, (-2, -1), (0, 1))
+
+
+def green_kubo(
+    current: Parameter,
+    dt: Scalar,
+    *,
+    temperature: Parameter,
+    sites: Count,
+    lags: Count,
+    units: str | None = None,
+) -> GreenKubo:
+    r"""Conductivity from the fluctuations of the current, kappa(t)/k_B = int_0^t <J(0) J(s)> ds/((k_B T)^2 N).
+
+    **Arguments:** `current`: J = sum over bonds of `heat_current` in equilibrium, (T,) and lanes, frames equally
+    spaced by `dt`. `temperature`: k_B T [J]. `sites`: N. `lags`: how many frames the correlation is followed.
+    `units`: as in `spectrum`. **Returns:** `GreenKubo`; the integral by the trapezoidal rule, its standard error from
+    the lanes, or from blocks in time where there is one lane.
+    In chains that keep their momentum it grows with the time like a power: the conductivity is infinite. Take away
+    what flows with the centre of mass first, where that moves.
+    **Raises** ValueError as `correlation`.
+
+    **Example:**
+
+    >>> J = np.random.default_rng(0).normal(size=4000)
+    >>> found = gx.measures.green_kubo(J, 0.1, temperature=1.0, sites=1, lags=5)
+    >>> bool(abs(found.conductivity[-1] - 0.05) < 4 * found.error[-1])  # dt/2 of white noise
+    True
+    """
+    J = parameter("current", current)
+    J = J.reshape((len(J) if J.ndim else 0, -1))
+    J = _in_blocks(J, whole("lags", lags, 2)) if J.shape[1] == 1 else J[:, None, :]
+    J = J.reshape(len(J), 1, -1)
+    found = _correlated(J, J, lags)[:, 0] / whole("sites", sites, 1)
+    dt, T = positive("dt", dt), positive("temperature", temperature)
+    steps = dt * (found[1:] + found[:-1]) / 2
+    integral = jnp.concatenate([jnp.zeros_like(found[:1]), jnp.cumsum(steps, 0)]) / T**2
+    value, error = _mean(integral.T)
+    return GreenKubo(
+        dt * jnp.arange(lags),
+        found.mean(1),
+        value,
+        error,
+        blocks=found.shape[1],
+        _mark=names.mark_of(units),
+    )

@@ -1,0 +1,155 @@
+"""Thermal equilibrium: states drawn from the canonical distribution of a lattice."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import per_lane, positive, random_key, refuse, whole
+from ..flow import Flow, frequency_bound
+from ..flow.bath import isolated
+from ..lattice import Lattice, State
+from ..lattice.split import next_neighbours
+from ..solvers import SRKN11b
+from ..theory.thermal import TABLE, checked_nodes, masses, potential
+from ..types import Count, Parameter, Seed
+from .simple import thermal
+
+# h omega of the steps of hybrid Monte Carlo
+STEP = 0.5
+# the bound on the frequencies is that of a motion so many times hotter, as energy gathers
+HOTTER = 2.0
+
+
+def gibbs(
+    lattice: Lattice,
+    temperature: Parameter,
+    pressure: Parameter | None = None,
+    *,
+    seed: Seed = 0,
+    moves: Count = 16,
+    duration: Parameter | None = None,
+) -> State:
+    r"""Draw a state from the canonical distribution exp(-H/(k_B T)), every lane its own.
+
+    Between free ends the bonds of a chain are independent, and each compression is drawn from its own distribution
+    exp(-(V(e) - P e)/(k_B T)), with u = 0 on average. Elsewhere (walls and rings hold the sum of the compressions,
+    on-site forces couple the bonds, the plane) the state is drawn by hybrid Monte Carlo: from rest, `moves` times new
+    velocities and a run of the lattice of a random length, taken with the probability min(1, exp(-dH/(k_B T))). Each
+    move forgets about half of the slowest mode. Velocities are Gaussian, m <v^2> = k_B T for each component.
+
+    **Arguments:**
+
+    - `lattice`: forces of positions alone; heat baths (`Langevin`) are left out.
+    - `temperature`: k_B T > 0 [J], a number or one per lane; `gx.units.BOLTZMANN` times kelvins.
+    - `pressure`: P, the mean total contact force [N], of a chain between free ends; `None` is the preload, which its
+      ends hold. With another one the chain is in equilibrium only while a load P - F0 acts on its ends. Where the
+      length is held, the mean contact force follows from `precompression` and temperature.
+    - `seed`: as in `random`. `moves`, `duration` (the mean length of a run [s]): of hybrid Monte Carlo. By default the
+      slowest wave of the longest axis turns by about a quarter of its period on average.
+
+    **Raises** ValueError where there is no such distribution (a law without a lower bound, such as FPUT-alpha's, or an
+    unloaded contact at P = 0), for forces that dissipate or depend on time, and for a pressure where the length is
+    held. The averages that it should have: `gx.theory.thermal.bond_state`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.fput(1000, alpha=0.0, beta=1.0, boundary="free")
+    >>> state = gx.states.gibbs(chain, 1.0, seed=3)
+    >>> force = gx.measures.contact_force(chain, state)  # zero on average, 1.5 of a mean square
+    >>> bool(abs(force.mean()) < 0.2)
+    True
+    """
+    key, again = jax.random.split(random_key(seed))
+    T = per_lane("temperature", temperature, lattice.lanes, positive)
+    alone = isolated(lattice)
+    if not alone.conserves:
+        names = ", ".join(alone.unkept())
+        remedy = (
+            "A damped lattice has a temperature in a heat bath: gx.Langevin in place of Damping."
+        )
+        refuse("lattice", "forces of positions alone", names, remedy)
+    found = next_neighbours(alone)
+    if found is not None and found[1] == "free":
+        return State(_independent(alone, found[0], T, pressure, again), thermal(alone, T, key).v)
+    if pressure is not None:
+        remedy = "Choose the precompression: the length is held."
+        refuse("pressure", "None but for a chain between free ends", f"{pressure}", remedy)
+    _refuse_unbounded(alone)
+    hot = thermal(alone, HOTTER * T, key)
+    omega = frequency_bound(alone, hot, 0.0, 1.0)
+    sites = alone.sites.values() if isinstance(alone.sites, dict) else (alone.sites,)
+    if duration is None:
+        duration = max(map(max, sites)) / omega
+    longest = 2 * positive("duration", duration)
+    steps = jnp.ceil(longest * omega / STEP).astype(int)
+    return _hybrid(alone, T, longest, steps, key, again, whole("moves", moves, 1))
+
+
+def _independent(lattice, law, T, pressure, key):
+    """Displacements of a chain between free ends."""
+    given = law.preload if pressure is None else per_lane("pressure", pressure, lattice.lanes)
+    P = jnp.asarray(given, lattice.dtype)
+    (sites,) = lattice.sites
+    uniform = jax.random.uniform(key, (sites - 1,) + lattice.lanes, lattice.dtype)
+    e = _drawn(law, T, P, checked_nodes(law, T, P, TABLE), uniform)
+    u = jnp.concatenate([jnp.zeros_like(e[:1]), -jnp.cumsum(e, 0)])
+    return u - jnp.mean(u, 0)
+
+
+@eqx.filter_jit
+def _drawn(law, T, P, nodes, uniform):
+    """Compressions by the inverse of their distribution function, at these places of it."""
+    weight = masses(law, T, P, nodes)[0]
+    g = potential(law, T, P, nodes)
+
+    def one(e, g, weight, at):
+        reached = jnp.concatenate([jnp.zeros(1), jnp.cumsum(weight)])
+        at = at * reached[-1]
+        i = jnp.clip(jnp.searchsorted(reached, at, side="right") - 1, 0, len(weight) - 1)
+        share = jnp.clip((at - reached[i]) / weight[i], 0, 1)
+        # within a cell the density is an exponential
+        rise = g[i] - g[i + 1]
+        flat = jnp.abs(rise) < 1e-6
+        x = jnp.log1p(share * jnp.expm1(rise)) / jnp.where(flat, 1, rise)
+        return e[i] + jnp.where(flat, share, x) * (e[i + 1] - e[i])
+
+    # bonds and lanes that are alike share a table
+    own = (1,) * (uniform.ndim - nodes.ndim + 1) + nodes.shape[1:]
+    many = [i for i, n in enumerate(own) if n == 1]
+    order = many + [i for i, n in enumerate(own) if n > 1]
+    turned = jnp.transpose(uniform, order)
+    tables = [x.reshape(len(x), -1) for x in (nodes, g, weight)]
+    columns = tables[0].shape[1]
+    drawn = jax.vmap(one, 1, 1)(*tables, turned.reshape(-1, columns))
+    return jnp.transpose(drawn.reshape(turned.shape), np.argsort(order))
+
+
+def _refuse_unbounded(lattice):
+    """Refuse laws whose energy falls without bound."""
+    far = 2.0 ** np.arange(-60, 61)
+    for i, term in enumerate(lattice.terms):
+        for found in term.compressions(jnp.zeros(()), lattice.zeros()):
+            for side in (far, -far):
+                e = side.reshape((-1,) + (1,) * found.compression.ndim)
+                energy = np.asarray(potential(found.law, 1.0, found.law.preload, e))
+                if energy[-1].min() < -1 and (np.diff(energy[-8:], axis=0) < 0).all(0).any():
+                    what = f"terms[{i}] ({type(term).__name__}), whose energy has no lower bound"
+                    remedy = "It has no thermal equilibrium: add a stiffening part, law + law."
+                    refuse("lattice", "laws with a lowest energy", what, remedy)
+
+
+@eqx.filter_jit
+def _hybrid(lattice, T, longest, steps, key, again, moves):
+    flow = Flow(steps, SRKN11b())
+
+    def move(u, key):
+        speeds, lengths, chances = jax.random.split(key, 3)
+        begin = State(u, thermal(lattice, T, speeds).v)
+        end = flow(begin, 0.0, longest * jax.random.uniform(lengths), lattice)
+        gained = lattice.energy(0.0, *end) - lattice.energy(0.0, *begin)
+        taken = jnp.log(jax.random.uniform(chances, lattice.lanes)) < -gained / T
+        return jax.tree.map(lambda new, old: jnp.where(taken, new, old), end.u, u), None
+
+    u, _ = jax.lax.scan(move, lattice.zeros(), jax.random.split(again, moves))
+    return State(u, thermal(lattice, T, key).v)

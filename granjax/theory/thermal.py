@@ -1,0 +1,196 @@
+r"""Thermal equilibrium of one bond, by quadrature: averages, fluctuations, the speed of sound.
+
+In a chain with a free end the bonds are independent. At temperature T (k_B T [J]) and pressure P, the mean total
+contact force, each compression e has the density exp(-(V(e) - P e)/(k_B T)), where V' is the total contact force.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import parameter, positive, refuse
+from ..results import Result, array
+from ..types import Count, Number, Numbers, Parameter
+
+__all__ = ["BondState", "bond_state"]
+
+# where the density is looked for, whatever the unit of length: powers of two on both sides of rest
+LADDER = 2.0 ** np.arange(-140, 70)
+# of the logarithm of the density below its maximum: exp(-45) is 3e-20
+DEPTH = 45.0
+# each zoom looks at so many places between those where the density ends
+ZOOMS = 8
+PLACES = 64
+# of a quadrature, and of a table from which compressions are drawn
+NODES = 1025
+TABLE = 257
+# nodes are spread over length, over the logarithm of the density, and over the density itself
+SPREADINGS = 4
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(5)
+# what both rules may miss alike in the cell where a contact opens, over their difference: 13 in 60 scenes at worst
+COVER = 30.0
+FEWER, FEWER_WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+
+class BondState(Result):
+    """What `bond_state` returns: averages over the canonical distribution of a bond; shapes of the law's parameters."""
+
+    temperature: Numbers = array("k_B T.", "J")
+    pressure: Numbers = array("The mean total contact force.", "N")
+    strain: Numbers = array("Mean compression, from the law's equilibrium.", "m")
+    energy: Numbers = array(
+        "Mean energy of the bond from equilibrium, without the preload's work.", "J"
+    )
+    strain_variance: Numbers = array("Variance of the compression.", "m^2")
+    energy_variance: Numbers = array("Variance of the energy V - P e.", "J^2")
+    covariance: Numbers = array("Covariance of compression and energy V - P e.", "J m")
+    sound_speed: Numbers = array(
+        "Adiabatic speed of sound of a chain of such bonds and of equal masses, in sites.", "1/s"
+    )
+    error: Numbers = array(
+        "The largest relative error of the quadratures; of the mean compression over its deviation."
+    )
+
+    @property
+    def outcome(self) -> str:
+        """Temperature and pressure, in a sentence."""
+        return "The canonical distribution of one bond."
+
+
+def bond_state(
+    law: Any, temperature: Parameter, pressure: Parameter | None = None, *, mass: Parameter = 1.0
+) -> BondState:
+    r"""Find the averages of a bond at a temperature and a pressure.
+
+    With U = V(e) - P e and beta = 1/(k_B T) the adiabatic speed of sound, in sites per time, is
+
+    $$c^2 = \frac{1/(2\beta^2) + \langle U;U\rangle}{m\,\Gamma},\quad
+    \Gamma = \beta(\langle e;e\rangle\langle U;U\rangle - \langle e;U\rangle^2) + \langle e;e\rangle/(2\beta).$$
+
+    **Arguments:** `law`; `temperature`: k_B T > 0 [J]; `pressure`: P [N], by default the law's preload, with which a
+    chain between free ends is in equilibrium; `mass` [kg]. Numbers, or arrays that broadcast with the law's parameters.
+    **Raises** ValueError for a temperature or mass that is not positive, and where there is no canonical distribution:
+    the law's energy less P e has no lower bound (FPUT-alpha), or does not rise (an unloaded contact at P = 0).
+    Source: H. Spohn, J. Stat. Phys. 154, 1191 (2014).
+
+    **Example:**
+
+    >>> found = gx.theory.thermal.bond_state(gx.Linear(2.0), 0.5)
+    >>> round(float(found.strain_variance), 10), round(float(found.sound_speed), 10)
+    (0.25, 1.4142135624)
+    """
+    T, m = positive("temperature", temperature), positive("mass", mass)
+    P = jnp.asarray(law.preload, float) if pressure is None else parameter("pressure", pressure)
+    nodes = checked_nodes(law, T, P)
+    moments, error = _moments(law, T, P, nodes)
+    e, V, ee, UU, eU = moments
+    gamma = (ee * UU - eU**2) / T + ee * T / 2
+    c = jnp.sqrt((T**2 / 2 + UU) / (m * gamma))
+    return BondState(T, P, e, V, ee, UU, eU, c, error)
+
+
+def checked_nodes(law: Any, T: Numbers, P: Numbers, count: Count = NODES) -> Numbers:
+    """Nodes of a mesh on which the density is resolved, (count, ...); refuse where there is no distribution."""
+    nodes, confined = jax.lax.stop_gradient(_nodes(law, T, P, count))
+    if not isinstance(confined, jax.core.Tracer) and not np.all(confined):
+        refuse(
+            "law",
+            "an energy V(e) - P e that rises without bound on both sides",
+            "one that falls or stays level",
+            "It has no thermal equilibrium: give a pressure, or a law with a stiffening term.",
+        )
+    return nodes
+
+
+def potential(law: Any, T: Number, P: Number, e: Numbers) -> Numbers:
+    """(V - P e)/(k_B T), infinite where the law has no force."""
+    g = (law.energy(e) - (P - law.preload) * e) / T
+    room = law.room(e)
+    return jnp.where(jnp.isnan(g) | (False if room is None else room <= 0), jnp.inf, g)
+
+
+@eqx.filter_jit
+def _nodes(law, T, P, count):
+    def along(x, like):
+        return x.reshape((-1,) + (1,) * (like.ndim - 1))
+
+    zero = jnp.zeros(()) * potential(law, T, P, jnp.zeros(()))
+    ladder = jnp.concatenate([-LADDER[::-1], jnp.zeros(1), LADDER])
+    e = ladder.reshape((-1,) + (1,) * zero.ndim) + zero
+    confined = None
+    for _ in range(ZOOMS):
+        g = potential(law, T, P, e)
+        there = g < jnp.min(g, 0) + DEPTH
+        first = jnp.argmax(there, 0)
+        last = len(e) - 1 - jnp.argmax(there[::-1], 0)
+        if confined is None:
+            confined = (first > 0) & (last < len(e) - 1) & ~jnp.isneginf(g).any(0)
+        take = lambda i: jnp.take_along_axis(e, i[None], 0)[0]
+        low, high = take(jnp.maximum(first - 1, 0)), take(jnp.minimum(last + 1, len(e) - 1))
+        e = low + along(jnp.linspace(0, 1, PLACES), e) * (high - low)
+    share = jnp.linspace(0, 1, count)
+    e = low + along(share, e) * (high - low)
+    for _ in range(SPREADINGS):
+        g = potential(law, T, P, e)
+        density = jnp.exp(jnp.min(g, 0) - g)
+        cells = jnp.diff(e, axis=0)
+        steps = jnp.abs(jnp.diff(jnp.minimum(g, jnp.min(g, 0) + DEPTH), axis=0))
+        middle = cells * (density[1:] + density[:-1]) / 2
+        parts = [x / jnp.sum(x, 0) for x in (cells, steps, middle)]
+        filled = jnp.cumsum(sum(parts) / 3, 0)
+        filled = jnp.concatenate([jnp.zeros_like(filled[:1]), filled / filled[-1:]])
+        e = _columns(jnp.interp, share, filled, e)
+    return e, confined
+
+
+def _columns(function, x, xs, ys):
+    """`function(x, xs, ys)` of each column."""
+    flat = jax.vmap(function, (None, 1, 1), 1)(x, *(a.reshape(len(a), -1) for a in (xs, ys)))
+    return flat.reshape((len(x),) + ys.shape[1:])
+
+
+def masses(law: Any, T: Numbers, P: Numbers, nodes: Numbers, weighted: Any = None) -> tuple:
+    """(The weight of each cell of the mesh, less its integral by fewer points), each for quantities of (e, g)."""
+    low, width = nodes[:-1], jnp.diff(nodes, axis=0)
+    floor = jnp.min(potential(law, T, P, nodes), 0)
+
+    def integral(points, weights):
+        total = 0.0
+        for x, w in zip(points, weights):
+            e = low + (1 + x) / 2 * width
+            g = potential(law, T, P, e)
+            density = w / 2 * width * jnp.exp(floor - g)
+            total += density if weighted is None else density * weighted(e)
+        return total
+
+    fine = integral(POINTS, WEIGHTS)
+    return fine, fine - integral(FEWER, FEWER_WEIGHTS)
+
+
+@eqx.filter_jit
+def _moments(law, T, P, nodes):
+    mean_e = _averages(law, T, P, nodes, lambda e: e)
+    energy = _averages(law, T, P, nodes, law.energy)
+    U = lambda e: law.energy(e) - (P - law.preload) * e
+    middle, level = mean_e[0], _averages(law, T, P, nodes, U)[0]
+    ee = _averages(law, T, P, nodes, lambda e: (e - middle) ** 2)
+    UU = _averages(law, T, P, nodes, lambda e: (U(e) - level) ** 2)
+    eU = _averages(law, T, P, nodes, lambda e: (e - middle) * (U(e) - level))
+    found = mean_e, energy, ee, UU, eU
+    sizes = jnp.sqrt(ee[0]), energy[0], ee[0], UU[0], jnp.sqrt(ee[0] * UU[0])
+    errors = [wrong / jnp.abs(size) for (_, wrong), size in zip(found, sizes)]
+    error = jnp.max(jnp.stack(errors), 0) + len(nodes) * jnp.finfo(nodes.dtype).eps
+    return tuple(x[0] for x in found), error
+
+
+def _averages(law, T, P, nodes, quantity):
+    """A mean over the distribution, and its error."""
+    weight, missed = masses(law, T, P, nodes)
+    value, wrong = masses(law, T, P, nodes, quantity)
+    total = jnp.sum(weight, 0)
+    mean = jnp.sum(value, 0) / total
+    off = COVER * jnp.sum(jnp.abs(wrong - mean * missed), 0)
+    return mean, off / total
