@@ -138,7 +138,7 @@ def lyapunov(
     exponents, uncertainty = rates.mean(0), _uncertainty(rates)
     found = Lyapunov(exponents, uncertainty, rates, end, lattice.reads_time, "", **lattice.origin)
     if found.verdict == "quasi-periodic":
-        near = slowly(flow, lattice, end, period)
+        near = slowly(lattice, flow, end, period)
         found = dataclasses.replace(found, near=near)
     return found
 

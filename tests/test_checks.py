@@ -268,7 +268,7 @@ BAD = (
     ),
     (
         "too few periods",
-        lambda: gx.gx.chaos.lyapunov(LINEAR, gx.states.impact(LINEAR), 1.0, periods=9),
+        lambda: gx.chaos.lyapunov(LINEAR, gx.states.impact(LINEAR), 1.0, periods=9),
         "periods",
     ),
     (

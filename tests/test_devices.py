@@ -71,7 +71,7 @@ def test_a_defect_beside_the_driver_rectifies():
     assert (device.near.response[-1] - error) / (
         device.far.response[-1] + device.far.response_error[-1]
     ) > 1e11
-    assert gx.gx.chaos.lyapunov(lattice, last, device.period, periods=1000).chaotic
+    assert gx.chaos.lyapunov(lattice, last, device.period, periods=1000).chaotic
 
 
 @pytest.mark.slow

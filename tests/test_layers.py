@@ -29,7 +29,7 @@ FLOORS = (
     {"linear"},
     {"first_order", "measures", "states"},
     {"orbits"},
-    {"topology", "breathers", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
+    {"chaos", "topology", "breathers", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
     {"sweeps", "fit", "design", "work_precision"},
     {"identify", "resonance"},
 )

@@ -14,7 +14,7 @@ from ..solvers import AbstractSplitting, VelocityVerlet
 from ..solvers.wrapped import Wrapped
 from ..terms import Langevin
 from ..terms.base import get
-from ..types import Displacements, Number, Numbers
+from ..types import Displacements, Number
 
 
 def baths(lattice: Lattice) -> tuple[Langevin, ...]:
@@ -117,7 +117,7 @@ def _keys(seed, time):
     return _each(one, seed)
 
 
-def _each(function, seeds: Numbers):
+def _each(function, seeds):
     """A function of one seed or key, for each lane's."""
     for _ in range(seeds.ndim):
         function = jax.vmap(function)

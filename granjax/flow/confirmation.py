@@ -18,6 +18,8 @@ from .run import Errors, Found
 # contacts opened, as errors of order 5/2 that come and go with the mesh may be alike twice
 TIGHTER = 100
 SHORTER = 2, 4
+# over the gap between both runs, where contacts opened, as errors come and go with the mesh: twice that of order 1
+OPENED = 4.0
 # the gap, over the motion, from which on an entry's own says nothing, as both runs have lost each other
 APART = 0.1
 # over the gap between the smallest overlaps of both
@@ -37,9 +39,9 @@ def confirmed(
 ) -> Errors:
     """The errors of what was found by the plan's steps, or to its tolerance; infinite where it is not `good`.
 
-    They are the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, as contacts that
-    open leave little more), doubled, and the largest gap over the entries at any time so far, as gaps may vanish by
-    chance, and rounding. They cover the run's own error, that of the dense output, and that of the
+    They are the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, 1 where contacts
+    opened), doubled; and as gaps may vanish by chance, the largest one over the entries at any time so far, taken on
+    alike; and rounding. They cover the run's own error, that of the dense output, and that of the
     records.
     """
     lattice, state, t0, t1, first, good = jax.lax.stop_gradient(
@@ -78,6 +80,8 @@ def confirmed(
 def _errors(lattice, state, t0, first, second, good, factor):
     """The fields of `Errors`."""
     lanes, good = len(lattice.lanes), good & second.completed
+    opened = (first.margin < 0) | (second.margin < 0)
+    factor = jnp.where(opened, jnp.maximum(OPENED, factor), factor)
     steps = jnp.maximum(jnp.maximum(first.stats["accepted"], second.stats["accepted"]), 1)
     units = ROUNDED * jnp.finfo(lattice.dtype).eps * jnp.sqrt(steps)
     saved = lambda x, y: _saved(factor, units, lanes, good, x, y)
@@ -114,7 +118,7 @@ def _saved(factor, units, lanes, good, x, finer):
     size = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
     scale = jnp.max(size, axis=(0, *over), keepdims=True)
     lost = jnp.minimum(largest / jnp.where(scale > 0, APART * scale, 1), 1)
-    error = factor * known + (1 + factor * lost) * largest + units * scale
+    error = factor * (known + (0.5 + lost) * largest) + units * scale
     return jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
 
 
@@ -124,7 +128,7 @@ def _recorded(factor, units, lanes, good, x, finer, short, finer_short):
     known = jnp.where(jnp.isfinite(gap), gap, 0)
     largest = jnp.max(known, axis=tuple(range(max(x.ndim - lanes, 0))), keepdims=True, initial=0)
     rounding = units * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
-    error = factor * known + largest + rounding
+    error = factor * (known + largest / 2) + rounding
     error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
     # what both runs never saw arrive, and by more than they are known to, has no time that could be wrong
     missed = finer_short > factor * jnp.abs(short - finer_short)

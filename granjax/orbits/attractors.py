@@ -280,7 +280,7 @@ def settle(
     changes = np.asarray(found.changes)[:used]
     near = ""
     if not multiple and np.isfinite(changes[-1, 0]) and not _still_settles(changes[:, 0], used):
-        near = slowly(flow, lattice, found.state, period)
+        near = slowly(lattice, flow, found.state, period)
     return Attractor(
         found.state,
         period,
@@ -524,7 +524,7 @@ def _answer(at, response, value, ys, ts):
     return answered(response, at(value)[0], ys, ts)
 
 
-def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> str:
+def slowly(lattice: Lattice, flow: Flow, state: StateLike, period: Scalar) -> str:
     """A sentence on a stable orbit of one or two periods near a state, to which it may settle slowly; empty without."""
     # by Newton's method, with a matrix of as many rows
     for multiple in (1, 2) if ravel_pytree(state)[0].size <= 512 else ():
