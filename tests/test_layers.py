@@ -29,7 +29,17 @@ FLOORS = (
     {"linear"},
     {"first_order", "measures", "states"},
     {"orbits"},
-    {"chaos", "topology", "breathers", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
+    {
+        "chaos",
+        "topology",
+        "breathers",
+        "driven",
+        "floquet",
+        "forced",
+        "kinks",
+        "shocks",
+        "travelling",
+    },
     {"sweeps", "fit", "design", "work_precision"},
     {"identify", "resonance"},
 )

@@ -286,6 +286,21 @@ def test_baths_draw_their_own_noise_and_refuse_what_has_none():
     np.testing.assert_array_equal(run.final.v, again.final.v)
     other = chain(gx.Linear(), 4, "fixed", gx.Langevin(0.5, 1.0, seed=4))
     assert np.abs(gx.simulate(other, rest, 10.0, step=0.1).final.v - run.final.v).max() > 1e-3
+    # lanes of one seed have noise of their own, the first of them that of a run alone, in any order of seeds
+    seeds = jnp.array([3, 4, 3, 4, 3])
+    make = lambda seed: chain(gx.Linear(), 4, "fixed", gx.Langevin(0.5, 1.0, seed=seed))
+    lanes = jax.vmap(make, out_axes=-1)(seeds)
+    many = gx.simulate(lanes, gx.states.rest(lanes), 10.0, step=0.1).final.v
+    np.testing.assert_allclose(many[:, 0], run.final.v, atol=1e-13)
+    np.testing.assert_allclose(
+        many[:, 1], gx.simulate(other, rest, 10.0, step=0.1).final.v, atol=1e-13
+    )
+    assert np.ptp(np.asarray(many), 1).min() > 0.1
+    assert len({x.tobytes() for x in np.asarray(many).T}) == 5
+    mapped = jax.vmap(
+        lambda seed: gx.simulate(make(seed), rest, 10.0, step=0.1).final.v, out_axes=-1
+    )(seeds)
+    np.testing.assert_allclose(mapped, many, atol=1e-13)
     # another start draws other numbers
     later = gx.simulate(lattice, rest, 20.0, t0=10.0, step=0.1)
     assert np.abs(later.final.v - run.final.v).max() > 1e-3

@@ -28,6 +28,8 @@ for amplitude in (1.0, 4.0):
     entropy = np.asarray(gx.measures.spectral_entropy(np.asarray(energies).T))
     ax.semilogx(run.ts[1:], np.exp(entropy[1:]) / 15, label=f"amplitude {amplitude:.0f}", lw=0.8)
 number = np.exp(entropy[2000:].mean()) / 15
-ax.axhline(np.exp(np.sum(1 / np.arange(2.0, 16.0))) / 15, color="k", ls="--", label="thermal equilibrium")
+ax.axhline(
+    np.exp(np.sum(1 / np.arange(2.0, 16.0))) / 15, color="k", ls="--", label="thermal equilibrium"
+)
 ax.set(xlabel="time (scaled)", ylabel="effective share of the modes")
 ax.legend(loc="lower right")

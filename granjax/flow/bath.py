@@ -54,7 +54,7 @@ class Bathed(Wrapped):
     def init(self, terms, t0, t1, y0, args):
         # one run that goes on where another ended does not repeat its noise
         time = jnp.atleast_1d(jax.lax.bitcast_convert_type(t0, jnp.uint32))
-        keys = [_keys(bath.seed, time) for bath in baths(args)]
+        keys = [_keys(bath.seed, args.lanes, time) for bath in baths(args)]
         return self.solver.init(terms, t0, t1, y0, isolated(args)), keys
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
@@ -89,9 +89,7 @@ def _bathed(lattice, v: Displacements, h: Number, keys: list) -> Displacements:
         names = tuple(v) if isinstance(v, dict) else (None,)
         for i, name in enumerate(names):
             if bath.field in (None, name):
-                own = (
-                    key if len(names) == 1 else _each(lambda k, i=i: jax.random.fold_in(k, i), key)
-                )
+                own = _each(lambda k, i=i: jax.random.fold_in(k, i), key)
                 new = _cooled(bath, get(v, name), get(lattice.mass, name), h, own)
                 v = new if name is None else {**v, name: new}
     return v
@@ -101,24 +99,30 @@ def _cooled(bath, v, m, h, key):
     x = -bath.rate * h.astype(v.dtype)
     width = jnp.sqrt(-jnp.expm1(2 * x) * bath.temperature / m)
     sites = v.shape[: v.ndim - key.ndim]
-    noise = _each(lambda k: jax.random.normal(k, v.shape if key.ndim == 0 else sites, v.dtype), key)
-    # lanes with a seed each are the first axes of what is drawn
+    noise = _each(lambda k: jax.random.normal(k, sites, v.dtype), key)
+    # lanes are the first axes of what is drawn
     noise = jnp.moveaxis(noise, range(key.ndim), range(v.ndim - key.ndim, v.ndim))
     return jnp.exp(x) * v + width * noise
 
 
-def _keys(seed, time):
-    def one(seed):
+def _keys(seed, lanes, time):
+    """A key for each lane, from its seed, how many lanes before it have the same one, and the time."""
+    seeds = jnp.broadcast_to(seed, lanes).ravel()
+    order = jnp.argsort(seeds, stable=True)
+    place = jnp.argsort(order)
+    before = place - jnp.searchsorted(seeds[order], seeds)
+
+    def one(seed, before):
         key = jax.random.key(seed)
-        for part in time:
+        for part in (before, *time):
             key = jax.random.fold_in(key, part)
         return key
 
-    return _each(one, seed)
+    return jax.vmap(one)(seeds, before).reshape(lanes)
 
 
-def _each(function, seeds):
-    """A function of one seed or key, for each lane's."""
-    for _ in range(seeds.ndim):
+def _each(function, keys):
+    """A function of one key, for each lane's."""
+    for _ in range(keys.ndim):
         function = jax.vmap(function)
-    return function(seeds)
+    return function(keys)
