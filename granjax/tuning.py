@@ -69,9 +69,9 @@ def root_by_products() -> bool:
 def lanes_abreast() -> int:
     """So many lanes of a batch with a fixed step are run at a time; 0 for all of them together.
 
-    The arrays of some lanes stay in the nearer caches. On Intel's processors with AVX-512 eight of them take 0.8 to 0.9 of
-    the time of all lanes together for chains of 20 to 1000 sites; on AMD's 64 of them take 0.5 to 1.0 of it. Others
-    were not measured.
+    The arrays of some lanes stay in the nearer caches. On Intel's processors with AVX-512 eight of them take 0.8 to 0.9
+    of the time of all lanes together for chains of 20 to 1000 sites; on AMD's 64 of them take 0.5 to 1.0 of it.
+    Others were not measured.
     """
     if _is_intel_avx512():
         return 8

@@ -48,8 +48,8 @@ class Example(NamedTuple):
 
     def run(self) -> dict:
         """What the script leaves."""
-        space = {"__name__": self.name}
         path = HERE / f"{self.name}.py"
+        space = {"__name__": self.name, "__file__": str(path)}
         exec(compile(path.read_text(), str(path), "exec"), space)
         return space
 

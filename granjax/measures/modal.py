@@ -58,7 +58,7 @@ def spectral_entropy(energies: Parameter) -> Numbers:
     It is ln M where all of M modes hold as much. In thermal equilibrium energies fluctuate: e_k averages to 1/M, and
     S to 1/2 + 1/3 + ... + 1/M, about ln M - 0.4228. The normalised entropy of the FPUT literature is
     (ln M - S)/(ln M - S(0)), 1 at the start and near 0 at equipartition; the time to equipartition is when it passes
-    some value, such as 1/2, for good.
+    some value, such as 1/2, for good: `run.ts[np.flatnonzero(eta > 0.5)[-1] + 1]`.
 
     **Arguments:** `energies`: (M,) and trailing axes, not negative, such as `modal_energy(...)`, `site_energy(...)`.
     **Raises** ValueError for energies below zero.

@@ -193,8 +193,9 @@ def lax_eigenvalues(
 
     **Arguments:** `strain` [m]: (N - 1,) of the bonds of a `"free"` chain, or (N,) of a `"periodic"` one, whose last
     bond leads from the last site to the first; `velocity` [m/s]: (N,); lanes after the sites. With a lattice:
-    `measures.strain(lattice, y)`, `y.v`. **Returns:** (N, *lanes). Forces at free ends, such as that of a static
-    load, are no part of the matrix: it is kept as long as the ends stay at rest.
+    `measures.strain(lattice, y)`, `y.v`; frames of a run count as lanes, `run.vs.T`. Integrals of the motion are the
+    sums of powers of the eigenvalues, and their histogram is the density of states. **Returns:** (N, *lanes). Forces at
+    free ends, such as that of a static load, are no part of the matrix: it is kept as long as the ends stay at rest.
     **Raises** ValueError for shapes that do not fit, fewer than two sites (three on a ring).
     Source: H. Flaschka, Phys. Rev. B 9, 1924 (1974).
 

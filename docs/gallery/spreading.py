@@ -1,0 +1,42 @@
+"""Spreading by chaos: a packet in a disordered nonlinear chain never stops, and slows down
+
+Disorder holds all linear waves where they are. Where the chain is nonlinear too, chaos carries the energy on: its
+second moment grows like t^(1/3), and as it thins out the chaos weakens, its Lyapunov exponent like t^(-1/4). 64 chains
+up to t = 2e6, stored (`stored/spreading.py`, some 25 minutes).
+
+:systems: Klein-Gordon chain (phi^4)
+:part: Thermal chains and chaos
+:number: exponent of the second moment, 1e4 < t < 2e6
+:expected: 0.3333
+:within: 0.05
+:source: Flach, Krimer, Skokos, Phys. Rev. Lett. 102, 024101 (2009); Skokos, Gkolias, Flach, ibid. 111, 064101 (2013)
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+table = np.loadtxt(Path(__file__).parent / "stored" / "spreading.csv", delimiter=",", skiprows=1)
+lanes = round(table[:, 1].max()) + 1
+t, _, m2, growth = (x.reshape(-1, lanes) for x in table.T)
+t = t[:, 0]
+
+
+def exponent(logarithms):
+    """Give the slope of the mean over the chains beyond t = 1e4, and its error by leaving one out after the other."""
+    late = t >= 1e4
+    slope = lambda x: np.polyfit(np.log(t[late]), x[late].mean(1), 1)[0]
+    without = [slope(np.delete(logarithms, i, 1)) for i in range(lanes)]
+    return slope(logarithms), np.std(without) * (lanes - 1) ** 0.5
+
+
+figure, (ax, below) = plt.subplots(2, figsize=(5.4, 4.4), layout="constrained", sharex=True)
+rate = growth / t[:, None]
+for axes, x, name in ((ax, m2, "second moment (sites$^2$)"), (below, rate, "exponent (scaled)")):
+    value, error = exponent(np.log(x))
+    axes.loglog(t, np.exp(np.log(x).mean(1)), label=f"$t^{{{value:.3f} \\pm {error:.3f}}}$")
+    axes.set(ylabel=name)
+    axes.legend()
+number = exponent(np.log(m2))[0]
+below.set(xlabel="time (scaled)")
