@@ -382,8 +382,9 @@ def test_sound_of_a_thermal_chain():
     assert np.mean(seen) == pytest.approx(speed, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_beta_chain_is_renormalised():
-    rings = copies(lambda k: chain(gx.Polynomial(k, 0.0, 1.0), 64, "periodic"), 256)
+    rings = copies(lambda k: chain(gx.Polynomial(k, 0.0, 1.0), 64, "periodic"), 2048)
     state = gx.states.gibbs(rings, 1.0, seed=2)
     u, v = (np.abs(np.fft.fft(np.asarray(x), axis=0)[1:33]) ** 2 for x in state)
     bare = 2 * np.sin(np.pi * np.arange(1, 33) / 64)

@@ -23,20 +23,20 @@ t, _, m2, growth = (x.reshape(-1, lanes) for x in table.T)
 t = t[:, 0]
 
 
-def exponent(logarithms):
+def exponent(x):
     """Give the slope of the mean over the chains beyond t = 1e4, and its error by leaving one out after the other."""
     late = t >= 1e4
-    slope = lambda x: np.polyfit(np.log(t[late]), x[late].mean(1), 1)[0]
-    without = [slope(np.delete(logarithms, i, 1)) for i in range(lanes)]
-    return slope(logarithms), np.std(without) * (lanes - 1) ** 0.5
+    slope = lambda x: np.polyfit(np.log(t[late]), np.log(x[late].mean(1)), 1)[0]
+    without = [slope(np.delete(x, i, 1)) for i in range(lanes)]
+    return slope(x), np.std(without) * (lanes - 1) ** 0.5
 
 
 figure, (ax, below) = plt.subplots(2, figsize=(5.4, 4.4), layout="constrained", sharex=True)
 rate = growth / t[:, None]
 for axes, x, name in ((ax, m2, "second moment (sites$^2$)"), (below, rate, "exponent (scaled)")):
-    value, error = exponent(np.log(x))
-    axes.loglog(t, np.exp(np.log(x).mean(1)), label=f"$t^{{{value:.3f} \\pm {error:.3f}}}$")
+    value, error = exponent(x)
+    axes.loglog(t, x.mean(1), label=f"$t^{{{value:.3f} \\pm {error:.3f}}}$")
     axes.set(ylabel=name)
     axes.legend()
-number = exponent(np.log(m2))[0]
+number = exponent(m2)[0]
 below.set(xlabel="time (scaled)")

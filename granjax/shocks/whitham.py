@@ -1,0 +1,361 @@
+r"""Whitham's modulation equations of any law, solved along the dispersive shock of a velocity step.
+
+Periodic waves phi(theta), theta = k n - omega t, of mean strain y make a family in k, y and the amplitude a. A slow
+change of them keeps waves, strain, momentum and action (see `gx.travelling.Averages`):
+
+    k_t + omega_n = 0,   y_t + v_n = 0,   m v_t + <F>_n = 0,   J_t + (-L_k)_n = 0.
+
+In the shock all depends on s = n/t alone, so that along it
+
+    d omega = s dk,   dv = s dy,   d<F> = m s dv,   d(-L_k) = s dJ:
+
+at each wave an eigenvalue problem for s and the direction in (k, y, a, v), whose second fastest s is that of the shock.
+From the plateau, where a = 0, this curve is followed to k = 0, a solitary wave that runs into the chain ahead. Two
+numbers at its start are not known, the strain of the plateau and the wave number there; two have to be met at its end,
+strain and velocity ahead.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.integrate import solve_ivp
+from scipy.linalg import eig
+from scipy.optimize import brentq
+
+from ..checks import refuse, traced
+from ..lattice import Lattice
+from ..laws import Law
+from ..profiles import medium_of
+from ..profiles.medium import one_number, values
+from ..results import Result, array
+from ..theory.fitting import shock_edges
+from ..tuning import one_thread
+from ..types import Scalar
+
+# harmonics at first, and at most; the size of the last one over the jump at which there are enough
+HARMONICS = 32
+MOST = 512
+RESOLVED = 1e-13
+# Newton's method: steps, and the last one's size over the jump
+STEPS = 8
+CONVERGED = 1e-13
+# parts of the way from one wave to the next, at most
+PARTS = 64
+# (crest - trough)/2 over the jump at which a curve leaves the plateau, by one step of the midpoint rule; the curve's
+# tolerance; and the overlap exp(-q pi/k) of neighbouring waves, which fall like exp(-q |n|), at which it ends
+FINE = 1e-3, 1e-9, 1e-11
+# the same for the estimate of the error
+COARSER = 2e-3, 1e-8, 1e-10
+# steps of a curve, at the least
+STRIDES = 10
+# relative change of both numbers at the start for their derivatives
+CHANGE = 1e-5
+# rounds of the search, and what may be left of both numbers at the end, over the jump
+ROUNDS = 20
+MET = 1e-9
+# an imaginary part of s, over the speed of sound, from which on the waves are unstable: above the root of rounding,
+# by which two speeds that meet at an edge may be apart
+COMPLEX = 1e-5
+# a fall of the speed from one place of the table to the next, over that of the edges, which is not one of rounding
+FALLS = 1e-6
+# places of the table
+PLACES = 65
+
+
+class WhithamShock(Result):
+    """What `whitham` returns: the edges, and the waves between them from the plateau to the chain ahead."""
+
+    trailing_speed: float = array("The speed of the trailing edge.", "1/s")
+    leading_speed: float = array("The speed of the leading edge.", "1/s")
+    mean: float = array("The strain of the plateau.", "m")
+    amplitude: float = array("The height of the leading wave above the strain ahead.", "m")
+    ahead: float = array("The strain of the chain ahead.", "m")
+    sound: float = array("The speed of sound ahead.", "1/s")
+    error: float = array(
+        "The estimated error of both speeds over `sound`, of mean and amplitude over mean - ahead."
+    )
+    s: Float[np.ndarray, " s"] = array("The speed n/t.", "1/s", "s")
+    means: Float[np.ndarray, " s"] = array("The mean strain.", "m", "s")
+    crests: Float[np.ndarray, " s"] = array("The largest strain.", "m", "s")
+    troughs: Float[np.ndarray, " s"] = array("The smallest strain.", "m", "s")
+    wavelengths: Float[np.ndarray, " s"] = array("The wavelength in bonds.", "1", "s")
+    omegas: Float[np.ndarray, " s"] = array("The angular frequency.", "rad/s", "s")
+
+    @property
+    def outcome(self) -> str:
+        """How well it is known, and whether it is a simple wave."""
+        told = f"Solved to {self.error:.0e}."
+        if np.any(np.diff(self.s) < -FALLS * np.ptp(self.s)):
+            told += " The speed does not rise all along the shock, so that this is no solution beyond there."
+        return told
+
+
+@one_thread
+def whitham(
+    law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0
+) -> WhithamShock:
+    r"""Find the dispersive shock that v_n = -2c sign(n) makes, by Whitham's equations of the law's own waves.
+
+    It is what the shock tends to as t grows: the plateau, both edges, and mean, amplitude and wavelength between them.
+    Of Toda's chain it is the closed form, to 1e-8. Elsewhere `theory.shock_edges`, which fits the edges by long waves
+    and linear ones alone, is near it, and the lattice tends to it:
+
+    | Hertz, d0 = 1/2, sound 1 | s_- | fit | measured | mean | fit | simulated |
+    |---|---|---|---|---|---|---|
+    | c = 0.3 | 0.8286 | 0.7989 | 0.829 | 0.540480 | 0.540692 | 0.540479 |
+    | c = 0.5 | 0.7803 | 0.7153 | 0.780 | 0.861419 | 0.862148 | 0.861419 |
+
+    **Arguments:** as those of `theory.shock_edges`. **Returns:** `WhithamShock`. Typical: 5 s.
+    **Raises** ValueError as `shock_edges`; where the fit has no trailing edge, such as without sound ahead; where no
+    shock is found; where modulations grow within it; and for what is traced: it has no derivatives.
+    Source: G. B. Whitham, Linear and Nonlinear Waves (1974).
+
+    **Example:**
+
+    >>> found = gx.shocks.whitham(gx.Toda(), 0.5)
+    >>> round(found.trailing_speed, 6), round(found.leading_speed, 6), round(found.amplitude, 6)
+    (0.5, 1.315191, 1.386294)
+    """
+    if traced((law, c, mass, ahead)):
+        refuse(
+            "law, c, mass, ahead",
+            "numbers that are known",
+            "traced ones",
+            "There are no derivatives.",
+        )
+    medium, ahead, c = medium_of(law, mass), one_number("ahead", ahead), one_number("c", c)
+    fit = shock_edges(law, c, mass, ahead=ahead)
+    sound, jump = float(fit.sound), float(fit.mean) - ahead
+    if not np.isfinite(fit.trailing_speed):
+        refuse("c", "a shock with a trailing edge", f"{c:g}", fit.outcome)
+    force = _scaled(medium.law, ahead, jump)
+    decay = _decay(1 + float(fit.leading_excess))
+    # of the fit, whose trailing edge is at cos^2(k/4) = V_+/V_-
+    start = np.array([1.0, 4 * np.arccos((1 - float(fit.trailing_excess)) ** -0.5)])
+    curve = lambda start, how: _curve(force, start, decay, *how)
+    missed = lambda found: np.array([found.ahead, found.velocity + 2 * c / (sound * jump)])
+    start, slope, found = _search(lambda x: curve(x, FINE), missed, start)
+    # the same with coarser numbers
+    other = curve(start, COARSER)
+    other = curve(start - np.linalg.solve(slope, missed(other)), COARSER)
+    first, last = found.edges
+    apart = max(np.abs(x - y)[[0, 3, 4]].max() for x, y in zip(found.edges, other.edges))
+    s, omegas, k, *strains = np.array([first, *found.rows(), last]).T
+    means, crests, troughs = (ahead + jump * x for x in strains)
+    if jump < 0:
+        crests, troughs = troughs, crests
+    with np.errstate(divide="ignore"):
+        wavelengths = 2 * np.pi / k
+    return WhithamShock(
+        sound * s[0],
+        sound * s[-1],
+        means[0],
+        jump * last[4],
+        ahead,
+        sound,
+        float(apart),
+        sound * s,
+        means,
+        crests,
+        troughs,
+        wavelengths,
+        sound * omegas,
+        **medium.origin,
+    )
+
+
+def _scaled(law, ahead, jump):
+    """Force and stiffness at strains that count from the one ahead in jumps, stiffnesses over that ahead."""
+    begin, stiffness, _ = (float(x[0]) for x in values(law, np.array([ahead])))
+
+    def force(x):
+        F, slope, _ = values(law, ahead + jump * x)
+        return (F - begin) / (stiffness * jump), slope / stiffness
+
+    return force
+
+
+def _decay(speed):
+    """The rate q at which a solitary wave of a speed over that of sound falls: sinh(q/2)/(q/2) = speed."""
+    return 2 * brentq(lambda x: np.sinh(x) / x - speed, 1e-9, 20.0)
+
+
+class _Wave(NamedTuple):
+    """k, mean strain and (crest - trough)/2; cosine coefficients c and omega^2; their derivatives by the former."""
+
+    place: np.ndarray
+    c: np.ndarray
+    square: float
+    slopes: np.ndarray
+
+
+class _Family:
+    """The waves of a force, each by Newton's method from the one before; the mass is 1."""
+
+    def __init__(self, force: Callable):
+        self.force, self.count, self.known = force, HARMONICS, None
+
+    def system(self, place, c, square):
+        """What Newton's method needs: residual, Jacobian, less the residual's derivatives by the place; and F."""
+        (k, mean, size), j = place, np.arange(1, self.count + 1)
+        points = 4 * self.count
+        phi = np.fft.irfft(np.concatenate([[0.0], c, np.zeros(self.count)]), points) * points / 2
+        force, stiffness = (np.fft.rfft(x).real / points for x in self.force(mean + phi))
+        spring, odd = (2 * np.sin(j * k / 2) / j) ** 2, j % 2
+        own = stiffness[np.abs(j[:, None] - j)] + stiffness[j[:, None] + j]
+        residual = np.append(square * c - spring * 2 * force[j], odd @ c - size)
+        jacobian = np.block(
+            [[square * np.eye(self.count) - spring[:, None] * own, c[:, None]], [odd, 0.0]]
+        )
+        by_place = np.zeros((self.count + 1, 3))
+        by_place[:-1, 0] = 2 * np.sin(j * k) / j * 2 * force[j]
+        by_place[:-1, 1] = spring * 2 * stiffness[j]
+        by_place[-1, 2] = 1.0
+        return residual, jacobian, by_place, (phi, stiffness)
+
+    def newton(self, place, c, square):
+        """The wave at a place from a guess, or `None`."""
+        c = np.concatenate([c, np.zeros(self.count - len(c))])
+        for _ in range(STEPS):
+            residual, jacobian, by_place, _ = self.system(place, c, square)
+            if not np.isfinite(residual).all():
+                return None
+            *move, change = np.linalg.solve(jacobian, residual)
+            c, square = c - move, square - change
+            # the change of the square, whose weight is the amplitude, is known to rounding over that
+            if max(np.abs(move).max(), abs(change) * place[2]) < CONVERGED:
+                return _Wave(place, c, square, np.linalg.solve(jacobian, by_place))
+        return None
+
+    def follow(self, place):
+        """The wave at a place, on the way from the last one in as many parts as it takes."""
+        place = np.asarray(place, float)
+        if self.known is None:
+            c = np.zeros(self.count)
+            c[0], stiff = place[2], self.force(np.array([place[1]]))[1][0]
+            self.known = self.newton(place, c, 4 * np.sin(place[0] / 2) ** 2 * stiff)
+        parts, wave = 1, None
+        while wave is None and parts <= PARTS and self.known is not None:
+            wave = self.known
+            for i in range(1, parts + 1):
+                near = self.known.place + i / parts * (place - self.known.place)
+                *move, change = wave.slopes @ (near - wave.place)
+                wave = self.newton(near, wave.c + move, wave.square + change)
+                if wave is None:
+                    break
+            parts *= 2
+        if wave is None:
+            raise _Lost
+        while np.abs(wave.c[-3:]).max() > RESOLVED and self.count < MOST:
+            self.count *= 2
+            wave = self.newton(place, wave.c, wave.square)
+            if wave is None:
+                raise _Lost
+        self.known = wave
+        return wave
+
+    def characteristic(self, place):
+        """The second fastest speed s at a place, the direction (dk, dy, da, dv) along it, and the row of a table."""
+        wave = self.follow(place)
+        (k, mean, size), c, square = wave.place, wave.c, wave.square
+        by_c, by_square = wave.slopes[:-1], wave.slopes[-1]
+        j, omega, one = np.arange(1, len(c) + 1), square**0.5, np.array([1.0, 0.0, 0.0])
+        phi, stiffness = self.system(wave.place, c, square)[3]
+        omega_by = by_square / (2 * omega)
+        force_by = stiffness[j] @ by_c + stiffness[0] * np.array([0.0, 1.0, 0.0])
+        # J = omega w c^2, and -L_k = -omega^2/2 w' c^2, with the derivatives of w = j^2/(8 sin^2(j k/2)) by k
+        sin, cos = np.sin(j * k / 2), np.cos(j * k / 2)
+        w, w1 = j**2 / (8 * sin**2), -(j**3) * cos / (8 * sin**3)
+        w2 = j**4 * (1 + 2 * cos**2) / (16 * sin**4)
+        action_by = (w @ c**2) * omega_by + omega * (2 * (w * c) @ by_c + w1 @ c**2 * one)
+        flux_by = -(w1 @ c**2) / 2 * by_square - square / 2 * (
+            2 * (w1 * c) @ by_c + w2 @ c**2 * one
+        )
+        # by the square of the amplitude, of which all are smooth functions
+        smooth = np.array([1.0, 1.0, 1 / (2 * size)])
+        left, right = np.zeros((2, 4, 4))
+        left[0, :3], right[0, 0] = omega_by * smooth, 1.0
+        left[1, 3], right[1, 1] = 1.0, 1.0
+        left[2, :3], right[2, 3] = force_by * smooth, 1.0
+        left[3, :3], right[3, :3] = flux_by * smooth, action_by * smooth
+        speeds, ways = eig(left, right)
+        i = np.argsort(speeds.real)[2]
+        if abs(speeds[i].imag) > COMPLEX:
+            raise _Lost("Modulations of its waves grow.")
+        way = ways[:, i].real * np.append(smooth, 1.0)
+        return way, np.array(
+            [speeds[i].real, omega, k, mean, mean + phi[0], mean + phi[len(phi) // 2]]
+        )
+
+
+class _Lost(Exception):
+    """There is no wave, or no shock; the sentence says why."""
+
+
+class _Curve(NamedTuple):
+    """A curve of waves: the rows of both edges; strain and velocity ahead; its family and how (y, a, v) hang on k."""
+
+    edges: tuple[np.ndarray, np.ndarray]
+    ahead: float
+    velocity: float
+    family: _Family
+    along: Callable
+    span: tuple[float, float]
+
+    def rows(self):
+        """(s, omega, k, mean, crest, trough) of waves along the curve."""
+        # from its end, where the family is
+        ks = np.linspace(*self.span, PLACES)[::-1]
+        return [self.family.characteristic([k, *self.along(k)[:2]])[1] for k in ks][::-1]
+
+
+def _curve(force, start, decay, first, tolerance, overlap):
+    """Follow the shock from the plateau's strain and the wave number there to where waves are far apart."""
+    mean, k = start
+    if not 0 < k < np.pi:
+        raise _Lost("Its waves would be shorter than two sites at the trailing edge.")
+    family, end = _Family(force), np.pi * decay / -np.log(overlap)
+    sound = force(np.array([mean]))[1][0] ** 0.5
+    edge = np.array([sound * np.cos(k / 2), 2 * sound * np.sin(k / 2), k, mean, mean, mean])
+    # directions by the amplitude, which turn as fast at its zero as anywhere
+    leave = np.array([k, mean, 0.0, 0.0])
+    halfway = leave + [0.0, 0.0, first / 2, 0.0]
+    for _ in range(2):
+        way, _ = family.characteristic(halfway[:3])
+        halfway = leave + first / 2 * way / way[2]
+    k1, mean, size, v = leave + first * way / way[2]
+    if not end < k1 < k:
+        raise _Lost("The wavelength does not grow from the trailing edge on.")
+
+    def along(k, x):
+        way, _ = family.characteristic([k, *x[:2]])
+        return way[1:] / way[0]
+
+    # longer steps would try places where there is no wave
+    how = dict(rtol=tolerance, atol=1e-2 * tolerance, max_step=(k1 - end) / STRIDES)
+    found = solve_ivp(along, (k1, end), [mean, size, v], "DOP853", dense_output=True, **how)
+    mean, size, v = found.y[:, -1]
+    _, (_, omega, k, _, crest, trough) = family.characteristic([end, mean, size])
+    speed = omega / k
+    ahead = np.array([speed, 0.0, 0.0, trough, crest - trough, trough])
+    return _Curve((edge, ahead), trough, v - speed * (mean - trough), family, found.sol, (k1, end))
+
+
+def _search(curve, missed, x):
+    """Start, derivative of what is missed by it, and the curve, where nothing is missed; by Broyden's method."""
+    try:
+        found = curve(x)
+        left = missed(found)
+        slope = np.array([(missed(curve(x + h)) - left) / CHANGE for h in CHANGE * np.eye(2)]).T
+        for _ in range(ROUNDS):
+            if np.abs(left).max() < MET:
+                return x, slope, found
+            move = -np.linalg.solve(slope, left)
+            x, found = x + move, curve(x + move)
+            before, left = left, missed(found)
+            slope += np.outer(left - before - slope @ move, move) / (move @ move)
+        raise _Lost("The search does not settle.")
+    except _Lost as error:
+        refuse("law, c", "a shock that is found", "none", f"{error}".strip())
