@@ -247,14 +247,20 @@ class _Family:
                     break
             parts *= 2
         if wave is None:
-            raise _Lost
+            raise _Lost(f"No wave is found where {self.said(place)}.")
         while np.abs(wave.c[-3:]).max() > RESOLVED and self.count < MOST:
             self.count *= 2
             wave = self.newton(place, wave.c, wave.square)
             if wave is None:
-                raise _Lost
+                raise _Lost(f"No wave is found where {self.said(place)}.")
         self.known = wave
         return wave
+
+    @staticmethod
+    def said(place):
+        """A place in words."""
+        k, mean, size = place
+        return f"k = {k:.3g}, with {mean:.3g} and {2 * size:.3g} jumps of mean and height"
 
     def characteristic(self, place):
         """The second fastest speed s at a place, the direction (dk, dy, da, dv) along it, and the row of a table."""
@@ -358,4 +364,4 @@ def _search(curve, missed, x):
             slope += np.outer(left - before - slope @ move, move) / (move @ move)
         raise _Lost("The search does not settle.")
     except _Lost as error:
-        refuse("law, c", "a shock that is found", "none", f"{error}".strip())
+        refuse("law, c", "a shock that is found", "none", str(error))

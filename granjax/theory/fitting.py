@@ -6,7 +6,8 @@ strain y [sites/s], V_+ ahead of the shock and V_- behind it,
 
     int_ahead^mean V dy = 2c,    s_- = 2 V_+ - V_-,    s_+ = V_+ sinh(2q)/(2q),   cosh^2 q = V_-/V_+.
 
-Exact of the Toda chain, and near elsewhere; `wave=True` asks a solitary wave for a second opinion of s_+.
+Exact of the Toda chain, and near elsewhere; `wave=True` asks a solitary wave for a second opinion of s_+, and
+`shocks.whitham` solves the modulation equations themselves.
 
     law = gx.Hertz(precompression=1.0)
     edges = gx.theory.shock_edges(law, 0.2)
