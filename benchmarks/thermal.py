@@ -64,15 +64,17 @@ def _ensemble(us, vs, drift, kick):
         N = u.size
         f = np.zeros(N + 1)
         for j in range(kick.size):
-            for i in range(N):
-                u[i] += drift[j] * v[i]
             f[0] = -u[0] * (1 + u[0] * u[0])
             for i in range(1, N):
                 e = u[i - 1] - u[i]
                 f[i] = e * (1 + e * e)
             f[N] = u[N - 1] * (1 + u[N - 1] * u[N - 1])
+            # a kick, and the drift that follows it
+            after = drift[j + 1] if j + 1 < kick.size else 0.0
             for i in range(N):
-                v[i] += kick[j] * (f[i] - f[i + 1])
+                w = v[i] + kick[j] * (f[i] - f[i + 1])
+                v[i] = w
+                u[i] += after * w
 
 
 @numba.njit(fastmath=True)
@@ -272,6 +274,8 @@ def drawn(points, path):
                     seconds, off, error, fmt=line, marker=".", color=f"C{i}", label=name, lw=1
                 )
             ax.set(xscale="log", yscale="log", ylim=(1e-4, 0.3), xlabel="time of the run (s)")
+            ax.set_xticks([0.3, 1, 3, 10], ["0.3", "1", "3", "10"])
+            ax.minorticks_off()
             ax.set_title(f"mean square {moment}")
         axes[0].set_ylabel("relative error, two standard errors")
         made.legend(*axes[0].get_legend_handles_labels(), loc="outside right center")

@@ -16,6 +16,7 @@ strain and velocity ahead.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -42,12 +43,7 @@ RESOLVED = 1e-13
 STEPS = 8
 CONVERGED = 1e-13
 # parts of the way from one wave to the next, at most
-PARTS = 64
-# (crest - trough)/2 over the jump at which a curve leaves the plateau, by one step of the midpoint rule; the curve's
-# tolerance; and the overlap exp(-q pi/k) of neighbouring waves, which fall like exp(-q |n|), at which it ends
-FINE = 1e-3, 1e-9, 1e-11
-# the same for the estimate of the error
-COARSER = 2e-3, 1e-8, 1e-10
+PARTS = 16
 # steps of a curve, at the least
 STRIDES = 10
 # relative change of both numbers at the start for their derivatives
@@ -62,6 +58,23 @@ COMPLEX = 1e-5
 FALLS = 1e-6
 # places of the table
 PLACES = 65
+
+
+class _Means(NamedTuple):
+    """How a curve is followed.
+
+    `first`: (crest - trough)/2 over the jump at which it leaves the plateau, by one step of the midpoint rule;
+    `tolerance`: of the steps; `overlap`: exp(-q pi/k) of neighbouring waves, which fall like exp(-q |n|), at its end.
+    """
+
+    first: float
+    tolerance: float
+    overlap: float
+
+
+FINE = _Means(first=1e-3, tolerance=1e-9, overlap=1e-11)
+# for the estimate of the error
+COARSER = _Means(first=2e-3, tolerance=1e-8, overlap=1e-10)
 
 
 class WhithamShock(Result):
@@ -125,24 +138,28 @@ def whitham(
             "traced ones",
             "There are no derivatives.",
         )
-    medium, ahead, c = medium_of(law, mass), one_number("ahead", ahead), one_number("c", c)
-    fit = shock_edges(law, c, mass, ahead=ahead)
-    sound, jump = float(fit.sound), float(fit.mean) - ahead
-    if not np.isfinite(fit.trailing_speed):
-        refuse("c", "a shock with a trailing edge", f"{c:g}", fit.outcome)
-    force = _scaled(medium.law, ahead, jump)
-    decay = _decay(1 + float(fit.leading_excess))
-    # of the fit, whose trailing edge is at cos^2(k/4) = V_+/V_-
-    start = np.array([1.0, 4 * np.arccos((1 - float(fit.trailing_excess)) ** -0.5)])
-    curve = lambda start, how: _curve(force, start, decay, *how)
-    missed = lambda found: np.array([found.ahead, found.velocity + 2 * c / (sound * jump)])
-    start, slope, found = _search(lambda x: curve(x, FINE), missed, start)
-    # the same with coarser numbers
-    other = curve(start, COARSER)
-    other = curve(start - np.linalg.solve(slope, missed(other)), COARSER)
+    ahead, c, why = one_number("ahead", ahead), one_number("c", c), None
+    # strong ones from weaker ones, where the fit is too far
+    for parts in (1, 2, 4):
+        try:
+            share = np.ones(2)
+            for part in range(1, parts + 1):
+                step = _posed(law, c * part / parts, mass, ahead)
+                start, slope, found = _search(step, step.start * share)
+                share = start / step.start
+            # the same with coarser numbers
+            other = step.curve(start, COARSER)
+            other = step.curve(start - np.linalg.solve(slope, step.missed(other)), COARSER)
+            rows = found.rows()
+            break
+        except _Lost as error:
+            why = str(error)
+    else:
+        refuse("law, c", "a shock that is found", "none", why)
+    sound, jump = step.sound, step.jump
     first, last = found.edges
     apart = max(np.abs(x - y)[[0, 3, 4]].max() for x, y in zip(found.edges, other.edges))
-    s, omegas, k, *strains = np.array([first, *found.rows(), last]).T
+    s, omegas, k, *strains = np.array([first, *rows, last]).T
     means, crests, troughs = (ahead + jump * x for x in strains)
     if jump < 0:
         crests, troughs = troughs, crests
@@ -162,7 +179,47 @@ def whitham(
         troughs,
         wavelengths,
         sound * omegas,
-        **medium.origin,
+        **medium_of(law, mass).origin,
+    )
+
+
+class _Step(NamedTuple):
+    """A velocity step in scaled numbers, whose unit of strain is `jump`, and of speed and velocity `sound` (times it).
+
+    `start`: the strain of the plateau and the wave number there, by fitting; `velocity`: that of the chain ahead.
+    """
+
+    force: Callable
+    sound: float
+    jump: float
+    decay: float
+    start: np.ndarray
+    velocity: float
+
+    def curve(self, start, means):
+        """The curve from the strain of a plateau and the wave number there."""
+        return _curve(self.force, start, self.decay, means)
+
+    def missed(self, found):
+        """What a curve misses of strain and velocity ahead."""
+        return np.array([found.ahead, found.velocity - self.velocity])
+
+
+def _posed(law, c, mass, ahead):
+    """The step of v_n = -2c sign(n)."""
+    fit = shock_edges(law, c, mass, ahead=ahead)
+    if not np.isfinite(fit.trailing_speed):
+        refuse("c", "a shock with a trailing edge", f"{c:g}", fit.outcome)
+    sound, jump = float(fit.sound), float(fit.mean) - ahead
+    # the trailing edge of the fit is at cos^2(k/4) = V_+/V_-
+    k = 4 * np.arccos((1 - float(fit.trailing_excess)) ** -0.5)
+    return _Step(
+        _scaled(medium_of(law, mass).law, ahead, jump),
+        sound,
+        jump,
+        _decay(1 + float(fit.leading_excess)),
+        np.array([1.0, k]),
+        -2 * c / (sound * jump),
     )
 
 
@@ -317,21 +374,21 @@ class _Curve(NamedTuple):
         return [self.family.characteristic([k, *self.along(k)[:2]])[1] for k in ks][::-1]
 
 
-def _curve(force, start, decay, first, tolerance, overlap):
+def _curve(force, start, decay, means):
     """Follow the shock from the plateau's strain and the wave number there to where waves are far apart."""
     mean, k = start
     if not 0 < k < np.pi:
         raise _Lost("Its waves would be shorter than two sites at the trailing edge.")
-    family, end = _Family(force), np.pi * decay / -np.log(overlap)
+    family, end = _Family(force), np.pi * decay / -np.log(means.overlap)
     sound = force(np.array([mean]))[1][0] ** 0.5
     edge = np.array([sound * np.cos(k / 2), 2 * sound * np.sin(k / 2), k, mean, mean, mean])
     # directions by the amplitude, which turn as fast at its zero as anywhere
     leave = np.array([k, mean, 0.0, 0.0])
-    halfway = leave + [0.0, 0.0, first / 2, 0.0]
+    halfway = leave + [0.0, 0.0, means.first / 2, 0.0]
     for _ in range(2):
         way, _ = family.characteristic(halfway[:3])
-        halfway = leave + first / 2 * way / way[2]
-    k1, mean, size, v = leave + first * way / way[2]
+        halfway = leave + means.first / 2 * way / way[2]
+    k1, mean, size, v = leave + means.first * way / way[2]
     if not end < k1 < k:
         raise _Lost("The wavelength does not grow from the trailing edge on.")
 
@@ -340,7 +397,7 @@ def _curve(force, start, decay, first, tolerance, overlap):
         return way[1:] / way[0]
 
     # longer steps would try places where there is no wave
-    how = dict(rtol=tolerance, atol=1e-2 * tolerance, max_step=(k1 - end) / STRIDES)
+    how = dict(rtol=means.tolerance, atol=1e-2 * means.tolerance, max_step=(k1 - end) / STRIDES)
     found = solve_ivp(along, (k1, end), [mean, size, v], "DOP853", dense_output=True, **how)
     mean, size, v = found.y[:, -1]
     _, (_, omega, k, _, crest, trough) = family.characteristic([end, mean, size])
@@ -349,19 +406,17 @@ def _curve(force, start, decay, first, tolerance, overlap):
     return _Curve((edge, ahead), trough, v - speed * (mean - trough), family, found.sol, (k1, end))
 
 
-def _search(curve, missed, x):
+def _search(step, x):
     """Start, derivative of what is missed by it, and the curve, where nothing is missed; by Broyden's method."""
-    try:
-        found = curve(x)
-        left = missed(found)
-        slope = np.array([(missed(curve(x + h)) - left) / CHANGE for h in CHANGE * np.eye(2)]).T
-        for _ in range(ROUNDS):
-            if np.abs(left).max() < MET:
-                return x, slope, found
-            move = -np.linalg.solve(slope, left)
-            x, found = x + move, curve(x + move)
-            before, left = left, missed(found)
-            slope += np.outer(left - before - slope @ move, move) / (move @ move)
-        raise _Lost("The search does not settle.")
-    except _Lost as error:
-        refuse("law, c", "a shock that is found", "none", str(error))
+    curve, missed = partial(step.curve, means=FINE), step.missed
+    found = curve(x)
+    left = missed(found)
+    slope = np.array([(missed(curve(x + h)) - left) / CHANGE for h in CHANGE * np.eye(2)]).T
+    for _ in range(ROUNDS):
+        if np.abs(left).max() < MET:
+            return x, slope, found
+        move = -np.linalg.solve(slope, left)
+        x, found = x + move, curve(x + move)
+        before, left = left, missed(found)
+        slope += np.outer(left - before - slope @ move, move) / (move @ move)
+    raise _Lost("The search does not settle.")
