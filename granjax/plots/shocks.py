@@ -137,7 +137,7 @@ def modulation(
       `gx.shocks.measure(run)`. Of `m` what the theory that it was fitted with has at n/t, `speeds_of_m`, is drawn too.
     - `quantity`: "m", "mean", "amplitude" (crest less trough) or "wavelength".
     - `beside`: dict from a name to anything with `speed` (X,) and the quantity (X,), such as
-      `gx.theory.toda.modulation(m, c)`; or to a pair (speeds, values).
+      `gx.theory.toda.modulation(m, c)`; to what `gx.shocks.whitham` returns; or to a pair (speeds, values).
 
     **Returns:** the Axes; what was measured is `ax.lines[0]`.
     """
@@ -149,7 +149,9 @@ def modulation(
         name = {"toda": "Toda", "kdv": "KdV"}.get(shock.theory, "theory")
         curves[name] = np.asarray(shock.speeds_of_m), values
     for name, one in (beside or {}).items():
-        if not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
+        if hasattr(one, "s"):
+            one = one.s, getattr(one, measured)
+        elif not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
             one = one.speed, getattr(one, field)
         # where m = 1 a wavelength is infinite
         curves[name] = [numbers(f"beside[{name!r}]", x, 1, finite=False) for x in one]

@@ -97,6 +97,11 @@ class WhithamShock(Result):
     omegas: Float[np.ndarray, " s"] = array("The angular frequency.", "rad/s", "s")
 
     @property
+    def amplitudes(self) -> Float[np.ndarray, " s"]:
+        """Crest less trough [m]."""
+        return self.crests - self.troughs
+
+    @property
     def outcome(self) -> str:
         """How well it is known, and whether it is a simple wave."""
         told = f"Solved to {self.error:.0e}."
