@@ -1,9 +1,11 @@
 """Periodic waves for modulation theory, against the Stokes expansion, averages of families, Toda's in closed form."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from refusals import refused
 
 import granjax as gx
 from granjax.theory import toda
@@ -100,3 +102,28 @@ def test_averages_of_small_waves_are_those_of_the_expansion():
     assert found.energy_flux / found.energy == pytest.approx(1.5**0.5 * np.cos(k / 2), rel=1e-5)
     _, _, _, mean_force, _ = expansion(k, a, *np.array(gx.laws.taylor(HERTZ)))
     assert found.mean_force == pytest.approx(mean_force, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_derivatives_of_periodic_waves_in_both_modes():
+    """By all numbers and the law's parameters, of the wave and of its averages, against differences."""
+    where = dict(A=1.0, F=0.4, length=7.3, amplitude=0.3, mean=0.1, mass=0.8)
+
+    def found(p):
+        law = gx.Hertz(p["A"], p["F"])
+        own = {name: p[name] for name in ("amplitude", "mean", "mass")}
+        wave = gx.travelling.periodic_wave(law, p["length"], **own)
+        means = wave.averages()
+        places = wave.strain(1.3), wave.velocity(0.7), wave.displacement(2.1)
+        return jnp.stack([wave.speed, wave.energy, *places, means.action, means.energy_flux])
+
+    forward, reverse = jax.jacfwd(found)(where), jax.jacrev(found)(where)
+    for name, x in where.items():
+        either = [np.asarray(found({**where, name: x + h})) for h in (1e-4, -1e-4)]
+        np.testing.assert_allclose(forward[name], (either[0] - either[1]) / 2e-4, atol=1e-6)
+        np.testing.assert_allclose(reverse[name], forward[name], atol=1e-11)
+    by_speed = lambda c: gx.travelling.periodic_wave(gx.Toda(), 6.0, speed=c).amplitude
+    slope = (by_speed(0.9701) - by_speed(0.9699)) / 2e-4
+    assert jax.grad(by_speed)(0.97) == pytest.approx(float(slope), rel=1e-4)
+    with refused("jax.jit"):
+        jax.jit(by_speed)(0.97)

@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, traced
 from ..laws import Law, Strained
+from ..types import Number, Numbers
 from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
 
@@ -29,28 +31,67 @@ class Train(NamedTuple):
     `strain` is about the mean; displacements fall by the mean a bead besides.
     """
 
-    speed: float
-    half: float
-    strain: np.ndarray
-    velocity: np.ndarray
-    displacement: np.ndarray
-    mean: float
+    speed: Number
+    half: Number
+    strain: Numbers
+    velocity: Numbers
+    displacement: Numbers
+    mean: Number
     residual: float
     error: float
 
-    def at(self, name: str, xi: Any) -> np.ndarray:
+    def at(self, name: str, xi: Any) -> Numbers:
         """Strain, velocity or displacement at any places."""
         table = getattr(self, name)
-        if traced(xi):
-            x, hat = jnp.asarray(xi, float), np.fft.rfft(table) / len(table)
+        if traced((xi, tuple(self))):
+            x, hat = jnp.asarray(xi, float), jnp.fft.rfft(table) / len(table)
             # each wave and its conjugate, but for the mean and the shortest
-            hat[1:-1] *= 2
+            hat = hat.at[1:-1].multiply(2)
             angle = (x[..., None] + self.half) * np.pi / self.half * np.arange(len(hat))
             own = jnp.cos(angle) @ hat.real - jnp.sin(angle) @ hat.imag
         else:
             x = np.asarray(xi, float)
             own = fourier(table[None], self.half, x.ravel())[0].reshape(x.shape)
-        return own + {"strain": self.mean, "velocity": 0.0, "displacement": -self.mean * x}[name]
+        more = {"strain": self.mean, "velocity": 0.0, "displacement": -self.mean * x}[name]
+        # a sum of two numbers is no array for NumPy
+        return own + more if traced((own, more)) else np.asarray(own + more)
+
+
+def differentiated(
+    known: Train,
+    law: Law,
+    mass: Number,
+    mean: Number,
+    wavelength: Number,
+    speed: Number | None,
+    amplitude: Number | None,
+) -> Train:
+    """A wave that was found, with the derivatives by its numbers that the implicit function theorem gives.
+
+    One more step of Newton's method for the coefficients c_j of cos(j theta) and m c^2, by JAX.
+    """
+    points = len(known.strain)
+    j, theta = np.arange(1, points // 2), 2 * np.pi * np.arange(points) / points - np.pi
+    cos, sin = np.cos(np.outer(j, theta)), np.sin(np.outer(j, theta))
+    fixed = jax.lax.stop_gradient
+    given = law, mass, mean, wavelength, speed, amplitude
+    start = np.append(2 / points * cos @ known.strain, float(fixed(mass)) * known.speed**2)
+
+    def left(x, given):
+        law, mass, mean, wavelength, speed, amplitude = given
+        c, level, half = x[:-1], x[-1], np.pi * j / wavelength
+        force = 2 / points * (cos @ law.force(mean + c @ cos))
+        held = level - mass * speed**2 if amplitude is None else (j % 2) @ c - amplitude
+        return jnp.append(level * c - (jnp.sin(half) / half) ** 2 * force, held)
+
+    x = start - jnp.linalg.solve(jax.jacfwd(left)(start, fixed(given)), left(start, given))
+    c, speed, half = x[:-1], jnp.sqrt(x[-1] / mass), np.pi * j / wavelength
+    # a bead stands half a contact before its contact
+    own = c / (2 * jnp.sin(half))
+    ahead, behind = own * jnp.cos(half), own * jnp.sin(half)
+    velocity = speed * ((2 * half * ahead) @ cos + (2 * half * behind) @ sin)
+    displacement = behind @ cos - ahead @ sin
+    return Train(speed, wavelength / 2, c @ cos, velocity, displacement, mean, *known[-2:])
 
 
 class _Family(NamedTuple):

@@ -56,7 +56,7 @@ def places(sites: Count, centre: Scalar | None = None) -> np.ndarray:
     return np.arange(sites) - ((sites - 2) / 2 if centre is None else centre)
 
 
-def tabled(shape: Any, xi: np.ndarray) -> dict[str, Any]:
+def tabled(shape: Any, xi: Numbers) -> dict[str, Any]:
     """The fields of a profile that follow from its shape: that itself and the table at places xi."""
     return dict(
         xi=xi, strains=shape.at("strain", xi), velocities=shape.at("velocity", xi), _shape=shape

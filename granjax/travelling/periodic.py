@@ -1,5 +1,6 @@
 """`periodic_wave`: trains of waves about a mean strain."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -8,7 +9,7 @@ from ..lattice import Lattice, State
 from ..laws import Law
 from ..profiles import Profile, medium_of, one_given, tabled
 from ..profiles.medium import one_number, values
-from ..profiles.periodic import train
+from ..profiles.periodic import differentiated, train
 from ..results import Result, array
 from ..types import Count, Number, Scalar
 
@@ -53,15 +54,14 @@ def averages_of(wave: Profile, points: int, error: float) -> Averages:
 
     `error`: the relative one of the wave, to which rounding is added.
     """
-    mass, wavelength, omega = (
-        float(x) for x in (wave.mass, wave.wavelength, 2 * np.pi * wave.speed / wave.wavelength)
+    mass, wavelength, law = wave.mass, wave.wavelength, wave.law
+    omega, xi = 2 * np.pi * wave.speed / wavelength, wavelength / points * np.arange(points)
+    strain, own, ahead = wave.strain(xi), wave.velocity(xi), wave.velocity(xi + 1)
+    known = not traced((law, mass, strain))
+    F, W = (
+        values(law, np.asarray(strain))[::2] if known else (law.force(strain), law.energy(strain))
     )
-    xi = wavelength / points * np.arange(points)
-    strain, own, ahead = (
-        np.asarray(x) for x in (wave.strain(xi), wave.velocity(xi), wave.velocity(xi + 1))
-    )
-    F, _, W = values(wave.law, strain)
-    kinetic, potential = mass / 2 * np.mean(own**2), np.mean(W)
+    kinetic, potential = mass / 2 * (own**2).mean(), W.mean()
     error = max(error, points**0.5 * np.finfo(float).eps)
     numbers = dict(
         omega=omega,
@@ -73,7 +73,7 @@ def averages_of(wave: Profile, points: int, error: float) -> Averages:
         energy=kinetic + potential,
         lagrangian=kinetic - potential,
         action=2 * kinetic / omega,
-        energy_flux=np.mean(F * ahead),
+        energy_flux=(F * ahead).mean(),
         error=error,
     )
     return Averages(
@@ -114,7 +114,8 @@ class PeriodicWave(Profile):
     def averages(self) -> Averages:
         """Mean strain, force, energy, action and their fluxes over a wavelength, for modulation theory."""
         points = AVERAGED * (len(self._shape.strain) // 2 + 1)
-        return averages_of(self, points, float(self.error / self.amplitude))
+        known = jax.lax.stop_gradient((self.error, self.amplitude))
+        return averages_of(self, points, float(known[0] / known[1]))
 
 
 def periodic_wave(
@@ -134,8 +135,9 @@ def periodic_wave(
     **Arguments:** `law`, `mass`: as for `solitary_wave`. `wavelength`: contacts, above 2. One of `speed` (contacts per
     time, above zero) and `amplitude`, (crest - trough)/2. `mean`: strain, positive in compression, at which the law has
     to be stiff.
-    **Returns:** `PeriodicWave`; it is not differentiated. **Raises** ValueError for a speed or an amplitude that
-    the family does not reach, a law without stiffness at the mean, one that is linear there, and what is traced.
+    **Returns:** `PeriodicWave`, differentiable once in all numbers and the law's parameters (`jax.grad`, `jax.jvp`;
+    `jax.jit` and `jax.vmap` are refused). **Raises** ValueError for a speed or an amplitude that the family does not
+    reach, a law without stiffness at the mean, and one that is linear there.
     Source: J. C. Eilbeck, R. Flesch, Phys. Lett. A 149, 200 (1990).
 
     **Example:**
@@ -145,14 +147,9 @@ def periodic_wave(
     0.964331
     """
     one_given(speed=speed, amplitude=amplitude)
-    if traced((law, wavelength, speed, amplitude, mean, mass)):
-        refuse(
-            "law",
-            "numbers that are known",
-            "traced ones",
-            "Periodic waves are followed from small ones and have no derivatives; solitary ones do.",
-        )
     medium = medium_of(law, mass)
+    given = medium.law, medium.mass, mean, wavelength, speed, amplitude
+    fixed = medium.known
     L, c, a = (
         one_number(*x)
         for x in (("wavelength", wavelength), ("speed", speed), ("amplitude", amplitude))
@@ -168,15 +165,19 @@ def periodic_wave(
         "To the left runs its mirror image, of beads with the other velocity." if a is None else ""
     )
     positive("speed" if a is None else "amplitude", c if a is None else a, remedy)
-    m, s = float(medium.mass), one_number("mean", mean)
-    found = train(medium.law, m, s, L, c, a)
-    return _recorded(medium, found, L, s, m)
+    s = one_number("mean", mean)
+    found = train(fixed.law, float(fixed.mass), s, L, c, a)
+    if traced(given):
+        found = differentiated(found, *given)
+        return _recorded(medium, found, wavelength, mean)
+    return _recorded(medium, found, L, s)
 
 
-def _recorded(medium, found, wavelength, mean, mass):
-    psi = found.strain
+def _recorded(medium, found, wavelength, mean):
+    psi, mass = found.strain, medium.mass
     crest, trough = psi[len(psi) // 2], psi[0]
-    stored = values(medium.law, mean + psi)[2].mean() + mass / 2 * np.mean(found.velocity**2)
+    energy = medium.law.energy if traced(tuple(found)) else lambda y: values(medium.law, y)[2]
+    stored = energy(mean + psi).mean() + mass / 2 * (found.velocity**2).mean()
     numbers = dict(
         speed=found.speed,
         wavelength=wavelength,
@@ -192,6 +193,6 @@ def _recorded(medium, found, wavelength, mean, mass):
         **{name: jnp.asarray(x) for name, x in numbers.items()},
         law=medium.law,
         mass=medium.mass,
-        **tabled(found, np.linspace(-wavelength / 2, wavelength / 2, TABLE)),
+        **tabled(found, np.linspace(-0.5, 0.5, TABLE) * wavelength),
         **medium.origin,
     )
