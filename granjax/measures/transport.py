@@ -76,7 +76,7 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
 
     >>> chain = gx.scenes.monomer(4, precompression=1.0)
     >>> state = gx.State(jnp.array([0.1, 0.0, 0.0, 0.0]), jnp.array([1.0, 0.0, 0.0, 0.0]))
-    >>> gx.measures.heat_current(chain, state).round(4).tolist()
+    >>> np.array(gx.measures.heat_current(chain, state)).round(4).tolist()
     [0.0768, 0.0, 0.0]
     """
     u, v = parts(lattice, y, t)

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.integrate import solve_ivp
@@ -29,7 +30,7 @@ from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
-from ..profiles.medium import one_number, values
+from ..profiles.medium import fine, one_number
 from ..results import Result, array
 from ..theory.fitting import shock_edges
 from ..tuning import one_thread
@@ -44,16 +45,16 @@ STEPS = 8
 CONVERGED = 1e-13
 # parts of the way from one wave to the next, at most
 PARTS = 16
-# steps of a curve, at the least
-STRIDES = 10
 # relative change of both numbers at the start for their derivatives
 CHANGE = 1e-5
 # rounds of the search, and what may be left of both numbers at the end, over the jump
 ROUNDS = 20
-MET = 1e-9
+MET = 3e-9
 # an imaginary part of s, over the speed of sound, from which on the waves are unstable: above the root of rounding,
 # by which two speeds that meet at an edge may be apart
 COMPLEX = 1e-5
+# over the difference of two curves: of twelve of Toda's it was at least 0.4 of the error
+SAFETY = 4
 # a fall of the speed from one place of the table to the next, over that of the edges, which is not one of rounding
 FALLS = 1e-6
 # places of the table
@@ -64,17 +65,19 @@ class _Means(NamedTuple):
     """How a curve is followed.
 
     `first`: (crest - trough)/2 over the jump at which it leaves the plateau, by one step of the midpoint rule;
-    `tolerance`: of the steps; `overlap`: exp(-q pi/k) of neighbouring waves, which fall like exp(-q |n|), at its end.
+    `tolerance`: of the steps; `steps`: how many there are at the least; `overlap`: exp(-q pi/k) of neighbouring waves,
+    which fall like exp(-q |n|), at its end.
     """
 
     first: float
     tolerance: float
+    steps: int
     overlap: float
 
 
-FINE = _Means(first=1e-3, tolerance=1e-9, overlap=1e-11)
+FINE = _Means(first=1e-3, tolerance=1e-9, steps=20, overlap=1e-11)
 # for the estimate of the error
-COARSER = _Means(first=2e-3, tolerance=1e-8, overlap=1e-10)
+COARSER = _Means(first=2e-3, tolerance=1e-8, steps=12, overlap=1e-10)
 
 
 class WhithamShock(Result):
@@ -150,7 +153,7 @@ def whitham(
             share = np.ones(2)
             for part in range(1, parts + 1):
                 step = _posed(law, c * part / parts, mass, ahead)
-                start, slope, found = _search(step, step.start * share)
+                start, slope, found, left = _search(step, step.start * share)
                 share = start / step.start
             # the same with coarser numbers
             other = step.curve(start, COARSER)
@@ -163,7 +166,6 @@ def whitham(
         refuse("law, c", "a shock that is found", "none", why)
     sound, jump = step.sound, step.jump
     first, last = found.edges
-    apart = max(np.abs(x - y)[[0, 3, 4]].max() for x, y in zip(found.edges, other.edges))
     s, omegas, k, *strains = np.array([first, *rows, last]).T
     means, crests, troughs = (ahead + jump * x for x in strains)
     if jump < 0:
@@ -171,13 +173,13 @@ def whitham(
     with np.errstate(divide="ignore"):
         wavelengths = 2 * np.pi / k
     return WhithamShock(
-        sound * s[0],
-        sound * s[-1],
-        means[0],
-        jump * last[4],
+        float(sound * s[0]),
+        float(sound * s[-1]),
+        float(means[0]),
+        float(jump * last[4]),
         ahead,
         sound,
-        float(apart),
+        float(SAFETY * np.abs(found.told - other.told).max() + left),
         sound * s,
         means,
         crests,
@@ -230,13 +232,18 @@ def _posed(law, c, mass, ahead):
 
 def _scaled(law, ahead, jump):
     """Force and stiffness at strains that count from the one ahead in jumps, stiffnesses over that ahead."""
-    begin, stiffness, _ = (float(x[0]) for x in values(law, np.array([ahead])))
+    begin, stiffness = (float(x) for x in _force(law, ahead))
 
     def force(x):
-        F, slope, _ = values(law, ahead + jump * x)
+        F, slope = (np.asarray(y) for y in _force(law, ahead + jump * x))
         return (F - begin) / (stiffness * jump), slope / stiffness
 
     return force
+
+
+@eqx.filter_jit
+def _force(law, strain):
+    return fine(law, strain)[:2]
 
 
 def _decay(speed):
@@ -372,6 +379,12 @@ class _Curve(NamedTuple):
     along: Callable
     span: tuple[float, float]
 
+    @property
+    def told(self):
+        """What an error is told of: both speeds, the strain of the plateau and the amplitude."""
+        (trailing, *_), (leading, *_, amplitude, _) = self.edges
+        return np.array([trailing, leading, self.edges[0][3], amplitude])
+
     def rows(self):
         """(s, omega, k, mean, crest, trough) of waves along the curve."""
         # from its end, where the family is
@@ -402,7 +415,7 @@ def _curve(force, start, decay, means):
         return way[1:] / way[0]
 
     # longer steps would try places where there is no wave
-    how = dict(rtol=means.tolerance, atol=1e-2 * means.tolerance, max_step=(k1 - end) / STRIDES)
+    how = dict(rtol=means.tolerance, atol=means.tolerance, max_step=(k1 - end) / means.steps)
     found = solve_ivp(along, (k1, end), [mean, size, v], "DOP853", dense_output=True, **how)
     mean, size, v = found.y[:, -1]
     _, (_, omega, k, _, crest, trough) = family.characteristic([end, mean, size])
@@ -412,14 +425,19 @@ def _curve(force, start, decay, means):
 
 
 def _search(step, x):
-    """Start, derivative of what is missed by it, and the curve, where nothing is missed; by Broyden's method."""
+    """Start, derivative of what is missed by it, and the curve where nothing is missed, by Broyden's method.
+
+    At last by how much what may be left moves what is told.
+    """
     curve, missed = partial(step.curve, means=FINE), step.missed
     found = curve(x)
     left = missed(found)
-    slope = np.array([(missed(curve(x + h)) - left) / CHANGE for h in CHANGE * np.eye(2)]).T
+    near = [curve(x + h) for h in CHANGE * np.eye(2)]
+    slope = np.array([(missed(one) - left) / CHANGE for one in near]).T
+    gain = np.linalg.solve(slope.T, [(one.told - found.told) / CHANGE for one in near])
     for _ in range(ROUNDS):
         if np.abs(left).max() < MET:
-            return x, slope, found
+            return x, slope, found, MET * np.abs(gain).sum(0).max()
         move = -np.linalg.solve(slope, left)
         x, found = x + move, curve(x + move)
         before, left = left, missed(found)
