@@ -232,7 +232,7 @@ def _posed(law, c, mass, ahead):
 
 def _scaled(law, ahead, jump):
     """Force and stiffness at strains that count from the one ahead in jumps, stiffnesses over that ahead."""
-    begin, stiffness = (float(x) for x in _force(law, ahead))
+    begin, stiffness = (float(x[0]) for x in _force(law, np.array([ahead])))
 
     def force(x):
         F, slope = (np.asarray(y) for y in _force(law, ahead + jump * x))
