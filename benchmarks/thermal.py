@@ -26,11 +26,10 @@ import jax.numpy as jnp
 import numba
 import numpy as np
 from machine import machine
-from peers.tangents import STAGES, WIDTH, _follow
+from peers.tangents import STAGES, WIDTH, follow, stages
 
 import granjax as gx
 from granjax.plots.style import figure, save, style
-from granjax.solvers import tables
 
 HERE = Path(__file__).parent
 METHODS = ("SRKN11b", "SRKN14a", "ABA864")
@@ -91,16 +90,7 @@ def _tangents(u, v, rows, drift, kick):
             for i in range(N):
                 v[i] += b[j] * (f[i] - f[i + 1])
         for block in range(rows.shape[0]):
-            _follow(rows[block].reshape(-1), K, inverse_mass, a, b)
-
-
-def stages(name, steps):
-    """Drifts and kicks of so many steps; the kick that ends a step and the one that opens the next are one."""
-    table = tables.splitting(name)
-    drift = np.concatenate([[0.0], np.tile(table.a, steps)])
-    kick = np.concatenate([np.tile(table.b[:-1], steps), table.b[-1:]])
-    kick[len(table.a) : -1 : len(table.a)] += table.b[-1]
-    return STEP * drift, STEP * kick
+            follow(rows[block].reshape(-1), K, inverse_mass, a, b)
 
 
 def ensemble(name, steps, lanes):
@@ -110,7 +100,7 @@ def ensemble(name, steps, lanes):
     make = lambda stiffness: gx.scenes.fput(SITES, 0.0, 1.0, stiffness=stiffness)
     chains = jax.vmap(make, out_axes=-1)(jnp.ones(lanes))
     start = gx.State(jnp.asarray(u.T), jnp.asarray(v.T))
-    solver, table = getattr(gx, name)(), stages(name, steps)
+    solver, table = getattr(gx, name)(), stages(name, STEP, steps)
 
     def own():
         run = gx.simulate(chains, start, steps * STEP, step=STEP, solver=solver)
@@ -133,7 +123,7 @@ def tangents(name, steps):
     y = gx.State(jnp.asarray(u), jnp.asarray(v))
     columns = gx.State(jnp.asarray(Q[:N]), jnp.asarray(Q[N:]))
     go = jax.jit(lambda y, columns: flow.tangents(y, columns, 0.0, steps * STEP, chain)[1])
-    table = stages(name, steps)
+    table = stages(name, STEP, steps)
 
     def own():
         return np.concatenate(jax.block_until_ready(go(y, columns)))

@@ -62,7 +62,7 @@ def root_by_products() -> bool:
     if chosen is not None:
         one_of("GRANJAX_ROOT", chosen, ("products", "instruction"))
         return chosen == "products"
-    return _is_intel_avx512()
+    return _is_avx512_of("GenuineIntel")
 
 
 @cache
@@ -73,16 +73,12 @@ def lanes_abreast() -> int:
     of the time of all lanes together for chains of 20 to 1000 sites; on AMD's 64 of them take 0.5 to 1.0 of it.
     Others were not measured.
     """
-    if _is_intel_avx512():
+    if _is_avx512_of("GenuineIntel"):
         return 8
-    return 64 if _has_on_cpu("AuthenticAMD") else 0
+    return 64 if _is_avx512_of("AuthenticAMD") else 0
 
 
-def _is_intel_avx512():
-    return _has_on_cpu("GenuineIntel")
-
-
-def _has_on_cpu(maker):
+def _is_avx512_of(maker):
     """Whether JAX computes on a processor of this maker with AVX-512."""
     import jax
 

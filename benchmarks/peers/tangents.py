@@ -72,16 +72,21 @@ def splitting(orbit, name, steps):
 
     First the state goes through some stages and leaves the stiffness of every contact at each of them; then `WIDTH`
     tangents at a time follow, which stay in the first cache. A stage is one pass over them that drifts a bead and kicks
-    the one before. The kick that ends a step and the one that opens the next are one.
+    the one before.
     """
-    table = tables.splitting(name)
-    h = orbit.period / steps
-    drift = np.concatenate([[0.0], np.tile(h * table.a, steps)])
-    kick = np.concatenate([np.tile(h * table.b[:-1], steps), [h * table.b[-1]]])
-    kick[len(table.a) : -1 : len(table.a)] += h * table.b[-1]
+    drift, kick = stages(name, orbit.period / steps, steps)
     return _matrix(
         orbit.u, orbit.v, orbit.stiffness, orbit.overlap, orbit.walls, 1 / orbit.mass, drift, kick
     )
+
+
+def stages(name, h, steps):
+    """Drifts and kicks of so many steps h; the kick that ends a step and the one that opens the next are one."""
+    table = tables.splitting(name)
+    drift = np.concatenate([[0.0], np.tile(h * table.a, steps)])
+    kick = np.concatenate([np.tile(h * table.b[:-1], steps), [h * table.b[-1]]])
+    kick[len(table.a) : -1 : len(table.a)] += h * table.b[-1]
+    return drift, kick
 
 
 @numba.njit(fastmath=True)
@@ -99,7 +104,7 @@ def _contacts(u, A, d0, walls, f, k):
 
 
 @numba.njit(fastmath=True)
-def _follow(rows, K, inverse_mass, drift, kick):
+def follow(rows, K, inverse_mass, drift, kick):
     """Some tangents through some stages; `rows`: (U_n, V_n) bead by bead, a row of zeros at each end.
 
     The numbers of three beads are looked at through one slice, at distances known to the compiler: without them it
@@ -138,7 +143,7 @@ def _matrix(u, v, A, d0, walls, inverse_mass, drift, kick):
             for i in range(N):
                 v[i] += b[j] * inverse_mass[i] * (f[i] - f[i + 1])
         for block in range(blocks):
-            _follow(rows[block].reshape(-1), K, inverse_mass, a, b)
+            follow(rows[block].reshape(-1), K, inverse_mass, a, b)
     matrix = np.empty((2 * N, 2 * N))
     for block in range(blocks):
         first = block * WIDTH

@@ -41,8 +41,7 @@ def confirmed(
 
     They are the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, 1 where contacts
     opened), doubled; and as gaps may vanish by chance, the largest one over the entries at any time so far, taken on
-    alike; and rounding. They cover the run's own error, that of the dense output, and that of the
-    records.
+    alike; and rounding. They cover the run's own error, that of the dense output, and that of the records.
     """
     lattice, state, t0, t1, first, good = jax.lax.stop_gradient(
         (lattice, state, t0, t1, first, good)

@@ -155,13 +155,14 @@ def fine_force(law: Law, e: Numbers) -> Numbers:
 
 
 @eqx.filter_jit
-def _values(law, e):
+def fine_values(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """`fine`, compiled for each shape."""
     return fine(law, e)
 
 
-def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Force, stiffness and energy at known compressions of any shape."""
-    return in_chunks(_values, law, e)
+def values(law: Law, e: Numbers) -> tuple[Numbers, ...]:
+    """Force, stiffness and energy at compressions of any shape: by NumPy, or by JAX where something is traced."""
+    return fine(law, e) if traced((law, e)) else in_chunks(fine_values, law, e)
 
 
 def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:

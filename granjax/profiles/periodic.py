@@ -9,6 +9,7 @@ import numpy as np
 
 from ..checks import refuse, traced
 from ..laws import Law, Strained
+from ..newton import newton as root
 from ..types import Number, Numbers
 from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
@@ -66,25 +67,12 @@ def differentiated(
     speed: Number | None,
     amplitude: Number | None,
 ) -> Train:
-    """A wave that was found, with the derivatives by its numbers that the implicit function theorem gives.
-
-    One more step of Newton's method for the coefficients c_j of cos(j theta) and m c^2, by JAX.
-    """
-    points = len(known.strain)
-    j, theta = np.arange(1, points // 2), 2 * np.pi * np.arange(points) / points - np.pi
-    cos, sin = np.cos(np.outer(j, theta)), np.sin(np.outer(j, theta))
-    fixed = jax.lax.stop_gradient
+    """A wave that was found, with the derivatives by its numbers that the implicit function theorem gives."""
+    j, cos, sin = _harmonics(len(known.strain) // 2)
+    level = float(jax.lax.stop_gradient(mass)) * known.speed**2
+    start = np.append(2 / cos.shape[1] * cos @ known.strain, level)
     given = law, mass, mean, wavelength, speed, amplitude
-    start = np.append(2 / points * cos @ known.strain, float(fixed(mass)) * known.speed**2)
-
-    def left(x, given):
-        law, mass, mean, wavelength, speed, amplitude = given
-        c, level, half = x[:-1], x[-1], np.pi * j / wavelength
-        force = 2 / points * (cos @ law.force(mean + c @ cos))
-        held = level - mass * speed**2 if amplitude is None else (j % 2) @ c - amplitude
-        return jnp.append(level * c - (jnp.sin(half) / half) ** 2 * force, held)
-
-    x = start - jnp.linalg.solve(jax.jacfwd(left)(start, fixed(given)), left(start, given))
+    x = root(_left, start, given, tolerance=FOLLOWED).x
     c, speed, half = x[:-1], jnp.sqrt(x[-1] / mass), np.pi * j / wavelength
     # a bead stands half a contact before its contact
     own = c / (2 * jnp.sin(half))
@@ -92,6 +80,22 @@ def differentiated(
     velocity = speed * ((2 * half * ahead) @ cos + (2 * half * behind) @ sin)
     displacement = behind @ cos - ahead @ sin
     return Train(speed, wavelength / 2, c @ cos, velocity, displacement, mean, *known[-2:])
+
+
+def _harmonics(count):
+    """j below `count`, and cos and sin of j theta at the places of a box, which begins at a trough."""
+    j, theta = np.arange(1, count), np.pi * np.arange(2 * count) / count - np.pi
+    return j, np.cos(np.outer(j, theta)), np.sin(np.outer(j, theta))
+
+
+def _left(x, given):
+    """What is left of the equation for the coefficients c_j of cos(j theta) and m c^2."""
+    law, mass, mean, wavelength, speed, amplitude = given
+    j, cos, _ = _harmonics(len(x))
+    c, level, half = x[:-1], x[-1], np.pi * j / wavelength
+    force = 2 / cos.shape[1] * (cos @ law.force(mean + c @ cos))
+    held = level - mass * speed**2 if amplitude is None else (j % 2) @ c - amplitude
+    return jnp.append(level * c - (jnp.sin(half) / half) ** 2 * force, held)
 
 
 class _Family(NamedTuple):

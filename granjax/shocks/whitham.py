@@ -19,18 +19,17 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.integrate import solve_ivp
 from scipy.linalg import eig
-from scipy.optimize import brentq
 
 from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
-from ..profiles.medium import fine, one_number
+from ..profiles.medium import fine_values, one_number
+from ..profiles.solving import decay_rate
 from ..results import Result, array
 from ..theory.fitting import shock_edges
 from ..tuning import one_thread
@@ -224,7 +223,7 @@ def _posed(law, c, mass, ahead):
         _scaled(medium_of(law, mass).law, ahead, jump),
         sound,
         jump,
-        _decay(1 + float(fit.leading_excess)),
+        decay_rate((1 + float(fit.leading_excess)) ** 2),
         np.array([1.0, k]),
         -2 * c / (sound * jump),
     )
@@ -232,32 +231,27 @@ def _posed(law, c, mass, ahead):
 
 def _scaled(law, ahead, jump):
     """Force and stiffness at strains that count from the one ahead in jumps, stiffnesses over that ahead."""
-    begin, stiffness = (float(x[0]) for x in _force(law, np.array([ahead])))
+    begin, stiffness, _ = (float(x[0]) for x in fine_values(law, np.array([ahead])))
 
     def force(x):
-        F, slope = (np.asarray(y) for y in _force(law, ahead + jump * x))
+        F, slope, _ = (np.asarray(y) for y in fine_values(law, ahead + jump * x))
         return (F - begin) / (stiffness * jump), slope / stiffness
 
     return force
 
 
-@eqx.filter_jit
-def _force(law, strain):
-    return fine(law, strain)[:2]
-
-
-def _decay(speed):
-    """The rate q at which a solitary wave of a speed over that of sound falls: sinh(q/2)/(q/2) = speed."""
-    return 2 * brentq(lambda x: np.sinh(x) / x - speed, 1e-9, 20.0)
-
-
 class _Wave(NamedTuple):
-    """k, mean strain and (crest - trough)/2; cosine coefficients c and omega^2; their derivatives by the former."""
+    """k, mean strain and (crest - trough)/2; cosine coefficients c and omega^2; their derivatives by the former.
+
+    `phi`: the strain about the mean at the places of a period, from a crest on; `stiffness`: its coefficients there.
+    """
 
     place: np.ndarray
     c: np.ndarray
     square: float
     slopes: np.ndarray
+    phi: np.ndarray
+    stiffness: np.ndarray
 
 
 class _Family:
@@ -267,7 +261,7 @@ class _Family:
         self.force, self.count, self.known = force, HARMONICS, None
 
     def system(self, place, c, square):
-        """What Newton's method needs: residual, Jacobian, less the residual's derivatives by the place; and F."""
+        """Residual, Jacobian, less the residual's derivatives by the place; strain and stiffness of a `_Wave`."""
         (k, mean, size), j = place, np.arange(1, self.count + 1)
         points = 4 * self.count
         phi = np.fft.irfft(np.concatenate([[0.0], c, np.zeros(self.count)]), points) * points / 2
@@ -282,20 +276,20 @@ class _Family:
         by_place[:-1, 0] = 2 * np.sin(j * k) / j * 2 * force[j]
         by_place[:-1, 1] = spring * 2 * stiffness[j]
         by_place[-1, 2] = 1.0
-        return residual, jacobian, by_place, (phi, stiffness)
+        return residual, jacobian, by_place, phi, stiffness
 
     def newton(self, place, c, square):
         """The wave at a place from a guess, or `None`."""
         c = np.concatenate([c, np.zeros(self.count - len(c))])
         for _ in range(STEPS):
-            residual, jacobian, by_place, _ = self.system(place, c, square)
+            residual, jacobian, by_place, *seen = self.system(place, c, square)
             if not np.isfinite(residual).all():
                 return None
             *move, change = np.linalg.solve(jacobian, residual)
             c, square = c - move, square - change
             # the change of the square, whose weight is the amplitude, is known to rounding over that
             if max(np.abs(move).max(), abs(change) * place[2]) < CONVERGED:
-                return _Wave(place, c, square, np.linalg.solve(jacobian, by_place))
+                return _Wave(place, c, square, np.linalg.solve(jacobian, by_place), *seen)
         return None
 
     def follow(self, place):
@@ -315,38 +309,30 @@ class _Family:
                 if wave is None:
                     break
             parts *= 2
-        if wave is None:
-            raise _Lost(f"No wave is found where {self.said(place)}.")
-        while np.abs(wave.c[-3:]).max() > RESOLVED and self.count < MOST:
+        while wave and np.abs(wave.c[-3:]).max() > RESOLVED and self.count < MOST:
             self.count *= 2
             wave = self.newton(place, wave.c, wave.square)
-            if wave is None:
-                raise _Lost(f"No wave is found where {self.said(place)}.")
+        if wave is None:
+            k, mean, size = place
+            where = f"k = {k:.3g}, with {mean:.3g} and {2 * size:.3g} jumps of mean and height"
+            raise _Lost(f"No wave is found where {where}.")
         self.known = wave
         return wave
-
-    @staticmethod
-    def said(place):
-        """A place in words."""
-        k, mean, size = place
-        return f"k = {k:.3g}, with {mean:.3g} and {2 * size:.3g} jumps of mean and height"
 
     def characteristic(self, place):
         """The second fastest speed s at a place, the direction (dk, dy, da, dv) along it, and the row of a table."""
         wave = self.follow(place)
-        (k, mean, size), c, square = wave.place, wave.c, wave.square
-        by_c, by_square = wave.slopes[:-1], wave.slopes[-1]
-        j, omega, one = np.arange(1, len(c) + 1), square**0.5, np.array([1.0, 0.0, 0.0])
-        phi, stiffness = self.system(wave.place, c, square)[3]
+        (k, mean, size), c, square, (*by_c, by_square), phi, stiffness = wave
+        j, omega, (by_k, by_mean, _) = np.arange(1, len(c) + 1), square**0.5, np.eye(3)
         omega_by = by_square / (2 * omega)
-        force_by = stiffness[j] @ by_c + stiffness[0] * np.array([0.0, 1.0, 0.0])
+        force_by = stiffness[j] @ by_c + stiffness[0] * by_mean
         # J = omega w c^2, and -L_k = -omega^2/2 w' c^2, with the derivatives of w = j^2/(8 sin^2(j k/2)) by k
         sin, cos = np.sin(j * k / 2), np.cos(j * k / 2)
         w, w1 = j**2 / (8 * sin**2), -(j**3) * cos / (8 * sin**3)
         w2 = j**4 * (1 + 2 * cos**2) / (16 * sin**4)
-        action_by = (w @ c**2) * omega_by + omega * (2 * (w * c) @ by_c + w1 @ c**2 * one)
+        action_by = (w @ c**2) * omega_by + omega * (2 * (w * c) @ by_c + w1 @ c**2 * by_k)
         flux_by = -(w1 @ c**2) / 2 * by_square - square / 2 * (
-            2 * (w1 * c) @ by_c + w2 @ c**2 * one
+            2 * (w1 * c) @ by_c + w2 @ c**2 * by_k
         )
         # by the square of the amplitude, of which all are smooth functions
         smooth = np.array([1.0, 1.0, 1 / (2 * size)])

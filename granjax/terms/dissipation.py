@@ -69,8 +69,8 @@ class Langevin(Damping):
     **Arguments:** `rate`: gamma >= 0 [1/s], a number or one per site: zero where there is no bath. `temperature`: k_B T
     >= 0 [J], a number or one per site. `seed`: a whole number, traced ones too, or one per lane; lanes that share a
     seed have noise of their own, the first of them that of a run alone. A run that starts at another time draws other
-    numbers.
-    `field`: as in `OnSite`. **Raises** ValueError for negative rates or temperatures, or a seed that is not whole.
+    numbers. `field`: as in `OnSite`. **Raises** ValueError for negative rates or temperatures, or a seed that is not
+    whole.
     Source: B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013).
 
     **Example:**

@@ -57,10 +57,7 @@ def averages_of(wave: Profile, points: int, error: float) -> Averages:
     mass, wavelength, law = wave.mass, wave.wavelength, wave.law
     omega, xi = 2 * np.pi * wave.speed / wavelength, wavelength / points * np.arange(points)
     strain, own, ahead = wave.strain(xi), wave.velocity(xi), wave.velocity(xi + 1)
-    known = not traced((law, mass, strain))
-    F, W = (
-        values(law, np.asarray(strain))[::2] if known else (law.force(strain), law.energy(strain))
-    )
+    F, _, W = values(law, strain)
     kinetic, potential = mass / 2 * (own**2).mean(), W.mean()
     error = max(error, points**0.5 * np.finfo(float).eps)
     numbers = dict(
@@ -176,8 +173,7 @@ def periodic_wave(
 def _recorded(medium, found, wavelength, mean):
     psi, mass = found.strain, medium.mass
     crest, trough = psi[len(psi) // 2], psi[0]
-    energy = medium.law.energy if traced(tuple(found)) else lambda y: values(medium.law, y)[2]
-    stored = energy(mean + psi).mean() + mass / 2 * (found.velocity**2).mean()
+    stored = values(medium.law, mean + psi)[2].mean() + mass / 2 * (found.velocity**2).mean()
     numbers = dict(
         speed=found.speed,
         wavelength=wavelength,
