@@ -1,4 +1,4 @@
-"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, the electrical lattice, the discrete p-Schroedinger equation.
+"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, Salerno's lattice, the discrete p-Schroedinger equation.
 
 They are complex vector fields f(t, psi, args) over `gx.Flow` and diffrax, the equation being `args`:
 
@@ -11,10 +11,11 @@ They are complex vector fields f(t, psi, args) over `gx.Flow` and diffrax, the e
     end = flow(psi, 0.0, 20.0, equation)
 """
 
-from .equations import DNLS, DpS, Equation, electrical, field, tau_0
+from .equations import DNLS, DpS, Equation, Salerno, electrical, field, tau_0
 from .evolution import Evolution, evolve
 from .solitons import Soliton, soliton
 from .split_step import SplitStep
+from .stability import SolitonFamily, SolitonStability, soliton_family, stability
 from .trapping import SelfTrapping, self_trapping
 
 __all__ = [
@@ -22,13 +23,18 @@ __all__ = [
     "DpS",
     "Equation",
     "Evolution",
+    "Salerno",
     "SelfTrapping",
     "Soliton",
+    "SolitonFamily",
+    "SolitonStability",
     "SplitStep",
     "electrical",
     "evolve",
     "field",
     "self_trapping",
     "soliton",
+    "soliton_family",
+    "stability",
     "tau_0",
 ]

@@ -1,4 +1,4 @@
-"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, the electrical lattice, the discrete p-Schroedinger equation."""
+"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, Salerno's and Ablowitz and Ladik's, the electrical one, DpS."""
 
 import abc
 from typing import Any
@@ -22,7 +22,8 @@ class Equation(eqx.Module):
     """A first-order lattice, i dpsi_n/dt = dH/dpsi_n*, psi complex of shape (N, *lanes).
 
     To add one, give it `sites` and write `energy`, real and free of the phase of psi (then the norm is kept);
-    `gradient` where it is cheaper than automatic differentiation. `gx.first_order.field` is its vector field.
+    `gradient` where it is cheaper than automatic differentiation. `gx.first_order.field` is its vector field. A lattice
+    with other Poisson brackets writes `rate` and `norm` too, as `Salerno` does.
     """
 
     sites: eqx.AbstractVar[int]
@@ -35,6 +36,10 @@ class Equation(eqx.Module):
     def gradient(self, psi: Amplitudes) -> Amplitudes:
         """dH/dpsi*, of psi's shape."""
         return jnp.conj(jax.grad(lambda psi: jnp.sum(self.energy(psi)))(psi)) / 2
+
+    def rate(self, psi: Amplitudes) -> Amplitudes:
+        """i dpsi/dt: dH/dpsi*, where the brackets are the plain ones."""
+        return self.gradient(psi)
 
     def norm(self, psi: Amplitudes) -> Numbers:
         """Sum over the sites of |psi_n|^2, one number per lane."""
@@ -71,9 +76,9 @@ def check_shape(psi: Any, equation: Any) -> None:
 
 
 def field(t: Any, psi: Amplitudes, equation: Equation) -> Amplitudes:
-    """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax."""
+    """dpsi/dt = -i dH/dpsi* (-i `rate`): a vector field f(t, psi, args) for `gx.Flow(n, solver, field)`, diffrax."""
     check_shape(psi, equation)
-    return -1j * equation.gradient(psi)
+    return -1j * equation.rate(psi)
 
 
 class DNLS(Equation):
@@ -173,6 +178,94 @@ class DNLS(Equation):
         """Frequency of each site by itself."""
         own = -self.nonlinearity.force(jnp.real(psi) ** 2 + jnp.imag(psi) ** 2)
         return own if self.potential is None else own + trailing(self.potential, psi)
+
+
+# below this mu |psi|^2 the logarithm is a series of so many terms, rounded to the last place
+SMALL, TERMS = 0.05, 12
+
+
+class Salerno(Equation):
+    r"""Salerno's lattice, between that of Ablowitz and Ladik and DNLS.
+
+    i dpsi_n/dt = V [2 psi_n - (1 + mu |psi_n|^2) (psi_{n+1} + psi_{n-1})] - chi |psi_n|^2 psi_n.
+
+    chi = 0 is the integrable lattice of Ablowitz and Ladik, mu = 0 is `DNLS`. With the brackets
+    i dpsi_n/dt = (1 + mu |psi_n|^2) dH/dpsi_n* it keeps the norm sum ln(1 + mu |psi_n|^2)/mu and
+    H = sum_n -2 V Re(psi_n* psi_{n+1}) + (2 V + chi/mu) ln(1 + mu |psi_n|^2)/mu - chi |psi_n|^2/mu.
+    The soliton at rest for chi = 0 is sinh(b) sech(b (n - x)) exp(-i omega t)/sqrt(mu) at any x, with
+    omega = 2 V (1 - cosh b).
+
+    **Arguments:** `sites`: N >= 2, on a ring >= 3. `coupling`: V [rad/s]. `nonlinearity`: chi [rad/s per |psi|^2].
+    `intersite`: mu >= 0 [per |psi|^2]. `boundary`: `"periodic"`, or `"fixed"`, psi = 0 beyond the ends. Numbers may
+    have lanes (*lanes). **Raises** ValueError for mu < 0 and other boundaries.
+    Sources: Ablowitz, Ladik, J. Math. Phys. 17, 1011 (1976); Salerno, Phys. Rev. A 46, 6856 (1992).
+
+    **Example:**
+
+    >>> chain = gx.first_order.Salerno(21, intersite=1.0)
+    >>> psi = np.sinh(1.0) / np.cosh(np.arange(21) - 10.0)
+    >>> bool(abs(chain.rate(psi) - 2 * (1 - np.cosh(1.0)) * psi).max() < 1e-3)
+    True
+    """
+
+    coupling: jax.Array
+    nonlinearity: jax.Array
+    intersite: jax.Array
+    sites: int = eqx.field(static=True)
+    boundary: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        sites: Count,
+        coupling: Parameter = 1.0,
+        nonlinearity: Parameter = 0.0,
+        intersite: Parameter = 1.0,
+        *,
+        boundary: str = "periodic",
+    ):
+        one_of("boundary", boundary, ("periodic", "fixed"))
+        self.sites, self.boundary = _sites(sites, boundary), boundary
+        self.coupling = parameter("coupling", coupling)
+        self.nonlinearity = parameter("nonlinearity", nonlinearity)
+        self.intersite = non_negative("intersite", intersite)
+
+    def energy(self, psi):
+        logarithm, rest = self._logarithms(psi)
+        bonds = -self.coupling * jnp.sum(jnp.real(jnp.conj(psi) * self._neighbours(psi)), axis=0)
+        sites = 2 * self.coupling * logarithm - self.nonlinearity * rest
+        return bonds + jnp.sum(sites, axis=0)
+
+    def gradient(self, psi):
+        return self.rate(psi) / (1 + self.intersite * _density(psi))
+
+    def rate(self, psi):
+        x = _density(psi)
+        hop = 2 * psi - (1 + self.intersite * x) * self._neighbours(psi)
+        return self.coupling * hop - self.nonlinearity * x * psi
+
+    def norm(self, psi):
+        return jnp.sum(self._logarithms(psi)[0], axis=0)
+
+    def _logarithms(self, psi):
+        """ln(1 + mu x)/mu and (x - ln(1 + mu x)/mu)/mu, for x = |psi|^2, at mu = 0 too."""
+        x = _density(psi)
+        z = self.intersite * x
+        small = z < SMALL
+        series = sum((-z) ** k / (k + 2) for k in range(TERMS))
+        away = jnp.where(small, 1.0, z)
+        share = jnp.where(small, series, (away - jnp.log1p(away)) / away**2)
+        return x * (1 - z * share), x**2 * share
+
+    def _neighbours(self, psi):
+        """psi_{n+1} + psi_{n-1}."""
+        if self.boundary == "periodic":
+            return jnp.roll(psi, -1, axis=0) + jnp.roll(psi, 1, axis=0)
+        wide = jnp.pad(psi, [(1, 1)] + [(0, 0)] * (psi.ndim - 1))
+        return wide[2:] + wide[:-2]
+
+
+def _density(psi):
+    return jnp.real(psi) ** 2 + jnp.imag(psi) ** 2
 
 
 def electrical(

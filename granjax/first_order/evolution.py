@@ -142,7 +142,7 @@ def _start(equation, psi):
     check_shape(psi, equation)
     lanes = "Give the start the equation's lanes, last."
     try:
-        found = jax.eval_shape(equation.gradient, psi)
+        found = jax.eval_shape(equation.rate, psi)
     except (TypeError, ValueError) as error:  # JAX's words for shapes that do not fit
         refuse("psi", "a start that the equation takes", f"shape {psi.shape}: {error}", lanes)
     if found.shape != psi.shape:
@@ -192,7 +192,7 @@ def _rate(equation, psi):
 
     def improve(_, carry):
         along, _ = carry
-        along = jax.jvp(equation.gradient, (psi,), (along,))[1]
+        along = jax.jvp(equation.rate, (psi,), (along,))[1]
         size = jnp.sqrt(jnp.sum(jnp.abs(along) ** 2))
         return along / jnp.where(size > 0, size, 1.0), size
 

@@ -117,7 +117,7 @@ def _residual(phi, args):
     equation, omega, share = args
     if isinstance(equation, DNLS):
         equation = eqx.tree_at(lambda e: e.coupling, equation, equation.coupling * share)
-    return jnp.real(equation.gradient(phi)) - omega * phi
+    return jnp.real(equation.rate(phi)) - omega * phi
 
 
 def _tolerance(phi, omega):

@@ -1,0 +1,194 @@
+"""Linear stability of standing solitons (Bogoliubov and de Gennes), and their families over the frequency."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float, Shaped
+from scipy.linalg import eig
+
+from ..checks import refuse, traced
+from ..continuation import Curve, Problem, continuation
+from ..results import Result, array, hidden
+from ..types import Count, Scalar
+from .equations import Equation
+from .solitons import Soliton, soliton
+
+# of the norm of the linearisation, what rounding leaves in it
+ROUNDING = 50 * np.finfo(float).eps
+# growth rates above so many errors are instabilities
+SURE = 3
+
+
+class SolitonStability(Result):
+    """Small disturbances of a standing soliton: what `gx.first_order.stability` returns."""
+
+    rates: Complex[np.ndarray, " mode"] = array(
+        "The rates lambda of exp(lambda t), the largest real part first.", "rad/s"
+    )
+    error: Float[np.ndarray, " mode"] = array("The error of each rate.", "rad/s")
+    modes: Complex[np.ndarray, "two site mode"] = array(
+        "Of each rate the real and the imaginary part of the disturbance chi.",
+        axes="part site mode",
+    )
+    verdict: str = array('"stable", "unstable" or "undecided".', static=True)
+
+    @property
+    def growth(self) -> float:
+        """The largest growth rate [1/s]."""
+        return float(self.rates[0].real)
+
+    @property
+    def outcome(self) -> str:
+        """The verdict and the largest growth rate, a sentence."""
+        return (
+            f"{self.verdict.capitalize()}: the largest growth rate is {self.growth:.6g} "
+            f"+- {self.error[0]:.1g}."
+        )
+
+
+def stability(equation: Equation, found: Soliton) -> SolitonStability:
+    r"""Find the growth rates of small disturbances of a standing soliton.
+
+    psi_n = (phi_n + chi_n(t)) exp(-i omega t) gives a linear, real system for (Re chi, Im chi), whose eigenvalues
+    lambda come as +-lambda and +-lambda*: those on the imaginary axis are oscillations. Two are zero, since the phase
+    is free. The error holds rounding and what the error of the soliton makes, times the condition of each eigenvalue,
+    and at a double eigenvalue the root of that.
+
+    **Arguments:** `equation`, `found`: one equation and the `Soliton` of it, from `soliton`.
+    **Returns:** `SolitonStability`. **Raises** ValueError for a batch, and where it is traced.
+    Source: Kevrekidis, The Discrete Nonlinear Schroedinger Equation (Springer 2009), chapter 2.
+
+    **Example:**
+
+    >>> chain = gx.first_order.DNLS(40)
+    >>> wave = gx.first_order.soliton(chain, omega=-1.0, guess="bond")
+    >>> gx.first_order.stability(chain, wave).verdict
+    'unstable'
+    """
+    if traced((equation, found)):
+        refuse(
+            "found",
+            "a soliton of known numbers",
+            "a traced one",
+            "Take it out of the transformation.",
+        )
+    phi = np.asarray(found.psi)
+    if phi.shape != (equation.sites,):
+        refuse("found", f"one soliton of {equation.sites} sites", f"shape {phi.shape}")
+    error = np.broadcast_to(np.asarray(found.error), ()) * np.abs(phi).max()
+    # a random direction: the error of the profile has any shape
+    other = phi + error * np.random.default_rng(0).choice([-1.0, 1.0], phi.size)
+    near, far = (
+        np.asarray(_linearised(equation, jnp.asarray(x), jnp.asarray(found.omega)))
+        for x in (phi, other)
+    )
+    values, left, right = eig(near, left=True)
+    size = np.linalg.norm(near, 2)
+    about = ROUNDING * size + np.linalg.norm(far - near, 2)
+    overlap = np.abs(np.sum(left.conj() * right, axis=0))
+    # a double eigenvalue moves by the root of a change
+    apart = np.minimum(about / np.maximum(overlap, about / size), np.sqrt(about * size))
+    order = np.lexsort((-values.imag, -values.real.round(12)))
+    values, apart = values[order], apart[order]
+    grows = values.real > SURE * apart
+    verdict = "unstable" if grows.any() else "stable"
+    # beside the zeros of the phase, a growth within its error
+    if verdict == "stable" and np.any((values.real > 1e-6 * size) & ~grows):
+        verdict = "undecided"
+    modes = right[:, order].reshape(2, equation.sites, -1)
+    return SolitonStability(values, apart, modes, verdict, _space=(1, 0))
+
+
+@eqx.filter_jit
+def _linearised(equation, phi, omega):
+    """d/dt of (Re chi, Im chi), a real matrix (2N, 2N)."""
+
+    def rate(x):
+        psi = x[: phi.size] + 1j * x[phi.size :]
+        change = -1j * (equation.rate(psi) - omega * psi)
+        return jnp.concatenate([change.real, change.imag])
+
+    return jax.jacfwd(rate)(jnp.concatenate([phi, 0 * phi]))
+
+
+class SolitonFamily(Result):
+    """Standing solitons along the frequency: what `gx.first_order.soliton_family` returns."""
+
+    omega: Float[np.ndarray, " point"] = array("The frequencies.", "rad/s")
+    psi: Float[np.ndarray, "point site"] = array("The real amplitudes phi.")
+    norm: Float[np.ndarray, " point"] = array("The norms.")
+    growth: Float[np.ndarray, " point"] = array("The largest growth rates.", "1/s")
+    growth_error: Float[np.ndarray, " point"] = array("The errors of the growth rates.", "1/s")
+    verdict: Shaped[np.ndarray, " point"] = array("Of each soliton, as `stability` has it.")
+    curve: Curve = hidden("The curve, with its folds and branch points.")
+
+    @property
+    def outcome(self) -> str:
+        """Why it ended."""
+        return self.curve.outcome.replace("p reached", "The frequency reached")
+
+
+class _Standing(Problem):
+    """dH/dpsi*(phi) = omega phi over the frequency."""
+
+    equation: Equation
+
+    def residual(self, x, p):
+        return jnp.real(self.equation.rate(x)) - p * x
+
+
+def soliton_family(
+    equation: Equation,
+    found: Soliton,
+    until: Scalar,
+    *,
+    leaving: tuple[Curve, Count] | None = None,
+    arclength: Scalar = 0.05,
+    points: Count = 200,
+) -> SolitonFamily:
+    """Follow a standing soliton over its frequency, through folds, with the stability of each.
+
+    **Arguments:** `equation`, `found`: one equation and its `Soliton`. `until`: the frequency at which to end.
+    `leaving`: instead of `found`, the branch that crosses at a branch point, `(family.curve, i)` for
+    `family.curve.special[i]`. `arclength`: the first step, over the norm of (phi, omega). `points`: the most solitons.
+    **Returns:** `SolitonFamily`. **Raises** ValueError for a point that is no branch point; RuntimeError where the
+    first one is not found.
+
+    **Example:**
+
+    >>> chain = gx.first_order.DNLS(20)
+    >>> wave = gx.first_order.soliton(chain, omega=-1.0)
+    >>> family = gx.first_order.soliton_family(chain, wave, -1.5)
+    >>> family.outcome, bool(np.all(family.verdict == "stable"))
+    ('The frequency reached -1.5.', True)
+    """
+    x, omega, until = np.asarray(found.psi), float(found.omega), float(until)
+    direction = np.sign(until - omega)
+    if leaving is not None:
+        point = leaving[0].special[leaving[1]]
+        if len(point.directions) < 2:
+            refuse("leaving", "a branch point", f"a {point.kind}")
+        x, omega, direction = point.x, point.p, point.directions[1]
+    curve = continuation(
+        _Standing(equation),
+        x,
+        omega,
+        until=until,
+        direction=direction,
+        arclength=arclength,
+        points=points,
+        tolerance=1e-11 * np.abs(x).max() * abs(omega),
+    )
+    waves = [soliton(equation, w, guess=phi, throw=False) for phi, w in zip(curve.x, curve.p)]
+    spectra = [stability(equation, wave) for wave in waves]
+    return SolitonFamily(
+        curve.p,
+        np.stack([np.asarray(wave.psi) for wave in waves]),
+        np.array([float(wave.norm) for wave in waves]),
+        np.array([one.growth for one in spectra]),
+        np.array([one.error[0] for one in spectra]),
+        np.array([one.verdict for one in spectra]),
+        curve,
+        _space=(1, 0),
+    )

@@ -1,0 +1,121 @@
+"""Stability of standing solitons of first-order lattices, and Salerno's lattice with its integrable limit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from refusals import refused
+
+from granjax.first_order import (
+    DNLS,
+    Equation,
+    Salerno,
+    evolve,
+    soliton,
+    soliton_family,
+    stability,
+)
+
+SITES = 60
+EQUATION = DNLS(SITES)
+
+
+def test_the_bond_centred_soliton_grows_at_the_published_rate():
+    """Source: Kevrekidis (2009): unstable for every frequency; 2.004446 at omega = -1.5."""
+    found = stability(EQUATION, soliton(EQUATION, -1.5, guess="bond"))
+    assert found.verdict == "unstable" and abs(found.growth - 2.004446) < 5e-7
+    assert found.error[0] < 1e-12
+    site = stability(EQUATION, soliton(EQUATION, -1.5))
+    assert site.verdict == "stable"
+    # two zeros of the phase, the band's edge at |omega|
+    zeros = np.abs(site.rates) <= site.error
+    assert zeros.sum() == 2
+    assert np.abs(site.rates[~zeros]).min() > 1.0
+
+
+def test_the_rate_is_that_of_a_run_and_of_the_matrices():
+    wave = soliton(EQUATION, -1.5, guess="bond")
+    found = stability(EQUATION, wave)
+    part = found.modes[:, :, 0].real
+    moved = np.asarray(wave.psi) + 1e-7 * (part[0] + 1j * part[1])
+    run = evolve(EQUATION, moved, 2.0, save_at=[1.0, 2.0], tolerance=1e-12)
+    turned = np.asarray(run.psis) * np.exp(-1.5j * np.array([1.0, 2.0]))[:, None]
+    sizes = np.linalg.norm(turned - np.asarray(wave.psi), axis=1)
+    assert_allclose(np.log(sizes[1] / sizes[0]), found.growth, rtol=1e-5)
+    # lambda^2 are the eigenvalues of -L- L+, by NumPy alone
+    phi = np.asarray(wave.psi)
+    laplacian = 2 * np.eye(SITES) - np.roll(np.eye(SITES), 1, 0) - np.roll(np.eye(SITES), -1, 0)
+    minus, plus = (laplacian + np.diag(1.5 - k * phi**2) for k in (1, 3))
+    squared = np.linalg.eigvals(-minus @ plus)
+    assert_allclose(found.growth, np.sqrt(squared.real.max()), rtol=1e-11)
+
+
+@pytest.mark.slow
+def test_an_oscillatory_instability_of_a_twisted_soliton():
+    """Two sites of unlike sign: stable at weak coupling, a quadruple of rates where modes of unlike signs collide."""
+    profile = np.zeros(SITES)
+    profile[29], profile[30] = 1.0, -1.0
+    verdicts, growth = [], []
+    for coupling in (0.02, 0.4):
+        equation = DNLS(SITES, coupling)
+        found = stability(equation, soliton(equation, -1.0, guess=profile))
+        verdicts.append(found.verdict)
+        growth.append(found.rates[0])
+    assert verdicts == ["stable", "unstable"] and abs(growth[1].imag) > 0.1
+
+
+def test_the_soliton_of_ablowitz_and_ladik():
+    equation, b, n = Salerno(81, 1.3, 0.0, 0.7), 0.8, np.arange(81)
+    omega = 2 * 1.3 * (1 - np.cosh(b))
+    for centre in (40.0, 40.3):  # anywhere: it is integrable
+        profile = np.sinh(b) / np.cosh(b * (n - centre)) / np.sqrt(0.7)
+        wave = soliton(equation, omega, guess=profile)
+        assert_allclose(np.asarray(wave.psi), profile, atol=1e-12)
+        assert_allclose(float(wave.norm), 2 * b / 0.7, rtol=1e-12)
+        found = stability(equation, wave)
+        assert found.verdict == "stable"
+        assert (np.abs(found.rates) < 1e-3).sum() == 4  # phase and place
+
+
+def test_salerno_keeps_its_energy_and_norm_and_has_both_limits():
+    rng = np.random.default_rng(3)
+    psi = jnp.asarray(rng.normal(size=(9, 2)) + 1j * rng.normal(size=(9, 2)))
+    for boundary in ("periodic", "fixed"):
+        equation = Salerno(9, 0.7, 0.9, 0.3, boundary=boundary)
+        assert_allclose(equation.gradient(psi), Equation.gradient(equation, psi), atol=1e-14)
+        run = evolve(equation, psi, 2.0)
+        assert run.norm_error.max() < 1e-13 and run.energy_error.max() < 1e-13
+        plain, own = (
+            DNLS(9, 0.7, 0.9, boundary=boundary),
+            Salerno(9, 0.7, 0.9, 0.0, boundary=boundary),
+        )
+        assert_allclose(own.rate(psi), plain.rate(psi), atol=1e-14)
+        assert_allclose(own.energy(psi), plain.energy(psi), rtol=1e-13)
+        assert_allclose(own.norm(psi), plain.norm(psi), rtol=1e-14)
+        # the energy is the same from both sides of where the series ends
+        near = lambda x: float(Salerno(9, 0.7, 0.9, x, boundary=boundary).energy(0.05 * psi[:, 0]))
+        edge = 0.05 / float(jnp.abs(0.05 * psi[0, 0]) ** 2)
+        assert_allclose(near(edge * (1 + 1e-12)), near(edge * (1 - 1e-12)), rtol=1e-11)
+    slope = jax.grad(lambda mu: jnp.sum(Salerno(9, 0.7, 0.9, mu).energy(psi)))(0.3)
+    higher, lower = (float(jnp.sum(Salerno(9, 0.7, 0.9, x).energy(psi))) for x in (0.3001, 0.2999))
+    assert_allclose(slope, (higher - lower) / 2e-4, rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_family_keeps_its_solitons_and_the_norm_rule():
+    wave = soliton(EQUATION, -0.5, guess="bond")
+    family = soliton_family(EQUATION, wave, -1.5)
+    assert family.omega[-1] == -1.5 and np.all(family.verdict == "unstable")
+    assert abs(family.growth[-1] - 2.004446) < 5e-7
+    assert_allclose(family.norm[0], float(wave.norm), rtol=1e-12)
+
+
+def test_what_is_refused():
+    wave = soliton(EQUATION, -1.0)
+    with refused("one soliton of 20 sites"):
+        stability(DNLS(20), wave)
+    with refused("known numbers"):
+        jax.jit(lambda w: stability(EQUATION, w))(wave)
+    with refused("intersite"):
+        Salerno(9, intersite=-1.0)
