@@ -202,7 +202,7 @@ def continuation(
             if here.crosses(there, kind):
                 test = lambda point: point.test(kind)
                 best = system.zero(here, there, test, share=CLOSER[kind])
-                ways = _directions(system, kind, best, here.tangent)
+                ways = directions(system, kind, best, here.tangent)
                 special.append(Special(kind, best.x, best.p, len(zs) - 1, ways))
         here = there
         zs.append(here.z)
@@ -385,7 +385,9 @@ def _second(problem, z, v, w):
     return jax.jvp(lambda z: jax.jvp(f, (z,), (v,))[1], (z,), (w,))[1]
 
 
-def _directions(system, kind, point, before):
+def directions(
+    system: System, kind: str, point: Point, before: np.ndarray
+) -> Float[np.ndarray, "branches n_and_p"]:
     """Tangents of the branches that meet at a special point, the one nearest to `before` first."""
     if kind == "fold":
         return point.tangent[None]

@@ -17,7 +17,7 @@ from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
 from ..measures import rms_velocity
 from ..newton import Root, nearby
-from ..results import Held, Result, array, part
+from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Displacements, Numbers, Scalar, StateLike
@@ -30,6 +30,9 @@ from .asked import (
     history,
 )
 from .floquet import decide, structure, weights
+from .leaving import NormalForm, normal_form, ways
+from .loci import KINDS as LOCI
+from .loci import Locus, locus
 from .orbit import (
     BRANCH,
     DOUBLINGS,
@@ -77,6 +80,7 @@ class Bifurcation(Result):
         default=None,
     )
     behind: int | None = array("What the kind counts behind.", default=None)
+    _z: Any = hidden("The unknowns (x, q) there.", default=None)
 
     def __repr__(self) -> str:
         return f"Bifurcation({self.outcome[:-1]})"
@@ -178,6 +182,131 @@ class Branch(Result):
     def _places(self, kind):
         return np.array([b.p for b in self.bifurcations if b.kind == kind])
 
+    def normal_form(self, i: Count | Bifurcation) -> NormalForm:
+        """Tell super- from subcritical at a bifurcation of forced orbits, by the coefficient of its normal form.
+
+        `i`: an index into `bifurcations`, or one of them. **Returns:** `NormalForm`. **Raises** ValueError for a family
+        of breathers, whose branches tell it themselves, and for a fold.
+        """
+        found = self._bifurcation(i, (BRANCH_POINT, DOUBLING, TORUS))
+        if self._family.shooting.reversible:
+            remedy = "Follow what leaves: branch.switch(i)."
+            refuse("branch", "a branch of forced orbits", "a family of breathers", remedy)
+        return normal_form(self._family, found._z, found.kind, found.multiplier)
+
+    def switch(
+        self,
+        i: Count | Bifurcation,
+        *,
+        side: int = 1,
+        until: tuple[Scalar, ...] | Scalar | None = None,
+        arclength: Scalar = 0.02,
+        longest_arclength: Scalar | None = None,
+        points: Count = 50,
+        response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
+    ) -> "Branch":
+        """Follow what leaves a branch at a branch point, or the doubled orbit at a period doubling.
+
+        The branch point or doubling itself is not among the points; the first one is `arclength` away.
+
+        **Arguments:** `i`: an index into `bifurcations`, or a `Bifurcation` such as `gx.breathers.bifurcations` gives.
+        `side`: 1 or -1, to which side; of a doubling -1 is the same orbit a period later. `until`: values of the
+        parameter at which to end, by default the ends of the branch. `arclength`, `longest_arclength`, `points`,
+        `response`: as in `gx.forced.forced_branch`, and so are the steps of forced orbits; those of breathers stay.
+
+        **Returns:** `Branch`; of a doubled breather the parameter is its own frequency. A torus is
+        `gx.orbits.torus(branch, i)`. **Raises** ValueError for a fold, a Neimark-Sacker point; RuntimeError where no
+        orbit is found beside the point.
+        Source: Keller, in Applications of Bifurcation Theory (1977), 359.
+
+        **Example:**
+
+        >>> well, beside = gx.OnSite(gx.Polynomial(-1.0, 0.0, 1.0)), gx.State(jnp.ones(2), jnp.zeros(2))
+        >>> make = lambda f: gx.Lattice(jnp.ones(2), (well, gx.Damping(0.3), gx.Drive(gx.Harmonic(f, 1.2), 0)))
+        >>> branch = gx.forced.forced_branch(make, 0.25, 0.28, period=2 * np.pi / 1.2, guess=beside, transient=60)
+        >>> branch.bifurcations
+        (Bifurcation(Period doubling at p = 0.265581786),)
+        >>> branch.normal_form(0).criticality, branch.switch(0, points=3).verdict.tolist()
+        ('supercritical', ['stable', 'stable', 'stable'])
+        """
+        found = self._bifurcation(i, (BRANCH_POINT, DOUBLING))
+        z, tangent = found._z, self._curve.tangents[found.after]
+        family, x, q, direction = ways(self._family, z, found.kind, tangent)
+        if until is None:
+            ends = float(family.value(0.0)), float(family.value(1.0))
+            until = None if self._family.shooting.reversible else ends
+        if until is not None:
+            until = (np.atleast_1d(until) - float(family.start)) / float(family.span)
+        reversible = family.shooting.reversible
+        most = 2**DOUBLINGS * int(family.shooting.flow.steps)
+        while True:
+            curve = family.follow(
+                x,
+                q,
+                until=until,
+                direction=np.sign(side) * direction,
+                arclength=arclength,
+                longest_arclength=5 * arclength if longest_arclength is None else longest_arclength,
+                points=points,
+                find=(FOLD, BRANCH_POINT) if reversible else (FOLD,),
+            )
+            along = examined_along(family, curve, response)
+            if reversible:
+                return branch_of(family, curve, along)
+            looked, multipliers, *_ = zip(*along)
+            enough = _enough(family, curve, looked, response, BRANCH, most)
+            if enough is family:
+                found = _along_forced(family, curve, multipliers, response)
+                return branch_of(family, curve, along, found)
+            family = enough
+
+    def locus(
+        self,
+        i: Count | Bifurcation,
+        make: Callable[..., Any],
+        start: Scalar,
+        until: Scalar,
+        *,
+        period: Callable[..., Any] | None = None,
+        arclength: Scalar = 0.02,
+        points: Count = 100,
+    ) -> Locus:
+        """Follow a bifurcation in a second parameter: a curve of folds, doublings, pitchforks, torus or Krein points.
+
+        **Arguments:** `i`: an index into `bifurcations`, or a `Bifurcation`. `make(p, other)`: the lattice, traced, at
+        `other = start` that of the branch; of a family over the frequency `make(other)`. `until`: the curve ends there,
+        or where it comes back to `start`; it goes through its own folds. `period`: of p and `other`, where it depends
+        on that. `arclength`: the first step, where the way from `start` to `until` counts 1; the longest is five times
+        that. `points`: the most points. A branch point is followed as long as the symmetry that it breaks is there.
+
+        **Returns:** `Locus`, with cusps and strong resonances. **Raises** ValueError for lattices that do not begin
+        with the branch; RuntimeError where the first point is not found.
+        """
+        found = self._bifurcation(i, LOCI)
+        rho = found.multiplier
+        angle = 0.0 if rho is None else float(np.angle(rho))
+        settings = {"period": period, "arclength": arclength, "points": points}
+        at = found._z, found.kind, angle
+        return locus(self._family, *at, make, start, until, **settings)
+
+    def continue_in(
+        self, i: Count, make: Callable[[Any], Any], start: Scalar, until: Scalar, **keywords: Any
+    ) -> "Branch":
+        """Follow the forced orbit at point i over another parameter: `gx.forced.forced_branch` from there.
+
+        `make`, `start`, `until`, `keywords`: as there; `period` is that of the orbit unless it is given.
+        """
+        orbit = self.orbit(i)
+        given = {"period": float(orbit.period), "guess": orbit.state, "t0": self.t0}
+        return forced_branch(make, start, until, **given | keywords)
+
+    def _bifurcation(self, i, kinds):
+        """A bifurcation by its index or as it is, of some kinds."""
+        found = i if isinstance(i, Bifurcation) else self.bifurcations[i]
+        if found._z is None or found.kind not in kinds:
+            refuse("i", " or ".join(f"a {kind}" for kind in kinds), f"a {found.kind}")
+        return found
+
     def orbit(self, i: Count) -> Orbit:
         """The `Orbit` at point i; -1 is the last."""
         family, (x, q) = self._family, jax.device_put((self._curve.x[i], self._curve.p[i]))
@@ -211,7 +340,8 @@ def _bifurcation_at(family, kind, z, after, *known):
     x, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
     state = State(*family.shooting.state(x))
     origin = family.scene(q)[0].origin
-    return Bifurcation(kind, float(family.value(q)), int(after), state, *known, **origin)
+    place = kind, float(family.value(q)), int(after)
+    return Bifurcation(*place, state, *known, _z=np.asarray(z), **origin)
 
 
 class _Examined(NamedTuple):

@@ -1,0 +1,205 @@
+"""What leaves a branch at a bifurcation: normal forms, the doubled orbit, the first step along another branch."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import refuse
+from ..continuation import directions
+from ..flow import Flow
+from ..lattice import State
+from ..results import Result, array
+from ..types import Scalar
+from .problems import Family, over_omega
+
+# of a coefficient, what rounding leaves of third derivatives; changes of steps that count as its error
+ROUNDING = 1e-9
+SAFETY = 2
+# of the orbit's size: so far from a symmetric branch point Newton's method may leave the orbit, which makes a square
+# that is not there
+PLACED = 1e-3
+# singular values below this share of the largest are zero
+SINGULAR = 1e-4
+
+
+class NormalForm(Result):
+    """How orbits bifurcate: what `branch.normal_form(i)` returns."""
+
+    kind: str = array(
+        'The bifurcation, a branch point as "pitchfork" or "transcritical".', static=True
+    )
+    coefficient: float = array(
+        "Of the return map along the critical direction, x the share of the orbit's size: x + c x^2 "
+        "(transcritical), x + c x^3 (pitchfork), -x + c x^3 (period doubling), exp(i theta) x (1 + c |x|^2), its real "
+        "part, (Neimark-Sacker)."
+    )
+    error: float = array("The error of the coefficient, from twice the steps.")
+    criticality: str = array(
+        '"supercritical": what leaves is stable where the branch is not; "subcritical"; "undecided" within the error; '
+        '"" of a transcritical point.',
+        static=True,
+    )
+
+    @property
+    def outcome(self) -> str:
+        """The verdict, a sentence."""
+        word = f"{self.criticality} " if self.criticality else ""
+        said = f"{word}{self.kind}"
+        return f"{said[0].upper()}{said[1:]}: c = {self.coefficient:.6g} +- {self.error:.1g}."
+
+
+def normal_form(family: Family, z: np.ndarray, kind: str, multiplier: complex) -> NormalForm:
+    """The coefficient that decides which way orbits leave, at z = (x, q) of a family of forced orbits.
+
+    Source: Kuznetsov, Elements of Applied Bifurcation Theory, chapters 5 and 8.
+    """
+    steps = family.shooting.whole.steps
+    found = [_coefficients(family, z, multiplier, by * steps) for by in (1, 2)]
+    (square, cubic), (square2, cubic2) = found
+    about = lambda a, b, size: SAFETY * abs(a - b) + ROUNDING * size
+    error, sign = about(cubic, cubic2, abs(cubic)), -1 if kind == "period doubling" else 1
+    if kind == "branch point":
+        if abs(square) > PLACED * abs(cubic):
+            error = about(square, square2, abs(square) + PLACED * abs(cubic))
+            return NormalForm("transcritical", float(square), float(error), "")
+        kind, error = "pitchfork", error + abs(square)
+    word = "supercritical" if sign * cubic < 0 else "subcritical"
+    return NormalForm(kind, float(cubic), float(error), word if abs(cubic) > error else "undecided")
+
+
+def _coefficients(family, z, multiplier, steps):
+    """The quadratic and the cubic coefficient at the critical multiplier, by `steps` in a period."""
+    z, steps = jnp.asarray(z), jnp.asarray(steps)
+    A = np.asarray(_derivative(family, z, steps, 1, ())[0])
+    values, left, right = _eigenvectors(A, multiplier)
+    rho, one = values, np.eye(len(A))
+    q, p = right, left / np.vdot(left, right).conj()
+    real = abs(rho.imag) < 1e-6
+    parts = (lambda a: (a.real, a.imag)) if not real else (lambda a: (a.real, 0 * a.real))
+
+    def B(a, b):
+        (ar, ai), (br, bi) = parts(a), parts(b)
+        second = lambda x, y: np.asarray(_derivative(family, z, steps, 2, (x, y)))
+        if real:
+            return second(ar, br)
+        return second(ar, br) - second(ai, bi) + 1j * (second(ar, bi) + second(ai, br))
+
+    def C(a):
+        """C(a, a, conj a)."""
+        r, s = parts(a)
+        third = lambda x, y, w: np.asarray(_derivative(family, z, steps, 3, (x, y, w)))
+        if real:
+            return third(r, r, r)
+        return third(r, r, r) + third(r, s, s) + 1j * (third(r, r, s) + third(s, s, s))
+
+    if real:
+        sign = np.sign(rho.real)
+        square = np.vdot(p, B(q, q)).real / 2
+        # bordered, as I - A is singular itself where the multiplier is 1
+        h = (
+            _bordered(one - A, q.real, p.real, B(q, q))
+            if sign > 0
+            else np.linalg.solve(one - A, B(q, q))
+        )
+        return square, np.vdot(p, C(q) + 3 * B(q, h)).real / 6
+    turn = rho / abs(rho)
+    mean = np.linalg.solve(one - A, B(q, q.conj()))
+    twice = np.linalg.solve(turn**2 * one - A, B(q, q))
+    d = np.vdot(p, C(q) + 2 * B(q, mean) + B(q.conj(), twice)) / 2
+    return 0.0, (d / turn).real
+
+
+def _eigenvectors(A, multiplier):
+    """The eigenvalue of A next to a multiplier, its unit left and right eigenvectors."""
+    values, right = np.linalg.eig(A)
+    i = np.argmin(np.abs(values - multiplier))
+    others, left = np.linalg.eig(A.conj().T)
+    j = np.argmin(np.abs(others - values[i].conj()))
+    q, p = right[:, i], left[:, j]
+    q = q / np.linalg.norm(q)
+    if abs(values[i].imag) < 1e-6:
+        q, p = (x * np.exp(-1j * np.angle(x[np.argmax(np.abs(x))])) for x in (q, p))
+    return values[i], p, q
+
+
+def _bordered(matrix, right, left, b):
+    """h with matrix h = b up to what lies along the left null vector, and right . h = 0."""
+    whole = np.block([[matrix, left[:, None]], [right[None], np.zeros((1, 1))]])
+    return np.linalg.solve(whole, np.append(np.real(b), 0.0))[:-1]
+
+
+@eqx.filter_jit
+def _derivative(family, z, steps, order, along):
+    """Of the map over a period, in units of the branch: its matrix, or a derivative along some directions."""
+    shooting, (lattice, period) = family.shooting, family.scene(z[-1])
+    unravel, scale = ravel_pytree(shooting.like)[1], shooting.scale
+    x, flow = z[: scale.size], Flow(steps, shooting.flow.solver)
+
+    def mapped(x):
+        y = State(*unravel(x * scale))
+        return ravel_pytree(flow(y, shooting.t0, shooting.t0 + period, lattice))[0] / scale
+
+    if order == 1:
+        return (jax.jacfwd(mapped)(x),)
+    for direction in along:
+        mapped = _slope(mapped, direction)
+    return mapped(x)
+
+
+def _slope(f, direction):
+    return lambda x: jax.jvp(f, (x,), (jnp.asarray(direction, x.dtype),))[1]
+
+
+class Doubled(eqx.Module):
+    """Twice a period, a number or a function of the parameter."""
+
+    period: Callable | Scalar
+
+    def __call__(self, *p: Scalar) -> Scalar:
+        return 2 * (self.period(*p) if callable(self.period) else self.period)
+
+
+def doubled(family: Family) -> Family:
+    """The same orbits, of twice the period; of a family over the frequency the parameter is half of it."""
+    shooting = family.shooting
+    finer = eqx.tree_at(lambda s: s.flow.steps, shooting, jnp.asarray(2 * shooting.flow.steps))
+    if family.period is over_omega:
+        half = jnp.asarray(family.start) / 2, jnp.asarray(family.span) / 2
+        return Family(finer, family.make, over_omega, *half, family.left)
+    return Family(
+        finer, family.make, Doubled(family.period), family.start, family.span, family.left
+    )
+
+
+def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple:
+    """(family, x, q, direction) of what leaves the point z = (x, q) of a branch with that tangent."""
+    if kind == "branch point":
+        point, reason = family.system().correct(z, tangent, tangent)
+        if point is None:
+            raise RuntimeError(f"The branch point was not found again: {reason}.")
+        both = directions(family.system(), kind, point, tangent)
+        return family, point.x, point.p, both[1]
+    longer, q = doubled(family), jnp.asarray(z[-1])
+    state = family.shooting.state(jnp.asarray(z[:-1]))
+    scene, tried = family.scene(q), [state]
+    if (
+        family.shooting.reversible
+    ):  # at rest twice in a period: the doubled orbit is so at one of the two
+        tried.append(family.shooting.flow(state, 0.0, scene[1] / 2, scene[0]))
+    for start in tried:
+        x = longer.shooting.guess(State(*start), longer.scene(q))
+        _, values, right = np.linalg.svd(np.asarray(_jacobian(longer, x, q)))
+        if values[-1] <= SINGULAR * values[0] or len(tried) == 1:
+            return longer, np.asarray(x), float(q), np.append(right[-1], 0.0)
+    refuse(
+        "i", "a period doubling of an orbit that is at rest there", "one whose branch was not found"
+    )
+
+
+@eqx.filter_jit
+def _jacobian(family, x, q):
+    return family.linearise(x, q)[1]

@@ -1,0 +1,359 @@
+"""Curves of bifurcations in two parameters: the orbit and its critical direction, found together."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
+
+from ..checks import refuse
+from ..continuation import Curve, Problem, System, continuation
+from ..lattice import Lattice, State
+from ..printing import told
+from ..results import Result, array, hidden, part
+from ..types import Count, Numbers, Scalar
+from .problems import Family
+
+KINDS = ("fold", "branch point", "period doubling", "Neimark-Sacker", "Krein collision")
+# of the residual of the whole, beside what an orbit of the branch may leave
+LEFT = 10
+# at such angles of the multiplier a Neimark-Sacker curve meets a strong resonance
+RESONANT = {"1:1": 0.0, "1:2": np.pi, "1:3": 2 * np.pi / 3, "1:4": np.pi / 2}
+
+
+class LocusPoint(NamedTuple):
+    """A point of codimension two: `kind` "cusp", or "1:1", "1:2", "1:3", "1:4" (a strong resonance), and where it is.
+
+    `p`: the branch's parameter, `other`: the second one. `after`: the index of the point before.
+    """
+
+    kind: str
+    p: float
+    other: float
+    state: State
+    after: int
+    __repr__ = told
+
+
+class Locus(Result):
+    """Bifurcations of one kind in two parameters: what `branch.locus(i, ...)` returns."""
+
+    kind: str = array("The bifurcation.", static=True)
+    p: Float[np.ndarray, " point"] = array("The branch's parameter.")
+    other: Float[np.ndarray, " point"] = array("The second parameter.")
+    p_error: Float[np.ndarray, " point"] = array(
+        "The error of `p` at this value of `other`, from twice the steps; infinite at a cusp."
+    )
+    states: State = part("The states of the orbits at t0.", "point site", name="state")
+    angle: Float[np.ndarray, " point"] = array(
+        "The angle of the critical multiplier: 0, pi, or what a Neimark-Sacker point or a Krein collision has.",
+        "rad",
+    )
+    special: tuple[LocusPoint, ...] = array(
+        "Cusps and strong resonances, in the order of the curve.", axes="special"
+    )
+    curve: Curve = hidden("The curve that continuation has followed.")
+    _span: tuple[float, float] = hidden(static=True)
+
+    @property
+    def folds(self) -> Float[np.ndarray, " F"]:
+        """Values of the second parameter where the curve turns back, such as where an isola is born."""
+        return np.array([self._span[0] + s.p * self._span[1] for s in self.curve.special])
+
+    @property
+    def outcome(self) -> str:
+        """Why the curve ended, and what was met."""
+        met = ", ".join(s.kind for s in self.special)
+        end = (
+            f"The second parameter reached {self.other[-1]:.6g}."
+            if self.curve.end == "p"
+            else self.curve.outcome
+        )
+        return f"{end} Met: {met}." if met else end
+
+
+class _With(eqx.Module):
+    """A function of two parameters at a value of the second one."""
+
+    function: Callable
+    other: Scalar
+
+    def __call__(self, p):
+        return self.function(p, self.other)
+
+
+class Critical(Problem):
+    """Orbits at a bifurcation, F(x; r) = 0 over a second parameter start + r span.
+
+    x holds the orbit's unknowns X, its parameter q, and
+    - v, the direction that a multiplier rho keeps: A(rho) v = 0 with fixed . v = 1, where A(rho) is the derivative of
+      the orbit's residual with rho times the start in place of the start (fold, branch point: rho = 1; doubling: -1);
+    - at a branch point the size of a disturbance along `left`, zero where the lattice has the symmetry that is broken,
+      and X keeps what it has along v;
+    - of a Neimark-Sacker point theta of rho = exp(i theta), and v is complex;
+    - of a reversible orbit mu = Re rho; v of a chain (T - mu) v = 0, and of a Krein collision (T - mu) w = v, where T
+      is what a period makes of displacements, whose eigenvalues are (rho + 1/rho)/2.
+
+    Source: Moore, Spence, SIAM J. Numer. Anal. 17, 567 (1980); Werner, Spence, SIAM J. Numer. Anal. 21, 388 (1984).
+    """
+
+    family: Family
+    make: Callable
+    period: Callable | None
+    kind: str = eqx.field(static=True)
+    start: Scalar
+    span: Scalar
+    fixed: Numbers
+    left: Numbers
+    there: Numbers
+
+    def at(self, r: Scalar) -> Family:
+        """The branch's family at a value of the second parameter."""
+        old, other = self.family, self.start + r * self.span
+        if isinstance(old.make, Lattice):  # over the frequency
+            return Family(old.shooting, self.make(other), old.period, old.start, old.span, old.left)
+        period = old.period if self.period is None else _With(self.period, other)
+        return Family(old.shooting, _With(self.make, other), period, old.start, old.span, old.left)
+
+    def residual(self, x, p):
+        family, size = self.at(p), self.there.size
+        X, q, rest = x[:size], x[size], x[size + 1 :]
+        orbit, more = family.residual(X, q), []
+        if self.kind == "Neimark-Sacker":
+            theta, (real, imag) = rest[0], rest[1:].reshape(2, size)
+            slope = self.moved(family, X, q, real) + 1j * self.moved(family, X, q, imag)
+            critical = slope + (1 - jnp.exp(1j * theta)) * self.started(real + 1j * imag)
+            critical = jnp.concatenate([critical.real, critical.imag])
+            more = [self.fixed @ real - 1, self.fixed @ imag]
+        elif self.of_displacements:
+            mu, v = (rest[0], rest[1:]) if self.kind == "Krein collision" else (-1.0, rest)
+            n = self.fixed.size
+            critical = self.turned(family, X, q, v[:n]) - mu * v[:n]
+            more = [self.fixed @ v[:n] - 1]
+            if self.kind == "Krein collision":
+                chain = self.turned(family, X, q, v[n:]) - mu * v[n:] - v[:n]
+                critical = jnp.concatenate([critical, chain])
+                more.append(self.fixed @ v[n:])
+        else:
+            v = rest[:size]
+            critical = self.moved(family, X, q, v)
+            more = [self.fixed @ v - 1]
+            if self.kind == "period doubling":
+                critical = critical + 2 * self.started(v)
+            if self.kind == "branch point":
+                orbit = orbit + rest[size] * self.left
+                more.append(self.fixed @ (X - self.there))
+        return jnp.concatenate([orbit, critical, jnp.stack(more)])
+
+    @property
+    def of_displacements(self) -> bool:
+        """Whether the direction is one of displacements alone."""
+        doubles = self.kind == "period doubling" and self.family.shooting.reversible
+        return doubles or self.kind == "Krein collision"
+
+    def moved(self, family: Family, X: Numbers, q: Scalar, v: Numbers) -> Numbers:
+        """dF/dX v of the orbit's residual."""
+        return jax.jvp(lambda X: family.residual(X, q), (X,), (v,))[1]
+
+    def started(self, v: Numbers) -> Numbers:
+        """The first state of v where the last gap is."""
+        first = v[: 2 * self.family.shooting.count]
+        last = (self.family.shooting.segments - 1) * first.size
+        return jnp.zeros_like(v).at[last : last + first.size].set(first)
+
+    def turned(self, family: Family, X: Numbers, q: Scalar, v: Numbers) -> Numbers:
+        """T v: the displacements that a displacement v makes a period later."""
+        shooting, (lattice, period) = family.shooting, family.scene(q)
+        y, unravel = shooting.state(X), ravel_pytree(shooting.like)[1]
+        along = State(*unravel(jnp.concatenate([v, jnp.zeros_like(v)])))
+        run = lambda y: shooting.whole(y, 0.0, period, lattice)
+        return ravel_pytree(jax.jvp(run, (y,), (along,))[1].u)[0]
+
+
+def locus(
+    family: Family,
+    z: np.ndarray,
+    kind: str,
+    angle: float,
+    make: Callable[..., Any],
+    start: Scalar,
+    until: Scalar,
+    *,
+    period: Callable[..., Any] | None = None,
+    arclength: Scalar,
+    points: Count,
+) -> Locus:
+    """Follow a bifurcation at z = (x, q) of a family in a second parameter; `Branch.locus` says it all."""
+    start, until = float(start), float(until)
+    if start == until:
+        refuse("until", "another value than start", repr(until))
+    problem, x = _begun(
+        family, z, kind, angle, make, period, jnp.asarray(start), jnp.asarray(until - start)
+    )
+    names = ("cusp", "1:1") if kind == "fold" else ("1:2",) if kind == "period doubling" else ()
+    if problem.family.shooting.reversible:
+        names = names[:1] if kind == "fold" else ()
+    turns, size = kind == "Neimark-Sacker", problem.there.size
+    ends = lambda x, r: (
+        None if not turns or 0 < x[size + 1] < np.pi else "the multipliers met on the real axis"
+    )
+    curve = continuation(
+        problem,
+        x,
+        0.0,
+        until=(0.0, 1.0),
+        arclength=arclength,
+        longest_arclength=5 * arclength,
+        points=points,
+        tolerance=LEFT * float(family.left),
+        stop=ends,
+        find=("fold",),
+    )
+    system, special = System(problem, LEFT * float(family.left)), []
+    for i, (here, there) in enumerate(curve.steps):
+        tests = _tests(problem, here, names) | (_angles(size) if turns else {})
+        for name, test in tests.items():
+            if test(here) * test(there) < 0:
+                found = system.zero(here, there, test)
+                state = State(*family.shooting.state(jnp.asarray(found.x[:size])))
+                at = float(family.value(found.x[size])), start + found.p * (until - start)
+                special.append(LocusPoint(name, *at, jax.tree.map(np.asarray, state), i))
+    known = [_known(problem, jnp.asarray(x), jnp.asarray(r)) for x, r in zip(curve.x, curve.p)]
+    states = [family.shooting.state(jnp.asarray(x[:size])) for x in curve.x]
+    angles = {
+        "Neimark-Sacker": lambda x: x[size + 1],
+        "Krein collision": lambda x: np.arccos(np.clip(x[size + 1], -1, 1)),
+        "period doubling": lambda x: np.pi,
+    }
+    lattice = problem.at(jnp.zeros(())).scene(jnp.asarray(curve.x[0, size]))[0]
+    return Locus(
+        kind,
+        np.asarray(family.value(curve.x[:, size])),
+        start + curve.p * (until - start),
+        np.abs(float(family.span)) * np.array(known),
+        jax.tree.map(lambda *y: np.stack(y), *(State(*y) for y in states)),
+        np.array([angles.get(kind, lambda x: 0.0)(x) for x in curve.x]),
+        tuple(special),
+        curve,
+        (start, until - start),
+        **lattice.origin,
+    )
+
+
+def _begun(family, z, kind, angle, make, period, start, span):
+    """The problem, and its unknowns at a bifurcation that has been located."""
+    X, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
+    empty = jnp.zeros(0)
+    problem = Critical(family, make, period, kind, start, span, empty, empty, X)
+    here = problem.at(jnp.zeros(()))
+    _same(problem, here, family, X, q)
+    if problem.of_displacements:
+        eye = np.eye(family.shooting.count)
+        T = np.stack([np.asarray(_turned(problem, here, X, q, jnp.asarray(e))) for e in eye], 1)
+        if kind == "Krein collision":
+            mu = np.linalg.eigvals(T)
+            apart = np.abs(mu[:, None] - mu) + 1e9 * (np.eye(len(mu)) + (np.abs(1 - mu**2) < 1e-3))
+            i, j = np.unravel_index(np.argmin(apart), apart.shape)
+            mu = float((mu[i] + mu[j]).real / 2)
+        else:
+            mu = -1.0
+        v = np.linalg.svd(T - mu * eye)[2][-1]
+        rest = v
+        if kind == "Krein collision":
+            w = np.linalg.lstsq(T - mu * eye, v, rcond=1e-6)[0]
+            rest = np.concatenate([[mu], v, w - (v @ w) * v])
+        return _held(problem, v, empty), np.concatenate([z, rest])
+    rho = {"period doubling": -1.0, "Neimark-Sacker": np.exp(1j * angle)}.get(kind, 1.0)
+    A = _matrix(problem, here, X, q, rho)
+    left, _, right = np.linalg.svd(A)
+    v, w = right[-1].conj(), left[:, -1]
+    if kind != "Neimark-Sacker":
+        rest = np.append(v, 0.0) if kind == "branch point" else v
+        return _held(problem, v, w), np.concatenate([z, rest])
+    # of a phase at which real and imaginary part are orthogonal
+    v = v * np.exp(-0.5j * np.angle(v @ v))
+    v = v / np.linalg.norm(v.real)
+    return _held(problem, v.real, empty), np.concatenate([z, [angle], v.real, v.imag])
+
+
+def _held(problem, fixed, left):
+    return eqx.tree_at(lambda p: (p.fixed, p.left), problem, tuple(map(jnp.asarray, (fixed, left))))
+
+
+def _same(problem, here, family, X, q):
+    """Refuse a function of two parameters that does not begin with the branch."""
+    size = np.abs(np.asarray(_residual(here, X, q))).max()
+    if not size <= 1e4 * max(float(family.left), np.abs(np.asarray(_residual(family, X, q))).max()):
+        refuse(
+            "make",
+            "lattices that at `start` are those of the branch",
+            f"an orbit off by {size:.1e}",
+        )
+
+
+@eqx.filter_jit
+def _residual(family, X, q):
+    return family.residual(X, q)
+
+
+@eqx.filter_jit
+def _turned(problem, family, X, q, v):
+    return problem.turned(family, X, q, v)
+
+
+@eqx.filter_jit
+def _jacobian(family, X, q):
+    return family.linearise(X, q)[1]
+
+
+def _matrix(problem, family, X, q, rho):
+    """A(rho)."""
+    E = np.stack([np.asarray(problem.started(e)) for e in jnp.eye(X.size)], 1)
+    return np.asarray(_jacobian(family, X, q)) + (1 - rho) * E
+
+
+def _tests(problem, here, names):
+    """Functions of a point that change their sign at cusps and at strong resonances."""
+    size, rho, first = problem.there.size, -1.0 if problem.kind == "period doubling" else 1.0, []
+
+    def test(point, name):
+        X, q, v = (jnp.asarray(x) for x in np.split(point.x[: 2 * size + 1], [size, size + 1]))
+        family = problem.at(jnp.asarray(point.p))
+        A = _matrix(problem, family, X, q[0], rho)
+        w = np.linalg.svd(A)[0][:, -1]
+        first.append(w)
+        w = w * np.sign(w @ first[0])
+        if name == "cusp":
+            return float(w @ np.asarray(_curvature(family, X, q[0], v)))
+        return float(w @ np.asarray(problem.started(v)))
+
+    return {name: (lambda point, name=name: test(point, name)) for name in names}
+
+
+def _angles(size):
+    return {
+        name: (lambda point, angle=angle: point.x[size + 1] - angle)
+        for name, angle in RESONANT.items()
+    }
+
+
+@eqx.filter_jit
+def _curvature(family, X, q, v):
+    """D^2 F [v, v]."""
+    slope = lambda X: jax.jvp(lambda X: family.residual(X, q), (X,), (v,))[1]
+    return jax.jvp(slope, (X,), (v,))[1]
+
+
+@eqx.filter_jit
+def _known(problem, x, r):
+    """By how much twice the steps move the parameter q at this r."""
+    jacobian = problem.linearise(x, r)[1]
+    shooting = problem.family.shooting.finer(2)
+    finer = eqx.tree_at(lambda p: p.family.shooting.flow.steps, problem, shooting.flow.steps)
+    inverse = jnp.linalg.inv(jacobian)[problem.there.size]
+    rounding = 16 * jnp.finfo(x.dtype).eps * jnp.sum(jnp.abs(inverse))
+    return 2 * jnp.abs(inverse @ finer.residual(x, r)) + rounding
