@@ -49,6 +49,7 @@ from .orbit import (
 )
 from .problems import Family, made
 from .spectrum import reversible_multipliers, spectrum
+from .tori import TorusBranch, from_neimark_sacker
 
 FOLD = "fold"
 BRANCH_POINT = "branch point"
@@ -204,8 +205,8 @@ class Branch(Result):
         longest_arclength: Scalar | None = None,
         points: Count = 50,
         response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
-    ) -> "Branch":
-        """Follow what leaves a branch at a branch point, or the doubled orbit at a period doubling.
+    ) -> "Branch | TorusBranch":
+        """Follow what leaves a branch: at a branch point, the doubled orbit at a doubling, a torus at Neimark-Sacker's.
 
         The branch point or doubling itself is not among the points; the first one is `arclength` away.
 
@@ -214,9 +215,8 @@ class Branch(Result):
         parameter at which to end, by default the ends of the branch. `arclength`, `longest_arclength`, `points`,
         `response`: as in `gx.forced.forced_branch`, and so are the steps of forced orbits; those of breathers stay.
 
-        **Returns:** `Branch`; of a doubled breather the parameter is its own frequency. A torus is
-        `gx.orbits.torus(branch, i)`. **Raises** ValueError for a fold, a Neimark-Sacker point; RuntimeError where no
-        orbit is found beside the point.
+        **Returns:** `Branch`, of a torus `TorusBranch`; of a doubled breather the parameter is its own frequency.
+        **Raises** ValueError for a fold; RuntimeError where nothing is found beside the point.
         Source: Keller, in Applications of Bifurcation Theory (1977), 359.
 
         **Example:**
@@ -229,14 +229,18 @@ class Branch(Result):
         >>> branch.normal_form(0).criticality, branch.switch(0, points=3).verdict.tolist()
         ('supercritical', ['stable', 'stable', 'stable'])
         """
-        found = self._bifurcation(i, (BRANCH_POINT, DOUBLING))
-        z, tangent = found._z, self._curve.tangents[found.after]
-        family, x, q, direction = ways(self._family, z, found.kind, tangent)
-        if until is None:
-            ends = float(family.value(0.0)), float(family.value(1.0))
-            until = None if self._family.shooting.reversible else ends
+        found = self._bifurcation(i, (BRANCH_POINT, DOUBLING, TORUS))
+        z, tangent, family = found._z, self._curve.tangents[found.after], self._family
+        longest = 5 * arclength if longest_arclength is None else longest_arclength
+        settings = {"arclength": arclength, "longest_arclength": longest, "points": points}
+        if found.kind != TORUS:
+            family, x, q, direction = ways(family, z, found.kind, tangent)
+        if until is None and not family.shooting.reversible:
+            until = float(family.start), float(family.start + family.span)
         if until is not None:
             until = (np.atleast_1d(until) - float(family.start)) / float(family.span)
+        if found.kind == TORUS:
+            return from_neimark_sacker(family, z, found.multiplier, until=until, **settings)
         reversible = family.shooting.reversible
         most = 2**DOUBLINGS * int(family.shooting.flow.steps)
         while True:
@@ -245,9 +249,7 @@ class Branch(Result):
                 q,
                 until=until,
                 direction=np.sign(side) * direction,
-                arclength=arclength,
-                longest_arclength=5 * arclength if longest_arclength is None else longest_arclength,
-                points=points,
+                **settings,
                 find=(FOLD, BRANCH_POINT) if reversible else (FOLD,),
             )
             along = examined_along(family, curve, response)

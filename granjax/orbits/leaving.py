@@ -33,7 +33,8 @@ class NormalForm(Result):
         'The bifurcation, a branch point as "pitchfork" or "transcritical".', static=True
     )
     coefficient: float = array(
-        "Of the return map along the critical direction, x the share of the orbit's size: x + c x^2 "
+        "Of the return map along the critical direction, x in units of the orbit's size there (of the branch's first "
+        "orbit, where the lattice is at rest): x + c x^2 "
         "(transcritical), x + c x^3 (pitchfork), -x + c x^3 (period doubling), exp(i theta) x (1 + c |x|^2), its real "
         "part, (Neimark-Sacker)."
     )
@@ -59,7 +60,8 @@ def normal_form(family: Family, z: np.ndarray, kind: str, multiplier: complex) -
     """
     steps = family.shooting.whole.steps
     found = [_coefficients(family, z, multiplier, by * steps) for by in (1, 2)]
-    (square, cubic), (square2, cubic2) = found
+    size = np.linalg.norm(z[: family.shooting.scale.size]) or 1.0
+    (square, cubic), (square2, cubic2) = ((a * size, b * size**2) for a, b in found)
     about = lambda a, b, size: SAFETY * abs(a - b) + ROUNDING * size
     error, sign = about(cubic, cubic2, abs(cubic)), -1 if kind == "period doubling" else 1
     if kind == "branch point":

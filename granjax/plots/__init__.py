@@ -13,7 +13,7 @@ can be told apart by colour-blind eyes.
 
 from .fits import corner, fit
 from .histories import space_time, traces
-from .orbits import branch, breather, floquet_circle, hysteresis
+from .orbits import branch, breather, diagram, floquet_circle, hysteresis
 from .plane import beads, film
 from .precision import work_precision
 from .shocks import modulation, shock
@@ -29,6 +29,7 @@ __all__ = [
     "branch",
     "breather",
     "corner",
+    "diagram",
     "dispersion",
     "drawn",
     "figure",

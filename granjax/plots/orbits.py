@@ -254,6 +254,56 @@ def branch(
     return axes
 
 
+def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> Axes:
+    """Draw the branches of `gx.orbits.diagram`: the largest |u| at t0 over the parameter, bifurcations marked.
+
+    Stable orbits are lines, others dashed; tori have dots. Each bifurcation has a mark for its kind.
+
+    **Arguments:** `found`: a `Diagram`, or anything with `branches`, each with `p`, `amplitude`, `verdict`. `label`: of
+    the parameter's axis. **Returns:** the Axes.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> one = SimpleNamespace(p=np.arange(3.0), amplitude=np.ones(3), verdict=["stable"] * 3, bifurcations=())
+    >>> ax = gx.plots.diagram(SimpleNamespace(branches=[one]))
+    """
+    units = units_of(found.branches[0])
+    by = shown("max |u|", found.branches[0].amplitude, "m", units)
+    ax = axes_or_new(ax, 5.4, 3.4)
+    marks = {"fold": "s", "branch point": "o", "period doubling": "^", "Neimark-Sacker": "D"}
+    for i, one in enumerate(found.branches):
+        x, y, tone = np.asarray(one.p), by(np.asarray(one.amplitude)), COLOURS[i % len(COLOURS)]
+        torus = not hasattr(one, "bifurcations")
+        stable = np.asarray(one.verdict) == "stable"
+        for whole, dash in ((stable, "-"), (~stable, "--")):
+            # a step belongs to the part of its first point
+            kept = whole | np.append(False, whole[:-1])
+            ax.plot(
+                x,
+                np.where(kept, y, np.nan),
+                dash,
+                color=tone,
+                lw=1.3,
+                marker="." if torus else None,
+            )
+        for event in getattr(one, "bifurcations", ()):
+            if event.kind in marks:
+                at = np.interp(event.after + _between(one.p, event), np.arange(len(x)), y)
+                known = event.kind in ax.get_legend_handles_labels()[1]
+                look = {"color": "k", "ms": 5, "mfc": "w", "zorder": 3}
+                ax.plot(event.p, at, marks[event.kind], label=None if known else event.kind, **look)
+    ax.set(xlabel=label, ylabel=by.label)
+    add_legend(ax, inside=True)
+    return ax
+
+
+def _between(p, event):
+    """Which part of the way to the next point a bifurcation is."""
+    here, there = p[event.after], p[event.after + 1]
+    return float(np.clip((event.p - here) / (there - here), 0, 1)) if there != here else 0.5
+
+
 def _line(ax, x, y, br, looks, marks=(), factor=1.0):
     """A smooth line through points in parts of one verdict each, cut where a located bifurcation changes it.
 

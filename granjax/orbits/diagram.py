@@ -1,0 +1,65 @@
+"""A bifurcation diagram: a branch, and the branches that leave it."""
+
+from typing import Any
+
+from ..results import Result, hidden, note
+from ..types import Count
+from .branch import BRANCH_POINT, DOUBLING, TORUS, Branch
+
+
+class Diagram(Result):
+    """Branches that are connected: what `gx.orbits.diagram` returns. `gx.plots.diagram` draws it."""
+
+    branches: tuple[Any, ...] = hidden(
+        "The branches, `Branch` or `TorusBranch`, the given one first."
+    )
+    parents: tuple[tuple[int, int], ...] = note(
+        "Of each branch the index of the one that it leaves and of the bifurcation there, (-1, -1) of the first."
+    )
+    failed: tuple[str, ...] = note("What was not found, a sentence each.")
+
+    @property
+    def outcome(self) -> str:
+        """How many branches, and how many were not found."""
+        lost = f" {len(self.failed)} were not found." if self.failed else ""
+        return f"{len(self.branches)} branches.{lost}"
+
+
+def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: Any) -> Diagram:
+    """Follow what leaves a branch, and what leaves that, to a depth.
+
+    Both sides of branch points, doubled orbits and tori, as `branch.switch` follows them. A branch that two points
+    share is followed from both.
+
+    **Arguments:** `branch`: of `gx.forced.forced_branch` or `gx.breathers.family`. `depth`: 1 for what leaves this
+    branch, 2 for what leaves those too. `most`: the most branches. `keywords`: of `branch.switch`.
+    **Returns:** `Diagram`; what is not found is in `failed`, and stops nothing.
+
+    **Example:**
+
+    >>> well, beside = gx.OnSite(gx.Polynomial(-1.0, 0.0, 1.0)), gx.State(jnp.ones(2), jnp.zeros(2))
+    >>> make = lambda f: gx.Lattice(jnp.ones(2), (well, gx.Damping(0.3), gx.Drive(gx.Harmonic(f, 1.2), 0)))
+    >>> branch = gx.forced.forced_branch(make, 0.25, 0.28, period=2 * np.pi / 1.2, guess=beside, transient=60)
+    >>> gx.orbits.diagram(branch, points=3).outcome
+    '2 branches.'
+    """
+    branches, parents, failed, levels = [branch], [(-1, -1)], [], [0]
+    i = 0
+    while i < len(branches):
+        here, level = branches[i], levels[i]
+        events = getattr(here, "bifurcations", ()) if level < depth else ()
+        for j, event in enumerate(events):
+            sides = {BRANCH_POINT: (1, -1), DOUBLING: (1,), TORUS: (1,)}.get(event.kind, ())
+            for side in sides[: max(0, most - len(branches))]:
+                try:
+                    found = here.switch(j, side=side, **keywords)
+                except RuntimeError as error:
+                    failed.append(f"{event.outcome} {error}")
+                    continue
+                branches.append(found)
+                parents.append((i, j))
+                levels.append(level + 1)
+        i += 1
+    return Diagram(
+        tuple(branches), tuple(parents), tuple(failed), _mark=branch._mark, _space=branch._space
+    )

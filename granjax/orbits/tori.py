@@ -1,0 +1,599 @@
+"""Tori of two frequencies: a circle of states that a period turns by an angle, y(theta + rho) after y(theta)."""
+
+import math
+from fractions import Fraction
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Float, Shaped
+
+from ..checks import positive, refuse, whole
+from ..checks import tolerance as checked_tolerance
+from ..continuation import Curve, Problem, continuation
+from ..flow import Flow
+from ..lattice import Lattice, State, spread_mass, vector_field
+from ..linear import normal_modes
+from ..printing import told
+from ..results import Result, array, hidden, part
+from ..solvers import SRKN14a
+from ..types import Count, Numbers, Scalar
+from .asked import checked_lattice, default_steps, fixed_step_solver, shifts
+from .problems import Family
+
+# points of the circle at first and at most, always odd, so that no harmonic has a sine alone
+FIRST = 15
+MOST = 511
+# the most steps of a period, times those of the beginning
+FINEST = 64
+# what Gauss and Newton's method may leave of the size where it converged; singular values that count as zero
+CLOSE = 1e-9
+FLAT = 1e-11
+# Newton's steps; of the error, by how much more it is given
+STEPS = 25
+SAFETY = 2
+# Lyapunov exponents: iterates of the period, a part of them to begin with; the largest that is zero, in errors
+ITERATES = 2000
+IDLE = 200
+SURE = 5
+# rotation numbers of such denominators are reported where a branch passes them
+STRONG = 8
+
+
+class Torus(Result):
+    """A two-frequency motion of a lattice: what `gx.orbits.torus` returns.
+
+    K states of a circle at t0; the others are theirs by Fourier's series.
+    """
+
+    states: State = part("The states at the angles 2 pi j/K.", "angle site", name="state")
+    period: float = array("The time T after which the circle returns, turned.", "s")
+    rotation: float = array("The angle rho by which it is turned.", "rad")
+    error: State = part("The error of the states, one for all angles.", "site")
+    period_error: float = array("The error of T.", "s")
+    rotation_error: float = array("The error of rho.", "rad")
+    energy: float = array("The energy of the mean angle, from equilibrium.", "J")
+    lattice: Lattice = hidden("The lattice.")
+    flow: Flow = hidden("The steps and the solver over a period.")
+
+    @property
+    def omega(self) -> tuple[float, float]:
+        """Both frequencies, 2 pi/T and rho/T [rad/s]."""
+        return 2 * math.pi / self.period, self.rotation / self.period
+
+    @property
+    def outcome(self) -> str:
+        """The frequencies, and to what it is known, a sentence."""
+        first, second = self.omega
+        known = max(float(np.max(np.abs(x))) for x in jax.tree.leaves(self.error.u))
+        count = jax.tree.leaves(self.states.u)[0].shape[0]
+        return f"Frequencies {first:.9g} and {second:.9g}; {count} angles; displacements known to {known:.1e}."
+
+    def state(self, theta: Scalar, periods: Count = 0) -> State:
+        """The state at an angle, and the one which that is after some periods T."""
+        theta = float(theta) + periods * self.rotation
+        return jax.tree.map(lambda x: _turned(np.asarray(x), theta)[0], self.states)
+
+    def exponents(self, iterates: Count = ITERATES) -> tuple[np.ndarray, np.ndarray]:
+        """Lyapunov exponents [1/s] over some periods, the largest first, and their errors, from both halves.
+
+        One is zero for each frequency that nothing drives, and so is its partner in a conservative lattice.
+        """
+        Y = np.stack([np.asarray(ravel_pytree(y)[0]) for y in _each(self.states)])
+        circle = Circle(self.flow, _each(self.states)[0], jnp.ones(Y.shape[1]), jnp.asarray(0.0))
+        _, maps, _ = _mapped(circle, jnp.asarray(Y), self.lattice, jnp.asarray(self.period))
+        return _cocycle(np.asarray(maps), self.rotation, self.period, iterates)
+
+
+class TorusBranch(Result):
+    """Tori along the parameter of a branch: what `branch.switch(i)` returns at a Neimark-Sacker point."""
+
+    p: Float[np.ndarray, " point"] = array("The parameter.")
+    periods: Float[np.ndarray, " point"] = array("The period of the drive.", "s", name="period")
+    rotation: Float[np.ndarray, " point"] = array(
+        "The angle by which a period turns the circle.", "rad"
+    )
+    rotation_error: Float[np.ndarray, " point"] = array("The errors of the angles.", "rad")
+    states: State = part(
+        "K states of each circle, at the angles 2 pi j/K.", "point angle site", name="state"
+    )
+    error: State = part("The error of the states, one for all angles.", "point site")
+    exponents: Float[np.ndarray, "point exponent"] = array(
+        "Lyapunov exponents, the largest first; one is zero, along the circle.", "1/s"
+    )
+    exponents_error: Float[np.ndarray, "point exponent"] = array(
+        "The errors of the exponents.", "1/s"
+    )
+    verdict: Shaped[np.ndarray, " point"] = array(
+        '"stable" where all exponents but one are below zero, "unstable" or "undecided".'
+    )
+    lockings: tuple[tuple[float, str], ...] = array(
+        "Where the rotation number rho/2 pi passes a fraction of a small denominator, (p, fraction): there the motion "
+        "may lock to a periodic orbit, in a gap that is narrower than the step where the branch goes on.",
+        axes="locking",
+    )
+    curve: Curve = hidden("The curve that continuation has followed.")
+    _problem: "TorusProblem"
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+    @property
+    def amplitude(self) -> Float[np.ndarray, " P"]:
+        """max |u| over the circle at t0, (P,)."""
+        leaves = jax.tree.leaves(self.states.u)
+        return np.max([np.abs(x).reshape(len(self), -1).max(1) for x in leaves], axis=0)
+
+    @property
+    def outcome(self) -> str:
+        """Why the branch ended, a sentence."""
+        end = f"p reached {self.p[-1]:.6g}." if self.curve.end == "p" else self.curve.outcome
+        if self.curve.end == "step":
+            near = Fraction(self.rotation[-1] / (2 * np.pi)).limit_denominator(STRONG)
+            end += f" The torus breaks, or locks: rho/2 pi = {self.rotation[-1] / (2 * np.pi):.6g}, near {near}."
+        return end
+
+    def torus(self, i: Count) -> Torus:
+        """The `Torus` at point i."""
+        lattice, period = self._problem.family.scene(jnp.asarray(self.curve.p[i]))
+        states, error = (jax.tree.map(lambda x: x[i], y) for y in (self.states, self.error))
+        energy = _energy(lattice, self._problem.circle.t0, states)
+        numbers = float(period), float(self.rotation[i]), error, 0.0, float(self.rotation_error[i])
+        flow = self._problem.circle.flow
+        return Torus(states, *numbers, energy, lattice, flow, **lattice.origin)
+
+
+class Circle(eqx.Module):
+    """K states in units of `scale` (2n,), and the flow over the time after which they return."""
+
+    flow: Flow
+    like: State
+    scale: Numbers
+    t0: Scalar
+    __repr__ = told
+
+
+@eqx.filter_jit
+def _mapped(circle, Y, lattice, period):
+    """Of states Y (K, 2n): where they are after the period (K, 2n), the derivatives (K, 2n, 2n), the fields there."""
+    unravel, scale, end = ravel_pytree(circle.like)[1], circle.scale, circle.t0 + period
+
+    def one(y):
+        after, map_ = circle.flow.derivative(State(*unravel(y * scale)), circle.t0, end, lattice)
+        field = ravel_pytree(vector_field(end, after, lattice))[0]
+        return ravel_pytree(after)[0] / scale, map_ * scale / scale[:, None], field / scale
+
+    return jax.vmap(one)(Y)
+
+
+def _kernel(count, angle, xp=np):
+    """Fourier's interpolation from K angles to the same plus `angle`, (K, K), and its derivative in the angle."""
+    k, j = np.arange(1, (count + 1) // 2), np.arange(count)
+    at = 2 * np.pi / count * (j[:, None] - j)[..., None] + angle
+    value = (1 + 2 * xp.sum(xp.cos(k * at), -1)) / count
+    return value, -2 * xp.sum(k * xp.sin(k * at), -1) / count
+
+
+def _turned(x, theta, count=None):
+    """Values over a circle (K, ...) at `count` angles from theta on; by default one."""
+    count, size = count or 1, len(x)
+    k = np.fft.fftfreq(size, 1 / size)
+    wave = np.exp(1j * k * (theta + 2 * np.pi * np.arange(count)[:, None] / count))
+    flat = np.fft.fft(x.reshape(size, -1), axis=0) / size
+    return (wave @ flat).real.reshape(count, *x.shape[1:])
+
+
+def _each(states):
+    """The states of a circle as a list."""
+    count = len(jax.tree.leaves(states)[0])
+    return [State(*jax.tree.map(lambda x: jnp.asarray(x[j]), states)) for j in range(count)]
+
+
+def _states(circle, Y):
+    """Rows in units of the scale as a `State` with angles first."""
+    unravel = ravel_pytree(circle.like)[1]
+    rows = [State(*unravel(jnp.asarray(y) * circle.scale)) for y in Y]
+    return jax.tree.map(lambda *y: np.stack(y), *rows)
+
+
+class _Modal(NamedTuple):
+    """What fixes amplitudes and phases: rows over the mean state and over the first harmonics, and what they give."""
+
+    circle: Circle
+    lattice: Lattice
+    period: float
+    mean: np.ndarray
+    harmonic: np.ndarray
+    values: np.ndarray
+    __repr__ = told
+
+
+def torus(
+    lattice: Lattice,
+    modes: tuple[Count, Count],
+    amplitudes: tuple[Scalar, Scalar],
+    *,
+    steps: Count | None = None,
+    solver: AbstractSolver | None = None,
+    tolerance: Scalar = 1e-9,
+) -> Torus:
+    r"""Find a motion of two frequencies of a conservative lattice, from two of its linear modes.
+
+    K states of a circle and the two unknowns T, rho solve y_j(T) = y(theta_j + rho) by Gauss and Newton's method;
+    the amplitudes and the phases of both modes are given, and what is free to move stays at its mean.
+
+    **Arguments:**
+
+    - `lattice`: conservative and autonomous. `modes`: two indices of `gx.linear.normal_modes`; the first one has
+      returned after T.
+    - `amplitudes`: of each mode, the largest displacement that its share makes [m]: of the first one, the share in the
+      mean over the circle at t0, of the second, in the first harmonic.
+    - `steps` in T, `solver`: as in `gx.orbits.orbit`. With `None` the steps are doubled, and the angles at any rate,
+      until the error is below `tolerance` times the larger amplitude.
+
+    **Returns:** `Torus`, known to its `error`. **Raises** ValueError for a lattice that is damped or driven, the same
+    mode twice, modes of no frequency; RuntimeError where Newton's method finds none, as at a resonance of the two, or
+    the angles do not suffice. Source: Gomez, Mondelo, Physica D 157, 283 (2001); Schilder, Osinga, Vogt (2005).
+
+    **Example:**
+
+    >>> chain = gx.scenes.fput(3, beta=1.0)
+    >>> found = gx.orbits.torus(chain, (0, 2), (0.3, 0.1))
+    >>> np.round(found.omega, 4).tolist()
+    [0.8083, 2.0029]
+    """
+    checked_lattice(lattice)
+    share = checked_tolerance("tolerance", tolerance)
+    first, second = (whole("modes", k, 0) for k in modes)
+    a, b = (float(positive("amplitudes", x)) for x in amplitudes)
+    if first == second:
+        refuse("modes", "two modes", f"mode {first} twice")
+    found = normal_modes(lattice)
+    omega = np.asarray(found.omega)
+    if max(first, second) >= len(omega) or not min(omega[first], omega[second]) > 0:
+        refuse("modes", f"two of {len(omega)} modes, of frequencies above zero", f"{modes}")
+    T, ratio = 2 * np.pi / omega[first], omega[second] / omega[first]
+    flat = _columns(found.modes)
+    shapes = [flat[:, k] / np.abs(flat[:, k]).max() for k in (first, second)]
+    n, size = len(shapes[0]), max(a, b)
+    scale = np.concatenate([np.full(n, size), np.full(n, size * omega[first])])
+    like = State(lattice.zeros(), lattice.zeros())
+    mass = np.asarray(ravel_pytree(spread_mass(lattice))[0])
+    rows = [e * mass / (e @ (mass * e)) for e in shapes]
+    none, moves = np.zeros(n), np.asarray(shifts(lattice)).T * mass / mass.sum()
+    mean = [np.append(rows[0], none), np.append(none, rows[0])]
+    mean += [np.append(move, none) for move in moves] + [np.append(none, move) for move in moves]
+    solver, count = fixed_step_solver(lattice, solver, SRKN14a()), FIRST
+    if steps is None:
+        guess = State(
+            *ravel_pytree(like)[1](jnp.asarray(np.append(a * shapes[0] + b * shapes[1], none)))
+        )
+        number = default_steps(lattice, T, guess=guess)
+    else:
+        number = whole("steps", steps, 1)
+    circle = Circle(Flow(jnp.asarray(number), solver), like, jnp.asarray(scale), jnp.asarray(0.0))
+    harmonic = 2 * np.append(rows[1], none)
+    values = np.concatenate([[a, *[0.0] * (len(mean) - 1)], [b, 0.0]]) / size
+    modal = _Modal(circle, lattice, T, np.array(mean), harmonic, values)
+    angles = 2 * np.pi * np.arange(count) / count
+    u = a * shapes[0] + b * np.cos(angles)[:, None] * shapes[1]
+    v = -b * omega[second] * np.sin(angles)[:, None] * shapes[1]
+    x = np.concatenate([(np.column_stack([u, v]) / scale).ravel(), [1.0, 2 * np.pi * ratio]])
+    x = _climbed(modal, x)
+    begun = number
+    while True:
+        off = [_beside(modal, x, by) for by in (1, 2)]
+        worst = [part[:-2].max() for part in off]
+        if worst[1] <= share or (steps is not None and worst[0] <= share):
+            break
+        longer = 2 * count + 1
+        if worst[0] > share / 2 and longer <= MOST // n:
+            Y = x[:-2].reshape(count, 2 * n)
+            x = np.concatenate([_turned(Y, 0.0, longer).ravel(), x[-2:]])
+            count = longer
+        elif steps is None and 2 * number <= FINEST * begun:
+            number *= 2
+            modal = modal._replace(
+                circle=eqx.tree_at(lambda c: c.flow.steps, circle, jnp.asarray(number))
+            )
+        else:
+            raise RuntimeError(
+                f"The torus is known to {worst[1]:.1e} of its size, {share:.1e} was asked for: {count} angles are not "
+                "enough, or the steps are not; near a resonance no number is."
+            )
+        x, left = _newtons(modal, x)
+    Y, off = x[:-2].reshape(count, 2 * n), off[1]
+    states = _states(modal.circle, Y)
+    error = jax.tree.map(
+        lambda e: e[0], _states(modal.circle, off[:-2].reshape(count, -1).max(0)[None])
+    )
+    numbers = float(x[-2] * T), float(x[-1]), error, float(off[-2] * T), float(off[-1])
+    energy = _energy(lattice, 0.0, states)
+    return Torus(states, *numbers, energy, lattice, modal.circle.flow, **lattice.origin)
+
+
+def _columns(modes):
+    """Modes over the raveled displacements, (n, modes)."""
+    leaves = [np.asarray(x) for x in jax.tree.leaves(modes)]
+    return np.concatenate([x.reshape(-1, x.shape[-1]) for x in leaves])
+
+
+def _climbed(modal, x):
+    """The torus at the full amplitudes, from the linear one, if need be by way of smaller ones."""
+    for parts in (1, 2, 4, 8):
+        found, before = x, 0.0
+        for share in np.arange(1, parts + 1) / parts:
+            found = found.copy()
+            found[:-2] = x[:-2] * share if not before else found[:-2] * share / before
+            found, left = _newtons(modal._replace(values=modal.values * share), found)
+            before = share
+            if not left <= share * CLOSE:
+                break
+        else:
+            return found
+    raise RuntimeError(
+        f"Newton's method found no torus: {left:.1e} of its size is left. The two frequencies may be in resonance, "
+        "or the amplitudes too large."
+    )
+
+
+def _newtons(modal, x):
+    """Gauss and Newton's method: as many steps as lower the residual, and what is left of it."""
+    best, left = x, np.inf
+    for _ in range(STEPS):
+        gap, slope = _equations(modal, x)
+        now = np.abs(gap).max()
+        if not now < left:
+            break
+        best, left = x, now
+        x = x - np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
+    return best, left
+
+
+def _beside(modal, x, by):
+    """By how much the unknowns are off: of angles between those of x, by more steps too."""
+    n = modal.circle.scale.size
+    count = len(x[:-2]) // n
+    Y = _turned(x[:-2].reshape(count, n), np.pi / count, count)
+    steps = jnp.asarray(by * modal.circle.flow.steps)
+    finer = modal._replace(circle=eqx.tree_at(lambda c: c.flow.steps, modal.circle, steps))
+    gap, slope = _equations(finer, np.concatenate([Y.ravel(), x[-2:]]), np.pi / count)
+    inverse = np.linalg.pinv(slope, rcond=FLAT)
+    # rounding of many entries adds up like noise
+    rounding = 16 * np.finfo(float).eps * np.abs(Y).max() * np.linalg.norm(inverse, axis=1)
+    return SAFETY * np.abs(inverse @ gap) + rounding
+
+
+def _equations(modal, x, offset=0.0):
+    """The residual of a torus and its derivative in (Y, T over that of the linear mode, rho), as many as there are."""
+    n = modal.circle.scale.size
+    Y = x[:-2].reshape(-1, n)
+    count, period = len(Y), x[-2] * modal.period
+    ends, maps, fields = map(
+        np.asarray, _mapped(modal.circle, jnp.asarray(Y), modal.lattice, jnp.asarray(period))
+    )
+    turn, slope = _kernel(count, x[-1])
+    inside = -np.kron(turn, np.eye(n))
+    for j, map_ in enumerate(maps):
+        inside[j * n : (j + 1) * n, j * n : (j + 1) * n] += map_
+    angles = offset + 2 * np.pi * np.arange(count) / count
+    conditions = [np.tile(row, count) / count for row in modal.mean]
+    conditions += [(f(angles)[:, None] * modal.harmonic).ravel() / count for f in (np.cos, np.sin)]
+    conditions = np.array(conditions)
+    columns = np.column_stack([(fields * modal.period).ravel(), -(slope @ Y).ravel()])
+    matrix = np.block([[inside, columns], [conditions, np.zeros((len(conditions), 2))]])
+    gap = np.concatenate([(ends - turn @ Y).ravel(), conditions @ Y.ravel() - modal.values])
+    return gap, matrix
+
+
+@eqx.filter_jit
+def _energies(lattice, t0, states):
+    return jax.vmap(lambda y: lattice.energy(t0, y.u, y.v))(states)
+
+
+def _energy(lattice, t0, states):
+    return float(np.mean(np.asarray(_energies(lattice, t0, jax.tree.map(jnp.asarray, states)))))
+
+
+class TorusProblem(Problem):
+    """Tori of a family of forced orbits: K states and rho, y_j(T) = y(theta_j + rho), and `phase` . Y = 0.
+
+    Source: Schilder, Osinga, Vogt, SIAM J. Appl. Dyn. Syst. 4, 459 (2005).
+    """
+
+    family: Family
+    circle: Circle
+    phase: Numbers
+
+    def residual(self, x, p):
+        return self.linearise(x, p)[0]
+
+    def linearise(self, x, p):
+        lattice, period = self.family.scene(p)
+        size = self.circle.scale.size
+        Y = x[:-1].reshape(-1, size)
+        ends, maps, _ = _mapped(self.circle, Y, lattice, period)
+        turn, slope = _kernel(len(Y), x[-1], jnp)
+        gap = jnp.append((ends - turn @ Y).ravel(), self.phase @ x[:-1])
+        inside = jax.scipy.linalg.block_diag(*maps) - jnp.kron(turn, jnp.eye(size))
+        column = jnp.append(-(slope @ Y).ravel(), 0.0)
+        in_x = jnp.column_stack([jnp.vstack([inside, self.phase]), column])
+        in_p = jax.jvp(lambda p: self._ends(Y, p), (p,), (jnp.ones_like(p),))[1].ravel()
+        return gap, in_x, jnp.append(in_p, 0.0)
+
+    def _ends(self, Y, p):
+        lattice, period = self.family.scene(p)
+        unravel, scale, t0 = ravel_pytree(self.circle.like)[1], self.circle.scale, self.circle.t0
+
+        def one(y):
+            return ravel_pytree(
+                self.circle.flow(State(*unravel(y * scale)), t0, t0 + period, lattice)
+            )[0]
+
+        return jax.vmap(one)(Y) / scale
+
+
+@eqx.filter_jit
+def _solved(problem, x, q):
+    """Newton's step at (x, q), and what rounding makes of the unknowns."""
+    gap, in_x, _ = problem.linearise(x, q)
+    inverse = jnp.linalg.inv(in_x)
+    size = jnp.max(jnp.abs(x[:-1]))
+    rounding = 16 * jnp.finfo(x.dtype).eps * size * jnp.linalg.norm(inverse, axis=1)
+    return inverse @ gap, rounding
+
+
+def _with_steps(problem, by):
+    steps = jnp.asarray(by * problem.circle.flow.steps)
+    return eqx.tree_at(lambda p: p.circle.flow.steps, problem, steps)
+
+
+def _apart(problem, x, q, by):
+    """By how much the unknowns are off: of angles between those of x (by = 1), or by more steps too."""
+    size = problem.circle.scale.size
+    Y, count = x[:-1].reshape(-1, size), (len(x) - 1) // size
+    between = np.append(_turned(Y, np.pi / count, count).ravel(), x[-1])
+    phase = _turned(np.asarray(problem.phase).reshape(-1, size), np.pi / count, count).ravel()
+    moved = eqx.tree_at(lambda p: p.phase, _with_steps(problem, by), jnp.asarray(phase))
+    step, rounding = map(np.asarray, _solved(moved, jnp.asarray(between), jnp.asarray(q)))
+    return SAFETY * np.abs(step) + rounding
+
+
+def from_neimark_sacker(
+    family: Family,
+    z: np.ndarray,
+    multiplier: complex,
+    *,
+    until: tuple,
+    arclength: Scalar,
+    longest_arclength: Scalar,
+    points: Count,
+    tolerance: float = 1e-6,
+) -> TorusBranch:
+    """The tori that leave a Neimark-Sacker point z = (x, q) of a family of forced orbits."""
+    shooting, q = family.shooting, jnp.asarray(z[-1])
+    n = 2 * shooting.count
+    lattice, period = family.scene(q)
+    state, flow = shooting.state(jnp.asarray(z[:-1])), shooting.whole
+    # so that the norm of the unknowns is that of the mean state over the circle
+    count, steps = FIRST, 1
+    circle = Circle(flow, shooting.like, shooting.scale, jnp.asarray(shooting.t0))
+    x0 = np.asarray(ravel_pytree(state)[0] / circle.scale)
+    _, maps, _ = _mapped(circle, jnp.asarray(x0[None]), lattice, period)
+    values, vectors = np.linalg.eig(np.asarray(maps[0]))
+    v = vectors[:, np.argmin(np.abs(values - multiplier))]
+    while True:
+        angles = 2 * np.pi * np.arange(count) / count
+        wave = np.exp(1j * angles)[:, None] * v
+        along, phase = (x.ravel() / np.linalg.norm(x) for x in (wave.real, (1j * wave).real))
+        own = eqx.tree_at(lambda c: c.scale, circle, circle.scale * math.sqrt(count))
+        own = eqx.tree_at(lambda c: c.flow.steps, own, jnp.asarray(steps * flow.steps))
+        problem = TorusProblem(family, own, jnp.asarray(phase))
+        curve = continuation(
+            problem,
+            np.append(np.tile(x0, count) / math.sqrt(count), float(np.angle(multiplier))),
+            float(q),
+            direction=np.append(along, [0.0, 0.0]),
+            until=until,
+            arclength=arclength,
+            longest_arclength=longest_arclength,
+            points=points,
+            tolerance=float(family.left),
+            find=(),
+        )
+        last = np.argmax(np.ptp(curve.x[:, :-1].reshape(len(curve.p), count, n), axis=1).max(1))
+        off = [_apart(problem, curve.x[last], curve.p[last], by)[:-1].max() for by in (1, 2)]
+        size = np.abs(curve.x[last, :-1]).max()
+        if off[0] > tolerance * size and 2 * count + 1 <= MOST // n:
+            count = 2 * count + 1
+        elif off[1] > tolerance * size and 2 * steps <= FINEST and off[1] > 2 * off[0]:
+            steps *= 2
+        else:
+            return _torus_branch(problem, curve, n)
+
+
+def _torus_branch(problem, curve, n):
+    family, circle = problem.family, problem.circle
+    count = (curve.x.shape[1] - 1) // n
+    found = []
+    for x, q in zip(curve.x, curve.p):
+        Y, (lattice, period) = x[:-1].reshape(count, n), family.scene(jnp.asarray(q))
+        off = _apart(problem, x, q, 2)
+        error = _states(circle, off[:-1].reshape(count, n).max(0)[None])
+        _, maps, _ = _mapped(circle, jnp.asarray(Y), lattice, jnp.asarray(period))
+        exponents, about = _cocycle(np.asarray(maps), x[-1], float(period), ITERATES)
+        error = jax.tree.map(lambda e: e[0], error)
+        found.append((float(period), _states(circle, Y), error, off[-1], exponents, about))
+    periods, states, error, turned, exponents, about = zip(*found)
+    stack = lambda parts: jax.tree.map(lambda *y: np.stack(y), *parts)
+    exponents, about = np.stack(exponents), np.stack(about)
+    p = np.asarray(family.value(curve.p))
+    return TorusBranch(
+        p,
+        np.array(periods),
+        curve.x[:, -1],
+        np.array(turned),
+        stack(states),
+        stack(error),
+        exponents,
+        about,
+        np.array([_verdict(x, e) for x, e in zip(exponents, about)]),
+        _lockings(p, curve.x[:, -1] / (2 * np.pi)),
+        curve,
+        problem,
+        **family.scene(jnp.asarray(curve.p[0]))[0].origin,
+    )
+
+
+def _verdict(exponents, error):
+    """The exponent next to zero is that along the circle."""
+    along = np.argmin(np.abs(exponents))
+    others, about = np.delete(exponents, along), np.delete(error, along)
+    if (others > SURE * about).any():
+        return "unstable"
+    return "stable" if (others < -SURE * about).all() else "undecided"
+
+
+def _lockings(p, rotation):
+    """(p, fraction) where the rotation number passes fractions of small denominators, by linear interpolation."""
+    found = []
+    for i, (a, b) in enumerate(zip(rotation[:-1], rotation[1:])):
+        low, high = sorted((a, b))
+        for bottom in range(1, STRONG + 1):
+            for top in range(math.ceil(low * bottom), math.floor(high * bottom) + 1):
+                if math.gcd(top, bottom) == 1 and low < high:
+                    share = (top / bottom - a) / (b - a)
+                    found.append((float(p[i] + share * (p[i + 1] - p[i])), f"{top}/{bottom}"))
+    return tuple(found)
+
+
+def _cocycle(maps, rotation, period, iterates):
+    """Lyapunov exponents of maps (K, 2n, 2n) over a circle that each turns by an angle, and their errors."""
+    count, n, _ = maps.shape
+    thetas = rotation * np.arange(IDLE + iterates)
+    k = np.fft.fftfreq(count, 1 / count)
+    flat = np.fft.fft(maps.reshape(count, -1), axis=0) / count
+    all_maps = (np.exp(1j * np.outer(thetas, k)) @ flat).real.reshape(-1, n, n)
+    Q, logs = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0], []
+    for map_ in all_maps:
+        Q, R = np.linalg.qr(map_ @ Q)
+        logs.append(np.log(np.abs(np.diag(R))))
+    logs = np.stack(logs[IDLE:]) / period
+    whole_, *halves = (_smooth_mean(part) for part in (logs, *np.array_split(logs, 2)))
+    order = np.argsort(-whole_)
+    error = SAFETY * np.max([np.abs(half - whole_) for half in halves], axis=0)
+    return whole_[order], (error + 10 * n * np.finfo(float).eps / period)[order]
+
+
+def _smooth_mean(x):
+    """The mean over a quasiperiodic motion by smooth weights, which converges faster than any power.
+
+    Source: Das, Saiki, Sander, Yorke, Nonlinearity 30, 4111 (2017).
+    """
+    s = (np.arange(len(x)) + 0.5) / len(x)
+    weights = np.exp(-1 / (s * (1 - s)))
+    return weights @ x / weights.sum()
