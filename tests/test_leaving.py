@@ -39,8 +39,10 @@ def flowed(y, periods, force, omega=1.2, K2=-1.0, K4=1.0, damping=0.3):
 
 def shooting(y, periods, force, **others):
     """The orbit of SciPy, and its multipliers."""
-    found = fsolve(lambda y: flowed(y, periods, force, **others)[0] - y, y, xtol=1e-13)
-    return found, np.linalg.eigvals(flowed(found, periods, force, **others)[1])
+    for _ in range(6):
+        end, M = flowed(y, periods, force, **others)
+        y = y - np.linalg.solve(M - np.eye(2), end - y)
+    return y, np.linalg.eigvals(M)
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +74,11 @@ def test_a_doubled_orbit_is_that_of_scipy(well):
         assert np.abs(flowed(orbit, 1, doubled.p[i])[0] - orbit).max() > 1e-3
     # the other side is the same orbit a period later
     other = well.switch(0, side=-1, points=4)
-    later = flowed([doubled.states.u[2, 0], doubled.states.v[2, 0]], 1, doubled.p[2])[0]
-    assert_allclose([other.states.u[2, 0], other.states.v[2, 0]], later, atol=1e-6)
+    start = np.array([other.states.u[3, 0], other.states.v[3, 0]])
+    assert_allclose(start, shooting(start, 2, other.p[3])[0], atol=1e-6)
+    later = flowed(start, 1, other.p[3])[0]
+    for x, y in zip(later, (doubled.states.u[:, 0], doubled.states.v[:, 0])):
+        assert_allclose(x, np.interp(other.p[3], doubled.p, y), atol=1e-3)
 
 
 def test_the_normal_form_predicts_the_doubled_orbit(well):
@@ -136,14 +141,15 @@ def test_both_sides_of_a_pitchfork(symmetric):
 def test_a_pitchfork_is_followed_in_the_damping(symmetric):
     found = symmetric.locus(0, twofold, 0.1, 0.2, arclength=0.1)
     assert found.other[-1] == 0.2 and np.all(np.diff(found.p) > 0)
-    again = forced_branch(
-        lambda f: twofold(f, 0.2),
-        *(found.p[-1] + np.array([-0.1, 0.1])),
-        period=2 * np.pi,
-        guess=gx.State(found.states.u[-1], found.states.v[-1]),
-    )
-    (event,) = again.bifurcations
-    assert_allclose(found.p[-1], event.p, rtol=1e-8)
+    # a symmetric orbit of SciPy with a multiplier 1: half a period later it is its mirror image
+    others = dict(omega=1.0, K2=0.2, K4=1.0, damping=0.2)
+
+    def equations(x):
+        end, M = flowed(x[:2], 0.5, x[2], **others)
+        return np.append(end + x[:2], np.linalg.det(M - np.eye(2)))
+
+    start = [found.states.u[-1, 0], found.states.v[-1, 0], found.p[-1]]
+    assert_allclose(root(equations, start, tol=1e-12).x, start, atol=1e-7)
 
 
 def test_a_doubling_is_followed_in_the_frequency(well):
@@ -152,7 +158,7 @@ def test_a_doubling_is_followed_in_the_frequency(well):
     start = [found.states.u[-1, 0], found.states.v[-1, 0]]
     orbit, multipliers = shooting(start, 1, found.p[-1], omega=1.1)
     assert_allclose(start, orbit, atol=1e-7)
-    assert abs(multipliers.real.min() + 1) < 1e-8
+    assert abs(multipliers.real.min() + 1) < 5e-8
     assert found.p_error.max() < 1e-8
     with refused("make: expected lattices that at `start`"):
         well.locus(0, duffing, 1.25, 1.1, period=lambda f, w: 2 * jnp.pi / w)
@@ -179,7 +185,7 @@ def fold_of_scipy(force, start):
 @pytest.mark.slow
 def test_folds_of_a_duffing_pair_and_their_cusp():
     period = lambda omega, *_: 2 * jnp.pi / omega
-    branch = forced_branch(lambda w: hump(w, 0.1), 0.9, 1.2, period=period)
+    branch = forced_branch(lambda w: hump(w, 0.1), 0.7, 1.4, period=period)
     found = branch.locus(0, hump, 0.1, 0.0, period=period, points=70)
     for i in (0, 20, 40, 65):
         start = [found.states.u[i, 0], found.states.v[i, 0], found.p[i]]
@@ -190,10 +196,9 @@ def test_folds_of_a_duffing_pair_and_their_cusp():
     for factor, folds in ((0.995, 0), (1.005, 2)):
         force = factor * cusp.other
         there = forced_branch(
-            lambda w: hump(w, force), 1.03, 1.06, period=period, longest_arclength=0.02
+            lambda w: hump(w, force), 0.9, 1.06, period=period, longest_arclength=0.02
         )
         assert len(there.folds) == folds
-    # harmonic balance to first order: 27/8 b a^2 ... within its few per cent
     assert_allclose([cusp.p, cusp.other], [1.04417, 0.05393], rtol=1e-4)
 
 
@@ -217,12 +222,12 @@ def test_a_torus_beyond_a_neimark_sacker_point(shaken):
     (event,) = shaken.bifurcations
     form = shaken.normal_form(0)
     assert event.kind == "Neimark-Sacker" and form.criticality == "supercritical"
-    tori = shaken.switch(0, points=8)
+    tori = shaken.switch(0, points=40, longest_arclength=0.3)
     assert_allclose(tori.rotation[0], np.angle(event.multiplier), atol=1e-5)
-    # one exponent along the circle
-    assert np.all(np.abs(tori.exponents[:, 0]) <= tori.exponents_error[:, 0] + 1e-9)
-    # damping takes the volume
-    assert_allclose(tori.exponents.sum(1), -0.1, atol=1e-6)
+    assert tori.outcome == "p reached 0.4." and (tori.verdict[1:] == "stable").all()
+    # one exponent along the circle, and damping takes the volume
+    assert np.all(np.abs(tori.exponents[:, 0]) <= tori.exponents_error[:, 0] + 1e-14)
+    assert_allclose(tori.exponents.sum(1), -0.1, atol=1e-9)
     last = tori.torus(-1)
     lattice, start = OneWall()(tori.p[-1]), last.state(0.3)
     start = gx.State(*map(jnp.asarray, start))
@@ -236,7 +241,8 @@ def test_a_torus_beyond_a_neimark_sacker_point(shaken):
     angles = np.linspace(0, 2 * np.pi, 4001)
     circle = np.array([np.concatenate(last.state(a)) for a in angles])
     away = np.linalg.norm(circle - np.concatenate(y), axis=1).min()
-    assert away < 2e-3 * np.ptp(circle, axis=0).max()
+    # half the distance of two of the 4001 states
+    assert away < 1e-3 * np.ptp(circle, axis=0).max()
 
 
 def frequency(E, mass):

@@ -21,6 +21,8 @@ from .problems import Family
 KINDS = ("fold", "branch point", "period doubling", "Neimark-Sacker", "Krein collision")
 # of the residual of the whole, beside what an orbit of the branch may leave
 LEFT = 10
+# of the size of the orbit, a disturbance by which a symmetry is lost
+SYMMETRIC = 1e-6
 # at such angles of the multiplier a Neimark-Sacker curve meets a strong resonance
 RESONANT = {"1:1": 0.0, "1:2": np.pi, "1:3": 2 * np.pi / 3, "1:4": np.pi / 2}
 
@@ -92,8 +94,8 @@ class Critical(Problem):
     x holds the orbit's unknowns X, its parameter q, and
     - v, the direction that a multiplier rho keeps: A(rho) v = 0 with fixed . v = 1, where A(rho) is the derivative of
       the orbit's residual with rho times the start in place of the start (fold, branch point: rho = 1; doubling: -1);
-    - at a branch point the size of a disturbance along `left`, zero where the lattice has the symmetry that is broken,
-      and X keeps what it has along v;
+    - at a branch point mu, the size of a disturbance along `left`, zero where the lattice has the symmetry that is
+      broken, and h of A h + D^2 F [v, v] = 0, which places X along v: there the branches that leave have no slope;
     - of a Neimark-Sacker point theta of rho = exp(i theta), and v is complex;
     - of a reversible orbit mu = Re rho; v of a chain (T - mu) v = 0, and of a Krein collision (T - mu) w = v, where T
       is what a period makes of displacements, whose eigenvalues are (rho + 1/rho)/2.
@@ -145,8 +147,12 @@ class Critical(Problem):
             if self.kind == "period doubling":
                 critical = critical + 2 * self.started(v)
             if self.kind == "branch point":
-                orbit = orbit + rest[size] * self.left
-                more.append(self.fixed @ (X - self.there))
+                mu, v, h = rest[size], rest[:size], rest[size + 1 :]
+                orbit = orbit + mu * self.left
+                along = lambda X: self.moved(family, X, q, v)
+                curved = jax.jvp(along, (X,), (v,))[1] + self.moved(family, X, q, h)
+                critical = jnp.concatenate([critical, curved])
+                more.append(self.fixed @ h)
         return jnp.concatenate([orbit, critical, jnp.stack(more)])
 
     @property
@@ -198,9 +204,14 @@ def locus(
     if problem.family.shooting.reversible:
         names = names[:1] if kind == "fold" else ()
     turns, size = kind == "Neimark-Sacker", problem.there.size
-    ends = lambda x, r: (
-        None if not turns or 0 < x[size + 1] < np.pi else "the multipliers met on the real axis"
-    )
+
+    def ends(x, r):
+        if turns and not 0 < x[size + 1] < np.pi:
+            return "the multipliers met on the real axis"
+        if kind == "branch point" and abs(x[2 * size + 1]) > SYMMETRIC:
+            return "the lattice has not the symmetry that the branch point breaks"
+        return None
+
     curve = continuation(
         problem,
         x,
@@ -272,7 +283,11 @@ def _begun(family, z, kind, angle, make, period, start, span):
     left, _, right = np.linalg.svd(A)
     v, w = right[-1].conj(), left[:, -1]
     if kind != "Neimark-Sacker":
-        rest = np.append(v, 0.0) if kind == "branch point" else v
+        rest = v
+        if kind == "branch point":
+            curved = np.asarray(_curvature(here, X, q, jnp.asarray(v)))
+            h = np.linalg.lstsq(A, -curved, rcond=1e-6)[0]
+            rest = np.concatenate([v, [0.0], h - (v @ h) * v])
         return _held(problem, v, w), np.concatenate([z, rest])
     # of a phase at which real and imaginary part are orthogonal
     v = v * np.exp(-0.5j * np.angle(v @ v))

@@ -33,8 +33,10 @@ FINEST = 64
 # what Gauss and Newton's method may leave of the size where it converged; singular values that count as zero
 CLOSE = 1e-9
 FLAT = 1e-11
+# the shortest part of a step that is tried
+SHORTEST = 2.0**-6
 # Newton's steps; of the error, by how much more it is given
-STEPS = 25
+STEPS = 40
 SAFETY = 2
 # Lyapunov exponents: iterates of the period, a part of them to begin with; the largest that is zero, in errors
 ITERATES = 2000
@@ -59,6 +61,7 @@ class Torus(Result):
     energy: float = array("The energy of the mean angle, from equilibrium.", "J")
     lattice: Lattice = hidden("The lattice.")
     flow: Flow = hidden("The steps and the solver over a period.")
+    t0: float = array("The time at which the circle is taken.", "s", default=0.0)
 
     @property
     def omega(self) -> tuple[float, float]:
@@ -84,9 +87,14 @@ class Torus(Result):
         One is zero for each frequency that nothing drives, and so is its partner in a conservative lattice.
         """
         Y = np.stack([np.asarray(ravel_pytree(y)[0]) for y in _each(self.states)])
-        circle = Circle(self.flow, _each(self.states)[0], jnp.ones(Y.shape[1]), jnp.asarray(0.0))
+        own = [_slope(Y)]
+        if not self.lattice.reads_time:
+            own.append(
+                np.asarray(ravel_pytree(vector_field(0.0, _each(self.states)[0], self.lattice))[0])
+            )
+        circle = Circle(self.flow, _each(self.states)[0], jnp.ones(Y.shape[1]), self.t0)
         _, maps, _ = _mapped(circle, jnp.asarray(Y), self.lattice, jnp.asarray(self.period))
-        return _cocycle(np.asarray(maps), self.rotation, self.period, iterates)
+        return _cocycle(np.asarray(maps), self.rotation, self.period, iterates, own)
 
 
 class TorusBranch(Result):
@@ -144,7 +152,8 @@ class TorusBranch(Result):
         energy = _energy(lattice, self._problem.circle.t0, states)
         numbers = float(period), float(self.rotation[i]), error, 0.0, float(self.rotation_error[i])
         flow = self._problem.circle.flow
-        return Torus(states, *numbers, energy, lattice, flow, **lattice.origin)
+        t0 = float(self._problem.circle.t0)
+        return Torus(states, *numbers, energy, lattice, flow, t0, **lattice.origin)
 
 
 class Circle(eqx.Module):
@@ -343,15 +352,21 @@ def _climbed(modal, x):
 
 def _newtons(modal, x):
     """Gauss and Newton's method: as many steps as lower the residual, and what is left of it."""
-    best, left = x, np.inf
+    gap, slope = _equations(modal, x)
+    left, share = np.abs(gap).max(), 1.0
+    step = np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
     for _ in range(STEPS):
-        gap, slope = _equations(modal, x)
+        tried = x - share * step
+        gap, slope = _equations(modal, tried)
         now = np.abs(gap).max()
-        if not now < left:
+        if now < left:
+            x, left, share = tried, now, 1.0
+            step = np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
+        elif share > SHORTEST and left > CLOSE:
+            share /= 2
+        else:
             break
-        best, left = x, now
-        x = x - np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
-    return best, left
+    return x, left
 
 
 def _beside(modal, x, by):
@@ -525,7 +540,7 @@ def _torus_branch(problem, curve, n):
         off = _apart(problem, x, q, 2)
         error = _states(circle, off[:-1].reshape(count, n).max(0)[None])
         _, maps, _ = _mapped(circle, jnp.asarray(Y), lattice, jnp.asarray(period))
-        exponents, about = _cocycle(np.asarray(maps), x[-1], float(period), ITERATES)
+        exponents, about = _cocycle(np.asarray(maps), x[-1], float(period), ITERATES, [_slope(Y)])
         error = jax.tree.map(lambda e: e[0], error)
         found.append((float(period), _states(circle, Y), error, off[-1], exponents, about))
     periods, states, error, turned, exponents, about = zip(*found)
@@ -571,14 +586,26 @@ def _lockings(p, rotation):
     return tuple(found)
 
 
-def _cocycle(maps, rotation, period, iterates):
-    """Lyapunov exponents of maps (K, 2n, 2n) over a circle that each turns by an angle, and their errors."""
+def _slope(Y):
+    """dy/dtheta at the first angle, which the motion takes to itself."""
+    k = np.fft.fftfreq(len(Y), 1 / len(Y))
+    return (1j * k @ np.fft.fft(Y, axis=0) / len(Y)).real
+
+
+def _cocycle(maps, rotation, period, iterates, own):
+    """Lyapunov exponents of maps (K, 2n, 2n) over a circle that each turns by an angle, and their errors.
+
+    `own`: directions at the first angle whose exponents are zero. Found by chance they would need as long as the next
+    exponent is near.
+    """
     count, n, _ = maps.shape
     thetas = rotation * np.arange(IDLE + iterates)
     k = np.fft.fftfreq(count, 1 / count)
     flat = np.fft.fft(maps.reshape(count, -1), axis=0) / count
     all_maps = (np.exp(1j * np.outer(thetas, k)) @ flat).real.reshape(-1, n, n)
-    Q, logs = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0], []
+    Q = np.random.default_rng(0).normal(size=(n, n))
+    Q[:, : len(own)] = np.column_stack(own)
+    Q, logs = np.linalg.qr(Q)[0], []
     for map_ in all_maps:
         Q, R = np.linalg.qr(map_ @ Q)
         logs.append(np.log(np.abs(np.diag(R))))
@@ -586,6 +613,8 @@ def _cocycle(maps, rotation, period, iterates):
     whole_, *halves = (_smooth_mean(part) for part in (logs, *np.array_split(logs, 2)))
     order = np.argsort(-whole_)
     error = SAFETY * np.max([np.abs(half - whole_) for half in halves], axis=0)
+    # what the known directions miss of zero, the others may miss too
+    error = error + SAFETY * np.abs(whole_[: len(own)]).max()
     return whole_[order], (error + 10 * n * np.finfo(float).eps / period)[order]
 
 
