@@ -339,3 +339,87 @@ def test_a_diagram_and_what_is_refused(well):
         3, lambda w: duffing(well.p[3], w), 1.2, 1.3, period=lambda w: 2 * jnp.pi / w
     )
     assert_allclose(further.states.u[0], well.states.u[3], atol=1e-6)
+
+
+def uneven(quadratic):
+    """A light oscillator that drives a heavy one of half its frequency."""
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Polynomial(0.1, quadratic, 0.1))
+    return gx.Lattice(jnp.array([1.0, 4.4]), (gx.OnSite(gx.Linear(1.0)), bond))
+
+
+@pytest.mark.slow
+def test_a_breather_doubles_its_period():
+    family = gx.breathers.family(
+        uneven(0.3), points=40, longest_arclength=0.3, amplitude=1.0, mode=1
+    )
+    (event,) = gx.breathers.bifurcations(family)
+    assert event.kind == "period doubling"
+    doubled = family.switch(event, points=8)
+    assert (doubled.verdict == "stable").all()
+    # the heavy one's share begins at zero, at half the frequency
+    assert_allclose(2 * doubled.omega[0], event.p, rtol=1e-4)
+    assert np.all(np.diff(np.abs(doubled.u[:, 1])) > 0)
+
+    def field(t, y):
+        r = y[1] - y[0]
+        push = 0.1 * r + 0.1 * r**3
+        return [
+            y[2],
+            y[3],
+            -y[0] + push + sign * 0.3 * r**2,
+            (-y[1] - push - sign * 0.3 * r**2) / 4.4,
+        ]
+
+    ends = []
+    for sign in (1, -1):  # whichever way the law counts its strain
+        span = 0, np.pi / doubled.omega[-1]
+        run = solve_ivp(
+            field, span, [*doubled.u[-1], 0, 0], method="DOP853", rtol=1e-12, atol=1e-13
+        )
+        ends.append(np.abs(run.y[2:, -1]).max())
+    assert min(ends) < 1e-8 and max(ends) > 1e-2
+    found = family.locus(event, uneven, 0.3, 0.35, arclength=0.2)
+    again = gx.breathers.family(
+        uneven(0.35), points=40, longest_arclength=0.3, amplitude=1.0, mode=1
+    )
+    assert_allclose(found.p[-1], gx.breathers.bifurcations(again)[0].p, rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_krein_collision_stays_where_scaling_says():
+    """beta u^2 is all that a beta-FPUT chain knows: its collisions are at one frequency."""
+    make = lambda beta: gx.scenes.fput(6, beta=beta)
+    family = gx.breathers.family(make(1.0), mode=1, points=60, longest_arclength=0.4, amplitude=1.5)
+    event = next(b for b in gx.breathers.bifurcations(family) if b.kind == "Krein collision")
+    found = family.locus(event, make, 1.0, 1.3, arclength=0.1)
+    assert_allclose(found.p, event.p, rtol=1e-8)
+    assert_allclose(found.p, found.p[0], rtol=1e-10)
+    assert_allclose(found.angle, found.angle[0], rtol=1e-8)
+    amplitude = np.abs(found.states.u).max(1) * np.sqrt(found.other)
+    assert_allclose(amplitude, amplitude[0], rtol=1e-7)
+
+
+def shaken_bond(strength, omega):
+    """As `Parametric` in `test_forced`: two modes that a bond excites together near the sum of their frequencies."""
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0))
+    bond = gx.Modulated(bond, gx.Harmonic(strength, omega, mean=1.0))
+    return gx.Lattice(jnp.array([1.0, 2.2]), (bond, gx.OnSite(gx.Linear(1.0)), gx.Damping(0.02)))
+
+
+@pytest.mark.slow
+def test_torus_points_over_the_drive_meet_a_resonance():
+    stiffness = np.array([[2.0, -1.0], [-1.0 / 2.2, 2.0 / 2.2]])
+    omega = np.sqrt(np.linalg.eigvals(stiffness)).sum()
+    period = lambda p, w: 2 * jnp.pi / w
+    branch = forced_branch(lambda p: shaken_bond(p, omega), 0.0, 0.9, period=2 * np.pi / omega)
+    assert branch.bifurcations[0].kind == "Neimark-Sacker"
+    found = branch.locus(0, shaken_bond, omega, 1.05 * omega, period=period, arclength=0.05)
+    assert [s.kind for s in found.special] == ["1:3"]
+    where = found.special[0]
+    rest = gx.State(jnp.zeros(2), jnp.zeros(2))
+    lattice = shaken_bond(where.p, where.other)
+    map_ = gx.Flow(400).derivative(rest, 0.0, 2 * np.pi / where.other, lattice)[1]
+    multipliers = np.linalg.eigvals(np.asarray(map_))
+    assert_allclose(np.abs(multipliers).max(), 1, atol=1e-9)
+    angles = np.abs(np.angle(multipliers))
+    assert np.abs(angles - 2 * np.pi / 3).min() < 1e-8
