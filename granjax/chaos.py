@@ -14,7 +14,7 @@ from jaxtyping import Float
 from .checks import parameter, positive, refuse, whole
 from .flow.stepping import columns, matrix
 from .lattice import Lattice, State
-from .measures import Average
+from .measures.transport import birkhoff
 from .orbits.asked import COARSE, asked
 from .orbits.attractors import slowly
 from .printing import told
@@ -298,33 +298,3 @@ def _strongest(q, dt):
 
     omega = jax.lax.fori_loop(0, REFINEMENTS, closer, start)
     return omega, 2 * jnp.abs(jnp.sum(signal * jnp.exp(-1j * omega * t), 0))
-
-
-def birkhoff(q: Parameter) -> Average:
-    """Time average with a smooth weight exp(-1/(s (1 - s))), s = t/T, and how far both halves differ.
-
-    Along a quasi-periodic orbit it converges faster than any power of T, along a chaotic one like T^-1/2: the digits
-    to which both halves agree tell them apart.
-
-    **Arguments:** `q`: (T,) and trailing axes, equally spaced. **Returns:** `Average(value, error)`.
-    **Raises** ValueError for fewer than 16 frames.
-    Source: Das, Saiki, Sander, Yorke, Nonlinearity 30, 4111 (2017).
-
-    **Example:**
-
-    >>> t = 0.1 * np.arange(4000)
-    >>> found = gx.chaos.birkhoff(np.cos(t) ** 2)
-    >>> round(float(found.value), 10), bool(found.error < 1e-8)
-    (0.5, True)
-    """
-    q = parameter("q", q)
-    if q.ndim == 0 or len(q) < 16:
-        refuse("q", "a history of at least 16 frames", f"shape {q.shape}")
-    half = len(q) // 2
-    return Average(_smooth_mean(q), jnp.abs(_smooth_mean(q[:half]) - _smooth_mean(q[-half:])))
-
-
-def _smooth_mean(q):
-    s = (np.arange(len(q)) + 0.5) / len(q)
-    weight = np.exp(-1 / (s * (1 - s)))
-    return jnp.tensordot(weight / weight.sum(), q, 1)

@@ -18,6 +18,7 @@ from ..continuation import Curve, Problem, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..linear import normal_modes
+from ..measures.transport import birkhoff
 from ..printing import told
 from ..results import Result, array, hidden, part
 from ..solvers import SRKN14a
@@ -30,9 +31,9 @@ FIRST = 15
 MOST = 511
 # the most steps of a period, times those of the beginning
 FINEST = 64
-# what Gauss and Newton's method may leave of the size where it converged; singular values that count as zero
-CLOSE = 1e-9
-FLAT = 1e-11
+# what Gauss and Newton's method may leave of the size with the first angles; singular values that count as zero
+CLOSE = 1e-4
+FLAT = 1e-7
 # the shortest part of a step that is tried
 SHORTEST = 2.0**-6
 # Newton's steps; of the error, by how much more it is given
@@ -179,12 +180,19 @@ def _mapped(circle, Y, lattice, period):
     return jax.vmap(one)(Y)
 
 
-def _kernel(count, angle, xp=np):
-    """Fourier's interpolation from K angles to the same plus `angle`, (K, K), and its derivative in the angle."""
-    k, j = np.arange(1, (count + 1) // 2), np.arange(count)
-    at = 2 * np.pi / count * (j[:, None] - j)[..., None] + angle
-    value = (1 + 2 * xp.sum(xp.cos(k * at), -1)) / count
-    return value, -2 * xp.sum(k * xp.sin(k * at), -1) / count
+@eqx.filter_jit
+def _assembled(circle, Y, lattice, period, rho):
+    """The gaps y_j(T) - y(theta_j + rho) in a row, and their derivatives in Y, in the period and in rho."""
+    count, size = Y.shape
+    ends, maps, fields = _mapped(circle, Y, lattice, period)
+    # Fourier's interpolation to the angles plus rho
+    k, j = jnp.arange(1, (count + 1) // 2), jnp.arange(count)
+    at = k * (2 * jnp.pi / count * (j[:, None] - j)[..., None] + rho)
+    turn = (1 + 2 * jnp.sum(jnp.cos(at), -1)) / count
+    slope = -2 * jnp.sum(k * jnp.sin(at), -1) / count
+    own = jnp.einsum("jab,jl->jalb", maps, jnp.eye(count)).reshape(count * size, -1)
+    in_Y = own - jnp.kron(turn, jnp.eye(size))
+    return (ends - turn @ Y).ravel(), in_Y, fields.ravel(), -(slope @ Y).ravel()
 
 
 def _turned(x, theta, count=None):
@@ -226,6 +234,7 @@ def torus(
     modes: tuple[Count, Count],
     amplitudes: tuple[Scalar, Scalar],
     *,
+    angles: Count | None = None,
     steps: Count | None = None,
     solver: AbstractSolver | None = None,
     tolerance: Scalar = 1e-9,
@@ -241,8 +250,8 @@ def torus(
       returned after T.
     - `amplitudes`: of each mode, the largest displacement that its share makes [m]: of the first one, the share in the
       mean over the circle at t0, of the second, in the first harmonic.
-    - `steps` in T, `solver`: as in `gx.orbits.orbit`. With `None` the steps are doubled, and the angles at any rate,
-      until the error is below `tolerance` times the larger amplitude.
+    - `angles`: K, an odd number; `steps` in T; with `None` each is doubled until the error is below `tolerance` times
+      the larger amplitude. `solver`: as in `gx.orbits.orbit`.
 
     **Returns:** `Torus`, known to its `error`. **Raises** ValueError for a lattice that is damped or driven, the same
     mode twice, modes of no frequency; RuntimeError where Newton's method finds none, as at a resonance of the two, or
@@ -276,7 +285,9 @@ def torus(
     none, moves = np.zeros(n), np.asarray(shifts(lattice)).T * mass / mass.sum()
     mean = [np.append(rows[0], none), np.append(none, rows[0])]
     mean += [np.append(move, none) for move in moves] + [np.append(none, move) for move in moves]
-    solver, count = fixed_step_solver(lattice, solver, SRKN14a()), FIRST
+    solver, count = fixed_step_solver(lattice, solver, SRKN14a()), angles or FIRST
+    if not whole("angles", count, 3) % 2:
+        refuse("angles", "an odd number", f"{angles}")
     if steps is None:
         guess = State(
             *ravel_pytree(like)[1](jnp.asarray(np.append(a * shapes[0] + b * shapes[1], none)))
@@ -288,32 +299,33 @@ def torus(
     harmonic = 2 * np.append(rows[1], none)
     values = np.concatenate([[a, *[0.0] * (len(mean) - 1)], [b, 0.0]]) / size
     modal = _Modal(circle, lattice, T, np.array(mean), harmonic, values)
-    angles = 2 * np.pi * np.arange(count) / count
-    u = a * shapes[0] + b * np.cos(angles)[:, None] * shapes[1]
-    v = -b * omega[second] * np.sin(angles)[:, None] * shapes[1]
+    theta = 2 * np.pi * np.arange(count)[:, None] / count
+    u = a * shapes[0] + b * np.cos(theta) * shapes[1]
+    v = -b * omega[second] * np.sin(theta) * shapes[1]
     x = np.concatenate([(np.column_stack([u, v]) / scale).ravel(), [1.0, 2 * np.pi * ratio]])
     x = _climbed(modal, x)
     begun = number
     while True:
         off = [_beside(modal, x, by) for by in (1, 2)]
         worst = [part[:-2].max() for part in off]
-        if worst[1] <= share or (steps is not None and worst[0] <= share):
+        if worst[1] <= share:
             break
         longer = 2 * count + 1
-        if worst[0] > share / 2 and longer <= MOST // n:
+        if angles is None and worst[0] > share / 2 and longer <= MOST // n:
             Y = x[:-2].reshape(count, 2 * n)
             x = np.concatenate([_turned(Y, 0.0, longer).ravel(), x[-2:]])
             count = longer
-        elif steps is None and 2 * number <= FINEST * begun:
+        elif steps is None and 2 * worst[0] < worst[1] and 2 * number <= FINEST * begun:
             number *= 2
-            modal = modal._replace(
-                circle=eqx.tree_at(lambda c: c.flow.steps, circle, jnp.asarray(number))
+            finer = eqx.tree_at(lambda c: c.flow.steps, circle, jnp.asarray(number))
+            modal = modal._replace(circle=finer)
+        elif angles is None and steps is None:
+            raise RuntimeError(
+                f"The torus is known to {worst[1]:.1e} of its size, {share:.1e} was asked for: rounding, or more than "
+                f"{count} angles, as near a resonance."
             )
         else:
-            raise RuntimeError(
-                f"The torus is known to {worst[1]:.1e} of its size, {share:.1e} was asked for: {count} angles are not "
-                "enough, or the steps are not; near a resonance no number is."
-            )
+            break
         x, left = _newtons(modal, x)
     Y, off = x[:-2].reshape(count, 2 * n), off[1]
     states = _states(modal.circle, Y)
@@ -333,7 +345,7 @@ def _columns(modes):
 
 def _climbed(modal, x):
     """The torus at the full amplitudes, from the linear one, if need be by way of smaller ones."""
-    for parts in (1, 2, 4, 8):
+    for parts in (4, 8, 16):
         found, before = x, 0.0
         for share in np.arange(1, parts + 1) / parts:
             found = found.copy()
@@ -380,28 +392,23 @@ def _beside(modal, x, by):
     inverse = np.linalg.pinv(slope, rcond=FLAT)
     # rounding of many entries adds up like noise
     rounding = 16 * np.finfo(float).eps * np.abs(Y).max() * np.linalg.norm(inverse, axis=1)
-    return SAFETY * np.abs(inverse @ gap) + rounding
+    return _covering(inverse @ gap) + rounding
 
 
 def _equations(modal, x, offset=0.0):
     """The residual of a torus and its derivative in (Y, T over that of the linear mode, rho), as many as there are."""
-    n = modal.circle.scale.size
-    Y = x[:-2].reshape(-1, n)
+    Y = x[:-2].reshape(-1, modal.circle.scale.size)
     count, period = len(Y), x[-2] * modal.period
-    ends, maps, fields = map(
-        np.asarray, _mapped(modal.circle, jnp.asarray(Y), modal.lattice, jnp.asarray(period))
-    )
-    turn, slope = _kernel(count, x[-1])
-    inside = -np.kron(turn, np.eye(n))
-    for j, map_ in enumerate(maps):
-        inside[j * n : (j + 1) * n, j * n : (j + 1) * n] += map_
+    at = map(jnp.asarray, (period, x[-1]))
+    found = _assembled(modal.circle, jnp.asarray(Y), modal.lattice, *at)
+    gap, in_Y, in_period, in_rho = map(np.asarray, found)
     angles = offset + 2 * np.pi * np.arange(count) / count
     conditions = [np.tile(row, count) / count for row in modal.mean]
     conditions += [(f(angles)[:, None] * modal.harmonic).ravel() / count for f in (np.cos, np.sin)]
     conditions = np.array(conditions)
-    columns = np.column_stack([(fields * modal.period).ravel(), -(slope @ Y).ravel()])
-    matrix = np.block([[inside, columns], [conditions, np.zeros((len(conditions), 2))]])
-    gap = np.concatenate([(ends - turn @ Y).ravel(), conditions @ Y.ravel() - modal.values])
+    columns = np.column_stack([in_period * modal.period, in_rho])
+    matrix = np.block([[in_Y, columns], [conditions, np.zeros((len(conditions), 2))]])
+    gap = np.append(gap, conditions @ Y.ravel() - modal.values)
     return gap, matrix
 
 
@@ -431,14 +438,10 @@ class TorusProblem(Problem):
         lattice, period = self.family.scene(p)
         size = self.circle.scale.size
         Y = x[:-1].reshape(-1, size)
-        ends, maps, _ = _mapped(self.circle, Y, lattice, period)
-        turn, slope = _kernel(len(Y), x[-1], jnp)
-        gap = jnp.append((ends - turn @ Y).ravel(), self.phase @ x[:-1])
-        inside = jax.scipy.linalg.block_diag(*maps) - jnp.kron(turn, jnp.eye(size))
-        column = jnp.append(-(slope @ Y).ravel(), 0.0)
-        in_x = jnp.column_stack([jnp.vstack([inside, self.phase]), column])
+        gap, in_Y, _, in_rho = _assembled(self.circle, Y, lattice, period, x[-1])
+        in_x = jnp.block([[in_Y, in_rho[:, None]], [self.phase, jnp.zeros(1)]])
         in_p = jax.jvp(lambda p: self._ends(Y, p), (p,), (jnp.ones_like(p),))[1].ravel()
-        return gap, in_x, jnp.append(in_p, 0.0)
+        return jnp.append(gap, self.phase @ x[:-1]), in_x, jnp.append(in_p, 0.0)
 
     def _ends(self, Y, p):
         lattice, period = self.family.scene(p)
@@ -475,7 +478,13 @@ def _apart(problem, x, q, by):
     phase = _turned(np.asarray(problem.phase).reshape(-1, size), np.pi / count, count).ravel()
     moved = eqx.tree_at(lambda p: p.phase, _with_steps(problem, by), jnp.asarray(phase))
     step, rounding = map(np.asarray, _solved(moved, jnp.asarray(between), jnp.asarray(q)))
-    return SAFETY * np.abs(step) + rounding
+    return _covering(step) + rounding
+
+
+def _covering(step):
+    """The error of unknowns that Newton's step would change: none is known better than a tenth of the worst."""
+    change = SAFETY * np.abs(step)
+    return np.maximum(change, 0.1 * change.max())
 
 
 def from_neimark_sacker(
@@ -609,20 +618,11 @@ def _cocycle(maps, rotation, period, iterates, own):
     for map_ in all_maps:
         Q, R = np.linalg.qr(map_ @ Q)
         logs.append(np.log(np.abs(np.diag(R))))
-    logs = np.stack(logs[IDLE:]) / period
-    whole_, *halves = (_smooth_mean(part) for part in (logs, *np.array_split(logs, 2)))
-    order = np.argsort(-whole_)
-    error = SAFETY * np.max([np.abs(half - whole_) for half in halves], axis=0)
+    found = birkhoff(np.stack(logs[IDLE:]) / period)
+    values, error = np.asarray(found.value), SAFETY * np.asarray(found.error)
     # what the known directions miss of zero, the others may miss too
-    error = error + SAFETY * np.abs(whole_[: len(own)]).max()
-    return whole_[order], (error + 10 * n * np.finfo(float).eps / period)[order]
-
-
-def _smooth_mean(x):
-    """The mean over a quasiperiodic motion by smooth weights, which converges faster than any power.
-
-    Source: Das, Saiki, Sander, Yorke, Nonlinearity 30, 4111 (2017).
-    """
-    s = (np.arange(len(x)) + 0.5) / len(x)
-    weights = np.exp(-1 / (s * (1 - s)))
-    return weights @ x / weights.sum()
+    error = (
+        error + SAFETY * np.abs(values[: len(own)]).max() + 10 * n * np.finfo(float).eps / period
+    )
+    order = np.argsort(-values)
+    return values[order], error[order]
