@@ -48,7 +48,7 @@ class Locus(Result):
     p: Float[np.ndarray, " point"] = array("The branch's parameter.")
     other: Float[np.ndarray, " point"] = array("The second parameter.")
     p_error: Float[np.ndarray, " point"] = array(
-        "The error of `p` at this value of `other`, from twice the steps; infinite at a cusp."
+        "The error of `p` at this value of `other`, from twice the steps: large where the curve turns back."
     )
     states: State = part("The states of the orbits at t0.", "point site", name="state")
     angle: Float[np.ndarray, " point"] = array(
@@ -59,7 +59,9 @@ class Locus(Result):
         "Cusps and strong resonances, in the order of the curve.", axes="special"
     )
     curve: Curve = hidden("The curve that continuation has followed.")
-    _span: tuple[float, float] = hidden(static=True)
+    _span: tuple[float, float] = hidden(
+        "Where the second parameter begins, and how far it goes.", static=True
+    )
 
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
@@ -209,7 +211,7 @@ def locus(
         if turns and not 0 < x[size + 1] < np.pi:
             return "the multipliers met on the real axis"
         if kind == "branch point" and abs(x[2 * size + 1]) > SYMMETRIC:
-            return "the lattice has not the symmetry that the branch point breaks"
+            return "the lattice no longer has the symmetry that the branch point breaks"
         return None
 
     curve = continuation(
