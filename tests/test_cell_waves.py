@@ -253,6 +253,57 @@ def test_a_trimer_keeps_pace_with_two_waves_and_says_so():
     assert np.isnan(wave.ripple) and "2 linear waves" in wave.outcome
 
 
+@pytest.mark.slow
+def test_tail_free_waves_over_the_speed_and_the_ripple_beside_them():
+    cell, start = lambda ratio: (TODA, [1.0, ratio]), 1.1 / np.sqrt(0.65)
+    curve = travelling.tail_free_curve(cell, 0.28, 0.36, start * np.array([1.0, 1.02, 1.05, 1.1]))
+    assert not curve.lost and np.all(np.diff(curve.parameter) > 0)
+    assert curve.parameter[0] == pytest.approx(0.3092496782, abs=1e-9)
+    again = travelling.tail_free(cell, 0.25, 0.36, speed=curve.speed[-1])
+    assert curve.parameter[-1] == pytest.approx(again.parameter, abs=1e-11)
+    ratio, c = float(curve.parameter[2]), float(curve.speed[2])
+    found = travelling.nanoptera(cell, ratio * np.array([0.97, 1.0, 1.03]), [c])
+    assert not found.lost and found.ripple[1, 0] < 1e-9 * found.amplitude[1, 0]
+    assert np.all(found.ripple[[0, 2], 0] > 1e-4 * found.amplitude[[0, 2], 0])
+    # the amplitude passes zero, and the power is its square
+    assert found.radiation[1, 0] < 1e-15 < 1e-9 < found.radiation[[0, 2], 0].min()
+    slow = travelling.nanoptera(cell, [0.9], [0.5])
+    assert np.isnan(slow.ripple).all() and "supersonic" in slow.lost[0]
+    with refused("supersonic"):
+        travelling.tail_free_curve(cell, 0.28, 0.36, [0.5])
+
+
+@pytest.mark.slow
+def test_a_wave_without_its_ripple_loses_the_power_that_is_told():
+    wave = travelling.cell_wave(TODA, [1.0, 0.9], speed=1.1)
+    start, sites = wave.state(600, 60.0), 600
+    sharp = 0.5 * (1 - np.tanh((np.abs(np.arange(sites) - 60.0) - 14.0) / 3))
+    u = np.append(np.cumsum((-np.diff(start.u) * sharp[:-1])[::-1])[::-1], 0.0)
+    run = gx.simulate(
+        chain(TODA, wave.masses, sites),
+        gx.State(u, start.v * sharp),
+        400 / wave.speed,
+        tolerance=1e-10,
+        save_at=9,
+    )
+    energies, mass = [], np.resize(wave.masses, sites)
+    for u, v in zip(run.us[3:], run.vs[3:]):
+        strain = -np.diff(u)
+        near = slice(np.argmax(strain) - 30, np.argmax(strain) + 30)
+        own = np.exp(strain) - 1 - strain
+        energies.append(own[near].sum() + (mass * v**2)[near].sum() / 2)
+    times = np.asarray(run.ts[3:])
+    rates = -np.diff(energies) / np.diff(times)
+    # the wave slows down as it loses: the rate at the launch
+    rate = np.polynomial.Polynomial.fit((times[1:] + times[:-1]) / 2, rates, 1)(0.0)
+    assert rate == pytest.approx(wave.radiation, rel=0.05)
+    # in SI: beads of 3 g, contacts of 2 N/m per strain of 1 mm
+    law = gx.Toda(2e-3, 1e3)
+    si = travelling.cell_wave(law, [3e-3, 0.9 * 3e-3], speed=1.1 * np.sqrt(2 / 3e-3))
+    scale = 2 * 1e-6 * np.sqrt(2 / 3e-3)
+    assert si.radiation / scale == pytest.approx(wave.radiation, rel=1e-6)
+
+
 # ---------------------------------------------------------------------------------------------------------- resonators
 
 

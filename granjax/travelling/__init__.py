@@ -1,6 +1,16 @@
 """Waves that travel along a lattice without changing their shape."""
 
-from .cells import CellWave, Resonator, cell_wave, tail_free, tail_free_stiffness
+from .cells import (
+    CellWave,
+    Nanoptera,
+    Resonator,
+    TailFree,
+    cell_wave,
+    nanoptera,
+    tail_free,
+    tail_free_curve,
+    tail_free_stiffness,
+)
 from .collisions import Collision, collide
 from .family import WaveFamily, family
 from .modulation import Modulation, modulation
@@ -14,9 +24,11 @@ __all__ = [
     "CellWave",
     "Collision",
     "Modulation",
+    "Nanoptera",
     "PeriodicWave",
     "Reflection",
     "Resonator",
+    "TailFree",
     "Wave",
     "WaveFamily",
     "WaveStability",
@@ -24,12 +36,14 @@ __all__ = [
     "collide",
     "family",
     "modulation",
+    "nanoptera",
     "periodic_wave",
     "reflect",
     "ring",
     "solitary_wave",
     "stability",
     "tail_free",
+    "tail_free_curve",
     "tail_free_stiffness",
     "wave_orbit",
 ]

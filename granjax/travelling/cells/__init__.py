@@ -1,13 +1,18 @@
 """Waves of chains whose cell holds several sites or a resonator: exact at anti-resonances, with a ripple between."""
 
+from .families import Nanoptera, TailFree, nanoptera, tail_free_curve
 from .public import CellWave, alone_with_resonators, cell_wave, tail_free
 from .resonator import Resonator, tail_free_stiffness
 
 __all__ = [
     "CellWave",
+    "Nanoptera",
     "Resonator",
+    "TailFree",
     "alone_with_resonators",
     "cell_wave",
+    "nanoptera",
     "tail_free",
+    "tail_free_curve",
     "tail_free_stiffness",
 ]

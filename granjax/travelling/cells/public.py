@@ -18,7 +18,7 @@ from ...results import Result, array, note
 from ...types import Count, Numbers, Parameter, Scalar
 from .cell import chain_of, repeated_in
 from .resonator import Resonator
-from .tail import margin, periodic
+from .tail import group, margin, periodic
 from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, without_tail
 
 # the speed over the sound speed from which on a box holds the wave
@@ -60,6 +60,11 @@ class CellWave(Result):
     )
     residual: float = array("What the equations leave, over the amplitude.")
     error: float = note("The estimated distance of the strains from the truth.", "m")
+    radiation: float = note(
+        "The power that the wave loses where it is launched without its ripple, to second order"
+        " in that; NaN where it is not known: several ripples, resonators.",
+        "W",
+    )
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table.", "m", "place xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "place xi")
@@ -364,6 +369,7 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
         energy=np.nan if size or np.isnan(size) else _energy(found, speed, v, resonator),
         residual=found.solved.residual,
         error=error,
+        radiation=0.0 if not size else _radiation(chain, found.ripple, size, speed),
         xi=found.box.x,
         strains=phi,
         velocities=v,
@@ -372,6 +378,14 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
         _waves=found.waves,
         **fields,
     )
+
+
+def _radiation(chain, ripple, size, speed):
+    """Energy per site of the ripple behind, twice as high, times the speed at which its train grows, c - domega/dk."""
+    if np.isnan(size) or chain.resonator is not None or not chain.stiffness.any():
+        return np.nan
+    energy = np.mean(chain.stiffness * np.abs(2 * size * ripple.shape) ** 2) / 2
+    return float(energy * speed * (1 - group(chain, ripple.wavenumber)))
 
 
 def _top(box, phi):

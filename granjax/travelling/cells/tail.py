@@ -55,6 +55,14 @@ def ripples(chain: Chain) -> list[Ripple]:
     return sorted(found, key=lambda ripple: ripple.wavenumber)
 
 
+def group(chain: Chain, k: float) -> float:
+    """Group velocity over c of the linear wave with omega(k) = c k."""
+    excess = _excess(chain, k + STEP * np.array([-0.1, 0.0, 0.1]))[0]
+    below, _, above = excess[np.argmin(np.abs(excess[:, 1]))]
+    # omega^2 = excess + k^2, and omega = k there
+    return (above - below) / (0.2 * STEP) / (2 * k) + 1
+
+
 def _normal(chain, shape):
     """The shape with largest entry 1 in size, and a phase such that the mirrored ripple is itself."""
     if chain.mirror is not None:
