@@ -1,5 +1,6 @@
 """What leaves a branch: pitchforks, doublings, tori, and their curves in two parameters, against SciPy's shooting."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -245,6 +246,28 @@ def test_a_torus_beyond_a_neimark_sacker_point(shaken):
     assert away < 1e-3 * np.ptp(circle, axis=0).max()
 
 
+@pytest.mark.slow
+def test_a_doubled_orbit_of_beads_is_where_a_run_settles():
+    """In SI: two steel beads of 9.5 mm between walls, precompressed, of which the left one shakes at 2.449 omega_0."""
+    stiffness, mass, load = 6.0e9, 3.6e-3, 20.0
+    d0 = (load / stiffness) ** (2 / 3)
+    rate = np.sqrt(stiffness * np.sqrt(d0) / mass)
+    chain = gx.scenes.monomer(2, mass=mass, stiffness=stiffness, precompression=load)
+    make = lambda a: driven_chain(chain, a * d0, 2.449 * rate, ends="left", damping=0.05 * rate)
+    T = 2 * np.pi / (2.449 * rate)
+    branch = forced_branch(make, 0.1, 0.18, period=T)
+    (event,) = branch.bifurcations
+    assert event.kind == "period doubling" and event.p == pytest.approx(0.1628306, rel=1e-6)
+    doubled = branch.switch(0, points=60, longest_arclength=0.5)
+    assert branch.normal_form(0).criticality == "supercritical" and doubled.verdict[-1] == "stable"
+    p, i = doubled.p[-1], -1
+    start = gx.State(1.05 * doubled.states.u[i], doubled.states.v[i])
+    end = gx.Flow(60 * 20000)(start, 0.0, 20000 * T, make(p))
+    later = gx.Flow(60)(end, 0.0, T, make(p))
+    away = [np.abs(np.asarray(y.u) - doubled.states.u[i]).max() / d0 for y in (end, later)]
+    assert min(away) < 1e-7 < 1e-3 < max(away)
+
+
 def frequency(E, mass):
     """Of m x'' + x + x^3 = 0 at the energy E."""
     from scipy.special import ellipk
@@ -333,6 +356,8 @@ def test_a_diagram_and_what_is_refused(well):
     assert ax.get_ylabel() and len(ax.lines) >= 3
     with refused("conserv|positions alone"):
         gx.orbits.torus(duffing(0.1), (0, 1), (0.1, 0.1))
+    with refused("known numbers"):
+        jax.jit(lambda k: gx.orbits.torus(pair(k), (0, 1), (0.1, 0.1)).period)(0.1)
     with refused("two modes"):
         gx.orbits.torus(pair(0.1), (0, 0), (0.1, 0.1))
     further = well.continue_in(

@@ -12,7 +12,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Shaped
 
-from ..checks import positive, refuse, whole
+from ..checks import positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..continuation import Curve, Problem, continuation
 from ..flow import Flow
@@ -253,9 +253,10 @@ def torus(
     - `angles`: K, an odd number; `steps` in T; with `None` each is doubled until the error is below `tolerance` times
       the larger amplitude. `solver`: as in `gx.orbits.orbit`.
 
-    **Returns:** `Torus`, known to its `error`. **Raises** ValueError for a lattice that is damped or driven, the same
-    mode twice, modes of no frequency; RuntimeError where Newton's method finds none, as at a resonance of the two, or
-    the angles do not suffice. Source: Gomez, Mondelo, Physica D 157, 283 (2001); Schilder, Osinga, Vogt (2005).
+    **Returns:** `Torus`, known to its `error`. **Raises** ValueError for a lattice that is damped, driven or traced,
+    the same mode twice, modes of no frequency; RuntimeError where Newton's method finds none, as at a resonance of the
+    two, or the angles do not suffice.
+    Source: Gomez, Mondelo, Physica D 157, 283 (2001); Schilder, Osinga, Vogt (2005).
 
     **Example:**
 
@@ -264,6 +265,10 @@ def torus(
     >>> np.round(found.omega, 4).tolist()
     [0.8083, 2.0029]
     """
+    if traced((lattice, amplitudes)):
+        refuse(
+            "lattice", "a lattice of known numbers", "a traced one", "A torus has no derivatives."
+        )
     checked_lattice(lattice)
     share = checked_tolerance("tolerance", tolerance)
     first, second = (whole("modes", k, 0) for k in modes)
