@@ -263,7 +263,7 @@ def torus(
     >>> chain = gx.scenes.fput(3, beta=1.0)
     >>> found = gx.orbits.torus(chain, (0, 2), (0.3, 0.1))
     >>> np.round(found.omega, 4).tolist()
-    [0.8083, 2.0029]
+    [0.7815, 1.8834]
     """
     if traced((lattice, amplitudes)):
         refuse(
@@ -271,75 +271,76 @@ def torus(
         )
     checked_lattice(lattice)
     share = checked_tolerance("tolerance", tolerance)
-    first, second = (whole("modes", k, 0) for k in modes)
-    a, b = (float(positive("amplitudes", x)) for x in amplitudes)
-    if first == second:
-        refuse("modes", "two modes", f"mode {first} twice")
-    found = normal_modes(lattice)
-    omega = np.asarray(found.omega)
-    if max(first, second) >= len(omega) or not min(omega[first], omega[second]) > 0:
-        refuse("modes", f"two of {len(omega)} modes, of frequencies above zero", f"{modes}")
-    T, ratio = 2 * np.pi / omega[first], omega[second] / omega[first]
-    flat = _columns(found.modes)
-    shapes = [flat[:, k] / np.abs(flat[:, k]).max() for k in (first, second)]
-    n, size = len(shapes[0]), max(a, b)
-    scale = np.concatenate([np.full(n, size), np.full(n, size * omega[first])])
-    like = State(lattice.zeros(), lattice.zeros())
-    mass = np.asarray(ravel_pytree(spread_mass(lattice))[0])
-    rows = [e * mass / (e @ (mass * e)) for e in shapes]
-    none, moves = np.zeros(n), np.asarray(shifts(lattice)).T * mass / mass.sum()
-    mean = [np.append(rows[0], none), np.append(none, rows[0])]
-    mean += [np.append(move, none) for move in moves] + [np.append(none, move) for move in moves]
-    solver, count = fixed_step_solver(lattice, solver, SRKN14a()), angles or FIRST
-    if not whole("angles", count, 3) % 2:
-        refuse("angles", "an odd number", f"{angles}")
-    if steps is None:
-        guess = State(
-            *ravel_pytree(like)[1](jnp.asarray(np.append(a * shapes[0] + b * shapes[1], none)))
-        )
-        number = default_steps(lattice, T, guess=guess)
-    else:
-        number = whole("steps", steps, 1)
-    circle = Circle(Flow(jnp.asarray(number), solver), like, jnp.asarray(scale), jnp.asarray(0.0))
-    harmonic = 2 * np.append(rows[1], none)
-    values = np.concatenate([[a, *[0.0] * (len(mean) - 1)], [b, 0.0]]) / size
-    modal = _Modal(circle, lattice, T, np.array(mean), harmonic, values)
-    theta = 2 * np.pi * np.arange(count)[:, None] / count
-    u = a * shapes[0] + b * np.cos(theta) * shapes[1]
-    v = -b * omega[second] * np.sin(theta) * shapes[1]
-    x = np.concatenate([(np.column_stack([u, v]) / scale).ravel(), [1.0, 2 * np.pi * ratio]])
-    x = _climbed(modal, x)
-    begun = number
-    while True:
-        off = [_beside(modal, x, by) for by in (1, 2)]
-        worst = [part[:-2].max() for part in off]
-        if worst[1] <= share:
-            break
-        longer = 2 * count + 1
-        if angles is None and worst[0] > share / 2 and longer <= MOST // n:
-            Y = x[:-2].reshape(count, 2 * n)
-            x = np.concatenate([_turned(Y, 0.0, longer).ravel(), x[-2:]])
-            count = longer
-        elif steps is None and 2 * worst[0] < worst[1] and 2 * number <= FINEST * begun:
-            number *= 2
-            finer = eqx.tree_at(lambda c: c.flow.steps, circle, jnp.asarray(number))
-            modal = modal._replace(circle=finer)
-        elif angles is None and steps is None:
-            raise RuntimeError(
-                f"The torus is known to {worst[1]:.1e} of its size, {share:.1e} was asked for: rounding, or more than "
-                f"{count} angles, as near a resonance."
-            )
-        else:
-            break
-        x, left = _newtons(modal, x)
-    Y, off = x[:-2].reshape(count, 2 * n), off[1]
-    states = _states(modal.circle, Y)
-    error = jax.tree.map(
-        lambda e: e[0], _states(modal.circle, off[:-2].reshape(count, -1).max(0)[None])
-    )
+    modal, x = _posed(lattice, modes, amplitudes, angles or FIRST, steps, solver)
+    modal, x, off = _refined(modal, _climbed(modal, x), share, angles is None, steps is None)
+    states = _states(modal.circle, x[:-2].reshape(-1, modal.circle.scale.size))
+    worst = off[:-2].reshape(-1, modal.circle.scale.size).max(0)
+    error = jax.tree.map(lambda e: e[0], _states(modal.circle, worst[None]))
+    T = modal.period
     numbers = float(x[-2] * T), float(x[-1]), error, float(off[-2] * T), float(off[-1])
     energy = _energy(lattice, 0.0, states)
     return Torus(states, *numbers, energy, lattice, modal.circle.flow, **lattice.origin)
+
+
+def _posed(lattice, modes, amplitudes, count, steps, solver):
+    """The conditions on two modes of a lattice, and the unknowns of the linear motion: Y, T over its own, and rho."""
+    first, second = (whole("modes", k, 0) for k in modes)
+    a, b = (float(positive("amplitudes", x)) for x in amplitudes)
+    found = normal_modes(lattice)
+    omega, shapes = np.asarray(found.omega), _columns(found.modes).T
+    if first == second or max(first, second) >= len(omega):
+        refuse("modes", f"two modes of {len(omega)}", f"{modes}")
+    one, two = omega[first], omega[second]
+    if not min(one, two) > 0:
+        refuse("modes", "modes of frequencies above zero", f"{one:.6g} and {two:.6g}")
+    if not whole("angles", count, 3) % 2:
+        refuse("angles", "an odd number", f"{count}")
+    e, f = (shapes[k] / np.abs(shapes[k]).max() for k in (first, second))
+    n, size, T, like = len(e), max(a, b), 2 * np.pi / one, State(lattice.zeros(), lattice.zeros())
+    scale, none = size * np.concatenate([np.ones(n), np.full(n, one)]), np.zeros(n)
+    mass = np.asarray(ravel_pytree(spread_mass(lattice))[0])
+    share = lambda shape: shape * mass / (shape @ (mass * shape))
+    # the mean over the circle: the first mode at its turning point, what is free to move at its place
+    mean = [share(e), *(np.asarray(shifts(lattice)).T * mass / mass.sum())]
+    mean = np.array([pair for row in mean for pair in (np.append(row, none), np.append(none, row))])
+    values = np.concatenate([[a], np.zeros(len(mean) - 1), [b, 0.0]]) / size
+    if steps is None:
+        guess = State(*ravel_pytree(like)[1](jnp.asarray(np.append(a * e + b * f, none))))
+        steps = default_steps(lattice, T, guess=guess)
+    flow = Flow(
+        jnp.asarray(whole("steps", steps, 1)), fixed_step_solver(lattice, solver, SRKN14a())
+    )
+    circle = Circle(flow, like, jnp.asarray(scale), jnp.asarray(0.0))
+    modal = _Modal(circle, lattice, T, mean, 2 * np.append(share(f), none), values)
+    theta = 2 * np.pi * np.arange(count)[:, None] / count
+    Y = np.column_stack([a * e + b * np.cos(theta) * f, -b * two * np.sin(theta) * f]) / scale
+    return modal, np.append(Y.ravel(), [1.0, 2 * np.pi * two / one])
+
+
+def _refined(modal, x, share, more_angles, more_steps):
+    """The torus with as many angles and steps as bring its error below a share of its size, and what it is then."""
+    size, begun = modal.circle.scale.size, int(modal.circle.flow.steps)
+    while True:
+        # of the angles alone, and of the steps as well
+        own, off = (_beside(modal, x, by) for by in (1, 2))
+        worst, both, count = own[:-2].max(), off[:-2].max(), len(x) // size
+        steps = 2 * int(modal.circle.flow.steps)
+        if both <= share:
+            return modal, x, off
+        if more_angles and worst > share / 2 and 2 * count < 2 * MOST // size:
+            Y = _turned(x[:-2].reshape(count, size), 0.0, 2 * count + 1)
+            x = np.append(Y.ravel(), x[-2:])
+        elif more_steps and 2 * worst < both and steps <= FINEST * begun:
+            finer = eqx.tree_at(lambda c: c.flow.steps, modal.circle, jnp.asarray(steps))
+            modal = modal._replace(circle=finer)
+        elif more_angles and more_steps:
+            raise RuntimeError(
+                f"The torus is known to {both:.1e} of its size, {share:.1e} was asked for: rounding, or more than "
+                f"{count} angles, as near a resonance."
+            )
+        else:
+            return modal, x, off
+        x, _ = _newtons(modal, x)
 
 
 def _columns(modes):
