@@ -88,11 +88,10 @@ class Torus(Result):
         One is zero for each frequency that nothing drives, and so is its partner in a conservative lattice.
         """
         Y = np.stack([np.asarray(ravel_pytree(y)[0]) for y in _each(self.states)])
-        own = [_slope(Y)]
+        own = [_slopes(Y)]
         if not self.lattice.reads_time:
-            own.append(
-                np.asarray(ravel_pytree(vector_field(0.0, _each(self.states)[0], self.lattice))[0])
-            )
+            fields = [vector_field(0.0, y, self.lattice) for y in _each(self.states)]
+            own.append(np.stack([np.asarray(ravel_pytree(field)[0]) for field in fields]))
         circle = Circle(self.flow, _each(self.states)[0], jnp.ones(Y.shape[1]), self.t0)
         _, maps, _ = _mapped(circle, jnp.asarray(Y), self.lattice, jnp.asarray(self.period))
         return _cocycle(np.asarray(maps), self.rotation, self.period, iterates, own)
@@ -555,7 +554,7 @@ def _torus_branch(problem, curve, n):
         off = _apart(problem, x, q, 2)
         error = _states(circle, off[:-1].reshape(count, n).max(0)[None])
         _, maps, _ = _mapped(circle, jnp.asarray(Y), lattice, jnp.asarray(period))
-        exponents, about = _cocycle(np.asarray(maps), x[-1], float(period), ITERATES, [_slope(Y)])
+        exponents, about = _cocycle(np.asarray(maps), x[-1], float(period), ITERATES, [_slopes(Y)])
         error = jax.tree.map(lambda e: e[0], error)
         found.append((float(period), _states(circle, Y), error, off[-1], exponents, about))
     periods, states, error, turned, exponents, about = zip(*found)
@@ -601,29 +600,31 @@ def _lockings(p, rotation):
     return tuple(found)
 
 
-def _slope(Y):
-    """dy/dtheta at the first angle, which the motion takes to itself."""
+def _slopes(Y):
+    """dy/dtheta over the circle, (K, 2n), which the motion takes to itself."""
     k = np.fft.fftfreq(len(Y), 1 / len(Y))
-    return (1j * k @ np.fft.fft(Y, axis=0) / len(Y)).real
+    return np.fft.ifft(1j * k[:, None] * np.fft.fft(Y, axis=0), axis=0).real
 
 
 def _cocycle(maps, rotation, period, iterates, own):
     """Lyapunov exponents of maps (K, 2n, 2n) over a circle that each turns by an angle, and their errors.
 
-    `own`: directions at the first angle whose exponents are zero. Found by chance they would need as long as the next
-    exponent is near.
+    `own`: fields of directions over the circle (K, 2n) that the motion takes to itself: their exponents are zero. Found
+    by chance they would need as long as the next exponent is near, and where others grow rounding would leave them.
     """
     count, n, _ = maps.shape
-    thetas = rotation * np.arange(IDLE + iterates)
-    k = np.fft.fftfreq(count, 1 / count)
-    flat = np.fft.fft(maps.reshape(count, -1), axis=0) / count
-    all_maps = (np.exp(1j * np.outer(thetas, k)) @ flat).real.reshape(-1, n, n)
-    Q = np.random.default_rng(0).normal(size=(n, n))
-    Q[:, : len(own)] = np.column_stack(own)
-    Q, logs = np.linalg.qr(Q)[0], []
-    for map_ in all_maps:
-        Q, R = np.linalg.qr(map_ @ Q)
+    thetas = rotation * np.arange(IDLE + iterates + 1)
+    wave = np.exp(1j * np.outer(thetas, np.fft.fftfreq(count, 1 / count)))
+    along = lambda x: (wave @ (np.fft.fft(x.reshape(count, -1), axis=0) / count)).real
+    all_maps, known = along(maps).reshape(-1, n, n), np.stack([along(x) for x in own], -1)
+    Q, logs = np.random.default_rng(0).normal(size=(n, n)), []
+    for map_, before, after in zip(all_maps, known[:-1], known[1:]):
+        Q[:, : len(own)] = before
+        Q, R = np.linalg.qr(map_ @ np.linalg.qr(Q)[0])
         logs.append(np.log(np.abs(np.diag(R))))
+        # of the known ones what they have gained over the circle
+        gained = np.linalg.norm(map_ @ before, axis=0) / np.linalg.norm(after, axis=0)
+        logs[-1][: len(own)] = np.log(gained)
     found = birkhoff(np.stack(logs[IDLE:]) / period)
     values, error = np.asarray(found.value), SAFETY * np.asarray(found.error)
     # what the known directions miss of zero, the others may miss too
