@@ -64,7 +64,7 @@ def described(x: Any) -> str:
 
 
 def letter(x: Any) -> str:
-    """NumPy's letter of an array's type; K of JAX's keys, V of the shorter floats, none of what is no array."""
+    """NumPy's letter of an array's type; K for JAX's keys, V for the shorter floats, none where x is not an array."""
     return getattr(x.dtype, "kind", "K") if hasattr(x, "dtype") else ""
 
 

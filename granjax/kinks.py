@@ -88,7 +88,7 @@ def kink(
     - `centre`: a site, or 10.5 for a bond; `None` the bond in the middle. Of a place between them the nearest:
       kinks rest about sites and bonds alone.
 
-    **Returns:** `Kink`. **Raises** ValueError for what is no well and for other
+    **Returns:** `Kink`. **Raises** ValueError for a place that is not a well and for other
     lattices; RuntimeError where Newton's method does not converge, or the ends are too near. Typical: an energy of 8
     sqrt(C) in the sine-Gordon continuum.
     Source: Braun, Kivshar, The Frenkel-Kontorova Model (2004), chapter 2.

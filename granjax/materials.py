@@ -71,7 +71,7 @@ class Material(eqx.Module):
     """An elastic material.
 
     **Arguments:** `name`; `young`: Young's modulus E > 0 [Pa]; `poisson`: Poisson's ratio in (-1, 0.5]; `density`
-    [kg/m^3] > 0; `source`: where the numbers come from, in words. The numbers may be arrays, one per bead, or traced:
+    [kg/m^3] > 0; `source`: where the numbers come from, a text. The numbers may be arrays, one per bead, or traced:
     `jax.grad` with respect to E works.
 
     **Raises** ValueError for numbers that are not finite or outside these ranges.

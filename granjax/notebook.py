@@ -32,11 +32,11 @@ MAPS = {
 LEAST_RATIO = 0.05
 DECADE = 10.0
 AMPLITUDES = ((0.01, 10.0, "log"), 1.0)
-# a wave crosses about so many sites in a radian of the highest frequency
+# sites that a wave crosses, about, in a radian of the highest frequency
 PACE = 0.25
 # over the linear frequencies, what no wave reaches: the bound of a law whose stiffness has none
 FLOORLESS = 1e3
-# an update may take so many times the steps of the first run
+# an update may take this multiple of the steps of the first run
 ROOM = 8
 SIZE = (5.8, 4.3)
 
@@ -252,7 +252,7 @@ class Explorer:
             if self.run is None or values != self._at:
                 self._compute(values)
             display(self.figure)
-        except Exception as error:  # whatever a scene of the user's raises for these values
+        except Exception as error:  # whatever a user-defined scene raises for these values
             kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
             self.said = f"{kind}{error}"
         self._line.value = html.escape(self.said)

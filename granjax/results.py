@@ -297,8 +297,8 @@ class Result(eqx.Module):
         `run.in_units("us", "mm/s")`: words, each for all that has its dimension; "kHz" turns an angular frequency into
         one of cycles. All else stays in SI. Scaled numbers come to SI by the `gx.Units` that leads there,
         `run.in_units(units)`, or to words, `run.in_units(units, "us")`; those in SI become scaled by a `gx.Units`
-        alone. What has no unit of its own, such as a record of yours, stays as it is, and says so by `units` where that
-        is not what all else is counted in. Of a result that does not say
+        alone. A variable without a unit, such as a user-defined record, stays as it is, and says so by `units` where
+        that is not what all else is counted in. Of a result that does not say
         what it is counted in "SI" or "scaled" says it, `peaks.in_units("SI", "us")`.
 
         **Raises** ValueError for a word that nothing here takes or that is not known, for words of scaled numbers, and

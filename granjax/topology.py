@@ -58,7 +58,7 @@ __all__ = [
 
 
 class _Waves(NamedTuple):
-    """Where D(k) comes from: a lattice's unit cell, or a function of one's own.
+    """Where D(k) comes from: a lattice's unit cell, or a user-defined function.
 
     `closed`: the largest gap that rounding cannot tell from none, over the largest omega^2; `origin`: what a result
     keeps of the lattice.

@@ -52,7 +52,7 @@ def root_by_products() -> bool:
     """Whether a square root of float64 is made of multiplications and additions: where that is the faster one.
 
     Over a whole run, roots by the processor's instruction take 1.2 to 1.4 times as long on Intel's with AVX-512, and
-    0.7 to 0.85 times as long on AMD's Zen 5; others, and what is no CPU, use their instruction.
+    0.7 to 0.85 times as long on AMD's Zen 5; others, and other devices than a CPU, use their instruction.
     `GRANJAX_ROOT=products` or `GRANJAX_ROOT=instruction` chooses by hand, before the first run: the two differ by a
     unit in the last place. **Raises** ValueError for another word.
     """
@@ -67,7 +67,7 @@ def root_by_products() -> bool:
 
 @cache
 def lanes_abreast() -> int:
-    """So many lanes of a batch with a fixed step are run at a time; 0 for all of them together.
+    """The number of lanes of a batch with a fixed step that are run at a time; 0 for all of them together.
 
     The arrays of some lanes stay in the nearer caches. On Intel's processors with AVX-512 eight of them take 0.8 to 0.9
     of the time of all lanes together for chains of 20 to 1000 sites; on AMD's 64 of them take 0.5 to 1.0 of it.
@@ -148,7 +148,7 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
     folder. Below it every kind of processor has its own folder.
 
     **Returns:** the folder, or `None` where nothing is kept: `GRANJAX_CACHE=0`, or it cannot be written. A folder that
-    the user has given to JAX itself stays. **Raises** ValueError for what is no path.
+    the user has given to JAX itself stays. **Raises** ValueError for anything but a path.
     """
     import jax
 

@@ -70,7 +70,7 @@ def refuse_split(equation: Any) -> Any:
 
 
 def check_shape(psi: Any, equation: Any) -> None:
-    """Refuse what is no psi of an equation."""
+    """Refuse an array that does not have the sites of an equation."""
     if jnp.ndim(psi) == 0 or jnp.shape(psi)[0] != equation.sites:
         refuse("psi", f"shape ({equation.sites},), then lanes", f"shape {jnp.shape(psi)}")
 
@@ -180,7 +180,7 @@ class DNLS(Equation):
         return own if self.potential is None else own + trailing(self.potential, psi)
 
 
-# below this mu |psi|^2 the logarithm is a series of so many terms, rounded to the last place
+# below this mu |psi|^2 the logarithm is a series of TERMS terms, exact to rounding
 SMALL, TERMS = 0.05, 12
 
 

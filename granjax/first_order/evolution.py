@@ -207,7 +207,7 @@ def _angles(psi):
 
 @compiled
 def _turned(psi, steps):
-    """The start, its phases moved by what rounding adds up to in so many steps: it is of one sign."""
+    """The start, its phases moved by the rounding that this number of steps adds up, which has one sign."""
     return psi * jnp.exp(1j * steps * ROUNDED * jnp.finfo(psi.dtype).eps * jnp.cos(_angles(psi)))
 
 

@@ -16,7 +16,7 @@ from .solitons import Soliton, soliton
 
 # of the norm of the linearisation, what rounding leaves in it
 ROUNDING = 50 * np.finfo(float).eps
-# growth rates above so many errors are instabilities
+# a growth rate above this number of errors is an instability
 SURE = 3
 
 

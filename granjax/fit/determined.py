@@ -1,4 +1,4 @@
-"""What the data determine and what they do not: directions in the space of parameters, in words."""
+"""What the data determine and what they do not: directions in the space of parameters, as sentences."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -14,7 +14,7 @@ from .march import march
 from .method import DENSE, Plan, least_tolerance
 from .run import Errors, Found
 
-# a run is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second one where
+# a run is confirmed by a tolerance smaller by this factor; or by steps shorter by these factors, the second one where
 # contacts opened, as errors of order 5/2 that come and go with the mesh may be alike twice
 TIGHTER = 100
 SHORTER = 2, 4
@@ -50,7 +50,7 @@ def confirmed(
         (plan.step, plan.tolerance, plan.save_ts, plan.records)
     )
     if tolerance is not None:
-        # where the type does not hold so small a one, one so many times larger
+        # where the type cannot hold such a tolerance, one larger by this factor
         less, more = tolerance / TIGHTER, tolerance * TIGHTER
         tolerance = jnp.where(less >= least_tolerance(lattice.dtype), less, more)
         how = f"a second run with a tolerance {TIGHTER} times smaller"

@@ -47,7 +47,7 @@ def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | 
     """What `function(lattice, *others)` returns of all lanes, from some of them at a time.
 
     That is two trees: of arrays with lanes last, and of what lanes share (of codes, the largest). `None` where that is
-    no gain: few lanes, or a processor with which it was not measured; or where a term of the user's might look from one
+    no gain: few lanes, or a processor with which it was not measured; or where a user-defined term might look from one
     lane at another.
     """
     width, count = lanes_abreast(), math.prod(lattice.lanes)
@@ -137,7 +137,7 @@ def together(run: Found) -> Found:
 
 
 def refuse_lanes_within(t0: Scalar, one: tuple, every: tuple) -> None:
-    """Refuse functions of the user's that hold lanes themselves, or look from one lane at another.
+    """Refuse user-defined functions that hold lanes themselves, or look from one lane at another.
 
     `one`, `every`: (lattice, state, records) of one lane, and of all.
     """

@@ -40,7 +40,7 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     """`integrate`, and where nothing is traced what takes long in pieces, between which Ctrl-C is heard.
 
     Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
-    wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
+    wherever it is computed. An adaptive run has further pieces where its first one does not suffice.
     """
     # the step of known inputs is traced where somebody else's program computes it
     if traced(plan.step):
@@ -113,7 +113,7 @@ def _evaluations(kind):
 def refuse_endless(
     lattice: Lattice, plan: Plan, steps: int | None, max_steps: int | None, unknown: bool
 ) -> None:
-    """Refuse steps beyond what a day could do, where nobody says by `max_steps` that so many are meant."""
+    """Refuse more steps than a day could do, unless `max_steps` says that they are meant."""
     if steps is None or steps < FEW:
         return
     remedy = "Give an earlier t1, a longer step= or tolerance="
@@ -266,7 +266,7 @@ def _warn(steps):
 
 
 def _spoken(seconds):
-    """A time in words, to two digits."""
+    """A time as text, to two digits."""
     for unit, size in (("years", 365 * DAY), ("days", DAY), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.2g} {unit}"

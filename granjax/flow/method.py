@@ -160,7 +160,7 @@ def checked_size(name: str, x: Any) -> Scalar | None:
 def held_frames(
     argument: str, count: int, state: StateLike, what: str = "frames", each: int = 1
 ) -> None:
-    """Refuse a count of which each keeps so many frames of a state, with their times, that memory holds them not."""
+    """Refuse a count of frames of a state, with their times, that memory cannot hold."""
     size = 8 + sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state))
     held_in_memory(argument, count, each * size, f"{what} of such a state")
 
@@ -412,7 +412,7 @@ def fixed_step(
     frames: int,
     bound: Any = None,
 ) -> Steps:
-    """The steps of a run, which fit so many equal frames.
+    """The steps of a run, a whole number of them in each of the equal frames.
 
     `bound`: the highest frequency, where a run has shown it; by default that of the scene's energy.
     """

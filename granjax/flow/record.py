@@ -26,7 +26,7 @@ from .within import crossing, guesses, higher, lobatto, mean, places, series, sp
 CLOSEST = "closest overlap"
 # and the one of all compressions, from which follows how stiff the lattice has been
 EXTREMES = "extreme compressions"
-# tops that are looked for within a step, one for so many samples
+# tops that are looked for within a step, one for each of this number of samples
 SAMPLES_PER_TOP = 8
 # how far a top may be above the highest sample, over the span of the samples
 HIDDEN = 0.25

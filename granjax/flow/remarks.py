@@ -25,7 +25,8 @@ from .run import Found
 
 # tolerance from which on a run is remarked upon, and relative energy error
 LOOSE, SUSPICIOUS = 1e-2, 0.02
-# where an energy is told again, over the displacements at the end, and how much of it may be lost over what is seen
+# where an energy is evaluated again, over the displacements at the end, and how much of it may be lost over what is
+# seen
 NEARBY, ROUNDED = 1e-3, 10
 # places at which a function of time is looked at: in all, about, and in each step; steps at a time
 MOST_PLACES = 2**18
@@ -139,7 +140,7 @@ def _leap(function, t0, t1, count, places):
 def _resolved(lattice, state, t0, t1, run):
     """Whether some lane lost more energy than what its terms' arithmetic leaves uncertain.
 
-    That shows where the energy is told along a short straight line through the end, on which it hardly bends.
+    That shows where the energy is evaluated along a short straight line through the end, on which it hardly bends.
     """
     scale = np.maximum(np.abs(lattice.energy(t0, *state)), lattice.kinetic_energy(state.v))
     parts = 1 + NEARBY * np.linspace(-1, 1, 9)
@@ -261,7 +262,8 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
         now = [_of(us, name)[frame] if frame < len(ts) else _of(end, name) for name in names]
         u = np.concatenate([np.asarray(x).reshape(-1, components, len(lanes)) for x in now])
         count, d = len(u), lanes[0].places.shape[1]
-        # as long as nothing has moved by half of the gap at rest nothing can have met; what has no walls may move on
+        # as long as nothing has moved by half of the gap at rest nothing can have met; a lattice without walls may move
+        # on
         moved = u[:, :d]
         walled = any(len(beads.places) > count for beads in lanes)
         away = moved if walled else moved - moved.mean(0)
@@ -289,7 +291,7 @@ def _of(tree, name):
 
 
 def _site(lattice, number):
-    """A site in words, from its number in the order of the fields."""
+    """The name of a site, from its number in the order of the fields."""
     for name in lattice.fields or (None,):
         shape = _of(lattice.sites, name)
         if number < np.prod(shape):

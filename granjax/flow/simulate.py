@@ -247,7 +247,7 @@ def simulate(
 
 
 def _adaptive(tolerance, longest):
-    """The choice of adaptive steps in words."""
+    """The choice of adaptive steps, as text."""
     shown = lambda x: "traced" if isinstance(x, jax.core.Tracer) else show(x)
     bound = "" if longest is None else f", none longer than {shown(longest)}"
     return f"adaptive steps, tolerance {shown(tolerance)}{bound}"

@@ -91,7 +91,7 @@ class Flow(eqx.Module):
 
 
 def check_steps(steps: Count | Counts) -> None:
-    """Refuse what is no number of steps, where it is known."""
+    """Refuse anything but a number of steps, where it is known."""
     if not traced(steps):
         whole("steps", np.asarray(steps)[()], 1)
 
@@ -99,7 +99,7 @@ def check_steps(steps: Count | Counts) -> None:
 def check_moved(
     argument: str, y: Any, flow: Flow, args: Any, whose: str = "the lattice args"
 ) -> None:
-    """Refuse, as this argument, what is no state of the lattice `args`, where it is a lattice that moves."""
+    """Refuse, as this argument, anything but a state of the lattice `args`, where a lattice moves."""
     if flow.field is not vector_field:
         if isinstance(flow.solver, (AbstractSplitting, AbstractNystrom)) and not _is_pair(y):
             refuse(
@@ -141,7 +141,7 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
             return _by_itself(solver, field, steps, y, t0, t1, numbers, tangents)
         except (
             TypeError
-        ):  # of what has no hash, or of a field that asks what a number is: `range(args)`
+        ):  # arguments without a hash, or a field that needs the value of a number: `range(args)`
             pass
     return _marched(*arguments)
 

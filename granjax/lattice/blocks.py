@@ -222,7 +222,7 @@ def _prepared(system, u, around, sites, margin, behind):
 
 
 def in_blocks(lattice: Lattice, y: StateLike) -> BlockSplit | None:
-    """The split system of a long chain; `None` for what is no long chain of one bond to the next site."""
+    """The split system of a long chain; `None` for other lattices than a long chain of one bond to the next site."""
     shape = () if lattice.fields else np.shape(y[0])
     if lattice.lanes or len(shape) != 1 or shape[0] < LONG:
         return None

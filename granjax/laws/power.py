@@ -86,7 +86,7 @@ def _free_power_jvp(k, primals, tangents):
     s, p = primals
     ds, dp = (None if isinstance(d, SymbolicZero) else d for d in tangents)
     value = _free_power(s, p, k)
-    # a derivative that nobody asked for is not there: times zero it would be NaN where it overflows
+    # a derivative that is not needed is left out: times zero it would be NaN where it overflows
     change = jnp.zeros_like(value)
     if ds is not None:
         slope = p * _free_power(s, p - 1, k)

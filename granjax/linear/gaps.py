@@ -18,7 +18,7 @@ WITHIN = 19
 SAME = 1e-3
 # of the slope at an edge, in parts of the distance between two samples
 ASIDE = 1e-3
-# of a map's own error, for what is told from zero
+# of a map's own error, above which a number differs from zero
 TOLD = 50
 # digits to which two mirror images of one gap agree
 DIGITS = 9
@@ -62,7 +62,7 @@ def _look(known, maps):
 
 
 def _told(known, k):
-    """How unstable waves are at k, what is told from zero in that, what larger steps change, and how near they are."""
+    """How unstable waves are at k, the least growth that counts, what larger steps change, and how near they are."""
     fine, coarse, about = known.levels(k[:, None])
     unstable, near, _ = _look(known, fine)
     size = np.maximum(1, np.linalg.norm(fine, axis=(1, 2))) if known.conserves else 1

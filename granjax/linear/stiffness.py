@@ -270,7 +270,7 @@ def largest(x: Any) -> Any:
 
 
 def each(function: Callable, x: Any, at_once: int) -> Any:
-    """`jax.vmap(function)(x)`, of so many rows at a time that memory holds them."""
+    """`jax.vmap(function)(x)`, of as many rows at a time as memory holds."""
     if len(x) <= at_once:
         return jax.vmap(function)(x)
     return jax.lax.map(function, x, batch_size=at_once)

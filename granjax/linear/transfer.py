@@ -11,7 +11,7 @@ from ..results import Result, array
 from ..types import Flags, Number, Parameter
 from .stiffness import at_rest, blocks
 
-# the growth along a chain is counted in so many pieces, after some to forget where it began
+# the number of pieces in which the growth along a chain is counted, and of those before them that forget its beginning
 PIECES, FORGOTTEN = 36, 4
 # lanes from which on they alone tell the standard error
 ENOUGH = 8
@@ -41,7 +41,7 @@ class LocalisationLength(Result):
 
     @property
     def resolved(self) -> Flags:
-        """Where gamma is told from zero: more than twice its standard error."""
+        """Where gamma differs from zero: by more than twice its standard error."""
         return self.gamma > 2 * self.error
 
     @property

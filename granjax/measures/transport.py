@@ -69,8 +69,8 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     no energy.
 
     **Shapes:** (N - 1,), or (N,) on a ring, whose last bond leads to the first site; then lanes.
-    **Raises** ValueError for what is no chain with scalar displacements, or a force between sites that is no bond to
-    the next.
+    **Raises** ValueError for other lattices than a chain with scalar displacements, or a force between sites that is no
+    bond to the next.
 
     **Example:**
 

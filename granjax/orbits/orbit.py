@@ -427,8 +427,8 @@ def orbit(
       transformations.
 
     **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive, or none of the forcing, a batch of
-    lattices, steps that the segments do not divide, what is no symmetry of the lattice, or a guess at rest where
-    nothing moves it; RuntimeError where `throw` and it did not converge, or fell to such rest.
+    lattices, steps that the segments do not divide, a map that is not a symmetry of the lattice, or a guess at rest
+    where nothing moves it; RuntimeError where `throw` and it did not converge, or fell to such rest.
 
     **Example:**
 

@@ -273,7 +273,7 @@ def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
 
 
 def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice, Scalar]:
-    """The lattice and the period at a value of the parameter, as functions of the user's give them."""
+    """The lattice and the period at a value of the parameter, as user-defined functions give them."""
     lattice, T = make(jnp.asarray(p)), period_at(period, p)
     if np.ndim(T) or not 0 < float(T) < np.inf:
         refuse("period", "a time above zero, or a function that gives one", described(T))

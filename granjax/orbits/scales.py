@@ -28,10 +28,10 @@ UNEVEN = 0.5
 def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
     r"""The amplitude a of a shape at which the lattice's stiffness has changed by a half of its size at equilibrium.
 
-    Of every law's stiffness F'(e) at its compression, against the largest at equilibrium, and, for what has no law, of
-    the linearised accelerations |J(a w) p - J(0) p| against |J(0) p|, with w the shape over its largest entry and p the
-    same made uneven, so that less cancels by symmetry; the least such a. Infinite for linear forces, zero in a sonic
-    vacuum. In the unit of u.
+    Of every law's stiffness F'(e) at its compression, against the largest at equilibrium, and, for a term without a
+    law, of the linearised accelerations |J(a w) p - J(0) p| against |J(0) p|, with w the shape over its largest entry
+    and p the same made uneven, so that less cancels by symmetry; the least such a. Infinite for linear forces, zero in
+    a sonic vacuum. In the unit of u.
     """
     departures = lambda sizes: np.asarray(_departures(lattice, shape, sizes))
     return last_near(lambda sizes: departures(sizes) <= SHARE, lattice.dtype)

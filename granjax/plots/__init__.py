@@ -3,7 +3,7 @@
 They know no lattice: a run is anything with `ts`, `us`, `vs`, a dispersion anything with `k`, `omega`, `cell`.
 
 Units are those of the result. One in SI is drawn with one prefix per axis that reads (µs, mm/s, kHz), chosen from the
-range of the numbers; one in scaled numbers says "(scaled)". A dataset says of each variable what it is in, so that
+range of the numbers; one in scaled numbers says "(scaled)". A dataset holds the unit of each variable, so that
 `gx.plots.space_time(run.in_units("us", "mm/s"))` draws microseconds. Arrays have the label that they are given: one
 that ends with a unit of SI, "force (N)", gets a prefix, and with any other, "force (lb)", it stays as it is.
 

@@ -193,8 +193,8 @@ def film(
     - `places`: of the plane, as in `beads`; `None` for a chain.
     - `quantity`: `"v"`, `"u"` (of vectors in the plane their length), or an array over times and sites.
     - `limit` > 0: of the colour or the axis, the largest of all frames by default. `label`: as in `beads`.
-    - `rate`: frames a second. `move`: beads are drawn displaced by so many times u. `ax`: where it is drawn, by default
-      in a figure of its own.
+    - `rate`: frames a second. `move`: the factor by which displacements u are drawn larger. `ax`: where it is drawn, by
+      default in a figure of its own.
 
     **Returns:** an animation of matplotlib's, for `gx.plots.save`. **Raises** ValueError for a run of one time, and
     shapes that do not fit.

@@ -91,8 +91,8 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
 def law_between(lattice: Lattice, wanted: str) -> Law:
     """The law of a chain's bonds to the next site, of all such terms; walls and their contacts do not count.
 
-    **Raises** ValueError for a batch, and for what is no chain, has other terms or no such bonds: none of what is
-    `wanted`.
+    **Raises** ValueError for a batch, and for a lattice that is not a chain, has other terms or no such bonds: none of
+    what is `wanted`.
     """
     if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
         refuse("law", wanted, f"a lattice of shape {lattice.shape}")

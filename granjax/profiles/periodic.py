@@ -108,7 +108,7 @@ class _Family(NamedTuple):
     small: float
 
     def box(self, points: int) -> Box:
-        """With so many points from a crest to the next trough, of waves whose level is 1."""
+        """With this number of points from a crest to the next trough, of waves whose level is 1."""
         laws, one = (Strained(self.law, jnp.asarray(self.mean)),), np.ones(1)
         chain = Chain(laws, one, one, 1.0, np.array([self.stiffness]), None, 0)
         return Box(chain, self.wavelength / 2, 2 * points, at_rest=False)

@@ -112,7 +112,7 @@ class Tent(NamedTuple):
 
     @classmethod
     def of(cls, places: Places, pieces: Any = PIECES, at: np.ndarray | None = None) -> "Tent":
-        """That of some places by pieces between some ends, at the places themselves or `at` others."""
+        """The same for given places, by pieces between given ends, at the places themselves or `at` others."""
         s, w = rule(pieces)
         x = (places.nodes if at is None else at)[:, None]
         y = np.concatenate([x - 1 + s, x + s], 1)

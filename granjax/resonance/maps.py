@@ -125,7 +125,7 @@ def resonance_map(
     forces = _forces(masses, stiffness, (a, b))
     shape = len(first), len(second)
     rate = -np.log(forces[1] / forces[0]) / (b - a)
-    told = kind if isinstance(kind, str) else getattr(kind, "__name__", "a cell of one's own")
+    told = kind if isinstance(kind, str) else getattr(kind, "__name__", "a user-defined cell")
     return ResonanceMap(first, second, rate.reshape(shape), forces[1].reshape(shape), told, (a, b))
 
 

@@ -83,7 +83,7 @@ def check_each(count: int, what: str, **parameters: Parameter | None) -> None:
 def fitting(law: Any, count: int, what: str) -> Any:
     """The law, whose parameters are numbers, or one for each of `count` contacts or sites."""
     kind = type(law)
-    # a law of one's own may hold other arrays
+    # a user-defined law may hold other arrays
     if kind.__module__.startswith("granjax."):
         arrays = {name.removeprefix("_free_"): x for name, x in vars(law).items() if np.shape(x)}
         check_each(count, what, **{f"{kind.__name__}.{name}": x for name, x in arrays.items()})

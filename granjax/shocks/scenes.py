@@ -50,8 +50,8 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
     `centre`: as in `gx.states.velocity_step`: a site, which stays at rest, or half way between two; `None` for the
     site in the middle, (N - 1)//2. Where none rests, the plateau's mean comes to its value like 1/t.
     **Returns:** `Riemann`, its `centre` half a bond further left, where sites lie on the scale of bonds.
-    **Raises** ValueError for what is no chain, terms that hold or slow a translation (walls, on-site forces, damping
-    of sites: `piston` serves those), c not finite, or a centre outside the chain.
+    **Raises** ValueError for a lattice that is not a chain, terms that hold or slow a translation (walls, on-site
+    forces, damping of sites: `piston` serves those), c not finite, or a centre outside the chain.
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
 
     **Example:**
@@ -93,8 +93,8 @@ def step(
     **Arguments:** `left`, `right`: strains from the rest of `lattice`, positive in compression [m], numbers or one per
     lane; `centre`: the first bond that carries `right`, from 1 to N - 2; `None` for the middle, (N-1)//2.
     **Returns:** `Riemann`, its `centre` half way between the bonds centre - 1 and centre.
-    **Raises** ValueError for what is no chain, bonds that differ or do not lead to the next site, on-site forces, equal
-    strains, those at which the law has no force, or a centre outside the chain.
+    **Raises** ValueError for a lattice that is not a chain, bonds that differ or do not lead to the next site, on-site
+    forces, equal strains, those at which the law has no force, or a centre outside the chain.
     """
     size = chain_only(lattice, "step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
@@ -156,7 +156,7 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     **Arguments:** `lattice`: a chain; bonds to walls are taken off and a ring is cut, the right end is free.
     `speed` [m/s], a number or one per lane. **Returns:** `Riemann`, with c = speed/2; the piston's contact is bond -1,
     and `centre` -1.5.
-    **Raises** ValueError for what is no chain of bonds to the next site, speeds not finite or zero.
+    **Raises** ValueError for other lattices than a chain of bonds to the next site, speeds not finite or zero.
     Source: Molinari, Daraio, Phys. Rev. E 80, 056602 (2009).
 
     **Example:**

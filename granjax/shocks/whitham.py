@@ -367,7 +367,7 @@ class _Curve(NamedTuple):
 
     @property
     def told(self):
-        """What an error is told of: both speeds, the strain of the plateau and the amplitude."""
+        """The numbers that have an error: both speeds, the strain of the plateau and the amplitude."""
         (trailing, *_), (leading, *_, amplitude, _) = self.edges
         return np.array([trailing, leading, self.edges[0][3], amplitude])
 
@@ -413,7 +413,7 @@ def _curve(force, start, decay, means):
 def _search(step, x):
     """Start, derivative of what is missed by it, and the curve where nothing is missed, by Broyden's method.
 
-    At last by how much what may be left moves what is told.
+    At last by how much what may be left moves the numbers of the result.
     """
     curve, missed = partial(step.curve, means=FINE), step.missed
     found = curve(x)

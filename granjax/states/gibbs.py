@@ -17,7 +17,7 @@ from .simple import thermal
 
 # h omega of the steps of hybrid Monte Carlo
 STEP = 0.5
-# the bound on the frequencies is that of a motion so many times hotter, as energy gathers
+# the bound on the frequencies is that of a motion hotter by this factor, as energy gathers
 HOTTER = 2.0
 
 

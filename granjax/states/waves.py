@@ -121,7 +121,7 @@ def solitary_wave(
 
 
 def _given_frequency(omega, q, lanes):
-    """omega(q) of the user's."""
+    """A user-defined omega(q)."""
     found = omega(q)
     shape = np.shape(found)
     if len(shape) > len(q.shape[:1] + lanes) or shape and shape[0] not in (1, len(q)):

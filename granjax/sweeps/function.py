@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from ..checks import described, refuse
 from ..results import Result
 
-# what a point is told whose results do not fit those of others
+# the remark on a point whose results do not fit those of others
 ODD = "The function returned shapes {} here, but {} before. Return the same names and shapes."
 # failed points of a chunk that are computed again alone, for what their errors say
 ASKED = 4
@@ -277,7 +277,7 @@ def name_of(function: Callable) -> str:
 def columns(value: Any, name: str, taken: Iterable[str]) -> dict[str, xarray.Variable]:
     """What a function returned at one point, by names, which are not those of its parameters; numbers as floats.
 
-    **Raises** ValueError for what is no number, word, array, dict of them or result.
+    **Raises** ValueError for anything but a number, word, array, dict of them or result.
     """
     found = {}
     for key, x in _entries(value, ""):

@@ -146,7 +146,7 @@ class Store:
 
 
 def opened(root: str):
-    """The group of a store, `None` where there is nothing. **Raises** ValueError for what is no store of a sweep."""
+    """The group of a store, `None` where there is nothing. **Raises** ValueError for other paths."""
     import zarr
 
     try:

@@ -86,7 +86,7 @@ class Bond(Joined):
         largest = jnp.max(jnp.asarray(factor, lattice.dtype))
         k = k + largest * self.strain_map.turning(lattice, self.law)
         bound = self.strain_map.stiffness_bound(lattice, k)
-        if isinstance(bound, jax.Array):  # of de/du at rest, which is not all of a map of one's own
+        if isinstance(bound, jax.Array):  # of de/du at rest, which is not all of a user-defined map
             bound = jnp.maximum(bound, largest * largest_eigenvalue(self, lattice, reach))
         return bound
 

@@ -310,9 +310,9 @@ class PlasticContact(Bond, Remembering):
     end of a run, and `gx.measures.along(measure, lattice, run)` puts in that of each frame.
 
     **Arguments:** `strain_map`, such as `Shift(1, "fixed")`; `law`: `gx.WaltonBraun`, `gx.Thornton`, or a
-    `gx.PlasticLaw` of one's own; `overlap`: d0 >= 0 at equilibrium [m], zero without precompression; `largest`: P at
+    user-defined `gx.PlasticLaw`; `overlap`: d0 >= 0 at equilibrium [m], zero without precompression; `largest`: P at
     the start, `None` for d0 (virgin contacts). Numbers or one per bond.
-    **Raises** ValueError for d0 < 0, P < d0, or what is no such law.
+    **Raises** ValueError for d0 < 0, P < d0, or another kind of law.
     """
 
     dimensions = {"strain_map": PART, "law": PART}

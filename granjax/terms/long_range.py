@@ -382,7 +382,7 @@ class _Powers(NamedTuple):
         return transform, self.held(k, self.beyond)
 
     def held(self, k, beyond):
-        """The sum of the weights of all bonds of a site, with so many sites beyond the ends."""
+        """The sum of the weights of all bonds of a site, with this number of sites beyond the ends."""
         right, left = _bonds_within(self.powers[k], self.x.shape[0], beyond)
         return right - (-1) ** k * left
 
@@ -438,7 +438,7 @@ def spectrum(c, n, parity, around, dtype):
 
 
 def behind(spectrum, ndim):
-    """A spectrum as complex numbers for arrays of so many axes, frequencies last as `forth` has them."""
+    """A spectrum as complex numbers for arrays of this number of axes, frequencies last as `forth` has them."""
     real, imag = (
         None if x is None else jnp.moveaxis(x.reshape(x.shape + (1,) * (ndim - x.ndim)), 0, -1)
         for x in spectrum

@@ -220,7 +220,7 @@ def _dark(kappa, nu2, nu3, nu3_force):
 
 
 def _signs(focusing, kappa, nu2, nu3, nu3_force):
-    """The numbers as arrays; refuses what has no such soliton, which asks for the sign `focusing` of nu2 nu3_force."""
+    """The numbers as arrays; refuses an equation without such a soliton (the sign `focusing` of nu2 nu3_force)."""
     name = "nu3" if nu3_force is nu3 else "nu3_force"
     given = _numbers(kappa=kappa, nu2=nu2, nu3=nu3, nu3_force=nu3_force)
     if traced(given):

@@ -21,7 +21,7 @@ __all__ = ["BondState", "bond_state"]
 LADDER = 2.0 ** np.arange(-140, 70)
 # of the logarithm of the density below its maximum: exp(-45) is 3e-20
 DEPTH = 45.0
-# each zoom looks at so many places between those where the density ends
+# the number of places that each zoom looks at, between those where the density ends
 ZOOMS = 8
 PLACES = 64
 # of a quadrature, and of a table from which compressions are drawn

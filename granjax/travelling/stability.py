@@ -72,7 +72,7 @@ def _sites_of(wave):
 def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: Any) -> Orbit:
     r"""A wave of any ring as a fixed point: y(1/c) = S y(0), S the shift by one site, by Newton's method.
 
-    The lattice may have whatever terms: further neighbours, on-site forces, terms of the user's own. `orbit.floquet()`
+    The lattice may have whatever terms: further neighbours, on-site forces, user-defined terms. `orbit.floquet()`
     tells its stability.
 
     **Arguments:** `lattice`: a ring of equal cells. `guess`: a state near the wave, such as that of `ring(wave)`, or of

@@ -84,7 +84,7 @@ def tracked(
 class Leaving(NamedTuple):
     """A wave that leaves: its track by the exact wave of its own speed, amplitude and energy each with its error.
 
-    `why` it is no solitary wave, in words; empty where it is one.
+    `why` it is not a solitary wave, a text; empty where it is one.
     """
 
     track: Track

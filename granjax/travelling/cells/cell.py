@@ -21,8 +21,8 @@ ALIKE = 1e-12
 def repeated_in(lattice: Lattice) -> tuple[Law, np.ndarray, dict]:
     """The law of a cell's bonds, its masses (P,), and what a result keeps of the lattice.
 
-    Walls and their contacts do not count. **Raises** ValueError for what is no chain of bonds to the next site, whose
-    masses and bonds repeat at least twice.
+    Walls and their contacts do not count. **Raises** ValueError for other lattices than a chain of bonds to the next
+    site, whose masses and bonds repeat at least twice.
     """
     wanted = "a chain of bonds between neighbours that repeats"
     law, (sites,) = law_between(lattice, wanted), lattice.sites

@@ -104,7 +104,7 @@ class CellWave(Result):
         return self._at(self.velocities, xi, site)
 
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
-        """Displacements and velocities of a chain of so many sites, the wave's xi = 0 at contact `centre`.
+        """Displacements and velocities of a chain of `sites` sites, the wave's xi = 0 at contact `centre`.
 
         Site 0 is the first of the cell. `None` is the middle of the chain, (sites - 2)/2. The last bead is at its
         place. Meant for free ends: those behind have moved. Contacts beyond the box see its own ripple go on. With
