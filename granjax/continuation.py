@@ -432,20 +432,22 @@ LONGEST = 0.3
 
 
 @eqx.filter_jit
-def _linearised(problem, x, p):
+def linearised(problem: Problem, x: Numbers, p: Scalar) -> tuple:
+    """(F, dF/dx) of a problem."""
     return problem.linearise(x, p)[:2]
 
 
 def solve(problem: Problem, root: np.ndarray, others: Sequence[np.ndarray], size: float) -> list:
     """Which of some unknowns solve F(x, 0) = 0 as well as a root does that `another` finds."""
     zero = jnp.zeros(())
-    slope = np.abs(_linearised(problem, jnp.asarray(root), zero)[1]).max()
-    left = [np.abs(_residual(problem, jnp.asarray(x), zero)).max() for x in others]
+    slope = np.abs(linearised(problem, jnp.asarray(root), zero)[1]).max()
+    left = [np.abs(residual_of(problem, jnp.asarray(x), zero)).max() for x in others]
     return [bool(x <= 1e2 * LEFT * size * slope) for x in left]
 
 
 @eqx.filter_jit
-def _residual(problem, x, p):
+def residual_of(problem: Problem, x: Numbers, p: Scalar) -> Numbers:
+    """F(x, p) of a problem."""
     return problem.residual(x, p)
 
 
@@ -467,7 +469,7 @@ def another(
     if known_here(x):  # next to a known one the product has no direction of its own
         x = x + LONGEST / 2 * size * np.random.default_rng(0).uniform(-1, 1, x.size)
     for _ in range(max_steps):
-        f, jacobian = map(np.asarray, _linearised(problem, jnp.asarray(x), jnp.zeros(())))
+        f, jacobian = map(np.asarray, linearised(problem, jnp.asarray(x), jnp.zeros(())))
         if not (np.isfinite(f).all() and np.isfinite(jacobian).all()):
             return None
         largest = np.abs(jacobian).max() if largest is None else largest

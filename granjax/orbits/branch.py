@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Inexact, Shaped
 
 from ..checks import one_of, positive, refuse, tolerance
-from ..continuation import Curve
+from ..continuation import Curve, residual_of
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
 from ..measures import rms_velocity
@@ -313,7 +313,8 @@ class Branch(Result):
         """The `Orbit` at point i; -1 is the last."""
         family, (x, q) = self._family, jax.device_put((self._curve.x[i], self._curve.p[i]))
         lattice, _ = family.scene(q)
-        residual, none = _residual(family, x, q), np.zeros((), int)
+        none = np.zeros((), int)
+        residual = np.abs(residual_of(family, x, q)).max()
         unknown = np.full((x.size,) * 2, np.nan)
         root = Root(x, unknown, residual, residual, none, none, residual)
         known = self.states, self.periods, self.energy, self.state_error, self.energy_error
@@ -330,11 +331,6 @@ class Branch(Result):
             family.shooting.symmetry,
             OrbitError(*apart, exact, exact, **lattice.origin),
         )
-
-
-@eqx.filter_jit
-def _residual(family, x, q):
-    return jnp.max(jnp.abs(family.residual(x, q)))
 
 
 def _bifurcation_at(family, kind, z, after, *known):

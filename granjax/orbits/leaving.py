@@ -9,7 +9,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse
-from ..continuation import directions
+from ..continuation import directions, linearised
 from ..flow import Flow
 from ..lattice import State
 from ..results import Result, array
@@ -194,14 +194,9 @@ def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple
         tried.append(family.shooting.flow(state, 0.0, scene[1] / 2, scene[0]))
     for start in tried:
         x = longer.shooting.guess(State(*start), longer.scene(q))
-        _, values, right = np.linalg.svd(np.asarray(_jacobian(longer, x, q)))
+        _, values, right = np.linalg.svd(np.asarray(linearised(longer, x, q)[1]))
         if values[-1] <= SINGULAR * values[0] or len(tried) == 1:
             return longer, np.asarray(x), float(q), np.append(right[-1], 0.0)
     refuse(
         "i", "a period doubling of an orbit that is at rest there", "one whose branch was not found"
     )
-
-
-@eqx.filter_jit
-def _jacobian(family, x, q):
-    return family.linearise(x, q)[1]

@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import refuse
-from ..continuation import Curve, Problem, System, continuation
+from ..continuation import Curve, Problem, System, continuation, linearised, residual_of
 from ..lattice import Lattice, State
 from ..printing import told
 from ..results import Result, array, hidden, part
@@ -303,8 +303,10 @@ def _held(problem, fixed, left):
 
 def _same(problem, here, family, X, q):
     """Refuse a function of two parameters that does not begin with the branch."""
-    size = np.abs(np.asarray(_residual(here, X, q))).max()
-    if not size <= 1e4 * max(float(family.left), np.abs(np.asarray(_residual(family, X, q))).max()):
+    size = np.abs(np.asarray(residual_of(here, X, q))).max()
+    if not size <= 1e4 * max(
+        float(family.left), np.abs(np.asarray(residual_of(family, X, q))).max()
+    ):
         refuse(
             "make",
             "lattices that at `start` are those of the branch",
@@ -313,24 +315,14 @@ def _same(problem, here, family, X, q):
 
 
 @eqx.filter_jit
-def _residual(family, X, q):
-    return family.residual(X, q)
-
-
-@eqx.filter_jit
 def _turned(problem, family, X, q, v):
     return problem.turned(family, X, q, v)
-
-
-@eqx.filter_jit
-def _jacobian(family, X, q):
-    return family.linearise(X, q)[1]
 
 
 def _matrix(problem, family, X, q, rho):
     """A(rho)."""
     E = np.stack([np.asarray(problem.started(e)) for e in jnp.eye(X.size)], 1)
-    return np.asarray(_jacobian(family, X, q)) + (1 - rho) * E
+    return np.asarray(linearised(family, X, q)[1]) + (1 - rho) * E
 
 
 def _tests(problem, here, names):
