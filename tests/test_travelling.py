@@ -295,6 +295,15 @@ def test_ring_and_held_ends_agree():
         held.multipliers[0], abs=2e-4
     )
     assert np.isfinite(ring.krein).all()
+    # what grows is the wave's own, and so are its place and its speed
+    assert np.abs(held.point[0] - held.multipliers[0]) == 0
+    assert (np.abs(held.point - 1) < 0.1).sum() >= 3 and (np.abs(ring.point) > 1).sum() >= 1
+    # far away exp(i (k - omega/c)), omega = 2 sin(k/2), at k + i decay/2: its largest modulus is at k = 0
+    a = float(wave.decay) / 2
+    assert np.abs(held.essential).max() == pytest.approx(
+        np.exp(-a + 2 * np.sinh(a / 2) / 1.02), rel=1e-12
+    )
+    assert np.abs(ring.essential) == pytest.approx(1, rel=1e-12)
 
 
 @pytest.mark.slow

@@ -314,7 +314,7 @@ class Branch(Result):
         family, (x, q) = self._family, jax.device_put((self._curve.x[i], self._curve.p[i]))
         lattice, _ = family.scene(q)
         none = np.zeros((), int)
-        residual = np.abs(residual_of(family, x, q)).max()
+        residual = jnp.asarray(np.abs(residual_of(family, x, q)).max())
         unknown = np.full((x.size,) * 2, np.nan)
         root = Root(x, unknown, residual, residual, none, none, residual)
         known = self.states, self.periods, self.energy, self.state_error, self.energy_error

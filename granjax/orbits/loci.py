@@ -113,7 +113,7 @@ class Critical(Problem):
     span: Scalar
     fixed: Numbers
     left: Numbers
-    there: Numbers
+    size: int = eqx.field(static=True)
 
     def at(self, r: Scalar) -> Family:
         """The branch's family at a value of the second parameter."""
@@ -124,7 +124,7 @@ class Critical(Problem):
         return Family(old.shooting, _With(self.make, other), period, old.start, old.span, old.left)
 
     def residual(self, x, p):
-        family, size = self.at(p), self.there.size
+        family, size = self.at(p), self.size
         X, q, rest = x[:size], x[size], x[size + 1 :]
         orbit, more = family.residual(X, q), []
         if self.kind == "Neimark-Sacker":
@@ -195,7 +195,7 @@ def locus(
     arclength: Scalar,
     points: Count,
 ) -> Locus:
-    """Follow a bifurcation at z = (x, q) of a family in a second parameter; `Branch.locus` says it all."""
+    """Follow a bifurcation at z = (x, q) of a family in a second parameter: `Branch.locus` has the arguments."""
     start, until = float(start), float(until)
     if start == until:
         refuse("until", "another value than start", repr(until))
@@ -205,7 +205,7 @@ def locus(
     names = ("cusp", "1:1") if kind == "fold" else ("1:2",) if kind == "period doubling" else ()
     if problem.family.shooting.reversible:
         names = names[:1] if kind == "fold" else ()
-    turns, size = kind == "Neimark-Sacker", problem.there.size
+    turns, size = kind == "Neimark-Sacker", problem.size
 
     def ends(x, r):
         if turns and not 0 < x[size + 1] < np.pi:
@@ -261,7 +261,7 @@ def _begun(family, z, kind, angle, make, period, start, span):
     """The problem, and its unknowns at a bifurcation that has been located."""
     X, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
     empty = jnp.zeros(0)
-    problem = Critical(family, make, period, kind, start, span, empty, empty, X)
+    problem = Critical(family, make, period, kind, start, span, empty, empty, X.size)
     here = problem.at(jnp.zeros(()))
     _same(problem, here, family, X, q)
     if problem.of_displacements:
@@ -327,7 +327,7 @@ def _matrix(problem, family, X, q, rho):
 
 def _tests(problem, here, names):
     """Functions of a point that change their sign at cusps and at strong resonances."""
-    size, rho, first = problem.there.size, -1.0 if problem.kind == "period doubling" else 1.0, []
+    size, rho, first = problem.size, -1.0 if problem.kind == "period doubling" else 1.0, []
 
     def test(point, name):
         X, q, v = (jnp.asarray(x) for x in np.split(point.x[: 2 * size + 1], [size, size + 1]))
@@ -363,6 +363,6 @@ def _known(problem, x, r):
     jacobian = problem.linearise(x, r)[1]
     shooting = problem.family.shooting.finer(2)
     finer = eqx.tree_at(lambda p: p.family.shooting.flow.steps, problem, shooting.flow.steps)
-    inverse = jnp.linalg.inv(jacobian)[problem.there.size]
+    inverse = jnp.linalg.inv(jacobian)[problem.size]
     rounding = 16 * jnp.finfo(x.dtype).eps * jnp.sum(jnp.abs(inverse))
     return 2 * jnp.abs(inverse @ finer.residual(x, r)) + rounding

@@ -16,7 +16,7 @@ from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
 from ..programs import in_numpy, library
-from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
+from ..types import AnyArray, Count, Counts, Number, Numbers, Scalar, StateLike
 from .asked import Symmetry, free_moves, shifts
 
 
@@ -232,7 +232,7 @@ class Family(Problem):
         """The parameter p at q."""
         return self.start + q * self.span
 
-    def with_steps(self, steps: Count) -> "Family":
+    def with_steps(self, steps: Count | Counts) -> "Family":
         """The same with other time steps in each segment; an array, whose value compiles nothing anew."""
         return eqx.tree_at(lambda f: f.shooting.flow.steps, self, jnp.asarray(steps, int))
 

@@ -14,6 +14,7 @@ from ..laws import Strained
 from ..orbits import Orbit, Translation, orbit
 from ..orbits.floquet import STABLE, UNDECIDED, Floquet, decide
 from ..orbits.spectrum import known_spectrum
+from ..profiles.medium import values
 from ..results import hidden
 from ..solvers import KahanLi8
 from ..strains import Shift
@@ -23,6 +24,8 @@ from ..units import SCALED
 
 # strain over the peak where a ring closes, by default; sites of the shortest and the longest
 CLOSED, SHORTEST, LONGEST = 1e-10, 12, 200
+# wave numbers at which the essential spectrum is looked at
+WAVES = 256
 # where far states are held: growth of the norm per contact without sound; steps at first and at most, to which the
 # matrix is known
 RATE, STEPS, MOST, KNOWN = 1.0, 64, 2048, 1e-7
@@ -95,6 +98,21 @@ class WaveStability(Floquet):
         "What was found on the ring, where held ends have decided.", default=None, kw_only=True
     )
     held: Floquet | None = hidden("What these have found.", default=None, kw_only=True)
+    essential: np.ndarray = hidden(
+        "Multipliers of small waves far from this one, on the infinite chain: the essential "
+        "spectrum, in the norm in which it was found.",
+        kw_only=True,
+    )
+
+    @property
+    def point(self) -> np.ndarray:
+        """The multipliers beyond the essential spectrum by more than their errors: they are the wave's own.
+
+        Those of a ring that held ends do not find are small waves that run round it.
+        """
+        own = self.held or self
+        beyond = np.abs(own.multipliers) > np.abs(own.essential).max() + own.error
+        return own.multipliers[beyond]
 
     @property
     def outcome(self) -> str:
@@ -135,7 +153,8 @@ def stability(
 
     **Arguments:** `sites`: of the ring or the chain, `None` by the tail. `ends`: `None` is "ring" where there is sound,
     "held" elsewhere. `keywords`: of `gx.floquet.floquet` on a ring.
-    **Returns:** `WaveStability`, whose outcome names the ring or the chain. **Raises** as `ring` and `wave_orbit` do.
+    **Returns:** `WaveStability`, whose outcome names the ring or the chain; `essential` is the essential spectrum of
+    the infinite chain, `point` what lies beyond it. **Raises** as `ring` and `wave_orbit` do.
 
     **Example:**
 
@@ -161,7 +180,7 @@ def stability(
 def _judged(found, wave, sites):
     """What was found on a ring, judged by held ends where the ring itself may be why a multiplier leaves the circle."""
     told = {field.name: getattr(found, field.name) for field in fields(found)}
-    told |= {"sites": sites, "bound": 0.0}
+    told |= {"sites": sites, "bound": 0.0, "essential": _essential(wave, 0.0)}
     if found.verdict == STABLE:
         return WaveStability(**told)
     held, rho = _held(wave, sites), found.multipliers
@@ -219,8 +238,18 @@ def _held(wave, sites):
         state,
         sites=sites,
         bound=radius,
+        essential=_essential(wave, rate),
         **lattice.origin,
     )
+
+
+def _essential(wave, rate):
+    """exp(i (k - omega(k)/c)) of both directions, at wave numbers k + i rate: of waves that fall as exp(-rate n)."""
+    k = 2 * np.pi * np.arange(WAVES) / WAVES + 1j * rate
+    stiffness = values(wave.law, np.zeros(1))[1][0]
+    omega = 2 * np.sqrt(stiffness / float(wave.mass)) * np.sin(k / 2)
+    turns = omega / abs(float(wave.speed))
+    return np.exp(1j * (k - np.stack([turns, -turns])))
 
 
 def _radius(matrix, about):
