@@ -483,7 +483,7 @@ def frequency_bound(
 ) -> Number:
     """Bound on the angular frequencies that linearisation finds at what the scene's energy can reach.
 
-    The energy that may gather in a bond is the largest that a neighbourhood, so many bonds' lengths wide, holds at the
+    The energy that may gather in a bond is the largest that a neighbourhood, some bonds' lengths wide, holds at the
     start (the whole lattice's, where a term says nothing of how far it couples). A drive adds what a quasi-static push
     to twice its largest value would store; a moving wall the energy of the heaviest site at twice its largest speed, or
     its displacement shared by all sites, whichever is more. A modulation counts with its largest value and with the
