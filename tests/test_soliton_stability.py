@@ -119,3 +119,20 @@ def test_what_is_refused():
         jax.jit(lambda w: stability(EQUATION, w))(wave)
     with refused("intersite"):
         Salerno(9, intersite=-1.0)
+
+
+def test_the_self_trapping_dimer_leaves_at_its_pitchfork():
+    """phi_1 phi_2 = V/chi on the branch that leaves at omega = 0; the symmetric one grows at 2 (a^2 - 1)^{1/2}."""
+    dimer = DNLS(2, boundary="fixed")
+    even = soliton(dimer, 0.5, guess=np.full(2, 0.7), throw=False)
+    family = soliton_family(dimer, even, -1.0)
+    assert_allclose(family.psi, np.sqrt(1 - family.omega)[:, None] * np.ones(2), rtol=1e-12)
+    expected = 2 * np.sqrt(np.maximum(-family.omega, 0))
+    assert_allclose(family.growth, expected, atol=1e-7)
+    (point,) = family.curve.special
+    assert point.kind == "branch point" and abs(point.p) < 1e-12
+    leaving = soliton_family(dimer, even, -1.0, leaving=(family.curve, 0))
+    assert_allclose(leaving.psi.prod(axis=1), 1, rtol=1e-13)
+    # phi_1^2 + phi_2^2 = 2 - omega
+    assert_allclose(leaving.norm, 2 - leaving.omega, rtol=1e-13)
+    assert (leaving.verdict == "stable").all() and leaving.omega[-1] == -1.0

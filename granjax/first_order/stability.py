@@ -96,7 +96,8 @@ def stability(equation: Equation, found: Soliton) -> SolitonStability:
     # beside the zeros of the phase, a growth within its error
     if verdict == "stable" and np.any((values.real > 1e-6 * size) & ~grows):
         verdict = "undecided"
-    modes = right[:, order].reshape(2, equation.sites, -1)
+    # SciPy gives real vectors where all rates are real
+    modes = right[:, order].astype(complex).reshape(2, equation.sites, -1)
     return SolitonStability(values, apart, modes, verdict, _space=(1, 0))
 
 
@@ -178,7 +179,7 @@ def soliton_family(
         direction=direction,
         arclength=arclength,
         points=points,
-        tolerance=1e-11 * np.abs(x).max() * abs(omega),
+        tolerance=1e-11 * np.abs(x).max() * max(abs(float(found.omega)), abs(until)),
     )
     waves = [soliton(equation, w, guess=phi, throw=False) for phi, w in zip(curve.x, curve.p)]
     spectra = [stability(equation, wave) for wave in waves]
