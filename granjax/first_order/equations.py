@@ -43,7 +43,7 @@ class Equation(eqx.Module):
 
     def norm(self, psi: Amplitudes) -> Numbers:
         """Sum over the sites of |psi_n|^2, one number per lane."""
-        return jnp.sum(jnp.real(psi) ** 2 + jnp.imag(psi) ** 2, axis=0)
+        return jnp.sum(_density(psi), axis=0)
 
     @property
     def has_flows(self) -> Flags:
@@ -150,7 +150,7 @@ class DNLS(Equation):
             self.laplacian = of_weights(self.sites, weights, boundary)
 
     def energy(self, psi):
-        density = jnp.real(psi) ** 2 + jnp.imag(psi) ** 2
+        density = _density(psi)
         bonds = self.coupling * jnp.sum(jnp.real(jnp.conj(psi) * self.laplacian(psi)), axis=0)
         held = (
             0.0
@@ -176,7 +176,7 @@ class DNLS(Equation):
 
     def _shift(self, psi):
         """Frequency of each site by itself."""
-        own = -self.nonlinearity.force(jnp.real(psi) ** 2 + jnp.imag(psi) ** 2)
+        own = -self.nonlinearity.force(_density(psi))
         return own if self.potential is None else own + trailing(self.potential, psi)
 
 
@@ -265,6 +265,7 @@ class Salerno(Equation):
 
 
 def _density(psi):
+    """|psi|^2, smooth at zero."""
     return jnp.real(psi) ** 2 + jnp.imag(psi) ** 2
 
 
@@ -378,12 +379,12 @@ class DpS(Equation):
             -2
             * self.stiffness
             / (p + 1)
-            * jnp.sum(_power(self._squared(self._steps(psi)), (p + 1) / 2), axis=0)
+            * jnp.sum(_power(_density(self._steps(psi)), (p + 1) / 2), axis=0)
         )
 
     def gradient(self, psi):
         steps = self._steps(psi)
-        flux = steps * _power(self._squared(steps), (self.exponent - 1) / 2)
+        flux = steps * _power(_density(steps), (self.exponent - 1) / 2)
         if self.boundary == "periodic":
             return self.stiffness * (flux - jnp.roll(flux, 1, axis=0))
         return self.stiffness * jnp.diff(flux, axis=0)
@@ -392,10 +393,6 @@ class DpS(Equation):
         """The cradle's state (u, v) at time t: u = 2 Re(A exp(i omega t)), v = 2 Re(i omega A exp(i omega t))."""
         turned = psi * jnp.exp(1j * self.omega * t)
         return State(2 * turned.real, -2 * self.omega * turned.imag)
-
-    @staticmethod
-    def _squared(x):
-        return jnp.real(x) ** 2 + jnp.imag(x) ** 2
 
     def _steps(self, psi):
         """Differences A_{n+1} - A_n over the bonds; of a finite chain with the one before and the one behind it."""

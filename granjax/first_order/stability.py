@@ -76,7 +76,7 @@ def stability(equation: Equation, found: Soliton) -> SolitonStability:
     phi = np.asarray(found.psi)
     if phi.shape != (equation.sites,):
         refuse("found", f"one soliton of {equation.sites} sites", f"shape {phi.shape}")
-    error = np.broadcast_to(np.asarray(found.error), ()) * np.abs(phi).max()
+    error = float(found.error) * np.abs(phi).max()
     # a random direction: the error of the profile has any shape
     other = phi + error * np.random.default_rng(0).choice([-1.0, 1.0], phi.size)
     near, far = (

@@ -388,3 +388,10 @@ def largest(x: Pytree) -> Scalar:
     """The largest modulus in a tree of arrays, NaN where one is."""
     x, xp = in_numpy(x), library(x)
     return xp.max(xp.stack([xp.max(abs(leaf)) for leaf in jax.tree.leaves(x)]))
+
+
+def largest_of_each(x: Pytree) -> Float[np.ndarray, " m"]:
+    """The largest modulus in a tree of known arrays for each of their first axis, (m,)."""
+    return np.max(
+        [np.abs(leaf).reshape(len(leaf), -1).max(1) for leaf in jax.tree.leaves(x)], axis=0
+    )

@@ -28,6 +28,7 @@ from .asked import (
     fixed_step_solver,
     flow_over,
     history,
+    largest_of_each,
 )
 from .floquet import decide, structure, weights
 from .leaving import NormalForm, normal_form, ways
@@ -158,9 +159,7 @@ class Branch(Result):
     @property
     def amplitude(self) -> Float[np.ndarray, " P"]:
         """max |u| at t0, (P,)."""
-        return np.max(
-            [np.abs(x).reshape(len(self), -1).max(1) for x in jax.tree.leaves(self.u)], axis=0
-        )
+        return largest_of_each(self.u)
 
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
@@ -206,7 +205,7 @@ class Branch(Result):
         points: Count = 50,
         response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
     ) -> "Branch | TorusBranch":
-        """Follow what leaves a branch: at a branch point, the doubled orbit at a doubling, a torus at Neimark-Sacker's.
+        """Follow what leaves a branch point, a period doubling (the doubled orbit), a Neimark-Sacker point (the torus).
 
         The branch point or doubling itself is not among the points; the first one is `arclength` away.
 
@@ -235,32 +234,19 @@ class Branch(Result):
         settings = {"arclength": arclength, "longest_arclength": longest, "points": points}
         if found.kind != TORUS:
             family, x, q, direction = ways(family, z, found.kind, tangent)
-        if until is None and not family.shooting.reversible:
-            until = float(family.start), float(family.start + family.span)
+        reversible = family.shooting.reversible
         if until is not None:
             until = (np.atleast_1d(until) - float(family.start)) / float(family.span)
+        elif not reversible:
+            until = 0.0, 1.0
         if found.kind == TORUS:
             return from_neimark_sacker(family, z, found.multiplier, until=until, **settings)
-        reversible = family.shooting.reversible
+        settings |= {"until": until, "direction": np.sign(side) * direction}
+        if reversible:
+            curve = family.follow(x, q, find=(FOLD, BRANCH_POINT), **settings)
+            return branch_of(family, curve, examined_along(family, curve))
         most = 2**DOUBLINGS * int(family.shooting.flow.steps)
-        while True:
-            curve = family.follow(
-                x,
-                q,
-                until=until,
-                direction=np.sign(side) * direction,
-                **settings,
-                find=(FOLD, BRANCH_POINT) if reversible else (FOLD,),
-            )
-            along = examined_along(family, curve, response)
-            if reversible:
-                return branch_of(family, curve, along)
-            looked, multipliers, *_ = zip(*along)
-            enough = _enough(family, curve, looked, response, BRANCH, most)
-            if enough is family:
-                found = _along_forced(family, curve, multipliers, response)
-                return branch_of(family, curve, along, found)
-            family = enough
+        return _followed(family, x, q, response, BRANCH, most, **settings)
 
     def locus(
         self,
@@ -731,25 +717,32 @@ def forced_branch(
     unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
     x, most = first.x[0] / unit, 2**DOUBLINGS * int(flow.steps)
+    return _followed(
+        family,
+        x,
+        0.0,
+        response,
+        tolerance,
+        most if steps is None else 0,
+        until=(0.0, 1.0),
+        arclength=arclength,
+        longest_arclength=longest_arclength,
+        points=points,
+    )
+
+
+def _followed(family, x, q, response, tolerance, most, **settings):
+    """The branch of forced orbits from (x, q), by as many steps as `tolerance` takes, at most `most`; 0: as given."""
     while True:
-        curve = family.follow(
-            x,
-            0.0,
-            until=(0.0, 1.0),
-            arclength=arclength,
-            longest_arclength=longest_arclength,
-            points=points,
-            find=("fold",),
-        )
+        curve = family.follow(x, q, find=(FOLD,), **settings)
         along = examined_along(family, curve, response)
-        enough = family
-        if steps is None:
-            enough = _enough(family, curve, [x for x, *_ in along], response, tolerance, most)
+        looked, multipliers, *_ = zip(*along)
+        enough = _enough(family, curve, looked, response, tolerance, most) if most else family
         if enough is family:
-            multipliers = [x for _, x, *_ in along]
             found = _along_forced(family, curve, multipliers, response)
             return branch_of(family, curve, along, found)
-        family, x = enough, curve.x[0]
+        # a branch that begins beside a bifurcation begins there again
+        family, x = enough, x if "direction" in settings else curve.x[0]
 
 
 def _enough(family, curve, looked, response, tolerance, most):

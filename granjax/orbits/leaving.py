@@ -22,6 +22,8 @@ SAFETY = 2
 # of the orbit's size: so far from a symmetric branch point Newton's method may leave the orbit, which makes a square
 # that is not there
 PLACED = 1e-3
+# imaginary parts of a multiplier below this are rounding
+REAL = 1e-6
 # singular values below this share of the largest are zero
 SINGULAR = 1e-4
 
@@ -75,43 +77,30 @@ def normal_form(family: Family, z: np.ndarray, kind: str, multiplier: complex) -
 
 def _coefficients(family, z, multiplier, steps):
     """The quadratic and the cubic coefficient at the critical multiplier, by `steps` in a period."""
-    z, steps = jnp.asarray(z), jnp.asarray(steps)
-    A = np.asarray(_derivative(family, z, steps, 1, ())[0])
-    values, left, right = _eigenvectors(A, multiplier)
-    rho, one = values, np.eye(len(A))
-    q, p = right, left / np.vdot(left, right).conj()
-    real = abs(rho.imag) < 1e-6
-    parts = (lambda a: (a.real, a.imag)) if not real else (lambda a: (a.real, 0 * a.real))
+    along = lambda *directions: np.asarray(
+        _derivative(family, jnp.asarray(z), jnp.asarray(steps), directions)
+    )
+    A = along()
+    one = np.eye(len(A))
+    rho, p, q = _eigenvectors(A, multiplier)
+    p = p / np.vdot(p, q).conj()
+    if abs(rho.imag) < REAL:
+        p, q = p.real, q.real
+        square = along(q, q)
+        # bordered, as I - A is singular itself where the multiplier is 1
+        h = _bordered(one - A, q, p, square) if rho.real > 0 else np.linalg.solve(one - A, square)
+        return p @ square / 2, p @ (along(q, q, q) + 3 * along(q, h)) / 6
 
     def B(a, b):
-        (ar, ai), (br, bi) = parts(a), parts(b)
-        second = lambda x, y: np.asarray(_derivative(family, z, steps, 2, (x, y)))
-        if real:
-            return second(ar, br)
-        return second(ar, br) - second(ai, bi) + 1j * (second(ar, bi) + second(ai, br))
+        (ar, ai), (br, bi) = ((x.real, x.imag) for x in (a, b))
+        return along(ar, br) - along(ai, bi) + 1j * (along(ar, bi) + along(ai, br))
 
-    def C(a):
-        """C(a, a, conj a)."""
-        r, s = parts(a)
-        third = lambda x, y, w: np.asarray(_derivative(family, z, steps, 3, (x, y, w)))
-        if real:
-            return third(r, r, r)
-        return third(r, r, r) + third(r, s, s) + 1j * (third(r, r, s) + third(s, s, s))
-
-    if real:
-        sign = np.sign(rho.real)
-        square = np.vdot(p, B(q, q)).real / 2
-        # bordered, as I - A is singular itself where the multiplier is 1
-        h = (
-            _bordered(one - A, q.real, p.real, B(q, q))
-            if sign > 0
-            else np.linalg.solve(one - A, B(q, q))
-        )
-        return square, np.vdot(p, C(q) + 3 * B(q, h)).real / 6
+    r, s = q.real, q.imag
+    cubic = along(r, r, r) + along(r, s, s) + 1j * (along(r, r, s) + along(s, s, s))
     turn = rho / abs(rho)
     mean = np.linalg.solve(one - A, B(q, q.conj()))
     twice = np.linalg.solve(turn**2 * one - A, B(q, q))
-    d = np.vdot(p, C(q) + 2 * B(q, mean) + B(q.conj(), twice)) / 2
+    d = np.vdot(p, cubic + 2 * B(q, mean) + B(q.conj(), twice)) / 2
     return 0.0, (d / turn).real
 
 
@@ -123,7 +112,7 @@ def _eigenvectors(A, multiplier):
     j = np.argmin(np.abs(others - values[i].conj()))
     q, p = right[:, i], left[:, j]
     q = q / np.linalg.norm(q)
-    if abs(values[i].imag) < 1e-6:
+    if abs(values[i].imag) < REAL:
         q, p = (x * np.exp(-1j * np.angle(x[np.argmax(np.abs(x))])) for x in (q, p))
     return values[i], p, q
 
@@ -135,8 +124,8 @@ def _bordered(matrix, right, left, b):
 
 
 @eqx.filter_jit
-def _derivative(family, z, steps, order, along):
-    """Of the map over a period, in units of the branch: its matrix, or a derivative along some directions."""
+def _derivative(family, z, steps, along):
+    """Of the map over a period, in units of the branch: its matrix, or the derivative along each of some directions."""
     shooting, (lattice, period) = family.shooting, family.scene(z[-1])
     unravel, scale = ravel_pytree(shooting.like)[1], shooting.scale
     x, flow = z[: scale.size], Flow(steps, shooting.flow.solver)
@@ -145,8 +134,8 @@ def _derivative(family, z, steps, order, along):
         y = State(*unravel(x * scale))
         return ravel_pytree(flow(y, shooting.t0, shooting.t0 + period, lattice))[0] / scale
 
-    if order == 1:
-        return (jax.jacfwd(mapped)(x),)
+    if not along:
+        return jax.jacfwd(mapped)(x)
     for direction in along:
         mapped = _slope(mapped, direction)
     return mapped(x)
@@ -188,9 +177,8 @@ def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple
     longer, q = doubled(family), jnp.asarray(z[-1])
     state = family.shooting.state(jnp.asarray(z[:-1]))
     scene, tried = family.scene(q), [state]
-    if (
-        family.shooting.reversible
-    ):  # at rest twice in a period: the doubled orbit is so at one of the two
+    # a breather is at rest twice in a period, and the doubled one at one of the two
+    if family.shooting.reversible:
         tried.append(family.shooting.flow(state, 0.0, scene[1] / 2, scene[0]))
     for start in tried:
         x = longer.shooting.guess(State(*start), longer.scene(q))

@@ -23,6 +23,12 @@ KINDS = ("fold", "branch point", "period doubling", "Neimark-Sacker", "Krein col
 LEFT = 10
 # of the size of the orbit, a disturbance by which a symmetry is lost
 SYMMETRIC = 1e-6
+# what a curve of a kind may meet
+MET = {
+    "fold": ("cusp", "1:1"),
+    "period doubling": ("1:2",),
+    "Neimark-Sacker": ("1:1", "1:2", "1:3", "1:4"),
+}
 # at such angles of the multiplier a Neimark-Sacker curve meets a strong resonance
 RESONANT = {"1:1": 0.0, "1:2": np.pi, "1:3": 2 * np.pi / 3, "1:4": np.pi / 2}
 
@@ -149,7 +155,7 @@ class Critical(Problem):
             if self.kind == "period doubling":
                 critical = critical + 2 * self.started(v)
             if self.kind == "branch point":
-                mu, v, h = rest[size], rest[:size], rest[size + 1 :]
+                mu, h = rest[size], rest[size + 1 :]
                 orbit = orbit + mu * self.left
                 along = lambda X: self.moved(family, X, q, v)
                 curved = jax.jvp(along, (X,), (v,))[1] + self.moved(family, X, q, h)
@@ -202,9 +208,9 @@ def locus(
     problem, x = _begun(
         family, z, kind, angle, make, period, jnp.asarray(start), jnp.asarray(until - start)
     )
-    names = ("cusp", "1:1") if kind == "fold" else ("1:2",) if kind == "period doubling" else ()
-    if problem.family.shooting.reversible:
-        names = names[:1] if kind == "fold" else ()
+    names = MET.get(kind, ())
+    if family.shooting.reversible:  # its multipliers come in pairs, whatever is met
+        names = tuple(name for name in names if name == "cusp")
     turns, size = kind == "Neimark-Sacker", problem.size
 
     def ends(x, r):
@@ -226,15 +232,18 @@ def locus(
         stop=ends,
         find=("fold",),
     )
-    system, special = System(problem, LEFT * float(family.left)), []
+    system, special, last = System(problem, LEFT * float(family.left)), [], None
     for i, (here, there) in enumerate(curve.steps):
-        tests = _tests(problem, here, names) | (_angles(size) if turns else {})
-        for name, test in tests.items():
-            if test(here) * test(there) < 0:
+        last = last or _tested(problem, here, names)
+        now = _tested(problem, there, names, last.left)
+        for name in names:
+            if last.values[name] * now.values[name] < 0:
+                test = lambda point: _tested(problem, point, names, last.left).values[name]
                 found = system.zero(here, there, test)
                 state = State(*family.shooting.state(jnp.asarray(found.x[:size])))
                 at = float(family.value(found.x[size])), start + found.p * (until - start)
                 special.append(LocusPoint(name, *at, jax.tree.map(np.asarray, state), i))
+        last = now
     known = [_known(problem, jnp.asarray(x), jnp.asarray(r)) for x, r in zip(curve.x, curve.p)]
     states = [family.shooting.state(jnp.asarray(x[:size])) for x in curve.x]
     angles = {
@@ -325,29 +334,30 @@ def _matrix(problem, family, X, q, rho):
     return np.asarray(linearised(family, X, q)[1]) + (1 - rho) * E
 
 
-def _tests(problem, here, names):
-    """Functions of a point that change their sign at cusps and at strong resonances."""
-    size, rho, first = problem.size, -1.0 if problem.kind == "period doubling" else 1.0, []
+class _Tested(NamedTuple):
+    """Numbers of a point that change their sign at what a curve may meet, and the left null vector in them."""
 
-    def test(point, name):
-        X, q, v = (jnp.asarray(x) for x in np.split(point.x[: 2 * size + 1], [size, size + 1]))
-        family = problem.at(jnp.asarray(point.p))
-        A = _matrix(problem, family, X, q[0], rho)
-        w = np.linalg.svd(A)[0][:, -1]
-        first.append(w)
-        w = w * np.sign(w @ first[0])
-        if name == "cusp":
-            return float(w @ np.asarray(_curvature(family, X, q[0], v)))
-        return float(w @ np.asarray(problem.started(v)))
-
-    return {name: (lambda point, name=name: test(point, name)) for name in names}
+    values: dict[str, float]
+    left: np.ndarray | None = None
+    __repr__ = told
 
 
-def _angles(size):
-    return {
-        name: (lambda point, angle=angle: point.x[size + 1] - angle)
-        for name, angle in RESONANT.items()
-    }
+def _tested(problem, point, names, before=None):
+    """`_Tested` at a point, its null vector in the direction of another one."""
+    size = problem.size
+    if problem.kind == "Neimark-Sacker" or not names:
+        return _Tested({name: point.x[size + 1] - RESONANT[name] for name in names})
+    X, q, v = (jnp.asarray(x) for x in np.split(point.x[: 2 * size + 1], [size, size + 1]))
+    family, rho = (
+        problem.at(jnp.asarray(point.p)),
+        -1.0 if problem.kind == "period doubling" else 1.0,
+    )
+    w = np.linalg.svd(_matrix(problem, family, X, q[0], rho))[0][:, -1]
+    w = w if before is None else w * np.sign(w @ before)
+    found = {name: float(w @ np.asarray(problem.started(v))) for name in names if name != "cusp"}
+    if "cusp" in names:
+        found["cusp"] = float(w @ np.asarray(_curvature(family, X, q[0], v)))
+    return _Tested(found, w)
 
 
 @eqx.filter_jit

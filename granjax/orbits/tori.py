@@ -16,6 +16,7 @@ from ..checks import positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..continuation import Curve, Problem, continuation
 from ..flow import Flow
+from ..flow.stepping import matrix
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..linear import normal_modes
 from ..measures.transport import birkhoff
@@ -23,7 +24,7 @@ from ..printing import told
 from ..results import Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..types import Count, Numbers, Scalar
-from .asked import checked_lattice, default_steps, fixed_step_solver, shifts
+from .asked import checked_lattice, default_steps, fixed_step_solver, largest_of_each, shifts
 from .problems import Family
 
 # points of the circle at first and at most, always odd, so that no harmonic has a sine alone
@@ -36,7 +37,7 @@ CLOSE = 1e-4
 FLAT = 1e-7
 # the shortest part of a step that is tried
 SHORTEST = 2.0**-6
-# Newton's steps; of the error, by how much more it is given
+# the most of Newton's steps; the factor by which errors are enlarged
 STEPS = 40
 SAFETY = 2
 # Lyapunov exponents: iterates of the period, a part of them to begin with; the largest that is zero, in errors
@@ -50,7 +51,7 @@ STRONG = 8
 class Torus(Result):
     """A two-frequency motion of a lattice: what `gx.orbits.torus` returns.
 
-    K states of a circle at t0; the others are theirs by Fourier's series.
+    It holds K states of a circle at t0; those between are interpolated by Fourier's series.
     """
 
     states: State = part("The states at the angles 2 pi j/K.", "angle site", name="state")
@@ -59,7 +60,7 @@ class Torus(Result):
     error: State = part("The error of the states, one for all angles.", "site")
     period_error: float = array("The error of T.", "s")
     rotation_error: float = array("The error of rho.", "rad")
-    energy: float = array("The energy of the mean angle, from equilibrium.", "J")
+    energy: float = array("The energy, its mean over the angles, from equilibrium.", "J")
     lattice: Lattice = hidden("The lattice.")
     flow: Flow = hidden("The steps and the solver over a period.")
     t0: float = array("The time at which the circle is taken.", "s", default=0.0)
@@ -78,7 +79,7 @@ class Torus(Result):
         return f"Frequencies {first:.9g} and {second:.9g}; {count} angles; displacements known to {known:.1e}."
 
     def state(self, theta: Scalar, periods: Count = 0) -> State:
-        """The state at an angle, and the one which that is after some periods T."""
+        """The state at an angle, or what it has become after a number of periods T."""
         theta = float(theta) + periods * self.rotation
         return jax.tree.map(lambda x: _turned(np.asarray(x), theta)[0], self.states)
 
@@ -87,12 +88,13 @@ class Torus(Result):
 
         One is zero for each frequency that nothing drives, and so is its partner in a conservative lattice.
         """
-        Y = np.stack([np.asarray(ravel_pytree(y)[0]) for y in _each(self.states)])
+        states = _each(self.states)
+        rows = lambda ys: np.stack([np.asarray(ravel_pytree(y)[0]) for y in ys])
+        Y = rows(states)
         own = [_slopes(Y)]
         if not self.lattice.reads_time:
-            fields = [vector_field(0.0, y, self.lattice) for y in _each(self.states)]
-            own.append(np.stack([np.asarray(ravel_pytree(field)[0]) for field in fields]))
-        circle = Circle(self.flow, _each(self.states)[0], jnp.ones(Y.shape[1]), self.t0)
+            own.append(rows(vector_field(0.0, y, self.lattice) for y in states))
+        circle = Circle(self.flow, states[0], jnp.ones(Y.shape[1]), self.t0)
         _, maps, _ = _mapped(circle, jnp.asarray(Y), self.lattice, jnp.asarray(self.period))
         return _cocycle(np.asarray(maps), self.rotation, self.period, iterates, own)
 
@@ -133,8 +135,7 @@ class TorusBranch(Result):
     @property
     def amplitude(self) -> Float[np.ndarray, " P"]:
         """max |u| over the circle at t0, (P,)."""
-        leaves = jax.tree.leaves(self.states.u)
-        return np.max([np.abs(x).reshape(len(self), -1).max(1) for x in leaves], axis=0)
+        return largest_of_each(self.states.u)
 
     @property
     def outcome(self) -> str:
@@ -286,7 +287,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     first, second = (whole("modes", k, 0) for k in modes)
     a, b = (float(positive("amplitudes", x)) for x in amplitudes)
     found = normal_modes(lattice)
-    omega, shapes = np.asarray(found.omega), _columns(found.modes).T
+    omega, shapes = np.asarray(found.omega), np.asarray(matrix(found.modes)).T
     if first == second or max(first, second) >= len(omega):
         refuse("modes", f"two modes of {len(omega)}", f"{modes}")
     one, two = omega[first], omega[second]
@@ -323,11 +324,11 @@ def _refined(modal, x, share, more_angles, more_steps):
         # of the angles alone, and of the steps as well
         own, off = (_beside(modal, x, by) for by in (1, 2))
         worst, both, count = own[:-2].max(), off[:-2].max(), len(x) // size
-        steps = 2 * int(modal.circle.flow.steps)
+        steps, longer = 2 * int(modal.circle.flow.steps), 2 * count + 1
         if both <= share:
             return modal, x, off
-        if more_angles and worst > share / 2 and 2 * count < 2 * MOST // size:
-            Y = _turned(x[:-2].reshape(count, size), 0.0, 2 * count + 1)
+        if more_angles and worst > share / 2 and longer <= 2 * MOST // size:
+            Y = _turned(x[:-2].reshape(count, size), 0.0, longer)
             x = np.append(Y.ravel(), x[-2:])
         elif more_steps and 2 * worst < both and steps <= FINEST * begun:
             finer = eqx.tree_at(lambda c: c.flow.steps, modal.circle, jnp.asarray(steps))
@@ -340,12 +341,6 @@ def _refined(modal, x, share, more_angles, more_steps):
         else:
             return modal, x, off
         x, _ = _newtons(modal, x)
-
-
-def _columns(modes):
-    """Modes over the raveled displacements, (n, modes)."""
-    leaves = [np.asarray(x) for x in jax.tree.leaves(modes)]
-    return np.concatenate([x.reshape(-1, x.shape[-1]) for x in leaves])
 
 
 def _climbed(modal, x):
@@ -508,7 +503,6 @@ def from_neimark_sacker(
     n = 2 * shooting.count
     lattice, period = family.scene(q)
     state, flow = shooting.state(jnp.asarray(z[:-1])), shooting.whole
-    # so that the norm of the unknowns is that of the mean state over the circle
     count, steps = FIRST, 1
     circle = Circle(flow, shooting.like, shooting.scale, jnp.asarray(shooting.t0))
     x0 = np.asarray(ravel_pytree(state)[0] / circle.scale)
@@ -519,6 +513,7 @@ def from_neimark_sacker(
         angles = 2 * np.pi * np.arange(count) / count
         wave = np.exp(1j * angles)[:, None] * v
         along, phase = (x.ravel() / np.linalg.norm(x) for x in (wave.real, (1j * wave).real))
+        # so that the norm of the unknowns is that of the mean state over the circle
         own = eqx.tree_at(lambda c: c.scale, circle, circle.scale * math.sqrt(count))
         own = eqx.tree_at(lambda c: c.flow.steps, own, jnp.asarray(steps * flow.steps))
         problem = TorusProblem(family, own, jnp.asarray(phase))
