@@ -15,6 +15,7 @@ from jax.lax import dynamic_slice, dynamic_update_slice
 
 from ..laws import Law
 from ..split_system import Split, by_stages, pair
+from ..tuning import blocks_win
 from ..types import StateLike
 from .model import Lattice
 from .split import (
@@ -224,7 +225,7 @@ def _prepared(system, u, around, sites, margin, behind):
 def in_blocks(lattice: Lattice, y: StateLike) -> BlockSplit | None:
     """The split system of a long chain; `None` for other lattices than a long chain of one bond to the next site."""
     shape = () if lattice.fields else np.shape(y[0])
-    if lattice.lanes or len(shape) != 1 or shape[0] < LONG:
+    if lattice.lanes or len(shape) != 1 or shape[0] < LONG or not blocks_win():
         return None
     found = next_neighbours(lattice)
     if found is None:
