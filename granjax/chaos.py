@@ -3,7 +3,6 @@
 import dataclasses
 from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,7 @@ from .measures.transport import birkhoff
 from .orbits.asked import COARSE, asked
 from .orbits.attractors import slowly
 from .printing import told
+from .programs import compiled
 from .results import Held, Result, array, hidden, part
 from .solvers import SRKN11b
 from .types import Count, Numbers, Parameter, Scalar, StateLike
@@ -153,7 +153,7 @@ def _begun(lattice, state, period, number, steps, solver, seed):
     return state, period, flow, jnp.asarray(start, lattice.dtype)
 
 
-@eqx.filter_jit
+@compiled
 def _grow(flow, lattice, state, start, period, periods):
     """The state at the end; of each period the logarithms by which the volumes and the lengths of tangents grew."""
     period = jnp.asarray(period, start.dtype)

@@ -17,6 +17,7 @@ from scipy.optimize import brentq
 from .checks import one_of, positive, refuse
 from .newton import by_forward_mode, evaluated, newton
 from .printing import told
+from .programs import compiled
 from .results import Result, array, hidden
 from .types import Count, Numbers, Parameter, Pytree, Scalar
 
@@ -378,7 +379,7 @@ def _bound_met(system, here, there, bounds):
     return None, None
 
 
-@eqx.filter_jit
+@compiled
 def _second(problem, z, v, w):
     """D^2 F [v, w]."""
     f = lambda z: problem.residual(z[:-1], z[-1])
@@ -431,7 +432,7 @@ APART = 1e-5
 LONGEST = 0.3
 
 
-@eqx.filter_jit
+@compiled
 def linearised(problem: Problem, x: Numbers, p: Scalar) -> tuple:
     """(F, dF/dx) of a problem."""
     return problem.linearise(x, p)[:2]
@@ -445,7 +446,7 @@ def solve(problem: Problem, root: np.ndarray, others: Sequence[np.ndarray], size
     return [bool(x <= 1e2 * LEFT * size * slope) for x in left]
 
 
-@eqx.filter_jit
+@compiled
 def residual_of(problem: Problem, x: Numbers, p: Scalar) -> Numbers:
     """F(x, p) of a problem."""
     return problem.residual(x, p)

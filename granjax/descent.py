@@ -4,12 +4,12 @@ from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .programs import compiled
 from .types import AnyArray, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE, NO_GRADIENT, NO_START = range(6)
@@ -99,7 +99,7 @@ def descend(
     return ended(SPENT)
 
 
-@eqx.filter_jit
+@compiled
 def value_and_gradient(
     cost: Callable, mode: str, x: Float[AnyArray, " P"]
 ) -> tuple[Float[AnyArray, ""], Float[AnyArray, " P"]]:
@@ -117,7 +117,7 @@ def _lbfgs():
     return optax.lbfgs(linesearch=None)
 
 
-@eqx.filter_jit
+@compiled
 def _step(optimiser, cost, gradient, state, x, value):
     """The optimiser's step from x, and its state after it."""
     import optax

@@ -15,7 +15,7 @@ from .lattice import Lattice, State, uniform_moves
 from .lattice.model import check_shape as _check_shape
 from .laws import Strained
 from .newton import newton
-from .programs import concretely
+from .programs import compiled, concretely
 from .results import Result, array, note, part
 from .terms import Bond, LongRange, Term, chain, reach
 from .terms.base import Altered, get
@@ -259,7 +259,7 @@ def _balanced(loads, holds, moves):
     return numpy.any(loads * holds != 0) & numpy.all(numpy.abs(moves.T @ loads) <= rounding)
 
 
-@eqx.filter_jit
+@compiled
 def _loaded(lattice, own, dead):
     """The loads from outside: those given, and on some sites those that the preloads need at u = 0."""
     return own + jnp.where(dead, -ravel_pytree(lattice.unbalanced())[0], 0)
@@ -307,7 +307,7 @@ def _slab(lattice, axis, end):
     return np.concatenate([x.ravel() for x in map(of, jax.tree.leaves(lattice.template()))])
 
 
-@eqx.filter_jit
+@compiled
 def _response(problem, push):
     """All forces at the guess, and what a displacement changes of them."""
     return jax.jvp(problem.total, (problem.guess,), (push,))
@@ -326,7 +326,7 @@ def _chosen(lattice, hold):
     return flags
 
 
-@eqx.filter_jit
+@compiled
 def _sizes(problem, x):
     """(largest force there is, stiffness that ties what cannot move)."""
     lattice = problem.lattice
@@ -357,7 +357,7 @@ def _least(jacobian, problem):
     return values[0], ROUNDING * n * jnp.finfo(values.dtype).eps * scale
 
 
-@eqx.filter_jit
+@compiled
 def _finished(problem, x, jacobian):
     """What is known at the state of rest."""
     lattice, u = problem.lattice, _shaped(problem.lattice, x)

@@ -7,7 +7,6 @@ terms as candidates. The parameters of a known law, or the coefficients of a `Sp
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from .fit.judge import AFTER_AND_BEFORE, STRUCTURED, structure
 from .lattice import Lattice
 from .laws import Polynomial, PowerLaw, Scaled
 from .printing import told
+from .programs import compiled
 from .results import Result, array
 from .strains import StrainMap
 from .terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
@@ -280,7 +280,7 @@ def regression(
     )
 
 
-@eqx.filter_jit
+@compiled
 def _accelerations(lattices, ts, us, vs):
     return [jax.vmap(lattice.acceleration)(ts, us, vs) for lattice in lattices]
 

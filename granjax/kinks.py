@@ -12,6 +12,7 @@ from .checks import refuse
 from .lattice import Lattice, State, spread_mass
 from .newton import newton
 from .orbits.asked import one_lattice
+from .programs import compiled
 from .results import Result, array, part
 from .types import Number, Numbers, Scalar
 
@@ -246,19 +247,19 @@ def _forces(lattice, u):
     return lattice.force(jnp.zeros((), u.dtype), u, jnp.zeros_like(u))
 
 
-@eqx.filter_jit
+@compiled
 def _uniform(lattice, levels):
     """Largest force on the whole chain, displaced to each level."""
     ones = jnp.ones_like(lattice.zeros())
     return jax.lax.map(lambda level: jnp.max(jnp.abs(_forces(lattice, level * ones))), levels)
 
 
-@eqx.filter_jit
+@compiled
 def _stiffness(lattice, u):
     return -jax.jacfwd(lambda u: _forces(lattice, u))(u)
 
 
-@eqx.filter_jit
+@compiled
 def _known(problem, lattice, x, left):
     """What a `Kink` has before its verdict, and the squares of the frequencies."""
     u = problem.size * x

@@ -4,13 +4,12 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .checks import described, refuse, traced
-from .programs import in_numpy
+from .programs import compiled, in_numpy
 from .results import Result, array
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
@@ -127,7 +126,7 @@ def _number(x, dtype):
     return jnp.asarray(x, dtype) if traced(x) else jax.device_put(np.asarray(x, dtype))
 
 
-@eqx.filter_jit
+@compiled
 def _solved(residual, linearise, x0, args, tolerance, max_steps, finish, differentiable):
     both = functools.partial(by_forward_mode, residual) if linearise is None else linearise
     if not differentiable:

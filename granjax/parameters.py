@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from .checks import one_of, parameter, refuse, show, traced
 from .printing import told
+from .programs import compiled
 from .types import AnyArray, Numbers, Parameter, Scalar
 
 Bounds: TypeAlias = dict[str, tuple | list | None] | None
@@ -98,7 +99,7 @@ class Coordinates(eqx.Module):
         # a program sorts the names
         return {name: found[name] for name in self.order}
 
-    @eqx.filter_jit
+    @compiled
     def _parameters(self, x):
         return {name: self._at(name, part) for name, part in self.unflat(x).items()}
 
@@ -139,7 +140,7 @@ class Coordinates(eqx.Module):
             for name, end in zip(self.order, ends)
         }
 
-    @eqx.filter_jit
+    @compiled
     def slopes(self, x: Float[AnyArray, " P"]) -> Float[AnyArray, " P"]:
         """d theta/d x at x, (P,): every parameter has a coordinate of its own."""
         return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]

@@ -13,6 +13,12 @@ from granjax.lattice import blocks, split_system
 BONDS = {"fixed": 1, "free": -1, "periodic": 0}
 
 
+@pytest.fixture(autouse=True)
+def any_processor(monkeypatch):
+    """Blocks are tested on processors, too, where they are not taken."""
+    monkeypatch.setattr(blocks, "blocks_win", lambda: True)
+
+
 @pytest.fixture
 def short(monkeypatch):
     """Blocks so short that a chain of 130 sites has some."""

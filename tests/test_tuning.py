@@ -5,10 +5,13 @@ import os
 import subprocess
 import sys
 
+import jax
+import jax.numpy as jnp
 import pytest
 from refusals import refused
 
 import granjax as gx
+from granjax import programs
 
 REPORT = """
 import json, os, sys
@@ -142,6 +145,7 @@ def test_what_the_user_set_stays(own):
 KEPT = """
 import json, os
 import granjax as gx
+from granjax import programs
 import jax
 from granjax import tuning
 place = tuning.keep_compiled()
@@ -206,6 +210,7 @@ ONE_MORE_LENGTH = """
 import json, os
 from pathlib import Path
 import granjax as gx
+from granjax import programs
 from granjax.terms import reach
 
 def resident():
@@ -237,3 +242,30 @@ def test_clear_hands_memory_back_and_leaves_results():
     grown, left, caches, sites, same = kept(ONE_MORE_LENGTH)
     assert grown > 15e6 and left < 0.3 * grown and caches == 0
     assert sites == 6 and same
+
+
+class Arctangent(gx.Law):
+    """A softening law by the operation that jaxlib 0.10.2 gets wrong in vectors of 512 bits."""
+
+    def force(self, e):
+        return jnp.arctan(e)
+
+    def energy(self, e):
+        return e * jnp.arctan(e) - 0.5 * jnp.log1p(e**2)
+
+
+def test_a_law_with_an_arctangent_keeps_its_energy():
+    """Jax issue 39352: no program with this operation takes wide vectors, whichever processor this is."""
+    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), Arctangent()),), sites=40)
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=3.0), 10.0, step=0.05)
+    assert run.energy_error < 1e-10
+
+
+def test_programs_within_loops_are_looked_through():
+    def loop(x):
+        return jax.lax.scan(
+            lambda c, _: (jax.lax.cond(c[0] > 0, jnp.arctan, jnp.sin, c), None), x, length=3
+        )
+
+    assert programs._has(jax.make_jaxpr(loop)(jnp.ones(3)).jaxpr, "atan")
+    assert not programs._has(jax.make_jaxpr(jnp.sin)(jnp.ones(3)).jaxpr, "atan")

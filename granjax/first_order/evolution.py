@@ -1,7 +1,6 @@
 """Runs of first-order lattices, each with its error."""
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -185,7 +184,7 @@ def _step(equation, psi, solver, known, longest):
     return BEGIN[isinstance(solver, SplitStep)] / rate if rate > 0 else longest
 
 
-@eqx.filter_jit
+@compiled
 def _rate(equation, psi):
     """The fastest rate of the linearisation at psi, by power iteration: the largest of all lanes."""
     along = jnp.exp(1j * _angles(psi))
@@ -221,7 +220,7 @@ def _run(solver, equation, psi, times, counts):
     return _marched(solver, equation, psi, ends, jnp.asarray(counts))
 
 
-@eqx.filter_jit
+@compiled
 def _marched(solver, equation, psi, ends, counts):
     def span(psi, x):
         a, b, count = x
@@ -241,7 +240,7 @@ def _apart(before, now):
     return float(found) if np.isfinite(found) else np.finfo(float).max
 
 
-@eqx.filter_jit
+@compiled
 def _measured(equation, psis):
     """Norm and energy of each frame, and the scale of the latter's error."""
     norms, energies = jax.lax.map(lambda psi: (equation.norm(psi), equation.energy(psi)), psis)

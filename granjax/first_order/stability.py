@@ -1,6 +1,5 @@
 """Linear stability of standing solitons (Bogoliubov and de Gennes), and their families over the frequency."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +8,7 @@ from scipy.linalg import eig
 
 from ..checks import refuse, traced
 from ..continuation import Curve, Problem, continuation
+from ..programs import compiled
 from ..results import Result, array, hidden
 from ..types import Count, Scalar
 from .equations import Equation
@@ -101,7 +101,7 @@ def stability(equation: Equation, found: Soliton) -> SolitonStability:
     return SolitonStability(values, apart, modes, verdict, _space=(1, 0))
 
 
-@eqx.filter_jit
+@compiled
 def _linearised(equation, phi, omega):
     """d/dt of (Re chi, Im chi), a real matrix (2N, 2N)."""
 

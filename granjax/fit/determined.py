@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..printing import told
+from ..programs import compiled
 from ..types import AnyArray, Numbers
 from .problem import Problem
 
@@ -141,7 +141,7 @@ def _bonds(problem, parameters):
     ]
 
 
-@eqx.filter_jit
+@compiled
 def _stiffnesses(problem, flat):
     """The mean linear stiffness of all bonds (B,), and its derivatives with respect to the parameters (B, P)."""
 

@@ -1,6 +1,5 @@
 """From where a minimiser ended to a `Fit`: errors, directions, what is left in the residuals."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +7,7 @@ from jaxtyping import Float
 
 from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from ..flow import return_error
+from ..programs import compiled
 from ..solvers import AbstractSplitting
 from ..types import Numbers
 from .determined import LOOSE, covariance, directions, quantities
@@ -134,7 +134,7 @@ def way_back(problem: Problem, parameters: dict[str, Numbers]) -> float:
     return float(_way_back(problem, parameters))
 
 
-@eqx.filter_jit
+@compiled
 def _way_back(problem, parameters):
     lattice = problem.lattice(parameters)
     steps = jnp.ceil((problem.t1 - problem.t0) / problem.step).astype(int)

@@ -18,6 +18,7 @@ from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..parameters import Bounds, Coordinates
 from ..printing import told
+from ..programs import compiled
 from ..solvers import SRKN11b
 from ..types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
 from ..units import SI
@@ -165,7 +166,7 @@ class Problem(eqx.Module):
         return omega, min(STEP_FRACTION / omega, FASTEST / rate if rate > 0 else np.inf)
 
 
-@eqx.filter_jit
+@compiled
 def _fastest_decay(lattice, t, u, v):
     """The largest rate at which a motion about a state decays by forces that read velocities, by power iteration."""
     flat, unravel = ravel_pytree(v)

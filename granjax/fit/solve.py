@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from ..descent import CONVERGED, NO_START, NOT_FINITE, SPENT, STALLED, descend
 from ..flow.march import seconds_a_step
+from ..programs import compiled
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
 
@@ -27,7 +28,7 @@ class Found(NamedTuple):
     code: Scalar
 
 
-@eqx.filter_jit
+@compiled
 def linearised(
     problem: eqx.Module,
     x: Float[AnyArray, " n"],

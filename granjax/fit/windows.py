@@ -12,6 +12,7 @@ from jaxtyping import Float, Integer
 from ..checks import refuse
 from ..lattice import State
 from ..printing import told
+from ..programs import compiled
 from ..types import AnyArray
 from .problem import Problem, Signals, misfits
 from .traces import number
@@ -160,7 +161,7 @@ def cut(problem: Problem, count: int) -> Windows:
     )
 
 
-@eqx.filter_jit
+@compiled
 def _leg(problem, parameters, state):
     return problem.run(parameters, state=state).final
 

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +9,7 @@ from jax.flatten_util import ravel_pytree
 from jax.scipy.special import gammaln
 
 from ..checks import concrete, parameter, refuse, whole, within
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Count, Number, Pytree, Scalar, Times, VectorField
 from .method import checked_times
@@ -104,7 +104,7 @@ def _inside(name, order):
     return within(name, order, 0, 1, open_low=True, open_high=True, remedy=remedy)
 
 
-@eqx.filter_jit
+@compiled
 def _solved(field, y, t0, t1, order, grading, steps, args):
     flat, unravel = ravel_pytree(y)
     ends = (jnp.arange(steps + 1) / steps) ** grading * (t1 - t0)

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Numbers, Pytree, Scalar
 
@@ -101,6 +101,6 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     return Derivative(value, jax.tree.map(error, slopes), slopes, ladder)
 
 
-@eqx.filter_jit
+@compiled
 def _slopes(function, x, ladder):
     return jax.lax.map(lambda step: jax.jacfwd(function)(x, step), ladder)

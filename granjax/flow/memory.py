@@ -16,6 +16,7 @@ from ..checks import concrete, refuse, show, traced, whole
 from ..lattice import Lattice, State
 from ..lattice.split import damping_rates
 from ..printing import text
+from ..programs import compiled
 from ..results import Held, array, entries, hidden
 from ..solvers.wrapped import Wrapped
 from ..terms import CaputoDamping
@@ -162,6 +163,7 @@ def with_memory(
         steps = _steps_of_history(lattice, state, t0, t1, step, tolerance)
         choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ h^2"
         name, (found, own) = "velocity Verlet", _with_history(*begin, save_ts, steps)
+        looked = "ends of steps"
     else:
         refuse_far(lattice, state, t0, t1)
         longest = None if step is None else number(step, dtype)
@@ -171,11 +173,13 @@ def with_memory(
         adjoint = diffrax.ForwardMode()
         plan = Plan(None, longest, given, save_ts, {}, adjoint, max_steps, progress=progress)
         name, (found, own) = "Dopri8", _with_variables(*begin, plan)
+        looked = "saved times"
         said = "traced" if traced(given) else show(np.asarray(given))
         choice = f"adaptive steps that carry internal variables, tolerance {said}"
     run = RunWithMemory(
         **{name: x for name, x in found._asdict().items() if name in FILLED},
         **own,
+        unseen=f"looked at at the {looked} alone",
         _margin=found.margin,
         solver=name,
         choice=choice,
@@ -225,7 +229,7 @@ class Moving(NamedTuple):
     memory: tuple
 
 
-@eqx.filter_jit
+@compiled
 def _with_variables(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
 ) -> tuple[Found, dict]:
@@ -276,7 +280,6 @@ def _with_variables(
             (x.sum(tuple(range(1, x.ndim - lanes))) for x in lost), jnp.zeros_like(ys.work)
         ),
         "work": ys.work,
-        "unseen": "looked at at the saved times alone",
     }
 
 
@@ -458,7 +461,7 @@ def missed(order: Number, step: Number, count: int) -> Numbers:
     return step**q / jnp.exp(gammaln(1 + q)) * found
 
 
-@eqx.filter_jit
+@compiled
 def _with_history(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, save_ts: Times | None, steps: int
 ) -> tuple[Found, dict]:
@@ -572,7 +575,7 @@ def _with_history(
         force_evaluations=jnp.asarray(steps + 1.0),
     )
     work = linear(jnp.concatenate([none[None], works]))
-    return found, {"work": work, "unseen": "looked at at the ends of steps alone"}
+    return found, {"work": work}
 
 
 def _convolved(x, inner, first, n):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from ..checks import positive, refuse
 from ..lattice import Lattice, State, split_system, vector_field
 from ..printing import told
+from ..programs import compiled
 from ..solvers import AbstractSplitting
 from ..split_system import by_stages
 from ..types import Count, Counts, Number, Scalar, StateLike
@@ -114,7 +115,7 @@ def return_error(
     return _return_error(lattice, state, t0, t1, jnp.asarray(steps), solver)
 
 
-@eqx.filter_jit
+@compiled
 def _return_error(lattice, state, t0, t1, steps, solver):
     flow = Flow(steps, solver)
     check_moved("state", state, flow, lattice, "the lattice")

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from ..checks import non_negative, plain_zero
 from ..printing import told
+from ..programs import compiled
 from ..types import Number, Numbers, Parameter
 from ..units import PART, Dimensional
 
@@ -331,7 +332,7 @@ def taylor(law: Law, e: Number = 0.0) -> Taylor:
     return _taylor(law, jnp.asarray(e, float))
 
 
-@eqx.filter_jit
+@compiled
 def _taylor(law, e):
     at = jnp.zeros(jax.eval_shape(law.force, e).shape) + e
 

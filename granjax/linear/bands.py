@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 from math import prod
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, refuse
 from ..lattice import Lattice
+from ..programs import compiled
 from ..results import Result, array, note
 from ..types import Count, Numbers
 from .cell import by_lanes, in_lanes, unit_cell
@@ -114,7 +114,7 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     return Bands(lower, upper, lower_k, upper_k, found.cell, **lattice.origin)
 
 
-@eqx.filter_jit
+@compiled
 def _edges(found, k, spacing):
     """Edges and their places. The derivative of an edge is that at its place, held."""
     places = _extrema(jax.lax.stop_gradient(found), k, spacing)

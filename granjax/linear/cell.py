@@ -11,7 +11,7 @@ import numpy as np
 from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
 from ..printing import told
-from ..programs import concretely
+from ..programs import compiled, concretely
 from ..results import Held
 from ..terms.chain import span
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
@@ -86,7 +86,7 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     return uniform + jnp.einsum("r,rab->ab", turn, coupling)
 
 
-@eqx.filter_jit
+@compiled
 def matrices(matrix: Callable, points: Numbers) -> ComplexNumbers:
     """D at points (n, axes), (n, P, P), of a function from one point to a matrix."""
     return jax.vmap(matrix)(points)

@@ -1,11 +1,11 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter
 from ..lattice import Lattice
+from ..programs import compiled
 from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
 from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, unit_cell
@@ -89,7 +89,7 @@ def dispersion(
     return Dispersion(k, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin)
 
 
-@eqx.filter_jit
+@compiled
 def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
     """omega^2, omega, displacements, d omega/dk and d^2 omega/dk^2 at k (k..., axes).
 

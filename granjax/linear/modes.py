@@ -1,6 +1,5 @@
 """Normal modes of a finite lattice."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from ..checks import concrete, refuse, whole
 from ..lattice import Lattice, spread_mass
+from ..programs import compiled
 from ..results import Result, array
 from ..terms.reach import reads
 from ..types import AnyArray, Count, Displacements, Number, Numbers
@@ -91,7 +91,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     return result
 
 
-@eqx.filter_jit
+@compiled
 def _solve(lattice):
     """The modes, and the largest difference between K and its transpose, relative to K."""
     flat, unravel = ravel_pytree(lattice.zeros())
@@ -153,7 +153,7 @@ def _lowest(lattice, count):
     return NormalModes(omega, squared, modes, **lattice.origin)
 
 
-@eqx.filter_jit
+@compiled
 def _quotients(lattice, modes):
     """phi K phi/(phi M phi) of each mode: to second order in its error, and with the derivatives of omega^2."""
     product_with, mass = linear_map(lattice), spread_mass(lattice)

@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import refuse, traced
 from ..flow.control import shared_out
 from ..lattice import Lattice
-from ..programs import concretely
+from ..programs import compiled, concretely
 from ..terms.reach import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
@@ -111,7 +111,7 @@ def _missed(known: Blocks, ts, period):
     )
 
 
-@eqx.filter_jit
+@compiled
 def _repeating(lattice):
     """The periods of the breaks that repeat."""
     return [b.period for b in lattice.breaks if b.period is not None]
@@ -133,7 +133,7 @@ def _late(lattice, period, eps):
     return late
 
 
-@eqx.filter_jit
+@compiled
 def monodromies(
     cell: ModulatedCell,
     k: Numbers,

@@ -1,12 +1,12 @@
 """Strips of a lattice of the plane: their bands, and which of them run along an edge."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse, whole
 from ..lattice import Lattice
+from ..programs import compiled
 from ..results import Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
 from .cell import blocks_of, by_lanes, cut_out, in_lanes
@@ -134,7 +134,7 @@ def ribbon(
     )
 
 
-@eqx.filter_jit
+@compiled
 def _solved(found, k, axis):
     """omega^2, omega, vectors, the place of their energy of motion, in (-1, 1), and over how many sites it spreads."""
     place = np.linspace(-1, 1, found.cell[1 - axis])

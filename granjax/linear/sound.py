@@ -1,12 +1,12 @@
 """Sound speed: the slope of the acoustic bands at long waves."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, parameter, refuse
 from ..lattice import Lattice
+from ..programs import compiled
 from ..types import Count, Number, Parameter
 from .cell import LOOSE, unit_cell
 from .modes import signed_root
@@ -50,7 +50,7 @@ def sound_speed(
     return speed[0] if found.dimension is None else speed
 
 
-@eqx.filter_jit
+@compiled
 def _speeds(found, turn):
     R = np.array(found.shells) @ turn
     T, D = _translations(jnp, found.mass, found.dimension), found.coupling.sum(0)

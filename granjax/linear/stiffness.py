@@ -13,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
 from ..lattice.model import refuse_memory
-from ..programs import concretely
+from ..programs import compiled, concretely
 from ..terms.reach import reads, time_of, used
 from ..terms.sites import with_still_walls
 from ..types import AnyArray, Displacements, Number, Numbers
@@ -94,7 +94,7 @@ def _refuse_turning(lattice):
             )
 
 
-@eqx.filter_jit
+@compiled
 def _turning(lattice, t):
     """How far C = -d force/dv is from symmetric: (a C b - b C a)/(|a C b| + |b C a|) of random velocities a, b."""
     flat, unravel = ravel_pytree(lattice.zeros())
@@ -215,7 +215,7 @@ def _colours(size, reach):
     return np.where(index < whole, index % spacing, spacing + index - whole)
 
 
-@eqx.filter_jit
+@compiled
 def blocks(lattice: Lattice, reach: Any, ts: Any, damped: bool = False) -> tuple:
     """Blocks of K at some times, (sites..., offsets, components, components, maps, times): on n from n + offset.
 

@@ -1,12 +1,12 @@
 """Localisation length of waves in disordered chains, by transfer matrices over many realisations."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, described, positive, refuse, show
 from ..lattice import Lattice, spread_mass
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Flags, Number, Parameter
 from .stiffness import at_rest, blocks
@@ -129,7 +129,7 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
 _MODES = "gx.measures.participation of normal modes tells how far such waves reach."
 
 
-@eqx.filter_jit
+@compiled
 def _growth(lattice, omega, damped):
     """gamma and its standard error (W,); what the checks of the caller read.
 

@@ -1,10 +1,10 @@
 """Energies and momentum of a state, of the whole lattice and site by site."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from ..lattice import Lattice
+from ..programs import compiled
 from ..terms import energies
 from ..terms.reach import per_lane, reads
 from ..types import Displacements, Number, StateLike
@@ -87,7 +87,7 @@ def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacement
     return _share_out(lattice, *parts(lattice, y, t), t)
 
 
-@eqx.filter_jit
+@compiled
 def _share_out(lattice, u, v, t):
     shapes = dict(lattice.sites) if isinstance(u, dict) else {None: lattice.sites}
     total = {name: _per_site(lattice, m * v * v / 2) for name, m, v in _fields(lattice.mass, v)}

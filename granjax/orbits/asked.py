@@ -15,7 +15,7 @@ from ..checks import concrete, described, refuse, traced, whole
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.method import facts
 from ..lattice import Lattice, State, uniform_moves
-from ..programs import in_numpy, library
+from ..programs import compiled, in_numpy, library
 from ..types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times
 
 
@@ -314,7 +314,7 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
     checked_symmetry(lattice, Symmetry(), state, t0, period)
 
 
-@eqx.filter_jit
+@compiled
 def _compared(lattice, symmetry, shape, sizes, t0, period):
     """By how much the image's accelerations differ a period later, by how much they change, how large they are.
 

@@ -17,7 +17,7 @@ from ..flow import Flow
 from ..lattice import Lattice, State
 from ..measures import contacts, rms_velocity
 from ..printing import told
-from ..programs import library, shared_size
+from ..programs import compiled, library, shared_size
 from ..results import Result, array, hidden, note, part
 from ..solvers import SRKN11b
 from ..terms import Damping, Harmonic, Wall
@@ -425,7 +425,7 @@ class _Settling(eqx.Module):
     flow: Flow
     periods: int = eqx.field(static=True)
 
-    @eqx.filter_jit
+    @compiled
     def follow(self, value: Any, state: StateLike, tolerance: Scalar, most: Counts) -> Followed:
         """From phase 0 on until a state repeats, twice, the second time after a disturbance; `most` periods."""
         lattice, period = self.at(value)
@@ -465,7 +465,7 @@ class _Settling(eqx.Module):
         rate = _rate(changes, used, used - begin, multiple)
         return Followed(y, used, multiple, changes, before > 0, rate)
 
-    @eqx.filter_jit
+    @compiled
     def otherwise(self, value: Any, found: Followed, tolerance: Scalar) -> tuple[State, Scalar]:
         """Where half the steps settle from there on, and the share of its size by which either may still be off.
 
@@ -494,7 +494,7 @@ class _Settling(eqx.Module):
         left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(changes.dtype).eps)
         return y, jnp.where((last <= tolerance) & (found.multiple > 0), left, jnp.nan)
 
-    @eqx.filter_jit
+    @compiled
     def _stretch(self, value, state, first):
         """Some steps from the one of number `first` on: (the state after them, times, states, forces, energies)."""
         lattice, period = self.at(value)
@@ -519,7 +519,7 @@ class _Settling(eqx.Module):
         return jax.tree.map(lambda *x: np.concatenate(x)[:total], *parts)
 
 
-@eqx.filter_jit
+@compiled
 def _answer(at, response, value, ys, ts):
     return answered(response, at(value)[0], ys, ts)
 

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ from ..checks import refuse, traced
 from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
 from ..linear.stiffness import at_rest
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Count, Displacements, Number, Scalar, StateLike
 from .asked import checked_state
@@ -146,7 +146,7 @@ def _given(lattice, mode, phi, mass, squared):
     return jnp.where(u == 0, 0, shape), own
 
 
-@eqx.filter_jit
+@compiled
 def _expanded(lattice, shape, own, phi, mass, squared):
     """The curve's numbers, its displacements, and what would be divided by zero or drive another mode."""
     flat, unravel = ravel_pytree(lattice.zeros())

@@ -17,6 +17,7 @@ from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
 from ..measures import rms_velocity
 from ..newton import Root, nearby
+from ..programs import compiled
 from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..tuning import one_thread
@@ -357,7 +358,7 @@ def examined(family: Family, z: np.ndarray, response: Callable | None = None) ->
     return _half(family, z) if family.shooting.reversible else _whole(family, z, response)
 
 
-@eqx.filter_jit
+@compiled
 def _half(family, z):
     """By the steps of the family and by twice as many; the orbit at this frequency is found to first order."""
     x, shooting, (lattice, period) = z[:-1], family.shooting, family.scene(z[-1])
@@ -385,7 +386,7 @@ def _half(family, z):
     return _Examined(state, period, energy, None, error, None, maps, apart)
 
 
-@eqx.filter_jit
+@compiled
 def _whole(family, z, response):
     """By the steps of the family, 3/4 and 1/2 of them; the error is the most that the other steps change."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
@@ -573,7 +574,7 @@ def _counted(kind, traces, step_error, symmetries):
     return beyond + int(np.sum(np.sort(traces[near].real)[symmetries:] > 1 + np.sqrt(error)))
 
 
-@eqx.filter_jit
+@compiled
 def _energy_slope(problem, z, tangent):
     """dE/ds along a tangent (x, q) of a branch."""
 

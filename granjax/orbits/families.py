@@ -817,7 +817,7 @@ class _Traced(eqx.Module):
         return _scene(self.scene, coupling)
 
 
-@eqx.filter_jit
+@compiled
 def _scene(scene, coupling):
     return scene(coupling)
 

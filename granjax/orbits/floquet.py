@@ -3,7 +3,6 @@
 from functools import reduce
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -255,7 +254,7 @@ def sentence(
     return said + left_out
 
 
-@eqx.filter_jit
+@compiled
 def _derivative(flow, like, x, t0, t1, args):
     """(phi(x), D phi(x)) over the raveled state."""
     end, factor = flow.derivative(ravel_pytree(like)[1](x), t0, t1, args)

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +12,7 @@ from ..checks import positive, refuse
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import floquet_bands
-from ..programs import bar
+from ..programs import bar, compiled
 from ..results import Result, array
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -343,7 +342,7 @@ def _ring(lattice, k, period, t0, solver, progress):
     return _Ring(lattice, period, t0, solver, progress, k, growth, rho[0], spread(0), down)
 
 
-@eqx.filter_jit
+@compiled
 def _strobed(flow, lattice, state, t0, period):
     """The state `PIECE` periods later, states and energies before each; every period begins at the same phase."""
 
@@ -353,7 +352,7 @@ def _strobed(flow, lattice, state, t0, period):
     return jax.lax.scan(one, state, length=PIECE)
 
 
-@eqx.filter_jit
+@compiled
 def _departure(lattice, u, t, sizes):
     """By how much the force at some multiples of u departs from its linear part, of that."""
     zeros = lattice.zeros()

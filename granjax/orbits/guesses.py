@@ -22,6 +22,7 @@ from ..linear import bands
 from ..linear.cell import unit_cell
 from ..newton import newton
 from ..printing import told
+from ..programs import compiled
 from ..solvers import KahanLi8
 from ..states.places import field_of
 from ..terms.chain import next_neighbours
@@ -460,7 +461,7 @@ def _forces(lattice, u):
     return ravel_pytree(lattice.force(jnp.zeros((), u.dtype), back(u), lattice.zeros()))[0]
 
 
-@eqx.filter_jit
+@compiled
 def _stiffness(lattice):
     """The linear stiffness K over the raveled displacements."""
     return -jax.jacfwd(lambda u: _forces(lattice, u))(ravel_pytree(lattice.zeros())[0])
@@ -472,7 +473,7 @@ def _others_held(t, y, scene):
     return v, moving * _forces(lattice, u) / ravel_pytree(spread_mass(lattice))[0]
 
 
-@eqx.filter_jit
+@compiled
 def _path(lattice, moving, u, half):
     """(u, v) from rest at u to the half period, at equal distances, the beginning left out."""
     flow, part = Flow(HALF_STEPS // PARTS, KahanLi8(), _others_held), half / PARTS
@@ -484,7 +485,7 @@ def _path(lattice, moving, u, half):
     return jax.lax.scan(go, (u, jnp.zeros_like(u)), jnp.arange(PARTS))[1]
 
 
-@eqx.filter_jit
+@compiled
 def _harmonics_of_forces(lattice, u, us):
     """Mean and first harmonic of every site's force over a period, by the trapezoidal rule over half of it."""
     forces = jax.vmap(lambda u: _forces(lattice, u))(jnp.concatenate([u[None], us]))
@@ -531,7 +532,7 @@ def _followed_by(lattice, omega, moving, u):
     return answer / np.abs(np.asarray(u)[moving]).max()
 
 
-@eqx.filter_jit
+@compiled
 def _balanced(lattice, omega, start):
     """(mean, amplitude, last relative change) of one harmonic in which every site takes part."""
     mass = ravel_pytree(spread_mass(lattice))[0]
@@ -587,7 +588,7 @@ def _about(found, u):
     return bool(np.all((a * np.sign(u))[u != 0] > 0.5 * np.abs(a).max()))
 
 
-@eqx.filter_jit
+@compiled
 def _secants(lattice, one, amplitudes):
     """First harmonic of a site's own force, about where its mean vanishes, over its amplitude; a stiffness."""
     cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)

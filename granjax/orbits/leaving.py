@@ -12,6 +12,7 @@ from ..checks import refuse
 from ..continuation import directions, linearised
 from ..flow import Flow
 from ..lattice import State
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Scalar
 from .problems import Family, over_omega
@@ -123,7 +124,7 @@ def _bordered(matrix, right, left, b):
     return np.linalg.solve(whole, np.append(np.real(b), 0.0))[:-1]
 
 
-@eqx.filter_jit
+@compiled
 def _derivative(family, z, steps, along):
     """Of the map over a period, in units of the branch: its matrix, or the derivative along each of some directions."""
     shooting, (lattice, period) = family.shooting, family.scene(z[-1])

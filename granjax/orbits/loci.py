@@ -14,6 +14,7 @@ from ..checks import refuse
 from ..continuation import Curve, Problem, System, continuation, linearised, residual_of
 from ..lattice import Lattice, State
 from ..printing import told
+from ..programs import compiled
 from ..results import Result, array, hidden, part
 from ..types import Count, Numbers, Scalar
 from .problems import Family
@@ -323,7 +324,7 @@ def _same(problem, here, family, X, q):
         )
 
 
-@eqx.filter_jit
+@compiled
 def _turned(problem, family, X, q, v):
     return problem.turned(family, X, q, v)
 
@@ -360,14 +361,14 @@ def _tested(problem, point, names, before=None):
     return _Tested(found, w)
 
 
-@eqx.filter_jit
+@compiled
 def _curvature(family, X, q, v):
     """D^2 F [v, v]."""
     slope = lambda X: jax.jvp(lambda X: family.residual(X, q), (X,), (v,))[1]
     return jax.jvp(slope, (X,), (v,))[1]
 
 
-@eqx.filter_jit
+@compiled
 def _known(problem, x, r):
     """By how much twice the steps move the parameter q at this r."""
     jacobian = problem.linearise(x, r)[1]

@@ -17,7 +17,7 @@ from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
-from ..programs import in_numpy, library
+from ..programs import compiled, in_numpy, library
 from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..terms.reach import reads
@@ -121,7 +121,7 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
     return ROUNDING * jnp.finfo(inverse.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
 
 
-@eqx.filter_jit
+@compiled
 def _corrected(problem, x, jacobian, scene, code):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
     inverse = jnp.linalg.inv(jacobian)
@@ -205,7 +205,7 @@ def confirmed(
     return problem, root, jnp.asarray(np.maximum(change, SHARED * change.max()))
 
 
-@eqx.filter_jit
+@compiled
 def error_of(
     lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Scalar, in_omega: Scalar
 ) -> OrbitError:
@@ -500,7 +500,7 @@ def forced_orbit(
     return orbit(lattice, guess, period, **keywords)
 
 
-@eqx.filter_jit
+@compiled
 def _pushed(lattice, t0, period):
     """The largest acceleration of the lattice at rest over a period."""
     rest, ts = (
@@ -544,7 +544,7 @@ def orbit_of(
     return orbit
 
 
-@eqx.filter_jit
+@compiled
 def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
     """Of an orbit its state at t0, the energy, the error, and the code of its root: another one where it is at rest."""
     state, t0 = shooting.state(x), jnp.asarray(shooting.t0, lattice.dtype)
@@ -564,7 +564,7 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
     return state, t0, energy, error, jnp.where(fell, FELL, code)
 
 
-@eqx.filter_jit
+@compiled
 def prepared(
     lattice: Lattice,
     period: Scalar,
@@ -604,4 +604,4 @@ def prepared(
     return shooting, shooting.guess(guess, (lattice, period))
 
 
-_history = eqx.filter_jit(history)
+_history = compiled(history)

@@ -15,7 +15,7 @@ from ..continuation import Curve, Problem, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..printing import told
-from ..programs import in_numpy, library
+from ..programs import compiled, in_numpy, library
 from ..types import AnyArray, Count, Counts, Number, Numbers, Scalar, StateLike
 from .asked import Symmetry, free_moves, shifts
 
@@ -106,7 +106,7 @@ class Shooting(eqx.Module):
         """Unknowns of the first state: 2n, or n of a reversible orbit."""
         return self.count if self.reversible else 2 * self.count
 
-    @eqx.filter_jit
+    @compiled
     def guess(self, state: StateLike, scene: tuple | None = None) -> Numbers:
         """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""
         starts = [state]
@@ -118,7 +118,7 @@ class Shooting(eqx.Module):
         idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)
         return jnp.concatenate([first, rest, idle])
 
-    @eqx.filter_jit
+    @compiled
     def state(self, x: Numbers) -> State:
         """The state at t0 that the unknowns describe, or the change of it that a change of them makes."""
         return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
 from ..lattice import Lattice
+from ..programs import compiled
 from ..types import Displacements, Numbers
 from .asked import largest
 
@@ -60,7 +60,7 @@ def last_near(near: Callable[[Numbers], np.ndarray], dtype: DTypeLike) -> float:
     return float(order * np.exp2(share[0]))
 
 
-@eqx.filter_jit
+@compiled
 def _departures(lattice, shape, amplitudes):
     zeros, t = lattice.zeros(), jnp.zeros((), lattice.dtype)
     golden = jnp.asarray(

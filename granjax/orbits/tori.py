@@ -21,6 +21,7 @@ from ..lattice import Lattice, State, spread_mass, vector_field
 from ..linear import normal_modes
 from ..measures.transport import birkhoff
 from ..printing import told
+from ..programs import compiled
 from ..results import Result, array, hidden, part
 from ..solvers import SRKN14a
 from ..types import Count, Numbers, Scalar
@@ -167,7 +168,7 @@ class Circle(eqx.Module):
     __repr__ = told
 
 
-@eqx.filter_jit
+@compiled
 def _mapped(circle, Y, lattice, period):
     """Of states Y (K, 2n): where they are after the period (K, 2n), the derivatives (K, 2n, 2n), the fields there."""
     unravel, scale, end = ravel_pytree(circle.like)[1], circle.scale, circle.t0 + period
@@ -180,7 +181,7 @@ def _mapped(circle, Y, lattice, period):
     return jax.vmap(one)(Y)
 
 
-@eqx.filter_jit
+@compiled
 def _assembled(circle, Y, lattice, period, rho):
     """The gaps y_j(T) - y(theta_j + rho) in a row, and their derivatives in Y, in the period and in rho."""
     count, size = Y.shape
@@ -412,7 +413,7 @@ def _equations(modal, x, offset=0.0):
     return gap, matrix
 
 
-@eqx.filter_jit
+@compiled
 def _energies(lattice, t0, states):
     return jax.vmap(lambda y: lattice.energy(t0, y.u, y.v))(states)
 
@@ -455,7 +456,7 @@ class TorusProblem(Problem):
         return jax.vmap(one)(Y) / scale
 
 
-@eqx.filter_jit
+@compiled
 def _solved(problem, x, q):
     """Newton's step at (x, q), and what rounding makes of the unknowns."""
     gap, in_x, _ = problem.linearise(x, q)

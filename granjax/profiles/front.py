@@ -12,11 +12,11 @@ behind follows from the others: the front's place stands in for the first one.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_banded
 
+from ..programs import compiled
 from .damped import damped
 from .medium import fine_force
 from .shape import ContactShape
@@ -307,8 +307,8 @@ class FrontShape(ContactShape):
         return super().beyond(x) + behind
 
 
-@eqx.filter_jit
-def shape_of(z: Any, centre: Any, apart: Any, **numbers: Any) -> FrontShape:
+@compiled
+def shape_of(z: Any, centre: Any, apart: Any, numbers: dict) -> FrontShape:
     """The shape from z at places."""
     rows = coefficients(jnp, z)
     return FrontShape(rows=rows, centre=centre, length=apart, **numbers).with_edges(0.0)

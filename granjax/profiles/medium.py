@@ -12,6 +12,7 @@ from ..checks import concrete, positive, refuse, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..printing import told
+from ..programs import compiled
 from ..terms.chain import next_neighbours, span, walls, without_walls
 from ..types import Number, Numbers, Scalar
 
@@ -154,7 +155,7 @@ def fine_force(law: Law, e: Numbers) -> Numbers:
     return fine(law, e)[0]
 
 
-@eqx.filter_jit
+@compiled
 def fine_values(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     """`fine`, compiled for each shape."""
     return fine(law, e)

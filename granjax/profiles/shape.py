@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import traced
 from ..laws import Law
-from ..programs import shared_size
+from ..programs import compiled, shared_size
 from ..types import Numbers
 from .medium import fine_force
 from .tent import RULE
@@ -40,7 +40,7 @@ class Shape(eqx.Module):
         return jax.device_put(np.concatenate(parts).reshape(xi.shape))
 
 
-@eqx.filter_jit
+@compiled
 def _evaluated(shape, name, xi):
     return getattr(shape, name)(xi)
 

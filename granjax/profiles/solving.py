@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.optimize import root_scalar
 
 from ..checks import refuse, traced
 from ..printing import told
+from ..programs import compiled
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine, fine_force, implicit, one_number, values
 from .shape import TentShape
@@ -359,7 +359,7 @@ def _tails(law, level, rate, exponent, unit):
     return implicit(rate, gap(rate), jax.grad(gap)(rate)), exponent
 
 
-@eqx.filter_jit
+@compiled
 def _whole(law, mass, speed, unit, q, apart, steep):
     """The shape, its energy and its compression, by one program for each number of places."""
     places = Places(len(q), apart, 0.0)

@@ -15,6 +15,7 @@ from ..profiles import Medium, Profile, medium_of, places, tabled, tails
 from ..profiles import front as solver
 from ..profiles.highest import highest
 from ..profiles.medium import fine_force, implicit, one_number, single, values
+from ..programs import compiled
 from ..results import array
 from ..terms import Dashpot
 from ..terms.chain import boundary_of
@@ -277,8 +278,9 @@ def _recorded(medium, given, known_step, front, critical, trial):
     if traced((medium, given)):
         z = _implicit(front, law, (mass, jump, dashpot), known_step)
     centre, apart = jnp.asarray(float(front.centre)), jnp.asarray(front.apart)
-    numbers = dict(dashpot=dashpot, ahead=ahead, jump=step.jump)
-    shape = solver.shape_of(z, centre, apart, law=law, mass=mass, speed=step.speed, **numbers)
+    sides = dict(dashpot=dashpot, ahead=ahead, jump=step.jump)
+    numbers = dict(law=law, mass=mass, speed=step.speed, **sides)
+    shape = solver.shape_of(z, centre, apart, numbers)
     root, rate, limit = _rates(step, known_step, critical, trial)
     place = front.places[np.argmax(front.z)]
     top, most = highest(front.at, place - front.apart, place + front.apart)
@@ -324,7 +326,7 @@ def _rates(step, known, critical, trial):
     )
 
 
-@eqx.filter_jit
+@compiled
 def _sides(law, mass, jump, dashpot):
     """Of a law measured from the strain ahead."""
     force = fine_force(law, jump)
@@ -340,7 +342,7 @@ def _sides(law, mass, jump, dashpot):
     )
 
 
-@eqx.filter_jit
+@compiled
 def _power(law, step):
     """What the dashpots take: the work of both forces less what the law stores and the beads keep."""
     return step.speed * (step.force * step.jump / 2 - law.energy(step.jump))
@@ -367,7 +369,7 @@ def _implicit(front, law, numbers, known):
     )
 
 
-@eqx.filter_jit
+@compiled
 def _slopes(law, numbers, z):
     """Derivatives of f at the places and of zeta in every parameter of the law, and in (mass, jump, dashpot)."""
     moving, rest = eqx.partition(law, eqx.is_inexact_array)

@@ -1,6 +1,5 @@
 """Where a shock is when: a strided map of the strain, made without keeping the trajectory."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -8,6 +7,7 @@ from ..checks import refuse, show
 from ..flow import simulate
 from ..flow.method import checked_method, fixed_step
 from ..lattice import Lattice, State
+from ..programs import compiled
 from ..results import Result, array, note
 from ..types import Count, Counts, Number, Numbers, Scalar, Times, Values
 from .riemann import Riemann
@@ -105,7 +105,7 @@ def _bonds(sites, count):
     return bonds
 
 
-@eqx.filter_jit
+@compiled
 def _energy(lattice: Lattice, t: Scalar, y: State):
     """The whole energy, and the kinetic one."""
     kinetic = lattice.kinetic_energy(y[1])

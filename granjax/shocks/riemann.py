@@ -14,6 +14,7 @@ from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from ..laws import Law
 from ..printing import told
+from ..programs import compiled
 from ..terms.reach import furthest
 from ..types import Displacements, Number, Numbers, Scalar
 
@@ -131,7 +132,7 @@ def _cut(u, axis, low, high):
     return u[(slice(None),) * axis + (slice(low, high),)]
 
 
-@eqx.filter_jit
+@compiled
 def _until(jolt, room, lanes):
     fastest = jnp.zeros(())
     for strain, velocity in jolt.into:

@@ -1,6 +1,5 @@
 """Packets of Bloch waves, on chains with several sites per cell and in the plane."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -9,6 +8,7 @@ from ..lattice import Lattice, State
 from ..linear.cell import by_sites, chosen_bands, matrices, unit_cell
 from ..linear.stiffness import grid, mesh, unpack
 from ..linear.zone import lattice_vectors, named_points
+from ..programs import compiled
 from ..types import Count, Parameter
 
 # bands that are nearer than this share of the largest omega^2 meet, and a root of less below zero is rounding
@@ -133,7 +133,7 @@ def _polarisation(found, k, band, given, scale):
     return root * p / p[np.argmax(np.abs(p))]
 
 
-@eqx.filter_jit
+@compiled
 def _run(packet, start, squared, waves, bands):
     """M^{1/2} u and M^{1/2} v of cells (cells..., P): the packet's waves exp(-i omega t)."""
     axes = tuple(range(packet.ndim))

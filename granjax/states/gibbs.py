@@ -1,6 +1,5 @@
 """Thermal equilibrium: states drawn from the canonical distribution of a lattice."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +9,7 @@ from ..flow import Flow, frequency_bound
 from ..flow.bath import isolated
 from ..lattice import Lattice, State
 from ..lattice.split import next_neighbours
+from ..programs import compiled
 from ..solvers import SRKN11b
 from ..theory.thermal import TABLE, checked_nodes, masses, potential
 from ..types import Count, Parameter, Seed
@@ -97,7 +97,7 @@ def _independent(lattice, law, T, pressure, key):
     return u - jnp.mean(u, 0)
 
 
-@eqx.filter_jit
+@compiled
 def _drawn(law, T, P, nodes, uniform):
     """Compressions by the inverse of their distribution function, at these places of it."""
     weight = masses(law, T, P, nodes)[0]
@@ -139,7 +139,7 @@ def _refuse_unbounded(lattice):
                     refuse("lattice", "laws with a lowest energy", what, remedy)
 
 
-@eqx.filter_jit
+@compiled
 def _hybrid(lattice, T, longest, steps, key, again, moves):
     flow = Flow(steps, SRKN11b())
 

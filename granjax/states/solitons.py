@@ -2,13 +2,13 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, per_lane, positive, refuse, show
 from ..lattice import Lattice, State, spread_mass
+from ..programs import compiled
 from ..theory import kdv, toda
 from ..types import Parameter
 from .places import chain_only, crest, numbers, state_of
@@ -146,7 +146,7 @@ def _places(what, lattice, centre, direction):
     return chain, numbers(lattice), crest(lattice, centre, direction)
 
 
-@eqx.filter_jit
+@compiled
 def _uniform(lattice):
     """What the force says of the chain: of a step in the displacement at its middle, a ramp, and a translation."""
     zeros = lattice.zeros()

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +18,7 @@ from ..checks import (
 )
 from ..lattice import Lattice, State
 from ..profiles import medium_of, one_given, wave_of
-from ..programs import by_rows
+from ..programs import by_rows, compiled
 from ..types import Parameter, Scalar
 from .places import chain_only, column, crest, inside, numbers, state_of
 
@@ -147,7 +146,7 @@ def _local_frequency(lattice, q, k):
     return jnp.sqrt(jnp.maximum(squares, 0))
 
 
-@eqx.filter_jit
+@compiled
 def _local_squares(lattice, q, k):
     """omega^2 at q and at k, and how far cos(k n) is from a mode in the inner half of the chain."""
     zeros = lattice.zeros()

@@ -14,6 +14,7 @@ import xarray
 from jax.typing import ArrayLike
 
 from ..checks import described, refuse
+from ..programs import compiled
 from ..results import Result
 
 # the remark on a point whose results do not fit those of others
@@ -179,7 +180,7 @@ def program(
         )
     axes = {name: None if name in shared else 0 for name, _ in kinds if name not in known}
     # the numbers of the points, which nothing reads, are mapped where all parameters are shared or static
-    return jax.jit(jax.vmap(lambda _, values: one(values), (0, axes))), *kept
+    return compiled(jax.vmap(lambda _, values: one(values), (0, axes))), *kept
 
 
 def _numbers(x):

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import plain_zero
 from ..laws import Law, Linear, Scaled
-from ..programs import concretely
+from ..programs import compiled, concretely
 from ..strains import StrainMap
 from ..types import Displacements, Number, Numbers, Parameter, Waveform
 from ..units import PART, Signal
@@ -18,7 +18,7 @@ from .base import Altered, Compression, Term, times, wider
 from .reach import RESISTS, largest_eigenvalue, stand_in
 from .waveforms import Breaks, as_module, checked_breaks
 
-_strain = eqx.filter_jit(lambda strain_map, move: strain_map.strain(move))
+_strain = compiled(lambda strain_map, move: strain_map.strain(move))
 
 
 class Joined(Term):

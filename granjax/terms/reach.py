@@ -14,7 +14,7 @@ from jax.interpreters.partial_eval import dce_jaxpr
 
 from ..checks import traced as is_traced
 from ..printing import told
-from ..programs import concretely
+from ..programs import compiled, concretely
 from ..strains.maps import spectral_radius
 from ..types import Displacements, Flags, Number, Numbers, Pytree
 
@@ -296,7 +296,7 @@ def answers_to(moves: list, term: Any, mass: Displacements | Number, template: P
     return np.stack([concretely(_answers, *fixed, np.asarray(scale)) for scale in SCALES])
 
 
-@eqx.filter_jit
+@compiled
 def _answers(moves, term, mass, where, other, scale):
     zeros = jax.tree.map(jnp.zeros_like, where)
 

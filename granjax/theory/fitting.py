@@ -26,6 +26,7 @@ from ..checks import parameter, refuse, traced
 from ..lattice import Lattice
 from ..laws import Law, Strained
 from ..profiles import medium_of, wave_of
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Number, Scalar
 from .chain_wave import _sinh_less
@@ -179,7 +180,7 @@ def shock_edges(
     )
 
 
-@eqx.filter_jit
+@compiled
 def _excesses(law, mass, c, ahead, width, nodes, weights, close):
     """mean, V_+, s_-/V_+ - 1 and s_+/V_+ - 1; the latter two without a meaning where V_+ = 0."""
     width = _width_of(law, mass, c, ahead, width, nodes, weights)

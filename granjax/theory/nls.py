@@ -24,13 +24,13 @@ Source: G. Huang, B. Hu, Phys. Rev. B 57, 5746 (1998); C. Chong, P. G. Kevrekidi
 Crystals (Springer, 2018). The fixed-length relation is tested against periodic orbits of rings.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ..checks import concrete, parameter, refuse, show, traced
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Count, Number, Parameter, Scalar
 from .chain_wave import _numbers, _sech
@@ -275,7 +275,7 @@ def _places(coefficients, cells, centre):
     )
 
 
-@eqx.filter_jit
+@compiled
 def _profile(c, shape, amplitude, width, background, cells, centre):
     """Strain, mean strain and displacement of a chain of cells under a real envelope (P sites per cell)."""
     P = len(c.mode)

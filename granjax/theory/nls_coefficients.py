@@ -1,12 +1,12 @@
 """Coefficients of the envelope equation of a periodic chain; `nls` says which equation."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
 from ..checks import concrete, one_of, parameter, per_lane, positive, refuse, show
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Count, Parameter, Scalar
 
@@ -179,7 +179,7 @@ def _square(z):
     return z.real**2 + z.imag**2
 
 
-@eqx.filter_jit
+@compiled
 def _coefficients(mass, K2, K3, K4, k, branch, length):
     sites = mass.size
     # displacement per mass-normalised one

@@ -2,7 +2,6 @@ r"""The state behind a simple wave of any law: int_ahead^mean (F'/m)^{1/2} dy = 
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ from ..laws import Law
 from ..printing import told
 from ..profiles import Medium
 from ..profiles.medium import CHUNK, in_chunks, one_number
+from ..programs import compiled
 from ..types import Numbers
 
 # nodes of a panel, and of the rule that it is checked by
@@ -68,7 +68,7 @@ def _rounding():
     return float(jnp.finfo(jnp.result_type(float)).eps)
 
 
-@eqx.filter_jit
+@compiled
 def _slopes(law, e):
     first = law.derivative(e)
     second = jax.jvp(law.derivative, (e,), (jnp.ones_like(e),))[1]

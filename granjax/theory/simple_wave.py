@@ -18,7 +18,6 @@ elsewhere: precompressed Hertz (d0 = 1/2, sound 1), c = 0.1, 0.3, 0.5: 9e-6, 2e-
 Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley, 1974).
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +26,7 @@ from ..checks import concrete, parameter, refuse
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
+from ..programs import compiled
 from ..types import Numbers, Parameter, Scalar
 from .simple_states import _path_to, _slopes_at, _width_of
 
@@ -56,7 +56,7 @@ def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0
     return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3])
 
 
-@eqx.filter_jit
+@compiled
 def _mean(law, mass, c, ahead, width, nodes, weights):
     return ahead + _width_of(law, mass, c, ahead, width, nodes, weights)
 
@@ -122,7 +122,7 @@ def _solved(medium, path, speeds):
     return (low + high) / 2
 
 
-@eqx.filter_jit
+@compiled
 def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weights):
     width = _width_of(law, mass, c, ahead, width, nodes, weights)
     # by Newton's method, for the digits of a weak fan and for derivatives

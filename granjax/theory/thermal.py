@@ -6,12 +6,12 @@ contact force, each compression e has the density exp(-(V(e) - P e)/(k_B T)), wh
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, positive, refuse
+from ..programs import compiled
 from ..results import Result, array
 from ..types import Count, Number, Numbers, Parameter
 
@@ -112,7 +112,7 @@ def potential(law: Any, T: Number, P: Number, e: Numbers) -> Numbers:
     return jnp.where(jnp.isnan(g) | (False if room is None else room <= 0), jnp.inf, g)
 
 
-@eqx.filter_jit
+@compiled
 def _nodes(law, T, P, count):
     def along(x, like):
         return x.reshape((-1,) + (1,) * (like.ndim - 1))
@@ -170,7 +170,7 @@ def masses(law: Any, T: Numbers, P: Numbers, nodes: Numbers, weighted: Any = Non
     return fine, fine - integral(FEWER, FEWER_WEIGHTS)
 
 
-@eqx.filter_jit
+@compiled
 def _moments(law, T, P, nodes):
     mean_e = _averages(law, T, P, nodes, lambda e: e)
     energy = _averages(law, T, P, nodes, law.energy)
