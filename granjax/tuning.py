@@ -5,7 +5,8 @@ all cores gets slower (benchmarks/flags.py). XLA reads it once, before JAX's fir
 `xla_cpu_small_while_loop_byte_threshold`, an extra option of the backend, makes a loop one native function instead of a
 dispatch per operation. Such a loop runs on one thread; cores are used through devices.
 
-The square root of a contact's force has two forms (`root_by_products`), chosen by the processor.
+The rest is chosen by the processor: the width of vectors (an option of each program), the form of a contact's square
+root, whether long chains are run in blocks, and how many lanes are run at a time.
 """
 
 import contextlib
