@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.experimental.layout import Layout, with_layout_constraint
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from .checks import traced
 from .tuning import wide_vectors
@@ -44,7 +45,7 @@ def compiled(function: Callable) -> Callable:
     def call_flat(static, arrays):
         found = is_wide.get(static)
         if found is None:
-            found = wide_vectors() and not _has(plain.trace(static, arrays).jaxpr, WRONG)
+            found = wide_vectors() and not holds(plain.trace(static, arrays).jaxpr, WRONG)
             is_wide[static] = found
         if found and not traced(arrays):
             try:
@@ -64,13 +65,12 @@ def compiled(function: Callable) -> Callable:
     return call
 
 
-def _has(jaxpr, operation):
-    """Whether a program has an operation of this name, in its loops and branches too."""
-    if any(equation.primitive.name == operation for equation in jaxpr.eqns):
-        return True
-    inner = [x for equation in jaxpr.eqns for x in jax.tree.leaves([*equation.params.values()])]
-    inner = [getattr(x, "jaxpr", x) for x in inner]
-    return any(_has(x, operation) for x in inner if hasattr(x, "eqns"))
+def holds(jaxpr: Any, operation: str) -> bool:
+    """Whether a traced program has an operation of this name, in its loops and branches too."""
+    parameters = jax.tree.leaves([list(equation.params.values()) for equation in jaxpr.eqns])
+    inner = [getattr(x, "jaxpr", x) for x in parameters if isinstance(x, (ClosedJaxpr, Jaxpr))]
+    own = any(equation.primitive.name == operation for equation in jaxpr.eqns)
+    return own or any(holds(part, operation) for part in inner)
 
 
 def by_rows(transform: Callable, x: Any, *length: int, axis: int = -1) -> jax.Array:

@@ -267,5 +267,5 @@ def test_programs_within_loops_are_looked_through():
             lambda c, _: (jax.lax.cond(c[0] > 0, jnp.arctan, jnp.sin, c), None), x, length=3
         )
 
-    assert programs._has(jax.make_jaxpr(loop)(jnp.ones(3)).jaxpr, "atan")
-    assert not programs._has(jax.make_jaxpr(jnp.sin)(jnp.ones(3)).jaxpr, "atan")
+    assert programs.holds(jax.make_jaxpr(loop)(jnp.ones(3)).jaxpr, "atan")
+    assert not programs.holds(jax.make_jaxpr(jnp.sin)(jnp.ones(3)).jaxpr, "atan")

@@ -8,13 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ..checks import traced as is_traced
 from ..printing import told
-from ..programs import compiled, concretely
+from ..programs import compiled, concretely, holds
 from ..strains.maps import spectral_radius
 from ..types import Displacements, Flags, Number, Numbers, Pytree
 
@@ -259,17 +258,8 @@ def used(function: Callable, arguments: tuple, places: tuple = (1,)):
     used = jax.tree.unflatten(jax.tree.structure(shaped), used)
     return (
         shapes,
-        _holds(closed.jaxpr, "fft"),
+        holds(closed.jaxpr, "fft"),
         *(any(jax.tree.leaves(used[place])) for place in places),
-    )
-
-
-def _holds(jaxpr, primitive):
-    """Whether a traced program holds an operation, in whatever it calls too."""
-    parameters = jax.tree.leaves([list(eqn.params.values()) for eqn in jaxpr.eqns])
-    inner = [getattr(x, "jaxpr", x) for x in parameters if isinstance(x, (ClosedJaxpr, Jaxpr))]
-    return any(eqn.primitive.name == primitive for eqn in jaxpr.eqns) or any(
-        _holds(part, primitive) for part in inner
     )
 
 
