@@ -74,7 +74,7 @@ CASES = {
     },
     "square, 300 x 300": (
         "packing",
-        dict(name="square", cells=(300, 300), steps=1000),
+        dict(name="square", cells=(300, 300), steps=200),
         dict(name="square", cells=(20, 20), steps=5),
         ("at most", 2.0),
     ),

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import shortest_path
 from .checks import parameter, refuse, whole
 from .lattice import Lattice
 from .linear import unit_cell
-from .linear.cell import chosen_bands, matrices
+from .linear.cell import chosen_bands, matrices, turning_cell
 from .linear.stiffness import in_groups, mesh
 from .linear.zone import lattice_vectors as _vectors
 from .linear.zone import named_points as _named_points
@@ -34,6 +34,8 @@ from .types import AnyArray, Count, Number, Numbers, Parameter
 CLOSED = 1e-9
 # by what part of its gap a band may move or turn between the middle of a piece of the mesh and its rim
 TURN = 0.5
+# of the largest omega: slower waves of a gyroscopic lattice, which are far from the bands above, count as no slower
+SLOW = 1e-3
 # how often a piece may be halved: 2 pi 2^-45 is 2e-13
 HALVINGS = 45
 # pieces that are halved at a time; of more than that those with the least gaps alone are looked at
@@ -61,7 +63,8 @@ class _Waves(NamedTuple):
     """Where D(k) comes from: a lattice's unit cell, or a user-defined function.
 
     `closed`: the largest gap that rounding cannot tell from none, over the largest omega^2; `origin`: what a result
-    keeps of the lattice.
+    keeps of the lattice. Where forces turn velocities the matrix is the pair of D(k) and G(k), and the levels are omega
+    and, below the `first` that is a band, -omega.
     """
 
     matrix: Callable
@@ -69,32 +72,73 @@ class _Waves(NamedTuple):
     size: int
     closed: float
     origin: dict
+    first: int = 0
+
+    def numbers(self, bands):
+        """The levels of the bands that are asked for."""
+        return [self.first + n for n in chosen_bands(bands, self.size - self.first)]
+
+    def told(self, numbers):
+        """The bands of some levels, in words."""
+        return _told([n - self.first for n in numbers if n >= self.first] or [0])
 
     def matrices(self, k):
-        """D at points (n, axes), (n, P, P), as a NumPy array."""
+        """D, or D and G, at points (n, axes), (n, P, P) or (n, 2, P, P), as a NumPy array."""
         return in_groups(lambda k: matrices(self.matrix, k), k, POINTS)
 
     def vectors(self, lines, bands=slice(None)):
         """Vectors (..., P, bands) on the mesh of some lines, one array of phases an axis."""
         points = mesh(*lines).reshape(-1, self.axes)
         parts = np.array_split(points, -(-len(points) // POINTS))
-        q = [np.linalg.eigh(self.matrices(part))[1][..., bands] for part in parts]
+        q = [self.solved(self.matrices(part))[1][..., bands] for part in parts]
         return np.concatenate(q).reshape(*map(len, lines), *q[0].shape[1:])
 
+    def solved(self, matrices):
+        """Levels (..., P), rising, and vectors (..., P, P); of D and G twice as many, those of (D^{1/2} q, q')."""
+        if not self.first:
+            return np.linalg.eigh(matrices)
+        D, G = np.moveaxis(matrices, -3, 0)
+        squared, q = np.linalg.eigh(D)
+        root = (q * np.sqrt(np.maximum(squared, 0))[..., None, :]) @ q.conj().mT
+        upper = np.concatenate([0 * D, 1j * root], -1)
+        return np.linalg.eigh(
+            np.concatenate([upper, np.concatenate([-1j * root, -1j * G], -1)], -2)
+        )
 
-def _waves_of(lattice, axes=None):
+    def changes(self, matrices, levels, vectors):
+        """What moves the levels: the change of matrices (n, rim, ...) from the first of each n, in its vectors."""
+        change, between = matrices[:, 1:] - matrices[:, :1], vectors[:, None]
+        if not self.first:
+            return between.conj().mT @ change @ between
+        # (omega^2 + i omega G - D) q = 0, with q = i v/omega and q^+ (2 omega + i G) q = 1
+        omega = np.maximum(np.abs(levels), SLOW * np.abs(levels).max())
+        between = between[..., self.size // 2 :, :] / np.sqrt(omega)[:, None, None]
+        D, G = (between.conj().mT @ x @ between for x in np.moveaxis(change, -3, 0))
+        return D - 1j * levels[:, None, None] * G
+
+
+def _waves_of(lattice, axes=None, follow=turning_cell):
+    first = 0
     if isinstance(lattice, Lattice):
-        found = unit_cell(lattice)
+        found = follow(lattice)
         if axes is not None and len(found.cell) != axes:
             kinds = {1: "a chain", 2: "a lattice of the plane"}
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
         matrix, axes, origin = found.dynamical_matrix, len(found.cell), lattice.origin
         size, dtype = found.mass.size, found.mass.dtype
+        if found.turning is not None:
+            matrix, first, size = jax.tree_util.Partial(_both, found), size, 2 * size
     else:
         matrix, axes, origin = lattice, axes or 1, {}
         shape = jax.eval_shape(lattice, jnp.zeros(axes))
         size, dtype = shape.shape[0], shape.dtype
-    return _Waves(matrix, axes, size, max(CLOSED, 64 * float(jnp.finfo(dtype).eps)), origin)
+    closed = max(CLOSED, 64 * float(jnp.finfo(dtype).eps))
+    return _Waves(matrix, axes, size, closed, origin, first)
+
+
+def _both(found, k):
+    """D and G at one k, (2, P, P)."""
+    return jnp.stack([found.dynamical_matrix(k), found.gyration(k)])
 
 
 class _Mesh(NamedTuple):
@@ -148,11 +192,11 @@ def _cut(waves, count, numbers):
     where = f"at k = {', '.join(f'{x:.6g}' for x in nearest)}"
     fault = ""
     if gap <= waves.closed:
-        fault = f"{_told(numbers)} touch{'es' * (len(numbers) == 1)} others {where}."
+        fault = f"{waves.told(numbers)} touch{'es' * (len(numbers) == 1)} others {where}."
     elif lost:
         fault = (
-            f"{_told(numbers)} and others are too close over too much of the zone for a mesh to follow: "
-            f"the least gap that was met, {where}, is {gap:.1e} of the largest omega^2."
+            f"{waves.told(numbers)} and others are too close over too much of the zone for a mesh to follow: "
+            f"the least gap that was met, {where}, is {gap:.1e} of the largest omega{'' if waves.first else '^2'}."
         )
     return _Mesh(lines, gap, nearest, fault)
 
@@ -168,16 +212,16 @@ def _judged(waves, points, numbers, others):
     """
     D = waves.matrices(points.reshape(-1, points.shape[-1]))
     D = D.reshape(*points.shape[:2], *D.shape[1:])
-    squared, q = np.linalg.eigh(D[:, 0])
+    squared, q = waves.solved(D[:, 0])
     corner = points.shape[1] // 2
     gaps = np.stack(
         [
             np.abs(x[:, numbers][:, :, None] - x[:, others][:, None, :]).min((1, 2))
-            for x in (squared, np.linalg.eigvalsh(D[:, corner]))
+            for x in (squared, waves.solved(D[:, corner])[0])
         ]
     )
     place = np.where((gaps[0] <= gaps[1])[:, None], points[:, 0], points[:, corner])
-    E = q.conj().mT[:, None] @ (D[:, 1:] - D[:, :1]) @ q[:, None]
+    E = waves.changes(D, squared, q)
     own = np.einsum("nrpp->nrp", E).real
     turn = np.abs(E).max(1) * (1 - np.eye(E.shape[-1]))
     apart = np.abs(squared[:, :, None] - squared[:, None, :])
@@ -289,9 +333,10 @@ def _turned(angle):
 
 def _phases(waves, count):
     """Phases of each band and of all below each gap, how much half of the mesh changes them, and why some are none."""
-    size = waves.size
-    cuts = [_cut(waves, count, range(n + 1)) for n in range(size - 1)]
-    is_open = np.array([True, *(not x.fault for x in cuts), True])
+    first, size = waves.first, waves.size
+    # below the first band, where there is something, and above each but the last
+    cuts = [_cut(waves, count, range(n)) for n in range(max(first, 1), size)]
+    is_open = np.array([True] * (first == 0) + [not x.fault for x in cuts] + [True])
     lines = [x.lines[0] for x in cuts if not x.fault] or [2 * np.pi * np.arange(count) / count]
     q = waves.vectors([np.unique(np.concatenate(lines))])
 
@@ -300,14 +345,15 @@ def _phases(waves, count):
         angle = -np.angle(np.prod(_turns(q[..., bands])))
         return np.pi if np.isclose(angle, -np.pi, atol=1e-12) else angle
 
-    wanted = [([n], is_open[n] and is_open[n + 1]) for n in range(size)]
-    wanted += [(list(range(n + 1)), is_open[n + 1]) for n in range(size - 1)]
+    bands = size - first
+    wanted = [([first + n], is_open[n] and is_open[n + 1]) for n in range(bands)]
+    wanted += [(list(range(first, first + n)), is_open[0] and is_open[n]) for n in range(1, bands)]
     fine, coarse = (
         np.array([loop(x, bands) if there else np.nan for bands, there in wanted])
         for x in (q, q[::2])
     )
     error = np.nanmax(np.abs(_turned(fine - coarse)), initial=0.0)
-    return fine[:size], fine[size:], error, [x.fault for x in cuts if x.fault]
+    return fine[:bands], fine[bands:], error, [x.fault for x in cuts if x.fault]
 
 
 def winding(lattice: Any, *, points: Count = 256) -> int:
@@ -325,7 +371,7 @@ def winding(lattice: Any, *, points: Count = 256) -> int:
     >>> gx.topology.winding(gx.scenes.ssh(8, 1.0, 2.0, boundary="periodic"))
     1
     """
-    waves = _waves_of(lattice, 1)
+    waves = _waves_of(lattice, 1, unit_cell)
     D = waves.matrices(2 * np.pi * np.arange(whole("points", points, 8))[:, None] / points)
     own = np.einsum("kaa->ka", D)
     scale = np.abs(D).max()
@@ -429,7 +475,8 @@ def berry_curvature(
     **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `band`:
     counted from the lowest. `points`: along each axis of the zone.
     **Returns:** `BerryCurvature`. A lattice of masses and springs, whose D(-k) is the conjugate of D(k), has Chern
-    numbers zero; with a centre of inversion the flux is zero too. Where bands touch others, on the mesh or between its
+    numbers zero; with a centre of inversion the flux is zero too. Forces that turn velocities (gyroscopes, Coriolis'
+    force) give others. Where bands touch others, on the mesh or between its
     points, the flux is NaN and `outcome` says where. **Raises** ValueError where `unit_cell` does.
     Source: Fukui, Hatsugai, Suzuki, J. Phys. Soc. Jpn. 74, 1674 (2005).
 
@@ -444,13 +491,14 @@ def berry_curvature(
     """
     waves = _waves_of(lattice, 2)
     n = whole("points", points, 4)
-    numbers = chosen_bands(band, waves.size)
+    numbers = waves.numbers(band)
     cut, fine = _fluxes(waves, n, numbers)
     plain = 2 * np.pi / n * np.arange(n)
     first, second = (np.searchsorted(x, plain) for x in cut.lines)
     flux = np.add.reduceat(np.add.reduceat(fine, first, 0), second, 1)
     k = mesh(plain, plain)
-    return BerryCurvature(k, flux, tuple(numbers), cut.gap, cut.nearest, cut.fault, **waves.origin)
+    bands = tuple(n - waves.first for n in numbers)
+    return BerryCurvature(k, flux, bands, cut.gap, cut.nearest, cut.fault, **waves.origin)
 
 
 def _fluxes(waves, count, numbers):
@@ -512,7 +560,7 @@ def valley_chern(
     where. **Raises** ValueError as there, and for a point that is its own minus.
     """
     waves = _waves_of(lattice, 2)
-    cut, flux = _fluxes(waves, whole("points", points, 4), chosen_bands(band, waves.size))
+    cut, flux = _fluxes(waves, whole("points", points, 4), waves.numbers(band))
     if isinstance(valley, str):
         vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
         if isinstance(lattice, Lattice):
@@ -564,7 +612,7 @@ def quadrupole(
     """
     waves = _waves_of(lattice, 2)
     n = whole("points", points, 4)
-    numbers = list(range(waves.size // 2)) if bands is None else chosen_bands(bands, waves.size)
+    numbers = waves.numbers(range((waves.size - waves.first) // 2) if bands is None else bands)
     if len(numbers) % 2:
         refuse("bands", "an even number, whose Wannier bands come in pairs", f"{numbers}")
     cut = _cut(waves, n, numbers)

@@ -495,57 +495,129 @@ def gyroscopic(rate=0.7):
     return with_term(triangular(), Turning(jnp.asarray(rate)))
 
 
-GYROSCOPIC = {
-    "modes": linear.normal_modes,
-    "bands": linear.bands,
-    "sound": linear.sound_speed,
-    "waves": lambda x: linear.dispersion(x, K_POINT),
-    "strip": linear.ribbon,
-    "chern": topology.chern,
-    "zak": lambda x: topology.zak(x, k=[0.1]),
-}
+@pytest.mark.parametrize(
+    ("call", "term"),
+    [
+        (linear.sound_speed, "Turning"),
+        (linear.flat_bands, "Turning"),
+        (topology.winding, "Turning"),
+        (lambda x: linear.normal_modes(x, 3), "Turning"),
+        (lambda _: linear.dispersion(springs_with(Hall(jnp.asarray(1e-3))), 1.0), "Hall"),
+        (lambda _: topology.zak(springs_with(Hall(jnp.asarray(1e3)))), "Hall"),
+    ],
+)
+def test_what_needs_the_stiffness_alone_refuses_gyroscopic_forces(call, term):
+    """So does everything where they change in time."""
+    with refused(rf"\({term}\).*gyroscopic.*floquet_bands"):
+        call(gyroscopic())
 
 
-@pytest.mark.parametrize("name", GYROSCOPIC)
-def test_gyroscopic_forces_are_refused_in_a_sentence(name):
-    with refused(r"terms\[3\] \(Turning\).*gyroscopic.*floquet_bands"):
-        GYROSCOPIC[name](gyroscopic())
+def springs_with(term):
+    return with_term(springs(np.ones(12), 1.0, "periodic"), term)
 
 
-def test_other_gyroscopic_forces_and_those_that_are_traced():
-    chain = springs(np.ones(12), 1.0, "periodic")
-    rates = jnp.array([0.1, 0.2])
-    for match, call in (
-        ("Hall", lambda: linear.dispersion(with_term(chain, Hall(jnp.asarray(1e-3))), 1.0)),
-        ("Hall", lambda: topology.zak(with_term(chain, Hall(jnp.asarray(1e3))))),
-        ("Turning", lambda: jax.jit(lambda r: linear.normal_modes(gyroscopic(r)).omega)(0.7)),
-        (
-            "Turning",
-            lambda: jax.vmap(
-                lambda r: linear.dispersion(gyroscopic(r), K_POINT, cell=(1, 1)).omega
-            )(rates),
-        ),
-        (
-            "Turning",
-            lambda: jax.grad(lambda r: linear.dispersion(gyroscopic(r), K_POINT).omega[0])(0.7),
-        ),
-    ):
-        with refused(match):
-            call()
+def quadratic(D, G):
+    """The positive frequencies of q'' = -D q - G q', rising, and q, by the companion matrix."""
+    size = len(D)
+    values, vectors = np.linalg.eig(
+        np.block([[np.zeros_like(D), np.eye(size)], [-D, -np.asarray(G)]])
+    )
+    order = np.argsort(-values.imag)[size:]
+    assert np.abs(values.real).max() < 1e-12
+    return -values.imag[order], vectors[:size, order]
 
 
-@pytest.mark.slow
 def test_the_waves_of_a_gyroscopic_lattice_by_the_quadratic_eigenproblem():
-    """(K(k) - omega^2 - i omega G) q = 0, G = 0.7 (0, 1; -1, 0): the way that the refusal names gives its roots."""
+    """(D(k) - i omega G) q = omega^2 q, G = 0.7 (0, -1; 1, 0)."""
     k = np.array([[np.pi / 3, 2 * np.pi / 3], [1.0, -0.4], [2.0, 0.3]])
     ways = {(1, 0): (1.0, 0.0), (0, 1): (0.5, 3**0.5 / 2), (-1, 1): (-0.5, 3**0.5 / 2)}
-    found = linear.floquet_bands(gyroscopic(), k, period=0.5)
-    for x, omega in zip(k, np.asarray(found.omega)):
-        K = sum(2 * (1 - np.cos(np.dot(x, R))) * np.outer(n, n) for R, n in ways.items())
-        G = 0.7 * np.array([[0, 1], [-1, 0]])
-        exact = np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [-K, G]])).imag
-        assert np.abs(np.sort(exact) - np.sort(omega)).max() < 1e-10
-    assert np.abs(np.sort(found.omega[0])[2:] - [1.1106, 2.0632]).max() < 5e-5
+    G = 0.7 * np.array([[0, -1], [1, 0]])
+    lattice = gyroscopic()
+    found, bands = linear.dispersion(lattice, k), linear.floquet_bands(lattice, k, period=0.5)
+
+    def exact(x):
+        D = sum(2 * (1 - np.cos(np.dot(x, R))) * np.outer(n, n) for R, n in ways.items())
+        return quadratic(D, G)
+
+    for x, own, q, speed, bend, all_omega in zip(
+        k, found.omega, found.vectors, found.group_velocity, found.curvature, bands.omega
+    ):
+        omega, vectors = exact(x)
+        np.testing.assert_allclose(own, omega, rtol=1e-12)
+        np.testing.assert_allclose(np.sort(all_omega)[2:], omega, rtol=1e-9)
+        q = q.reshape(2, 2)
+        aligned = np.abs((q.conj() * vectors).sum(0)) / np.linalg.norm(vectors, axis=0)
+        np.testing.assert_allclose(aligned, 1, rtol=1e-12)
+        moved = lambda way: exact(x + way)[0]
+        h = 1e-3 * np.eye(2)
+        np.testing.assert_allclose(speed.T, [(moved(a) - moved(-a)) / 2e-3 for a in h], atol=1e-6)
+        second = [
+            [(moved(a + b) - moved(a - b) - moved(b - a) + moved(-a - b)) / 4e-6 for b in h]
+            for a in h
+        ]
+        np.testing.assert_allclose(np.moveaxis(bend, 0, -1), second, atol=1e-5)
+    np.testing.assert_allclose(linear.dispersion(lattice, [0.0, 0.0]).omega, [0, 0.7], atol=1e-12)
+
+
+def test_gyroscopic_modes_and_bands_are_traced_and_batched():
+    K_only = lambda r: linear.dispersion(gyroscopic(r), K_POINT, cell=(1, 1)).omega
+    rates = jnp.array([0.1, 0.7])
+    each = np.array([K_only(r) for r in rates])
+    np.testing.assert_allclose(jax.vmap(K_only)(rates), each, rtol=1e-12)
+    slope = (K_only(0.7 + 1e-5) - K_only(0.7 - 1e-5)) / 2e-5
+    for derivative in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(derivative(K_only)(0.7), slope, rtol=1e-8)
+    top = lambda r: linear.bands(gyroscopic(r)).upper[-1]
+    np.testing.assert_allclose(
+        jax.grad(top)(0.7), (top(0.7 + 1e-5) - top(0.7 - 1e-5)) / 2e-5, rtol=1e-7
+    )
+
+
+def test_the_modes_of_a_finite_gyroscopic_lattice():
+    lattice = with_term(
+        gx.scenes.triangular(3, 3, boundary="fixed", mass=2.0), Turning(jnp.asarray(0.7))
+    )
+    plain = linear.normal_modes(gx.scenes.triangular(3, 3, boundary="fixed", mass=2.0))
+    phi = np.asarray(plain.modes).reshape(18, 18)
+    G = np.kron(np.eye(9), 0.35 * np.array([[0, -1], [1, 0]]))
+    omega, _ = quadratic(2 * phi @ np.diag(plain.omega_squared) @ phi.T, G)
+    found = linear.normal_modes(lattice)
+    np.testing.assert_allclose(found.omega, omega, rtol=1e-10)
+    assert found.omega.shape == (18,) and jnp.iscomplexobj(found.modes)
+
+
+def test_a_gyroscopic_honeycomb_is_a_chern_insulator():
+    """Between the two valleys' gaps: as many one-way edge modes as the Chern numbers below sum to."""
+    rate, held = 0.3, [gx.OnSite(gx.Linear(0.2), field=name) for name in "ab"]
+
+    class Both(Term):
+        def force(self, t, u, v, mass):
+            return {n: rate * jnp.stack([x[..., 1], -x[..., 0]], -1) for n, x in v.items()}
+
+    def crystal(*size, boundary):
+        found = gx.scenes.honeycomb(*size, boundary=boundary)
+        for term in (*held, Both()):
+            found = with_term(found, term)
+        return found
+
+    lattice = crystal(6, 6, boundary="periodic")
+    numbers = [topology.chern(lattice, band) for band in range(4)]
+    cell = linear.cell.turning_cell(lattice)
+    k = 2 * np.pi * np.arange(24) / 24
+    states = np.empty((24, 24, 4, 4), complex)
+    for i, j in np.ndindex(24, 24):
+        at = jnp.array([k[i], k[j]])
+        states[i, j] = quadratic(np.asarray(cell.dynamical_matrix(at)), cell.gyration(at))[1]
+    states /= np.linalg.norm(states, axis=-2, keepdims=True)
+    ahead = [(states.conj() * np.roll(states, -1, a)).sum(-2) for a in (0, 1)]
+    around = ahead[0] * np.roll(ahead[1], -1, 0) / (np.roll(ahead[0], -1, 1) * ahead[1])
+    assert numbers == np.round(-np.angle(around).sum((0, 1)) / (2 * np.pi)).astype(int).tolist()
+    assert numbers == [-1, 0, 0, 1]
+    strip = linear.ribbon(crystal(4, 14, boundary=("periodic", "free")))
+    middle = np.mean(linear.bands(lattice).gaps[1])
+    crossed = np.diff(np.sign(np.asarray(strip.omega) - middle), axis=0) != 0
+    at_edge = [np.sign(strip.edge[i, n]) for i, n in np.argwhere(crossed)]
+    assert crossed.sum() == 2 and sorted(at_edge) == [-1, 1]
 
 
 @pytest.mark.slow
@@ -566,13 +638,9 @@ def test_damping_leaves_the_undamped_frequencies(name):
         linear.dispersion(plain, WAVES[:2]).omega, linear.dispersion(damped, WAVES[:2]).omega
     )
     assert np.array_equal(linear.normal_modes(plain).omega, linear.normal_modes(damped).omega)
-    # in jit too, where a matrix that may be any is not taken for a damping
+    # in jit too, where a matrix may be any, so that the gyroscopic form is taken
     traced = jax.jit(lambda x: linear.normal_modes(x).omega)
-    if name == "matrix":
-        with refused("keep a symmetric damping matrix outside of jit"):
-            traced(damped)
-    else:
-        assert np.abs(traced(damped) - linear.normal_modes(plain).omega).max() < 1e-12
+    assert np.abs(traced(damped) - linear.normal_modes(plain).omega).max() < 1e-12
 
 
 DISORDER = springs(np.random.default_rng(2).uniform(1, 2, 20))

@@ -2,7 +2,8 @@
 
 The stiffness matrix is K = -d force/du at u = 0, by `jax.jvp` of the lattice's own force. Damping and drives are left
 out: these are the undamped, free vibrations about equilibrium. Gyroscopic forces, which turn velocities and shift
-frequencies to first order, are refused. `floquet_bands` follows both, and what changes periodically in time.
+frequencies to first order, count where waves are asked for; what needs the stiffness alone refuses them.
+`complex_bands` and `localisation_length` follow damping, `floquet_bands` also what changes periodically in time.
 """
 
 from .bands import Bands, bands

@@ -12,7 +12,7 @@ from ..lattice import Lattice
 from ..programs import compiled
 from ..results import Result, array, note
 from ..types import Count, Numbers
-from .cell import by_lanes, in_lanes, unit_cell
+from .cell import by_lanes, in_lanes, turning_cell
 from .modes import signed_root
 from .stiffness import each, mesh
 
@@ -100,17 +100,21 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     >>> print(found.upper.round(4))  # (2 K2)^{1/2} and (6 K2)^{1/2}
     [1.7321 3.    ]
     """
-    found = unit_cell(lattice, cell)
+    found = turning_cell(lattice, cell)
     axes = len(found.cell)
     reach = np.abs(np.array(found.shells)).max()
-    # omega(-k) = omega(k): half of the zone is enough for a chain; 48 and 12 hold the corners of a hexagonal zone
+    # omega(-k) = omega(k), unless forces turn velocities: half of the zone is enough for a chain; 48 and 12 hold the
+    # corners of a hexagonal zone
     if axes == 1:
-        line = np.linspace(0, np.pi, 96 * max(1, reach) + 1)
+        low = 0.0 if found.turning is None else -np.pi
+        line = np.linspace(low, np.pi, 96 * max(1, reach) * (1 + (low < 0)) + 1)
     else:
         count = 48 if axes == 2 else 12
         line = 2 * np.pi * np.arange(count) / count
     k = mesh(*[line] * axes).reshape(-1, axes)
-    lower, upper, lower_k, upper_k = _edges(found, jnp.asarray(k, found.mass.dtype), float(line[1]))
+    lower, upper, lower_k, upper_k = _edges(
+        found, jnp.asarray(k, found.mass.dtype), float(line[1] - line[0])
+    )
     return Bands(lower, upper, lower_k, upper_k, found.cell, **lattice.origin)
 
 
@@ -120,8 +124,8 @@ def _edges(found, k, spacing):
     places = _extrema(jax.lax.stop_gradient(found), k, spacing)
 
     def edge(k, n):
-        D = found.dynamical_matrix(k)
-        return signed_root(jnp.linalg.eigvalsh(D)[n], jnp.abs(D).max(), found.mass.size)
+        scale = jnp.abs(found.dynamical_matrix(k)).max()
+        return signed_root(found.squares(k)[n], scale, found.mass.size)
 
     lower, upper = jax.vmap(jax.vmap(edge), (0, None))(places, jnp.arange(found.mass.size))
     return lower, upper, *(places[..., 0] if k.shape[1] == 1 else places)
@@ -132,11 +136,8 @@ def _extrema(found, k, spacing):
     size = found.mass.size
     sign = jnp.array([1.0, -1.0], k.dtype)
 
-    def squared(k):
-        return jnp.linalg.eigvalsh(found.dynamical_matrix(k))
-
     at_once = max(1, 2**22 // size**2)
-    sampled = each(squared, k, at_once)
+    sampled = each(found.squares, k, at_once)
     best = jnp.stack([k[jnp.argmin(s * sampled, 0)] for s in (1, -1)])
     moves = [np.array([0.0, -1.0, -0.5, 0.5, 1.0])] * k.shape[1]
     stencil = jnp.asarray(mesh(*moves).reshape(-1, k.shape[1]), k.dtype)
@@ -144,7 +145,7 @@ def _extrema(found, k, spacing):
     def close_in(i, best):
         def improve(best, s, n):
             tried = best + spacing * SHRINK**i * stencil
-            return tried[jnp.argmin(s * jax.vmap(squared)(tried)[:, n])]
+            return tried[jnp.argmin(s * jax.vmap(found.squares)(tried)[:, n])]
 
         every = jax.vmap(jax.vmap(improve, (0, None, 0)), (0, 0, None))
         return every(best, sign, jnp.arange(size))

@@ -15,6 +15,7 @@ from ..programs import compiled, concretely
 from ..results import Held
 from ..terms.chain import span
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
+from . import turning
 from .stiffness import (
     at_rest,
     blocks,
@@ -22,6 +23,7 @@ from .stiffness import (
     offsets,
     refuse_one_way,
     stand_in,
+    turning_terms,
     unpack_waves,
 )
 
@@ -34,10 +36,12 @@ class UnitCell(eqx.Module):
 
     A wave is u_j(R) = M_j^{-1/2} q_j exp(i k . R - i omega t), with R the (whole) number of the cell and k the phase
     advance per cell, one per axis of the lattice, and omega^2 q = D(k) q with D(k) = sum_R coupling_R exp(i k . R),
-    coupling_R = M^{-1/2} K_R M^{-1/2}.
+    coupling_R = M^{-1/2} K_R M^{-1/2}. Forces -C v that turn velocities add -i omega G(k) q to the right, with
+    G(k) = sum_R turning_R exp(i k . R) of the antisymmetric part of C.
 
     **Fields:** `cell`: sites of the cell along each axis. `shells`: the R of the neighbours, R = 0 among them.
     `coupling`: (shells, P, P) [1/s^2]. `mass`: (P,), with P = sites of the cell times fields times dimension.
+    `turning`: (shells, P, P) [1/s], `None` where no force turns velocities.
     """
 
     coupling: jax.Array
@@ -46,18 +50,39 @@ class UnitCell(eqx.Module):
     shells: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     fields: tuple[str, ...] | None = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
+    turning: jax.Array | None = None
     __repr__ = told
 
     def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
         return bloch(self.coupling, self.shells, k)
 
+    @property
+    def scale(self) -> Number:
+        """The largest entry of the coupling."""
+        return jnp.abs(self.coupling).max()
+
+    def gyration(self, k: Numbers) -> ComplexNumbers:
+        """G(k), (P, P), the negative of its own conjugate transpose; of a lattice whose forces turn velocities."""
+        return bloch(self.turning, self.shells, k)
+
+    def squares(self, k: Numbers) -> Numbers:
+        """omega^2 of all bands at one k, (P,), rising."""
+        D = self.dynamical_matrix(k)
+        if self.turning is None:
+            return jnp.linalg.eigvalsh(D)
+        return turning.squares(D, self.gyration(k), self.scale)
+
+    def waves(self, k: Numbers) -> tuple:
+        """omega^2 (P,), rising, and vectors q (P, P) of all bands at one k, normalised."""
+        D = self.dynamical_matrix(k)
+        if self.turning is None:
+            return jnp.linalg.eigh(D)
+        return turning.waves(D, self.gyration(k), self.scale)
+
     def slopes(self, k: Numbers) -> tuple:
         """First and second derivatives of D(k): (axes, P, P) and (axes, axes, P, P)."""
-        R = np.array(self.shells)
-        phase = jnp.exp(1j * (R @ k))
-        first = jnp.einsum("r,rj,rab->jab", 1j * phase, R, self.coupling)
-        return first, -jnp.einsum("r,rj,rl,rab->jlab", phase, R, R, self.coupling)
+        return slopes(self.coupling, self.shells, k)
 
     def displacements(self, q: AnyArray) -> Displacements:
         """Displacements M^{-1/2} q of vectors (..., P, bands): (..., cell..., [vector], bands), or a dict of such."""
@@ -84,6 +109,14 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     half = (np.array(shells) @ k) / 2
     turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
     return uniform + jnp.einsum("r,rab->ab", turn, coupling)
+
+
+def slopes(coupling: Numbers, shells: tuple, k: Numbers) -> tuple:
+    """First and second derivatives of what `bloch` gives, (axes, P, P) and (axes, axes, P, P)."""
+    R = np.array(shells)
+    phase = jnp.exp(1j * (R @ k))
+    first = jnp.einsum("r,rj,rab->jab", 1j * phase, R, coupling)
+    return first, -jnp.einsum("r,rj,rl,rab->jlab", phase, R, R, coupling)
 
 
 @compiled
@@ -133,8 +166,16 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     defect, a taper), a `cell` that is no period, a lattice too short to tell, forces without an energy (K not
     symmetric).
     """
-    lattice = at_rest(lattice)
-    found = blocks_of(lattice)
+    return _one_cell(at_rest(lattice), cell)
+
+
+def turning_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
+    """As `unit_cell`, with the forces that turn velocities."""
+    return _one_cell(at_rest(lattice, turning=True), cell)
+
+
+def _one_cell(lattice, cell):
+    found = blocks_of(lattice, damped=bool(turning_terms(lattice)))
     one = cut_out(lattice, found, given_cell(cell, grid(lattice)), found.rings)
     coupling = concrete(jax.lax.stop_gradient(one.coupling))
     if coupling is not None and one_way(coupling, one.shells):
@@ -189,13 +230,19 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
 def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) -> UnitCell:
     """The cell of a lattice, of `given` numbers of sites, where they are `None` of the least."""
     cell, chosen = periods(found, rings, given)
-    reach, mass = found.reach, found.mass
+    reach, mass, turns = found.reach, found.mass, len(found.size) > 1
     if traced(lattice):
-        shells, coupling, mass = assembled(lattice, cell, chosen, reach)
+        shells, maps, mass = assembled(lattice, cell, chosen, reach, damped=turns)
     else:
-        shells, coupling, mass = assemble(np, found.found, mass, cell, chosen, reach)
-    coupling = jnp.asarray(coupling[..., 0, 0])
-    return UnitCell(coupling, jnp.asarray(mass), cell, shells, lattice.fields, lattice.dimension)
+        shells, maps, mass = assemble(np, found.found, mass, cell, chosen, reach)
+    coupling, turn = jnp.asarray(maps[..., 0, 0]), None
+    if turns:
+        C = maps[..., 1, 0]
+        back = np.array([shells.index(tuple(-n for n in R)) for R in shells])
+        # what is symmetric damps, and is left out
+        turn = jnp.asarray((C - C[back].swapaxes(1, 2)) / 2)
+    space = lattice.fields, lattice.dimension
+    return UnitCell(coupling, jnp.asarray(mass), cell, shells, *space, turn)
 
 
 def given_cell(cell: Cell, sites: tuple) -> tuple:

@@ -8,7 +8,8 @@ from ..lattice import Lattice
 from ..programs import compiled
 from ..results import Held, Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, unit_cell
+from . import turning
+from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, slopes, turning_cell
 from .modes import signed_root
 from .stiffness import each
 
@@ -62,6 +63,10 @@ def dispersion(
 ) -> Dispersion:
     r"""Dispersion relation of the infinite lattice that a lattice belongs to: D(k) q = omega^2 q, without damping.
 
+    With gyroscopic forces, whose -d force/dv has an antisymmetric part C, (D(k) - i omega G(k)) q = omega^2 q, with G
+    as D is made of the stiffness; omega > 0, so that waves of -k are others than those of k. It is NaN where D is not
+    positive: such waves may grow, and `floquet_bands` follows them.
+
     **Arguments:**
 
     - `lattice`: one `Lattice`, of any boundary: sites within reach of an end do not count.
@@ -82,7 +87,7 @@ def dispersion(
     >>> print(relation.omega[:, 0].round(4))  # 2 (3/2)^{1/2} sin(k/2)
     [1.7321 2.4495]
     """
-    found = unit_cell(lattice, cell)
+    found = turning_cell(lattice, cell)
     k = parameter("k", k).astype(found.mass.dtype)
     axes = len(found.cell)
     squared, omega, vectors, velocity, curvature = bloch_waves(found, phases(k, axes), axes == 1)
@@ -98,7 +103,8 @@ def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
     axes = k.shape[-1]
     points = k.astype(found.mass.dtype).reshape(-1, axes)
     at_once = max(1, 2**22 // (found.mass.size * axes) ** 2)
-    parts = each(lambda k: _wave(found, k), points, at_once)
+    wave = _wave if found.turning is None else _turned_wave
+    parts = each(lambda k: wave(found, k), points, at_once)
     squared, omega, q, velocity, curvature = (x.reshape(k.shape[:-1] + x.shape[1:]) for x in parts)
     if chain:
         velocity, curvature = velocity[..., 0], curvature[..., 0, 0]
@@ -132,6 +138,39 @@ def _wave(found, k):
     velocity = jnp.where(there[:, None], velocity, jnp.nan)
     curve = jnp.where((there & (flat | still))[:, None, None], curve, jnp.nan)
     return squared, omega, q, velocity, curve
+
+
+def _turned_wave(found, k):
+    """As `_wave`, where forces turn velocities: of D q = omega (omega + iG) q, linear in omega over (q, omega q)."""
+    D, size = found.dynamical_matrix(k), found.mass.size
+    every, v = turning.levels(D, found.gyration(k), found.scale)
+    # one eigenproblem in the program: XLA's threads may wait for ever where two run side by side
+    squared, q = turning.upper(every, v, found.scale)
+    omega = signed_root(squared, jnp.abs(D).max(), size)
+    (D1, D2), (G1, G2) = found.slopes(k), slopes(found.turning, found.shells, k)
+    # normalised to q^+ (2 omega + iG) q = +-1, the sign of omega
+    sign, own = jnp.sign(every), every[size:]
+    all_q = sign * v / jnp.sqrt(jnp.abs(every))
+    q1 = all_q[:, size:]
+
+    def between(of, D, G):
+        pull, turn = (jnp.einsum("am,...ab,bn->...mn", of.conj(), x, q1) for x in (D, 1j * G))
+        return pull - own * turn, turn
+
+    slope, _ = between(all_q, D1, G1)
+    bend, _ = between(q1, D2, G2)
+    turn = jnp.real(jnp.diagonal(between(q1, D1, G1)[1], axis1=-2, axis2=-1))
+    velocity = jnp.real(jnp.diagonal(slope[:, size:], axis1=-2, axis2=-1))
+    gap = own - every[:, None]
+    itself = jnp.arange(2 * size)[:, None] == size + jnp.arange(size)
+    weight = jnp.where(itself, 0, sign[:, None] / jnp.where(itself, 1, gap))
+    through = jnp.einsum("jmn,mn,lmn->jln", slope.conj(), weight, slope)
+    curve = jnp.real(jnp.diagonal(bend, axis1=-2, axis2=-1) + through + through.swapaxes(0, 1))
+    curve -= velocity[:, None] * turn + turn[:, None] * velocity
+    least = DEGENERATE * jnp.finfo(squared.dtype).eps * jnp.abs(every).max()
+    there = (omega != 0) & jnp.all(itself | (jnp.abs(gap) > least), axis=0)
+    velocity, curve = (jnp.where(there, x, jnp.nan) for x in (velocity, curve))
+    return squared, omega, q, velocity.T, jnp.moveaxis(curve, -1, 0)
 
 
 def _diagonal(matrices, same):

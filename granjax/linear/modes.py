@@ -14,8 +14,17 @@ from ..programs import compiled
 from ..results import Result, array
 from ..terms.reach import reads
 from ..types import AnyArray, Count, Displacements, Number, Numbers
+from . import turning
 from .cell import blocks_of, by_lanes, in_lanes
-from .stiffness import at_rest, each, linear_map, offsets, refuse_one_way, unpack_waves
+from .stiffness import (
+    at_rest,
+    each,
+    linear_map,
+    offsets,
+    refuse_one_way,
+    turning_terms,
+    unpack_waves,
+)
 
 ROUNDING, AT_ONCE = 8, 512
 # of the largest |D|: how far below zero the matrix is inverted, so that rigid motions do not make it singular
@@ -60,7 +69,8 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
 
     Solved as the symmetric problem M^{-1/2} K M^{-1/2} q = omega^2 q, phi = M^{-1/2} q, with K = -d force/du traced
     from the terms. Damping and drives are left out, moving walls stand still. In a sonic vacuum K = 0, and so is
-    every frequency.
+    every frequency. Forces that turn velocities (gyroscopic ones, -G v with an antisymmetric G) count:
+    (K - i omega G) phi = omega^2 M phi, of positive omega, with complex modes u = Re phi exp(-i omega t).
 
     **Arguments:** `lattice`: one `Lattice`. `count`: how many of the lowest modes to find, `None` for all.
     **Returns:** `NormalModes`.
@@ -72,7 +82,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     seconds. They are those nearest to omega = 0, which are the lowest where the lattice is stable at rest. Simple
     frequencies stay differentiable, by `jax.grad` and `jax.jvp`; modes do not.
     **Raises** ValueError for a batch of lattices (use `jax.vmap(normal_modes, in_axes=-1)`), stiffness modulated in
-    time, gyroscopic forces, and forces without an energy (K not symmetric); with `count` also for bonds across the
+    time, and forces without an energy (K not symmetric); with `count` also for gyroscopic forces, bonds across the
     whole lattice, and within `jit` and `vmap`.
 
     **Example:**
@@ -81,10 +91,10 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     >>> print(found.omega[:3].round(4))  # 6^{1/2} sin(pi n/42)
     [0.1831 0.3651 0.5451]
     """
-    lattice = at_rest(lattice)
+    lattice = at_rest(lattice, turning=count is None)
     if count is not None:
         return _lowest(lattice, whole("count", count, 1))
-    result, uneven = _solve(lattice)
+    result, uneven = _solve(lattice, bool(turning_terms(lattice)))
     uneven = concrete(jax.lax.stop_gradient(uneven))
     if uneven is not None and uneven > 1e3 * np.finfo(lattice.dtype).eps:
         refuse_one_way()
@@ -92,25 +102,32 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
 
 
 @compiled
-def _solve(lattice):
+def _solve(lattice, turns):
     """The modes, and the largest difference between K and its transpose, relative to K."""
     flat, unravel = ravel_pytree(lattice.zeros())
-    product_with = linear_map(lattice)
     unit = jnp.eye(flat.size, dtype=flat.dtype)
+    transforms = any(reads(term, lattice).transforms for term in lattice.terms)
 
-    def column(w):
-        return ravel_pytree(product_with(unravel(w)))[0]
+    def matrix(product_with):
+        column = lambda w: ravel_pytree(product_with(unravel(w)))[0]
+        return jax.lax.map(column, unit) if transforms else each(column, unit, AT_ONCE)
 
-    if any(reads(term, lattice).transforms for term in lattice.terms):
-        K = jax.lax.map(column, unit)
-    else:
-        K = each(column, unit, AT_ONCE)
+    K = matrix(linear_map(lattice))
     scale = jnp.abs(K).max()
     uneven = jnp.abs(K - K.T).max() / jnp.where(scale > 0, scale, 1)
     mass, _ = ravel_pytree(spread_mass(lattice))
-    D = K / jnp.sqrt(mass[:, None] * mass)
-    squared, q = jnp.linalg.eigh(D)
-    modes = jax.vmap(unravel, -1, -1)(q / jnp.sqrt(mass)[:, None])
+    over = jnp.sqrt(mass[:, None] * mass)
+    D = K / over
+    if turns:
+        # its columns are rows of C, whose symmetric part damps
+        C = matrix(linear_map(lattice, velocity=True))
+        squared, q = turning.waves(D, (C.T - C) / (2 * over), jnp.abs(D).max())
+    else:
+        squared, q = jnp.linalg.eigh(D)
+    phi, apart = q / jnp.sqrt(mass)[:, None], jax.vmap(unravel, -1, -1)
+    modes = apart(phi.real)
+    if turns:
+        modes = jax.tree.map(lambda x, y: x + 1j * y, modes, apart(phi.imag))
     return NormalModes(
         signed_root(squared, jnp.abs(D).max(), flat.size), squared, modes, **lattice.origin
     ), uneven

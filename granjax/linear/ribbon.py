@@ -11,7 +11,7 @@ from ..results import Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
 from .cell import blocks_of, by_lanes, cut_out, in_lanes
 from .modes import signed_root
-from .stiffness import at_rest, grid
+from .stiffness import at_rest, grid, turning_terms
 
 # of the largest |D|: how near omega^2 of waves are that are taken together, since they beat over 10^4 periods
 TOGETHER = 1e-4
@@ -88,7 +88,7 @@ def ribbon(
     >>> found.omega.shape, round(float(abs(found.edge).max()), 3)  # an edge mode
     ((1, 12), 1.0)
     """
-    lattice = at_rest(lattice)
+    lattice = at_rest(lattice, turning=True)
     sites = grid(lattice)
     if len(sites) != 2:
         refuse(
@@ -97,7 +97,7 @@ def ribbon(
             f"one of {len(sites)}",
             "gx.linear.dispersion is for chains.",
         )
-    blocks = blocks_of(lattice)
+    blocks = blocks_of(lattice, damped=bool(turning_terms(lattice)))
     rings = blocks.rings
     if axis is None:
         axis = 0 if rings[0] else 1
@@ -142,9 +142,9 @@ def _solved(found, k, axis):
     of_each = np.repeat(of_site, found.mass.size // len(of_site))
 
     def one(k):
-        D = found.dynamical_matrix(jnp.zeros(2, k.dtype).at[axis].set(k))
-        squared, q = jnp.linalg.eigh(D)
-        scale = jnp.abs(D).max()
+        k = jnp.zeros(2, k.dtype).at[axis].set(k)
+        squared, q = found.waves(k)
+        scale = jnp.abs(found.dynamical_matrix(k)).max()
         q = _apart(squared / jnp.where(scale > 0, scale, 1), q, of_each)
         share = (jnp.abs(q) ** 2).reshape(*found.cell, -1, squared.size).sum((axis, 2))
         spread = share.sum(0) ** 2 / (share**2).sum(0)

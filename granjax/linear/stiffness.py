@@ -38,11 +38,12 @@ def undriven(lattice: Any, lanes: bool = False) -> Lattice:
     return with_still_walls(lattice)
 
 
-def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
+def at_rest(lattice: Any, lanes: bool = False, turning: bool = False) -> Lattice:
     """The lattice `undriven`, of a stiffness that is constant in time.
 
     **Raises** ValueError where `undriven` does, for stiffness that changes in time, and for forces that turn
-    velocities (gyroscopic ones), since their waves are not those of the stiffness.
+    velocities (gyroscopic ones), since their waves are not those of the stiffness; with `turning` for those alone that
+    change in time.
     """
     still = undriven(lattice, lanes)
     for i, term in enumerate(still.terms):
@@ -54,7 +55,15 @@ def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
                 "Modes in time do not exist then: take the lattice with the term that is modulated, or "
                 "granjax.linear.floquet_bands, which follows the modulation over its period.",
             )
-    _refuse_turning(still)
+    for i, reads_time in turning_terms(still):
+        if reads_time or not turning:
+            refuse(
+                f"terms[{i}] ({type(still.terms[i]).__name__})",
+                "a force that damps or does not read the velocity",
+                "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
+                "It needs waves of the stiffness alone. granjax.linear.dispersion and normal_modes follow such a force "
+                "where it is constant in time, granjax.linear.floquet_bands where it is not.",
+            )
     return still
 
 
@@ -68,16 +77,13 @@ def _stiffness_changes(term, lattice):
     return used(slope, (term, time_of(lattice), u, u, u, lattice.mass))[2]
 
 
-def _refuse_turning(lattice):
-    """Refuse forces -C v whose C is not symmetric: they change frequencies to first order, as damping does not."""
-    plain, known = stand_in(lattice)
-    unknown = (
-        ""
-        if known
-        else (
-            " Random numbers stood in for its traced ones: keep a symmetric damping matrix outside of jit and vmap."
-        )
-    )
+def turning_terms(lattice: Lattice) -> list[tuple[int, bool]]:
+    """The places of the terms -C v whose C is not symmetric, and whether they read the time.
+
+    They change frequencies to first order, as damping does not. Where C is traced random numbers stand in for it.
+    """
+    plain, _ = stand_in(lattice)
+    found = []
     for i, term in enumerate(plain.terms):
         read = reads(term, plain)
         if not read.velocity:
@@ -85,13 +91,8 @@ def _refuse_turning(lattice):
         alone = eqx.tree_at(lambda x: x.terms, plain, (term,))
         times = np.asarray(GENERIC if read.time else [0.0], plain.dtype)
         if max(concretely(_turning, alone, t) for t in times) > 1e3 * np.finfo(plain.dtype).eps:
-            refuse(
-                f"terms[{i}] ({type(term).__name__})",
-                "a force that damps or does not read the velocity",
-                "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
-                "Linear theory from the stiffness alone would leave it out. granjax.linear.floquet_bands, with any "
-                f"period, follows it.{unknown}",
-            )
+            found.append((i, read.time))
+    return found
 
 
 @compiled

@@ -12,7 +12,7 @@ from ..checks import refuse, whole
 from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import Cell, Count, Numbers
-from .cell import by_lanes, in_lanes, unit_cell
+from .cell import by_lanes, in_lanes, turning_cell
 from .dispersion import bloch_waves
 from .stiffness import mesh
 
@@ -127,7 +127,7 @@ def path(
     >>> found.omega_squared[found.marks[1]].round(6)   # 4.5 K/m, twice, at K
     Array([4.5, 4.5], dtype=float64)
     """
-    found = unit_cell(lattice, cell)
+    found = turning_cell(lattice, cell)
     axes = len(found.cell)
     vectors = lattice_vectors(lattice, found.cell)
     known = named_points(vectors, axes)
@@ -196,7 +196,7 @@ def density_of_states(
     >>> int(found.density.argmax())   # the last bin, at the band's edge
     19
     """
-    found = unit_cell(lattice)
+    found = turning_cell(lattice)
     axes = len(found.cell)
     if axes > 2:
         refuse("lattice", "a chain or a lattice of the plane", f"one with {axes} axes")
@@ -277,7 +277,7 @@ def zone_map(lattice: Lattice, points: Count = 81) -> ZoneMap:
     >>> found.omega.shape, len(found.corners)
     ((9, 9, 2), 6)
     """
-    found = unit_cell(lattice)
+    found = turning_cell(lattice)
     vectors = lattice_vectors(lattice, found.cell)
     if len(found.cell) != 2 or vectors is None:
         refuse(

@@ -1,0 +1,51 @@
+"""Waves and modes where forces turn velocities: q'' = -D q - G q', G^+ = -G (gyroscopes, rotating frames, Lorentz)."""
+
+import jax
+import jax.numpy as jnp
+
+from ..types import AnyArray, ComplexNumbers, Number, Numbers
+
+# units of eps times the size and the largest stiffness: what is rounding of omega^2
+ROUNDING = 4
+
+
+def hamiltonian(D: AnyArray, G: AnyArray, scale: Number) -> ComplexNumbers:
+    """H, (2P, 2P), Hermitian, whose P largest eigenvalues are the frequencies; `scale`: that of the stiffness.
+
+    With D = L L^+ and z = (L^+ q, q') the motion is z' = -i H z. H is NaN where D is not positive: there motion may
+    grow. Uniform motion, which costs nothing, is made to cost what counts as rounding.
+    """
+    L = jnp.linalg.cholesky(D + _rounding(D, scale) * jnp.eye(len(D)))
+    return jnp.block([[jnp.zeros_like(L), 1j * L.conj().T], [-1j * L, -1j * G]])
+
+
+def squares(D: AnyArray, G: AnyArray, scale: Number) -> Numbers:
+    """omega^2, (P,), rising; exactly zero where it is rounding."""
+    return _squared(jnp.linalg.eigvalsh(hamiltonian(D, G, scale))[len(D) :], D, scale)
+
+
+def waves(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
+    """omega^2 (P,), as `squares`, and vectors q (P, P), normalised."""
+    return upper(*levels(D, G, scale), scale)
+
+
+def upper(omega: Numbers, v: ComplexNumbers, scale: Number) -> tuple[Numbers, ComplexNumbers]:
+    """What `waves` returns, of the `levels`."""
+    q = 1j * v[:, len(v) :]
+    return _squared(omega[len(v) :], v, scale), q / jnp.linalg.norm(q, axis=0)
+
+
+def levels(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
+    """omega of both signs (2P,), rising, and the velocities v (P, 2P) of motions of energy 1/2: q = i v/omega."""
+    omega, z = jnp.linalg.eigh(hamiltonian(D, G, scale))
+    return omega, z[len(D) :]
+
+
+def _squared(omega, D, scale):
+    squared = omega**2
+    return jnp.where(squared <= 2 * _rounding(D, scale), 0, squared)
+
+
+def _rounding(D, scale):
+    scale = jax.lax.stop_gradient(scale)
+    return ROUNDING * len(D) * jnp.finfo(D.dtype).eps * jnp.where(scale > 0, scale, 1)
