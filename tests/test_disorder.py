@@ -211,7 +211,7 @@ def test_a_wave_that_does_not_travel_decays_as_in_the_ordered_chain():
     "lattice, sentence",
     [
         (lambda: disordered(N, 0.3), "bonds with a stiffness at rest"),
-        (lambda: gx.scenes.mass_in_mass(N, 0.3, 1.0), "a chain of scalar displacements"),
+        (lambda: gx.scenes.triangular(4, 4), "a chain of scalar displacements"),
         (
             lambda: gx.Lattice(
                 1.0, tuple(gx.Bond(gx.Shift(n, "fixed"), gx.Linear()) for n in (1, 2)), sites=N
@@ -405,7 +405,7 @@ class Gyroscopic(gx.Term):
     "term, sentence",
     [
         (Gyroscopic(), "gyroscopic"),
-        (gx.CaputoDamping(0.5, 0.1), "remembers"),
+        (gx.PlasticContact(FIXED, gx.WaltonBraun(1.0, 2.0)), "remembers"),
         (gx.Dashpot(gx.Shift(2, "fixed"), 0.1), "further"),
     ],
 )
@@ -414,3 +414,43 @@ def test_other_forces_by_velocity_are_refused(term, sentence):
         gx.linear.localisation_length(
             gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear()), term), sites=N), 0.5
         )
+
+
+@pytest.mark.parametrize("order", [0.3, 0.8])
+def test_a_damping_with_a_memory_is_a_complex_spring_of_the_frequency(order):
+    """2 (1 - cos k) = omega^2 - c (-i omega)^a of equal beads, by both functions."""
+    omega, c = 1.1, 0.1
+    chain = gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear()), gx.CaputoDamping(c, order)), sites=2000)
+    exact = np.arccos(1 - (omega**2 - c * (-1j * omega) ** order) / 2)
+    found = gx.linear.localisation_length(chain, omega)
+    assert abs(found.gamma - abs(exact.imag)) < 5 * found.error + 1e-12
+    waves = gx.linear.complex_bands(chain, omega).k[0]
+    assert_allclose(np.sort_complex(waves), np.sort_complex([exact, -exact]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("scene", ["mass in mass", "woodpile"])
+def test_resonators_hang_on_their_sites(scene):
+    """In their gap the decay of the effective mass m + sum mu kappa/(kappa - mu omega^2); else NumPy's product."""
+    if scene == "woodpile":
+        mu, kappa, omega = [0.2, 0.3], [0.5, 0.6], 1.55
+        chain = gx.scenes.woodpile(20000, mu, kappa, precompression=1.0)
+    else:
+        mu, kappa, omega = [0.3], [0.5], 1.4
+        chain = gx.scenes.mass_in_mass(20000, 0.3, 0.5, precompression=1.0)
+    heavy = 1 + sum(m * k / (k - m * omega**2) for m, k in zip(mu, kappa))
+    exact = abs(np.arccos(1 - heavy * omega**2 / 3 + 0j).imag)
+    assert abs(gx.linear.localisation_length(chain, omega).gamma - exact) < 1e-12
+    masses = np.random.default_rng(0).uniform(0.5, 1.5, 20000)
+    every = {name: jnp.broadcast_to(m, 20000) for name, m in chain.mass.items()}
+    uneven = gx.Lattice(every | {"bead": masses}, chain.terms)
+    found = gx.linear.localisation_length(uneven, 1.0)
+    hung = sum(m * k / (k - m) for m, k in zip(mu, kappa))
+    u, f, grown = 1.0, 0.0, []
+    for m in masses[1:-1]:
+        f += (m + hung) * u
+        u -= f / 1.5
+        size = np.hypot(u, f)
+        u, f = u / size, f / size
+        grown.append(np.log(size))
+    assert abs(found.gamma - np.mean(grown[2222:])) < 0.1 * found.error
+    assert found.error < 0.15 * found.gamma

@@ -746,3 +746,45 @@ def test_waves_inside_jit():
     )
     given = jax.jit(lambda chain, k: linear.dispersion(chain, k, cell=2).omega)
     assert_allclose(given(chain, WAVES), expected, atol=1e-12)
+
+
+def test_complex_bands_follow_all_that_damps():
+    """A wave exp(i k n - i omega t) with the k that is found leaves nothing of the equation of motion."""
+    omega, mass = np.array([0.4, 1.3]), np.array([1.0, 2.0] * 6)
+    chain = Lattice(
+        mass,
+        (
+            gx.Bond(Shift(1), Linear(1.0)),
+            gx.Bond(Shift(2), Linear(0.2)),
+            Damping(0.1),
+            gx.Dashpot(Shift(1), 0.05),
+            gx.CaputoDamping(0.2, 0.4),
+        ),
+    )
+    found = linear.complex_bands(chain, omega)
+    assert found.cell == (2,) and found.k.shape == (2, 4) and found.residual.max() < 1e-13
+    for w, waves in zip(omega, found.k):
+        for k in waves:
+            z = np.exp(1j * k / 2)
+            near, far = 1 - 1j * w * 0.05, 0.2
+            own = 2 * near + 2 * far + 0.2 * (-1j * w) ** 0.4
+            rows = np.array(
+                [
+                    [own - far * (z**2 + z**-2) - m * w * (w + 0.1j), -near * (z + 1 / z)]
+                    for m in (1.0, 2.0)
+                ]
+            )
+            D = np.array([rows[0], rows[1][::-1]])
+            assert abs(np.linalg.det(D)) < 1e-11 * np.abs(D).max() ** 2
+    undamped = linear.complex_bands(Lattice(mass, chain.terms[:2]), omega)
+    weak = linear.complex_bands(
+        Lattice(mass, (*chain.terms[:2], gx.CaputoDamping(1e-6, 0.4))), omega
+    )
+    np.testing.assert_allclose(np.exp(1j * weak.k), np.exp(1j * undamped.k), rtol=1e-4)
+
+
+def test_complex_bands_of_a_gyroscopic_lattice_hold_its_dispersion():
+    lattice = gyroscopic()
+    omega = linear.dispersion(lattice, [1.1, 0.0]).omega
+    found = linear.complex_bands(lattice, omega, axis=0, across=0.0)
+    assert np.abs(found.k - 1.1).min(1).max() < 1e-8

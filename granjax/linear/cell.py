@@ -37,11 +37,11 @@ class UnitCell(eqx.Module):
     A wave is u_j(R) = M_j^{-1/2} q_j exp(i k . R - i omega t), with R the (whole) number of the cell and k the phase
     advance per cell, one per axis of the lattice, and omega^2 q = D(k) q with D(k) = sum_R coupling_R exp(i k . R),
     coupling_R = M^{-1/2} K_R M^{-1/2}. Forces -C v that turn velocities add -i omega G(k) q to the right, with
-    G(k) = sum_R turning_R exp(i k . R) of the antisymmetric part of C.
+    G(k) = sum_R turning_R exp(i k . R) of the antisymmetric part of C; the symmetric part damps, and is left out.
 
     **Fields:** `cell`: sites of the cell along each axis. `shells`: the R of the neighbours, R = 0 among them.
     `coupling`: (shells, P, P) [1/s^2]. `mass`: (P,), with P = sites of the cell times fields times dimension.
-    `turning`: (shells, P, P) [1/s], `None` where no force turns velocities.
+    `damping`: M^{-1/2} C_R M^{-1/2}, (shells, P, P) [1/s], `None` where no force turns velocities.
     """
 
     coupling: jax.Array
@@ -50,8 +50,16 @@ class UnitCell(eqx.Module):
     shells: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     fields: tuple[str, ...] | None = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
-    turning: jax.Array | None = None
+    damping: jax.Array | None = None
     __repr__ = told
+
+    @property
+    def turning(self) -> Numbers | None:
+        """The antisymmetric part of the damping, (shells, P, P) [1/s], or `None`."""
+        if self.damping is None:
+            return None
+        back = np.array([self.shells.index(tuple(-n for n in R)) for R in self.shells])
+        return (self.damping - self.damping[back].swapaxes(1, 2)) / 2
 
     def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
@@ -171,11 +179,17 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
 
 def turning_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """As `unit_cell`, with the forces that turn velocities."""
-    return _one_cell(at_rest(lattice, turning=True), cell)
+    still = at_rest(lattice, turning=True)
+    return _one_cell(still, cell, bool(turning_terms(still)))
 
 
-def _one_cell(lattice, cell):
-    found = blocks_of(lattice, damped=bool(turning_terms(lattice)))
+def damped_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
+    """As `unit_cell`, with all forces that read velocities."""
+    return _one_cell(at_rest(lattice, turning=True), cell, damped=True)
+
+
+def _one_cell(lattice, cell, damped=False):
+    found = blocks_of(lattice, damped=damped)
     one = cut_out(lattice, found, given_cell(cell, grid(lattice)), found.rings)
     coupling = concrete(jax.lax.stop_gradient(one.coupling))
     if coupling is not None and one_way(coupling, one.shells):
@@ -230,19 +244,14 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
 def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) -> UnitCell:
     """The cell of a lattice, of `given` numbers of sites, where they are `None` of the least."""
     cell, chosen = periods(found, rings, given)
-    reach, mass, turns = found.reach, found.mass, len(found.size) > 1
+    reach, mass, damped = found.reach, found.mass, len(found.size) > 1
     if traced(lattice):
-        shells, maps, mass = assembled(lattice, cell, chosen, reach, damped=turns)
+        shells, maps, mass = assembled(lattice, cell, chosen, reach, damped=damped)
     else:
         shells, maps, mass = assemble(np, found.found, mass, cell, chosen, reach)
-    coupling, turn = jnp.asarray(maps[..., 0, 0]), None
-    if turns:
-        C = maps[..., 1, 0]
-        back = np.array([shells.index(tuple(-n for n in R)) for R in shells])
-        # what is symmetric damps, and is left out
-        turn = jnp.asarray((C - C[back].swapaxes(1, 2)) / 2)
+    coupling, *damping = (jnp.asarray(maps[..., i, 0]) for i in range(maps.shape[-2]))
     space = lattice.fields, lattice.dimension
-    return UnitCell(coupling, jnp.asarray(mass), cell, shells, *space, turn)
+    return UnitCell(coupling, jnp.asarray(mass), cell, shells, *space, *damping)
 
 
 def given_cell(cell: Cell, sites: tuple) -> tuple:

@@ -1,5 +1,6 @@
 """Waves of a given frequency: the wave numbers, real and complex, that a lattice carries them with."""
 
+import equinox as eqx
 import numpy as np
 from scipy.linalg import eig
 
@@ -7,7 +8,9 @@ from ..checks import parameter, refuse
 from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
-from .cell import unit_cell
+from .cell import damped_cell, unit_cell
+from .losses import without_memory
+from .stiffness import at_rest
 
 # |z| of roots beyond which exp(ik) is no wave but a block that is zero; what counts as |z| = 1
 LARGEST, REAL = 1e8, 1e-7
@@ -55,8 +58,9 @@ def complex_bands(
     r"""Wave numbers of given frequencies along one axis: all roots k of det(D(k) - omega^2) = 0, real and complex.
 
     With z = exp(ik) a polynomial eigenvalue problem, sum_R coupling_R z^R q = omega^2 q, of degree twice the reach.
-    A chain of equal beads has one pair, cos k = 1 - m omega^2/(2 K2): above its band k = pi + i kappa. Damping is left
-    out: what is complex here is so without it.
+    A chain of equal beads has one pair, cos k = 1 - m omega^2/(2 K2): above its band k = pi + i kappa. Here damping
+    counts: the coupling of a frequency is K - i omega C + sum c (-i omega)^a, with C = -d force/dv, gyroscopic or not,
+    and the c and a of each `CaputoDamping`. So every wave of a damped lattice decays.
 
     **Arguments:** `lattice`: one `Lattice`; `omega` (W,) [rad/s]; `axis`: along which; `across`: the phase along the
     other axis of a plane, one number; `cell`: as in `unit_cell`. **Returns:** `ComplexBands`. **Raises** ValueError for
@@ -70,7 +74,7 @@ def complex_bands(
     >>> print(found.k[0].round(4))
     [3.1416+1.317j 3.1416-1.317j]
     """
-    found = unit_cell(lattice, cell)
+    found, losses = _with_losses(lattice, cell)
     axes = len(found.cell)
     # roots are sorted by their values, so that nothing here is traced
     w = np.atleast_1d(np.asarray(parameter("omega", omega), float))
@@ -84,16 +88,43 @@ def complex_bands(
     reach = int(np.abs(R[:, axis]).max())
     if reach == 0:
         refuse("axis", "an axis along which sites are bound", f"{axis}")
-    blocks = np.zeros((2 * reach + 1, *coupling.shape[1:]), complex)
-    np.add.at(blocks, R[:, axis] + reach, phase[:, None, None] * coupling)
+
+    def blocks(omega):
+        at = np.zeros((2 * reach + 1, *coupling.shape[1:]), complex)
+        lossy = sum(((-1j * omega) ** order * C for order, C in losses), coupling)
+        np.add.at(at, R[:, axis] + reach, phase[:, None, None] * lossy)
+        return at
+
     scale = np.abs(coupling).max()
-    waves = [_waves(blocks, x * x, scale) for x in w]
+    waves = [_waves(blocks(x), x * x, scale) for x in w]
     shape = len(w), max(len(z) for z, _ in waves)
     k, residual = np.full(shape, np.nan + 0j), np.full(shape, np.nan)
     for i, (z, left) in enumerate(waves):
         k[i, : len(z)] = -1j * np.log(z)
         residual[i, : len(z)] = left
     return ComplexBands(w, k, residual, given, int(axis), found.cell, **lattice.origin)
+
+
+def _with_losses(lattice, cell):
+    """The cell with all that damps it, and [(order, C_R)] over its masses: -C D^order u, order 1 the damping."""
+    plain, past = without_memory(lattice)
+    plain = at_rest(plain, turning=True)
+    every = [(np.ones(()), plain)] if plain.reads_velocity else []
+    every += [(order, at_rest(one)) for order, one in past]
+    if not every:
+        return unit_cell(plain, cell), []
+    # the period is that of all of them together
+    together = eqx.tree_at(
+        lambda x: x.terms, plain, (*plain.terms, *(one.terms[-1] for _, one in past))
+    )
+    found = damped_cell(together, cell)
+    losses = []
+    for order, one in every:
+        own = damped_cell(one, found.cell)
+        C = dict(zip(own.shells, np.asarray(own.damping)))
+        none = np.zeros_like(found.coupling[0])
+        losses.append((float(order), np.stack([C.get(R, none) for R in found.shells])))
+    return found, losses
 
 
 def _waves(blocks, squared, scale):

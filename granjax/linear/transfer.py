@@ -6,10 +6,11 @@ import numpy as np
 
 from ..checks import concrete, described, positive, refuse, show
 from ..lattice import Lattice, spread_mass
-from ..programs import compiled
+from ..programs import compiled, concretely
 from ..results import Result, array
 from ..types import Flags, Number, Parameter
-from .stiffness import at_rest, blocks
+from .losses import without_memory
+from .stiffness import at_rest, blocks, components, grid, stand_in
 
 # the number of pieces in which the growth along a chain is counted, and of those before them that forget its beginning
 PIECES, FORGOTTEN = 36, 4
@@ -67,7 +68,9 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
 
         f_{n+1} = f_n + (m_n omega^2 - s_n) u_n,    u_{n+1} = u_n - f_{n+1}/k_{n+1},
 
-    norms being taken out at each site. Lanes are realisations:
+    norms being taken out at each site. What hangs on a site (resonators: further fields, which no bond joins to the
+    next site) adds to s_n what it takes at that frequency, and `CaputoDamping` of order a adds c (-i omega)^a. Lanes
+    are realisations:
 
         import jax, jax.numpy as jnp
         chains = jax.vmap(lambda n: gx.scenes.disordered(5000, 0.2, n, law=gx.Linear), out_axes=-1)(jnp.arange(64))
@@ -81,9 +84,10 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     wave began. In a gap, and for omega above the band, gamma is the decay of what does not travel; with damping that of
     a wave which is driven at one end, whether disorder or damping stops it.
     Differentiable in omega and every parameter. Cost: 10 to 40 ns per site, chain and frequency.
-    **Raises** ValueError for fewer than four sites, more than one field or dimension, bonds that reach further (use
-    the participation of `normal_modes` there), bonds without stiffness at rest (a sonic vacuum has no linear waves),
-    forces that are not alike at both sites of a bond (gyroscopic, one-way), that remember, or change in time.
+    **Raises** ValueError for fewer than four sites, vectors, bonds between several fields of next sites, bonds that
+    reach further (use the participation of `normal_modes` there), bonds without stiffness at rest (a sonic vacuum has
+    no linear waves), forces that are not alike at both sites of a bond (gyroscopic, one-way), that have internal
+    variables, or change in time.
     Source: Ishii, Prog. Theor. Phys. Suppl. 53, 77 (1973); closed form: `gx.theory.localisation.lyapunov_exponent`.
 
     **Example:**
@@ -95,13 +99,16 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     (0.005, True)
     """
     omega = positive("omega", omega, "It is an angular frequency.")
+    lattice, past = without_memory(lattice)
     lattice = at_rest(lattice, lanes=True)
-    if lattice.fields or lattice.dimension is not None or lattice.axes != 1:
+    if lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "a chain of scalar displacements", described(lattice.sites), _MODES)
-    sites = int(lattice.shape[0])
+    (sites,) = grid(lattice)
     if sites < 4:
         refuse("lattice", "at least four sites", f"{sites}", "The walls' sites are left out.")
-    gamma, error, *checks = _growth(lattice, omega.reshape(-1), lattice.reads_velocity)
+    past = [(order, at_rest(one, lanes=True)) for order, one in past]
+    how = _joined(lattice), lattice.reads_velocity
+    gamma, error, *checks = _growth(lattice, past, omega.reshape(-1), *how)
     further, uneven, least = (concrete(jax.lax.stop_gradient(x)) for x in checks)
     tolerance = LOOSE * np.finfo(lattice.dtype).eps
     if further is not None and further > tolerance:
@@ -129,36 +136,65 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
 _MODES = "gx.measures.participation of normal modes tells how far such waves reach."
 
 
+def _joined(lattice):
+    """The number of the field that bonds join to the next site."""
+    if components(lattice) == 1:
+        return 0
+    found = np.asarray(concretely(_blocks, stand_in(lattice)[0], False)[0])
+    beside = np.abs(found[:, ::2]).max((0, 1, *range(4, found.ndim)))
+    joined = np.flatnonzero(beside.any(0) | beside.any(1))
+    if len(joined) != 1:
+        refuse("lattice", "bonds that join one field to the next site", f"{len(joined)}", _MODES)
+    return int(joined[0])
+
+
 @compiled
-def _growth(lattice, omega, damped):
+def _blocks(lattice, damped):
+    """The blocks (N, 3, F, F, maps, 1) and lanes, and what they miss."""
+    of = lambda lattice: blocks(lattice, (1,), jnp.zeros(1, lattice.dtype), damped)[::2]
+    for _ in lattice.lanes:
+        of = jax.vmap(of, -1, -1)
+    return of(lattice)
+
+
+@compiled
+def _growth(lattice, past, omega, joined, damped):
     """gamma and its standard error (W,); what the checks of the caller read.
 
     What three diagonals miss, how far they are from symmetric, both over the largest entry; the least |k_n|.
     """
-    springs, further, uneven, scale = _springs(lattice, damped)
-    tied, k = springs[0]
-    mass = spread_mass(lattice)[1:-1].reshape(tied.shape)
-    rows = [mass, *(x for pair in springs for x in pair)]
-    count, lanes = mass.shape
+    fields = [joined, *(i for i in range(components(lattice)) if i != joined)]
+    (tied, k), further, uneven, scale = _springs(lattice, fields, damped)
+    masses = jax.tree.leaves(spread_mass(lattice))
+    mass = jnp.stack([masses[i][1:-1].reshape(len(k), -1) for i in fields], 1)
+    memory = [_springs(one, fields, True)[0][0][:, :, :, 1] for _, one in past]
+    count, lanes = k.shape[0], k.shape[-1]
     pieces = min(PIECES, count)
     forgotten, length = pieces * FORGOTTEN // PIECES, count // pieces
     begin = count - pieces * length
 
     def cut(x):
-        return x[begin:].reshape(pieces, length, 1, lanes)
+        return x[begin:].reshape(pieces, length, *x.shape[1:-1], 1, lanes)
 
     omega = omega[:, None]
-    impedance = omega * jnp.sqrt(mass.mean() * k.mean())
+    slow = [(-1j * omega) ** jnp.ravel(order) for order, _ in past]
+    impedance = omega * jnp.sqrt(mass[:, 0].mean() * k[:, 0].mean())
     phase = np.pi * (np.arange(lanes) + 0.5) / lanes
     start = jnp.cos(phase) + 0 * impedance, jnp.sin(phase) * impedance
-    start = tuple(x + 0j for x in start) if damped else start
+    start = tuple(x + 0j for x in start) if damped or past else start
+
+    def lossy(springs):
+        return springs[0] - 1j * omega * springs[1] if damped else springs[0]
 
     def site(carry, row):
-        (u, f, grown), (m, s, k, *lossy) = carry, row
-        if damped:
-            s, k = (own - 1j * omega * loss for own, loss in zip((s, k), lossy))
-        f = f + (m * omega**2 - s) * u
-        u = u - f / k
+        (u, f, grown), (m, s, k, memory) = carry, row
+        # what holds and moves the fields of the site, of which all but the first are hung on it
+        Z = lossy(jnp.moveaxis(s, 2, 0)) + sum(a * c for a, c in zip(slow, memory))
+        Z = Z - omega**2 * m[:, None] * np.eye(len(fields))[..., None, None]
+        for last in range(len(fields) - 1, 0, -1):
+            Z = Z[:last, :last] - Z[:last, last:] * Z[last:, :last] / Z[last, last]
+        f = f - Z[0, 0] * u
+        u = u - f / lossy(k)
         size = jnp.sqrt(_squared(u) + _squared(f / impedance))
         return (u / size, f / size, grown + jnp.log(size)), None
 
@@ -166,30 +202,29 @@ def _growth(lattice, omega, damped):
         u, f, grown = jax.lax.scan(site, (*carry, 0 * carry[0].real), rows)[0]
         return (u, f), grown / length
 
-    rates = jax.lax.scan(piece, start, tuple(map(cut, rows)))[1][forgotten:]
+    rows = jax.tree.map(cut, (mass, tied, k, memory))
+    rates = jax.lax.scan(piece, start, rows)[1][forgotten:]
     rates = rates.mean(0) if lanes >= ENOUGH else jnp.moveaxis(rates, 1, 0).reshape(len(omega), -1)
     error = rates.std(-1, ddof=1) / np.sqrt(rates.shape[-1])
-    return rates.mean(-1), error, further, uneven, jnp.abs(k).min() / scale
+    return rates.mean(-1), error, further, uneven, jnp.abs(k[:, 0]).min() / scale
 
 
 def _squared(x):
     return x.real**2 + x.imag**2 if jnp.iscomplexobj(x) else x * x
 
 
-def _springs(lattice, damped):
-    """The springs and dashpots of a chain that join next neighbours.
+def _springs(lattice, fields, damped):
+    """The springs and dashpots of a chain that join next neighbours, without its ends; fields in an order.
 
-    [(what ties a site to its place, what joins it to the right), each (N - 2, lanes), without the ends]; what three
-    diagonals miss and how far they are from symmetric, over the largest entry; that entry of the springs.
+    (What ties a site (N - 2, F, F, maps, lanes), what joins the first field to the right (N - 2, maps, lanes)); what
+    three diagonals miss and how far they are from symmetric, over the largest entry; that entry of the springs.
     """
-    of = lambda lattice: blocks(lattice, (1,), jnp.zeros(1, lattice.dtype), damped)
-    for _ in lattice.lanes:
-        of = jax.vmap(of, -1, -1)
-    found, _, further, _ = of(lattice)
-    rows = found[1:-1].reshape(lattice.shape[0] - 2, 3, 1 + damped, -1)
+    found, further = _blocks(lattice, damped)
+    maps = 1 + damped
+    rows = found[1:-1, :, np.array(fields)][:, :, :, np.array(fields)]
+    rows = rows.reshape(*rows.shape[:4], maps, -1)
     left, own, right = jnp.moveaxis(rows, 1, 0)
-    scale = jnp.maximum(jnp.abs(own).max((0, 2)), jnp.abs(right).max((0, 2)))
+    scale = jnp.maximum(jnp.abs(own).max((0, 1, 2, 4)), jnp.abs(right).max((0, 1, 2, 4)))
     scale = jnp.where(scale > 0, scale, 1)
-    uneven = jnp.abs(left[1:] - right[:-1]).max((0, 2)) / scale
-    pairs = zip(*(jnp.moveaxis(x, 1, 0) for x in (left + own + right, -right)))
-    return [*pairs], further.max(), uneven.max(), scale[0]
+    uneven = jnp.abs(left[1:] - right[:-1]).max((0, 1, 2, 4)) / scale
+    return (left + own + right, -right[:, 0, 0]), further.max(), uneven.max(), scale[0]
