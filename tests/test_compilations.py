@@ -219,6 +219,8 @@ DRAWN = {
     "Floquet": (gx.plots.floquet_circle,),
     "Dispersion": (gx.plots.dispersion,),
     "ZoneMap": (gx.plots.zone,),
+    "DensityOfStates": (gx.plots.density_of_states,),
+    "ComplexBands": (gx.plots.complex_bands,),
     "PathBands": (gx.plots.bands,),
     "FloquetBands": (gx.plots.floquet_bands,),
 }

@@ -63,7 +63,8 @@ def complex_bands(
     and the c and a of each `CaputoDamping`. So every wave of a damped lattice decays.
 
     **Arguments:** `lattice`: one `Lattice`; `omega` (W,) [rad/s]; `axis`: along which; `across`: the phase along the
-    other axis of a plane, one number; `cell`: as in `unit_cell`. **Returns:** `ComplexBands`. **Raises** ValueError for
+    other axis of a plane, one number; `cell`: as in `unit_cell`. **Returns:** `ComplexBands`, for
+    `gx.plots.complex_bands`. **Raises** ValueError for
     a sonic vacuum, traced frequencies, and where `unit_cell` does. No derivative is taken; d k/d omega is one over the
     group velocity of `dispersion`.
 

@@ -186,8 +186,8 @@ def density_of_states(
     below a frequency is exact for it.
 
     **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis of the zone, even,
-    `None` for 512 of a chain and 96 of a plane. **Returns:** `DensityOfStates`; a picture is
-    `plt.plot(found.omega, found.density)`. **Raises** ValueError for a lattice with three axes, and where
+    `None` for 512 of a chain and 96 of a plane. **Returns:** `DensityOfStates`, for
+    `gx.plots.density_of_states`. **Raises** ValueError for a lattice with three axes, and where
     `unit_cell` does.
 
     **Example:**

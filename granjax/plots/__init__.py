@@ -20,7 +20,15 @@ from .shocks import modulation, shock
 from .style import COLOURS, drawn, figure, save, style
 from .sweeps import sweep
 from .travelling import wave
-from .waves import bands, dispersion, floquet_bands, transmission, zone
+from .waves import (
+    bands,
+    complex_bands,
+    density_of_states,
+    dispersion,
+    floquet_bands,
+    transmission,
+    zone,
+)
 
 __all__ = [
     "COLOURS",
@@ -28,7 +36,9 @@ __all__ = [
     "beads",
     "branch",
     "breather",
+    "complex_bands",
     "corner",
+    "density_of_states",
     "diagram",
     "dispersion",
     "drawn",

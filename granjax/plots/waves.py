@@ -251,6 +251,51 @@ def zone(
     return ax
 
 
+def density_of_states(record: Any, ax: AxesOrNone = None) -> Axes:
+    """Draw a density of states over the frequency, with a band of its error.
+
+    **Arguments:** `record`: anything with `omega`, `density` and `error` (W,), such as the result of
+    `gx.linear.density_of_states`. **Returns:** the Axes; `ax.lines[0]` is the density.
+    """
+    units = units_of(record)
+    x, y = (
+        shown(OMEGA, record.omega, "rad/s", units),
+        shown("density of states", record.density, "s", units),
+    )
+    omega, density, error = x(record.omega), y(record.density), y(record.error)
+    ax = axes_or_new(ax, 5.0, 3.4)
+    ax.step(omega, density, where="mid", color=COLOURS[0])
+    ax.fill_between(omega, density - error, density + error, step="mid", color=FAINT, lw=0)
+    ax.set(xlabel=x.label, ylabel=y.label, xlim=(omega.min(), omega.max()))
+    ax.set_ylim(0, None)
+    return ax
+
+
+def complex_bands(record: Any, ax: AxesOrNone = None) -> Axes:
+    """Draw complex wave numbers of given frequencies: Re k to the right of zero, -Im k to the left.
+
+    **Arguments:** `record`: anything with `omega` (W,) and `k` (W, waves), such as the result of
+    `gx.linear.complex_bands`; of each pair of waves the one that decays to the right is drawn. **Returns:** the Axes;
+    `ax.collections` are the real and the imaginary parts.
+    """
+    by = shown(OMEGA, record.omega, "rad/s", units_of(record))
+    k = np.asarray(record.k)
+    omega = np.broadcast_to(by(record.omega)[:, None], k.shape)
+    right = k.imag >= 0
+    ax = axes_or_new(ax, 5.0, 4.0)
+    look = {"s": 4, "linewidths": 0}
+    for part, tone, name in (
+        (np.abs(k.real), COLOURS[0], "Re $k$"),
+        (-k.imag, COLOURS[1], "-Im $k$"),
+    ):
+        ax.scatter(part[right], omega[right], color=tone, label=name, **look)
+    ax.axvline(0, color=FAINT, lw=0.8, zorder=0)
+    ax.set(xlabel="wave number $k$ (rad/cell)", ylabel=by.label)
+    _from_zero(ax, omega, 1.05)
+    add_legend(ax)
+    return ax
+
+
 def transmission(
     mass_ratio: Parameter,
     transmission: Samples,
