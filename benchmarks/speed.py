@@ -155,7 +155,7 @@ def main():
         "--only", nargs="*", choices=list(CASES), help="these cases alone, printed and not written"
     )
     parser.add_argument("--out", type=Path, help="folder for speed.json and speed.png")
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--verbose", action="store_true", help="tracebacks of cases that fail")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     options = parser.parse_args()
