@@ -107,6 +107,8 @@ Measurements and design
     fit                 parameters from traces, with errors
     Fit                 what it returns
     Traces              what was measured, from arrays and files
+    information         what planned traces would determine; the best sensors
+    Information         what it returns
     identify            sparse regression on lattice terms
     design              parameters that minimise an objective
     Design              what it returns
@@ -135,7 +137,7 @@ _tuning.prepare_import()
 
 from . import laws, solvers, strains, terms  # noqa: E402
 from .design import Design, design, smooth_peak  # noqa: E402
-from .fit import Fit, Traces, fit  # noqa: E402
+from .fit import Fit, Information, Traces, fit, information  # noqa: E402
 from .flow import (  # noqa: E402
     Arrival,
     CaputoRun,
@@ -262,6 +264,7 @@ __all__ = [
     "Flow",
     "Harmonic",
     "Hertz",
+    "Information",
     "Integral",
     "KahanLi8",
     "Langevin",
@@ -316,6 +319,7 @@ __all__ = [
     "equilibrium",
     "explore",
     "fit",
+    "information",
     "laws",
     "simulate",
     "smooth_peak",

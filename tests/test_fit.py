@@ -1,5 +1,7 @@
 """`fit`: parameters from traces that SciPy made, their errors, what is not determined, what is refused."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -632,3 +634,110 @@ def test_a_law_of_free_shape_is_found_from_traces():
     true = np.maximum(1 + e, 0) ** 1.5 - 1
     assert np.abs(law(found.parameters).force(e) - true).max() < 0.01 * np.abs(true).max()
     assert abs(found.reduced_chi_square - 1) < 0.1
+
+
+def struck_dimer(p):
+    return gx.scenes.dimer(12, ratio=0.5, stiffness=p["stiffness"])
+
+
+def test_a_fit_through_adaptive_runs():
+    """Of a struck sonic vacuum: the truth within its deviations, which are those of a short fixed step."""
+    times = np.linspace(0.5, 20.0, 79)
+    start = lambda p, chain: gx.states.impact(chain, velocity=p["velocity"])
+    truth = {"stiffness": 1.3, "velocity": 0.8}
+    chain = struck_dimer(truth)
+    v = gx.simulate(chain, start(truth, chain), 20.0, save_at=times, tolerance=1e-11).vs
+    noise = 1e-3 * np.random.default_rng(0).normal(size=(79, 2))
+    traces = gx.Traces(times, velocity=v[:, [3, 7]] + noise, sites=[3, 7], sigma=1e-3)
+    guess = {"stiffness": 1.0, "velocity": 0.75}
+    found = gx.fit(struck_dimer, guess, traces, state=start, run_tolerance=1e-8)
+    for name, value in truth.items():
+        assert abs(found.parameters[name] - value) < 4 * found.deviations[name]
+    assert found.step_error < 1e-2 and "adaptive, tolerance 1e-08" in repr(found)
+    plain = gx.fit(struck_dimer, guess, traces, state=start, step=0.02)
+    np.testing.assert_allclose(found.covariance, plain.covariance, rtol=1e-2)
+    for options in ({"windows": 2}, {"method": "gradient"}, {"step": 0.1}):
+        with refused("run_tolerance"):
+            gx.fit(struck_dimer, guess, traces, state=start, run_tolerance=1e-8, **options)
+
+
+def test_a_fit_in_the_plane():
+    """Of a struck packing, with sensors that see one component each."""
+    scene = lambda p: gx.scenes.triangular(4, 5, stiffness=p["stiffness"], precompression=p["load"])
+    truth = {"stiffness": 1.2, "load": 0.4}
+    lattice, times = scene(truth), np.linspace(0.2, 12.0, 60)
+    state = gx.State(lattice.zeros(), lattice.zeros().at[1, 2].set(jnp.array([0.1, 0.05])))
+    v = np.asarray(gx.simulate(lattice, state, 12.0, save_at=times, step=0.05).vs)
+    rng = np.random.default_rng(0)
+    traces = [
+        gx.Traces(
+            times,
+            velocity=v[:, 2, 3, i] + 3e-4 * rng.normal(size=60),
+            sites=[(2, 3)],
+            component=i,
+            sigma=3e-4,
+        )
+        for i in (0, 1)
+    ]
+    found = gx.fit(scene, {"stiffness": 1.0, "load": 0.5}, traces, state=state, step=0.1)
+    for name, value in truth.items():
+        assert abs(found.parameters[name] - value) < 4 * found.deviations[name]
+
+
+def planned(p, frequency=None):
+    drive = () if frequency is None else (gx.Drive(lambda t: 0.01 * jnp.sin(frequency * t), 0),)
+    bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(p["stiffness"], p["load"]))
+    return gx.Lattice(1.0, (bond, gx.Damping(p["rate"]), *drive), sites=7)
+
+
+PLANNED = {"stiffness": 1.0, "load": 0.5, "rate": 0.05}
+EVERYWHERE = gx.Traces(
+    np.linspace(0, 20, 101), velocity=np.zeros((101, 7)), sites=range(7), sigma=1e-3
+)
+
+
+def test_information_is_that_of_the_fit_and_its_best_sensors_are_the_best_of_all():
+    struck = lambda p, chain: gx.states.impact(chain, velocity=0.1)
+    found = gx.information(planned, PLANNED, EVERYWHERE, state=struck, step=0.1)
+    chain = planned(PLANNED)
+    v = gx.simulate(chain, struck(None, chain), 20.0, step=0.1, save_at=EVERYWHERE.times).vs
+    traces = gx.Traces(EVERYWHERE.times, velocity=v, sites=range(7), sigma=1e-3)
+    fitted = gx.fit(planned, PLANNED, traces, state=struck, step=0.1)
+    order = [found.names.index(name) for name in fitted.names]
+    np.testing.assert_allclose(
+        np.asarray(found.covariance)[np.ix_(order, order)], fitted.covariance, rtol=1e-6
+    )
+    size = np.asarray(found.values)
+    each = np.asarray(found.matrix) * size[:, None] * size
+    for count in (1, 2, 3):
+        worth = {
+            some: np.linalg.slogdet(each[list(some)].sum(0))[1]
+            for some in itertools.combinations(range(7), count)
+        }
+        best = found.best(count)
+        assert worth[best.places] == max(worth.values())
+        assert float(best.log_det) == pytest.approx(max(worth.values()), rel=1e-10)
+    assert found.best(7).places == tuple(range(7)) and found.best(2).determined
+    assert "would determine stiffness = 1 +-" in found.outcome
+    with refused("at most 7"):
+        found.best(8)
+    one = gx.Traces(EVERYWHERE.times, velocity=np.zeros(101), sites=3, sigma=1e-3)
+    still = gx.information(planned, PLANNED, one, state=gx.states.rest(chain), step=0.1)
+    assert not still.determined and "do not determine" in still.outcome
+
+
+def test_a_drive_is_designed_for_the_information_that_it_brings():
+    chain = planned(PLANNED, 1.0)
+
+    def worth(p):
+        scene = lambda q: planned(q, p["frequency"])
+        rest = gx.states.rest(chain)
+        found = gx.information(scene, PLANNED, EVERYWHERE, state=rest, step=0.2)
+        return found.log_det
+
+    bounds = {"frequency": (0.4, 1.2)}
+    found = gx.design(worth, {"frequency": 0.8}, bounds=bounds, maximise=True, max_steps=20)
+    ends = [float(worth({"frequency": x})) for x in (0.8 - 1e-4, 0.8 + 1e-4)]
+    slope = jax.grad(lambda x: worth({"frequency": x}))(0.8)
+    assert_allclose(slope, np.diff(ends)[0] / 2e-4, rtol=1e-5)
+    assert found.value > found.start_value + 1

@@ -79,7 +79,7 @@ def covariance(
 
 
 def sentences(
-    found: Sequence[Direction], names: Sequence[str], quantities: list[tuple]
+    found: Sequence[Direction], names: Sequence[str], quantities: Sequence[tuple]
 ) -> tuple[str, ...]:
     """What is not determined, named by its parameters, and what is known instead; empty where all is well."""
     loose = [direction for direction in found if not direction.deviation <= LOOSE]

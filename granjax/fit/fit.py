@@ -42,6 +42,7 @@ def fit(
     t0: Scalar = 0.0,
     step: Scalar | None = None,
     solver: AbstractSolver | None = None,
+    run_tolerance: Scalar | None = None,
     windows: Count = 1,
     method: str = "least squares",
     optimiser: object = None,
@@ -66,6 +67,8 @@ def fit(
     - `bounds`: dict from name to (low, high), `None` for no bound, kept by a transformation: (0, None) for a stiffness.
     - `t0`: when the scene starts. `step`, `solver`: as in `simulate`; `None` takes SRKN11b, or Dopri8 where a force
       reads velocities, at h omega_max = 1/2.
+    - `run_tolerance`: that of adaptive runs (`tolerance` of `simulate`) in place of a fixed step, by least squares in
+      one window: for scenes that are stiff for a part of the time, such as impacts.
     - `method`: `"least squares"`, or `"gradient"` for more than some hundred parameters: descent by `optimiser` (of
       optax; `None` is L-BFGS). Its derivatives are taken by `Reversible` where integrating back returns to the start
       to 1e-8, else from checkpoints; `return_error` and `adjoint` of the result say which.
@@ -92,11 +95,12 @@ def fit(
     1.2
     """
     tolerance = checked_tolerance("tolerance", tolerance, MOST)
-    problem = prepared(
-        scene, start, traces, state=state, bounds=bounds, t0=t0, step=step, solver=solver
-    )
-    if one_of("method", method, METHODS) == METHODS[1] and windows > 1:
-        refuse("method", f"{METHODS[0]!r} with windows", repr(method))
+    options = dict(state=state, bounds=bounds, t0=t0, step=step, solver=solver)
+    problem = prepared(scene, start, traces, **options, run_tolerance=run_tolerance)
+    if one_of("method", method, METHODS) == METHODS[1] and (windows > 1 or run_tolerance):
+        refuse("method", f"{METHODS[0]!r} with windows or run_tolerance", repr(method))
+    if windows > 1 and run_tolerance:
+        refuse("windows", "1 with run_tolerance", f"{windows}")
     count = problem.coordinates.size
     x0 = np.zeros((starts, count))
     x0[1:] = np.random.default_rng(seed).normal(size=x0[1:].shape) * spread
@@ -115,7 +119,8 @@ def fit(
         reached = reached or tuple(2 * float(cost) for cost in costs)
         x0 = best.x[None]
         parameters = problem.coordinates.parameters(jnp.asarray(best.x[:count], problem.dtype))
-        wanted = problem.step if step is not None else problem.pace(parameters)[1]
+        fixed = step is not None or run_tolerance is not None
+        wanted = problem.step if fixed else problem.pace(parameters)[1]
         shorter = float(problem.step) > TOO_LONG * float(wanted)
         later = problem.times(parameters).max() > float(problem.t1) * (1 + 1e-9)
         if shorter:

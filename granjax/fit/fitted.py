@@ -72,9 +72,12 @@ class Fit(Result):
     )
     iterations: int = array("The number of iterations of the minimiser.", static=True)
     code: int = hidden("How the minimiser ended.", static=True)
-    step: float = array("The time step.", static=True)
+    step: float = array("The time step, of runs at a fixed one.", static=True)
+    run_tolerance: float | None = array("The tolerance of adaptive runs.", static=True)
     step_error: float = array(
-        "The change of the signals, in units of sigma, when the time step is halved.", static=True
+        "The change of the signals, in units of sigma, when the time step is halved, or the tolerance of adaptive "
+        "runs is divided by 100.",
+        static=True,
     )
     return_error: float = array("What integrating back to the start misses, relative.", static=True)
     adjoint: str = array("How the derivatives were taken.", static=True)
@@ -177,7 +180,8 @@ class Fit(Result):
             said.append(f"At its bound, and beyond it if it could: {held}.")
         if self.step_error > NOTICEABLE:
             said.append(
-                f"The time step moves the signals by up to {self.step_error:.2g} sigma: give a shorter step=."
+                f"The time step moves the signals by up to {self.step_error:.2g} sigma: give a shorter step="
+                " or a smaller run_tolerance=."
             )
         if self.residue and not said:
             said.append(
@@ -198,7 +202,9 @@ class Fit(Result):
         for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"
-        yield "step", f"{self.step:.4g}, error {self.step_error:.1e} sigma"
+        step, tolerance = f"{self.step:.4g}", self.run_tolerance
+        taken = step if tolerance is None else f"adaptive, tolerance {tolerance:.2g}"
+        yield "step", f"{taken}, error {self.step_error:.1e} sigma"
         yield "outcome", self.outcome
 
     def _fields(self) -> Iterator[tuple[str, object, Held]]:

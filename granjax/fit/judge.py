@@ -75,8 +75,8 @@ def judged(
         known_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(known_directions, sizes)
         stiffnesses = tuple(quantities(problem, parameters, flat, sizes))
-        halved = linearised(problem.with_step(float(problem.step) / 2), x)[0]
-        step_error = float(np.max(np.abs(np.asarray(halved) - value))) / noise
+        finer = linearised(problem.finer(), x)[0]
+        step_error = float(np.max(np.abs(np.asarray(finer) - value))) / noise
         one, after = (
             np.concatenate([r[part].ravel() for r in residuals]) for part in AFTER_AND_BEFORE
         )
@@ -108,6 +108,7 @@ def judged(
         iterations=int(found.iterations),
         code=code,
         step=float(problem.step),
+        run_tolerance=None if problem.run_tolerance is None else float(problem.run_tolerance),
         step_error=step_error,
         return_error=way_back(problem, parameters),
         adjoint=adjoint,

@@ -13,13 +13,13 @@ from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse
 from ..flow import Run, frequency_bound, simulate
-from ..flow.method import STEP_FRACTION, checked_state, facts
+from ..flow.method import STEP_FRACTION, checked_state, checked_tolerance, facts, least_tolerance
 from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..parameters import Bounds, Coordinates
 from ..printing import told
-from ..programs import compiled
-from ..solvers import SRKN11b
+from ..programs import compiled, is_untraced
+from ..solvers import RKN86, SRKN11b
 from ..types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
 from ..units import SI
 from .traces import Traces, checked_shape, checked_traces, number
@@ -51,6 +51,7 @@ class Problem(eqx.Module):
     t1: Float[AnyArray, ""]
     step: Float[AnyArray, ""]
     solver: diffrax.AbstractSolver
+    run_tolerance: Float[AnyArray, ""] | None
     __repr__ = told
 
     @property
@@ -73,6 +74,13 @@ class Problem(eqx.Module):
             return self.given_state
         return as_state(self.make_state(parameters, lattice), lattice.dtype)
 
+    def finer(self) -> "Problem":
+        """The same by half the step, or a hundredth of the tolerance: its signals differ by their error."""
+        if self.run_tolerance is None:
+            return self.with_step(float(self.step) / 2)
+        finer = max(float(self.run_tolerance) / 100, least_tolerance(self.dtype))
+        return eqx.tree_at(lambda p: p.run_tolerance, self, jnp.asarray(finer, self.dtype))
+
     def with_step(self, step: Scalar) -> "Problem":
         """The same at another time step."""
         return eqx.tree_at(lambda p: p.step, self, jnp.asarray(step, self.dtype))
@@ -81,7 +89,7 @@ class Problem(eqx.Module):
         self,
         parameters: dict[str, Numbers],
         times: Float[AnyArray, " T"] | None = None,
-        adjoint: eqx.Module = diffrax.ForwardMode(),
+        adjoint: eqx.Module | None = diffrax.ForwardMode(),
         max_steps: int | None = None,
         state: State | None = None,
     ) -> Run:
@@ -94,7 +102,8 @@ class Problem(eqx.Module):
             self.t1,
             t0=self.t0,
             solver=self.solver,
-            step=self.step,
+            step=self.step if self.run_tolerance is None else None,
+            tolerance=self.run_tolerance,
             save_at=times,
             adjoint=adjoint,
             max_steps=max_steps,
@@ -195,13 +204,16 @@ def prepared(
     t0: Scalar = 0.0,
     step: Scalar | None = None,
     solver: diffrax.AbstractSolver | None = None,
+    run_tolerance: Scalar | None = None,
     **others: object,
 ) -> Problem:
     """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`.
 
     `others`: options of `fit` that say how it goes on from there.
     """
-    coordinates = Coordinates(start, bounds)
+    # known numbers stay known within a program that is traced
+    with jax.ensure_compile_time_eval():
+        coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
     lattice, traces = scene(parameters), checked_traces(traces)
     if lattice.lanes:
@@ -221,10 +233,16 @@ def prepared(
     dtype = lattice.dtype
     if any(trace.data.dtype != dtype for trace in traces):
         refuse("scene", f"a lattice of {traces[0].data.dtype}, as the traces are", f"{dtype}")
+    if run_tolerance is not None:
+        if step is not None:
+            refuse("step", "None where run_tolerance is given", f"{step}")
+        run_tolerance = jnp.asarray(checked_tolerance(run_tolerance, dtype), dtype)
     if solver is None:
-        solver = SRKN11b() if facts(lattice).splits else diffrax.Dopri8()
-    t0, unknown = jnp.asarray(t0, dtype), jnp.ones((), dtype)
-    problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
+        splitting = SRKN11b() if run_tolerance is None else RKN86()
+        solver = splitting if facts(lattice).splits else diffrax.Dopri8()
+    t0, unknown = np.asarray(t0, dtype), np.ones((), dtype)
+    how = t0, unknown, unknown, solver, run_tolerance
+    problem = Problem(scene, make_state, given, coordinates, traces, *how)
     times = problem.times(parameters)
     if not problem.moving and times.min() < float(t0) - 1e-9 * np.ptp(times):
         refuse(
@@ -234,9 +252,14 @@ def prepared(
             "Give offset=, or an earlier t0.",
         )
     problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
+    if not is_untraced():
+        # what a scene closes over may be traced too
+        if step is None:
+            refuse("step", "a time step within a program that is traced", "None")
+        return problem.with_step(step)
     omega, wanted = problem.pace(parameters)
     _refuse_other_units(lattice.units, omega, float(np.ptp(times)))
-    if step is None and not np.isfinite(wanted):
+    if run_tolerance is None and step is None and not np.isfinite(wanted):
         remedy = "Nothing is stiff at this energy, so no time scale sets one: give step=."
         refuse("step", "a time step", "None", remedy)
     return problem.with_step(wanted if step is None else float(positive("step", step)))

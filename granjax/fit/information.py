@@ -1,0 +1,183 @@
+"""`information`: how well a planned measurement would determine parameters, and where its sensors belong."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from diffrax import AbstractSolver
+from jaxtyping import Float
+
+from ..checks import refuse, whole
+from ..programs import compiled
+from ..results import Result, array, note
+from ..types import AnyArray, Count, Number, Numbers, Parameter, Scalar, Scene
+from .problem import Problem, Start, prepared
+from .traces import Traces
+
+# of the largest eigenvalue: a direction of less information is not determined
+BLIND = 1e-12
+
+
+class Information(Result):
+    """The Fisher information of each sensor about parameters.
+
+    That of several is the sum, as their noise is independent.
+    """
+
+    matrix: Float[AnyArray, "S P P"] = array(
+        "The Fisher information of each sensor, about the parameters as they are.",
+        axes="sensor parameter parameter_",
+    )
+    values: Float[AnyArray, " P"] = array("The parameters.", axes="parameter")
+    names: tuple[str, ...] = array(
+        "The names of the parameters.", axes="parameter", name="parameter", static=True
+    )
+    sensors: tuple[str, ...] = array("The sensors.", axes="sensor", name="sensor", static=True)
+    places: tuple[int, ...] = note("Which of all candidates these sensors are.", static=True)
+
+    @property
+    def relative(self) -> Float[AnyArray, "P P"]:
+        """That of all sensors about relative changes of the parameters; about absolute ones where these are zero."""
+        size = jnp.where(self.values != 0, self.values, 1)
+        return self.matrix.sum(0) * size[:, None] * size
+
+    @property
+    def log_det(self) -> Number:
+        """The logarithm of the determinant of `relative`, which a D-optimal experiment makes as large as it gets.
+
+        It is differentiable by what the scene depends on: `gx.design` finds a drive that maximises it.
+        """
+        return jnp.linalg.slogdet(self.relative)[1]
+
+    @property
+    def covariance(self) -> Float[AnyArray, "P P"]:
+        """The least covariance that an unbiased estimate can have (Cramer and Rao): that of `gx.fit` of good data."""
+        return jnp.linalg.inv(self.matrix.sum(0))
+
+    @property
+    def deviations(self) -> dict[str, Number]:
+        """The least standard deviation of each parameter, by name; infinite where the sensors do not determine it."""
+        deviations = np.full(len(self.names), np.inf)
+        if self.determined:
+            deviations = np.sqrt(np.diag(np.asarray(self.covariance)))
+        return dict(zip(self.names, deviations))
+
+    @property
+    def determined(self) -> bool:
+        """Whether the sensors determine all parameters."""
+        levels = np.linalg.eigvalsh(np.asarray(self.relative))
+        return bool(levels[0] > BLIND * levels[-1])
+
+    @property
+    def outcome(self) -> str:
+        """How well the sensors determine the parameters, or that they do not."""
+        count = f"{len(self.sensors)} sensor{'s' * (len(self.sensors) > 1)}"
+        if not self.determined:
+            return f"{count} do not determine all of {', '.join(self.names)}."
+        values = np.asarray(self.values)
+        shares = [
+            f"{name} = {value:.4g} +- {deviation:.1g}"
+            for value, (name, deviation) in zip(values, self.deviations.items())
+        ]
+        return f"{count} would determine {', '.join(shares)}."
+
+    def best(self, count: Count) -> "Information":
+        """The D-optimal choice of some sensors: those whose `log_det` is the largest that was found.
+
+        One after the other is added, and then each is exchanged for one that is left out, until no exchange is better.
+        For few candidates that is mostly the best choice of all.
+
+        **Arguments:** `count`: how many. **Returns:** the `Information` of these alone, in the order of `sensors`.
+        **Raises** ValueError for more than there are. Source: Fedorov, Theory of Optimal Experiments (1972).
+        """
+        every = len(self.sensors)
+        if whole("count", count, 1) > every:
+            refuse("count", f"at most {every}, the sensors there are", f"{count}")
+        values = np.asarray(self.values)
+        size = np.where(values != 0, values, 1)
+        each = np.asarray(self.matrix) * size[:, None] * size
+        # where few sensors do not determine all, those count that bring the largest part of what all together see
+        floor = BLIND * np.trace(each.sum(0)) * np.eye(len(size))
+        worth = lambda chosen: np.linalg.slogdet(each[chosen].sum(0) + floor)[1]
+        chosen: list[int] = []
+        for _ in range(count):
+            left = [i for i in range(every) if i not in chosen]
+            chosen.append(max(left, key=lambda i: worth([*chosen, i])))
+        better = True
+        while better:
+            better = False
+            for place in range(count):
+                others = chosen[:place] + chosen[place + 1 :]
+                left = [i for i in range(every) if i not in others]
+                found = max(left, key=lambda i: worth([*others, i]))
+                if worth([*others, found]) > worth(chosen) + 1e-12 * abs(worth(chosen)):
+                    chosen[place], better = found, True
+        chosen = sorted(chosen)
+        pick = lambda x: tuple(x[i] for i in chosen)
+        return Information(
+            self.matrix[np.array(chosen)],
+            self.values,
+            self.names,
+            pick(self.sensors),
+            pick(self.places),
+        )
+
+
+def information(
+    scene: Scene,
+    parameters: dict[str, Parameter],
+    traces: Traces | list[Traces],
+    *,
+    state: Start,
+    t0: Scalar = 0.0,
+    step: Scalar | None = None,
+    solver: AbstractSolver | None = None,
+) -> Information:
+    r"""The Fisher information that planned traces would bring about the parameters of a scene.
+
+    F = sum over samples of (d signal/d theta)(d signal/d theta)^T/sigma^2, one matrix for each sensor, by derivatives
+    in forward mode through the run. Its inverse is the covariance that `gx.fit` reports where the scene is right.
+
+    **Arguments:**
+
+    - `scene`, `state`, `t0`, `step`, `solver`: as in `gx.fit`. `parameters`: where the information is asked for.
+    - `traces`: `gx.Traces` of all candidates, with their times and `sigma`. Their data are not read: zeros will do.
+
+    **Returns:** `Information`; `.best(3)` is the D-optimal choice of three sensors. Differentiable in what the scene
+    depends on, such as the frequency of a drive, with `step` given.
+    **Raises** ValueError as `gx.fit` does, and for traces without `sigma`.
+
+    **Example:**
+
+    >>> scene = lambda p: gx.scenes.monomer(6, stiffness=p["stiffness"], precompression=p["load"])
+    >>> times = np.linspace(0.0, 10.0, 51)
+    >>> everywhere = gx.Traces(times, velocity=np.zeros((51, 6)), sites=range(6), sigma=1e-3)
+    >>> struck = lambda p, chain: gx.states.impact(chain, velocity=0.1)
+    >>> found = gx.information(scene, {"stiffness": 1.0, "load": 0.5}, everywhere, state=struck)
+    >>> found.best(2).places
+    (0, 1)
+    """
+    problem = prepared(scene, parameters, traces, state=state, t0=t0, step=step, solver=solver)
+    if any(trace.sigma is None for trace in problem.traces):
+        refuse("sigma", "the noise of every sensor", "None", "Information is relative to it.")
+    values = problem.coordinates.flat(problem.coordinates.start)
+    names = tuple(problem.coordinates.names)
+    sensors = tuple(name for trace in problem.traces for name in trace.sensors)
+    matrix = _matrices(problem, jnp.asarray(values, problem.dtype))
+    return Information(matrix, values, names, sensors, tuple(range(len(sensors))))
+
+
+@compiled
+def _matrices(problem: Problem, values: Numbers) -> Numbers:
+    """F of each sensor, (S, P, P)."""
+
+    def signals(values):
+        # by the adjoint that serves both modes, for a derivative of the information
+        return problem.signals(problem.coordinates.unflat(values), adjoint=None)[0]
+
+    slopes = jax.jacfwd(signals)(values)
+    return jnp.concatenate(
+        [
+            jnp.einsum("ts,tsp,tsq->spq", trace.weights**2, slope, slope)
+            for trace, slope in zip(problem.traces, slopes)
+        ]
+    )
