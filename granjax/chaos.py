@@ -131,6 +131,7 @@ def lyapunov(
     """
     state, period, flow, start = _begun(lattice, state, period, number, steps, solver, seed)
     whole("periods", periods, WINDOWS)
+    whole("transient", transient, 0)
     end, (logs, _) = _grow(flow, lattice, state, start, period, transient + periods)
     rates = np.asarray(logs)[transient:] / period
     order = np.argsort(-rates.mean(0), kind="stable")

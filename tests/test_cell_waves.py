@@ -517,3 +517,9 @@ def test_where_nothing_is_found():
         travelling.tail_free(dimer, 0.5, 0.55, speed=1.0)
     with pytest.raises(RuntimeError, match="No wave of speed"):
         travelling.cell_wave(gx.Linear(1.0), [1.0, 0.5], speed=2.0)
+
+
+def test_masses_that_are_nearly_equal_are_refused_in_a_sentence():
+    """Newton's method comes to equal masses there, whose cell is of another size."""
+    with refused("travels without loss"):
+        gx.travelling.cell_wave(gx.Hertz(), speed=1.0, masses=[1.0, 0.999])

@@ -141,3 +141,9 @@ def test_frequencies_and_smooth_averages():
     for ask in (lambda: gx.chaos.frequency(q[:8], 0.1), lambda: gx.chaos.birkhoff(q[:8])):
         with refused("q: expected a history of at least 16 frames"):
             ask()
+
+
+def test_a_transient_is_not_negative():
+    chain = gx.scenes.fput(4)
+    with refused("transient"):
+        gx.chaos.lyapunov(chain, gx.states.rest(chain), 1.0, transient=-5)

@@ -566,3 +566,9 @@ def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
     # sites of a free edge are held by less
     loose, share, _ = near(0.2, 1.0, boundary="free")
     assert share[corners].max() < 0.85 or len(loose) != 3
+
+
+def test_a_lattice_without_a_flat_band_has_no_compact_state():
+    chain = gx.scenes.monomer(8, precompression=1.0, boundary="periodic")
+    with refused("a flat band"):
+        gx.linear.flat_bands(chain).state(chain)

@@ -50,6 +50,9 @@ class FlatBands(Result):
         **Arguments:** `lattice`: that it was found for, or a longer one of the same cell; `number`: of `omega`; `at`:
         the cell where it begins, `None` for the middle. **Raises** ValueError where it does not fit.
         """
+        count = len(self._states)
+        if not -count <= number < count:
+            refuse("number", f"one of {count} flat bands" if count else "a flat band", repr(number))
         sizes, found = grid(lattice), self._states[number]
         axes = len(self.cell)
         counts = found.shape[:axes]

@@ -246,7 +246,10 @@ def _without_tail(chain_at, low, high, p):
     for goal in dict.fromkeys([speed, 1.0]):
 
         def box_of(p, goal=goal):
-            return Box(chain_at(p).faster(goal), box.half, box.points)
+            there = chain_at(p).faster(goal)
+            if len(there.masses) != len(chain.masses):
+                raise Lost(f"Newton's method went to {p:.6g}, where the sites of the cell are equal")
+            return Box(there, box.half, box.points)
 
         solved = newton_with(box_of, row, phi, p, 0.2 * (high - low))
         if not solved.converged:
