@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from cases import ended
+from numpy.testing import assert_allclose
 from refusals import refused
 from scipy import ndimage
 from scipy.integrate import solve_ivp
@@ -1080,3 +1081,37 @@ def test_long_waves_of_the_triangular_lattice_are_isotropic():
         q = 1e-4 * np.array([np.cos(angle), np.sin(angle)])
         found = squares(crystal, vectors @ q) / 1e-8
         assert np.abs(found - [3 / 8, 9 / 8]).max() < 1e-7
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "periodic"])
+def test_a_packing_of_two_materials(boundary):
+    """Stripes of PTFE in steel: masses, the three contacts, bands of a cell of two rows; a random one conserves."""
+    beads, R, A = ("steel 316", "PTFE"), 5e-3, gx.materials.hertz_coefficient
+    stripes = np.broadcast_to(np.arange(8)[:, None] % 2, (8, 6))
+    crystal = scenes.packing(beads, R, 8, 6, 20.0, pattern=stripes, boundary=boundary)
+    mass = [float(gx.materials.bead_mass(gx.materials.named("material", x), R)) for x in beads]
+    assert_allclose(crystal.mass[..., 0], np.array(mass)[stripes], rtol=1e-14)
+    across, along, _ = (np.asarray(term.law.stiffness) for term in crystal.terms)
+    inside = slice(1, -1) if boundary == "fixed" else slice(None)
+    assert_allclose(across[inside], float(A(beads[0], R, beads[1], R)), rtol=1e-14)
+    own = np.broadcast_to([[float(A(x, R))] for x in beads * 4], along.shape)
+    assert_allclose(along, own, rtol=1e-14)
+    found = gx.linear.dispersion(crystal, [0.3, 0.7])
+    assert found.cell == (2, 1) and found.omega.shape == (4,)
+    whole = scenes.packing(beads, R, 8, 6, 20.0, pattern=0 * stripes, boundary=boundary)
+    plain = scenes.packing(beads[0], R, 8, 6, 20.0, boundary=boundary)
+    assert_allclose(linear_modes(whole), linear_modes(plain), rtol=1e-9)
+    drawn = scenes.packing(
+        beads, R, 8, 6, 20.0, pattern=np.random.default_rng(0).integers(2, size=(8, 6))
+    )
+    still = drawn.zeros()
+    run = gx.simulate(drawn, gx.State(still, still.at[3, 3].set(0.1)), 2e-3, save_at=9)
+    assert run.energy_error < 1e-8
+    with refused("pattern"):
+        scenes.packing(beads, R, 8, 6, 20.0)
+    with refused("rotation"):
+        scenes.packing(beads, R, 8, 6, 20.0, pattern=stripes, rotation=True)
+
+
+def linear_modes(lattice):
+    return gx.linear.normal_modes(lattice).omega

@@ -36,7 +36,7 @@ def crystal(
     stiffness: Parameter | Sequence[Parameter] = 1.0,
     exponent: Parameter = 1.0,
     precompression: Parameter = 0.0,
-    law: Law | Sequence[Law] | None = None,
+    law: Law | Callable[[Any], Law] | Sequence[Law] | None = None,
     spacing: Scalar = 1.0,
     boundary: str | Sequence[str] = "fixed",
     outline: str | Callable = "cells",
@@ -65,7 +65,8 @@ def crystal(
     - `stiffness`: K, `precompression`: F0 of each bond, of either sign, numbers or one for each of the cell's bonds
       (of `stiffness` each a number, or an array over all bonds of its kind).
       `exponent`: 1 for springs, which push and pull; another one for contacts A [d0 + e]_+^p, such as 3/2, whose
-      `stiffness` is A. `law`: a law in their place, or one for each bond of the cell.
+      `stiffness` is A. `law`: a law in their place, or one for each bond of the cell; or a function that makes the law
+      of the bonds of one kind from the pairs that they join (`gx.Shift`, whose `joins` tells which).
     - `spacing`: |R|, the length of a bond, twice the radius of a bead.
     - `boundary`: `"fixed"` (beads at rest all around), `"free"` (what presses the bonds at rest is held on the sites at
       the edge), `"periodic"`; or one for each axis: ("periodic", "free") is a strip, ("periodic", "periodic") a ring.
@@ -134,6 +135,7 @@ def crystal(
     for joined, own, vector in zip(pairs, laws, spacing * cell.spans()):
         if joined is None:
             continue
+        own = own if isinstance(own, Law) else own(joined)
         _check_bonds(joined, own, sites, cell.alone)
         bond = Bond(joined if out_of_plane else Stretch(joined, vector), own)
         terms.append(bond)
@@ -249,7 +251,7 @@ def _laws(cell, law, stiffness, exponent, precompression):
 
 
 def _each(name, x, count):
-    if isinstance(x, Law) or not isinstance(x, Sequence) and np.ndim(x) == 0:
+    if isinstance(x, Law) or callable(x) or not isinstance(x, Sequence) and np.ndim(x) == 0:
         return (x,) * count
     if len(x) != count:
         refuse(name, f"one, or {count}, one per bond of the cell", f"{len(x)}")

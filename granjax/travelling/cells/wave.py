@@ -248,7 +248,9 @@ def _without_tail(chain_at, low, high, p):
         def box_of(p, goal=goal):
             there = chain_at(p).faster(goal)
             if len(there.masses) != len(chain.masses):
-                raise Lost(f"Newton's method went to {p:.6g}, where the sites of the cell are equal")
+                raise Lost(
+                    f"Newton's method went to {p:.6g}, where the sites of the cell are equal"
+                )
             return Box(there, box.half, box.points)
 
         solved = newton_with(box_of, row, phi, p, 0.2 * (high - low))
