@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..types import AnyArray, ComplexNumbers, Number, Numbers
 
@@ -15,8 +16,22 @@ def hamiltonian(D: AnyArray, G: AnyArray, scale: Number) -> ComplexNumbers:
     With D = L L^+ and z = (L^+ q, q') the motion is z' = -i H z. H is NaN where D is not positive: there motion may
     grow. Uniform motion, which costs nothing, is made to cost what counts as rounding.
     """
-    L = jnp.linalg.cholesky(D + _rounding(D, scale) * jnp.eye(len(D)))
+    L = _factor(D + _rounding(D, scale) * jnp.eye(len(D)))
     return jnp.block([[jnp.zeros_like(L), 1j * L.conj().T], [-1j * L, -1j * G]])
+
+
+def _factor(D):
+    """Cholesky's factor L of D = L L^+, column by column; NaN where there is none.
+
+    LAPACK's, which XLA calls for many matrices by threads that wait for others, may wait for ever.
+    """
+    place = jnp.arange(len(D))
+
+    def column(L, j):
+        left = D[:, j] - L @ L[j].conj()
+        return L.at[:, j].set(jnp.where(place >= j, left / jnp.sqrt(left[j].real), 0)), None
+
+    return jax.lax.scan(column, jnp.zeros_like(D), np.arange(len(D)))[0]
 
 
 def squares(D: AnyArray, G: AnyArray, scale: Number) -> Numbers:
