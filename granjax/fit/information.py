@@ -154,7 +154,7 @@ def information(
     >>> struck = lambda p, chain: gx.states.impact(chain, velocity=0.1)
     >>> found = gx.information(scene, {"stiffness": 1.0, "load": 0.5}, everywhere, state=struck)
     >>> found.best(2).places
-    (0, 1)
+    (3, 5)
     """
     problem = prepared(scene, parameters, traces, state=state, t0=t0, step=step, solver=solver)
     if any(trace.sigma is None for trace in problem.traces):
