@@ -126,7 +126,7 @@ def _waves_of(lattice, axes=None, follow=turning_cell):
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
         matrix, axes, origin = found.dynamical_matrix, len(found.cell), lattice.origin
         size, dtype = found.mass.size, found.mass.dtype
-        if found.turning is not None:
+        if found.damping is not None:
             matrix, first, size = jax.tree_util.Partial(_both, found), size, 2 * size
     else:
         matrix, axes, origin = lattice, axes or 1, {}
@@ -564,7 +564,7 @@ def valley_chern(
     if isinstance(valley, str):
         vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
         if isinstance(lattice, Lattice):
-            vectors = _vectors(lattice, unit_cell(lattice).cell)
+            vectors = _vectors(lattice, turning_cell(lattice).cell)
         known = _named_points(vectors, 2)
         if valley not in known:
             refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))

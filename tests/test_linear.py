@@ -613,6 +613,7 @@ def test_a_gyroscopic_honeycomb_is_a_chern_insulator():
     around = ahead[0] * np.roll(ahead[1], -1, 0) / (np.roll(ahead[0], -1, 1) * ahead[1])
     assert numbers == np.round(-np.angle(around).sum((0, 1)) / (2 * np.pi)).astype(int).tolist()
     assert numbers == [-1, 0, 0, 1]
+    assert np.isfinite(topology.valley_chern(lattice, 3, points=24))
     strip = linear.ribbon(crystal(4, 14, boundary=("periodic", "free")))
     middle = np.mean(linear.bands(lattice).gaps[1])
     crossed = np.diff(np.sign(np.asarray(strip.omega) - middle), axis=0) != 0

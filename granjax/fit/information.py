@@ -35,10 +35,15 @@ class Information(Result):
     places: tuple[int, ...] = note("Which of all candidates these sensors are.", static=True)
 
     @property
-    def relative(self) -> Float[AnyArray, "P P"]:
-        """That of all sensors about relative changes of the parameters; about absolute ones where these are zero."""
+    def relative_each(self) -> Float[AnyArray, "S P P"]:
+        """That of each sensor about relative changes of the parameters; about absolute ones where these are zero."""
         size = jnp.where(self.values != 0, self.values, 1)
-        return self.matrix.sum(0) * size[:, None] * size
+        return self.matrix * size[:, None] * size
+
+    @property
+    def relative(self) -> Float[AnyArray, "P P"]:
+        """The sum of `relative_each`."""
+        return self.relative_each.sum(0)
 
     @property
     def log_det(self) -> Number:
@@ -92,11 +97,9 @@ class Information(Result):
         every = len(self.sensors)
         if whole("count", count, 1) > every:
             refuse("count", f"at most {every}, the sensors there are", f"{count}")
-        values = np.asarray(self.values)
-        size = np.where(values != 0, values, 1)
-        each = np.asarray(self.matrix) * size[:, None] * size
+        each = np.asarray(self.relative_each)
         # where few sensors do not determine all, those count that bring the largest part of what all together see
-        floor = BLIND * np.trace(each.sum(0)) * np.eye(len(size))
+        floor = BLIND * np.trace(each.sum(0)) * np.eye(len(self.names))
         worth = lambda chosen: np.linalg.slogdet(each[chosen].sum(0) + floor)[1]
         chosen: list[int] = []
         for _ in range(count):

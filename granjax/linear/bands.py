@@ -106,7 +106,7 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     # omega(-k) = omega(k), unless forces turn velocities: half of the zone is enough for a chain; 48 and 12 hold the
     # corners of a hexagonal zone
     if axes == 1:
-        low = 0.0 if found.turning is None else -np.pi
+        low = 0.0 if found.damping is None else -np.pi
         line = np.linspace(low, np.pi, 96 * max(1, reach) * (1 + (low < 0)) + 1)
     else:
         count = 48 if axes == 2 else 12

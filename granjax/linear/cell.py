@@ -23,7 +23,7 @@ from .stiffness import (
     offsets,
     refuse_one_way,
     stand_in,
-    turning_terms,
+    turning_at_rest,
     unpack_waves,
 )
 
@@ -58,8 +58,7 @@ class UnitCell(eqx.Module):
         """The antisymmetric part of the damping, (shells, P, P) [1/s], or `None`."""
         if self.damping is None:
             return None
-        back = np.array([self.shells.index(tuple(-n for n in R)) for R in self.shells])
-        return (self.damping - self.damping[back].swapaxes(1, 2)) / 2
+        return (self.damping - self.damping[_opposite(self.shells)].swapaxes(1, 2)) / 2
 
     def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
@@ -77,14 +76,14 @@ class UnitCell(eqx.Module):
     def squares(self, k: Numbers) -> Numbers:
         """omega^2 of all bands at one k, (P,), rising."""
         D = self.dynamical_matrix(k)
-        if self.turning is None:
+        if self.damping is None:
             return jnp.linalg.eigvalsh(D)
         return turning.squares(D, self.gyration(k), self.scale)
 
     def waves(self, k: Numbers) -> tuple:
         """omega^2 (P,), rising, and vectors q (P, P) of all bands at one k, normalised."""
         D = self.dynamical_matrix(k)
-        if self.turning is None:
+        if self.damping is None:
             return jnp.linalg.eigh(D)
         return turning.waves(D, self.gyration(k), self.scale)
 
@@ -179,13 +178,13 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
 
 def turning_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """As `unit_cell`, with the forces that turn velocities."""
-    still = at_rest(lattice, turning=True)
-    return _one_cell(still, cell, bool(turning_terms(still)))
+    still, turns = turning_at_rest(lattice)
+    return _one_cell(still, cell, turns)
 
 
 def damped_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """As `unit_cell`, with all forces that read velocities."""
-    return _one_cell(at_rest(lattice, turning=True), cell, damped=True)
+    return _one_cell(turning_at_rest(lattice)[0], cell, damped=True)
 
 
 def _one_cell(lattice, cell, damped=False):
@@ -399,10 +398,14 @@ def assemble(
     return tuple(tuple(int(n) for n in R) for R in shells), coupling, mass
 
 
+def _opposite(shells):
+    """The places of -R among the R of the neighbours."""
+    return np.array([shells.index(tuple(-n for n in R)) for R in shells])
+
+
 def one_way(coupling: AnyArray, shells: tuple) -> bool:
     """Whether forces (shells, P, P, ...) come from no energy: K_R is not the transpose of K_{-R}."""
-    back = [shells.index(tuple(-n for n in R)) for R in shells]
-    uneven = np.abs(coupling - coupling[back].swapaxes(1, 2)).max()
+    uneven = np.abs(coupling - coupling[_opposite(shells)].swapaxes(1, 2)).max()
     return bool(uneven > TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max())
 
 

@@ -103,7 +103,7 @@ def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
     axes = k.shape[-1]
     points = k.astype(found.mass.dtype).reshape(-1, axes)
     at_once = max(1, 2**22 // (found.mass.size * axes) ** 2)
-    wave = _wave if found.turning is None else _turned_wave
+    wave = _wave if found.damping is None else _turned_wave
     parts = each(lambda k: wave(found, k), points, at_once)
     squared, omega, q, velocity, curvature = (x.reshape(k.shape[:-1] + x.shape[1:]) for x in parts)
     if chain:

@@ -8,9 +8,8 @@ from ..checks import parameter, refuse
 from ..lattice import Lattice
 from ..results import Result, array, note
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
-from .cell import damped_cell, unit_cell
+from .cell import damped_cell
 from .losses import without_memory
-from .stiffness import at_rest
 
 # |z| of roots beyond which exp(ik) is no wave but a block that is zero; what counts as |z| = 1
 LARGEST, REAL = 1e8, 1e-7
@@ -109,23 +108,17 @@ def complex_bands(
 def _with_losses(lattice, cell):
     """The cell with all that damps it, and [(order, C_R)] over its masses: -C D^order u, order 1 the damping."""
     plain, past = without_memory(lattice)
-    plain = at_rest(plain, turning=True)
-    every = [(np.ones(()), plain)] if plain.reads_velocity else []
-    every += [(order, at_rest(one)) for order, one in past]
-    if not every:
-        return unit_cell(plain, cell), []
+    viscous = (one.terms[-1] for _, one in past)
     # the period is that of all of them together
-    together = eqx.tree_at(
-        lambda x: x.terms, plain, (*plain.terms, *(one.terms[-1] for _, one in past))
-    )
-    found = damped_cell(together, cell)
-    losses = []
-    for order, one in every:
+    found = damped_cell(eqx.tree_at(lambda x: x.terms, plain, (*plain.terms, *viscous)), cell)
+    losses, rest = [], np.asarray(found.damping)
+    for order, one in past:
         own = damped_cell(one, found.cell)
         C = dict(zip(own.shells, np.asarray(own.damping)))
         none = np.zeros_like(found.coupling[0])
         losses.append((float(order), np.stack([C.get(R, none) for R in found.shells])))
-    return found, losses
+        rest = rest - losses[-1][1]
+    return found, [(1.0, rest), *losses] if plain.reads_velocity else losses
 
 
 def _waves(blocks, squared, scale):

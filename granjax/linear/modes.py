@@ -22,7 +22,7 @@ from .stiffness import (
     linear_map,
     offsets,
     refuse_one_way,
-    turning_terms,
+    turning_at_rest,
     unpack_waves,
 )
 
@@ -91,10 +91,10 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     >>> print(found.omega[:3].round(4))  # 6^{1/2} sin(pi n/42)
     [0.1831 0.3651 0.5451]
     """
-    lattice = at_rest(lattice, turning=count is None)
     if count is not None:
-        return _lowest(lattice, whole("count", count, 1))
-    result, uneven = _solve(lattice, bool(turning_terms(lattice)))
+        return _lowest(at_rest(lattice), whole("count", count, 1))
+    lattice, turns = turning_at_rest(lattice)
+    result, uneven = _solve(lattice, turns)
     uneven = concrete(jax.lax.stop_gradient(uneven))
     if uneven is not None and uneven > 1e3 * np.finfo(lattice.dtype).eps:
         refuse_one_way()

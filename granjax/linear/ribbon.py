@@ -11,7 +11,7 @@ from ..results import Result, array, note
 from ..types import ComplexNumbers, Count, Numbers, Parameter
 from .cell import blocks_of, by_lanes, cut_out, in_lanes
 from .modes import signed_root
-from .stiffness import at_rest, grid, turning_terms
+from .stiffness import grid, turning_at_rest
 
 # of the largest |D|: how near omega^2 of waves are that are taken together, since they beat over 10^4 periods
 TOGETHER = 1e-4
@@ -88,7 +88,7 @@ def ribbon(
     >>> found.omega.shape, round(float(abs(found.edge).max()), 3)  # an edge mode
     ((1, 12), 1.0)
     """
-    lattice = at_rest(lattice, turning=True)
+    lattice, turns = turning_at_rest(lattice)
     sites = grid(lattice)
     if len(sites) != 2:
         refuse(
@@ -97,7 +97,7 @@ def ribbon(
             f"one of {len(sites)}",
             "gx.linear.dispersion is for chains.",
         )
-    blocks = blocks_of(lattice, damped=bool(turning_terms(lattice)))
+    blocks = blocks_of(lattice, damped=turns)
     rings = blocks.rings
     if axis is None:
         axis = 0 if rings[0] else 1

@@ -38,13 +38,42 @@ def undriven(lattice: Any, lanes: bool = False) -> Lattice:
     return with_still_walls(lattice)
 
 
-def at_rest(lattice: Any, lanes: bool = False, turning: bool = False) -> Lattice:
+def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
     """The lattice `undriven`, of a stiffness that is constant in time.
 
     **Raises** ValueError where `undriven` does, for stiffness that changes in time, and for forces that turn
-    velocities (gyroscopic ones), since their waves are not those of the stiffness; with `turning` for those alone that
-    change in time.
+    velocities (gyroscopic ones), since their waves are not those of the stiffness.
     """
+    still = _of_constant_stiffness(lattice, lanes)
+    for i, _ in turning_terms(still):
+        _refuse_turning(still, i)
+    return still
+
+
+def turning_at_rest(lattice: Any) -> tuple[Lattice, bool]:
+    """The lattice `at_rest`, with forces that turn velocities, and whether there are some.
+
+    **Raises** ValueError as `at_rest`; of these forces for those alone that change in time.
+    """
+    still = _of_constant_stiffness(lattice)
+    found = turning_terms(still)
+    for i, reads_time in found:
+        if reads_time:
+            _refuse_turning(still, i)
+    return still, bool(found)
+
+
+def _refuse_turning(lattice, i):
+    refuse(
+        f"terms[{i}] ({type(lattice.terms[i]).__name__})",
+        "a force that damps or does not read the velocity",
+        "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
+        "It needs waves of the stiffness alone. granjax.linear.dispersion and normal_modes follow such a force "
+        "where it is constant in time, granjax.linear.floquet_bands where it is not.",
+    )
+
+
+def _of_constant_stiffness(lattice, lanes=False):
     still = undriven(lattice, lanes)
     for i, term in enumerate(still.terms):
         if reads(term, still).time and _stiffness_changes(term, still):
@@ -54,15 +83,6 @@ def at_rest(lattice: Any, lanes: bool = False, turning: bool = False) -> Lattice
                 "one that changes",
                 "Modes in time do not exist then: take the lattice with the term that is modulated, or "
                 "granjax.linear.floquet_bands, which follows the modulation over its period.",
-            )
-    for i, reads_time in turning_terms(still):
-        if reads_time or not turning:
-            refuse(
-                f"terms[{i}] ({type(still.terms[i]).__name__})",
-                "a force that damps or does not read the velocity",
-                "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
-                "It needs waves of the stiffness alone. granjax.linear.dispersion and normal_modes follow such a force "
-                "where it is constant in time, granjax.linear.floquet_bands where it is not.",
             )
     return still
 
