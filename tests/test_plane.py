@@ -1111,6 +1111,10 @@ def test_a_packing_of_two_materials(boundary):
         scenes.packing(beads, R, 8, 6, 20.0)
     with refused("rotation"):
         scenes.packing(beads, R, 8, 6, 20.0, pattern=stripes, rotation=True)
+    with refused("one per site"):
+        scenes.packing(beads, R, 8, 6, 20.0, pattern=stripes[:3])
+    with refused("one material"):
+        scenes.packing(beads[0], R, 8, 6, 20.0, pattern=stripes)
 
 
 def linear_modes(lattice):

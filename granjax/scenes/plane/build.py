@@ -131,6 +131,7 @@ def crystal(
         found = cut(cell, counts, outline)
         sites = {name: (found.count(name),) for name in cell.sites}
         pairs, positions = _graph(cell, found, boundary), found.positions
+    masses = _masses(cell, mass, sites, positive("inertia", inertia) if rotation else None)
     terms = []
     for joined, own, vector in zip(pairs, laws, spacing * cell.spans()):
         if joined is None:
@@ -150,7 +151,6 @@ def crystal(
         for name, spring in springs.items():
             held = spring if on_site is None else spring + on_site
             terms.append(OnSite(held, None if cell.alone else name))
-    masses = _masses(cell, mass, sites, positive("inertia", inertia) if rotation else None)
     positions = {name: spacing * x for name, x in positions.items()}
     masses, positions = (x["a"] if cell.alone else x for x in (masses, positions))
     return Lattice(

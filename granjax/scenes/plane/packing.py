@@ -61,6 +61,8 @@ def packing(
     bodies = [named("material", one) for one in ([material] if alone else material)]
     body, R = bodies[0], positive("radius", radius, "A radius is in metres.")
     mass, law = bead_mass(body, R), Hertz(hertz_coefficient(body, R), precompression)
+    if len(bodies) == 1 and pattern is not None:
+        refuse("pattern", "None with one material", described(pattern))
     if len(bodies) > 1:
         given = np.asarray(-1) if pattern is None else pattern
         which = jax.tree.map(lambda x: _pattern(x, len(bodies)), given)
