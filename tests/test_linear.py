@@ -498,7 +498,6 @@ def gyroscopic(rate=0.7):
 @pytest.mark.parametrize(
     ("call", "term"),
     [
-        (linear.sound_speed, "Turning"),
         (linear.flat_bands, "Turning"),
         (topology.winding, "Turning"),
         (lambda x: linear.normal_modes(x, 3), "Turning"),
@@ -557,6 +556,61 @@ def test_the_waves_of_a_gyroscopic_lattice_by_the_quadratic_eigenproblem():
         ]
         np.testing.assert_allclose(np.moveaxis(bend, 0, -1), second, atol=1e-5)
     np.testing.assert_allclose(linear.dispersion(lattice, [0.0, 0.0]).omega, [0, 0.7], atol=1e-12)
+
+
+class Staggered(Term):
+    """Gyroscopes of opposite senses in turn along the first axis, rate (v_y, -v_x), and odd forces of neighbours."""
+
+    rate: jax.Array
+    odd: jax.Array
+
+    def force(self, t, u, v, mass):
+        sense = jnp.where(jnp.arange(v.shape[0]) % 2, -1, 1)[:, None, None]
+        return self.rate * sense * jnp.stack([v[..., 1], -v[..., 0]], -1) + self.odd * (
+            jnp.roll(v, -1, 0) - jnp.roll(v, 1, 0)
+        )
+
+
+def test_the_speed_of_sound_among_gyroscopes():
+    """Against long waves by the companion matrix of a cell of two masses, along a direction and against it."""
+    masses = np.array([1.0, 0.4])
+    mass = jnp.asarray(np.repeat(np.resize(masses, 6)[:, None], 6, 1))
+
+    def lattice(rate, odd=0.2):
+        crystal = gx.scenes.triangular(6, 6, boundary="periodic", mass=mass)
+        return with_term(crystal, Staggered(jnp.asarray(rate), jnp.asarray(odd)))
+
+    def slowest(way, rate, odd, h=1e-3):
+        """omega/|k| of the two lowest waves with phases h way per site."""
+        K, C = np.zeros((2, 4, 4), complex)
+        for (a, b), x in (((1, 0), 0.0), ((0, 1), np.pi / 3), ((1, -1), -np.pi / 3)):
+            n = np.array([np.cos(x), np.sin(x)])
+            pull, turn = np.outer(n, n), np.exp(1j * h * (a * way[0] + b * way[1]))
+            for i in range(2):
+                other = slice(2 * ((i + a) % 2), 2 * ((i + a) % 2) + 2)
+                own = slice(2 * i, 2 * i + 2)
+                K[own, own] += 2 * pull
+                K[own, other] -= pull * turn
+                K[other, own] -= pull / turn
+        J = np.array([[0, -1], [1, 0]])
+        C[:2, :2], C[2:, 2:] = rate * J, -rate * J
+        shift = -2j * odd * np.sin(h * way[0]) * np.eye(2)
+        C[:2, 2:], C[2:, :2] = shift, shift
+        root = np.repeat(masses, 2) ** 0.5
+        K, C = (x / root[:, None] / root for x in (K, C))
+        values = np.linalg.eigvals(np.block([[np.zeros((4, 4)), np.eye(4)], [-K, -C]]))
+        return np.sort(-values.imag)[4:6] / h
+
+    for way in np.array([[1.0, 0.0], [-1.0, 0.0], [0.3, 0.8], [-0.3, -0.8]]):
+        found = linear.sound_speed(lattice(0.5), direction=way)
+        np.testing.assert_allclose(found, slowest(way, 0.5, 0.2), rtol=1e-6)
+    speed = lambda r: linear.sound_speed(lattice(r), cell=(2, 1), direction=way)
+    slope = (speed(0.5 + 1e-5) - speed(0.5 - 1e-5)) / 2e-5
+    for derivative in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(derivative(speed)(0.5), slope, rtol=1e-7)
+    np.testing.assert_allclose(jax.vmap(speed)(jnp.array([0.2, 0.5]))[1], speed(0.5), rtol=1e-12)
+    with refused("turn a uniform motion"):
+        linear.sound_speed(gyroscopic())
 
 
 def test_gyroscopic_modes_and_bands_are_traced_and_batched():

@@ -8,7 +8,8 @@ from ..checks import concrete, parameter, refuse
 from ..lattice import Lattice
 from ..programs import compiled
 from ..types import Count, Number, Parameter
-from .cell import LOOSE, unit_cell
+from . import turning
+from .cell import LOOSE, turning_cell
 from .modes import signed_root
 
 
@@ -23,6 +24,9 @@ def sound_speed(
     c^2 = T^+ [ D''/2 - D' D(0)^+ D' ] T, times the square of the sites per cell. A chain of equal beads has
     c = (K2/m)^{1/2} (Hertz: K2 = (3/2) A d0^{1/2}); in general c^2 = 1/(mean mass * mean compliance 1/K2) per site.
 
+    Gyroscopic forces between the sites add terms that are odd in k, and the speeds along a direction and against it
+    differ.
+
     **Arguments:** `lattice`, `cell`: as in `dispersion`. `direction`: on a grid, the phase advances per site along each
     axis for a unit of wave number, (axes,), by default the first axis. With lattice vectors a_i (rows of `a`) and a
     unit vector n in the plane `direction = a @ n` gives c in lengths per time.
@@ -30,7 +34,8 @@ def sound_speed(
     **Returns:** one number for scalar displacements, else (dimension,), slowest first. Differentiable in every
     parameter. A negative value is an unstable long wave, as in `dispersion`.
     **Raises** ValueError in a sonic vacuum (no linear stiffness), with forces that tie sites to their rest positions
-    (no acoustic band), where parts of the cell hang loose, and where `dispersion` does.
+    (no acoustic band), with gyroscopic forces that turn a uniform motion (omega rises as k^2 there), where parts of the
+    cell hang loose, and where `dispersion` does.
 
     **Example:**
 
@@ -38,7 +43,7 @@ def sound_speed(
     >>> round(float(gx.linear.sound_speed(chain)), 6)  # (3/2)^{1/2}
     1.224745
     """
-    found = unit_cell(lattice, cell)
+    found = turning_cell(lattice, cell)
     axes = len(found.cell)
     if direction is None:
         direction = np.eye(axes)[0]
@@ -59,13 +64,25 @@ def _speeds(found, turn):
     second = jnp.einsum("r,rab->ab", R * R, found.coupling)
     scale = jax.lax.stop_gradient(jnp.abs(found.coupling).max())
     scale = jnp.where(scale > 0, scale, 1)
+
+    def through(x, y):
+        """x^T D^+ y. T is the null space of D: filling it makes D invertible, and x and y have no part in it."""
+        return x.T @ jnp.linalg.solve(D / scale + T @ T.T, y) / scale
+
     answer = first @ T
-    # T is the null space of D: filling it makes D invertible, and the answer has no part in it
     answer = answer - T @ (T.T @ answer)
-    inner = answer.T @ jnp.linalg.solve(D / scale + T @ T.T, answer) / scale
-    square = jnp.linalg.eigvalsh(-T.T @ second @ T / 2 - inner)
+    squares = -T.T @ second @ T / 2 - through(answer, answer)
     largest = scale * jax.lax.stop_gradient(jnp.abs(R).max()) ** 2
-    return signed_root(square, largest, found.mass.size)
+    if found.damping is None:
+        return signed_root(jnp.linalg.eigvalsh(squares), largest, found.mass.size)
+    # G = uniform + i odd k: c^2 (1 + g^T D^+ g) = squares + c bend, with g the answer to uniform motion
+    turns = found.turning
+    g = turns.sum(0) @ T
+    odd = T.T @ jnp.einsum("r,rab->ab", R, turns) @ T
+    bend = odd + through(answer, g) + through(g, answer)
+    inverse = jnp.linalg.inv(jnp.linalg.cholesky(jnp.eye(len(odd)) + through(g, g)))
+    squares, bend = (inverse @ x @ inverse.T for x in (squares, bend))
+    return turning.levels(squares, 1j * bend, largest)[0][len(odd) :]
 
 
 def _translations(xp, mass, dimension):
@@ -96,6 +113,16 @@ def _check_acoustic(found):
             "forces between sites alone",
             "forces that tie sites to their rest positions",
             "Such a lattice has no acoustic band, and so no sound speed; see granjax.linear.bands.",
+        )
+    turns = concrete(jax.lax.stop_gradient(found.turning)) if found.damping is not None else None
+    if turns is not None and np.abs(T.T @ turns.sum(0) @ T).max() > LOOSE * np.finfo(
+        turns.dtype
+    ).eps * max(np.abs(turns).max(), np.sqrt(scale)):
+        refuse(
+            "lattice",
+            "gyroscopic forces between sites",
+            "some that turn a uniform motion",
+            "The lowest band then rises as k^2 and no wave has a speed of sound; see granjax.linear.dispersion.",
         )
     if np.sum(np.abs(np.linalg.eigvalsh(D)) <= tolerance) > T.shape[1]:
         refuse(
