@@ -1,5 +1,7 @@
 """Lattices of the plane by name: bands against closed forms, momenta, walls, outlines, beads that turn."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -1115,6 +1117,62 @@ def test_a_packing_of_two_materials(boundary):
         scenes.packing(beads, R, 8, 6, 20.0, pattern=stripes[:3])
     with refused("one material"):
         scenes.packing(beads[0], R, 8, 6, 20.0, pattern=stripes)
+
+
+@pytest.mark.parametrize(
+    ("arrangement", "boundary"),
+    [("hexagonal", "fixed"), ("hexagonal", "periodic"), ("square", "fixed")],
+)
+def test_a_packing_of_many_radii_rests(arrangement, boundary):
+    """From places, radii and Hertz's law alone: no bead is pushed, and some contacts are open."""
+    rng, shape, F0 = np.random.default_rng(3), (4, 5), 5.0
+    radii = 5e-3 * (1 + 1.2e-4 * rng.uniform(-1, 1, shape))
+    how = {"arrangement": arrangement, "boundary": boundary}
+    crystal = scenes.packing("steel 316", radii, *shape, F0, **how)
+    assert_allclose(crystal.mass[..., 0], gx.materials.bead_mass("steel 316", radii), rtol=1e-14)
+    mean = np.mean(radii)
+    regular = np.asarray(scenes.packing("steel 316", mean, *shape, F0, **how).positions)
+    places, vectors = np.asarray(crystal.positions), regular[[1, 0], [0, 1]] - regular[0, 0]
+    beads = []
+    for cell in itertools.product(*(range(-1, n + 1) for n in shape)):
+        at = tuple(np.mod(cell, shape))
+        if boundary == "periodic" or at == cell:
+            beads.append((places[at] + np.subtract(cell, at) @ vectors, radii[at], at == cell))
+        else:
+            # a wall's bead, at its place in the regular packing, is like the one that it touches
+            beads.append((regular[0, 0] + np.array(cell) @ vectors, None, False))
+    forces, pushes = [], []
+    for x, R, _ in filter(lambda bead: bead[2], beads):
+        forces.append(np.zeros(2))
+        for y, other, _ in beads:
+            d = np.linalg.norm(x - y)
+            if 0 < d < 2.2 * mean:
+                other = R if other is None else other
+                A = float(gx.materials.hertz_coefficient("steel 316", R, "steel 316", other))
+                pushes.append(A * max((F0 / A) ** (2 / 3) + R + other - d, 0) ** 1.5)
+                forces[-1] += pushes[-1] * (x - y) / d
+    # places of a centimetre have the digits of an overlap of a micrometre to 1e-12
+    assert np.abs(forces).max() < 1e-10 * max(pushes) and min(pushes) < 0.3 * max(pushes)
+
+
+def test_radii_that_are_equal_differ_too_much_or_are_differentiated():
+    shape = (4, 5)
+    make = lambda R, **how: scenes.packing("steel 316", R, *shape, 20.0, **how)
+    noise = np.random.default_rng(0).uniform(-1, 1, shape)
+    equal, plain = make(np.full(shape, 5e-3)), make(5e-3)
+    assert_allclose(linear_modes(equal), linear_modes(plain), rtol=1e-9)
+    assert_allclose(equal.positions, plain.positions, rtol=0, atol=1e-15)
+    lowest = lambda part: gx.linear.normal_modes(make(5e-3 * (1 + part * noise))).omega[0]
+    slope = (lowest(1.01e-4) - lowest(0.99e-4)) / 2e-6
+    for derivative in (jax.jacfwd, jax.jacrev):
+        assert_allclose(derivative(lowest)(1e-4), slope, rtol=1e-3)
+    assert_allclose(jax.vmap(lowest)(np.array([0.0, 1e-4]))[1], lowest(1e-4), rtol=1e-9)
+    with pytest.raises(RuntimeError, match="no stable state of rest"):
+        make(5e-3 * (1 + 3e-3 * noise))
+    with refused("many radii"):
+        make(5e-3 * (1 + 1e-4 * noise), boundary="free")
+    with refused("one of each"):
+        make(5e-3 * (1 + 1e-4 * noise), rotation=True)
 
 
 def linear_modes(lattice):

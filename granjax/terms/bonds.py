@@ -27,7 +27,9 @@ class Joined(Term):
     strain_map: eqx.AbstractVar[StrainMap]
 
     def resists(self, lattice, moves):
-        strain_map = jax.tree.map(stand_in, self.strain_map)
+        # directions that are traced differ from bond to bond, as those of a crystal do
+        directions = np.random.default_rng([int(term is self) for term in lattice.terms])
+        strain_map = jax.tree.map(lambda x: stand_in(x, directions), self.strain_map)
         answers = np.stack([np.ravel(concretely(_strain, strain_map, move)) for move in moves], -1)
         random = np.random.default_rng(0)
         other = jax.tree.map(lambda x: random.uniform(0.5, 1.5, x.shape).astype(x.dtype), moves[0])

@@ -269,10 +269,12 @@ def _abstract(x):
     return x
 
 
-def stand_in(x: Number) -> Number:
-    """The value, or ones in its place where it is traced."""
+def stand_in(x: Number, random: np.random.Generator | None = None) -> Number:
+    """The value, or where it is traced ones, or numbers between 1 and 2."""
     x = jax.lax.stop_gradient(x) if is_traced(x) else x
-    return np.ones(x.shape, x.dtype) if is_traced(x) else x
+    if not is_traced(x):
+        return x
+    return np.ones(x.shape, x.dtype) if random is None else random.uniform(1, 2, x.shape)
 
 
 def answers_to(moves: list, term: Any, mass: Displacements | Number, template: Pytree):

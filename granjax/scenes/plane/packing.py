@@ -4,15 +4,17 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import described, one_of, plain_zero, positive, refuse
+from ...checks import described, one_of, plain_zero, positive, refuse, traced
+from ...equilibria import equilibrium
 from ...lattice import Lattice
-from ...laws import Hertz, Linear
+from ...laws import Hertz, Linear, Strained
 from ...materials import Material, bead_mass, hertz_coefficient, named
-from ...types import Count, Scalar
+from ...types import Count, Parameter, Scalar
 from ...units import SI
 from .build import crystal, mindlin
 from .cells import HONEYCOMB, KAGOME, SQUARE, TRIANGULAR
@@ -22,7 +24,7 @@ ARRANGEMENTS = {"hexagonal": TRIANGULAR, "square": SQUARE, "honeycomb": HONEYCOM
 
 def packing(
     material: str | Material | Sequence[str | Material],
-    radius: Scalar,
+    radius: Parameter | dict[str, Parameter],
     n: Count,
     m: Count | None = None,
     precompression: Scalar = 0.0,
@@ -33,62 +35,88 @@ def packing(
     boundary: str | Sequence[str] = "fixed",
     outline: str | Callable = "cells",
 ) -> Lattice:
-    r"""Build a packing of elastic spheres of one radius in the plane, in SI, of one material or of several.
+    r"""Build a packing of elastic spheres in the plane, in SI: of one radius or many, of one material or several.
 
     Masses (4/3) pi R^3 rho, Hertz contacts, A as in `gx.scenes.beads`.
 
     `precompression` is the force F0 in every contact. The confining load on a wall is P per bead that touches it: in a
     square packing F0 = P, in a hexagonal one F0 = P/3^{1/2} on a wall along a row of beads.
 
+    Beads of many radii keep the neighbours of the regular packing of beads of the mean radius, whose walls stay where
+    they are. Bead i and j overlap by (F0/A)^{2/3} + R_i + R_j - 2 mean(R) at its places, or have a gap where that is
+    negative; from there the packing moves to rest, from which displacements are measured. A contact that is open at
+    rest closes as soon as its gap does.
+
     **Arguments:**
 
     - `material`: a name of the table or a `Material`; or several of them, with a `pattern`: an array (n, m) of whole
       numbers that says which bead is of which (a dict of such where a cell has several beads). An ordered one makes a
       crystal of two materials, `np.random.default_rng(0).integers(2, size=(n, m))` a random packing. What is next to a
-      wall touches one of its own material. Vacancies: `outline`, a function of the places.
-    - `radius` R [m]; `precompression`: F0 >= 0 [N]; `n`, `m`, `boundary`, `outline`: as in `gx.scenes.crystal`.
+      wall touches one like itself. Vacancies: `outline`, a function of the places.
+    - `radius` R [m]: a number, or an array (n, m) as `pattern` is. `precompression`: F0 >= 0 [N]; `n`, `m`, `boundary`,
+      `outline`: as in `gx.scenes.crystal`, of many radii not with a free boundary.
     - `arrangement`: `"hexagonal"`, `"square"`, `"honeycomb"`, `"kagome"`.
-    - `rotation`: whether beads, of one material, turn, u = (u_x, u_y, R theta): contacts then have Mindlin's tangential
-      stiffness 2 (1 - nu)/(2 - nu) of the normal one at F0, let go of it where they open, and do not slide.
+    - `rotation`: whether equal beads turn, u = (u_x, u_y, R theta): contacts then have Mindlin's tangential stiffness
+      2 (1 - nu)/(2 - nu) of the normal one at F0, let go of it where they open, and do not slide.
 
     **Returns:** a `Lattice` in SI with positions. **Raises** ValueError for a radius that is not above zero, F0 < 0,
-    rotation without a load or with several materials, and a pattern that is not of whole numbers of materials.
+    rotation without a load, with several materials or many radii, and a pattern that is not of whole numbers of
+    materials; RuntimeError where no stable state of rest is found, as with beads that too few others touch.
     Source: Leonard, Fraternali, Daraio, Exp. Mech. 53, 327 (2013); Tournat, Perez-Arjona, Merkel, Sanchez-Morcillo,
     Gusev, New J. Phys. 13, 073042 (2011).
+
+    **Example:**
+
+    >>> radii = 5e-3 + 1e-6 * np.random.default_rng(0).uniform(-1, 1, (4, 5))
+    >>> beads = gx.scenes.packing("steel 316", radii, 4, 5, precompression=20.0)
+    >>> beads.shape, beads.mass.shape
+    ((4, 5, 2), (4, 5, 1))
     """
     cell = ARRANGEMENTS[one_of("arrangement", arrangement, list(ARRANGEMENTS))]
     alone = isinstance(material, (str, Material))
     bodies = [named("material", one) for one in ([material] if alone else material)]
-    body, R = bodies[0], positive("radius", radius, "A radius is in metres.")
-    mass, law = bead_mass(body, R), Hertz(hertz_coefficient(body, R), precompression)
+    R = jax.tree.map(lambda x: positive("radius", x, "A radius is in metres."), radius)
+    uneven = isinstance(R, dict) or np.ndim(R) > 0
+    mean = _mean(R) if uneven else R
     if len(bodies) == 1 and pattern is not None:
         refuse("pattern", "None with one material", described(pattern))
-    if len(bodies) > 1:
-        given = np.asarray(-1) if pattern is None else pattern
-        which = jax.tree.map(lambda x: _pattern(x, len(bodies)), given)
-        mass = jax.tree.map(lambda x: jnp.stack([bead_mass(b, R) for b in bodies])[x], which)
-        law = partial(_between, bodies, R, precompression, which)
+    mass, law = (
+        bead_mass(bodies[0], mean),
+        Hertz(hertz_coefficient(bodies[0], mean), precompression),
+    )
     tangential = None
     if rotation:
-        if len(bodies) > 1:
-            refuse("material", "one with rotation=True", f"{len(bodies)}")
+        if len(bodies) > 1 or uneven:
+            refuse("material, radius", "one of each with rotation=True", "several")
         if plain_zero(precompression):
             remedy = "Without static load contacts slide."
             refuse("precompression", "F0 > 0 with rotation=True", "0", remedy)
-        tangential = Linear(mindlin(body.poisson) * law.derivative(0.0 * R))
-    return crystal(
+        tangential = Linear(mindlin(bodies[0].poisson) * law.derivative(0.0 * R))
+    if len(bodies) > 1 or uneven:
+        same = jax.tree.map(lambda x: np.zeros(np.shape(x), int), R)
+        given = pattern if len(bodies) > 1 else same
+        if given is None:
+            refuse("pattern", "an array that says which bead is of which material", "None")
+        which = jax.tree.map(lambda x: _pattern(x, len(bodies)), given)
+        R = R if uneven else jax.tree.map(lambda x: jnp.full(x.shape, mean), which)
+        mass = jax.tree.map(lambda x, i: _chosen([bead_mass(b, x) for b in bodies], i), R, which)
+        law = partial(_between, bodies, R, precompression, which, uneven)
+    if uneven and (boundary == "free" or "free" in boundary):
+        refuse("boundary", "'fixed' or 'periodic' with many radii", repr(boundary))
+    found = crystal(
         cell,
         n,
         m,
         mass=mass,
         law=law,
-        spacing=2 * R,
+        spacing=2 * mean,
         rotation=rotation,
         tangential=tangential,
         boundary=boundary,
         outline=outline,
         units=SI,
     )
+    return _at_rest(found) if uneven else found
 
 
 def _pattern(x, count):
@@ -100,9 +128,57 @@ def _pattern(x, count):
     return x
 
 
-def _between(bodies, radius, precompression, which, pairs):
-    """The contacts of the beads that pairs join; what touches a wall touches one of its own material."""
+def _chosen(values, which):
+    """At each place that one of some arrays which its number names."""
+    return jnp.select([which == i for i in range(len(values))], values)
+
+
+def _mean(radius):
+    return jnp.mean(jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(radius)]))
+
+
+def _between(bodies, radius, precompression, which, uneven, pairs):
+    """The contacts of the beads that pairs join; what touches a wall touches one like itself.
+
+    Beads of `uneven` radii stand at the places of beads of the mean radius.
+    """
     tail, head = pairs.joins(which)
     tail, head = np.where(tail < 0, head, tail), np.where(head < 0, tail, head)
-    coefficients = [[hertz_coefficient(a, radius, b, radius) for b in bodies] for a in bodies]
-    return Hertz(jnp.asarray(coefficients)[tail, head], precompression)
+    mean, (left, right) = _mean(radius), pairs.ends(radius)
+    left, right = jnp.where(left > 0, left, right), jnp.where(right > 0, right, left)
+    # where two walls meet, which nothing moves
+    left, right = (jnp.where(x > 0, x, mean) for x in (left, right))
+    rows = [[hertz_coefficient(a, left, b, right) for b in bodies] for a in bodies]
+    A = _chosen([_chosen(row, np.maximum(head, 0)) for row in rows], np.maximum(tail, 0))
+    if not uneven:
+        return Hertz(A, precompression)
+    return Strained(Hertz(A), (precompression / A) ** (2 / 3) + left + right - 2 * mean)
+
+
+def _at_rest(lattice):
+    """A packing measured from its state of rest."""
+    found = equilibrium(lattice, hold="nothing", throw=False)
+    if not traced(found) and not (found.found and found.verdict == "stable"):
+        overlaps = [float(jnp.min(bond.law.strain)) for bond in lattice.terms]
+        raise RuntimeError(
+            "The beads have no stable state of rest near their places, where overlaps begin at "
+            f"{min(overlaps):.3g} m: some are left without neighbours that hold them. Give a larger "
+            f"precompression, or radii that differ less. {found.outcome}"
+        )
+    u = found.state.u
+
+    def moved(bond):
+        pairs, vector = (
+            bond.strain_map.pairs,
+            bond.strain_map.vector - bond.strain_map.pairs.strain(u),
+        )
+        overlap = bond.law.strain + bond.strain_map.strain(u)
+        there = (
+            type(bond.strain_map)(pairs, vector),
+            eqx.tree_at(lambda x: x.strain, bond.law, overlap),
+        )
+        return type(bond)(*there)
+
+    positions = jax.tree.map(jnp.add, lattice.positions, u)
+    parts = lambda x: (x.terms, x.positions)
+    return eqx.tree_at(parts, lattice, (tuple(map(moved, lattice.terms)), positions))
