@@ -10,7 +10,6 @@ from .orbits.families import (
     breather,
     family,
     q_breather,
-    resonant_harmonic,
 )
 from .orbits.gap_breather import GapBreather, k_gap_breather
 from .orbits.guesses import bright_guess, dark_guess
@@ -36,5 +35,4 @@ __all__ = [
     "k_gap_breather",
     "localisation",
     "q_breather",
-    "resonant_harmonic",
 ]

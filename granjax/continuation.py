@@ -21,6 +21,8 @@ from .programs import compiled
 from .results import Result, array, hidden
 from .types import Count, Numbers, Parameter, Pytree, Scalar
 
+__all__ = ["Curve", "Point", "Problem", "Special", "System", "another", "continuation"]
+
 LEAST_COSINE = 0.9
 # of the tolerance, to which points beside a branch point are solved if they can be: the derivative is almost singular
 # there, and what is left of the residual decides where it is found

@@ -1,15 +1,11 @@
 """Floquet theory: the stability of periodic orbits, of lattices and of any other flow."""
 
-from .orbits.floquet import Floquet, decide, floquet, multipliers, structure
-from .orbits.spectrum import product_multipliers, reversible_multipliers, spectrum
+from .orbits.floquet import Floquet, floquet, multipliers
+from .orbits.spectrum import spectrum
 
 __all__ = [
     "Floquet",
-    "decide",
     "floquet",
     "multipliers",
-    "product_multipliers",
-    "reversible_multipliers",
     "spectrum",
-    "structure",
 ]

@@ -9,6 +9,8 @@ from .checks import whole, within
 from .programs import by_rows
 from .types import Count, Numbers, Parameter
 
+__all__ = ["kernel", "symbol", "total"]
+
 
 def checked_order(order: Parameter) -> jax.Array:
     """The order s of a fractional Laplacian, in (0, 1]."""

@@ -18,6 +18,16 @@ from .checks import broadcast, concrete, positive, real, refuse, within
 from .printing import called
 from .types import Number, Parameter
 
+__all__ = [
+    "NAMES",
+    "Material",
+    "bead_mass",
+    "hertz_coefficient",
+    "material",
+    "stack",
+    "yield_overlap",
+]
+
 # m, of beads of laboratories: what is larger is taken for millimetres
 LARGEST = 0.5
 _BOECHLER = "as used by Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)"

@@ -13,6 +13,8 @@ from .programs import compiled, in_numpy
 from .results import Result, array
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
+__all__ = ["Root", "newton"]
+
 CONVERGED, STALLED, SPENT, NOT_FINITE = range(4)
 LEAST_FRACTION = 2.0**-8
 # singular values, relative to the norm, below which a step is not trusted when Newton's has failed

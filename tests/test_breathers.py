@@ -8,6 +8,7 @@ from refusals import refused
 from scipy.integrate import solve_ivp
 
 import granjax as gx
+from granjax.orbits.families import resonant_harmonic
 from granjax.orbits.guesses import cell_of, edges_beside
 from granjax.theory import nls
 
@@ -628,7 +629,7 @@ HARMONICS = {
 )
 def test_harmonics_that_the_symmetry_forbids_do_not_count(name):
     make, omega, expected = HARMONICS[name]
-    found = gx.breathers.resonant_harmonic(make(), omega)
+    found = resonant_harmonic(make(), omega)
     assert (None if found is None else found[0]) == expected
 
 

@@ -9,6 +9,7 @@ from refusals import refused
 
 import granjax as gx
 from granjax import checks
+from granjax.orbits.floquet import decide
 
 ROOT = Path(gx.__file__).parent
 NAN, INF = float("nan"), float("inf")
@@ -221,7 +222,7 @@ BAD = (
     ),
     (
         "resolution",
-        lambda: gx.floquet.decide(np.ones(2), np.zeros(2), 0, True, 1.0),
+        lambda: decide(np.ones(2), np.zeros(2), 0, True, 1.0),
         "resolution",
     ),
     ("adjoint of tolerance 0", lambda: gx.Reversible(0.0), "tolerance"),

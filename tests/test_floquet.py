@@ -13,15 +13,10 @@ from scipy.linalg import expm
 from scipy.optimize import fsolve, linear_sum_assignment
 
 import granjax as gx
-from granjax.floquet import (
-    decide,
-    floquet,
-    multipliers,
-    product_multipliers,
-    reversible_multipliers,
-)
+from granjax.floquet import floquet, multipliers
 from granjax.forced import forced_orbit
-from granjax.orbits.floquet import sentence, weights
+from granjax.orbits.floquet import decide, sentence, weights
+from granjax.orbits.spectrum import product_multipliers, reversible_multipliers
 
 
 def apart(a, b):

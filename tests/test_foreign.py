@@ -15,7 +15,7 @@ from refusals import refused
 import granjax as gx
 from granjax.flow.method import STEP_FRACTION, frequency_bound
 from granjax.lattice import linearised
-from granjax.orbits import shifts
+from granjax.orbits.asked import shifts
 
 N = 8
 

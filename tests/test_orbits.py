@@ -8,8 +8,8 @@ from scipy.special import ellipe, ellipj, ellipk
 import granjax as gx
 from granjax.continuation import continuation
 from granjax.newton import newton
-from granjax.orbits import Mirror, Shooting, Sign, Symmetry, Translation, orbit, shifts
-from granjax.orbits.asked import checked_symmetry
+from granjax.orbits import Mirror, Shooting, Sign, Symmetry, Translation, orbit
+from granjax.orbits.asked import checked_symmetry, shifts
 
 N = 5
 RNG = np.random.default_rng(4)

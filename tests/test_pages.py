@@ -13,7 +13,10 @@ import granjax as gx
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [
-    *(DOCS / f"{name}.md" for name in ("start", "methods", "matlab", "compare", "formulas", "cite")),
+    *(
+        DOCS / f"{name}.md"
+        for name in ("start", "methods", "matlab", "compare", "formulas", "cite")
+    ),
     *sorted((DOCS / "concepts").glob("*.md")),
     *sorted((DOCS / "how-to").glob("*.md")),
 ]

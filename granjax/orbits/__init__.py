@@ -39,12 +39,10 @@ __all__ = [
     "Torus",
     "TorusBranch",
     "Translation",
-    "default_steps",
     "diagram",
     "find_all",
     "history",
     "orbit",
     "problem",
-    "shifts",
     "torus",
 ]

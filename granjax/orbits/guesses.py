@@ -31,6 +31,8 @@ from ..types import Scalar, Site
 from .asked import checked_lattice, shifts
 from .scales import nonlinear_length
 
+__all__ = ["bright_guess", "dark_guess", "single_site"]
+
 NEEDS = "The envelope equation needs a periodic chain of bonds alone, or of equal beads with linear resonators."
 NO_CELL = "None or a State (such as guesses.single_site gives) for this lattice"
 # relative differences that are rounding: of a frequency from an edge, of coefficients
