@@ -143,7 +143,7 @@ def test_what_does_not_converge_says_so():
     assert not orbit.converged and float(orbit.residual) > 1e-10
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_a_batch_over_damping_and_its_gradient():
     omega, rates = 0.9, jnp.linspace(0.03, 0.09, 4)
 

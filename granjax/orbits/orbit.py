@@ -564,7 +564,6 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
     return state, t0, energy, error, jnp.where(fell, FELL, code)
 
 
-@compiled
 def prepared(
     lattice: Lattice,
     period: Scalar,
@@ -581,6 +580,15 @@ def prepared(
     The unknowns have the norm of the relative amplitude, whatever the units of the lattice: the unit is the size of the
     guess, or of where it is a period later, if that is more.
     """
+    shooting, x = _prepared(lattice, period, guess, flow, t0, segments, transient, symmetry, free)
+    # A program returns arrays. A loop over a known number of steps has derivatives in reverse mode.
+    if isinstance(flow.steps, int):
+        shooting = eqx.tree_at(lambda s: s.flow.steps, shooting, flow.steps // segments)
+    return shooting, x
+
+
+@compiled
+def _prepared(lattice, period, guess, flow, t0, segments, transient, symmetry, free):
     lattice, period, guess = jax.lax.stop_gradient((lattice, period, guess))
     guess = jax.lax.fori_loop(0, transient, lambda i, y: flow(y, t0, t0 + period, lattice), guess)
     end, n, omega = (
