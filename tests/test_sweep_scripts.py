@@ -99,7 +99,11 @@ def test_fits_of_traces(folder):
         vs = np.asarray(gx.simulate(chain, gx.states.impact(chain), 12.0, save_at=97).vs)
         noisy = vs[:, [3, 6]] + 0.01 * draw.standard_normal((97, 2))
         np.savetxt(
-            folder / f"trace{k}.csv", np.column_stack([times, noisy]), delimiter=",", header="t,a,b"
+            folder / f"trace{k}.csv",
+            np.column_stack([times, noisy]),
+            delimiter=",",
+            header="Time (s),a (m/s),b (m/s)",
+            comments="",
         )
     data = run(FITS)["data"]
     assert (data.reason == "").all() and data.sizes["trace"] == 32
