@@ -1,4 +1,4 @@
-"""Chaos: Lyapunov exponents, alignment indices, frequencies and averages that tell regular motion from chaotic."""
+"""Chaos: Lyapunov exponents, alignment indices, frequencies and averages."""
 
 import dataclasses
 from typing import ClassVar, NamedTuple
@@ -24,18 +24,16 @@ from .types import Count, Numbers, Parameter, Scalar, StateLike
 
 __all__ = ["Frequency", "Gali", "Lyapunov", "birkhoff", "frequency", "gali", "lyapunov"]
 
-# parts of a run, whose exponents differ by their uncertainty
+# Parts of a run; the spread of their exponents gives the uncertainty.
 WINDOWS = 10
 
 
 class Lyapunov(Result):
-    """What `lyapunov` returns."""
+    """The result of `lyapunov`."""
 
-    exponents: Float[np.ndarray, " exponent"] = array(
-        "The exponents, from the largest down.", "1/s"
-    )
+    exponents: Float[np.ndarray, " exponent"] = array("The exponents, the largest first.", "1/s")
     uncertainty: Float[np.ndarray, " exponent"] = array(
-        "The standard error of the mean over tenths of the run plus the difference between the "
+        "The standard error of the mean over tenths of the run, plus the difference between the "
         "first and the second half of the run.",
         "1/s",
     )
@@ -43,7 +41,7 @@ class Lyapunov(Result):
     state: State = part("The state at the end.", "site")
     forced: bool = hidden("Whether the lattice depends on time.", static=True)
     near: str = hidden(
-        "Which stable orbit is near a motion that seems quasi-periodic.", static=True
+        "The sentence on a stable orbit near a motion that seems quasi-periodic.", static=True
     )
     exported: ClassVar[dict[str, Held]] = {
         "verdict": Held(
@@ -54,7 +52,7 @@ class Lyapunov(Result):
 
     @property
     def verdict(self) -> str:
-        """What the largest exponent says of the motion, a word."""
+        """The motion according to the largest exponent, one or two words."""
         if not np.isfinite(self.exponents).all():
             return "not finite"
         if self.chaotic:
@@ -67,7 +65,7 @@ class Lyapunov(Result):
 
     @property
     def outcome(self) -> str:
-        """What the largest exponent says of the motion, a sentence."""
+        """The motion according to the largest exponent, in one sentence."""
         verdict = self.verdict
         word = verdict.capitalize()
         value = f"the largest exponent is {self.exponents[0]:.3g} +- {self.uncertainty[0]:.1g}"
@@ -97,29 +95,36 @@ def lyapunov(
     solver: AbstractSolver | None = None,
     seed: Count = 0,
 ) -> Lyapunov:
-    r"""The k largest Lyapunov exponents: mean growth of tangents that are made orthonormal again every period.
+    r"""Compute the k largest Lyapunov exponents: mean growth rates of tangents.
 
-    With Q_0 random and Phi_i the derivative of the flow over period i: Phi_i Q_i = Q_{i+1} R_i,
-    lambda_j = (1/(P T)) sum_i ln (R_i)_jj. Displacements count times the mean frequency of a step, so that both halves
-    of a tangent have one size; the exponents do not depend on it.
+    The tangents are orthonormalised every period. With Q_0 random and Phi_i the derivative of the
+    flow over period i,
 
-    Exact: damping gamma of all sites makes the exponents pair, lambda_j + lambda_{2N+1-j} = -gamma, and the whole
-    spectrum sum to -gamma N. Autonomous lattices have one exponent zero along the orbit unless it is at rest.
+    Phi_i Q_i = Q_{i+1} R_i,  lambda_j = (1/(P T)) sum_i ln (R_i)_jj.
+
+    Displacements are multiplied by the step rate, so that both halves of a tangent have similar
+    size; the exponents do not depend on it.
+
+    Exact relations: damping gamma of all sites makes the exponents pair, lambda_j + lambda_{2N+1-j}
+    = -gamma, and the whole spectrum sum to -gamma N. An autonomous lattice has one zero exponent
+    along the orbit unless it is at rest.
 
     **Arguments:**
 
-    - `lattice`, `state` at t = 0; forced or not. `period`: T of the forcing, or of a lattice that no time drives any
-      time between two orthonormalisations, short against 1/lambda.
-    - `periods`: P, that count, at least 10; `transient`: that do not, while state and tangents turn to where they
-      belong.
+    - `lattice`, `state` at t = 0; forced or not. `period`: T of the forcing; for an autonomous
+      lattice any time between two orthonormalisations, short compared with 1/lambda.
+    - `periods`: the number P that counts, at least 10; `transient`: periods before that, in which
+      state and tangents settle.
     - `number`: k, from 1 to twice the number of displacements.
-    - `steps`, `solver`: as in `settle`. `seed`: of the first tangents.
+    - `steps`, `solver`: as in `settle`. `seed`: for the first tangents.
 
-    **Returns:** `Lyapunov`. **Raises** ValueError for numbers that do not fit, a period after which the forces do not
-    repeat, or a batch of lattices.
-    An exponent below ln(P)/(P T) is not told from zero: near-by orbits of an integrable lattice part linearly in time.
-    Source: Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980); pairing: Dressler, Phys. Rev. A 38, 2103
-    (1988).
+    **Returns:** `Lyapunov`. **Raises** ValueError for numbers that do not fit, a period after which
+    the forces do not repeat, or a batch of lattices.
+
+    An exponent below ln(P)/(P T) cannot be told from zero: nearby orbits of an integrable lattice
+    separate linearly in time.
+    Source: Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980); pairing: Dressler, Phys.
+    Rev. A 38, 2103 (1988).
 
     **Example:**
 
@@ -145,7 +150,6 @@ def lyapunov(
 
 
 def _begun(lattice, state, period, number, steps, solver, seed):
-    """A state, a period, the flow over it, and tangents to start from."""
     state, period, flow = asked(lattice, state, period, 0.0, steps, solver, SRKN11b(), COARSE)
     size = ravel_pytree(state)[0].size
     if not 1 <= number <= size:
@@ -156,7 +160,8 @@ def _begun(lattice, state, period, number, steps, solver, seed):
 
 @compiled
 def _grow(flow, lattice, state, start, period, periods):
-    """The state at the end; of each period the logarithms by which the volumes and the lengths of tangents grew."""
+    # Returns the state at the end, and for each period the logarithms by which the volumes and the
+    # lengths of the tangents grew.
     period = jnp.asarray(period, start.dtype)
     rate = jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u)
     rate, one = ravel_pytree(rate)[0], jnp.ones(ravel_pytree(state.v)[0].size)
@@ -166,7 +171,7 @@ def _grow(flow, lattice, state, start, period, periods):
         y, Q, C = carry
         y, tangents = flow.tangents(y, columns(y, Q / weight), 0.0, period, lattice)
         Q, R = jnp.linalg.qr(weight * matrix(tangents))
-        # the tangents themselves are Q C, each of length 1
+        # The tangents themselves are Q C, each of length 1.
         C = R @ C
         lengths = jnp.linalg.norm(C, axis=0)
         logs = jnp.log(jnp.abs(jnp.diagonal(R))), jnp.log(lengths)
@@ -186,10 +191,10 @@ def _uncertainty(rates):
 
 
 class Gali(Result):
-    """What `gali` returns."""
+    """The result of `gali`."""
 
     t: Float[np.ndarray, " t"] = array("The ends of the periods.", "s", name="t")
-    order: Float[np.ndarray, " order"] = array("How many tangents, k.", name="order")
+    order: Float[np.ndarray, " order"] = array("The number k of tangents.", name="order")
     log_gali: Float[np.ndarray, "t order"] = array("The natural logarithm of GALI_k.")
     state: State = part("The state at the end.", "site")
 
@@ -211,14 +216,16 @@ def gali(
     solver: AbstractSolver | None = None,
     seed: Count = 0,
 ) -> Gali:
-    r"""Generalised alignment indices: the volume that k unit tangents span, GALI_k = |w_1 ^ ... ^ w_k|, k = 2 ... K.
+    r"""Compute generalised alignment indices GALI_k = |w_1 ^ ... ^ w_k|, k = 2 ... K.
 
-    On a torus of s dimensions of a lattice of N displacements GALI_k stays level for k <= s and falls like a power
-    beyond, t^-2(k-N) for s = N; along a chaotic orbit it falls like exp(-[(l_1 - l_2) + ... + (l_1 - l_k)] t) with the
-    Lyapunov exponents l. It is followed by its logarithm, so that it does not end at rounding.
+    They are volumes that k unit tangents span. On a torus of s dimensions of a lattice of N
+    displacements GALI_k stays level for k <= s and falls like a power beyond, t^-2(k-N) for s = N.
+    Along a chaotic orbit it falls like exp(-[(l_1 - l_2) + ... + (l_1 - l_k)] t) with the Lyapunov
+    exponents l. Its logarithm is computed, so that it does not end at rounding.
 
-    **Arguments:** as those of `lyapunov`; `number`: K, from 2 to twice the number of displacements; the index is 1 at
-    the start. **Returns:** `Gali`. **Raises** ValueError as `lyapunov`, and for fewer than two tangents.
+    **Arguments:** as for `lyapunov`; `number`: K, from 2 to twice the number of displacements. The
+    index is 1 at the start. **Returns:** `Gali`. **Raises** ValueError as `lyapunov`, and for fewer
+    than two tangents.
     Source: Skokos, Bountis, Antonopoulos, Physica D 231, 30 (2007).
 
     **Example:**
@@ -238,7 +245,10 @@ def gali(
 
 
 class Frequency(NamedTuple):
-    """The strongest frequency of a signal [rad/s], its amplitude, and the frequency's drift over half of the time."""
+    """The strongest frequency of a signal [rad/s].
+
+    `amplitude`: that of this frequency. `drift`: the change of the frequency over half of the time.
+    """
 
     omega: Numbers
     amplitude: Numbers
@@ -246,18 +256,20 @@ class Frequency(NamedTuple):
     __repr__ = told
 
 
-# of Newton's method on the power, from the largest line of the transform
+# Steps of Newton's method on the power, from the largest line of the transform.
 REFINEMENTS = 12
 
 
 def frequency(q: Parameter, dt: Scalar) -> Frequency:
-    """Strongest frequency of a real history by Laskar's method: the top of its power under a Hann window.
+    """Return the strongest frequency of a real signal by Laskar's method.
 
-    Of a quasi-periodic signal over a time T it is known to about T^-4, where a line of the Fourier transform is 2 pi/T
-    wide. The drift is the difference of the frequencies of both halves: rounding for regular motion, diffusion for
-    chaotic motion. Over initial states, with lanes, this is a frequency map.
+    It is the maximum of the power under a Hann window. For a quasi-periodic signal over a time T
+    its error is about T^-4, where a line of the Fourier transform is 2 pi/T wide. The drift is the
+    difference between the frequencies of both halves: rounding for regular motion, diffusion for
+    chaotic motion. Over many initial states, with lanes, this gives a frequency map.
 
-    **Arguments:** `q`: (T,) and trailing axes, frames equally spaced by `dt`. **Raises** ValueError for fewer than 16.
+    **Arguments:** `q`: (T,) and trailing axes, frames equally spaced by `dt`. **Raises** ValueError
+    for fewer than 16.
     Source: J. Laskar, Icarus 88, 266 (1990).
 
     **Example:**
@@ -281,7 +293,7 @@ def _strongest(q, dt):
     size, tail = len(q), (1,) * (q.ndim - 1)
     along = lambda x: x.reshape((-1,) + tail)
     window = along(1 - jnp.cos(2 * jnp.pi * (jnp.arange(size) + 0.5) / size)) / size
-    # the mean under the window, so that nothing of it leaks
+    # The mean under the window is removed, so that none of it leaks.
     signal = window * (q - jnp.sum(window * q, 0))
     t = along(dt * (jnp.arange(size) - (size - 1) / 2))
     lines = jnp.moveaxis(jnp.fft.rfft(jnp.moveaxis(signal, 0, -1)), -1, 0)
@@ -291,7 +303,7 @@ def _strongest(q, dt):
     def closer(_, omega):
         turned = signal * jnp.exp(-1j * omega * t)
         A, A1, A2 = (jnp.sum(turned * (-1j * t) ** k, 0) for k in range(3))
-        # of the logarithm of the power, which is concave over the whole line
+        # Derivatives of the logarithm of the power, which is concave over the whole line.
         slope = jnp.real(A1 / A)
         bend = jnp.real(A2 / A - (A1 / A) ** 2)
         step = -slope / jnp.where(bend < 0, bend, -jnp.inf)

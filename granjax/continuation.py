@@ -1,6 +1,6 @@
-"""Solutions of F(x, p) = 0: branches by pseudo-arclength continuation, several from one guess by deflation.
+"""Solutions of F(x, p) = 0: branches by pseudo-arclength continuation, and deflation.
 
-It knows no physics.
+Deflation finds several solutions from one guess. The module contains no physics.
 """
 
 import abc
@@ -24,26 +24,28 @@ from .types import Count, Numbers, Parameter, Pytree, Scalar
 __all__ = ["Curve", "Point", "Problem", "Special", "System", "another", "continuation"]
 
 LEAST_COSINE = 0.9
-# of the tolerance, to which points beside a branch point are solved if they can be: the derivative is almost singular
-# there, and what is left of the residual decides where it is found
+# The share of the tolerance to which Newton's method goes on beside a special point, if it can.
+# Beside a branch point the derivative is almost singular, and the residual that is left decides
+# where the point is found.
 CLOSER = {"fold": 1.0, "branch point": 1e-3}
 
 
 class Problem(eqx.Module):
-    """F(x, p) = 0, as many equations as unknowns x, with a parameter p. Write `residual`."""
+    """F(x, p) = 0, with as many equations as unknowns x, and a parameter p. Write `residual`."""
 
     @abc.abstractmethod
     def residual(self, x: Numbers, p: Scalar) -> Numbers:
-        """F(x, p), (n,)."""
+        """Return F(x, p), (n,)."""
 
     def linearise(self, x: Numbers, p: Scalar) -> tuple:
-        """(F, dF/dx), or (F, dF/dx, dF/dp) where that costs nothing more; by default in forward mode."""
+        """Return (F, dF/dx), or (F, dF/dx, dF/dp) if that costs no more.
+
+        The default is forward mode.
+        """
         return by_forward_mode(self.residual, x, p)
 
 
 class _Given(Problem):
-    """A function F(x, p, args) and its derivative, as they are given."""
-
     function: Callable
     args: Pytree
     slopes: Callable | None
@@ -56,9 +58,11 @@ class _Given(Problem):
 
 
 class Special(NamedTuple):
-    """A point found on a branch: `kind` "fold" or "branch point", `x`, `p`, and `after`, the index of the point before.
+    """A special point of a branch.
 
-    `directions`: unit tangents (x, p) of the branches that meet at a branch point, the traced one first.
+    `kind`: "fold" or "branch point". `x`, `p`: where it is. `after`: the index of the point before.
+    `directions`: unit tangents (x, p) of the branches that meet at a branch point, the traced one
+    first.
     """
 
     kind: str
@@ -70,15 +74,17 @@ class Special(NamedTuple):
 
 
 class Curve(Result):
-    """A branch, what was found on it, and why it ended."""
+    """A branch, the special points on it, and why it ended."""
 
     x: Float[np.ndarray, "point unknown"] = array("The unknowns of every point.")
     p: Float[np.ndarray, " point"] = array("The parameter of every point.")
     tangents: Float[np.ndarray, "point tangent"] = array("Unit tangents.")
     special: tuple[Special, ...] = array("The special points, in the order of the branch.")
-    newton: int = array("The number of Jacobians that were taken.")
-    end: str = array('Why: "p", "points", "stop", "step", "closed" or "other".', static=True)
-    reason: str = hidden("What else there is to say of the end.", static=True)
+    newton: int = array("The number of Jacobians that were evaluated.")
+    end: str = array(
+        'Why the branch ended: "p", "points", "stop", "step", "closed" or "other".', static=True
+    )
+    reason: str = hidden("More about the end.", static=True)
 
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
@@ -92,14 +98,14 @@ class Curve(Result):
 
     @property
     def steps(self) -> list[tuple["Point", "Point"]]:
-        """Neighbouring points, as pairs."""
+        """Pairs of neighbouring points."""
         zs = np.column_stack([self.x, self.p])
         points = [Point(z, tangent) for z, tangent in zip(zs, self.tangents)]
         return list(zip(points[:-1], points[1:]))
 
     @property
     def outcome(self) -> str:
-        """Why it ended."""
+        """Why the branch ended."""
         return {
             "p": f"p reached {self.p[-1]:.6g}.",
             "points": f"The {len(self.p)} points that were asked for.",
@@ -130,28 +136,31 @@ def continuation(
 ) -> Curve:
     r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.
 
-    Each point is predicted along the tangent, at a distance s in the plain norm of (x, p), and corrected by Newton's
-    method in the plane across it; so the branch is followed through folds, where dp = 0. The step grows where Newton
-    needs few iterations and shrinks where it needs many, fails, or turns by more than 25 degrees.
+    Each point is predicted along the tangent, at a distance s in the plain norm of (x, p), and
+    corrected by Newton's method in the plane across the tangent. So the branch is followed through
+    folds, where dp = 0. The step grows if Newton needs few iterations. It shrinks if Newton needs
+    many or fails, or the branch turns by more than 25 degrees.
 
     **Arguments:**
 
     - `residual`: F(x, p, args), (n,) to (n,), or a `Problem`.
     - `x0`, `p0`: a solution, or near one: it is corrected first.
-    - `until`: end where p reaches this value (a pair: either of two); the last point lies exactly there.
-    - `direction`: +-1, the way p changes first; or a tangent (n + 1,), as in `Special.directions`: then `x0`, `p0` is a
-      branch point, and the first point is sought beside it.
-    - `arclength`, `least_arclength`, `longest_arclength`: first, step along the branch, least
-      (arclength/1e4) and longest (10 arclength).
+    - `until`: end where p reaches this value (a pair: either of two); the last point lies exactly
+      there.
+    - `direction`: +-1, the direction in which p changes first. Or a tangent (n + 1,), as in
+      `Special.directions`: then `x0`, `p0` is a branch point, and the first point is sought beside
+      it.
+    - `arclength`, `least_arclength`, `longest_arclength`: first, least (arclength/1e4) and longest
+      (10 arclength) step along the branch.
     - `points`: the most points. `tolerance`: of max |F|.
-    - `args`, `linearise`: of a function: what it reads, and (x, p, args) -> (F, dF/dx) or (F, dF/dx, dF/dp), where that
-      is cheaper than `jax.jacfwd`. A `Problem` has its own.
+    - `args`, `linearise`: for a function: its arguments, and (x, p, args) -> (F, dF/dx) or (F,
+      dF/dx, dF/dp), if that is cheaper than `jax.jacfwd`. A `Problem` has its own.
     - `veto`: (x, p, x_before, p_before) -> a reason to take a shorter step instead, or `None`.
     - `stop`: (x, p) -> a reason to end the branch there, or `None`.
-    - `find`: which special points are located, of "fold" and "branch point".
+    - `find`: which special points to locate, of "fold" and "branch point".
 
-    **Returns:** `Curve`; `outcome` says why it ended. **Raises** ValueError for input that cannot be meant,
-    RuntimeError where the first point does not converge.
+    **Returns:** `Curve`; `outcome` says why it ended. **Raises** ValueError for invalid input,
+    RuntimeError if the first point does not converge.
 
     **Example:**
 
@@ -222,7 +231,7 @@ def continuation(
         if len(zs) > 3 and _closed(zs, tangents, arclength, farthest):
             end = "closed"
             break
-        # where Newton's method needs four iterations the step is as it should be
+        # Four iterations of Newton's method are the target.
         factor = 2.0 ** ((4 - here.iterations) / 2)
         arclength = float(np.clip(factor * arclength, least_arclength, longest_arclength))
     z = np.stack(zs)
@@ -230,7 +239,11 @@ def continuation(
 
 
 class Point(NamedTuple):
-    """A corrected point: derivatives (n, n + 1), tangent, sign of det of the two, which changes at branch points."""
+    """A corrected point of a branch.
+
+    `jacobian`: (n, n + 1). `sign`: that of det of the Jacobian and the tangent, which changes at
+    branch points.
+    """
 
     z: Float[np.ndarray, " n_and_p"]
     tangent: Float[np.ndarray, " n_and_p"]
@@ -247,16 +260,16 @@ class Point(NamedTuple):
         return float(self.z[-1])
 
     def test(self, kind: str) -> float:
-        """The function whose zero is a special point of a kind."""
+        """Return the number whose zero is a special point of a kind."""
         return self.tangent[-1] if kind == "fold" else self.sign
 
     def crosses(self, other: "Point", kind: str) -> bool:
-        """Whether that changes its sign on the way to another point."""
+        """Return whether `test` changes its sign on the way to another point."""
         return bool(self.test(kind) * other.test(kind) < 0)
 
 
 class _Bordered(eqx.Module):
-    """F(x, p) = 0 and border . (z - z_predicted) = 0, for Newton's method."""
+    # F(x, p) = 0 and border . (z - z_predicted) = 0, for Newton's method.
 
     problem: Problem
 
@@ -276,7 +289,7 @@ class _Bordered(eqx.Module):
 
 
 class System:
-    """What continuation solves at every point of a branch."""
+    """The system that continuation solves at every point of a branch."""
 
     def __init__(self, problem: Problem, tolerance: Scalar):
         self.bordered, self.tolerance = _Bordered(problem), tolerance
@@ -290,9 +303,10 @@ class System:
         most: Count = 10,
         share: float = 1.0,
     ) -> tuple[Point | None, str]:
-        """A `Point` in the plane through a guess across `border`, or `None` and why not.
+        """Return a `Point` in the plane through a guess across `border`, or `None` and why not.
 
-        `before`: a tangent in the direction of the branch. `share`: of the tolerance, to which it goes on if it can.
+        `before`: a tangent in the direction of the branch. `share`: of the tolerance, to which it
+        goes on if it can.
         """
         guess, border = jax.device_put((guess, border))
         root = newton(
@@ -315,7 +329,7 @@ class System:
             sign, size = np.linalg.slogdet(np.vstack([jacobian, tangent]))
         except np.linalg.LinAlgError:
             tangent = np.full(len(square), np.nan)
-        # relative to the first point's, so that its size means how near to zero it is
+        # Relative to the first point's, so that its size tells how near to zero it is.
         self.scale = size if self.scale is None else self.scale
         sign = float(sign * np.exp(np.clip(size - self.scale, -200, 200)))
         return Point(np.asarray(root.x), tangent, jacobian, sign, int(root.iterations)), ""
@@ -329,15 +343,16 @@ class System:
         direction: np.ndarray | None = None,
         share: float = 1.0,
     ) -> Point:
-        """Where a function of the point changes its sign between two points of the branch, by Brent's method.
+        """Return where a function changes its sign between two points, by Brent's method.
 
-        `direction`: across which points are sought, a unit vector (n + 1,), by default the tangent at the first point.
-        `accuracy`: of the length along it. `share`: of the tolerance, to which Newton's method goes on if it can.
+        `direction`: a unit vector (n + 1,) across which points are sought, by default the tangent
+        at the first point. `accuracy`: relative to the length along it. `share`: of the tolerance,
+        to which Newton's method goes on if it can.
         """
         direction = here.tangent if direction is None else direction
         length = float((there.z - here.z) @ direction)
         known = {0.0: here, length: there}
-        # no number at a branch point itself, where there is no tangent
+        # Not a number at a branch point itself, where there is no tangent.
         value = lambda point: np.nan_to_num(test(point))
 
         def at(s):
@@ -351,7 +366,7 @@ class System:
 
         try:
             return at(brentq(lambda s: value(at(s)), 0.0, length, xtol=accuracy * abs(length)))
-        except RuntimeError:  # Newton's method failed on the way: as near as it came
+        except RuntimeError:  # Newton's method failed on the way: take the nearest point.
             return min(known.values(), key=lambda point: abs(value(point)))
 
 
@@ -359,7 +374,7 @@ def _advance(system, here, arclength, veto):
     there, reason = system.correct(here.z + arclength * here.tangent, here.tangent, here.tangent)
     if there is None:
         return None, reason
-    # no tangent (NaN) where the step has met a branch point itself
+    # There is no tangent (NaN) if the step has met a branch point itself.
     if not there.tangent @ here.tangent >= LEAST_COSINE:
         return None, "the branch turns faster than the step resolves, or another branch was met"
     why = None if veto is None else veto(there.x, there.p, here.x, here.p)
@@ -367,10 +382,10 @@ def _advance(system, here, arclength, veto):
 
 
 def _bound_met(system, here, there, bounds):
-    """The bound that p meets first between two points, and a point of the branch near it."""
+    # The bound that p meets first between two points, and a point of the branch near it.
     if not bounds:
         return None, None
-    # p may turn back on the way: up to the fold and from there on it is monotone
+    # p may turn back on the way. Up to the fold, and from there on, it is monotone.
     turns = here.crosses(there, "fold")
     turn = [system.zero(here, there, lambda point: point.test("fold"))] if turns else []
     for a, b in zip([here, *turn], [*turn, there]):
@@ -383,7 +398,7 @@ def _bound_met(system, here, there, bounds):
 
 @compiled
 def _second(problem, z, v, w):
-    """D^2 F [v, w]."""
+    # D^2 F [v, w].
     f = lambda z: problem.residual(z[:-1], z[-1])
     return jax.jvp(lambda z: jax.jvp(f, (z,), (v,))[1], (z,), (w,))[1]
 
@@ -391,10 +406,11 @@ def _second(problem, z, v, w):
 def directions(
     system: System, kind: str, point: Point, before: np.ndarray
 ) -> Float[np.ndarray, "branches n_and_p"]:
-    """Tangents of the branches that meet at a special point, the one nearest to `before` first."""
+    """Return tangents of the branches at a special point, the nearest to `before` first."""
     if kind == "fold":
         return point.tangent[None]
-    # dF has two null vectors and one from the left, psi: a tangent v is in their plane, and psi . D^2 F [v, v] = 0
+    # dF has two null vectors and a left one, psi. A tangent v lies in their plane and satisfies psi
+    # . D^2 F [v, v] = 0.
     left, _, right = np.linalg.svd(point.jacobian)
     plane, psi = right[-2:], left[:, -1]
     second = lambda *arrays: _second(system.bordered.problem, *map(jnp.asarray, arrays))
@@ -408,7 +424,7 @@ def directions(
             @ plane
         )
         both /= np.linalg.norm(both, axis=1, keepdims=True)
-    else:  # no two branches that cross: the traced one, and what is orthogonal to it in the plane
+    else:  # No two branches cross: the traced one, and what is orthogonal to it.
         own = plane @ before / np.linalg.norm(plane @ before)
         both = np.stack([own, [-own[1], own[0]]]) @ plane
     both = both[np.argsort(-np.abs(both @ before), kind="stable")]
@@ -416,7 +432,7 @@ def directions(
 
 
 def _closed(zs, tangents, arclength, farthest):
-    """Whether the last step went past the first point, from afar and in its direction."""
+    # Whether the last step passed the first point, from afar and in its direction.
     before, now = ((z - zs[0]) @ tangents[0] for z in zs[-2:])
     far = np.linalg.norm(zs[-1] - zs[0])
     return bool(
@@ -427,21 +443,22 @@ def _closed(zs, tangents, arclength, farthest):
     )
 
 
-# of the size of the guesses: what Newton's method leaves of a solution, and how far two of them are apart
+# Relative to the size of the guesses: the residual that Newton's method leaves, and the least
+# distance of two solutions.
 LEFT = 1e-11
 APART = 1e-5
-# of the size, the longest step of Newton's method with deflation
+# The longest step of Newton's method with deflation, relative to the size.
 LONGEST = 0.3
 
 
 @compiled
 def linearised(problem: Problem, x: Numbers, p: Scalar) -> tuple:
-    """(F, dF/dx) of a problem."""
+    """Return (F, dF/dx) of a problem."""
     return problem.linearise(x, p)[:2]
 
 
 def solve(problem: Problem, root: np.ndarray, others: Sequence[np.ndarray], size: float) -> list:
-    """Which of some unknowns solve F(x, 0) = 0 as well as a root does that `another` finds."""
+    """Return which unknowns solve F(x, 0) = 0 as well as a root that `another` finds."""
     zero = jnp.zeros(())
     slope = np.abs(linearised(problem, jnp.asarray(root), zero)[1]).max()
     left = [np.abs(residual_of(problem, jnp.asarray(x), zero)).max() for x in others]
@@ -450,7 +467,7 @@ def solve(problem: Problem, root: np.ndarray, others: Sequence[np.ndarray], size
 
 @compiled
 def residual_of(problem: Problem, x: Numbers, p: Scalar) -> Numbers:
-    """F(x, p) of a problem."""
+    """Return F(x, p) of a problem."""
     return problem.residual(x, p)
 
 
@@ -461,15 +478,15 @@ def another(
     size: float,
     max_steps: Count = 200,
 ) -> np.ndarray | None:
-    """A solution of F(x, 0) = 0 beside those that are known, by Newton's method with deflation, or `None`.
+    """Return a solution of F(x, 0) = 0 other than the known ones, by deflation, or `None`.
 
-    Newton's method for F times the product of 1 + (size/|x - x_j|)^2 over the known solutions x_j, which has no root at
-    them; its step is Newton's own times a number. Source: Farrell, Birkisson, Funke, SIAM J. Sci. Comput. 37, A2026
-    (2015).
+    Newton's method is applied to F times the product of 1 + (size/|x - x_j|)^2 over the known
+    solutions x_j, which are not roots of it. Its step is Newton's own times a number.
+    Source: Farrell, Birkisson, Funke, SIAM J. Sci. Comput. 37, A2026 (2015).
     """
     known_here = lambda x: any(np.abs(x - other).max() <= APART * size for other in known)
     x, largest = guess, None
-    if known_here(x):  # next to a known one the product has no direction of its own
+    if known_here(x):  # Next to a known solution the product has no direction of its own.
         x = x + LONGEST / 2 * size * np.random.default_rng(0).uniform(-1, 1, x.size)
     for _ in range(max_steps):
         f, jacobian = map(np.asarray, linearised(problem, jnp.asarray(x), jnp.zeros(())))
@@ -482,6 +499,6 @@ def another(
         slope = sum(-2 * d / (d @ d * (d @ d + 1)) for d in away) / size
         step = np.linalg.lstsq(jacobian, -f)[0]
         step = step / (1 - np.dot(slope, step))
-        # without halving: on its way to another solution the product rises and falls
+        # The step is not halved: on its way to another solution the product rises and falls.
         x = x + step * min(1, LONGEST * size / np.abs(step).max())
     return None

@@ -1,4 +1,4 @@
-"""Where a lattice rests: by Newton's method, with the loads that hold it."""
+"""Equilibria of lattices by Newton's method, with the loads that hold them."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -23,49 +23,49 @@ from .terms.sites import with_still_walls
 from .types import AnyArray, Count, Displacements, Flags, Numbers
 from .units import PART
 
-# unknowns up to which Newton's method has a dense derivative
+# The most unknowns for which Newton's method has a dense derivative.
 DENSE = 4000
-# of the largest force, what may be left over
+# The residual force, relative to the largest force.
 TIGHT = 1e-13
-# of a sum of forces, in units of its last place
+# The rounding of a sum of forces, in units of its last place.
 ROUNDING = 64
 HOLDS = ("ends", "loads", "nothing")
 
 
 class Equilibrium(Result):
-    """A state of rest, and what holds the lattice there."""
+    """An equilibrium of a lattice, and the loads that hold it there."""
 
     state: State = part(
         "Displacements, from where the lattice was built, and velocities, which are zero.",
         "site ...",
     )
     loads: Displacements = array(
-        "The forces from outside that hold each site, beside walls; zero where nothing holds it.",
+        "The external forces that hold each site, apart from walls; zero where nothing holds it.",
         "N",
         "site ...",
     )
     ends: Numbers | None = array(
-        "The forces on the left and right end of a chain, compression positive; `None` "
-        "where a term does not know its walls.",
+        "The forces on the left and right end of a chain, compression positive; `None` if a term "
+        "does not know its walls.",
         "N",
         "end",
     )
-    residual: Numbers = array("The largest force that is left over on a site.", "N")
+    residual: Numbers = array("The largest residual force on a site.", "N")
     largest: Numbers = array("The largest force of a contact, or of a term on a site.", "N")
     stiffness: Numbers | None = array(
-        "The least eigenvalue of the stiffness (uniform displacements of a ring left out), "
+        "The least eigenvalue of the stiffness (without uniform displacements of a ring), "
         "negative at a saddle.",
         "N/m",
     )
     error: Numbers | None = array("The error of `stiffness`.", "N/m")
-    lattice: Lattice = note("The lattice measured from there, which rests at u = 0.")
+    lattice: Lattice = note("The lattice measured from the equilibrium, which rests at u = 0.")
     _moved: Numbers
     _borne: Flags
     _code: str = eqx.field(static=True, default="")
 
     @property
     def verdict(self) -> str:
-        """Of the state of rest: "stable", "unstable", or "undecided" where the least stiffness is rounding."""
+        """The stability: "stable", "unstable", or "undecided" (the least stiffness is rounding)."""
         if traced((self.stiffness, self.error)) or self.stiffness is None:
             return "undecided"
         least, error = float(self.stiffness), float(self.error)
@@ -73,7 +73,7 @@ class Equilibrium(Result):
 
     @property
     def found(self) -> bool:
-        """Whether what is left over is rounding of the largest force."""
+        """Whether the residual is rounding of the largest force."""
         return bool(self.residual <= TIGHT * self.largest)
 
     @property
@@ -108,11 +108,8 @@ _BORNE = (
 
 
 class _Problem(eqx.Module):
-    """What the residual of Newton's method reads.
-
-    `loads` from outside, of which the `given`, who `holds` at the guess, and uniform moves that cost nothing,
-    orthonormal columns `free`.
-    """
+    # `loads`: all external forces; `given`: those from the user; `holds`: flags of what stays at
+    # the guess; `free`: uniform moves that cost nothing, as orthonormal columns.
 
     lattice: Lattice
     loads: AnyArray
@@ -123,11 +120,11 @@ class _Problem(eqx.Module):
     scale: AnyArray
 
     def total(self, x):
-        """All forces on the sites, those of preloads and loads among them, as one row."""
+        # All forces on the sites, with those of preloads and loads, as one row.
         return ravel_pytree(_total(self.lattice, _shaped(self.lattice, x)))[0] + self.loads
 
     def residual(self, x):
-        """Forces on what can move; what cannot is tied to the guess."""
+        # Forces on what can move; what cannot is tied to the guess.
         force, away = jnp.where(self.holds, 0, self.total(x)), x - self.guess
         force = force + self.free @ (self.free.T @ (self.scale * away - force))
         return jnp.where(self.holds, self.scale * away, force)
@@ -152,29 +149,34 @@ def equilibrium(
     max_steps: Count = 50,
     throw: bool | None = None,
 ) -> Equilibrium:
-    r"""The state of rest of any lattice: displacements where all forces vanish, and the loads that hold it.
+    r"""Find an equilibrium of any lattice, and the loads that hold it.
 
-    sum of force(u) + preloads + loads = 0 on every site that can move. Laws are measured from a preload, and at u = 0
-    that is taken to be held: where preloads do not balance at inner sites (magnets, each of which repels every other,
-    in equal spacings) loads on these would be needed, and the lattice goes elsewhere without them. The result's
-    `lattice` is measured from there: simulate that one.
+    sum of force(u) + preloads + loads = 0 on every site that can move. Laws are measured from a
+    preload, and at u = 0 the lattice is assumed to be held. If preloads do not balance at inner
+    sites (magnets in equal spacings, each of which repels all others), loads would be needed there,
+    and without them the lattice moves elsewhere. The result's `lattice` is measured from the
+    equilibrium: simulate that one.
 
     **Arguments:**
 
-    - `lattice`: one `Lattice`, with fields, vectors, terms of your own; drives are left out, walls stand still, t = 0.
-    - `hold`: what holds a lattice that a uniform displacement costs nothing. `"ends"`: its outermost sites stay where
-      they are, `loads` are found, but of scalar displacements where `loads` push these sites and add up to zero: they
-      act, as with `"loads"`; `"loads"`: the loads that their preloads need at u = 0 stay, where they go is found;
-      `"nothing"`: neither. Or a list of sites that stay (first axis). A ring is held nowhere and keeps its mean, one
-      between walls is held by these.
-    - `loads`: further forces on the sites from outside [N], such as weights.
+    - `lattice`: one `Lattice`, with fields, vectors, terms of your own. Drives are left out, walls
+      stand still, t = 0.
+    - `hold`: what holds a lattice for which a uniform displacement costs nothing. `"ends"`: its
+      outermost sites stay where they are and their `loads` are found; however, if given `loads`
+      push these sites, add up to zero and displacements are scalar, they act, as with `"loads"`.
+      `"loads"`: the loads that the preloads of these sites need at u = 0 stay, and their positions
+      are found. `"nothing"`: neither. Or a list of sites that stay (first axis). A ring is not held
+      and keeps its mean; a lattice between walls is held by these.
+    - `loads`: further external forces on the sites [N], such as weights.
     - `guess`: displacements (or a `State`) where Newton's method begins, by default u = 0.
-    - `max_steps`: of Newton's method. `throw`: raise where there is no rest; `None` does so outside of transformations.
+    - `max_steps`: of Newton's method. `throw`: raise if no equilibrium is found; `None` does so
+      outside of transformations.
 
-    **Returns:** `Equilibrium`; a saddle says so. Differentiable in parameters and loads, in
-    both modes. Cost: n^3 for n displacements, up to 4000; beyond that a lattice that already rests.
-    **Raises** ValueError for a batch (`jax.vmap(gx.equilibrium, in_axes=-1)`), and a guess at which a force is not
-    finite, as of magnets that touch; RuntimeError where no state of rest is found.
+    **Returns:** `Equilibrium`; its outcome names a saddle. Differentiable in parameters and loads,
+    in both modes. The cost is n^3 for n displacements, up to 4000; a larger lattice must rest
+    already.
+    **Raises** ValueError for a batch (`jax.vmap(gx.equilibrium, in_axes=-1)`), and a guess at which
+    a force is not finite, as of magnets that touch; RuntimeError if no equilibrium is found.
 
     **Example:**
 
@@ -195,7 +197,8 @@ def equilibrium(
     if x.size > DENSE:
         code = f"More than {DENSE} displacements are not solved for."
     for _ in range(2 if not code else 0):
-        # forces at the guess may be far above those at rest: the second time counts
+        # Forces at the guess may be far above those at rest, so the tolerance of the second round
+        # counts.
         largest, scale = jax.lax.stop_gradient(_sizes(problem, x))
         problem = eqx.tree_at(lambda p: p.scale, problem, scale)
         root = newton(
@@ -228,7 +231,7 @@ def _posed(lattice, hold, loads, guess):
         ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), x))[0]
         for x in (start, loads)
     )
-    # what is known before tracing stays NumPy's
+    # Values that are known before tracing stay NumPy arrays.
     none, nothing = np.zeros(start.size, bool), np.zeros((start.size, 0), start.dtype)
     problem = _Problem(lattice, own, own, none, start, nothing, jnp.ones((), start.dtype))
     if not traced(problem) and not np.all(np.isfinite(_response(problem, own)[0])):
@@ -252,7 +255,7 @@ def _posed(lattice, hold, loads, guess):
 
 
 def _balanced(loads, holds, moves):
-    """Whether loads push sites that would be held, and no uniform displacement of the lattice."""
+    # Whether loads push sites that would be held, but no uniform displacement of the lattice.
     numpy = jnp if traced(loads) else np
     loads = numpy.asarray(loads)
     rounding = ROUNDING * np.finfo(loads.dtype).eps * numpy.abs(loads).sum()
@@ -261,12 +264,13 @@ def _balanced(loads, holds, moves):
 
 @compiled
 def _loaded(lattice, own, dead):
-    """The loads from outside: those given, and on some sites those that the preloads need at u = 0."""
+    # The given loads, and on some sites those that the preloads need at u = 0.
     return own + jnp.where(dead, -ravel_pytree(lattice.unbalanced())[0], 0)
 
 
 def _edges(problem):
-    """The outermost sites of all axes that do not go around, but those at a wall of a chain, as one row."""
+    # The outermost sites of all axes that are not periodic, except those at a wall of a chain, as
+    # one row.
     lattice = problem.lattice
     walls = (
         {side for term in lattice.terms for side in chain.walls(term)}
@@ -283,7 +287,7 @@ def _edges(problem):
 
 
 def _goes_around(problem, axis):
-    """Whether the first sites of an axis act on the last ones more than on those half way between."""
+    # Whether the first sites of an axis act on the last ones more than on those half way between.
     lattice = problem.lattice
     size = min(s.shape[axis] for s in jax.tree.leaves(lattice.template()))
     first, middle, last = (_slab(lattice, axis, end) for end in (0, size // 2, -1))
@@ -297,7 +301,7 @@ def _goes_around(problem, axis):
 
 
 def _slab(lattice, axis, end):
-    """The displacements of all sites at one place along an axis, as flags in one row."""
+    # Flags in one row for the displacements of all sites at one place along an axis.
 
     def of(s):
         flags = np.zeros(s.shape, bool)
@@ -309,12 +313,11 @@ def _slab(lattice, axis, end):
 
 @compiled
 def _response(problem, push):
-    """All forces at the guess, and what a displacement changes of them."""
+    # All forces at the guess, and their change by a displacement.
     return jax.jvp(problem.total, (problem.guess,), (push,))
 
 
 def _chosen(lattice, hold):
-    """The flags of some sites, counted along the first axis."""
     sites = min(s.shape[0] for s in jax.tree.leaves(lattice.template()))
     flags = np.zeros(sum(s.size for s in jax.tree.leaves(lattice.template())), bool)
     for site in hold:
@@ -328,7 +331,7 @@ def _chosen(lattice, hold):
 
 @compiled
 def _sizes(problem, x):
-    """(largest force there is, stiffness that ties what cannot move)."""
+    # The largest force, and the stiffness that ties what cannot move.
     lattice = problem.lattice
     u, time = _shaped(lattice, x), jnp.zeros((), lattice.dtype)
     zeros = jax.tree.map(jnp.zeros_like, u)
@@ -345,7 +348,7 @@ def _sizes(problem, x):
 
 
 def _least(jacobian, problem):
-    """The least eigenvalue of the stiffness of what can move, and its error."""
+    # The least eigenvalue of the stiffness of what can move, and its error.
     stiffness, n = -(jacobian + jacobian.T) / 2, problem.guess.size
     tied, free = problem.holds, problem.free
     stiffness = jnp.where(tied[:, None] | tied, 0, stiffness)
@@ -359,7 +362,6 @@ def _least(jacobian, problem):
 
 @compiled
 def _finished(problem, x, jacobian):
-    """What is known at the state of rest."""
     lattice, u = problem.lattice, _shaped(problem.lattice, x)
     force = problem.total(x)
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
@@ -386,7 +388,8 @@ def _finished(problem, x, jacobian):
 
 
 class _MeasuredFrom(Altered):
-    """A term whose displacements are counted from others, and whose forces from those that it has there."""
+    # A term whose displacements are counted from `start`, and whose forces are those beyond the
+    # forces there.
 
     dimensions = {"term": PART, "start": (0, 1, 0)}
     term: Term
@@ -437,7 +440,7 @@ class _MeasuredFrom(Altered):
 
 
 def _measured_from(term, lattice, u):
-    """The term with its forces beyond those at displacements `u`, which are counted from there."""
+    # The term with displacements counted from `u`, and its forces beyond those there.
     if isinstance(term, LongRange):
         rest = get(u, term.field) + (0 if term.rest is None else term.rest)
         return eqx.tree_at(lambda x: x.rest, term, rest, is_leaf=lambda x: x is None)
@@ -448,7 +451,7 @@ def _measured_from(term, lattice, u):
 
 
 def _wall_loads(term, u):
-    """The forces with which rigid walls press on the left and right end of a chain; `None` where it is not known."""
+    # The forces of rigid walls on the left and right end of a chain; `None` if they are not known.
     if not isinstance(term, LongRange):
         if term.linear_in != "law" or chain.boundary_of(term) != "fixed":
             return None
@@ -459,7 +462,7 @@ def _wall_loads(term, u):
     x = get(u, term.field)
     x = x if term.rest is None else x + term._at_rest(x)
     count = term.kernel.shape[0] if term.beyond is None else term.beyond
-    # what is at rest beyond an end, as sites of a free chain, pushed by all on the other side
+    # The sites at rest beyond an end belong to a free chain, pushed by all sites on the other side.
     whole = LongRange(term.kernel, term.law, "free", takes=term.takes)
     wide = jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1))
     force = whole.force(0.0, wide, wide, 1.0) + whole.preload_force(wide)
@@ -467,7 +470,7 @@ def _wall_loads(term, u):
 
 
 def _ends(lattice, u, loads):
-    """The forces that press on the ends of a chain of one field: of walls, or of loads where there is none."""
+    # For a chain of one field: the forces of walls on its ends, or of loads where there is no wall.
     if lattice.fields or lattice.axes != 1 or lattice.dimension:
         return None
     walls = {side for term in lattice.terms for side in chain.walls(term)}

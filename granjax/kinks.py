@@ -1,4 +1,4 @@
-"""Kinks: what joins two wells of the force on the sites, at rest, over the Peierls-Nabarro barrier, and moving."""
+"""Kinks between two wells of the on-site force: at rest, Peierls-Nabarro barrier, moving."""
 
 from typing import NamedTuple
 
@@ -16,10 +16,11 @@ from .programs import compiled
 from .results import Result, array, part
 from .types import Number, Numbers, Scalar
 
-# of the largest force on the way from well to well: what pushes a kink that rests all the same, as in the continuum
+# A kink may be pushed by this share of the largest force between the wells and still count as at
+# rest, as in the continuum.
 PUSHED = 1e-9
-# of the way between the wells: by how much a kink that is let go moves at most, and how far from the wells the ends of
-# a chain with a kink may be
+# As shares of the distance between the wells: the most that a released kink may move, and how far
+# the ends of a chain with a kink may be from the wells.
 NEAR = 0.1
 ENDS = 0.05
 
@@ -29,42 +30,41 @@ class Kink(Result):
 
     state: State = part("The kink at rest.", "site")
     energy: Number = array("The energy above that of the left well.", "J")
-    error: Numbers = array(
-        "The estimated distance of each displacement from the truth.", "m", "site"
-    )
-    energy_error: Number = array("The estimated distance of the energy from the truth.", "J")
+    error: Numbers = array("The estimated error of each displacement.", "m", "site")
+    energy_error: Number = array("The estimated error of the energy.", "J")
     omega: Numbers = array(
-        "The frequencies of small oscillations, ascending, zero where the kink is unstable;"
-        " the lowest one of a stable kink is the Peierls-Nabarro frequency.",
+        "The frequencies of small oscillations, ascending, zero where the kink is unstable. The "
+        "lowest one of a stable kink is the Peierls-Nabarro frequency.",
         "rad/s",
         "mode",
     )
     growth: Number = array("The growth rate of an unstable kink, else zero.", "1/s")
-    residual: Number = array("The largest force over that on the way between the wells.", "1")
+    residual: Number = array("The largest force over that between the wells.", "1")
     verdict: str = array(
-        '"stable", "unstable" or "undecided" (the curvature is not known from zero: a chain'
-        " near the continuum).",
+        '"stable", "unstable" or "undecided" (the curvature is zero within its error: a chain '
+        "near the continuum).",
         static=True,
     )
 
     @property
     def outcome(self) -> str:
-        """Whether it is stable, and its energy."""
+        """The stability and the energy."""
         return f"A kink at rest, {self.verdict}: its energy is {float(self.energy):.6g}."
 
 
 class PeierlsNabarro(Result):
-    """The barrier against moving a kink by a site."""
+    """The barrier against moving a kink by one site."""
 
-    barrier: Number = array("The energy of the higher kink less that of the lower one.", "J")
+    barrier: Number = array("The energy of the higher kink minus that of the lower one.", "J")
     error: Number = array("The error of the barrier.", "J")
     site: Number = array("The energy of the kink centred on a site.", "J")
     bond: Number = array("The energy of the kink centred on a bond.", "J")
     omega: Number = array(
-        "The Peierls-Nabarro frequency: of small oscillations of the lower kink in its valley.",
+        "The Peierls-Nabarro frequency: that of small oscillations of the lower kink in its "
+        "valley.",
         "rad/s",
     )
-    higher: str = array("The verdict on the kink of the higher energy.", static=True)
+    higher: str = array("The verdict on the higher kink.", static=True)
 
     @property
     def outcome(self) -> str:
@@ -78,20 +78,21 @@ class PeierlsNabarro(Result):
 def kink(
     lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar | None = None
 ) -> Kink:
-    r"""A kink at rest, u -> left and u -> right at the two ends, by Newton's method.
+    r"""Find a kink at rest, u -> left and u -> right at the two ends, by Newton's method.
 
     **Arguments:**
 
-    - `lattice`: a conservative chain of scalar displacements with free ends and a force on every site.
-    - `left`, `right`: wells, displacements of the whole chain in which nothing is pushed: 0 and 2 pi of
-      `scenes.sine_gordon`, 0 and -2 of `scenes.klein_gordon(stiffness=2.0, alpha=3.0, beta=1.0)`. `right` < `left` is
-      an antikink.
-    - `centre`: a site, or 10.5 for a bond; `None` the bond in the middle. Of a place between them the nearest:
-      kinks rest about sites and bonds alone.
+    - `lattice`: a conservative chain of scalar displacements with free ends and a force on every
+      site.
+    - `left`, `right`: wells, displacements of the whole chain without forces: 0 and 2 pi of
+      `scenes.sine_gordon`, 0 and -2 of `scenes.klein_gordon(stiffness=2.0, alpha=3.0, beta=1.0)`.
+      `right` < `left` gives an antikink.
+    - `centre`: a site, or 10.5 for a bond; `None` is the bond in the middle. Other places are
+      rounded to the nearest of these: kinks rest only at sites and bonds.
 
     **Returns:** `Kink`. **Raises** ValueError for a place that is not a well and for other
-    lattices; RuntimeError where Newton's method does not converge, or the ends are too near. Typical: an energy of 8
-    sqrt(C) in the sine-Gordon continuum.
+    lattices; RuntimeError if Newton's method does not converge, or the ends are too near.
+    Typical: an energy of 8 sqrt(C) in the sine-Gordon continuum.
     Source: Braun, Kivshar, The Frenkel-Kontorova Model (2004), chapter 2.
 
     **Example:**
@@ -111,14 +112,15 @@ def kink(
     width = max(np.sqrt(max(wells.coupling, 0) / wells.own), 0.1)
     rise = np.arctan(np.exp((np.arange(sites) - middle) / width))
     guess = left + (right - left) * 2 / np.pi * rise
-    # by NumPy, of which nothing is compiled
+    # By NumPy, so that nothing is compiled.
     size, begin = np.asarray(abs(right - left), lattice.dtype), guess.astype(lattice.dtype)
     begin = begin / size
     problem = _Rest(*jax.device_put((size, np.asarray(wells.force, lattice.dtype))))
-    # of the largest force between the wells, what Newton's method leaves
+    # The residual of Newton's method, relative to the largest force between the wells.
     rounding = 50 * float(jnp.finfo(lattice.dtype).eps)
     wanted = max(1e-13, rounding * float(wells.stiffest * size / wells.force))
-    # held at its place, along which a wide kink is pushed by next to nothing, and then let go
+    # The kink is first held at its place, along which a wide kink is hardly pushed, and then
+    # released.
     held = newton(
         _Rest(problem.size, problem.scale, jax.device_put(begin)),
         np.append(begin, np.zeros(1, begin.dtype)),
@@ -158,10 +160,11 @@ def _refuse_ends(why, middle, sites):
 
 
 def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> PeierlsNabarro:
-    """The Peierls-Nabarro barrier: the energies of kinks centred on a site and on a bond, in the middle of a chain.
+    """Compute the Peierls-Nabarro barrier from kinks on a site and on a bond.
 
-    `lattice`, `right`, `left`: as in `kink`. **Returns:** `PeierlsNabarro`, whose barrier
-    falls exponentially with the width of the kink; where it is below its `error` the outcome says so.
+    Both are in the middle of a chain. `lattice`, `right`, `left`: as in `kink`. **Returns:**
+    `PeierlsNabarro`. The barrier falls exponentially with the width of the kink; the outcome says
+    if it is below its `error`.
     **Raises** as `kink`.
 
     **Example:**
@@ -193,13 +196,16 @@ def moving(
     *,
     centre: Scalar | None = None,
 ) -> State:
-    r"""A state that moves as a kink: the one at rest, contracted, u_n = U(g (n - c)), v_n = -V g U'(g (n - c)).
+    r"""Return a moving kink: the one at rest, contracted.
 
-    g = 1/sqrt(1 - V^2/c0^2), with c0 the speed of long waves without the force on the sites, sqrt(C/m). On a chain a
-    kink radiates as it moves, is slowed down by it, and rests at last where it cannot pass the barrier any more.
+    u_n = U(g (n - c)),  v_n = -V g U'(g (n - c)),  g = 1/sqrt(1 - V^2/c0^2),
 
-    **Arguments:** `velocity`: V [sites/s], |V| < c0. The others as in `kink`; `centre` is any place.
-    **Returns:** a `State`, to `gx.simulate`. **Raises** ValueError for |V| >= c0, and as `kink`.
+    with `c0 = sqrt(C/m)` the speed of long waves without the on-site force. On a chain a moving
+    kink radiates, slows down, and rests at last where it can no longer pass the barrier.
+
+    **Arguments:** `velocity`: V [sites/s], |V| < c0. The others as in `kink`; `centre` is any
+    place.
+    **Returns:** a `State` for `gx.simulate`. **Raises** ValueError for |V| >= c0, and as `kink`.
     """
     rest, wells = kink(lattice, right, left), _checked_wells(lattice, right, left)
     middle, speed = (lattice.sites[0] - 1) // 2, float(velocity)
@@ -217,7 +223,7 @@ def moving(
 
 
 def _profile(u, x, left, right):
-    """A kink and its slope between the sites, by a spline, and the wells beyond."""
+    # A kink and its slope between the sites, by a spline; the wells continue beyond the ends.
     far = 12
     places = np.arange(-far, len(u) + far)
     spline = make_interp_spline(places, np.r_[np.full(far, left), u, np.full(far, right)], k=5)
@@ -226,10 +232,8 @@ def _profile(u, x, left, right):
 
 
 class _Rest(eqx.Module):
-    """Forces over their scale at displacements over theirs.
-
-    With a `guess` the kink is held at its place, by a force along its slope, the last unknown.
-    """
+    # Forces over their scale at displacements over theirs. With a `guess` the kink is held at its
+    # place by a force along its slope, whose size is the last unknown.
 
     size: jax.Array
     scale: jax.Array
@@ -249,7 +253,7 @@ def _forces(lattice, u):
 
 @compiled
 def _uniform(lattice, levels):
-    """Largest force on the whole chain, displaced to each level."""
+    # The largest force on the whole chain, displaced to each level.
     ones = jnp.ones_like(lattice.zeros())
     return jax.lax.map(lambda level: jnp.max(jnp.abs(_forces(lattice, level * ones))), levels)
 
@@ -261,17 +265,17 @@ def _stiffness(lattice, u):
 
 @compiled
 def _known(problem, lattice, x, left):
-    """What a `Kink` has before its verdict, and the squares of the frequencies."""
+    # The fields of a `Kink` before its verdict, and the squares of the frequencies.
     u = problem.size * x
     stiffness = _stiffness(lattice, u)
     inverse, force = jnp.linalg.inv(stiffness), _forces(lattice, u)
-    # of a sum of forces or energies, in units of its last place
+    # The rounding of a sum of forces or energies, in units of its last place.
     eps = 16 * jnp.finfo(u.dtype).eps
     rounding = eps * jnp.max(jnp.sum(jnp.abs(stiffness), 1)) * jnp.max(jnp.abs(u))
     error = jnp.abs(inverse @ force) + jnp.sum(jnp.abs(inverse), 1) * rounding
     zero = jnp.zeros_like(u)
     there, well = (lattice.energy(0.0, y, zero) for y in (u, left * jnp.ones_like(u)))
-    # what is at rest has an energy of second order in the error, beside rounding
+    # At rest the error of the energy is of second order, apart from rounding.
     energy_error = jnp.sum(jnp.abs(force) * error) + eps * (jnp.abs(there) + jnp.abs(well))
     root = jnp.sqrt(spread_mass(lattice))
     squares = jnp.linalg.eigvalsh((stiffness + stiffness.T) / 2 / root[:, None] / root)
@@ -281,10 +285,9 @@ def _known(problem, lattice, x, left):
 
 
 class _Wells(NamedTuple):
-    """Two wells, the largest force between them, and in the left one the stiffness.
-
-    Its largest entry, what couples the site in the middle to all, sum j^2 k_j/2, and its own force's slope.
-    """
+    # `force`: the largest one between the wells. In the left well, `stiffest`: the largest entry of
+    # the stiffness; `coupling`: that of the middle site to all others, sum j^2 k_j/2; `own`: the
+    # slope of its own force.
 
     left: float
     right: float
@@ -295,7 +298,6 @@ class _Wells(NamedTuple):
 
 
 def _checked_wells(lattice, right, left):
-    """The `_Wells` of a chain, both of them wells."""
     if one_lattice(lattice).fields or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "one chain of scalar displacements", f"one of shape {lattice.shape}")
     if not lattice.conserves:

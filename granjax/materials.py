@@ -1,7 +1,7 @@
-"""Materials and contacts of elastic bodies: from Young's modulus, Poisson's ratio and radius to F = A d^{3/2}.
+"""Materials and contacts of elastic bodies: from moduli and radii to F = A d^{3/2}.
 
-The table holds published constants for orientation. A measured chain has its own: alloys differ by some per cent,
-polymers by a factor of two with rate and temperature.
+The table holds published constants. Real alloys differ by some per cent, polymers by a factor of
+two with rate and temperature.
 """
 
 import difflib
@@ -28,7 +28,7 @@ __all__ = [
     "yield_overlap",
 ]
 
-# m, of beads of laboratories: what is larger is taken for millimetres
+# m; a larger bead radius was probably meant in millimetres
 LARGEST = 0.5
 _BOECHLER = "as used by Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)"
 _CALLISTER = "Callister, Materials Science and Engineering, appendix B"
@@ -80,9 +80,9 @@ NAMES = (*_TABLE, "rigid")
 class Material(eqx.Module):
     """An elastic material.
 
-    **Arguments:** `name`; `young`: Young's modulus E > 0 [Pa]; `poisson`: Poisson's ratio in (-1, 0.5]; `density`
-    [kg/m^3] > 0; `source`: where the numbers come from, a text. The numbers may be arrays, one per bead, or traced:
-    `jax.grad` with respect to E works.
+    **Arguments:** `name`; `young`: Young's modulus E > 0 [Pa]; `poisson`: Poisson's ratio in (-1,
+    0.5]; `density` > 0 [kg/m^3]; `source` of the numbers, a text. The numbers may be arrays, one
+    per bead, or traced: `jax.grad` by E works.
 
     **Raises** ValueError for numbers that are not finite or outside these ranges.
 
@@ -125,7 +125,7 @@ class Material(eqx.Module):
 
     @property
     def compliance(self) -> Number:
-        """(1 - nu^2)/E [1/Pa]: what one body gives to 1/E*."""
+        """(1 - nu^2)/E [1/Pa], the body's part of 1/E*."""
         return (1 - self.poisson**2) / self.young
 
 
@@ -137,10 +137,11 @@ _PLAIN = {_plain(name): _ALIASES.get(name, name) for name in (*NAMES, *_ALIASES)
 
 
 def material(name: str | Material) -> Material:
-    """A material of the table by its name; capitals, spaces, dashes and underscores do not matter.
+    """Return a material of the table by its name.
 
-    Names: `granjax.materials.NAMES`. `"rigid"` is a body that does not yield (E infinite), for walls. A `Material`
-    passes through. **Raises** ValueError for another name, suggesting the nearest.
+    Capitals, spaces, dashes and underscores do not matter. Names: `granjax.materials.NAMES`.
+    `"rigid"` is a body that does not deform (E infinite), for walls. A `Material` passes through.
+    **Raises** ValueError for another name, suggesting the nearest.
 
     **Example:**
 
@@ -151,7 +152,7 @@ def material(name: str | Material) -> Material:
 
 
 def named(argument: str, name: str | Material) -> Material:
-    """As `material`, for an argument of another name, which the sentence says."""
+    """Return `material(name)`; errors name the given argument."""
     if isinstance(name, Material):
         return name
     known = _PLAIN.get(_plain(name))
@@ -168,7 +169,7 @@ def named(argument: str, name: str | Material) -> Material:
 
 
 def stack(materials: Sequence[str | Material]) -> Material:
-    """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names."""
+    """Return one `Material` with arrays (N,), from N materials or names."""
     bodies = [named(f"materials[{i}]", m) for i, m in enumerate(materials)]
     young, poisson, density = (
         jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density")
@@ -184,7 +185,6 @@ def _radius(argument, radius):
 
 
 def _radius_or_plane(argument, radius):
-    """A radius, infinite where the body is a plane."""
     value = None if isinstance(radius, jax.core.Tracer) else real(argument, radius)
     if value is None or not np.isposinf(value).any():
         return positive(
@@ -195,7 +195,6 @@ def _radius_or_plane(argument, radius):
 
 
 def _effective_modulus(first, second):
-    """E*, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2."""
     compliance = first.compliance + second.compliance
     value = concrete(compliance)
     if value is not None and not np.all(value > 0):
@@ -211,19 +210,21 @@ def hertz_coefficient(
     material_2: str | Material | None = None,
     radius_2: Parameter | None = None,
 ) -> Number:
-    r"""Coefficient A of the contact F = A d^{3/2} of two elastic spheres.
+    r"""Return the coefficient A of the contact F = A d^{3/2} of two elastic spheres.
 
     A = (4/3) E* sqrt(R*),   1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2,   1/R* = 1/R1 + 1/R2;
 
-    equal beads: A = E sqrt(2R)/(3 (1 - nu^2)).
+    for equal beads A = E sqrt(2R)/(3 (1 - nu^2)).
 
-    **Arguments:** `material_1`, `material_2`: a `Material` or a name of the table; `material_2=None` is the same one.
-    `radius_1`, `radius_2` [m]: above zero; `radius_2=None` is the same radius, `jnp.inf` a plane. A plane that does
-    not yield: `hertz_coefficient("steel 316", R, "rigid", jnp.inf)`. Radii may be arrays that broadcast.
+    **Arguments:** `material_1`, `material_2`: a `Material` or a name of the table; `radius_1`,
+    `radius_2` > 0 [m], arrays that broadcast, `jnp.inf` for a plane. By default the second body
+    equals the first.
 
-    **Returns:** A [N/m^{3/2}], for `Hertz(stiffness=A)`. Typical: steel beads of 9.53 mm radius 9.8e9, PTFE of
-    2.38 mm 4.3e7. **Raises** ValueError for a radius that is not above zero, two planes, or two rigid bodies.
-    Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; valid for contacts small against the radii.
+    **Returns:** A [N/m^{3/2}], for `Hertz(stiffness=A)`. Typical: steel beads of 9.53 mm radius
+    9.8e9, PTFE of 2.38 mm 4.3e7.
+    **Raises** ValueError for a radius <= 0, two planes, or two rigid bodies.
+    Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; valid for contacts small against
+    the radii.
 
     **Example:**
 
@@ -253,26 +254,30 @@ def yield_overlap(
     material_2: str | Material | None = None,
     radius_2: Parameter | None = None,
 ) -> Number:
-    r"""Overlap at which the pressure at a contact's centre reaches a limit, s_y = (pi p_y/(2 E*))^2 R* [m].
+    r"""Return the overlap at which a contact yields, s_y = (pi p_y/(2 E*))^2 R* [m].
 
-    **Arguments:** `pressure`: p_y > 0 [Pa], 1.6 times the yield stress where yielding begins, up to 3 times for
-    contacts that are plastic all over; materials and radii as in `hertz_coefficient`. **Returns:** s_y, for
-    `gx.Thornton(stiffness, s_y)`. Typical: 3e-6 m for steel beads of 1 cm radius and 1.6e9 Pa. **Raises** ValueError
-    as `hertz_coefficient` does. Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
+    There the pressure at the centre of the contact reaches p_y.
+
+    **Arguments:** `pressure`: p_y > 0 [Pa], 1.6 times the yield stress where yielding begins, up to
+    3 times for fully plastic contacts; materials and radii as in `hertz_coefficient`.
+    **Returns:** s_y, for `gx.Thornton(stiffness, s_y)`. Typical: 3e-6 m for steel beads of 1 cm
+    radius and 1.6e9 Pa.
+    **Raises** ValueError as `hertz_coefficient` does.
+    Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
     """
     first = named("material_1", material_1)
     second = first if material_2 is None else named("material_2", material_2)
     modulus = _effective_modulus(first, second)
-    # sqrt(R*), by the contact's coefficient (4/3) E* sqrt(R*)
+    # sqrt(R*), from the contact's coefficient (4/3) E* sqrt(R*)
     root = 0.75 * hertz_coefficient(first, radius_1, second, radius_2) / modulus
     return (jnp.pi * positive("pressure", pressure) / (2 * modulus) * root) ** 2
 
 
 def bead_mass(material: str | Material, radius: Parameter) -> Number:
-    """Mass of a solid sphere, m = (4/3) pi R^3 rho [kg].
+    """Return the mass of a solid sphere, m = (4/3) pi R^3 rho [kg].
 
     **Arguments:** a `Material` or a name of the table; `radius` R > 0 [m], a number or an array.
-    **Warns** of a bead of more than a metre. **Raises** ValueError for a radius that is not above zero, or a rigid
+    **Warns** for a diameter above a metre. **Raises** ValueError for a radius <= 0, or a rigid
     body, which has no density.
 
     **Example:**

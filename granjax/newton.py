@@ -1,4 +1,4 @@
-"""Newton's method for a square system, with outcomes as values and derivatives by the implicit function theorem."""
+"""Newton's method for a square system, with outcomes as values and implicit derivatives."""
 
 import functools
 from collections.abc import Callable
@@ -17,12 +17,13 @@ __all__ = ["Root", "newton"]
 
 CONVERGED, STALLED, SPENT, NOT_FINITE = range(4)
 LEAST_FRACTION = 2.0**-8
-# singular values, relative to the norm, below which a step is not trusted when Newton's has failed
+# After Newton's step has failed, directions with singular values below this, relative to the norm,
+# are not trusted.
 FLAT = 1e-6
 
 
 class Root(Result):
-    """Where Newton's method ended: its best iterate.
+    """The end of Newton's method: its best iterate.
 
     `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
     """
@@ -33,7 +34,7 @@ class Root(Result):
     first: Numbers = array("max |F(x)| of the guess.")
     iterations: Counts = array("The number of Jacobians that were evaluated.")
     code: Counts = array("How the iteration ended.")
-    tolerance: Numbers = array("The residual that was asked for.")
+    tolerance: Numbers = array("The tolerance of the residual.")
 
     @property
     def converged(self) -> Flags:
@@ -42,7 +43,7 @@ class Root(Result):
 
     @property
     def outcome(self) -> str:
-        """What became of it, a sentence (of the worst where there are several)."""
+        """How the iteration ended, in one sentence (the worst of several)."""
         parts = self.code, self.iterations, self.first, self.residual, self.tolerance
         if traced(parts):
             return "traced"
@@ -72,23 +73,26 @@ def newton(
     throw: bool | None = None,
     finish: bool = True,
 ) -> Root:
-    r"""A root of F(x, args) = 0 by Newton's method with halved steps.
+    r"""Find a root of F(x, args) = 0 by Newton's method with halved steps.
 
-    x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. Where the full step fails, J^{-1} is that of
-    Levenberg and Marquardt from then on: a derivative that is almost singular along a family of almost-roots, such as a
-    soliton that may stand anywhere, would make large steps of rounding. The root is differentiable in `args`, in both
-    modes and to any order: dx = -J^{-1} (dF/d args). Inside `jit` and `vmap` it is one loop.
+    x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. After a full step fails,
+    J^{-1} is that of Levenberg and Marquardt: where the derivative is almost singular along a
+    family of almost-roots, such as a soliton that may stand anywhere, Newton's step would turn
+    rounding into large steps. The root is differentiable in `args`, in both modes and to any order:
+    dx = -J^{-1} (dF/d args). Inside `jit` and `vmap` it is one loop.
 
     **Arguments:**
 
-    - `residual`: F(x, args), arrays (n,) to (n,). `guess`: where it begins. `args`: any pytree.
+    - `residual`: F(x, args), arrays (n,) to (n,). `guess`: the first iterate. `args`: any pytree.
     - `tolerance`: of max |F|, in the units of F. `max_steps`: the most Jacobians.
-    - `linearise`: (x, args) -> (F, J), where that is cheaper than `jax.jacfwd`.
-    - `throw`: raise where it does not converge; `None` does so outside of transformations.
-    - `finish`: from a root that converged take the step that the derivative there gives, which costs nothing more.
+    - `linearise`: (x, args) -> (F, J), if that is cheaper than `jax.jacfwd`.
+    - `throw`: raise if it does not converge; `None` does so outside of transformations.
+    - `finish`: from a converged root take one more step with the derivative there, which costs
+      nothing.
 
-    **Returns:** `Root`, with the best iterate. **Raises** ValueError for a guess that is no row of numbers, a tolerance
-    that is infinite or below zero; RuntimeError where `throw` and it did not converge, saying how far it came.
+    **Returns:** `Root`, with the best iterate. **Raises** ValueError for a guess that is not a row
+    of numbers, a tolerance that is infinite or below zero; RuntimeError if `throw` and it did not
+    converge, with the residuals.
 
     **Example:**
 
@@ -96,7 +100,7 @@ def newton(
     >>> round(float(root.x[0]), 6)
     1.414214
     """
-    # put, as a conversion is a program to compile
+    # device_put, because a conversion is a program to compile.
     known = not (isinstance(guess, jax.Array) or traced(guess))
     x0 = jax.device_put(np.array(guess)) if known else jnp.asarray(guess)
     if x0.ndim != 1:
@@ -104,7 +108,7 @@ def newton(
     if not isinstance(tolerance, jax.core.Tracer) and not 0 <= float(tolerance) < np.inf:
         refuse("tolerance", "one finite number not below zero", repr(tolerance))
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
-    # a plain number is an input of what is compiled, not a part of it
+    # A plain number is an input of the compiled program, not a part of it.
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)
     inputs = (
         residual,
@@ -115,7 +119,8 @@ def newton(
         _number(max_steps, int),
         finish,
     )
-    # without tracers nobody differentiates; a function may hide some, which the result then shows
+    # Without tracers there is no differentiation. A function may hide tracers, which the result
+    # then shows.
     root = None if traced(inputs) else _solved(*inputs, differentiable=False)
     if root is None or traced(root):
         root = _solved(*inputs, differentiable=True)
@@ -138,7 +143,7 @@ def _solved(residual, linearise, x0, args, tolerance, max_steps, finish, differe
     def solve(f, x0):
         del f
         x, rest = _iterate(both, x0, jax.lax.stop_gradient(args), tolerance, max_steps, finish)
-        # whole numbers have no tangents of a kind that `custom_root` could give them
+        # Integers have no tangents of a kind that `custom_root` could give them.
         return x, tuple(jnp.asarray(part, x0.dtype) for part in rest)
 
     def tangent_solve(g, y):
@@ -151,14 +156,14 @@ def _solved(residual, linearise, x0, args, tolerance, max_steps, finish, differe
 
 
 def by_forward_mode(residual: Callable, x: Numbers, *others: Any) -> tuple:
-    """(F, dF/dx) of F(x, ...), in one pass."""
+    """Return (F, dF/dx) of F(x, ...), in one pass."""
     both = lambda x: (evaluated(residual, x, *others),) * 2
     jacobian, value = jax.jacfwd(both, has_aux=True)(x)
     return value, jacobian
 
 
 def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
-    """F(x, ...), as many numbers as unknowns."""
+    """Return F(x, ...), as many numbers as unknowns."""
     found = residual(x, *others)
     if not isinstance(found, (jax.Array, np.ndarray)) or found.shape != x.shape:
         refuse(
@@ -174,13 +179,15 @@ def _size(f):
 
 
 def _gentle(jacobian, f):
-    """The step of Levenberg and Marquardt, without what lies along directions that the derivative hardly sees."""
+    # The step of Levenberg and Marquardt, which leaves out directions to which the derivative is
+    # almost blind.
     damping = (FLAT * jnp.linalg.norm(jacobian)) ** 2 * jnp.eye(f.size, dtype=f.dtype)
     return -jnp.linalg.solve(jacobian.T @ jacobian + damping, jacobian.T @ f)
 
 
 def _iterate(both, x0, args, tolerance, max_steps, finish):
-    """(x, (jacobian, residual, first, steps, code)) after the loop, whose first turn looks at the guess."""
+    # Returns (x, (jacobian, residual, first, steps, code)). The first turn of the loop evaluates
+    # the guess.
 
     def going(carry):
         size, steps = carry["size"], carry["steps"]
@@ -194,7 +201,7 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
         better = new < c["size"]
         best = {"x": tried, "f": f, "jacobian": jacobian, "size": new}
         best = {name: jnp.where(better, value, c[name]) for name, value in best.items()}
-        # Newton's step, or the gentle one where the first has failed, or half of that
+        # Newton's step, or the gentle one if the first has failed, or half of that.
         again = ~better & ~c["gentle"]
         step = jax.lax.cond(
             better | again,
@@ -242,6 +249,6 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
 
 
 def nearby(x: Numbers, step: Numbers) -> Numbers:
-    """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite)."""
+    """Return x + step if the step is finite and a small part of x, else x."""
     small = jnp.max(jnp.abs(step), initial=0) <= FLAT * jnp.max(jnp.abs(x), initial=0)
     return jnp.where(small, x + step, x)

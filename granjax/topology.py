@@ -1,14 +1,14 @@
-r"""Topology of bands: Zak phases, winding, Berry curvature, Chern and valley numbers, the quadrupole.
+r"""Topology of bands: Zak phases, winding and Chern numbers, Berry curvature, quadrupoles.
 
-All is computed from Bloch vectors on a mesh by products of their overlaps, in which arbitrary phases of the vectors
-cancel: no gauge is chosen. Where bands come near to each other the mesh is refined until they turn little from point
-to point. A gap of omega^2 below 1e-9 of its largest value (single precision: 8e-6) counts as closed, wherever in the
-zone it is: there is no number then. A function that returns a record or a real number gives NaN, the record's `outcome`
-says where the bands touch; one that returns a whole number raises ValueError.
+All numbers come from products of overlaps of Bloch vectors on a mesh, in which the arbitrary phases
+of the vectors cancel: no gauge is chosen. The mesh is refined where bands come near each other. A
+gap of omega^2 below 1e-9 of its largest value (single precision: 8e-6), anywhere in the zone,
+counts as closed, and there is no number: functions that return a record or a real number give NaN,
+and the record's `outcome` says where; those that return a whole number raise ValueError.
 
-The vectors q are those of D(k) q = omega^2 q with the phases of cells, D(k + 2 pi) = D(k); a Zak phase depends on which
-sites are called one cell, as `gx.linear.unit_cell` has them; `unit_cell(lattice, cell).dynamical_matrix` in place of a
-lattice takes another one.
+The vectors q obey D(k) q = omega^2 q with the phases of cells, D(k + 2 pi) = D(k). A Zak phase
+depends on which sites form one cell, here that of `gx.linear.unit_cell`; to choose another, pass
+`unit_cell(lattice, cell).dynamical_matrix` as the lattice.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,21 +30,24 @@ from .linear.zone import named_points as _named_points
 from .results import Result, array, note
 from .types import AnyArray, Count, Number, Numbers, Parameter
 
-# a gap that is less, of the largest omega^2, is closed
+# a gap below this part of the largest omega^2 is closed
 CLOSED = 1e-9
-# by what part of its gap a band may move or turn between the middle of a piece of the mesh and its rim
+# between the middle of a piece of the mesh and its rim a band may move or turn by this part of its
+# gap
 TURN = 0.5
-# of the largest omega: slower waves of a gyroscopic lattice, which are far from the bands above, count as no slower
+# waves of a gyroscopic lattice below this part of the largest omega are treated as having this
+# omega: they are far from the bands above
 SLOW = 1e-3
-# how often a piece may be halved: 2 pi 2^-45 is 2e-13
+# the most halvings of a piece: 2 pi 2^-45 is 2e-13
 HALVINGS = 45
-# pieces that are halved at a time; of more than that those with the least gaps alone are looked at
+# the most pieces that are halved at a time; of more, only the NEAREST with the least gaps are
+# followed
 MOST, NEAREST = 2**14, 64
-# complex numbers of the matrices or vectors that are held at a time, 16 bytes each
+# the most complex numbers (16 bytes each) of matrices, and of vectors, held at a time
 TOGETHER, LARGEST = 2**21, 2**21
-# points of D(k) that are evaluated at a time, so that one program does
+# points at which D(k) is evaluated at a time, so that one compiled program serves all
 POINTS = 2**12
-# neighbouring Wannier vectors that overlap less have a point put between them
+# a point is added between neighbouring Wannier vectors that overlap less than this
 ALONG = 0.7
 
 __all__ = [
@@ -60,11 +63,11 @@ __all__ = [
 
 
 class _Waves(NamedTuple):
-    """Where D(k) comes from: a lattice's unit cell, or a user-defined function.
+    """The source of D(k): the unit cell of a lattice, or a user-defined function.
 
-    `closed`: the largest gap that rounding cannot tell from none, over the largest omega^2; `origin`: what a result
-    keeps of the lattice. Where forces turn velocities the matrix is the pair of D(k) and G(k), and the levels are omega
-    and, below the `first` that is a band, -omega.
+    With gyroscopic forces the matrix is the pair D(k), G(k), and levels are omega of both signs;
+    `first` is the index of the first positive one. `closed`: the largest gap that counts as closed;
+    `origin`: what results keep of the lattice.
     """
 
     matrix: Callable
@@ -75,26 +78,26 @@ class _Waves(NamedTuple):
     first: int = 0
 
     def numbers(self, bands):
-        """The levels of the bands that are asked for."""
+        """Return the levels of the requested bands."""
         return [self.first + n for n in chosen_bands(bands, self.size - self.first)]
 
     def told(self, numbers):
-        """The bands of some levels, in words."""
+        """Return the bands of some levels in words."""
         return _told([n - self.first for n in numbers if n >= self.first] or [0])
 
     def matrices(self, k):
-        """D, or D and G, at points (n, axes), (n, P, P) or (n, 2, P, P), as a NumPy array."""
+        """Return D, or D and G, at points (n, axes): (n, P, P) or (n, 2, P, P)."""
         return in_groups(lambda k: matrices(self.matrix, k), k, POINTS)
 
     def vectors(self, lines, bands=slice(None)):
-        """Vectors (..., P, bands) on the mesh of some lines, one array of phases an axis."""
+        """Return vectors (..., P, bands) on a mesh, from an array of phases per axis."""
         points = mesh(*lines).reshape(-1, self.axes)
         parts = np.array_split(points, -(-len(points) // POINTS))
         q = [self.solved(self.matrices(part))[1][..., bands] for part in parts]
         return np.concatenate(q).reshape(*map(len, lines), *q[0].shape[1:])
 
     def solved(self, matrices):
-        """Levels (..., P), rising, and vectors (..., P, P); of D and G twice as many, those of (D^{1/2} q, q')."""
+        """Return levels, rising, and vectors; for D and G those over (D^{1/2} q, q')."""
         if not self.first:
             return np.linalg.eigh(matrices)
         D, G = np.moveaxis(matrices, -3, 0)
@@ -106,7 +109,7 @@ class _Waves(NamedTuple):
         )
 
     def changes(self, matrices, levels, vectors):
-        """What moves the levels: the change of matrices (n, rim, ...) from the first of each n, in its vectors."""
+        """Return the change of matrices (n, rim, ...) from the first of each n, in its vectors."""
         change, between = matrices[:, 1:] - matrices[:, :1], vectors[:, None]
         if not self.first:
             return between.conj().mT @ change @ between
@@ -137,15 +140,11 @@ def _waves_of(lattice, axes=None, follow=turning_cell):
 
 
 def _both(found, k):
-    """D and G at one k, (2, P, P)."""
     return jnp.stack([found.dynamical_matrix(k), found.gyration(k)])
 
 
 class _Mesh(NamedTuple):
-    """Lines of a mesh (phases, an array an axis); the least gap that was met, over the largest omega^2; its k.
-
-    `fault`: a sentence that says why there is no number, or an empty one.
-    """
+    """The lines of a mesh, its least gap over the largest omega^2, the k of it, and any `fault`."""
 
     lines: list
     gap: float
@@ -153,19 +152,18 @@ class _Mesh(NamedTuple):
     fault: str
 
 
+# A piece of the zone is halved while, between its middle and its rim, a chosen band and another may
+# move towards each other, or turn into each other, by more than TURN of their distance. With E the
+# change of D in the vectors of the middle, a level moves by E_nn and, to second order, by sum_m
+# |E_nm|^2/(distance of n and m), or by |E_nm| where that is less. A gap that closes, at whatever k,
+# is halved until it is below CLOSED.
 def _cut(waves, count, numbers):
-    """Lines of a mesh, `count` and more along each axis, between which some bands stay apart from all others.
-
-    A piece of the zone is halved while, between its middle and its rim, a band of the one kind and one of the other
-    may move towards each other or turn into each other by more than `TURN` of their distance. With E the change of D,
-    in the vectors of the middle, a level moves by E_nn and to second order by sum_m |E_nm|^2/(distance of n and m), or
-    |E_nm| where that is less. A gap that closes is halved until it is below `CLOSED`, at whatever k.
-    """
+    """Return a mesh of at least `count` lines per axis on which bands are apart from all others."""
     axes, unit = waves.axes, 2 * np.pi / count
     plain, others = np.arange(count), np.setdiff1d(np.arange(waves.size), numbers)
     gap, nearest, lost, cuts, largest = np.inf, np.full(axes, np.nan), False, [], None
     rim, corners = (np.array(list(product(way, repeat=axes))) for way in ((0, -1, 1), (-1, 1)))
-    # in units of the mesh, so that halves of halves are exact
+    # in units of the mesh, so that repeated halving is exact
     half, middle = 0.5, mesh(*[plain + 0.5] * axes).reshape(-1, axes)
     for _ in range(HALVINGS if len(others) else 0):
         parts = np.array_split(middle, -(-len(middle) * len(rim) * waves.size**2 // TOGETHER))
@@ -205,11 +203,11 @@ def _told(numbers):
     return f"Bands {', '.join(map(str, numbers))}" if len(numbers) > 1 else f"Band {numbers[0]}"
 
 
+# The middle of a piece comes first. The gap is taken there and at one corner: the corners of all
+# pieces are the points of the mesh.
 def _judged(waves, points, numbers, others):
-    """Of pieces (n, rim, axes), the middle first: the least gap, its k, whether to halve them, the largest |omega^2|.
-
-    The gap is looked at in the middle and at one corner: the corners of all pieces are those of the mesh.
-    """
+    # the least gap of each piece (n, rim, axes), its k, whether to halve it, and the largest
+    # |omega^2|
     D = waves.matrices(points.reshape(-1, points.shape[-1]))
     D = D.reshape(*points.shape[:2], *D.shape[1:])
     squared, q = waves.solved(D[:, 0])
@@ -233,7 +231,7 @@ def _judged(waves, points, numbers, others):
 
 
 def _turns(q, axis=0):
-    """Phase factors of the determinants of overlaps of neighbours along an axis, around the zone."""
+    # phase factors of the determinants of overlaps of neighbours, around the zone
     link = np.linalg.det(q.conj().mT @ np.roll(q, -1, axis))
     return link / np.abs(link)
 
@@ -242,23 +240,23 @@ class Zak(Result):
     """Zak phases of the bands of a chain, or of a plane along one axis."""
 
     phase: Numbers = array(
-        "The Berry phase of each band over the zone in (-pi, pi], NaN for a band that "
+        "The Berry phase of each band over the zone, in (-pi, pi], NaN for a band that "
         "touches others.",
         "rad",
         "band ...",
     )
     below: Numbers = array(
-        "The phase of all bands below each gap together, NaN where bands touch; over pi, in"
-        " a chain with a centre of inversion, it counts the states at an end.",
+        "The phase of all bands below each gap together, NaN where bands touch. In a chain"
+        " with a centre of inversion, this over pi counts the states at an end.",
         "rad",
         "gap ...",
     )
-    error: Number = array("How much a mesh of half as many points differs.", "rad")
+    error: Number = array("The difference from a mesh of half as many points.", "rad")
     k: Numbers | None = array(
         "The wave number along the other axis, `None` for a chain.", "rad", "wave", default=None
     )
     faults: tuple[str, ...] = note(
-        "A sentence for each gap that leaves no number.", static=True, default=()
+        "A sentence for each gap without a number.", static=True, default=()
     )
 
     @property
@@ -277,15 +275,18 @@ def zak(
     points: Count = 64,
     k: Parameter | None = None,
 ) -> Zak:
-    r"""Zak phases: gamma = -Im log prod_j <q(k_j)|q(k_{j+1})> over the zone, closed by D(k + 2 pi) = D(k).
+    r"""Compute Zak phases gamma = -Im log prod_j <q(k_j)|q(k_{j+1})> over the zone.
 
-    A chain that its mirror image leaves as it is has 0 or pi. With the cell of `gx.scenes.ssh` it is pi where the
-    bonds between cells are the stiffer ones, and a cut between cells leaves a state at the end.
+    The product is closed by D(k + 2 pi) = D(k). A chain with mirror symmetry has 0 or pi. With the
+    cell of `gx.scenes.ssh` it is pi where the bonds between cells are stiffer, and a cut between
+    cells leaves a state at the end.
 
-    **Arguments:** `lattice`: one `Lattice`, or a function from k (axes,) to a Hermitian matrix D(k) of period 2 pi.
-    `points`: of the mesh, at least. Of a plane it is taken along the first axis: `k`, wave numbers along the second.
-    **Returns:** `Zak`. **Raises** ValueError for a lattice with three axes, a plane without
-    `k`, and where `unit_cell` does. Source: Zak, Phys. Rev. Lett. 62, 2747 (1989); Resta, Rev. Mod. Phys. 66, 899.
+    **Arguments:** `lattice`: one `Lattice`, or a function from k (axes,) to a Hermitian D(k) of
+    period 2 pi. `points`: of the mesh, at least. `k`: wave numbers along the second axis of a
+    plane; the phase is that along the first.
+    **Returns:** `Zak`. **Raises** ValueError for three axes, a plane without `k`, and where
+    `dispersion` does. Source: Zak, Phys. Rev. Lett. 62, 2747 (1989); Resta, Rev. Mod. Phys. 66,
+    899.
 
     **Example:**
 
@@ -318,12 +319,10 @@ def zak(
 
 
 def _on_line(matrix, other, k):
-    """D at k (1,) along the first axis of a plane, and a given phase along the second."""
     return matrix(jnp.stack([k[0], other]))
 
 
 def _between(k):
-    """The middles between points of the zone, all around it."""
     return (k + np.append(k[1:], 2 * np.pi)) / 2
 
 
@@ -332,16 +331,17 @@ def _turned(angle):
 
 
 def _phases(waves, count):
-    """Phases of each band and of all below each gap, how much half of the mesh changes them, and why some are none."""
+    # phases of each band, of all bands below each gap, their change with half of the mesh, and the
+    # faults
     first, size = waves.first, waves.size
-    # below the first band, where there is something, and above each but the last
+    # gaps below the first band, where there are levels, and above each band but the last
     cuts = [_cut(waves, count, range(n)) for n in range(max(first, 1), size)]
     is_open = np.array([True] * (first == 0) + [not x.fault for x in cuts] + [True])
     lines = [x.lines[0] for x in cuts if not x.fault] or [2 * np.pi * np.arange(count) / count]
     q = waves.vectors([np.unique(np.concatenate(lines))])
 
     def loop(q, bands):
-        # one product of numbers of modulus one: no logarithm is summed
+        # a product of numbers of modulus one, so that no logarithms are summed
         angle = -np.angle(np.prod(_turns(q[..., bands])))
         return np.pi if np.isclose(angle, -np.pi, atol=1e-12) else angle
 
@@ -357,14 +357,15 @@ def _phases(waves, count):
 
 
 def winding(lattice: Any, *, points: Count = 256) -> int:
-    r"""Winding number of a chain whose sites are of two kinds, each bound to the other alone.
+    r"""Compute the winding number of a chain with two kinds of sites.
 
-    D(k) - Omega^2 = [[0, h^+], [h, 0]], Omega^2 equal at all sites, the kind of the cell's first site first: nu = how
-    often h turns anticlockwise from k = -pi to pi, a whole number; |nu| states lie at an end that cuts between cells.
+    Sites are bound only to the other kind: D(k) - Omega^2 = [[0, h^+], [h, 0]], with one Omega^2
+    for all sites and the kind of the cell's first site first. nu counts the anticlockwise turns of
+    det h from k = -pi to pi; |nu| states lie at an end that cuts between cells.
 
-    **Arguments:** as of `zak`. **Returns:** nu. For `gx.scenes.ssh`: 0 for k1 > k2, else 1. **Raises** ValueError
-    for sites whose own stiffness over mass differs, bonds within one kind, kinds of different number, a gap that is
-    closed (det h = 0).
+    **Arguments:** as in `zak`. **Returns:** nu. For `gx.scenes.ssh`: 0 for k1 > k2, else 1.
+    **Raises** ValueError for sites whose own stiffness over mass differs, bonds within one kind,
+    kinds of different number, a closed gap (det h = 0).
 
     **Example:**
 
@@ -383,7 +384,7 @@ def winding(lattice: Any, *, points: Count = 256) -> int:
             "Walls and grounding springs count: ground= of the scenes makes them equal.",
         )
     bound = np.abs(D - own[..., None] * np.eye(D.shape[-1])).max(0) > CLOSED * scale
-    # each site's kind is that of its distance from the first site that bonds lead to
+    # the kind of a site is the parity of its distance from the first site that it is joined to
     distance = shortest_path(bound, unweighted=True)
     kinds = distance[np.isfinite(distance).argmax(1), np.arange(len(bound))] % 2
     if (bound & (kinds[:, None] == kinds)).any():
@@ -419,30 +420,30 @@ def winding(lattice: Any, *, points: Count = 256) -> int:
 
 
 class BerryCurvature(Result):
-    """Berry curvature of bands of the plane, by plaquettes of a mesh over the zone.
+    """Berry curvature of bands of a two-dimensional lattice, on plaquettes of a mesh over the zone.
 
-    The sum of the flux over 2 pi is the Chern number, `chern`, a whole number to rounding.
+    The flux sums to 2 pi times the Chern number, `chern`, a whole number to rounding.
     """
 
     k: Numbers = array(
         "The corners of the plaquettes, phases per cell.", "rad", "first second axis"
     )
     flux: Numbers = array(
-        "The flux through each plaquette, summed over the finer ones into which it was cut;"
-        " NaN where bands touch.",
+        "The flux through each plaquette, summed over the finer ones within it; NaN where"
+        " bands touch.",
         "rad",
         "first second",
     )
     band: tuple[int, ...] = note("The bands.", static=True)
     gap: Number = array(
-        "The least gap that was met, over the largest omega^2.", "1", default=np.inf
+        "The least gap found, over the largest omega^2.", "1", default=np.inf
     )
     nearest: Numbers | None = array("The k of the least gap.", "rad", "axis", default=None)
     fault: str = note("Why there is no number.", static=True, default="")
 
     @property
     def curvature(self) -> Numbers:
-        """Flux over area, (n, n), in phases per cell."""
+        """The flux over area, (n, n), with k in phases per cell."""
         return self.flux * (len(self.flux) / (2 * np.pi)) ** 2
 
     @property
@@ -466,18 +467,18 @@ def berry_curvature(
     *,
     points: Count = 24,
 ) -> BerryCurvature:
-    r"""Berry curvature of a band, or of several together, of a lattice of the plane.
+    r"""Compute the Berry curvature of one or several bands of a two-dimensional lattice.
 
-    The flux through a plaquette is the phase of the product of overlaps around it: no smooth gauge is needed. Where
-    the gap is small plaquettes are cut into finer ones until the bands turn little around each, so that gaps down to
-    1e-9 of the largest omega^2 have their right whole number.
+    The flux through a plaquette is the phase of the product of overlaps around it, so no smooth
+    gauge is needed. At small gaps plaquettes are divided until the bands turn little around each:
+    the whole number is right for gaps down to 1e-9 of the largest omega^2.
 
-    **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `band`:
-    counted from the lowest. `points`: along each axis of the zone.
-    **Returns:** `BerryCurvature`. A lattice of masses and springs, whose D(-k) is the conjugate of D(k), has Chern
-    numbers zero; with a centre of inversion the flux is zero too. Forces that turn velocities (gyroscopes, Coriolis'
-    force) give others. Where bands touch others, on the mesh or between its
-    points, the flux is NaN and `outcome` says where. **Raises** ValueError where `unit_cell` does.
+    **Arguments:** `lattice`: as in `zak`, with k (2,). `band`: counted from the lowest. `points`:
+    along each axis of the zone.
+    **Returns:** `BerryCurvature`. Masses and springs, for which D(-k) is the conjugate of D(k),
+    have Chern numbers zero, and with a centre of inversion flux zero; gyroscopic forces
+    (gyroscopes, Coriolis' force) give others. Where bands touch others, at any k, the flux is NaN
+    and `outcome` says where. **Raises** ValueError where `dispersion` does.
     Source: Fukui, Hatsugai, Suzuki, J. Phys. Soc. Jpn. 74, 1674 (2005).
 
     **Example:**
@@ -502,7 +503,6 @@ def berry_curvature(
 
 
 def _fluxes(waves, count, numbers):
-    """The mesh of a plane, and the Berry phase around each of its plaquettes; NaN where there is none."""
     cut = _cut(waves, count, numbers)
     if cut.fault:
         return cut, np.full([len(x) for x in cut.lines], np.nan)
@@ -510,7 +510,7 @@ def _fluxes(waves, count, numbers):
 
 
 def _flux(q):
-    """Berry phase around each plaquette of a closed mesh, from vectors (n, n, P, bands)."""
+    # Berry phase around each plaquette of a closed mesh, from vectors (n, n, P, bands)
     first, second = (_turns(q, axis) for axis in (0, 1))
     return -np.angle(first * np.roll(second, -1, 0) / (np.roll(first, -1, 1) * second))
 
@@ -521,10 +521,10 @@ def chern(
     *,
     points: Count = 24,
 ) -> int:
-    """Chern number of a band, or of several together: the flux of `berry_curvature` over 2 pi.
+    """Compute the Chern number of one or several bands: the flux of `berry_curvature` over 2 pi.
 
-    **Arguments:** as there. **Returns:** a whole number, zero for every lattice of masses and springs alone. **Raises**
-    ValueError as there, and for bands that touch others.
+    **Arguments:** as there. **Returns:** a whole number, zero for masses and springs alone.
+    **Raises** ValueError as there, and for bands that touch others.
 
     **Example:**
 
@@ -550,14 +550,16 @@ def valley_chern(
     valley: str | Parameter = "K",
     points: Count = 96,
 ) -> float:
-    r"""Valley Chern number: the Berry flux over 2 pi through the half of the zone that is nearer to one valley.
+    r"""Compute the valley Chern number, the Berry flux over 2 pi around one valley.
 
-    Where two bands all but touch at K and K' = -K it tends to +-1/2 as their gap closes; it is no whole number and
-    depends on the gap. Between two phases of opposite sign one mode for each valley runs along the wall.
+    The flux is that of the half of the zone nearer to the valley. Where two bands almost touch at K
+    and K' = -K it tends to +-1/2 as their gap closes; it is no whole number and depends on the gap.
+    Between phases of opposite sign one mode per valley runs along the wall.
 
-    **Arguments:** `valley`: a named point, "K" or "K'", or phases per cell (2,); its partner is minus it. The others as
-    of `berry_curvature`. **Returns:** the number; NaN where bands touch, of which `berry_curvature(...).outcome` says
-    where. **Raises** ValueError as there, and for a point that is its own minus.
+    **Arguments:** `valley`: a named point, "K" or "K'", or phases per cell (2,); its partner is
+    minus it. The others as in `berry_curvature`. **Returns:** the number, NaN where bands touch, as
+    `berry_curvature(...).outcome` says. **Raises** ValueError as there, and for a point equal to
+    its own minus.
     """
     waves = _waves_of(lattice, 2)
     cut, flux = _fluxes(waves, whole("points", points, 4), waves.numbers(band))
@@ -578,14 +580,15 @@ def valley_chern(
 
 
 def _distance(k, place):
-    """How far points of the zone are from one, around the zone: 2 - cos - cos of hexagonal or square axes alike."""
+    # a distance of points of the zone from one, around the zone, for hexagonal and square axes
+    # alike
     a, b = np.moveaxis(k - place, -1, 0)
     return 3 - np.cos(a) - np.cos(b) - np.cos(a - b)
 
 
 def _loops(q):
-    """Wilson loops along the first axis, (second, bands, bands)."""
-    # overlap matrices of neighbouring points, without their lengths
+    # Wilson loops along the first axis, (second, bands, bands)
+    # the unitary part of the overlap matrices of neighbouring points
     left, _, right = np.linalg.svd(q.conj().mT @ np.roll(q, -1, 0))
     loop = np.eye(q.shape[-1])[None]
     for link in left @ right:
@@ -599,16 +602,19 @@ def quadrupole(
     *,
     points: Count = 24,
 ) -> tuple[float, float]:
-    r"""Nested Zak phases of the lower bands, p_x and p_y over 2 pi: (1/2, 1/2) is a quadrupole, with corner states.
+    r"""Compute nested Zak phases of the lower bands, over 2 pi.
 
-    The Wilson loop along one axis gives Wannier bands; those of one half have a Zak phase along the other.
+    (1/2, 1/2) is a quadrupole, with corner states. The Wilson loop along one axis gives Wannier
+    bands; their lower half has a Zak phase along the other.
 
-    **Arguments:** `bands`: the occupied ones, `None` for the lower half. The others as of `berry_curvature`.
-    **Returns:** (p_x of the Wannier bands along y, p_y of those along x), in [0, 1); with the lattice's two mirrors 0
-    or 1/2. `gx.scenes.quadrupole`: (1/2, 1/2) where bonds between cells are the stiffer ones. NaN where the bands touch
-    others, of which `berry_curvature(lattice, bands).outcome` says where. **Raises** ValueError for Wannier bands that
-    touch. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
-    (2017).
+    **Arguments:** `bands`: the occupied ones, `None` for the lower half. The others as in
+    `berry_curvature`.
+    **Returns:** (p_y of the Wannier bands along x, p_x of those along y), in [0, 1), where x is the
+    first axis; 0 or 1/2 with both mirrors. `gx.scenes.quadrupole`: (1/2, 1/2) where bonds between
+    cells are stiffer. NaN where the bands touch others, as
+    `berry_curvature(lattice, bands).outcome` says. **Raises** ValueError for Wannier bands that
+    touch.
+    Source: Benalcazar, Bernevig, Hughes, Science 357, 61 (2017).
     """
     waves = _waves_of(lattice, 2)
     n = whole("points", points, 4)
@@ -621,11 +627,9 @@ def quadrupole(
     return tuple(_nested(waves, cut.lines, numbers, axis) for axis in (1, 0))
 
 
+# a line is added where neighbouring Wannier vectors hardly overlap
 def _nested(waves, lines, numbers, axis):
-    """The Zak phase over 2 pi, along one axis, of the lower half of Wannier bands along the other.
-
-    Where neighbouring Wannier vectors hardly overlap a line is put between them.
-    """
+    # Zak phase over 2 pi, along one axis, of the lower half of the Wannier bands along the other
     half, lines = len(numbers) // 2, list(lines)
     for _ in range(HALVINGS):
         q = waves.vectors(lines, numbers)
@@ -633,7 +637,7 @@ def _nested(waves, lines, numbers, axis):
         angle, vectors = map(np.array, zip(*(_sorted_loop(w) for w in _loops(q))))
         if np.min(angle[:, half] - angle[:, half - 1]) < 1e-6:
             break
-        # the loops begin at the first point of the mesh: so do the vectors
+        # the loops begin at the first point of the mesh, so their vectors combine the q there
         w = np.einsum("kpb,kbm->kpm", q[0], vectors[..., :half])
         link = np.linalg.det(w.conj().mT @ np.roll(w, -1, 0))
         weak = np.abs(link) < ALONG**half
@@ -648,7 +652,7 @@ def _nested(waves, lines, numbers, axis):
 def _sorted_loop(w):
     values, vectors = np.linalg.eig(w)
     angle = np.angle(values)
-    # -pi and pi are one: bands at 1/2 stay together
+    # -pi and pi are one angle, so that bands at 1/2 stay together
     angle = np.where(angle > np.pi - 1e-9, angle - 2 * np.pi, angle)
     order = np.argsort(angle)
     basis, _ = np.linalg.qr(vectors[:, order])

@@ -1,9 +1,10 @@
-"""Linear theory of any lattice, traced from its terms: modes, dispersion, bands, sound.
+"""Linear theory of any lattice, derived from its terms: modes, dispersion, bands, sound.
 
-The stiffness matrix is K = -d force/du at u = 0, by `jax.jvp` of the lattice's own force. Damping and drives are left
-out: these are the undamped, free vibrations about equilibrium. Gyroscopic forces, which turn velocities and shift
-frequencies to first order, count where waves are asked for; what needs the stiffness alone refuses them.
-`complex_bands` and `localisation_length` follow damping, `floquet_bands` also what changes periodically in time.
+The stiffness matrix is K = -d force/du at u = 0, by `jax.jvp`. Damping and drives are left out:
+these are undamped, free vibrations about equilibrium. Gyroscopic forces, which turn velocities and
+shift frequencies to first order, are included where waves are computed, and refused where the
+stiffness alone is needed. `complex_bands` and `localisation_length` include damping,
+`floquet_bands` also periodic changes in time.
 """
 
 from .bands import Bands, bands

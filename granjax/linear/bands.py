@@ -25,26 +25,26 @@ VACUUM = (
 
 
 class Bands(Result):
-    """Edges of the bands, in the order of omega.
+    """Edges of the bands, sorted by omega.
 
-    `gaps` is the list of complete gaps, pairs (low, high); bands that touch leave none.
+    `gaps` lists the complete gaps as pairs (low, high); bands that touch leave none.
     """
 
     lower: Numbers = array("The lower edge of each band.", "rad/s", "band")
     upper: Numbers = array("The upper edge of each band.", "rad/s", "band")
     lower_k: Numbers = array(
-        "The phase per cell at the lower edge, one of several equal places.", "rad", "band"
+        "The phase per cell at the lower edge, one of several equivalent ones.", "rad", "band"
     )
     upper_k: Numbers = array(
-        "The phase per cell at the upper edge, one of several equal places.", "rad", "band"
+        "The phase per cell at the upper edge, one of several equivalent ones.", "rad", "band"
     )
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
-        """Complete gaps between neighbouring bands, a list of pairs (low, high) [rad/s].
+        """The complete gaps between neighbouring bands, pairs (low, high) [rad/s].
 
-        **Raises** ValueError where the edges are traced, as their number is not known then.
+        **Raises** ValueError for a batch, TypeError for traced edges.
         """
         low, high = np.asarray(self.upper), np.asarray(self.lower)
         if low.ndim != 1:
@@ -59,7 +59,7 @@ class Bands(Result):
 
     @property
     def outcome(self) -> str:
-        """How many bands and gaps."""
+        """The number of bands and gaps, and the cell."""
         upper = concrete(self.upper)
         if upper is not None and not np.any(upper):
             return VACUUM
@@ -84,14 +84,15 @@ class Bands(Result):
 
 
 def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Bands:
-    r"""Edges of the bands of omega(k), and the gaps between them.
+    r"""Compute the edges of the bands of omega(k), and the gaps between them.
 
-    omega^2 is sampled over the zone (finer for bonds that reach further) and every least and greatest value refined,
-    so that edges inside the zone are found too; edges at k = 0 and pi are exact.
+    omega^2 is sampled over the zone (finer for bonds that reach further) and every extremum
+    refined, so that edges inside the zone are found too; edges at k = 0 and pi are exact.
 
-    **Arguments:** `lattice`, `cell`: as in `dispersion`. **Returns:** `Bands`. Precompressed dimer with stiffness K2,
-    masses m < M: 0 ... (2 K2/M)^{1/2} and (2 K2/m)^{1/2} ... (2 K2 (1/m + 1/M))^{1/2}. Edges are differentiable in
-    every parameter, where one band alone reaches them.
+    **Arguments:** `lattice`, `cell`: as in `dispersion`. **Returns:** `Bands`. A precompressed
+    dimer with stiffness K2, masses m < M has 0 ... (2 K2/M)^{1/2} and (2 K2/m)^{1/2} ... (2 K2
+    (1/m + 1/M))^{1/2}. Edges are differentiable in every parameter where one band alone reaches
+    them.
     **Raises** ValueError where `dispersion` does.
 
     **Example:**
@@ -103,8 +104,8 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     found = turning_cell(lattice, cell)
     axes = len(found.cell)
     reach = np.abs(np.array(found.shells)).max()
-    # omega(-k) = omega(k), unless forces turn velocities: half of the zone is enough for a chain; 48 and 12 hold the
-    # corners of a hexagonal zone
+    # omega(-k) = omega(k) without gyroscopic forces, so half of the zone is enough for a chain;
+    # meshes of 48 and 12 points contain the corners of a hexagonal zone
     if axes == 1:
         low = 0.0 if found.damping is None else -np.pi
         line = np.linspace(low, np.pi, 96 * max(1, reach) * (1 + (low < 0)) + 1)
@@ -120,7 +121,7 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
 
 @compiled
 def _edges(found, k, spacing):
-    """Edges and their places. The derivative of an edge is that at its place, held."""
+    # the place of an edge is held fixed in its derivative
     places = _extrema(jax.lax.stop_gradient(found), k, spacing)
 
     def edge(k, n):
@@ -131,8 +132,9 @@ def _edges(found, k, spacing):
     return lower, upper, *(places[..., 0] if k.shape[1] == 1 else places)
 
 
+# by samples, which a shrinking stencil refines
 def _extrema(found, k, spacing):
-    """k of the least and of the greatest omega^2 of every band, (2, bands, axes): samples, then a closing stencil."""
+    # k of the least and the greatest omega^2 of every band, (2, bands, axes)
     size = found.mass.size
     sign = jnp.array([1.0, -1.0], k.dtype)
 

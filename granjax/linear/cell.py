@@ -28,20 +28,23 @@ from .stiffness import (
 )
 
 ROUNDING, TIGHT, LOOSE = 16, 1e3, 1e6
-"""In units of eps times the largest stiffness: what sums to zero; blocks that are equal; a reach that is enough."""
+"""Tolerances, in units of eps times the largest stiffness: of a sum that is zero, of blocks that
+are equal, and of the force that blocks of sufficient reach may miss."""
 
 
 class UnitCell(eqx.Module):
-    r"""One cell of the infinite lattice that a finite one belongs to.
+    r"""One cell of the infinite lattice that a finite lattice belongs to.
 
-    A wave is u_j(R) = M_j^{-1/2} q_j exp(i k . R - i omega t), with R the (whole) number of the cell and k the phase
-    advance per cell, one per axis of the lattice, and omega^2 q = D(k) q with D(k) = sum_R coupling_R exp(i k . R),
-    coupling_R = M^{-1/2} K_R M^{-1/2}. Forces -C v that turn velocities add -i omega G(k) q to the right, with
-    G(k) = sum_R turning_R exp(i k . R) of the antisymmetric part of C; the symmetric part damps, and is left out.
+    A wave is u_j(R) = M_j^{-1/2} q_j exp(i k . R - i omega t), with the (whole) number R of the
+    cell and the phase advance k per cell, one per axis. It obeys omega^2 q = D(k) q, D(k) = sum_R
+    coupling_R exp(i k . R), coupling_R = M^{-1/2} K_R M^{-1/2}. Gyroscopic forces -C v add
+    -i omega G(k) q on the right, G(k) = sum_R turning_R exp(i k . R) of the antisymmetric part of
+    C; the symmetric part damps, and is left out.
 
-    **Fields:** `cell`: sites of the cell along each axis. `shells`: the R of the neighbours, R = 0 among them.
-    `coupling`: (shells, P, P) [1/s^2]. `mass`: (P,), with P = sites of the cell times fields times dimension.
-    `damping`: M^{-1/2} C_R M^{-1/2}, (shells, P, P) [1/s], `None` where no force turns velocities.
+    **Fields:** `cell`: sites along each axis. `shells`: the R of the neighbours, R = 0 included.
+    `coupling`: (shells, P, P) [1/s^2]. `mass`: (P,), P = sites of the cell times fields times
+    dimension. `damping`: M^{-1/2} C_R M^{-1/2}, (shells, P, P) [1/s], `None` without gyroscopic
+    forces.
     """
 
     coupling: jax.Array
@@ -61,7 +64,7 @@ class UnitCell(eqx.Module):
         return (self.damping - self.damping[_opposite(self.shells)].swapaxes(1, 2)) / 2
 
     def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:
-        """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
+        """Return D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
         return bloch(self.coupling, self.shells, k)
 
     @property
@@ -70,44 +73,45 @@ class UnitCell(eqx.Module):
         return jnp.abs(self.coupling).max()
 
     def gyration(self, k: Numbers) -> ComplexNumbers:
-        """G(k), (P, P), the negative of its own conjugate transpose; of a lattice whose forces turn velocities."""
+        """Return G(k), (P, P), anti-Hermitian, of a lattice with gyroscopic forces."""
         return bloch(self.turning, self.shells, k)
 
     def squares(self, k: Numbers) -> Numbers:
-        """omega^2 of all bands at one k, (P,), rising."""
+        """Return omega^2 of all bands at one k, (P,), rising."""
         D = self.dynamical_matrix(k)
         if self.damping is None:
             return jnp.linalg.eigvalsh(D)
         return turning.squares(D, self.gyration(k), self.scale)
 
     def waves(self, k: Numbers) -> tuple:
-        """omega^2 (P,), rising, and vectors q (P, P) of all bands at one k, normalised."""
+        """Return omega^2 (P,), rising, and normalised vectors q (P, P) at one k."""
         D = self.dynamical_matrix(k)
         if self.damping is None:
             return jnp.linalg.eigh(D)
         return turning.waves(D, self.gyration(k), self.scale)
 
     def slopes(self, k: Numbers) -> tuple:
-        """First and second derivatives of D(k): (axes, P, P) and (axes, axes, P, P)."""
+        """Return first and second derivatives of D(k), (axes, P, P) and (axes, axes, P, P)."""
         return slopes(self.coupling, self.shells, k)
 
     def displacements(self, q: AnyArray) -> Displacements:
-        """Displacements M^{-1/2} q of vectors (..., P, bands): (..., cell..., [vector], bands), or a dict of such."""
+        """Return M^{-1/2} q of vectors (..., P, bands), as `unpack_waves` does."""
         x = q / jnp.sqrt(self.mass)[:, None]
         return unpack_waves(x, self.cell, self.fields, self.dimension)
 
 
 def by_sites(x: AnyArray, axes: int) -> AnyArray:
-    """An array (cells..., cell..., width) as one of sites, (sites..., width): along each axis cell by cell."""
+    """Reorder an array (cells..., cell..., width) by sites, (sites..., width)."""
     order = [i for pair in zip(range(axes), range(axes, 2 * axes)) for i in pair] + [2 * axes]
     counts = [x.shape[i] * x.shape[axes + i] for i in range(axes)]
     return x.transpose(order).reshape(counts + [x.shape[-1]])
 
 
 def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
-    """sum_R coupling_R exp(i k . R), (P, P), for one `k` of shape (axes,)."""
+    """Return sum_R coupling_R exp(i k . R), (P, P), for one `k` (axes,)."""
     uniform = coupling.sum(0)
-    # long waves stay accurate by exp(ix) - 1 = 2i sin(x/2) exp(ix/2), and without the rounding of the sum
+    # exp(ix) - 1 = 2i sin(x/2) exp(ix/2), and a sum at k = 0 without rounding, keep long waves
+    # accurate
     fixed = jax.lax.stop_gradient(uniform)
     rounding = (
         ROUNDING * jnp.finfo(fixed.dtype).eps * jnp.abs(jax.lax.stop_gradient(coupling)).max()
@@ -119,7 +123,7 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
 
 
 def slopes(coupling: Numbers, shells: tuple, k: Numbers) -> tuple:
-    """First and second derivatives of what `bloch` gives, (axes, P, P) and (axes, axes, P, P)."""
+    """Return the first and second derivatives of `bloch`."""
     R = np.array(shells)
     phase = jnp.exp(1j * (R @ k))
     first = jnp.einsum("r,rj,rab->jab", 1j * phase, R, coupling)
@@ -128,12 +132,12 @@ def slopes(coupling: Numbers, shells: tuple, k: Numbers) -> tuple:
 
 @compiled
 def matrices(matrix: Callable, points: Numbers) -> ComplexNumbers:
-    """D at points (n, axes), (n, P, P), of a function from one point to a matrix."""
+    """Evaluate a matrix at points (n, axes): (n, P, P)."""
     return jax.vmap(matrix)(points)
 
 
 def chosen_bands(bands: Any, size: int) -> list[int]:
-    """The bands that are asked for, of `size`, as a sorted list."""
+    """Return the requested bands as a sorted list."""
     given = [bands] if np.ndim(bands) == 0 else list(bands)
     given = [whole("band", b, -size) for b in given]
     numbers = sorted({b % size for b in given if b < size})
@@ -144,7 +148,7 @@ def chosen_bands(bands: Any, size: int) -> list[int]:
 
 
 def phases(k: Numbers, axes: int) -> Numbers:
-    """Wave numbers as points (..., axes), those of a chain (...,) too; others are refused."""
+    """Return wave numbers as points (..., axes), of a chain from any shape; refuse others."""
     if axes == 1:
         return k[..., None]
     if k.ndim == 0 or k.shape[-1] != axes:
@@ -157,27 +161,25 @@ def phases(k: Numbers, axes: int) -> Numbers:
 
 
 def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
-    """The unit cell of a lattice, as a `UnitCell` with its dynamical matrix.
+    """Return the unit cell of a lattice, a `UnitCell` with its dynamical matrix.
 
-    The blocks of K = -d force/du at u = 0 are compared along each axis. A ring is compared all around; of a lattice
-    with walls or free ends the sites within reach of an end are left out, so that what counts is the infinite lattice
-    to which its interior belongs, whatever the boundary.
+    The blocks of K = -d force/du at u = 0 are compared along each axis, around a whole ring. With
+    walls or free ends, sites within reach of an end are ignored: the cell is that of the infinite
+    lattice to which the interior belongs. Damping is left out.
 
-    **Arguments:** `lattice`: one `Lattice`. `cell`: sites per unit cell, a tuple for one number per axis; `None` finds
-    the smallest period. It must be given where the masses or laws are traced by `jit` or `vmap` (under `jax.grad`
-    alone the period is found).
+    **Arguments:** `lattice`: one `Lattice`. `cell`: sites per unit cell, one number or one per
+    axis; `None` finds the smallest period. Give it where `jit` or `vmap` traces masses or laws
+    (not for `jax.grad` alone).
 
-    Damping is left out: frequencies are the undamped ones.
-
-    **Raises** ValueError for a batch, modulated stiffness, gyroscopic forces, a lattice without a period (disorder, a
-    defect, a taper), a `cell` that is no period, a lattice too short to tell, forces without an energy (K not
-    symmetric).
+    **Raises** ValueError for a batch, modulated stiffness, gyroscopic forces, a lattice without a
+    period (disorder, a defect, a taper), a `cell` that is no period, a lattice too short to tell,
+    forces without an energy (K not symmetric).
     """
     return _one_cell(at_rest(lattice), cell)
 
 
 def turning_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
-    """As `unit_cell`, with the forces that turn velocities."""
+    """As `unit_cell`, with gyroscopic forces."""
     still, turns = turning_at_rest(lattice)
     return _one_cell(still, cell, turns)
 
@@ -197,11 +199,11 @@ def _one_cell(lattice, cell, damped=False):
 
 
 class Blocks(NamedTuple):
-    """The blocks of K and C at some times (sites..., offsets, width, width, maps, times), and the masses.
+    """The `blocks` of a lattice, and its properties.
 
-    `plain`: the lattice whose they are; `known`: whether it is the given one, or one of the same pattern with random
-    numbers; `reach` of its bonds along each axis, and whether they go around its ends, `rings`; `size`: the largest
-    entry of each map.
+    `plain`: their lattice; `known`: whether it is the given one, or a `stand_in`; `reach` of the
+    bonds along each axis; `rings`: whether they go around its ends; `size`: the largest entry of
+    each map.
     """
 
     plain: Lattice
@@ -215,9 +217,9 @@ class Blocks(NamedTuple):
 
 
 def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Blocks:
-    """The blocks of a lattice at some times; where its numbers are traced, of one of the same pattern.
+    """Return the blocks of a lattice, or of its `stand_in`.
 
-    They reach as far as the terms say, doubled while that misses something of the force.
+    The reach is what the terms say, doubled while the blocks miss part of the force.
     """
     plain, known = stand_in(lattice)
     sites, reach = grid(plain), _said(plain)
@@ -241,7 +243,7 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
 
 
 def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) -> UnitCell:
-    """The cell of a lattice, of `given` numbers of sites, where they are `None` of the least."""
+    """Return the cell of `given` sites along each axis, the fewest for `None`."""
     cell, chosen = periods(found, rings, given)
     reach, mass, damped = found.reach, found.mass, len(found.size) > 1
     if traced(lattice):
@@ -254,7 +256,7 @@ def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) ->
 
 
 def given_cell(cell: Cell, sites: tuple) -> tuple:
-    """The sites per cell that are asked for, one number an axis, or `None`."""
+    """Return the requested sites per cell along each axis."""
     if cell is None:
         return (None,) * len(sites)
     numbers = tuple(cell) if np.ndim(cell) else (cell,) * len(sites)
@@ -264,13 +266,14 @@ def given_cell(cell: Cell, sites: tuple) -> tuple:
 
 
 def _said(lattice):
-    """How far bonds reach along each axis, as the terms say."""
+    # the reach of bonds along each axis, as the terms say
     sites = grid(lattice)
     reach = [0 if all(span(term) == () for term in lattice.terms) else 1] * len(sites)
     for term in lattice.terms:
         for axis, further in enumerate(span(term) or ()):
             reach[axis] = max(reach[axis], further)
-    # half way around a ring the blocks of both ways are a half each; four sites and less are no ring to tell that from
+    # bonds may reach half way around a ring, where the block is shared by both directions; with
+    # four sites or fewer a ring cannot be told from an open chain
     short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + (r < 3)]
     if short:
         n, r = sites[short[0]], reach[short[0]]
@@ -291,7 +294,7 @@ def is_ring(found: AnyArray, axis: int, reach: tuple) -> bool:
 
 
 def periods(blocks: Blocks, rings: list, given: tuple) -> tuple:
-    """Sites per cell along each axis, and the sites that stand for the cell."""
+    """Return the sites per cell along each axis, and those that represent the cell."""
     known, mass = blocks.known, blocks.mass
     interior = [
         np.arange(n) if ring else np.arange(r, n - r)
@@ -314,7 +317,7 @@ def periods(blocks: Blocks, rings: list, given: tuple) -> tuple:
 def repeats_after(
     rows: AnyArray, ring: bool, tolerance: Number, given: Any, known: bool, axis: int
 ) -> int:
-    """After how many rows they repeat, each of which describes the sites of one place along an axis."""
+    """Return after how many rows, one per place along an axis, the rows repeat."""
     size = len(rows)
 
     def repeats(p):
@@ -368,7 +371,7 @@ def assembled(
     t: Number = 0.0,
     damped: bool = False,
 ) -> tuple:
-    """As `assemble`, from a lattice that may be traced, at one time."""
+    """As `assemble`, at one time, of a lattice that may be traced."""
     own, _, _, mass = blocks(lattice, reach, jnp.asarray(t, lattice.dtype)[None], damped)
     return assemble(jnp, own, mass, cell, chosen, reach)
 
@@ -376,9 +379,9 @@ def assembled(
 def assemble(
     xp: Any, own: AnyArray, mass: AnyArray, cell: tuple, chosen: tuple, reach: tuple
 ) -> tuple:
-    """From blocks between sites to those between cells, over the masses: neighbours R, coupling, masses of the cell.
+    """Turn blocks between sites into blocks between cells over the masses.
 
-    The coupling is (shells, P, P, maps, times).
+    Returns the R of the neighbours, the coupling (shells, P, P, maps, times), and the masses.
     """
     at, width, rest = np.ix_(*chosen), mass.shape[-1], own.shape[-2:]
     home, near = np.indices(cell).reshape(len(cell), -1).T, np.array(offsets(reach))
@@ -386,7 +389,7 @@ def assemble(
     shells, number = np.unique((target // cell).reshape(-1, len(cell)), axis=0, return_inverse=True)
     there = np.ravel_multi_index(np.moveaxis(target % cell, -1, 0), cell)
     rows = own[at].reshape(-1, width, width, *rest)
-    # one block for every pair of sites in two cells; the last, of zeros, where no bond is
+    # one block for every pair of sites in two cells: the last one, zero, where there is no bond
     source = np.full((len(shells), len(home), len(home)), len(rows))
     number = number.reshape(there.shape)
     source[number, np.arange(len(home))[:, None], there] = np.arange(len(rows)).reshape(there.shape)
@@ -399,18 +402,18 @@ def assemble(
 
 
 def _opposite(shells):
-    """The places of -R among the R of the neighbours."""
+    # the indices of -R
     return np.array([shells.index(tuple(-n for n in R)) for R in shells])
 
 
 def one_way(coupling: AnyArray, shells: tuple) -> bool:
-    """Whether forces (shells, P, P, ...) come from no energy: K_R is not the transpose of K_{-R}."""
+    """Whether forces have no energy: K_R is not the transpose of K_{-R}."""
     uneven = np.abs(coupling - coupling[_opposite(shells)].swapaxes(1, 2)).max()
     return bool(uneven > TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max())
 
 
 def by_lanes(result: Any, x: AnyArray) -> AnyArray:
-    """A field of a result with the lanes of a batch in front, as one axis; of a single lattice one lane."""
+    """Return a field with its lanes as one leading axis, of length 1 for one lattice."""
     sites, components = result._space
     x, mark, own = np.asarray(x), np.shape(result._mark), sites + (components > 0)
     count = len(mark) - own
@@ -420,13 +423,13 @@ def by_lanes(result: Any, x: AnyArray) -> AnyArray:
 
 
 def in_lanes(result: Any) -> str:
-    """Words for how many lanes there are, none for one."""
+    """Return the number of lanes in words, empty for one."""
     lanes = np.size(result._mark)
     return f" in each of {lanes} lanes" if lanes > 1 else ""
 
 
 def along_waves(result: Any, held: Held) -> Held:
-    """The description of a field of bands, with as many axes for the wave as `k` has: none where it is one number."""
+    """Give a field of bands as many wave axes as `k` has."""
     count = by_lanes(result, result.omega).ndim - 2
     wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
     return held._replace(axes=held.axes and held.axes.replace("wave", wave))

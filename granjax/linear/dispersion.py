@@ -17,12 +17,13 @@ DEGENERATE = 4096
 
 
 class Dispersion(Result):
-    """omega(k) of every band, in the order of omega at each k.
+    """omega(k) of every band, sorted by omega at each k.
 
-    `k` has the shape (k...,) for a chain and (k..., d) for a lattice of d axes; the derivatives have d, or d and d, as
-    their last axes then. The wave is u_j(R) = vectors_j exp(i (k . R - omega t)), R the number of the cell. Both
-    derivatives are exact (perturbation theory). They are NaN where they do not exist: at omega = 0, where an acoustic
-    band has a corner (see `sound_speed`), and where bands cross. Bands that stay together keep theirs.
+    `k` has the shape (k...,) for a chain and (k..., d) for d axes; derivatives then have last axes
+    (d,) and (d, d). The wave in cell R is u_j(R) = vectors_j exp(i (k . R - omega t)). Derivatives
+    are exact (perturbation theory). They are NaN where they do not exist: at omega = 0, where an
+    acoustic band has a corner (see `sound_speed`), and where bands cross. Bands that stay
+    degenerate keep theirs.
     """
 
     k: Numbers = array("The phase advance per unit cell.", "rad", "wave")
@@ -38,7 +39,7 @@ class Dispersion(Result):
     group_velocity: Numbers = array("d omega/dk, in cells per time.", "1/s", "wave band")
     curvature: Numbers = array("d^2 omega/dk^2, in cells^2 per time.", "1/s", "wave band")
     cell: tuple[int, ...] = note(
-        "The number of sites per cell along each axis; times `cell` for sites per time.",
+        "The number of sites per cell along each axis, which converts cells to sites.",
         static=True,
     )
 
@@ -47,7 +48,7 @@ class Dispersion(Result):
 
     @property
     def outcome(self) -> str:
-        """How many bands, at how many wave numbers, within which frequencies."""
+        """The number of bands and wave numbers, and the frequencies."""
         omega = by_lanes(self, self.omega)
         bands = omega.shape[-1]
         return (
@@ -61,25 +62,28 @@ def dispersion(
     k: Parameter,
     cell: Count | tuple[Count, ...] | None = None,
 ) -> Dispersion:
-    r"""Dispersion relation of the infinite lattice that a lattice belongs to: D(k) q = omega^2 q, without damping.
+    r"""Compute the dispersion relation D(k) q = omega^2 q of an infinite lattice, without damping.
 
-    With gyroscopic forces, whose -d force/dv has an antisymmetric part C, (D(k) - i omega G(k)) q = omega^2 q, with G
-    as D is made of the stiffness; omega > 0, so that waves of -k are others than those of k. It is NaN where D is not
-    positive: such waves may grow, and `floquet_bands` follows them.
+    With gyroscopic forces, for which -d force/dv has an antisymmetric part C, the equation is
+    (D(k) - i omega G(k)) q = omega^2 q, where C gives G(k) as the stiffness gives D(k). Then
+    omega > 0, and waves of -k differ from those of k; omega is NaN where D is not positive: such
+    waves may grow, and `floquet_bands` follows them.
 
     **Arguments:**
 
-    - `lattice`: one `Lattice`, of any boundary: sites within reach of an end do not count.
-    - `k`: phase advance per unit cell [rad], any shape; on a grid of d axes the last axis has length d. A wave vector
-      q in space has the phases k_i = q . a_i, with a_i the lattice vectors (triangular lattice, axes at 60 degrees:
-      (2 pi/3, 4 pi/3) is the K point, (pi, 0) an M point).
-    - `cell`: sites per unit cell, a tuple on a grid; `None` finds the smallest period (see `unit_cell`).
+    - `lattice`: one `Lattice`, of any boundary: sites within reach of an end are ignored.
+    - `k`: phase advance per unit cell [rad], any shape; on a grid of d axes the last axis has
+      length d. A wave vector q in space has k_i = q . a_i, with lattice vectors a_i (triangular
+      lattice, axes at 60 degrees: (2 pi/3, 4 pi/3) is the K point, (pi, 0) an M point).
+    - `cell`: as in `unit_cell`.
 
-    **Returns:** `Dispersion`. A chain of equal beads has omega = 2 (K2/m)^{1/2} |sin(k/2)|, a dimer two bands over
-    -pi < k <= pi per cell of two beads. Differentiable in `k` and in every parameter, where bands do not cross. In a
-    sonic vacuum all frequencies are zero. Rounding: omega^2 is good to about 1e-16 of its largest value, so that of a
-    cell with several sites omega itself carries up to 1e-8 of the cutoff as omega tends to zero.
-    **Raises** ValueError where `unit_cell` does, and for `k` of another shape.
+    **Returns:** `Dispersion`. A chain of equal beads has omega = 2 (K2/m)^{1/2} |sin(k/2)|, a dimer
+    two bands over -pi < k <= pi per cell of two beads. In a sonic vacuum all frequencies are zero.
+    Differentiable in `k` and every parameter where bands do not cross. omega^2 is accurate to about
+    1e-16 of its largest value; with several sites per cell the error of omega is up to 1e-8 of the
+    cutoff as omega tends to zero.
+    **Raises** ValueError for `k` of another shape, and where `unit_cell` does, but for gyroscopic
+    forces only where they change in time.
 
     **Example:**
 
@@ -96,9 +100,9 @@ def dispersion(
 
 @compiled
 def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
-    """omega^2, omega, displacements, d omega/dk and d^2 omega/dk^2 at k (k..., axes).
+    """Return omega^2, omega, displacements, d omega/dk and d^2 omega/dk^2 at k (k..., axes).
 
-    Derivatives are (k..., bands, axes) and (k..., bands, axes, axes), those of a `chain` (k..., bands).
+    Derivatives are (k..., bands, axes) and (k..., bands, axes, axes); for a `chain` (k..., bands).
     """
     axes = k.shape[-1]
     points = k.astype(found.mass.dtype).reshape(-1, axes)
@@ -112,7 +116,7 @@ def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
 
 
 def _wave(found, k):
-    """omega^2, omega, vectors (P, bands), d omega/dk (bands, axes), d^2 omega/dk^2 (bands, axes, axes) at one k."""
+    # at one k: vectors (P, bands), derivatives (bands, axes) and (bands, axes, axes)
     D = found.dynamical_matrix(k)
     squared, q = jnp.linalg.eigh(D)
     scale = jnp.abs(D).max()
@@ -141,14 +145,15 @@ def _wave(found, k):
 
 
 def _turned_wave(found, k):
-    """As `_wave`, where forces turn velocities: of D q = omega (omega + iG) q, linear in omega over (q, omega q)."""
+    # as `_wave`, with gyroscopic forces: D q = omega (omega + iG) q, linear in omega over (q, omega
+    # q)
     D, size = found.dynamical_matrix(k), found.mass.size
     every, v = turning.levels(D, found.gyration(k), found.scale)
-    # one eigenproblem in the program: XLA's threads may wait for ever where two run side by side
+    # only one eigenproblem per program: XLA's threads may deadlock where two run side by side
     squared, q = turning.upper(every, v, found.scale)
     omega = signed_root(squared, jnp.abs(D).max(), size)
     (D1, D2), (G1, G2) = found.slopes(k), slopes(found.turning, found.shells, k)
-    # normalised to q^+ (2 omega + iG) q = +-1, the sign of omega
+    # normalised to q^+ (2 omega + iG) q = sign(omega)
     sign, own = jnp.sign(every), every[size:]
     all_q = sign * v / jnp.sqrt(jnp.abs(every))
     q1 = all_q[:, size:]
@@ -174,7 +179,8 @@ def _turned_wave(found, k):
 
 
 def _diagonal(matrices, same):
-    """Diagonals, (..., bands), and whether all of the matrices are a multiple of one within each degenerate group."""
+    # diagonals (..., bands), and whether all matrices are multiples of 1 within each degenerate
+    # group
     diagonal = jnp.real(jnp.diagonal(matrices, axis1=-2, axis2=-1))
     tolerance = np.sqrt(jnp.finfo(diagonal.dtype).eps) * jnp.abs(matrices).max()
     spread = matrices - diagonal[..., None] * jnp.eye(diagonal.shape[-1])

@@ -1,4 +1,4 @@
-"""Waves of a given frequency: the wave numbers, real and complex, that a lattice carries them with."""
+"""The real and complex wave numbers of waves of a given frequency."""
 
 import equinox as eqx
 import numpy as np
@@ -11,24 +11,24 @@ from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
 from .cell import damped_cell
 from .losses import without_memory
 
-# |z| of roots beyond which exp(ik) is no wave but a block that is zero; what counts as |z| = 1
+# a root beyond this |z| comes from a zero block and is no wave; a wave with less |Im k| travels
 LARGEST, REAL = 1e8, 1e-7
 
 
 class ComplexBands(Result):
-    """Complex wave numbers of given frequencies.
+    """Complex wave numbers of given frequencies, for waves u ~ exp(i k R).
 
-    u ~ exp(i k R); Im k > 0 decays along the axis, real ones travel.
+    Waves with Im k > 0 decay along the axis; those with real k travel.
     """
 
     omega: Numbers = array("The frequencies.", "rad/s", "frequency")
     k: ComplexNumbers = array(
-        "The wave numbers per cell in the order of |Im k|, NaN where a frequency has fewer.",
+        "The wave numbers per cell, sorted by |Im k|; NaN where a frequency has fewer.",
         "rad",
         "frequency wave",
     )
     residual: Numbers = array(
-        "What is left of (D(k) - omega^2) q, relative.", "1", "frequency wave"
+        "The relative residual of (D(k) - omega^2) q = 0.", "1", "frequency wave"
     )
     across: Number = array("The phase along the other axis.", "rad")
     axis: int = note("The axis along which the waves run.", static=True)
@@ -36,12 +36,12 @@ class ComplexBands(Result):
 
     @property
     def decay(self) -> Numbers:
-        """The least |Im k| of each frequency [1/cell]: 0 within a band, the slowest decay in a gap."""
+        """The least |Im k| of each frequency [1/cell], 0 within a band."""
         return np.nanmin(np.abs(np.asarray(self.k).imag), axis=-1)
 
     @property
     def outcome(self) -> str:
-        """At how many frequencies nothing travels."""
+        """The number of frequencies at which every wave decays."""
         stopped = int((self.decay > REAL).sum())
         return f"Wave numbers of {len(self.omega)} frequencies; at {stopped} of them every wave decays."
 
@@ -54,18 +54,20 @@ def complex_bands(
     across: Parameter = 0.0,
     cell: Cell | None = None,
 ) -> ComplexBands:
-    r"""Wave numbers of given frequencies along one axis: all roots k of det(D(k) - omega^2) = 0, real and complex.
+    r"""Compute all wave numbers of given frequencies along one axis, real and complex.
 
-    With z = exp(ik) a polynomial eigenvalue problem, sum_R coupling_R z^R q = omega^2 q, of degree twice the reach.
-    A chain of equal beads has one pair, cos k = 1 - m omega^2/(2 K2): above its band k = pi + i kappa. Here damping
-    counts: the coupling of a frequency is K - i omega C + sum c (-i omega)^a, with C = -d force/dv, gyroscopic or not,
-    and the c and a of each `CaputoDamping`. So every wave of a damped lattice decays.
+    They are the roots k of det(D(k) - omega^2) = 0. With z = exp(ik) this is a polynomial
+    eigenvalue problem, sum_R coupling_R z^R q = omega^2 q, of degree twice the reach. A chain of
+    equal beads has one pair, cos k = 1 - m omega^2/(2 K2): above its band k = pi + i kappa. Damping
+    counts, so that every wave of a damped lattice decays: the coupling is K - i omega C + sum c
+    (-i omega)^a, with C = -d force/dv, gyroscopic or not, and the c and a of each `CaputoDamping`.
 
-    **Arguments:** `lattice`: one `Lattice`; `omega` (W,) [rad/s]; `axis`: along which; `across`: the phase along the
-    other axis of a plane, one number; `cell`: as in `unit_cell`. **Returns:** `ComplexBands`, for
-    `gx.plots.complex_bands`. **Raises** ValueError for
-    a sonic vacuum, traced frequencies, and where `unit_cell` does. No derivative is taken; d k/d omega is one over the
-    group velocity of `dispersion`.
+    **Arguments:** `omega`: (W,) [rad/s]; `axis`: of the waves; `across`: the phase along the other
+    axis of a plane; `lattice`, `cell`: as in `unit_cell`.
+    **Returns:** `ComplexBands`, for `gx.plots.complex_bands`, without derivatives; d k/d omega is
+    one over the group velocity of `dispersion`.
+    **Raises** ValueError for a sonic vacuum, and where `dispersion` does; TypeError for traced
+    frequencies.
 
     **Example:**
 
@@ -76,7 +78,7 @@ def complex_bands(
     """
     found, losses = _with_losses(lattice, cell)
     axes = len(found.cell)
-    # roots are sorted by their values, so that nothing here is traced
+    # roots are sorted by value, so nothing here can be traced
     w = np.atleast_1d(np.asarray(parameter("omega", omega), float))
     given, coupling = float(parameter("across", across)), np.asarray(found.coupling)
     if not np.any(coupling):
@@ -106,10 +108,11 @@ def complex_bands(
 
 
 def _with_losses(lattice, cell):
-    """The cell with all that damps it, and [(order, C_R)] over its masses: -C D^order u, order 1 the damping."""
+    # the cell with all damping, and [(order, C_R/M)] of forces -C D^order u, where order 1 is
+    # viscous
     plain, past = without_memory(lattice)
     viscous = (one.terms[-1] for _, one in past)
-    # the period is that of all of them together
+    # all terms together determine the period
     found = damped_cell(eqx.tree_at(lambda x: x.terms, plain, (*plain.terms, *viscous)), cell)
     losses, rest = [], np.asarray(found.damping)
     for order, one in past:
@@ -121,11 +124,9 @@ def _with_losses(lattice, cell):
     return found, [(1.0, rest), *losses] if plain.reads_velocity else losses
 
 
+# by the companion form; a residual is the least singular value at the root, over its size
 def _waves(blocks, squared, scale):
-    """z = exp(ik) of all waves, by the companion form, the most slowly decaying first, and what they leave.
-
-    That is the least singular value of the problem at a root, relative to its size.
-    """
+    # z = exp(ik) of all waves, the slowest decay first, and their residuals
     count, size = blocks.shape[:2]
     degree, reach = count - 1, count // 2
     problem = blocks.copy()

@@ -1,4 +1,4 @@
-"""Flat bands: where omega does not depend on k, and the compact states of which they are made."""
+"""Flat bands, whose omega does not depend on k, and their compact localised states."""
 
 from itertools import product
 
@@ -13,30 +13,31 @@ from ..types import AnyArray, Cell, Count, Numbers
 from .cell import UnitCell, by_sites, matrices, unit_cell
 from .stiffness import grid, mesh, unpack
 
-# of the largest omega^2: what is flat; cells over which a compact state is looked for
+# the variation of a flat band, relative to the largest omega^2; the most cells of a compact state
+# along each axis
 FLAT, WIDEST = 1e-12, 4
 MESH = {1: 48, 2: 12, 3: 6}
 
 
 class FlatBands(Result):
-    """The flat bands of a lattice, and a compact state of each frequency, `state(lattice, number)`."""
+    """The flat bands of a lattice, and a compact `state(lattice, number)` of each frequency."""
 
     omega: Numbers = array("The frequency of each flat band.", "rad/s", "flat")
     omega_squared: Numbers = array("omega^2 of each flat band.", "rad^2/s^2", "flat")
-    width: Numbers = array("How much omega^2 varies over the zone.", "rad^2/s^2", "flat")
-    degeneracy: AnyArray = array("The number of bands that have that frequency.", axes="flat")
+    width: Numbers = array("The variation of omega^2 over the zone.", "rad^2/s^2", "flat")
+    degeneracy: AnyArray = array("The number of flat bands at each frequency.", axes="flat")
     support: AnyArray = array(
-        "The number of degrees of freedom on which the compact state lives.", axes="flat"
+        "The number of degrees of freedom where the compact state is not zero.", axes="flat"
     )
     residual: Numbers = array(
-        "What is left of (D - omega^2) q, relative to the largest stiffness.", "1", "flat"
+        "The residual of (D - omega^2) q = 0, relative to the largest omega^2.", "1", "flat"
     )
     _states: tuple
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
     @property
     def outcome(self) -> str:
-        """How many flat bands at which frequencies, and the size of their compact states."""
+        """The flat bands, and the size of their compact states."""
         if not len(self.omega):
             return "No band is flat."
         told = ", ".join(
@@ -45,10 +46,11 @@ class FlatBands(Result):
         return f"{int(np.sum(self.degeneracy))} flat band{'s' * (int(np.sum(self.degeneracy)) > 1)}: omega = {told}."
 
     def state(self, lattice: Lattice, number: Count = 0, at: Cell | None = None) -> State:
-        """The compact state of one frequency on a lattice, as a `State` at rest with the largest displacement 1.
+        """Return the compact state of one frequency, at rest, with largest displacement 1.
 
-        **Arguments:** `lattice`: that it was found for, or a longer one of the same cell; `number`: of `omega`; `at`:
-        the cell where it begins, `None` for the middle. **Raises** ValueError where it does not fit.
+        **Arguments:** `lattice`: that of the bands, or a longer one; `number`: index into `omega`;
+        `at`: the cell where it begins, `None` for the middle. **Raises** ValueError where it does
+        not fit.
         """
         count = len(self._states)
         if not -count <= number < count:
@@ -69,16 +71,17 @@ class FlatBands(Result):
 
 
 def flat_bands(lattice: Lattice) -> FlatBands:
-    r"""The flat bands of a lattice, and their compact localised states.
+    r"""Find the flat bands of a lattice and their compact localised states.
 
-    A band is flat where omega^2 varies over the zone by rounding alone. Its compact state is looked for on 1, 2, ...
-    cells along each axis, as the null vector of the equations of all sites that it touches, (D - omega^2) q = 0: so
-    its neighbours feel no force. Of several states that fit on so few cells the sparsest found is given.
+    A band is flat where omega^2 varies over the zone by rounding alone. Its compact state is sought
+    on 1 to 4 cells along each axis, as a null vector of (D - omega^2) q = 0 at all sites that it
+    touches, so that its neighbours feel no force. Of several states on equally few cells the
+    sparsest found is returned.
 
-    **Arguments:** `lattice`: one `Lattice`.
-    **Returns:** `FlatBands`; none where no band is flat. Its displacements as a state to start from: `.state(lattice)`.
-    **Raises** ValueError where `unit_cell` does. Source: Leykam, Andreanov, Flach, Advances in Physics: X 3, 1473052
-    (2018); Maimaiti, Andreanov, Park, Gendelman, Flach, Phys. Rev. B 95, 115135 (2017).
+    **Returns:** `FlatBands`, empty where no band is flat. `.state(lattice)` is an initial state.
+    **Raises** ValueError where `unit_cell` does, and where no compact state is found.
+    Source: Leykam, Andreanov, Flach, Advances in Physics: X 3, 1473052 (2018); Maimaiti, Andreanov,
+    Park, Gendelman, Flach, Phys. Rev. B 95, 115135 (2017).
 
     **Example:**
 
@@ -115,7 +118,7 @@ def flat_bands(lattice: Lattice) -> FlatBands:
 
 
 def _compact(found: UnitCell, squared: float, scale: float) -> tuple:
-    """Displacements of a compact state on as few cells as possible, and what is left of its equations."""
+    # displacements on as few cells as possible, and the residual
     axes, size = len(found.cell), found.mass.size
     blocks = dict(zip(found.shells, np.asarray(found.coupling)))
     blocks[(0,) * axes] = blocks[(0,) * axes] - squared * np.eye(size)
@@ -124,7 +127,7 @@ def _compact(found: UnitCell, squared: float, scale: float) -> tuple:
         product(range(1, WIDEST + 1), repeat=axes), key=lambda c: (np.prod(c), max(c), c)
     ):
         places = list(np.ndindex(counts))
-        # all cells that the state touches
+        # all cells on which the state exerts a force
         touched = {tuple(np.subtract(place, R)) for place in places for R in found.shells}
         equations = np.block(
             [
@@ -148,11 +151,11 @@ def _compact(found: UnitCell, squared: float, scale: float) -> tuple:
 
 
 def _sparsest(null):
-    """A null vector with zeros where it can have them, exact zeros where they are rounding."""
-    # each row that can be left out of all but one combination: reduced echelon form
+    # a null vector with as many zeros as possible; rounding is set to exact zeros
+    # reduced echelon form: in each pivot row all vectors but one are zero
     pivots = qr(null.T, pivoting=True)[2][: null.shape[1]]
     rows = null @ np.linalg.inv(null[pivots])
     rows = np.where(np.abs(rows) < 1e-10 * np.abs(rows).max(0), 0, rows)
     q = rows[:, np.argmin(np.count_nonzero(rows, axis=0))]
-    # the first of the largest is positive
+    # make the first of the largest entries positive
     return q * np.sign(q[np.argmax(np.abs(q).round(9))]) + 0.0

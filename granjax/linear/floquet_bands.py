@@ -17,29 +17,32 @@ from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
 from .stiffness import in_groups, unpack_waves
 
-# waves that are followed together, whatever their number: one program
+# wave numbers per batch; smaller batches are padded, so that one compiled program serves any number
 TOGETHER = 16
-# steps of a period: the fewest, those of a radian of the highest frequency, where refinement ends
+# steps per period: the least, the number per radian of the highest frequency, and the most
 LEAST_STEPS = 16
 PER_RADIAN = 1.1
 MOST_STEPS = 2**14
-# what is asked of M, of its largest entry
+# the requested error of M, relative to its largest entry
 TOLERANCE = 2e-12
-# of a difference between flows of n and 3n/4 steps, which is 1/3 of the error where forces jump unannounced
+# error of M over its difference between n and 3n/4 steps; that difference is only 1/3 of the error
+# where forces jump at a time that is not declared as a break
 SAFETY = 4
-# rounding of products, in units of eps, and how much more may still be rounding
+# the rounding error of products, in units of eps; a refinement that stalls within STALLED times
+# this error stops, as more steps would not help
 ROUNDING = 20
 STALLED = 1e3
-# multipliers within are taken for copies of one that is nearly defective
+# multipliers closer than this are treated as copies of one nearly defective multiplier
 NEAR = 1e-3
 
 
 class FloquetBands(Result):
-    r"""Waves u(t) exp(i k . R) of a lattice that is modulated with period T: (u, v) -> rho (u, v) after T.
+    r"""Waves u(t) exp(i k . R) of a lattice modulated with period T: (u, v) -> rho (u, v) after T.
 
-    `k` has the shape (k...,) for a chain and (k..., d) for a lattice of d axes; a cell of P degrees of freedom has 2P
-    multipliers. Waves are normalised by sum m/m_mean (|u|^2 + |T v/2 pi|^2) = 1 over the cell. `growth` and `omega` are
-    known to `error`/(|rho| T). Edges of gaps are `None` where `k` is one number, has several axes, or is traced.
+    `k` has the shape (k...,) for a chain and (k..., d) for d axes; a cell of P degrees of freedom
+    has 2P multipliers. Waves are normalised by sum m/m_mean (|u|^2 + |T v/2 pi|^2) = 1 over the
+    cell. The errors of `growth` and `omega` are `error`/(|rho| T). The edges of gaps are `None`
+    where `k` is one number, has several axes, or is traced.
     """
 
     k: Numbers = array("The phase advance per unit cell.", "rad", "wave")
@@ -50,8 +53,7 @@ class FloquetBands(Result):
         name="multiplier",
     )
     error: Numbers = array(
-        "The distance of each multiplier from the truth, from two step sizes, the rounding,"
-        " and its condition.",
+        "The error of each multiplier, estimated from two step sizes, rounding and its condition.",
         "1",
         "wave multiplier",
     )
@@ -68,7 +70,7 @@ class FloquetBands(Result):
         "The velocities of the waves at t0.", "1/s", "wave site ... multiplier"
     )
     edges: Numbers | None = array(
-        "The wave numbers between which some wave grows.", "rad", "gap side"
+        "The pairs of wave numbers between which some wave grows.", "rad", "gap side"
     )
     edge_error: Numbers | None = array("The errors of the edges.", "rad", "gap side")
     fastest_k: Numbers | None = array(
@@ -85,11 +87,11 @@ class FloquetBands(Result):
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
-        """The k-gaps (wave number bandgaps), a list of pairs (low, high) [rad]: between them some wave grows.
+        """The k-gaps (wave number bandgaps) in which some wave grows, pairs (low, high) [rad].
 
-        All of which some part lies within the given `k`; those around 0 and pi reach beyond. None is reported whose
-        growth over a period is below what the errors of the multipliers can tell from none.
-        **Raises** ValueError where gaps were not looked for.
+        These are all gaps that overlap the span of `k`; those around 0 and pi reach beyond it. Gaps
+        whose growth over a period is within the errors of the multipliers are left out.
+        **Raises** ValueError where gaps were not computed.
         """
         if self.edges is None:
             refuse(
@@ -102,7 +104,7 @@ class FloquetBands(Result):
 
     @property
     def outcome(self) -> str:
-        """How many waves, and where they grow."""
+        """The number of multipliers, and where waves grow."""
         if traced(self):
             return "Multipliers that are traced."
         grows = by_lanes(self, self.grows)
@@ -119,19 +121,20 @@ class FloquetBands(Result):
 
     @property
     def grows(self) -> Any:
-        """Whether |rho| > 1 by more than its error, (k..., 2P)."""
+        """Whether |rho| exceeds 1 by more than its error, (k..., 2P)."""
         return np.abs(self.multipliers) - 1 > self.error
 
     def state(
         self, lattice: Lattice, wave: Count = 0, multiplier: Count = 0, amplitude: Scalar = 1.0
     ) -> State:
-        """A wave as a state of the lattice at t0: u_n = Re(a u_j exp(i k R)), n = R P + j, in every cell.
+        """Return a wave as a state at t0: u_n = Re(a u_j exp(i k R)), n = R P + j.
 
-        On a ring that holds a whole number of its wavelengths it is multiplied by rho each period, where that is real.
+        P is the number of sites per cell. On a ring that holds a whole number of wavelengths, a
+        real rho multiplies it each period.
 
-        **Arguments:** `lattice`: whose bands these are; `wave`: index into `k`, where that is an array; `multiplier`:
-        index, 0 grows fastest; `amplitude`: the largest displacement [m]. **Raises** ValueError for a lattice of
-        another cell, indices that are not there, or several axes.
+        **Arguments:** `lattice`: that of the bands; `wave`: index into an array `k`; `multiplier`:
+        index, 0 grows fastest; `amplitude`: the largest displacement [m]. **Raises** ValueError for
+        a lattice with another cell, an index out of range, or several axes.
         """
         if len(self.cell) > 1 or lattice.axes > 1:
             refuse(
@@ -172,29 +175,32 @@ def floquet_bands(
     cell: Cell = None,
     steps: Count | None = None,
 ) -> FloquetBands:
-    r"""Floquet-Bloch bands of the infinite lattice that a lattice belongs to, modulated with a period T in time.
+    r"""Compute the Floquet-Bloch bands of an infinite lattice modulated with a period T in time.
 
-    Linear waves u_j(R, t) = q_j(t) exp(i k . R) about u = 0 over one period, q(t + T) = M(k) q(t): multipliers rho,
-    the eigenvalues of M. Where one leaves the unit circle (a k-gap, or wavenumber bandgap) waves grow as
-    |rho|^{t/T}. Everything linear counts: stiffness, on-site forces, damping, dashpots, cells of several fields,
-    modulation in time alone or travelling, by `Modulated` or a term of your own. Drives and moving walls are left out.
+    Linear waves u_j(R, t) = q_j(t) exp(i k . R) about u = 0 obey q(t + T) = M(k) q(t), with
+    multipliers rho, the eigenvalues of M. Where one leaves the unit circle
+    (a k-gap, or wavenumber bandgap), waves grow as |rho|^{t/T}. All linear forces are included,
+    damping, dashpots and cells of several fields among them, with modulation in time alone or
+    travelling, by `Modulated` or a user-defined term. Drives and moving walls are left out.
 
     **Arguments:**
 
-    - `lattice`: one `Lattice`, of any boundary: sites within reach of an end do not count.
-    - `k`: phase advance per unit cell [rad], as in `dispersion`.
-    - `period`: T > 0, that of the modulation or a multiple; any for a lattice that does not change. `t0`: where M
-      begins; multipliers do not depend on it.
-    - `cell`: sites per unit cell; `None` finds the smallest period, which a travelling modulation makes larger.
-    - `steps`: of a period; `None` doubles them until M is known to 2e-12, relative to its largest entry.
+    - `lattice`, `k`: as in `dispersion`.
+    - `period`: T > 0, the period of the modulation or a multiple; any for a lattice that does not
+      change. `t0`: the time at which M begins; multipliers do not depend on it.
+    - `cell`: sites per unit cell; `None` finds the smallest period, which a travelling modulation
+      makes larger.
+    - `steps`: steps per period; `None` finds the number for which M is known to 2e-12 of its
+      largest entry.
 
-    **Returns:** `FloquetBands`. Uniform modulation of K: each k is a Hill equation with omega(k)^2 g(t); the first
-    k-gap lies where omega(k) = pi/T. Differentiable in `k` and every parameter where multipliers are simple; within
-    `jax.jit` or `jax.vmap` with `cell` and `steps` given (errors and gaps are not found there).
-    **Raises** ValueError for a period after which the forces do not repeat, where `unit_cell` does (but for modulated
-    stiffness), and for `k` of another shape.
-    Source: Trainiti, Xia, Marconi, Cazzulani, Erturk, Ruzzene, Phys. Rev. Lett. 122, 124301 (2019); k-gaps: Kim,
-    Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023).
+    **Returns:** `FloquetBands`. Where K is modulated uniformly, each k is a Hill equation with
+    omega(k)^2 g(t), and the first k-gap lies where omega(k) = pi/T. Differentiable in `k` and every
+    parameter where multipliers are simple. Within `jax.jit` or `jax.vmap` give `cell` and `steps`;
+    errors and gaps are not computed there.
+    **Raises** ValueError for a period after which the forces do not repeat, `k` of another shape,
+    and where `unit_cell` does, except for modulated, gyroscopic and non-conservative forces.
+    Source: Trainiti, Xia, Marconi, Cazzulani, Erturk, Ruzzene, Phys. Rev. Lett. 122, 124301 (2019);
+    k-gaps: Kim, Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023).
 
     **Example:**
 
@@ -255,12 +261,12 @@ def floquet_bands(
 
 
 def _held(tree):
-    """What is traced without its derivatives, known where these alone are traced; all else as it is."""
+    # without derivatives, values are concrete where derivatives alone are traced
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if traced(x) else x, tree)
 
 
 def _angle(rho):
-    """arg(rho), +pi on the negative axis, to rounding."""
+    # arg(rho), with +pi on the negative axis up to rounding
     turned = jnp.angle(rho)
     return jnp.where(
         turned < -jnp.pi + 64 * jnp.finfo(turned.dtype).eps, turned + 2 * jnp.pi, turned
@@ -268,7 +274,7 @@ def _angle(rho):
 
 
 class _Known:
-    """The waves of a cell whose numbers are known, for any k: M by n and by 3n/4 steps, n found once."""
+    """The waves of a cell with concrete values, for any k."""
 
     def __init__(self, cell: ModulatedCell, k: Any, t0: Any, period: Any, steps: int | None):
         self.cell, self.t0, self.period = cell, jnp.asarray(t0), jnp.asarray(period)
@@ -276,7 +282,7 @@ class _Known:
         self.omega = cell.omega or 1 / float(period)
         self.conserves = cell.conserves
         self.turned = self.omega * float(period)
-        # what the forces miss the period by changes M by its integral, at most
+        # forces that do not repeat exactly change M by at most the integral of the mismatch
         stiff, lost, late = cell.missed
         self.missed = float(period) * (stiff / self.omega + lost) + 2 * self.omega * late
         if PER_RADIAN * self.turned > MOST_STEPS:
@@ -290,7 +296,7 @@ class _Known:
         self.steps = self._found(points) if steps is None else steps
 
     def maps(self, k: np.ndarray, steps: int | None = None) -> np.ndarray:
-        """M(k) over (q, q'/omega), (K, 2P, 2P), by n steps or as many as are given."""
+        """Return M(k) over (q, q'/omega), (K, 2P, 2P)."""
         steps = self.steps if steps is None else steps
         along = self.t0, self.period, jnp.asarray(self.omega), jnp.asarray(steps)
         points = k.astype(self.cell.coupling.dtype)
@@ -300,7 +306,7 @@ class _Known:
         some = np.concatenate([k[:: max(1, len(k) // 32)][:32], np.full((1, k.shape[1]), np.pi)])
         count, last = max(LEAST_STEPS, PER_RADIAN * self.turned), np.inf
         while True:
-            # three quarters of the steps are a whole number
+            # a multiple of 4, so that 3n/4 is whole
             count = 4 * int(np.ceil(count / 4))
             fine = self.maps(some, count)
             size, off = np.abs(fine).max(), np.abs(fine - self.maps(some, 3 * count // 4)).max()
@@ -316,11 +322,11 @@ class _Known:
             stalled = off > last / 2 and off <= STALLED * rounding
             if off <= least or stalled or count >= MOST_STEPS:
                 return count
-            # as many as order 6 needs, and no more than twice
+            # the number that order 6 needs, but at most twice as many
             count, last = count * np.clip(1.1 * (off / least) ** (1 / 6), 1.25, 2.0), off
 
     def levels(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """M(k) by n steps, by 3n/4, and the norm to which the former is known, (K,)."""
+        """Return M(k) by n and by 3n/4 steps, and a bound on the error of the former, (K,)."""
         fine, coarse = self.maps(k), self.maps(k, max(1, 3 * self.steps // 4))
         size = np.linalg.norm(fine, axis=(1, 2))
         rounding = (ROUNDING * self.eps * (1 + self.turned) + self.missed) * size
@@ -328,14 +334,14 @@ class _Known:
 
     @one_thread
     def waves(self, k: np.ndarray) -> tuple:
-        """Multipliers (K, 2P), their errors, vectors over (q, q'/omega) (K, 2P, 2P)."""
+        """Return multipliers (K, 2P), errors, and vectors over (q, q'/omega) (K, 2P, 2P)."""
         fine, _, about = self.levels(k)
         rho, vectors = _in_order(np, *np.linalg.eig(fine))
         return rho, errors_of(fine, rho, vectors, about), vectors
 
 
 def _in_order(xp, rho, vectors):
-    """Multipliers and vectors, the largest modulus first."""
+    # by modulus, the largest first
     order = xp.lexsort((-xp.angle(rho), -xp.abs(rho).round(9)))
     return xp.take_along_axis(rho, order, -1), xp.take_along_axis(vectors, order[:, None, :], -1)
 
@@ -343,9 +349,10 @@ def _in_order(xp, rho, vectors):
 def errors_of(
     maps: np.ndarray, rho: np.ndarray, vectors: np.ndarray, about: np.ndarray
 ) -> np.ndarray:
-    """How far eigenvalues may be from those of matrices that are known to a norm: |dM|/|y^H x|, or Elsner's bound.
+    """Bound the errors of eigenvalues, (K, 2P), of matrices known to within `about` in norm.
 
-    The latter, (|M| + |M + dM|)^{1 - 1/m} |dM|^{1/m}, is that of m eigenvalues that meet.
+    The bound is |dM|/|y^H x|, or for m eigenvalues that meet, where it is smaller, Elsner's,
+    (|M| + |M + dM|)^{1 - 1/m} |dM|^{1/m}.
     """
     try:
         left = np.linalg.inv(vectors)
@@ -364,7 +371,7 @@ def errors_of(
 
 
 def _traced_waves(cell, k, t0, period, steps, known):
-    """`_Known.waves` that are traced: multipliers with derivatives, vectors without."""
+    # as `_Known.waves`: multipliers carry derivatives, vectors do not
     omega = jnp.asarray(known.omega if known else 2 * np.pi / period)
     maps = monodromies(cell, k, t0, period, omega, int(steps))
     if known:
@@ -378,7 +385,8 @@ def _traced_waves(cell, k, t0, period, steps, known):
 
 
 def _parted(cell, vectors, period):
-    """Displacements and velocities (K, P, 2P) of vectors over (q, q'/omega), normalised over the cell."""
+    # displacements and velocities (K, P, 2P) from vectors over (q, q'/omega), normalised over the
+    # cell
     omega = cell.omega if not traced(cell) else 2 * np.pi / period
     omega = jnp.where(jnp.asarray(omega) > 0, omega, 1 / period)
     size = vectors.shape[-2] // 2

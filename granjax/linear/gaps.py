@@ -1,4 +1,4 @@
-"""Wave numbers between which waves of a modulated chain grow: gaps in k, their edges by root-finding."""
+"""Gaps in k of a modulated chain, in which waves grow, with their edges by root-finding."""
 
 from typing import Any
 
@@ -14,23 +14,23 @@ TURN = 0.2
 FEWEST = 24
 MOST = 1536
 WITHIN = 19
-# products of two signatures above: multipliers that pass each other
+# multipliers whose signatures have a product above this pass each other without a gap
 SAME = 1e-3
-# of the slope at an edge, in parts of the distance between two samples
+# the step for the slope at an edge, as a part of the distance between two samples
 ASIDE = 1e-3
-# of a map's own error, above which a number differs from zero
+# a number differs from zero where it exceeds this many times the error of the map
 TOLD = 50
-# digits to which two mirror images of one gap agree
+# the digits to which two mirror images of one gap agree
 DIGITS = 9
 
 
 @one_thread
 def gaps_of(known: Any, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Edges (gaps, 2), their errors, k of the fastest growth and its rate, of the gaps that meet the span of k."""
+    """Return edges (gaps, 2), errors, k and rate of fastest growth, of gaps in the span of k."""
     edges, errors = _half_zone(known)
     fastest, growth = _fastest(known, edges)
     found, turn = {}, 2 * np.pi
-    # mirror images and other zones, as far as they meet the span
+    # mirror images and images in other zones, where they overlap the span
     for (a, b), (ea, eb), place, rate in zip(edges, errors, fastest, growth / float(known.period)):
         for low, high, error, at in ((a, b, (ea, eb), place), (-b, -a, (eb, ea), -place)):
             first, last = np.ceil((k.min() - high) / turn), np.floor((k.max() - low) / turn)
@@ -44,13 +44,11 @@ def gaps_of(known: Any, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     )
 
 
+# s = (rho_a - rho_b)^2/(rho_a rho_b) of the pair of opposite signature with the largest s. It is
+# real and smooth in k, negative on the unit circle and positive off it, so that its zeros are the
+# edges of gaps. The instability is s without losses, and log|rho| with them.
 def _look(known, maps):
-    """How unstable waves are, how near to becoming so, and log|rho| of the largest multiplier, of maps (K, 2P, 2P).
-
-    Near is s = (rho_a - rho_b)^2/(rho_a rho_b) of the pair whose s is largest among those of opposite signature: real
-    and smooth in k, negative on the unit circle and positive off it, so that its zeros are the edges of gaps. Unstable
-    is s without losses, and with them log|rho|.
-    """
+    """Return the instability, the nearness s, and the largest log|rho|, of maps (K, 2P, 2P)."""
     rho, vectors = np.linalg.eig(maps)
     half = maps.shape[1] // 2
     sign = 2 * np.sum(np.imag(np.conj(vectors[:, :half]) * vectors[:, half:]), axis=1)
@@ -62,7 +60,7 @@ def _look(known, maps):
 
 
 def _told(known, k):
-    """How unstable waves are at k, the least growth that counts, what larger steps change, and how near they are."""
+    """Return the instability at k, the least that counts, its change with larger steps, and s."""
     fine, coarse, about = known.levels(k[:, None])
     unstable, near, _ = _look(known, fine)
     size = np.maximum(1, np.linalg.norm(fine, axis=(1, 2))) if known.conserves else 1
@@ -70,12 +68,12 @@ def _told(known, k):
 
 
 def _half_zone(known):
-    """The gaps of 0 <= k <= pi: those of -k are the same; one that reaches beyond 0 or pi is its own mirror image."""
+    # the gaps of 0 <= k <= pi; one that reaches beyond 0 or pi is its own mirror image
     reach = max(abs(n) for R in known.cell.shells for n in R)
     count = int(np.clip(np.pi * known.turned * reach / TURN / max(known.cell.cell), FEWEST, MOST))
     k = np.linspace(0, np.pi, count + 1)
     f, doubt, _, near = _told(known, k)
-    # between two samples a gap may hide: there the nearest pair comes nearest
+    # a gap may hide between two samples, where s has a local maximum
     before, after = np.append(near[1], near[:-1]), np.append(near[1:], near[-2])
     hidden = k[(f <= doubt) & (near >= before) & (near >= after)]
     if len(hidden):
@@ -98,7 +96,7 @@ def _half_zone(known):
 
 
 def _largest(known, which, k, width):
-    """Where one of what `_look` tells is largest within a width of some k, at which it is larger than beside them."""
+    # refine local maxima k of one output of `_look`, within a width
     found = find_minimum(
         lambda k: -_look(known, known.maps(k[:, None]))[which], (k - width, k, k + width)
     )
@@ -106,7 +104,7 @@ def _largest(known, which, k, width):
 
 
 def _edges(known, outside, inside):
-    """Roots between k where no wave is seen to grow and where one does, and their errors."""
+    # roots between k without growth and k with growth, and their errors
     if not len(outside):
         return np.zeros((2, 0))
 
@@ -123,10 +121,10 @@ def _edges(known, outside, inside):
 
 
 def _fastest(known, edges):
-    """Where waves grow fastest in each gap, and log|rho| there."""
+    """Return where waves grow fastest in each gap, and log|rho| there."""
     if not len(edges):
         return np.zeros((2, 0))
-    # of two mirror images the one in 0 <= k <= pi
+    # take the mirror image in 0 <= k <= pi
     low, high = np.clip(edges, 0, np.pi).T
     k = np.linspace(low, high, WITHIN, axis=1)
     growth = _look(known, known.maps(k.reshape(-1, 1)))[2].reshape(k.shape)

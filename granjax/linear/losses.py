@@ -1,4 +1,4 @@
-"""What waves of a given frequency lose: dampings with a memory, as the dampings that they are at that frequency."""
+"""Dampings with a memory, as the dampings that they are for waves of a given frequency."""
 
 from typing import Any
 
@@ -23,9 +23,10 @@ class _Viscous(Term):
 
 
 def without_memory(lattice: Lattice) -> tuple[Lattice, list[tuple[Any, Lattice]]]:
-    """The lattice without its `CaputoDamping`; and of each its order, with a lattice that has it as a force -c v alone.
+    """Return the lattice without `CaputoDamping`, and the orders and forces of these.
 
-    Of a motion exp(-i omega t) its force is -c (-i omega)^order u.
+    Each comes as (order, lattice whose only damping is the force -c v). For a motion
+    exp(-i omega t) its force is -c (-i omega)^order u.
     """
     past = [term for term in lattice.terms if isinstance(term, CaputoDamping)]
     rest = tuple(term for term in lattice.terms if not isinstance(term, CaputoDamping))

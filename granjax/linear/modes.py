@@ -27,12 +27,13 @@ from .stiffness import (
 )
 
 ROUNDING, AT_ONCE = 8, 512
-# of the largest |D|: how far below zero the matrix is inverted, so that rigid motions do not make it singular
+# the matrix is inverted at minus this part of the largest |D|, so that rigid motions do not make it
+# singular
 SHIFT = 1e-9
 
 
 def signed_root(squared: Numbers, scale: Number, size: int) -> Numbers:
-    """omega = sign(omega^2) |omega^2|^{1/2}, exactly zero where omega^2 is rounding of a matrix of that scale."""
+    """Return sign(omega^2) |omega^2|^{1/2}, zero where omega^2 is rounding on that scale."""
     floor = ROUNDING * size * jnp.finfo(squared.dtype).eps * jax.lax.stop_gradient(scale)
     still = jnp.abs(squared) <= floor
     root = jnp.sqrt(jnp.abs(jnp.where(still, 1, squared)))
@@ -40,23 +41,23 @@ def signed_root(squared: Numbers, scale: Number, size: int) -> Numbers:
 
 
 class NormalModes(Result):
-    """Normal modes of a finite lattice, in the order of omega^2.
+    """Normal modes of a finite lattice, sorted by omega^2.
 
-    The modes are normalised with the mass: sum m phi_a phi_b = 1 for a = b, else 0. Values of omega^2 that are rounding
-    give exactly 0.
+    They are normalised with the mass: sum m phi_a phi_b = 1 for a = b, else 0. `omega` is exactly 0
+    where omega^2 is rounding.
     """
 
     omega: Float[AnyArray, " mode"] = array(
-        "sign(omega^2) |omega^2|^{1/2}; minus the growth rate of an unstable mode.", "rad/s"
+        "sign(omega^2) |omega^2|^{1/2}; for an unstable mode minus its growth rate.", "rad/s"
     )
     omega_squared: Float[AnyArray, " mode"] = array(
         "omega^2, negative where the lattice is unstable at u = 0.", "rad^2/s^2"
     )
-    modes: Displacements = array("The modes over the sites.", axes="site ... mode")
+    modes: Displacements = array("The displacements of the modes.", axes="site ... mode")
 
     @property
     def outcome(self) -> str:
-        """How many modes, up to which frequency, and how many of them grow."""
+        """The number of modes, the highest frequency, and the unstable modes."""
         omega, each = by_lanes(self, self.omega), in_lanes(self)
         return (
             f"{omega.shape[1]} modes{each and each + ','} up to {self._told('omega', omega.max())}, "
@@ -65,25 +66,26 @@ class NormalModes(Result):
 
 
 def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
-    r"""Normal modes of a finite lattice about u = 0: K phi = omega^2 M phi, any boundary, any masses, any terms.
+    r"""Compute the normal modes of a finite lattice about u = 0: K phi = omega^2 M phi.
 
-    Solved as the symmetric problem M^{-1/2} K M^{-1/2} q = omega^2 q, phi = M^{-1/2} q, with K = -d force/du traced
-    from the terms. Damping and drives are left out, moving walls stand still. In a sonic vacuum K = 0, and so is
-    every frequency. Forces that turn velocities (gyroscopic ones, -G v with an antisymmetric G) count:
-    (K - i omega G) phi = omega^2 M phi, of positive omega, with complex modes u = Re phi exp(-i omega t).
+    The symmetric problem M^{-1/2} K M^{-1/2} q = omega^2 q, phi = M^{-1/2} q, is solved for any
+    boundary, masses and terms. Damping and drives are left out; moving walls stand still. In a
+    sonic vacuum K = 0, and so is every frequency. Gyroscopic forces -G v, with an antisymmetric G,
+    are included: (K - i omega G) phi = omega^2 M phi, with omega > 0 and complex modes u = Re phi
+    exp(-i omega t).
 
-    **Arguments:** `lattice`: one `Lattice`. `count`: how many of the lowest modes to find, `None` for all.
-    **Returns:** `NormalModes`.
+    **Arguments:** `count`: the number of lowest modes to find, `None` for all.
+    **Returns:** `NormalModes`. Frequencies are differentiable in every parameter, modes where their
+    frequency is simple.
 
-    Cost: n^2 numbers and n^3 operations for n degrees of freedom; n up to a few thousand. Frequencies are
-    differentiable in every parameter; modes where their frequency is simple.
-
-    With `count` SciPy inverts the sparse matrix (Lanczos' method): six modes of 50 000 sites of the plane take some ten
-    seconds. They are those nearest to omega = 0, which are the lowest where the lattice is stable at rest. Simple
-    frequencies stay differentiable, by `jax.grad` and `jax.jvp`; modes do not.
-    **Raises** ValueError for a batch of lattices (use `jax.vmap(normal_modes, in_axes=-1)`), stiffness modulated in
-    time, and forces without an energy (K not symmetric); with `count` also for gyroscopic forces, bonds across the
-    whole lattice, and within `jit` and `vmap`.
+    Cost: n^2 numbers and n^3 operations for n degrees of freedom; n up to a few thousand. With
+    `count` SciPy inverts the sparse matrix (Lanczos' method): six modes of 50 000 sites of the
+    plane take about ten seconds. They are those nearest to omega = 0, which are the lowest where
+    the lattice is stable at rest. Simple frequencies stay differentiable, by `jax.grad` and
+    `jax.jvp`; modes do not.
+    **Raises** ValueError for a batch of lattices (use `jax.vmap(normal_modes, in_axes=-1)`),
+    stiffness modulated in time, and forces without an energy (K not symmetric); with `count` also
+    for gyroscopic forces, bonds across the whole lattice, and within `jit` and `vmap`.
 
     **Example:**
 
@@ -103,7 +105,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
 
 @compiled
 def _solve(lattice, turns):
-    """The modes, and the largest difference between K and its transpose, relative to K."""
+    # the modes, and the largest asymmetry of K, relative to K
     flat, unravel = ravel_pytree(lattice.zeros())
     unit = jnp.eye(flat.size, dtype=flat.dtype)
     transforms = any(reads(term, lattice).transforms for term in lattice.terms)
@@ -119,7 +121,7 @@ def _solve(lattice, turns):
     over = jnp.sqrt(mass[:, None] * mass)
     D = K / over
     if turns:
-        # its columns are rows of C, whose symmetric part damps
+        # this is the transpose of C; the symmetric part of C damps and is left out
         C = matrix(linear_map(lattice, velocity=True))
         squared, q = turning.waves(D, (C.T - C) / (2 * over), jnp.abs(D).max())
     else:
@@ -134,7 +136,7 @@ def _solve(lattice, turns):
 
 
 def _lowest(lattice, count):
-    """Modes nearest to omega = 0, from the blocks of the stiffness between near sites."""
+    # the modes nearest to omega = 0, from the blocks of K between nearby sites
     try:
         found = blocks_of(lattice)
     except ValueError:
@@ -172,7 +174,8 @@ def _lowest(lattice, count):
 
 @compiled
 def _quotients(lattice, modes):
-    """phi K phi/(phi M phi) of each mode: to second order in its error, and with the derivatives of omega^2."""
+    # phi K phi/(phi M phi): its error is of second order in that of phi, and it has the derivatives
+    # of omega^2
     product_with, mass = linear_map(lattice), spread_mass(lattice)
 
     def quotient(phi):

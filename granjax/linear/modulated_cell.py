@@ -1,4 +1,4 @@
-"""The unit cell of a lattice whose stiffness and damping change periodically in time, and its waves over a period."""
+"""Unit cells with stiffness and damping that are periodic in time, and waves over a period."""
 
 from typing import Any
 
@@ -16,25 +16,28 @@ from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
 from .stiffness import blocks, grid, largest, undriven
 
-# where in a period the forces are looked at: at no simple fraction, where waveforms have their zeros and jumps
+# phases at which forces are sampled; no simple fractions, where waveforms have zeros and jumps
 PHASES = (0.1 + 0.6180339887498949 * np.arange(32)) % 1
-# periods after which they are looked at again
+# numbers of periods after which the forces are sampled again
 LATER = (1, 2, 5)
-# of what time changes, by which the forces may miss their period: the error that it makes counts
+# forces may fail to repeat by this part of their change in time; the error of the result includes
+# it
 MISSED = 1e-6
-# Gauss' of a step
+# Gauss' nodes of a step
 ROOT = 15**0.5
 NODES = 0.5 - ROOT / 10, 0.5, 0.5 + ROOT / 10
 
 
 class ModulatedCell(eqx.Module):
-    r"""One cell of the infinite lattice that a finite one belongs to, at any time.
+    r"""One cell, at any time, of the infinite lattice that a finite lattice belongs to.
 
-    A wave is u_j(R) = M_j^{-1/2} q_j(t) exp(i k . R) with q'' = -K(k, t) q - C(k, t) q', both over the masses.
+    A wave is u_j(R) = M_j^{-1/2} q_j(t) exp(i k . R) with q'' = -K(k, t) q - C(k, t) q', both over
+    the masses.
 
-    **Fields:** `lattice`: without drives. `cell`: sites along each axis; `chosen`: those that stand for them; `shells`:
-    the R of the neighbours. `coupling`: K_R and C_R at 32 times of a period, (shells, P, P, 2, times) [1/s^2], [1/s].
-    `mass`: (P,). `missed`: by how much they miss the period. `damped`: whether forces read velocities.
+    **Fields:** `lattice`: without drives. `cell`: sites along each axis; `chosen`: those that
+    represent it; `shells`: the R of the neighbours. `coupling`: K_R and C_R at 32 times of a
+    period, (shells, P, P, 2, times) [1/s^2], [1/s]. `mass`: (P,). `missed`: how far the forces are
+    from periodic. `damped`: whether they read velocities.
     """
 
     lattice: Lattice
@@ -48,32 +51,32 @@ class ModulatedCell(eqx.Module):
     damped: bool = eqx.field(static=True)
 
     def at(self, t: Number) -> tuple:
-        """K_R/M and C_R/M at a time, (shells, P, P) each; `None` for C where no force reads velocities."""
+        """Return K_R/M and C_R/M at a time, (shells, P, P); C is `None` where not `damped`."""
         where = self.cell, self.chosen, self.reach, t, self.damped
         coupling = assembled(self.lattice, *where)[1][..., 0]
         return coupling[..., 0], coupling[..., 1] if self.damped else None
 
     @property
     def conserves(self) -> bool:
-        """Whether the waves are those of a Hamiltonian: no losses, and K_R the transpose of K_{-R}."""
+        """Whether the waves are Hamiltonian: C = 0, K_R the transpose of K_{-R}."""
         stiffness, loss = self.coupling[..., 0, :], self.coupling[..., 1, :]
         return not np.any(loss) and not one_way(stiffness, self.shells)
 
     @property
     def omega(self) -> float:
-        """A bound on the frequencies at rest: the root of the largest row of |K|, and the largest row of |C|."""
+        """A bound on the frequencies, from the largest row sums of |K| and |C|."""
         stiff, loss = np.abs(self.coupling).sum((0, 2)).max((0, 2))
         return float(max(np.sqrt(stiff), loss))
 
 
 def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> ModulatedCell:
-    """The cell of a lattice over its masses, laws and modulations: `unit_cell`, looked at over a whole period.
+    """Return the unit cell of a lattice from its forces over a whole period.
 
-    **Raises** ValueError where `unit_cell` does but for modulated stiffness and forces without an energy, and for a
-    period after which the forces do not repeat.
+    **Raises** ValueError for a period after which the forces do not repeat, and where `unit_cell`
+    does, except for modulated, gyroscopic and non-conservative forces.
     """
     lattice = undriven(lattice)
-    # numbers of few digits are followed with all that there are
+    # single-precision values are raised to the default precision
     lattice = lattice.astype(jnp.result_type(float))
     given = given_cell(cell, grid(lattice))
     start, length = (float(jax.lax.stop_gradient(x) if traced(x) else x) for x in (t0, period))
@@ -87,7 +90,7 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
 
 
 def _missed(known: Blocks, ts, period):
-    """By how much K and C over the masses differ some periods later; refused where that is more than rounding makes."""
+    # by how much K/M and C/M differ some periods later, and `_late`; more than rounding is refused
     lattice, found, eps = known.plain, known.found, np.finfo(known.found.dtype).eps
     change, off = largest(found - found[..., :1]), np.zeros(2)
     for count in LATER:
@@ -113,12 +116,11 @@ def _missed(known: Blocks, ts, period):
 
 @compiled
 def _repeating(lattice):
-    """The periods of the breaks that repeat."""
     return [b.period for b in lattice.breaks if b.period is not None]
 
 
 def _late(lattice, period, eps):
-    """The time by which jumps that repeat miss the period; refused where that is more than rounding makes."""
+    # the time by which repeating jumps miss the period; more than rounding is refused
     late = 0.0
     for own in (float(x) for some in concretely(_repeating, lattice) for x in np.ravel(some)):
         turns = period / own
@@ -142,11 +144,12 @@ def monodromies(
     omega: Number,
     steps: Any,
 ) -> ComplexNumbers:
-    r"""Y(t0 + T) of Y' = A(t) Y, Y(t0) = 1, for wave numbers k (K, axes): (K, 2P, 2P) over (q, q'/omega).
+    r"""Return Y(t0 + T) of Y' = A(t) Y, Y(t0) = 1, at k (K, axes): (K, 2P, 2P) over (q, q'/omega).
 
-    Magnus' expansion of order 6 at Gauss' nodes: Y -> exp(Omega) Y. Exact while stiffness and damping are constant, so
-    for layers in time; a Hamiltonian A gives a symplectic map. Steps end at breaks. `steps`: a whole number, or an
-    array, whose value compiles nothing anew but has no reverse mode.
+    Steps Y -> exp(Omega) Y by Magnus' expansion of order 6 at Gauss' nodes end at breaks. They are
+    exact while stiffness and damping are constant, as in layers in time, and symplectic for a
+    Hamiltonian A. `steps`: a whole number, or an array, which compiles nothing anew but has no
+    reverse mode.
     Source: Blanes, Casas, Oteo, Ros, Phys. Rep. 470, 151 (2009), section 4.
     """
     dtype = jnp.result_type(cell.lattice.dtype, k.dtype, jnp.complex64)
@@ -196,7 +199,7 @@ def _commutator(x, y):
 
 
 def exponential(x: ComplexNumbers) -> ComplexNumbers:
-    """exp(x) of matrices of norm up to 2, to rounding: Taylor's series to degree 24, in fifth powers."""
+    """Return exp(x) of matrices of norm up to 2, by Taylor's series to degree 24."""
     powers = [jnp.broadcast_to(jnp.eye(x.shape[-1], dtype=x.dtype), x.shape), x]
     for _ in range(4):
         powers.append(powers[-1] @ x)

@@ -1,4 +1,4 @@
-"""Strips of a lattice of the plane: their bands, and which of them run along an edge."""
+"""Strips of a two-dimensional lattice: their bands, and which waves run along an edge."""
 
 import jax
 import jax.numpy as jnp
@@ -13,21 +13,22 @@ from .cell import blocks_of, by_lanes, cut_out, in_lanes
 from .modes import signed_root
 from .stiffness import grid, turning_at_rest
 
-# of the largest |D|: how near omega^2 of waves are that are taken together, since they beat over 10^4 periods
+# waves whose omega^2 differ by less than this part of the largest |D| are combined, since they beat
+# over 10^4 periods
 TOGETHER = 1e-4
-# by what factor the waves beside them in the spectrum must be further away
+# the next waves in the spectrum must be further away by this factor
 ALONE = 100
-# of the largest |D|: rounding, within which waves are together whatever is beside them
+# a difference below this part of the largest |D| is rounding: such waves are always combined
 EQUAL = 1e-10
 
 
 class RibbonBands(Result):
     """Bands of a strip, periodic along one axis and with its own ends along the other.
 
-    Waves that are nearly degenerate, such as those at the two edges of a symmetric strip, are combined to waves at
-    different places across it, the eigenvectors of the place within their subspace: where their omega^2 differ by less
-    than 1e-4 of the largest |D| and by less than a hundredth of what parts them from the waves beside them. By no more
-    than that difference such `modes` miss (D - omega^2) q = 0; they beat over more than about 10^4 periods.
+    Nearly degenerate waves, such as those at the two edges of a symmetric strip, are combined into
+    the eigenvectors of the position across it: where their omega^2 differ by less than 1e-4 of the
+    largest |D| and a hundredth of their distance to the next waves. Such `modes` miss (D - omega^2)
+    q = 0 by no more than that difference; they beat over more than about 10^4 periods.
     """
 
     k: Numbers = array("The phase per cell along the strip.", "rad", "wave")
@@ -37,12 +38,12 @@ class RibbonBands(Result):
         "Bloch vectors over the width, normalised with the masses.", axes="wave across ... band"
     )
     edge: Numbers = array(
-        "Where across the strip the kinetic energy of the wave is, from -1 (all at the "
-        "first site) to 1 (the last).",
+        "The mean position of the kinetic energy across the strip, from -1 (all at the first "
+        "site) to 1 (the last).",
         axes="wave band",
     )
     participation: Numbers = array(
-        "The number of sites of the width over which the wave is spread, (sum e)^2/sum e^2.",
+        "The number of sites across the strip over which the wave is spread, (sum e)^2/sum e^2.",
         axes="wave band",
     )
     axis: int = note("The axis along which the strip runs.", static=True)
@@ -50,7 +51,7 @@ class RibbonBands(Result):
 
     @property
     def outcome(self) -> str:
-        """How many bands, and how many of them are bound to a place across the strip somewhere."""
+        """The number of bands, and how many are bound to a place across the strip."""
         within = (by_lanes(self, self.participation) < 0.2 * self.width).any(1)
         _, waves, bands = by_lanes(self, self.omega).shape
         return (
@@ -66,20 +67,21 @@ def ribbon(
     axis: Count | None = None,
     cell: Count | None = None,
 ) -> RibbonBands:
-    r"""Bands of a strip: waves exp(ikR) along one axis of a lattice of the plane, whose other axis ends as it does.
+    r"""Compute the bands of a strip: waves exp(ikR) along one axis of a two-dimensional lattice.
 
     Damping is left out, as in `dispersion`.
 
     **Arguments:**
 
-    - `lattice`: one `Lattice` on a grid of two axes, such as `gx.scenes.honeycomb(6, 30, boundary=("periodic",
-      "free"))`. Its width is the strip's: disorder, walls, or a wall between two phases across it count.
-    - `k`: phases per cell along the strip (K,) [rad], `None` for 121 of the whole zone.
-    - `axis`: along which it runs, `None` for the one that is periodic. `cell`: sites per cell along it, `None` for the
-      smallest.
+    - `lattice`: one `Lattice` on a grid of two axes, such as `gx.scenes.honeycomb(6, 30,
+      boundary=("periodic", "free"))`. The strip has its width and its ends, with any disorder,
+      walls, or interface of two phases.
+    - `k`: phases per cell along the strip (K,) [rad]; `None` for 121 of the whole zone.
+    - `axis`: along the strip, `None` for the periodic one. `cell`: sites per cell along it, `None`
+      for the fewest.
 
-    **Returns:** `RibbonBands`, for `gx.plots.bands`. Differentiable. **Raises** ValueError for another lattice, and
-    where `unit_cell` does.
+    **Returns:** `RibbonBands`, for `gx.plots.bands`. Differentiable. **Raises** ValueError for
+    another kind of lattice, and where `unit_cell` does.
 
     **Example:**
 
@@ -109,7 +111,7 @@ def ribbon(
             f"a ring along axis {across}" if rings[across] else f"ends along axis {axis}",
             "One axis alone is to be periodic: boundary=('periodic', 'free').",
         )
-    # of all of its width
+    # the cell spans the whole width
     sizes = [sites[across], None if cell is None else whole("cell", cell, 1)]
     found = cut_out(lattice, blocks, tuple(sizes if across == 0 else sizes[::-1]), [True, True])
     given = 2 * np.pi * np.arange(121) / 120 - np.pi if k is None else parameter("k", k)
@@ -136,7 +138,7 @@ def ribbon(
 
 @compiled
 def _solved(found, k, axis):
-    """omega^2, omega, vectors, the place of their energy of motion, in (-1, 1), and over how many sites it spreads."""
+    # omega^2, omega, vectors, and the mean place and the participation of the kinetic energy
     place = np.linspace(-1, 1, found.cell[1 - axis])
     of_site = place[np.indices(found.cell)[1 - axis].ravel()]
     of_each = np.repeat(of_site, found.mass.size // len(of_site))
@@ -154,14 +156,14 @@ def _solved(found, k, axis):
 
 
 def _apart(squared, q, place):
-    """Vectors (P, bands), of which those that are together are combined to eigenvectors of the place."""
+    # nearly degenerate vectors are combined into eigenvectors of the position
     step = jnp.diff(squared)
     beside = jnp.concatenate([jnp.full(1, jnp.inf), step, jnp.full(1, jnp.inf)])
     alone = ALONE * step <= jnp.minimum(beside[:-2], beside[2:])
     together = (step <= max(EQUAL, 64 * jnp.finfo(step.dtype).eps)) | (alone & (step <= TOGETHER))
     group = jnp.concatenate([jnp.zeros(1), jnp.cumsum(~together)])
     same = group[:, None] == group
-    # places are within (-1, 1): the groups stay apart, and in their order
+    # places are within (-1, 1), so that shifts of 3 keep the groups apart and in order
     own = jnp.where(same, q.conj().T @ (place[:, None] * q), 0) + 3 * jnp.diag(group)
     turn = jax.lax.stop_gradient(jnp.where(same, jnp.linalg.eigh(own)[1], 0))
     return jnp.where(same.sum(0) > 1, q @ turn, q)

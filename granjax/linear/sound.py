@@ -1,4 +1,4 @@
-"""Sound speed: the slope of the acoustic bands at long waves."""
+"""Sound speed: the slope of the acoustic bands for long waves."""
 
 import jax
 import jax.numpy as jnp
@@ -18,24 +18,26 @@ def sound_speed(
     cell: Count | tuple[Count, ...] | None = None,
     direction: Parameter | None = None,
 ) -> Number:
-    r"""Long-wave speed c = lim omega/k of the acoustic band(s), in sites per unit time.
+    r"""Compute the long-wave speed c = lim omega/k of the acoustic band(s), in sites per unit time.
 
-    Second-order perturbation of D(k) about k = 0, within the translations T:
-    c^2 = T^+ [ D''/2 - D' D(0)^+ D' ] T, times the square of the sites per cell. A chain of equal beads has
-    c = (K2/m)^{1/2} (Hertz: K2 = (3/2) A d0^{1/2}); in general c^2 = 1/(mean mass * mean compliance 1/K2) per site.
+    By second-order perturbation of D(k) about k = 0, within the translations T, c^2 = T^+ [
+    D''/2 - D' D(0)^+ D' ] T, times the square of the sites per cell. A chain of equal beads has
+    c = (K2/m)^{1/2} (Hertz: K2 = (3/2) A d0^{1/2}); in general
+    c^2 = 1/(mean mass * mean compliance 1/K2) per site.
 
-    Gyroscopic forces between the sites add terms that are odd in k, and the speeds along a direction and against it
-    differ.
+    Gyroscopic forces between the sites add terms that are odd in k: the speeds along a direction
+    and against it then differ.
 
-    **Arguments:** `lattice`, `cell`: as in `dispersion`. `direction`: on a grid, the phase advances per site along each
-    axis for a unit of wave number, (axes,), by default the first axis. With lattice vectors a_i (rows of `a`) and a
-    unit vector n in the plane `direction = a @ n` gives c in lengths per time.
+    **Arguments:** `lattice`, `cell`: as in `dispersion`. `direction`: on a grid, the phase advances
+    per site along each axis for a unit wave number, (axes,), by default the first axis. With
+    lattice vectors a_i (rows of `a`) and a unit vector n, `direction = a @ n` gives c in lengths
+    per time.
 
-    **Returns:** one number for scalar displacements, else (dimension,), slowest first. Differentiable in every
-    parameter. A negative value is an unstable long wave, as in `dispersion`.
-    **Raises** ValueError in a sonic vacuum (no linear stiffness), with forces that tie sites to their rest positions
-    (no acoustic band), with gyroscopic forces that turn a uniform motion (omega rises as k^2 there), where parts of the
-    cell hang loose, and where `dispersion` does.
+    **Returns:** one number for scalar displacements, else (dimension,), slowest first; negative for
+    an unstable long wave. Differentiable in every parameter.
+    **Raises** ValueError in a sonic vacuum (no linear stiffness), with forces that tie sites to
+    their places (no acoustic band), with gyroscopic forces that turn a uniform motion (omega is
+    proportional to k^2), where parts of the cell are loose, and where `dispersion` does.
 
     **Example:**
 
@@ -59,14 +61,14 @@ def sound_speed(
 def _speeds(found, turn):
     R = np.array(found.shells) @ turn
     T, D = _translations(jnp, found.mass, found.dimension), found.coupling.sum(0)
-    # D' = i first, with a real and antisymmetric first; D'' = -second
+    # D' = i first, where first is real and antisymmetric; D'' = -second
     first = jnp.einsum("r,rab->ab", R, found.coupling)
     second = jnp.einsum("r,rab->ab", R * R, found.coupling)
     scale = jax.lax.stop_gradient(jnp.abs(found.coupling).max())
     scale = jnp.where(scale > 0, scale, 1)
 
     def through(x, y):
-        """x^T D^+ y. T is the null space of D: filling it makes D invertible, and x and y have no part in it."""
+        # T is the null space of D: T T^T makes D invertible, and x and y are orthogonal to T
         return x.T @ jnp.linalg.solve(D / scale + T @ T.T, y) / scale
 
     answer = first @ T
@@ -75,7 +77,7 @@ def _speeds(found, turn):
     largest = scale * jax.lax.stop_gradient(jnp.abs(R).max()) ** 2
     if found.damping is None:
         return signed_root(jnp.linalg.eigvalsh(squares), largest, found.mass.size)
-    # G = uniform + i odd k: c^2 (1 + g^T D^+ g) = squares + c bend, with g the answer to uniform motion
+    # With G(k) = G(0) + i k odd and g = G(0) T: c^2 (1 + g^T D^+ g) = squares + c bend
     turns = found.turning
     g = turns.sum(0) @ T
     odd = T.T @ jnp.einsum("r,rab->ab", R, turns) @ T
@@ -86,7 +88,7 @@ def _speeds(found, turn):
 
 
 def _translations(xp, mass, dimension):
-    """Uniform displacements of the cell, as orthonormal vectors M^{1/2} u of shape (P, dimension)."""
+    # uniform displacements as orthonormal vectors M^{1/2} u, (P, dimension)
     d = dimension or 1
     root = xp.sqrt(mass).reshape(-1, d)
     uniform = (root[..., None] * xp.eye(d, dtype=root.dtype)).reshape(-1, d)

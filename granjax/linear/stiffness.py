@@ -1,4 +1,4 @@
-"""The stiffness of a lattice at rest: products K w by `jax.jvp`, and the blocks of K between near sites."""
+"""The stiffness of a lattice at rest: products K w, and blocks of K between nearby sites."""
 
 from collections.abc import Callable
 from itertools import product
@@ -18,14 +18,14 @@ from ..terms.reach import reads, time_of, used
 from ..terms.sites import with_still_walls
 from ..types import AnyArray, Displacements, Number, Numbers
 
-# times at which a force that reads time and velocities is looked at: of every scale, none of them a simple fraction
+# times at which a force of time and velocity is sampled: on every scale, and no simple fractions
 GENERIC = (0.618 * 10.0 ** np.arange(-6, 5)).tolist()
 
 
 def undriven(lattice: Any, lanes: bool = False) -> Lattice:
-    """The lattice without its drives, and with every moving wall held still.
+    """Return the lattice without drives and with every moving wall held still.
 
-    **Raises** ValueError for a batch, unless `lanes` allows one.
+    **Raises** ValueError for a batch unless `lanes` allows one, and for forces with a memory.
     """
     if lattice.lanes and not lanes:
         refuse(
@@ -39,10 +39,10 @@ def undriven(lattice: Any, lanes: bool = False) -> Lattice:
 
 
 def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
-    """The lattice `undriven`, of a stiffness that is constant in time.
+    """Return the `undriven` lattice, checked for a stiffness that is constant in time.
 
-    **Raises** ValueError where `undriven` does, for stiffness that changes in time, and for forces that turn
-    velocities (gyroscopic ones), since their waves are not those of the stiffness.
+    **Raises** ValueError where it changes, for gyroscopic forces, whose waves are not those of the
+    stiffness, and where `undriven` does.
     """
     still = _of_constant_stiffness(lattice, lanes)
     for i, _ in turning_terms(still):
@@ -51,10 +51,7 @@ def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
 
 
 def turning_at_rest(lattice: Any) -> tuple[Lattice, bool]:
-    """The lattice `at_rest`, with forces that turn velocities, and whether there are some.
-
-    **Raises** ValueError as `at_rest`; of these forces for those alone that change in time.
-    """
+    """As `at_rest`, but allow constant gyroscopic forces, and return whether there are any."""
     still = _of_constant_stiffness(lattice)
     found = turning_terms(still)
     for i, reads_time in found:
@@ -88,8 +85,6 @@ def _of_constant_stiffness(lattice, lanes=False):
 
 
 def _stiffness_changes(term, lattice):
-    """Whether dF/du at rest depends on time."""
-
     def slope(term, t, u, w, v, mass):
         return jax.jvp(lambda u: term.force(t, u, v, mass), (u,), (w,))[1]
 
@@ -98,9 +93,10 @@ def _stiffness_changes(term, lattice):
 
 
 def turning_terms(lattice: Lattice) -> list[tuple[int, bool]]:
-    """The places of the terms -C v whose C is not symmetric, and whether they read the time.
+    """Return the indices of gyroscopic terms, and whether they read the time.
 
-    They change frequencies to first order, as damping does not. Where C is traced random numbers stand in for it.
+    These are -C v with a C that is not symmetric. They change frequencies to first order, as
+    damping does not.
     """
     plain, _ = stand_in(lattice)
     found = []
@@ -117,7 +113,8 @@ def turning_terms(lattice: Lattice) -> list[tuple[int, bool]]:
 
 @compiled
 def _turning(lattice, t):
-    """How far C = -d force/dv is from symmetric: (a C b - b C a)/(|a C b| + |b C a|) of random velocities a, b."""
+    # the asymmetry of C = -d force/dv: (a C b - b C a)/(|a C b| + |b C a|) for random velocities a,
+    # b
     flat, unravel = ravel_pytree(lattice.zeros())
     a, b = np.random.default_rng(3).normal(size=(2, flat.size)).astype(flat.dtype)
     damping = linear_map(lattice, t, velocity=True)
@@ -127,9 +124,10 @@ def _turning(lattice, t):
 
 
 def stand_in(lattice: Lattice) -> tuple:
-    """The lattice with concrete values, and whether they are its own.
+    """Return the lattice with concrete values, and whether these are its own.
 
-    Where only derivatives are traced the values are there; elsewhere random ones keep the pattern of the stiffness.
+    Random values, which keep the pattern of the stiffness, replace traced ones; derivatives alone
+    are dropped.
     """
     random = np.random.default_rng(0)
     known = True
@@ -148,7 +146,7 @@ def stand_in(lattice: Lattice) -> tuple:
 
 
 def refuse_one_way() -> NoReturn:
-    """Refuse forces that come from no energy."""
+    """Refuse forces that do not derive from an energy."""
     refuse(
         "lattice",
         "forces that come from an energy (symmetric stiffness)",
@@ -158,7 +156,7 @@ def refuse_one_way() -> NoReturn:
 
 
 def linear_map(lattice: Lattice, t: Number = 0.0, velocity: bool = False) -> Callable:
-    """The map w -> K w = -(d force/du) w at rest, or w -> C w = -(d force/dv) w, of displacements as the lattice's."""
+    """Return the map w -> K w = -(d force/du) w at rest, or w -> C w = -(d force/dv) w."""
     zeros, time = lattice.zeros(), jnp.asarray(t, lattice.dtype)
     _, slope = jax.linearize(
         lambda x: lattice.force(time, zeros, x) if velocity else lattice.force(time, x, zeros),
@@ -168,13 +166,13 @@ def linear_map(lattice: Lattice, t: Number = 0.0, velocity: bool = False) -> Cal
 
 
 def pack(lattice: Lattice, u: Displacements) -> Numbers:
-    """Displacements as one array (sites..., components): the fields in alphabetical order, each with its vector."""
+    """Stack displacements as (sites..., components), fields in alphabetical order."""
     leaves = [x.reshape(x.shape[: lattice.axes] + (-1,)) for x in jax.tree.leaves(u)]
     return jnp.concatenate(leaves, -1)
 
 
 def unpack(x: AnyArray, fields: tuple[str, ...] | None, dimension: int | None) -> Displacements:
-    """Inverse of `pack`, for any leading axes."""
+    """Invert `pack`, for any leading axes."""
     vector = () if dimension is None else (dimension,)
     if fields is None:
         return x.reshape(x.shape[:-1] + vector)
@@ -186,7 +184,7 @@ def unpack(x: AnyArray, fields: tuple[str, ...] | None, dimension: int | None) -
 def unpack_waves(
     x: AnyArray, cell: tuple[int, ...], fields: tuple[str, ...] | None, dimension: int | None
 ) -> Displacements:
-    """Vectors (..., P, bands) over a cell as displacements (..., cell..., [vector], bands), or a dict of such."""
+    """Unpack vectors (..., P, bands) over a cell to (..., cell..., [vector], bands)."""
     x = jnp.moveaxis(x, -2, -1)
     x = x.reshape(x.shape[:-1] + cell + (-1,))
     back = -1 - len(cell) - (dimension is not None)
@@ -194,9 +192,9 @@ def unpack_waves(
 
 
 def grid(lattice: Lattice) -> tuple[int, ...]:
-    """Sites along each axis.
+    """Return the number of sites along each axis.
 
-    **Raises** ValueError where the fields of a cell have different numbers of sites.
+    **Raises** ValueError where fields differ in it.
     """
     shapes = set(lattice.sites.values()) if lattice.fields else {lattice.sites}
     if len(shapes) > 1:
@@ -210,27 +208,27 @@ def grid(lattice: Lattice) -> tuple[int, ...]:
 
 
 def components(lattice: Lattice) -> int:
-    """Degrees of freedom of one site."""
+    """Return the degrees of freedom of one site."""
     return (len(lattice.fields) if lattice.fields else 1) * (lattice.dimension or 1)
 
 
 def masses(lattice: Lattice) -> Any:
-    """Mass of every degree of freedom, (sites..., components)."""
+    """Return the mass of every degree of freedom, (sites..., components)."""
     return pack(lattice, spread_mass(lattice))
 
 
 def mesh(*lines: Any) -> Any:
-    """The points of a mesh (..., axes) of some lines, one array of places an axis."""
+    """Return the points (..., axes) of a mesh of lines."""
     return np.stack(np.meshgrid(*lines, indexing="ij"), -1)
 
 
 def offsets(reach: Any) -> list:
-    """The offsets between sites that a reach spans, in the order of the blocks."""
+    """Return the offsets within a reach, in the order of the blocks."""
     return list(product(*[range(-r, r + 1) for r in reach]))
 
 
 def _colours(size, reach):
-    """Numbers for the sites of one axis, so that equal ones lie further apart than twice the reach, around a ring."""
+    # sites of equal number lie more than twice the reach apart, around a ring too
     spacing, index = 2 * reach + 1, np.arange(size)
     whole = spacing * (size // spacing)
     return np.where(index < whole, index % spacing, spacing + index - whole)
@@ -238,14 +236,13 @@ def _colours(size, reach):
 
 @compiled
 def blocks(lattice: Lattice, reach: Any, ts: Any, damped: bool = False) -> tuple:
-    """Blocks of K at some times, (sites..., offsets, components, components, maps, times): on n from n + offset.
+    """Return blocks of K at times `ts`, (sites..., offsets, components, components, maps, times).
 
-    There are two maps, K and C, where the lattice is looked at as a `damped` one. With the blocks come the largest
-    entry of each map (maps,), 1 where there is none; by how much the blocks miss what the maps make of random
-    displacements, relative to these; and the masses (sites..., components).
-
-    Sites of one colour are displaced together, so the cost is that of a few forces, however long the chain. Offsets
-    go around the ends of an open lattice too, where the blocks are zero.
+    They act on site n from site n + offset; the maps are K, or K and C if `damped`. Also returned
+    are the largest entry of each map (maps,), 1 where it has none; the relative error of the blocks
+    on random displacements; and the masses (sites..., components). Sites of one colour are
+    displaced together: the cost is a few force evaluations for any length. Offsets wrap around the
+    ends of an open lattice, where blocks are zero.
     """
     sites, width, near = grid(lattice), components(lattice), offsets(reach)
     axes = range(len(sites))
@@ -274,7 +271,7 @@ def blocks(lattice: Lattice, reach: Any, ts: Any, damped: bool = False) -> tuple
         return found, made_of(random)
 
     found, pulled = jax.vmap(at, out_axes=-1)(ts)
-    # half way around a ring is one place for both ways
+    # half way around a ring both directions reach the same site, so each gets half of its block
     both = (np.array(sites) == 2 * np.array(reach)) & (np.abs(near) == reach)
     twice = np.prod(np.where(both, 0.5, 1.0), axis=1)
     if np.any(twice != 1):
@@ -286,19 +283,19 @@ def blocks(lattice: Lattice, reach: Any, ts: Any, damped: bool = False) -> tuple
 
 
 def largest(x: Any) -> Any:
-    """The largest entry of each map, (maps,), of an array (..., maps, times)."""
+    """Return the largest entry of each map, (maps,), of an array (..., maps, times)."""
     return abs(x).max(axis=(*range(x.ndim - 2), x.ndim - 1))
 
 
 def each(function: Callable, x: Any, at_once: int) -> Any:
-    """`jax.vmap(function)(x)`, of as many rows at a time as memory holds."""
+    """Return `jax.vmap(function)(x)`, of `at_once` rows at a time to save memory."""
     if len(x) <= at_once:
         return jax.vmap(function)(x)
     return jax.lax.map(function, x, batch_size=at_once)
 
 
 def in_groups(function: Callable, points: Any, count: int) -> Any:
-    """A function of points (n, axes), `count` at a time, so that one program does for any number of them."""
+    """Evaluate a function of points (n, axes) by batches, with one program for any n."""
     groups, axes = -(-len(points) // count), points.shape[1]
     padded = np.zeros((groups, count, axes), points.dtype)
     padded.reshape(-1, axes)[: len(points)] = points

@@ -12,22 +12,20 @@ from ..types import Flags, Number, Parameter
 from .losses import without_memory
 from .stiffness import at_rest, blocks, components, grid, stand_in
 
-# the number of pieces in which the growth along a chain is counted, and of those before them that forget its beginning
+# pieces of a chain in which growth is measured; the first ones, which remember the start, are
+# dropped
 PIECES, FORGOTTEN = 36, 4
-# lanes from which on they alone tell the standard error
+# with so many lanes the standard error comes from the lanes alone
 ENOUGH = 8
 LOOSE = 1e6
 
 
 class LocalisationLength(Result):
-    """What `localisation_length` returns.
-
-    `length` is 1/gamma [sites]; `resolved` says where gamma is more than twice its error.
-    """
+    """The Lyapunov exponent gamma of waves in a disordered chain, from `localisation_length`."""
 
     omega: Number = array("The frequencies.", "rad/s", "omega")
     gamma: Number = array(
-        "The Lyapunov exponent, the inverse localisation length of the amplitude, per site.",
+        "The Lyapunov exponent per site, the inverse localisation length of the amplitude.",
         "1",
         "omega",
     )
@@ -37,17 +35,17 @@ class LocalisationLength(Result):
 
     @property
     def length(self) -> Number:
-        """Localisation length of the amplitude, 1/gamma [sites]."""
+        """The localisation length of the amplitude, 1/gamma [sites]."""
         return 1 / self.gamma
 
     @property
     def resolved(self) -> Flags:
-        """Where gamma differs from zero: by more than twice its standard error."""
+        """Where gamma exceeds twice its standard error."""
         return self.gamma > 2 * self.error
 
     @property
     def outcome(self) -> str:
-        """What was found, from how much, and where waves were not seen to decay."""
+        """gamma and its error, the chains, and where no decay is seen."""
         gamma, error = np.asarray(self.gamma), np.asarray(self.error)
         of = f"from {self.samples} chain{'s' * (self.samples > 1)} of {self.sites} sites"
         unseen = int(np.sum(gamma <= 2 * error))
@@ -60,35 +58,38 @@ class LocalisationLength(Result):
 
 
 def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLength:
-    r"""How fast a wave of frequency omega decays along a disordered chain: gamma = lim ln|u_n|/n, by transfer matrices.
+    r"""Compute the decay rate of waves in a disordered chain, gamma = lim ln|u_n|/n.
 
-    Of the linearisation about u = 0, any law, any force that ties sites to their places, any damping of sites and of
-    bonds; the walls are left out. With f_n = k_n (u_{n-1} - u_n), k_n = K_n - i omega c_n with a dashpot's c_n, and
-    s_n = S_n - i omega g_n what ties site n and damps it,
+    Transfer matrices are used. The chain is linearised about u = 0, with any law, on-site forces,
+    and damping of sites and bonds; the walls are left out. With f_n = k_n (u_{n-1} - u_n),
+    k_n = K_n - i omega c_n (c_n of a dashpot) and s_n = S_n - i omega g_n for what ties and damps
+    site n,
 
         f_{n+1} = f_n + (m_n omega^2 - s_n) u_n,    u_{n+1} = u_n - f_{n+1}/k_{n+1},
 
-    norms being taken out at each site. What hangs on a site (resonators: further fields, which no bond joins to the
-    next site) adds to s_n what it takes at that frequency, and `CaputoDamping` of order a adds c (-i omega)^a. Lanes
-    are realisations:
+    with the norm taken out at each site. Resonators (further fields, which no bond joins to the
+    next site) add their response to s_n; `CaputoDamping` of order a adds c (-i omega)^a. Lanes are
+    realisations:
 
         import jax, jax.numpy as jnp
         chains = jax.vmap(lambda n: gx.scenes.disordered(5000, 0.2, n, law=gx.Linear), out_axes=-1)(jnp.arange(64))
         gx.linear.localisation_length(chains, 0.5)
 
-    **Arguments:** `lattice`: a chain of N sites with bonds between next neighbours, one or a batch. `omega` > 0
-    [rad/s], a number or an array.
+    **Arguments:** `lattice`: a chain of N sites with nearest-neighbour bonds, one or a batch.
+    `omega` > 0 [rad/s], a number or an array.
 
-    **Returns:** `LocalisationLength`. Its standard error is that over the lanes, of one chain (or few) over 32 pieces
-    of each; it is about (gamma/(sites of all chains))^{1/2}. The first ninth of each chain is left to forget how the
-    wave began. In a gap, and for omega above the band, gamma is the decay of what does not travel; with damping that of
-    a wave which is driven at one end, whether disorder or damping stops it.
-    Differentiable in omega and every parameter. Cost: 10 to 40 ns per site, chain and frequency.
-    **Raises** ValueError for fewer than four sites, vectors, bonds between several fields of next sites, bonds that
-    reach further (use the participation of `normal_modes` there), bonds without stiffness at rest (a sonic vacuum has
-    no linear waves), forces that are not alike at both sites of a bond (gyroscopic, one-way), that have internal
-    variables, or change in time.
-    Source: Ishii, Prog. Theor. Phys. Suppl. 53, 77 (1973); closed form: `gx.theory.localisation.lyapunov_exponent`.
+    **Returns:** `LocalisationLength`, differentiable in omega and every parameter. The standard
+    error is over the lanes, or for fewer than 8 lanes over 32 pieces of each chain; it is about
+    (gamma/(sites of all chains))^{1/2}. The first ninth of each chain is dropped, to forget the
+    start. In a gap and above the band gamma is the evanescent decay; with damping it is that of a
+    driven wave, whether disorder or damping stops it. Cost: 10 to 40 ns per site, chain and
+    frequency.
+    **Raises** ValueError for fewer than four sites, vectors, bonds between several fields of next
+    sites, bonds that reach further (use the participation of `normal_modes`), bonds without
+    stiffness at rest (a sonic vacuum), and forces that differ between the sites of a bond
+    (gyroscopic, one-way), have internal variables, or change in time.
+    Source: Ishii, Prog. Theor. Phys. Suppl. 53, 77 (1973); closed form:
+    `gx.theory.localisation.lyapunov_exponent`.
 
     **Example:**
 
@@ -137,7 +138,7 @@ _MODES = "gx.measures.participation of normal modes tells how far such waves rea
 
 
 def _joined(lattice):
-    """The number of the field that bonds join to the next site."""
+    # the index of the field that bonds join to the next site
     if components(lattice) == 1:
         return 0
     found = np.asarray(concretely(_blocks, stand_in(lattice)[0], False)[0])
@@ -150,7 +151,7 @@ def _joined(lattice):
 
 @compiled
 def _blocks(lattice, damped):
-    """The blocks (N, 3, F, F, maps, 1) and lanes, and what they miss."""
+    # the blocks (N, 3, F, F, maps, 1) and lanes, and what they miss
     of = lambda lattice: blocks(lattice, (1,), jnp.zeros(1, lattice.dtype), damped)[::2]
     for _ in lattice.lanes:
         of = jax.vmap(of, -1, -1)
@@ -158,11 +159,10 @@ def _blocks(lattice, damped):
 
 
 @compiled
+# the checks: what three diagonals miss, their asymmetry, and the least |k_n|, over the largest
+# entry
 def _growth(lattice, past, omega, joined, damped):
-    """gamma and its standard error (W,); what the checks of the caller read.
-
-    What three diagonals miss, how far they are from symmetric, both over the largest entry; the least |k_n|.
-    """
+    # gamma and its standard error (W,), and the checks
     fields = [joined, *(i for i in range(components(lattice)) if i != joined)]
     (tied, k), further, uneven, scale = _springs(lattice, fields, damped)
     masses = jax.tree.leaves(spread_mass(lattice))
@@ -188,7 +188,7 @@ def _growth(lattice, past, omega, joined, damped):
 
     def site(carry, row):
         (u, f, grown), (m, s, k, memory) = carry, row
-        # what holds and moves the fields of the site, of which all but the first are hung on it
+        # the dynamic stiffness of the fields of the site; all but the first are eliminated
         Z = lossy(jnp.moveaxis(s, 2, 0)) + sum(a * c for a, c in zip(slow, memory))
         Z = Z - omega**2 * m[:, None] * np.eye(len(fields))[..., None, None]
         for last in range(len(fields) - 1, 0, -1):
@@ -214,11 +214,9 @@ def _squared(x):
 
 
 def _springs(lattice, fields, damped):
-    """The springs and dashpots of a chain that join next neighbours, without its ends; fields in an order.
-
-    (What ties a site (N - 2, F, F, maps, lanes), what joins the first field to the right (N - 2, maps, lanes)); what
-    three diagonals miss and how far they are from symmetric, over the largest entry; that entry of the springs.
-    """
+    # of the sites but the ends, with the fields in the given order: on-site (N - 2, F, F, maps,
+    # lanes), of the first field to the right (N - 2, maps, lanes); then the checks, and the largest
+    # entry of the springs
     found, further = _blocks(lattice, damped)
     maps = 1 + damped
     rows = found[1:-1, :, np.array(fields)][:, :, :, np.array(fields)]

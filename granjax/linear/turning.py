@@ -1,4 +1,4 @@
-"""Waves and modes where forces turn velocities: q'' = -D q - G q', G^+ = -G (gyroscopes, rotating frames, Lorentz)."""
+"""Waves and modes of q'' = -D q - G q', G^+ = -G (gyroscopes, rotating frames, Lorentz forces)."""
 
 import jax
 import jax.numpy as jnp
@@ -6,25 +6,24 @@ import numpy as np
 
 from ..types import AnyArray, ComplexNumbers, Number, Numbers
 
-# units of eps times the size and the largest stiffness: what is rounding of omega^2
+# the rounding of omega^2, in units of eps times the size of the matrix times the largest stiffness
 ROUNDING = 4
 
 
 def hamiltonian(D: AnyArray, G: AnyArray, scale: Number) -> ComplexNumbers:
-    """H, (2P, 2P), Hermitian, whose P largest eigenvalues are the frequencies; `scale`: that of the stiffness.
+    """Return H, (2P, 2P), Hermitian, whose P largest eigenvalues are the frequencies.
 
-    With D = L L^+ and z = (L^+ q, q') the motion is z' = -i H z. H is NaN where D is not positive: there motion may
-    grow. Uniform motion, which costs nothing, is made to cost what counts as rounding.
+    With D = L L^+ and z = (L^+ q, q') the motion is z' = -i H z. H is NaN where D is not positive,
+    as motion may grow there. Rounding on the `scale` of the stiffness is added to D, which uniform
+    motion would make singular.
     """
     L = _factor(D + _rounding(D, scale) * jnp.eye(len(D)))
     return jnp.block([[jnp.zeros_like(L), 1j * L.conj().T], [-1j * L, -1j * G]])
 
 
+# not by LAPACK: XLA calls it for many matrices from threads that wait for others, and may deadlock
 def _factor(D):
-    """Cholesky's factor L of D = L L^+, column by column; NaN where there is none.
-
-    LAPACK's, which XLA calls for many matrices by threads that wait for others, may wait for ever.
-    """
+    # Cholesky's factor L of D = L L^+, column by column; NaN where there is none
     place = jnp.arange(len(D))
 
     def column(L, j):
@@ -35,23 +34,23 @@ def _factor(D):
 
 
 def squares(D: AnyArray, G: AnyArray, scale: Number) -> Numbers:
-    """omega^2, (P,), rising; exactly zero where it is rounding."""
+    """Return omega^2, (P,), rising; zero where it is rounding."""
     return _squared(jnp.linalg.eigvalsh(hamiltonian(D, G, scale))[len(D) :], D, scale)
 
 
 def waves(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
-    """omega^2 (P,), as `squares`, and vectors q (P, P), normalised."""
+    """Return omega^2 (P,), as `squares`, and normalised vectors q (P, P)."""
     return upper(*levels(D, G, scale), scale)
 
 
 def upper(omega: Numbers, v: ComplexNumbers, scale: Number) -> tuple[Numbers, ComplexNumbers]:
-    """What `waves` returns, of the `levels`."""
+    """Return the result of `waves` from that of `levels`."""
     q = 1j * v[:, len(v) :]
     return _squared(omega[len(v) :], v, scale), q / jnp.linalg.norm(q, axis=0)
 
 
 def levels(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
-    """omega of both signs (2P,), rising, and the velocities v (P, 2P) of motions of energy 1/2: q = i v/omega."""
+    """Return omega of both signs, rising, and velocities v (P, 2P) of energy 1/2: q = i v/omega."""
     omega, z = jnp.linalg.eigh(hamiltonian(D, G, scale))
     return omega, z[len(D) :]
 

@@ -1,4 +1,4 @@
-"""The Brillouin zone of a lattice: its lattice vectors, points with a name, bands along a path, density of states."""
+"""The Brillouin zone: lattice vectors, named points, bands along a path, density of states."""
 
 import re
 from typing import Any
@@ -20,12 +20,12 @@ SHAPE, NEIGHBOURS = 1e-9, 7
 CHAIN = {"G": (0.0,), "X": (1.0,)}
 SQUARE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "M": (1, 1)}
 RECTANGLE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "S": (1, 1)}
-# of axes at 60 degrees; M lies between K and K'
+# for axes at 60 degrees; M lies between K and K'
 HEXAGON = {"G": (0, 0), "M": (0, 1), "K": (2 / 3, 4 / 3), "K'": (4 / 3, 2 / 3)}
 
 
 def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
-    """The vectors (axes, d) from a cell to the next along each axis, by the positions; `None` without these."""
+    """Return the vectors (axes, d) between neighbouring cells, `None` without positions."""
     positions = lattice.positions
     if isinstance(positions, dict):
         positions = next(iter(positions.values()))
@@ -39,7 +39,7 @@ def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
 
 
 def named_points(vectors: np.ndarray | None, axes: int) -> dict:
-    """Points of the zone that have a name, as phases per cell: by the lengths and angles of the lattice vectors."""
+    """Return the named points of the zone as phases per cell."""
     if axes == 1:
         return {name: np.pi * np.array(k) for name, k in CHAIN.items()}
     if vectors is not None and axes == 3:
@@ -58,7 +58,7 @@ def named_points(vectors: np.ndarray | None, axes: int) -> dict:
 
 
 def _named_in_space(vectors):
-    """Those of a cubic, a face-centred cubic and a hexagonal lattice, the latter two with axes at 60 degrees."""
+    # face-centred and hexagonal lattices have axes at 60 degrees
     scalar = vectors @ vectors.T
     scalar = scalar / scalar[0, 0]
     cubic, fcc = np.eye(3), np.full((3, 3), 0.5) + np.eye(3) / 2
@@ -75,10 +75,13 @@ def _named_in_space(vectors):
 
 
 class PathBands(Result):
-    """Bands along a path through the Brillouin zone; `gx.linear.dispersion(lattice, found.k)` has their vectors."""
+    """Bands along a path through the Brillouin zone.
+
+    `gx.linear.dispersion(lattice, found.k)` has their vectors.
+    """
 
     names: tuple[str, ...] = note("The names of the points of the path.", static=True)
-    marks: Any = array("The places of the points in the arrays.", axes="point")
+    marks: Any = array("The indices of the points in the arrays.", axes="point")
     k: Numbers = array("The phases per cell.", "rad", "place axis")
     distance: Numbers = array(
         "The distance along the path, in rad for a lattice without positions.", "1/m", "place"
@@ -94,7 +97,7 @@ class PathBands(Result):
 
     @property
     def outcome(self) -> str:
-        """How many bands, along which path."""
+        """The number of bands, the path, and the frequencies."""
         bands = by_lanes(self, self.omega).shape[-1]
         return (
             f"{bands} band{'s' * (bands > 1)} along {'-'.join(self.names)}{in_lanes(self)}, omega = "
@@ -108,18 +111,20 @@ def path(
     count: Count = 120,
     cell: Cell | None = None,
 ) -> PathBands:
-    """Bands of a lattice along straight lines between points of its Brillouin zone.
+    """Compute bands along straight lines between points of the Brillouin zone.
 
     **Arguments:**
 
-    - `lattice`: one `Lattice` on a grid; the shape of its zone is read from its `positions`.
-    - `points`: names one after the other, "GKMG" (an apostrophe belongs to the letter before it: "GK'MG"). A chain has
-      G, X; a square lattice G, X, M, Y; a rectangular one G, X, S, Y; axes at 60 or 120 degrees G, K, M, K'. In space
-      a cubic one has G, X, M, R, a face-centred one G, X, L, W, K, U, a hexagonal one G, M, K, A, L, H.
-    - `count`: places in all, shared out as the lengths of the lines are. `cell`: as in `unit_cell`.
+    - `lattice`: one `Lattice` on a grid; its `positions` give the shape of the zone.
+    - `points`: names in order, "GKMG" (an apostrophe belongs to the letter before it: "GK'MG"). A
+      chain has G, X; a square lattice G, X, M, Y; a rectangular one G, X, S, Y; axes at 60 or 120
+      degrees G, K, M, K'. In space a cubic one has G, X, M, R, a face-centred one G, X, L, W, K, U,
+      a hexagonal one G, M, K, A, L, H.
+    - `count`: places in all, shared out by the lengths of the lines. `cell`: as in `unit_cell`.
 
-    **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable in the lattice's numbers but positions.
-    **Raises** ValueError for a point that the zone does not have, fewer than two points, and where `dispersion` does.
+    **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable in all values of the lattice but
+    positions.
+    **Raises** ValueError for an unknown point, and where `dispersion` does.
 
     **Example:**
 
@@ -137,7 +142,7 @@ def path(
             remedy = "The positions of the lattice tell the shape of its zone."
             refuse("points", f"names among {sorted(known)}", repr(name), remedy)
     corners = np.array([known[name] for name in names])
-    # lengths in space: k = A q for phases k, lattice vectors A
+    # lengths in space: phases k = A q with lattice vectors A
     space = corners if vectors is None else corners @ np.linalg.pinv(vectors).T
     lengths = np.linalg.norm(np.diff(space, axis=0), axis=1)
     shares = np.maximum(1, np.round(whole("count", count, 2) * lengths / lengths.sum()).astype(int))
@@ -153,7 +158,7 @@ def path(
 
 
 class DensityOfStates(Result):
-    """Density of states g(omega): how many of the bands' waves lie within a band of frequencies, over its width."""
+    """Density of states g(omega), the number of states per cell and unit frequency."""
 
     omega: Numbers = array("The middles of the bins.", "rad/s", "frequency")
     density: Numbers = array(
@@ -162,7 +167,7 @@ class DensityOfStates(Result):
         "frequency",
     )
     error: Numbers = array(
-        "The error of the density, from a zone of half as many points, the largest of near bins.",
+        "The error of the density, from half as many points, the largest over nearby bins.",
         "s",
         "frequency",
     )
@@ -170,7 +175,7 @@ class DensityOfStates(Result):
 
     @property
     def outcome(self) -> str:
-        """Between which frequencies, and how well it is known."""
+        """The number of bins, and the accuracy."""
         worst = float(np.max(self.error) / max(np.max(self.density), np.finfo(float).tiny))
         return f"Density of states in {self.omega.size} bins, each known to {worst:.1e} of the largest."
 
@@ -180,15 +185,15 @@ def density_of_states(
     bins: Count = 100,
     points: Count | None = None,
 ) -> DensityOfStates:
-    """Density of states of the infinite lattice: bands summed over the zone, by linear interpolation between points.
+    """Compute the density of states of an infinite lattice, by linear interpolation over the zone.
 
-    Within each of the zone's pieces (intervals, or triangles of a plane) omega is taken as linear, so that the count
-    below a frequency is exact for it.
+    In each piece of the zone (an interval, or a triangle of a plane) omega is taken as linear, and
+    states below a frequency are counted exactly.
 
-    **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis of the zone, even,
-    `None` for 512 of a chain and 96 of a plane. **Returns:** `DensityOfStates`, for
-    `gx.plots.density_of_states`. **Raises** ValueError for a lattice with three axes, and where
-    `unit_cell` does.
+    **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis
+    of the zone, even; `None` for 512 of a chain and 96 of a plane. **Returns:** `DensityOfStates`,
+    for `gx.plots.density_of_states`. **Raises** ValueError for three axes, a sonic vacuum, and
+    where `dispersion` does.
 
     **Example:**
 
@@ -216,7 +221,7 @@ def density_of_states(
     width = np.diff(edges)
     fine = np.diff(_counted(omega, edges, axes)) / width
     half = omega[(slice(None, None, 2),) * axes]
-    # bins in which the two agree by accident are no better known than their neighbours
+    # a bin in which the two agree by accident takes the error of its neighbours
     error = maximum_filter1d(
         np.abs(fine - np.diff(_counted(half, edges, axes)) / width), NEIGHBOURS
     )
@@ -224,7 +229,7 @@ def density_of_states(
 
 
 def _counted(omega, edges, axes):
-    """Number of states per cell below each edge."""
+    # states per cell below each edge
     following = [np.roll(omega, -1, axis) for axis in range(axes)]
     pieces = np.stack([omega, *following])
     if axes == 2:
@@ -235,7 +240,8 @@ def _counted(omega, edges, axes):
 
 
 def _below(pieces, e):
-    """The part of each interval or triangle where a linear function, of these values at the corners, is below e."""
+    # the part of each interval or triangle where a linear function, given at its corners, is below
+    # e
     low, high = pieces[0], pieces[-1]
     span = np.where(high > low, high - low, 1)
     if len(pieces) == 2:
@@ -250,7 +256,7 @@ def _below(pieces, e):
 
 
 class ZoneMap(Result):
-    """Frequencies of all bands over the Brillouin zone, on a rectangle of wave vectors around it."""
+    """Frequencies of all bands on a rectangle around the Brillouin zone."""
 
     q: Numbers = array("The wave vectors.", "1/m", "first second axis")
     omega: Numbers = array("The frequencies.", "rad/s", "first second band")
@@ -261,15 +267,16 @@ class ZoneMap(Result):
 
     @property
     def outcome(self) -> str:
-        """How many bands on how many points."""
+        """The number of bands and of wave vectors."""
         return f"{self.omega.shape[-1]} bands on {self.omega.shape[0]} x {self.omega.shape[1]} wave vectors."
 
 
 def zone_map(lattice: Lattice, points: Count = 81) -> ZoneMap:
-    """Frequencies and group velocities over the Brillouin zone of a lattice of the plane, for `gx.plots.zone`.
+    """Compute frequencies and group velocities over the zone of a two-dimensional lattice.
 
-    **Arguments:** `lattice`: one with `positions`; `points` along each side.
-    **Returns:** `ZoneMap`. **Raises** ValueError for a lattice of one axis, or without positions.
+    **Arguments:** `lattice`: one with `positions`; `points`: along each side.
+    **Returns:** `ZoneMap`, for `gx.plots.zone`. **Raises** ValueError for a lattice without two
+    axes and positions.
 
     **Example:**
 
@@ -297,12 +304,12 @@ def zone_map(lattice: Lattice, points: Count = 81) -> ZoneMap:
 
 
 def _first_zone(reciprocal):
-    """Corners of the points nearer to 0 than to any other of a lattice, in order."""
+    # corners, in order, of the points nearer to 0 than to any other point of the reciprocal lattice
     near = np.array(
         [i * reciprocal[0] + j * reciprocal[1] for i in range(-2, 3) for j in range(-2, 3)]
     )
     found = Voronoi(near)
     corners = found.vertices[found.regions[found.point_region[12]]]
-    # from the direction of x on, whatever the rounding of a corner that lies there
+    # start on the x axis; the shift makes up for the rounding of a corner that lies there
     angle = (np.arctan2(corners[:, 1], corners[:, 0]) + SHAPE) % (2 * np.pi)
     return corners[np.argsort(angle)]

@@ -1,8 +1,9 @@
-"""Measures: quantities of a state, `measure(lattice, y, t=0.0)`, and of recorded histories, `measure(ts, q)`.
+"""Measures of a state, `measure(lattice, y, t=0.0)`, and of recorded histories, `measure(ts, q)`.
 
-What a measure is given decides its units: SI in, SI out. Space first, lanes last; time comes before both in a
-history. The measures of a state work inside `jax.jit` and as quantities that `simulate` records; `along` applies one
-to all frames of a run.
+Units follow the input: SI in, SI out. Space comes first and lanes last; in a history time comes
+before both. Measures of a state work inside `jax.jit` and as quantities that `simulate` records;
+they raise ValueError for a state of another shape than the lattice. `along` applies one to all
+frames of a run.
 """
 
 from .contacts import contact_force, contacts, overlap, sensor_force, strain

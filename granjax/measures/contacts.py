@@ -10,7 +10,7 @@ from .states_of import parts
 
 
 def contacts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> list:
-    """The contacts at a state: `Compression`s, bonds in the order of the terms, then walls in theirs.
+    """Return the `Compression`s at a state: bonds, then walls, in the order of the terms.
 
     Each has its `law`, `compression` [m], total `force` [N] and `overlap` [m].
     """
@@ -37,12 +37,14 @@ def _contact(lattice, y, t, bond):
 
 
 def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
-    """Compression of every bond from equilibrium, e_n = u_n - u_{n+1} for a chain, positive in compression [m].
+    """Return the compression of every bond from equilibrium [m], positive in compression.
 
-    **Arguments:** `lattice`; `y`: a `State`; `t`: time, which only driven walls read; `bond`: which bond term, counted
-    from 0 in the order of the terms, walls after all bonds.
+    For a chain it is e_n = u_n - u_{n+1}.
+
+    **Arguments:** `y`: a `State`; `t`: time, which only driven walls read; `bond`: index of the
+    bond term, in the order of the terms, walls after all bonds.
     **Shapes:** (bonds,), then lanes; a grid's bonds on as many axes; (1,) for a wall.
-    **Raises** ValueError for a state of another shape than the lattice's, or a bond that is not there.
+    **Raises** ValueError for a bond that is not there.
 
     **Example:**
 
@@ -55,9 +57,10 @@ def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) 
 
 
 def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
-    """Total contact force of every bond, F0 + F(e), positive in compression [N].
+    """Return the total contact force of every bond, F0 + F(e), positive in compression [N].
 
-    At rest it is the preload F0; an open contact carries zero. Under a modulation g(t) it is g(t) (F0 + F(e)).
+    At rest it is the preload F0; an open contact carries zero. Under a modulation g(t) it is g(t)
+    (F0 + F(e)).
 
     **Arguments, shapes and errors:** as in `strain`.
 
@@ -74,10 +77,12 @@ def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Coun
 def sensor_force(
     lattice: Lattice, y: StateLike, t: Number = 0.0, *, field: str | None = None
 ) -> Numbers:
-    """Mean of the two contact forces of every bead, (F_{n-1,n} + F_{n,n+1})/2 [N]: what a sensor inside it reads.
+    """Return the force that a sensor in every bead reads, (F_{n-1,n} + F_{n,n+1})/2 [N].
 
-    A bead at a free end has one contact, and reads half of it. Walls that are terms of their own do not count.
-    **Arguments:** as in `strain`; `field`: that of the beads where a cell holds several. **Shapes:** (N,), then lanes.
+    A bead at a free end has one contact, and reads half of it. Walls that are separate terms do not
+    count.
+    **Arguments:** as in `strain`; `field`: of the beads, where a cell holds several. **Shapes:**
+    (N,), then lanes.
     **Raises** ValueError for a lattice without bonds between next neighbours of a chain.
     Source: Daraio, Nesterenko, Herbold, Jin, Phys. Rev. E 73, 026610 (2006).
 
@@ -107,9 +112,10 @@ def sensor_force(
 
 
 def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Number | None:
-    """Overlap of every contact, d0 + e for a power law; not above zero where it is open [m].
+    """Return the overlap of every contact [m], zero or less where it is open.
 
-    **Arguments and shapes:** as in `strain`. **Raises** ValueError also for a law that cannot open.
+    It is d0 + e for a power law. **Arguments and shapes:** as in `strain`. **Raises** ValueError
+    also for a law that cannot open.
     """
     contact = _contact(lattice, y, t, bond)
     value = contact.overlap

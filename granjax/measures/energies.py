@@ -1,4 +1,4 @@
-"""Energies and momentum of a state, of the whole lattice and site by site."""
+"""Energies and momentum of a state, in total and per site."""
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +12,7 @@ from .states_of import parts
 
 
 def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Kinetic and potential energy of the whole lattice, from equilibrium [J]; shape of the lanes.
-
-    **Raises** ValueError for a state of another shape than the lattice's.
+    """Return the kinetic and potential energy from equilibrium [J]; shape of the lanes.
 
     **Example:**
 
@@ -27,34 +25,32 @@ def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
 
 
 def potential_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes."""
+    """Return the energy of bonds, walls and sites, from equilibrium [J]; shape of the lanes."""
     u, _ = parts(lattice, y, t)
     return lattice.potential_energy(t, u) + jnp.zeros(lattice.lanes, lattice.dtype)
 
 
 def kinetic_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read."""
+    """Return the sum of m v^2/2 [J]; shape of the lanes. `t` is ignored."""
     return lattice.kinetic_energy(parts(lattice, y, t)[1])
 
 
 def momentum(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read."""
+    """Return the sum of m v [kg m/s]; shape of the lanes, or (d,) and lanes. `t` is ignored."""
     _, v = parts(lattice, y, t)
     axes = tuple(range(lattice.axes))
     return sum(jax.tree.leaves(jax.tree.map(lambda m, v: (m * v).sum(axes), lattice.mass, v)))
 
 
 def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """How fast the `energy` changes [W]: what drives, moving walls and modulations give less what damping takes.
+    """Return the rate of change of `energy` by drives, walls, modulations and damping [W].
 
-    F.v of all terms that do not keep the energy, and the rate of what they store. Shape of the lanes. Its integral is
-    the balance of the energy, to the last joule:
+    It is F.v of all terms that do not conserve energy, plus the rate of what they store. Shape of
+    the lanes. Its integral balances the energy exactly:
 
         chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Damping(0.1)), sites=4)
         work = gx.Integral(lambda t, y, lattice: gx.measures.power(lattice, y, t))
         run = gx.simulate(chain, gx.states.impact(chain), 3.0, tolerance=1e-10, record={"work": work})
-
-    **Raises** ValueError for a state of another shape than the lattice's.
     """
     u, v = parts(lattice, y, t)
     terms = [term for term in lattice.terms if not reads(term, lattice).conserves]
@@ -71,12 +67,13 @@ def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
 
 
 def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacements:
-    """Energy of every site: m v^2/2, its on-site energy, and half of each of its bonds' [J].
+    """Return the energy of every site [J].
 
-    A bond to a rigid wall belongs wholly to its one site, so that the sum over the sites is `energy`.
+    It is m v^2/2, the on-site energy, and half of the energy of its bonds. A bond to a rigid wall
+    belongs wholly to its one site, so that the sum over sites is `energy`.
 
-    **Shapes:** (N,) or (N1, N2), then lanes; a dict of such where a cell holds several fields. Components of a vector
-    are summed. **Raises** ValueError for a state of another shape than the lattice's.
+    **Shapes:** (N,) or (N1, N2), then lanes; a dict of such where a cell holds several fields.
+    Components of a vector are summed.
 
     **Example:**
 
@@ -108,7 +105,7 @@ def _fields(mass, x):
 
 
 def _per_site(lattice, x):
-    """Sum over the components of a vector, where the array has them."""
+    # sum over the components of a vector
     if lattice.dimension is not None and x.ndim == lattice.axes + 1 + len(lattice.lanes):
         return x.sum(lattice.axes)
     return x

@@ -1,4 +1,4 @@
-"""Fronts: when a pulse arrives at each site, when it peaks there, and how fast it runs."""
+"""Fronts: when a pulse arrives and peaks at each site, and its speed."""
 
 import jax
 import jax.numpy as jnp
@@ -12,20 +12,20 @@ ROOT_STEPS = 12
 
 
 class Peaks(Result):
-    """Time and height of the highest maximum of every site, shape of one frame; NaN where it lies at an end."""
+    """Time and height of the highest maximum of every site, NaN where it lies at an end."""
 
     times: Numbers = array("The time of the maximum.", "s", "site")
     heights: Numbers = array("The height of the maximum.", axes="site")
 
     @property
     def outcome(self) -> str:
-        """How many sites have a maximum inside the record."""
+        """The number of sites with a maximum inside the record."""
         there = np.isfinite(np.asarray(self.times))
         return f"{there.sum()} of {there.size} maxima lie inside the record."
 
 
 class Front(Result):
-    """Speed of a front, and the arrival times that it was fitted to."""
+    """The speed of a front, with the arrival times of the fit."""
 
     speed: Number = array("The speed in sites per time.", "1/s")
     error: Number = array("The standard error of the speed.", "1/s")
@@ -33,7 +33,7 @@ class Front(Result):
 
     @property
     def outcome(self) -> str:
-        """From how many arrivals the speed comes."""
+        """The number of arrivals in the fit."""
         there = np.isfinite(np.asarray(self.arrivals))
         return f"A line through {there.sum()} of {there.size} arrivals."
 
@@ -45,16 +45,19 @@ def arrival_times(
     *,
     fraction: Scalar = 0.5,
 ) -> Numbers:
-    """Time at which a quantity first reaches a threshold, at every site.
+    """Return the time at which a quantity first reaches a threshold, at every site.
 
-    The crossing is found on the cubic through the four frames about it; its error falls as the fourth power of the
-    frames' distance. Derivatives go through it (with respect to `q`, `ts`, `threshold`), not through the choice of
-    the frame.
+    The crossing is that of the cubic through the four frames about it; its error falls as the
+    fourth power of the frame spacing. It is differentiable in `q`, `ts` and `threshold`, but for
+    the choice of frames.
 
-    **Arguments:** `ts`: times (T,), rising. `q`: (T, N) and further trailing axes, such as contact forces.
-    `threshold`: a number, or one per site [units of q]; `None` takes `fraction`, in (0, 1], of each site's own maximum.
-    **Returns:** times of the shape of one frame; `ts[0]` where q starts above, NaN where it never gets there.
-    **Raises** ValueError for times that do not rise or are not one per frame, or a fraction outside (0, 1].
+    **Arguments:** `ts`: times (T,), rising. `q`: (T, N) and trailing axes, such as contact forces.
+    `threshold`: a number, or one per site [units of q]; `None` takes `fraction`, in (0, 1], of each
+    site's maximum.
+    **Returns:** times of the shape of one frame; `ts[0]` where q starts above, NaN where it never
+    gets there.
+    **Raises** ValueError for times that do not rise or are not one per frame, or a fraction outside
+    (0, 1].
 
     **Example:**
 
@@ -70,7 +73,6 @@ def arrival_times(
 
 
 def _threshold(threshold, fraction, q):
-    """The fraction and, where it is given, the threshold, one per site."""
     fraction, own = within("fraction", fraction, 0, 1, open_low=True), q.shape[1:]
     if threshold is not None:
         threshold = parameter("threshold", threshold)
@@ -83,13 +85,14 @@ def _threshold(threshold, fraction, q):
 
 
 def peak_times(ts: Parameter, q: Parameter) -> Peaks:
-    """Time and height of the highest maximum of a quantity at every site, refined between frames.
+    """Return time and height of the highest maximum of a quantity at every site.
 
-    The maximum is that of the polynomial of degree 4 through the five frames about the highest one (a parabola where
-    there are only three frames).
+    Between frames, the maximum is that of the quartic through the five frames about the highest
+    (of three frames, a parabola).
 
-    **Arguments:** as in `arrival_times`. **Returns:** `Peaks`, with NaN where the highest frame is the first or last.
-    **Raises** ValueError for times that do not rise or are not one per frame, or fewer than three frames.
+    **Arguments:** as in `arrival_times`. **Returns:** `Peaks`, NaN where the highest frame is the
+    first or last.
+    **Raises** ValueError as `arrival_times`, and for fewer than three frames.
     """
     ts, q = _history(ts, q, 3)
     return _maxima(ts, q)
@@ -102,14 +105,14 @@ def front_speed(
     *,
     by: str = "peak",
 ) -> Front:
-    """Speed of a front, from a least-squares line of arrival time against site: t = t0 + n/c.
+    """Compute the speed c of a front by a least-squares line t = t0 + n/c through arrival times.
 
-    **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices of the sites that count, `None` for all; leave
-    out those near the ends. `by`: `"peak"`, the time of the maximum, or `"arrival"`, the first crossing of half of
-    each site's maximum. Sites that have no arrival (NaN) are left out.
-    **Returns:** `Front(speed, error, arrivals)`; speed in sites per time, positive towards higher index; `error` is the
-    standard error from the scatter about the line, NaN with fewer than three arrivals.
-    **Raises** ValueError for another `by`, sites that are not indices, or fewer than two of them.
+    **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices to use, `None` for all; leave
+    out those near the ends. `by`: `"peak"`, the time of the maximum, or `"arrival"`, the first
+    crossing of half of each site's maximum. Sites without an arrival (NaN) are left out.
+    **Returns:** `Front(speed, error, arrivals)`; speed in sites per time, positive towards higher
+    index; `error` is from the scatter about the line, NaN for fewer than three arrivals.
+    **Raises** ValueError for another `by`, and sites that are not indices or fewer than two.
 
     **Example:**
 
@@ -165,7 +168,7 @@ def _indices(sites, size):
 
 
 def _stencil(ts, q, first, size):
-    """`size` frames from `first` on, shifted inside the record: times in units of their mean distance, and values."""
+    # frames from `first` on, kept inside the record; times in units of their mean spacing
     size = min(size, len(ts))
     first = jnp.clip(first, 0, len(ts) - size)
     index = first[None] + jnp.arange(size).reshape((-1,) + (1,) * first.ndim)
@@ -175,7 +178,7 @@ def _stencil(ts, q, first, size):
 
 
 def _polynomial(nodes, values):
-    """The polynomial through (nodes, values), along the first axis, by divided differences."""
+    # by divided differences, along the first axis
     coefficients = list(values)
     for order in range(1, len(coefficients)):
         for j in range(len(coefficients) - 1, order - 1, -1):
@@ -197,7 +200,7 @@ def _crossings(ts, q, threshold):
     reached = q >= threshold
     first = jnp.argmax(reached, 0)
     nodes, values, start, scale = _stencil(ts, q, first - 2, 4)
-    # in the stencil's units of time: the frame before the crossing, and the one after it
+    # the frames before and after the crossing, in the stencil's units of time
     low, high = (ts[jnp.maximum(first - 1, 0)] - start) / scale, (ts[first] - start) / scale
     x = _root(_polynomial(nodes, values - threshold), low, high)
     return jnp.where(reached.any(0), jnp.where(first == 0, ts[0], start + scale * x), jnp.nan)
@@ -223,8 +226,7 @@ def _maxima(ts, q):
 
 
 def _root(f, low, high):
-    """Where f rises through zero inside [low, high]: Newton's method, with bisection where it would leave."""
-
+    # where f rises through zero: by Newton's method, with bisection where that leaves the bracket
     def near(x):
         return jax.jvp(f, (x,), (jnp.ones_like(x),))
 
@@ -237,7 +239,7 @@ def _root(f, low, high):
 
     bracket = jax.lax.stop_gradient((low, high))
     x, _, _ = jax.lax.fori_loop(0, ROOT_STEPS, newton, ((bracket[0] + bracket[1]) / 2, *bracket))
-    # one last step from a fixed place carries the derivative of the root
+    # one last step from a fixed point carries the derivative of the root
     x = jax.lax.stop_gradient(x)
     g, slope = near(x)
     slope = jax.lax.stop_gradient(slope)

@@ -1,4 +1,4 @@
-"""Measures of histories: a state's measure frame by frame, and means over all frames."""
+"""Measures of histories: a measure frame by frame, and means over all frames."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,13 +14,14 @@ from ..types import Displacements, Number, Numbers, Pytree
 
 
 def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytree:
-    """A measure of every frame of a run: `measure(lattice, State(u, v), t, **options)`, stacked on a leading axis.
+    """Return a measure of every frame of a run, `measure(lattice, State(u, v), t, **options)`.
 
-    **Arguments:** `measure`: such as `contact_force`, or a function of (lattice, y, t); `run`: anything with `ts`,
-    `us`, `vs`, such as the result of `simulate`; `options`: keywords of the measure, such as `bond=1`.
-    Where forces remember, the lattice holds at each frame what the run had in memory then.
-    **Returns:** what the measure returns, each array with T in front. All frames are held at once; to keep less, record
-    the quantity while simulating.
+    **Arguments:** `measure`: such as `contact_force`, or a function of (lattice, y, t); `run`:
+    anything with `ts`, `us`, `vs`, such as the result of `simulate`; `options`: keywords of the
+    measure, such as `bond=1`. Where forces remember, the lattice holds what the run had in memory
+    at each frame.
+    **Returns:** what the measure returns, each array with T in front. All frames are held at once;
+    to keep less, record the quantity while simulating.
 
     **Example:**
 
@@ -39,5 +40,5 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
 
 
 def rms_velocity(lattice: Lattice, u: Displacements, v: Displacements, t: Numbers) -> Number:
-    """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches."""
+    """Return the r.m.s. of all velocities in a history, a response for sweeps and branches."""
     return jnp.sqrt(jnp.mean(ravel_pytree(v)[0] ** 2))

@@ -1,4 +1,4 @@
-"""How far the energy has spread: participation, centre, second moment."""
+"""The spread of energy: participation, centre, second moment."""
 
 from functools import partial
 
@@ -12,10 +12,11 @@ from .energies import site_energy
 
 
 def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number:
-    """Number of sites that share a positive quantity: (sum w)^2 / sum w^2; N where all are equal, 1 for one alone.
+    """Return the number of sites that share a positive quantity, (sum w)^2 / sum w^2.
 
-    **Arguments:** `weights`: such as energies, or squares of a mode's displacements times mass; `axis`: one axis of
-    the sites, or several. **Returns:** the array without these axes; NaN where all weights are zero.
+    It is 1 for one site alone, N where all are equal. **Arguments:** `weights`: such as energies,
+    or mass times squared displacements of a mode; `axis`: one or several axes of the sites.
+    **Returns:** the array without these axes; NaN where all weights are zero.
     """
     return _participation(parameter("weights", weights), axis)
 
@@ -26,9 +27,9 @@ def _participation(weights, axis):
 
 
 def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Participation number of the site energies, (sum e)^2 / sum e^2, from 1 to N; shape of the lanes.
+    """Return the participation number of site energies, (sum e)^2 / sum e^2, from 1 to N.
 
-    The fields of a cell count together. NaN for a lattice at rest. **Raises** ValueError as `site_energy` does.
+    The fields of a cell count together. **Returns:** shape of the lanes; NaN for a lattice at rest.
 
     **Example:**
 
@@ -42,7 +43,7 @@ def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Num
 
 
 def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid."""
+    """Return the mean place of the energy, sum n e_n / sum e_n [sites], (2,) on a grid."""
     e = _cell_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))
     centres = [(n * e).sum(axes) / e.sum(axes) for n in _places(lattice, e)]
@@ -50,10 +51,11 @@ def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
 
 
 def second_moment(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Mean square distance of the energy from its centre, sum (n - centre)^2 e_n / sum e_n [sites^2].
+    """Return the mean square distance of the energy from its centre [sites^2].
 
-    On a grid the sum over both axes. Grows as t^2 where energy runs freely, stays bounded where it is localised.
-    **Returns:** shape of the lanes; NaN for a lattice at rest.
+    It is sum (n - centre)^2 e_n / sum e_n. On a grid both axes are summed. It grows as t^2 for
+    ballistic energy and is bounded for localised energy. **Returns:** shape of the lanes; NaN for a
+    lattice at rest.
     """
     e = _cell_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))
@@ -78,6 +80,6 @@ def _cell_energy(lattice, y, t):
 
 
 def _places(lattice, e):
-    """Site indices along each axis, shaped to broadcast against the energies."""
+    # site indices along each axis, shaped to broadcast against the energies
     for axis in range(lattice.axes):
         yield jnp.arange(e.shape[axis], dtype=e.dtype).reshape((-1,) + (1,) * (e.ndim - axis - 1))

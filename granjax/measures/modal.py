@@ -10,11 +10,11 @@ from .states_of import parts
 
 
 def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[Numbers, Numbers]:
-    """Normal coordinates a_k = sum_i m_i phi_ik u_i of a state, and their rates.
+    """Return the normal coordinates a_k = sum_i m_i phi_ik u_i of a state, and their rates.
 
-    **Arguments:** `modes`: mass-orthonormal modes, sum_i m_i phi_ik phi_il = delta_kl, as columns: (N, M), or
-    (N, M) + lanes. With vectors or several fields N counts all displacements, in the order of `jax.tree.leaves` of
-    `u`, each flattened. **Returns:** (a, a_dot), each (M,) + lanes.
+    **Arguments:** `modes`: mass-orthonormal modes, sum_i m_i phi_ik phi_il = delta_kl, as columns:
+    (N, M), or (N, M) + lanes. With vectors or several fields N counts all displacements, flattened
+    in the order of `jax.tree.leaves` of `u`. **Returns:** (a, a_dot), each (M,) + lanes.
     **Raises** ValueError for modes whose first axis is not the number of displacements.
     """
     u, v = parts(lattice, y)
@@ -30,10 +30,13 @@ def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[
 
 
 def modal_energy(lattice: Lattice, y: StateLike, modes: Parameter, omega: Parameter) -> Numbers:
-    """Energy of every normal mode in the linear lattice, E_k = (a_dot_k^2 + omega_k^2 a_k^2)/2 [J].
+    """Return the energy of every normal mode in the linear lattice [J].
 
-    **Arguments:** `modes`: as in `modal_amplitudes`; `omega`: their frequencies (M,), or (M,) + lanes [rad/s].
-    **Returns:** (M,) + lanes. In a linear lattice each is constant and, over all modes, they sum to `energy`.
+    It is E_k = (a_dot_k^2 + omega_k^2 a_k^2)/2.
+
+    **Arguments:** `modes`: as in `modal_amplitudes`; `omega`: their frequencies (M,), or
+    (M,) + lanes [rad/s].
+    **Returns:** (M,) + lanes. In a linear lattice each is constant, and all sum to `energy`.
     **Raises** ValueError for modes or frequencies that do not fit.
 
     **Example:**
@@ -53,15 +56,17 @@ def modal_energy(lattice: Lattice, y: StateLike, modes: Parameter, omega: Parame
 
 
 def spectral_entropy(energies: Parameter) -> Numbers:
-    """Entropy of the shares of energy, S = -sum_k e_k ln e_k with e_k = E_k/sum E, over the first axis.
+    """Return the entropy of energy shares, over the first axis.
 
-    It is ln M where all of M modes hold as much. In thermal equilibrium energies fluctuate: e_k averages to 1/M, and
-    S to 1/2 + 1/3 + ... + 1/M, about ln M - 0.4228. The normalised entropy of the FPUT literature is
-    (ln M - S)/(ln M - S(0)), 1 at the start and near 0 at equipartition; the time to equipartition is when it passes
-    some value, such as 1/2, for good: `run.ts[np.flatnonzero(eta > 0.5)[-1] + 1]`.
+    S = -sum_k e_k ln e_k with e_k = E_k/sum E, which is ln M for equal energies. In thermal
+    equilibrium they fluctuate: e_k averages to 1/M, and S to 1/2 + 1/3 + ... + 1/M, about ln
+    M - 0.4228. The normalised entropy of the FPUT literature is eta = (ln M - S)/(ln M - S(0)), 1
+    at the start and near 0 at equipartition; the time to equipartition is when it passes some
+    value, such as 1/2, for good: `run.ts[np.flatnonzero(eta > 0.5)[-1] + 1]`.
 
-    **Arguments:** `energies`: (M,) and trailing axes, not negative, such as `modal_energy(...)`, `site_energy(...)`.
-    **Raises** ValueError for energies below zero.
+    **Arguments:** `energies`: (M,) and trailing axes, such as `modal_energy(...)`,
+    `site_energy(...)`.
+    **Raises** ValueError for negative energies.
     Source: Livi, Pettini, Ruffo, Sparpaglione, Vulpiani, Phys. Rev. A 31, 1039 (1985).
 
     **Example:**
@@ -76,7 +81,7 @@ def spectral_entropy(energies: Parameter) -> Numbers:
 
 
 def effective_modes(energies: Parameter) -> Numbers:
-    """Effective share of the modes that take part, exp(S)/M, with S the `spectral_entropy` of M energies."""
+    """Return the share of modes that take part, exp(S)/M, with S the `spectral_entropy`."""
     return jnp.exp(spectral_entropy(energies)) / len(energies)
 
 

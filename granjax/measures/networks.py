@@ -1,4 +1,4 @@
-"""Lattices of the plane: the network of forces, angular momentum, what slips."""
+"""Force networks and slip of two-dimensional lattices."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from .states_of import parts
 
 
 class ForceNetwork(NamedTuple):
-    """The bonds of a lattice at a state: `segments` (bonds, 2, d), where they are [m]; `force` (bonds,) in each [N]."""
+    """The bonds at a state: their places `segments` (bonds, 2, d) [m] and `force` (bonds,) [N]."""
 
     segments: jax.Array
     force: jax.Array
@@ -23,7 +23,7 @@ class ForceNetwork(NamedTuple):
 
 
 def placed(lattice: Lattice, what: str) -> Displacements:
-    """The positions of one lattice that has them."""
+    """Return the positions of one lattice that has them."""
     if lattice.positions is None:
         refuse(
             "lattice",
@@ -37,10 +37,11 @@ def placed(lattice: Lattice, what: str) -> Displacements:
 
 
 def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwork:
-    """Where the bonds are and what force each carries, total and positive in compression: for `gx.plots.beads`.
+    """Return the place and total force of every bond, for `gx.plots.beads`.
 
-    Bonds around a ring, of which only one end is where the bond is, are drawn from their tail; of scalar displacements
-    they are left out. **Raises** ValueError for a lattice without positions, or a batch.
+    The force is positive in compression. Bonds around a ring are drawn from their tail; for scalar
+    displacements they are left out. **Raises** ValueError for a lattice without positions, or a
+    batch.
 
     **Example:**
 
@@ -63,13 +64,14 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
                 forces.append(jnp.broadcast_to(contact.force, ends[0].shape[:-1]).reshape(-1))
     lines, force = jnp.concatenate(segments), jnp.concatenate(forces)
     length = jnp.linalg.norm(lines[:, 1] - lines[:, 0], axis=-1)
-    # a bond between numbers, not vectors, that goes around a ring
+    # leave out bonds of scalar displacements that go around a ring
     short = length < 2.5 * jnp.nanmin(length)
     return ForceNetwork(lines[short], force[short])
 
 
 def _ends(strain_map, places, u):
-    """Present places (bonds, d) of tails and heads, from those at rest; NaN where no site is, `None` of other maps."""
+    # present places (bonds, d) of tails and heads; NaN where there is no site, `None` for other
+    # maps
     pairs = getattr(strain_map, "pairs", strain_map)
     if not isinstance(pairs, TwoEnds) or strain_map.tangential:
         return None
@@ -84,18 +86,21 @@ def _ends(strain_map, places, u):
     if vector.ndim == 1:
         vector = vector.reshape((count,) + (1,) * (moved.ndim - axis - 1))
     length = vector - (moved - pushed)
-    # of a bond around a ring the head is where the bond leads, of a wall at the tail where it comes from
+    # a bond around a ring ends where its vector leads; a bond from a wall starts where its vector
+    # comes from
     tail = jnp.where(there[0] > 0, tail + moved, head + pushed - length)
     return tail, tail + length
 
 
 def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
-    r"""The largest ratio of tangential to normal force |T|/N of any contact: above the friction coefficient it slides.
+    r"""Return the largest ratio |T|/N of tangential to normal force of all contacts.
 
-    Of beads that turn (`rotation=True`): each `gx.strains.Slip` bond over the normal one that comes before it, with the
-    same ends. Their `gx.terms.Grip` lets go where its contact opens: T is then zero, and so is the ratio. It is
-    infinite where a `Bond` of a slip pulls at an open contact. Typical friction coefficients: 0.1 ... 0.8.
-    **Returns:** a number, shape of the lanes. **Raises** ValueError for a lattice without such pairs.
+    A contact slides above the friction coefficient, typically 0.1 to 0.8. For beads that turn
+    (`rotation=True`): each `gx.strains.Slip` bond over the normal one of the same ends before it.
+    Where a contact opens, `gx.terms.Grip` lets go: T and the ratio are zero; a `Bond` of a slip
+    that pulls there makes it infinite.
+    **Returns:** a number, shape of the lanes. **Raises** ValueError for a lattice without such
+    pairs.
     """
     u, _ = parts(lattice, y, t)
     forces = [

@@ -1,4 +1,4 @@
-"""Waves that spread from a point of the plane: how far their energy is, their rings, how their front falls."""
+"""Waves that spread from a point of the plane: energy radius and decay of the front."""
 
 import jax
 import jax.numpy as jnp
@@ -11,20 +11,22 @@ from ..types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
 from .energies import site_energy
 from .networks import placed
 
-# a change of an exponent that is rounding
+# a change of the exponent below this is rounding
 EXACT = 1e-8
 
 
 def energy_radius(
     lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Parameter | None = None
 ) -> Number:
-    r"""How far the energy is from a point: the root of sum e_n |r_n - c|^2 / sum e_n, by the lattice's positions [m].
+    r"""Return the root mean square distance of the energy from a point [m].
 
-    A packet of a cone of speed c (`gx.states.bloch_packet` at a Dirac point) has the radius (w^2 + b t + c^2 t^2)^{1/2}
-    once its two sites have shared their energy, w that at t = 0 and b about c w: half of the second derivative of the
-    radius squared is c^2.
+    It is (sum e_n |r_n - c|^2 / sum e_n)^{1/2}. A packet of a cone of speed c
+    (`gx.states.bloch_packet` at a Dirac point) has the radius (w^2 + b t + c^2 t^2)^{1/2} once its
+    two sites share their energy, with w that at t = 0 and b about c w: half of the second
+    derivative of the squared radius is c^2.
 
-    **Arguments:** `centre`: c (d,) [m]; `None` is the mean place of the energy. **Returns:** a number; NaN at rest.
+    **Arguments:** `centre`: c (d,) [m]; `None` is the mean place of the energy. **Returns:** a
+    number; NaN at rest.
     **Raises** ValueError for a lattice without positions, or a batch.
     """
     places = placed(lattice, "a radius")
@@ -40,21 +42,21 @@ def energy_radius(
 
 
 class FrontDecay(Result):
-    """How the amplitude of a front falls with the distance from where it began: amplitude ~ distance^exponent."""
+    """The decay of the amplitude of a front with distance, amplitude ~ distance^exponent."""
 
     distance: Numbers = array("The distances.", "m", "distance")
     amplitude: Numbers = array(
-        "The amplitude, its root mean square over sites at one distance.", axes="distance"
+        "The root mean square of the amplitude over sites at one distance.", axes="distance"
     )
     exponent: Number = array("The slope of the straight line through the logarithms.", "1")
     error: Number = array("The standard error of the exponent.", "1")
     drift: Number = array(
-        "The exponent of the further half less that of the nearer one, zero for a power law.", "1"
+        "The exponent of the far half less that of the near half, zero for a power law.", "1"
     )
 
     @property
     def outcome(self) -> str:
-        """The power, and whether it is one."""
+        """The exponent, and whether the decay is a power law."""
         told = f"Amplitude ~ distance^({float(self.exponent):.3g} +- {float(self.error):.1g})"
         if abs(float(self.drift)) <= max(4 * float(self.error), EXACT):
             return f"{told}."
@@ -69,24 +71,25 @@ def front_decay(
     direction: Parameter | None = None,
     between: tuple[Scalar, Scalar] | None = None,
 ) -> FrontDecay:
-    r"""How the amplitude of a front falls with the distance from a site, as a power with its standard error.
+    r"""Fit the amplitude of a front by a power of the distance from a site, with a standard error.
 
     **Arguments:**
 
     - `lattice`: one with `positions`, of one field.
-    - `amplitude`: the largest value at each site, shape of the sites, such as `run.recorded["peak"]` of
-      `gx.Peak(lambda t, y, lattice: jnp.linalg.norm(y.v, axis=-1))`.
-    - `site`: where the front began. `direction`: a vector of the plane, along which sites are taken (within a tenth of
-      a spacing of its ray); `None` takes all around, as the root mean square over each ring one spacing wide.
-    - `between`: the least and the largest distance [m]; `None`: from one spacing on, as far as the amplitude is above
-      zero.
+    - `amplitude`: the largest value at each site, shape of the sites, such as
+      `run.recorded["peak"]` of `gx.Peak(lambda t, y, lattice: jnp.linalg.norm(y.v, axis=-1))`.
+    - `site`: where the front began. `direction`: a vector of the plane, to take sites within a
+      tenth of a spacing of its ray; `None` takes the root mean square over rings one spacing wide.
+    - `between`: the least and largest distance [m]; `None`: from one spacing on, where the
+      amplitude is positive.
 
-    In a plane that keeps the energy of a linear front of fixed width the exponent is -1/2 all around. A solitary wave
-    would have 0: in two dimensions there is none.
+    In a plane a linear front of fixed width that keeps its energy has the exponent -1/2. A solitary
+    wave would have 0: in two dimensions there is none.
 
-    **Returns:** `FrontDecay`; exponents are differentiable in the amplitudes. **Raises** ValueError for a lattice
-    without positions, a shape that does not fit, and fewer than four distances. Source: Leonard, Fraternali, Daraio,
-    Exp. Mech. 53, 327 (2013); Awasthi, Smith, Geubelle, Lambros, Mech. Mater. 54, 100 (2012).
+    **Returns:** `FrontDecay`; exponents are differentiable in the amplitudes. **Raises** ValueError
+    for a lattice without positions, a shape that does not fit, and fewer than four distances.
+    Source: Leonard, Fraternali, Daraio, Exp. Mech. 53, 327 (2013); Awasthi, Smith, Geubelle,
+    Lambros, Mech. Mater. 54, 100 (2012).
     """
     places = placed(lattice, "distances")
     if isinstance(places, dict):
@@ -136,7 +139,6 @@ def front_decay(
 
 
 def _line(x, y):
-    """Slope of the line through points, and its standard error."""
     x, y = x - x.mean(), y - y.mean()
     slope = jnp.vdot(x, y) / jnp.vdot(x, x)
     left = jnp.sum((y - slope * x) ** 2) / max(len(x) - 2, 1)

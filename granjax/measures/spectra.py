@@ -20,7 +20,7 @@ class Spectrum(Result):
 
     @property
     def outcome(self) -> str:
-        """How fine the spectrum is."""
+        """The number of wave numbers and frequencies."""
         return f"{self.k.size} wave numbers, {self.omega.size} frequencies up to {self._told('omega', self.omega[-1])}."
 
 
@@ -33,7 +33,7 @@ class Spectrogram(Result):
 
     @property
     def outcome(self) -> str:
-        """How fine the spectrogram is."""
+        """The number of windows and frequencies."""
         return f"{self.time.size} windows, {self.omega.size} frequencies up to {self._told('omega', self.omega[-1])}."
 
 
@@ -45,19 +45,22 @@ def spectrum(
     space_window: str = "hann",
     units: str | None = None,
 ) -> Spectrum:
-    r"""Spectrum of a history over wave number and frequency: |sum_nt w_n w_t u_n(t) exp(-i(k n - omega t))|^2.
+    r"""Compute the power of a history over wave number and frequency.
 
-    Sign: a wave cos(k n - omega t) with omega > 0 runs to the right for k > 0 and has its line at (k, omega). As u is
-    real, frequencies below zero are folded in: omega runs from 0 to pi/dt.
+    It is |sum_nt w_n w_t u_n(t) exp(-i(k n - omega t))|^2.
 
-    Scale: without windows the powers sum to the mean of u^2 over sites and frames (Parseval); a plane wave of
-    amplitude a has a^2/2. A window keeps this for signals that are spread over the record.
+    Sign: a wave cos(k n - omega t) with omega > 0 runs to the right for k > 0, with its line at
+    (k, omega). As u is real, negative frequencies are folded in: omega runs from 0 to pi/dt.
 
-    **Arguments:** `us`: (T, N) and lanes, frames equally spaced by `dt`: displacements, velocities or strains.
-    `time_window`, `space_window`: `"hann"` or `"none"` (right in space for a periodic chain). `units`: what the numbers
-    are counted in, `"SI"` or `"scaled"`, such as `run.units`; `None` says nothing.
-    **Returns:** `Spectrum(k, omega, power)`, power (N, T//2 + 1) and lanes.
-    Resolution: 2 pi/(N) in k and 2 pi/(T dt) in omega, doubled by a Hann window.
+    Scale: without windows the powers sum to the mean of u^2 over sites and frames (Parseval); a
+    plane wave of amplitude a has a^2/2. A window keeps this for signals spread over the record.
+
+    **Arguments:** `us`: (T, N) and lanes, frames spaced by `dt`: displacements, velocities or
+    strains. `time_window`, `space_window`: `"hann"` or `"none"`
+    (right in space for a periodic chain). `units`: `"SI"` or `"scaled"`, such as `run.units`, or
+    `None`.
+    **Returns:** `Spectrum(k, omega, power)`, power (N, T//2 + 1) and lanes. The resolution is
+    2 pi/N in k and 2 pi/(T dt) in omega, doubled by a Hann window.
     **Raises** ValueError for fewer than four frames or two sites, dt <= 0, or another window.
 
     **Example:**
@@ -77,7 +80,7 @@ def spectrum(
     tail = (1,) * (us.ndim - 2)
     w_time = _window("time_window", time_window, frames).reshape((-1, 1) + tail)
     w_space = _window("space_window", space_window, sites).reshape((-1,) + tail)
-    # over real u, modulus at (k, omega) is that of exp(+ikn) exp(-i omega t)
+    # for real u the modulus at (k, omega) is that for exp(+ikn) exp(-i omega t)
     amplitude = jnp.fft.ifft(jnp.fft.rfft(w_time * w_space * us, axis=0), axis=1) / frames
     power = jnp.abs(amplitude) ** 2 / (jnp.mean(w_time**2) * jnp.mean(w_space**2))
     twice = np.full(frames // 2 + 1, 2.0)
@@ -94,7 +97,7 @@ def spectrum(
 def _window(name, window, size):
     if one_of(name, window, WINDOWS) == "none":
         return jnp.ones(size)
-    from scipy.signal.windows import hann  # a fifth of the time that importing granjax takes
+    from scipy.signal.windows import hann  # takes a fifth of the import time of granjax
 
     return jnp.asarray(hann(size, sym=False))
 
@@ -106,17 +109,17 @@ def spectrogram(
     *,
     units: str | None = None,
 ) -> Spectrogram:
-    """Power density of a signal over time and frequency, by a short-time Fourier transform with a Hann window.
+    """Compute the power density over time and frequency by a short-time Fourier transform.
 
-    Scale: the integral over omega is the mean square of the signal about that time. Only windows that lie inside the
-    record are returned.
+    A Hann window is used. The integral over omega is the mean square of the signal about that time.
+    Only windows inside the record count.
 
-    **Arguments:** `v`: (T,) and trailing axes, frames equally spaced by `dt`. `window`: length of the window, in the
-    units of `dt`, each a quarter of it after the one before; the resolution in frequency is about 4 pi/window.
-    `units`: as in `spectrum`.
-    **Returns:** `Spectrogram(time, omega, power)`, NumPy arrays, time counted from the first frame; power (S, W) and
-    trailing axes. **Raises** ValueError for a window shorter than four frames or longer than the record, or traced
-    input.
+    **Arguments:** `v`: (T,) and trailing axes, frames spaced by `dt`. `window`: its length, in the
+    units of `dt`; windows are a quarter of it apart, and the resolution in frequency is about
+    4 pi/window. `units`: as in `spectrum`.
+    **Returns:** `Spectrogram(time, omega, power)`, NumPy arrays, time from the first frame; power
+    (S, W) and trailing axes. **Raises** ValueError for a window shorter than four frames or longer
+    than the record; TypeError for traced input.
 
     **Example:**
 

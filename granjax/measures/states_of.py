@@ -1,4 +1,4 @@
-"""The state that a measure is given, checked against the lattice."""
+"""Check the state that a measure is given against the lattice."""
 
 import jax
 import numpy as np
@@ -9,7 +9,7 @@ from ..types import Number, StateLike
 
 
 def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
-    """(u, v) of a `State` or a pair, of the lattice's structure and shape, at a time."""
+    """Return (u, v) of a `State` or a pair, checked for the lattice's structure and shape."""
     if np.shape(t) not in ((), lattice.lanes):
         per_lane("t", t, lattice.lanes)
     template = lattice.template()

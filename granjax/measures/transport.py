@@ -1,4 +1,4 @@
-"""Transport: heat current, means with their errors, correlations in space and time, conductivity."""
+"""Transport: heat current, means with errors, correlations in space and time, conductivity."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from ..types import Count, Number, Numbers, Parameter, Scalar, StateLike
 from ..units import names
 from .states_of import parts
 
-# parts of a history whose means say how well the mean of all is known
+# blocks of a history whose means give the standard error of the whole mean
 BLOCKS = 20
 
 
@@ -29,31 +29,31 @@ class Average(NamedTuple):
 class Correlation(Result):
     """A correlation in space and time."""
 
-    lag: Numbers = array("The times between.", "s", "lag")
-    offset: Numbers = array("The sites between.", axes="offset")
+    lag: Numbers = array("The time differences.", "s", "lag")
+    offset: Numbers = array("The distances in sites.", axes="offset")
     value: Numbers = array("The correlation.", axes="lag offset")
     error: Numbers = array("Its standard error.", axes="lag offset")
 
     @property
     def outcome(self) -> str:
-        """How far the correlation reaches."""
+        """The number of lags and sites."""
         return f"{self.lag.size} lags up to {self._told('lag', self.lag[-1])}, {self.offset.size} sites."
 
 
 class GreenKubo(Result):
-    """A conductivity by the formula of Green and Kubo."""
+    """A conductivity by the Green-Kubo formula."""
 
     lag: Numbers = array("The times up to which the correlation is integrated.", "s", "lag")
     correlation: Numbers = array(
         "The autocorrelation of the current, over the sites.", "W^2", "lag"
     )
     conductivity: Numbers = array("The integral up to that time, over (k_B T)^2.", "1/s", "lag")
-    error: Numbers = array("Its standard error, from blocks.", "1/s", "lag")
-    blocks: Count = note("How many independent parts the error is from.")
+    error: Numbers = array("Its standard error.", "1/s", "lag")
+    blocks: Count = note("The number of independent blocks, or lanes, that give the error.")
 
     @property
     def outcome(self) -> str:
-        """The integral up to the longest time, with its error."""
+        """The integral up to the longest time."""
         value, error = self.conductivity[-1], self.error[-1]
         return (
             f"The conductivity over k_B, up to {self._told('lag', self.lag[-1])}, is {value:.4g} "
@@ -62,15 +62,15 @@ class GreenKubo(Result):
 
 
 def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
-    r"""Energy that flows through each bond of a chain to the right, j_n = F_n (v_n + v_{n+1})/2 [W].
+    r"""Return the energy flow through each bond of a chain to the right [W].
 
-    F_n is the force of the bond beyond its preload, so that the energies of `site_energy` obey
-    de_n/dt = j_{n-1} - j_n exactly, on-site forces included; a preload F0 adds F0 (v_n + v_{n+1})/2. Walls at rest take
-    no energy.
+    It is j_n = F_n (v_n + v_{n+1})/2. F_n is the force beyond the preload, so that `site_energy`
+    obeys de_n/dt = j_{n-1} - j_n exactly, on-site forces included; a preload F0 adds F0
+    (v_n + v_{n+1})/2. Walls at rest take no energy.
 
     **Shapes:** (N - 1,), or (N,) on a ring, whose last bond leads to the first site; then lanes.
-    **Raises** ValueError for other lattices than a chain with scalar displacements, or a force between sites that is no
-    bond to the next.
+    **Raises** ValueError for lattices other than a chain with scalar displacements, and forces
+    between sites other than bonds to the next.
 
     **Example:**
 
@@ -91,7 +91,7 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
             fixed = boundary == "fixed"
             after = jnp.roll(u, -1, 0) if ring else u[1:]
             e = (u if ring else u[:-1]) - after
-            # the law's parameters may differ from bond to bond, those to the walls among them
+            # the parameters of the law may differ between bonds, including those to the walls
             e = jnp.pad(e, [(1, 1)] + [(0, 0)] * (e.ndim - 1)) if fixed else e
             force = law.force(e)
             total = total + (force[1:-1] if fixed else force)
@@ -103,10 +103,10 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
 
 
 def time_average(q: Parameter, *, blocks: Count = BLOCKS) -> Average:
-    """Mean of a history over its frames, with its standard error from the means of blocks.
+    """Return the mean of a history over its frames, with its standard error from means of blocks.
 
-    The error holds where a block is long against the time over which the quantity is correlated; where it grows as
-    `blocks` falls, the history is too short. Profiles between heat baths: `time_average(mass * run.vs**2)`.
+    The error holds where a block is long against the correlation time; where it grows as `blocks`
+    falls, the history is too short. Profiles between heat baths: `time_average(mass * run.vs**2)`.
 
     **Arguments:** `q`: (T,) and trailing axes. `blocks`: 2 or more.
     **Raises** ValueError for fewer frames than blocks.
@@ -126,7 +126,6 @@ def time_average(q: Parameter, *, blocks: Count = BLOCKS) -> Average:
 
 
 def _mean(x):
-    """Mean and standard error over the first axis."""
     return x.mean(0), x.std(0, ddof=1) / np.sqrt(len(x))
 
 
@@ -138,15 +137,16 @@ def correlation(
     lags: Count,
     units: str | None = None,
 ) -> Correlation:
-    r"""Correlation of fluctuations on a ring in thermal equilibrium, C(j, t) = <a_{n+j}(s+t) b_n(s)> - <a><b>.
+    r"""Compute C(j, t) = <a_{n+j}(s+t) b_n(s)> - <a><b> on a ring in thermal equilibrium.
 
-    The mean is over all sites n, times s and lanes; the standard error is from the lanes, or from blocks in time where
-    there is one lane. With strain, momentum and `site_energy` for a and b these are the functions whose peaks move
+    The mean is over all sites n, times s and lanes; the standard error is from the lanes, or for
+    one lane from blocks in time. With strain, momentum and `site_energy` as a and b its peaks move
     with the speed of sound.
 
-    **Arguments:** `a`, `b`: (T, N) and lanes, frames equally spaced by `dt`; `b=None` is `a`. `lags`: how many times
-    from 0 on. `units`: as in `spectrum`. **Returns:** `Correlation`, offsets -N/2 ... N/2.
-    **Raises** ValueError for histories that do not fit, or are shorter than two blocks of that length.
+    **Arguments:** `a`, `b`: (T, N) and lanes, frames spaced by `dt`; `b=None` is `a`. `lags`: the
+    number of times, from 0 on. `units`: as in `spectrum`. **Returns:** `Correlation`, with offsets
+    from -N/2 to N/2.
+    **Raises** ValueError for histories that do not fit, or for one lane are shorter than 4 `lags`.
 
     **Example:**
 
@@ -175,7 +175,7 @@ def correlation(
 
 
 def _in_blocks(x, lags):
-    """Equal parts of a history as lanes, at least twice as long as the lags."""
+    # equal parts of a history as lanes, at least twice as long as the lags
     blocks = min(len(x) // (2 * lags), BLOCKS)
     if blocks < 2:
         refuse("lags", f"at most {len(x) // 4}, a quarter of the history", f"{lags}")
@@ -185,9 +185,9 @@ def _in_blocks(x, lags):
 
 
 def _correlated(a, b, lags):
-    """(lags, offsets, lanes)."""
+    # (lags, offsets, lanes)
     frames = len(a)
-    # the axis of a transform comes last, without which XLA's CPU backend fails under a transformation
+    # XLA's CPU backend fails under a transformation unless the axis of a Fourier transform is last
     a, b = (jnp.moveaxis(x, (0, 1), (-2, -1)) for x in (a, b))
     transform = lambda x: jnp.fft.fftn(x, (2 * frames, x.shape[-1]), axes=(-2, -1))
     product = transform(a) * jnp.conj(transform(b))
@@ -205,14 +205,16 @@ def green_kubo(
     lags: Count,
     units: str | None = None,
 ) -> GreenKubo:
-    r"""Conductivity from the fluctuations of the current, kappa(t)/k_B = int_0^t <J(0) J(s)> ds/((k_B T)^2 N).
+    r"""Compute a conductivity from current fluctuations in equilibrium.
 
-    **Arguments:** `current`: J = sum over bonds of `heat_current` in equilibrium, (T,) and lanes, frames equally
-    spaced by `dt`. `temperature`: k_B T [J]. `sites`: N. `lags`: how many frames the correlation is followed.
-    `units`: as in `spectrum`. **Returns:** `GreenKubo`; the integral by the trapezoidal rule, its standard error from
-    the lanes, or from blocks in time where there is one lane.
-    In chains that keep their momentum it grows with the time like a power: the conductivity is infinite. Take away
-    what flows with the centre of mass first, where that moves.
+    kappa(t)/k_B = int_0^t <J(0) J(s)> ds/((k_B T)^2 N).
+
+    **Arguments:** `current`: J, the sum of `heat_current` over bonds, (T,) and lanes, frames spaced
+    by `dt`. `temperature`: k_B T [J]. `sites`: N. `lags`: frames of the correlation. `units`: as in
+    `spectrum`.
+    **Returns:** `GreenKubo`, by the trapezoidal rule; standard errors as in `correlation`. In
+    chains that conserve momentum it grows as a power of time: the conductivity is infinite. Where
+    the centre of mass moves, first subtract the flow with it.
     **Raises** ValueError as `correlation`.
 
     **Example:**
@@ -242,12 +244,14 @@ def green_kubo(
 
 
 def birkhoff(q: Parameter) -> Average:
-    """Time average with a smooth weight exp(-1/(s (1 - s))), s = t/T, and how far both halves differ.
+    """Return a smoothly weighted time average, and the difference of both halves.
 
-    Along a quasi-periodic orbit it converges faster than any power of T, along a chaotic one like T^-1/2: the digits
-    to which both halves agree tell them apart.
+    The weight is exp(-1/(s (1 - s))), s = t/T. Along a quasi-periodic orbit it converges faster
+    than any power of T, along a chaotic one as T^-1/2: the digits to which both halves agree tell
+    them apart.
 
-    **Arguments:** `q`: (T,) and trailing axes, equally spaced. **Returns:** `Average(value, error)`.
+    **Arguments:** `q`: (T,) and trailing axes, equally spaced. **Returns:**
+    `Average(value, error)`.
     **Raises** ValueError for fewer than 16 frames.
     Source: Das, Saiki, Sander, Yorke, Nonlinearity 30, 4111 (2017).
 

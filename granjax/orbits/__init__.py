@@ -1,16 +1,16 @@
-"""Time-periodic orbits, y(t0 + T) = S y(t0): found by Newton's method, followed, judged; and where motions settle.
+"""Time-periodic orbits, y(t0 + T) = S y(t0): finding, following and judging them; attractors.
 
-`gx.breathers`, `gx.forced`, `gx.floquet` and `gx.driven` are faces of this room. Where to look:
+`gx.breathers`, `gx.forced`, `gx.floquet` and `gx.driven` re-export it. Where to look:
 
-- one orbit: `problems` (the equations, a `Shooting`), `orbit` (Newton's method, steps that are doubled, errors),
-  `guesses`, `backbone`, `asked` (what is asked with: lattice, state, period, symmetry, steps).
-- several orbits or states of rest from the same guesses: `solutions`.
-- a branch: `problems` (a `Family` of shooting problems over a parameter, which `continuation` follows), `branch` (the
-  result, what there is to say of each point, what lies between two; forced orbits), `families` (breathers).
-- what leaves a branch: `leaving` (normal forms, the first step), `loci` (bifurcations in two parameters), `tori`,
-  `diagram` (all of them).
-- stability: `floquet`, `spectrum`. Motions that settle or do not: `attractors`; waves that grow in a gap and return:
-  `gap_breather`.
+- One orbit: `problems` (the equations, a `Shooting`), `orbit` (Newton's method, doubling of the
+  steps, errors), `guesses`, `backbone`, `asked` (checks of the inputs).
+- Several orbits or equilibria from the same guesses: `solutions`.
+- A branch: `problems` (a `Family` of shooting problems over a parameter, which `continuation`
+  follows), `branch` (the result, bifurcations; forced orbits), `families` (breathers).
+- What leaves a branch: `leaving` (normal forms, the first step), `loci` (bifurcations in two
+  parameters), `tori`, `diagram` (all of them).
+- Stability: `floquet`, `spectrum`. Motions that settle or do not: `attractors`. Waves that grow in
+  a gap and return: `gap_breather`.
 """
 
 from .asked import Mirror, Sign, Symmetry, Translation, default_steps, history, shifts

@@ -1,4 +1,4 @@
-"""What orbits are asked with: lattice, state, period, symmetry, steps; uniform displacements that nothing resists."""
+"""Checks of the inputs of orbit problems: lattice, state, period, symmetry, steps."""
 
 import math
 from collections.abc import Callable
@@ -20,12 +20,13 @@ from ..types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times
 
 
 class Symmetry(eqx.Module):
-    r"""S of y(t0 + T) = S y(t0): displacements moved by some cells, reflected, with a sign; velocities alike.
+    r"""The map S of y(t0 + T) = S y(t0): translation, reflection and sign of a state.
 
-    (S u)_n = sign u_{n - cells}, and with `mirror` first u_n -> -u_{N-1-n}: displacements along a chain turn around
-    with it, so that compressions are reflected. `cells` counts places along the first axis of every field.
+    (S u)_n = sign u_{n - cells}, and with `mirror` first u_n -> -u_{N-1-n}: displacements along a
+    chain change direction with it, so that compressions are reflected. Velocities are mapped alike.
+    `cells` counts along the first axis of every field.
 
-    `Translation(1)`, `Mirror()` and `Sign()` make one, and `a @ b` is b, then a.
+    `Translation(1)`, `Mirror()` and `Sign()` make one. `a @ b` applies b, then a.
     """
 
     cells: int = eqx.field(static=True, default=0)
@@ -46,7 +47,7 @@ class Symmetry(eqx.Module):
         return self == Symmetry()
 
     def matrix(self, like: StateLike) -> Float[np.ndarray, "two_n two_n"]:
-        """S over the raveled state, (2n, 2n); S^-1 is its transpose."""
+        """Return S over the raveled state, (2n, 2n); S^-1 is its transpose."""
         flat, unravel = ravel_pytree(like)
         return np.asarray(
             jax.vmap(lambda x: ravel_pytree(self(unravel(x)))[0], 1, 1)(jnp.eye(flat.size))
@@ -57,7 +58,7 @@ class Symmetry(eqx.Module):
         return Symmetry(self.cells + turned, self.mirror != other.mirror, self.sign * other.sign)
 
     def __call__(self, y: Pytree) -> Pytree:
-        """S of displacements, or of a state."""
+        """Apply S to displacements, or to a state."""
 
         def one(x):
             x = -x[::-1] if self.mirror else x
@@ -67,7 +68,7 @@ class Symmetry(eqx.Module):
 
 
 def Translation(cells: Count = 1) -> Symmetry:
-    """The wave reappears `cells` further on after a period: a rotating wave of a ring, or one that travels.
+    """Return the symmetry of a wave that is `cells` further on after a period.
 
     **Example:**
 
@@ -78,7 +79,7 @@ def Translation(cells: Count = 1) -> Symmetry:
 
 
 def Mirror() -> Symmetry:
-    """The motion is its own mirror image half of its full period later.
+    """Return the symmetry of a motion that is its own mirror image half of its full period later.
 
     **Example:**
 
@@ -89,12 +90,12 @@ def Mirror() -> Symmetry:
 
 
 def Sign() -> Symmetry:
-    """The motion is its own negative half of its full period later, in lattices of odd forces."""
+    """Return the symmetry u -> -u half of the full period later, for lattices of odd forces."""
     return Symmetry(sign=-1)
 
 
 def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
-    """`uniform_moves` of a lattice, found once while it lives."""
+    """Return the `uniform_moves` of a lattice, which are computed once per lattice."""
     known = facts(lattice).known
     if "shifts" not in known:
         known["shifts"] = uniform_moves(lattice)
@@ -102,22 +103,23 @@ def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
 
 
 def free_moves(lattice: Lattice, symmetry: Symmetry) -> Numbers:
-    """Uniform displacements that cost nothing and that S leaves alone, as columns (n, k)."""
+    """Return the uniform displacements that cost no energy and are invariant under S, (n, k)."""
     moves = shifts(lattice)
     return moves if symmetry.sign * (-1 if symmetry.mirror else 1) > 0 else moves[:, :0]
 
 
-# h omega of a step, with omega the highest linear frequency: of orbits, and of runs that settle
+# h omega of a step, with omega the highest linear frequency: for orbits (FINE), and for runs that
+# settle (COARSE).
 FINE = 0.3
 COARSE = 0.4
-# the fewest steps of a period
+# The fewest steps per period.
 LEAST_STEPS = 16
 
 
 def fixed_step_solver(
     lattice: Lattice, solver: AbstractSolver | None, otherwise: AbstractSolver
 ) -> AbstractSolver:
-    """The solver that is given; else `otherwise`, a splitting one, where the lattice splits, and Dopri8 where not."""
+    """Return `solver`, or by default `otherwise` where the lattice splits and Dopri8 elsewhere."""
     if solver is not None:
         return solver
     return otherwise if facts(lattice).splits else Dopri8()
@@ -132,11 +134,12 @@ def default_steps(
     doubled: bool = False,
     guess: StateLike | None = None,
 ) -> Scalar:
-    """Steps of a period such that h omega_max <= fineness, with omega_max the highest linear frequency; at least 16.
+    """Return steps per period with h omega_max <= fineness, at least 16, a multiple of `multiple`.
 
-    A multiple of `multiple`; a number, or an array where the lattice or the period is traced. In a sonic vacuum, where
-    that frequency is zero, omega_max is the bound at the energy of a `guess`. **Raises** ValueError there without one,
-    unless the steps are `doubled` by the caller as need be.
+    omega_max is the highest linear frequency; in a sonic vacuum, where that is zero, the bound at
+    the energy of a `guess`. **Raises** ValueError there without a guess, unless the caller doubles
+    the steps (`doubled`). The result is a number, or an array where the lattice or the period is
+    traced.
     """
     turned = in_numpy(period) * in_numpy(linear_frequency(lattice))
     known = concrete(turned)
@@ -163,9 +166,9 @@ def flow_over(
     multiple: Count = 1,
     guess: StateLike | None = None,
 ) -> Flow:
-    """The flow over a period; a given number of steps is static, the default one an array.
+    """Return the flow over a period, whose steps `multiple` segments must divide.
 
-    `multiple`: segments that must divide them.
+    Given steps are static; default ones are an array.
     """
     if steps is None:
         return Flow(jnp.asarray(default_steps(lattice, period, multiple, guess=guess)), solver)
@@ -177,7 +180,7 @@ def flow_over(
 
 
 def answered(response: Callable, lattice: Lattice, ys: State, ts: Times) -> Numbers:
-    """The number that a response gives of a history."""
+    """Return the number that a response function gives for a history."""
     found = response(lattice, ys.u, ys.v, ts)
     if np.ndim(found):
         refuse(
@@ -196,9 +199,9 @@ def history(
     period: Scalar,
     frames: Count,
 ) -> tuple[State, Times, State]:
-    """A period from t0 on in `frames` equal parts: (the state at the end, times, states).
+    """Run one period from t0 in `frames` equal parts: (state at the end, times, states).
 
-    Times and states have a leading axis and leave the end out; `flow` has the steps of the period.
+    Times and states exclude the end. `flow` has the steps of the whole period.
     """
     between = Flow(-(-flow.steps // frames), flow.solver)
     length = period / frames
@@ -211,15 +214,17 @@ def history(
     return end, ts, states
 
 
-# where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
+# The phases of a period at which forces are compared. They avoid simple fractions, where waveforms
+# have their zeros and jumps.
 MORE = (0.1 + 0.618034 * np.arange(32)) % 1
 PHASES = MORE[:4]
-# displacements at which a modulation is looked for where the state has none, whatever the unit of length
+# Displacements at which a modulation is looked for if the state has none. They cover every unit of
+# length.
 SIZES = 2.0 ** np.arange(-120, 121, 8)
 
 
 def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -> State:
-    """A pair as a `State` of the lattice's shape and type."""
+    """Return a pair as a `State` of the lattice's shape and type."""
     template = lattice.template()
     wanted = [x.shape for x in jax.tree.leaves(template)]
     for name, part in zip("uv", state):
@@ -257,7 +262,7 @@ def one_lattice(lattice: Lattice) -> Lattice:
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:
-    """A lattice that has time-reversible, isolated families: single, conservative, autonomous."""
+    """Refuse a batch, and a lattice that is not conservative and autonomous."""
     if lattice.lanes:
         remedy = (
             "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
@@ -276,10 +281,11 @@ def checked_lattice(lattice: Lattice) -> Lattice:
 def checked_symmetry(
     lattice: Lattice, symmetry: Symmetry, state: StateLike, t0: Scalar, period: Scalar
 ) -> Symmetry:
-    """Refuse a symmetry that the lattice does not have: its accelerations S a(t, y) and a(t + T, S y) differ.
+    """Refuse a symmetry that the lattice does not have: S a(t, y) and a(t + T, S y) differ.
 
-    Of the identity: a period after which the forces do not repeat. At rest, where drives and walls show however little
-    they do, and at displacements of the state's size, where modulations do; of a state at rest at those of many sizes.
+    For the identity: refuse a period after which the forces do not repeat. Accelerations a are
+    compared at rest, where even weak drives and walls show, and at displacements of the state's
+    size, where modulations show; of many sizes for a state at rest.
     """
     if traced((lattice, state, t0, period)) or symmetry.trivial and not lattice.reads_time:
         return symmetry
@@ -292,9 +298,10 @@ def checked_symmetry(
     found = _compared(lattice, symmetry, shape, sizes, *times)
     off, change, rounding, there = (np.asarray(x, float) for x in found)
     eps, tiny = (float(getattr(jnp.finfo(lattice.dtype), name)) for name in ("eps", "tiny"))
-    # more than by the rounding of times and displacements and of the static force beside
+    # The differences must exceed the rounding of times and displacements and of the static force
+    # beside them.
     same = off <= 100 * (eps**0.5 * change + eps * there + rounding) + tiny / eps
-    # a size may be beyond a law's range
+    # A size may lie outside the range of a law.
     known = np.isfinite(there)
     if known.any() and same[known].all():
         return symmetry
@@ -316,10 +323,8 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
 
 @compiled
 def _compared(lattice, symmetry, shape, sizes, t0, period):
-    """By how much the image's accelerations differ a period later, by how much they change, how large they are.
-
-    At displacements of each size, (sizes,) each; third what rounding of these displacements makes.
-    """
+    # Returns, for displacements of each size: the difference of the image's accelerations a period
+    # later, their change over a period, the effect of rounding, and their size.
     ts, nearby = phases(t0, period, MORE), 1 + 8 * jnp.finfo(lattice.dtype).eps
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
 
@@ -329,7 +334,7 @@ def _compared(lattice, symmetry, shape, sizes, t0, period):
         return State(*map(scaled, sizes))
 
     def accelerated(t, y):
-        """Accelerations, and how large they are, of contacts by themselves too."""
+        """Return the accelerations and their size, including that of each contact alone."""
         found = lattice.acceleration(t, *y)
         contacts = [c.force for term in lattice.terms for c in term.compressions(t, y.u)]
         there = [largest(found), *(largest(force) / lightest for force in contacts)]
@@ -351,7 +356,7 @@ def _compared(lattice, symmetry, shape, sizes, t0, period):
 
 
 def a_time(period: Scalar) -> float:
-    """A period, above zero."""
+    """Return a period as a float above zero."""
     if not 0 < period < np.inf:
         refuse("period", "a time above zero", repr(period))
     return float(period)
@@ -367,9 +372,9 @@ def asked(
     otherwise: AbstractSolver,
     fineness: Scalar = FINE,
 ) -> tuple[State, float, Flow]:
-    """A state of one lattice, a period after which its forces repeat, and the flow over it.
+    """Return a state of one lattice, a period after which its forces repeat, and the flow over it.
 
-    The steps are an array, whose value compiles nothing anew.
+    The steps are an array, so that another value compiles nothing new.
     """
     state, period = checked_state(one_lattice(lattice), state), a_time(period)
     if steps is None:
@@ -380,18 +385,18 @@ def asked(
 
 
 def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES) -> Numbers:
-    """Times within a period, by default four."""
+    """Return times within a period, by default four."""
     return t0 + period * jnp.asarray(shares)
 
 
 def largest(x: Pytree) -> Scalar:
-    """The largest modulus in a tree of arrays, NaN where one is."""
+    """Return the largest modulus in a tree of arrays, NaN if an entry is NaN."""
     x, xp = in_numpy(x), library(x)
     return xp.max(xp.stack([xp.max(abs(leaf)) for leaf in jax.tree.leaves(x)]))
 
 
 def largest_of_each(x: Pytree) -> Float[np.ndarray, " m"]:
-    """The largest modulus in a tree of known arrays for each of their first axis, (m,)."""
+    """Return the largest modulus in a tree of known arrays for each first index, (m,)."""
     return np.max(
         [np.abs(leaf).reshape(len(leaf), -1).max(1) for leaf in jax.tree.leaves(x)], axis=0
     )

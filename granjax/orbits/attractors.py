@@ -1,4 +1,4 @@
-"""Where driven lattices settle: attractors, response curves, Lyapunov exponents; a chain between walls that move."""
+"""Attractors of driven lattices: settling, response curves; a chain with moving walls."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -61,25 +61,32 @@ def driven_chain(
     phase: Parameter | tuple = 0.0,
     field: str | None = None,
 ) -> Lattice:
-    r"""A chain whose end walls shake: w(t) = a cos(omega t + phase), u_0 = w on the left, u_{N+1} = w on the right.
+    r"""Return a chain whose end walls move: w(t) = a cos(omega t + phase).
 
-    m_n u_n'' = F_n(u_{n-1} - u_n) - F_{n+1}(u_n - u_{n+1}) - gamma m_n u_n'. The end bonds keep their law and become
-    `Wall` terms; the bonds between become `Shift(1, "free")`; an end that is not driven keeps a wall at rest.
+    The left wall is u_0 = w, the right wall u_{N+1} = w, and
+
+    m_n u_n'' = F_n(u_{n-1} - u_n) - F_{n+1}(u_n - u_{n+1}) - gamma m_n u_n'.
+
+    The end bonds keep their law and become `Wall` terms; the bonds between become
+    `Shift(1, "free")`. An end that is not driven keeps a wall at rest.
 
     **Arguments:**
 
-    - `lattice`: a chain whose walls are fixed, such as `gx.scenes.monomer(21, precompression=1.0)`.
+    - `lattice`: a chain with fixed walls, such as `gx.scenes.monomer(21, precompression=1.0)`.
     - `amplitude`: a [m]; `omega`: angular frequency [rad/s]. Numbers, traced or swept.
     - `ends`: which walls move, `"left"`, `"right"` or both.
-    - `damping`: gamma >= 0 [1/s] of every site, added to what the lattice has; `None` for none.
-    - `phase` [rad]: a number for all, or one for each of `ends`. Equal phases move both walls in the same direction
-      at a time; (0, pi) makes them mirror images, which squeeze the chain together.
-    - `field`: name of the field that the walls touch, where a cell holds several.
+    - `damping`: gamma >= 0 [1/s] of every site, added to the damping of the lattice; `None` for
+      none.
+    - `phase` [rad]: one number, or one for each of `ends`. With equal phases both walls move in the
+      same direction; (0, pi) makes them mirror images, which squeeze the chain.
+    - `field`: the field that the walls touch, where a cell holds several.
 
-    **Returns:** a `Lattice`; its bond is where it was, walls follow after all other terms, left then right.
-    **Raises** ValueError for a lattice that is no chain with one bond to fixed walls, another term that reaches a
-    wall, an unknown end, or as many phases as do not fit.
-    Typical: a = 0.05 ... 0.5 d0, omega near a band edge, gamma = 0.01 ... 0.1 in scaled units (200/s for steel beads).
+    **Returns:** a `Lattice`. Its bond keeps its place among the terms; the walls follow after all
+    others, left then right.
+    **Raises** ValueError for a lattice that is not a chain with one bond to fixed walls, another
+    term that reaches a wall, an unknown end, or a wrong number of phases.
+    Typical: a = 0.05 ... 0.5 d0, omega near a band edge, gamma = 0.01 ... 0.1 in scaled units
+    (200/s for steel beads).
 
     **Example:**
 
@@ -134,42 +141,44 @@ def driven_chain(
     return driven
 
 
-# periods after which a stroboscopic state may repeat: one to four
+# The most periods after which a stroboscopic state may repeat.
 MOST = 4
-# a repetition after m periods counts where that after a divisor of m is this many times worse
+# A repetition after m periods counts if that after each divisor of m is this many times worse.
 APART = 1e3
-# repetitions over which changes are compared with those of as many before
+# The number of repetitions whose changes are compared with those of as many before.
 STRETCH = 8
-# steps of a settled motion that one call of its program makes
+# Steps of a settled motion per call of its program.
 AT_ONCE = 64
-# of what half the steps change: where contacts open that may be small by accident
+# Safety factor for the change that half the steps make: where contacts open, it may be small by
+# accident.
 SAFETY = 4
 NAMES = {2: "period-doubled", 3: "period-tripled", 4: "doubled twice"}
 
 
 class Attractor(Result):
-    """Where a forced chain has settled; what `settle` returns.
+    """The attractor of a forced chain: what `settle` returns.
 
-    Errors are estimated distances from the true motion, by what settles from there with half as many steps, and by what
-    either still changes; NaN where nothing repeats, or half the steps settle to nothing.
+    Errors are estimated distances from the true motion. They combine the difference from the motion
+    that settles from there with half as many steps, and the change that is left in either. They are
+    NaN where nothing repeats, or where half the steps do not settle.
     """
 
     state: State = part("The state at phase 0, that is t = 0 modulo the period.", "site")
     period: float = array("The period T of the forcing.", "s")
     periods: int = array("The number of periods that were run.")
     multiple: int = array(
-        "The number of periods after which the motion repeats, 1 to 4; 0 where it did not "
+        "The number of periods after which the motion repeats, 1 to 4; 0 if it does not repeat "
         "within the budget."
     )
     change: float = array(
-        "The last relative change over `multiple` periods (over one where that is 0)."
+        "The last relative change over `multiple` periods (over one if that is 0)."
     )
     changes: Float[np.ndarray, " run"] = array(
         "The relative change over each period of the run.", "1"
     )
     ts: Times = array(
-        "The times of every step of one repetition, from phase 0 on; of sixteen periods "
-        "where nothing repeats.",
+        "The times of every step of one repetition, from phase 0 on; of sixteen periods if "
+        "nothing repeats.",
         "s",
         "time",
         name="time",
@@ -178,8 +187,8 @@ class Attractor(Result):
     vs: Displacements = array("The velocities at these times.", "m/s", "time site", name="v")
     amplitude: Displacements = array("The largest speed of each site.", "m/s", "site")
     peak_force: Numbers = array(
-        "The largest contact force F0 + F(e) of all bonds in the order of the terms, then "
-        "of walls.",
+        "The largest contact force F0 + F(e) of all bonds in the order of the terms, then of the "
+        "walls.",
         "N",
         "contact",
     )
@@ -188,7 +197,9 @@ class Attractor(Result):
     amplitude_error: Displacements = array("The error of the amplitude.", "m/s", "site")
     peak_force_error: Numbers = array("The error of the peak force.", "N", "contact")
     energy_error: Numbers = array("The error of the energy.", "J")
-    near: str = hidden("Of what does not repeat, which stable orbit is near.", static=True)
+    near: str = hidden(
+        "The sentence on a stable orbit that is near a motion that does not repeat.", static=True
+    )
 
     @property
     def settled(self) -> bool:
@@ -197,7 +208,7 @@ class Attractor(Result):
 
     @property
     def outcome(self) -> str:
-        """Whether it repeats, and after how many periods."""
+        """Whether the motion repeats, and after how many periods."""
         used, change = f"after {self.periods} periods", f"{self.change:.1e}"
         if not np.isfinite(self.change):
             return f"The state ceased to be finite {used}: take more steps per period."
@@ -231,24 +242,26 @@ def settle(
     steps: Count | None = None,
     solver: AbstractSolver | None = None,
 ) -> Attractor:
-    r"""Run a periodically forced lattice until it repeats once a period, or after 2, 3 or 4 periods.
+    r"""Run a periodically forced lattice until its state repeats after 1, 2, 3 or 4 periods.
 
-    Two states are compared in displacements times 2 pi/T and velocities, by the largest difference over the largest
-    value. With damping gamma alone a change shrinks as exp(-gamma T/2) a period, so that the distance from the
-    attractor is about 2/(gamma T) times the last change. A repetition after m periods counts as one where that after
-    a divisor of m is a thousand times worse. What repeats is then disturbed, its velocities by a hundred times the
-    tolerance, and must come to repeat again: a start that an unstable orbit, or a symmetry, holds fast is not settled.
+    Two states are compared in displacements times 2 pi/T and velocities: the largest difference
+    over the largest value. With damping gamma alone a change shrinks as exp(-gamma T/2) per period,
+    so the distance from the attractor is about 2/(gamma T) times the last change. A repetition
+    after m periods counts if that after each divisor of m is a thousand times worse. The velocities
+    are then disturbed by a hundred times the tolerance, and the motion must repeat again. So a
+    start on an unstable orbit, or one that a symmetry holds, does not count as settled.
 
     **Arguments:**
 
-    - `lattice`: one forced with period T, `driven_chain(...)` or one of your own. `state`: at t = 0, where it starts.
+    - `lattice`: forced with period T, such as `driven_chain(...)`. `state`: the state at t = 0.
     - `period`: T > 0. `periods`: the budget, at least 8. `tolerance`: of the relative change.
-    - `steps`: per period; `None` takes h omega_max <= 0.4, with omega_max the highest linear frequency (a fixed mesh:
-      what repeats is the orbit of the discrete map). `solver`: any at a fixed step.
+    - `steps`: per period; `None` takes h omega_max <= 0.4, with omega_max the highest linear
+      frequency. The mesh is fixed: what repeats is the orbit of the discrete map. `solver`: any
+      with a fixed step.
 
-    **Returns:** `Attractor`. **Raises** ValueError for a T after which the forces do not repeat, a batch of lattices,
-    T, a tolerance or numbers that are not above zero, or a lattice without a linear frequency (a sonic vacuum) where
-    `steps` is not given.
+    **Returns:** `Attractor`. **Raises** ValueError for a T after which the forces do not repeat, a
+    batch of lattices, a T, tolerance or number that is not above zero, or a lattice without a
+    linear frequency (a sonic vacuum) if `steps` is not given.
     Typical: 200 to 2000 periods near a band edge with gamma T = 0.03.
 
     **Example:**
@@ -259,7 +272,7 @@ def settle(
     (1, 'Settled')
     """
     state, period, flow = asked(lattice, state, period, 0.0, steps, solver, SRKN11b(), COARSE)
-    # arrays, whose values compile nothing anew
+    # As arrays, so that other values compile nothing new.
     tolerance, T = (
         jnp.asarray(x, lattice.dtype)
         for x in (float(checked_tolerance("tolerance", tolerance)), period)
@@ -267,7 +280,7 @@ def settle(
     settling, scene = _Settling(_itself, flow, whole("periods", periods, 8)), (lattice, T)
     found = settling.follow(scene, state, tolerance, jnp.asarray(periods))
     used, multiple = int(found.used), int(found.multiple)
-    # of a motion that does not repeat sixteen periods are kept
+    # Sixteen periods are kept of a motion that does not repeat.
     ts, ys, *seen = settling.watch(scene, found.state, multiple or 16)
     seen, sampling = _extremes(found.state, ys, *seen)
     errors = jax.tree.map(lambda x: np.full_like(x, np.nan), seen)
@@ -299,16 +312,18 @@ def settle(
 
 
 def _still_settles(changes, used):
-    """Whether the changes of the last periods of a run are below half of those in its middle."""
+    # Whether the last changes of a run are below half of those in its middle.
     part, half = max(1, used // 8), used // 2
     return np.median(changes[-part:]) < np.median(changes[half - part : half]) / 2
 
 
 class Followed(NamedTuple):
-    """Where a motion was followed to: the state, the periods that were run, after how many it repeats (or 0).
+    """The end of a run that was followed until it repeats.
 
-    `changes` (periods, 4) over one to four periods; `once`: whether it has repeated before it was disturbed; `rate`: by
-    which a change becomes less from one repetition to the next, after the disturbance.
+    `state`; `used`: the periods that were run; `multiple`: after how many it repeats (or 0);
+    `changes` (periods, 4) over one to four periods; `once`: whether it had repeated before the
+    disturbance; `rate`: the factor by which a change shrinks from one repetition to the next, after
+    the disturbance.
     """
 
     state: State
@@ -320,10 +335,9 @@ class Followed(NamedTuple):
 
 
 def _until(multiple_at, flow, lattice, y, period, used, changes, most):
-    """Run period by period until a state repeats: (periods used, state, after how many or 0, changes).
-
-    `multiple_at(i, change, changes)`: what the changes of period i, over one to four of them, say.
-    """
+    # Returns (periods used, state, after how many periods it repeats or 0, changes).
+    # `multiple_at(i, change, changes)` decides it from the changes at period i over one to four
+    # periods.
     kept, weight = len(changes), _weight(y, period)
 
     def going(carry):
@@ -348,14 +362,14 @@ def _until(multiple_at, flow, lattice, y, period, used, changes, most):
 
 
 def _weight(y, period):
-    """Displacements count times 2 pi/T."""
     flat, _ = ravel_pytree(y)
     weight = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi / period, 1)
     return weight.astype(flat.dtype)
 
 
 def _rate(changes, used, count, multiple):
-    """The rate of the last `count` periods' changes, from the largest of two stretches one after the other."""
+    # The rate at which changes shrink over the last `count` periods, from the largest of two
+    # successive stretches.
     column = jnp.maximum(multiple, 1) - 1
     age = (used - 1 - jnp.arange(len(changes))) % len(changes)
     stretch = jnp.clip(count // 2, 1, STRETCH * jnp.maximum(multiple, 1))
@@ -367,14 +381,17 @@ def _rate(changes, used, count, multiple):
 
 
 def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
-    """Contact forces F0 + F(e) of all bonds in the order of the terms, then of all walls."""
+    """Return the contact forces F0 + F(e) of all bonds (in the order of the terms), then walls."""
     each = [contact.force.ravel() for contact in contacts(lattice, y, t)]
     return jnp.concatenate(each) if each else jnp.zeros(0, lattice.dtype)
 
 
 def largest(x: Numbers) -> Numbers:
-    """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
-    # NumPy compiles nothing for another number of steps
+    """Return the largest value along the first axis: the top of the parabola through three samples.
+
+    The samples are equal steps of whole periods.
+    """
+    # NumPy compiles nothing for another number of steps.
     xp = library(x)
     x = xp.asarray(x)
     i = xp.argmax(x, 0)[None]
@@ -384,18 +401,19 @@ def largest(x: Numbers) -> Numbers:
 
 
 def _extremes(state, ys, pushes, energy):
-    """The state, the largest speeds and forces and the mean energy of a motion; errors of the former by its steps."""
+    # Returns the state, largest speeds and forces, and mean energy of a motion, and the sampling
+    # errors of the speeds and forces.
     speeds = jax.tree.map(np.abs, ys.v)
     tops, others = (
         jax.tree.map(lambda x: largest(x[::every]), (speeds, pushes)) for every in (1, 2)
     )
-    # of the parabola through the samples
+    # The error of the parabola through the samples.
     sampling = jax.tree.map(lambda a, b: np.abs(a - b), tops, others)
     return (state, *tops, np.asarray(np.mean(energy))), sampling
 
 
 def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
-    """The errors of what is seen of an attractor, from what is seen where half of the steps settle."""
+    """Return the errors of numbers of an attractor, from those with half of the steps."""
     found, other, left = jax.tree.map(np.asarray, (found, other, left))
     return jax.tree.map(
         lambda x, y: np.asarray(SAFETY * np.abs(x - y) + left * np.max(np.abs(x), initial=0)),
@@ -409,8 +427,6 @@ def _itself(scene):
 
 
 class _Over(eqx.Module):
-    """The lattice and the period at a value of a parameter."""
-
     make: Callable
     period: Callable | Scalar
 
@@ -419,7 +435,7 @@ class _Over(eqx.Module):
 
 
 class _Settling(eqx.Module):
-    """How the motion of `at(value)`, a lattice and its period, settles; one program for all values."""
+    # Runs of `at(value)`, a lattice and its period; one program for all values.
 
     at: Callable
     flow: Flow
@@ -427,7 +443,7 @@ class _Settling(eqx.Module):
 
     @compiled
     def follow(self, value: Any, state: StateLike, tolerance: Scalar, most: Counts) -> Followed:
-        """From phase 0 on until a state repeats, twice, the second time after a disturbance; `most` periods."""
+        """Run until the state repeats, and again after a disturbance; at most `most` periods."""
         lattice, period = self.at(value)
         multiples = np.arange(1, MOST + 1)
         divides = (multiples[:, None] % multiples == 0) & (multiples[:, None] > multiples)
@@ -435,8 +451,8 @@ class _Settling(eqx.Module):
 
         def repeats_from(begin):
             def multiple_at(i, change, changes):
-                # what comes slowly to an orbit of fewer periods changes by little in several: what is left of its
-                # way is the sum of a geometric series
+                # A motion that slowly approaches an orbit of fewer periods changes little over
+                # several of them. What is left of its way is the sum of a geometric series.
                 early = changes[(i - lag) % self.periods, multiples - 1]
                 rate = jnp.where(early > 0, change / jnp.where(early > 0, early, 1), 0)
                 rate = rate ** (multiples / lag)
@@ -456,7 +472,8 @@ class _Settling(eqx.Module):
             repeats_from(begin), self.flow, lattice, y, period, begin, changes, most
         )
         used, y, before, changes = until(state, begin, changes)
-        # a disturbance that the motion must forget, too small to be taken for a doubled period
+        # A disturbance that the motion must forget. It is too small to be taken for a doubled
+        # period.
         x, half = ravel_pytree(y)[0], flat.size // 2
         noise = np.append(np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half))
         y = unravel(x + 1e2 * tolerance * jnp.max(jnp.abs(_weight(y, period) * x)) * noise)
@@ -467,10 +484,10 @@ class _Settling(eqx.Module):
 
     @compiled
     def otherwise(self, value: Any, found: Followed, tolerance: Scalar) -> tuple[State, Scalar]:
-        """Where half the steps settle from there on, and the share of its size by which either may still be off.
+        """Return the state to which half the steps settle, and its relative uncertainty.
 
-        What changes by c a repetition and by a factor r less at each, that of `found` at the least, is c r/(1 - r)
-        from its end. NaN where it does not settle, or nothing has repeated.
+        A change c per repetition that shrinks by a factor r (at least that of `found`) is c
+        r/(1 - r) from its limit. NaN where it does not settle, or nothing has repeated.
         """
         lattice, period = self.at(value)
         coarse = Flow(jnp.maximum(self.flow.steps // 2, 1), self.flow.solver)
@@ -496,21 +513,21 @@ class _Settling(eqx.Module):
 
     @compiled
     def _stretch(self, value, state, first):
-        """Some steps from the one of number `first` on: (the state after them, times, states, forces, energies)."""
+        # Run some steps from step `first`: (state after them, times, states, forces, energies).
         lattice, period = self.at(value)
         one, h = Flow(1, self.flow.solver), period / self.flow.steps
 
         def step(y, i):
-            t = h * (i % self.flow.steps)  # every period at the same phase
+            t = h * (i % self.flow.steps)  # Every period begins at the same phase.
             seen = h * i, y, forces(lattice, y, t), lattice.energy(t, *y)
             return one(y, t, t + h, lattice), seen
 
         return jax.lax.scan(step, state, first + jnp.arange(AT_ONCE))
 
     def watch(self, value: Any, state: State, count: Count) -> tuple:
-        """(times, states, contact forces, energies) at every step of `count` periods.
+        """Return (times, states, contact forces, energies) at every step of `count` periods.
 
-        By stretches of one length, so that another number of steps compiles nothing.
+        Stretches of one length are run, so that another number of steps compiles nothing.
         """
         total, parts = count * int(self.flow.steps), []
         for first in range(0, total, AT_ONCE):
@@ -525,14 +542,17 @@ def _answer(at, response, value, ys, ts):
 
 
 def slowly(lattice: Lattice, flow: Flow, state: StateLike, period: Scalar) -> str:
-    """A sentence on a stable orbit of one or two periods near a state, to which it may settle slowly; empty without."""
-    # by Newton's method, with a matrix of as many rows
+    """Return a sentence on a stable orbit of one or two periods near a state, or "".
+
+    The motion may settle to that orbit slowly.
+    """
+    # Newton's method uses a dense matrix, so the size is limited.
     for multiple in (1, 2) if ravel_pytree(state)[0].size <= 512 else ():
         after = state
         for _ in range(multiple):
             after = flow(after, 0.0, period, lattice)
         steps = 2 * multiple * int(flow.steps)
-        # between two states on either side of the orbit
+        # The guess lies between two states on either side of the orbit.
         guess = State(*jax.tree.map(lambda a, b: (a + b) / 2, state, after))
         try:
             found = forced_orbit(
@@ -555,21 +575,22 @@ def slowly(lattice: Lattice, flow: Flow, state: StateLike, period: Scalar) -> st
     return ""
 
 
-# of the largest response: a change below it is no jump
+# A change below this share of the largest response is not a jump.
 SMALLEST = 1e-6
-# budgets: the second for a motion that does not repeat, the third for one that still settles
+# Budgets in units of `periods`: the second for a motion that does not repeat, the third for one
+# that still settles.
 BUDGETS = (1, 1, 8)
-# the least tolerance, and the share of it to which a jump settles
+# The least tolerance, and the share of the tolerance to which a jump settles.
 LEAST = 1e-12
 TIGHT = 1e-2
-# halvings beyond the accuracy for which a jump must last
+# Halvings beyond the accuracy through which a jump must persist.
 NARROW = 10
-# rounds of halving and settling
+# Rounds of halving and settling.
 AGAIN = 6
 
 
 class Jump(NamedTuple):
-    """A jump of the response at `value`: `before` and `after` it, in the direction of the sweep."""
+    """A jump of the response at `value`: the responses `before` and `after` it along the sweep."""
 
     value: float
     before: float
@@ -578,13 +599,13 @@ class Jump(NamedTuple):
 
 
 class Way(Result):
-    """One way along a response curve, in the order of `ResponseCurve.values` whichever way it went.
+    """One sweep along a response curve, up or down, in the order of `ResponseCurve.values`.
 
-    Errors are estimated distances from the true motion, as of `settle`; NaN where nothing repeats, or half the steps
-    settle to nothing.
+    Errors are estimated as by `settle`; NaN where nothing repeats, or where half the steps do not
+    settle.
     """
 
-    response: Float[np.ndarray, " value"] = array("The chosen number at each value.")
+    response: Float[np.ndarray, " value"] = array("The response at each value.")
     velocity: Displacements = array(
         "The root mean square velocity of each site.", "m/s", "value site"
     )
@@ -593,18 +614,18 @@ class Way(Result):
     velocity_error: Displacements = array("The error of the velocity.", "m/s", "value site")
     energy_error: Float[np.ndarray, " value"] = array("The error of the energy.", "J")
     multiple: Integer[np.ndarray, " value"] = array(
-        "The periods after which the motion repeats, 0 where it does not."
+        "The number of periods after which the motion repeats, 0 if it does not."
     )
     periods: Integer[np.ndarray, " value"] = array("The number of periods that were run.")
     states: State = part("The states at phase 0.", "value site", name="state")
-    jumps: tuple[Jump, ...] = array("The jumps, as they were met.", axes="jump")
+    jumps: tuple[Jump, ...] = array("The jumps in the order of the sweep.", axes="jump")
     bifurcations: tuple[Bifurcation, ...] = array(
-        "The bifurcations, as they were met.", axes="bifurcation"
+        "The bifurcations in the order of the sweep.", axes="bifurcation"
     )
 
     @property
     def outcome(self) -> str:
-        """What was met on the way."""
+        """What was met during the sweep."""
         repeats = np.count_nonzero(self.multiple)
         return (
             f"{len(self.jumps)} jumps, {len(self.bifurcations)} changes of the repetition; the motion repeats at "
@@ -613,22 +634,21 @@ class Way(Result):
 
 
 class ResponseCurve(Result):
-    """What `response` returns: the two ways, and where they differ."""
+    """What `response` returns: the sweeps up and down, and where they differ."""
 
     values: Float[np.ndarray, " value"] = array(
         "The values of the parameter, ascending.", name="value"
     )
-    up: Way = array("The way up.")
-    down: Way | None = array("The way down, `None` where it was not run.")
+    up: Way = array("The sweep up.")
+    down: Way | None = array("The sweep down, `None` if it was not run.")
     hysteresis: list = note(
-        "Intervals (low, high) of the parameter in which the two ways have settled "
-        "differently; their ends are jumps where there is one beside, else values that were "
-        "asked for."
+        "Intervals (low, high) of the parameter in which the two sweeps have settled differently. "
+        "Their ends are jumps where there is one next to them, else values of the sweep."
     )
 
     @property
     def outcome(self) -> str:
-        """What was met, and where the ways differ."""
+        """What was met, and where the sweeps differ."""
         if self.down is None:
             return f"Up: {self.up.outcome}"
         where = ", ".join(f"{low:.6g} ... {high:.6g}" for low, high in self.hysteresis) or "nowhere"
@@ -651,32 +671,40 @@ def response(
     solver: AbstractSolver | None = None,
     down: bool = True,
 ) -> ResponseCurve:
-    r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
+    r"""Follow the attractor of a forced lattice while a parameter sweeps up, then down again.
 
-    Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`); what has
-    spent its budget runs on for another one, and for up to eight more where it settles still, before it counts as not
-    repeating. The response is then taken over `watch` periods more. A change of the response between two values by more
-    than `jump`, relative to the larger, is halved, each time from the state before it, until it is known to `accuracy`.
-    It is a jump if more than half of it is left when both sides have settled to a hundredth of `tolerance`, and still
-    is when it is known a thousand times better: a steep flank is none. Changes between two motions that do not repeat
-    are none, nor those below 1e-6 of the largest response. A change of the repetition is halved in the same way; beside
-    a bifurcation the motion settles slowly, so that a small budget places it where settling first takes longer.
+    Each value starts from the state of the previous one at phase 0, and runs until it repeats
+    (`settle`). If its budget is spent it gets another one, and up to eight more while it still
+    settles, before it counts as not repeating. The response is then taken over `watch` more
+    periods.
+
+    An interval over which the response changes by more than `jump`, relative to the larger one, is
+    halved, each time from the state before it, down to `accuracy`. The change is a jump if more
+    than half of it is left when both sides have settled to a hundredth of `tolerance`, and still is
+    when it is located a thousand times better: a steep flank is not a jump. Changes between two
+    motions that do not repeat, and those below 1e-6 of the largest response, do not count. A change
+    of the repetition is located in the same way. Near a bifurcation the motion settles slowly, so a
+    small budget places it where settling first takes longer.
 
     **Arguments:**
 
-    - `make(value)`: the lattice at a value of the parameter (a frequency, an amplitude, a preload); traced once, so
-      that all values share one compiled program. `period`: T, a number or a function of it: `lambda w: 2 * jnp.pi / w`.
-    - `values` (P,): ascending, P >= 2, as close as the attractor is to be followed. `state`: the first, at rest by
-      default. `down`: the way back too, from where the way up ended.
-    - `response(lattice, u, v, t)`: a number from one history u, v (S, N) over those periods, t (S,) from phase 0 on;
-      by default the root mean square of all velocities.
-    - `jump`, `accuracy`: above; both relative. `watch`: the periods over which the response is taken.
-    - `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps, which are
-      rounded up by an eighth at most, so that curves of near-by scenes are one program.
+    - `make(value)`: the lattice at a value of the parameter (a frequency, an amplitude, a preload).
+      It is traced once, so all values share one compiled program. `period`: T, a number or a
+      function of the value: `lambda w: 2 * jnp.pi / w`.
+    - `values` (P,): ascending, P >= 2, and close enough for the attractor to be followed. `state`:
+      the first state, at rest by default. `down`: whether to sweep back too, from the end of the
+      sweep up.
+    - `response(lattice, u, v, t)`: a number from one history u, v (S, N) over those periods, t (S,)
+      from phase 0 on; by default the root mean square of all velocities.
+    - `jump`, `accuracy`: see above; both relative. `watch`: the periods over which the response is
+      taken.
+    - `periods`, `tolerance`, `steps`, `solver`: as in `settle`. The first or last value sets the
+      steps, which are rounded up by at most an eighth, so that curves of similar scenes share one
+      program.
 
-    **Returns:** `ResponseCurve`; without `down` its `down` is `None`, and no hysteresis. **Raises** ValueError
-    for fewer than two values, values that do not ascend, a batch of lattices, or a period after which the forces do
-    not repeat.
+    **Returns:** `ResponseCurve`; without `down` its `down` is `None`, and it has no hysteresis.
+    **Raises** ValueError for fewer than two values, values that do not ascend, a batch of lattices,
+    or a period after which the forces do not repeat.
 
     **Example:**
 
@@ -694,7 +722,7 @@ def response(
             f"shape {values.shape}",
             "The way down comes by itself.",
         )
-    # no response jumps by more than twice the larger
+    # No response changes by more than twice the larger one.
     jump = float(checked_tolerance("jump", jump, 2, 0.2))
     accuracy = float(checked_tolerance("accuracy", accuracy, 1, 1e-3))
     tolerance = float(checked_tolerance("tolerance", tolerance))
@@ -710,14 +738,13 @@ def response(
     settling, watch = _Settling(_Over(make, period), flow, periods), whole("watch", watch, 1)
 
     def seen(value, y):
-        """What there is to say of a motion: the response, root mean square velocities, the mean energy."""
         ts, ys, _, energy = settling.watch(value, y, watch)
         velocity = jax.tree.map(lambda v: np.sqrt(np.mean(v * v, 0)), ys.v)
         number = np.asarray(_answer(settling.at, response, value, ys, ts))
         return number, velocity, np.asarray(np.mean(energy))
 
     def attractor(value, y, share=1.0):
-        """What is settled to a share of the tolerance, run longer than the budget if need be."""
+        # Settle to a share of the tolerance, with more than the budget if needed.
         value, used = jnp.asarray(value), 0
         tight = jnp.asarray(max(share * tolerance, LEAST))
         for budget in BUDGETS:
@@ -730,13 +757,11 @@ def response(
         return _Found(motion._replace(used=used), *seen(value, y))
 
     def errors(value, found):
-        """The errors of what is seen at a value."""
         value = jnp.asarray(value)
         other, left = settling.otherwise(value, found.motion, jnp.asarray(tolerance))
         return errors_of(tuple(found[1:]), seen(value, other), left)
 
     def way(y, direction):
-        """The way up or down from a state on."""
         order, found = values[::direction], []
         for value in order:
             found.append(attractor(value, y))
@@ -769,8 +794,6 @@ def response(
 
 
 class _Found(NamedTuple):
-    """What is found at a value of the parameter: the motion, and what is seen of it."""
-
     motion: Followed
     response: Numbers
     velocity: Displacements
@@ -782,7 +805,8 @@ class _Found(NamedTuple):
 
 
 def _halved(attractor, step, accuracy, belongs, share=1.0):
-    """A step between two values, halved to an accuracy: a middle that belongs to the start becomes the start."""
+    # Halve a step between two values to an accuracy; a middle that belongs to the start becomes the
+    # start.
     low, a, high, b = step
     while abs(high - low) > accuracy * max(abs(low), abs(high)):
         middle = (low + high) / 2
@@ -821,7 +845,8 @@ def _jump(attractor, step, accuracy, share, floor):
         step, share_of_tolerance = (low, c, high, d), TIGHT
         if left(step):
             break
-        # one of them had not left the branch that ends before it: the jump, if any, lies on its other side
+        # One side had not left the branch that ends before it. The jump, if any, lies on the other
+        # side of it.
         step = (begin, a, low, c) if nearer(b, c, a) else (high, d, end, b)
     for halvings in range(NARROW + 1):
         if not left(step):

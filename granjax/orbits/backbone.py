@@ -1,4 +1,4 @@
-"""Backbone curves: how the frequency of a normal mode changes with its amplitude, to leading order."""
+"""Backbone curves: the frequency of a normal mode over its amplitude, to leading order."""
 
 from typing import Any
 
@@ -16,17 +16,17 @@ from ..results import Result, array
 from ..types import Count, Displacements, Number, Scalar, StateLike
 from .asked import checked_state
 
-# of the largest omega^2: modes of one frequency
+# Modes whose omega^2 differ by less than this share of the largest have one frequency.
 ALIKE = 1e-11
-# of the force on the mode, what rounding leaves of another force
+# A force below this share of that on the mode is rounding.
 ROUNDED = 1e-8
 
 
 class Backbone(Result):
-    r"""The backbone curve of a normal mode: omega^2 = omega_0^2 + curvature a^2, of the orbit that leaves it.
+    r"""The backbone curve of a normal mode: omega^2 = omega_0^2 + curvature a^2.
 
-    u(t) = a shape cos(omega t) + a^2 (constant + second cos(2 omega t)) + O(a^3), a the largest displacement of the
-    first harmonic.
+    The orbits are u(t) = a shape cos(omega t) + a^2 (constant + second cos(2 omega t)) + O(a^3),
+    with a the largest displacement of the first harmonic.
     """
 
     omega: Number = array("The frequency of the mode.", "rad/s")
@@ -39,10 +39,10 @@ class Backbone(Result):
         "The part of the curvature from the second derivative of the force, squared.",
         "rad^2/s^2/m^2",
     )
-    error: Number = array("The rounding of the curvature.", "rad^2/s^2/m^2")
+    error: Number = array("The rounding error of the curvature.", "rad^2/s^2/m^2")
     limit: Number = array(
-        "The amplitude at which a correction of the shape is as large as the mode itself: "
-        "the curve holds well below it; infinite where the shape needs no correction.",
+        "The amplitude at which a correction of the shape is as large as the mode itself. The "
+        "curve holds well below it. It is infinite where the shape needs no correction.",
         "m",
     )
     shape: Displacements = array("The shape of the mode.", "1", "site ...")
@@ -51,7 +51,7 @@ class Backbone(Result):
 
     @property
     def outcome(self) -> str:
-        """Which way the mode bends, and up to where that is known."""
+        """Whether the mode hardens or softens, and up to which amplitude that is known."""
         if abs(float(self.curvature)) <= float(self.error):
             way = "keeps its frequency to this order"
         else:
@@ -64,13 +64,13 @@ class Backbone(Result):
         return f"The mode at omega = {self._told('omega', self.omega)} {way}{bound}."
 
     def omega_at(self, amplitude: Scalar) -> Number:
-        """(omega_0^2 + curvature a^2)^{1/2} [rad/s]: the frequency to leading order. `amplitude`: a [m], any shape."""
+        """Return (omega_0^2 + curvature a^2)^{1/2} [rad/s] at amplitudes a [m] of any shape."""
         return jnp.sqrt(self.omega_squared + self.curvature * jnp.asarray(amplitude) ** 2)
 
     def state(self, amplitude: Scalar) -> State:
-        """The orbit's turning point to second order, at rest: a guess for `gx.breathers.breather`.
+        """Return the orbit's turning point to second order: a guess for `gx.breathers.breather`.
 
-        **Arguments:** `amplitude`: a [m], of either sign. **Returns:** a `State`.
+        **Arguments:** `amplitude`: a [m], of either sign. **Returns:** a `State` at rest.
         """
         a = jnp.asarray(amplitude)
         u = jax.tree.map(
@@ -80,24 +80,28 @@ class Backbone(Result):
 
 
 def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
-    r"""The backbone curve of a normal mode to leading order: first in the quartic potential, second in the cubic one.
+    r"""Compute the backbone curve of a normal mode to leading order.
 
-    With M u'' + K u + N2(u, u) + N3(u, u, u) = 0 and a mode phi,
+    That is first order in the quartic potential and second order in the cubic one. With M u'' + K u
+    + N2(u, u) + N3(u, u, u) = 0 and a mode phi,
 
     d omega^2/d a^2 = phi . [2 N2(phi, c) + N2(phi, d) + (3/4) N3(phi, phi, phi)]/(phi . M phi),
     c = -K^{-1} N2(phi, phi)/2,  d = -(K - 4 omega_0^2 M)^{-1} N2(phi, phi)/2
 
-    (Lindstedt and Poincare). Any lattice: edge, corner and defect modes, compact states of flat bands, waves of a ring.
-    The orbits themselves are `gx.breathers.breather(lattice, found.omega_at(a), found.state(a))`.
+    (Lindstedt and Poincare). The lattice is arbitrary: edge, corner and defect modes, compact
+    states of flat bands, waves of a ring. The orbits are
+    `gx.breathers.breather(lattice, found.omega_at(a), found.state(a))`.
 
-    **Arguments:** `lattice`: one `Lattice`, whose forces are smooth at rest. `mode`: a number of
-    `gx.linear.normal_modes`, from the lowest; or a `State` (or displacements) of that shape, such as a compact state
-    or one of several modes with one frequency; its size is of no account.
+    **Arguments:** `lattice`: one `Lattice` whose forces are smooth at rest. `mode`: an index into
+    `gx.linear.normal_modes`, from the lowest; or a `State` (or displacements) of the mode's shape,
+    of any size, such as a compact state or one of several modes with one frequency.
 
-    **Returns:** `Backbone`; its numbers are differentiable in the lattice's parameters for a mode by number.
-    **Raises** ValueError for a batch (use `jax.vmap` over `in_axes=-1`), a state that is no mode, a mode that does not
-    oscillate, one whose second harmonic or constant part is a mode itself, and one that forces drive into another mode
-    of the same frequency; and where `normal_modes` does. Source: Nayfeh, Mook, Nonlinear Oscillations (1979).
+    **Returns:** `Backbone`; for a mode by index, its numbers are differentiable in the lattice's
+    parameters.
+    **Raises** ValueError for a batch (use `jax.vmap` over `in_axes=-1`), a state that is not a
+    mode, a mode that does not oscillate, a mode whose second harmonic or constant part is a mode
+    itself, and a mode that drives another one of the same frequency; and where `normal_modes` does.
+    Source: Nayfeh, Mook, Nonlinear Oscillations (1979).
 
     **Example:**
 
@@ -111,7 +115,7 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     mass, _ = ravel_pytree(spread_mass(lattice))
     squared = modes.omega_squared
     if isinstance(mode, (int, np.integer)):
-        if not -flat.size <= mode < flat.size:  # JAX clips an index
+        if not -flat.size <= mode < flat.size:  # JAX clips an index.
             refuse("mode", f"below {flat.size}, the number of modes", f"{mode}")
         shape, own = phi[:, mode], squared[mode]
     else:
@@ -125,7 +129,7 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
 
 
 def _given(lattice, mode, phi, mass, squared):
-    """A mode from displacements: its part within the modes of one frequency, which has to be all of it."""
+    # The given displacements must lie within the modes of one frequency.
     state = mode if isinstance(mode, State) else State(mode, lattice.zeros())
     u, _ = ravel_pytree(checked_state(lattice, state, "mode").u)
     if not float(jnp.abs(u).max()) > 0:
@@ -148,7 +152,8 @@ def _given(lattice, mode, phi, mass, squared):
 
 @compiled
 def _expanded(lattice, shape, own, phi, mass, squared):
-    """The curve's numbers, its displacements, and what would be divided by zero or drive another mode."""
+    # Returns the curve's numbers, its displacements, and the quantities that must vanish: forces
+    # that would be divided by zero or drive another mode.
     flat, unravel = ravel_pytree(lattice.zeros())
 
     def pull(x):
@@ -162,7 +167,8 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     bent, tiny = along(along(pull, shape), shape), jnp.finfo(flat.dtype).tiny
     both, third = bent(flat) / 2, along(bent, shape)(flat) / 6
     norm, f = jnp.vdot(shape, mass * shape), phi.T @ both
-    # what a shape without symmetry would drive: forces that cancel leave rounding of it
+    # The forces that a shape without symmetry would drive. Forces that cancel leave rounding of
+    # this size.
     uneven = jnp.cos(jnp.arange(flat.size) ** 2.0)
     usual = phi.T @ along(along(pull, uneven), uneven)(flat) / 2
     scale = jnp.maximum(jnp.maximum(jnp.abs(f).max(), jnp.abs(usual).max()), tiny)
@@ -172,10 +178,10 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     low, high = jnp.where(still, 1, squared), jnp.where(twice, 1, squared - 4 * own)
     constant = phi @ jnp.where(still, 0, -f / (2 * low))
     second = phi @ jnp.where(twice, 0, -f / (2 * high))
-    # N2(shape, w), twice for the constant part
+    # N2(shape, w), twice for the constant part.
     mixed = along(along(pull, shape), 2 * constant + second)(flat) / 2
     cubic, quartic = jnp.vdot(shape, mixed) / norm, 0.75 * jnp.vdot(shape, third) / norm
-    # omega^2 of each mode is known to rounding of the largest, and enters as 1/omega^2
+    # The omega^2 of each mode is known to rounding of the largest one, and enters as 1/omega^2.
     eps, size = jnp.finfo(flat.dtype).eps, jnp.abs(squared).max() * flat.size
     weak = jnp.where(still, 0, f * f / low**2) + jnp.where(twice, 0, f * f / high**2)
     error = eps * (size * weak.sum() / norm + 8 * (jnp.abs(quartic) + jnp.abs(cubic)))

@@ -1,4 +1,4 @@
-"""A branch of periodic orbits over a parameter, and the bifurcations on it."""
+"""A branch of periodic orbits over a parameter, and its bifurcations."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -60,29 +60,29 @@ TORUS = "Neimark-Sacker"
 
 
 class Bifurcation(Result):
-    """A change along a parameter."""
+    """A qualitative change along a parameter."""
 
     kind: str = array(
         '"fold" (dp = 0), "branch point" (another branch crosses), "period doubling" (a '
-        'multiplier -1), "Neimark-Sacker" (a complex pair on the unit circle); of '
-        'conservative families also "real pair at +1", "Krein collision" and "extremum of '
-        'energy"; of a sweep "repetition".',
+        'multiplier -1), "Neimark-Sacker" (a complex pair on the unit circle). Conservative '
+        'families also have "real pair at +1", "Krein collision" and "extremum of energy"; a '
+        'sweep has "repetition".',
         static=True,
     )
     p: float = array("The value of the parameter.")
     after: int = array("The index of the point before it.")
     state: State | None = part("The state of the orbit there, at t0.", "site", default=None)
     multiplier: complex | None = array(
-        "The multiplier on the unit circle, of a pair the one above the real axis; its "
-        "modulus differs from 1 by as much as it is located to.",
+        "The multiplier on the unit circle, of a pair the one above the real axis. Its modulus "
+        "differs from 1 by the accuracy of the location.",
         default=None,
     )
     before: int | None = array(
-        "What the kind counts before: real pairs beyond +1 or -1, complex quadruples; of a "
+        "The count before the bifurcation: real pairs beyond +1 or -1, complex quadruples; for a "
         "sweep the periods after which the motion repeats, 0 where it does not.",
         default=None,
     )
-    behind: int | None = array("What the kind counts behind.", default=None)
+    behind: int | None = array("The same count behind the bifurcation.", default=None)
     _z: Any = hidden("The unknowns (x, q) there.", default=None)
 
     def __repr__(self) -> str:
@@ -90,26 +90,26 @@ class Bifurcation(Result):
 
     @property
     def outcome(self) -> str:
-        """Where what happens, a sentence."""
+        """The kind and the place, in one sentence."""
         counts = "" if self.before is None else f", {self.before} before and {self.behind} behind"
         return f"{self.kind[0].upper()}{self.kind[1:]} at p = {self.p:.9g}{counts}."
 
 
 class Branch(Result):
-    r"""Orbits along a parameter, as `family`, `anticontinuous` or `forced_branch` has found them.
+    r"""Orbits along a parameter: what `family`, `anticontinuous` and `forced_branch` return.
 
-    P points; errors are estimated distances from the truth, in the units of what they are of.
+    It has P points. Errors are estimated distances from the true values.
     """
 
     p: Float[np.ndarray, " point"] = array(
-        "The parameter: of a family of breathers their frequency, from the anticontinuous "
-        "limit the coupling."
+        "The parameter: the frequency for a family of breathers, the coupling from the "
+        "anticontinuous limit."
     )
     periods: Float[np.ndarray, " point"] = array("The period of each orbit.", "s", name="period")
     states: State = part("The state of each orbit at t0.", "point site", name="state")
     energy: Float[np.ndarray, " point"] = array("The energy of each orbit at t0.", "J")
     response: Float[np.ndarray, " point"] | None = array(
-        "The chosen number of each orbit of a forced branch."
+        "The response of each orbit of a forced branch."
     )
     state_error: State = part("The error of each state.", "point site")
     energy_error: Float[np.ndarray, " point"] = array("The error of each energy.", "J")
@@ -142,7 +142,7 @@ class Branch(Result):
 
     @property
     def outcome(self) -> str:
-        """Why the branch ended; continuation itself knows the share of its way alone."""
+        """Why the branch ended."""
         if self._curve.end == "p":
             return f"p reached {self.p[-1]:.6g}."
         return self._curve.outcome
@@ -154,7 +154,7 @@ class Branch(Result):
 
     @property
     def u(self) -> Displacements:
-        """Displacements at t0, (P, N): of a breather at its turning point."""
+        """Displacements at t0, (P, N); a breather is at its turning point there."""
         return self.states.u
 
     @property
@@ -174,9 +174,10 @@ class Branch(Result):
 
     @property
     def energy_extrema(self) -> Float[np.ndarray, " E"]:
-        """Values of the parameter at the points whose energy is above or below that of both neighbours.
+        """Values of the parameter at the points whose energy is a local extremum.
 
-        There the stability of a family may change; `gx.breathers.bifurcations` places them between the points.
+        The stability of a family may change there; `gx.breathers.bifurcations` locates them between
+        the points.
         """
         return self.p[1 + np.flatnonzero(np.diff(np.sign(np.diff(self.energy))))]
 
@@ -184,10 +185,10 @@ class Branch(Result):
         return np.array([b.p for b in self.bifurcations if b.kind == kind])
 
     def normal_form(self, i: Count | Bifurcation) -> NormalForm:
-        """Tell super- from subcritical at a bifurcation of forced orbits, by the coefficient of its normal form.
+        """Tell super- from subcritical at a bifurcation of forced orbits by its normal form.
 
-        `i`: an index into `bifurcations`, or one of them. **Returns:** `NormalForm`. **Raises** ValueError for a family
-        of breathers, whose branches tell it themselves, and for a fold.
+        `i`: an index into `bifurcations`, or a `Bifurcation`. **Returns:** `NormalForm`. **Raises**
+        ValueError for a family of breathers, whose branches show it themselves, and for a fold.
         """
         found = self._bifurcation(i, (BRANCH_POINT, DOUBLING, TORUS))
         if self._family.shooting.reversible:
@@ -206,17 +207,21 @@ class Branch(Result):
         points: Count = 50,
         response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
     ) -> "Branch | TorusBranch":
-        """Follow what leaves a branch point, a period doubling (the doubled orbit), a Neimark-Sacker point (the torus).
+        """Follow the branch that leaves a bifurcation.
 
-        The branch point or doubling itself is not among the points; the first one is `arclength` away.
+        At a branch point that is the other branch, at a period doubling the doubled orbit, at a
+        Neimark-Sacker point the torus. Its first point is `arclength` away from the bifurcation.
 
-        **Arguments:** `i`: an index into `bifurcations`, or a `Bifurcation` such as `gx.breathers.bifurcations` gives.
-        `side`: 1 or -1, to which side; of a doubling -1 is the same orbit a period later. `until`: values of the
-        parameter at which to end, by default the ends of the branch. `arclength`, `longest_arclength`, `points`,
-        `response`: as in `gx.forced.forced_branch`, and so are the steps of forced orbits; those of breathers stay.
+        **Arguments:** `i`: an index into `bifurcations`, or a `Bifurcation` such as
+        `gx.breathers.bifurcations` returns. `side`: 1 or -1; at a doubling -1 gives the same orbit
+        a period later. `until`: values of the parameter at which to end, by default the ends of the
+        branch. `arclength`, `longest_arclength`, `points`, `response`: as in
+        `gx.forced.forced_branch`. Time steps of forced orbits are doubled as there; those of
+        breathers stay.
 
-        **Returns:** `Branch`, of a torus `TorusBranch`; of a doubled breather the parameter is its own frequency.
-        **Raises** ValueError for a fold; RuntimeError where nothing is found beside the point.
+        **Returns:** `Branch`, or `TorusBranch` for a torus; for a doubled breather the parameter is
+        its own frequency.
+        **Raises** ValueError for a fold; RuntimeError if nothing is found beside the point.
         Source: Keller, in Applications of Bifurcation Theory (1977), 359.
 
         **Example:**
@@ -260,16 +265,20 @@ class Branch(Result):
         arclength: Scalar = 0.02,
         points: Count = 100,
     ) -> Locus:
-        """Follow a bifurcation in a second parameter: a curve of folds, doublings, pitchforks, torus or Krein points.
+        """Follow a bifurcation in a second parameter.
 
-        **Arguments:** `i`: an index into `bifurcations`, or a `Bifurcation`. `make(p, other)`: the lattice, traced, at
-        `other = start` that of the branch; of a family over the frequency `make(other)`. `until`: the curve ends there,
-        or where it comes back to `start`; it goes through its own folds. `period`: of p and `other`, where it depends
-        on that. `arclength`: the first step, where the way from `start` to `until` counts 1; the longest is five times
-        that. `points`: the most points. A branch point is followed as long as the symmetry that it breaks is there.
+        The result is a curve of folds, doublings, pitchforks, torus points or Krein collisions.
 
-        **Returns:** `Locus`, with cusps and strong resonances. **Raises** ValueError for lattices that do not begin
-        with the branch; RuntimeError where the first point is not found.
+        **Arguments:** `i`: an index into `bifurcations`, or a `Bifurcation`. `make(p, other)`: the
+        lattice, traced; at `other = start` that of the branch. For a family over the frequency it
+        is `make(other)`. `until`: the curve ends there, or where it returns to `start`; it passes
+        its own folds. `period`: a function of p and `other`, where it depends on `other`.
+        `arclength`: the first step, where the way from `start` to `until` counts 1; the longest is
+        five times that. `points`: the most points. A branch point is followed as long as the
+        lattice has the symmetry that it breaks.
+
+        **Returns:** `Locus`, with cusps and strong resonances. **Raises** ValueError for lattices
+        that do not begin with the branch; RuntimeError if the first point is not found.
         """
         found = self._bifurcation(i, LOCI)
         rho = found.multiplier
@@ -281,23 +290,22 @@ class Branch(Result):
     def continue_in(
         self, i: Count, make: Callable[[Any], Any], start: Scalar, until: Scalar, **keywords: Any
     ) -> "Branch":
-        """Follow the forced orbit at point i over another parameter: `gx.forced.forced_branch` from there.
+        """Follow the forced orbit at point i over another parameter, by `gx.forced.forced_branch`.
 
-        `make`, `start`, `until`, `keywords`: as there; `period` is that of the orbit unless it is given.
+        `make`, `start`, `until`, `keywords`: as there. `period` is that of the orbit unless given.
         """
         orbit = self.orbit(i)
         given = {"period": float(orbit.period), "guess": orbit.state, "t0": self.t0}
         return forced_branch(make, start, until, **given | keywords)
 
     def _bifurcation(self, i, kinds):
-        """A bifurcation by its index or as it is, of some kinds."""
         found = i if isinstance(i, Bifurcation) else self.bifurcations[i]
         if found._z is None or found.kind not in kinds:
             refuse("i", " or ".join(f"a {kind}" for kind in kinds), f"a {found.kind}")
         return found
 
     def orbit(self, i: Count) -> Orbit:
-        """The `Orbit` at point i; -1 is the last."""
+        """Return the `Orbit` at point i; -1 is the last."""
         family, (x, q) = self._family, jax.device_put((self._curve.x[i], self._curve.p[i]))
         lattice, _ = family.scene(q)
         none = np.zeros((), int)
@@ -321,7 +329,7 @@ class Branch(Result):
 
 
 def _bifurcation_at(family, kind, z, after, *known):
-    """A bifurcation at z = (x, q). `known`: its multiplier and what is counted before and behind, if any."""
+    # `known`: the multiplier, and the counts before and behind, if any.
     x, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
     state = State(*family.shooting.state(x))
     origin = family.scene(q)[0].origin
@@ -330,11 +338,10 @@ def _bifurcation_at(family, kind, z, after, *known):
 
 
 class _Examined(NamedTuple):
-    """An orbit of a branch, its errors, and its tangent maps by several numbers of steps, the most first.
-
-    Of a breather the maps are over half a period, over u and m v without units; else they are monodromy matrices.
-    `changes`: of a breather how far its unknowns may be off; else of the state (3, 2n), by other steps.
-    """
+    # An orbit of a branch, its errors, and its tangent maps by several numbers of steps. The map
+    # with the most steps is first: of a breather over half a period, in u and m v without units;
+    # else a monodromy matrix. `changes`: the error of a breather's unknowns; else the changes of
+    # the state (3, 2n) by other steps.
 
     state: State
     period: Numbers
@@ -347,20 +354,20 @@ class _Examined(NamedTuple):
 
     @property
     def step_error(self) -> float:
-        """The change of the tangent map between the most steps and the least."""
         maps = np.asarray(self.maps)
         return float(np.abs(maps[0] - maps[-1]).max())
 
 
 def examined(family: Family, z: np.ndarray, response: Callable | None = None) -> _Examined:
-    """The orbit z = (x, q) of a family."""
+    """Return the orbit z = (x, q) of a family, with errors and tangent maps."""
     z = jax.device_put(z)
     return _half(family, z) if family.shooting.reversible else _whole(family, z, response)
 
 
 @compiled
 def _half(family, z):
-    """By the steps of the family and by twice as many; the orbit at this frequency is found to first order."""
+    # Compares the steps of the family with twice as many. The orbit at this frequency is found to
+    # first order.
     x, shooting, (lattice, period) = z[:-1], family.shooting, family.scene(z[-1])
     y, flow, n, moves = shooting.state(x), shooting.flow, shooting.count, shooting.moves
     mass = ravel_pytree(spread_mass(lattice))[0]
@@ -371,7 +378,8 @@ def _half(family, z):
         return map_ * weight[:, None] / weight, ravel_pytree(end.v)[0]
 
     maps, ends = jax.lax.map(mapped, flow.steps * jnp.array([2, 1]))
-    # at the end the velocities are zero but for what an idle unknown adds, and so is the mean displacement
+    # At the end the velocities vanish except for the share of an idle unknown, and so does the mean
+    # displacement.
     unit = shooting.scale[:n, None] / shooting.scale[n:, None]
     slope = maps[0][n:, :n] * unit / weight[n:, None]
     joined = jnp.block(
@@ -388,7 +396,8 @@ def _half(family, z):
 
 @compiled
 def _whole(family, z, response):
-    """By the steps of the family, 3/4 and 1/2 of them; the error is the most that the other steps change."""
+    # Compares the steps of the family with 3/4 and 1/2 of them. The error is the largest change
+    # that the other steps make.
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
     t0, period, flow = (
         family.shooting.t0,
@@ -406,14 +415,14 @@ def _whole(family, z, response):
 
     counts = jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2])
     ends, maps = jax.lax.map(mapped, counts)
-    # in one unit for displacements and one for velocities
+    # One unit for displacements and one for velocities.
     flat, unravel = ravel_pytree(state)
     scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
     inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
     changes = (
         jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
     )
-    # of each flow's own orbit
+    # The orbit of each flow.
     others = flat + jnp.concatenate([jnp.zeros_like(changes[:1]), changes[:2]]) / scale
     numbers = jax.lax.map(lambda x: responded(unravel(x[0]), x[1]), (others, counts))
     about = covering((numbers[1:] - numbers[0])[:, None], rounding(inverse, jnp.abs(numbers[0])))[0]
@@ -428,9 +437,10 @@ def _whole(family, z, response):
 def examined_along(
     family: Family, curve: Curve, response: Callable | None = None, stability: bool = True
 ) -> list[tuple]:
-    """Of each orbit of a curve: the orbit without its maps, multipliers, their error, `step_error`, verdict.
+    """Return what is known of each orbit of a curve.
 
-    While one is decomposed the next one's maps are on their way.
+    That is the orbit without its maps, multipliers, their error, `step_error` and verdict. The next
+    orbit's maps are computed while one is decomposed.
     """
     n, reversible = family.shooting.count, family.shooting.reversible
     known = structure(family.scene(jax.device_put(curve.p[0]))[0])
@@ -455,7 +465,6 @@ def examined_along(
 
 
 def _neighbours(x):
-    """The largest of each entry and its neighbours along the first axis."""
     wide = np.concatenate([x[:1], x, x[-1:]])
     return np.max([wide[:-2], wide[1:-1], wide[2:]], axis=0)
 
@@ -466,18 +475,18 @@ def branch_of(
     along: list[tuple],
     bifurcations: Sequence[Bifurcation] | None = None,
 ) -> Branch:
-    """The branch that a curve of a family is, from what `examined_along` gives.
+    """Return the `Branch` of a curve, from the results of `examined_along`.
 
-    Its bifurcations are by default the folds and branch points that continuation has met.
+    By default its bifurcations are the folds and branch points that continuation has met.
     """
     if bifurcations is None:
         special = [(s.kind, np.append(s.x, s.p), s.after) for s in curve.special]
         bifurcations = [_bifurcation_at(family, *at) for at in special]
     found, multipliers, about, step_error, verdict = jax.tree.map(lambda *x: np.stack(x), *along)
-    # an error that is small by accident is as large as its neighbours
+    # An error may be small by accident: it is taken as large as its neighbours.
     error, response_error = jax.tree.map(_neighbours, (found.error, found.response_error))
     return Branch(
-        # by NumPy, which compiles nothing for another number of points
+        # NumPy compiles nothing for another number of points.
         np.asarray(family.start) + curve.p * np.asarray(family.span),
         found.period,
         found.state,
@@ -505,17 +514,18 @@ KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of e
 def bifurcations(
     branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9
 ) -> list[Bifurcation]:
-    r"""Bifurcations along a family, each located between two neighbouring breathers.
+    r"""Return the bifurcations along a family, each located between two neighbouring breathers.
 
-    With mu = (rho + 1/rho)/2: a pair leaves the circle at +1 where mu crosses 1, at -1 (period doubling) where it
-    crosses -1; two pairs of unlike Krein signature leave it together where two mu meet and become complex. Where mu is
-    1 within its error it counts as the symmetries', which stand there anyway.
+    With mu = (rho + 1/rho)/2, a pair leaves the circle at +1 where mu crosses 1, and at -1 (period
+    doubling) where it crosses -1. Two pairs of opposite Krein signature leave it together where two
+    mu meet and become complex. A mu that equals 1 within its error counts as one of the symmetries,
+    which are there anyway.
 
-    **Arguments:** `branch`: of `gx.breathers.family`. `kinds`: which, of "real pair at +1", "period doubling", "Krein
-    collision", "extremum of energy". `accuracy`: relative, of the frequency.
+    **Arguments:** `branch`: from `gx.breathers.family`. `kinds`: any of "real pair at +1", "period
+    doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of the frequency.
 
-    **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes between two breathers
-    is not seen: give the family a shorter `longest_arclength`.
+    **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes
+    between two breathers is missed: use a shorter `longest_arclength` for the family.
 
     **Example:**
 
@@ -558,8 +568,9 @@ def bifurcations(
 
 
 def _counted(kind, traces, step_error, symmetries):
-    """Count the multipliers of a kind from half-traces; one half-trace is 1 for each symmetry."""
-    # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
+    # Counts the multipliers of a kind from half-traces, of which one is 1 for each symmetry.
+    # Two mu that nearly meet split like a square root of the error, but their sum does not: near 1
+    # the sum decides.
     error = max(step_error, 1e-12)
     near = np.abs(traces - 1) < max(1e-4, 10 * np.sqrt(error))
     apart = traces[~near]
@@ -576,7 +587,7 @@ def _counted(kind, traces, step_error, symmetries):
 
 @compiled
 def _energy_slope(problem, z, tangent):
-    """dE/ds along a tangent (x, q) of a branch."""
+    # dE/ds along a tangent (x, q) of a branch.
 
     def total(z):
         state = problem.shooting.state(z[:-1])
@@ -586,10 +597,8 @@ def _energy_slope(problem, z, tangent):
 
 
 def _along_forced(family, curve, multipliers, response):
-    """Those of a branch of forced orbits, in its order; folds are known already.
-
-    Where the number of multipliers outside the unit circle changes, by Brent's method on the modulus that passes 1.
-    """
+    # Folds are known already. Elsewhere the number of multipliers outside the unit circle changes,
+    # and Brent's method finds where a modulus passes 1.
     found, system = [], family.system()
     for i, (here, there) in enumerate(curve.steps):
         known = {here.z.tobytes(): multipliers[i], there.z.tobytes(): multipliers[i + 1]}
@@ -606,7 +615,7 @@ def _along_forced(family, curve, multipliers, response):
         length = np.linalg.norm(chord)
         along = lambda z: (z - here.z) @ chord
         for k in range(*counts):
-            # the k-th modulus in order of size is continuous, whatever the multipliers do
+            # The k-th modulus in order of size is continuous, whatever the multipliers do.
             test = lambda point: float(moduli(point)[k] - 1)
             z = system.zero(here, there, test, 1e-10, chord / length).z
             if all(np.linalg.norm(z - other) > 1e-7 * length for other in places):
@@ -617,7 +626,7 @@ def _along_forced(family, curve, multipliers, response):
             rho = _critical(look(z))
             kind = BRANCH_POINT if rho.real > 0 else DOUBLING
             kind = TORUS if rho.imag > 1e-5 else kind
-            if kind == BRANCH_POINT and folds:  # it passes 1 at a fold too
+            if kind == BRANCH_POINT and folds:  # A modulus passes 1 at a fold too.
                 folds -= 1
             else:
                 events.append((kind, z))
@@ -627,7 +636,7 @@ def _along_forced(family, curve, multipliers, response):
 
 
 def _critical(multipliers):
-    """The multiplier nearest to the unit circle, of a pair the one above the real axis."""
+    # Of a pair, the multiplier above the real axis.
     rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
     return complex(rho.real, abs(rho.imag))
 
@@ -651,32 +660,34 @@ def forced_branch(
     points: Count = 400,
     response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
 ) -> Branch:
-    r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
+    r"""Follow periodic orbits of a forced lattice over a parameter, through folds, stable or not.
 
-    Pseudo-arclength continuation of y(t0 + T; p) = y(t0). Stability at every point by the multipliers of the same
-    flow; where their number outside the unit circle changes, the bifurcation between is located by Brent's method on
-    the modulus that passes 1, folds by continuation itself. Two bifurcations within one step whose changes cancel
-    are not seen: shorten `longest_arclength`.
+    This is pseudo-arclength continuation of y(t0 + T; p) = y(t0). The multipliers of the same flow
+    give the stability at every point. Where their number outside the unit circle changes, Brent's
+    method on the modulus that passes 1 locates the bifurcation; continuation itself locates folds.
+    Two bifurcations within one step whose changes cancel are missed: shorten `longest_arclength`.
 
     **Arguments:**
 
-    - `make(p)`: the lattice at a value of the parameter, traced: `lambda f: driven_chain(chain, 0.1, 2 * jnp.pi * f)`.
-      The same function again compiles nothing; a Module with arrays may change them too.
+    - `make(p)`: the lattice at a value of the parameter, traced:
+      `lambda f: driven_chain(chain, 0.1, 2 * jnp.pi * f)`. The same function again compiles
+      nothing; a Module may also change its arrays.
     - `start`, `until`: the branch begins at p = `start` towards `until`, and ends at either.
     - `period`: T, a number, or a function of p such as `lambda f: 1 / f`.
-    - `guess`, `transient`, `t0`, `segments`, `solver`: of the first orbit, as in `forced_orbit`.
-    - `steps`: per period, the same all along; `None` begins with the most that `start` or `until` asks for, and doubles
-      them until half as many confirm every orbit to `tolerance`, relative to its size.
-    - `arclength`, `longest_arclength`: first and longest (5 arclength) step along the branch, in which the
-      way from `start` to `until` counts 1, and so does a change of the state by the first orbit's size, or by what its
-      slope in p makes over the whole way, if that is more.
-    - `points`: the most points. `response(lattice, u, v, t)`: a number from one period u, v (F, N), t (F,); by
-      default the root mean square of all velocities.
+    - `guess`, `transient`, `t0`, `segments`, `solver`: for the first orbit, as in `forced_orbit`.
+    - `steps`: per period, the same along the branch. `None` begins with the larger default of
+      `start` and `until`, and doubles the steps until half as many confirm every orbit to
+      `tolerance`, relative to its size.
+    - `arclength`, `longest_arclength`: first and longest (5 arclength) step along the branch. The
+      way from `start` to `until` counts 1, and so does a change of the state by the first orbit's
+      size, or by the change that its slope in p makes over the whole way, if that is more.
+    - `points`: the most points. `response(lattice, u, v, t)`: a number from one period u, v (F, N),
+      t (F,); by default the root mean square of all velocities.
 
-    **Returns:** `Branch`. **Raises** ValueError for `until` equal to `start`, no forcing, and as `forced_orbit`;
-    RuntimeError where the first orbit does not converge.
-    Source: Doedel, Keller, Kernevez, Int. J. Bifurcation Chaos 1, 493 and 745 (1991); Kuznetsov, Elements of Applied
-    Bifurcation Theory.
+    **Returns:** `Branch`. **Raises** ValueError for `until` equal to `start`, no forcing, and as
+    `forced_orbit`; RuntimeError if the first orbit does not converge.
+    Source: Doedel, Keller, Kernevez, Int. J. Bifurcation Chaos 1, 493 and 745 (1991); Kuznetsov,
+    Elements of Applied Bifurcation Theory.
 
     **Example:**
 
@@ -699,7 +710,7 @@ def forced_branch(
     guess = State(lattice.zeros(), lattice.zeros()) if guess is None else guess
     guess = checked_state(lattice, guess, "guess")
     flows = [flow_over(lattice, T, steps, solver, segments, guess) for lattice, T in scenes]
-    # an array, whose value compiles nothing anew
+    # As an array, so that another value compiles nothing new.
     flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
     for lattice, T in scenes[::-1]:
         if checked_free(lattice):
@@ -712,8 +723,9 @@ def forced_branch(
     left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
     family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start), left)
     first = family.follow(x, 0.0, points=1)
-    # the unit of length: the first orbit, or where its slope over the whole way leads, if that is more
-    # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
+    # The unit of length is the size of the first orbit, or of the change that its slope makes over
+    # the whole way, if that is more. The share of dp in the first tangent is bounded from below, so
+    # that a branch that begins near a fold does not count as infinitely steep.
     slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), 1e-2)
     unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
@@ -733,7 +745,7 @@ def forced_branch(
 
 
 def _followed(family, x, q, response, tolerance, most, **settings):
-    """The branch of forced orbits from (x, q), by as many steps as `tolerance` takes, at most `most`; 0: as given."""
+    # `most`: the most steps for `tolerance`; 0 keeps the steps.
     while True:
         curve = family.follow(x, q, find=(FOLD,), **settings)
         along = examined_along(family, curve, response)
@@ -742,27 +754,25 @@ def _followed(family, x, q, response, tolerance, most, **settings):
         if enough is family:
             found = _along_forced(family, curve, multipliers, response)
             return branch_of(family, curve, along, found)
-        # a branch that begins beside a bifurcation begins there again
+        # A branch that begins beside a bifurcation begins there again.
         family, x = enough, x if "direction" in settings else curve.x[0]
 
 
 def _enough(family, curve, looked, response, tolerance, most):
-    """The family by steps for which the branch is known well enough where it is known worst.
-
-    What moves an orbit along the branch does not count: at a fold that is all.
-    """
+    # Doubles the steps until the worst known orbit is known well enough. Changes along the branch
+    # do not count: at a fold the orbit may move along it.
     scale = np.asarray(family.shooting.scale)
 
     def share(found, i):
         changes, along = np.asarray(found.changes) / scale, curve.tangents[i, : len(scale)]
-        # of an orbit at rest neither is there
+        # An orbit at rest has neither.
         changes = changes - (changes @ along)[:, None] * along / (along @ along or 1)
         return np.abs(changes).max() / (np.abs(curve.x[i, : len(scale)]).max() or 1)
 
     shares = [share(found, i) for i, found in enumerate(looked)]
     worst = int(np.argmax(shares))
     known, z = [shares[worst]], np.append(curve.x[worst], curve.p[worst])
-    # where two doublings help little it is not the steps: another branch crosses there
+    # If two doublings help little, the steps are not the cause: another branch crosses there.
     while (
         known[-1] > tolerance
         and 2 * family.shooting.whole.steps <= most

@@ -8,32 +8,34 @@ from .branch import BRANCH_POINT, DOUBLING, TORUS, Branch
 
 
 class Diagram(Result):
-    """Branches that are connected: what `gx.orbits.diagram` returns. `gx.plots.diagram` draws it."""
+    """Connected branches: what `gx.orbits.diagram` returns. `gx.plots.diagram` draws it."""
 
     branches: tuple[Any, ...] = hidden(
         "The branches, `Branch` or `TorusBranch`, the given one first."
     )
     parents: tuple[tuple[int, int], ...] = note(
-        "Of each branch the index of the one that it leaves and of the bifurcation there, (-1, -1) of the first."
+        "For each branch the index of the branch that it leaves and of the bifurcation there; "
+        "(-1, -1) for the first."
     )
-    failed: tuple[str, ...] = note("What was not found, a sentence each.")
+    failed: tuple[str, ...] = note("A sentence on each branch that was not found.")
 
     @property
     def outcome(self) -> str:
-        """How many branches, and how many were not found."""
+        """The number of branches, and of those not found."""
         lost = f" {len(self.failed)} were not found." if self.failed else ""
         return f"{len(self.branches)} branches.{lost}"
 
 
 def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: Any) -> Diagram:
-    """Follow what leaves a branch, and what leaves that, to a depth.
+    """Follow what leaves a branch, and what leaves those branches, to a depth.
 
-    Both sides of branch points, doubled orbits and tori, as `branch.switch` follows them. A branch that two points
-    share is followed from both.
+    `branch.switch` follows both sides of branch points, doubled orbits and tori. A branch that two
+    points share is followed from both.
 
-    **Arguments:** `branch`: of `gx.forced.forced_branch` or `gx.breathers.family`. `depth`: 1 for what leaves this
-    branch, 2 for what leaves those too. `most`: the most branches. `keywords`: of `branch.switch`.
-    **Returns:** `Diagram`; what is not found is in `failed`, and stops nothing.
+    **Arguments:** `branch`: from `gx.forced.forced_branch` or `gx.breathers.family`. `depth`: 1 for
+    what leaves this branch, 2 for what leaves those too. `most`: the most branches. `keywords`: of
+    `branch.switch`.
+    **Returns:** `Diagram`; branches that are not found are listed in `failed`.
 
     **Example:**
 

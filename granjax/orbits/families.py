@@ -1,4 +1,4 @@
-"""Breathers: one by Newton's method, families from a linear mode or from a breather, from the anticontinuous limit."""
+"""Breathers: single ones, families, and branches from the anticontinuous limit."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -57,30 +57,37 @@ def family(
     stability: bool = True,
     stop: Callable[[Any, Any], Any] | None = None,
 ) -> Branch:
-    r"""A family of time-reversible breathers, followed in (u, omega) with its stability.
+    r"""Follow a family of time-reversible breathers in (u, omega), with its stability.
 
-    Without a `guess` it begins at a linear mode (a Lyapunov family): amplitude zero, the mode's frequency. The branch
-    is followed by pseudo-arclength through folds. Modes are waves but for those of defects: between walls or free ends
-    their families localise as they grow, on a ring they may stay waves, which `gx.breathers.localisation` tells; a
-    `guess` from `gx.breathers.breather` begins at a localised one.
+    Without a `guess` it begins at a linear mode (a Lyapunov family) at zero amplitude and the
+    mode's frequency. The branch is followed by pseudo-arclength through folds. Modes are waves,
+    except those of defects. Between walls or free ends their families localise as they grow; on a
+    ring they may stay waves, which `gx.breathers.localisation` tells. A `guess` from
+    `gx.breathers.breather` begins at a localised breather.
 
     **Arguments:**
 
-    - `lattice`: a conservative, autonomous `Lattice`; bright families need a gap, and a mode that shifts into it.
-    - `until`: the frequency at which to end; `amplitude`: the largest |u| at which to end. One of them, or `points`.
-    - `guess`: a breather (an `Orbit`) to begin at. `mode`: index of the linear mode; `None` takes the one next to
-      `until` whose frequency moves towards it, and without `until` the highest.
-    - `arclength`, `longest_arclength`: steps along the branch, first and longest (7.5 times the first), in (u, omega)
-      with omega in units of the first frequency and u in those of `scales.nonlinear_length`: the amplitude at which
-      a contact's stiffness has changed by a half (3/8 of the overlap for Hertz and neighbours in opposite phase).
-    - `points`: the most breathers. `steps`: time steps in a period, an even number; `None` begins at h omega_max = 0.3
-      and doubles them until the largest breather is known to `tolerance`, relative to its amplitude, and its tangent
-      map to 1e-8, or as well as contacts that open allow.
-    - `stability`: also the multipliers. `stop(u, omega)`: a reason to end the family there, or `None`.
+    - `lattice`: a conservative, autonomous `Lattice`; bright families need a gap, and a mode that
+      shifts into it.
+    - `until`: the frequency at which to end; `amplitude`: the largest |u| at which to end. One of
+      them, or `points`.
+    - `guess`: a breather (an `Orbit`) to begin at. `mode`: index of the linear mode; `None` takes
+      the mode next to `until` whose frequency moves towards it, and without `until` the highest.
+    - `arclength`, `longest_arclength`: first and longest step along the branch (7.5 times the
+      first), in (u, omega). The unit of omega is the first frequency; that of u is
+      `scales.nonlinear_length`: the amplitude at which a contact's stiffness has changed by a half
+      (3/8 of the overlap for Hertz and neighbours in opposite phase).
+    - `points`: the most breathers. `steps`: time steps per period, an even number; `None` begins at
+      h omega_max = 0.3 and doubles them until the largest breather is known to `tolerance`,
+      relative to its amplitude, and its tangent map to 1e-8, or as well as opening contacts allow.
+    - `stability`: whether to compute the multipliers. `stop(u, omega)`: returns a reason to end the
+      family there, or `None`.
 
-    **Returns:** `Branch`. **Raises** ValueError for lattices that are damped, driven or in lanes, a mode that is not
-    there, and both `mode` and `guess`; RuntimeError where the first breather is not found.
-    Source: Flach, Gorbach, Phys. Rep. 467, 1 (2008); Theocharis et al., Phys. Rev. E 82, 056604 (2010).
+    **Returns:** `Branch`. **Raises** ValueError for a lattice that is damped, driven or a batch, a
+    mode that does not exist, and both `mode` and `guess`; RuntimeError if the first breather is not
+    found.
+    Source: Flach, Gorbach, Phys. Rep. 467, 1 (2008); Theocharis et al., Phys. Rev. E 82, 056604
+    (2010).
 
     **Example:**
 
@@ -110,7 +117,7 @@ def family(
             until=None if until is None else until / way.omega,
             direction=direction,
             points=most,
-            # to the first orbit beside a linear mode
+            # The step to the first orbit beside a linear mode is shorter.
             arclength=arclength if guess is not None else 0.1 * arclength,
             longest_arclength=longest_arclength,
             least_arclength=1e-6 * arclength,
@@ -118,7 +125,7 @@ def family(
         )
 
     count = half_steps(lattice, 2 * np.pi / ways[0].omega, steps or ways[0].steps)
-    # four points tell which way a family goes
+    # Four points show which way a family goes.
     chosen = (
         ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, 4)[1])
     )
@@ -128,7 +135,7 @@ def family(
 
 
 def _confirmed_branch(follow, count, refine, tolerance, stability):
-    """The breathers that `follow(count)` finds with `count` steps of half a period, or with as many as are needed."""
+    # `follow(count)` takes `count` steps in half a period; with `refine` more are used if needed.
     problem, curve = follow(count)
     enough = _enough_steps(problem, curve, count, tolerance, stability) if refine else count
     if enough > count:
@@ -138,14 +145,14 @@ def _confirmed_branch(follow, count, refine, tolerance, stability):
 
 
 def _enough_steps(problem, curve, count, tolerance, stability):
-    """Steps for which the largest breather is known well enough, and its tangent map too, or more would help little."""
+    # Enough for the largest breather and its tangent map, or as many as help.
     before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
     z, size = np.append(curve.x[i], curve.p[i]), np.abs(curve.x[i]).max()
-    # eight doublings at most
+    # At most eight doublings.
     for doubled in count * 2 ** np.arange(8):
         found = examined(problem.with_steps(doubled), z)
         error = found.step_error
-        # a doubling that lowers the change of the map by little has met a contact that opens
+        # If a doubling lowers the change of the map only a little, a contact opens.
         passes = not stability or error <= 1e-8 or error > before / 20
         if passes and np.asarray(found.changes).max() <= tolerance * size:
             break
@@ -154,11 +161,9 @@ def _enough_steps(problem, curve, count, tolerance, stability):
 
 
 class _Way(NamedTuple):
-    """Where a family begins: beside a linear mode, or at a breather.
-
-    `omega`, `length`: its units. `x`: displacements at rest over the length. `direction`: +1 or -1, the way the
-    frequency goes, or displacements. `steps`: of a period, where they are known.
-    """
+    # The start of a family: beside a linear mode, or at a breather. `omega`, `length`: its units.
+    # `x`: displacements at rest over the length. `direction`: +1 or -1, the way the frequency goes,
+    # or displacements. `steps`: per period, where known.
 
     omega: float
     length: float
@@ -176,7 +181,6 @@ def _from(guess, until):
 
 
 def _modes(lattice, modes, until, mode):
-    """Ways to begin at a linear mode, those to try in their order."""
     omega = np.asarray(modes.omega)
     shapes = _flat_modes(modes)
     if mode is not None:
@@ -204,13 +208,12 @@ def _modes(lattice, modes, until, mode):
 
 
 def _flat_modes(modes):
-    """The shapes of normal modes over the raveled displacements, as columns."""
     leaves = jax.tree.leaves(modes.modes)
     return np.concatenate([np.asarray(x).reshape(-1, len(modes.omega)) for x in leaves])
 
 
 def _beside(lattice, omega, shape, mode):
-    # the first of those that are equal to 1e-6, whichever rounding makes the largest
+    # The first of those that are equal to 1e-6, so that rounding does not choose the largest one.
     peak = shape[np.argmax(np.abs(shape) > (1 - 1e-6) * np.abs(shape).max())]
     length = nonlinear_length(lattice, jax.tree.map(lambda w: w / peak, mode))
     if not 0 < length < np.inf:
@@ -224,7 +227,6 @@ def _beside(lattice, omega, shape, mode):
 
 
 def _towards(ways, until, probe):
-    """The first way whose frequency moves towards `until`."""
     said = []
     for way in ways:
         try:
@@ -246,7 +248,7 @@ def _towards(ways, until, probe):
 
 
 def _ends(problem, amplitude, stop):
-    """Why a family ends before its time, asked in the lattice's own units."""
+    # Ends a family early, with `amplitude` and `stop` in the lattice's own units.
     half = problem.shooting
 
     def why(x, q):
@@ -259,7 +261,6 @@ def _ends(problem, amplitude, stop):
 
 
 def _even_steps(orbit):
-    """Steps of an orbit's period, rounded up to an even number."""
     return 2 * -(-int(orbit.flow.steps) // 2)
 
 
@@ -269,7 +270,10 @@ def half_steps(
     steps: Count | Counts | None = None,
     guess: StateLike | None = None,
 ) -> Count | Counts:
-    """Steps of half a period, from those of a whole one or by default; `guess`: as in `default_steps`."""
+    """Return the steps of half a period, from those of a whole one or by default.
+
+    `guess`: as in `default_steps`.
+    """
     if traced(steps):
         return steps // 2
     steps = default_steps(lattice, period, 2, doubled=True, guess=guess) if steps is None else steps
@@ -279,10 +283,8 @@ def half_steps(
 
 
 def _over_frequency(lattice, steps, solver, length, omega, tolerance):
-    """The breathers of a lattice over its frequency in units of omega, their displacements in units of a length.
-
-    The steps of half a period may change without compiling anew.
-    """
+    # The frequency is in units of `omega`, displacements in units of `length`. Another number of
+    # steps compiles nothing new.
     half = Shooting.half(
         lattice,
         Flow(jax.device_put(np.asarray(steps, int)), solver or KahanLi8()),
@@ -294,11 +296,13 @@ def _over_frequency(lattice, steps, solver, length, omega, tolerance):
     return Family(half, lattice, over_omega, start, omega, left)
 
 
-# relative distance to a frequency of the finite lattice that is a resonance by itself
+# A harmonic this close (relatively) to a frequency of the finite lattice is a resonance.
 MEETS = 1e-9
-# neighbouring extended modes this much closer than the spectrum's width belong to one band
+# Neighbouring extended modes belong to one band if they are closer than this many mean spacings of
+# the spectrum.
 SPACING = 8
-# displacements at which forces are compared with those of the opposite ones, whatever the unit of length
+# Displacements at which forces are compared with those at opposite displacements. They cover every
+# unit of length.
 LENGTHS = 2.0 ** np.arange(-100, 101, 2)
 PUSHES = (
     "Its contacts push and never pull, and nothing else holds its parts together: over a period the mean force of "
@@ -322,33 +326,40 @@ def breather(
     check: bool = True,
     throw: bool | None = None,
 ) -> Orbit:
-    r"""A time-reversible breather of frequency omega: v(0) = 0, v(T/2) = 0, T = 2 pi/omega.
+    r"""Find a time-reversible breather of frequency omega: v(0) = 0, v(T/2) = 0, T = 2 pi/omega.
 
     **Arguments:**
 
     - `lattice`: a conservative, autonomous `Lattice`. `omega`: [rad/s].
-    - `energy`: where given, the breather of this energy, above zero, is sought from the one at omega on, and has its
-      own frequency, which is then differentiable too: d omega/d parameter at constant energy.
-    - `guess`: where Newton's method starts. `None`: the family from the linear mode next to omega, or where that is a
-      wave (on a ring) or none (a sonic vacuum), the envelope's breather or one about a site. `"bright"`,
-      `"dark"`: the envelope's soliton of a periodic chain, centred on `centre` (a site, or 3.5 for a bond; `None` the
-      middle); dark with the ends that the chain has (free: constant force; walls or a ring: fixed length). Another
-      breather, or a `State`, such as that of `guesses.single_site` or a simulated one, whose velocities are dropped.
-    - `steps`: time steps in a period, an even number, which may be traced; `None` doubles them until a second step size
-      confirms the orbit.
-    - `tolerance`: of that, relative to the guess's largest displacement; Newton's method goes on to a thousandth of it.
-    - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers, and an orbit
-      that is no breather: one that more than 0.6 of the cells share, 0.4 in the plane (participation number of their
-      energies at rest; a wave between walls has 2/3, 4/9 in the plane), or half and twice what the guess had; of a
-      dark one, no background or no dip in it. Of fewer than five cells the share is said and not judged.
-    - `throw`: raise where Newton's method does not converge; `None` does so outside of transformations.
+    - `energy`: if given (above zero), the breather of this energy is sought, starting from the one
+      at omega. Its own frequency is then differentiable too: d omega/d parameter at constant
+      energy.
+    - `guess`: where Newton's method starts. `None`: the family from the linear mode next to omega;
+      where that is a wave (on a ring) or does not exist (a sonic vacuum), the envelope's breather
+      or one about a site. `"bright"`, `"dark"`: the envelope's soliton of a periodic chain, centred
+      on `centre` (a site, or 3.5 for a bond; `None` is the middle); a dark one has the ends of the
+      chain (free: constant force; walls or a ring: fixed length). Another breather; or a `State`,
+      such as that of `guesses.single_site` or a simulated one, whose velocities are dropped.
+    - `steps`: time steps per period, an even number, which may be traced; `None` doubles them until
+      a second step size confirms the orbit.
+    - `tolerance`: for that, relative to the guess's largest displacement; Newton's method goes on
+      to a thousandth of it.
+    - `check`: refuse a frequency with a harmonic in a band, or whose gap has no bright breathers,
+      and an orbit that is not a breather: one whose participation number (of the cells' energies at
+      rest) is above 0.6 of the cells, 0.4 in the plane (a wave between walls has 2/3, 4/9 in the
+      plane), or above both half of the cells and twice that of the guess; for a dark one, no
+      background or no dip in it. With fewer than five cells the share is reported but not judged.
+    - `throw`: raise if Newton's method does not converge; `None` does so outside of
+      transformations.
 
-    With a `State` and `steps` it works inside `jit` and `vmap`, and its state and energy are differentiable in every
-    parameter of the lattice and in omega, by the implicit function theorem.
+    With a `State` and `steps` it works inside `jit` and `vmap`. Its state and energy are then
+    differentiable in every parameter of the lattice and in omega, by the implicit function theorem.
 
-    **Returns:** `Orbit`, which says how many cells share its energy; `throw=False` returns the best iterate.
-    **Raises** ValueError for a frequency that has no such breather, with the reason; RuntimeError where Newton's method
-    does not converge, or leads to rest or to a wave, with the participation number.
+    **Returns:** `Orbit`, which reports how many cells share its energy; `throw=False` returns the
+    best iterate.
+    **Raises** ValueError for a frequency that has no such breather, with the reason; RuntimeError
+    if Newton's method does not converge, or leads to rest or to a wave, with the participation
+    number.
 
     **Example:**
 
@@ -376,7 +387,7 @@ def breather(
                 "the state at rest",
                 "Velocities are dropped: of a motion take a state where it turns.",
             )
-        # one that fills the lattice may lead to a bright breather or a dark one
+        # A guess that fills the lattice may lead to a bright or a dark breather.
         if not unknown and localisation(lattice, guess).fills:
             kind = "any"
     if not unknown:
@@ -406,14 +417,14 @@ def breather(
         except RuntimeError as failed:
             raise RuntimeError(f"{failed}{_why_none(lattice)}") from None
     else:
-        if not unknown:  # a step of its own to omega: the guess's energy may be far off
+        if not unknown:  # First a breather at omega: the energy of the guess may be far off.
             guess = _solve(lattice, flow, guess, omega, **settings | {"refine": False}).state
         found = _solve(lattice, flow, guess, omega, jnp.asarray(energy, float), **settings)
     return checked_localised(found, kind, guess, throw) if check else found
 
 
 def _unguessed(lattice, omega, steps, solver, tolerance, check):
-    """(a State to start at, steps): the family's, or where that is a wave or none, a breather about a site."""
+    # Returns (a State to start at, steps).
     start, failed = None, None
     try:
         found = family(lattice, omega, stability=False, points=400, steps=steps, solver=solver)
@@ -448,12 +459,11 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
 
 
 def _why_none(lattice):
-    """A reason why no bright breather can be found, where one is known."""
     return f" {PUSHES}" if not traced(lattice) and _only_pushes(lattice) else ""
 
 
 def _only_pushes(lattice):
-    """Whether all sites beyond some place can be moved away from the others without any force."""
+    # Whether all sites beyond some place can be moved away from the others without any force.
     shapes = set(lattice.sites.values()) if lattice.fields else {lattice.sites}
     if lattice.dimension or len(shapes) > 1 or lattice.axes != 1:
         return False
@@ -461,12 +471,11 @@ def _only_pushes(lattice):
     apart = jax.tree.map(lambda x: (jnp.arange(len(x)) >= len(x) // 2).astype(x.dtype), zero)
     lengths = 10.0 ** np.arange(-9, 7, 3)
     forces = [lattice.force(0.0, jax.tree.map(lambda x: far * x, apart), zero) for far in lengths]
-    # a wall has a force of its own at the end
+    # A wall exerts its own force on the last site.
     return not any(np.any(np.asarray(f)[1:-1]) for f in jax.tree.leaves(forces))
 
 
 def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
-    """A State to start at: the envelope's soliton, or one nearer to the edge followed to omega."""
     make = dark_guess if kind == "dark" else bright_guess
     guess = make(lattice, omega, centre)
     settings = {"tolerance": tolerance, "refine": False, "throw": False}
@@ -474,7 +483,7 @@ def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
     if found.converged:
         return found.state
     edge = edge_of(lattice, omega, kind)
-    for fraction in (0.5, 0.2, 0.1):  # nearer to the edge the envelope is a better guess
+    for fraction in (0.5, 0.2, 0.1):  # Nearer to the edge the envelope is a better guess.
         near = edge + fraction * (omega - edge)
         found = _solve(lattice, flow, make(lattice, near, centre), near, max_steps=30, **settings)
         if found.converged:
@@ -486,9 +495,8 @@ def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
 
 
 def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
-    """The `Orbit` at a frequency, or from there at an energy."""
     settings = {"throw": throw} | settings
-    # half a period in the units of the guess
+    # Half a period in the units of the guess.
     length, unit = jax.lax.stop_gradient((largest(guess[0]), omega))
     length = library(length).where(length > 0, length, 1)
     half = Shooting.half(lattice, flow, length=length, omega=unit)
@@ -500,19 +508,19 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
         problem, root, apart = confirmed(problem, jnp.append(x, 1.0), (lattice, energy), **settings)
         half, omega = problem.half, root.x[-1] * problem.omega
         apart, in_omega = apart[:-1], apart[-1] * problem.omega
-    # at rest, whatever the velocities of the guess
+    # At rest: the velocities of the guess are dropped.
     begin, scene = half.state(half.guess(guess)), (lattice, 2 * jnp.pi / omega)
     return orbit_of(half, scene, root, apart, begin, throw, in_omega)
 
 
 class _AtEnergy(eqx.Module):
-    """F(x, q; lattice, energy) = 0: half a period from rest to rest at q omega, and the energy's relative error."""
+    # F(x, q; lattice, energy) = 0: half a period between rests at q omega, and the energy's
+    # relative error.
 
     half: Shooting
     omega: Scalar
 
     def finer(self, by: Scalar) -> "_AtEnergy":
-        """The same problem with `by` times as many time steps."""
         return _AtEnergy(self.half.finer(by), self.omega)
 
     def _family(self, lattice):
@@ -524,12 +532,10 @@ class _AtEnergy(eqx.Module):
         return lattice.energy(0.0, state.u, state.v) / energy - 1
 
     def residual(self, z: Numbers, scene: tuple) -> Numbers:
-        """The half period's gaps at the last unknown times omega, and the energy's."""
         gaps = self._family(scene[0]).residual(z[:-1], z[-1])
         return jnp.append(gaps, self._excess(z[:-1], scene))
 
     def linearise(self, z: Numbers, scene: tuple) -> tuple:
-        """The residual and its derivative."""
         x = z[:-1]
         gaps, in_x, in_omega = self._family(scene[0]).linearise(x, z[-1])
         excess, gradient = jax.value_and_grad(self._excess)(x, scene)
@@ -539,10 +545,10 @@ class _AtEnergy(eqx.Module):
 
 
 def _check(lattice, omega, guess, kind):
-    # the first harmonic of a wave with a dip is in the band by nature
+    # The first harmonic of a wave with a dip always lies in the band.
     _refuse_resonance(lattice, omega, kind != "bright")
     edges = [] if guess == "dark" or isinstance(guess, tuple) else edges_beside(lattice, omega)
-    # a finite chain may have modes in a gap, at its ends, from which families leave too
+    # A finite chain may have end modes in a gap, from which families leave too.
     if (
         edges
         and not any(e.bright for e in edges)
@@ -552,10 +558,11 @@ def _check(lattice, omega, guess, kind):
 
 
 def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.ndarray, " modes"]]:
-    """Intervals of omega that waves fill, (bands, 2), and the discrete spectrum.
+    """Return the intervals of omega that waves fill, (bands, 2), and the discrete spectrum.
 
-    Of the unit cell where there is one; else of the extended modes of the finite lattice: runs of neighbours closer
-    than 8 mean spacings, of modes that spread over a fifth of the sites.
+    The intervals are those of the unit cell if there is one. Else they are runs of extended modes
+    of the finite lattice: modes that spread over a fifth of the sites, with neighbours closer than
+    8 mean spacings.
     """
     modes = normal_modes(lattice)
     omega = np.asarray(modes.omega)
@@ -577,7 +584,8 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
 
 @compiled
 def _asymmetry(lattice):
-    """|F(u) + F(-u)| over |F(u)|, largest of all sites, at displacements of one shape and of many sizes."""
+    # The largest |F(u) + F(-u)| over the largest |F(u)|, at displacements of one shape and many
+    # sizes.
     rng = np.random.default_rng(0)
     shape = jax.tree.map(
         lambda x: jnp.asarray(rng.uniform(-1, 1, x.shape), x.dtype), lattice.template()
@@ -592,18 +600,19 @@ def _asymmetry(lattice):
 
 
 def _is_odd(lattice):
-    """Whether the forces change their sign with the displacements, as they are at displacements of every size."""
+    # Whether the forces change their sign with the displacements, at every size.
     found = np.asarray(_asymmetry(lattice))
-    # a size may be beyond a law's range
+    # A size may lie outside the range of a law.
     found = found[np.isfinite(found)]
     return found.size > 0 and found.max() <= np.sqrt(np.finfo(found.dtype).eps)
 
 
 def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tuple | None:
-    """The least n >= first with n omega in a band, with that band and the nearest frequency of the finite lattice.
+    """Return the least n >= first with n omega in a band, that band, and the nearest frequency.
 
-    `None` where no harmonic meets a wave. Where all forces are odd, F(-u) = -F(u), as of `scenes.sine_gordon`, a
-    breather is its own negative half a period later: it has no even harmonics, and these do not count.
+    The latter is one of the finite lattice. `None` if no harmonic meets a wave. Where all forces
+    are odd, F(-u) = -F(u), as in `scenes.sine_gordon`, a breather is its own negative half a period
+    later: it has no even harmonics, and these do not count.
     """
     intervals, discrete = bands_of(lattice)
     top = max(intervals.max(initial=0.0), discrete.max())
@@ -623,7 +632,7 @@ def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tupl
 
 
 def _refuse_resonance(lattice, omega, dark, remedy=" check=False tries all the same."):
-    """Refuse a frequency one of whose harmonics (of a dark breather from the second on) is a wave of the chain."""
+    # Of a dark breather only the harmonics from the second on count.
     found = resonant_harmonic(lattice, omega, 2 if dark else 1)
     if found is None:
         return
@@ -638,39 +647,42 @@ def _refuse_resonance(lattice, omega, dark, remedy=" check=False tries all the s
 
 
 class QBreather(Result):
-    """A q-breather: the continuation of one normal mode of a finite chain to an energy, and the way there."""
+    """A q-breather: one normal mode of a finite chain continued to an energy, and the way there."""
 
     orbit: Orbit = part("The orbit at the energy that was asked for.")
-    branch: Branch = hidden(
-        "The family from the mode on, up to its first orbit of that energy or more."
-    )
-    mode: int = array("The number of the mode.")
+    branch: Branch = hidden("The family from the mode to its first orbit of that energy or more.")
+    mode: int = array("The index of the mode.")
     modal_energy: Float[np.ndarray, " mode"] = array(
-        "The energy of every normal mode in the linear chain, its mean over a period.", "J"
+        "The energy of every normal mode of the linear chain, its mean over a period.", "J"
     )
     along: Float[np.ndarray, "point mode"] = array("The same along the family.", "J")
 
     @property
     def outcome(self) -> str:
-        """How much of the energy stays in the mode."""
+        """The share of the energy that stays in the mode."""
         share = self.modal_energy[self.mode] / self.modal_energy.sum()
         return f"Mode {self.mode} holds {share:.4g} of the modal energy. {self.orbit.outcome}"
 
 
 def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -> QBreather:
-    r"""Follow a normal mode of a finite chain to an energy: a q-breather, with the energies of all modes along the way.
+    r"""Follow a normal mode of a finite chain to an energy: a q-breather.
 
-    A Lyapunov family: the linear mode is its limit of zero energy, whether its frequency lies in a band or not. The
-    energies of the other modes fall off exponentially with the distance in q; they are E_k = (a_k'^2 + omega_k^2
-    a_k^2)/2, means over a period.
+    This is a Lyapunov family: the linear mode is its limit of zero energy, whether its frequency
+    lies in a band or not. The energies of all modes are recorded along the way:
 
-    **Arguments:** `lattice`: conservative and autonomous. `mode`: the number of a mode of `gx.linear.normal_modes`,
-    from the lowest. `energy`: above zero [J]. `keywords`: of `gx.breathers.family` but `stop`, such as `arclength`.
+    E_k = (a_k'^2 + omega_k^2 a_k^2)/2,
 
-    **Returns:** `QBreather`; `found.orbit.floquet()` is its stability, `found.branch` the family.
-    **Raises** ValueError as `family`, for a mode that is not there, and for an energy that is not above zero;
-    RuntimeError where the family ends before it, or the orbit is not found. Typical: energies of 0.01 to 1 in FPUT
-    chains of 32 sites.
+    means over a period. They fall off exponentially with the distance in q.
+
+    **Arguments:** `lattice`: conservative and autonomous. `mode`: an index into
+    `gx.linear.normal_modes`, from the lowest. `energy`: above zero [J]. `keywords`: of
+    `gx.breathers.family` except `stop`, such as `arclength`.
+
+    **Returns:** `QBreather`; `found.orbit.floquet()` gives its stability, `found.branch` the
+    family.
+    **Raises** ValueError as `family`, for a mode that does not exist, and for an energy that is not
+    above zero; RuntimeError if the family ends before it, or the orbit is not found.
+    Typical: energies of 0.01 to 1 in FPUT chains of 32 sites.
     Source: Flach, Ivanchenko, Kanakov, Phys. Rev. Lett. 95, 064102 (2005).
 
     **Example:**
@@ -718,38 +730,43 @@ def anticontinuous(
     tolerance: Scalar = 1e-10,
     stability: bool = True,
 ) -> Branch:
-    r"""Breathers of one frequency over the coupling, from the limit of none, in which each site moves by itself.
+    r"""Follow breathers of one frequency over the coupling, from the limit of uncoupled sites.
 
-    At coupling zero the named sites oscillate at omega, each as its own nonlinear oscillator, and all others rest.
-    Where no harmonic of omega is a frequency of small oscillations this orbit has one continuation (MacKay and Aubry),
-    which is followed by pseudo-arclength through folds. The branch ends before a point at which a harmonic meets the
-    band of the waves, or where the orbit is no more localised, and says so: none of its points is such an orbit.
+    At coupling zero the named sites oscillate at omega, each as its own nonlinear oscillator, and
+    all others rest. If no harmonic of omega is a frequency of small oscillations, this orbit has
+    one continuation (MacKay and Aubry), which is followed by pseudo-arclength through folds. The
+    branch ends, and reports it, before a point at which a harmonic meets the band of the waves, or
+    where the orbit is no longer localised.
 
     **Arguments:**
 
-    - `scene(coupling)`: the `Lattice`, traced: `lambda c: gx.scenes.klein_gordon(21, c)`; conservative, its sites not
-      coupled at 0. The same function again compiles nothing. Contacts couple too, of which the breathers fall off
-      faster than exponentially: `lambda A: gx.scenes.cradle(9, stiffness=A, length=1.0)`.
-    - `coupling`: where the branch ends, not zero; in the unit that the scene takes.
-    - `omega` [rad/s]: above the frequency of small oscillations where the force on the sites hardens, below it where it
-      softens.
-    - `sites`: an index or several (on a grid a pair or several pairs), which oscillate in the limit; `None` is the
-      middle. `amplitudes`: their signs +-1 (None: all in phase). Or a code such as "+-0+", put in the middle of a
-      chain: a multibreather of neighbours in phase, in opposite phase, or at rest. `field`: where a cell holds several.
-      All sites but one make a dark breather.
-    - `arclength`: first step along the branch, in which the way of the coupling counts 1, and so does a change of a
-      displacement by the amplitude in the limit; `points`: the most breathers.
-    - `steps`: time steps in a period, an even number; `None` doubles them until half as many confirm the largest
-      breather to `tolerance`, relative to its amplitude, and its tangent map to 1e-8: many where contacts open.
-      `solver`: a splitting method.
-    - `stability`: also the multipliers.
+    - `scene(coupling)`: the `Lattice`, traced: `lambda c: gx.scenes.klein_gordon(21, c)`;
+      conservative, with sites that are not coupled at 0. The same function again compiles nothing.
+      Contacts can couple too; their breathers decay faster than exponentially:
+      `lambda A: gx.scenes.cradle(9, stiffness=A, length=1.0)`.
+    - `coupling`: where the branch ends, not zero, in the unit of the scene.
+    - `omega` [rad/s]: above the frequency of small oscillations if the on-site force hardens, below
+      it if it softens.
+    - `sites`: an index or several (on a grid a pair or several pairs), which oscillate in the
+      limit; `None` is the middle. `amplitudes`: their signs +-1 (None: all in phase). Or `sites` is
+      a code such as "+-0+", placed in the middle of a chain: a multibreather of neighbours in
+      phase, in opposite phase, or at rest. `field`: where a cell holds several. All sites but one
+      make a dark breather.
+    - `arclength`: first step along the branch, in which the whole range of the coupling counts 1,
+      and so does a change of a displacement by the amplitude in the limit. `points`: the most
+      breathers.
+    - `steps`: time steps per period, an even number; `None` doubles them until half as many confirm
+      the largest breather to `tolerance`, relative to its amplitude, and its tangent map to 1e-8:
+      many where contacts open. `solver`: a splitting method.
+    - `stability`: whether to compute the multipliers.
 
-    **Returns:** `Branch`, with the coupling as `p`; `branch.orbit(-1)` is the breather at the last one, which
-    `gx.breathers.breather(scene(c), omega, guess=...)` refines, and with `energy=` takes to an energy. It has no
-    derivative; that function's has.
-    **Raises** ValueError for a coupling of zero, a frequency that no oscillation of the sites has or one of whose
-    harmonics is a wave already in the limit, sites that are coupled there, and as `family`; RuntimeError where the
-    first breather is not found. Typical: 11 to 41 sites, couplings up to a tenth of the stiffness of the sites.
+    **Returns:** `Branch`, with the coupling as `p`; `branch.orbit(-1)` is the last breather, which
+    `gx.breathers.breather(scene(c), omega, guess=...)` refines, and with `energy=` takes to an
+    energy. The branch has no derivative; the result of that function has.
+    **Raises** ValueError for a coupling of zero, a frequency that no oscillation of the sites has
+    or with a harmonic that is a wave already in the limit, sites that are coupled there, and as
+    `family`; RuntimeError if the first breather is not found.
+    Typical: 11 to 41 sites, couplings up to a tenth of the stiffness of the sites.
     Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994); Marin, Aubry, Nonlinearity 9, 1501 (1996).
 
     **Example:**
@@ -809,7 +826,8 @@ def anticontinuous(
 
 
 class _Traced(eqx.Module):
-    """A scene that sees no number, so that one which refuses a coupling of zero is made too."""
+    # The scene sees only traced couplings, so that one which refuses a coupling of zero is built
+    # too.
 
     scene: Callable
 
@@ -823,13 +841,12 @@ def _scene(scene, coupling):
 
 
 def _limit(lattice, omega, sites, amplitudes, field):
-    """The state at rest of the limit, of a lattice whose sites do not feel each other."""
     _refuse_resonance(lattice, omega, False, "")
     state = single_site(lattice, omega, sites, amplitudes=amplitudes, field=field)
     u, force = (ravel_pytree(x)[0] for x in (state.u, lattice.force(jnp.zeros(()), *state)))
     places, _ = named_sites(lattice, sites, amplitudes, field)
     others = jnp.argsort(-jnp.abs(u))[len(places) :]
-    # what is below 1e-9 of the largest is rounding
+    # Anything below 1e-9 of the largest is rounding.
     if any(float(largest(x[others])) > 1e-9 * float(largest(x)) for x in (u, force)):
         refuse(
             "scene",
@@ -841,9 +858,11 @@ def _limit(lattice, omega, sites, amplitudes, field):
 
 
 def _veto(problem, omega, limit):
-    """Why a point of the branch is no breather: a harmonic among the waves, or an orbit that has spread."""
+    # Why a point of the branch is not a breather: a harmonic among the waves, or an orbit that has
+    # spread.
     first = localisation(problem.scene(jnp.zeros(()))[0], limit)
-    # what fills the lattice may be a dark breather, whose first harmonic is a wave's
+    # An orbit that fills the lattice may be a dark breather, whose first harmonic is that of a
+    # wave.
     kind, least = ("any", 2) if first.fills else ("bright", 1)
 
     def why(x, q, *before):

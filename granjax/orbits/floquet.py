@@ -1,4 +1,4 @@
-"""Floquet theory: multipliers of an orbit, their errors, and what the equations promise of the monodromy matrix."""
+"""Floquet theory: multipliers of an orbit, their errors, structure of the monodromy matrix."""
 
 from functools import reduce
 from typing import Any, NamedTuple
@@ -43,11 +43,9 @@ from .spectrum import (
 
 
 class _Structure(NamedTuple):
-    """What `structure` returns. `mass`: (n,) of the raveled displacements, or `None` where nothing is known of a flow.
-
-    `rate`: gamma of a uniform damping, 0 for none, `None` where the flow is not even conformally symplectic.
-    `expected`: multipliers at +1. `autonomous`: nothing depends on time.
-    """
+    # `mass`: (n,) over the raveled displacements, `None` for a flow without known masses. `rate`:
+    # gamma of a uniform damping, 0 for none, `None` if the flow is not conformally symplectic.
+    # `expected`: multipliers at +1. `autonomous`: nothing depends on time.
 
     mass: np.ndarray | None
     rate: float | None
@@ -60,18 +58,20 @@ NOTHING = _Structure(None, None, 0, False)
 
 
 def structure(lattice: Lattice) -> _Structure:
-    """Find what a lattice's equations promise of a monodromy matrix: `mass`, `rate`, `expected`, `autonomous`.
+    """Return what a lattice's equations imply for a monodromy matrix.
 
-    Expected at +1: for an orbit of an autonomous, conservative lattice two (phase and energy), and two more for every
-    free displacement (position and momentum): four for a chain with free ends or a ring, two between walls; none where
-    it is driven or damped, but the free displacement of a damped or driven chain, which keeps one (or two).
+    That is `mass`, `rate`, `expected` and `autonomous`. `expected` counts multipliers at +1. An
+    orbit of an autonomous, conservative lattice has two (phase and energy), and two more for every
+    free displacement (position and momentum): four for a chain with free ends or a ring, two
+    between walls. A driven or damped lattice has none, except that each free displacement keeps one
+    (or two).
     """
     masses = zip(jax.tree.leaves(lattice.mass), jax.tree.leaves(lattice.template()))
     mass = np.concatenate([np.broadcast_to(m, x.shape).ravel() for m, x in masses])
     damping = [term.exact_damping() for term in lattice.terms]
     damping = [found for found in damping if found is not None]
     found = [reads(term, lattice) for term in lattice.terms if term.exact_damping() is None]
-    # a force that comes from no energy is no more symplectic than one that reads velocities
+    # A force without an energy is not symplectic, like one that reads velocities.
     others = [x for x in found if x.velocity or x.displacement and not x.energy]
     autonomous = not lattice.reads_time
     moves = shifts(lattice).shape[1]
@@ -85,17 +85,21 @@ def structure(lattice: Lattice) -> _Structure:
 
 
 def weights(mass: Float[np.ndarray, " n"], period: Scalar) -> Float[np.ndarray, " two_n"]:
-    """D = sqrt(m/m_mean) (1, T/2 pi) over the raveled (u, v), which turns both into lengths of one size, (2n,).
+    """Return D = sqrt(m/m_mean) (1, T/2 pi) over the raveled (u, v), (2n,).
 
-    D M D^-1 of a tangent map M has no units: norms, condition numbers and errors are taken of it. m_mean is the
-    geometric mean, so that masses and moments of inertia may stand side by side.
+    It turns displacements and velocities into lengths of one size. D M D^-1 of a tangent map M has
+    no units: norms, condition numbers and errors refer to it. m_mean is the geometric mean, so that
+    masses and moments of inertia can be combined.
     """
     root = np.sqrt(mass / np.exp(np.mean(np.log(mass))))
     return np.concatenate([root, root * float(period) / (2 * np.pi)])
 
 
 def defect(monodromy: np.ndarray, rate: float | None, period: Scalar) -> float:
-    """max |M^T J M - exp(-gamma T) J| of D M D^-1: rounding for a (conformally) symplectic map, whatever its error."""
+    """Return max |M^T J M - exp(-gamma T) J| of a map D M D^-1.
+
+    For a (conformally) symplectic map it is rounding, whatever the map's error.
+    """
     if rate is None:
         return float("nan")
     one = np.eye(len(monodromy) // 2)
@@ -109,10 +113,11 @@ def krein(
     mass: np.ndarray | None,
     tolerance: np.ndarray,
 ) -> np.ndarray:
-    """Signature of each multiplier on the unit circle: the sign of Im sum m conj(u) v; 0 off the circle or mixed.
+    """Return the Krein signature of each multiplier: the sign of Im sum m conj(u) v, or 0.
 
-    +1: the motion exp(i omega t) of a positive energy, with its conjugate at -1. Two of one sign pass through each
-    other; of unlike signs they may leave the circle (M. G. Krein; Aubry, Physica D 216, 1 (2006)).
+    It is 0 off the unit circle and where it is mixed; +1 belongs to a motion exp(i omega t) of
+    positive energy, whose conjugate has -1. Multipliers of one sign pass through each other; those
+    of opposite signs may leave the circle (M. G. Krein; Aubry, Physica D 216, 1 (2006)).
     """
     if mass is None:
         return np.full(len(multipliers), np.nan)
@@ -128,7 +133,7 @@ STABLE = "stable"
 UNSTABLE = "unstable"
 UNDECIDED = "undecided"
 RESOLUTION = 1e-4
-# where refinement ends
+# The number of steps at which refinement ends.
 MOST_STEPS = 2**14
 TOLERANCE = 1e-9
 
@@ -136,10 +141,11 @@ TOLERANCE = 1e-9
 class Floquet(Result):
     r"""Stability of a T-periodic orbit: a perturbation obeys V(t + T) = M V(t).
 
-    The monodromy M is over the raveled (u, v). Eigenvectors (du, dv) are columns of norm 1 with du times sqrt(m/m_mean)
-    and dv times sqrt(m/m_mean) T/2 pi (m_mean the geometric mean; of a flow without masses dv times T/2 pi where the
-    state is a pair). Errors, conditions and defects are of M in these weights, where it has no units. Multipliers pair
-    as rho rho' = exp(-gamma T), gamma the `rate`.
+    The monodromy M acts on the raveled (u, v). Eigenvectors (du, dv) are columns of norm 1 with du
+    times sqrt(m/m_mean) and dv times sqrt(m/m_mean) T/2 pi (m_mean is the geometric mean; for a
+    flow without masses dv times T/2 pi if the state is a pair). Errors, conditions and defects
+    refer to M in these weights, where it has no units. Multipliers pair as
+    `rho rho' = exp(-gamma T)`, with gamma the `rate`.
     """
 
     monodromy: Float[np.ndarray, "row column"] = array("The monodromy M.")
@@ -148,20 +154,22 @@ class Floquet(Result):
     )
     vectors: Inexact[np.ndarray, "row multiplier"] = array("The eigenvectors.", name="vector")
     error: Float[np.ndarray, " multiplier"] = array(
-        "The error of each multiplier, from three step sizes, how far the exact orbit may "
-        "lie from the state, and its condition number; it grows like a square root where "
-        "multipliers meet, as those at +1 do.",
+        "The error of each multiplier, from three step sizes, the distance of the exact orbit "
+        "from the state, and the condition number. It grows like a square root where multipliers "
+        "meet, as those at +1 do.",
         "1",
     )
     krein: Float[np.ndarray, " multiplier"] = array(
-        "The signature +1, -1, or 0 off the circle and for multipliers of symmetry (NaN for"
-        " a flow without masses).",
+        "The Krein signature +1 or -1; 0 off the circle and for multipliers of symmetry (NaN for "
+        "a flow without masses).",
         "1",
     )
-    defect: float = array("max |M^T J M - exp(-gamma T) J|, which is blind to time errors.")
-    step_error: float = array("The norm to which the steps leave M known.")
+    defect: float = array(
+        "max |M^T J M - exp(-gamma T) J|, which does not see time-stepping errors."
+    )
+    step_error: float = array("The error of M in norm, from the step sizes.")
     expected: int = array(
-        "The number of multipliers that symmetry puts at +1; they are left out of the verdict."
+        "The number of multipliers that symmetry puts at +1. They do not enter the verdict."
     )
     verdict: str = array('"stable", "unstable" or "undecided".', static=True)
     period: float = array("The period T.", "s")
@@ -192,12 +200,13 @@ class Floquet(Result):
 
     @property
     def unstable(self) -> Integer[np.ndarray, " U"]:
-        """Indices of the multipliers that lie outside the unit circle by more than their error."""
+        """Indices of the multipliers outside the unit circle by more than their error."""
         return np.flatnonzero(np.abs(self.multipliers) - 1 > self.error)
 
 
 def _excess(multipliers, error, expected):
-    """Of the multipliers that symmetry does not put at +1: which they are, how far outside the circle, their errors."""
+    # Of the multipliers that symmetry does not put at +1: their indices, how far outside the circle
+    # they are, and their errors.
     rest = np.delete(np.arange(len(multipliers)), np.argsort(np.abs(multipliers - 1))[:expected])
     return rest, np.abs(multipliers[rest]) - 1, error[rest]
 
@@ -209,11 +218,12 @@ def decide(
     conserves: bool,
     resolution: Scalar = RESOLUTION,
 ) -> str:
-    """The verdict from multipliers and their errors.
+    """Return the verdict from multipliers and their errors.
 
-    The `expected` ones nearest to +1 are left out. Unstable: one lies outside the circle by more than its error.
-    Undecided: an error above `resolution` could hide such a one. Stable: neither; in a conservative lattice every
-    multiplier then lies on the circle within its error, in a damped one inside.
+    The `expected` ones nearest to +1 are left out. Unstable: one lies outside the circle by more
+    than its error. Undecided: an error above `resolution` could hide such a one. Stable: neither;
+    every multiplier then lies on the circle within its error in a conservative lattice, and inside
+    it in a damped one.
     """
     resolution = float(within("resolution", resolution, 0, 1, open_high=True))
     _, excess, error = _excess(multipliers, error, expected)
@@ -230,7 +240,7 @@ def sentence(
     expected: int,
     conserves: bool,
 ) -> str:
-    """What led to the verdict of `decide`."""
+    """Return what led to the verdict of `decide`, as a sentence."""
     rest, excess, error = _excess(multipliers, error, expected)
     left_out = f" {expected} multipliers at +1 are those of symmetry." if expected else ""
     if not len(rest):
@@ -256,7 +266,6 @@ def sentence(
 
 @compiled
 def _derivative(flow, like, x, t0, t1, args):
-    """(phi(x), D phi(x)) over the raveled state."""
     end, factor = flow.derivative(ravel_pytree(like)[1](x), t0, t1, args)
     return ravel_pytree(end)[0], factor
 
@@ -277,27 +286,31 @@ def floquet(
     expected: Count | None = None,
     resolution: Scalar = RESOLUTION,
 ) -> Floquet:
-    r"""Monodromy matrix, multipliers and stability of a periodic orbit.
+    r"""Compute the monodromy matrix, multipliers and stability of a periodic orbit.
 
-    M = d y(t0 + T)/d y(t0) by tangents through a fixed-step flow, by three step sizes whose differences tell the error.
+    M = d y(t0 + T)/d y(t0) is computed by tangents through a fixed-step flow. Differences between
+    three step sizes give the error.
 
     **Arguments:**
 
-    - `lattice`: a `Lattice`, or a `Flow` of any vector field together with `args` (of which neither masses nor
-      symmetries are known).
+    - `lattice`: a `Lattice`, or a `Flow` of any vector field together with its `args` (masses and
+      symmetries are then unknown).
     - `state`: the orbit at t0. `period`: T > 0. `t0`: phase of a drive.
-    - `steps`: steps of the finer flow over the period; `None` doubles them until the matrix is known to `tolerance`
-      (relative to its largest entry, without units) or 16384 steps are reached, as may happen where contacts open.
-    - `solver`: `None` is KahanLi8 (Dopri8 where a force reads velocities other than by `Damping`), or the flow's own.
-    - `segments`: factors of which M is the product; several keep multipliers far below the largest one's rounding.
+    - `steps`: steps of the finer flow per period; `None` doubles them until the matrix is known to
+      `tolerance` (relative to its largest entry, without units) or 16384 steps are reached, as may
+      happen where contacts open.
+    - `solver`: `None` is KahanLi8 (Dopri8 where a force reads velocities other than by `Damping`),
+      or the flow's own.
+    - `segments`: the number of factors of M; several resolve multipliers far below the rounding of
+      the largest.
     - `symmetry`: S of an orbit with y(t0 + T) = S y(t0); M is then S^-1 times that derivative.
-    - `expected`: multipliers that symmetry puts at +1; `None` is what the terms of a lattice say, and none for a
-      `Flow`: give 1 for a limit cycle of an autonomous one.
-    - `resolution`: what an undetected instability may be; an error above it leaves the verdict open.
+    - `expected`: the number of multipliers that symmetry puts at +1; `None` takes it from the terms
+      of a lattice, and 0 for a `Flow`: give 1 for a limit cycle of an autonomous one.
+    - `resolution`: the largest undetected instability; an error above it leaves the verdict open.
 
-    **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive or after which the forces do not
-    repeat, a batch of lattices, a state of another shape or one that does not return, segments that do not divide the
-    steps, and steps too few for a finite motion.
+    **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive or after which
+    the forces do not repeat, a batch of lattices, a state of another shape or one that does not
+    return, segments that do not divide the steps, and too few steps for a finite motion.
 
     **Example:**
 
@@ -319,7 +332,8 @@ def floquet(
         if symmetry.trivial:
             checked_period(lattice, state, t0, period)
         rests = known.autonomous and bool(_rests(lattice, state, np.float64(t0)))
-        # a state of rest has neither phase nor energy, and what S turns around is no free displacement
+        # A state of rest has neither phase nor energy, and displacements that S reverses are not
+        # free.
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
         pairs = (rests + turned) * (2 if known.rate == 0 else 1)
         known = known._replace(expected=known.expected - pairs)
@@ -335,7 +349,8 @@ def floquet(
     scale, there, length = _weights(known, state, period), raveled(state), period / segments
 
     def run(count, x=there):
-        """The factors of S^-1 M, their product, and where S^-1 leads y after the period, all without units."""
+        # Returns the factors of S^-1 M, their product, and S^-1 y after the period, all without
+        # units.
         flow, found = Flow(np.int64(max(count // segments, 1)), solver, **field), []
         for i in range(segments):
             times = np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length)
@@ -364,7 +379,8 @@ def floquet(
     if not rests:
         free = shifts(lattice) if isinstance(lattice, Lattice) else None
         _refuse_open(begin, away, ends[0], ends[2], free, scale)
-    # by the fewest steps, of the orbit that the state may miss: twice, since it is known to first order
+    # With the fewest steps, at the orbit that the state may miss. Twice, since that is known to
+    # first order.
     moved = ((begin + away) / scale).astype(there.dtype)
     other = run(count // 2, moved)[0] if away.any() else factors[2]
     about = uncertain(*products)
@@ -376,7 +392,7 @@ def floquet(
     vectors = vectors / scale[:, None]
     verdict = decide(multipliers, error, known.expected, known.rate == 0, resolution)
     signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
-    # those of symmetry have none
+    # Multipliers of symmetry have no signature.
     signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0
     origin = getattr(lattice, "origin", {"_mark": np.nan})
     return Floquet(
@@ -398,11 +414,9 @@ def floquet(
 
 
 def _displacement(known, monodromy, gap, unknown):
-    """How far the orbit of the exact flow may lie from the state: Newton's step from the gap and from its error.
-
-    The latter, `unknown`, may have either sign: their sizes are added up. Steps along the orbit and along free
-    displacements (singular directions of M - 1) make no other orbit.
-    """
+    # How far the orbit of the exact flow may lie from the state: Newton's step from the gap and
+    # from its error. The error `unknown` may have either sign, so the sizes are added. Steps along
+    # the orbit and along free displacements (singular directions of M - 1) lead to no other orbit.
     left, size, right = np.linalg.svd(monodromy - np.eye(len(monodromy)))
     idle = known.expected // 2 if known.rate == 0 else known.expected
     size[len(size) - idle :] = np.inf
@@ -413,10 +427,9 @@ def _displacement(known, monodromy, gap, unknown):
 
 
 def _refuse_open(start, away, fine, coarse, free, scale):
-    """Refuse a state that does not return, by more than the flow is known to and more than the orbit may be off.
-
-    All without units, by the weights `scale`. Uniform displacements that cost nothing, `free`, count in no size.
-    """
+    # Refuses a state that misses its start by more than the error of the flow and of the orbit. All
+    # quantities are without units, by the weights `scale`. Uniform displacements that cost nothing,
+    # `free`, count in no size.
     gap, known = np.linalg.norm(fine - start), np.linalg.norm(fine - coarse)
     known += 1e3 * np.finfo(float).eps * np.linalg.norm(start)
     if free is not None and free.size:
@@ -434,7 +447,6 @@ def _refuse_open(start, away, fine, coarse, free, scale):
 
 
 def _weights(known, state, period):
-    """Of the raveled state: those of a lattice; else of a pair of positions and velocities; else ones."""
     if known.mass is not None:
         return weights(known.mass, period)
     sizes = [raveled(part).size for part in state] if isinstance(state, tuple) else []
@@ -444,20 +456,21 @@ def _weights(known, state, period):
 
 
 def raveled(tree: Pytree) -> np.ndarray:
-    """A tree of known arrays as one of NumPy's, in the order of `ravel_pytree`."""
+    """Return a tree of known arrays as one NumPy array, in the order of `ravel_pytree`."""
     leaves = [np.ravel(x) for x in jax.tree.leaves(tree)]
     return np.concatenate(leaves, dtype=np.result_type(*leaves))
 
 
 @compiled
 def _rests(lattice, state, t0):
-    """Whether the state is an equilibrium, to rounding, also that of contact forces which balance each other."""
+    # Whether the state is an equilibrium to rounding, including that of contact forces which
+    # balance each other.
     (v, a), omega = vector_field(t0, state, lattice), linear_frequency(lattice)
     held = [
         jnp.max(jnp.abs(c.force)) for term in lattice.terms for c in term.compressions(t0, state[0])
     ]
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
-    # of forces at an equilibrium, in units of their last place
+    # The rounding of forces at an equilibrium, in units of their last place.
     top = jnp.max(jnp.stack([jnp.zeros(()), *held]))
     rounding = 16 * jnp.finfo(lattice.dtype).eps * top / lightest
     return (
@@ -469,15 +482,19 @@ def _rests(lattice, state, t0):
 def multipliers(
     flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Any
 ) -> Complex[jax.Array, " two_n"]:
-    """Floquet multipliers alone, a pure function: (2n,) complex, for `jax.jacfwd`, `vmap` and `jit`.
+    """Compute the Floquet multipliers alone, (2n,) complex.
 
-    **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the
-    lattice. In the order that LAPACK gives. Differentiate a simple one, `multipliers(...)[i]`.
+    This is a pure function for `jax.jacfwd`, `vmap` and `jit`.
 
-    The derivative is that of the flow's own steps. Where a contact opens it converges slowly and erratically (11 % off
-    at 96 steps a period, 5 % at 384, of one that opens by 1 % of its compression), so take it by `gx.derivative`,
-    whose error covers the truth: `gx.derivative(lambda p, step: ..., p, period / 48)` with `steps = 2 *
-    jnp.round(period / step / 2).astype(int)` for the `Flow` and for the orbit.
+    **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its
+    field, such as the lattice. The order is that of LAPACK. Differentiate a simple multiplier,
+    `multipliers(...)[i]`.
+
+    The derivative is that of the flow's own steps. Where a contact opens it converges slowly and
+    erratically (11 % off at 96 steps a period, 5 % at 384, for a contact that opens by 1 % of its
+    compression). Take it there by `gx.derivative`, whose error covers the true value:
+    `gx.derivative(lambda p, step: ..., p, period / 48)` with
+    `steps = 2 * jnp.round(period / step / 2).astype(int)` for the `Flow` and for the orbit.
     """
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
     return jnp.linalg.eigvals(monodromy)

@@ -1,4 +1,4 @@
-"""Breathers of gaps in the wave number: waves that grow out of rest, saturate and return, localised in time."""
+"""Breathers of k-gaps: waves that grow, saturate and return, localised in time."""
 
 from typing import NamedTuple
 
@@ -21,26 +21,30 @@ from .asked import default_steps, fixed_step_solver, largest, one_lattice
 from .floquet import raveled
 from .scales import last_near
 
-# the peak over where a breather begins, and by what factor a start that is not given may be off
+# The peak over the first amplitude, and the factor by which a default start may be off.
 BEGIN = 50.0
 WIDE = 4.0
-# periods beyond those that growth alone takes
+# Periods beyond those that growth alone takes.
 MORE = 24
-# the most periods
+# The most periods.
 MOST = 20_000
-# periods of one program
+# Periods per call of the program.
 PIECE = 16
-# searches for the start
+# Searches for the start.
 SEARCHES = 12
-# doublings of the steps
+# Doublings of the steps.
 DOUBLINGS = 4
-# of its amplitude, by which a search ends, and of its energy, by which a breather may miss it
+# The relative accuracy of the amplitude at which a search ends, and the relative error of the
+# energy that a breather may have.
 RETURNED = 1e-11
 RETURNS = 1e-3
 
 
 class GapBreather(Result):
-    """A wave of a k-gap that grows, saturates by nonlinearity, and returns: periodic in space, localised in time."""
+    """A wave of a k-gap that grows, saturates by nonlinearity, and returns.
+
+    It is periodic in space and localised in time.
+    """
 
     ts: Numbers = array("The times, once a period.", "s", "time")
     us: Displacements = array("The displacements at these times.", "m", "time site ...")
@@ -48,20 +52,21 @@ class GapBreather(Result):
     energy: Numbers = array("The energy at these times.", "J", "time")
     amplitude: Numbers = array("The largest displacement at these times.", "m", "time")
     k: float = array("The wave number.", "rad")
-    growth: float = array("log|rho|/T of the linear wave.", "1/s")
-    returned: float = array("The energy at the end over that at the start, less 1.", "1")
+    growth: float = array("The growth rate log|rho|/T of the linear wave.", "1/s")
+    returned: float = array("The energy at the end over that at the start, minus 1.", "1")
     error: float = array("The error of `returned`, from two step sizes.", "1")
     stray: float = array(
-        "What of the state at the end is not the linear wave that decays (norm over norm).", "1"
+        "The share of the state at the end that is not the decaying linear wave (norm over norm).",
+        "1",
     )
     period: float = array("The period of the modulation.", "s")
     steps: int = array("The number of steps of a period.")
 
     @property
     def outcome(self) -> str:
-        """How far it grew, and how much of it came back."""
+        """How far it grew, and how much of it returned."""
         off = abs(self.returned)
-        # a motion that is not finite does not return either
+        # A motion that is not finite does not return either.
         breaks_up = not max(off, self.error) <= RETURNS
         return (
             f"The energy grew {self.energy.max() / self.energy[0]:.4g} times and returned within {off:.1e} +- "
@@ -71,12 +76,12 @@ class GapBreather(Result):
 
     @property
     def peak(self) -> float:
-        """The largest displacement once a period [m]."""
+        """The largest displacement, taken once a period [m]."""
         return float(np.max(self.amplitude))
 
     @property
     def state(self) -> State:
-        """Where it begins."""
+        """The first state."""
         return State(*jax.tree.map(lambda x: jnp.asarray(x[0]), (self.us, self.vs)))
 
 
@@ -93,25 +98,28 @@ def k_gap_breather(
     tolerance: Scalar = 1e-5,
     progress: bool = True,
 ) -> GapBreather:
-    r"""A wavenumber-gap breather of a modulated ring: it grows out of a k-gap as exp(growth t), saturates and returns.
+    r"""Find a wavenumber-gap breather of a modulated ring.
 
-    It begins on the linear wave that grows, u = a Re(w exp(i k n)); larger, the wave turns stiffer or softer and
-    leaves the resonance, and comes back along the wave that decays. Of the amplitudes of one period's growth that one
-    is taken whose energy returns, once a period, to what it was.
+    It grows out of a k-gap as exp(growth t), saturates and returns. It begins on the growing linear
+    wave, u = a Re(w exp(i k n)). At larger amplitude the wave becomes stiffer or softer and leaves
+    the resonance, and it returns along the decaying wave. Among the amplitudes of one period's
+    growth, the one is taken whose energy, once a period, returns to its first value.
 
     **Arguments:**
 
-    - `lattice`: a ring with modulated stiffness and a nonlinear force, without losses. `period`: T, of the modulation.
-    - `k`: phase per cell [rad], one that the ring holds; `None`: the one that grows fastest.
-    - `amplitude`: a, about [m]; `None`: about 1/50 of the peak. The smaller, the longer it takes, log(peak/a) each way.
-    - `t0`: where in a period it begins. `steps`: of a period; `None` doubles them until `returned` is known to
-      `tolerance`. `solver`: KahanLi8 by default (Dopri8 where a force reads velocities).
-      `progress`: a bar of each run of the search, with the time left, after two seconds.
+    - `lattice`: a ring with modulated stiffness and a nonlinear force, without losses. `period`: T
+      of the modulation.
+    - `k`: phase per cell [rad], one that the ring allows; `None`: the one that grows fastest.
+    - `amplitude`: a, approximately [m]; `None`: about 1/50 of the peak. The time each way is
+      proportional to log(peak/a).
+    - `t0`: the phase of the period at which it begins. `steps`: per period; `None` doubles them
+      until `returned` is known to `tolerance`. `solver`: KahanLi8 by default (Dopri8 where a force
+      reads velocities). `progress`: show a bar for each run of the search, with the time left,
+      after two seconds.
 
-    **Returns:** `GapBreather`. What radiates into other waves stays out of the wave and shows
-    in `stray`.
-    **Raises** ValueError for a k outside every k-gap, a lattice that is no ring for it or is linear, a batch,
-    and a motion that never comes back (damped, or with contacts that open for good).
+    **Returns:** `GapBreather`; radiation into other waves shows in `stray`.
+    **Raises** ValueError for a k outside every k-gap, a lattice that is not a ring or is linear, a
+    batch, and a motion that never returns (damped, or with contacts that open for good).
     Source: Chong, Kim, Wallace, Daraio, Phys. Rev. Res. 6, 023045 (2024).
 
     **Example:**
@@ -159,7 +167,7 @@ def k_gap_breather(
 
 
 class _Motion(NamedTuple):
-    """The motion from an amplitude on: states and energies once a period, and the largest displacement."""
+    # States and energies once a period, and the largest displacement.
 
     begin: float
     states: State
@@ -176,7 +184,7 @@ class _Motion(NamedTuple):
 
 
 class _Ring(NamedTuple):
-    """A ring and its waves of one wave number: `up` grows by `rho` a period, `down` decays."""
+    # A ring and its waves of one wave number: `up` grows by `rho` a period, `down` decays.
 
     lattice: Lattice
     period: float
@@ -190,12 +198,10 @@ class _Ring(NamedTuple):
     down: State
 
     def state(self, amplitude, factor=1.0):
-        """The growing wave, times a factor."""
         part = lambda x: jnp.asarray((amplitude * factor * x).real, self.lattice.dtype)
         return jax.tree.map(part, self.up)
 
     def run(self, begin, steps, periods):
-        """The motion from an amplitude, over some periods."""
         flow, parts, state = Flow(jnp.asarray(steps), self.solver), [], self.state(begin)
         times = jnp.asarray(self.t0), jnp.asarray(self.period)
         with bar(periods, "period", "k-gap breather", self.progress) as shown:
@@ -209,7 +215,7 @@ class _Ring(NamedTuple):
         )
 
     def check(self, tiny, steps):
-        """Refuse a lattice in which the wave is not multiplied by rho: one with ends."""
+        # A lattice with ends does not multiply the wave by rho.
         us, want, begin = (
             self.run(tiny, steps, 1).states.u,
             self.state(tiny, self.rho).u,
@@ -217,7 +223,7 @@ class _Ring(NamedTuple):
         )
         pairs = zip(*(jax.tree.leaves(x) for x in (us, want, begin)))
         off = max(np.abs(x[1] - w).max() / np.abs(b).max() for x, w, b in pairs)
-        # of a wave, by which a period of the ring may miss its multiplier
+        # The share of a wave by which a period of the ring may miss its multiplier.
         if not off <= 1e-6 + 1e-2 * abs(abs(self.rho) - 1):
             refuse(
                 "lattice",
@@ -227,7 +233,8 @@ class _Ring(NamedTuple):
             )
 
     def size(self):
-        """About 1/50 of the amplitude at which the force departs from its linear part enough to leave the gap."""
+        # About 1/50 of the amplitude at which the force is nonlinear enough for the wave to leave
+        # the gap.
         u, wanted = self.state(1.0).u, min(0.5, 2 * self.growth * self.period / np.pi)
         share = lambda sizes: np.asarray(_departure(self.lattice, u, jnp.asarray(self.t0), sizes))
         size = last_near(lambda sizes: share(sizes) < wanted, self.lattice.dtype)
@@ -241,7 +248,7 @@ class _Ring(NamedTuple):
         return size / BEGIN
 
     def returning(self, begin, steps):
-        """The motion from an amplitude until its energy, once a period, is next to that of the start."""
+        # Runs until the energy, once a period, is nearest to that of the start.
         periods = int(2 * np.log(WIDE * BEGIN) / (self.growth * self.period)) + MORE
         while True:
             found = self.run(begin, steps, periods)
@@ -273,14 +280,16 @@ class _Ring(NamedTuple):
             periods *= 2
 
     def sought(self, found, steps):
-        """The breather near a motion, over as many periods: that whose energy returns to what it was."""
+        # Varies the amplitude at a fixed number of periods until the energy returns to its first
+        # value.
         tried = [found]
 
         def miss(logarithm):
             tried.append(self.run(np.exp(logarithm), steps, found.periods))
             return np.log1p(tried[-1].returned)
 
-        # begun larger it is ahead: the energy at the start is more, that at the same time of its return is less
+        # A larger start is ahead: the energy at the start is more, and that at the same time of its
+        # return is less.
         begin, step = np.log(found.begin), np.clip(np.log1p(found.returned) / 4, -0.7, 0.7)
         root_scalar(
             miss, method="secant", x0=begin, x1=begin + step, xtol=RETURNED, maxiter=SEARCHES
@@ -288,7 +297,7 @@ class _Ring(NamedTuple):
         return min(tried, key=lambda motion: abs(motion.returned))
 
     def stray(self, end):
-        """What of a state is not the wave that decays, times the complex number that fits best."""
+        # The state minus the decaying wave times the complex number that fits best.
         scale = self.period / (2 * np.pi)
         flat = lambda y: raveled((y[0], jax.tree.map(lambda v: scale * v, y[1])))
         wave, y = flat(self.down), flat(end)
@@ -298,7 +307,7 @@ class _Ring(NamedTuple):
 
 
 def _ring(lattice, k, period, t0, solver, progress):
-    """The ring and its waves at the wave number that is asked for, or where they grow fastest."""
+    # At the given wave number, or where the waves grow fastest.
     cell = floquet_bands(lattice, 0.0, period, t0=t0, steps=16).cell[0]
     sites = np.arange(jax.tree.leaves(lattice.template())[0].shape[0])
     cells = len(sites) // cell
@@ -325,7 +334,7 @@ def _ring(lattice, k, period, t0, solver, progress):
     k, rho = float(np.asarray(bands.k)[wave]), np.asarray(bands.multipliers)[wave]
 
     def spread(multiplier):
-        """A wave over the sites, complex, its largest displacement 1."""
+        # A complex wave over the sites, with a largest displacement of 1.
 
         def over_sites(x):
             x = np.asarray(x)[wave][..., multiplier]
@@ -336,7 +345,7 @@ def _ring(lattice, k, period, t0, solver, progress):
         top = max(np.abs(x.real).max() for x in jax.tree.leaves(y.u))
         return jax.tree.map(lambda x: x / top, y)
 
-    # of all waves that decay the partner of the one that grows
+    # Among the decaying waves, the partner of the growing one.
     down = spread(int(np.argmin(np.abs(rho - 1 / np.conj(rho[0])))))
     growth = float(np.asarray(bands.growth)[wave, 0])
     return _Ring(lattice, period, t0, solver, progress, k, growth, rho[0], spread(0), down)
@@ -344,7 +353,7 @@ def _ring(lattice, k, period, t0, solver, progress):
 
 @compiled
 def _strobed(flow, lattice, state, t0, period):
-    """The state `PIECE` periods later, states and energies before each; every period begins at the same phase."""
+    # Every period begins at the same phase.
 
     def one(y, _):
         return flow(y, t0, t0 + period, lattice), (y, lattice.energy(t0, *y))
@@ -354,7 +363,7 @@ def _strobed(flow, lattice, state, t0, period):
 
 @compiled
 def _departure(lattice, u, t, sizes):
-    """By how much the force at some multiples of u departs from its linear part, of that."""
+    # The departure of the force from its linear part, relative to that part, at multiples of u.
     zeros = lattice.zeros()
     _, linear = jax.jvp(lambda u: lattice.force(t, u, zeros), (zeros,), (u,))
     rest = lattice.force(t, zeros, zeros)

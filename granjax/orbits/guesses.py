@@ -1,7 +1,8 @@
-"""Where Newton's method may start: the envelope's bright and dark breathers, sites that oscillate alone.
+"""Guesses for Newton's method: the envelope's solitons, sites that oscillate alone.
 
-First chains of next neighbours, and of equal sites that carry linear resonators, by the envelope equation; then, from
-the anticontinuous side, some sites that oscillate while the others stand still or follow.
+The envelope equation gives bright and dark breathers of chains of next neighbours, and of equal
+sites that carry linear resonators. From the anticontinuous side, some sites oscillate while the
+others stand still or follow.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,25 +36,28 @@ __all__ = ["bright_guess", "dark_guess", "single_site"]
 
 NEEDS = "The envelope equation needs a periodic chain of bonds alone, or of equal beads with linear resonators."
 NO_CELL = "None or a State (such as guesses.single_site gives) for this lattice"
-# relative differences that are rounding: of a frequency from an edge, of coefficients
+# Relative differences that are rounding: of a frequency from an edge, of coefficients.
 ROUNDING = 1e-9
-# steps of half a period of one site alone, and the parts of it that are looked at
+# Steps of half a period of a single site, and the number of parts of it that are checked.
 HALF_STEPS = 128
 PARTS = 16
-# a code of sites that oscillate in phase, in opposite phase, or not at all
+# The code of sites that oscillate in phase, in opposite phase, or not at all.
 SIGNS = {"+": 1, "-": -1, "0": 0}
-# amplitudes next to each other at which a force must be linear
+# The number of neighbouring amplitudes at which a force must be linear.
 RUN = 4
-# frames of half a period of one harmonic
+# Frames of half a period of one harmonic.
 FRAMES = 24
-# the change with which the iteration for it ends
+# The relative change at which the iteration for it ends.
 SETTLED = 1e-8
-# by which an amplitude is changed for the degree of the forces
+# The factor on an amplitude from which the degree of the forces is found.
 STRETCH = 1.01
 
 
 class Chain(NamedTuple):
-    """A chain of next neighbours: masses and K2, K3, K4 of the P sites and bonds of a unit cell, (P,) each."""
+    """A chain of next neighbours.
+
+    It holds masses and K2, K3, K4 of the P sites and bonds of a unit cell, (P,) each.
+    """
 
     mass: np.ndarray
     K2: np.ndarray
@@ -65,20 +69,21 @@ class Chain(NamedTuple):
     def coefficients(
         self, branch: int, constraint: str = "force", k: float = np.pi
     ) -> nls.Coefficients:
-        """The envelope's, at the edge of a band at k."""
+        """Return the envelope's coefficients at the edge of a band at k."""
         return nls.coefficients(*self[:4], k, branch, constraint)
 
     def state(self, profile: nls.Profile, sites: int) -> State:
-        """A breather, at rest."""
+        """Return a breather at rest."""
         u = profile.displacement[:sites]
         return State(u, jnp.zeros_like(u))
 
 
 class Dressed(NamedTuple):
-    """A chain of one field that linear resonators dress: 4 K2 sin^2(k/2) = G(omega^2), G(x) = x times a mass.
+    """A chain of one field with linear resonators: 4 K2 sin^2(k/2) = G(omega^2).
 
-    With `tie` the stiffness of all but the chain's own bonds over the fields, and its parts b (the chain) and r,
-    G(x) = x m - tie_bb + tie_br (tie_rr - x mu)^{-1} tie_rb. `tops`: the frequencies at k = pi.
+    G(x) is x times an effective mass. With `tie` the stiffness of everything except the chain's own
+    bonds, over the fields, and b (the chain) and r (the other fields) its parts, G(x) = x m -
+    tie_bb + tie_br (tie_rr - x mu)^{-1} tie_rb. `tops`: the frequencies at k = pi.
     """
 
     field: str
@@ -93,21 +98,25 @@ class Dressed(NamedTuple):
         return self.bare.boundary
 
     def _parts(self, x):
-        """What the other fields answer to a displacement 1 of the chain's at omega^2 = x, and which they are."""
+        # The response of the other fields to a displacement 1 of the chain's at omega^2 = x, and
+        # their indices.
         b = self.fields.index(self.field)
         r = [i for i in range(len(self.fields)) if i != b]
         stiffness = self.tie[np.ix_(r, r)] - x * np.diag(self.mass[r])
         return b, r, -np.linalg.lstsq(stiffness, self.tie[r, b], rcond=None)[0]
 
     def excess(self, x: float) -> float:
-        """G at omega^2 = x."""
+        """Return G at omega^2 = x."""
         b, r, answer = self._parts(x)
         return x * self.mass[b] - self.tie[b, b] - self.tie[b, r] @ answer
 
     def coefficients(
         self, branch: int, constraint: str = "force", k: float = np.pi
     ) -> nls.Coefficients:
-        """The envelope's at k = pi, where the second harmonic strains no bond: those of the chain, over dG/d omega."""
+        """Return the envelope's coefficients at k = pi: those of the chain, over dG/d omega.
+
+        The second harmonic strains no bond there.
+        """
         c, omega = self.bare.coefficients(0, constraint), self.tops[branch]
         b, r, answer = self._parts(omega**2)
         slope = self.mass[b] + answer @ (self.mass[r] * answer)
@@ -120,7 +129,7 @@ class Dressed(NamedTuple):
         )
 
     def state(self, profile: nls.Profile, sites: int) -> State:
-        """A breather of the chain's field and what the others do, at rest."""
+        """Return a breather of the chain's field with the response of the others, at rest."""
         drift = -jnp.append(0, jnp.cumsum(profile.mean_strain)[:-1])
         mean = drift - jnp.mean(drift)
         _, r, answer = self._parts(float(profile.omega) ** 2)
@@ -131,14 +140,14 @@ class Dressed(NamedTuple):
 
 
 def chain_of(lattice: Lattice) -> Chain | Dressed | None:
-    """What the envelope equation reads of a lattice, or `None` where it is no such chain."""
+    """Return the chain that the envelope equation needs, or `None` if the lattice is none."""
     if lattice.axes != 1 or lattice.dimension:
         return None
     return dressed(lattice) if lattice.fields else cell_of(lattice)
 
 
 def cell_of(lattice: Lattice) -> Chain | None:
-    """The unit cell of a chain of next neighbours, or `None` of any other lattice."""
+    """Return the unit cell of a chain of next neighbours, or `None`."""
     found = next_neighbours(lattice.terms[0]) if len(lattice.terms) == 1 else None
     cell = found and _cell(lattice)
     if not cell:
@@ -154,7 +163,7 @@ def cell_of(lattice: Lattice) -> Chain | None:
 
 
 def dressed(lattice: Lattice) -> Dressed | None:
-    """The chain of a lattice of several fields, or `None` where it is no uniform one with free linear resonators."""
+    """Return the uniform chain with free linear resonators of a lattice of fields, or `None`."""
     found = [
         (i, name, *bonds)
         for i, term in enumerate(lattice.terms)
@@ -185,7 +194,6 @@ def dressed(lattice: Lattice) -> Dressed | None:
 
 
 def _cell(lattice):
-    """The unit cell, or `None` of a lattice without a period."""
     try:
         return unit_cell(lattice)
     except ValueError:
@@ -202,15 +210,18 @@ class Edge(NamedTuple):
 
     @property
     def bright(self) -> bool:
-        """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
+        """Whether a bright breather leaves this edge into the gap.
+
+        That needs focusing and a frequency shift towards the gap.
+        """
         c = self.coefficients
-        # as plain numbers, so that nothing is compiled
+        # As plain numbers, so that nothing is compiled.
         nu2, nu3 = float(c.nu2), float(c.nu3_force)
         return nu2 * nu3 > 0 and (nu3 > 0) == self.above
 
 
 def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
-    """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell."""
+    """Return the `Edge`s of the gap that holds omega; none inside a band or without a unit cell."""
     chain = chain_of(lattice)
     if chain is None:
         return []
@@ -219,7 +230,8 @@ def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
     if np.any((lower * (1 + ROUNDING) < omega) & (omega < upper * (1 - ROUNDING))):
         return []
     edges = [(b, upper[b], found.upper_k, True) for b in np.flatnonzero(upper <= omega)[-1:]]
-    if isinstance(chain, Chain):  # at k = 0, the lower edges of a dressed one, no bond is strained
+    # At k = 0, the lower edges of a dressed chain, no bond is strained.
+    if isinstance(chain, Chain):
         beyond = np.flatnonzero((lower >= omega) & (omega > 0))[:1]
         edges += [(b, lower[b], found.lower_k, False) for b in beyond]
     return [
@@ -229,20 +241,20 @@ def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
 
 
 def _at_symmetry(ks, band):
-    """The wave number of an extremum: 0 or pi itself where it lies there, known to the root of rounding."""
+    # The wave number of an extremum. It is known only to the square root of rounding, so near 0 or
+    # pi it is taken as exactly that.
     k = float(np.ravel(ks)[band])
     near = np.pi * round(k / np.pi)
     return near if abs(k - near) < 1e-6 else k
 
 
 def _bright(lattice, omega):
-    """The nearest edge of the gap that bright breathers leave, or `None`."""
     found = [edge for edge in edges_beside(lattice, omega) if edge.bright]
     return min(found, key=lambda edge: abs(edge.omega - omega), default=None)
 
 
 def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
-    """Frequency of the edge from which the bright or dark breathers at omega come."""
+    """Return the frequency of the edge from which the bright or dark breathers at omega come."""
     if kind == "dark":
         upper = np.asarray(bands(lattice).upper)
         return float(upper[np.argmin(np.abs(upper - omega))])
@@ -251,9 +263,9 @@ def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
 
 
 def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
-    """The envelope's bright breather of a chain at a frequency in a gap, `State` at rest.
+    """Return the envelope's bright breather at a frequency in a gap, a `State` at rest.
 
-    **Raises** ValueError where no edge of that gap has one.
+    **Raises** ValueError if no edge of that gap has one.
     """
     chain = _enveloped(lattice, "'bright'")
     edge = _bright(lattice, omega)
@@ -263,10 +275,11 @@ def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) 
 
 
 def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
-    """The envelope's dark breather below the highest edge of a band, `State` at rest, N bonds wide.
+    """Return the envelope's dark breather below the highest edge of a band, a `State` at rest.
 
-    Ends at constant force (free) or at fixed length (walls, a ring) as the chain has them. **Raises** ValueError where
-    the edge above omega has no dark breathers, and for a lattice that is no periodic chain of next neighbours.
+    It is N bonds wide. Its ends are at constant force (free) or fixed length (walls, a ring), as
+    the chain has them. **Raises** ValueError if the edge above omega has no dark breathers, and for
+    a lattice that is not a periodic chain of next neighbours.
     """
     chain, found = _enveloped(lattice, "'dark'"), bands(lattice)
     branch = int(np.argmin(np.abs(np.asarray(found.upper) - omega)))
@@ -285,11 +298,9 @@ def _enveloped(lattice, asked):
 
 
 def _held(c, omega, cells):
-    """Coefficients of a background in a chain of fixed length that is not infinite.
-
-    The mean of |Y|^2 over the chain, which sets its mean strain, lacks the dip and a second one, at the walls or where
-    a ring closes: r = 1 - 4/(inverse width * cells) of the background's.
-    """
+    # Coefficients of a background in a finite chain of fixed length. The mean of |Y|^2 over the
+    # chain sets its mean strain. It lacks the dip, and a second one at the walls or where a ring
+    # closes: r = 1 - 4/(inverse width * cells) of the background's.
     r, kappa = 1.0, omega - c.omega
     effective = lambda r: c.nu3_force + r * (c.nu3 - c.nu3_force)
     for _ in range(30):
@@ -307,12 +318,11 @@ def _state(lattice, chain, profile, coefficients, omega, centre):
 
 
 def _size(lattice):
-    """Sites of the chain."""
     return next(iter(lattice.sites.values()))[0] if lattice.fields else lattice.sites[0]
 
 
 def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
-    """Say why a chain has no bright breather at a frequency."""
+    """Raise the error that explains why a chain has no bright breather at a frequency."""
     said = []
     for edge in edges_beside(lattice, omega):
         c = edge.coefficients
@@ -335,33 +345,36 @@ def single_site(
     amplitudes: Sequence[Scalar] | None = None,
     field: str | None = None,
 ) -> State:
-    r"""A breather about the named sites, from the anticontinuous limit where it is near.
+    r"""Return a breather about the named sites, from the anticontinuous limit if that is near.
 
-    In the limit the named sites oscillate at omega and all others stand still: weakly coupled sites with an on-site
-    potential, and light beads between heavy ones (mass ratio -> 0). With S the named sites,
+    In the limit the named sites oscillate at omega and all others stand still: weakly coupled sites
+    with an on-site potential, and light beads between heavy ones (mass ratio -> 0). With S the
+    named sites,
 
         m u'' = F(u) in S, u = const elsewhere;  v_S(0) = v_S(pi/omega) = 0,  mean of F over a period = 0 outside S:
 
-    an asymmetric bond of a moving site pushes its neighbours to another place, by an amount that does not vanish with
-    the mass ratio. Each site alone between neighbours at rest is the first guess; Newton's method does the rest.
+    an asymmetric bond of a moving site displaces its neighbours, by an amount that does not vanish
+    with the mass ratio. Newton's method starts from each site alone between neighbours at rest.
 
-    Where the others would follow by more than a quarter of the amplitude (strong coupling; Newton's cradle, whose beads
-    are all in resonance), all of them take part, each in one harmonic about a mean, u_n = x_n + a_n cos(omega t):
+    Where the others would follow by more than a quarter of the amplitude (strong coupling; Newton's
+    cradle, whose beads are all in resonance), all sites take part, each in one harmonic about a
+    mean, u_n = x_n + a_n cos(omega t):
 
         (m omega^2 - K) a = -N(a, x),  mean of F = 0,
 
-    with K the linear stiffness and N the rest of the force's first harmonic, by Petviashvili's iteration.
+    with K the linear stiffness and N the rest of the force's first harmonic, by Petviashvili's
+    iteration.
 
-    **Arguments:** `lattice`: of scalar displacements. `omega`. `sites`: an index or several (on a grid a pair or
-    several pairs), `None` for the middle. `amplitudes`: signs +-1, one a site, for multibreathers (None: all +1, in
-    phase). Or `sites` is a code such as "+-0+", which stands in the middle of a chain. `field`: where a cell holds
-    several.
+    **Arguments:** `lattice`: of scalar displacements. `omega` [rad/s]. `sites`: an index or several
+    (on a grid a pair or several pairs), `None` for the middle. `amplitudes`: signs +-1, one per
+    site, for multibreathers (None: all +1, in phase). Or `sites` is a code such as "+-0+", which is
+    placed in the middle of a chain. `field`: where a cell holds several.
 
-    **Returns:** a `State` at rest. **Raises** ValueError where no amplitude has that frequency (omega is on the wrong
-    side of the site's linear frequency); RuntimeError where neither way converges.
-    Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994); Livi, Spicci, MacKay, Nonlinearity 10, 1421 (1997); for the
-    cradle James, Kevrekidis, Cuevas, Physica D 251, 39 (2013); Pelinovsky, Stepanyants, SIAM J. Numer. Anal. 42, 1110
-    (2004).
+    **Returns:** a `State` at rest. **Raises** ValueError if no amplitude has that frequency (omega
+    is on the wrong side of the site's linear frequency); RuntimeError if neither method converges.
+    Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994); Livi, Spicci, MacKay, Nonlinearity 10, 1421
+    (1997); for the cradle James, Kevrekidis, Cuevas, Physica D 251, 39 (2013); Pelinovsky,
+    Stepanyants, SIAM J. Numer. Anal. 42, 1110 (2004).
 
     **Example:**
 
@@ -396,7 +409,7 @@ def single_site(
 
 
 def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
-    """The envelope's breather where there is one, then those that `single_site` finds about each kind of site."""
+    """Yield the envelope's breather, if any, then that of `single_site` for each kind of site."""
     if _bright(lattice, omega):
         yield bright_guess(lattice, omega)
     if lattice.dimension is not None:
@@ -404,7 +417,7 @@ def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
     stiffness, mass, seen = _stiffness(lattice), _mass(lattice), []
     for name in lattice.fields or (None,):
         shape = lattice.shape[name] if name else lattice.shape
-        # beside the middle there may be other kinds
+        # Next to the middle there may be sites of other kinds.
         for beside in range(3):
             site = tuple(min(n // 2 + beside, n - 1) for n in shape)
             sites = [site] if len(shape) > 1 else site[0]
@@ -425,7 +438,10 @@ def named_sites(
     amplitudes: Sequence[Scalar] | None,
     field: str | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the sites that oscillate stand in the raveled displacements, and their signs; as in `single_site`."""
+    """Return the positions of the oscillating sites in the raveled displacements, and their signs.
+
+    The arguments are those of `single_site`.
+    """
     name = field_of(lattice, field)
     shape = lattice.sites if name is None else lattice.sites[name]
     if sites is None:
@@ -446,7 +462,6 @@ def named_sites(
 
 
 def _places(lattice, sites, field):
-    """Where the sites stand in the raveled displacements."""
     index = ravel_pytree(lattice.zeros())[1](np.arange(_mass(lattice).size))
     name = field_of(lattice, field)
     index = index if name is None else index[name]
@@ -458,26 +473,24 @@ def _mass(lattice):
 
 
 def _forces(lattice, u):
-    """Of raveled displacements, raveled."""
     back = ravel_pytree(lattice.zeros())[1]
     return ravel_pytree(lattice.force(jnp.zeros((), u.dtype), back(u), lattice.zeros()))[0]
 
 
 @compiled
 def _stiffness(lattice):
-    """The linear stiffness K over the raveled displacements."""
     return -jax.jacfwd(lambda u: _forces(lattice, u))(ravel_pytree(lattice.zeros())[0])
 
 
 def _others_held(t, y, scene):
-    """The motion of the sites where `moving` is 1, the others held."""
+    # The motion of the sites where `moving` is 1; the others are held.
     (u, v), (lattice, moving) = y, scene
     return v, moving * _forces(lattice, u) / ravel_pytree(spread_mass(lattice))[0]
 
 
 @compiled
 def _path(lattice, moving, u, half):
-    """(u, v) from rest at u to the half period, at equal distances, the beginning left out."""
+    # (u, v) from rest at u to half a period, at equal distances, without the start.
     flow, part = Flow(HALF_STEPS // PARTS, KahanLi8(), _others_held), half / PARTS
 
     def go(y, i):
@@ -489,7 +502,7 @@ def _path(lattice, moving, u, half):
 
 @compiled
 def _harmonics_of_forces(lattice, u, us):
-    """Mean and first harmonic of every site's force over a period, by the trapezoidal rule over half of it."""
+    # By the trapezoidal rule over half a period.
     forces = jax.vmap(lambda u: _forces(lattice, u))(jnp.concatenate([u[None], us]))
     weights = jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS
     cosines = jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)
@@ -497,7 +510,8 @@ def _harmonics_of_forces(lattice, u, us):
 
 
 class _Limit(eqx.Module):
-    """What vanishes for the displacements at rest over `scale`: velocities half a period later, and mean forces."""
+    # The equations for the displacements at rest over `scale`: velocities half a period later and
+    # mean forces vanish.
 
     moving: jax.Array
     scale: jax.Array
@@ -509,19 +523,18 @@ class _Limit(eqx.Module):
         stiff = jnp.max(ravel_pytree(spread_mass(scene))[0] * self.moving) * self.omega**2
         means = _harmonics_of_forces(scene, self.scale * x, us)[0]
         rest = jnp.where(self.moving, vs[-1] / self.omega, means / stiff) / self.scale
-        # forces say nothing of a uniform displacement: it stays zero
+        # Forces do not determine a uniform displacement, which stays zero.
         return rest + self.free @ (self.free.T @ jnp.where(self.moving, 0, x))
 
 
 def _together(lattice, omega, u):
-    """Displacements at rest of the whole limit, from each site alone."""
     moving, scale, omega = (jnp.asarray(x, u.dtype) for x in (u != 0, np.abs(u).max(), omega))
     problem = _Limit(moving, scale, omega, shifts(lattice))
     return scale * newton(problem, u / scale, lattice, tolerance=1e-11).x
 
 
 def _followed_by(lattice, omega, moving, u):
-    """Largest amplitude with which the sites that stand still would answer, over that of the others."""
+    # The largest amplitude with which the resting sites would respond, over that of the others.
     us, _ = _path(lattice, jnp.asarray(moving, u.dtype), u, jnp.asarray(np.pi / omega))
     first = np.asarray(_harmonics_of_forces(lattice, u, us)[1])[~moving]
     if not len(first):
@@ -536,7 +549,8 @@ def _followed_by(lattice, omega, moving, u):
 
 @compiled
 def _balanced(lattice, omega, start):
-    """(mean, amplitude, last relative change) of one harmonic in which every site takes part."""
+    # Returns (mean, amplitude, last relative change) of one harmonic in which every site takes
+    # part.
     mass = ravel_pytree(spread_mass(lattice))[0]
     stiffness = _stiffness(lattice)
     linear = jax.scipy.linalg.lu_factor(jnp.diag(mass * omega**2) - stiffness)
@@ -548,14 +562,14 @@ def _balanced(lattice, omega, start):
         return x + cosines[:, None] * a
 
     def rest(a, x):
-        """The nonlinear part of the first harmonic."""
+        # The nonlinear part of the first harmonic.
         return (
             2 / FRAMES * cosines @ jax.vmap(lambda u: _forces(lattice, u))(motion(a, x))
             + stiffness @ a
         )
 
     def centred(a, x):
-        """One step of Newton's method to where the mean forces vanish."""
+        # One step of Newton's method to where the mean forces vanish.
         us = motion(a, x)
         mean = jax.vmap(lambda u: _forces(lattice, u))(us).mean(0)
         slope = jax.vmap(jax.jacfwd(lambda u: _forces(lattice, u)))(us).mean(0)
@@ -566,7 +580,7 @@ def _balanced(lattice, omega, start):
         i, a, x, _ = carry
         x = centred(a, x)
         pull = rest(a, x)
-        # N(s a) = s^p N(a), the mean being of second order
+        # N(s a) = s^p N(a), where the mean is of second order.
         degree = 1 + jnp.log(
             (a @ rest(STRETCH * a, STRETCH**2 * x)) / (STRETCH * (a @ pull))
         ) / jnp.log(STRETCH)
@@ -583,7 +597,7 @@ def _balanced(lattice, omega, start):
 
 
 def _about(found, u):
-    """Whether the iteration has settled, and about the sites that oscillate in `u`, with their signs."""
+    # Whether the iteration has settled about the sites that oscillate in `u`, with their signs.
     x, a, change = (np.asarray(part) for part in found)
     if not (np.isfinite(x).all() and np.isfinite(a).all() and change <= SETTLED):
         return False
@@ -592,7 +606,8 @@ def _about(found, u):
 
 @compiled
 def _secants(lattice, one, amplitudes):
-    """First harmonic of a site's own force, about where its mean vanishes, over its amplitude; a stiffness."""
+    # The first harmonic of a site's own force about the place where its mean vanishes, over its
+    # amplitude: a stiffness.
     cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
 
     def forces(x, a):
@@ -610,16 +625,16 @@ def _secants(lattice, one, amplitudes):
 
 
 def _amplitude(lattice, omega, place, sign):
-    """(where a site alone turns back, True), by shooting near what one harmonic gives, or (the latter, False)."""
+    # Returns (amplitude of a single site by shooting, True), or (that of one harmonic, False).
     half, mass = jnp.asarray(np.pi / omega), _mass(lattice)
     one = jnp.asarray(sign * np.eye(len(mass))[place])
 
     def velocities(a):
-        """On the way, negative until the first return to rest."""
+        # Times sign: negative until the first return to rest.
         return sign * np.asarray(_path(lattice, jnp.abs(one), a * one, half)[1])[:, place]
 
     def highest(low, top):
-        """The largest amplitude below a barrier: from beyond it the site does not come back."""
+        # The largest amplitude below a barrier, from beyond which the site does not return.
         while low < (low + top) / 2 < top:
             middle = (low + top) / 2
             low, top = (middle, top) if velocities(middle)[0] < 0 else (low, middle)
@@ -638,9 +653,9 @@ def _amplitude(lattice, omega, place, sign):
                 last = lambda a: velocities(a)[-1]
                 try:
                     found = brentq(last, low, top, xtol=1e-14 * low, rtol=1e-14)
-                except ValueError:  # not finite on the way
+                except ValueError:  # The motion is not finite on the way.
                     return None
-                # a later return belongs to a faster motion
+                # A later return belongs to a faster motion.
                 if np.all(velocities(found)[:-1] < 0):
                     return found
             low, before = top, now
@@ -648,7 +663,7 @@ def _amplitude(lattice, omega, place, sign):
 
     grid = 2.0 ** np.arange(-160, 161)
     above = np.asarray(_secants(lattice, one, jnp.asarray(grid))) / (mass[place] * omega**2) - 1
-    # below where it is linear a force may be rounding alone
+    # Below the linear range a force may be only rounding.
     small = float(_stiffness(lattice)[place, place]) / (mass[place] * omega**2) - 1
     linear = np.abs(above - small) <= 1e-5 * (1 + abs(small))
     begin = int(np.argmax(np.convolve(linear, np.ones(RUN), "valid") == RUN))

@@ -1,4 +1,4 @@
-"""What leaves a branch at a bifurcation: normal forms, the doubled orbit, the first step along another branch."""
+"""What leaves a branch at a bifurcation: normal forms, doubled orbits, the first step."""
 
 from collections.abc import Callable
 
@@ -17,48 +17,50 @@ from ..results import Result, array
 from ..types import Scalar
 from .problems import Family, over_omega
 
-# of a coefficient, what rounding leaves of third derivatives; changes of steps that count as its error
+# The relative rounding of third derivatives (ROUNDING). SAFETY multiplies the change of a
+# coefficient with the steps to give its error.
 ROUNDING = 1e-9
 SAFETY = 2
-# of the orbit's size: so far from a symmetric branch point Newton's method may leave the orbit, which makes a square
-# that is not there
+# Newton's method may leave the orbit this far (relative to its size) from a symmetric branch point,
+# which makes a quadratic coefficient that is not there.
 PLACED = 1e-3
-# imaginary parts of a multiplier below this are rounding
+# Imaginary parts of a multiplier below this are rounding.
 REAL = 1e-6
-# singular values below this share of the largest are zero
+# Singular values below this share of the largest count as zero.
 SINGULAR = 1e-4
 
 
 class NormalForm(Result):
-    """How orbits bifurcate: what `branch.normal_form(i)` returns."""
+    """The normal form of a bifurcation: what `branch.normal_form(i)` returns."""
 
     kind: str = array(
-        'The bifurcation, a branch point as "pitchfork" or "transcritical".', static=True
+        'The bifurcation; a branch point is "pitchfork" or "transcritical".', static=True
     )
     coefficient: float = array(
-        "Of the return map along the critical direction, x in units of the orbit's size there (of the branch's first "
-        "orbit, where the lattice is at rest): x + c x^2 "
-        "(transcritical), x + c x^3 (pitchfork), -x + c x^3 (period doubling), exp(i theta) x (1 + c |x|^2), its real "
-        "part, (Neimark-Sacker)."
+        "The coefficient c of the return map along the critical direction: x + c x^2 "
+        "(transcritical), x + c x^3 (pitchfork), -x + c x^3 (period doubling), exp(i theta) x "
+        "(1 + c |x|^2) (Neimark-Sacker, the real part of c). x is in units of the orbit's size "
+        "there (of the branch's first orbit, where the lattice is at rest)."
     )
     error: float = array("The error of the coefficient, from twice the steps.")
     criticality: str = array(
-        '"supercritical": what leaves is stable where the branch is not; "subcritical"; "undecided" within the error; '
-        '"" of a transcritical point.',
+        '"supercritical": what leaves is stable where the branch is not; "subcritical"; '
+        '"undecided" within the error; "" for a transcritical point.',
         static=True,
     )
 
     @property
     def outcome(self) -> str:
-        """The verdict, a sentence."""
+        """The verdict, in one sentence."""
         word = f"{self.criticality} " if self.criticality else ""
         said = f"{word}{self.kind}"
         return f"{said[0].upper()}{said[1:]}: c = {self.coefficient:.6g} +- {self.error:.1g}."
 
 
 def normal_form(family: Family, z: np.ndarray, kind: str, multiplier: complex) -> NormalForm:
-    """The coefficient that decides which way orbits leave, at z = (x, q) of a family of forced orbits.
+    """Compute the coefficient that decides in which direction orbits leave a bifurcation.
 
+    z = (x, q) is a point of a family of forced orbits.
     Source: Kuznetsov, Elements of Applied Bifurcation Theory, chapters 5 and 8.
     """
     steps = family.shooting.whole.steps
@@ -77,7 +79,7 @@ def normal_form(family: Family, z: np.ndarray, kind: str, multiplier: complex) -
 
 
 def _coefficients(family, z, multiplier, steps):
-    """The quadratic and the cubic coefficient at the critical multiplier, by `steps` in a period."""
+    # The quadratic and the cubic coefficient at the critical multiplier, by `steps` per period.
     along = lambda *directions: np.asarray(
         _derivative(family, jnp.asarray(z), jnp.asarray(steps), directions)
     )
@@ -88,7 +90,7 @@ def _coefficients(family, z, multiplier, steps):
     if abs(rho.imag) < REAL:
         p, q = p.real, q.real
         square = along(q, q)
-        # bordered, as I - A is singular itself where the multiplier is 1
+        # Bordered, because I - A is singular where the multiplier is 1.
         h = _bordered(one - A, q, p, square) if rho.real > 0 else np.linalg.solve(one - A, square)
         return p @ square / 2, p @ (along(q, q, q) + 3 * along(q, h)) / 6
 
@@ -106,7 +108,7 @@ def _coefficients(family, z, multiplier, steps):
 
 
 def _eigenvectors(A, multiplier):
-    """The eigenvalue of A next to a multiplier, its unit left and right eigenvectors."""
+    # The eigenvalue of A nearest to a multiplier, and its unit left and right eigenvectors.
     values, right = np.linalg.eig(A)
     i = np.argmin(np.abs(values - multiplier))
     others, left = np.linalg.eig(A.conj().T)
@@ -119,14 +121,15 @@ def _eigenvectors(A, multiplier):
 
 
 def _bordered(matrix, right, left, b):
-    """h with matrix h = b up to what lies along the left null vector, and right . h = 0."""
+    # h with matrix h = b up to a multiple of the left null vector, and right . h = 0.
     whole = np.block([[matrix, left[:, None]], [right[None], np.zeros((1, 1))]])
     return np.linalg.solve(whole, np.append(np.real(b), 0.0))[:-1]
 
 
 @compiled
 def _derivative(family, z, steps, along):
-    """Of the map over a period, in units of the branch: its matrix, or the derivative along each of some directions."""
+    # The matrix of the map over a period in units of the branch, or its derivative along each of
+    # some directions.
     shooting, (lattice, period) = family.shooting, family.scene(z[-1])
     unravel, scale = ravel_pytree(shooting.like)[1], shooting.scale
     x, flow = z[: scale.size], Flow(steps, shooting.flow.solver)
@@ -147,7 +150,7 @@ def _slope(f, direction):
 
 
 class Doubled(eqx.Module):
-    """Twice a period, a number or a function of the parameter."""
+    """Twice a period, which is a number or a function of the parameter."""
 
     period: Callable | Scalar
 
@@ -156,7 +159,10 @@ class Doubled(eqx.Module):
 
 
 def doubled(family: Family) -> Family:
-    """The same orbits, of twice the period; of a family over the frequency the parameter is half of it."""
+    """Return the same orbits with twice the period.
+
+    For a family over the frequency the parameter is halved.
+    """
     shooting = family.shooting
     finer = eqx.tree_at(lambda s: s.flow.steps, shooting, jnp.asarray(2 * shooting.flow.steps))
     if family.period is over_omega:
@@ -168,7 +174,7 @@ def doubled(family: Family) -> Family:
 
 
 def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple:
-    """(family, x, q, direction) of what leaves the point z = (x, q) of a branch with that tangent."""
+    """Return (family, x, q, direction) of what leaves the point z = (x, q) of a branch."""
     if kind == "branch point":
         point, reason = family.system().correct(z, tangent, tangent)
         if point is None:
@@ -178,7 +184,7 @@ def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple
     longer, q = doubled(family), jnp.asarray(z[-1])
     state = family.shooting.state(jnp.asarray(z[:-1]))
     scene, tried = family.scene(q), [state]
-    # a breather is at rest twice in a period, and the doubled one at one of the two
+    # A breather is at rest twice in a period, and the doubled one at one of the two.
     if family.shooting.reversible:
         tried.append(family.shooting.flow(state, 0.0, scene[1] / 2, scene[0]))
     for start in tried:

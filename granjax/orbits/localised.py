@@ -1,4 +1,4 @@
-"""Whether an orbit is localised: how many cells share its energy, and whether a wave has the dip of a dark breather."""
+"""Localisation of orbits: how many cells share the energy, and the dip of a dark breather."""
 
 import dataclasses
 from typing import NamedTuple
@@ -17,15 +17,17 @@ from ..types import StateLike
 from .asked import checked_state, one_lattice
 from .orbit import SPREAD, Orbit
 
-# shares of the cells over which energy spreads: of a wave between walls along each axis, and of that the least that is
-# no bright breather; of a background; and of what has left a guess that holds less than half of it
+# Shares of the cells over which energy spreads: WAVE for a wave between walls, along each axis;
+# EXTENDED, the share of WAVE above which an orbit is not a bright breather; BACKGROUND for a
+# background; STRAYED for an orbit that has left a guess which holds less than half of that.
 WAVE = 2 / 3
 EXTENDED = 0.9
 BACKGROUND = 0.4
 STRAYED = 0.5
-# of fewer cells shares tell nothing: two coupled sites, or three, are an orbit however they share it
+# With fewer cells shares tell nothing: two or three coupled sites are an orbit however they share
+# the energy.
 FEWEST = 5
-# energy in the middle of a dip, over that on either side
+# The energy in the middle of a dip over that on either side.
 DIP = 0.5
 WAVES = "gx.orbits.orbit finds waves, and check=False tells nothing apart."
 
@@ -33,10 +35,15 @@ WAVES = "gx.orbits.orbit finds waves, and check=False tells nothing apart."
 class Localisation(NamedTuple):
     """How the energy of a state at rest is spread over the cells of a lattice.
 
-    **Fields:** `participation`: (sum e)^2/sum e^2 over the cells, 1 for one alone, all of them for a uniform
-    oscillation, two thirds for a wave between walls, down to four ninths in the plane. `cells`: how many there are.
-    `dip`: the least energy of a cell over the largest on the poorer of its sides; 1 or more without a dip. `axes`: in
-    how many directions waves run.
+    **Fields:**
+
+    - `participation`: (sum e)^2/sum e^2 over the cells: 1 for a single cell, the number of cells
+      for a uniform oscillation, two thirds of it for a wave between walls, down to four ninths in
+      the plane.
+    - `cells`: the number of cells.
+    - `dip`: the least energy of a cell over the largest on the lower of its sides; 1 or more
+      without a dip.
+    - `axes`: in how many directions waves run.
     """
 
     participation: float
@@ -47,7 +54,7 @@ class Localisation(NamedTuple):
 
     @property
     def bright(self) -> bool:
-        """Whether so few cells share the energy that it is no wave."""
+        """Whether too few cells share the energy for a wave."""
         return self.participation <= EXTENDED * WAVE**self.axes * self.cells
 
     @property
@@ -57,14 +64,17 @@ class Localisation(NamedTuple):
 
     @property
     def dark(self) -> bool:
-        """Whether there is a background, with a dip."""
+        """Whether there is a background with a dip."""
         return self.fills and self.dip <= DIP
 
     def __str__(self) -> str:
         return f"{self.participation:.3g} of {self.cells} cells share its energy"
 
     def why_not(self, kind: str, guess: "Localisation") -> str | None:
-        """A sentence on why this is no breather of a kind, "bright", "dark" or "any", or `None` where it is one."""
+        """Return why this is not a breather of a kind, as a sentence; `None` if it is one.
+
+        `kind`: "bright", "dark" or "any".
+        """
         strayed = kind == "bright" and self.participation > max(
             2 * guess.participation, STRAYED * self.cells
         )
@@ -82,18 +92,19 @@ class Localisation(NamedTuple):
 
 
 def localisation(lattice: Lattice, state: StateLike) -> Localisation:
-    """The `Localisation` of a state at rest."""
+    """Return the `Localisation` of a state at rest."""
     energies = _cell_energies(lattice, checked_state(one_lattice(lattice), state))
-    # a graph of beads that move in the plane fills it
+    # A graph of beads that move in the plane fills the plane.
     axes = max(energies.ndim, min(lattice.dimension or 1, 2))
     return Localisation(float(participation(energies.ravel())), energies.size, _dip(energies), axes)
 
 
 def checked_localised(orbit: Orbit, kind: str, guess: State, throw: bool | None) -> Orbit:
-    """A breather with a remark on its localisation; an orbit that is no breather is marked. `kind`: as in `why_not`.
+    """Return a breather with a remark on its localisation, and mark an orbit that is not one.
 
-    Of fewer than five cells the remark is all: there is no room for waves and breathers to differ.
-    **Raises** RuntimeError with the participation number where it is none and `throw`.
+    `kind`: as in `why_not`. With fewer than five cells there is only the remark: waves and
+    breathers do not differ.
+    **Raises** RuntimeError with the participation number if it is not a breather and `throw`.
     """
     if traced(orbit) or not orbit.converged:
         return orbit
@@ -109,7 +120,7 @@ def checked_localised(orbit: Orbit, kind: str, guess: State, throw: bool | None)
 
 
 def _cell_energies(lattice: Lattice, state: State) -> Float[np.ndarray, "..."]:
-    """Energy of each unit cell, over the axes of the lattice; of each site where the lattice has no period."""
+    # Over the axes of the lattice; of each site where the lattice has no period.
     leaves = [np.asarray(e) for e in jax.tree.leaves(site_energy(lattice, state))]
     if any(e.shape != leaves[0].shape for e in leaves):
         return np.concatenate([e.ravel() for e in leaves])
@@ -124,13 +135,13 @@ def _cell_energies(lattice: Lattice, state: State) -> Float[np.ndarray, "..."]:
 
 
 def _dip(energies):
-    """The least over all axes."""
+    # The least value over all axes.
     least = np.inf
     for axis in range(energies.ndim):
         e = energies.sum(tuple(i for i in range(energies.ndim) if i != axis))
         if len(e) > 2:
             left, right = np.maximum.accumulate(e)[:-2], np.maximum.accumulate(e[::-1])[::-1][2:]
             beside = np.maximum(np.minimum(left, right), np.finfo(e.dtype).tiny)
-            with np.errstate(over="ignore"):  # beside cells at rest
+            with np.errstate(over="ignore"):  # Neighbouring cells may be at rest.
                 least = min(least, np.min(e[1:-1] / beside))
     return float(least)

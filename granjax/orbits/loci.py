@@ -1,4 +1,4 @@
-"""Curves of bifurcations in two parameters: the orbit and its critical direction, found together."""
+"""Curves of bifurcations in two parameters: the orbit and its critical direction together."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -20,24 +20,25 @@ from ..types import Count, Numbers, Scalar
 from .problems import Family
 
 KINDS = ("fold", "branch point", "period doubling", "Neimark-Sacker", "Krein collision")
-# of the residual of the whole, beside what an orbit of the branch may leave
+# The residual of the extended system may exceed that of an orbit of the branch by this factor.
 LEFT = 10
-# of the size of the orbit, a disturbance by which a symmetry is lost
+# A disturbance, relative to the orbit's size, above which a symmetry is lost.
 SYMMETRIC = 1e-6
-# what a curve of a kind may meet
+# The special points that a curve of each kind may meet.
 MET = {
     "fold": ("cusp", "1:1"),
     "period doubling": ("1:2",),
     "Neimark-Sacker": ("1:1", "1:2", "1:3", "1:4"),
 }
-# at such angles of the multiplier a Neimark-Sacker curve meets a strong resonance
+# The angles of the multiplier at which a Neimark-Sacker curve meets a strong resonance.
 RESONANT = {"1:1": 0.0, "1:2": np.pi, "1:3": 2 * np.pi / 3, "1:4": np.pi / 2}
 
 
 class LocusPoint(NamedTuple):
-    """A point of codimension two: `kind` "cusp", or "1:1", "1:2", "1:3", "1:4" (a strong resonance), and where it is.
+    """A point of codimension two.
 
-    `p`: the branch's parameter, `other`: the second one. `after`: the index of the point before.
+    `kind`: "cusp", or "1:1", "1:2", "1:3", "1:4" (a strong resonance). `p`: the branch's parameter;
+    `other`: the second one. `after`: the index of the point before.
     """
 
     kind: str
@@ -55,11 +56,13 @@ class Locus(Result):
     p: Float[np.ndarray, " point"] = array("The branch's parameter.")
     other: Float[np.ndarray, " point"] = array("The second parameter.")
     p_error: Float[np.ndarray, " point"] = array(
-        "The error of `p` at this value of `other`, from twice the steps: large where the curve turns back."
+        "The error of `p` at this value of `other`, from twice the steps. It is large where the "
+        "curve turns back."
     )
     states: State = part("The states of the orbits at t0.", "point site", name="state")
     angle: Float[np.ndarray, " point"] = array(
-        "The angle of the critical multiplier: 0, pi, or what a Neimark-Sacker point or a Krein collision has.",
+        "The angle of the critical multiplier: 0, pi, or that of a Neimark-Sacker point or a "
+        "Krein collision.",
         "rad",
     )
     special: tuple[LocusPoint, ...] = array(
@@ -67,12 +70,12 @@ class Locus(Result):
     )
     curve: Curve = hidden("The curve that continuation has followed.")
     _span: tuple[float, float] = hidden(
-        "Where the second parameter begins, and how far it goes.", static=True
+        "The start of the second parameter, and its range.", static=True
     )
 
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
-        """Values of the second parameter where the curve turns back, such as where an isola is born."""
+        """Values of the second parameter where the curve turns back, as where an isola is born."""
         return np.array([self._span[0] + s.p * self._span[1] for s in self.curve.special])
 
     @property
@@ -88,8 +91,6 @@ class Locus(Result):
 
 
 class _With(eqx.Module):
-    """A function of two parameters at a value of the second one."""
-
     function: Callable
     other: Scalar
 
@@ -100,16 +101,20 @@ class _With(eqx.Module):
 class Critical(Problem):
     """Orbits at a bifurcation, F(x; r) = 0 over a second parameter start + r span.
 
-    x holds the orbit's unknowns X, its parameter q, and
-    - v, the direction that a multiplier rho keeps: A(rho) v = 0 with fixed . v = 1, where A(rho) is the derivative of
-      the orbit's residual with rho times the start in place of the start (fold, branch point: rho = 1; doubling: -1);
-    - at a branch point mu, the size of a disturbance along `left`, zero where the lattice has the symmetry that is
-      broken, and h of A h + D^2 F [v, v] = 0, which places X along v: there the branches that leave have no slope;
-    - of a Neimark-Sacker point theta of rho = exp(i theta), and v is complex;
-    - of a reversible orbit mu = Re rho; v of a chain (T - mu) v = 0, and of a Krein collision (T - mu) w = v, where T
-      is what a period makes of displacements, whose eigenvalues are (rho + 1/rho)/2.
+    x holds the orbit's unknowns X, its parameter q, and:
 
-    Source: Moore, Spence, SIAM J. Numer. Anal. 17, 567 (1980); Werner, Spence, SIAM J. Numer. Anal. 21, 388 (1984).
+    - v, the direction that a multiplier rho keeps: A(rho) v = 0 with fixed . v = 1. A(rho) is the
+      derivative of the orbit's residual with rho times the start in place of the start (fold,
+      branch point: rho = 1; doubling: -1).
+    - At a branch point: mu, the size of a disturbance along `left`, which is zero while the lattice
+      has the symmetry that is broken; and h of A h + D^2 F [v, v] = 0, which places X along v where
+      the branches that leave have no slope.
+    - At a Neimark-Sacker point: theta of rho = exp(i theta); v is complex.
+    - For a reversible orbit: mu = Re rho, and v of (T - mu) v = 0; at a Krein collision also w of
+      (T - mu) w = v. T maps displacements over a period; its eigenvalues are (rho + 1/rho)/2.
+
+    Source: Moore, Spence, SIAM J. Numer. Anal. 17, 567 (1980); Werner, Spence, SIAM J. Numer. Anal.
+    21, 388 (1984).
     """
 
     family: Family
@@ -123,9 +128,9 @@ class Critical(Problem):
     size: int = eqx.field(static=True)
 
     def at(self, r: Scalar) -> Family:
-        """The branch's family at a value of the second parameter."""
+        """Return the branch's family at a value of the second parameter."""
         old, other = self.family, self.start + r * self.span
-        if isinstance(old.make, Lattice):  # over the frequency
+        if isinstance(old.make, Lattice):  # A family over the frequency.
             return Family(old.shooting, self.make(other), old.period, old.start, old.span, old.left)
         period = old.period if self.period is None else _With(self.period, other)
         return Family(old.shooting, _With(self.make, other), period, old.start, old.span, old.left)
@@ -166,22 +171,22 @@ class Critical(Problem):
 
     @property
     def of_displacements(self) -> bool:
-        """Whether the direction is one of displacements alone."""
+        """Whether the critical direction is one of displacements alone."""
         doubles = self.kind == "period doubling" and self.family.shooting.reversible
         return doubles or self.kind == "Krein collision"
 
     def moved(self, family: Family, X: Numbers, q: Scalar, v: Numbers) -> Numbers:
-        """dF/dX v of the orbit's residual."""
+        """Return dF/dX v of the orbit's residual."""
         return jax.jvp(lambda X: family.residual(X, q), (X,), (v,))[1]
 
     def started(self, v: Numbers) -> Numbers:
-        """The first state of v where the last gap is."""
+        """Return the first state of v in the place of the last gap."""
         first = v[: 2 * self.family.shooting.count]
         last = (self.family.shooting.segments - 1) * first.size
         return jnp.zeros_like(v).at[last : last + first.size].set(first)
 
     def turned(self, family: Family, X: Numbers, q: Scalar, v: Numbers) -> Numbers:
-        """T v: the displacements that a displacement v makes a period later."""
+        """Return T v: the displacements a period after a displacement v."""
         shooting, (lattice, period) = family.shooting, family.scene(q)
         y, unravel = shooting.state(X), ravel_pytree(shooting.like)[1]
         along = State(*unravel(jnp.concatenate([v, jnp.zeros_like(v)])))
@@ -202,7 +207,7 @@ def locus(
     arclength: Scalar,
     points: Count,
 ) -> Locus:
-    """Follow a bifurcation at z = (x, q) of a family in a second parameter: `Branch.locus` has the arguments."""
+    """Follow a bifurcation at z = (x, q) of a family in a second parameter, as `Branch.locus`."""
     start, until = float(start), float(until)
     if start == until:
         refuse("until", "another value than start", repr(until))
@@ -210,7 +215,7 @@ def locus(
         family, z, kind, angle, make, period, jnp.asarray(start), jnp.asarray(until - start)
     )
     names = MET.get(kind, ())
-    if family.shooting.reversible:  # its multipliers come in pairs, whatever is met
+    if family.shooting.reversible:  # Multipliers of a reversible orbit always come in pairs.
         names = tuple(name for name in names if name == "cusp")
     turns, size = kind == "Neimark-Sacker", problem.size
 
@@ -268,7 +273,6 @@ def locus(
 
 
 def _begun(family, z, kind, angle, make, period, start, span):
-    """The problem, and its unknowns at a bifurcation that has been located."""
     X, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
     empty = jnp.zeros(0)
     problem = Critical(family, make, period, kind, start, span, empty, empty, X.size)
@@ -301,7 +305,7 @@ def _begun(family, z, kind, angle, make, period, start, span):
             h = np.linalg.lstsq(A, -curved, rcond=1e-6)[0]
             rest = np.concatenate([v, [0.0], h - (v @ h) * v])
         return _held(problem, v, w), np.concatenate([z, rest])
-    # of a phase at which real and imaginary part are orthogonal
+    # The phase is chosen so that real and imaginary part are orthogonal.
     v = v * np.exp(-0.5j * np.angle(v @ v))
     v = v / np.linalg.norm(v.real)
     return _held(problem, v.real, empty), np.concatenate([z, [angle], v.real, v.imag])
@@ -312,7 +316,7 @@ def _held(problem, fixed, left):
 
 
 def _same(problem, here, family, X, q):
-    """Refuse a function of two parameters that does not begin with the branch."""
+    # The two-parameter function must begin with the branch.
     size = np.abs(np.asarray(residual_of(here, X, q))).max()
     if not size <= 1e4 * max(
         float(family.left), np.abs(np.asarray(residual_of(family, X, q))).max()
@@ -330,13 +334,13 @@ def _turned(problem, family, X, q, v):
 
 
 def _matrix(problem, family, X, q, rho):
-    """A(rho)."""
     E = np.stack([np.asarray(problem.started(e)) for e in jnp.eye(X.size)], 1)
     return np.asarray(linearised(family, X, q)[1]) + (1 - rho) * E
 
 
 class _Tested(NamedTuple):
-    """Numbers of a point that change their sign at what a curve may meet, and the left null vector in them."""
+    # Numbers of a point that change their sign at special points, and the left null vector that
+    # they use.
 
     values: dict[str, float]
     left: np.ndarray | None = None
@@ -344,7 +348,7 @@ class _Tested(NamedTuple):
 
 
 def _tested(problem, point, names, before=None):
-    """`_Tested` at a point, its null vector in the direction of another one."""
+    # The null vector gets the direction of `before`.
     size = problem.size
     if problem.kind == "Neimark-Sacker" or not names:
         return _Tested({name: point.x[size + 1] - RESONANT[name] for name in names})
@@ -363,14 +367,14 @@ def _tested(problem, point, names, before=None):
 
 @compiled
 def _curvature(family, X, q, v):
-    """D^2 F [v, v]."""
+    # D^2 F [v, v].
     slope = lambda X: jax.jvp(lambda X: family.residual(X, q), (X,), (v,))[1]
     return jax.jvp(slope, (X,), (v,))[1]
 
 
 @compiled
 def _known(problem, x, r):
-    """By how much twice the steps move the parameter q at this r."""
+    # By how much twice the steps move the parameter q at this r.
     jacobian = problem.linearise(x, r)[1]
     shooting = problem.family.shooting.finer(2)
     finer = eqx.tree_at(lambda p: p.family.shooting.flow.steps, problem, shooting.flow.steps)

@@ -1,4 +1,4 @@
-"""A periodic orbit, y(t0 + T) = S y(t0): how to ask for one, and its error by steps that are doubled."""
+"""A periodic orbit, y(t0 + T) = S y(t0): how to find one, and its error by doubled steps."""
 
 import math
 from collections.abc import Iterator
@@ -48,25 +48,26 @@ from .asked import (
 from .floquet import Floquet, floquet
 from .problems import Shooting
 
-# the tolerance of an orbit, and of the orbits of a branch, relative to their size
+# The tolerances of an orbit and of the orbits of a branch, relative to their size.
 TOLERANCE = 1e-8
 BRANCH = 1e-7
-# of that, what Newton's method may leave
+# The share of the tolerance that Newton's method may leave.
 LEFT_ON_BRANCH = 1e-4
-# most doublings of the steps
+# The most doublings of the steps.
 DOUBLINGS = 10
-# of a change that other steps make, where they are not half as many
+# The safety factor for a change by other steps, where they are not half as many.
 SAFETY = 2
-# of a residual, in units of its last place
+# The rounding of a residual, in units of its last place.
 ROUNDING = 16
-# of the largest error, below which no unknown is known
+# No unknown counts as known better than this share of the largest error.
 SHARED = 0.1
 
 
 class OrbitError(Result):
-    """Estimated distance of an orbit from the true one at the same frequency (or energy), from two step sizes.
+    """The estimated distance of an orbit from the true one at the same frequency (or energy).
 
-    Zero where a number was asked for, NaN where Newton's method did not converge.
+    It is estimated from two step sizes: zero for a number that was prescribed, NaN if Newton's
+    method did not converge.
     """
 
     state: State = part("The error of every entry of the state.", "site")
@@ -76,7 +77,7 @@ class OrbitError(Result):
 
     @property
     def outcome(self) -> str:
-        """To what displacements and energy are known, a sentence."""
+        """The errors of displacements and energy, in one sentence."""
         if isinstance(self.energy, jax.core.Tracer) or np.ndim(self.energy):
             return "By what other steps change."
         return (
@@ -85,13 +86,16 @@ class OrbitError(Result):
 
 
 def size_of(x: Pytree) -> float:
-    """The largest modulus in a tree of known arrays, NaN where one is."""
+    """Return the largest modulus in a tree of known arrays, NaN if an entry is NaN."""
     return float(np.max([np.abs(leaf).max() for leaf in jax.tree.leaves(x)]))
 
 
 def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
-    """What Newton's method may leave of the residual for an orbit of this tolerance, which is refused where none is."""
-    # fifty units in the last place are what a residual resolves
+    """Return the residual that Newton's method may leave for an orbit of this tolerance.
+
+    Tolerances that the number type cannot hold are refused.
+    """
+    # A residual resolves fifty units in the last place.
     least = 50 * float(jnp.finfo(dtype).eps)
     tolerance = checked_tolerance("tolerance", tolerance)
     if not isinstance(tolerance, jax.core.Tracer) and tolerance < least:
@@ -100,24 +104,30 @@ def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
             f"at least {least:.1e}, what {jnp.dtype(dtype).name} can hold",
             repr(float(tolerance)),
         )
-    # no tighter than 1e-12, which rounding of long flows leaves
+    # Not below 1e-12, the rounding of long flows.
     xp = library(tolerance)
     return xp.maximum(share * xp.asarray(tolerance), xp.minimum(tolerance, max(1e-12, least)))
 
 
 def corrected(problem: Any, root: Root, scene: Pytree) -> Numbers:
-    """The change of the unknowns that finer steps would make, by Newton's step with the derivative that is there."""
+    """Return the change of the unknowns that finer steps would make, by a Newton step.
+
+    It uses the derivative at the root.
+    """
     return _corrected(problem, root.x, root.jacobian, scene, root.code)
 
 
 def covering(changes: Numbers, rounding: Scalar) -> Numbers:
-    """The error of unknowns (n,) that other steps, and rounding, change by `changes` (k, n)."""
+    """Return the error of unknowns (n,) from their changes (k, n) by other steps, and rounding."""
     change = SAFETY * jnp.max(jnp.abs(changes), 0)
     return jnp.maximum(change, SHARED * jnp.max(change)) + rounding
 
 
 def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
-    """What rounding of a residual of this size makes of the unknowns, by the inverse of its derivative."""
+    """Return the effect on the unknowns of rounding a residual of this size.
+
+    `inverse`: that of the residual's derivative.
+    """
     return ROUNDING * jnp.finfo(inverse.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
 
 
@@ -125,7 +135,7 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
 def _corrected(problem, x, jacobian, scene, code):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
     inverse = jnp.linalg.inv(jacobian)
-    # where contacts open the change between two is small by accident
+    # Where contacts open, the change between two step sizes may be small by accident.
     finer = jnp.asarray((1.25, 1.5, 2.0))
     changes = jax.lax.map(lambda by: inverse @ problem.finer(by).residual(x, scene), finer)
     return jnp.where(code == CONVERGED, covering(changes, rounding(inverse)), jnp.nan)
@@ -142,11 +152,11 @@ def confirmed(
     refine: bool = True,
     spread: float = 1.0,
 ) -> tuple[Any, Root, Numbers]:
-    """(problem, root, error of the unknowns): solved, and solved again with twice the steps until nothing changes.
+    """Solve, then solve with twice the steps until nothing changes: (problem, root, error).
 
-    `problem` has `residual`, `linearise` and `finer(by)`. Without `refine` its steps stay, and the error alone is
-    estimated. Where Newton's method fails with the first steps it is tried with more. The orbit's size in the unknowns
-    is 1/`spread`.
+    `problem` has `residual`, `linearise` and `finer(by)`. Without `refine` its steps stay, and only
+    the error of the unknowns is estimated. If Newton's method fails with the first steps, more are
+    tried. The orbit's size in the unknowns is 1/`spread`.
     """
 
     def solve(problem, x):
@@ -159,26 +169,26 @@ def confirmed(
             linearise=problem.linearise,
             throw=False,
         )
-        # what rounding leaves, or a derivative that is almost singular, is in the error
+        # The error covers rounding and an almost singular derivative.
         code, left = in_numpy((root.code, root.residual))
         enough = ((code == STALLED) | (code == SPENT)) & (left <= tolerance)
         code = library(code).where(enough, CONVERGED, code)
         return eqx.tree_at(lambda r: r.code, root, jax.device_put(code))
 
-    # plain numbers are inputs of what is compiled, not a part of it
+    # Plain numbers are inputs of the compiled program, not a part of it.
     scene = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, scene)
     problem = problem.finer(1) if refine else problem
     root = solve(problem, x)
-    # a function may hide tracers, which the root then shows
+    # A function may hide tracers, which the root then shows.
     known = not isinstance(root.code, jax.core.Tracer)
     finer = problem
-    # steps that are too long for Newton's method at once are halved up to four times
+    # Steps that are too long for Newton's method are halved up to four times.
     for _ in range(4 if refine and known else 0):
         if root.converged:
             break
         finer = finer.finer(2)
         found = solve(finer, x)
-        # of what more steps do not change they are not the cause
+        # If more steps change nothing, the steps are not the cause.
         same = abs(found.residual - root.residual) <= 1e-3 * root.residual
         if found.converged or found.residual < root.residual:
             problem, root = finer, found
@@ -209,7 +219,7 @@ def confirmed(
 def error_of(
     lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Scalar, in_omega: Scalar
 ) -> OrbitError:
-    """The `OrbitError` of a state that is known up to `apart`, at a frequency that is known up to `in_omega`."""
+    """Return the `OrbitError` of a state known up to `apart`, at a frequency up to `in_omega`."""
     apart = jax.tree.map(jnp.abs, apart)
     slope = jax.grad(lambda y: jnp.sum(lattice.energy(t0, y.u, y.v)))(state)
     energy = sum(
@@ -219,15 +229,15 @@ def error_of(
 
 
 FRAMES = 32
-# of the guess's size: an orbit below it counts as rest
+# An orbit below this share of the guess's size counts as rest.
 AT_REST = 1e-6
-# codes beside those of `newton`: at rest, and no breather
+# Codes in addition to those of `newton`: at rest, and not a breather.
 FELL = 4
 SPREAD = 5
 
 
 class OrbitRun(Result):
-    """One period of an orbit at equal distances, without its end.
+    """One period of an orbit in frames of equal distance, without the end.
 
     Means over these frames are integrals over the period to the accuracy of a Fourier series.
     """
@@ -238,7 +248,7 @@ class OrbitRun(Result):
 
     @property
     def outcome(self) -> str:
-        """What it is."""
+        """The number of frames."""
         return f"One period in {self.ts.shape[-1]} frames."
 
 
@@ -254,13 +264,13 @@ class Orbit(Result):
     t0: Number = array("The time at which the orbit begins.", "s")
     energy: Number = array("The energy at `t0`, from equilibrium.", "J")
     symmetry: Symmetry = hidden(
-        "S; after T times its order the state itself returns.", default=Symmetry()
+        "S. The state itself returns after T times the order of S.", default=Symmetry()
     )
     error: OrbitError | None = array(
         "The estimated distance from the true orbit, from two step sizes.", default=None
     )
     remark: str = hidden(
-        "What else the outcome says, of a breather how many cells share its energy.",
+        "What the outcome adds; for a breather how many cells share its energy.",
         static=True,
         default="",
     )
@@ -278,20 +288,24 @@ class Orbit(Result):
 
     @property
     def residual(self) -> Numbers:
-        """What Newton's method left: max |v(T/2)| of a breather; of others max |y(t0 + T) - S y(t0)|.
+        """The residual that Newton's method left.
 
-        The latter relative to the orbit's size: displacements to the largest one, velocities to that times 2 pi/T.
+        It is max |v(T/2)| for a breather, else max |y(t0 + T) - S y(t0)| relative to the orbit's
+        size: displacements to the largest one, velocities to that times 2 pi/T.
         """
         return self.root.residual
 
     @property
     def converged(self) -> Flags:
-        """Whether the residual came below the tolerance, not at rest, and of a breather not at a wave."""
+        """Whether the residual is below the tolerance, and the orbit neither rest nor a wave.
+
+        A wave is excluded for breathers only.
+        """
         return self.root.converged
 
     @property
     def outcome(self) -> str:
-        """What became of Newton's method, a sentence."""
+        """How Newton's method ended, in one sentence."""
         code = self.root.code
         if isinstance(code, jax.core.Tracer) or not np.any(np.asarray(code) >= FELL):
             return " ".join(
@@ -308,7 +322,6 @@ class Orbit(Result):
         )
 
     def _known(self):
-        """How well the state of one orbit is known, a sentence."""
         if (
             self.error is None
             or isinstance(self.error.energy, jax.core.Tracer)
@@ -324,15 +337,16 @@ class Orbit(Result):
         )
 
     def run(self, frames: Count = FRAMES) -> OrbitRun:
-        """The orbit in time, `OrbitRun`."""
+        """Return the orbit in time, an `OrbitRun`."""
         _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, frames)
         return OrbitRun(ts, ys.u, ys.v, **self.lattice.origin)
 
     def harmonics(self, count: Count = 1, frames: Count = FRAMES) -> Displacements:
-        r"""Complex Fourier amplitudes c_k of every displacement, u = Re sum_k c_k exp(2 pi i k t/T), k = 0 ... count.
+        r"""Return complex Fourier amplitudes c_k of every displacement, k = 0 ... count.
 
-        **Returns:** (count + 1, N), or a dict of such. Wants count < frames/2. **Raises** ValueError where S is not the
-        identity, as `amplitude` and `rms_velocity` do: u then repeats after T times the order of S alone.
+        u = Re sum_k c_k exp(2 pi i k t/T). **Returns:** (count + 1, N), or a dict of such. It needs
+        count < frames/2. **Raises** ValueError if S is not the identity, as `amplitude` and
+        `rms_velocity` do: u then repeats only after T times the order of S.
         """
         self._refuse_symmetry()
         if not count < frames / 2:
@@ -348,12 +362,12 @@ class Orbit(Result):
 
     @property
     def amplitude(self) -> Displacements:
-        """Amplitude of every site at the frequency 2 pi/T, |c_1|, (N,)."""
+        """The amplitude |c_1| of every site at the frequency 2 pi/T, (N,)."""
         return jax.tree.map(lambda c: jnp.abs(c[1]), self.harmonics())
 
     @property
     def rms_velocity(self) -> Displacements:
-        """Root mean square velocity of every site over a period, (N,)."""
+        """The root mean square velocity of every site over a period, (N,)."""
         self._refuse_symmetry()
         return jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), self.run().vs)
 
@@ -368,7 +382,10 @@ class Orbit(Result):
 
     @property
     def energy_input(self) -> Number:
-        """Energy that the drive gives in a period, which is what damping takes: -int sum v . F_damping dt [J]."""
+        """The energy that damping takes in a period: -int sum v . F_damping dt [J].
+
+        The drive supplies as much.
+        """
         run, lattice = self.run(), self.lattice
         lossy = [term for term in lattice.terms if reads(term, lattice).velocity]
 
@@ -379,7 +396,10 @@ class Orbit(Result):
         return self.period * jnp.mean(jax.vmap(power)(run.ts, run.us, run.vs))
 
     def floquet(self, **keywords: Any) -> Floquet:
-        """Multipliers of S^-1 y(t0 + T) and stability, from `granjax.floquet.floquet` with its keywords."""
+        """Return multipliers of S^-1 y(t0 + T) and stability, from `granjax.floquet.floquet`.
+
+        `keywords`: of that function.
+        """
         keywords = {"symmetry": self.symmetry} | keywords
         return floquet(self.lattice, self.state, float(self.period), t0=float(self.t0), **keywords)
 
@@ -400,35 +420,39 @@ def orbit(
     max_steps: Count = 20,
     throw: bool | None = None,
 ) -> Orbit:
-    r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
+    r"""Find an orbit of a lattice, y(t0 + T) = S y(t0), by Newton's method.
 
-    Under T-periodic forcing the root is isolated, since the drive sets the phase. Without forcing and damping the
-    orbits are a family over T; the phase is that of the guess, and a lattice that is free to move is held at its mean.
-    With `Translation(1)` on a ring the wave reappears one site further after T, that is with the speed 1/T: a rotating
-    wave. The root need not be stable, and where several orbits exist the guess decides.
-    Works under `jit` and `vmap` and is differentiable in the lattice and the period: in forward mode, and in reverse
-    where `steps` is given.
+    Under T-periodic forcing the root is isolated, since the drive sets the phase. Without forcing
+    and damping the orbits form a family over T; the phase is that of the guess, and the mean of a
+    freely moving lattice is fixed. With `Translation(1)` on a ring the wave reappears one site
+    further after T, at the speed 1/T: a rotating wave. The root need not be stable. Where several
+    orbits exist the guess decides. It works under `jit` and `vmap` and is differentiable in the
+    lattice and the period: in forward mode, and in reverse mode if `steps` is given.
 
     **Arguments:**
 
     - `lattice`: under T-periodic forcing (or T/2, T/3 ...), or with neither forcing nor damping.
-    - `guess`: a `State` at t0. `transient`: periods that are run from it before Newton begins; of a driven, damped
-      lattice some 1/(gamma T) of them lead to the orbit that a run would settle to.
-    - `period`: T > 0. A multiple of the drive's gives orbits after a period doubling.
-    - `symmetry`: S, made of `Translation(cells)`, `Mirror()` and `Sign()`; by default the identity.
+    - `guess`: a `State` at t0. `transient`: periods that are run from it before Newton begins; in a
+      driven, damped lattice some 1/(gamma T) of them lead to the orbit to which a run would settle.
+    - `period`: T > 0. A multiple of the drive's period gives orbits after a period doubling.
+    - `symmetry`: S, built from `Translation(cells)`, `Mirror()` and `Sign()`; by default the
+      identity.
     - `t0`: phase of the drive at which the state is taken.
-    - `steps` per period; `None` begins at h omega_max <= 0.3, with omega_max the highest linear frequency, and doubles
-      them until a second step size confirms the orbit (under a transformation it stays there). It may be traced.
-    - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: at a fixed step; `None` takes
-      SRKN14a, or diffrax's Dopri8 where a force reads velocities other than by `Damping`.
-    - `tolerance`: of the orbit, relative to the amplitude (of the guess, or what a period makes of it); Newton's method
-      goes on to a thousandth of it.
-    - `max_steps`: the most Jacobians. `throw`: raise where it does not converge; `None` does so outside of
-      transformations.
+    - `steps`: per period; `None` begins at h omega_max <= 0.3, with omega_max the highest linear
+      frequency, and doubles them until a second step size confirms the orbit (not under a
+      transformation). They may be traced.
+    - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: with a fixed
+      step; `None` is SRKN14a, or diffrax's Dopri8 where a force reads velocities other than by
+      `Damping`.
+    - `tolerance`: of the orbit, relative to the amplitude (of the guess, or of its image after a
+      period); Newton's method goes on to a thousandth of it.
+    - `max_steps`: the most Jacobians. `throw`: raise if it does not converge; `None` does so
+      outside of transformations.
 
-    **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive, or none of the forcing, a batch of
-    lattices, steps that the segments do not divide, a map that is not a symmetry of the lattice, or a guess at rest
-    where nothing moves it; RuntimeError where `throw` and it did not converge, or fell to such rest.
+    **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive or not one of the
+    forcing, a batch of lattices, steps that the segments do not divide, a map that is not a
+    symmetry of the lattice, or a guess at rest where nothing moves it; RuntimeError if `throw` and
+    it did not converge, or fell to such rest.
 
     **Example:**
 
@@ -468,11 +492,12 @@ def orbit(
 def forced_orbit(
     lattice: Lattice, period: Scalar, guess: StateLike | None = None, **keywords: Any
 ) -> Orbit:
-    """A T-periodic orbit of a lattice under T-periodic forcing, y(t0 + T) = y(t0): `gx.orbits.orbit`.
+    """Find a T-periodic orbit of a lattice under T-periodic forcing: `gx.orbits.orbit`.
 
-    `guess`: a `State` at t0; `None` is rest, from where Newton's first iterate is the linear response, as far as one
-    period from rest is linear. `keywords`: of `gx.orbits.orbit`. **Returns:** `Orbit`. **Raises** ValueError as there,
-    and for no guess where nothing moves a lattice that is at rest, such as stiffness alone that changes in time.
+    `guess`: a `State` at t0. `None` is rest, from which Newton's first iterate is the linear
+    response, as far as one period from rest is linear. `keywords`: of `gx.orbits.orbit`.
+    **Returns:** `Orbit`. **Raises** ValueError as there, and without a guess if nothing moves a
+    lattice at rest, for example if only its stiffness changes in time.
 
     **Example:**
 
@@ -502,7 +527,6 @@ def forced_orbit(
 
 @compiled
 def _pushed(lattice, t0, period):
-    """The largest acceleration of the lattice at rest over a period."""
     rest, ts = (
         State(lattice.zeros(), lattice.zeros()),
         phases(t0, period, (np.arange(16) + 0.5) / 16),
@@ -511,7 +535,7 @@ def _pushed(lattice, t0, period):
 
 
 def checked_free(lattice: Lattice) -> bool:
-    """Whether nothing drives the lattice. **Raises** ValueError for damping alone."""
+    """Return whether nothing drives the lattice. **Raises** ValueError for damping alone."""
     if not lattice.reads_time and not lattice.conserves:
         remedy = "A damped lattice without forcing comes to rest."
         refuse("lattice", "forcing, or neither forcing nor damping", "damping alone", remedy)
@@ -527,9 +551,9 @@ def orbit_of(
     throw: bool | None,
     in_omega: Scalar = 0.0,
 ) -> Orbit:
-    """The orbit that a root is, known up to `apart` and in its frequency `in_omega`; marked where it is at rest.
+    """Return the orbit of a root that is known up to `apart`, and in its frequency `in_omega`.
 
-    A guess that moves may have led there.
+    If a moving guess has led to rest, the orbit is marked so.
     """
     lattice, period = scene[0], jnp.asarray(scene[1], scene[0].dtype)
     numbers = root.x, root.code, apart, in_omega
@@ -546,7 +570,8 @@ def orbit_of(
 
 @compiled
 def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
-    """Of an orbit its state at t0, the energy, the error, and the code of its root: another one where it is at rest."""
+    # Returns the state at t0, the energy, the error, and the code of the root: FELL if the orbit is
+    # at rest.
     state, t0 = shooting.state(x), jnp.asarray(shooting.t0, lattice.dtype)
     omega = 2 * jnp.pi / period
     error = error_of(lattice, t0, state, shooting.state(apart), omega, jnp.asarray(in_omega))
@@ -557,7 +582,7 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
 
     found, before = speed(state), speed(guess)
     fell = (code == CONVERGED) & (before > 0) & (found <= AT_REST * before)
-    if lattice.reads_time:  # what is driven at rest may well move by little
+    if lattice.reads_time:  # A lattice that is driven at rest may well move only a little.
         rest, ts = State(lattice.zeros(), lattice.zeros()), phases(t0, period)
         fell = fell & (largest(jax.vmap(lambda t: speed(rest, t))(ts)) <= AT_REST**2 * before)
     energy = lattice.energy(t0, state.u, state.v)
@@ -575,10 +600,10 @@ def prepared(
     symmetry: Symmetry = Symmetry(),
     free: bool = False,
 ) -> tuple[Shooting, Numbers]:
-    """The problem and the unknowns of the guess; neither is differentiated.
+    """Return the problem and the unknowns of the guess; neither is differentiated.
 
-    The unknowns have the norm of the relative amplitude, whatever the units of the lattice: the unit is the size of the
-    guess, or of where it is a period later, if that is more.
+    The norm of the unknowns is the relative amplitude, whatever the units of the lattice: their
+    unit is the size of the guess, or that a period later if it is larger.
     """
     shooting, x = _prepared(lattice, period, guess, flow, t0, segments, transient, symmetry, free)
     # A program returns arrays. A loop over a known number of steps has derivatives in reverse mode.

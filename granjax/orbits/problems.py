@@ -1,4 +1,4 @@
-"""Time-periodic orbits as roots of one residual, y(t0 + T) = S y(t0), with a symmetry S of the lattice."""
+"""Time-periodic orbits as roots of a residual, y(t0 + T) = S y(t0), S a symmetry of the lattice."""
 
 from collections.abc import Callable
 from typing import Any
@@ -23,21 +23,24 @@ from .asked import Symmetry, free_moves, shifts
 class Shooting(eqx.Module):
     r"""Shooting for y(t0 + T) = S y(t0), in m segments, in units of `scale`.
 
-    Unknowns are the states at the segments' beginnings over their scale, (m 2n,); each segment must end where the next
-    begins, the last one at S of the first. One segment multiplies every error by the largest multiplier; several keep
-    long or strongly unstable orbits within Newton's reach.
+    The unknowns are the states at the beginnings of the segments over their scale, (m 2n,). Each
+    segment must end where the next begins, the last one at S of the first. A single segment
+    multiplies every error by the largest multiplier; several bring long or strongly unstable orbits
+    within reach of Newton's method.
 
-    An orbit of an autonomous, conservative lattice is not isolated: it may be moved along itself and, with free ends or
-    on a ring, as a whole. `reference` (a state; None for driven or damped orbits) then fixes its phase,
-    (y - y_ref) . f(y_ref) = 0, and the mean displacement is zero; multipliers of the energy's gradient and of the
-    uniform velocity, zero at the root, keep the system square. They belong to orbits at a given period.
+    An orbit of an autonomous, conservative lattice is not isolated: it can be moved along itself
+    and, with free ends or on a ring, as a whole. A `reference` state (None for driven or damped
+    orbits) then fixes its phase, (y - y_ref) . f(y_ref) = 0, and the mean displacement is zero.
+    Multipliers of the energy's gradient and of the uniform velocity, zero at the root, keep the
+    system square. These conditions belong to orbits of a given period.
 
-    Of a `reversible` orbit (forces of positions alone, even in t) half a period between two rests is enough, in one
-    segment: unknowns are the displacements at rest, and v(T/2) = 0 in place of the gap.
+    For a `reversible` orbit (forces of positions alone, even in t) half a period between two rests
+    is enough, in one segment. The unknowns are the displacements at rest, and v(T/2) = 0 replaces
+    the gap.
 
-    **Arguments:** `flow`: a `Flow` whose `steps` cover one segment. `like`: a state, for its structure. `scale` (2n,).
-    `moves`: (n, k), the uniform displacements that cost no energy and that S leaves alone. `t0`: phase of the drive at
-    which the orbit begins.
+    **Arguments:** `flow`: a `Flow` whose `steps` cover one segment. `like`: a state, for its
+    structure. `scale` (2n,). `moves`: (n, k), the uniform displacements that cost no energy and are
+    invariant under S. `t0`: phase of the drive at the start of the orbit.
 
     The scene of `residual`, `linearise` and `slopes` is the pair (lattice, period).
     """
@@ -65,7 +68,7 @@ class Shooting(eqx.Module):
         scale: Numbers | None = None,
         symmetry: Symmetry = Symmetry(),
     ) -> "Shooting":
-        """Over whole periods; with a `reference` the free displacements are found."""
+        """Pose the problem over whole periods; a `reference` fixes free displacements too."""
         like, moves = State(lattice.zeros(), lattice.zeros()), free_moves(lattice, symmetry)
         moves = moves[:, :0] if reference is None else moves
         scale = jnp.ones(2 * len(moves), moves.dtype) if scale is None else scale
@@ -76,7 +79,10 @@ class Shooting(eqx.Module):
     def half(
         cls, lattice: Lattice, flow: Flow, *, length: Scalar = 1.0, omega: Scalar = 1.0
     ) -> "Shooting":
-        """Over half a period between two rests, displacements counted in `length` and velocities in length * omega."""
+        """Pose the problem over half a period between two rests.
+
+        Displacements are in units of `length`, velocities of length * omega.
+        """
         moves = shifts(lattice)
         like, xp = State(lattice.zeros(), lattice.zeros()), library(length, omega)
         length, omega = (xp.asarray(x, moves.dtype) for x in (length, omega))
@@ -85,7 +91,7 @@ class Shooting(eqx.Module):
         return cls(flow, like, scale, moves, reversible=True)
 
     def finer(self, by: Scalar) -> "Shooting":
-        """The same problem with `by` times as many time steps."""
+        """Return the same problem with `by` times as many time steps."""
         by, steps = in_numpy((by, self.flow.steps))
         steps = jax.device_put(library(by, steps).ceil(by * steps).astype(int))
         return eqx.tree_at(lambda s: s.flow, self, Flow(steps, self.flow.solver, self.flow.field))
@@ -98,17 +104,17 @@ class Shooting(eqx.Module):
 
     @property
     def count(self) -> int:
-        """Number of displacements, n."""
+        """The number of displacements, n."""
         return self.moves.shape[0]
 
     @property
     def size(self) -> int:
-        """Unknowns of the first state: 2n, or n of a reversible orbit."""
+        """The number of unknowns of the first state: 2n, or n for a reversible orbit."""
         return self.count if self.reversible else 2 * self.count
 
     @compiled
     def guess(self, state: StateLike, scene: tuple | None = None) -> Numbers:
-        """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""
+        """Return the unknowns of a state at t0; later segments begin where it is run to."""
         starts = [state]
         for i in range(self.segments - 1):
             state = self.flow(state, *self._times(i, scene[1]), scene[0])
@@ -120,11 +126,11 @@ class Shooting(eqx.Module):
 
     @compiled
     def state(self, x: Numbers) -> State:
-        """The state at t0 that the unknowns describe, or the change of it that a change of them makes."""
+        """Return the state at t0 of the unknowns, or its change for a change of them."""
         return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))
 
     def residual(self, x: Numbers, scene: tuple) -> Numbers:
-        """Gaps between the segments, then the conditions."""
+        """Return the gaps between the segments, then the conditions."""
         lattice, period = scene
         starts, idle = self._parts(x)
         unravel = ravel_pytree(self.like)[1]
@@ -137,15 +143,18 @@ class Shooting(eqx.Module):
         return self._conditions(starts, idle, jax.lax.map(end, (starts, self._indices())), lattice)
 
     def linearise(self, x: Numbers, scene: tuple) -> tuple:
-        """The residual and its derivative in the unknowns, from one pass with tangents."""
+        """Return the residual and its derivative in the unknowns, from one pass with tangents."""
         return self.slopes(x, scene)[:2]
 
     def slopes(self, x: Numbers, scene: tuple) -> tuple:
-        """The residual, its derivative in the unknowns, and that in the period of an autonomous lattice."""
+        """Return the residual and its derivatives in the unknowns and in the period.
+
+        The latter is that of an autonomous lattice.
+        """
         lattice, period = scene
         starts, _ = self._parts(x)
         unravel, m = ravel_pytree(self.like)[1], self.segments
-        # the velocities of a reversible orbit stay zero
+        # The velocities of a reversible orbit stay zero.
         columns = self.size
         unit = jax.vmap(unravel, in_axes=-1, out_axes=-1)(jnp.diag(self.scale)[:, :columns])
 
@@ -163,7 +172,7 @@ class Shooting(eqx.Module):
         fields = fields / (2 if self.reversible else m)
 
         def near(x, change):
-            """The conditions to first order in the unknowns and in a change of the period."""
+            # The conditions to first order in the unknowns and in a change of the period.
             there, idle = self._parts(x)
             moved = jnp.einsum("mij,mj->mi", maps, (there - starts)[:, :columns])
             return self._conditions(there, idle, ends + moved + change * fields, lattice)
@@ -179,7 +188,8 @@ class Shooting(eqx.Module):
         return self.t0 + i * length, self.t0 + (i + 1) * length
 
     def _parts(self, x):
-        """The states at the segments' beginnings over their scale, (m, 2n), and the multipliers."""
+        # The states at the beginnings of the segments over their scale, (m, 2n), and the
+        # multipliers.
         n, count = self.count, (self.segments - 1) * 2 * self.count + self.size
         starts, idle = x[:count], x[count:]
         if self.reversible:
@@ -187,7 +197,6 @@ class Shooting(eqx.Module):
         return starts.reshape(self.segments, 2 * n), idle
 
     def _image(self, x):
-        """S of a raveled state."""
         return ravel_pytree(self.symmetry(ravel_pytree(self.like)[1](x)))[0]
 
     def _conditions(self, starts, idle, ends, lattice):
@@ -200,7 +209,7 @@ class Shooting(eqx.Module):
             return gaps.ravel()
         field = ravel_pytree(vector_field(self.t0, self.reference, lattice))[0]
         along = _unit(field / self.scale)
-        # the energy's gradient (-F, m v) and a uniform velocity are where no state can go
+        # No state can move along the energy's gradient (-F, m v) and a uniform velocity.
         gradient = _unit(self.scale * jnp.concatenate([-weights * field[n:], weights * field[:n]]))
         uniform = jnp.concatenate([jnp.zeros_like(self.moves), self.moves])
         gaps = gaps.at[-1].add(self._image(idle[0] * gradient + uniform @ idle[1:]))
@@ -216,8 +225,9 @@ def _unit(x):
 class Family(Problem):
     """The orbits of a lattice over one parameter, p = start + q span, as a problem F(x, q) = 0.
 
-    `make(p)`: the lattice, or one lattice for all. `period`: T, a number or a function of p. With one lattice that no
-    time drives, the derivative in q is that in the period. `left`: what Newton's method may leave of the residual.
+    `make(p)`: the lattice, or one lattice for all. `period`: T, a number or a function of p. With a
+    single autonomous lattice, the derivative in q is that in the period. `left`: the residual that
+    Newton's method may leave.
     """
 
     shooting: Shooting
@@ -229,34 +239,34 @@ class Family(Problem):
     __repr__ = told
 
     def value(self, q: Number) -> Number:
-        """The parameter p at q."""
+        """Return the parameter p at q."""
         return self.start + q * self.span
 
     def with_steps(self, steps: Count | Counts) -> "Family":
-        """The same with other time steps in each segment; an array, whose value compiles nothing anew."""
+        """Return the same with other steps per segment, an array: new values compile nothing."""
         return eqx.tree_at(lambda f: f.shooting.flow.steps, self, jnp.asarray(steps, int))
 
     def follow(self, x: Numbers, q: Scalar, **settings: Any) -> Curve:
-        """The curve of orbits from (x, q) on, with the settings of `continuation`."""
+        """Return the curve of orbits from (x, q), with the settings of `continuation`."""
         return continuation(self, x, q, tolerance=self.left, **settings)
 
     def system(self) -> System:
-        """What continuation solves at every point."""
+        """Return the system that continuation solves at every point."""
         return System(self, self.left)
 
     def scene(self, q: Scalar) -> tuple:
-        """(lattice, period) at q."""
+        """Return (lattice, period) at q."""
         p = self.value(q)
         return self.make if isinstance(self.make, Lattice) else self.make(p), period_at(
             self.period, p
         )
 
     def residual(self, x: Numbers, q: Scalar) -> Numbers:
-        """Gaps between the segments at q."""
+        """Return the gaps between the segments at q."""
         return self.shooting.residual(x, self.scene(q))
 
     def linearise(self, x: Numbers, q: Scalar) -> tuple:
-        """The residual, its derivative in x, and where it costs nothing that in q."""
+        """Return the residual, its derivative in x, and that in q where it costs nothing."""
         gaps, in_x, in_period = self.shooting.slopes(x, self.scene(q))
         if not isinstance(self.make, Lattice):
             return gaps, in_x
@@ -268,12 +278,12 @@ class Family(Problem):
 
 
 def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
-    """The period at a value of the parameter: a number, or a function of it."""
+    """Return the period, a number or a function of the parameter, at a value of it."""
     return period(p) if callable(period) else period
 
 
 def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice, Scalar]:
-    """The lattice and the period at a value of the parameter, as user-defined functions give them."""
+    """Return the lattice and the period that user-defined functions give at a parameter value."""
     lattice, T = make(jnp.asarray(p)), period_at(period, p)
     if np.ndim(T) or not 0 < float(T) < np.inf:
         refuse("period", "a time above zero, or a function that gives one", described(T))
@@ -281,5 +291,5 @@ def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice,
 
 
 def over_omega(omega: Scalar) -> Scalar:
-    """T = 2 pi/omega."""
+    """Return T = 2 pi/omega."""
     return 2 * jnp.pi / omega

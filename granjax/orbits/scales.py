@@ -1,4 +1,4 @@
-"""The lattice's own length: how far a shape may grow before its forces are no longer linear ones."""
+"""The length scale of a lattice: the amplitude at which its forces become nonlinear."""
 
 from collections.abc import Callable
 
@@ -12,40 +12,46 @@ from ..programs import compiled
 from ..types import Displacements, Numbers
 from .asked import largest
 
-# change of the stiffness at the length, as a share of it
+# The relative change of the stiffness at the length.
 SHARE = 0.5
-# binary orders of magnitude that are looked through either way, with 64 bits and with 32
+# Binary orders of magnitude that are searched in both directions, with 64 bits and with 32.
 ORDERS = 160
 SINGLE = 60
-# neighbouring sizes that must agree
+# Neighbouring sizes that must agree.
 RUN = 4
-# rounds between two of them
+# Rounds of refinement between two sizes.
 ROUNDS = 4
-# of a shape, by which what it is compared with is not even
+# The relative amount by which the comparison shape is made uneven.
 UNEVEN = 0.5
 
 
 def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
-    r"""The amplitude a of a shape at which the lattice's stiffness has changed by a half of its size at equilibrium.
+    r"""Return the amplitude of a shape at which the lattice's stiffness has changed by a half.
 
-    Of every law's stiffness F'(e) at its compression, against the largest at equilibrium, and, for a term without a
-    law, of the linearised accelerations |J(a w) p - J(0) p| against |J(0) p|, with w the shape over its largest entry
-    and p the same made uneven, so that less cancels by symmetry; the least such a. Infinite for linear forces, zero in
-    a sonic vacuum. In the unit of u.
+    This is the least amplitude a at which one of the following departs by half of its size at
+    equilibrium:
+
+    - the stiffness F'(e) of a law at its compressions, against the largest at equilibrium;
+    - the linearised accelerations of all terms, which include those without a law: |J(a w) p - J(0)
+      p| against |J(0) p|, with w the shape over its largest entry and p the same made uneven, so
+      that less cancels by symmetry.
+
+    In the unit of u. Infinite for linear forces, zero in a sonic vacuum.
     """
     departures = lambda sizes: np.asarray(_departures(lattice, shape, sizes))
     return last_near(lambda sizes: departures(sizes) <= SHARE, lattice.dtype)
 
 
 def last_near(near: Callable[[Numbers], np.ndarray], dtype: DTypeLike) -> float:
-    """The largest size up to which `near` of many sizes holds; infinite where it always does, zero where it never does.
+    """Return the largest size up to which `near` holds; infinite if always, zero if never.
 
-    By powers of two, which change no digit with the unit of length, and then between two of them.
+    Sizes are powers of two, so that the unit of length changes no digit, then sizes between two of
+    them.
     """
     orders = ORDERS if jnp.finfo(dtype).bits > 32 else SINGLE
     exponents = np.arange(-orders, orders + 1.0)
     holds = near(jnp.asarray(np.exp2(exponents), dtype))
-    # below, where rounding is larger than what is looked for, some may be near by chance
+    # At small sizes, where rounding dominates, `near` may hold by chance.
     runs = np.flatnonzero(np.convolve(holds, np.ones(RUN), "valid") == RUN)
     if not len(runs):
         return 0.0
@@ -71,7 +77,7 @@ def _departures(lattice, shape, amplitudes):
     probe = jax.tree.map(lambda w: w * (1 - UNEVEN * jnp.resize(golden, w.shape)), shape)
 
     def stiffnesses(a):
-        """Of the laws, and of all together."""
+        # Of the laws, and of all terms together.
         u = jax.tree.map(lambda w: a * w, shape)
         laws = [
             c.law.derivative(c.compression)

@@ -1,4 +1,4 @@
-"""All solutions from some guesses: states of rest, breathers, orbits under forcing."""
+"""All solutions from some guesses: equilibria, breathers, forced orbits."""
 
 import abc
 from collections.abc import Sequence
@@ -37,34 +37,34 @@ from .problems import Shooting
 
 
 class Sought(Problem):
-    """What `find_all` solves: F(x) = 0, and what the unknowns stand for."""
+    """The problem F(x) = 0 that `find_all` solves, and the meaning of its unknowns."""
 
     lattice: Lattice
 
     @abc.abstractmethod
     def unknowns(self, state: StateLike) -> Numbers:
-        """The unknowns of a state, all of them lengths."""
+        """Return the unknowns of a state, all of them lengths."""
 
     @abc.abstractmethod
     def state(self, x: Numbers) -> State:
-        """The state that the unknowns stand for."""
+        """Return the state of the unknowns."""
 
     @abc.abstractmethod
     def solution(self, state: StateLike) -> Result:
-        """The result that is found from a state next to it, with its error."""
+        """Return the solution next to a state, with its error."""
 
     def later(self, state: StateLike) -> State | None:
-        """The state half a period later, `None` at rest."""
+        """Return the state half a period later, `None` at rest."""
         return None
 
     def trivial(self) -> list[np.ndarray]:
-        """Solutions that are not looked for."""
+        """Return solutions that are not looked for."""
         return []
 
     def images(self, x: Numbers) -> list[tuple[str | None, np.ndarray]]:
-        """Unknowns of the images under symmetries that a lattice may have, and what they are called.
+        """Return (name, unknowns) of the images under symmetries that a lattice may have.
 
-        `None`: of the same orbit half a period later.
+        The name is `None` for the same orbit half a period later.
         """
         state, signs = self.state(jnp.asarray(x)), [Symmetry(), Sign()]
         if self.lattice.dimension is None and self.lattice.axes == 1:
@@ -86,7 +86,7 @@ class _AtRest(Sought):
 
     def residual(self, x, p):
         force = self.lattice.force(jnp.zeros((), x.dtype), *self.state(x))
-        # the mean displacement of what is free to move is zero
+        # The mean displacement of a freely moving lattice is zero.
         return ravel_pytree(force)[0] + self.tie * (self.moves @ (self.moves.T @ x))
 
     def unknowns(self, state):
@@ -116,7 +116,7 @@ class _Returning(Sought):
         return self.shooting.state(x)
 
     def trivial(self):
-        # at rest every time is a period
+        # At rest every time is a period.
         rest = State(self.lattice.zeros(), self.lattice.zeros())
         return [np.asarray(self.unknowns(rest))] if self.shooting.reversible else []
 
@@ -143,12 +143,13 @@ def problem(
     steps: Count | None = None,
     solver: AbstractSolver | None = None,
 ) -> Sought:
-    """Pose the problem that `find_all` solves: states of rest, breathers, or orbits under forcing.
+    """Pose the problem that `find_all` solves: equilibria, breathers, or forced orbits.
 
-    **Arguments:** `lattice`: one `Lattice`. Without `omega` and `period` its states of rest. `omega` [rad/s]: breathers
-    of this frequency, time-reversible and at rest twice a period; of a conservative, autonomous lattice. `period` [s]:
-    orbits of this period under forcing, at the phase `t0`. `steps`, `solver`: of a period, as in
-    `gx.breathers.breather` and `gx.forced.forced_orbit`; the solutions are confirmed with finer steps.
+    **Arguments:** `lattice`: one `Lattice`. Without `omega` and `period` its equilibria are sought.
+    `omega` [rad/s]: breathers of this frequency, time-reversible and at rest twice a period, of a
+    conservative, autonomous lattice. `period` [s]: orbits of this period under forcing, at the
+    phase `t0`. `steps`, `solver`: as in `gx.breathers.breather` and `gx.forced.forced_orbit`; finer
+    steps confirm the solutions.
     **Returns:** the problem, a `gx.continuation.Problem`.
     **Raises** ValueError for both a frequency and a period, and as those functions do.
     """
@@ -184,31 +185,33 @@ class Solutions(Result):
     """Solutions of one problem, from `find_all`."""
 
     solutions: tuple[Any, ...] = array(
-        "The solutions, each with its error, none of them a symmetric copy of another.",
-        axes="solution",
+        "The solutions, each with its error. None is a symmetric copy of another.", axes="solution"
     )
     states: State = part("The state of each solution.", "solution site", name="state")
     copies: tuple[tuple[str, ...], ...] = note(
-        "Of each solution the symmetries that take it to another one."
+        "The symmetries that map each solution to another one."
     )
 
     @property
     def outcome(self) -> str:
-        """How many were found."""
+        """How many solutions were found."""
         count = len(self.solutions)
         return f"{count} solutions, {count + sum(map(len, self.copies))} with symmetric copies."
 
 
 def find_all(sought: Sought, guesses: Sequence[StateLike], *, most: Count = 20) -> Solutions:
-    """Find distinct solutions of a problem: from each guess one after the other, by Newton's method with deflation.
+    """Find distinct solutions of a problem by Newton's method with deflation, from each guess.
 
-    What has been found is divided out, with its symmetric copies (the sign, translations along the first axis, the
-    mirror image of a chain, half a period later), so that the same guess leads to another solution, until it leads to
-    none. Other symmetries of a lattice are not tried, and no search of this kind proves that there are no more.
+    Known solutions are divided out, with their symmetric copies (the sign, translations along the
+    first axis, the mirror image of a chain, half a period later). So the same guess leads to
+    another solution, until it leads to none. Other symmetries of a lattice are not tried. No such
+    search proves that there are no more solutions.
 
-    **Arguments:** `sought`: of `problem`. `guesses`: `State`s, not all at rest at u = 0. `most`: where it ends.
-    **Returns:** `Solutions`, of `Equilibrium`s or `Orbit`s. **Raises** ValueError for guesses that do not fit;
-    RuntimeError where nothing is found. Source: Farrell, Birkisson, Funke, SIAM J. Sci. Comput. 37, A2026 (2015).
+    **Arguments:** `sought`: from `problem`. `guesses`: `State`s, not all at rest at u = 0. `most`:
+    the most solutions.
+    **Returns:** `Solutions`, of `Equilibrium`s or `Orbit`s. **Raises** ValueError for guesses that
+    do not fit; RuntimeError if nothing is found.
+    Source: Farrell, Birkisson, Funke, SIAM J. Sci. Comput. 37, A2026 (2015).
 
     **Example:**
 
@@ -235,7 +238,7 @@ def find_all(sought: Sought, guesses: Sequence[StateLike], *, most: Count = 20) 
             known.append(x)
             roots.append(x)
             copies.append(())
-            # an image is a solution where the lattice has the symmetry
+            # An image is a solution if the lattice has the symmetry.
             names, images = zip(*sought.images(x))
             for name, y, solves in zip(names, images, solve(sought, x, images, size)):
                 if solves and all(np.abs(y - other).max() > APART * size for other in known):

@@ -1,4 +1,4 @@
-"""Eigenvalues of monodromy matrices, with errors; products that keep what is small."""
+"""Eigenvalues of monodromy matrices and of products of matrices, with errors."""
 
 import numpy as np
 from jaxtyping import Float, Inexact
@@ -8,19 +8,21 @@ from scipy.optimize import linear_sum_assignment
 from ..tuning import one_thread
 from ..types import Parameter, Scalar
 
-# of a norm: rounding of a product of many steps, in units of the last place
+# The rounding of a product of many steps, relative to the norm, in units of the last place.
 ROUNDING = 500
-# of a difference between two flows, of three, and of two alone
+# Safety factors for a difference between two flows: of three flows (SAFETY), and of two alone
+# (ALONE).
 SAFETY = 4
 ALONE = 8
-# changes of three flows in this ratio and direction are those of a smooth one of order 6 or more
+# Changes of three flows in this ratio and direction are those of a smooth flow of order 6 or more.
 REGULAR = 10
 ALIGNED = 0.95
-# moduli in this ratio are separated; a subspace that turns by less than this has settled; the most sweeps
+# Moduli in the ratio GAP are separated; a subspace that turns by less than SETTLED has settled;
+# SWEEPS is the most sweeps.
 GAP = 10
 SETTLED = 1e-14
 SWEEPS = 60
-# what rounding may leave of a turn at which a block below is set to zero
+# The rounding of a turn below which a lower block is set to zero.
 ROUNDED = 1e-9
 
 Map = Float[np.ndarray, "n n"]
@@ -34,13 +36,17 @@ def spectrum(
     *,
     moved: Scalar = 0.0,
 ) -> tuple[Inexact[np.ndarray, " n"], Inexact[np.ndarray, "n n"], Float[np.ndarray, " n"]]:
-    """Eigenvalues (largest modulus first), unit right eigenvectors, and an error of each, of a matrix without units.
+    """Return the eigenvalues of a matrix without units, unit right eigenvectors, and errors.
 
-    `coarse`, `coarser`: the matrix by 3/4 and 1/2 of the steps, or the former alone by half. The error is the bound
-    |dM|/|y^H x| of the first-order effect of a change dM (y, x left and right unit eigenvectors) or, if more, the
-    distance to the nearest eigenvalue of `coarse` in a one-to-one matching; plus the rounding of M by the eigenvalue's
-    condition. At a double multiplier the condition makes it a square root. |dM| is `uncertain`, plus `moved`: what else
-    M is not known to. The effect y^H dM x itself may be small by accident, above all where contacts open.
+    The largest modulus is first. `coarse`, `coarser`: the matrix by 3/4 and 1/2 of the steps, or
+    `coarse` alone by 1/2.
+
+    The error is the larger of two, plus the rounding of M times the eigenvalue's condition number:
+    the bound |dM|/|y^H x| of the first-order effect of a change dM (y, x left and right unit
+    eigenvectors), and the distance to the nearest eigenvalue of `coarse` in a one-to-one matching.
+    At a double multiplier the condition makes it a square root. |dM| is `uncertain`, plus `moved`,
+    other errors of M. The effect y^H dM x itself may be small by accident, above all where contacts
+    open.
     """
     fine, coarse, coarser = (None if x is None else np.asarray(x) for x in (fine, coarse, coarser))
     return known_spectrum(
@@ -49,7 +55,7 @@ def spectrum(
 
 
 def known_spectrum(fine: Map, coarse: Map | None, about: float, moved: Scalar) -> tuple:
-    """`spectrum` of a matrix that is `uncertain` by `about`."""
+    """Return the `spectrum` of a matrix that is `uncertain` by `about`."""
     values, right, overlap = _decomposed(fine)
     error = (ROUNDING * np.finfo(float).eps * size_of(fine) + moved) / overlap
     if coarse is not None:
@@ -58,7 +64,8 @@ def known_spectrum(fine: Map, coarse: Map | None, about: float, moved: Scalar) -
 
 
 def _decomposed(matrix):
-    """Eigenvalues, the largest modulus first, unit right eigenvectors, and how far the left ones overlap with them."""
+    # Eigenvalues, the largest modulus first, unit right eigenvectors, and their overlap with the
+    # left ones.
     values, left, right = eig(matrix, left=True, check_finite=False)
     order = np.lexsort((-np.angle(values), -np.abs(values).round(9)))
     values, left, right = values[order], left[:, order], right[:, order]
@@ -67,7 +74,7 @@ def _decomposed(matrix):
 
 
 def size_of(matrix: np.ndarray) -> float:
-    """The largest singular value, in a third of the time of all."""
+    """Return the largest singular value, in a third of the time of all of them."""
     largest = np.abs(matrix).max()
     if not 0 < largest < np.inf:
         return float(largest)
@@ -85,7 +92,7 @@ def matched(
     values: Inexact[np.ndarray, " n"],
     others: Inexact[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
-    """How far each value is from its partner among others, in the one-to-one matching of the least distances."""
+    """Return the distance of each value from its partner in the closest one-to-one matching."""
     distance = np.abs(values[:, None] - others[None])
     rows, columns = linear_sum_assignment(distance)
     away = np.empty(len(values))
@@ -94,9 +101,10 @@ def matched(
 
 
 def uncertain(fine: Map, coarse: Map, coarser: Map | None = None) -> float:
-    """The norm to which a matrix is known by those with 3/4 and with 1/2 of the steps, or with 1/2 alone.
+    """Return the uncertainty of a matrix in norm, from those with 3/4 and 1/2 of the steps.
 
-    Four times that of `change`; of two flows alone eight times that of their difference.
+    It is four times the norm of `change`, or eight times that of the difference from a matrix with
+    1/2 of the steps alone.
     """
     if coarser is None:
         return ALONE * size_of(fine - coarse)
@@ -104,11 +112,11 @@ def uncertain(fine: Map, coarse: Map, coarser: Map | None = None) -> float:
 
 
 def change(fine: np.ndarray, coarse: np.ndarray, coarser: np.ndarray) -> np.ndarray:
-    """Of the differences between three flows, by n, 3n/4 and n/2 steps, the one that tells the error of the first.
+    """Return the difference between flows of n, 3n/4, n/2 steps that tells the error of the first.
 
-    Where contacts open errors fall unevenly, with an order of 3/2 to 5/2: the difference of two flows is small by
-    accident, up to eightfold as a rule, all three are not. So the largest; where they fall as those of a smooth flow of
-    high order do, the smallest.
+    Where contacts open, errors fall unevenly, with an order of 3/2 to 5/2: the difference of two
+    flows may be small by accident, usually up to eightfold, but not all three. So the largest
+    difference is taken, or the smallest where they fall as those of a smooth flow of high order.
     """
     near, far = fine - coarse, fine - coarser
     sizes = np.linalg.norm(near), np.linalg.norm(far)
@@ -119,43 +127,42 @@ def change(fine: np.ndarray, coarse: np.ndarray, coarser: np.ndarray) -> np.ndar
 
 @one_thread
 def product_multipliers(factors: Parameter) -> Inexact[np.ndarray, " n"]:
-    """Eigenvalues of the product M_m ... M_1 from its factors, small ones kept beside large ones.
+    """Return the eigenvalues of a product M_m ... M_1 from its factors.
 
-    The product itself loses every multiplier below eps times the largest; here each keeps the digits that one factor
-    leaves it. **Arguments:** `factors`: (m, N, N), the first applied first. **Returns:** (N,), the largest modulus
-    first.
+    The product itself loses every multiplier below eps times the largest; here each keeps the
+    digits that one factor leaves it. **Arguments:** `factors`: (m, N, N), the first applied first.
+    **Returns:** (N,), the largest modulus first.
     """
     values = np.linalg.eigvals(_by_blocks(factors)[0])
     return values[np.argsort(-np.abs(values))]
 
 
 def product_spectrum(fine: list, coarse: list, coarser: list, *, moved: Scalar = 0.0) -> tuple:
-    """`spectrum` of the product M_m ... M_1, which keeps what `product_multipliers` keeps.
+    """Return the `spectrum` of a product M_m ... M_1, as accurate as `product_multipliers`.
 
-    The error is that of the differences between the three spectra, and of the rounding of each factor and each block.
-    `moved`: what else the factors together are not known to.
+    The error covers the differences between the three spectra, and the rounding of each factor and
+    block. `moved`: other errors of the factors together.
     """
     blocks, basis, sizes = _by_blocks(fine)
     values, vectors, overlap = _decomposed(blocks)
     others = [product_multipliers(factors) for factors in (coarse, coarser)]
     apart = np.max([matched(values, other) for other in others], axis=0)
-    # sizes fall from block to block, as the moduli do
+    # Sizes fall from block to block, as the moduli do.
     m, eps, rounded = len(fine), ROUNDING * np.finfo(float).eps, np.empty(len(values))
     rounded[np.argsort(-np.abs(values), kind="stable")] = eps * sizes
-    # a change of one factor counts as much as that factor's share of the multiplier lets it
+    # A change of one factor counts according to that factor's share of the multiplier.
     change_of_one = moved + eps * max(map(size_of, fine))
     by_factor = m * np.abs(values) ** ((m - 1) / m) * change_of_one
     return values, basis @ vectors, (rounded + by_factor) / overlap + SAFETY * apart
 
 
 def _by_blocks(factors):
-    """The product M_m ... M_1 as B in an orthonormal basis Q, M Q = Q B, and for each row the size of its block.
-
-    Sweeps of QR decompositions through the factors turn the leading columns of Q to where the product stretches most
-    (orthogonal iteration). Where two neighbouring columns are stretched in a ratio above `GAP`, the block below is set
-    to zero once the columns have settled. The eigenvalues of each block then keep the digits that the plain product
-    loses to the largest. Source: Bojanczyk, Golub, Van Dooren, Proc. SPIE 1770, 31 (1992).
-    """
+    # The product M_m ... M_1 as B in an orthonormal basis Q, M Q = Q B, and for each row the size
+    # of its block. Sweeps of QR decompositions through the factors turn the leading columns of Q to
+    # where the product stretches most (orthogonal iteration). Where two neighbouring columns are
+    # stretched in a ratio above `GAP`, the block below is set to zero once the columns have
+    # settled. The eigenvalues of each block then keep the digits that the plain product loses to
+    # the largest. Source: Bojanczyk, Golub, Van Dooren, Proc. SPIE 1770, 31 (1992).
     n, before = len(factors[0]), np.inf
     basis, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))
     for _ in range(SWEEPS):
@@ -168,11 +175,11 @@ def _by_blocks(factors):
         below = np.maximum.accumulate(stretches[::-1])[::-1][1:]
         cuts = [0, *1 + np.flatnonzero(above > GAP * below), n]
         turns = max(np.abs(rotation[cut:, :cut]).max(initial=0) for cut in cuts)
-        # a small one that no longer falls is rounding
+        # A small turn that no longer falls is rounding.
         if turns <= SETTLED or turns > before / 2 and turns < ROUNDED:
             break
         basis, before = turned, turns
-    # of columns that still turn, the product is taken as it is
+    # For columns that still turn, the product is taken as it is.
     cuts = [cut for cut in cuts if np.abs(rotation[cut:, :cut]).max(initial=0) < ROUNDED]
     for cut in cuts:
         rotation[cut:, :cut] = 0
@@ -185,13 +192,18 @@ def _by_blocks(factors):
 def reversible_multipliers(
     half: Map, coarse: Map | None = None, coarser: Map | None = None
 ) -> tuple:
-    r"""Multipliers of a time-reversible orbit from the tangent map of half a period between rests, with errors.
+    r"""Return multipliers of a time-reversible orbit from the tangent map of half a period.
 
-    With half = [[A, B], [C, D]] over (u, p = m v) symplectic and the reversal R, M = R half^{-1} R half has
-    (M + M^{-1})/2 = diag(1 + 2 B^T C, 1 + 2 C^T B), so the n numbers (rho + 1/rho)/2 are the eigenvalues of
-    1 + 2 B^T C. They are simple where the multipliers are double (at +-1), and carry no square root of the error.
+    The half period lies between two rests. With half = [[A, B], [C, D]] over (u, p = m v)
+    symplectic and the reversal R,
 
-    **Returns:** half-traces mu (n,), multipliers rho (2n,), the largest modulus first, and the error of each rho.
+    M = R half^{-1} R half,  (M + M^{-1})/2 = diag(1 + 2 B^T C, 1 + 2 C^T B).
+
+    So the n numbers (rho + 1/rho)/2 are the eigenvalues of 1 + 2 B^T C. They are simple where the
+    multipliers are double (at +-1), so their errors are not square roots.
+
+    **Returns:** half-traces mu (n,), multipliers rho (2n,), the largest modulus first, and the
+    error of each rho.
     """
     half, coarse, coarser = (None if x is None else np.asarray(x) for x in (half, coarse, coarser))
     n = len(half) // 2

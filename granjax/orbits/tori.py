@@ -1,4 +1,4 @@
-"""Tori of two frequencies: a circle of states that a period turns by an angle, y(theta + rho) after y(theta)."""
+"""Two-frequency tori: circles of states that a period rotates by an angle."""
 
 import math
 from fractions import Fraction
@@ -28,40 +28,43 @@ from ..types import Count, Numbers, Scalar
 from .asked import checked_lattice, default_steps, fixed_step_solver, largest_of_each, shifts
 from .problems import Family
 
-# points of the circle at first and at most, always odd, so that no harmonic has a sine alone
+# Numbers of points on the circle, at first and at most. They are odd, so that each harmonic has
+# both a sine and a cosine.
 FIRST = 15
 MOST = 511
-# the most steps of a period, times those of the beginning
+# The most steps per period, relative to the first number.
 FINEST = 64
-# what Gauss and Newton's method may leave of the size with the first angles; singular values that count as zero
+# The relative residual that the Gauss-Newton method may leave with the first angles (CLOSE).
+# Singular values below the share FLAT count as zero.
 CLOSE = 1e-4
 FLAT = 1e-7
-# the shortest part of a step that is tried
+# The smallest fraction of a step that is tried.
 SHORTEST = 2.0**-6
-# the most of Newton's steps; the factor by which errors are enlarged
+# The most Newton steps (STEPS), and the factor by which errors are enlarged (SAFETY).
 STEPS = 40
 SAFETY = 2
-# Lyapunov exponents: iterates of the period, a part of them to begin with; the largest that is zero, in errors
+# Lyapunov exponents: iterates of the period, further ones at the start that do not count, and the
+# number of errors up to which an exponent counts as zero.
 ITERATES = 2000
 IDLE = 200
 SURE = 5
-# rotation numbers of such denominators are reported where a branch passes them
+# Rotation numbers with denominators up to this are reported where a branch passes them.
 STRONG = 8
 
 
 class Torus(Result):
     """A two-frequency motion of a lattice: what `gx.orbits.torus` returns.
 
-    It holds K states of a circle at t0; those between are interpolated by Fourier's series.
+    It holds K states of a circle at t0; Fourier interpolation gives those between.
     """
 
     states: State = part("The states at the angles 2 pi j/K.", "angle site", name="state")
-    period: float = array("The time T after which the circle returns, turned.", "s")
-    rotation: float = array("The angle rho by which it is turned.", "rad")
+    period: float = array("The time T after which the circle returns, rotated.", "s")
+    rotation: float = array("The angle rho of that rotation.", "rad")
     error: State = part("The error of the states, one for all angles.", "site")
     period_error: float = array("The error of T.", "s")
     rotation_error: float = array("The error of rho.", "rad")
-    energy: float = array("The energy, its mean over the angles, from equilibrium.", "J")
+    energy: float = array("The energy from equilibrium, its mean over the angles.", "J")
     lattice: Lattice = hidden("The lattice.")
     flow: Flow = hidden("The steps and the solver over a period.")
     t0: float = array("The time at which the circle is taken.", "s", default=0.0)
@@ -73,21 +76,22 @@ class Torus(Result):
 
     @property
     def outcome(self) -> str:
-        """The frequencies, and to what it is known, a sentence."""
+        """The frequencies and the error, in one sentence."""
         first, second = self.omega
         known = max(float(np.max(np.abs(x))) for x in jax.tree.leaves(self.error.u))
         count = jax.tree.leaves(self.states.u)[0].shape[0]
         return f"Frequencies {first:.9g} and {second:.9g}; {count} angles; displacements known to {known:.1e}."
 
     def state(self, theta: Scalar, periods: Count = 0) -> State:
-        """The state at an angle, or what it has become after a number of periods T."""
+        """Return the state at an angle, after a number of periods T."""
         theta = float(theta) + periods * self.rotation
         return jax.tree.map(lambda x: _turned(np.asarray(x), theta)[0], self.states)
 
     def exponents(self, iterates: Count = ITERATES) -> tuple[np.ndarray, np.ndarray]:
-        """Lyapunov exponents [1/s] over some periods, the largest first, and their errors, from both halves.
+        """Return Lyapunov exponents [1/s], the largest first, and their errors.
 
-        One is zero for each frequency that nothing drives, and so is its partner in a conservative lattice.
+        The run covers `iterates` periods; both its halves give the errors. One is zero for each
+        frequency that nothing drives, and so is its partner in a conservative lattice.
         """
         states = _each(self.states)
         rows = lambda ys: np.stack([np.asarray(ravel_pytree(y)[0]) for y in ys])
@@ -101,12 +105,12 @@ class Torus(Result):
 
 
 class TorusBranch(Result):
-    """Tori along the parameter of a branch: what `branch.switch(i)` returns at a Neimark-Sacker point."""
+    """Tori along a parameter, from `branch.switch(i)` at a Neimark-Sacker point."""
 
     p: Float[np.ndarray, " point"] = array("The parameter.")
     periods: Float[np.ndarray, " point"] = array("The period of the drive.", "s", name="period")
     rotation: Float[np.ndarray, " point"] = array(
-        "The angle by which a period turns the circle.", "rad"
+        "The angle by which a period rotates the circle.", "rad"
     )
     rotation_error: Float[np.ndarray, " point"] = array("The errors of the angles.", "rad")
     states: State = part(
@@ -114,17 +118,18 @@ class TorusBranch(Result):
     )
     error: State = part("The error of the states, one for all angles.", "point site")
     exponents: Float[np.ndarray, "point exponent"] = array(
-        "Lyapunov exponents, the largest first; one is zero, along the circle.", "1/s"
+        "The Lyapunov exponents, the largest first. One is zero, along the circle.", "1/s"
     )
     exponents_error: Float[np.ndarray, "point exponent"] = array(
         "The errors of the exponents.", "1/s"
     )
     verdict: Shaped[np.ndarray, " point"] = array(
-        '"stable" where all exponents but one are below zero, "unstable" or "undecided".'
+        '"stable" if all exponents but one are below zero, "unstable" or "undecided".'
     )
     lockings: tuple[tuple[float, str], ...] = array(
-        "Where the rotation number rho/2 pi passes a fraction of a small denominator, (p, fraction): there the motion "
-        "may lock to a periodic orbit, in a gap that is narrower than the step where the branch goes on.",
+        "Where the rotation number rho/2 pi passes a fraction of a small denominator, "
+        "(p, fraction). The motion may lock to a periodic orbit there, in a gap that is narrower "
+        "than the step if the branch continues.",
         axes="locking",
     )
     curve: Curve = hidden("The curve that continuation has followed.")
@@ -140,7 +145,7 @@ class TorusBranch(Result):
 
     @property
     def outcome(self) -> str:
-        """Why the branch ended, a sentence."""
+        """Why the branch ended, in one sentence."""
         end = f"p reached {self.p[-1]:.6g}." if self.curve.end == "p" else self.curve.outcome
         if self.curve.end == "step":
             near = Fraction(self.rotation[-1] / (2 * np.pi)).limit_denominator(STRONG)
@@ -170,7 +175,8 @@ class Circle(eqx.Module):
 
 @compiled
 def _mapped(circle, Y, lattice, period):
-    """Of states Y (K, 2n): where they are after the period (K, 2n), the derivatives (K, 2n, 2n), the fields there."""
+    # Returns, for states Y (K, 2n): their images after the period (K, 2n), the derivatives
+    # (K, 2n, 2n), and the fields there.
     unravel, scale, end = ravel_pytree(circle.like)[1], circle.scale, circle.t0 + period
 
     def one(y):
@@ -183,10 +189,10 @@ def _mapped(circle, Y, lattice, period):
 
 @compiled
 def _assembled(circle, Y, lattice, period, rho):
-    """The gaps y_j(T) - y(theta_j + rho) in a row, and their derivatives in Y, in the period and in rho."""
+    # The gaps y_j(T) - y(theta_j + rho) in a row, and their derivatives in Y, the period and rho.
     count, size = Y.shape
     ends, maps, fields = _mapped(circle, Y, lattice, period)
-    # Fourier's interpolation to the angles plus rho
+    # Fourier interpolation to the angles plus rho.
     k, j = jnp.arange(1, (count + 1) // 2), jnp.arange(count)
     at = k * (2 * jnp.pi / count * (j[:, None] - j)[..., None] + rho)
     turn = (1 + 2 * jnp.sum(jnp.cos(at), -1)) / count
@@ -197,7 +203,7 @@ def _assembled(circle, Y, lattice, period, rho):
 
 
 def _turned(x, theta, count=None):
-    """Values over a circle (K, ...) at `count` angles from theta on; by default one."""
+    # Values over a circle (K, ...) at `count` angles from theta on, by default at one.
     count, size = count or 1, len(x)
     k = np.fft.fftfreq(size, 1 / size)
     wave = np.exp(1j * k * (theta + 2 * np.pi * np.arange(count)[:, None] / count))
@@ -206,20 +212,20 @@ def _turned(x, theta, count=None):
 
 
 def _each(states):
-    """The states of a circle as a list."""
     count = len(jax.tree.leaves(states)[0])
     return [State(*jax.tree.map(lambda x: jnp.asarray(x[j]), states)) for j in range(count)]
 
 
 def _states(circle, Y):
-    """Rows in units of the scale as a `State` with angles first."""
+    # From rows in units of the scale to a `State` with angles first.
     unravel = ravel_pytree(circle.like)[1]
     rows = [State(*unravel(jnp.asarray(y) * circle.scale)) for y in Y]
     return jax.tree.map(lambda *y: np.stack(y), *rows)
 
 
 class _Modal(NamedTuple):
-    """What fixes amplitudes and phases: rows over the mean state and over the first harmonics, and what they give."""
+    # Conditions on amplitudes and phases: rows over the mean state and over the first harmonic, and
+    # their values.
 
     circle: Circle
     lattice: Lattice
@@ -240,23 +246,24 @@ def torus(
     solver: AbstractSolver | None = None,
     tolerance: Scalar = 1e-9,
 ) -> Torus:
-    r"""Find a motion of two frequencies of a conservative lattice, from two of its linear modes.
+    r"""Find a two-frequency motion of a conservative lattice, from two of its linear modes.
 
-    K states of a circle and the two unknowns T, rho solve y_j(T) = y(theta_j + rho) by Gauss and Newton's method;
-    the amplitudes and the phases of both modes are given, and what is free to move stays at its mean.
+    K states of a circle and the unknowns T, rho solve y_j(T) = y(theta_j + rho) by the Gauss-Newton
+    method. The amplitudes and phases of both modes are given. The mean of a freely moving lattice
+    stays fixed.
 
     **Arguments:**
 
-    - `lattice`: conservative and autonomous. `modes`: two indices of `gx.linear.normal_modes`; the first one has
-      returned after T.
-    - `amplitudes`: of each mode, the largest displacement that its share makes [m]: of the first one, the share in the
-      mean over the circle at t0, of the second, in the first harmonic.
-    - `angles`: K, an odd number; `steps` in T; with `None` each is doubled until the error is below `tolerance` times
-      the larger amplitude. `solver`: as in `gx.orbits.orbit`.
+    - `lattice`: conservative and autonomous. `modes`: two indices of `gx.linear.normal_modes`; the
+      first mode returns after T.
+    - `amplitudes`: of each mode, the largest displacement that its share makes [m]: the share of
+      the first in the mean over the circle at t0, that of the second in the first harmonic.
+    - `angles`: K, an odd number; `steps` in T; each `None` is doubled until the error is below
+      `tolerance` times the larger amplitude. `solver`: as in `gx.orbits.orbit`.
 
-    **Returns:** `Torus`, known to its `error`. **Raises** ValueError for a lattice that is damped, driven or traced,
-    the same mode twice, modes of no frequency; RuntimeError where Newton's method finds none, as at a resonance of the
-    two, or the angles do not suffice.
+    **Returns:** `Torus`, known to its `error`. **Raises** ValueError for a lattice that is damped,
+    driven or traced, the same mode twice, modes without a frequency; RuntimeError if Newton's
+    method finds none, as at a resonance of the two, or the angles do not suffice.
     Source: Gomez, Mondelo, Physica D 157, 283 (2001); Schilder, Osinga, Vogt (2005).
 
     **Example:**
@@ -284,7 +291,7 @@ def torus(
 
 
 def _posed(lattice, modes, amplitudes, count, steps, solver):
-    """The conditions on two modes of a lattice, and the unknowns of the linear motion: Y, T over its own, and rho."""
+    # The unknowns are those of the linear motion: Y, T over that of the mode, and rho.
     first, second = (whole("modes", k, 0) for k in modes)
     a, b = (float(positive("amplitudes", x)) for x in amplitudes)
     found = normal_modes(lattice)
@@ -301,7 +308,8 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     scale, none = size * np.concatenate([np.ones(n), np.full(n, one)]), np.zeros(n)
     mass = np.asarray(ravel_pytree(spread_mass(lattice))[0])
     share = lambda shape: shape * mass / (shape @ (mass * shape))
-    # the mean over the circle: the first mode at its turning point, what is free to move at its place
+    # The mean over the circle: the first mode at its turning point, a freely moving lattice at its
+    # place.
     mean = [share(e), *(np.asarray(shifts(lattice)).T * mass / mass.sum())]
     mean = np.array([pair for row in mean for pair in (np.append(row, none), np.append(none, row))])
     values = np.concatenate([[a], np.zeros(len(mean) - 1), [b, 0.0]]) / size
@@ -319,10 +327,10 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
 
 
 def _refined(modal, x, share, more_angles, more_steps):
-    """The torus with as many angles and steps as bring its error below a share of its size, and what it is then."""
+    # Doubles angles and steps until the error is below a share of the size; also returns the error.
     size, begun = modal.circle.scale.size, int(modal.circle.flow.steps)
     while True:
-        # of the angles alone, and of the steps as well
+        # The error by the angles alone, and by the steps as well.
         own, off = (_beside(modal, x, by) for by in (1, 2))
         worst, both, count = own[:-2].max(), off[:-2].max(), len(x) // size
         steps, longer = 2 * int(modal.circle.flow.steps), 2 * count + 1
@@ -345,7 +353,7 @@ def _refined(modal, x, share, more_angles, more_steps):
 
 
 def _climbed(modal, x):
-    """The torus at the full amplitudes, from the linear one, if need be by way of smaller ones."""
+    # From the linear motion to the full amplitudes, by way of smaller ones if needed.
     for parts in (4, 8, 16):
         found, before = x, 0.0
         for share in np.arange(1, parts + 1) / parts:
@@ -364,7 +372,7 @@ def _climbed(modal, x):
 
 
 def _newtons(modal, x):
-    """Gauss and Newton's method: as many steps as lower the residual, and what is left of it."""
+    # Gauss-Newton steps as long as they lower the residual; also returns the residual.
     gap, slope = _equations(modal, x)
     left, share = np.abs(gap).max(), 1.0
     step = np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
@@ -383,7 +391,7 @@ def _newtons(modal, x):
 
 
 def _beside(modal, x, by):
-    """By how much the unknowns are off: of angles between those of x, by more steps too."""
+    # The error of the unknowns, from angles between those of x, and from more steps.
     n = modal.circle.scale.size
     count = len(x[:-2]) // n
     Y = _turned(x[:-2].reshape(count, n), np.pi / count, count)
@@ -391,13 +399,13 @@ def _beside(modal, x, by):
     finer = modal._replace(circle=eqx.tree_at(lambda c: c.flow.steps, modal.circle, steps))
     gap, slope = _equations(finer, np.concatenate([Y.ravel(), x[-2:]]), np.pi / count)
     inverse = np.linalg.pinv(slope, rcond=FLAT)
-    # rounding of many entries adds up like noise
+    # Rounding errors of many entries add up like noise.
     rounding = 16 * np.finfo(float).eps * np.abs(Y).max() * np.linalg.norm(inverse, axis=1)
     return _covering(inverse @ gap) + rounding
 
 
 def _equations(modal, x, offset=0.0):
-    """The residual of a torus and its derivative in (Y, T over that of the linear mode, rho), as many as there are."""
+    # The residual of a torus and its derivative in (Y, T over that of the linear mode, rho).
     Y = x[:-2].reshape(-1, modal.circle.scale.size)
     count, period = len(Y), x[-2] * modal.period
     at = map(jnp.asarray, (period, x[-1]))
@@ -423,7 +431,7 @@ def _energy(lattice, t0, states):
 
 
 class TorusProblem(Problem):
-    """Tori of a family of forced orbits: K states and rho, y_j(T) = y(theta_j + rho), and `phase` . Y = 0.
+    """Tori of forced orbits: K states and rho with y_j(T) = y(theta_j + rho) and `phase` . Y = 0.
 
     Source: Schilder, Osinga, Vogt, SIAM J. Appl. Dyn. Syst. 4, 459 (2005).
     """
@@ -458,7 +466,7 @@ class TorusProblem(Problem):
 
 @compiled
 def _solved(problem, x, q):
-    """Newton's step at (x, q), and what rounding makes of the unknowns."""
+    # Newton's step at (x, q), and the effect of rounding on the unknowns.
     gap, in_x, _ = problem.linearise(x, q)
     inverse = jnp.linalg.inv(in_x)
     size = jnp.max(jnp.abs(x[:-1]))
@@ -472,7 +480,7 @@ def _with_steps(problem, by):
 
 
 def _apart(problem, x, q, by):
-    """By how much the unknowns are off: of angles between those of x (by = 1), or by more steps too."""
+    # The error of the unknowns, from angles between those of x (by = 1), and from more steps.
     size = problem.circle.scale.size
     Y, count = x[:-1].reshape(-1, size), (len(x) - 1) // size
     between = np.append(_turned(Y, np.pi / count, count).ravel(), x[-1])
@@ -483,7 +491,7 @@ def _apart(problem, x, q, by):
 
 
 def _covering(step):
-    """The error of unknowns that Newton's step would change: none is known better than a tenth of the worst."""
+    # No unknown counts as known better than a tenth of the worst.
     change = SAFETY * np.abs(step)
     return np.maximum(change, 0.1 * change.max())
 
@@ -499,7 +507,7 @@ def from_neimark_sacker(
     points: Count,
     tolerance: float = 1e-6,
 ) -> TorusBranch:
-    """The tori that leave a Neimark-Sacker point z = (x, q) of a family of forced orbits."""
+    """Follow the tori that leave a Neimark-Sacker point z = (x, q) of a family of forced orbits."""
     shooting, q = family.shooting, jnp.asarray(z[-1])
     n = 2 * shooting.count
     lattice, period = family.scene(q)
@@ -514,7 +522,7 @@ def from_neimark_sacker(
         angles = 2 * np.pi * np.arange(count) / count
         wave = np.exp(1j * angles)[:, None] * v
         along, phase = (x.ravel() / np.linalg.norm(x) for x in (wave.real, (1j * wave).real))
-        # so that the norm of the unknowns is that of the mean state over the circle
+        # The norm of the unknowns is then that of the mean state over the circle.
         own = eqx.tree_at(lambda c: c.scale, circle, circle.scale * math.sqrt(count))
         own = eqx.tree_at(lambda c: c.flow.steps, own, jnp.asarray(steps * flow.steps))
         problem = TorusProblem(family, own, jnp.asarray(phase))
@@ -575,7 +583,7 @@ def _torus_branch(problem, curve, n):
 
 
 def _verdict(exponents, error):
-    """The exponent next to zero is that along the circle."""
+    # The exponent nearest to zero is that along the circle.
     along = np.argmin(np.abs(exponents))
     others, about = np.delete(exponents, along), np.delete(error, along)
     if (others > SURE * about).any():
@@ -584,7 +592,7 @@ def _verdict(exponents, error):
 
 
 def _lockings(p, rotation):
-    """(p, fraction) where the rotation number passes fractions of small denominators, by linear interpolation."""
+    # By linear interpolation of the rotation number.
     found = []
     for i, (a, b) in enumerate(zip(rotation[:-1], rotation[1:])):
         low, high = sorted((a, b))
@@ -597,17 +605,16 @@ def _lockings(p, rotation):
 
 
 def _slopes(Y):
-    """dy/dtheta over the circle, (K, 2n), which the motion takes to itself."""
+    # dy/dtheta over the circle, (K, 2n), a direction that the motion maps to itself.
     k = np.fft.fftfreq(len(Y), 1 / len(Y))
     return np.fft.ifft(1j * k[:, None] * np.fft.fft(Y, axis=0), axis=0).real
 
 
 def _cocycle(maps, rotation, period, iterates, own):
-    """Lyapunov exponents of maps (K, 2n, 2n) over a circle that each turns by an angle, and their errors.
-
-    `own`: fields of directions over the circle (K, 2n) that the motion takes to itself: their exponents are zero. Found
-    by chance they would need as long as the next exponent is near, and where others grow rounding would leave them.
-    """
+    # Lyapunov exponents, with errors, of maps (K, 2n, 2n) over a circle that each rotate it by an
+    # angle. `own`: fields of directions over the circle (K, 2n) that the motion maps to themselves,
+    # so that their exponents are zero. From a random start they would be found slowly if the next
+    # exponent is near, and rounding would lead away from them where others grow.
     count, n, _ = maps.shape
     thetas = rotation * np.arange(IDLE + iterates + 1)
     wave = np.exp(1j * np.outer(thetas, np.fft.fftfreq(count, 1 / count)))
@@ -618,12 +625,12 @@ def _cocycle(maps, rotation, period, iterates, own):
         Q[:, : len(own)] = before
         Q, R = np.linalg.qr(map_ @ np.linalg.qr(Q)[0])
         logs.append(np.log(np.abs(np.diag(R))))
-        # of the known ones what they have gained over the circle
+        # The growth of the known directions over the circle.
         gained = np.linalg.norm(map_ @ before, axis=0) / np.linalg.norm(after, axis=0)
         logs[-1][: len(own)] = np.log(gained)
     found = birkhoff(np.stack(logs[IDLE:]) / period)
     values, error = np.asarray(found.value), SAFETY * np.asarray(found.error)
-    # what the known directions miss of zero, the others may miss too
+    # The others may be off by as much as the known directions are from zero.
     error = (
         error + SAFETY * np.abs(values[: len(own)]).max() + 10 * n * np.finfo(float).eps / period
     )

@@ -1,6 +1,7 @@
-"""Ready scenes: functions that return a `Lattice`.
+"""Ready-made scenes: functions that return a `Lattice`.
 
-A batch of scenes is `jax.vmap(lambda ratio: scenes.dimer(60, ratio), out_axes=-1)(ratios)`: its lanes are trailing.
+For a batch use `jax.vmap(lambda ratio: scenes.dimer(60, ratio), out_axes=-1)(ratios)`; its lanes
+are trailing.
 """
 
 from .bead_chain import beads, struck

@@ -1,4 +1,4 @@
-"""Chains in SI from materials and radii."""
+"""Bead chains in SI, from materials and radii."""
 
 from collections.abc import Sequence
 
@@ -27,30 +27,30 @@ def beads(
     boundary: str = "fixed",
     damping_time: Scalar | None = None,
 ) -> Lattice:
-    r"""Build a chain of elastic spheres in SI: masses (4/3) pi R^3 rho, Hertz contacts of each pair of neighbours.
+    r"""Build a chain of elastic spheres in SI: masses (4/3) pi R^3 rho and Hertz contacts.
 
-    m_n u_n'' = A_n [d0_n + u_{n-1} - u_n]_+^{3/2} - A_{n+1} [d0_{n+1} + u_n - u_{n+1}]_+^{3/2} - m_n u_n'/tau,
+    m_n u_n'' = F_n - F_{n+1} - m_n u_n'/tau,   F_n = A_n [d0_n + u_{n-1} - u_n]_+^{3/2},
     d0_n = (F0/A_n)^{2/3}, A_n as in `granjax.materials.hertz_coefficient`.
 
     **Arguments:**
 
-    - `materials`: a name of the table or a `Material`, for all beads; or a sequence, one per bead.
-    - `radii` [m]: a number for all beads, or a sequence or array, one per bead. Traced values pass.
-    - `precompression`: static force F0 >= 0 [N], a number, or one per contact where other static loads, such as the
-      weight of a vertical chain, make up the difference.
+    - `materials`: a name of the table or a `Material`, one or one per bead.
+    - `radii` > 0 [m]: one or one per bead; may be traced.
+    - `precompression`: static force F0 >= 0 [N], a number, or one per contact, such as under the
+      weight of a vertical chain.
     - `cells`: how often the beads above are repeated:
       `beads(["aluminium 6061-T6", "steel 316"], 9.53e-3, 20.0, cells=40)` is a dimer of 80 beads.
     - `boundary`: `"fixed"` (walls at rest), `"free"` (F0 held at the ends) or `"periodic"`.
-    - `wall`: material of the walls, which are elastic half-spaces felt as planes; a name, a `Material`, `"rigid"`, or
-      a pair (left, right); by default the material of the bead that touches.
-    - `damping_time`: tau [s] of a damping of each bead, rate 1/tau; `None` for none. Typical: 0.2 ... 5 ms.
+    - `wall`: material of the walls (elastic half-spaces), `"rigid"`, or a pair (left, right); by
+      default that of the end bead.
+    - `damping_time`: tau > 0 [s], `None` for no damping. Typical: 0.2 ... 5 ms.
 
-    **Returns:** a `Lattice` in SI, u in m, v in m/s, t in s; its `mass` is one number where all beads are alike.
+    **Returns:** a `Lattice` in SI: u [m], v [m/s], t [s]. Its `mass` is one number for equal beads.
     `scaled(...)` gives it numbers of order one.
-    **Raises** ValueError for fewer than two beads, sequences of different length, an unknown material or boundary, a
-    radius or tau that is not above zero, F0 < 0, or a wall where there is none.
-    Source: Nesterenko, Dynamics of Heterogeneous Materials (2001); Boechler et al., Phys. Rev. Lett. 104, 244302
-    (2010).
+    **Raises** ValueError for arguments outside these ranges, fewer than two beads, unequal lengths,
+    or a `wall` without fixed ends.
+    Source: Nesterenko, Dynamics of Heterogeneous Materials (2001); Boechler et al., Phys. Rev.
+    Lett. 104, 244302 (2010).
 
     **Example:**
 
@@ -91,16 +91,17 @@ def struck(
     wall: str | Material | None = None,
     damping_time: Scalar | None = None,
 ) -> Lattice:
-    r"""Build a chain of beads at rest before a wall, in SI, with the striker that hits it as site 0.
+    r"""Build a chain of beads before a wall, in SI, with the striker that hits it as site 0.
 
-    Every contact is without precompression, and nothing holds the striker, which may rebound:
-    `gx.states.impact(chain, velocity)` lets it touch bead 1 at t = 0 with its velocity.
+    No contact is precompressed, and nothing holds the striker, which may rebound.
+    `gx.states.impact(chain, velocity)` starts it at the contact with bead 1.
 
-    **Arguments:** `materials`, `radii` [m], `cells`, `damping_time` [s]: of the beads of the chain, as in `beads`.
-    `striker`: its material and radius [m]. `wall`: material of the wall behind the last bead, as in `beads`; by default
-    that of this bead.
+    **Arguments:** `materials`, `radii` [m], `cells`, `damping_time` [s]: of the chain, as in
+    `beads`. `striker`: its material and radius [m]. `wall`: material of the wall behind the last
+    bead, as in `beads`; by default that of this bead.
 
-    **Returns:** a `Lattice` in SI of the striker and the beads. **Raises** ValueError as `beads` does.
+    **Returns:** a `Lattice` in SI of the striker and the beads. **Raises** ValueError as `beads`
+    does.
     Source: Daraio, Nesterenko, Herbold, Jin, Phys. Rev. E 72, 016603 (2005).
 
     **Example:**
@@ -125,7 +126,6 @@ def struck(
 
 
 def _cell(materials, radii, cells):
-    """Material and radii of the beads of one cell: numbers where all are alike, else arrays; how many cells."""
     if cells is not None:
         whole("cells", cells, 1, "It is how often the beads are repeated.")
     R = positive("radii", stacked("radii", radii), "A radius is in metres, above zero.")
@@ -147,8 +147,6 @@ def _cell(materials, radii, cells):
 
 
 def _coefficients(bodies, R, sites, boundary, wall):
-    """Hertz coefficient of every contact; one number where all are alike."""
-
     def beads(n):
         return jax.tree.map(lambda x: x[n] if x.ndim else x, (bodies, R))
 

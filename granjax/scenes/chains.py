@@ -1,4 +1,4 @@
-"""Chains in scaled units: mass 1, contact coefficient 1, compression positive, at rest at u = 0."""
+"""Chains in scaled units: mass 1, contact coefficient 1, compression positive, u = 0 at rest."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ def chain(
     damping: Parameter | None = None,
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a chain of one law between neighbours, the scene that others are made of.
+    r"""Build a chain with one law between neighbours, of which other scenes are made.
 
     m_n u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - G(u_n) - m_n gamma u_n'
 
@@ -37,15 +37,17 @@ def chain(
 
     - `sites`: number of sites N >= 2.
     - `mass`: m > 0 [kg], a number, or one per site (N,).
-    - `law`: F; its parameters are numbers, or one per bond: (N + 1,), (N - 1,) or (N,) for the boundaries below.
-    - `boundary`: `"fixed"` (rigid walls, bonds as between sites), `"free"` (the preload is held at the ends) or
-      `"periodic"` (a ring).
-    - `on_site`: G, a law between each site and its place at rest, `None` for none.
+    - `law`: F; its parameters are numbers, or one per bond: (N + 1,), (N - 1,) or (N,) for the
+      boundaries below.
+    - `boundary`: `"fixed"` (rigid walls, bonds as between sites), `"free"` (the preload is held at
+      the ends), `"periodic"`.
+    - `on_site`: G, a law between each site and its rest position, `None` for none.
     - `damping`: gamma >= 0 [1/s], a number, or one per site; `None` for none.
-    - `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
+    - `units`: `"scaled"` or `"SI"`.
 
-    **Returns:** a `Lattice`, u of shape (N,). Any of the numbers may be traced. **Raises** ValueError for N < 2, an
-    unknown boundary, m <= 0, or parameters that do not fit the chain.
+    **Returns:** a `Lattice`, u of shape (N,). All numbers but N may be traced.
+    **Raises** ValueError for arguments outside these ranges, or parameters that do not fit the
+    chain.
 
     **Example:**
 
@@ -63,27 +65,27 @@ def chain(
 
 
 def a_chain(sites: Count) -> int:
-    """The number of sites of a chain, checked."""
+    """Return the checked number of sites of a chain."""
     return whole("sites", sites, 2, "A chain has at least two beads.")
 
 
 def contacts_of(sites: Count, boundary: str) -> int:
-    """How many bonds to the next site there are, walls counted."""
+    """Return the number of bonds to the next site, walls included."""
     more = {"fixed": 1, "free": -1, "periodic": 0}
     return a_chain(sites) + more[one_of("boundary", boundary, more)]
 
 
 def check_each(count: int, what: str, **parameters: Parameter | None) -> None:
-    """Refuse what is neither one number nor one for each of `count` contacts or sites."""
+    """Refuse parameters that are neither a number nor one per contact or site."""
     for name, x in parameters.items():
         if np.shape(x)[:1] not in ((), (1,), (count,)):
             refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")
 
 
 def fitting(law: Any, count: int, what: str) -> Any:
-    """The law, whose parameters are numbers, or one for each of `count` contacts or sites."""
+    """Return the law after checking its parameters with `check_each`."""
     kind = type(law)
-    # a user-defined law may hold other arrays
+    # A user-defined law may have arrays of other shapes.
     if kind.__module__.startswith("granjax."):
         arrays = {name.removeprefix("_free_"): x for name, x in vars(law).items() if np.shape(x)}
         check_each(count, what, **{f"{kind.__name__}.{name}": x for name, x in arrays.items()})
@@ -91,7 +93,7 @@ def fitting(law: Any, count: int, what: str) -> Any:
 
 
 def number(argument: str, x: Scalar) -> Scalar:
-    """A parameter that is one number, traced or not."""
+    """Return a parameter that is one number, traced or not."""
     x = parameter(argument, x)
     if x.ndim:
         refuse(argument, "one number", f"an array of shape {x.shape}", MANY)
@@ -99,16 +101,16 @@ def number(argument: str, x: Scalar) -> Scalar:
 
 
 def stacked(argument: str, values: Parameter) -> Any:
-    """A sequence of numbers, some of them perhaps traced, as one array; anything else as a parameter."""
+    """Return a sequence of numbers, possibly traced, as one array; else a parameter."""
     if not isinstance(values, (tuple, list)) or not values:
         return parameter(argument, values)
     found = [number(f"{argument}[{i}]", x) for i, x in enumerate(values)]
-    # by NumPy where it can be, as for JAX each operation is a program to compile
+    # Known numbers use NumPy, because JAX compiles a program for each operation.
     return jnp.stack(found) if traced(found) else jax.device_put(np.stack(found))
 
 
 def contact(stiffness: Parameter, exponent: Parameter, precompression: Parameter) -> Law:
-    """The law of power-law contacts: Hertz's where the exponent is 3/2."""
+    """Return the law of power-law contacts: `Hertz` for the exponent 3/2."""
     if isinstance(exponent, (int, float)) and exponent == 1.5:
         return Hertz(stiffness, precompression)
     return PowerLaw(stiffness, exponent, precompression)
@@ -126,24 +128,27 @@ def monomer(
     precompression: Parameter = 0.0,
     boundary: str = "fixed",
 ) -> Lattice:
-    r"""Build a chain of equal beads, whose contacts are a power law.
+    r"""Build a chain of equal beads with power-law contacts.
 
     m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p,  d0 = (F0/A)^{1/p}.
 
     **Arguments:**
 
     - `sites`: number of beads N >= 2.
-    - `mass`: m > 0, a number, or one per bead (N,). A number stays one number in the lattice's `mass`, without an entry
-      [0]; `gx.lattice.spread_mass(lattice)` has one per bead.
-    - `stiffness`: A > 0, a number, or one per contact: (N + 1,), (N - 1,) or (N,) for the boundaries below.
-    - `exponent`: p; 3/2 is Hertz; another number is static, an array can be swept and differentiated.
+    - `mass`: m > 0, a number, or one per bead (N,). A number stays one number in the lattice's
+      `mass`; `gx.lattice.spread_mass(lattice)` has one per bead.
+    - `stiffness`: A > 0, a number, or one per contact: (N + 1,), (N - 1,) or (N,) for the
+      boundaries below.
+    - `exponent`: p; 3/2 is Hertz. Another number is static; an array can be swept and
+      differentiated.
     - `precompression`: static force F0 >= 0; the number 0 is a sonic vacuum.
-    - `boundary`: `"fixed"` (rigid walls, contacts as between beads), `"free"` (F0 held at the ends), `"periodic"`
-      (a ring).
+    - `boundary`: `"fixed"` (rigid walls, contacts as between beads), `"free"` (F0 held at the
+      ends), `"periodic"`.
 
-    Any of the numbers may be traced. A batch: `jax.vmap(lambda A: monomer(60, stiffness=A), out_axes=-1)(values)`.
+    All numbers but N may be traced.
 
-    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m or A <= 0, F0 < 0.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError for arguments outside these ranges.
     Source: Nesterenko, J. Appl. Mech. Tech. Phys. 24, 733 (1983).
 
     **Example:**
@@ -158,12 +163,15 @@ def monomer(
 def pattern(
     sites: Count, masses: Parameter, *, boundary: str = "fixed", **contacts: Parameter
 ) -> Lattice:
-    """Build a chain whose masses repeat: m_n = masses[n mod len(masses)]; the last cell may be cut short.
+    """Build a chain whose masses repeat: m_n = masses[n mod len(masses)].
 
-    **Arguments:** `masses`: the masses of one cell, m > 0, numbers or traced; `boundary` and `contacts`, which are
-    `stiffness`, `exponent` and `precompression`: as in `monomer`.
+    The last cell may be cut short.
 
-    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ring that the cell does not fill.
+    **Arguments:** `masses`: m > 0 of one cell, may be traced; `boundary` and `contacts`
+    (`stiffness`, `exponent`, `precompression`): as in `monomer`.
+
+    **Returns:** a `Lattice`.
+    **Raises** ValueError as `monomer` does, and for a ring that does not hold whole cells.
     """
     sites = a_chain(sites)
     cell = stacked("masses", masses)
@@ -183,16 +191,18 @@ def dimer(
     precompression: Parameter = 0.0,
     **contacts: Parameter | str,
 ) -> Lattice:
-    """Build a chain of heavy and light beads in turn: masses 1, ratio, 1, ratio, ...; the heavy one first.
+    """Build a chain of alternating heavy and light beads: masses 1, ratio, 1, ratio, ...
 
-    With F0 > 0 and K2 = p A^{1/p} F0^{1-1/p} the bands are [0, sqrt(2 K2)] and
-    [sqrt(2 K2/ratio), sqrt(2 K2 (1 + 1/ratio))].
+    With F0 > 0 and K2 = p A^{1/p} F0^{1-1/p} the bands are [0, sqrt(2 K2)] and [sqrt(2 K2/ratio),
+    sqrt(2 K2 (1 + 1/ratio))].
 
-    **Arguments:** `ratio`: light over heavy, in (0, 1]; `precompression`, F0, and `contacts`, which are `stiffness`,
-    `exponent` and `boundary`: as in `monomer`. Typical: ratio 0.3428 (first anti-resonance), 0.59 (first resonance)
-    with F0 = 0; 0.338 for steel and aluminium beads of one size.
+    **Arguments:** `ratio`: light over heavy, in (0, 1]; `precompression`: F0, and `contacts`
+    (`stiffness`, `exponent`, `boundary`): as in `monomer`. Typical: ratio 0.3428 (first
+    anti-resonance), 0.59 (first resonance) with F0 = 0; 0.338 for steel and aluminium beads of one
+    size.
 
-    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ratio outside (0, 1].
+    **Returns:** a `Lattice`.
+    **Raises** ValueError as `monomer` does, and for a ratio out of range.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
 
     **Example:**
@@ -206,12 +216,13 @@ def dimer(
 
 
 def trimer(sites: Count, ratios: Parameter = (0.5, 0.25), **contacts: Parameter | str) -> Lattice:
-    """Build a chain of three kinds of beads in turn: masses 1, ratios[0], ratios[1], 1, ...
+    """Build a chain of three alternating kinds of beads: masses 1, ratios[0], ratios[1], 1, ...
 
-    **Arguments:** `ratios`: two masses over the heavy one, each in (0, 1]; `contacts`: `stiffness`, `exponent`,
-    `precompression` and `boundary`, as in `monomer`.
+    **Arguments:** `ratios`: two masses over the heavy one, each in (0, 1]; `contacts`: `stiffness`,
+    `exponent`, `precompression`, `boundary`, as in `monomer`.
 
-    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for ratios that are not two in (0, 1].
+    **Returns:** a `Lattice`.
+    **Raises** ValueError as `monomer` does, and for ratios that are not two in (0, 1].
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
     second, third = (_ratio(f"ratios[{i}]", r) for i, r in enumerate(ratios))
@@ -221,16 +232,17 @@ def trimer(sites: Count, ratios: Parameter = (0.5, 0.25), **contacts: Parameter 
 def n_to_one(
     sites: Count, beads: Count, ratio: Scalar = 0.5, **contacts: Parameter | str
 ) -> Lattice:
-    """Build an N:1 chain: `beads` heavy beads of mass 1, then one of mass `ratio`, and so on.
+    """Build an N:1 chain: cells of `beads` heavy beads of mass 1 and one of mass `ratio`.
 
-    **Arguments:** `beads`: N >= 1; 1 is the dimer; `ratio`: light over heavy, in (0, 1]; 1 is the monomer;
-    `contacts`: `stiffness`, `exponent`, `precompression` and `boundary`, as in `monomer`.
+    **Arguments:** `beads`: N >= 1, 1 for the dimer; `ratio`: light over heavy, in (0, 1], 1 for the
+    monomer; `contacts`: as in `trimer`.
 
-    **Returns:** a `Lattice`. **Raises** ValueError as `dimer` does, and for N < 1.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError as `dimer` does, and for N < 1.
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
     beads = whole("beads", beads, 1, "It counts the heavy beads of a cell.")
-    # of a longer cell no light bead is seen
+    # In a chain shorter than the cell no light bead occurs.
     masses = (1.0,) * min(beads, a_chain(sites)) + (_ratio("ratio", ratio),)
     return pattern(sites, masses, **contacts)
 
@@ -244,14 +256,14 @@ def defects(
 ) -> Lattice:
     """Build a monomer chain with some beads of another mass.
 
-    With F0 > 0 a light bead of mass m_d carries a mode above the band, at
-    omega^2 = 4 K2/(m_d (2 - m_d/m)), K2 = p A^{1/p} F0^{1-1/p}, in a long chain with equal contacts.
+    With F0 > 0 in a long chain with equal contacts, a light bead of mass m_d has a mode above the
+    band, at omega^2 = 4 K2/(m_d (2 - m_d/m)), K2 = p A^{1/p} F0^{1-1/p}.
 
-    **Arguments:** `masses`: a dict from site to mass > 0, `{50: 0.6}`; a negative site counts from the end; masses may
-    be traced. `mass`: of all other beads; `contacts`: `stiffness`, `exponent`, `precompression` and `boundary`, as in
-    `monomer`.
+    **Arguments:** `masses`: a dict from site to mass > 0, `{50: 0.6}`; negative sites count from
+    the end. `mass`: of all other beads; `contacts`: as in `trimer`.
 
-    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for a site outside the chain or named twice.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError as `monomer` does, for a site outside the chain or named twice.
     Source: Theocharis et al., Phys. Rev. E 80, 066601 (2009).
 
     **Example:**
@@ -282,13 +294,16 @@ def taper(
 ) -> Lattice:
     r"""Build a tapered chain of spheres of one material: R_{n+1} = (1 - q) R_n.
 
-    Masses m_n = (R_n/R_0)^3 and Hertz coefficients A_n = A sqrt(R*_n/R*_0), 1/R*_n = 1/R_n + 1/R_{n+1}, where A is
-    the first pair's. Walls are felt as a bead of the end bead's radius, so that q = 0 is the monomer chain.
+    Masses are m_n = (R_n/R_0)^3 and Hertz coefficients A_n = A sqrt(R*_n/R*_0), 1/R*_n =
+    1/R_n + 1/R_{n+1}, with A that of the first pair. A wall acts as a bead of the end bead's
+    radius, so that q = 0 is the monomer chain.
 
-    **Arguments:** `q` in (-1, 1), negative for radii that grow; the others as in `monomer`. Typical: q = 0.01 ... 0.1.
+    **Arguments:** `q` in (-1, 1), negative for growing radii; the others as in `monomer`. Typical:
+    q = 0.01 ... 0.1.
 
-    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, q outside (-1, 1), a ring (which has no taper) and as
-    `monomer` does. Source: Sen, Manciu, Manciu, Physica A 299, 551 (2001).
+    **Returns:** a `Lattice`.
+    **Raises** ValueError for q out of range, a ring, and as `monomer` does.
+    Source: Sen, Manciu, Manciu, Physica A 299, 551 (2001).
 
     **Example:**
 
@@ -327,16 +342,18 @@ def fput(
     stiffness: Parameter = 1.0,
     boundary: str = "fixed",
 ) -> Lattice:
-    r"""Build a Fermi-Pasta-Ulam-Tsingou chain: F(e) = K e + alpha e^2 + beta e^3 in the compression e = u_n - u_{n+1}.
+    r"""Build a Fermi-Pasta-Ulam-Tsingou chain: F(e) = K e + alpha e^2 + beta e^3.
 
-    Compression is positive, so alpha > 0 stiffens under compression; the original chain stiffens under extension,
-    which is the same chain with u -> -u. The N = 32 of the literature counts intervals: 31 moving masses.
+    Compression e = u_n - u_{n+1} is positive, so alpha > 0 stiffens under compression. The original
+    chain stiffens under extension: the same with u -> -u. N = 32 in the literature counts
+    intervals: 31 moving masses.
 
-    **Arguments:** `sites`: number of moving masses; `alpha`, `beta`: K3 and K4, zero where only the other is given,
-    alpha = 1/4 and beta = 0 where neither is; `stiffness`: K; `mass`, `boundary`: as in `monomer`. Typical: `fput(31)`,
-    the alpha chain; `fput(31, beta=1.0)`, the beta chain.
+    **Arguments:** `sites`: number of moving masses; `alpha`, `beta`: K3 and K4, by default 1/4 and
+    0; if only one is given, the other is 0; `stiffness`: K > 0; `mass`, `boundary`: as in
+    `monomer`. Typical: `fput(31)`, the alpha chain; `fput(31, beta=1.0)`, the beta chain.
 
-    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m or K <= 0.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError for arguments outside these ranges.
     Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
 
     **Example:**
@@ -360,13 +377,15 @@ def toda(
     rate: Parameter = 1.0,
     boundary: str = "free",
 ) -> Lattice:
-    """Build a Toda chain: F(e) = a (exp(b e) - 1); m u_n'' = a exp(b (u_{n-1} - u_n)) - a exp(b (u_n - u_{n+1})).
+    """Build a Toda chain: F(e) = a (exp(b e) - 1).
 
-    Integrable with `"free"` and `"periodic"` ends. Free ends are held by the constant force a.
+    m u_n'' = a exp(b (u_{n-1} - u_n)) - a exp(b (u_n - u_{n+1})), integrable with `"free"` and
+    `"periodic"` ends. The constant force a holds free ends.
 
     **Arguments:** `strength`: a > 0; `rate`: b > 0; `mass`, `boundary`: as in `monomer`.
 
-    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m, a or b <= 0.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError for arguments outside these ranges.
     Source: Toda, J. Phys. Soc. Japan 22, 431 (1967).
 
     **Example:**

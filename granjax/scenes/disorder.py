@@ -1,4 +1,4 @@
-"""Disordered chains: random masses, radii, stiffnesses or positions, each by itself or in dimers."""
+"""Disordered chains: random masses, radii, stiffnesses or positions, independent or in dimers."""
 
 from collections.abc import Callable
 
@@ -32,36 +32,40 @@ def disordered(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a granular chain of random masses, radii, stiffnesses or positions (Anderson disorder, random dimers).
+    r"""Build a granular chain of random masses, radii, stiffnesses or positions.
 
-    x_n are random numbers of mean 0 in [-1, 1], s is the spread, and
+    With random numbers x_n in [-1, 1] of mean 0 and the spread s, `of` chooses what is random:
 
-    - `of="mass"`: m_n = m (1 + s x_n), one per bead;
-    - `of="radius"`: spheres of one material, R_n = 1 + s x_n: m_n = m R_n^3 and Hertz coefficients
-      A_n = A (2 R_n R_{n+1}/(R_n + R_{n+1}))^{1/2}; a wall is felt as a bead of the end bead's radius;
-    - `of="stiffness"`: A_n = A (1 + s x_n), one per contact;
-    - `of="position"`: beads held (by static loads) at s x_n d0/2 beside their places, so that contacts overlap by
-      d0 (1 + s (x_n - x_{n+1})/2), between 0 and 2 d0; walls stand at their places. F0 > 0.
+    - `"mass"`: m_n = m (1 + s x_n), one per bead;
+    - `"radius"`: spheres of one material with R_n = 1 + s x_n, m_n = m R_n^3 and Hertz coefficients
+      A_n = A (2 R_n R_{n+1}/(R_n + R_{n+1}))^{1/2}; a wall acts as a bead of the end bead's radius;
+    - `"stiffness"`: A_n = A (1 + s x_n), one per contact;
+    - `"position"`: static loads hold the beads at s x_n d0/2 from their places, so that contacts
+      overlap by d0 (1 + s (x_n - x_{n+1})/2), between 0 and 2 d0; walls stay in place. Needs
+      F0 > 0.
 
     **Arguments:**
 
-    - `spread`: s in [0, 1). `seed`: a whole number or a JAX key. Both may be traced, so that realisations are lanes:
+    - `spread`: s in [0, 1). `seed`: a whole number or a JAX key. Both may be traced, for
+      realisations in lanes:
       `jax.vmap(lambda n: disordered(500, 0.3, n), out_axes=-1)(jnp.arange(64))`.
-    - `distribution`: `"uniform"`, x in [-1, 1] of standard deviation 1/sqrt(3); `"binary"`, -1 or 1 with equal chance.
-    - `correlation`: `"none"` draws one by one (Anderson); `"alike"` and `"opposite"` draw a number x for each pair of
-      neighbours, which are x, x or x, -x (random dimers; binary: AA or BB, AB or BA).
-    - `law`: what makes the contacts' law from their stiffness, in place of `exponent` and `precompression`:
-      `law=gx.Linear` is the linear chain, `law=lambda A: gx.Polynomial(A, 0.0, A)` the beta chain of FPUT.
-    - `mass`: m; the others as in `monomer`. `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
+    - `distribution`: `"uniform"`, x in [-1, 1] of standard deviation 1/sqrt(3); `"binary"`, -1 or 1
+      with equal chance.
+    - `correlation`: `"none"`: independent x_n (Anderson); `"alike"`, `"opposite"`: pairs of
+      neighbours x, x or x, -x (random dimers; binary: AA or BB, AB or BA).
+    - `law`: a function from the stiffness to the contact law, in place of `exponent` and
+      `precompression`: `law=gx.Linear` is the linear chain,
+      `law=lambda A: gx.Polynomial(A, 0.0, A)` the beta chain of FPUT.
+    - `mass`: m; the others as in `monomer`. `units`: `"scaled"` or `"SI"`.
 
-    **Returns:** a `Lattice`; equal seeds give equal chains. Strong precompression is nearly linear (waves localise),
-    F0 = 0 the sonic vacuum (they do not): `gx.linear.localisation_length`, `gx.measures.second_moment`. In SI
-    from a material: `gx.scenes.beads(material, radii)`.
-    **Raises** ValueError for a spread outside [0, 1), another distribution, correlation or disorder, a seed that is
-    neither whole number nor key, radii without Hertz contacts, positions without F0 or with a `law`, and as `monomer`
-    does.
-    Source: Martinez, Kevrekidis, Porter, Phys. Rev. E 93, 022902 (2016); random dimers: Dunlap, Wu, Phillips, Phys.
-    Rev. Lett. 65, 88 (1990).
+    **Returns:** a `Lattice`; equal seeds give equal chains. Waves localise with strong
+    precompression, where the chain is nearly linear, and do not in the sonic vacuum, F0 = 0:
+    `gx.linear.localisation_length`, `gx.measures.second_moment`. In SI:
+    `gx.scenes.beads(material, radii)`.
+    **Raises** ValueError for arguments outside these ranges, radii without Hertz contacts,
+    positions without F0 or with a `law`, and as `monomer` does.
+    Source: Martinez, Kevrekidis, Porter, Phys. Rev. E 93, 022902 (2016); random dimers: Dunlap, Wu,
+    Phillips, Phys. Rev. Lett. 65, 88 (1990).
 
     **Example:**
 
@@ -118,7 +122,6 @@ _DRAWS = {"uniform": _uniform, "binary": jax.random.rademacher}
 
 
 def _hertz_share(R, boundary):
-    """(2 R*)^{1/2} of each contact, 1/R* = 1/R_n + 1/R_{n+1}: 1 for beads of radius 1."""
     right = jnp.roll(R, -1) if boundary == "periodic" else R[1:]
     left = R if boundary == "periodic" else R[:-1]
     share = 2 * left * right / (left + right)
@@ -126,7 +129,6 @@ def _hertz_share(R, boundary):
 
 
 def _displaced(x, A, exponent, precompression, boundary):
-    """Static forces A d^p of contacts whose beads lie beside their places by x d0/2."""
     known = concrete(precompression)
     if known is not None and not (known > 0).all():
         refuse(
@@ -139,6 +141,7 @@ def _displaced(x, A, exponent, precompression, boundary):
     change = (x if boundary == "periodic" else x[:-1]) - right
     if boundary == "fixed":
         change = jnp.concatenate([-x[:1], change, x[-1:]])
-    # magnets are closer where two beads have come together, as contacts are, but p < 0 counts the distance
+    # Beads that approach each other raise the overlap of a contact but lower the distance of
+    # magnets, which have p < 0: hence the sign of p.
     p = jnp.asarray(exponent)
     return precompression * (1 + jnp.sign(p) * change / 2) ** p

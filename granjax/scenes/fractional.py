@@ -1,4 +1,4 @@
-"""Fractional lattices: chains whose differences are a discrete fractional Laplacian, of FPUT and of sine-Gordon."""
+"""Fractional chains: FPUT and sine-Gordon with a discrete fractional Laplacian."""
 
 import jax.numpy as jnp
 
@@ -15,7 +15,7 @@ from .on_site import COUPLED, pendula
 
 
 class _BothSides(Law):
-    """What the sites at rest beyond both ends exert, F(e) - F(-e)."""
+    """The force of the resting sites beyond both ends, F(e) - F(-e)."""
 
     dimensions = {"law": PART}
     law: Law
@@ -40,23 +40,28 @@ def fractional(
     mass: Parameter = 1.0,
     boundary: str = "periodic",
 ) -> Lattice:
-    r"""Build a fractional chain: its second differences are the discrete fractional Laplacian of order s.
+    r"""Build a fractional chain, with the discrete fractional Laplacian of order s.
 
-    m u_n'' = -sum_{m != 0} K_s(m) F(u_n - u_{n+m}) = -k ((-Delta)^s u)_n for a linear law,  omega^2 = (k/m)(4 sin^2
-    (q/2))^s; K_s is `gx.fractional.kernel`, with a tail m^{-1-2s}. s = 1 is the chain of next neighbours.
+    m u_n'' = -sum_{m != 0} K_s(m) F(u_n - u_{n+m}) = -k ((-Delta)^s u)_n for a linear law,
+    omega^2 = (k/m)(4 sin^2 (q/2))^s.
+
+    K_s is `gx.fractional.kernel`, with a tail m^{-1-2s}. s = 1 is the chain of next neighbours.
 
     **Arguments:**
 
-    - `sites`: N >= 2, on a ring >= 3. `order`: s in (0, 1]; traced, differentiated, in lanes by `jax.vmap`.
-    - `law`: F of every bond, `Linear(1)` by default; one of your own. `on_site`: -on_site.force(u) on each site.
+    - `sites`: N >= 2, on a ring >= 3. `order`: s in (0, 1]; may be traced, differentiated and, by
+      `jax.vmap`, batched.
+    - `law`: F of every bond, `Linear(1)` by default, or any other. `on_site`: -on_site.force(u) on
+      each site.
     - `mass`: m > 0, a number, or one per site.
-    - `boundary`: `"periodic"`: the weights' sums over all images, so that modes have the frequencies above exactly.
-      `"fixed"`: the infinite chain, of which all sites beyond the ends are held at u = 0 (all of their weights count).
-      `"free"`: bonds within the chain alone.
+    - `boundary`: `"periodic"`: the weights are summed over all images, so that the frequencies
+      above are exact. `"fixed"`: the infinite chain, with all sites beyond the ends held at u = 0.
+      `"free"`: only bonds within the chain.
 
-    **Returns:** a `Lattice`; polynomial laws cost a few FFTs a force. **Raises** ValueError for s outside (0, 1] and as
-    `monomer` does. Typical: s = 0.3 ... 1. Sources: Ciaurri et al., Adv. Math. 330, 688 (2018); Molina, Phys. Lett. A
-    384, 126180 (2020); Cuevas-Maraver, Kevrekidis (eds.), Fractional Dispersive Models and Applications (2024).
+    **Returns:** a `Lattice`; polynomial laws cost a few FFTs per force. Typical: s = 0.3 ... 1.
+    **Raises** ValueError for s outside (0, 1] and as `monomer` does.
+    Sources: Ciaurri et al., Adv. Math. 330, 688 (2018); Molina, Phys. Lett. A 384, 126180 (2020);
+    Cuevas-Maraver, Kevrekidis (eds.), Fractional Dispersive Models and Applications (2024).
 
     **Example:**
 
@@ -72,7 +77,7 @@ def fractional(
     weights = _around(sites, order, law) if boundary == "periodic" else kernel(order, sites - 1)
     terms = [LongRange(weights, law, boundary)]
     if boundary == "fixed":
-        # what is beyond: K(M + 1) + K(M + 2) + ... = K(M) (M - s)/(2 s)
+        # the sites beyond an end: K(M + 1) + K(M + 2) + ... = K(M) (M - s)/(2 s)
         rest = weights[-1] * (sites - 1 - order) / (2 * order)
         terms.append(OnSite(_BothSides(Scaled(law, rest))))
     if on_site is not None:
@@ -81,7 +86,10 @@ def fractional(
 
 
 def _around(sites, order, law):
-    """Weights of the offsets on a ring: of both ways to a site, or of the shorter where the law does not tell them."""
+    """Return the weights of the offsets on a ring.
+
+    A nonlinear law needs both ways to a site; for a linear one the shorter suffices.
+    """
     if not law.is_linear:
         return to_the_right(order, sites)
     both = ring_kernel(order, sites)[: sites // 2]
@@ -99,13 +107,15 @@ def fractional_fput(
     stiffness: Parameter = 1.0,
     boundary: str = "fixed",
 ) -> Lattice:
-    r"""Build a fractional FPUT chain: F(e) = k e + alpha e^2 + beta e^3 with the weights of the fractional Laplacian.
+    r"""Build a fractional FPUT chain: F(e) = k e + alpha e^2 + beta e^3 with fractional weights.
 
-    `nonlinear="all"`: every bond is F with its weight; `"neighbours"`: k e with the weights, and alpha e^2 + beta e^3
-    between next neighbours alone. s = 1 is `fput` either way.
+    With `nonlinear="all"` every bond has F with its weight. With `"neighbours"` alpha e^2 + beta
+    e^3 acts only between next neighbours. s = 1 is `fput` either way.
 
-    **Arguments:** `alpha` [N/m^2], `beta` [N/m^3], `stiffness`: k > 0 [N/m], one number each; the others as in
-    `fractional`. **Returns:** a `Lattice`. **Raises** ValueError as `fractional`, and for k not above zero.
+    **Arguments:** `alpha` [N/m^2], `beta` [N/m^3], `stiffness`: k > 0 [N/m], one number each; the
+    others as in `fractional`.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError as `fractional` does, and for k <= 0.
     Source: Macias-Diaz, Bountis, Commun. Nonlinear Sci. Numer. Simul. 102, 105917 (2021).
     """
     stiffness = positive("stiffness", number("stiffness", stiffness))
@@ -131,13 +141,16 @@ def fractional_sine_gordon(
 ) -> Lattice:
     r"""Build a fractional sine-Gordon chain: m u_n'' = -C ((-Delta)^s u)_n - (k/q) sin(q u_n).
 
-    For s < 1 tails are algebraic, n^{-2s} of kinks and n^{-1-2s} of breathers; at s = 1/2 and C k >> 1 the kink is that
-    of Peierls and Nabarro, pi + 2 atan(k x/C) for q = 1. The band is k/m <= omega^2 <= (k + 4^s C)/m.
+    For s < 1 tails are algebraic, n^{-2s} for kinks and n^{-1-2s} for breathers. At s = 1/2 and C
+    k >> 1 the kink is that of Peierls and Nabarro, pi + 2 atan(k x/C) for q = 1. The band is
+    k/m <= omega^2 <= (k + 4^s C)/m.
 
-    **Arguments:** `coupling`: C >= 0 [N/m], one number. `stiffness`: k > 0 [N/m], `wavenumber`: q > 0, a number, or one
-    per site. The others as in `fractional`; a kink needs free ends.
-    **Returns:** a `Lattice`. **Raises** ValueError as `fractional` and `sine_gordon`.
-    Source: Alfimov, Pierantozzi, Vazquez, Fractional Differentiation and its Applications, 644 (2004).
+    **Arguments:** `coupling`: C >= 0 [N/m], one number. `stiffness`: k > 0 [N/m], `wavenumber`:
+    q > 0, a number, or one per site. The others as in `fractional`; a kink needs free ends.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError as `fractional` and `sine_gordon` do.
+    Source: Alfimov, Pierantozzi, Vazquez, Fractional Differentiation and its Applications, 644
+    (2004).
     """
     coupling = non_negative("coupling", number("coupling", coupling), COUPLED)
     on_site = pendula(sites, stiffness, wavenumber)

@@ -1,4 +1,4 @@
-"""Chains in which every site acts on every other: repelling magnets, algebraic kernels."""
+"""Chains in which every site interacts with every other: repelling magnets, algebraic kernels."""
 
 from functools import lru_cache, partial
 
@@ -15,13 +15,13 @@ from ..types import Count, Parameter, Scalar
 from ..units import SCALED
 from .chains import a_chain, number
 
-# sites up to which the rest of a finite chain of magnets is looked for
+# largest number of magnets of a finite chain whose equilibrium is computed
 MANY = 2000
-# steps of Newton's method, which takes four to nine
+# limit on the steps of Newton's method, which needs four to nine
 ITERATIONS = 50
-# length of its last step in spacings: the next one squares it
+# Newton's method stops at a step below this, in spacings: the next step would square it.
 SETTLED = 1e-9
-# units in the last place that a step is left with in a long chain
+# In a long chain rounding keeps the steps at about this many units in the last place.
 ROUNDING = 1000
 
 
@@ -37,28 +37,34 @@ def magnets(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a chain of repelling magnets, each of which repels every other: force A r^p at a distance r, p < 0.
+    r"""Build a chain of magnets that all repel each other: force A r^p at a distance r, p < 0.
 
-    m_n u_n'' = sum over j < n of A (x_n - x_j)^p - sum over j > n of A (x_j - x_n)^p. The ends of a finite chain push
-    their neighbours apart less than inner ones do, so that equal spacings are no rest: its positions of rest are found
-    (`gx.equilibrium`), and u is measured from there.
+    m_n u_n'' = sum over j < n of A (x_n - x_j)^p - sum over j > n of A (x_j - x_n)^p.
+
+    A finite chain of equal spacings is not in equilibrium, because magnets near an end feel fewer
+    others: u is measured from the computed equilibrium (`gx.equilibrium`).
 
     **Arguments:**
 
-    - `sites`: number of magnets N >= 2 that move; `mass`: a number, or one per magnet (a light one is a defect).
-    - `exponent`: p < 0: -4 two dipoles far apart, about -2.7 to -4.5 as fitted to ring magnets. `stiffness`: A > 0.
-    - `spacing`: mean distance d of neighbours; `diameter`: of a magnet, which is less.
-    - `reach`: neighbours on either side that a magnet feels, `None` for all (of a ring those nearer than half way
-      round); 1 is the chain of next neighbours, `PowerLaw(A, p, A d^p)`.
-    - `boundary`: `"fixed"` (two more magnets are held at the ends, (N + 1) d apart), `"free"` (the outermost are
-      pressed by the load that holds them at rest, (N - 1) d apart), `"periodic"`.
-    - `units`: "SI" where the numbers are; as in `Lattice`.
+    - `sites`: number of moving magnets N >= 2; `mass`: a number, or one per magnet (a light one is
+      a defect).
+    - `exponent`: p < 0: -4 for two distant dipoles, about -2.7 to -4.5 as fitted to ring magnets.
+      `stiffness`: A > 0.
+    - `spacing`: mean distance d of neighbours; `diameter`: of a magnet, less than d.
+    - `reach`: neighbours on either side that a magnet feels, `None` for all (on a ring those nearer
+      than half way round); 1 is the chain of next neighbours, `PowerLaw(A, p, A d^p)`.
+    - `boundary`: `"fixed"` (two more magnets are held at the ends, (N + 1) d apart), `"free"` (a
+      load on the outermost ones holds them at rest (N - 1) d apart), `"periodic"`.
+    - `units`: `"scaled"` or `"SI"`.
 
-    The end loads: `gx.equilibrium(lattice).ends`. Magnets that meet in a run are an outcome of it.
-    **Returns:** a `Lattice`. Differentiable in all numbers but `diameter`. **Raises** ValueError for p >= 0, magnets
-    that touch (a spacing not above the diameter), a ring too short for its reach, more than 2000 magnets between ends.
-    Source: Moleron, Leonard, Daraio, J. Appl. Phys. 115, 184901 (2014); Chong et al., Phys. Rev. Lett. 131, 117201
-    (2023).
+    The end loads are `gx.equilibrium(lattice).ends`. A run reports magnets that meet as its
+    outcome.
+
+    **Returns:** a `Lattice`, differentiable in all numbers but `diameter`.
+    **Raises** ValueError for arguments outside these ranges, a ring too short for its reach, or
+    more than 2000 magnets between ends.
+    Source: Moleron, Leonard, Daraio, J. Appl. Phys. 115, 184901 (2014); Chong et al., Phys. Rev.
+    Lett. 131, 117201 (2023).
 
     **Example:**
 
@@ -80,7 +86,7 @@ def magnets(
             "These touch.",
         )
     power = exponent if isinstance(exponent, (int, float)) else p
-    # by NumPy where they are known, as for JAX each operation is a program to compile
+    # Known numbers use NumPy, because JAX compiles a program for each operation.
     A, d, p = (x if concrete(x) is None else concrete(x) for x in (A, d, p))
     reach, kernel = _kernel(sites, p, reach, boundary)
     beyond = 1 if boundary == "fixed" and reach > 1 else None
@@ -93,7 +99,6 @@ def magnets(
 
 
 def _kernel(sites, p, reach, boundary):
-    """(Neighbours on either side, m^p)."""
     most = {"fixed": sites + 1, "free": sites - 1, "periodic": max((sites - 1) // 2, 1)}[boundary]
     reach = most if reach is None else whole("reach", reach, 1)
     if boundary == "periodic" and reach > most:
@@ -104,7 +109,6 @@ def _kernel(sites, p, reach, boundary):
 
 
 def _rest(sites, p, reach, boundary):
-    """Displacements from equal spacings at rest, in spacings: they depend on the exponent alone."""
     if sites > MANY:
         refuse(
             "sites",
@@ -120,7 +124,6 @@ def _rest(sites, p, reach, boundary):
 
 @lru_cache(maxsize=64)
 def _known_rest(sites, p, reach, boundary):
-    """In NumPy, which compiles nothing."""
     u, step, kept = _towards_rest(np, sites, reach, boundary)
     for _ in range(ITERATIONS):
         u, change = step(u, p)
@@ -136,9 +139,9 @@ def _known_rest(sites, p, reach, boundary):
 
 @partial(jax.jit, static_argnums=(0, 2, 3))
 def _found_rest(sites, p, reach, boundary):
-    """The same under a transformation.
+    """Return the rest displacements for a traced exponent.
 
-    Derivatives to the third order are those of two steps more, from where the last step was small.
+    Two more Newton steps carry derivatives up to the third order.
     """
     u, step, kept = _towards_rest(jnp, sites, reach, boundary)
     p = p.astype(u.dtype)
@@ -154,9 +157,10 @@ def _found_rest(sites, p, reach, boundary):
 
 
 def _towards_rest(numpy, sites, reach, boundary):
-    """(Where to begin, a step of Newton's method, the magnets that are sites); the outermost two stay.
+    """Return the starting point, a step of Newton's method, and the slice of the sites.
 
-    The energy is convex where magnets stay in order: no step brings two closer than half of their distance.
+    The outermost two magnets stay. The energy is convex while magnets stay in order, so no step
+    brings two of them closer than half of their distance.
     """
     more = int(boundary == "fixed")
     place, inner = np.arange(-more, sites + more, dtype=float), slice(1, -1)
@@ -187,16 +191,18 @@ def long_range(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a chain with long-range interactions: springs to all neighbours, weaker by m^{-s} with their distance m.
+    r"""Build a chain with springs to all neighbours, weaker by m^{-s} at the distance m.
 
-    Force of the spring between n and n + m: m^{-s} (K e + alpha e^2 + beta e^3), e = u_n - u_{n+m}: by FFT. Breathers
-    have algebraic tails, |u_n| ~ |n|^{-s}. omega^2(k) = (2K/M) sum_m m^{-s} (1 - cos k m), of mass M.
+    The spring between n and n + m has the force m^{-s} (K e + alpha e^2 + beta e^3), e =
+    u_n - u_{n+m}, computed by FFT. Breathers have algebraic tails, |u_n| ~ |n|^{-s}. For the mass
+    M, omega^2(k) = (2K/M) sum_m m^{-s} (1 - cos k m).
 
-    **Arguments:** `sites`: N; `exponent`: s > 0; `mass`: a number, or one per site; `stiffness`: K; `alpha`, `beta`;
-    `reach`: neighbours on either side, `None` for all (of a ring those nearer than half way round). `boundary`:
-    `"fixed"` (one site at rest beyond either end), `"free"`, `"periodic"`. `units`: as in `Lattice`. Typical: s = 3.
+    **Arguments:** `sites`: N; `exponent`: s > 0; `mass`: a number, or one per site; `stiffness`:
+    K > 0; `alpha`, `beta`; `reach`: as in `magnets`. `boundary`: `"fixed"` (one site at rest beyond
+    either end), `"free"`, `"periodic"`. `units`: as in `Lattice`. Typical: s = 3.
 
-    **Returns:** a `Lattice`. **Raises** ValueError for s <= 0, K <= 0, a ring too short for its reach.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError for arguments outside these ranges, or a ring too short for its reach.
     Source: Flach, Phys. Rev. E 58, R4116 (1998).
 
     **Example:**

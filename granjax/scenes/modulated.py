@@ -1,4 +1,4 @@
-"""Chains whose stiffness changes in time: phononic time crystals, and modulation that travels."""
+"""Chains whose stiffness changes in time: phononic time crystals and travelling modulation."""
 
 import numpy as np
 
@@ -27,24 +27,33 @@ def modulated(
     mass: Parameter = 1.0,
     boundary: str = "periodic",
 ) -> Lattice:
-    r"""Build a chain whose stiffness is modulated in time alone: a phononic time crystal, with gaps in the wave number.
+    r"""Build a chain whose stiffness is modulated in time: a phononic time crystal.
 
     m u_n'' = g_b(t) [F(u_{n-1} - u_n) - F(u_n - u_{n+1})] - g_s(t) k_0 u_n - m gamma u_n',
-    g(t) = 1 + a cos(Omega t + phase), or 1 + a and 1 - a in turn (`"square"`, layers in time), for bonds or for sites.
 
-    **Arguments:** `sites`: N >= 2; `amplitude`: a; `omega`: Omega > 0 [rad/s], period 2 pi/Omega; `shape`: `"cosine"`
-    or `"square"`; `on`: `"bonds"` or `"sites"` (the grounding, as of magnets between electromagnets); `law`: of the
-    bonds, `Linear(1)` by default, such as `PowerLaw(1, -3, 1)` for magnets, one of your own; `grounding`: k_0 >= 0
-    [N/m], one number or one per site; `damping`: gamma >= 0 [1/s]; `phase`: one number or one per modulated bond or
-    site [rad]; `mass`, `boundary`: as in `monomer`. With `phase=-2 * np.pi * np.arange(sites) / L` a wave of L sites
-    modulates a ring: it travels to the right, and the bands are non-reciprocal, omega(k) != omega(-k) (Swinteck and
-    others, J. Appl. Phys. 118, 063103, 2015).
+    with g(t) = 1 + a cos(Omega t + phase), or alternately 1 + a and 1 - a (`"square"`, layers in
+    time), for bonds or for sites. Its gaps are in the wave number.
 
-    **Returns:** a `Lattice`; `gx.linear.floquet_bands(lattice, k, 2 * np.pi / omega)` has its bands and k-gaps: the
-    first where omega(k) = Omega/2. **Raises** ValueError for N < 2, unknown words, Omega <= 0, k_0 or gamma < 0, sites
-    modulated without a grounding.
-    Source: Kim, Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023); Chong, Kim, Wallace, Daraio,
-    Phys. Rev. Res. 6, 023045 (2024).
+    **Arguments:**
+
+    - `sites`: N >= 2; `mass`, `boundary`: as in `monomer`.
+    - `amplitude`: a; `omega`: Omega > 0 [rad/s], period 2 pi/Omega; `phase` [rad]: amplitude and
+      phase are one number or one per modulated bond or site.
+    - `shape`: `"cosine"` or `"square"`; `on`: `"bonds"` or `"sites"` (the grounding, as of magnets
+      between electromagnets).
+    - `law`: of the bonds, `Linear(1)` by default, such as `PowerLaw(1, -3, 1)` for magnets.
+    - `grounding`: k_0 >= 0 [N/m] and `damping`: gamma >= 0 [1/s], one number or one per site.
+
+    With `phase=-2 * np.pi * np.arange(sites) / L` a wave of L sites modulates a ring. It travels to
+    the right, and the bands are non-reciprocal, omega(k) != omega(-k) (Swinteck and others, J.
+    Appl. Phys. 118, 063103, 2015).
+
+    **Returns:** a `Lattice`. `gx.linear.floquet_bands(lattice, k, 2 * np.pi / omega)` has its bands
+    and k-gaps, the first where omega(k) = Omega/2.
+    **Raises** ValueError for arguments outside these ranges, or modulated sites without a
+    grounding.
+    Source: Kim, Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023); Chong, Kim,
+    Wallace, Daraio, Phys. Rev. Res. 6, 023045 (2024).
 
     **Example:**
 
@@ -75,6 +84,5 @@ def modulated(
 
 
 def _there(x):
-    """Whether something is above zero, or may be: what is traced."""
     value = concrete(x)
     return value is None or np.any(value)

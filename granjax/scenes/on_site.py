@@ -7,7 +7,7 @@ from ..terms import OnSite
 from ..types import Count, Parameter
 from .chains import chain, check_each, monomer
 
-# what couples weakly is what these chains are about
+# Weak coupling is the usual case of these chains, so 0 is allowed.
 COUPLED = "Sites without coupling are coupling=0."
 _HELD = "A site that is not held back is a site of another chain."
 
@@ -22,29 +22,30 @@ def cradle(
     boundary: str = "free",
     **contacts: Parameter,
 ) -> Lattice:
-    r"""Build Newton's cradle: beads that touch, each on a pendulum of its own.
+    r"""Build Newton's cradle: beads that touch, each on its own pendulum.
 
-    m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p - k L sin(u_n/L), d0 = (F0/A)^{1/p},
+    m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p - k L sin(u_n/L),
+    d0 = (F0/A)^{1/p},
 
-    or -k u_n for strings so long that their arc is straight. Without precompression the chain has no linear
-    coupling: all sites swing at sqrt(k/m), and breathers and travelling waves of small amplitude obey the discrete
-    p-Schroedinger equation. For beads of mass m on strings of length L in gravity g: k = m g/L. On cantilevers that
-    harden, `law=gx.Polynomial(1.0, 0.0, 2.0)`, an impact makes a breather that travels and turns back by itself, a
-    boomeron: at a velocity of 1.2 (A = k = m = 1) it comes as far as bead 11.
+    with -k u_n as the last force for long strings. Without precompression the chain has no linear
+    coupling: all sites swing at sqrt(k/m), and breathers and travelling waves of small amplitude
+    obey the discrete p-Schroedinger equation. For strings of length L in gravity g: k = m g/L. On
+    hardening cantilevers, `law=gx.Polynomial(1.0, 0.0, 2.0)`, an impact makes a boomeron, a
+    breather that turns back by itself: at bead 11 for the velocity 1.2 (A = k = m = 1).
 
     **Arguments:**
 
-    - `sites`: number of beads N >= 2.
-    - `mass`: m > 0, a number, or one per bead (N,).
-    - `contacts`: `stiffness`, `exponent`, `precompression`: A, p and F0, as in `monomer`.
+    - `sites`, `mass`, `contacts` (`stiffness`, `exponent`, `precompression`): as in `monomer`.
     - `pendulum`: k > 0 [N/m], a number, or one per bead.
-    - `length`: L > 0 of the strings, a number, or one per bead; `None` for straight arcs.
+    - `length`: L > 0 of the strings, a number, or one per bead; `None` for the limit of long
+      strings.
     - `law`: another force -law.force(u) on each bead, instead of `pendulum` and `length`.
     - `boundary`: `"free"`, `"fixed"` (walls beside the end beads) or `"periodic"`.
 
-    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for k or L that is not above zero, and for a law
-    beside a length. Typical:
-    amplitudes of 0.01 ... 1 with A = k = m = 1; 9.53 mm steel beads on 10 cm: m = 28.4 g, k = 2.8 N/m.
+    **Returns:** a `Lattice`. Typical: amplitudes of 0.01 ... 1 with A = k = m = 1; 9.53 mm steel
+    beads on 10 cm: m = 28.4 g, k = 2.8 N/m.
+    **Raises** ValueError for arguments outside these ranges, a law together with a length, and as
+    `monomer` does.
     Source: James, Kevrekidis, Cuevas, Physica D 251, 39 (2013).
 
     **Example:**
@@ -76,26 +77,29 @@ def klein_gordon(
     stiffness: Parameter = 1.0,
     boundary: str = "free",
 ) -> Lattice:
-    r"""Build a Klein-Gordon chain: oscillators with a nonlinear force on each, and springs between them.
+    r"""Build a Klein-Gordon chain: nonlinear oscillators coupled by springs.
 
     m u_n'' = C (u_{n-1} - 2 u_n + u_{n+1}) - V'(u_n),  V'(u) = k u + alpha u^2 + beta u^3.
 
-    By default the hard phi^4 chain, V = u^2/2 + u^4/4; the soft one is `beta=-1.0`. The double well
-    V = (x^2 - 1)^2/4, whose wells kinks join, is at rest in x = 1, so with u = x - 1: `stiffness=2.0, alpha=3.0,
-    beta=1.0`, the other well at u = -2. The band is k/m <= omega^2 <= (k + 4 C)/m; breathers lie above it where the
-    force hardens, below it where it softens, and from C = 0 on (`gx.breathers.anticontinuous`).
+    The default is the hard phi^4 chain, V = u^2/2 + u^4/4; `beta=-1.0` is the soft one. The double
+    well of kinks, V = (x^2 - 1)^2/4, is `stiffness=2.0, alpha=3.0, beta=1.0` with u = x - 1 and the
+    other well at u = -2. The band is k/m <= omega^2 <= (k + 4 C)/m. Breathers lie above it if the
+    force hardens, below it if it softens, and continue from C = 0 (`gx.breathers.anticontinuous`).
 
     **Arguments:**
 
-    - `sites`: number of oscillators N >= 2.
-    - `coupling`: C >= 0 [N/m], a number, or one per spring: (N - 1,), (N + 1,) or (N,) for the boundaries below.
-    - `alpha`, `beta`: a number, or one per site; zero where only the other is given, 0 and 1 where neither is.
+    - `sites`: N >= 2.
+    - `coupling`: C >= 0 [N/m], a number, or one per spring: (N - 1,), (N + 1,) or (N,) for the
+      boundaries below.
+    - `alpha`, `beta`: a number, or one per site; 0 and 1 by default; if only one is given, the
+      other is 0.
     - `law`: another force -law.force(u) on each site, instead of `stiffness`, `alpha` and `beta`.
-    - `mass`: m > 0, a number, or one per site. `stiffness`: k > 0 [N/m], a number, or one per site.
+    - `mass`: m > 0 and `stiffness`: k > 0 [N/m], a number, or one per site.
     - `boundary`: `"free"`, `"fixed"` (springs to walls) or `"periodic"`.
 
-    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, C < 0, m or k <= 0, a law beside coefficients, or an
-    unknown boundary. Source: Marin, Aubry, Nonlinearity 9, 1501 (1996).
+    **Returns:** a `Lattice`.
+    **Raises** ValueError for arguments outside these ranges, or a law together with coefficients.
+    Source: Marin, Aubry, Nonlinearity 9, 1501 (1996).
 
     **Example:**
 
@@ -127,21 +131,27 @@ def sine_gordon(
 
     m u_n'' = C (u_{n-1} - 2 u_n + u_{n+1}) - (k/q) sin(q u_n).
 
-    With m = k = q = 1 and C = 1/h^2 it is the equation u_tt = u_xx - sin u on sites x = n h, with errors of h^2: the
-    kink 4 atan(exp((x - v t)/sqrt(1 - v^2))) of energy 8/(h sqrt(1 - v^2)) in the units of the chain (8 per unit
-    length of x), and the breather 4 atan(sqrt(1 - w^2)/w cos(w t)/cosh(sqrt(1 - w^2) x)). At rest on the chain kinks
-    are `gx.kinks.kink`; a breather that travels on a ring is `gx.orbits.orbit` with the symmetry `Translation(j)`.
+    With m = k = q = 1 and C = 1/h^2 the chain discretises u_tt = u_xx - sin u at x = n h to order
+    h^2. That equation has the kink 4 atan(exp((x - v t)/sqrt(1 - v^2))), of energy 8/(h
+    sqrt(1 - v^2)) in units of the chain (8 per unit length of x), and the breather 4
+    atan(sqrt(1 - w^2)/w cos(w t)/cosh(sqrt(1 - w^2) x)). Static kinks of the chain:
+    `gx.kinks.kink`; breathers that travel on a ring: `gx.orbits.orbit` with the symmetry
+    `Translation(j)`.
 
     **Arguments:**
 
-    - `sites`: number of sites N >= 2.
-    - `coupling`: C >= 0 [N/m], a number, or one per spring: (N - 1,), (N + 1,) or (N,) for the boundaries below.
-    - `mass`: m > 0, `stiffness`: k > 0 [N/m], `wavenumber`: q > 0, the potential's period being 2 pi/q: a number, or
-      one per site.
-    - `boundary`: `"free"`, `"fixed"` (springs to walls at u = 0) or `"periodic"`. A kink needs free ends.
+    - `sites`: N >= 2.
+    - `coupling`: C >= 0 [N/m], a number, or one per spring: (N - 1,), (N + 1,) or (N,) for the
+      boundaries below.
+    - `mass`: m > 0, `stiffness`: k > 0 [N/m], `wavenumber`: q > 0 of the potential, whose period is
+      2 pi/q: a number, or one per site.
+    - `boundary`: `"free"`, `"fixed"` (springs to walls at u = 0) or `"periodic"`. A kink needs free
+      ends.
 
-    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, C < 0, m, k or q <= 0, or an unknown boundary.
-    Source: Frenkel, Kontorova, Zh. Eksp. Teor. Fiz. 8, 1340 (1938); Braun, Kivshar, The Frenkel-Kontorova Model (2004).
+    **Returns:** a `Lattice`.
+    **Raises** ValueError for arguments outside these ranges.
+    Source: Frenkel, Kontorova, Zh. Eksp. Teor. Fiz. 8, 1340 (1938); Braun, Kivshar, The
+    Frenkel-Kontorova Model (2004).
 
     **Example:**
 
@@ -155,13 +165,12 @@ def sine_gordon(
 
 
 def pendula(sites: Count, stiffness: Parameter, wavenumber: Parameter) -> Sine:
-    """The sine law on each site, whose parameters are one number or one per site."""
+    """Return the sine law on each site; its parameters are numbers or one per site."""
     stiffness = positive("stiffness", stiffness, _HELD)
     wavenumber = positive("wavenumber", wavenumber, "The potential's period is 2 pi/q.")
     return Sine(stiffness, wavenumber)
 
 
 def _coupled(sites, coupling, mass, boundary, on_site):
-    """The chain of springs between sites that a law holds."""
     coupling = non_negative("coupling", coupling, COUPLED)
     return chain(sites, mass, Linear(coupling), boundary=boundary, on_site=on_site)

@@ -1,4 +1,4 @@
-"""Chains whose beads carry resonators: mass-in-mass, mass-with-mass, woodpile."""
+"""Chains of beads with resonators: mass-in-mass, mass-with-mass, woodpile."""
 
 from collections.abc import Sequence
 
@@ -22,32 +22,33 @@ def mass_in_mass(
     stiffness: Parameter = 1.0,
     **contacts: Parameter | str | Law | None,
 ) -> Lattice:
-    r"""Build a mass-in-mass chain: a locally resonant chain whose beads hold a mass mu on a linear spring kappa.
+    r"""Build a mass-in-mass chain: each bead holds a mass mu on a linear spring kappa.
 
-    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - kappa (u_n - w_n),   mu w_n'' = kappa (u_n - w_n),
+    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - kappa (u_n - w_n),
+    mu w_n'' = kappa (u_n - w_n),   F(e) = A ([d0 + e]_+^p - d0^p).
 
-    F(e) = A ([d0 + e]_+^p - d0^p). With K2 = F'(0) the two bands obey
+    With K2 = F'(0) the two bands obey
 
-    (m + mu/(1 - omega^2/omega_0^2)) omega^2 = 4 K2 sin^2(k/2),   omega_0^2 = kappa/mu,
+    (m + mu/(1 - omega^2/omega_0^2)) omega^2 = 4 K2 sin^2(k/2),   omega_0^2 = kappa/mu.
 
-    and the gap between them, which holds omega_0, ends at (kappa (1/m + 1/mu))^{1/2}. Without precompression K2 = 0: no
-    wave but the one in which every bead swings against its own mass. Bright breathers last long there, and not forever:
-    over a period the mean forces of all contacts would have to be equal, so zero, and a contact only pushes. They last
-    the longer the heavier mu is. `law` may push and pull: then they are exact.
+    The gap between them contains omega_0 and ends at (kappa (1/m + 1/mu))^{1/2}. Without
+    precompression K2 = 0: the only linear motion is that of each bead against its resonator. Bright
+    breathers then have long but finite lifetimes, longer for heavier mu: exact ones need contacts
+    of zero mean force, which must also pull (`law`).
 
     **Arguments:**
 
     - `sites`: number of beads N >= 2.
-    - `mass`: mu > 0, `stiffness`: kappa >= 0 of the resonators, numbers or one per bead (N,).
-    - `contacts`, by name: `bead_mass`: m = 1; `contact_stiffness`: A = 1, `exponent`: p, `precompression`: F0,
-      `boundary`: as in `monomer`; `law`: a law of the contacts instead of the power law; `units`: what the numbers are
-      counted in, `"scaled"` or `"SI"`.
+    - `mass`: mu > 0 and `stiffness`: kappa >= 0 of the resonators, numbers or one per bead (N,).
+    - `contacts`: `bead_mass`: m = 1, `contact_stiffness`: A = 1, `exponent`, `precompression`,
+      `boundary`: as in `monomer`; `law`: in place of the power law; `units`.
 
     **Returns:** a `Lattice` of the fields `"bead"` and `"resonator"`, (N,) each. Tail-free waves:
-    `gx.travelling.solitary_wave(law, speed=c, resonator=gx.Resonator(mu, kappa))`. Typical: mu = 0.1 ... 10, kappa = 1.
-    **Raises** ValueError as `monomer` does, and for mu <= 0 or kappa < 0.
-    Source: Liu, James, Kevrekidis, Vainchtein, Nonlinearity 29, 3496 (2016); Bonanomi, Theocharis, Daraio, Phys. Rev. E
-    91, 033208 (2015).
+    `gx.travelling.solitary_wave(law, speed=c, resonator=gx.Resonator(mu, kappa))`. Typical: mu =
+    0.1 ... 10, kappa = 1.
+    **Raises** ValueError for arguments outside these ranges, and as `monomer` does.
+    Source: Liu, James, Kevrekidis, Vainchtein, Nonlinearity 29, 3496 (2016); Bonanomi, Theocharis,
+    Daraio, Phys. Rev. E 91, 033208 (2015).
 
     **Example:**
 
@@ -67,18 +68,19 @@ def mass_with_mass(
     at: Sequence[Count] | None = None,
     **contacts: Parameter | str | Law | None,
 ) -> Lattice:
-    r"""Build a mass-with-mass chain: beads that carry a ring, a mass mu outside of the bead on a linear spring kappa.
+    r"""Build a mass-with-mass chain: beads with a mass mu outside, on a linear spring kappa.
 
-    The equations are those of `mass_in_mass`; here the beads that carry one can be named, such as the one of a
-    mass-with-mass defect, from which a solitary wave is scattered.
+    Equations as in `mass_in_mass`. Only some beads may carry a resonator, such as a mass-with-mass
+    defect, which scatters solitary waves.
 
-    **Arguments:** `at`: the beads that carry a resonator, negative from the end; `None` is all. `mass`, `stiffness`:
-    numbers or one per resonator. `contacts`: as in `mass_in_mass`.
+    **Arguments:** `at`: the beads that carry a resonator, negative from the end; `None` is all.
+    `mass`, `stiffness`: numbers or one per resonator. `contacts`: as in `mass_in_mass`.
 
-    **Returns:** a `Lattice` of the fields `"bead"` (N,) and `"resonator"`, as many as carry one.
-    **Raises** ValueError as `mass_in_mass` does, for no bead, one outside of the chain, or one named twice.
-    Source: Gantzounis, Serra-Garcia, Homma, Mendoza, Daraio, J. Appl. Phys. 114, 093514 (2013); Kevrekidis, Vainchtein,
-    Serra Garcia, Daraio, Phys. Rev. E 87, 042911 (2013).
+    **Returns:** a `Lattice` of the fields `"bead"` (N,) and `"resonator"`, one entry per resonator.
+    **Raises** ValueError as `mass_in_mass` does, and if `at` is empty, outside the chain or repeats
+    a bead.
+    Source: Gantzounis, Serra-Garcia, Homma, Mendoza, Daraio, J. Appl. Phys. 114, 093514 (2013);
+    Kevrekidis, Vainchtein, Serra Garcia, Daraio, Phys. Rev. E 87, 042911 (2013).
     """
     return _resonant(sites, {"resonator": {"mass": mass, "stiffness": stiffness}}, at, **contacts)
 
@@ -89,19 +91,22 @@ def woodpile(
     stiffnesses: Sequence[Parameter] | Numbers = (1.0, 2.0),
     **contacts: Parameter | str | Law | None,
 ) -> Lattice:
-    r"""Build a woodpile: a stack of crossed rods, whose bending modes are resonators of the contacts' chain.
+    r"""Build a woodpile: a stack of crossed rods whose bending modes act as resonators.
 
-    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - sum_j kappa_j (u_n - w_nj),   mu_j w_nj'' = kappa_j (u_n - w_nj).
+    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - sum_j kappa_j (u_n - w_nj),
+    mu_j w_nj'' = kappa_j (u_n - w_nj).
 
-    One branch more than there are resonators, with omega_j^2 = kappa_j/mu_j, K2 = F'(0):
+    There is one branch more than there are resonators. With omega_j^2 = kappa_j/mu_j and K2 =
+    F'(0):
 
     (m + sum_j mu_j/(1 - omega^2/omega_j^2)) omega^2 = 4 K2 sin^2(k/2).
 
-    **Arguments:** `masses`: mu_j > 0, `stiffnesses`: kappa_j >= 0, sequences of equal length, one entry per resonator
-    of a rod, each a number or one per rod (N,); an array has the resonators along its first axis. kappa_j = 0 lets a
-    resonator go: all zero is the chain of rods. `contacts`: as in `mass_in_mass`.
+    **Arguments:** `masses`: mu_j > 0 and `stiffnesses`: kappa_j >= 0 (0 decouples), one entry per
+    resonator of a rod (the first axis of an array), each a number or one per rod (N,). `contacts`:
+    as in `mass_in_mass`.
 
-    **Returns:** a `Lattice` of the fields `"bead"` (the rod) and `"resonator_1"`, `"resonator_2"`, ..., (N,) each.
+    **Returns:** a `Lattice` of the fields `"bead"` (the rod) and `"resonator_1"`,
+    `"resonator_2"`, ..., (N,) each.
     **Raises** ValueError as `mass_in_mass` does, and for lengths that differ.
     Source: Kim, Li, Chong, Theocharis, Yang, Kevrekidis, Phys. Rev. Lett. 114, 118002 (2015).
 
@@ -139,10 +144,7 @@ def _resonant(
     law=None,
     units=SCALED,
 ):
-    """The chain of beads, all of which, or those at some places, carry resonators.
-
-    `resonators`: from field to mass and stiffness, each under its argument's name.
-    """
+    """Build the chain; `resonators`: from field to mass and stiffness, each by argument name."""
     sites = a_chain(sites)
     if law is None:
         stiffness = positive(

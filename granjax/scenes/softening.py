@@ -1,4 +1,4 @@
-"""Strain-softening chains, F(e) = A ([d0 + e]_+^p - d0^p) with 0 < p < 1, and chains that soften and harden in turn."""
+"""Strain-softening chains, and chains that soften and harden alternately."""
 
 import numpy as np
 
@@ -24,29 +24,35 @@ def foam(
 ) -> Lattice:
     r"""Build a strain-softening chain of stainless steel cylinders separated by polymer foam.
 
-    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}),  F(e) = A ([d0 + e]_+^p - d0^p),  0 < p < 1,  d0 = (F0/A)^{1/p}.
+    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}),
+    F(e) = A ([d0 + e]_+^p - d0^p),  0 < p < 1,  d0 = (F0/A)^{1/p}.
 
-    With K2 = F'(0) = p A^{1/p} F0^{1-1/p} the speed of sound is (K2/m)^{1/2} and the band ends at 2 (K2/m)^{1/2}.
-    F'' < 0, so that
+    With K2 = F'(0) = p A^{1/p} F0^{1-1/p} the speed of sound is (K2/m)^{1/2} and the band ends at 2
+    (K2/m)^{1/2}. Because F'' < 0,
 
-    - a compressive impact leads to a rarefaction pulse that runs ahead: `gx.travelling.solitary_wave(law, speed=c)` for
-      c above sound is a wave of extension;
-    - a step down in compression is a rarefaction shock (`gx.shocks.step`), a step up spreads;
-    - bright breathers lie above the band (`gx.breathers.breather(lattice, omega, "bright")`), where a hardening chain
-      has dark ones: in the envelope equation B = p^3 (1 - p) A^2 d0^{2p-4}/(2 K2^{3/2}) > 0 for 0 < p < 1 alone.
+    - a compressive impact sends a rarefaction pulse ahead:
+      `gx.travelling.solitary_wave(law, speed=c)` is a wave of extension for c above sound;
+    - a step down in compression makes a rarefaction shock (`gx.shocks.step`), and a step up
+      spreads;
+    - bright breathers lie above the band (`gx.breathers.breather(lattice, omega, "bright")`);
+      hardening chains have dark ones there: in the envelope equation B = p^3 (1 - p) A^2
+      d0^{2p-4}/(2 K2^{3/2}) > 0 only for 0 < p < 1.
 
-    A contact that opens and closes again is infinitely stiff there: no time step is small enough, and runs say so.
+    A contact that opens is infinitely stiff when it closes again. No time step resolves this; runs
+    report it.
 
     **Arguments:**
 
     - `sites`: number of cylinders N >= 2.
-    - `exponent`: p in (0, 1), a number (static), or an array, which can be swept and differentiated.
-    - `mass`: m, `stiffness`: A, `boundary`: as in `monomer`. `precompression`: F0 > 0, without which there is no
-      stiffness at rest that is finite.
-    - `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
+    - `exponent`: p in (0, 1), a number (static), or an array, which can be swept and
+      differentiated.
+    - `mass`, `stiffness`, `boundary`: as in `monomer`. `precompression`: F0 > 0, as the stiffness
+      is infinite at F0 = 0.
+    - `units`: `"scaled"` or `"SI"`.
 
-    **Returns:** a `Lattice`. The defaults are scaled and measured on nothing: with p = 1/2, A = F0 = m = 1 K2 = 1/2.
-    **Raises** ValueError as `monomer` does, for p outside (0, 1), and for F0 = 0.
+    **Returns:** a `Lattice`. The defaults are scaled, not measured: p = 1/2, A = F0 = m = 1, K2 =
+    1/2.
+    **Raises** ValueError for arguments outside these ranges, and as `monomer` does.
     Source: Herbold, Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
     """
     within("exponent", exponent, 0, 1, open_low=True, open_high=True, remedy=_SOFT)
@@ -57,12 +63,13 @@ def foam(
 def hollow_cylinders(
     sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str
 ) -> Lattice:
-    """Build a strain-softening chain of hollow elliptical cylinders, whose walls bend; dispersive rarefaction shocks.
+    """Build a strain-softening chain of hollow elliptical cylinders, whose walls bend.
 
-    Equation, arguments (`contacts` are `mass`, `stiffness`, `precompression`, `boundary` and `units`) and errors as in
-    `foam`. Example: `gx.shocks.step(lattice, left, right)`, left < right, makes a rarefaction shock.
+    Equation, arguments and errors are those of `foam`. Dispersive rarefaction shocks:
+    `gx.shocks.step(lattice, left, right)`, left < right.
 
-    **Returns:** a `Lattice`. Source: Kim, Kim, Chong, Kevrekidis, Yang, Phys. Rev. Lett. 120, 194101 (2018).
+    **Returns:** a `Lattice`.
+    Source: Kim, Kim, Chong, Kevrekidis, Yang, Phys. Rev. Lett. 120, 194101 (2018).
 
     **Example:**
 
@@ -74,13 +81,15 @@ def hollow_cylinders(
 
 
 def origami(sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str) -> Lattice:
-    """Build a strain-softening chain of origami cells (Tachi-Miura polyhedra), each a bond, which mitigate impacts.
+    """Build a strain-softening chain of origami cells (Tachi-Miura polyhedra).
 
-    The folding of a cell is one degree of freedom with the effective power law of `foam`, whose equation, arguments and
-    errors these are. Twisting cells, which turn as they shorten, need a `gx.Stencil` over displacement and angle.
+    Each cell is a bond whose folding follows the effective power law of `foam`, with the same
+    equation, arguments and errors. The chain mitigates impacts. Cells that twist as they shorten
+    need a `gx.Stencil` over displacement and angle.
 
-    **Returns:** a `Lattice`. Source: Yasuda, Chong, Charalampidis, Kevrekidis, Yang, Phys. Rev. E 93, 043004 (2016);
-    Yasuda, Miyazawa, Charalampidis, Chong, Kevrekidis, Yang, Sci. Adv. 5, eaau2835 (2019).
+    **Returns:** a `Lattice`.
+    Source: Yasuda, Chong, Charalampidis, Kevrekidis, Yang, Phys. Rev. E 93, 043004 (2016); Yasuda,
+    Miyazawa, Charalampidis, Chong, Kevrekidis, Yang, Sci. Adv. 5, eaau2835 (2019).
     """
     return foam(sites, exponent, **contacts)
 
@@ -88,11 +97,13 @@ def origami(sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str
 def tensegrity(sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str) -> Lattice:
     """Build a strain-softening chain of lumped masses between tensegrity prisms.
 
-    By their prestress these soften or harden. This is the softening regime, with the effective power law of `foam`,
-    whose equation, arguments and errors these are. The hardening one is `gx.scenes.monomer` with an exponent above 1.
+    Their prestress makes such prisms soften or harden. This is the softening regime, with the
+    effective power law, equation, arguments and errors of `foam`. The hardening regime is
+    `gx.scenes.monomer` with an exponent above 1.
 
-    **Returns:** a `Lattice`. Source: Fraternali, Carpentieri, Amendola, Skelton, Nesterenko, Appl. Phys. Lett. 105,
-    201903 (2014).
+    **Returns:** a `Lattice`.
+    Source: Fraternali, Carpentieri, Amendola, Skelton, Nesterenko, Appl. Phys. Lett. 105, 201903
+    (2014).
 
     **Example:**
 
@@ -113,21 +124,24 @@ def alternating(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a chain of equal masses whose contacts alternate between strain hardening and strain softening.
+    r"""Build a chain of equal masses whose contacts alternate between hardening and softening.
 
-    Contact n has F(e) = A_j ([d_j + e]_+^{p_j} - d_j^{p_j}), j = n mod P, d_j = (F0/A_j)^{1/p_j}; the wall's contact is
-    the first one with walls. For two kinds, with K_j = p_j A_j^{1/p_j} F0^{1-1/p_j} and equal masses m,
+    Contact n has F(e) = A_j ([d_j + e]_+^{p_j} - d_j^{p_j}), j = n mod P, d_j = (F0/A_j)^{1/p_j};
+    with walls, contact 0 is that of the left wall. For two kinds, with K_j = p_j A_j^{1/p_j}
+    F0^{1-1/p_j},
 
     m omega^2 = K_1 + K_2 -+ (K_1^2 + K_2^2 + 2 K_1 K_2 cos k)^{1/2},
 
-    a gap between (2 min K/m)^{1/2} and (2 max K/m)^{1/2}.
+    with a gap between (2 min K/m)^{1/2} and (2 max K/m)^{1/2}.
 
-    **Arguments:** `exponents`: p_j > 0, one per contact of a cell, above 1 for hardening, below for softening, as
-    numbers or an array, differentiable. `stiffnesses`: A_j, as many, or one number. `precompression`: F0 > 0, one for
-    all. `mass`, `boundary`: as in `monomer`; on a ring the cell must fill it. `units`: as in `foam`.
+    **Arguments:** `exponents`: p_j > 0, one per contact of a cell, above 1 for hardening, below for
+    softening; differentiable. `stiffnesses`: A_j, as many, or one number. `precompression`: F0, one
+    number, above zero if a contact softens. `mass`, `boundary`: as in `monomer`; a ring holds whole
+    cells only. `units`: as in `foam`.
 
-    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for exponents that are not positive, lengths that
-    differ, F0 = 0 where a contact softens. Typical: exponents (3/2, 1/2).
+    **Returns:** a `Lattice`. Typical: exponents (3/2, 1/2).
+    **Raises** ValueError for arguments outside these ranges, unequal lengths, and as `monomer`
+    does.
     Source: Lee, Charalampidis, Xing, Chong, Kevrekidis, Phys. Rev. E 107, 054208 (2023).
     """
     contacts = contacts_of(sites, boundary)

@@ -1,4 +1,4 @@
-"""A chain in SI with numbers of order one, and the way back."""
+"""Scale a lattice in SI to numbers of order one, and convert back."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from ..units import SCALED, Units
 
 
 class ScaledLattice(NamedTuple):
-    """A lattice in scaled numbers, and the units that lead back to SI."""
+    """A lattice in scaled numbers, and the units that convert them to SI."""
 
     lattice: Lattice
     units: Units
@@ -24,23 +24,24 @@ class ScaledLattice(NamedTuple):
 def scaled(
     lattice: Lattice, velocity: Scalar | None = None, *, units: Units | None = None
 ) -> ScaledLattice:
-    r"""A lattice in SI with numbers of order one, and the units that lead back.
+    r"""Scale a lattice in SI to numbers of order one; return it with its units.
 
-    Mass unit: the mean mass. Length unit: the overlap at rest d0 = (F0/A)^{1/p} of the mean contact, or where
-    `velocity` v is given the overlap that an impact reaches, (m v^2/A)^{1/(p+1)}, so that v becomes 1. Time unit: such
-    that A becomes 1; with F0 then F0 = d0 = 1. Lanes share one set of units.
+    - Mass unit: the mean mass.
+    - Length unit: the overlap at rest d0 = (F0/A)^{1/p} of the mean contact; with `velocity` v the
+      overlap (m v^2/A)^{1/(p+1)} that an impact reaches, so that v becomes 1.
+    - Time unit: such that A becomes 1; with F0 then F0 = d0 = 1.
 
-    Float64 does not need this: Hertz in SI (A = 1e10, u = 1e-6, t = 1e-4) loses no digit. It is for absolute
-    tolerances and thresholds, for optimisers whose steps expect parameters of one size, for comparison with papers,
-    and for float32, where overlaps of 1e-6 leave little room for the tails of a wave.
+    All lanes share one set of units. In float64 SI numbers lose no digits (A = 1e10, u = 1e-6, t =
+    1e-4). Scaled numbers help with absolute tolerances, optimisers, comparison with papers, and
+    float32, where 1e-6 leaves little room for tails.
 
-    **Arguments:** `lattice`, as from `beads`; `velocity` [m/s] > 0, the impact's, needed where there is no
-    precompression; `units`: a `Units` of your own, instead.
+    **Arguments:** `lattice`, as from `beads`; `velocity` [m/s] > 0 of the impact, needed without
+    precompression; `units`: a `Units` that replaces the natural one.
 
-    **Returns:** `ScaledLattice(lattice, units)`: `chain, units = scaled(beads("steel 316", 9.53e-3, cells=60), 0.5)`;
-    back by `units.state_to_si(state)`, `run.ts * units.time`, `forces * units.force`.
-    A kind of your own is wrapped: it reads and gives its own units. **Raises** ValueError where there is no contact
-    law or no length to scale with.
+    **Returns:** `ScaledLattice(lattice, units)`. Convert back with `units.state_to_si(state)`,
+    `run.ts * units.time`, `forces * units.force`. A user-defined law or term is wrapped and still
+    works in its own units.
+    **Raises** ValueError for a lattice without a contact law or a length to scale with.
 
     **Example:**
 

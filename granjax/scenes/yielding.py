@@ -1,4 +1,4 @@
-"""Chains whose contacts yield."""
+"""Chains with contacts that yield."""
 
 import jax.numpy as jnp
 
@@ -22,15 +22,19 @@ def plastic(
     boundary: str = "free",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a chain of elastic-plastic spheres (Thornton's): Hertz up to the overlap s_y, then a straight line.
+    r"""Build a chain of elastic-plastic spheres (Thornton's law).
 
-    Unloading leaves an indentation: each contact remembers its largest overlap. `gx.simulate` runs it, and returns the
-    overlaps and the energy lost; pulses fall off along the chain, the faster the higher they are.
+    The force is Hertz's up to the overlap s_y, and linear beyond. Unloading leaves an indentation:
+    each contact remembers its largest overlap. `gx.simulate` returns these and the energy lost.
+    Pulses decay, higher ones faster.
 
-    **Arguments:** `sites`: N >= 2; `mass`: m > 0, a number or one per bead; `stiffness`: A, `yield_overlap`: s_y,
-    numbers or one per contact, as in `gx.Thornton`; `precompression`: F0 >= 0; `boundary`: `"free"`, `"fixed"` or
-    `"periodic"`; `units`: "scaled" or "SI". In SI: `gx.materials.bead_mass`, `hertz_coefficient`, `yield_overlap`.
-    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for s_y that is not above zero.
+    **Arguments:** `sites`: N >= 2; `mass`: m > 0, a number or one per bead; `stiffness`: A,
+    `yield_overlap`: s_y > 0, numbers or one per contact, as in `gx.Thornton`; `precompression`:
+    F0 >= 0; `boundary`: `"free"`, `"fixed"` or `"periodic"`; `units`: "scaled" or "SI". In SI use
+    `gx.materials.bead_mass`, `hertz_coefficient`, `yield_overlap`.
+
+    **Returns:** a `Lattice`.
+    **Raises** ValueError for arguments outside these ranges.
     Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
 
     **Example:**
@@ -43,7 +47,7 @@ def plastic(
     stiffness, yields = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
     F0 = non_negative("precompression", precompression, "A chain under tension falls apart.")
     law = fitting(Thornton(stiffness, yields), contacts_of(sites, boundary), "contact")
-    # the overlap that F0 presses virgin contacts to
+    # the overlap of virgin contacts under F0
     first = stiffness * plus_power(yields, 1.5)
     overlap = jnp.where(
         F0 > first, yields * (2 * F0 / first + 1) / 3, plus_power(F0 / stiffness, 2 / 3)

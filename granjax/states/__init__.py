@@ -1,6 +1,6 @@
-"""Initial states: each function returns a `State(u, v)` of the lattice's shape, lanes included.
+"""Initial states: each function returns a `State(u, v)` in the shape of the lattice, with lanes.
 
-Displacements are measured from static equilibrium, so a precompressed chain at rest is u = 0.
+Displacements are measured from static equilibrium: a precompressed chain at rest has u = 0.
 """
 
 from .bloch import bloch_packet

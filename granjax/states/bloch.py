@@ -1,4 +1,4 @@
-"""Packets of Bloch waves, on chains with several sites per cell and in the plane."""
+"""Packets of Bloch waves, in chains with several sites per cell and in the plane."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from ..linear.zone import lattice_vectors, named_points
 from ..programs import compiled
 from ..types import Count, Parameter
 
-# bands that are nearer than this share of the largest omega^2 meet, and a root of less below zero is rounding
+# over the largest omega^2: bands closer than MEET meet, omega^2 down to -ROUNDING is rounding
 MEET, ROUNDING = 1e-9, 1e-12
 
 
@@ -25,29 +25,33 @@ def bloch_packet(
     centre: Parameter | None = None,
     amplitude: Parameter = 0.01,
 ) -> State:
-    r"""A Gaussian packet of Bloch waves, which runs as the linear lattice has it: in chains of any cell, in the plane.
+    r"""Return a Gaussian packet of Bloch waves that runs one way, in a chain or in the plane.
 
-    u(R) = Re a p exp(-|r_R - c|^2/(2 w^2) + i k . R), with R the number of a cell, r_R its place and p what a cell's
-    sites do. The velocities are those of waves exp(-i omega t) alone, v = Re -i Omega u with Omega^2 = D: of the
-    linear lattice taken as a ring it is exact, as long as the packet is far from the ends (five widths).
+    u(R) = Re a p exp(-|r_R - c|^2/(2 w^2) + i k . R), with the cell's number R and place r_R, and
+    the displacements p of a cell's sites. The velocities are v = Re -i Omega u, Omega^2 = D: exact
+    for the linear lattice taken as a ring, if the packet is five widths from the ends.
 
-    At a Dirac point p = one kind of site belongs to both cones alike: the packet becomes a ring whose radius grows with
-    the cone's speed, conical diffraction, of which `gx.measures.energy_radius` tells the size.
+    At a Dirac point a p on one kind of site excites both cones equally. The packet becomes a ring
+    that grows at the cone's speed, conical diffraction (`gx.measures.energy_radius`).
 
     **Arguments:**
 
-    - `k`: phases per cell (axes,) [rad], a number for a chain; or a point of the zone by its name, "K".
-    - `width`: w, well above the spacing; `centre`: c. In the unit of the lattice's positions [m], c of shape (d,); in
-      cells, c of shape (axes,), where it has none. `None` is the middle.
-    - `band`: from 0 upwards, or several: the packet is projected on these at every wave number, and p is the wave of
-      the first at k. `polarisation`: p, (cell..., [vector]) or a dict of such, complex or real; `None` where a band or
-      the lattice (one number per cell) says it. With a polarisation alone all bands that it excites run.
-    - `amplitude`: a [m], the largest component of p before the projection is one.
+    - `k`: phases per cell (axes,) [rad], a number for a chain; or the name of a point of the zone,
+      "K".
+    - `width`: w, well above the spacing; `centre`: c, `None` for the middle. In the unit of the
+      lattice's positions [m], c of shape (d,); without positions in cells, c of shape (axes,).
+    - `band`: one or several, from 0, on which the packet is projected at every wave number; `None`
+      for all. By default p is the wave of the first at k.
+    - `polarisation`: p, (cell..., [vector]) or a dict of such, complex or real, scaled to a largest
+      component of one; not needed with `band` or one number per cell.
+    - `amplitude`: a [m], before the projection.
 
-    **Returns:** `State`; differentiable in `amplitude`, `width` and `centre`. **Raises** ValueError for traced lattices
-    (bands that meet have no derivative), bands that meet at k without a polarisation, a lattice that is unstable at
-    rest, and where `unit_cell` does: no period, lanes. Typical: w = 5 ... 15 spacings.
-    Source: Peleg, Bartal, Freedman, Manela, Segev, Christodoulides, Phys. Rev. Lett. 98, 103901 (2007).
+    **Returns:** `State`; differentiable in `amplitude`, `width` and `centre`. Typical: w = 5 ... 15
+    spacings.
+    **Raises** ValueError for traced lattices, bands that meet at k without a polarisation, and a
+    lattice that is unstable at rest, has no period or has lanes.
+    Source: Peleg, Bartal, Freedman, Manela, Segev, Christodoulides, Phys. Rev. Lett. 98, 103901
+    (2007).
     """
     if traced((lattice, k, polarisation)):
         refuse(
@@ -78,7 +82,7 @@ def bloch_packet(
         )
     bands = None if band is None else chosen_bands(band, size)
     start = _polarisation(found, k, band, polarisation, scale)
-    # places of the cells: of their first sites, or their numbers
+    # the place of a cell is that of its first site, or without positions its number
     place = mesh(*map(np.arange, counts)).astype(float)
     if vectors is not None:
         first = lattice.positions
@@ -100,7 +104,6 @@ def bloch_packet(
 
 
 def _polarisation(found, k, band, given, scale):
-    """q = M^{1/2} p of the largest displacement 1, (P,)."""
     size, root = found.mass.size, np.sqrt(np.asarray(found.mass))
     if given is not None:
         parts = [given[name] for name in sorted(found.fields)] if found.fields else [given]
@@ -135,7 +138,6 @@ def _polarisation(found, k, band, given, scale):
 
 @compiled
 def _run(packet, start, squared, waves, bands):
-    """M^{1/2} u and M^{1/2} v of cells (cells..., P): the packet's waves exp(-i omega t)."""
     axes = tuple(range(packet.ndim))
     spectrum = jnp.fft.fftn(packet, axes=axes)[..., None] * start
     parts = jnp.einsum("...ab,...a->...b", waves.conj(), spectrum)

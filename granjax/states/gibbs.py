@@ -1,4 +1,4 @@
-"""Thermal equilibrium: states drawn from the canonical distribution of a lattice."""
+"""Thermal equilibrium: states drawn from the canonical distribution."""
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +15,9 @@ from ..theory.thermal import TABLE, checked_nodes, masses, potential
 from ..types import Count, Parameter, Seed
 from .simple import thermal
 
-# h omega of the steps of hybrid Monte Carlo
+# time step of hybrid Monte Carlo times the highest frequency
 STEP = 0.5
-# the bound on the frequencies is that of a motion hotter by this factor, as energy gathers
+# The frequencies are bounded at this multiple of the temperature, because energy can concentrate.
 HOTTER = 2.0
 
 
@@ -30,27 +30,29 @@ def gibbs(
     moves: Count = 16,
     duration: Parameter | None = None,
 ) -> State:
-    r"""Draw a state from the canonical distribution exp(-H/(k_B T)), every lane its own.
+    r"""Draw a state from the canonical distribution exp(-H/(k_B T)), independently in every lane.
 
-    Between free ends the bonds of a chain are independent, and each compression is drawn from its own distribution
-    exp(-(V(e) - P e)/(k_B T)), with u = 0 on average. Elsewhere (walls and rings hold the sum of the compressions,
-    on-site forces couple the bonds, the plane) the state is drawn by hybrid Monte Carlo: from rest, `moves` times new
-    velocities and a run of the lattice of a random length, taken with the probability min(1, exp(-dH/(k_B T))). Each
-    move forgets about half of the slowest mode. Velocities are Gaussian, m <v^2> = k_B T for each component.
+    In a chain between free ends the bonds are independent. Each compression is drawn from
+    exp(-(V(e) - P e)/(k_B T)), with u = 0 on average. All other lattices (walls, rings, on-site
+    forces, the plane) use hybrid Monte Carlo: starting from rest, each of `moves` moves draws new
+    velocities and makes a run of random length, accepted with the probability min(1,
+    exp(-dH/(k_B T))). A move forgets about half of the slowest mode. Velocities are Gaussian, m
+    <v^2> = k_B T for each component.
 
     **Arguments:**
 
-    - `lattice`: forces of positions alone; heat baths (`Langevin`) are left out.
+    - `lattice`: with forces of positions alone; heat baths (`Langevin`) are left out.
     - `temperature`: k_B T > 0 [J], a number or one per lane; `gx.units.BOLTZMANN` times kelvins.
-    - `pressure`: P, the mean total contact force [N], of a chain between free ends; `None` is the preload, which its
-      ends hold. With another one the chain is in equilibrium only while a load P - F0 acts on its ends. Where the
-      length is held, the mean contact force follows from `precompression` and temperature.
-    - `seed`: as in `random`. `moves`, `duration` (the mean length of a run [s]): of hybrid Monte Carlo. By default the
-      slowest wave of the longest axis turns by about a quarter of its period on average.
+    - `pressure`: P, the mean total contact force [N] of a chain between free ends; `None` is the
+      preload F0. Another P needs a load P - F0 on the ends. At fixed length `precompression` and
+      temperature determine the mean contact force.
+    - `seed`: as in `random`. `moves`, `duration` (mean length of a run [s]): of hybrid Monte Carlo.
+      By default the slowest wave of the longest axis advances by about a quarter of its period on
+      average.
 
-    **Raises** ValueError where there is no such distribution (a law without a lower bound, such as FPUT-alpha's, or an
-    unloaded contact at P = 0), for forces that dissipate or depend on time, and for a pressure where the length is
-    held. The averages that it should have: `gx.theory.thermal.bond_state`.
+    **Raises** ValueError where the distribution does not exist (a law without a lower bound, such
+    as FPUT-alpha's, or an unloaded contact at P = 0), for dissipative or time-dependent forces, and
+    for a pressure at fixed length. Expected averages: `gx.theory.thermal.bond_state`.
 
     **Example:**
 
@@ -87,7 +89,6 @@ def gibbs(
 
 
 def _independent(lattice, law, T, pressure, key):
-    """Displacements of a chain between free ends."""
     given = law.preload if pressure is None else per_lane("pressure", pressure, lattice.lanes)
     P = jnp.asarray(given, lattice.dtype)
     (sites,) = lattice.sites
@@ -99,7 +100,6 @@ def _independent(lattice, law, T, pressure, key):
 
 @compiled
 def _drawn(law, T, P, nodes, uniform):
-    """Compressions by the inverse of their distribution function, at these places of it."""
     weight = masses(law, T, P, nodes)[0]
     g = potential(law, T, P, nodes)
 
@@ -108,13 +108,13 @@ def _drawn(law, T, P, nodes, uniform):
         at = at * reached[-1]
         i = jnp.clip(jnp.searchsorted(reached, at, side="right") - 1, 0, len(weight) - 1)
         share = jnp.clip((at - reached[i]) / weight[i], 0, 1)
-        # within a cell the density is an exponential
+        # between two nodes the density is an exponential
         rise = g[i] - g[i + 1]
         flat = jnp.abs(rise) < 1e-6
         x = jnp.log1p(share * jnp.expm1(rise)) / jnp.where(flat, 1, rise)
         return e[i] + jnp.where(flat, share, x) * (e[i + 1] - e[i])
 
-    # bonds and lanes that are alike share a table
+    # equal bonds and lanes share a table
     own = (1,) * (uniform.ndim - nodes.ndim + 1) + nodes.shape[1:]
     many = [i for i, n in enumerate(own) if n == 1]
     order = many + [i for i, n in enumerate(own) if n > 1]
@@ -126,7 +126,6 @@ def _drawn(law, T, P, nodes, uniform):
 
 
 def _refuse_unbounded(lattice):
-    """Refuse laws whose energy falls without bound."""
     far = 2.0 ** np.arange(-60, 61)
     for i, term in enumerate(lattice.terms):
         for found in term.compressions(jnp.zeros(()), lattice.zeros()):

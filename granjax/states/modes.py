@@ -1,4 +1,4 @@
-"""States in one normal mode of the linear lattice."""
+"""States in one normal mode."""
 
 import jax
 import jax.numpy as jnp
@@ -15,17 +15,19 @@ from .places import chain_only, column, state_of
 def normal_mode(
     lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, phase: Parameter = 0.0
 ) -> State:
-    r"""One normal mode phi of the linearised lattice: u = a cos(phase) phi, v = -omega a sin(phase) phi.
+    r"""Return a normal mode phi: u = a cos(phase) phi, v = -omega a sin(phase) phi.
 
-    The largest component of phi in modulus is 1, so `amplitude` is the largest displacement; the first component of a
-    tenth of it or more is positive. Linear energy: a^2 omega^2/2 sum m phi^2. With equal masses and springs between
-    fixed ends phi is sin(pi k n/(N+1)), up to its largest value, which is 1 for the lowest mode where N is odd. A
-    stiffness that changes in time counts as it is at t = 0. Dense: N^3 operations, up to a few thousand displacements.
+    The largest |phi| is 1, so `amplitude` is the largest displacement; the first component of at
+    least a tenth of it is positive. The linear energy is a^2 omega^2/2 sum m phi^2. With equal
+    masses and springs between fixed ends phi is sin(pi k n/(N+1)) over its largest value, which is
+    1 for the lowest mode if N is odd. A stiffness that changes in time is taken at t = 0. Dense:
+    N^3 operations, up to a few thousand displacements.
 
     **Arguments:** `index`: 0 is the lowest frequency, negative from the highest. `amplitude`: a
-    [m]; `phase` [rad]; numbers, or one per lane. Where frequencies coincide the mode is one of many.
-    **Raises** ValueError for an index that is not there, a lattice without linear stiffness (a sonic vacuum), and where
-    `gx.linear.normal_modes` does.
+    [m]; `phase` [rad]; numbers, or one per lane. Where frequencies coincide the mode is one of
+    many.
+    **Raises** ValueError for an index out of range, a lattice without linear stiffness (a sonic
+    vacuum), and where `gx.linear.normal_modes` does.
 
     **Example:**
 
@@ -36,7 +38,7 @@ def normal_mode(
     """
     lanes = lattice.lanes
     amplitude, phase = per_lane("amplitude", amplitude, lanes), per_lane("phase", phase, lanes)
-    # of a stiffness that changes in time, the mode at t = 0
+    # a stiffness that changes in time is taken at t = 0
     zero, modulated = jnp.zeros((), lattice.dtype), lambda x: isinstance(x, Modulated)
     begun = jax.tree.map(lambda x: x.at(zero) if modulated(x) else x, lattice, is_leaf=modulated)
     solve = normal_modes
@@ -65,13 +67,14 @@ def normal_mode(
 
 
 def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> State:
-    """Sine k of a chain between fixed ends: u_n = a sin(pi k (n+1)/(N+1)), n = 0 ... N-1, v = 0.
+    """Return sine k between fixed ends: u_n = a sin(pi k (n+1)/(N+1)), n = 0 ... N-1, v = 0.
 
-    The normal mode of a chain of equal masses and springs; for other chains a smooth start. No eigenproblem is solved.
-    The classic start of Fermi, Pasta, Ulam and Tsingou is k = 1, a = 1 in 31 moving masses (32 intervals), whose energy
-    is 0.0770443732448498 for K3 = 1/4.
+    This is the normal mode of a chain of equal masses and springs, without an eigenproblem. The
+    start of Fermi, Pasta, Ulam and Tsingou is k = 1, a = 1 in 31 moving masses (32 intervals), with
+    the energy 0.0770443732448498 for K3 = 1/4.
 
-    **Arguments:** `k`: 1 ... N, the number of half waves; `amplitude`: a, a number or one per lane [m].
+    **Arguments:** `k`: 1 ... N, the number of half waves; `amplitude`: a, a number or one per lane
+    [m].
     **Raises** ValueError for a lattice that is no plain chain, or k outside 1 ... N.
     """
     size = chain_only(lattice, "sine_mode")
@@ -79,7 +82,7 @@ def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> Sta
         refuse(
             "k", f"a whole number from 1 to {size}", repr(k), "A chain has as many modes as sites."
         )
-    # k n taken modulo the period in whole numbers, so that high modes lose no digits
+    # k n is reduced modulo the period in integers, so that high modes lose no digits
     n = column(lattice, jnp.arange(1, size + 1))
     shape = jnp.sin(jnp.pi / (size + 1) * (k * n % (2 * (size + 1))))
     return state_of(lattice, per_lane("amplitude", amplitude, lattice.lanes) * shape)

@@ -1,4 +1,4 @@
-"""Which field and which site a state speaks of, checked against the lattice."""
+"""Fields, sites and centres of states, checked against the lattice."""
 
 import operator
 from typing import Any
@@ -12,7 +12,7 @@ from ..types import Parameter
 
 
 def field_of(lattice: Lattice, field: str | None) -> str | None:
-    """The field's name; `None` for a plain array."""
+    """Return the field's name, `None` for a plain array."""
     if lattice.fields is None:
         if field is not None:
             refuse("field", "None, as the lattice has no named fields", repr(field))
@@ -26,7 +26,7 @@ def field_of(lattice: Lattice, field: str | None) -> str | None:
 
 
 def site_of(lattice: Lattice, site: Any, field: str | None) -> tuple[int, ...]:
-    """A site's index as a tuple, in range."""
+    """Return the checked index of a site as a tuple."""
     shape = lattice.sites if field is None else lattice.sites[field]
     index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
     if len(index) != len(shape) or any(not -n <= i < n for i, n in zip(index, shape)):
@@ -41,7 +41,7 @@ def site_of(lattice: Lattice, site: Any, field: str | None) -> tuple[int, ...]:
 
 
 def chain_only(lattice: Lattice, what: str) -> int:
-    """Refuse grids, vectors and named fields, where a state is meant for a plain chain."""
+    """Return the number of sites; refuse a lattice that is no plain chain."""
     if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
         got = f"displacements of shape {lattice.shape}"
         refuse("lattice", f"a chain with one displacement per site, for {what}", got)
@@ -49,23 +49,23 @@ def chain_only(lattice: Lattice, what: str) -> int:
 
 
 def numbers(lattice: Lattice, first: int = 0) -> jax.Array:
-    """The numbers of a chain's sites as a column beside the lanes."""
+    """Return the site numbers of a chain as a column beside the lanes."""
     return column(lattice, jnp.arange(first, lattice.shape[0] + first, dtype=float))
 
 
 def column(lattice: Lattice, x: jax.Array) -> jax.Array:
-    """An array along a chain as a column beside the lanes."""
+    """Reshape an array along a chain to a column beside the lanes."""
     return x.reshape((-1,) + (1,) * len(lattice.lanes))
 
 
 def state_of(lattice: Lattice, u: Parameter, v: Parameter = 0.0) -> State:
-    """The state of these displacements and velocities, in the lattice's shape and type."""
+    """Return the state (u, v) in the lattice's shape and type."""
     zeros = lattice.zeros()
     return State((zeros + u).astype(zeros.dtype), (zeros + v).astype(zeros.dtype))
 
 
 def crest(lattice: Lattice, centre: Parameter | None, direction: str) -> jax.Array:
-    """Where a wave of a chain begins: by default a quarter of the chain from the end that it leaves."""
+    """Return the centre of a wave, by default a quarter of the chain from where it starts."""
     size = lattice.shape[0]
     one_of("direction", direction, ("right", "left"))
     if centre is None:
@@ -75,7 +75,7 @@ def crest(lattice: Lattice, centre: Parameter | None, direction: str) -> jax.Arr
 
 
 def inside(name: str, centre: Any, size: int) -> Any:
-    """A place on a chain, from its first site to its last, also between two."""
+    """Return a checked place on a chain, which may lie between two sites."""
     centre = parameter(name, centre)
     value = concrete(centre)
     if value is not None and (value.ndim or not 0 <= value <= size - 1):

@@ -1,4 +1,4 @@
-"""States that need no more than shapes: rest, impact, random, thermal."""
+"""Simple states: rest, impact, random, thermal."""
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from .places import field_of, site_of
 
 
 def rest(lattice: Lattice) -> State:
-    """Every site at rest in equilibrium: u = v = 0.
+    """Return the state of equilibrium: u = v = 0.
 
     **Example:**
 
@@ -32,15 +32,17 @@ def rest(lattice: Lattice) -> State:
 def impact(
     lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: str | None = None
 ) -> State:
-    """One site moves, all else is at rest in equilibrium: what a striker leaves behind.
+    """Return a state in which one site moves and all others rest in equilibrium, as after a strike.
 
     **Arguments:**
 
-    - `velocity`: of that site [m/s]; a number, or one per lane. In the plane a vector (d,), lanes after it.
+    - `velocity`: of that site [m/s]; a number, or one per lane. In the plane a vector (d,), lanes
+      after it.
     - `site`: index, negative from the end; a tuple on a grid.
-    - `field`: name of the field where a cell holds several; `None` is the one called `"bead"`.
+    - `field`: the field of the site where a cell holds several; `None` is `"bead"`.
 
-    **Raises** ValueError for a site or field that is not there, or a velocity that is not finite or of another shape.
+    **Raises** ValueError for an unknown site or field, or a velocity that is not finite or of
+    another shape.
 
     **Example:**
 
@@ -51,7 +53,7 @@ def impact(
     """
     index = site_of(lattice, site, field := field_of(lattice, field))
     velocity = parameter("velocity", velocity)
-    # by NumPy where it can be, as for JAX each operation is a program to compile
+    # Known numbers use NumPy, because JAX compiles a program for each operation.
     still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), lattice.template())
     x = still if field is None else still[field]
     wanted = x[index].shape
@@ -74,11 +76,13 @@ def impact(
 def random(
     lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velocity: Parameter = 0.0
 ) -> State:
-    """Displacements and velocities uniform in [-displacement, displacement) and [-velocity, velocity), seeded.
+    """Return displacements and velocities that are uniform in [-amplitude, amplitude).
 
-    **Arguments:** `seed`: a whole number or a `jax.random` key; the same seed gives the same state. `displacement` [m]
-    and `velocity` [m/s]: amplitudes, not negative, numbers or one per lane. Every lane draws its own numbers.
-    **Raises** ValueError for a seed that is neither, or amplitudes that are negative, not finite, or of another shape.
+    **Arguments:** `seed`: a whole number or a `jax.random` key; the same seed gives the same state.
+    `displacement` [m] and `velocity` [m/s]: amplitudes >= 0, numbers or one per lane. Every lane
+    draws its own numbers.
+    **Raises** ValueError for an invalid seed, or amplitudes that are negative, not finite, or of
+    another shape.
 
     **Example:**
 
@@ -94,12 +98,12 @@ def random(
 
 
 def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
-    """Sites in equilibrium position with Gaussian velocities: m <v^2> = k_B T for each component.
+    """Return sites in equilibrium position with Gaussian velocities: m <v^2> = k_B T per component.
 
-    **Arguments:** `temperature`: k_B T [J], not negative, a number or one per lane; the mean kinetic energy of each
-    component of each site is half of it. All energy is kinetic at first, so a linear lattice settles at half this
-    temperature. `seed`: as in `random`.
-    **Raises** ValueError for a temperature that is negative, not finite or of another shape, or a seed that is none.
+    **Arguments:** `temperature`: k_B T >= 0 [J], a number or one per lane. All energy is kinetic at
+    first, so a linear lattice settles at half this temperature. `seed`: as in `random`.
+    **Raises** ValueError for a temperature that is negative, not finite or of another shape, or an
+    invalid seed.
     """
     width = jnp.sqrt(per_lane("temperature", temperature, lattice.lanes, non_negative))
     drawn = _draw(lattice, random_key(seed), width, jax.random.normal)

@@ -1,4 +1,4 @@
-"""Solitons of the integrable neighbours of a chain: Toda's and that of Korteweg and de Vries."""
+"""The solitons of Toda and of Korteweg and de Vries for a given chain."""
 
 from typing import NamedTuple
 
@@ -13,13 +13,13 @@ from ..theory import kdv, toda
 from ..types import Parameter
 from .places import chain_only, crest, numbers, state_of
 
-# how far a chain may differ from a uniform one, in units of its stiffness; how large a wave may be at its ends;
-# least sites
+# largest deviation from a uniform chain over K2; largest wave at the ends over its crest; fewest
+# sites
 UNIFORM, OUTSIDE, LEAST = 1e-6, 0.01, 8
 
 
 class Chain(NamedTuple):
-    """A uniform chain of next neighbours: K2, K3 of its bonds, mass of a site, and what holds its ends."""
+    """A uniform chain: K2 and K3 of its bonds, the mass of a site, and what holds its ends."""
 
     K2: jax.Array
     K3: jax.Array
@@ -39,20 +39,24 @@ def toda_soliton(
     centre: Parameter | None = None,
     direction: str = "right",
 ) -> State:
-    """The soliton of the Toda chain that has the same K2, K3 and mass: exact in a Toda chain, near in any other.
+    """Return the soliton of the Toda chain with the same K2, K3 and mass.
 
-    For waves of any law, exactly: `states.solitary_wave`. **Arguments:**
+    It is exact in a Toda chain and approximate in any other; `states.solitary_wave` is exact for
+    any law.
 
-    - `lattice`: a uniform chain of next neighbours, of any law with K2 > 0 and K3 other than zero, in any units.
-    - One of `k` [1/site], `speed` [sites/s], `amplitude`, the largest strain [m], of the sign of K3; as in
-      `theory.toda`. A number or one per lane.
-    - `centre`: bond of the crest (bond n joins n and n + 1), `None` for a quarter of the chain from where it starts;
-      `direction`: "right" or "left".
+    **Arguments:**
 
-    Meant for free ends. Between walls or on a ring the length is fixed, and all bonds are stretched alike by the
-    wave's total strain over their number, so that none is torn: it is then right to that share.
-    **Raises** ValueError for a lattice that is no such chain, or has no K2 (a sonic vacuum) or K3, a wave that is not
-    faster than sound, and one that does not fit into the chain.
+    - `lattice`: a uniform chain of next neighbours, of any law with K2 > 0 and nonzero K3, in any
+      units.
+    - One of `k` [1/site], `speed` [sites/s], `amplitude`, the largest strain [m], of the sign of
+      K3; as in `theory.toda`. A number or one per lane.
+    - `centre`: bond of the crest (bond n joins n and n + 1), `None` for a quarter of the chain from
+      where it starts; `direction`: "right" or "left".
+
+    Meant for free ends. Between walls or on a ring the length is fixed: every bond is stretched by
+    the wave's total strain over the number of bonds, and the wave is accurate up to that share.
+    **Raises** ValueError for any other lattice, one without K2 (a sonic vacuum) or K3, a wave that
+    is not faster than sound, or one that does not fit into the chain.
 
     **Example:**
 
@@ -86,9 +90,10 @@ def kdv_soliton(
     centre: Parameter | None = None,
     direction: str = "right",
 ) -> State:
-    """The soliton of the Korteweg-de Vries equation of the chain: right for waves just above the speed of sound.
+    """Return the soliton of the chain's Korteweg-de Vries equation.
 
-    The strain of each bond is that of `theory.kdv.soliton` and the velocities are those with which it travels.
+    It is accurate just above the speed of sound. The bonds have the strains of
+    `theory.kdv.soliton`, and the velocities are those with which it travels.
     **Arguments**, ends, **Raises**: as `toda_soliton`, with `speed` or `amplitude`.
     """
     chain, n, centre = _places("kdv_soliton", lattice, centre, direction)
@@ -100,7 +105,7 @@ def kdv_soliton(
         how = {"mass": chain.mass, "centre": centre, "direction": direction, **given}
         return tuple(kdv.soliton(n, t, chain.K2, chain.K3, **how))
 
-    # strains and their rates, summed from the last site on
+    # u and v follow from the strains and their rates, summed from the last site
     (y, v, u), (rate, *_) = jax.jvp(wave, (jnp.zeros(()),), (jnp.ones(()),))
     u, v = (
         x[-1:] + jnp.concatenate([jnp.cumsum(part[-2::-1], 0)[::-1], jnp.zeros_like(x[-1:])])
@@ -114,7 +119,6 @@ def _one(lattice, name, x):
 
 
 def _places(what, lattice, centre, direction):
-    """The chain, its sites as a column beside the lanes, and the centre."""
     size = chain_only(lattice, what)
     if size < LEAST:
         refuse("lattice", f"a chain of {LEAST} sites or more, for {what}", f"{size}")
@@ -128,7 +132,7 @@ def _places(what, lattice, centre, direction):
                 "none" if np.all(K2 == 0) else "one below zero",
                 "Give its contacts a precompression; in a sonic vacuum there is no speed of sound.",
             )
-        # a ramp is as high as the chain is long
+        # The rounding of a ramp grows with the length of the chain.
         if np.any(differs > (UNIFORM + 8 * size * np.finfo(lattice.dtype).eps) * K2):
             refuse(
                 "lattice",
@@ -148,7 +152,7 @@ def _places(what, lattice, centre, direction):
 
 @compiled
 def _uniform(lattice):
-    """What the force says of the chain: of a step in the displacement at its middle, a ramp, and a translation."""
+    """Measure the chain by its force on a step in its middle, a ramp and a translation."""
     zeros = lattice.zeros()
     size = zeros.shape[0]
     mid = size // 2
@@ -162,13 +166,14 @@ def _uniform(lattice):
     first, second = derivatives(jnp.where(n < mid, 1.0, 0.0))
     K2, K3 = first[mid], second[mid] / 2
     inner = slice(size // 4, size - size // 4)
-    # of a step the two sites beside it feel anything, of a ramp or a translation nobody
+    # In a uniform chain a step acts only on the two sites beside it, a ramp or a translation on
+    # none.
     expected = jnp.where(n == mid, 1.0, jnp.where(n == mid - 1, -1.0, 0.0))
     ramp, bent = derivatives(-n)
     moved, _ = derivatives(jnp.ones_like(n))
     mass = spread_mass(lattice)
     wrong = [first - expected * K2, ramp, moved, (mass / mass[mid] - 1) * K2]
-    # K3 times a strain that is as large as K2/K3
+    # K3 is compared with K2 at the strain K2/K3.
     size_2 = jnp.where(K3 == 0, 1.0, K2 / jnp.where(K3 == 0, 1.0, K3))
     wrong += [(second / 2 - expected * K3) * size_2, bent * size_2]
     differs = jnp.stack([jnp.abs(x[inner]).max(0) for x in wrong]).max(0)
@@ -187,7 +192,6 @@ def _uniform(lattice):
 
 
 def _held(lattice, chain, y, u, v):
-    """The state whose ends stay where walls or the ring hold them."""
     crest, edge = concrete(jnp.abs(y).max(0)), concrete(jnp.maximum(jnp.abs(y[0]), jnp.abs(y[-1])))
     if crest is not None and np.any(edge > OUTSIDE * crest):
         refuse(

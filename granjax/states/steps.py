@@ -11,18 +11,19 @@ from .places import chain_only, inside, numbers, state_of
 def strain_step(
     lattice: Lattice, left: Parameter, right: Parameter = 0.0, centre: Parameter | None = None
 ) -> State:
-    r"""A step in the strain, at rest: y_n = u_n - u_{n+1} = `left` for n < centre, `right` for n >= centre; v = 0.
+    r"""Return a strain step at rest: u_n - u_{n+1} = `left` for n < centre, else `right`; v = 0.
 
-    The last site stays at u = 0 and the displacements follow from it, u_n = sum of y_j over j >= n. With right = 0 all
-    sites from the centre on are exactly at rest; on the left u grows to left * centre, and its rounding in the strain
-    is that times 1e-16 (5e-11 of `left` for a step half a million bonds from the end).
+    The last site stays at u = 0. With right = 0 all sites from the centre on are exactly at rest.
+    On the left u grows to left * centre, and the rounding of the strain is 1e-16 times that (5e-11
+    of `left` for a step half a million bonds from the end).
 
-    Meant for free ends, whose static load holds F0 alone: the ends send waves inwards from t = 0 on, as far as sound
-    goes. A wall at the left end would be torn away or crushed by u_0.
+    Meant for free ends, whose static load is only F0: they send waves inwards from t = 0 on, at the
+    speed of sound. A wall at the left end would be torn away or crushed by u_0.
 
-    **Arguments:** `left`, `right`: strains, positive in compression [m], numbers or one per lane; `centre`: bond where
-    the step lies, from 0 to N - 1, `None` for the middle, (N-1)//2.
-    **Raises** ValueError for a lattice that is no plain chain, strains not finite, or a centre outside the chain.
+    **Arguments:** `left`, `right`: strains, positive in compression [m], numbers or one per lane;
+    `centre`: bond of the step, from 0 to N - 1, `None` for the middle, (N-1)//2.
+    **Raises** ValueError for a lattice that is no plain chain, strains not finite, or a centre
+    outside the chain.
     """
     size = chain_only(lattice, "strain_step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
@@ -33,17 +34,18 @@ def strain_step(
 
 
 def velocity_step(lattice: Lattice, c: Parameter, centre: Parameter | None = None) -> State:
-    r"""A velocity shock: u = 0, v_n = -2 c sign(n - centre), with sign(0) = 0.
+    r"""Return a velocity shock: u = 0, v_n = -2 c sign(n - centre), with sign(0) = 0.
 
-    For c > 0 the left half moves right with 2c and the right half left with 2c, so that they collide: the relative
-    velocity is 4c. By symmetry it is a piston that moves with 2c into a chain at rest, seen by an observer who moves
-    along. Toda chain (a = b = m = 1), 0 < c < 1: the strain behind the shocks is 2 ln(1 + c), about 2c; c < 0 pulls
-    the halves apart.
+    For c > 0 the halves collide at the relative velocity 4c, like a piston of velocity 2c that
+    drives into a chain at rest, in the frame of the piston. In a Toda chain (a = b = m = 1),
+    0 < c < 1, the strain behind the shocks is 2 ln(1 + c), about 2c. With c < 0 the halves move
+    apart.
 
-    **Arguments:** `c`: a quarter of the relative velocity [m/s], a number or one per lane; `centre`: site, or the
-    half-integer between two, `None` for the middle, (N-1)/2: between two sites for even N, at a site that stays at
-    rest for odd N. The ends send their own waves inwards from t = 0 on.
-    **Raises** ValueError for a lattice that is no plain chain, c not finite, or a centre outside the chain.
+    **Arguments:** `c`: a quarter of the relative velocity [m/s], a number or one per lane;
+    `centre`: site, or a half-integer, `None` for the middle, (N-1)/2; a site at the centre stays at
+    rest. The ends send their own waves inwards from t = 0 on.
+    **Raises** ValueError for a lattice that is no plain chain, c not finite, or a centre outside
+    the chain.
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
 
     **Example:**

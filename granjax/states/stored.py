@@ -1,4 +1,4 @@
-"""A state of a trajectory that was saved."""
+"""A state of a saved trajectory."""
 
 from typing import Any
 
@@ -12,17 +12,17 @@ from ..types import Count
 
 
 def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
-    """Take up the state of one frame of a run's dataset, or of a dataset without a time: where a saved run goes on.
+    """Return the state of one frame of a saved run, to continue it.
 
-    `gx.simulate(lattice, gx.states.stored(lattice, xarray.open_dataset("run.nc")), t1)` begins with the last.
+    `gx.simulate(lattice, gx.states.stored(lattice, xarray.open_dataset("run.nc")), t1)` begins with
+    the last frame.
 
-    **Arguments:** `data`: an `xarray.Dataset` with `u` and `v` over the lattice's sites, and `time`, as
-    `run.to_xarray()` gives it, with fields, components and lanes.
-    `frame`: which of its times, negative from the end.
+    **Arguments:** `data`: an `xarray.Dataset` with `u` and `v` over the lattice's sites, and
+    optionally `time`, as from `run.to_xarray()`, with fields, components and lanes. `frame`: index
+    of the time, negative from the end.
 
-    **Raises** ValueError for sites or lanes that are not those of the lattice, and for numbers in SI where those of the
-    lattice are scaled, or the other way round; KeyError and IndexError, by xarray, for variables or a frame that are
-    not there.
+    **Raises** ValueError for sites or lanes that differ from the lattice's, or if one is in SI and
+    the other scaled; KeyError and IndexError, by xarray, for missing variables or frames.
 
     **Example:**
 
@@ -54,7 +54,7 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
 
 
 def _frame(x, frame):
-    """One frame: sites first, then components, lanes last."""
+    """Return one frame, with the axes site, component, lanes."""
     x = x.isel(time=frame) if "time" in x.dims else x
     first = [axis for axis in x.dims if str(axis).partition("_")[0] == "site"]
     first += [axis for axis in x.dims if axis == "component"]

@@ -1,4 +1,4 @@
-"""Waves: packets of the linear chain, solitary waves."""
+"""Wave packets of the linear chain, and solitary waves."""
 
 from collections.abc import Callable
 from functools import partial
@@ -35,27 +35,29 @@ def wave_packet(
     omega: Parameter | Callable[[Any], Any] | None = None,
     direction: str = "right",
 ) -> State:
-    r"""A Gaussian wave packet that runs one way: u_n = a exp(-(n - n0)^2/(2 w^2)) cos(k (n - n0)).
+    r"""Return a Gaussian packet of the linear chain that runs one way.
 
-    The velocities are those of the wave sum_q U_q exp(i(q n - omega(q) t)) at t = 0, with omega odd in q, by a Fourier
-    transform along the chain taken as a ring: exact for the linear infinite chain of equal masses as long as the
-    packet is far from the ends (five widths). In a nonlinear chain it is the small-amplitude wave: other waves are
-    shed at the order of amplitude times K3/K2.
+    u_n = a exp(-(n - n0)^2/(2 w^2)) cos(k (n - n0)). The velocities are those of sum_q U_q exp(i(q
+    n - omega(q) t)) at t = 0, with omega odd in q and the chain taken as a ring. This is exact for
+    the linear infinite chain of equal masses if the packet is five widths from the ends. A
+    nonlinear chain sheds other waves of the order of amplitude times K3/K2.
 
     **Arguments:**
 
     - `k`: carrier wave number, in (0, pi) [rad/site].
-    - `centre`: n0 [sites], `None` for a quarter of the chain from where it starts; `width`: w [sites], well above 1.
+    - `centre`: n0 [sites], `None` for a quarter of the chain from where it starts; `width`: w
+      [sites], well above 1.
     - `amplitude`: a [m], small against the precompression's overlap.
-    - `omega`: frequency of the wave. `None`: from the lattice's own stiffness about its middle site, which must be
-      that of a uniform chain; couplings to further neighbours and on-site springs count. A function omega(q) >= 0 for
-      0 <= q <= pi: taken as odd. A number: that of the carrier alone, v = a omega sin(k (n - n0)) g; the drift of the
-      envelope is left out, an error of v_group/(omega w) that runs the other way. In a chain with several sites per
-      cell a cosine is no Bloch mode: the packet then excites all branches, whatever omega is given.
-    - `direction`: `"right"` or `"left"`, the way of the phase velocity; energy runs along where d omega/dk > 0.
+    - `omega`: frequency of the wave. `None`: from the stiffness about the middle site of a uniform
+      chain, with further neighbours and on-site springs. A function omega(q) >= 0 for 0 <= q <= pi.
+      A number: that of the carrier, v = a omega sin(k (n - n0)) g with the envelope g, whose drift
+      is neglected: an error of v_group/(omega w) runs the other way. In a chain with several sites
+      per cell the packet excites all branches, because a cosine is no Bloch mode.
+    - `direction`: `"right"` or `"left"`, of the phase velocity; energy runs along where d
+      omega/dk > 0.
 
-    **Raises** ValueError for a lattice that is no plain chain, k outside (0, pi), a chain that is not uniform or has no
-    linear stiffness where `omega` is `None`, or a width, centre, amplitude or direction that is none.
+    **Raises** ValueError for a lattice that is no plain chain, arguments outside these ranges, or,
+    with `omega=None`, a chain that is not uniform or has no linear stiffness.
 
     **Example:**
 
@@ -94,15 +96,16 @@ def solitary_wave(
     energy: Scalar | None = None,
     side: str | None = None,
 ) -> State:
-    """A chain in which its own solitary wave runs, exact on the lattice: `gx.travelling.solitary_wave` says which.
+    """Return a chain in which its own solitary wave runs, exact on the lattice.
 
-    The beads ahead are at rest in place, those behind have moved by the wave's compression, as far as the chain's other
-    end: meant for free ends, or a wall ahead.
+    See `gx.travelling.solitary_wave`. All beads behind the wave are displaced by its compression:
+    meant for free ends, or a wall ahead.
 
-    **Arguments:** `lattice`: a uniform chain of bonds to the next site. `centre`: contact of the peak, a real number;
-    `None` is the middle, (N - 2)/2; several waves are sums of states that are far apart. Exactly one of `speed`
-    (contacts per time, below zero to the left), `amplitude`, `energy`.
-    **Raises** ValueError for a centre outside the chain, and where `gx.travelling.solitary_wave` does.
+    **Arguments:** `lattice`: a uniform chain of bonds to the next site. `centre`: contact of the
+    peak, a real number, `None` for the middle, (N - 2)/2; for several waves add states that are far
+    apart. Exactly one of `speed` (contacts per time, negative to the left), `amplitude`, `energy`.
+    **Raises** ValueError for a centre outside the chain, and where `gx.travelling.solitary_wave`
+    does.
 
     **Example:**
 
@@ -120,7 +123,6 @@ def solitary_wave(
 
 
 def _given_frequency(omega, q, lanes):
-    """A user-defined omega(q)."""
     found = omega(q)
     shape = np.shape(found)
     if len(shape) > len(q.shape[:1] + lanes) or shape and shape[0] not in (1, len(q)):
@@ -130,7 +132,6 @@ def _given_frequency(omega, q, lanes):
 
 
 def _local_frequency(lattice, q, k):
-    """omega(q) of a uniform chain, from the force that answers a displacement of the middle site."""
     squares, carrier, wrong = _local_squares(lattice, q, k)
     carrier, wrong = concrete(carrier), concrete(wrong)
     if carrier is not None and not np.all(carrier > 0):
@@ -148,7 +149,6 @@ def _local_frequency(lattice, q, k):
 
 @compiled
 def _local_squares(lattice, q, k):
-    """omega^2 at q and at k, and how far cos(k n) is from a mode in the inner half of the chain."""
     zeros = lattice.zeros()
     size = zeros.shape[0]
     mass = lattice.mass + zeros

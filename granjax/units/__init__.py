@@ -1,4 +1,4 @@
-"""Units: sizes of those of a scene, and those of SI by their names."""
+"""Units: the sizes of scaled units, and SI units by name."""
 
 from .names import SCALED, SI
 from .sizes import PART, Dimensional, InUnits, Signal, Units

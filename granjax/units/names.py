@@ -1,4 +1,4 @@
-"""Units by their names, and what numbers are counted in."""
+"""Units by name, and whether numbers are in SI or scaled."""
 
 import math
 import re
@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 from ..checks import concrete, nearest, one_of, refuse
 
 SI, SCALED = "SI", "scaled"
-"""What numbers are counted in: those of SI, or units of their own."""
+"""Numbers are in SI units or in scaled units."""
 _MARKS = {SI: 1.0, SCALED: 0.0, None: math.nan}
-# size in SI, and powers of force, length, time, angle, voltage; a cycle is 2 pi rad, so 1 Hz is 2 pi rad/s
+# The size in SI, and the powers of force, length, time, angle, voltage. A cycle is 2 pi rad, so
+# 1 Hz is 2 pi rad/s.
 _BASES = {
     "1": (1.0, (0, 0, 0, 0, 0)),
     "s": (1.0, (0, 0, 1, 0, 0)),
@@ -26,7 +27,8 @@ _BASES = {
     "V": (1.0, (0, 0, 0, 0, 1)),
 }
 _PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12}
-# what pictures choose from, the first kind of a dimension, and what is proposed for a name that is not known
+# Units that pictures use and that are suggested for an unknown name. The first line that has a
+# dimension serves it.
 _READ = (
     "s ms us ns",
     "Hz kHz MHz mHz",
@@ -43,12 +45,12 @@ _READ = (
     "N/m kN/m MN/m GN/m",
     "V mV kV uV",
 )
-# how a factor stands behind the one before it, its symbol, its power
+# the operator before a factor, its symbol, its power
 _FACTOR = re.compile(r"([ */]?)(1|[A-Za-z]+)(?:\^?\{?([+-]?\d(?:\.\d+|/[1-9])?)\}?)?")
 
 
 class Named(NamedTuple):
-    """A unit: its name, its size in SI, and its dimension, powers of force, length, time, angle and voltage."""
+    """A unit: its name, size in SI, and powers of force, length, time, angle and voltage."""
 
     name: str
     size: float
@@ -64,7 +66,10 @@ class Named(NamedTuple):
 
 @lru_cache(maxsize=256)
 def known_unit(word: str) -> Named | None:
-    """The unit of a name, products and powers such as "mm/s", "N/m^{3/2}", "1/ms" too; `None` where there is none."""
+    """Return the unit of a name, also of products and powers; `None` if unknown.
+
+    Examples: "mm/s", "N/m^{3/2}", "1/ms".
+    """
     text, size, powers = word.replace("µ", "u").replace("²", "^2"), 1.0, [Fraction(0)] * 5
     factors = list(_FACTOR.finditer(text))
     if not text or text[0] in " */" or "".join(x[0] for x in factors) != text:
@@ -80,7 +85,10 @@ def known_unit(word: str) -> Named | None:
 
 
 def named_unit(word: str) -> Named:
-    """The unit of a name. **Raises** ValueError for one that is not known, with the nearest that is."""
+    """Return the unit of a name.
+
+    **Raises** ValueError for an unknown name, suggesting the nearest.
+    """
     found = known_unit(word)
     if found is None:
         remedy = nearest(word, " ".join(_READ).split(), 3) or "Such as 'us', 'kHz', 'mm/s', 'N'."
@@ -89,7 +97,10 @@ def named_unit(word: str) -> Named:
 
 
 def readable(unit: Named, largest: float) -> Named:
-    """Of the units of a dimension the one in which a size in SI is 1 to 1000, or comes next to it; Hz of rad/s."""
+    """Return the unit of a dimension in which a size in SI is between 1 and 1000, or closest.
+
+    Angular frequencies are given in Hz.
+    """
     for names in _READ:
         units = [known_unit(name) for name in names.split()]
         if units[0].dimension != unit.dimension:
@@ -106,12 +117,12 @@ def _size(unit):
 
 
 def mark_of(units: str | None) -> float:
-    """A number that says what others are counted in, and goes with them through transformations."""
+    """Return a number that marks SI or scaled units and passes through transformations."""
     return _MARKS[units if units is None else one_of("units", units, (SI, SCALED))]
 
 
 def counted_in(mark: Any) -> str | None:
-    """Give "SI" or "scaled", from a mark; `None` where it was not said or is not known while traced."""
+    """Return "SI" or "scaled" for a mark; `None` if unset, or unknown while traced."""
     value = concrete(mark)
     if value is None or not value.size or math.isnan(value.flat[0]):
         return None

@@ -1,4 +1,4 @@
-"""Units of mass, length and time, and kinds that can be written in other ones."""
+"""Units of mass, length and time, and objects that can be converted between units."""
 
 import abc
 import dataclasses
@@ -15,10 +15,12 @@ from ..types import Number, Parameter, StateLike
 
 
 class Units(eqx.Module):
-    """Sizes of the units in SI: a scaled number times its unit is the SI number, `run.ts * units.time` in seconds.
+    """The sizes of units in SI: a scaled number times its unit is the SI number.
 
-    **Arguments:** `mass` [kg], `length` [m], `time` [s], above zero. The others follow from them: `velocity`,
-    `acceleration`, `force`, `energy`, `omega`. **Raises** ValueError for a unit that is not above zero.
+    For example `run.ts * units.time` is in seconds.
+
+    **Arguments:** `mass` [kg], `length` [m], `time` [s], above zero. `velocity`, `acceleration`,
+    `force`, `energy`, `omega` follow from them. **Raises** ValueError for a unit <= 0.
 
     **Example:**
 
@@ -64,19 +66,19 @@ class Units(eqx.Module):
 
     @property
     def omega(self) -> Number:
-        """Unit of angular frequency, and of a damping rate [1/s]."""
+        """Unit of angular frequency and of damping rates [1/s]."""
         return 1 / self.time
 
     def of(self, force: Number, length: Number, time: Number) -> Number:
-        """The unit of a quantity of these powers of force, length and time."""
+        """Return the unit of a quantity with these powers of force, length and time."""
         return self.force**force * self.length**length * self.time**time
 
     def state_to_si(self, state: StateLike) -> StateLike:
-        """A scaled `State` in metres and metres per second."""
+        """Return a scaled `State` in metres and metres per second."""
         return self._convert(state, self.length, self.velocity)
 
     def state_from_si(self, state: StateLike) -> StateLike:
-        """A `State` in metres and metres per second in these units."""
+        """Return a `State` in metres and metres per second in these units."""
         return self._convert(state, 1 / self.length, 1 / self.velocity)
 
     def _convert(self, state, length, velocity):
@@ -93,17 +95,17 @@ class Signal(tuple):
 
 
 def _said(cls):
-    """The variables of the class that the kinds say of which it is one."""
     kinds = (vars(base).get("__annotations__", {}) for base in cls.__mro__[1:])
     return {name for own in kinds for name, kind in own.items() if "ClassVar" in str(kind)}
 
 
 class Dimensional(eqx.Module):
-    """A kind that can be written in other units.
+    """A law, strain map or term that can be converted to other units.
 
-    `dimensions`, written in a class itself, names for each field that is not static the powers (force, length, time)
-    of its unit: a tuple, a function of the instance that gives one, a `Signal` for a function of time, or `PART`. A
-    class that does not say so is wrapped: its arguments are turned into its own units and its result back.
+    `dimensions`, set in the class itself, gives each field that is not static the powers (force,
+    length, time) of its unit: a tuple, a function of the instance, a `Signal` for a function of
+    time, or `PART`. A class without it is wrapped: its arguments are converted to its own units and
+    its result back.
     """
 
     dimensions: ClassVar[dict | None] = None
@@ -113,7 +115,7 @@ class Dimensional(eqx.Module):
         super().__init_subclass__(**keywords)
         for name, kind in vars(cls).get("__annotations__", {}).items():
             known = getattr(super(cls, cls), name, None)
-            # what its kind says of all, such as `span`, stays a variable of the class
+            # A class variable that a base class declares, such as `span`, must stay one.
             fixed = name in _said(cls) and "ClassVar" not in str(kind)
             if callable(known) or fixed:
                 refuse(
@@ -126,7 +128,7 @@ class Dimensional(eqx.Module):
                 refuse(f"{cls.__name__}.{name}", "a value, or a property", "a method")
 
     def in_units(self, units: Units) -> Any:
-        """The same with arguments and results counted in `units`."""
+        """Return the same object with arguments and results in `units`."""
         dimensions = vars(type(self)).get("dimensions")
         if dimensions is None:
             return self._wrapped(units)
@@ -143,7 +145,7 @@ class Dimensional(eqx.Module):
 
     @abc.abstractmethod
     def _wrapped(self, units):
-        """A stand-in that turns arguments into SI and the result back."""
+        """Return a wrapper that converts arguments to SI and the result back."""
 
 
 def _counted(value, powers, owner, units):
@@ -173,6 +175,6 @@ class InUnits(eqx.Module):
 
     @property
     def breaks(self) -> Any:
-        """The times at which it jumps, where the function knows its own."""
+        """The times of the function's jumps, if it declares them."""
         found = getattr(self.function, "breaks", None)
         return None if found is None else jax.tree.map(lambda x: x / self.time, found)

@@ -1,1 +1,1 @@
-"""Lattices of the plane by name, and chains whose cells have several sites."""
+"""Named lattices of the plane, and chains with several sites per cell."""

@@ -1,4 +1,4 @@
-"""From a cell to a lattice: masses, bonds of every tie, walls, grounding springs."""
+"""Build a lattice from a cell: masses, bonds, walls, grounding springs."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,12 +18,12 @@ from ..chains import contact, number
 from .cells import CrystalCell
 from .outline import cut, positions_of
 
-# inertia of a sphere about its centre, in m R^2
+# moment of inertia of a sphere about its centre, in m R^2
 SPHERE = 0.4
 
 
 def mindlin(poisson: Any) -> Any:
-    """Mindlin's k_t/k_n of two bodies of one material: 2 (1 - nu)/(2 - nu)."""
+    """Return Mindlin's k_t/k_n for two bodies of one material, 2 (1 - nu)/(2 - nu)."""
     return 2 * (1 - poisson) / (2 - poisson)
 
 
@@ -51,43 +51,48 @@ def crystal(
     equal: bool = False,
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a lattice of the plane or of space, or a chain, from a cell, as `square`, `fcc` and `ssh` do.
+    r"""Build a lattice in the plane or in space, or a chain, from a cell.
 
-    m u'' = sum over neighbours j of [F(|R| - |R + u_j - u|) times the bond's direction], as `gx.Stretch` has it.
+    m u'' = sum over neighbours j of [F(|R| - |R + u_j - u|) times the bond's direction]
+
+    See `gx.Stretch`. `square`, `fcc`, `ssh` and others are built in this way.
 
     **Arguments:**
 
-    - `cell`: a `gx.scenes.CrystalCell` of `vectors`, `sites` and `ties`, in lengths of a bond.
-    - `n`, `m`: cells along the two axes, `None` for as many; n in all is the number of rows of beads. A cell with one
-      vector makes a chain of n cells; in space n may be three numbers.
-    - `mass`: a number, which stays one in the lattice's `mass` (`gx.lattice.spread_mass`), or an array (n, m); in cells
-      of several sites also a dict of one for each.
-    - `stiffness`: K, `precompression`: F0 of each bond, of either sign, numbers or one for each of the cell's bonds
-      (of `stiffness` each a number, or an array over all bonds of its kind).
-      `exponent`: 1 for springs, which push and pull; another one for contacts A [d0 + e]_+^p, such as 3/2, whose
-      `stiffness` is A. `law`: a law in their place, or one for each bond of the cell; or a function that makes the law
-      of the bonds of one kind from the pairs that they join (`gx.Shift`, whose `joins` tells which).
-    - `spacing`: |R|, the length of a bond, twice the radius of a bead.
-    - `boundary`: `"fixed"` (beads at rest all around), `"free"` (what presses the bonds at rest is held on the sites at
-      the edge), `"periodic"`; or one for each axis: ("periodic", "free") is a strip, ("periodic", "periodic") a ring.
-    - `outline`: `"cells"`, a parallelogram of n x m cells, on a grid; or a graph, u of shape (sites, 2): `"rectangle"`
-      (m rows of n cells), `"hexagon"` (n rings of cells around one), a function of positions (..., 2) in bond lengths
-      that says which sites of the parallelogram are there. A graph has no bands. A hole in it is empty whatever the
-      `boundary`, which is that of the outer rim: what presses the bonds at rest is held on the sites around the hole.
-    - `out_of_plane`: one displacement for each site, normal to the plane, u of shape (n, m); bonds then act on
-      differences, e = u_i - u_j.
-    - `rotation`: u of shape (n, m, 3): (u_x, u_y, R theta) with R = |R|/2, theta anticlockwise. The contacts then have
-      a tangential spring `tangential`, k_t or a law of the slip (`gx.strains.Slip`), `None` for Mindlin's 0.82 K2 of
-      nu = 0.3; `bending` and `attraction` as in `rotating_chain`; `inertia`: that of a bead in m R^2, 2/5 for a sphere,
-      1/2 for a disk. A contact that opens lets go of the springs (`gx.terms.Grip`); that none slides is the user's to
-      see (`gx.measures.slip_ratio`).
-    - `ground`: an on-site spring on every component of u of every site, `None` for none; `on_site`: a law more there,
-      such as `gx.Polynomial(0, 0, 1.0)`: with both a Klein-Gordon lattice. `equal`: whether with either of them sites
-      that bonds hold less get a stronger spring, so that all springs of a site add up to one sum.
+    - `cell`: a `gx.scenes.CrystalCell` of `vectors`, `sites` and `ties`, in bond lengths.
+    - `n`, `m`: cells along the two axes; with `m=None` n along every axis. In space n may be three
+      numbers. A cell with one vector makes a chain of n cells.
+    - `mass`: a number, which the lattice keeps as one (`gx.lattice.spread_mass`), or an array (n,
+      m); with several sites also a dict of these.
+    - `stiffness`: K; `precompression`: F0 of each bond, of either sign; numbers, or one per bond of
+      the cell (a `stiffness` also an array over all bonds of its kind). `exponent`: 1 for springs,
+      which push and pull; otherwise contacts A [d0 + e]_+^p, such as 3/2, with A the `stiffness`.
+      `law`: in their place one law, one per bond of the cell, or a function from the pairs of one
+      kind of bond (a `gx.Shift`, see its `joins`) to their law.
+    - `spacing`: |R|, the bond length, twice the radius of a bead.
+    - `boundary`: `"fixed"` (beads at rest all around), `"free"` (the static load is held on the
+      sites at the edge), `"periodic"`; or one per axis: ("periodic", "free") is a strip.
+    - `outline`: `"cells"`, a parallelogram of n x m cells, on a grid; or a graph, u of shape
+      (sites, 2): `"rectangle"` (m rows of n cells), `"hexagon"` (n rings of cells around one), or a
+      function of positions (..., 2) in bond lengths that selects sites of the parallelogram. A
+      graph has no bands. `boundary` applies to the outer rim; the edge of a hole is always free.
+    - `out_of_plane`: one displacement per site, normal to the plane, u of shape (n, m); bonds have
+      e = u_i - u_j.
+    - `rotation`: u of shape (n, m, 3), (u_x, u_y, R theta) with R = |R|/2, theta anticlockwise. The
+      contacts then have a tangential spring `tangential`: k_t, a law of the slip
+      (`gx.strains.Slip`), or `None` for Mindlin's 0.82 K2 of nu = 0.3. `bending` and `attraction`:
+      as in `rotating_chain`; `inertia`: of a bead in m R^2, 2/5 for a sphere, 1/2 for a disk. A
+      contact that opens loses these springs (`gx.terms.Grip`). Sliding is not modelled: check
+      `gx.measures.slip_ratio`.
+    - `ground`: an on-site spring on every component of u; `on_site`: a further law there, such as
+      `gx.Polynomial(0, 0, 1.0)`; both make a Klein-Gordon lattice. `equal`: whether, with either of
+      them, sites with weaker bonds get stronger springs, so that the springs of every site have the
+      same sum.
 
-    **Returns:** a `Lattice` with `positions`, of the fields that name the cell's sites where there are several. All
-    numbers are differentiable but n, m; a batch by `jax.vmap(..., out_axes=-1)`. **Raises** ValueError for a boundary,
-    an outline or masses that do not fit, `rotation` out of plane.
+    **Returns:** a `Lattice` with `positions`, with a field for each site of the cell if there are
+    several. All numbers but n, m are differentiable; for a batch use `jax.vmap(..., out_axes=-1)`.
+    **Raises** ValueError for a boundary, an outline or masses that do not fit, or `rotation` out of
+    plane.
 
     **Example:**
 
@@ -164,7 +169,6 @@ def crystal(
 
 
 def _turning(law, tangential, bending, attraction):
-    """Laws of the slip, of rolling and of the attraction, `None` for those that are not there."""
     if not isinstance(tangential, Law):
         if tangential is None:
             tangential = mindlin(0.3) * law.derivative(jnp.zeros(()))
@@ -179,7 +183,7 @@ def _turning(law, tangential, bending, attraction):
 
 
 class _Pull(Law):
-    """A constant force that pulls: F0 = -T, and no stiffness of its own."""
+    """A constant pull: the preload is -T, without stiffness."""
 
     dimensions = {"tension": (1, 0, 0)}
     opens = False
@@ -198,7 +202,6 @@ class _Pull(Law):
 
 
 def _check_bonds(pairs, law, sites, alone):
-    """Refuse a stiffness over bonds that has another shape than they."""
     template = {name: jax.ShapeDtypeStruct(shape, float) for name, shape in sites.items()}
     wanted = jax.eval_shape(pairs.strain, template["a"] if alone else template).shape
     for x in jax.tree.leaves(law):
@@ -216,7 +219,6 @@ def _boundaries(boundary, axes):
 
 
 def _graph(cell, found, boundary):
-    """The pairs of every tie; `None` where no bond of the kind is left."""
     every = []
     for tie in cell.ties:
         tail, head = found.bonds(tie, boundary == "fixed")
@@ -227,7 +229,6 @@ def _graph(cell, found, boundary):
 
 
 def _masses(cell, mass, sites, inertia):
-    """From name to masses, one for each site, and each component where it turns."""
     given = mass if isinstance(mass, dict) else dict.fromkeys(cell.sites, mass)
     found, alike = {}, len(set(sites.values())) == 1
     for name, shape in sites.items():
@@ -242,7 +243,6 @@ def _masses(cell, mass, sites, inertia):
 
 
 def _laws(cell, law, stiffness, exponent, precompression):
-    """One law for each tie: as given, or springs or contacts of these numbers."""
     count = len(cell.ties)
     if law is not None:
         return _each("law", law, count)
@@ -259,7 +259,6 @@ def _each(name, x, count):
 
 
 def _law(stiffness, exponent, precompression):
-    """A spring that pushes and pulls, or a contact."""
     if not (isinstance(exponent, (int, float)) and exponent == 1):
         return contact(stiffness, exponent, precompression)
     stiffness = positive("stiffness", stiffness, "A bond without stiffness is left out.")
@@ -269,7 +268,6 @@ def _law(stiffness, exponent, precompression):
 
 
 def _springs(cell, laws, ground, equal):
-    """From name to on-site springs; where all sites are to be equal, stronger where bonds hold a site less."""
     held = dict.fromkeys(cell.sites, 0.0)
     for tie, law in zip(cell.ties, laws):
         k = law.derivative(jnp.zeros(()))

@@ -1,4 +1,4 @@
-"""The cells of the lattices that have a name: vectors, sites, bonds, in lengths of a bond."""
+"""The unit cells of the named lattices: vectors, sites and bonds, in bond lengths."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ HALF, ROOT = 0.5, np.sqrt(3.0) / 2
 
 
 class Tie(NamedTuple):
-    """A bond from a site `tail` of each cell to the site `head` of the cell `offset` further on."""
+    """A bond from the site `tail` of each cell to the site `head` of the cell at `offset`."""
 
     tail: str
     head: str
@@ -16,7 +16,7 @@ class Tie(NamedTuple):
 
 
 class CrystalCell(NamedTuple):
-    """A unit cell: `vectors` (axes, 2) to the next cells, `sites` by name, `ties` once for each cell.
+    """A unit cell: lattice `vectors` (axes, 2), `sites` by name, and `ties`, each once per cell.
 
     In space vectors and sites have three components.
     """
@@ -27,11 +27,11 @@ class CrystalCell(NamedTuple):
 
     @property
     def alone(self):
-        """Whether the cell has one site, so that displacements are a plain array."""
+        """Whether the cell has one site; displacements are then a plain array."""
         return len(self.sites) == 1
 
     def spans(self) -> np.ndarray:
-        """The vector from tail to head of every tie, (ties, 2 or 3)."""
+        """Return the vector from tail to head of every tie, (ties, 2 or 3)."""
         a = np.array(self.vectors)
         ends = [
             (np.array(self.sites[tie.tail]), np.array(self.sites[tie.head]), tie.offset)
@@ -76,7 +76,7 @@ LIEB = CrystalCell(
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
     (Tie("a", "b", (0, 0)), Tie("a", "c", (0, 0)), Tie("b", "a", (1, 0)), Tie("c", "a", (0, 1))),
 )
-# the square of Benalcazar, Bernevig and Hughes: four sites, bonds within the cell first
+# the square of Benalcazar, Bernevig and Hughes: bonds within the cell come first
 QUADRUPOLE = CrystalCell(
     ((2.0, 0.0), (0.0, 2.0)),
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0), "d": (1.0, 1.0)},
@@ -108,7 +108,7 @@ HCP = CrystalCell(
     tuple(Tie(name, name, (*tie.offset, 0)) for name in "ab" for tie in TRIANGULAR.ties)
     + tuple(Tie("a", "b", (-i, -j, -k)) for k in (0, 1) for i, j in ((0, 0), (1, 0), (0, 1))),
 )
-# chains, drawn in the plane
+# chains, with positions in the plane
 CHAIN = CrystalCell(((1.0, 0.0),), {"a": (0.0, 0.0)}, (Tie("a", "a", (1,)),))
 SAWTOOTH = CrystalCell(
     ((1.0, 0.0),),

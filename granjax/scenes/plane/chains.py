@@ -1,4 +1,4 @@
-"""Chains whose cells have several sites: SSH, sawtooth, stub, diamond; one whose cell never ends: Aubry-Andre."""
+"""Chains with several sites per cell (SSH, sawtooth, stub, diamond), and the Aubry-Andre chain."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,19 +21,20 @@ def ssh(
     k2: Parameter = 2.0,
     **bonds: Any,
 ) -> Lattice:
-    r"""Build the chain of Su, Schrieffer and Heeger: springs k1 within cells of two sites and k2 between cells.
+    r"""Build the chain of Su, Schrieffer and Heeger: springs k1 within cells and k2 between them.
 
-    A chain of 2N equal masses. omega^2 = (k1 + k2 +- |k1 + k2 exp(ik)|)/m, a gap of 2 k1/m ... 2 k2/m; between walls,
-    whose springs are k2, a chain with k1 < k2 has two states within it, one at either end, at about (k1 + k2)/m: for 10
-    cells, k = 1, 2: 2.99853515 and 3.00146485.
+    The chain has 2N equal masses: omega^2 = (k1 + k2 +- |k1 + k2 exp(ik)|)/m, with a gap 2
+    k1/m ... 2 k2/m. Between walls, with springs k2, a chain with k1 < k2 has a state at either end,
+    in the gap at about (k1 + k2)/m: 2.99853515 and 3.00146485 for 10 cells and k = 1, 2.
 
-    **Arguments:** `cells`: N; `k1`, `k2`: numbers, or one per bond; `bonds`: what `crystal` takes by name, such as
-    `mass`; `law`: two laws, of the bonds within and between, in place of k1 and k2; `boundary`: `"fixed"`, `"free"`,
-    `"periodic"`; `ground`, `on_site`, `units`.
+    **Arguments:** `cells`: N; `k1`, `k2` > 0: numbers, or one per bond; `bonds`, as of `crystal`:
+    `mass`; `law`: two laws, within and between cells, in place of k1 and k2; `boundary`, `ground`,
+    `on_site`, `units`.
 
-    **Returns:** a `Lattice` of the fields `a`, `b`, (N,) each. **Raises** ValueError for stiffnesses that are not above
-    zero. Source: Su, Schrieffer, Heeger, Phys. Rev. Lett. 42, 1698 (1979); Chaunsali, Xu, Yang, Kevrekidis,
-    Theocharis, Phys. Rev. B 103, 024106 (2021).
+    **Returns:** a `Lattice` of the fields `a`, `b`, (N,) each.
+    **Raises** ValueError for stiffnesses that are not positive.
+    Source: Su, Schrieffer, Heeger, Phys. Rev. Lett. 42, 1698 (1979); Chaunsali, Xu, Yang,
+    Kevrekidis, Theocharis, Phys. Rev. B 103, 024106 (2021).
 
     **Example:**
 
@@ -62,22 +63,24 @@ def aubry_andre(
     boundary: str = "fixed",
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a quasi-periodic chain of Aubry, Andre and Harper: springs to the ground that vary as a cosine.
+    r"""Build a quasi-periodic chain of Aubry, Andre and Harper, with cosine on-site springs.
 
     m u_n'' = K (u_{n-1} - 2 u_n + u_{n+1}) - [g + V cos(2 pi b n + phi)] u_n
 
-    For an irrational b every mode reaches over the chain where V < 2K, and for V > 2K every mode falls off as
-    exp(-gamma |n|), gamma = log(V/2K), at every frequency. Over a period of phi edge modes cross its gaps; of a ratio
-    b = p/q the gaps have the Chern numbers of a square lattice in a magnetic field (`gx.topology.chern` of D(k, phi)).
+    For irrational b all modes are extended if V < 2K, and all decay as exp(-gamma |n|), gamma =
+    log(V/2K), if V > 2K. As phi runs over a period, edge modes cross the gaps. For b = p/q the gaps
+    have the Chern numbers of a square lattice in a magnetic field (`gx.topology.chern` of
+    D(k, phi)).
 
-    **Arguments:** `sites`: N >= 2; `modulation`: V of either sign [N/m]; `ratio`: b, the golden mean by default;
-    `phase`: phi [rad]; `stiffness`: K > 0; `ground`: g >= 0, |V| or more for a
-    chain that is stable whatever the phase; `mass`; `law`: of the bonds in
-    place of K; `on_site`: a law more at every site; `boundary`: `"fixed"`, `"free"`, `"periodic"`.
+    **Arguments:** `sites`: N >= 2; `modulation`: V of either sign [N/m]; `ratio`: b, the golden
+    mean by default; `phase`: phi [rad]; `stiffness`: K > 0; `ground`: g >= 0, at least |V| for
+    stability at any phase; `mass`; `law`: of the bonds in place of K; `on_site`: a further law at
+    every site; `boundary`: `"fixed"`, `"free"`, `"periodic"`.
 
-    **Returns:** a `Lattice`, u of shape (N,). All numbers are differentiable but `sites`. **Raises** ValueError for
-    numbers outside these ranges. Source: Aubry, Andre, Ann. Israel Phys. Soc. 3, 133 (1980); Martinez, Porter,
-    Kevrekidis, Phil. Trans. R. Soc. A 376, 20170139 (2018).
+    **Returns:** a `Lattice`, u of shape (N,). All numbers but `sites` are differentiable.
+    **Raises** ValueError for numbers outside these ranges.
+    Source: Aubry, Andre, Ann. Israel Phys. Soc. 3, 133 (1980); Martinez, Porter, Kevrekidis, Phil.
+    Trans. R. Soc. A 376, 20170139 (2018).
     """
     count, held = whole("sites", sites, 2), non_negative("ground", ground)
     n = jnp.arange(count)
@@ -95,22 +98,22 @@ def sawtooth(
     tooth: Scalar | None = None,
     **bonds: Any,
 ) -> Lattice:
-    r"""Build a sawtooth chain: a chain of sites `a`, and a site `b` above each bond, bound to both of its ends.
+    r"""Build a sawtooth chain: a chain of sites `a` and a site `b` bound to both ends of each bond.
 
-    With teeth 2^{1/2} K and on-site springs that make all sites equal: omega^2 = Omega^2 - K E, E = -2 (flat) and
-    2 + 2 cos k; Omega^2 is the springs' sum at `a`, 2K (1 + 2^{1/2}), and the ground.
+    With teeth 2^{1/2} K and on-site springs that make all sites equal: omega^2 = Omega^2 - K E, E =
+    -2 (flat) and 2 + 2 cos k; Omega^2 is the sum of the springs at `a`, 2K (1 + 2^{1/2}), and the
+    ground.
 
     **Arguments:**
 
     - `cells`: N; `stiffness`: K of the bonds a-a; `tooth`: of the bonds a-b, `None` for 2^{1/2} K.
-    - `bonds`: what `crystal` takes by name, such as `law`: three laws in their place, a-a, a-b within the cell and
-      between cells; `mass`; `boundary`: `"periodic"` by default; `units`.
-    - Of these `ground`: an on-site spring at every site, 0 by default; `equal`: whether sites with fewer bonds get one
-      more, so that all springs of a site add up to one sum, True by default. Without these the band is not flat.
-    - `on_site`: a law more at every site, such as `gx.Polynomial(0, 0, 1.0)`.
+    - `bonds`, as of `crystal`: `law`: three laws in their place, for a-a, a-b within the cell and
+      between cells; `mass`; `units`; `on_site`. By default `boundary` is `"periodic"`, `ground` 0,
+      and `equal` True, without which the band is not flat.
 
-    **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `ssh` does. Source: Leykam, Andreanov,
-    Flach, Advances in Physics: X 3, 1473052 (2018).
+    **Returns:** a `Lattice` of the fields `a`, `b`.
+    **Raises** ValueError as `ssh` does.
+    Source: Leykam, Andreanov, Flach, Advances in Physics: X 3, 1473052 (2018).
 
     **Example:**
 
@@ -125,11 +128,13 @@ def sawtooth(
 def stub(cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, **bonds: Any) -> Lattice:
     r"""Build a stub chain: a chain a, b, a, b, ... with a site `c` on each `a`.
 
-    With on-site springs that make all sites equal: omega^2 = Omega^2 - K E, Omega^2 = 3K + ground, E = 0 (flat) and
-    +-(3 + 2 cos k)^{1/2}.
+    With on-site springs that make all sites equal: omega^2 = Omega^2 - K E, Omega^2 = 3K + ground,
+    E = 0 (flat) and +-(3 + 2 cos k)^{1/2}.
 
-    **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b within the cell, between cells, a-c.
-    **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
+    **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b within the cell,
+    between cells, a-c.
+    **Returns:** a `Lattice` of the fields `a`, `b`, `c`.
+    **Raises** ValueError as `ssh` does.
     """
     return _flat(STUB, cells, stiffness, **bonds)
 
@@ -137,19 +142,19 @@ def stub(cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, **bonds
 def diamond(
     cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, **bonds: Any
 ) -> Lattice:
-    r"""Build a diamond chain: squares that share corners; `a` is bound to `b` and `c` of its own cell and of the last.
+    r"""Build a diamond chain of corner-sharing squares: `a` is bound to `b`, `c` on both sides.
 
-    With on-site springs that make all sites equal: omega^2 = Omega^2 - K E, Omega^2 = 4K + ground, E = 0 (flat) and
-    +-8^{1/2} cos(k/2).
+    With on-site springs that make all sites equal: omega^2 = Omega^2 - K E, Omega^2 = 4K + ground,
+    E = 0 (flat) and +-8^{1/2} cos(k/2).
 
     **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b, a-c, b-a', c-a'.
-    **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
+    **Returns:** a `Lattice` of the fields `a`, `b`, `c`.
+    **Raises** ValueError as `ssh` does.
     """
     return _flat(DIAMOND, cells, stiffness, **bonds)
 
 
 def _flat(cell, cells, stiffness, *, boundary="periodic", ground=0.0, equal=True, **bonds):
-    """A chain all of whose sites have springs of one sum, by default, so that it has a flat band."""
     return _chain(
         cell, cells, stiffness=stiffness, boundary=boundary, ground=ground, equal=equal, **bonds
     )

@@ -1,4 +1,4 @@
-"""Lattices by name: square, triangular, honeycomb, kagome, Lieb; a hexagon of beads; cubic and close packings."""
+"""Named lattices in the plane and in space."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,16 +12,18 @@ from .cells import CUBIC, FCC, HCP, HONEYCOMB, KAGOME, LIEB, QUADRUPOLE, SQUARE,
 
 
 def square(n: Count, m: Count | None = None, **bonds: Any) -> Lattice:
-    r"""Build a square lattice: each site is bound to its 4 neighbours, of which bonds are distances in the plane.
+    r"""Build a square lattice: each site is bound to its 4 neighbours in the plane.
 
-    m u'' = sum over neighbours j of [F(|R| - |R + u_j - u|) times the bond's direction], as `gx.Stretch` has it. Of
-    springs K with the force F0 in each at rest, f = F0/|R|, the two bands for a wave along x are
-    omega^2 = 2 (K/m) (1 - cos k) and -2 (f/m) (1 - cos k): a square does not resist shear, and a force that presses
-    its bonds together makes it unstable; one that pulls, or `rotation`, holds it.
+    m u'' = sum over neighbours j of [F(|R| - |R + u_j - u|) times the bond's direction]
 
-    **Arguments:** `n`, `m`: cells along the two axes; `bonds`: all that `crystal` takes by name. Bonds of the cell:
-    along the first axis, the second. **Returns:** a `Lattice`, u of shape (n, m, 2). **Raises** ValueError as `crystal`
-    does.
+    See `gx.Stretch`. With springs K under the force F0 at rest and f = F0/|R|, the bands of a wave
+    along x are omega^2 = 2 (K/m) (1 - cos k) and -2 (f/m) (1 - cos k). A square does not resist
+    shear: bonds that push at rest make it unstable; bonds that pull, or `rotation`, stabilise it.
+
+    **Arguments:** `n`, `m`: cells along the two axes; `bonds`: the keyword arguments of `crystal`.
+    Bonds of the cell: along the first axis, the second.
+    **Returns:** a `Lattice`, u of shape (n, m, 2).
+    **Raises** ValueError as `crystal` does.
 
     **Example:**
 
@@ -33,14 +35,16 @@ def square(n: Count, m: Count | None = None, **bonds: Any) -> Lattice:
 
 
 def triangular(n: Count, m: Count | None = None, **bonds: Any) -> Lattice:
-    r"""Build a triangular lattice, the hexagonal packing of beads: each site is bound to 6 neighbours.
+    r"""Build a triangular lattice, the hexagonal packing of beads: each site has 6 neighbours.
 
-    The axes are at 60 degrees. Springs K with the force F0 at rest, f = F0/|R|, m = 1: at the K point omega^2 =
-    4.5 (K - f) twice, at M 2K - 6f and 6K - 2f; the squares of the two speeds of long waves 9/8 and 3/8 (f = 0, in
-    |R| (K/m)^{1/2}).
+    The axes are at 60 degrees. For springs K under the force F0 at rest, f = F0/|R|, m = 1, omega^2
+    is 4.5 (K - f) twice at K, and 2K - 6f and 6K - 2f at M. For f = 0 the squared speeds of long
+    waves are 9/8 and 3/8 K |R|^2/m.
 
-    **Arguments:** as of `crystal`. Bonds of the cell: along the first axis, the second, the second less the first.
-    **Returns:** a `Lattice`, u of shape (n, m, 2). **Raises** ValueError as `crystal` does.
+    **Arguments:** as of `crystal`. Bonds of the cell: along the first axis, the second, the second
+    minus the first.
+    **Returns:** a `Lattice`, u of shape (n, m, 2).
+    **Raises** ValueError as `crystal` does.
 
     **Example:**
 
@@ -54,20 +58,24 @@ def triangular(n: Count, m: Count | None = None, **bonds: Any) -> Lattice:
 def hexagon(rings: Count, **bonds: Any) -> Lattice:
     """Build a hexagon of the triangular lattice: 3 r (r + 1) + 1 sites, u of shape (sites, 2).
 
-    **Arguments:** `rings`: r >= 1 around the bead in the middle, whose number is half of all. `bonds`: as of
-    `crystal`; `boundary`: `"fixed"` or `"free"`. **Returns:** a `Lattice`. **Raises** ValueError as `crystal` does.
+    **Arguments:** `rings`: r >= 1 around the middle bead, whose index is 3 r (r + 1)/2. `bonds`: as
+    of `crystal`; `boundary`: `"fixed"` or `"free"`.
+    **Returns:** a `Lattice`.
+    **Raises** ValueError as `crystal` does.
     """
     return crystal(TRIANGULAR, whole("rings", rings, 1), outline="hexagon", **bonds)
 
 
 def honeycomb(n: Count, m: Count | None = None, **bonds: Any) -> Lattice:
-    r"""Build a honeycomb lattice: two sites `a`, `b` in a cell, each bound to 3 of the other kind, axes at 60 degrees.
+    r"""Build a honeycomb lattice: two sites `a`, `b` per cell, each bound to 3 of the other kind.
 
-    Out of plane with springs K, m = 1: omega^2 = 3K (+ ground) +- K |1 + exp(i k1) + exp(i k2)|, a Dirac point at K,
-    k = (2 pi/3, 4 pi/3). Unlike masses {"a": ..., "b": ...} open it: the two valleys.
+    The axes are at 60 degrees. Out of plane with springs K, m = 1: omega^2 = 3K (+ ground) +- K
+    |1 + exp(i k1) + exp(i k2)|, with a Dirac point at K, k = (2 pi/3, 4 pi/3). Unequal masses
+    {"a": ..., "b": ...} open a gap there, with two valleys.
 
     **Arguments:** as of `crystal`.
-    **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `crystal` does.
+    **Returns:** a `Lattice` of the fields `a`, `b`.
+    **Raises** ValueError as `crystal` does.
 
     **Example:**
 
@@ -79,14 +87,16 @@ def honeycomb(n: Count, m: Count | None = None, **bonds: Any) -> Lattice:
 
 
 def kagome(n: Count, m: Count | None = None, **bonds: Any) -> Lattice:
-    r"""Build a kagome lattice: three sites in a cell, triangles that share corners, 4 bonds at each site.
+    r"""Build a kagome lattice: three sites per cell, corner-sharing triangles, 4 bonds per site.
 
-    Out of plane omega^2 = Omega^2 - K E, Omega^2 = 4K + ground, E = -2 (flat) and
-    1 +- (4 (cos^2 x1 + cos^2 x2 + cos^2 x3) - 3)^{1/2}, x1 = k1/2, x2 = k2/2, x3 = (k1 - k2)/2. A breathing kagome has
-    the `stiffness` (1, 1, 1, K, K, K): within the cell first, then between cells.
+    Out of plane omega^2 = Omega^2 - K E, Omega^2 = 4K + ground, E = -2 (flat) and 1 +- (4 (cos^2
+    x1 + cos^2 x2 + cos^2 x3) - 3)^{1/2}, x1 = k1/2, x2 = k2/2, x3 = (k1 - k2)/2. For a breathing
+    kagome lattice set `stiffness` to (1, 1, 1, K, K, K).
 
-    **Arguments:** as of `crystal`. Bonds of the cell: a-b, a-c, b-c within, then between cells.
-    **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `crystal` does.
+    **Arguments:** as of `crystal`. Bonds of the cell: a-b, a-c, b-c within the cell, then between
+    cells.
+    **Returns:** a `Lattice` of the fields `a`, `b`, `c`.
+    **Raises** ValueError as `crystal` does.
 
     **Example:**
 
@@ -106,14 +116,16 @@ def lieb(
     equal: bool = True,
     **bonds: Any,
 ) -> Lattice:
-    r"""Build a Lieb lattice: a square one with a site on each edge; corner `a` has 4 bonds, edges `b` and `c` have 2.
+    r"""Build a Lieb lattice: a square lattice of sites `a` with sites `b`, `c` on its edges.
 
-    Out of plane with on-site springs that make all sites equal, omega^2 = Omega^2 - K E, Omega^2 = 4K + ground:
-    E = 0 (flat) and +-2 (cos^2(k1/2) + cos^2(k2/2))^{1/2}.
+    Corners have 4 bonds, edges 2. Out of plane with on-site springs that make all sites equal,
+    omega^2 = Omega^2 - K E, Omega^2 = 4K + ground: E = 0 (flat) and +-2
+    (cos^2(k1/2) + cos^2(k2/2))^{1/2}.
 
-    **Arguments:** as of `crystal`, out of plane unless that is False. `equal`: whether edges get the on-site springs
-    that corners need not (out of plane alone). **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises**
-    ValueError as `crystal` does.
+    **Arguments:** as of `crystal`, but out of plane by default. `equal`: whether edge sites get
+    these on-site springs (out of plane only).
+    **Returns:** a `Lattice` of the fields `a`, `b`, `c`.
+    **Raises** ValueError as `crystal` does.
     """
     equal = equal and out_of_plane
     return crystal(LIEB, n, m, out_of_plane=out_of_plane, ground=ground, equal=equal, **bonds)
@@ -128,16 +140,20 @@ def quadrupole(
     ground: Scalar = 0.0,
     **bonds: Any,
 ) -> Lattice:
-    r"""Build the quadrupole lattice of Benalcazar, Bernevig and Hughes: squares of four sites, k1 within, k2 between.
+    r"""Build the quadrupole lattice of Benalcazar, Bernevig and Hughes.
 
-    Displacements out of the plane; of each square of bonds one is negative, b-d and its like, and on-site springs make
-    all sites equal: omega^2 = Omega^2 - E, E = +-(k1^2 + k2^2 + 2 k1 k2 cos k_i, summed over i = 1, 2)^{1/2}, each
-    twice; Omega^2 = 2 (k1 + k2) + ground. With k1 < k2 and fixed ends each corner holds a state at omega^2 = Omega^2.
+    Squares of four sites move out of plane, with springs k1 within and k2 between cells. In each
+    square of bonds one, such as b-d, is negative, and on-site springs make all sites equal:
+    omega^2 = Omega^2 - E, E = +-(k1^2 + k2^2 + 2 k1 k2 cos k_i, summed over i = 1, 2)^{1/2}, each
+    twice; Omega^2 = 2 (k1 + k2) + ground. With k1 < k2 and fixed ends each corner holds a state at
+    omega^2 = Omega^2.
 
-    **Arguments:** `n`, `m`: cells; `k1`, `k2` > 0; `bonds`: `mass`, `boundary`,
-    `on_site`, `units` as in `crystal`. **Returns:** a `Lattice` of the fields
-    `a`, `b`, `c`, `d`. **Raises** ValueError as `crystal` does. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
-    (2017); Serra-Garcia et al., Nature 555, 342 (2018).
+    **Arguments:** `n`, `m`: cells; `k1`, `k2` > 0; `bonds`: `mass`, `boundary`, `on_site`, `units`
+    as in `crystal`.
+    **Returns:** a `Lattice` of the fields `a`, `b`, `c`, `d`.
+    **Raises** ValueError as `crystal` does.
+    Source: Benalcazar, Bernevig, Hughes, Science 357, 61 (2017); Serra-Garcia et al., Nature 555,
+    342 (2018).
     """
     inner, outer = positive("k1", k1), positive("k2", k2)
     laws = [Linear(k) for k in (inner, inner, inner, -inner, outer, outer, outer, -outer)]
@@ -149,22 +165,25 @@ def quadrupole(
 def cubic(n: Count | Sequence[Count], **bonds: Any) -> Lattice:
     """Build a simple cubic packing in space: each site is bound to its 6 neighbours.
 
-    Springs K hold it along its axes alone: it resists no shear. **Arguments:** `n`: cells along the three axes, one
-    number for all or three; `bonds`: as of `crystal`. **Returns:** a `Lattice`, u of shape (n, n, n, 3). **Raises**
-    ValueError as `crystal` does.
+    With springs K it resists no shear.
+
+    **Arguments:** `n`: cells per axis, one number or three; `bonds`: as of `crystal`.
+    **Returns:** a `Lattice`, u of shape (n, n, n, 3).
+    **Raises** ValueError as `crystal` does.
     """
     return crystal(CUBIC, n, **bonds)
 
 
 def fcc(n: Count | Sequence[Count], **bonds: Any) -> Lattice:
-    r"""Build a face-centred cubic packing in space, one of the two closest ones: each site is bound to 12 neighbours.
+    r"""Build a face-centred cubic close packing in space: each site is bound to 12 neighbours.
 
-    The axes are those of the primitive cell, (0, 1, 1), (1, 0, 1), (1, 1, 0) over 2^{1/2}. With springs K, m = 1 and
-    |R| = 1 long waves along a cube's edge have the squares of speed 1, 1/2, 1/2 (K |R|^2/m), and omega^2 = 8, 4, 4 K/m
-    at X, 8, 2, 2 at L.
+    The axes are those of the primitive cell, (0, 1, 1), (1, 0, 1), (1, 1, 0) over 2^{1/2}. With
+    springs K and m = |R| = 1 long waves along a cube's edge have the squared speeds 1, 1/2, 1/2 (K
+    |R|^2/m), and omega^2 is 8, 4, 4 K/m at X and 8, 2, 2 at L.
 
-    **Arguments:** `n`: cells along the three axes, one number for all or three; `bonds`: as of `crystal`.
-    **Returns:** a `Lattice`, u of shape (n, n, n, 3). **Raises** ValueError as `crystal` does.
+    **Arguments:** as of `cubic`.
+    **Returns:** a `Lattice`, u of shape (n, n, n, 3).
+    **Raises** ValueError as `crystal` does.
 
     **Example:**
 
@@ -177,12 +196,14 @@ def fcc(n: Count | Sequence[Count], **bonds: Any) -> Lattice:
 
 
 def hcp(n: Count | Sequence[Count], **bonds: Any) -> Lattice:
-    r"""Build a hexagonal close packing in space: two sites `a`, `b` in a cell, each bound to 12 neighbours.
+    r"""Build a hexagonal close packing in space: two sites `a`, `b` per cell, 12 neighbours each.
 
-    The first two axes are at 60 degrees, the third is normal to them, (8/3)^{1/2} long. With springs K, m = 1 and
-    |R| = 1 long waves along the third axis have the squares of speed 4/3, 1/3, 1/3 (K |R|^2/m).
+    The first two axes are at 60 degrees, the third is normal to them, (8/3)^{1/2} long. With
+    springs K and m = |R| = 1 long waves along the third axis have the squared speeds 4/3, 1/3, 1/3
+    (K |R|^2/m).
 
-    **Arguments:** `n`: cells along the three axes, one number for all or three; `bonds`: as of `crystal`.
-    **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `crystal` does.
+    **Arguments:** as of `cubic`.
+    **Returns:** a `Lattice` of the fields `a`, `b`.
+    **Raises** ValueError as `crystal` does.
     """
     return crystal(HCP, n, **bonds)

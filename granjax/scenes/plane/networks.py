@@ -1,4 +1,4 @@
-"""Chains of beads in guides that meet: Y-junctions, and networks of any number of guides in the plane or in space."""
+"""Chains of beads in guides that meet: Y-junctions, and networks in the plane or in space."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,12 +16,11 @@ from ...types import Count, Parameter
 from ...units import SCALED
 from ..chains import contact, number
 
-# a cosine below this is that of a right angle
+# a cosine below this counts as that of a right angle
 SQUARE_ON = 1e-9
 
 
 def _guided(tail, head, direction, counts, laws: Callable, mass, positions, boundary, units):
-    """The lattice of guides between nodes; `laws`: a function from the guides of contacts to their law."""
     meetings, weights, begin, end = _meet(tail, head, direction)
     last = np.cumsum(counts) - 1
     first = last + 1 - counts
@@ -53,26 +52,29 @@ def junction(
     law: Law | None = None,
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a Y-junction: a chain of beads whose last one touches the first of each of several chains, all in guides.
+    r"""Build a Y-junction: a chain of beads in a guide that splits into several chains.
 
-    Each bead moves along its guide; u counts away from the stem's first bead. The contacts of the junction are
-    e = cos(angle) u_last - u_first, so that the stem's last bead feels cos(angle) of their forces. Two equal branches
-    at angle 0 are one chain with 2m and 2A.
+    The last bead of the stem touches the first of each branch. Each bead moves along its guide, u
+    pointing away from the stem's first bead. At the junction e = cos(angle) u_last - u_first, so
+    the last bead feels cos(angle) of the force. Two equal branches at angle 0 are one chain with 2m
+    and 2A.
 
     **Arguments:**
 
-    - `stem`: beads of the chain that comes in; `branches`: beads of each chain that goes out.
-    - `angles`: between the stem and each branch [rad], within -pi/2 ... pi/2, zero by default; 0.26 ... 0.8 in
-      experiments.
-    - `mass`: a number, or one per bead: the stem's, then those of each branch. `stiffness`, `exponent`,
-      `precompression`: of all contacts, as in `monomer`, or `law` in their place.
-    - `boundary`: `"fixed"` (walls at all ends) or `"free"`. With a static load and angles the last bead is held by its
-      guide and by the stem's wall: F0 is that of the contacts of one chain, and the difference a force on that bead.
+    - `stem`: beads of the incoming chain; `branches`: beads of each outgoing chain.
+    - `angles`: between the stem and each branch [rad], within -pi/2 ... pi/2, zero by default;
+      0.26 ... 0.8 in experiments.
+    - `mass`: a number, or one per bead: the stem's, then those of each branch. `stiffness`,
+      `exponent`, `precompression`: of all contacts, as in `monomer`; or a `law` in their place.
+    - `boundary`: `"fixed"` (walls at all ends) or `"free"`. F0 is the static force of each contact;
+      a constant force on the stem's last bead makes up the difference.
 
-    **Returns:** a `Lattice`, u of shape (beads,), with positions in the plane; branches begin at `stem`, `stem +
-    branches[0]`, ... **Raises** ValueError for fewer than two beads in the stem, one in a branch, or an angle beyond.
-    Source: Daraio, Ngo, Nesterenko, Fraternali, Phys. Rev. E 82, 036603 (2010); Leonard, Ponson, Daraio, Phys. Rev. E
-    86, 031305 (2012).
+    **Returns:** a `Lattice`, u of shape (beads,), with positions in the plane; the branches begin
+    at `stem`, `stem + branches[0]`, ...
+    **Raises** ValueError for a stem of fewer than two beads, an empty branch, or an angle out of
+    range.
+    Source: Daraio, Ngo, Nesterenko, Fraternali, Phys. Rev. E 82, 036603 (2010); Leonard, Ponson,
+    Daraio, Phys. Rev. E 86, 031305 (2012).
     """
     stem = whole("stem", stem, 2)
     counts = [whole(f"branches[{i}]", n, 1) for i, n in enumerate(branches)]
@@ -94,7 +96,6 @@ def junction(
 
 
 def _positions(stem, counts, angles):
-    """Beads of diameter 1: along x, then each branch at its angle; those at angle 0 side by side."""
     places = [np.stack([np.arange(stem), np.zeros(stem)], -1)]
     same = len(counts) > 1 and np.ptp(angles) == 0
     for i, (n, angle) in enumerate(zip(counts, angles)):
@@ -116,33 +117,41 @@ def network(
     law: Law | None = None,
     units: str = SCALED,
 ) -> Lattice:
-    r"""Build a network: chains of beads in straight guides between nodes of the plane or of space.
+    r"""Build a network: chains of beads in straight guides between nodes in the plane or in space.
 
-    Each bead moves along its guide, u counts from the guide's tail to its head. At a node the last bead of each guide
-    that comes in touches the first one of each guide that leaves within 90 degrees of its direction:
-    e = n . (d_in u_last - d_out u_first), with the directions d of the guides and the contact's normal n. Where one
-    guide comes in its last bead lies at the node and n = d_out, so that e = cos(angle) u_last - u_first, as in
-    `junction`; where several come in and one leaves it is the first bead of that one, n = d_in,
-    e = u_last - cos(angle) u_first; where several meet several, n halves the angle. Nothing touches at 90 degrees: a
-    rigid contact of a guide that leaves at a right angle passes no force on at first order.
+    Each bead moves along its guide; u counts from the guide's tail to its head. At a node the last
+    bead of each incoming guide touches the first bead of each outgoing guide within 90 degrees of
+    its direction: e = n . (d_in u_last - d_out u_first), with the directions d of the guides and
+    the normal n of the contact.
+
+    - One incoming guide: its last bead lies at the node, n = d_out, e = cos(angle)
+      u_last - u_first, as in `junction`.
+    - Several incoming guides, one outgoing: its first bead lies at the node, n = d_in, e =
+      u_last - cos(angle) u_first.
+    - Several of both: n halves the angle.
+
+    At 90 degrees beads do not touch: a rigid contact passes no force on at first order.
 
     **Arguments:**
 
-    - `nodes`: positions (nodes, 2) or (nodes, 3) [m], or a dict of such by name. `edges`: guides, pairs (tail, head) of
-      numbers or names of nodes. `beads`: in each guide, one number or one per guide.
-    - `mass`: a number, one per guide, or one per bead, guide by guide. `stiffness`, `exponent`, `precompression`: as in
-      `monomer`, the first and the last a number or one per guide; a contact at a node has those of the guide along its
-      normal (of several with several, of the one that leaves). `law`: in their place, of all contacts.
+    - `nodes`: positions (nodes, 2) or (nodes, 3) [m], or a dict of them. `edges`: guides, pairs
+      (tail, head) of numbers or names of nodes. `beads` in each guide: one number or one per guide.
+    - `mass`: a number, one per guide, or one per bead, guide by guide. `stiffness`, `exponent`,
+      `precompression`: as in `monomer`, the first and the last a number or one per guide. A contact
+      at a node takes those of the guide along its normal, or of the outgoing guide where several
+      meet several. `law`: a law of all contacts in their place.
     - `boundary`: `"fixed"` (walls at nodes where guides only begin or only end) or `"free"`.
 
-    With a static load, what the contacts of a node leave over is a constant force that holds its bead
-    (`lattice.unbalanced()`); none is left where F0 of the guides balances, F0_in = sum of cos(angle) F0_out, such as
-    half of it in each of two branches at angle 0.
+    Static contact forces that do not balance at a node are held by a constant force
+    (`lattice.unbalanced()`). It is zero for F0_in = sum of cos(angle) F0_out, such as half of F0 in
+    each of two branches at angle 0.
 
-    **Returns:** a `Lattice`, u of shape (beads,), guide after guide in the order of `edges`, with `positions`: n beads
-    lie evenly along their guide, the first half a diameter from the node; of space `gx.plots.beads` draws a projection,
-    such as `lattice.positions[:, :2]`. Differentiable in all numbers, also in `nodes`. **Raises** ValueError for nodes
-    that are not there, a guide without length, one whose end touches nothing at a node where guides begin and end.
+    **Returns:** a `Lattice`, u of shape (beads,), guide by guide in the order of `edges`, with
+    `positions` evenly along each guide, the first half a diameter from the node (in space
+    `gx.plots.beads` needs a projection, such as `lattice.positions[:, :2]`). Differentiable in all
+    numbers, also in `nodes`.
+    **Raises** ValueError for unknown nodes, a guide without length, or one whose end touches
+    nothing at a node where guides begin and end.
     Source: Leonard, Ponson, Daraio, J. Mech. Phys. Solids 73, 103 (2014).
 
     **Example:**
@@ -196,15 +205,15 @@ def network(
 
 
 def _ends(name, edge, names, count):
-    """The numbers of the nodes at a guide's ends."""
     tail, head = (one_of(name, node, range(count) if names is None else names) for node in edge)
     return (tail, head) if names is None else (names.index(tail), names.index(head))
 
 
 def _meet(tail, head, direction):
-    """Contacts at the nodes (guide that comes in, guide that leaves, guide whose law), their weights; loose ends.
+    """Return the contacts at the nodes, their weights, and the guides with loose ends.
 
-    Those are the guides whose first bead, and whose last one, touches a wall. Where directions are traced all touch.
+    A contact is (incoming guide, outgoing guide, guide whose law it has). Loose ends touch a wall.
+    If the directions are traced, all guides at a node touch.
     """
     known = concrete(jax.lax.stop_gradient(direction))
     meetings, kinds, begin, end = [], [], [], []
@@ -227,7 +236,7 @@ def _meet(tail, head, direction):
                 "At a right angle a rigid contact passes no force on at first order: turn the guide, or the "
                 "direction in which it is counted, or end it at a node of its own.",
             )
-        # one comes in, one leaves, several meet several
+        # 0: one incoming guide, 1: several incoming and one outgoing, 2: several of both
         kind = 0 if len(come) == 1 else 1 if len(leave) == 1 else 2
         for i, j in np.argwhere(touching):
             kinds.append(kind)

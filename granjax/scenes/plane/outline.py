@@ -1,4 +1,4 @@
-"""Which sites of a crystal are there: whole cells, a rectangle, a hexagon, or whatever a function says."""
+"""The sites of a crystal: whole cells, a rectangle, a hexagon, or those that a function selects."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -10,34 +10,38 @@ from ...strains import WALL
 from .cells import CrystalCell, Tie
 
 OUTLINES = ("cells", "rectangle", "hexagon")
-# a place without a site within a hole: nothing is there, no wall either
+# marks an empty place inside a hole: neither a site nor a wall
 VACANCY = WALL - 1
 
 
 class Cut(NamedTuple):
-    """The sites that are there, over cells with a margin, and their positions.
+    """The sites of a crystal and their positions.
 
-    `number`: for each name the number of a site, `WALL` beyond the rim and `VACANCY` in a hole.
+    `number`: for each name an array over the cells and a margin: the number of the site, `WALL`
+    beyond the rim, `VACANCY` in a hole.
     """
 
     number: dict
     positions: dict
 
     def count(self, name: str) -> int:
-        """How many sites of a name there are."""
+        """Return the number of sites of a name."""
         return len(self.positions[name])
 
     def bonds(self, tie: Tie, fixed: bool) -> tuple:
-        """Indices of the tails and heads of one tie of all cells; `WALL` for one beyond the rim, where it is fixed."""
+        """Return the tails and heads of all bonds of a tie.
+
+        With `fixed`, an end beyond the rim is `WALL`.
+        """
         tail = self.number[tie.tail]
-        # nothing is there in the margin, so that what comes around is nothing
+        # np.roll wraps around, but only entries of the margin, which holds no sites
         head = np.roll(self.number[tie.head], [-k for k in tie.offset], range(tail.ndim))
         there = (np.maximum(tail, head) > WALL) & (np.minimum(tail, head) >= (WALL if fixed else 0))
         return tail[there], head[there]
 
 
 def positions_of(cell: CrystalCell, counts: tuple, corner: Any = 0) -> dict:
-    """Places of the sites of a parallelogram of cells, by name: (cells..., 2), in lengths of a bond."""
+    """Return the positions (cells..., 2) by name, in bond lengths."""
     index = np.moveaxis(np.indices(counts), 0, -1) + corner
     return {
         name: index @ np.array(cell.vectors) + np.array(site) for name, site in cell.sites.items()
@@ -45,10 +49,11 @@ def positions_of(cell: CrystalCell, counts: tuple, corner: Any = 0) -> dict:
 
 
 def cut(cell: CrystalCell, counts: tuple, outline: str | Callable) -> Cut:
-    """The crystal within an outline, as a graph.
+    """Return the sites and bonds within an outline.
 
-    "rectangle": counts[0] cells in each of counts[1] rows; "hexagon": counts[0] rings of cells around one; a function
-    of positions (..., 2), in lengths of a bond, is asked for each site of a parallelogram of `counts` cells.
+    `"rectangle"`: counts[1] rows of counts[0] cells; `"hexagon"`: counts[0] rings of cells around
+    one; a function of positions (..., 2), in bond lengths, selects sites of a parallelogram of
+    `counts` cells.
     """
     if not callable(outline):
         one_of("outline", outline, OUTLINES if len(counts) > 1 else OUTLINES[:1])
@@ -87,7 +92,7 @@ def cut(cell: CrystalCell, counts: tuple, outline: str | Callable) -> Cut:
 
 
 def _open_to_the_rim(cell, number):
-    """Mark as `WALL` what the margin reaches from bond to bond over places without a site: the rest are holes."""
+    """Mark as `WALL` the empty places that bonds over empty places join to the margin."""
     ends = [(number[tie.tail], number[tie.head], [-k for k in tie.offset]) for tie in cell.ties]
     grown = True
     while grown:

@@ -1,4 +1,4 @@
-"""Packings of beads in the plane, in SI, from a material and a radius."""
+"""Packings of beads in the plane, in SI, from materials and a radius."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -35,35 +35,37 @@ def packing(
     boundary: str | Sequence[str] = "fixed",
     outline: str | Callable = "cells",
 ) -> Lattice:
-    r"""Build a packing of elastic spheres in the plane, in SI: of one radius or many, of one material or several.
+    r"""Build a packing of elastic spheres in the plane, in SI, of one radius or of many.
 
-    Masses (4/3) pi R^3 rho, Hertz contacts, A as in `gx.scenes.beads`.
+    Masses are (4/3) pi R^3 rho, and the contacts are Hertz's with A as in `gx.scenes.beads`.
+    `precompression` is the force F0 in every contact. If the confining load on a wall is P per
+    touching bead, F0 = P in a square packing, and F0 = P/3^{1/2} in a hexagonal one for a wall
+    along a row of beads.
 
-    `precompression` is the force F0 in every contact. The confining load on a wall is P per bead that touches it: in a
-    square packing F0 = P, in a hexagonal one F0 = P/3^{1/2} on a wall along a row of beads.
-
-    Beads of many radii keep the neighbours of the regular packing of beads of the mean radius, whose walls stay where
-    they are. Bead i and j overlap by (F0/A)^{2/3} + R_i + R_j - 2 mean(R) at its places, or have a gap where that is
-    negative; from there the packing moves to rest, from which displacements are measured. A contact that is open at
-    rest closes as soon as its gap does.
+    Beads of many radii keep the neighbours and the walls of the regular packing of beads of the
+    mean radius. At the places of that packing the beads i and j overlap by
+    (F0/A)^{2/3} + R_i + R_j - 2 mean(R), or have a gap where this is negative. The packing is then
+    brought to rest, and displacements are measured from there.
 
     **Arguments:**
 
-    - `material`: a name of the table or a `Material`; or several of them, with a `pattern`: an array (n, m) of whole
-      numbers that says which bead is of which (a dict of such where a cell has several beads). An ordered one makes a
-      crystal of two materials, `np.random.default_rng(0).integers(2, size=(n, m))` a random packing. What is next to a
-      wall touches one like itself. Vacancies: `outline`, a function of the places.
-    - `radius` R [m]: a number, or an array (n, m) as `pattern` is. `precompression`: F0 >= 0 [N]; `n`, `m`, `boundary`,
-      `outline`: as in `gx.scenes.crystal`, of many radii not with a free boundary.
+    - `material`: a name of the table or a `Material`; or several of them with a `pattern`: an array
+      (n, m) of whole numbers, the material of each bead (a dict of such where a cell has several
+      beads). `np.random.default_rng(0).integers(2, size=(n, m))` is a random packing. Each bead at
+      a wall touches a wall like itself. For vacancies use a function as `outline`.
+    - `radius`: R > 0 [m], a number, or an array as `pattern`; `precompression`: F0 >= 0 [N]; `n`,
+      `m`, `boundary`, `outline`: as in `gx.scenes.crystal`, without free boundaries for many radii.
     - `arrangement`: `"hexagonal"`, `"square"`, `"honeycomb"`, `"kagome"`.
-    - `rotation`: whether equal beads turn, u = (u_x, u_y, R theta): contacts then have Mindlin's tangential stiffness
-      2 (1 - nu)/(2 - nu) of the normal one at F0, let go of it where they open, and do not slide.
+    - `rotation`: whether the beads, all alike, turn, u = (u_x, u_y, R theta). The contacts then
+      have Mindlin's tangential stiffness, 2 (1 - nu)/(2 - nu) of the normal one at F0, lose it when
+      they open, and do not slide.
 
-    **Returns:** a `Lattice` in SI with positions. **Raises** ValueError for a radius that is not above zero, F0 < 0,
-    rotation without a load, with several materials or many radii, and a pattern that is not of whole numbers of
-    materials; RuntimeError where no stable state of rest is found, as with beads that too few others touch.
-    Source: Leonard, Fraternali, Daraio, Exp. Mech. 53, 327 (2013); Tournat, Perez-Arjona, Merkel, Sanchez-Morcillo,
-    Gusev, New J. Phys. 13, 073042 (2011).
+    **Returns:** a `Lattice` in SI with positions.
+    **Raises** ValueError for arguments outside these ranges, rotation without a load or with beads
+    that differ, and an invalid pattern; RuntimeError where no stable state of rest is found, as
+    with beads that too few others touch.
+    Source: Leonard, Fraternali, Daraio, Exp. Mech. 53, 327 (2013); Tournat, Perez-Arjona, Merkel,
+    Sanchez-Morcillo, Gusev, New J. Phys. 13, 073042 (2011).
 
     **Example:**
 
@@ -120,7 +122,6 @@ def packing(
 
 
 def _pattern(x, count):
-    """Which bead is of which material, checked."""
     x = np.asarray(x)
     if x.dtype.kind not in "iu" or x.min() < 0 or x.max() >= count:
         wanted = f"an array of whole numbers from 0 to {count - 1}, one for each bead"
@@ -129,7 +130,6 @@ def _pattern(x, count):
 
 
 def _chosen(values, which):
-    """At each place that one of some arrays which its number names."""
     return jnp.select([which == i for i in range(len(values))], values)
 
 
@@ -138,15 +138,11 @@ def _mean(radius):
 
 
 def _between(bodies, radius, precompression, which, uneven, pairs):
-    """The contacts of the beads that pairs join; what touches a wall touches one like itself.
-
-    Beads of `uneven` radii stand at the places of beads of the mean radius.
-    """
     tail, head = pairs.joins(which)
     tail, head = np.where(tail < 0, head, tail), np.where(head < 0, tail, head)
     mean, (left, right) = _mean(radius), pairs.ends(radius)
     left, right = jnp.where(left > 0, left, right), jnp.where(right > 0, right, left)
-    # where two walls meet, which nothing moves
+    # a bond between two walls, which never moves
     left, right = (jnp.where(x > 0, x, mean) for x in (left, right))
     rows = [[hertz_coefficient(a, left, b, right) for b in bodies] for a in bodies]
     A = _chosen([_chosen(row, np.maximum(head, 0)) for row in rows], np.maximum(tail, 0))
@@ -156,7 +152,7 @@ def _between(bodies, radius, precompression, which, uneven, pairs):
 
 
 def _at_rest(lattice):
-    """A packing measured from its state of rest."""
+    """Return the packing measured from its state of rest."""
     found = equilibrium(lattice, hold="nothing", throw=False)
     if not traced(found) and not (found.found and found.verdict == "stable"):
         overlaps = [float(jnp.min(bond.law.strain)) for bond in lattice.terms]
