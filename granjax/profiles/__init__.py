@@ -1,4 +1,4 @@
-"""Shapes of travelling waves, from a law and a mass alone: what `gx.travelling` and `gx.states` stand on."""
+"""Shapes of travelling waves from a law and a mass, for `gx.travelling` and `gx.states`."""
 
 from .medium import Medium, medium_of
 from .profile import Profile, places, tabled

@@ -1,4 +1,4 @@
-"""Newton's method with steps that are halved until they leave less."""
+"""Newton's method with steps that are halved until they reduce the residual."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
 
 
 class Left(NamedTuple):
-    """What is left at x: its root mean square, itself, and the matrix of its derivatives."""
+    """The residual at x: its root mean square, itself, and its Jacobian."""
 
     size: float
     x: np.ndarray
@@ -18,15 +18,15 @@ class Left(NamedTuple):
 
     @property
     def residual(self) -> float:
-        """The largest size of what is left."""
+        """The largest absolute residual."""
         return float(np.abs(self.gap).max())
 
 
 def damped(equations: Callable, solve: Callable, x: np.ndarray, enough: float = 0.0) -> Left:
-    """The x that leaves the least of equations, from a guess.
+    """Return the x of least residual that Newton's method reaches from a guess.
 
-    `equations(x)`: what they leave and their matrix; `solve(matrix, gap)`: the step. It ends where no step leaves less,
-    or where less than `enough` is left and a step gains less than a half.
+    `equations(x)`: the residual and its matrix; `solve(matrix, gap)`: the step. It stops where no
+    step reduces the residual, or where this is below `enough` and a step gains less than a half.
     """
 
     def at(x):

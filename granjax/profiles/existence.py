@@ -1,4 +1,4 @@
-"""Which waves a law has: faster than sound, on the side where it stiffens, up to a limit where it saturates."""
+"""The range of a law's solitary waves: supersonic, where it stiffens, up to a limit."""
 
 from typing import NamedTuple
 
@@ -10,15 +10,16 @@ from ..laws import Law
 from .highest import highest
 from .medium import values
 
-# binary orders of magnitude of the strain that are looked through, strains in each; rounding of 2 W/e^2
+# The binary orders of magnitude of strain that are searched, the strains in each, and the rounding
+# error of 2 W/e^2.
 ORDERS, EACH, ROUNDING = 200, 4, 1e-10
-# tops that are looked at: rounding makes many of a law that is linear somewhere
+# The most maxima that are refined: rounding makes many where a law is linear.
 MOST = 4
 SIDES = {"compression": 1, "tension": -1}
 
 
 class Bounds(NamedTuple):
-    """Of the waves on one side: strains, 2 W/e^2 there, and the stiffness at rest (0 in a sonic vacuum)."""
+    """The range of waves on one side: strains, 2 W/e^2 there, and the stiffness at rest."""
 
     side: int
     strains: np.ndarray
@@ -27,20 +28,21 @@ class Bounds(NamedTuple):
 
     @property
     def exist(self) -> bool:
-        """Whether the law stiffens somewhere on this side, and is not infinitely stiff at rest."""
+        """Whether the law stiffens on this side and its stiffness at rest is finite."""
         least = max(self.linear, self.secant.min()) if len(self.secant) else self.linear
         return bool(np.isfinite(self.linear) and np.any(self.secant > least * (1 + ROUNDING)))
 
 
 def bounds(law: Law, side: int) -> Bounds:
-    """What the energy W of a law says of waves on one side.
+    """Return the bounds that the energy W of a law sets to waves on one side.
 
-    A wave of speed c has K2 < m c^2 < max of 2 W(e)/e^2 (Friesecke and Wattis): its mean kinetic energy is to be met.
+    A wave of speed c has K2 < m c^2 < max of 2 W(e)/e^2, by its kinetic energy (Friesecke and
+    Wattis).
     """
     strains = side * 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
     strains, secant = _with_tops(law, strains, twice_energy(law, strains))
     linear = float(values(law, np.zeros(1))[1][0])
-    # a law that is infinitely stiff at rest may give any number there
+    # A law that is infinitely stiff at rest may return any number there.
     middle = np.interp(1.0, side * strains, secant)
     if np.isfinite(secant[0]) and secant[0] > 2 * max(linear, 0.0) and secant[0] > middle * 1e3:
         linear = np.inf
@@ -48,7 +50,6 @@ def bounds(law: Law, side: int) -> Bounds:
 
 
 def _with_tops(law, strains, secant):
-    """The same with the places where 2 W/e^2 is largest between its neighbours, to rounding."""
     inner = np.where(np.isfinite(secant), secant, -np.inf)
     tops = (
         np.flatnonzero(
@@ -64,7 +65,7 @@ def _with_tops(law, strains, secant):
 
 
 def twice_energy(law: Law, e: np.ndarray) -> np.ndarray:
-    """2 W(e)/e^2; infinite where the law ends."""
+    """Return 2 W(e)/e^2; infinite beyond the end of the law."""
     with np.errstate(all="ignore"):
         secant = 2 * values(law, e)[2] / e / e
     first = np.argmax(~np.isfinite(secant)) if not np.isfinite(secant).all() else len(secant)
@@ -72,7 +73,7 @@ def twice_energy(law: Law, e: np.ndarray) -> np.ndarray:
 
 
 def reached(law: Law, found: Bounds, level: float) -> float | None:
-    """The least strain at which 2 W/e^2 comes to a level above the stiffness at rest; `None` where it never does."""
+    """Return the least strain at which 2 W/e^2 reaches a level, or `None`."""
     above = found.secant >= level
     if not above.any() or above[0]:
         return None
@@ -82,7 +83,7 @@ def reached(law: Law, found: Bounds, level: float) -> float | None:
 
 
 def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:
-    """The side on which waves are looked for: the one asked for, that of the amplitude, or the first that has some."""
+    """Return the bounds of the given side, that of the amplitude, or the first with waves."""
     asked = [1, -1] if side is None else [SIDES[one_of("side", side, tuple(SIDES))]]
     if amplitude is not None:
         own = 1 if amplitude > 0 else -1

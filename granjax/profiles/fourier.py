@@ -1,13 +1,14 @@
-"""Waves along a chain with a cell of P sites, P = 1 a uniform one: Newton's method on the Fourier form in a box.
+"""Waves along a chain with a cell of P sites, by Newton's method on the Fourier form in a box.
 
-Site n = j + l P has the mass m_j; bond n, between the sites n and n + 1, has the law F_j. In a wave of speed c
-e_n(t) = phi_j(n - c t). With lengths in sites, masses over their mean M and forces over M c^2 [length]:
+Site n = j + l P has the mass m_j; bond n, between the sites n and n + 1, has the law F_j. In a wave
+of speed c, e_n(t) = phi_j(n - c t). With lengths in sites, masses over their mean M and forces over
+M c^2 [length]:
 
     k^2 phi_j^ = sum_l B_jl(k) F_l^,   B = D^+ diag(1/m) D,   (D F)_j = F_j - e^{-ik} F_{j-1}
 
-A resonator (nu, kappa) on every site adds nu kappa/(kappa - nu k^2) to its mass. At k = 0 the mean forces of all bonds
-are equal, and the mean strain is the mean force (over 1 + nu), which says that the far field is at rest; or it is held
-at zero, of a wave that repeats with the box.
+A resonator (nu, kappa) on every site adds nu kappa/(kappa - nu k^2) to its mass. At k = 0 the mean
+forces of all bonds are equal. The mean strain equals the mean force (over 1 + nu), so that the far
+field is at rest; for a wave that repeats with the box it is zero instead.
 """
 
 import copy
@@ -19,15 +20,16 @@ import numpy as np
 from ..laws import Law
 from .medium import values
 
-# unknowns of a box: Newton's matrix of twice as many takes seconds
+# The most unknowns of a box: Newton's matrix of twice as many takes seconds.
 MOST = 3600
 
 
 class Chain(NamedTuple):
-    """A cell and a speed: the law of each bond, of single numbers, masses (P,) over their mean M, and M c^2.
+    """A cell and a speed: the law of each bond, masses (P,) over their mean M, and M c^2.
 
-    `given` (P,): the masses in their own unit. `stiffness` (P,): of the bonds at rest. `resonator`: its mass over M and
-    its stiffness, or `None`. `mirror`: s where m_j = m_{s-j} and F_j = F_{s-1-j}, `None` where there is no such centre.
+    `given` (P,): the masses in their own unit. `stiffness` (P,): of the bonds at rest. `resonator`:
+    its mass over M and its stiffness, or `None`. `mirror`: s with m_j = m_{s-j} and F_j =
+    F_{s-1-j}, or `None`.
     """
 
     laws: tuple[Law, ...]
@@ -49,16 +51,16 @@ class Chain(NamedTuple):
         return self.masses.mean() + (self.resonator[0] if self.resonator else 0.0)
 
     def faster(self, factor: float) -> "Chain":
-        """The same chain for a wave that many times as fast."""
+        """Return the chain for a wave that is faster by a factor."""
         return self._replace(unit=self.unit * factor**2)
 
     def bonds(self, e: np.ndarray) -> np.ndarray:
-        """Forces, slopes and energies of the bonds at compressions (P, X), over M c^2: (3, P, X)."""
+        """Return forces, slopes and energies at compressions (P, X), over M c^2: (3, P, X)."""
         found = [values(law, row) for law, row in zip(self.laws, e)]
         return np.swapaxes(found, 0, 1) / self.unit
 
     def inertia(self, k: np.ndarray) -> np.ndarray:
-        """Masses at each wave number (P, K), with what the resonators add."""
+        """Return the masses at each wave number (P, K), with the effect of the resonators."""
         masses = self.masses[:, None] + 0 * k
         if self.resonator is None:
             return masses
@@ -66,7 +68,7 @@ class Chain(NamedTuple):
         return masses + nu * kappa / (kappa - nu * k**2)
 
     def response(self, k: np.ndarray) -> np.ndarray:
-        """B(k), shape (P, P, K)."""
+        """Return B(k), shape (P, P, K)."""
         light, P = 1 / self.inertia(k), len(self.masses)
         B, turn = np.zeros((P, P, len(k)), complex), np.exp(1j * k)
         for j in range(P):
@@ -77,10 +79,10 @@ class Chain(NamedTuple):
         return B
 
     def symbol(self, half: float, points: int, at_rest: bool = True) -> np.ndarray:
-        """What takes forces to strains on a box, (P, P, points); at k = 0 the equations are the means'."""
+        """Return the map from forces to strains on a box, (P, P, points); at k = 0 of means."""
         k = 2 * np.pi * np.fft.fftfreq(points, 2 * half / points)
         B = self.response(k) / np.where(k == 0, 1, k**2)
-        # the highest wave number of an even grid is its own negative
+        # The highest wave number of an even grid is its own negative, so B is real there.
         B[:, :, points // 2] = B[:, :, points // 2].real
         P = len(self.masses)
         B[:, :, 0] = (at_rest / self.total + 1) / P - np.eye(P)
@@ -88,10 +90,10 @@ class Chain(NamedTuple):
 
 
 class Box:
-    """Places x = n - c t in [-half, half) of the bonds n, and the linear maps of the equations there.
+    """Places x = n - c t in [-half, half) of the bonds n, and linear maps of the equations.
 
-    Unknowns are the strains (P, N), or those that its mirror leaves free. `at_rest`: whether the far field is, or else
-    the mean strain is zero.
+    Unknowns are the strains (P, N), or those that the mirror symmetry leaves free. `at_rest`: the
+    far field is at rest, otherwise the mean strain is zero.
     """
 
     def __init__(self, chain: Chain, half: float, points: int, at_rest: bool = True):
@@ -101,14 +103,13 @@ class Box:
         P = len(chain.masses)
         self.shape = P, points
         self.place, self.first = self._unknowns()
-        # the last of the strains that an unknown holds, where it is not the first
+        # The last strain of each unknown, which may be its first.
         self.last = np.zeros(len(self.first), int)
         self.last[self.place] = np.arange(P * points)
         self.twice = (self.last != self.first).astype(float)
         self.of_strain, self.of_force = self._maps()
 
     def _unknowns(self):
-        """For each strain the unknown that holds it, and for each unknown the first of its strains."""
         P, N = self.shape
         if self.chain.mirror is None:
             return np.arange(P * N), np.arange(P * N)
@@ -118,10 +119,9 @@ class Box:
         return place.ravel(), first
 
     def _maps(self):
-        """Matrices of the strains' and the forces' parts of the residual, rows of the unknowns."""
         P, N = self.shape
         B = self.chain.symbol(self.half, N, self.at_rest)
-        # the mean strains differ by nothing that the forces make
+        # The forces do not determine the differences of the mean strains.
         means = 1 / P - np.eye(P)
         bond, at = np.divmod(self.first, N)
         lag = (at[:, None] - np.arange(N)) % N
@@ -131,26 +131,27 @@ class Box:
         return self.gathered(strain), force
 
     def gathered(self, rows):
-        """Rows that act on the strains (..., P N) as rows that act on the unknowns."""
+        """Convert rows that act on the strains (..., P N) to rows that act on the unknowns."""
         return rows[..., self.first] + self.twice * rows[..., self.last]
 
     def unknowns(self, phi):
-        """The unknowns of strains (P, N), which are made symmetric."""
+        """Return the unknowns of strains (P, N), which are symmetrized."""
         return np.bincount(self.place, phi.ravel()) / np.bincount(self.place)
 
     def strains(self, z):
         return z[self.place].reshape(self.shape)
 
     def equations(self, z):
-        """What the equations leave, and their matrix."""
+        """Return the residual and its Jacobian."""
         force, slope, _ = self.chain.bonds(self.strains(z))
         gap = self.of_strain @ z - self.of_force @ force.ravel()
         return gap, self.of_strain - self.gathered(self.of_force * slope.ravel())
 
     def velocities(self, phi: np.ndarray) -> np.ndarray:
-        """Velocities (P, N) of the sites at the places x = n - c t, in units of c times the length of strains.
+        """Return the velocities (P, N) of the sites at x, in c times the unit of strains.
 
-        m_j v_j' = F_j(phi_j(x)) - F_{j-1}(phi_{j-1}(x - 1)), and the far field, or the mean, is at rest.
+        m_j v_j' = F_j(phi_j(x)) - F_{j-1}(phi_{j-1}(x - 1)), with the far field, or the mean, at
+        rest.
         """
         force = np.fft.fft(self.chain.bonds(phi)[0], axis=1)
         k = np.where(self.k == 0, 1, self.k)
@@ -161,25 +162,25 @@ class Box:
         return np.fft.ifft(hat, axis=1).real
 
     def of_level(self, unit: float) -> "Box":
-        """The same box of a wave with another M c^2, of a chain without resonators."""
+        """Return the same box for another M c^2, of a chain without resonators."""
         other = copy.copy(self)
         other.chain = self.chain._replace(unit=unit)
         return other
 
 
 def fourier(phi, half, x):
-    """The trigonometric polynomials through (P, N) values on a box, at places x (X,): (P, X)."""
+    """Return the trigonometric interpolants of (P, N) values on a box at places x (X,): (P, X)."""
     N = phi.shape[1]
     n = np.arange(N // 2 + 1)
     hat = np.fft.rfft(phi, axis=1) / N
     hat[:, 1 : (N + 1) // 2] *= 2
-    # the first value stands at -half
+    # The first value is at x = -half.
     wave = np.exp(1j * np.pi / half * np.outer(n, np.asarray(x) + half))
     return (hat @ wave).real
 
 
 class Solved(NamedTuple):
-    """What Newton's method left: strains (P, N), parameter, residual, whether it converged, the last Jacobian."""
+    """The result of Newton's method: strains (P, N), parameter, residual, last Jacobian."""
 
     phi: np.ndarray
     parameter: float
@@ -189,9 +190,10 @@ class Solved(NamedTuple):
 
 
 def newton(box: Box, phi: np.ndarray, tolerance: float = 1e-12, most: int = 14) -> Solved:
-    """Strains on a box from a guess; where the cell has no mirror, the place of the wave stays that of the guess.
+    """Find the strains on a box from a guess.
 
-    The force of a place that is held takes up what the equations leave over; it ends at zero.
+    Without a mirror the wave keeps the place of the guess: a force on it, zero at the end, balances
+    the equations.
     """
     start = box.unknowns(phi)
     if box.chain.mirror is not None:
@@ -217,14 +219,15 @@ def newton_with(
     tolerance: float = 1e-14,
     most: int = 14,
 ) -> Solved:
-    """Strains and a parameter p of a symmetric chain, on which one more equation row(box) @ strains = target is laid.
+    """Find strains and a parameter p of a symmetric chain, with row(box) @ strains = target.
 
-    **Arguments:** `box_of`: p to `Box`; `row`: box to (P N,); `reach`: the most that p changes in a step.
+    **Arguments:** `box_of`: p to `Box`; `row`: box to (P N,); `reach`: the largest change of p in a
+    step.
     """
 
     def laid(z, p):
         box = box_of(p)
-        # the change of the residual with p needs no more digits than make the step good
+        # A finite difference in p is accurate enough for the step.
         shift, at = 1e-6 * max(abs(p), reach), box.gathered(row(box))
         gap, matrix = box.equations(z)
         along = (box_of(p + shift).equations(z)[0] - gap) / shift
@@ -239,7 +242,6 @@ def _bordered(matrix, column, row):
 
 
 def _descended(box, equations, z, p, tolerance, most, reach=np.inf):
-    """Newton's method for the gap of (z, p), p one unknown more where `equations` has it."""
     best, J = np.inf, None
     for _ in range(most):
         gap, J = equations(z, p)
@@ -247,7 +249,7 @@ def _descended(box, equations, z, p, tolerance, most, reach=np.inf):
         if not size <= 1e3:
             break
         before, best = best, size
-        # to the tolerance, or to rounding
+        # Stop at the tolerance or at rounding.
         if best < tolerance or best < 1e-12 and best > before / 2:
             break
         try:

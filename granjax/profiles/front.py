@@ -1,12 +1,13 @@
-r"""A stationary front of a chain with dashpots: Newton's method on its advance-delay equation, in integrated form.
+r"""A stationary front of a chain with dashpots: Newton's method on its integrated equation.
 
-In units of the jump, z = 0 ahead (x -> infinity) and 1 behind, f(0) = 0, f(1) = 1, lengths in contacts:
+In units of the jump, z = 0 ahead (x -> infinity) and 1 behind, f(0) = 0, f(1) = 1, lengths in
+contacts, the advance-delay equation becomes
 
     z = tent * f(z) - zeta tent * z',  zeta = eta/(m s).
 
-On places h apart, 1/h whole, tent * is a sum over the places times a stencil that is exact for polynomials of degree
-2 STENCIL + 1; where h >= 1 the stencil alone. The unknowns are one more than the independent equations, because z = 1
-behind follows from the others: the front's place stands in for the first one.
+On places h apart, 1/h an integer, tent * is a sum over the places times a stencil that is exact for
+polynomials of degree 2 STENCIL + 1; for h >= 1 it is the stencil alone. z = 1 behind follows from
+the other equations, so one of them is redundant: the first is replaced by the front's place.
 """
 
 from collections.abc import Callable
@@ -23,19 +24,21 @@ from .shape import ContactShape
 from .tent import RULE
 
 STENCIL = 7
-# h times the fastest rate of the tails at first; what two resolutions may differ by, and where rounding may be met
+# The first h times the tails' fastest rate; the difference of two resolutions that agree; the error
+# below which rounding may be reached.
 FIRST, AGREE, FLOOR = 0.5, 1e-13, 1e-7
-# powers of e that the tails fall by before they end, and contacts besides
+# The powers of e by which the tails fall before they are cut, and the extra contacts.
 DEEP, BEYOND = 38.0, 4.0
 CONVERGED = 1e-9
-# of the damping from one front to the next, and the least such change; most places
+# The ratio of one damping to the next, and its largest value; the most places; the most halvings of
+# their distance.
 CHANGE, LEAST_CHANGE, PLACES, HALVINGS = 0.7, 0.98, 400_000, 7
-# least distance of places, and the error that is put up with there
+# The least distance of places, and the error that is accepted there.
 FINEST, KINKED = 2.0**-7, 1e-5
 
 
 def _powers():
-    """Coefficients of (t - 1/2)^k from values at t = 1 - STENCIL, ..., STENCIL: products of odd numbers, exact."""
+    """Return coefficients of (t - 1/2)^k from values at t = 1 - STENCIL, ..., STENCIL, exactly."""
     odd = 2.0 * np.arange(2 * STENCIL) + 1 - 2 * STENCIL
     lagrange = [
         np.poly(np.delete(odd, j))[::-1] / np.prod(odd[j] - np.delete(odd, j))
@@ -45,12 +48,12 @@ def _powers():
 
 
 _POWERS = _powers()
-# places of the smallest table; others have 4^k times that
+# The length of the smallest table; others are longer by powers of 4.
 TABLE = 4096
 
 
 class Front(NamedTuple):
-    """A front in units of the jump: z at places (h apart, z[centre] = 1/2 at x = 0), what is left, and its error."""
+    """A front in units of the jump: z (z[centre] = 1/2 at x = 0), its residual and its error."""
 
     z: np.ndarray
     centre: int
@@ -60,23 +63,23 @@ class Front(NamedTuple):
 
     @property
     def places(self) -> np.ndarray:
-        """x of each z, increasing: behind the front first."""
+        """x of each z, increasing, from behind the front on."""
         return self.apart * (np.arange(len(self.z)) - self.centre)
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """z at any places, by the polynomials of its table."""
+        """Return z at any places, by the polynomials of its table."""
         return interpolated(np, coefficients(np, self.z), self.centre, self.apart, x)
 
 
 class Kernels(NamedTuple):
-    """The tent and its derivative as sums over places so far apart."""
+    """The tent and its derivative as sums over equidistant places."""
 
     tent: np.ndarray
     slope: np.ndarray
 
     @classmethod
     def of(cls, apart: float) -> "Kernels":
-        """For places 1/2^k apart, or one contact and more."""
+        """Build them for places 1/2^k apart, or a contact or more."""
         inside = round(1 / apart)
         tent, slope = _stencils(1.0 if inside > 1 else 1 / apart)
         if inside > 1:
@@ -86,11 +89,11 @@ class Kernels(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """Places to either side that are read."""
+        """The number of places read on either side."""
         return len(self.tent) // 2
 
     def gap(self, z: np.ndarray, f: np.ndarray, zeta: float) -> np.ndarray:
-        """z - tent * f + zeta tent * z' at the places, of numbers that are 1 behind the first and 0 beyond the last."""
+        """Return z - tent * f + zeta tent * z' at the places; z and f are 1 behind and 0 beyond."""
         ends = np.ones(self.reach), np.zeros(self.reach)
         f, wide = (np.concatenate([ends[0], x, ends[1]]) for x in (f, z))
         return (
@@ -98,12 +101,12 @@ class Kernels(NamedTuple):
         )
 
     def solve(self, bands: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """The solution of the equations of some Jacobian."""
+        """Solve the equations of a Jacobian."""
         return solve_banded((self.reach, self.reach + 1), bands, right)
 
 
 def _stencils(width):
-    """Weights of z(x + j h), |j| <= STENCIL, for a tent that is `width` h wide to either side, and for its slope."""
+    """Return weights of z(x + j h), |j| <= STENCIL, for a tent `width` h wide and its slope."""
     j, i = np.arange(STENCIL + 1.0), np.arange(STENCIL + 1)
     moments = 2 / ((2 * i + 1) * (2 * i + 2)) * float(width) ** (2 * i)
     even = np.vander(j**2, increasing=True).T * np.where(j > 0, 2.0, 1.0)
@@ -114,12 +117,12 @@ def _stencils(width):
 
 
 def ordered(gap: np.ndarray, middle: Any, centre: int) -> np.ndarray:
-    """The equations in the order of their rows: the first one's row is given up for the one of the middle."""
+    """Order the equations: the row of the first one is replaced by that of the middle."""
     return np.concatenate([gap[1 : centre + 1], [middle], gap[centre + 1 :]])
 
 
 def jacobian(kernels: Kernels, slope: np.ndarray, zeta: float, centre: int) -> np.ndarray:
-    """Of the ordered equations in z, as the bands of `solve_banded((reach, reach + 1), ...)`."""
+    """Return the ordered equations' Jacobian in z, as bands of `solve_banded`."""
     reach, count = kernels.reach, len(slope)
     bands, columns = np.zeros((2 * reach + 2, count)), np.arange(count)
     for k in range(-reach, reach + 1):
@@ -135,7 +138,7 @@ def jacobian(kernels: Kernels, slope: np.ndarray, zeta: float, centre: int) -> n
 def newton(
     force: Callable, zeta: float, apart: float, z: np.ndarray, centre: int
 ) -> tuple[np.ndarray, float]:
-    """z and the residual that is left; `force(z)` gives f and its slope."""
+    """Return z and the residual; `force(z)` gives f and its slope."""
     kernels = Kernels.of(apart)
 
     def equations(z):
@@ -148,24 +151,24 @@ def newton(
 
 
 class Trial(NamedTuple):
-    """What a front of some damping is looked for with: its tails' rates, and the places that they need."""
+    """A damping, and the rates of its front's tails, which determine the places."""
 
     zeta: float
     behind: complex
     ahead: float
 
     def spacing(self) -> float:
-        """A first distance of places, a power of two."""
+        """Return a first distance of places, a power of two."""
         fastest = max(abs(self.behind), self.ahead)
         return float(2.0 ** max(-2.0, np.floor(np.log2(FIRST / fastest))))
 
     def first(self, x: np.ndarray) -> np.ndarray:
-        """A front that falls as its tails do."""
+        """Return a guess that falls as the tails do."""
         rate = np.where(x < 0, self.behind.real, self.ahead)
         return 1 / (1 + np.exp(np.minimum(rate * x, 700.0)))
 
     def layout(self, apart: float) -> tuple[int, int]:
-        """How many places so far apart there are, and which one is the centre."""
+        """Return the number of places, and the index of the centre."""
         centre, after = (
             int(np.ceil((DEEP / rate + BEYOND * max(1.0, apart)) / apart))
             for rate in (self.behind.real, self.ahead)
@@ -174,7 +177,7 @@ class Trial(NamedTuple):
 
 
 def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tuple[Callable, float]:
-    """A coarse front of one damping, from that of a larger damping down; and the residual.
+    """Follow a coarse front from a larger damping down to `zeta`; return it with the residual.
 
     `trial(zeta)` gives a `Trial`.
     """
@@ -206,16 +209,16 @@ def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tup
 
 
 def finished(force: Callable, found: Trial, shape: Callable) -> Front | None:
-    """The front by finer and finer places until two resolutions agree; `None` where they are too many."""
+    """Refine a front until two resolutions agree; `None` where this takes too many places."""
     apart, before, front = found.spacing(), np.inf, None
     while True:
         count, centre = found.layout(apart)
-        # where a contact opens within the front it is not smooth, and its error falls slowly
+        # Where a contact opens within the front, it is not smooth, and its error falls slowly.
         if count > PLACES or apart < FINEST:
             return front if front is not None and front.error < KINKED else None
         x = apart * (np.arange(count) - centre)
         z, residual = newton(force, found.zeta, apart, shape(x), centre)
-        # this one's error is known to be below the change from the coarser one
+        # The change from the coarser front bounds the error.
         error = np.inf if front is None else float(np.abs(front.at(x) - z).max())
         settled = error <= AGREE or error < FLOOR and error > before / 4
         if settled and error > before:
@@ -229,7 +232,10 @@ def finished(force: Callable, found: Trial, shape: Callable) -> Front | None:
 def moved(
     front: Front, slope: np.ndarray, zeta: float, force: np.ndarray, more: np.ndarray
 ) -> np.ndarray:
-    """How z changes (I, P) where f at fixed z changes by `force` (I, P) and zeta by `more` (P,); `slope` is f'(z)."""
+    """Return the change of z (I, P) with f and zeta.
+
+    `force` (I, P): the changes of f at fixed z; `more` (P,): those of zeta; `slope`: f'(z).
+    """
     kernels = Kernels.of(front.apart)
     bands = jacobian(kernels, slope, zeta, front.centre)
     wide = np.concatenate([np.ones(kernels.reach), front.z, np.zeros(kernels.reach)])
@@ -240,7 +246,7 @@ def moved(
 
 
 def padded(front: Front) -> np.ndarray:
-    """Its table with zeros ahead, of one of few lengths."""
+    """Return the table padded with zeros ahead to one of few lengths."""
     size = TABLE
     while size < len(front.z):
         size *= 4
@@ -248,16 +254,16 @@ def padded(front: Front) -> np.ndarray:
 
 
 def coefficients(xp: Any, z: Any) -> Any:
-    """Powers of t - 1/2 within every cell of a table, (2 STENCIL, places), by its nearest values; 1 behind, 0 beyond.
+    """Return coefficients in powers of t - 1/2 of every cell of a table, (2 STENCIL, places).
 
-    `xp`: NumPy or JAX.
+    The table continues as 1 behind and as 0 beyond. `xp`: NumPy or JAX.
     """
     wide, count = xp.concatenate([xp.ones(STENCIL - 1), z, xp.zeros(STENCIL)]), len(z)
     return xp.asarray(_POWERS) @ xp.stack([wide[j : j + count] for j in range(2 * STENCIL)])
 
 
 def interpolated(xp: Any, rows: Any, centre: Any, apart: Any, x: Any) -> Any:
-    """z at places, from the coefficients of its cells."""
+    """Return z at places, from the coefficients of its cells."""
     at = xp.clip(x / apart + centre, 0.0, rows.shape[1] - 1.0)
     cell = at.astype(int)
     t, total = at - cell - 0.5, 0.0
@@ -267,10 +273,11 @@ def interpolated(xp: Any, rows: Any, centre: Any, apart: Any, x: Any) -> Any:
 
 
 class FrontShape(ContactShape):
-    r"""Strain ahead + jump z(x), and what moves with it, the beads ahead at rest; eta the dashpot, y the strain.
+    r"""The shape with strain ahead + jump z(x), with the beads ahead at rest.
 
-    The dashpot lessens m s v(x) by eta s (y(x) - y(x - 1)) and adds eta s int_{x-1}^x (y - ahead) to m s^2 u(x). u is
-    counted from where a bead is ahead of the front. `law` is measured from the strain ahead.
+    With eta the dashpot and y the strain, the dashpot subtracts eta s (y(x) - y(x - 1)) from m s
+    v(x) and adds eta s int_{x-1}^x (y - ahead) to m s^2 u(x). u counts from a bead's place ahead of
+    the front. `law` is measured from the strain ahead.
     """
 
     law: Any
@@ -309,6 +316,6 @@ class FrontShape(ContactShape):
 
 @compiled
 def shape_of(z: Any, centre: Any, apart: Any, numbers: dict) -> FrontShape:
-    """The shape from z at places."""
+    """Build the shape from z at places."""
     rows = coefficients(jnp, z)
     return FrontShape(rows=rows, centre=centre, length=apart, **numbers).with_edges(0.0)

@@ -1,15 +1,15 @@
-"""Where a function of one maximum is highest."""
+"""The maximum of a function that has only one."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-# how often the maximum is looked at closer, and places each time: a millionth of the interval
+# The number of refinements, and the places of each: together a millionth of the interval.
 CLOSER, AROUND = 5, 33
 
 
 def highest(function: Callable, low: float, high: float) -> tuple[float, float]:
-    """The place between `low` and `high` where a function is highest, to a millionth, and its value there."""
+    """Return the place of the maximum between `low` and `high`, to a millionth, and its value."""
     for _ in range(CLOSER):
         near = np.linspace(low, high, AROUND)
         found = function(near)

@@ -1,4 +1,4 @@
-"""What a wave runs through: a law between neighbours and a mass, given as such or as a uniform chain."""
+"""The medium of a wave: a law between neighbours and a mass, or a uniform chain."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,21 +16,25 @@ from ..programs import compiled
 from ..terms.chain import next_neighbours, span, walls, without_walls
 from ..types import Number, Numbers, Scalar
 
-# arguments that a law is evaluated at in one program
+# The number of arguments at which one program evaluates a law.
 CHUNK = 8192
+# The relative spread below which numbers are equal.
 UNIFORM = 1e-12
-# relative difference of a rule and its half at which the stiffness between 0 and e is smooth: the rule itself then
-# errs by rounding alone, as its error is the square of the half's
+# The relative difference of a rule and its half below which the stiffness is smooth between 0 and
+# e. The error of the full rule is the square of the half's, so only rounding remains.
 SMOOTH = 1e-12
-# units of rounding of the preload, which laws that know theirs have subtracted
+# The units of rounding of the preload, which some laws have subtracted from their force.
 UNITS = 16
 
 
 def _rules():
-    """Radau's nine nodes on (0, 1], and the weights of 1 and of 1 - s by all of them and by every second one."""
+    """Return the nine Radau nodes on (0, 1], and weights for 1 and 1 - s.
+
+    The weights are for all nodes and for every second one.
+    """
     legendre = np.polynomial.legendre
     nodes = np.append(np.sort(legendre.legroots(np.eye(10)[8] - np.eye(10)[9]).real)[:-1], 1.0)
-    # int P_k/2 and int (1 - s) P_k with s = (1 + x)/2
+    # The moments int P_k/2 and int (1 - s) P_k, with s = (1 + x)/2.
     moments = np.array([np.eye(9)[0], np.eye(9)[0] / 2 - np.eye(9)[1] / 6])
     rules = []
     for step in (1, 2):
@@ -47,7 +51,7 @@ _NODES, _FORCE, _ENERGY = _rules()
 
 
 class Medium(NamedTuple):
-    """A law between neighbours, the mass of every site, and what a result keeps of the lattice that they come from."""
+    """A law between neighbours, the mass of every site, and the metadata of their lattice."""
 
     law: Law
     mass: Any
@@ -56,9 +60,9 @@ class Medium(NamedTuple):
 
     @property
     def known(self) -> "Medium":
-        """The same with the numbers that are there while derivatives are taken.
+        """The medium with the known numbers behind traced ones.
 
-        **Raises** ValueError where they are not, within `jax.jit` or `jax.vmap`.
+        **Raises** ValueError where there are none, within `jax.jit` or `jax.vmap`.
         """
         law, mass = jax.lax.stop_gradient((self.law, self.mass))
         if traced((law, mass)):
@@ -73,9 +77,10 @@ class Medium(NamedTuple):
 
 
 def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
-    """The medium of a law, or of a lattice whose sites and bonds are all alike.
+    """Return the medium of a law, or of a uniform lattice.
 
-    **Raises** ValueError for a lattice that is no such chain, or a law whose parameters are not single numbers.
+    **Raises** ValueError for a lattice that is not a uniform chain, and a law whose parameters are
+    not single numbers.
     """
     if isinstance(law, Lattice):
         lattice, wanted = law, "a uniform chain of bonds between neighbours"
@@ -90,10 +95,10 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
 
 
 def law_between(lattice: Lattice, wanted: str) -> Law:
-    """The law of a chain's bonds to the next site, of all such terms; walls and their contacts do not count.
+    """Return the summed law of a chain's bonds to the next site, without contacts with walls.
 
-    **Raises** ValueError for a batch, and for a lattice that is not a chain, has other terms or no such bonds: none of
-    what is `wanted`.
+    **Raises** ValueError for a batch, and for a lattice that is not a chain, has other terms or no
+    such bonds. `wanted` names the expected lattice in the message.
     """
     if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
         refuse("law", wanted, f"a lattice of shape {lattice.shape}")
@@ -104,7 +109,7 @@ def law_between(lattice: Lattice, wanted: str) -> Law:
             f"a batch of shape {lattice.lanes}",
             "Look for the wave of each in a loop.",
         )
-    # contacts with walls may be others than those between sites
+    # Contacts with walls may differ from those between sites.
     inner = [(without_walls(term, lattice) or (term,))[0] for term in lattice.terms]
     found = [next_neighbours(term) for term in inner]
     others = [
@@ -120,7 +125,7 @@ def law_between(lattice: Lattice, wanted: str) -> Law:
 
 
 def single(argument: str, what: str, x: Any) -> Number:
-    """One number out of equal ones, in the default type."""
+    """Return one number out of equal ones, in the default type."""
     values = concrete(jax.lax.stop_gradient(x))
     if np.ndim(x) == 0:
         return jnp.asarray(x, float)
@@ -135,9 +140,10 @@ def single(argument: str, what: str, x: Any) -> Number:
 
 
 def fine(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """F(e), F'(e) and W(e), to their last digits also where F and W are small differences, as a user writes them.
+    """Return F(e), F'(e) and W(e) without cancellation, even where F and W are small differences.
 
-    F = e int_0^1 F'(e s) ds and W = e^2 int_0^1 (1 - s) F'(e s) ds, wherever half of the nodes give the same.
+    F = e int_0^1 F'(e s) ds and W = e^2 int_0^1 (1 - s) F'(e s) ds, where half of the nodes give
+    the same result.
     """
     slopes = [law.derivative(s * e) for s in _NODES]
     rounding = UNITS * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(law.preload * e)
@@ -151,23 +157,23 @@ def fine(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
 
 
 def fine_force(law: Law, e: Numbers) -> Numbers:
-    """F(e), to its last digit also where it is a small difference of larger numbers."""
+    """Return F(e) without cancellation."""
     return fine(law, e)[0]
 
 
 @compiled
 def fine_values(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """`fine`, compiled for each shape."""
+    """Compile `fine` for each shape."""
     return fine(law, e)
 
 
 def values(law: Law, e: Numbers) -> tuple[Numbers, ...]:
-    """Force, stiffness and energy at compressions of any shape: by NumPy, or by JAX where something is traced."""
+    """Return force, stiffness and energy at compressions of any shape; traced ones by JAX."""
     return fine(law, e) if traced((law, e)) else in_chunks(fine_values, law, e)
 
 
 def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What `program(law, e)`, compiled for `CHUNK` compressions, gives at known ones of any shape."""
+    """Evaluate `program(law, e)`, compiled for `CHUNK` compressions, at known ones of any shape."""
     flat = np.ravel(e)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
@@ -179,12 +185,12 @@ def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, .
 
 
 def implicit(x: Number, gap: Number, slope: Number) -> Number:
-    """A root x of a gap with its derivative: `gap` is what is left at a fixed x, `slope` its derivative in x."""
+    """Return a root x with its derivative; `gap` is taken at fixed x, `slope` is d gap/dx."""
     return x - (gap - jax.lax.stop_gradient(gap)) / jax.lax.stop_gradient(slope)
 
 
 def one_number(argument: str, x: Any) -> float | None:
-    """A known number behind what may be differentiated; `None` for `None`."""
+    """Return the known number behind a differentiable one; `None` for `None`."""
     if x is None:
         return None
     value = concrete(jax.lax.stop_gradient(jnp.asarray(x, float)))

@@ -1,4 +1,4 @@
-"""Periodic waves: Newton's method on the Fourier form in a box of one wavelength."""
+"""Periodic waves, by Newton's method on the Fourier form in a box of one wavelength."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -14,22 +14,23 @@ from ..types import Number, Numbers
 from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
 
-# points on half of a wavelength; what two numbers of them may differ by
+# The numbers of points on half a wavelength; the difference at which two of them agree.
 POINTS, AGREE = (32, 64, 128, 256, 512), 1e-13
-# error of a sum over the waves, from rounding, over the largest strain
+# The rounding error of a Fourier sum, over the largest strain.
 ROUNDING = 32 * np.finfo(float).eps
-# residual and steps of Newton's method
+# The residual and the steps of Newton's method.
 CONVERGED, STEPS = 1e-9, 30
-# residual with which a wave is followed to the next amplitude
+# The residual that suffices to continue to the next amplitude.
 FOLLOWED = 1e-6
-# growth of the amplitude from one wave to the next, most of them, and the first one over its scale
+# The growth of the amplitude from one wave to the next, the most waves, and the first amplitude
+# over the strain scale of the law.
 GROWTH, MOST, FIRST = 1.5, 60, 1e-2
 
 
 class Train(NamedTuple):
-    """A periodic wave: its speed, tables (N,) over the places of its box, its mean strain, residual and error.
+    """A periodic wave: speed, tables (N,) over its box, mean strain, residual and error.
 
-    `strain` is about the mean; displacements fall by the mean a bead besides.
+    `strain` is less the mean; `displacement` omits the mean compression of each bead.
     """
 
     speed: Number
@@ -42,11 +43,11 @@ class Train(NamedTuple):
     error: float
 
     def at(self, name: str, xi: Any) -> Numbers:
-        """Strain, velocity or displacement at any places."""
+        """Return the strain, the velocity or the displacement at any places."""
         table = getattr(self, name)
         if traced((xi, tuple(self))):
             x, hat = jnp.asarray(xi, float), jnp.fft.rfft(table) / len(table)
-            # each wave and its conjugate, but for the mean and the shortest
+            # All harmonics but the mean and the shortest count twice, with their conjugates.
             hat = hat.at[1:-1].multiply(2)
             angle = (x[..., None] + self.half) * np.pi / self.half * np.arange(len(hat))
             own = jnp.cos(angle) @ hat.real - jnp.sin(angle) @ hat.imag
@@ -54,7 +55,7 @@ class Train(NamedTuple):
             x = np.asarray(xi, float)
             own = fourier(table[None], self.half, x.ravel())[0].reshape(x.shape)
         more = {"strain": self.mean, "velocity": 0.0, "displacement": -self.mean * x}[name]
-        # a sum of two numbers is no array for NumPy
+        # NumPy's sum of two scalars is not an array.
         return own + more if traced((own, more)) else np.asarray(own + more)
 
 
@@ -67,14 +68,14 @@ def differentiated(
     speed: Number | None,
     amplitude: Number | None,
 ) -> Train:
-    """A wave that was found, with the derivatives by its numbers that the implicit function theorem gives."""
+    """Return a known wave with its derivatives by the implicit function theorem."""
     j, cos, sin = _harmonics(len(known.strain) // 2)
     level = float(jax.lax.stop_gradient(mass)) * known.speed**2
     start = np.append(2 / cos.shape[1] * cos @ known.strain, level)
     given = law, mass, mean, wavelength, speed, amplitude
     x = root(_left, start, given, tolerance=FOLLOWED).x
     c, speed, half = x[:-1], jnp.sqrt(x[-1] / mass), np.pi * j / wavelength
-    # a bead stands half a contact before its contact
+    # A bead is half a contact behind its contact.
     own = c / (2 * jnp.sin(half))
     ahead, behind = own * jnp.cos(half), own * jnp.sin(half)
     velocity = speed * ((2 * half * ahead) @ cos + (2 * half * behind) @ sin)
@@ -83,13 +84,12 @@ def differentiated(
 
 
 def _harmonics(count):
-    """j below `count`, and cos and sin of j theta at the places of a box, which begins at a trough."""
+    """Return j < `count`, and cos, sin of j theta on a box, which begins at a trough."""
     j, theta = np.arange(1, count), np.pi * np.arange(2 * count) / count - np.pi
     return j, np.cos(np.outer(j, theta)), np.sin(np.outer(j, theta))
 
 
 def _left(x, given):
-    """What is left of the equation for the coefficients c_j of cos(j theta) and m c^2."""
     law, mass, mean, wavelength, speed, amplitude = given
     j, cos, _ = _harmonics(len(x))
     c, level, half = x[:-1], x[-1], np.pi * j / wavelength
@@ -99,7 +99,7 @@ def _left(x, given):
 
 
 class _Family(NamedTuple):
-    """Waves of one length about one mean strain; `small`: m c^2 of small ones."""
+    """Waves of one length about one mean strain; `small`: m c^2 of the small ones."""
 
     law: Law
     mean: float
@@ -108,7 +108,6 @@ class _Family(NamedTuple):
     small: float
 
     def box(self, points: int) -> Box:
-        """With this number of points from a crest to the next trough, of waves whose level is 1."""
         laws, one = (Strained(self.law, jnp.asarray(self.mean)),), np.ones(1)
         chain = Chain(laws, one, one, 1.0, np.array([self.stiffness]), None, 0)
         return Box(chain, self.wavelength / 2, 2 * points, at_rest=False)
@@ -116,7 +115,6 @@ class _Family(NamedTuple):
     def solved(
         self, box: Box, phi: np.ndarray, level: float, amplitude: float | None
     ) -> tuple[Solved, float]:
-        """The wave near a guess, and its level: that one, or what goes with half of crest less trough."""
         if amplitude is None:
             return newton(box.of_level(level), phi, 1e-15, STEPS), level
         crest = np.zeros(box.points)
@@ -127,7 +125,6 @@ class _Family(NamedTuple):
         return found, found.parameter
 
     def grown(self, box: Box, amplitude: float, before: tuple | None) -> tuple | None:
-        """(strains, level, amplitude) of a wave, from the one before; the first is a cosine."""
         phi, level = np.cos(2 * np.pi * box.x / self.wavelength)[None] * amplitude, self.small
         if before is not None:
             phi, level = before[0] * (amplitude / before[2]), before[1]
@@ -135,7 +132,6 @@ class _Family(NamedTuple):
         return (found.phi, level, amplitude) if found.residual < FOLLOWED else None
 
     def growing(self, box: Box, first: float, most: float) -> Iterator[tuple]:
-        """Waves of growing amplitudes up to the most, as far as they are found."""
         wave, now = None, first
         for _ in range(MOST):
             wave = self.grown(box, min(now, most), wave)
@@ -155,9 +151,10 @@ def train(
     speed: float | None,
     amplitude: float | None,
 ) -> Train:
-    """The wave of a length about a mean strain, at a speed or an amplitude, followed from small ones.
+    """Find the wave of a speed or an amplitude about a mean strain, by following small waves.
 
-    **Raises** ValueError where the law has no stiffness at the mean, or the family does not come there.
+    **Raises** ValueError where the law has no stiffness at the mean, or the family does not reach
+    the number.
     """
     stiffness = float(values(law, np.array([mean]))[1][0])
     if not 0 < stiffness < np.inf:
@@ -193,20 +190,20 @@ def train(
         )
     error, c = max(apart, ROUNDING * float(np.abs(phi).max())), float(np.sqrt(level / mass))
     v = box.of_level(level).velocities(phi)
-    # of mean zero
+    # The displacement has mean zero.
     u = np.fft.ifft(1j * np.fft.fft(v, axis=1) / np.where(box.k == 0, 1, box.k), axis=1).real
     return Train(c, box.half, phi[0], c * v[0], u[0], mean, float(found.residual), error)
 
 
 def _scale(law, mean, stiffness):
-    """A strain over which the stiffness changes by much."""
+    """Return a strain over which the stiffness changes by half."""
     steps = 2.0 ** np.arange(-160, 161)
     slope = np.concatenate([values(law, mean + steps)[1], values(law, mean - steps)[1]]).reshape(
         2, -1
     )
     with np.errstate(invalid="ignore"):
         changed = ~(np.abs(slope / stiffness - 1) < 0.5).all(0)
-    # below the rounding of the mean nothing is known
+    # Steps below the rounding of the mean give no information.
     changed &= steps > 1e-9 * abs(mean)
     if not changed.any():
         refuse(
@@ -249,7 +246,6 @@ def _to_speed(waves, box, first, mass, speed):
 
 
 def _between(waves, box, low, high, wanted):
-    """The wave of a speed between those of two others, by a secant in the square of the amplitude."""
     a, b = (0.0, waves.small) if low is None else (low[2] ** 2, low[1])
     square = a + (wanted - b) * (high[2] ** 2 - a) / (high[1] - b)
     return (waves.grown(box, np.sqrt(square), high) or high)[0], wanted

@@ -1,4 +1,4 @@
-"""The shape of a solitary wave as a function of place: strain, velocity and displacement at any xi = n - c t."""
+"""The shape of a wave as functions of xi = n - c t: strain, velocity and displacement."""
 
 from typing import Any
 
@@ -14,20 +14,21 @@ from ..types import Numbers
 from .medium import fine_force
 from .tent import RULE
 
-# places evaluated in one program
+# The number of places that one program evaluates.
 PLACES = 4096
 _T, _W = np.polynomial.legendre.leggauss(12)
 
 
 class Shape(eqx.Module):
-    """What a wave knows of itself at any place: functions of xi = n - c t, elementwise, that JAX may trace.
+    """A wave as traceable elementwise functions of xi = n - c t.
 
-    A shape writes `strain(xi)`, the compression [m] of contact n, between the beads n and n + 1; `velocity(xi)` [m/s]
-    and `displacement(xi)` [m] of bead n, which is at rest far ahead of the wave (xi -> infinity).
+    A subclass defines `strain(xi)`, the compression [m] of contact n, between the beads n and n +
+    1; and `velocity(xi)` [m/s] and `displacement(xi)` [m] of bead n, which is at rest far ahead (xi
+    -> infinity).
     """
 
     def at(self, name: str, xi: Any) -> Numbers:
-        """One of them at many places: by a program of few sizes, or within the one that traces it."""
+        """Evaluate one of the functions at many places, with compiled programs of few sizes."""
         if traced((self, xi)):
             return _evaluated(self, name, jnp.asarray(xi, float))
         xi = np.asarray(xi, float)
@@ -46,10 +47,10 @@ def _evaluated(shape, name, xi):
 
 
 class ContactShape(Shape):
-    r"""A wave whose strain is a polynomial on each of `rows.shape[1]` cells, `length` long, from a place `first` on.
+    r"""A wave whose strain is a polynomial on each of `rows.shape[1]` cells, from `first` on.
 
-    With F the force beyond that ahead, m c v(xi) = int_{xi-1}^{xi} F(phi) and m c^2 u(xi) = int min(1, y + 1 - xi)_+
-    F(phi(y)) dy.
+    With F the force less that ahead, m c v(xi) = int_{xi-1}^{xi} F(phi) and m c^2 u(xi) = int
+    min(1, y + 1 - xi)_+ F(phi(y)) dy.
     """
 
     law: eqx.AbstractVar[Law]
@@ -58,16 +59,17 @@ class ContactShape(Shape):
     rows: eqx.AbstractVar[Any]
     first: eqx.AbstractVar[Any]
     length: eqx.AbstractVar[Any]
-    # the integral of the force beyond the beginning of every cell and the end of the last one
+    # The integral of the force from the start of every cell on, and from the end of the last one
+    # on.
     edges: eqx.AbstractVar[Any]
 
     @property
     def end(self) -> Any:
-        """Where the last cell ends."""
+        """The end of the last cell."""
         return self.first + self.length * self.rows.shape[1]
 
     def over(self, x: Any) -> Any:
-        """The strain beyond that ahead."""
+        """Return the strain less that ahead."""
         raise NotImplementedError
 
     def strain(self, xi):
@@ -87,11 +89,11 @@ class ContactShape(Shape):
         return pushed / (self.mass * self.speed**2)
 
     def force(self, x: Any) -> Any:
-        """The force beyond that ahead."""
+        """Return the force less that ahead."""
         return fine_force(self.law, self.over(x))
 
     def with_edges(self, beyond: Any) -> "ContactShape":
-        """The shape with its edges, from the integral of the force beyond the last cell."""
+        """Return the shape with its edges, from the integral of the force beyond the last cell."""
         count = self.rows.shape[1]
         y = self.first + self.length * (np.arange(count)[:, None] + (1 + _T) / 2)
         parts = self.length / 2 * (self.force(y) @ jnp.asarray(_W))
@@ -99,13 +101,13 @@ class ContactShape(Shape):
         return eqx.tree_at(lambda s: s.edges, self, edges, is_leaf=lambda x: x is None)
 
     def cell(self, x: Any) -> tuple[Any, Any]:
-        """The cell of a place, the nearest one of places beyond, and where in it from -1 to 1."""
+        """Return the cell of a place, or the nearest one, and the position in it from -1 to 1."""
         at = (jnp.clip(x, self.first, self.end) - self.first) / self.length
         k = jnp.clip(at.astype(int), 0, self.rows.shape[1] - 1)
         return k, 2 * (at - k) - 1
 
     def beyond(self, x: Any) -> Any:
-        """The integral of the force from a place on, from cell to cell."""
+        """Return the integral of the force from a place on."""
         low = jnp.clip(x, self.first, self.end)
         k = self.cell(x)[0]
         half = (self.first + self.length * (k + 1) - low) / 2
@@ -114,9 +116,9 @@ class ContactShape(Shape):
 
 
 class TentShape(ContactShape):
-    """A wave of one sign, even in xi: ln(strain/unit) by Chebyshev's polynomials, with a straight line beyond.
+    """An even wave of one sign: ln(strain/unit) in Chebyshev polynomials, with a linear tail.
 
-    All integrals have positive terms alone.
+    All integrals have only positive terms.
     """
 
     law: Law
@@ -133,7 +135,7 @@ class TentShape(ContactShape):
         return 0.0
 
     def with_tail(self) -> "TentShape":
-        """The shape with its edges."""
+        """Return the shape with its edges."""
         decay = jnp.where(self.decay > 0, self.decay, 1)
         return self.with_edges(jnp.where(self.decay > 0, self.force(self.end) / decay, 0.0))
 
@@ -147,11 +149,11 @@ class TentShape(ContactShape):
         return self.unit * jnp.exp(self.rows[0][k] + t * b - c - self.decay * past)
 
     def velocity(self, xi):
-        # even about the middle between two contacts
+        # The velocity is even about the middle between two contacts.
         return super().velocity(jnp.maximum(xi, 1 - xi))
 
     def displacement(self, xi):
-        # odd about there
+        # The displacement is odd about there, up to a constant.
         ahead = super().displacement(jnp.maximum(xi, 1 - xi))
         return jnp.where(xi >= 0.5, ahead, 2 * self.edges[0] / (self.mass * self.speed**2) - ahead)
 

@@ -1,4 +1,4 @@
-"""The solitary wave of a law by the tent integral: a first shape by iteration, then Newton's method."""
+"""The solitary wave of a law: a first shape by iteration, then Newton's method."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,27 +16,28 @@ from .medium import Medium, fine, fine_force, implicit, one_number, values
 from .shape import TentShape
 from .tent import PIECES, Found, Places, Tent, iterated, left_between, solve
 
-# numbers of places; error relative to the peak at which they are enough; what the residual of Newton's method may be
+# The numbers of places; the error, over the peak, at which they suffice; the largest residual of
+# Newton's method.
 PLACES, ENOUGH, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
-# what the equation may leave of ln(strain), so that the tail has its digits too
+# The largest residual of ln(strain) between places, so that the tail is accurate too.
 TAIL = 1e-12
-# ln of the strain over its peak where places end: of an exponential tail, and of one that falls faster; and from where
-# on a first shape falls exponentially
+# ln of the strain over its peak where places end, for an exponential tail and for one that falls
+# faster, and where the exponential tail of a first shape begins.
 DEEP, DEEPEST, FAR = -42.0, -560.0, -18.0
-# the width of a first shape without a tail, over (p - 1)^(-1/2) of the power p
+# The width of a first shape without exponential tail, over (p - 1)^(-1/2) of the power p.
 WIDTH = 0.45
-# secants for a peak by its energy, and how near its logarithm is to come
+# The secant steps for a peak of given energy, and the tolerance of its logarithm.
 SECANTS, NEAR = 8, 1e-3
-# slope of ln F per contact times the length of a piece, at first
+# The slope of ln F per contact times the length of a piece, at first.
 STEEP = 2.0
-# units of rounding that an equation is known to
+# The error of an equation in units of rounding.
 LAST = 2.0
-# a strain over its unit at which a force grows as it does from zero
+# A strain, over its unit, at which the force has its power law from zero.
 SMALL = 1e-6
 
 
 class Solved(NamedTuple):
-    """A wave as it was solved for: its shape, residual and error, the tail's decay rate and exponent."""
+    """A solved wave: shape, residual, error, the tail's decay rate and exponent, integrals."""
 
     shape: TentShape
     residual: float
@@ -50,7 +51,7 @@ class Solved(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """A wave that is looked for: strains in `unit`, m c^2 in `level`."""
+    """The wave to find: strains in `unit`, m c^2 in `level`."""
 
     medium: Medium
     unit: float
@@ -60,17 +61,14 @@ class _Problem(NamedTuple):
     target: float
 
     def force(self, e):
-        """F and its slope at e in units of the strain and the level."""
         F, slope, _ = values(self.medium.law, self.unit * e)
         return F / (self.unit * self.level), slope / self.level
 
     def exponent(self, e):
-        """The power with which the force grows at e."""
         f, slope = self.force(np.array([e]))
         return float(e * slope[0] / f[0])
 
     def held(self, places: Places) -> Callable:
-        """What is zero besides the equations, of q and ln of the level, and its derivatives in both."""
         first = np.eye(1, places.count)[0]
 
         def energy(q, level):
@@ -88,12 +86,12 @@ class _Problem(NamedTuple):
 
 
 def decay_rate(ratio: float) -> float:
-    """kappa > 0 of a tail exp(-kappa |xi|): sinh^2(kappa/2) = ratio (kappa/2)^2, ratio = m c^2/K2 > 1."""
+    """Return kappa > 0 with sinh^2(kappa/2) = ratio (kappa/2)^2, ratio = m c^2/K2 > 1."""
     root = np.sqrt(ratio)
     x = np.sqrt(6 * (ratio - 1)) if ratio < 3 else min(np.log(4 * ratio), 600.0)
     for _ in range(100):
         with np.errstate(over="ignore"):
-            # ln sinh(x)/x = ln root, by Newton in ln x
+            # ln sinh(x)/x = ln root, by Newton's method in ln x.
             value = (
                 np.log(np.sinh(x) / x) - np.log(root)
                 if x > 1e-3
@@ -108,7 +106,7 @@ def decay_rate(ratio: float) -> float:
 
 
 def one_given(**numbers: Any) -> tuple[str, Any]:
-    """The name and the value of the one number that says which wave of a family is meant; others are `None`.
+    """Return the name and the value of the one number that is given; the others are `None`.
 
     **Raises** ValueError for none or several.
     """
@@ -130,9 +128,9 @@ def wave_of(
     energy: Any = None,
     side: str | None = None,
 ) -> Solved:
-    """The solitary wave of one speed, peak strain or energy; of a speed below zero the one that runs to the left.
+    """Find the solitary wave of one speed (negative to the left), peak strain or energy.
 
-    **Raises** ValueError where there is none, saying why.
+    **Raises** ValueError, with the reason, where there is none.
     """
     known = medium.known
     numbers = {"speed": speed, "amplitude": amplitude, "energy": energy}
@@ -143,7 +141,6 @@ def wave_of(
 
 
 def _problem(medium, found: Bounds, c, a, E):
-    """The wave in units of a strain and a level that are near."""
     mass = float(medium.mass)
     sound = np.sqrt(max(found.linear, 0.0) / mass)
     if c is not None:
@@ -192,7 +189,6 @@ def _refuse_fast(medium, found, mass, c):
 
 
 def _by_energy(medium, found, E):
-    """The wave of a peak whose first shape has about that energy."""
     usable = np.isfinite(found.secant) & (found.secant > found.linear * (1 + 1e-9))
     strains, secant = found.strains[usable], found.secant[usable]
     rate = [decay_rate(s / found.linear) if found.linear else 3.0 for s in secant]
@@ -218,10 +214,11 @@ def _by_energy(medium, found, E):
 
 
 def _settled(problem: _Problem) -> tuple[Places, np.ndarray, float]:
-    """Places, ln of the strain over its peak and ln of the level there, by iteration with a coarse tent.
+    """Return places, ln of strain over peak and ln of the level, by a coarse iteration.
 
-    It begins with sech^(2/s)(s rate x/2), to which weak waves tend of a force that grows beyond its linear part as
-    e^(1 + s); without a linear part with a Gaussian, whose tail is above one that falls ever faster.
+    The start is sech^(2/s)(s rate x/2), the limit of weak waves where the force grows beyond its
+    linear part as e^(1 + s). Without a linear part it is a Gaussian, which lies above a tail that
+    falls faster.
     """
     rate = decay_rate(1 / problem.linear) if problem.linear > 0 else 0.0
     steep = max(rate, problem.exponent(1.0))
@@ -232,9 +229,9 @@ def _settled(problem: _Problem) -> tuple[Places, np.ndarray, float]:
         if not np.isfinite(over):  # steeper than numbers hold
             return Places(PLACES[0], 1.0, rate), np.zeros(PLACES[0]), np.inf
         end = 3 + 5 / over**0.5 + np.log(-DEEPEST / 10) / np.log1p(over)
-        # each contact of the tail follows from the one before
+        # Each iteration extends the tail by one contact.
         sweeps = int(np.ceil(end))
-    # so near that the corner of a strong wave is resolved
+    # The places are close enough to resolve the corner of a strong wave.
     count = max(PLACES[0], int(2 * end * max(rate, steep - 1)))
     places = Places(count, end / (count - 1), rate)
     x = places.nodes
@@ -248,12 +245,10 @@ def _settled(problem: _Problem) -> tuple[Places, np.ndarray, float]:
 
 
 def _pieces(steep, finer=1):
-    """The ends of pieces so short that ln F changes little over each."""
     return np.linspace(0, 1, 1 + finer * int(np.ceil(max(steep / STEEP, 1))))
 
 
 def _first(problem):
-    """ln of the strain over its unit as a function of place, the level, decay rate, end of the places."""
     places, q, level = _settled(problem)
     if not np.isfinite(level):
         refuse(
@@ -276,7 +271,6 @@ def _first(problem):
 
 
 def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
-    """Newton's method on the tent integral, with more places and pieces until the equation holds between them too."""
     for count in PLACES:
         pieces = PIECES
         if problem.linear > 0:
@@ -302,20 +296,19 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
             return places.interpolated(q, y)
 
         strain, moves = np.exp(found.q), np.abs(np.linalg.inv(found.jacobian))[:count, :count]
-        # what the rounding of each equation's logarithms, and of the level's own digits, does to the strain
+        # The effect on the strain of the rounding of each equation's logarithms and of the level.
         rounding = np.finfo(float).eps * (LAST + problem.exponent(strain[0]) + np.abs(found.q))
         left = left_between(tent, pieces, problem.force, found)
         least, more = (float((strain * (moves @ gap)).max()) for gap in (rounding, left))
         if more <= max(ENOUGH * strain[0], least) and left.max() <= TAIL:
             break
-    # pieces half as long see at least half of what pieces miss
+    # Pieces half as long show at least half of the error of the pieces.
     return tent, found._replace(residual=float(left.max())), (2 * more + least) * abs(problem.unit)
 
 
 def _assembled(medium, problem, tent, found, error, numbers):
-    """Everything of the wave from the solution, to be differentiated by the implicit function theorem."""
     law, mass = medium.law, medium.mass
-    # put, as a conversion is a program
+    # device_put, because a conversion would compile a program.
     q, level, unit = map(_put, (found.q, found.level, problem.unit))
     if traced((law, mass, numbers)):
         q, level = _implicit(medium, problem, tent, found, numbers)
@@ -347,7 +340,6 @@ def _put(x):
 
 
 def _tails(law, level, rate, exponent, unit):
-    """The decay rate and the exponent with their derivatives, by what they solve."""
     if np.isfinite(exponent):
         e = unit * SMALL
         return rate, implicit(exponent, -e * law.derivative(e) / law.force(e), 1.0)
@@ -361,7 +353,6 @@ def _tails(law, level, rate, exponent, unit):
 
 @compiled
 def _whole(law, mass, speed, unit, q, apart, steep):
-    """The shape, its energy and its compression, by one program for each number of places."""
     places = Places(len(q), apart, 0.0)
     shape = TentShape(law, mass, speed, places.coefficients(q), apart, unit, steep).with_tail()
     e, weights = unit * jnp.exp(q), jnp.full(len(q), apart).at[0].divide(2)
@@ -370,10 +361,9 @@ def _whole(law, mass, speed, unit, q, apart, steep):
 
 
 def _implicit(medium, problem, tent, found, numbers):
-    """q and the level, whose derivatives are those of the equations at fixed q and level over -Jacobian."""
     f = fine_force(medium.law, jnp.asarray(problem.unit * tent.strain(found.q)))
     integral = (jnp.asarray(tent.weights) * f).sum(1) / problem.unit
-    # in q and the level that were found, which stand still
+    # q and the level are held at the solution.
     e, given = (
         problem.unit * jnp.exp(jnp.asarray(found.q)),
         jnp.asarray(numbers[problem.given], float),
@@ -386,6 +376,6 @@ def _implicit(medium, problem, tent, found, numbers):
         F, _, W = fine(medium.law, e)
         more = jnp.log(jnp.asarray(tent.places.weights) @ (e * F / 2 + W) / given)
     gap = jnp.append(jnp.log(integral), more)
-    # what is left of the equations stays as it was found
+    # The residual of the solution is subtracted, so that only derivatives are added.
     change = jnp.asarray(np.linalg.inv(found.jacobian)) @ (gap - jax.lax.stop_gradient(gap))
     return jnp.asarray(found.q) - change[:-1], jnp.asarray(found.level) - change[-1]

@@ -1,11 +1,12 @@
-r"""How a front in a chain with dashpots falls to the states that it joins: roots of its characteristic equation.
+r"""The tails of a front in a chain with dashpots: roots of its characteristic equation.
 
-With lengths in contacts, kappa = K/(m s^2) of one side and zeta = eta/(m s), a small e^{lambda x} obeys
+With lengths in contacts, kappa = K/(m s^2) of one side and zeta = eta/(m s), a small e^{lambda x}
+obeys
 
     kappa - zeta lambda = g(lambda),  g = (lambda/2)^2/sinh(lambda/2)^2,
 
-which is m s^2 lambda^2 = 4 sinh(lambda/2)^2 (K - eta s lambda). Behind the front kappa > 1 and Re lambda > 0, ahead of
-it kappa < 1 and Re lambda < 0.
+which is m s^2 lambda^2 = 4 sinh(lambda/2)^2 (K - eta s lambda). Behind the front kappa > 1 and Re
+lambda > 0; ahead of it kappa < 1 and Re lambda < 0.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import bisect, brentq
 
-# of 1 - (x/sinh x)^2 in powers of x^2, and below which |x| they are taken
+# The coefficients of 1 - (x/sinh x)^2 in powers of x^2, and the |x| below which they are used.
 _SERIES = (
     0.0,
     1 / 3,
@@ -26,7 +27,8 @@ _SERIES = (
     -3617 / 10854718875,
 )
 NEAR = 0.3
-# real parts that are looked through one after the other; starts across each, and how far apart along the imaginary axis
+# The real parts that are searched one after the other; the starts across each, and the distance of
+# starts along the imaginary axis.
 REACHES, ACROSS, APART = (1.5, 3.0, 6.0), 12, 0.3
 STEPS, CONVERGED, REAL = 30, 1e-10, 1e-7
 # lambda at which g'' = 0
@@ -34,7 +36,7 @@ TOP = 2.34694130416726903
 
 
 class Critical(NamedTuple):
-    """zeta at which the approach turns monotone, its derivative in kappa, and whether two real roots meet there."""
+    """The critical zeta, its derivative in kappa, and whether two real roots meet there."""
 
     zeta: float
     slope: float
@@ -42,7 +44,7 @@ class Critical(NamedTuple):
 
 
 def lack(root):
-    """1 - g, of real or complex numbers."""
+    """Return 1 - g at real or complex numbers."""
     x = np.asarray(root) / 2
     near = np.abs(x) < NEAR
     with np.errstate(all="ignore"):
@@ -51,7 +53,7 @@ def lack(root):
 
 
 def lack_slope(root):
-    """d(1 - g)/d lambda."""
+    """Return d(1 - g)/d lambda."""
     x = np.asarray(root) / 2
     near = np.abs(x) < NEAR
     powers = [k * c for k, c in enumerate(_SERIES)][1:]
@@ -62,7 +64,7 @@ def lack_slope(root):
 
 
 def ahead(short: float, zeta: float) -> float:
-    """The decay rate ahead of the front, from 1 - kappa > 0."""
+    """Return the decay rate ahead of the front; `short` = 1 - kappa > 0."""
     return brentq(
         lambda rate: float(lack(rate)) - short + zeta * rate,
         0.0,
@@ -73,13 +75,12 @@ def ahead(short: float, zeta: float) -> float:
 
 
 def behind(excess: float, zeta: float) -> complex:
-    """The root of least real part behind the front, from kappa - 1 > 0: the slowest decay, as rate + i wave number."""
+    """Return the slowest root behind the front, rate + i wave number; `excess` = kappa - 1."""
     real, pair = _real(excess, zeta), _pair(excess, zeta)
     return complex(real) if pair is None or pair.real >= real else pair
 
 
 def _real(excess, zeta):
-    """The least of the real roots, of which there are one or three."""
     end = (1 + excess) / zeta
     places = np.append(0.0, np.geomspace(1e-8, 1.0 + 1e-9, 600) * end)
     below = excess + lack(places) - zeta * places <= 0
@@ -94,7 +95,6 @@ def _real(excess, zeta):
 
 
 def _pair(excess, zeta):
-    """The complex root of least real part, where one is found below the real root; `None` where there is none."""
     real = _real(excess, zeta)
     for reach in REACHES:
         found = _complex(excess, zeta, min(reach, real))
@@ -107,9 +107,9 @@ def _pair(excess, zeta):
 
 
 def _complex(excess, zeta, reach):
-    """Roots in the upper half plane to which Newton's method leads from real parts below a reach."""
     square = np.cosh(reach / 2) ** 2
-    # |lambda|^2 = 4 |sinh^2| |kappa - zeta lambda|; those near 2 pi i k, k > 1, decay faster than that of k = 1
+    # |lambda|^2 = 4 |sinh^2| |kappa - zeta lambda| bounds the roots. Roots near 2 pi i k, k > 1,
+    # decay faster than that of k = 1.
     bound = 2 * square * zeta + 2 * np.sqrt(square**2 * zeta**2 + square * (1 + excess)) + APART
     width = min(APART, bound / ACROSS, 10 * np.sqrt(excess) / ACROSS)
     highest = min(bound, 2 * np.sqrt(1 + excess) + 4 * np.pi)
@@ -132,17 +132,17 @@ def _complex(excess, zeta, reach):
 
 
 def critical(excess: float) -> Critical:
-    """The damping at which the approach behind turns from oscillatory to monotone.
+    """Return the damping at which the approach behind turns from oscillatory to monotone.
 
-    Weak fronts: two real roots meet, zeta = (kappa - g)/lambda is least at lambda. Where kappa is above 1.18772 no two
-    meet, and the pair that oscillates decays as fast as the real root that takes over.
+    For weak fronts two real roots meet, where zeta = (kappa - g)/lambda has its minimum. For kappa
+    above 1.18772 none meet, and the oscillatory pair decays as fast as the dominant real root.
     """
 
     def over(root):
-        # zero where (kappa - g)/lambda is least or largest
+        # This is zero at the extrema of (kappa - g)/lambda.
         return excess + float(lack(root) - root * lack_slope(root))
 
-    # kappa there is largest where g'' = 0
+    # At these extrema kappa is largest where g'' = 0.
     if over(TOP) < 0:
         root = brentq(over, 0.0, TOP, xtol=1e-300, rtol=1e-15)
         return Critical((excess + float(lack(root))) / root, 1 / root, True)
@@ -153,8 +153,8 @@ def critical(excess: float) -> Critical:
         low, high = low / 2, low
     gone = lambda zeta: 1.0 if _pair(excess, zeta) is None else -1.0
     zeta = bisect(gone, low, high, xtol=1e-300, rtol=4 * np.finfo(float).eps)
-    # both go on to decay alike as kappa grows: of each root r' = (1 - zeta' r)/(zeta - (1 - g)'(r))
-    # the bisection's last zeta may be on either side
+    # Both rates stay equal as kappa grows, with r' = (1 - zeta' r)/(zeta - (1 - g)'(r)) of each
+    # root. The last zeta of the bisection may be on either side.
     real, pair = _real(excess, zeta), _pair(excess, zeta * (1 - 1e-12))
     p, q = 1 / (zeta - complex(lack_slope(pair))), 1 / (zeta - float(lack_slope(real)))
     return Critical(zeta, (p.real - q) / ((p * pair).real - q * real), False)

@@ -1,7 +1,8 @@
-"""The tent integral: a wave of one sign by the logarithm of its strain, right to its last digit everywhere.
+"""The tent integral for the logarithm of a wave of one sign, accurate to the last digit everywhere.
 
-phi(x) = int (1 - |z|) F(phi(x - z)) dz/(m c^2) has positive terms alone, so that what it gives is as right as what goes
-in. In q = ln(phi/peak) on places alike far apart, tails that fall as exp(-exp(x)) have digits like the top.
+phi(x) = int (1 - |z|) F(phi(x - z)) dz/(m c^2) has only positive terms, so its relative error is
+that of its input. With q = ln(phi/peak) on equidistant places, tails that fall as exp(-exp(x)) are
+as accurate as the peak.
 """
 
 from collections.abc import Callable
@@ -13,15 +14,15 @@ import scipy.sparse as sparse
 
 from .damped import damped
 
-# places that one value is interpolated from; nodes of a piece of the tent, pieces of either of its sides, finer towards
-# where the wave comes from
+# The places of an interpolation; the nodes of a piece of the tent; the pieces of either side, finer
+# towards the side from which the wave comes.
 STENCIL, PIECE = 12, 12
 PIECES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
-# ln of the least strain over its peak that numbers hold
+# ln of the least strain over its peak that a number can hold.
 LEAST = -690.0
-# what is left of Newton's equations where rounding may be met
+# The residual of Newton's method at which rounding may be reached.
 ENOUGH = 1e-12
-# most iterations for a first shape, and the change at which it is steady
+# The most iterations for a first shape, and the change at which it has settled.
 ITERATIONS, STEADY = 400, 1e-5
 _BARY = np.array(
     [1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)]
@@ -29,7 +30,7 @@ _BARY = np.array(
 
 
 def rule(pieces: Any = PIECES) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, 1), that many on each piece between some ends."""
+    """Return Gauss nodes and weights on (0, 1], `PIECE` on each piece between the given ends."""
     t, w = np.polynomial.legendre.leggauss(PIECE)
     ends = list(zip(pieces[:-1], pieces[1:]))
     return (
@@ -42,9 +43,9 @@ RULE = rule()
 
 
 class Places(NamedTuple):
-    """Places from 0 on, so far apart, of a function that is even; beyond the last one its slope is -decay.
+    """Equidistant places from 0 on of an even function, whose slope beyond the last one is -decay.
 
-    Between them it is the polynomial through the nearest ones, which those at the end take from one side.
+    In between it is the polynomial through the nearest places, one-sided at the end.
     """
 
     count: int
@@ -63,13 +64,12 @@ class Places(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Of an integral from 0 on over something even that is gone at the end (I,)."""
+        """The weights (I,) of an integral over an even function from 0 to the end."""
         weights = np.full(self.count, self.apart)
         weights[0] /= 2
         return weights
 
     def _rows(self, inside):
-        """Weights (Y, STENCIL) of the nodes that stand for places, counted in cells; the nodes, also below zero."""
         first = np.minimum(inside.astype(int), self.count - 2) - (STENCIL // 2 - 1)
         nodes = np.minimum(first, self.count - STENCIL)[:, None] + np.arange(STENCIL)
         gaps = inside[:, None] - nodes
@@ -79,7 +79,7 @@ class Places(NamedTuple):
         return rows / rows.sum(1, keepdims=True), nodes
 
     def interpolation(self, y: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
-        """q at places y >= 0 from q at the nodes: a matrix, and what the slope beyond the end adds."""
+        """Return the matrix, and the term of the tail, that map q at the nodes to q at y >= 0."""
         rows, nodes = self._rows(np.minimum(y, self.end) / self.apart)
         starts = np.arange(len(y) + 1) * STENCIL
         matrix = sparse.csr_matrix(
@@ -88,12 +88,12 @@ class Places(NamedTuple):
         return matrix, -self.decay * np.maximum(y - self.end, 0.0)
 
     def interpolated(self, q: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """q at places y >= 0."""
+        """Return q at places y >= 0."""
         matrix, shift = self.interpolation(y)
         return matrix @ q + shift
 
     def coefficients(self, q: Any) -> Any:
-        """Those of Chebyshev's polynomials on every cell (STENCIL, I - 1)."""
+        """Return the Chebyshev coefficients of every cell (STENCIL, I - 1)."""
         at = np.cos(np.pi * (np.arange(STENCIL) + 0.5) / STENCIL)
         rows, nodes = self._rows(np.add.outer((1 + at) / 2, np.arange(self.count - 1)).ravel())
         found = (jnp.asarray(rows) * q[np.abs(nodes)]).sum(1).reshape(STENCIL, -1)
@@ -103,7 +103,7 @@ class Places(NamedTuple):
 
 
 class Tent(NamedTuple):
-    """The tent integral at the nodes of some places: places, weights (I, Q), and q there from q at the nodes."""
+    """The tent integral at the nodes: weights (I, Q), and the map from q to its points."""
 
     places: Places
     weights: np.ndarray
@@ -112,7 +112,7 @@ class Tent(NamedTuple):
 
     @classmethod
     def of(cls, places: Places, pieces: Any = PIECES, at: np.ndarray | None = None) -> "Tent":
-        """The same for given places, by pieces between given ends, at the places themselves or `at` others."""
+        """Build it from pieces between given ends, for the places themselves or `at` others."""
         s, w = rule(pieces)
         x = (places.nodes if at is None else at)[:, None]
         y = np.concatenate([x - 1 + s, x + s], 1)
@@ -121,15 +121,15 @@ class Tent(NamedTuple):
         return cls(places, weights, matrix, shift)
 
     def strain(self, q: np.ndarray) -> np.ndarray:
-        """The strain over its peak where the tent reads it, (I, Q)."""
+        """Return the strain over its peak at the integration points (I, Q)."""
         return np.exp(self.matrix @ q + self.shift).reshape(self.weights.shape)
 
     def integral(self, force: np.ndarray) -> np.ndarray:
-        """The integral at the nodes of a force (I, Q)."""
+        """Return the integral at the nodes of a force (I, Q)."""
         return (self.weights * force).sum(1)
 
     def slopes(self, grows: np.ndarray) -> np.ndarray:
-        """Its derivative in q at the nodes (I, I), from e F'(e)."""
+        """Return the integral's derivative in q (I, I), from e F'(e)."""
         count, size = grows.shape
         starts = np.arange(count + 1) * size
         rows = sparse.csr_matrix(((self.weights * grows).ravel(), np.arange(count * size), starts))
@@ -137,7 +137,7 @@ class Tent(NamedTuple):
 
 
 class Found(NamedTuple):
-    """q at the nodes, ln of the level, the residual that was left, and the Jacobian with its border, the level's."""
+    """q at the nodes, ln of the level, the residual, and the bordered Jacobian."""
 
     q: np.ndarray
     level: float
@@ -146,9 +146,10 @@ class Found(NamedTuple):
 
 
 def iterated(tent: Tent, force: Callable, q: np.ndarray, sweeps: int) -> tuple[np.ndarray, float]:
-    """q with the peak 0 and ln of the level, of psi <- tent * f(psi) over its peak, until the shape settles.
+    """Iterate psi <- tent * f(psi)/peak, `sweeps` times or more; return q and ln of the level.
 
-    It takes `sweeps` iterations at least. The level is infinite where the shape is lost.
+    It ends when the shape settles. The peak of q is 0. The level is infinite where the shape is
+    lost.
     """
     for n in range(ITERATIONS):
         with np.errstate(all="ignore"):
@@ -163,9 +164,10 @@ def iterated(tent: Tent, force: Callable, q: np.ndarray, sweeps: int) -> tuple[n
 
 
 def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.ndarray:
-    """What the equation leaves of ln(strain) midway between the places, by pieces half as long: at each place the more.
+    """Return the residual of ln(strain) midway between the places, by pieces half as long.
 
-    It sees what the solution itself does not: an integral or a polynomial across a place where the force is not smooth.
+    Of both neighbours' residuals each place has the larger. It shows errors of the integral and of
+    the polynomials where the force is not smooth, which the solution itself does not show.
     """
     places, ends = tent.places, np.asarray(pieces)
     middle = places.nodes[:-1] + places.apart / 2
@@ -177,10 +179,10 @@ def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.n
 
 
 def solve(tent: Tent, force: Callable, q: np.ndarray, level: float, held: Callable) -> Found:
-    """Newton's method for q = ln(tent * f(e^q)) - level, and one condition more.
+    """Solve q = ln(tent * f(e^q)) - level with one more condition by Newton's method.
 
-    `force(e)`: f and its slope at strains over the peak's unit. `held(q, level)`: what is zero besides, and its
-    derivatives. It ends where the residual falls no more.
+    `force(e)`: f and its slope at strains over the unit. `held(q, level)`: the residual of the
+    condition and its derivatives.
     """
 
     def equations(x):

@@ -1,4 +1,4 @@
-"""Dispersive shocks, the scenes that make them and what is measured of them; stationary fronts of damped chains."""
+"""Dispersive shocks, their initial data and measurement; stationary fronts of damped chains."""
 
 from .fronts import DissipativeFront, dissipative_front
 from .history import SpaceTime, space_time

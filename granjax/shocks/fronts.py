@@ -1,4 +1,4 @@
-"""`dissipative_front`: the front that a step becomes in a chain with dashpots."""
+"""`dissipative_front`: the stationary front of a chain with dashpots."""
 
 from typing import Any, NamedTuple
 
@@ -21,18 +21,20 @@ from ..terms import Dashpot
 from ..terms.chain import boundary_of
 from ..types import Count, Number, Scalar
 
-# places of the table, powers of e that it reaches, most contacts behind; strains looked at between both states
+# The places of the table, the powers of e that it covers, its most contacts behind; the strains
+# checked between both states.
 TABLE, REACH, LONGEST, BETWEEN = 513, 8.0, 300.0, 1023
-# relative differences of stiffness from the chord: what counts as one, and what a front needs to be known
+# The relative differences of stiffness and chord that count as one, and that a front needs.
 ROUNDING, LEAST = 1e-12, 1e-5
-# binary orders of magnitude in which a strain is looked for, places in each
+# The binary orders of magnitude in which a strain is searched, and the strains in each.
 ORDERS, EACH = 200, 4
-# units of rounding that the integrated equation is evaluated to: the force and the sum over the tent
+# The error of the integrated equation in units of rounding, of the force and of the sum over the
+# tent.
 UNITS = 2
 
 
 class _Step(NamedTuple):
-    """Both sides of a front: K/(m s^2) - 1 behind, 1 - K/(m s^2) ahead, the force's jump, the strain's, zeta."""
+    """A front's K/(m s^2) - 1 behind, 1 - K/(m s^2) ahead, force and strain jump, speed, zeta."""
 
     excess: Any
     short: Any
@@ -43,15 +45,17 @@ class _Step(NamedTuple):
 
 
 class DissipativeFront(Profile):
-    r"""A front that runs without changing its shape: strain y(n - s t) of contact n, from `behind` to `ahead`.
+    r"""A front that runs without changing its shape: contact n has the strain y(n - s t).
 
-    m s^2 (y - ahead) = tent * (F(y) - F(ahead) - eta s y'), tent(x) = [1 - |x|]_+; the beads ahead are at rest, and
-    `displacement` counts from where they were then, -ahead n. At xi = 0 the strain is half way between both states, for
-    the first time as the front comes. m s^2 = [F]/[y], whatever the dashpot. Behind, the slowest part is
-    exp(lambda xi) cos(k xi), xi < 0; ahead it is exp(-mu xi).
+    It goes from `behind` to `ahead`: m s^2 (y - ahead) = tent * (F(y) - F(ahead) - eta s y'),
+    tent(x) = [1 - |x|]_+. The beads ahead are at rest, and `displacement` counts from their places
+    there, -ahead n. At xi = 0 the strain is half way between both states, for the first time as the
+    front arrives. m s^2 = [F]/[y], whatever the dashpot. The slowest part is exp(lambda xi) cos(k
+    xi) behind, xi < 0, and exp(-mu xi) ahead.
 
-    Differentiable once in the parameters of the law, the mass, the strains (or the piston) and the dashpot, by the
-    implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around it are refused.
+    Differentiable once in the parameters of the law, the mass, the strains (or the piston) and the
+    dashpot, by the implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`). `jax.jit` and
+    `jax.vmap` around it are refused.
     """
 
     behind: Number = array("The strain behind.", "m")
@@ -59,21 +63,22 @@ class DissipativeFront(Profile):
     piston: Number = array("The velocity of the beads behind, s [y].", "m/s")
     dashpot: Number = array("The dashpot eta.", "N s/m")
     critical: Number = array(
-        "The dashpot above which the strain behind comes to rest without oscillating.", "N s/m"
+        "The dashpot above which the strain behind approaches its value without oscillating.",
+        "N s/m",
     )
     kind: str = array('"oscillatory" or "monotone".', static=True)
     decay_behind: Number = array("lambda.", "1")
     wavenumber_behind: Number = array("k.", "1")
     decay_ahead: Number = array("mu.", "1")
     overshoot: Number = array("How far the strain goes beyond `behind`.", "m")
-    power: Number = array("The power that the dashpots take.", "W")
+    power: Number = array("The power that the dashpots dissipate.", "W")
 
     @property
     def outcome(self) -> str:
-        """How well it is known, and how its strain comes to rest behind."""
+        """The accuracy of the front, and how the strain approaches its value behind."""
         if traced((self.error, self.behind, self.ahead, self.dashpot, self.critical)):
             return "Not known while traced."
-        # a power of ten: the digits are those of rounding
+        # Only the power of ten is told, because the digits are those of rounding.
         power = np.ceil(np.log10(self.error / abs(self.behind - self.ahead)))
         part = self.dashpot / self.critical
         return (
@@ -82,10 +87,11 @@ class DissipativeFront(Profile):
         )
 
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
-        """Displacements and velocities (sites,) of a chain with the front at contact `centre`, a real number.
+        """Return displacements and velocities (sites,) with the front at contact `centre`.
 
-        `None` is the middle, (sites - 2)/2. What holds the far states at the ends is the chain's: forces F(behind) on
-        the first bead and -F(ahead) on the last one of free ends, say, or ends too far away to be felt.
+        `centre`: a real number; `None` is the middle, (sites - 2)/2. The chain must hold the far
+        states at its ends: with forces F(behind) on the first bead and -F(ahead) on the last one of
+        free ends, say, or with ends that are far enough.
         """
         u, v = super().state(sites, centre)
         return State(u - self.ahead * places(sites, centre), v)
@@ -100,26 +106,32 @@ def dissipative_front(
     piston: Scalar | None = None,
     mass: Scalar = 1.0,
 ) -> DissipativeFront:
-    r"""The stationary front of a chain of equal masses, laws and dashpots between neighbours, exact on the lattice.
+    r"""Compute the stationary front of a uniform chain with dashpots between neighbours.
 
-    m u_n'' = F(y_{n-1}) - F(y_n) + eta (y'_{n-1} - y'_n), y_n = u_n - u_{n+1}, has waves y(n - s t) that join two
-    uniform strains. Momentum gives s = ([F]/(m [y]))^{1/2}. Small e^{lambda xi} beside either state obey m s^2 lambda^2
-    = 4 sinh(lambda/2)^2 (K - eta s lambda). Weak fronts come to rest behind without oscillating where eta exceeds the
-    value at which two real roots meet, eta s = (m s^2 (K - m s^2)/3)^{1/2} in the limit; where K exceeds 1.18772 m s^2
-    behind, no two meet, and a pair that oscillates decays slower than the real root below `critical`, faster above.
-    The profile is Newton's on the equation's integrated form, followed from a larger damping; a front of a small one is
-    a long train of waves, and needs about 1/eta places.
+    The front is exact on the lattice. m u_n'' = F(y_{n-1}) - F(y_n) + eta (y'_{n-1} - y'_n), y_n =
+    u_n - u_{n+1}, has waves y(n - s t) that join two uniform strains. Momentum gives s = ([F]/(m
+    [y]))^{1/2}. Small e^{lambda xi} about either state obey m s^2 lambda^2 = 4 sinh(lambda/2)^2
+    (K - eta s lambda). A weak front is monotone behind where eta exceeds the value at which two
+    real roots meet, eta s = (m s^2 (K - m s^2)/3)^{1/2} in the limit. Where K exceeds 1.18772 m s^2
+    behind, no two meet: the oscillatory pair decays more slowly than the real root below
+    `critical`, and faster above. Newton's method solves the equation's integrated form, by
+    continuation from a larger damping. With small damping the front is a long train of waves and
+    needs about 1/eta places.
 
     **Arguments:**
 
-    - `law`: any law, from equilibrium (a precompression is the law's own), and with it `mass`; or a chain `Lattice` of
-      equal masses and bonds to the next site, whose walls and boundary do not count and whose units the result has.
-    - `behind`, `ahead`: strains, positive in compression. Instead of `behind`, `piston`: velocity of the beads behind
-      [m/s], s (behind - ahead). A law that stiffens has fronts with behind > ahead, one that softens the others.
-    - `dashpot`: eta > 0 between neighbours [N s/m], the `coefficient` of `gx.Dashpot`; `None`: that of the lattice.
+    - `law`: any law, from equilibrium (it includes a precompression), with `mass`; or a chain
+      `Lattice` of equal masses and bonds to the next site, whose walls and boundary are ignored and
+      whose units the result has.
+    - `behind`, `ahead`: strains, positive in compression. Instead of `behind`, `piston`: the
+      velocity of the beads behind [m/s], s (behind - ahead). A law that stiffens has fronts with
+      behind > ahead, one that softens with behind < ahead.
+    - `dashpot`: eta > 0 between neighbours [N s/m], the `coefficient` of `gx.Dashpot`; `None`: that
+      of the lattice.
 
-    **Returns:** `DissipativeFront`. Hertz (A = m = 1) from 0 to 1: s = 1, critical 0.394869; at eta = 0.3 it overshoots
-    by 0.0136. Just below `critical` a strong front's oscillation may be too small to be seen: `overshoot` tells.
+    **Returns:** `DissipativeFront`. Hertz (A = m = 1) from 0 to 1: s = 1, critical 0.394869; at
+    eta = 0.3 it overshoots by 0.0137. Just below `critical` the oscillation of a strong front may
+    be too small to see: check `overshoot`.
 
         import diffrax
 
@@ -128,12 +140,14 @@ def dissipative_front(
         chain = gx.Lattice(1.0, (gx.Bond(bonds, gx.Hertz()), gx.Dashpot(bonds, 0.3)), sites=60)
         run = gx.simulate(chain, front.state(60, 20.0), 5.0, solver=diffrax.Dopri8(), tolerance=1e-8)
 
-    **Raises** ValueError where there is no such front: without dissipation; where it is not faster than sound ahead and
-    slower than sound behind (Lax), as for a linear law; where the law crosses its chord between both states; where
-    stiffness and chord differ by less than 1e-5; where a damping is so small that no profile is found; for a lattice
-    that is no uniform chain, a batch, both or none of `behind` and `piston`.
-    Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley 1974), 4.3 and 13.15; A. Molinari, C. Daraio, Phys. Rev. E
-    80, 056602 (2009); E. B. Herbold, V. F. Nesterenko, Phys. Rev. E 75, 021304 (2007).
+    **Raises** ValueError where there is no such front: without dissipation; where it is not faster
+    than sound ahead and slower than sound behind (Lax), as for a linear law; where the law crosses
+    its chord between both states; where stiffness and chord differ by less than 1e-5; where the
+    damping is too small to find a profile; for a lattice that is not a uniform chain, a batch, both
+    or none of `behind` and `piston`.
+    Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley 1974), 4.3 and 13.15; A. Molinari, C.
+    Daraio, Phys. Rev. E 80, 056602 (2009); E. B. Herbold, V. F. Nesterenko, Phys. Rev. E 75, 021304
+    (2007).
 
     **Example:**
 
@@ -162,7 +176,6 @@ def dissipative_front(
 
 
 def _with_dashpot(law, dashpot):
-    """The law, or the lattice without its dashpots, and the dashpot between neighbours."""
     own = None
     if isinstance(law, Lattice):
         found = [
@@ -183,7 +196,6 @@ def _from_ahead(medium, ahead):
 
 
 def _jump(medium, piston):
-    """The strain whose front has beads of that velocity behind: [F] [y] = m piston^2."""
     wanted, side = float(medium.mass) * piston**2, np.sign(piston)
     strains = side * 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
     with np.errstate(all="ignore"):
@@ -204,7 +216,6 @@ def _jump(medium, piston):
 
 
 def _checked_step(medium, jump, given):
-    """Both sides of the front in known numbers. **Raises** ValueError where there is no front between them."""
     behind, ahead, _, dashpot = given
     if not jump or behind is not None and abs(jump) <= ROUNDING * abs(ahead):
         refuse("behind", "another strain than ahead", f"{behind:g}", "A front joins two.")
@@ -285,7 +296,7 @@ def _recorded(medium, given, known_step, front, critical, trial):
     place = front.places[np.argmax(front.z)]
     top, most = highest(front.at, place - front.apart, place + front.apart)
     overshoot = jnp.sign(known_step.jump) * (shape.at("strain", top) - ahead - step.jump)
-    # what is left of the equation, and its rounding, move the tails by as much over how far they are from sound
+    # The residual and its rounding move the tails by themselves over the distance from sound.
     left = front.residual + UNITS * np.finfo(float).eps
     error = front.error + left / min(known_step.excess, known_step.short)
     above = most - 1 > 2 * error
@@ -315,7 +326,6 @@ def _recorded(medium, given, known_step, front, critical, trial):
 
 
 def _rates(step, known, critical, trial):
-    """The root behind, the rate ahead and the critical zeta, with the derivatives of what they solve."""
     more, less, zeta = step.excess - known.excess, step.short - known.short, step.zeta - known.zeta
     root, rate = trial.behind, trial.ahead
     steep = complex(tails.lack_slope(root)) - known.zeta, float(tails.lack_slope(rate)) + known.zeta
@@ -328,7 +338,6 @@ def _rates(step, known, critical, trial):
 
 @compiled
 def _sides(law, mass, jump, dashpot):
-    """Of a law measured from the strain ahead."""
     force = fine_force(law, jump)
     chord = force / jump
     speed = jnp.sqrt(chord / mass)
@@ -344,19 +353,17 @@ def _sides(law, mass, jump, dashpot):
 
 @compiled
 def _power(law, step):
-    """What the dashpots take: the work of both forces less what the law stores and the beads keep."""
+    """Return the work of both forces less what the law stores and the beads keep."""
     return step.speed * (step.force * step.jump / 2 - law.energy(step.jump))
 
 
 def _implicit_jump(law, mass, jump, piston):
-    """The strain of a piston's front with its derivative."""
     jump = jnp.asarray(jump)
     force = fine_force(law, jump)
     return implicit(jump, force * jump - mass * piston**2, force + jump * law.derivative(jump))
 
 
 def _implicit(front, law, numbers, known):
-    """The table of z, whose derivatives are those of the equations at fixed z over -Jacobian."""
     fixed, table = jax.lax.stop_gradient((law, numbers)), solver.padded(front)
     parts = _slopes(*fixed, jnp.asarray(table))
     force, zeta = (np.stack([np.asarray(x) for x in jax.tree.leaves(part)], -1) for part in parts)
@@ -371,7 +378,6 @@ def _implicit(front, law, numbers, known):
 
 @compiled
 def _slopes(law, numbers, z):
-    """Derivatives of f at the places and of zeta in every parameter of the law, and in (mass, jump, dashpot)."""
     moving, rest = eqx.partition(law, eqx.is_inexact_array)
 
     def both(x):

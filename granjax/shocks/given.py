@@ -1,4 +1,4 @@
-"""What a run began with: the initial data of its shock, and the medium that this runs into."""
+"""The initial data of a run's shock, and the medium into which it runs."""
 
 import numpy as np
 
@@ -8,14 +8,15 @@ from ..lattice import Lattice, State
 from ..profiles import Medium, medium_of
 from .riemann import Riemann
 
-# relative difference of strains or velocities that are one
+# The relative difference below which strains are equal.
 ALIKE = 1e-9
 
 
 def problem_of(run: Run, problem: Riemann | None) -> Riemann:
-    """The problem that is given, that the run remembers, or that its first state tells.
+    """Return the given problem, the one that the run remembers, or that of its first state.
 
-    **Raises** ValueError where that is no step in the strain or the velocity, for a batch, and a run that stopped.
+    **Raises** ValueError where that is not a step in the strain or the velocity, for a batch, and
+    for a run that stopped.
     """
     if np.ndim(run.energy_error):
         refuse(
@@ -47,7 +48,6 @@ def problem_of(run: Run, problem: Riemann | None) -> Riemann:
 
 
 def _recognised(lattice: Lattice, state: State) -> Riemann:
-    """The problem of which a lattice and a state are."""
     remedy = "Begin with gx.shocks.velocity_shock, step or piston; or give the problem: measure(run, problem)."
     if lattice.axes != 1 or lattice.fields is not None or lattice.dimension is not None:
         refuse("run", "one of a chain", f"a lattice of shape {lattice.shape}", remedy)
@@ -73,7 +73,7 @@ def _recognised(lattice: Lattice, state: State) -> Riemann:
 
 
 def medium_before(problem: Riemann) -> Medium:
-    """The law between neighbours as the chain was given, and the mass. **Raises** ValueError for several."""
+    """Return the law and the mass of the given chain. **Raises** ValueError for several."""
     if np.ndim(problem.rest) == 0:
         return medium_of(problem.lattice).known
     mass = np.asarray(problem.lattice.mass, float)

@@ -1,4 +1,4 @@
-"""Where a shock is when: a strided map of the strain, made without keeping the trajectory."""
+"""A strided space-time map of the strain of a shock, computed without keeping the trajectory."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,23 +24,23 @@ class SpaceTime(Result):
     )
     c: Number = note("The velocity c of the `Riemann` problem.")
     final: State = note("The `State` at t1.")
-    step: Number = note("The time step, the mean of adaptive ones.", "s")
+    step: Number = note("The time step; the mean one if adaptive.", "s")
     energy_error: Numbers = note(
-        "The error of the energy as of a `Run`, at the times of the map; NaN where a term "
-        "does not keep the energy."
+        "The energy error as of a `Run`, at the times of the map; NaN where a term does not "
+        "conserve energy."
     )
     kind: str = array("The kind of the `Riemann` problem.", static=True)
 
     @property
     def outcome(self) -> str:
-        """How much the map holds."""
+        """The size of the map."""
         return (
             f"{len(self.ts)} frames of {len(self.bonds)} bonds, at time steps of {self.step:.4g}."
         )
 
     @property
     def places(self) -> Numbers:
-        """Distance of the bonds from the step, bond - centre, (B,), and lanes where these have centres of their own."""
+        """The distances of the bonds from the step, bond - centre, (B,), then lanes of centres."""
         return np.subtract.outer(np.asarray(self.bonds, float), np.asarray(self.centre))
 
 
@@ -52,23 +52,22 @@ def space_time(
     *,
     step: Scalar | None = None,
 ) -> SpaceTime:
-    """Run a shock and keep a strided map of its strain: the memory is that of the map and of one state.
+    """Run a shock and keep only a strided map of its strain.
 
-    The run goes from frame to frame with one time step, that of the whole run, and nothing else is kept. On a terminal
-    a bar shows the time that is left.
+    The memory is that of the map and of one state. The run goes from frame to frame with the time
+    step of the whole run. A terminal shows a progress bar.
 
-    **Arguments:** `problem`: a `Riemann`; `t1`: as in its `run`. `frames`: how many times from 0 to t1, two or more.
-    `sites`: how many bonds at most, evenly over the chain, or their indices. Where the stride is longer than half a
-    wave the map shows another wave than there is (the waves behind a shock are about 3 ... 10 bonds long), though each
-    of its numbers is true.
-    `step`: as in `gx.simulate`.
-    **Returns:** `SpaceTime`. **Raises** ValueError for bonds that are not there; RuntimeError where the run does not
-    complete.
+    **Arguments:** `problem`: a `Riemann`; `t1`: as in its `run`. `frames`: the number of times from
+    0 to t1, two or more. `sites`: the most bonds, evenly spaced over the chain, or their indices.
+    If the stride exceeds half a wavelength the map shows an aliased wave (waves behind a shock are
+    about 3 ... 10 bonds long), though each number is correct. `step`: as in `gx.simulate`.
+    **Returns:** `SpaceTime`. **Raises** ValueError for bonds that do not exist; RuntimeError where
+    the run does not complete.
     """
     bonds = _bonds(sites, problem.lattice.shape[0] - 1)
     lattice, state = problem
     t1 = problem.horizon() if t1 is None else t1
-    # a force that reads the velocity takes adaptive steps where none is given
+    # A force that depends on the velocity takes adaptive steps unless a step is given.
     solver, step, tolerance = checked_method(lattice, None, step, None)
     if tolerance is None:
         step = float(fixed_step(lattice, state, 0.0, float(t1), step, solver, frames - 1)[0])
@@ -96,7 +95,6 @@ def space_time(
 
 
 def _bonds(sites, count):
-    """The indices of the bonds that the map shows."""
     if np.ndim(sites) == 0:
         return np.arange(0, count, -(-count // sites))
     bonds = np.asarray(sites, int)
@@ -107,7 +105,6 @@ def _bonds(sites, count):
 
 @compiled
 def _energy(lattice: Lattice, t: Scalar, y: State):
-    """The whole energy, and the kinetic one."""
     kinetic = lattice.kinetic_energy(y[1])
     return kinetic + lattice.potential_energy(t, y[0]), kinetic
 
@@ -115,5 +112,5 @@ def _energy(lattice: Lattice, t: Scalar, y: State):
 def _bar(times):
     from tqdm import tqdm
 
-    # on a terminal alone
+    # disable=None shows the bar only on a terminal.
     return tqdm(times, desc="shock", unit="frame", leave=False, disable=None)

@@ -1,4 +1,4 @@
-"""`measure`: what a dispersive shock is like, read off the lattice."""
+"""`measure`: the numbers of a dispersive shock, from the lattice."""
 
 from typing import NamedTuple
 
@@ -18,30 +18,35 @@ from .shock import Shock
 from .theories import THEORIES, Seen, modulated
 from .windows import BEYOND, LocalWave, local_wave, tops, windows
 
-# share of the highest crest that the leading one has at least; of the far ends' jump that may be uneven there
+# The least height of the leading crest, over the highest; the unevenness of quiet bonds, over the
+# range of strains.
 CREST, QUIET = 0.3, 1e-6
-# waves that have room in a shock, at least; other shares of the plateau, and what its mean may be wrong by beyond them
+# The least number of waves in a shock; other parts of the plateau; the error of its mean over the
+# difference from them.
 WAVES, SHARES, DOUBT = 3, (0.3, 0.4, 0.6), 5.0
-# quiet bonds at the end; share of the leading speed within which the plateau is first looked for;
-# of time by which the leading crest's speed may differ from place over time; rounds in which plateau and edge agree
+# The quiet bonds at the end; the part of the leading speed within which the plateau is first
+# sought; the part of the time by which the leading crest may differ from place over speed; the
+# rounds in which plateau and edge are made consistent.
 EVEN, NEAR, WANDER, ROUNDS = 8, 0.05, 0.1, 3
-# places of the windows between the edges; their periods of the waves at the trailing edge, and at the leading one
+# The range of windows between the edges; their length in periods of the trailing waves, and of the
+# leading ones.
 FROM, TO, PERIODS, APART = 0.15, 0.92, 2.6, 2.1
-# the longest step of a window over the time that sound takes for a bond, so that h omega_max = 1/2
+# The longest step of a window over the time of sound per bond, so that h omega_max = 1/2.
 STEP = 0.25
-# shares of the amplitude at the leading edge between which waves tell the trailing one: below, the plateau rings
+# The amplitudes, over the leading one, of the waves that determine the trailing edge. Below, the
+# plateau rings.
 RINGS, SMALL = 0.08, 0.8
 
 
 class Profile(NamedTuple):
-    """Strains and velocities of a chain at a time, a shock running to the right: places n of bonds from the step."""
+    """The state of a shock to the right at a time; `places` count bonds from the step."""
 
     time: float
     places: np.ndarray
     strain: np.ndarray
     velocity: np.ndarray
     ahead: float
-    # 1 of a shock of compression, -1 of rarefaction
+    # 1 for a shock of compression, -1 for one of rarefaction.
     sign: float
 
     @property
@@ -58,22 +63,27 @@ def measure(
     theory: str = "toda",
     points: Count = 11,
 ) -> Shock:
-    r"""Plateau, edges, amplitude and modulation of a dispersive shock, from the last state of a run.
+    r"""Measure plateau, edges, amplitude and modulation of a dispersive shock after a run.
 
-    Short windows of the chain at the leading crest and at `points` places between the edges are run on for some periods
-    of their waves, so that crests are seen in time, where they are what they are, and not between two bonds.
+    From the last state, short windows of the chain, at the leading crest and at `points` places
+    between the edges, are run on for some periods of their waves. Crests are then seen in time,
+    where they are not lost between two bonds.
 
     **Arguments:**
 
-    - `run`: of `problem.run(t1)`, or `gx.simulate(*problem, t1)`; the longer, the nearer to the theory's t -> infinity.
-    - `problem`: what was run, `None` for what the run remembers, or its first state tells: one that begins with a step
-      in the strain or the velocity, or a wall that moves. One chain of equal masses and bonds, without losses.
-    - `side`: "right" or "left" of the step. `theory`: "toda" or "kdv", whose modulated waves are fitted.
-    - `points`: W, how many windows, at most: two never have one middle.
+    - `run`: of `problem.run(t1)`, or `gx.simulate(*problem, t1)`; the longer, the nearer to the
+      theory's t -> infinity.
+    - `problem`: what was run; `None`: the problem that the run remembers, or that its first state
+      shows: a step in the strain or the velocity, or a moving wall. One chain of equal masses and
+      bonds, without losses.
+    - `side`: "right" or "left" of the step. `theory`: "toda" or "kdv", whose modulated waves are
+      fitted.
+    - `points`: W, the most windows: no two have the same middle.
 
-    **Returns:** `Shock`; it has no derivative. **Raises** ValueError for a run without a problem, waves that have come
-    to the ends, nothing that is a shock (no crest above the plateau), a chain of several masses or laws, a batch.
-    Typical: the plateau's mean is good to 1e-6 at t = 2000, m to 2e-3, the edges to 1/t.
+    **Returns:** `Shock`, without derivatives. Typical: the plateau's mean is accurate to 1e-6 at
+    t = 2000, m to 2e-3, the edges to 1/t.
+    **Raises** ValueError for a run without a problem, waves that have reached the ends, a run
+    without a shock (no crest above the plateau), a chain of several masses or laws, a batch.
 
     **Example:**
 
@@ -99,7 +109,6 @@ def measure(
 
 
 def _measured(profile, problem, medium, theory, points, step):
-    """The fields of a shock that runs to the right, whose run took steps of that length, in the mean."""
     crest = _leading(profile)
     time, lead = profile.time, float(profile.places[crest])
     plateau = _plateau(problem, profile, medium, lead / time)
@@ -112,7 +121,7 @@ def _measured(profile, problem, medium, theory, points, step):
         np.rint(np.interp(s * middle, profile.places, np.arange(len(profile.places)))).astype(int)
     )
     index, points = np.append(index, crest), len(index)
-    # adaptive steps may have been longer than those of another solver may be
+    # Adaptive steps may have been too long for the solver of the windows.
     step = min(step, STEP / max(sound, behind, fastest))
     cut = windows(
         medium, profile.strain, profile.velocity, index, span, max(fastest, lead / time), step
@@ -152,7 +161,6 @@ def _measured(profile, problem, medium, theory, points, step):
 
 
 def _developed(sound, behind, lead, time, mean):
-    """The speed of the trailing edge, about. **Raises** ValueError where there are no waves yet, or never will be."""
     if not np.isfinite(behind) or not behind > 0:
         refuse(
             "run",
@@ -182,7 +190,6 @@ def _developed(sound, behind, lead, time, mean):
 
 
 def _profile(run, problem, side):
-    """The last state, mirrored of a shock to the left. **Raises** ValueError where nothing is quiet before it."""
     strain = np.asarray(problem.strain(run.final.u), float)
     time, velocity = float(np.asarray(run.ts)[-1]), np.asarray(run.final.v, float)
     places = np.arange(len(strain)) - float(problem.centre)
@@ -210,7 +217,7 @@ def _profile(run, problem, side):
             got,
             "A longer chain, or a shorter run; problem.horizon().",
         )
-    # what comes from the end, where the chain is held there, stays beyond
+    # Waves from an end that is held are cut off.
     last = quiet[-1] + EVEN
     behind = strain[(places > 0) & (places <= NEAR * places[quiet[0]] + EVEN)].mean()
     sign = float(np.sign(behind - first))
@@ -218,7 +225,6 @@ def _profile(run, problem, side):
 
 
 def _leading(profile):
-    """The bond of the first crest from the right. **Raises** ValueError where there is none."""
     x = profile.sign * (profile.strain - profile.ahead)
     top = tops(x)
     top = top[(x[top] > CREST * x[profile.places > 0].max()) & (profile.places[top] > 0)]
@@ -233,9 +239,9 @@ def _leading(profile):
 
 
 class Plateau(NamedTuple):
-    """Weighted mean of the strain over a window of places, and how far that of a smaller one is from it.
+    """The weighted mean of the strain over a window, and its difference from that of other windows.
 
-    `wide`: whether linear waves leave it as even as a mean over many of them asks for.
+    `wide`: whether linear waves leave it long enough for a mean over many of them.
     """
 
     mean: float
@@ -245,13 +251,12 @@ class Plateau(NamedTuple):
 
 
 def _plateau(problem, profile, medium, lead):
-    """The middle half of what lies between the shock and what is on the other side of the step."""
     mean = _hann(profile, np.array([-1.0, 1.0]) * max(NEAR * lead * profile.time, EVEN))
     for _ in range(ROUNDS):
         sound, behind = _speeds(medium, profile.ahead, mean)
         wide = 2 * sound - behind > NEAR * lead
         own = 2 * sound - behind if wide else 2 * NEAR * lead
-        # the other half of a piston's plateau would be its mirror image
+        # The plateau of a piston is taken with its mirror image.
         other = -behind if problem.kind == "strain" else -own
         ends = profile.time * np.array([other, own])
         inner, *others = ((ends.mean() + share * (ends - ends.mean())) for share in (0.5, *SHARES))
@@ -263,10 +268,11 @@ def _plateau(problem, profile, medium, lead):
                 "Run it longer.",
             )
         mean = _hann(profile, inner)
-    # it rings slowly too: several windows, and a factor that means known exactly ask for
+    # The plateau rings slowly too, so the error takes several windows, and a factor from means that
+    # are known exactly.
     error = DOUBT * max(abs(mean - _hann(profile, other)) for other in others) + 1e-15 * abs(mean)
     if not wide:
-        # waves may be there that swing from bond to bond
+        # There may be waves that alternate from bond to bond.
         there = profile.strain[(profile.places > inner[0]) & (profile.places < inner[1])]
         error += float(np.std(there) / np.sqrt(len(there)))
     return Plateau(mean, error, inner, wide)
@@ -280,15 +286,13 @@ def _hann(profile, window):
 
 
 def _speeds(medium, *strains):
-    """Speed of sound at each strain."""
     return [
         float(x) for x in np.sqrt(values(medium.law, np.array(strains))[1] / float(medium.mass))
     ]
 
 
 def _span(profile, crest, behind, trailing):
-    """A time in which some waves pass at the trailing edge, and the next crest after the leading one."""
-    # group speed V cos(k/2) of the linear wave on the plateau, of omega = 2 V sin(k/2)
+    # On the plateau omega = 2 V sin(k/2), with the group speed V cos(k/2).
     omega = 2 * behind * np.sqrt(max(1 - (trailing / behind) ** 2, 0.0))
     top = tops(profile.sign * profile.strain[:crest])
     gap = (crest - top[-1]) * profile.time / profile.places[crest] if top.size else 0.0
@@ -296,12 +300,11 @@ def _span(profile, crest, behind, trailing):
 
 
 def _crest_in_time(cut, profile, speed):
-    """Speed, about that given, and height of the leading crest, with errors, from when bonds of its window peak."""
     x, ts = profile.sign * (cut.strains[..., -1] - profile.ahead), cut.times
     peaks = peak_times(ts, x[:, cut.half : -BEYOND])
     times, heights = np.asarray(peaks.times), np.asarray(peaks.heights)
     n = np.arange(len(times))
-    # later crests come later, and where the window ends others do
+    # Later crests, and disturbances of the window's ends, come at other times.
     there = np.abs(times - n / speed) < 1 / speed + WANDER * ts[-1]
     n, t, h = n[there], times[there], heights[there]
     if len(n) < 3:
@@ -315,7 +318,6 @@ def _crest_in_time(cut, profile, speed):
 
 
 def _edge(s, local, height, time):
-    """s where the amplitude comes to zero, and its error: by fewer windows or a cubic, and the length of a wave."""
     amplitudes = local.amplitude
     small = np.isfinite(amplitudes) & (amplitudes > RINGS * height) & (amplitudes < SMALL * height)
     if small.sum() < 4:

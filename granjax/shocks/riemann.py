@@ -1,4 +1,4 @@
-"""The initial data of a shock, and how long a chain serves them."""
+"""The initial data of a shock, and the time until its waves meet the ends of the chain."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -18,19 +18,20 @@ from ..programs import compiled
 from ..terms.reach import furthest
 from ..types import Displacements, Number, Numbers, Scalar
 
-# points of the strains that are reached; nodes of an integral over them
+# The points on the range of strains; the nodes of an integral over it.
 SAMPLES, NODES = 33, 32
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
-# how far a linear front, Ai(z) with z = (n - s t)/(s t/8)^{1/3}, reaches ahead: it is below 1e-16 from z = 14 on; and
-# sites besides; and where dashpots wash it out, exp(-n^2/(2 nu t)) is from n = VISCOUS (nu t)^{1/2} on
+# The reach of a linear front, Ai(z) with z = (n - s t)/(s t/8)^{1/3}, which is below 1e-16 from z =
+# 14 on; extra sites; the reach n = VISCOUS (nu t)^{1/2} of a front that dashpots smooth, beyond
+# which exp(-n^2/(2 nu t)) is as small.
 AIRY, SITES, VISCOUS, HALVINGS = 7, 4, 8.6, 60
 
 
 class Jolt(eqx.Module):
-    """What sends a shock into a medium: its law, the least mass, and pairs of a strain and the velocity it jumps by.
+    """The source of a shock: law, least mass, and pairs of a strain and a velocity jump.
 
-    A velocity is that of beads against the medium ahead, in which the strain is; its sign is that of the compression.
-    `spread`: what dashpots between neighbours add, their coefficient over the mass.
+    The velocity is that of beads relative to the medium ahead, which has the strain; its sign is
+    that of the compression. `spread`: the coefficient of dashpots between neighbours over the mass.
     """
 
     law: Law
@@ -41,14 +42,14 @@ class Jolt(eqx.Module):
 
 
 class Riemann(eqx.Module):
-    """The initial data of a shock: unpacks as (lattice, state), so that `gx.simulate(*problem, t1)` runs it.
+    """The initial data of a shock: unpacks as (lattice, state) for `gx.simulate(*problem, t1)`.
 
-    - `lattice`, `state`: the chain as it is run, and where it starts, lanes last.
-    - `kind`: "velocity", "strain" or "piston". `c`: what was given: c, `left - right`, half the piston's
-      speed (the c of the velocity shock that it is one half of).
-    - `centre`: place of the step on the scale of bonds, bond n being that between sites n and n + 1:
-      x = n - centre, and n/t of the theory is x/t.
-    - `rest`: strain of each bond at u = 0, (N - 1,), or 0.0.
+    - `lattice`, `state`: the chain to run and its initial state, lanes last.
+    - `kind`: "velocity", "strain" or "piston". `c`: the given c, `left - right`, or half the
+      piston's speed (the c of the velocity shock of which it is one half).
+    - `centre`: the place of the step on the scale of bonds, bond n lying between the sites n and
+      n + 1: x = n - centre, and n/t of the theory is x/t.
+    - `rest`: the strain of each bond at u = 0, (N - 1,), or 0.0.
     """
 
     lattice: Lattice
@@ -65,14 +66,14 @@ class Riemann(eqx.Module):
 
     @property
     def law(self) -> Law | None:
-        """The law between neighbours, from the rest of the chain as it was given; `None` where there are others."""
+        """The law between neighbours, from the rest of the given chain, or `None`."""
         return None if self._jolt is None else self._jolt.law
 
     def strain(self, u: Displacements) -> Numbers:
-        """Total strain y_n of the bonds between sites, (..., N - 1) and lanes, from displacements (..., N) and lanes.
+        """Return the total strain y_n (..., N - 1), then lanes, from displacements (..., N).
 
-        Positive in compression, measured from the rest of the chain as it was given. Far states lie in `rest`, not in
-        u, so that no digits are lost in large displacements.
+        Positive in compression, from the rest of the given chain. `rest` and not u holds the far
+        states, so that large displacements cost no digits.
         """
         axis = jnp.ndim(u) - 1 - len(self.lattice.lanes)
         size = self.lattice.shape[0]
@@ -86,11 +87,12 @@ class Riemann(eqx.Module):
         return _cut(u, axis, 0, size - 1) - _cut(u, axis, 1, size) + self.rest
 
     def until(self) -> Number:
-        """The time until which what the step sends out meets no end of the chain, one number or one per lane.
+        """Return the time until the first waves meet an end of the chain, for each lane.
 
-        Nothing runs faster than the sound at the ends and a smooth jump (m s^2 = [F]/[y]) whose beads move at twice
-        the speed behind the shock, as in the first solitary wave; for a law that stiffens the wave itself is slower
-        than that. The linear front's width is added. Infinite where nothing moves (beads in touch that part).
+        It assumes that nothing is faster than sound at the ends and than a smooth jump (m s^2 =
+        [F]/[y]) whose beads move at twice the speed behind the shock, as in the first solitary
+        wave. For a law that stiffens the wave itself is slower. The width of the linear front is
+        added. The time is infinite where nothing moves (touching beads that part).
         **Raises** ValueError for a chain with other bonds than to the next site.
         """
         if self._jolt is None:
@@ -109,7 +111,10 @@ class Riemann(eqx.Module):
         return _until(self._jolt, room, len(self.lattice.lanes))
 
     def horizon(self) -> Scalar:
-        """The shortest of `until()`. **Raises** ValueError where nothing moves or the step is too close to an end."""
+        """Return the shortest of `until()`.
+
+        **Raises** ValueError where nothing moves or the step is too close to an end.
+        """
         t1 = jnp.min(self.until())
         known = concrete(t1)
         if known is None:
@@ -120,9 +125,10 @@ class Riemann(eqx.Module):
         return float(known)
 
     def run(self, t1: Scalar | None = None, **keywords: Any) -> Run:
-        """`gx.simulate(*self, t1, **keywords)`; t1 is `until()` where it is not given (the shortest of the lanes).
+        """Run `gx.simulate(*self, t1, **keywords)`.
 
-        The run remembers its problem, which `gx.shocks.measure` reads.
+        `None` is the shortest `until()` of the lanes. The run remembers its problem for
+        `gx.shocks.measure`.
         """
         run = simulate(self.lattice, self.state, self.horizon() if t1 is None else t1, **keywords)
         return dataclasses.replace(run, started=self)
@@ -139,7 +145,7 @@ def _until(jolt, room, lanes):
         squared = (
             _stiffest(jolt.law, strain, jolt.mass * velocity**2, jnp.sign(velocity)) / jolt.mass
         )
-        # of bonds that differ the stiffest
+        # Where bonds differ the stiffest counts.
         fastest = jnp.maximum(fastest, squared.max(0) if squared.ndim > lanes else squared)
     speed, room = jnp.sqrt(fastest), jnp.maximum(room - SITES, 0) + 0 * fastest
     latest = jnp.minimum(room / speed, (room / VISCOUS) ** 2 / jolt.spread)
@@ -156,7 +162,6 @@ def _until(jolt, room, lanes):
 
 
 def _stiffest(law, strain, work, sign):
-    """The largest slope of a chord from a strain on, as far as [F][y] = `work`; and at none that of the tangent."""
     force = law.force(strain)
     zero = 0 * (law.derivative(strain) + work)
 
@@ -173,7 +178,7 @@ def _stiffest(law, strain, work, sign):
 
 
 def simple_wave_velocity(law: Law, mass: Number, low: Number, high: Number) -> Number:
-    """The integral of the sound speed sqrt(F'(y)/m) from one strain to another: the velocity of a simple wave."""
+    """Return the velocity of a simple wave: the integral of sqrt(F'(y)/m) between two strains."""
     shape = (-1,) + (1,) * jnp.ndim(high - low)
     y = low + (1 + _PLACES.reshape(shape)) / 2 * (high - low)
     return jnp.sum(

@@ -1,4 +1,4 @@
-"""The scenes of shocks: a step in the strain, colliding halves, a piston."""
+"""Initial data of shocks: a step in the strain, colliding halves, a piston."""
 
 from collections.abc import Callable
 
@@ -21,37 +21,41 @@ from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 
 CHAIN = "a chain of bonds between neighbours"
-# of the largest force of a term, what counts as none
+# The force, over a term's largest, that counts as zero.
 ROUNDED = 1e-9
 
 
 class Uniform(eqx.Module):
-    """w(t) = speed t, the motion of a piston: its speed can be swept and differentiated."""
+    """The motion w(t) = speed t of a piston; its speed can be swept and differentiated."""
 
     speed: jax.Array
     __repr__ = told
 
     def __call__(self, t: Number) -> Number:
-        """The place of the piston at time t."""
+        """Return the place of the piston at time t."""
         return self.speed * t
 
 
 def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None = None) -> Riemann:
-    r"""Two halves of a chain that collide: u = 0, v_n = -2c sign(n - centre).
+    r"""Build two halves of a chain that collide: u = 0, v_n = -2c sign(n - centre).
 
-    For c > 0 they meet with a relative velocity 4c and a shock runs into each; for c < 0 they part, which sends a
-    rarefaction, or a shock where the law softens. Behind it the strain is about 2c over the speed of sound (Toda,
-    a = b = m = 1: 2 ln(1 + c) for -1 < c < 1; from c = 1 on the strain oscillates for ever from site to site).
+    For c > 0 they meet with a relative velocity 4c and a shock runs into each. For c < 0 they part,
+    which sends out a rarefaction, or a shock where the law softens. The strain behind is about 2c
+    over the speed of sound (Toda, a = b = m = 1: 2 ln(1 + c) for -1 < c < 1; for c >= 1 the strain
+    oscillates forever from site to site).
 
-    The ends become free, whatever they were: bonds to walls are taken off and a ring is cut, since the far states
-    translate, which a wall or the way around a ring would stop. Nothing comes from the ends then.
+    The ends become free: bonds to walls are removed and a ring is cut, because the far states
+    translate, which a wall or a ring would prevent. The ends then send out no waves.
 
-    **Arguments:** `lattice`: a chain; `c`: a quarter of the relative velocity [m/s], a number or one per lane;
-    `centre`: as in `gx.states.velocity_step`: a site, which stays at rest, or half way between two; `None` for the
-    site in the middle, (N - 1)//2. Where none rests, the plateau's mean comes to its value like 1/t.
-    **Returns:** `Riemann`, its `centre` half a bond further left, where sites lie on the scale of bonds.
-    **Raises** ValueError for a lattice that is not a chain, terms that hold or slow a translation (walls, on-site
-    forces, damping of sites: `piston` serves those), c not finite, or a centre outside the chain.
+    **Arguments:** `lattice`: a chain; `c`: a quarter of the relative velocity [m/s], a number or
+    one per lane; `centre`: as in `gx.states.velocity_step`: a site, which stays at rest, or half
+    way between two; `None` for the site in the middle, (N - 1)//2. Where no site rests, the
+    plateau's mean converges like 1/t.
+    **Returns:** `Riemann`, its `centre` half a bond further left, where sites lie on the scale of
+    bonds.
+    **Raises** ValueError for a lattice that is not a chain, terms that hold or slow a translation
+    (walls, on-site forces, damping of sites: use `piston` for those), c not finite, or a centre
+    outside the chain.
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
 
     **Example:**
@@ -79,22 +83,25 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
 def step(
     lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: Count | None = None
 ) -> Riemann:
-    r"""A step in the strain, at rest: y_n = left for n < centre, right for n >= centre; u = v = 0.
+    r"""Build a step in the strain, at rest.
 
-    Each bond carries the strain that it starts with in its law, gx.laws.Strained(law, left or right, r), so that no
-    ramp u_n = -left n is needed: at a million sites such a ramp would round the strain to 1e-10, here it keeps all
-    digits. u counts from where the sites start; `problem.strain(u)` is the whole strain. Forces and energies count from
-    r, that of the two strains from which the other one holds less energy. The ends become rigid walls, which carry the
-    load of the far states: these stay at rest, to the last bit, until a wave comes.
+    y_n = left for n < centre, right for n >= centre; u = v = 0. The law of each bond contains its
+    initial strain, gx.laws.Strained(law, left or right, r), so there is no ramp u_n = -left n: with
+    a million sites it would round the strain to 1e-10. u counts from the initial places;
+    `problem.strain(u)` is the total strain. Forces and energies count from r, the strain of the two
+    from which the other holds less energy. The ends become rigid walls, which carry the load of the
+    far states: these stay at rest, to the last bit, until a wave arrives.
 
-    The sites start at once: the site `centre` feels F(left) - F(right). For a law that stiffens and left > right a
-    shock runs to the right and a rarefaction to the left.
+    The sites start at once: the site `centre` feels F(left) - F(right). For a law that stiffens and
+    left > right, a shock runs to the right and a rarefaction to the left.
 
-    **Arguments:** `left`, `right`: strains from the rest of `lattice`, positive in compression [m], numbers or one per
-    lane; `centre`: the first bond that carries `right`, from 1 to N - 2; `None` for the middle, (N-1)//2.
+    **Arguments:** `left`, `right`: strains from the rest of `lattice`, positive in compression [m],
+    numbers or one per lane; `centre`: the first bond that carries `right`, from 1 to N - 2; `None`
+    for the middle, (N-1)//2.
     **Returns:** `Riemann`, its `centre` half way between the bonds centre - 1 and centre.
-    **Raises** ValueError for a lattice that is not a chain, bonds that differ or do not lead to the next site, on-site
-    forces, equal strains, those at which the law has no force, or a centre outside the chain.
+    **Raises** ValueError for a lattice that is not a chain, bonds that differ or do not lead to the
+    next site, on-site forces, equal strains, those at which the law has no force, or a centre
+    outside the chain.
     """
     size = chain_only(lattice, "step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
@@ -147,16 +154,17 @@ def step(
 
 
 def piston(lattice: Lattice, speed: Parameter) -> Riemann:
-    r"""A piston that moves into a chain at rest from the left: a `Wall` with w(t) = speed t and the chain's own law.
+    r"""Build a piston left of a chain at rest.
 
-    It is one half of a velocity shock with c = speed/2, seen by an observer who rests: u_n + 2c t of the sites right of
-    one that stays at rest, to rounding (dashpots between the sites have no part in the piston's contact). A negative
-    speed draws it out.
+    It is a `Wall` with w(t) = speed t and the chain's own law, one half of a velocity shock with
+    c = speed/2 in the frame of the far sites: u_n + 2c t of the sites right of one that stays at
+    rest, to rounding (the piston's contact has no dashpot). A negative speed withdraws it.
 
-    **Arguments:** `lattice`: a chain; bonds to walls are taken off and a ring is cut, the right end is free.
-    `speed` [m/s], a number or one per lane. **Returns:** `Riemann`, with c = speed/2; the piston's contact is bond -1,
-    and `centre` -1.5.
-    **Raises** ValueError for other lattices than a chain of bonds to the next site, speeds not finite or zero.
+    **Arguments:** `lattice`: a chain; bonds to walls are removed and a ring is cut, the right end
+    is free. `speed` [m/s], a number or one per lane.
+    **Returns:** `Riemann`, with c = speed/2; the piston's contact is bond -1, and `centre` -1.5.
+    **Raises** ValueError for other lattices than a chain of bonds to the next site, speeds not
+    finite or zero.
     Source: Molinari, Daraio, Phys. Rev. E 80, 056602 (2009).
 
     **Example:**
@@ -167,7 +175,7 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     """
     chain_only(lattice, "piston")
     speed = per_lane("speed", speed, lattice.lanes)
-    # the law of the bond to a wall on the left where there is one, else of the first bond
+    # The law of the bond to a wall on the left if there is one, else of the first bond.
     contact, free = _over_bonds(_law(lattice), lattice, lambda x: x[0]), _opened(lattice)
     chain = _with(free, (*free.terms, Wall(contact, "left", Uniform(speed.astype(lattice.dtype)))))
     zeros = chain.zeros()
@@ -189,7 +197,6 @@ def _with(lattice, terms):
 
 
 def _opened(lattice):
-    """The chain with its bonds to walls taken off, and a ring cut between its last site and its first."""
     return _with(lattice, [_between(term, lattice) for term in lattice.terms])
 
 
@@ -205,7 +212,6 @@ def _between(term, lattice):
 
 
 def _law(lattice):
-    """The law of all bonds to the next site."""
     laws = [
         found[0] for found in (next_neighbours(term) for term in lattice.terms) if found is not None
     ]
@@ -221,19 +227,16 @@ def _law(lattice):
 
 
 def _over_bonds(law: Law, lattice: Lattice, choose: Callable) -> Law:
-    """`choose` applied to every parameter that has an axis over the bonds."""
     axes = 1 + len(lattice.lanes)
     return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes and x.shape[0] > 1 else x, law)
 
 
 def _beyond(law, strain, reference):
-    """The energy that a bond at one strain holds beyond the work of the force at another."""
+    """Return the energy of a bond at one strain beyond the work of the force at another."""
     return law.energy(strain) - law.energy(reference) - law.force(reference) * (strain - reference)
 
 
 def _alike(law, lanes):
-    """A law of one number for all bonds, where those of all are alike."""
-
     def one(x):
         if jnp.ndim(x) != 1 + lanes:
             return x
@@ -251,13 +254,11 @@ def _alike(law, lanes):
 
 
 def _least(lattice):
-    """The least mass, one number or one per lane."""
     mass = lattice.mass
     return mass.min(0) if mass.ndim > len(lattice.lanes) else mass
 
 
 def _jolt(lattice, into):
-    """What the step sends out; `None` for a chain of other bonds as well."""
     others = [term for term in lattice.terms if next_neighbours(term) is None]
     if len(others) == len(lattice.terms) or any(
         reads(term, lattice).displacement for term in others
@@ -267,7 +268,7 @@ def _jolt(lattice, into):
 
 
 def _spread(lattice):
-    """The force of a site's unit of velocity on its neighbours over the mass, of dashpots; zero without."""
+    """Return the force of a site's unit velocity on its neighbours by dashpots, over the mass."""
     v = lattice.zeros()
     v, found = v.at[v.shape[0] // 2].set(1), jnp.zeros(lattice.lanes)
     for term in lattice.terms:
@@ -278,7 +279,6 @@ def _spread(lattice):
 
 
 def _refuse_ends(lattice, state):
-    """Refuse what acts on the ends of a chain whose halves translate."""
     for i, term in enumerate(lattice.terms):
         if traced((term, lattice.mass, state.v)):
             continue

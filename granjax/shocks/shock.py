@@ -1,4 +1,4 @@
-"""What is measured of a dispersive shock."""
+"""`Shock`: the measured numbers of a dispersive shock."""
 
 import equinox as eqx
 import numpy as np
@@ -7,18 +7,18 @@ from ..laws import Law
 from ..results import Result, array, note
 from ..types import Number, Numbers
 
-# part of the jump by which a theory may miss without a word
+# The misfit of a theory, over the jump, above which the outcome mentions it.
 MISSES = 0.3
 
 
 class Shock(Result):
-    r"""What `measure` returns, of a shock between a plateau and the chain `ahead` of it, at a time t.
+    r"""The result of `measure`: a shock between a plateau and the chain `ahead` of it, at a time t.
 
-    Places count bonds from that of the step; s = n/t. The errors are how well each number is known at this t, by what
-    half of the data, or another order, gives; for the trailing edge the length of a wave besides. What a number becomes
-    as t grows is further: by about 1/t, and of the crest by less and less. NaN where nothing tells an edge. In each
-    window inside the shock the wave nearest to the strains is found, whatever the law; NaN where fewer than two crests
-    pass. To the left all speeds and places are negative.
+    Places count bonds from the step; s = n/t. Errors are those at this t, from half of the data or
+    another order; that of the trailing edge includes the length of a wave. The limits of large t
+    differ by about 1/t, and by ever less for the crest. An edge that cannot be determined is NaN.
+    In each window inside the shock the wave nearest to the strains is fitted, for any law; NaN
+    where fewer than two crests pass. To the left all speeds and places are negative.
     """
 
     time: float = array("The time t.", "s")
@@ -33,8 +33,7 @@ class Shock(Result):
     amplitude: float = array("The height of the leading crest above `ahead`.", "m")
     amplitude_error: float = array("The error of the amplitude.", "m")
     trailing_speed: float = array(
-        "The speed s at which the waves' amplitude comes to zero, by a parabola through s "
-        "over amplitude.",
+        "The speed s at which the waves' amplitude vanishes, by a parabola of s over amplitude.",
         "1/s",
     )
     trailing_speed_error: float = array("The error of the trailing speed.", "1/s")
@@ -44,28 +43,32 @@ class Shock(Result):
     amplitudes: Numbers = array("Crest less trough in each window.", "m", "s")
     wavelengths: Numbers = array("The wavelength in each window, in bonds.", "1", "s")
     omegas: Numbers = array("The frequency in each window.", "rad/s", "s")
-    misfits: Numbers = array("What the wave leaves of the strains, over the amplitude.", "1", "s")
+    misfits: Numbers = array(
+        "The largest residual of the fitted wave, over the amplitude.", "1", "s"
+    )
     theory: str = array('The theory, "toda" or "kdv", matched to the law at `ahead`.', static=True)
-    m: Numbers = array("The modulation parameter whose wave is nearest to the strains.", "1", "s")
+    m: Numbers = array(
+        "The modulation parameter of the theory's wave nearest to the strains.", "1", "s"
+    )
     m_errors: Numbers = array("The error of m.", "1", "s")
-    speeds_of_m: Numbers = array("The speed s that Whitham's theory has for m.", "1/s", "s")
+    speeds_of_m: Numbers = array("The speed s of m by Whitham's theory.", "1/s", "s")
     phases: Numbers = array(
-        "Theta_0 with the theory's own m(s), for a velocity shock of Toda as in "
+        "Theta_0 with the theory's own m(s); for a velocity shock of Toda that of "
         "`gx.theory.toda.modulation(m, c).phase`.",
         "rad",
         "s",
     )
     theory_errors: Numbers = array(
-        "What the theory leaves of the strains at most, over the jump `mean - ahead`.", "1", "s"
+        "The largest residual of the theory's strains, over the jump `mean - ahead`.", "1", "s"
     )
     law: Law = note("The law of the contacts.")
     mass: Number = array("The mass of the beads.", "kg")
-    # why the theory has no waves to compare with
+    # The reason why the theory has no waves to compare with.
     _not_compared: str = eqx.field(static=True, default="")
 
     @property
     def outcome(self) -> str:
-        """What kind of shock, and where its waves are found and told by the theory."""
+        """The kind of shock, the windows with waves, and the misfit of the theory."""
         found = np.isfinite(self.amplitudes)
         told = [
             f"A shock of {'compression' if self.mean > self.ahead else 'rarefaction'}; waves found in "

@@ -1,4 +1,4 @@
-"""Modulated waves of Toda and KdV, fitted to what is seen in windows of a shock."""
+"""Fits of the modulated waves of Toda and KdV to windows of a shock."""
 
 from functools import partial
 from typing import NamedTuple
@@ -14,12 +14,13 @@ from ..profiles.medium import Medium
 from ..theory import kdv, toda
 from .windows import LocalWave
 
-# phases at which the modulated wave is taken, and m of the table off which the start of a fit is read by the amplitude
+# The number of phases of the modulated wave, and the m of the table in which the amplitude gives
+# the start of a fit.
 STARTS, TABLE = 64, np.linspace(0.0, 1.0, 65)
 
 
 class Seen(NamedTuple):
-    """What is seen in windows: their places n, the time of their middle, offsets (B,) and (F,), strains (F, B, W)."""
+    """The data of windows: places n, middle time, offsets (B,), (F,), strains (F, B, W)."""
 
     places: np.ndarray
     time: float
@@ -30,7 +31,7 @@ class Seen(NamedTuple):
 
 
 class Theory(NamedTuple):
-    """A theory's formulas, its constants of K2, K3 and the mass, c of the plateau's jump, and its periodic wave."""
+    """A theory: formulas, constants by K2, K3 and mass, c of the plateau's jump, periodic wave."""
 
     name: str
     formulas: object
@@ -62,7 +63,7 @@ THEORIES = {
 
 
 def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> dict:
-    """The fields of a `Shock` that tell of the theory's waves in every window; NaN, and a reason, where it has none."""
+    """Return the `Shock` fields of the theory's waves in all windows, or NaN and a reason."""
     own, none = THEORIES[theory], np.full(seen.places.shape, np.nan)
     names = "m", "m_errors", "speeds_of_m", "phases", "theory_errors"
     K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, jnp.asarray(ahead))))
@@ -96,9 +97,10 @@ def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen
 
 
 def _parameter(theory, c, constants, seen, j, strains, start):
-    """m nearest to the strains of a window, how far the mean of those of either half of the frames is from it, and s.
+    """Return the best m of a window, its error from either half of the frames, and its speed s.
 
-    In the phase k n - omega t as it was seen: another law's waves have the theory's shape sooner than its dispersion.
+    The phase k n - omega t is the measured one, because the waves of another law have the theory's
+    shape sooner than its dispersion.
     """
     wave = LocalWave(*(x[j] for x in seen.local))
     turns = (wave.wavenumber * seen.xi - wave.omega * seen.tau[:, None]) / (2 * np.pi)
@@ -114,17 +116,16 @@ def _parameter(theory, c, constants, seen, j, strains, start):
 
     half = (len(strains) + 1) // 2
     whole, *parts = map(nearest, (slice(None), slice(half), slice(len(strains) - half, None)))
-    # between the halves m moves on, evenly
+    # m changes evenly in time, so the mean of both halves is that of the middle.
     speed = _periodic(theory, turns, whole, c, numbers)[1]
     return whole, abs(np.mean(parts) - whole), float(speed)
 
 
 def _phase(own, c, constants, seen, j, strains):
-    """Theta_0 of the theory's modulated wave that is nearest in a window, and what remains at most."""
     phases = 2 * np.pi * np.arange(STARTS) / STARTS
     n, t = seen.places[j] + seen.xi[:, None], seen.time + seen.tau[:, None, None]
     wave = np.asarray(own.formulas.shock_wave(n, t, c, phase=phases, **constants).strain)
-    # the wave is periodic in its phase
+    # The wave is periodic in its phase, so it is a Fourier series in it.
     series, order = np.fft.rfft(wave, axis=-1) / STARTS, np.arange(STARTS // 2 + 1)
     series[..., 1:-1] *= 2
     left = lambda phase: (series @ np.exp(1j * order * phase)).real - strains
@@ -140,7 +141,6 @@ def _phase(own, c, constants, seen, j, strains):
 
 @partial(jax.jit, static_argnums=0)
 def _periodic(theory, turns, m, c, constants):
-    """Strains of a wave with m at places counted in wavelengths from a crest, and the speed s of m."""
     own = THEORIES[theory]
     wave = own.formulas.modulation(m, c, **constants)
     return own.wave(turns * wave.wavelength, wave, constants).strain, wave.speed

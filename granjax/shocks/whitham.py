@@ -1,18 +1,19 @@
 r"""Whitham's modulation equations of any law, solved along the dispersive shock of a velocity step.
 
-Periodic waves phi(theta), theta = k n - omega t, of mean strain y make a family in k, y and the amplitude a. A slow
-change of them keeps waves, strain, momentum and action (see `gx.travelling.Averages`):
+Periodic waves phi(theta), theta = k n - omega t, of mean strain y form a family in k, y and the
+amplitude a. Slow changes conserve waves, strain, momentum and action (see
+`gx.travelling.Averages`):
 
     k_t + omega_n = 0,   y_t + v_n = 0,   m v_t + <F>_n = 0,   J_t + (-L_k)_n = 0.
 
-In the shock all depends on s = n/t alone, so that along it
+In the shock all quantities depend only on s = n/t, so that along it
 
-    d omega = s dk,   dv = s dy,   d<F> = m s dv,   d(-L_k) = s dJ:
+    d omega = s dk,   dv = s dy,   d<F> = m s dv,   d(-L_k) = s dJ.
 
-at each wave an eigenvalue problem for s and the direction in (k, y, a, v), whose second fastest s is that of the shock.
-From the plateau, where a = 0, this curve is followed to k = 0, a solitary wave that runs into the chain ahead. Two
-numbers at its start are not known, the strain of the plateau and the wave number there; two have to be met at its end,
-strain and velocity ahead.
+At each wave this is an eigenvalue problem for s and the direction in (k, y, a, v); the second
+fastest s is that of the shock. The curve is followed from the plateau, a = 0, to k = 0, a solitary
+wave that runs into the chain ahead. A shooting method finds the strain and the wave number at its
+start from the strain and the velocity ahead.
 """
 
 from collections.abc import Callable
@@ -35,37 +36,40 @@ from ..theory.fitting import shock_edges
 from ..tuning import one_thread
 from ..types import Scalar
 
-# harmonics at first, and at most; the size of the last one over the jump at which there are enough
+# The harmonics at first, and at most; the size of the last ones over the jump at which they
+# suffice.
 HARMONICS = 32
 MOST = 512
 RESOLVED = 1e-13
-# Newton's method: steps, and the last one's size over the jump
+# Newton's method: the steps, and the size of the last one over the jump.
 STEPS = 8
 CONVERGED = 1e-13
-# parts of the way from one wave to the next, at most
+# The most parts of the way from one wave to the next.
 PARTS = 16
-# relative change of both numbers at the start for their derivatives
+# The change of both numbers at the start for finite differences.
 CHANGE = 1e-5
-# rounds of the search, and what may be left of both numbers at the end, over the jump
+# The rounds of the search, and the largest miss of both numbers at the end, over the jump.
 ROUNDS = 20
 MET = 3e-9
-# an imaginary part of s, over the speed of sound, from which on the waves are unstable: above the root of rounding,
-# by which two speeds that meet at an edge may be apart
+# The imaginary part of s, over the speed of sound, above which the waves are unstable. It exceeds
+# the square root of rounding, by which two equal speeds at an edge may differ.
 COMPLEX = 1e-5
-# over the difference of two curves: of twelve of Toda's it was at least 0.4 of the error
+# The error over the difference of two curves. In twelve cases of Toda this was at least 0.4 of the
+# error.
 SAFETY = 4
-# a fall of the speed from one place of the table to the next, over that of the edges, which is not one of rounding
+# The fall of the speed between neighbours of the table, over the range of speeds, that is not
+# rounding.
 FALLS = 1e-6
-# places of the table
+# The number of places in the table.
 PLACES = 65
 
 
 class _Means(NamedTuple):
-    """How a curve is followed.
+    """The numerical parameters of a curve.
 
-    `first`: (crest - trough)/2 over the jump at which it leaves the plateau, by one step of the midpoint rule;
-    `tolerance`: of the steps; `steps`: how many there are at the least; `overlap`: exp(-q pi/k) of neighbouring waves,
-    which fall like exp(-q |n|), at its end.
+    `first`: (crest - trough)/2 over the jump after the first midpoint step from the plateau;
+    `tolerance`: of the steps; `steps`: their least number; `overlap`: exp(-q pi/k) of neighbouring
+    waves, which fall like exp(-q |n|), at the end.
     """
 
     first: float
@@ -80,7 +84,7 @@ COARSER = _Means(first=2e-3, tolerance=1e-8, steps=12, overlap=1e-10)
 
 
 class WhithamShock(Result):
-    """What `whitham` returns: the edges, and the waves between them from the plateau to the chain ahead."""
+    """The result of `whitham`: the edges, and the waves between plateau and chain ahead."""
 
     trailing_speed: float = array("The speed of the trailing edge.", "1/s")
     leading_speed: float = array("The speed of the leading edge.", "1/s")
@@ -105,7 +109,7 @@ class WhithamShock(Result):
 
     @property
     def outcome(self) -> str:
-        """How well it is known, and whether it is a simple wave."""
+        """The accuracy of the shock, and whether it is a simple wave."""
         told = f"Solved to {self.error:.0e}."
         if np.any(np.diff(self.s) < -FALLS * np.ptp(self.s)):
             told += " The speed does not rise all along the shock, so that this is no solution beyond there."
@@ -116,20 +120,22 @@ class WhithamShock(Result):
 def whitham(
     law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0
 ) -> WhithamShock:
-    r"""Find the dispersive shock that v_n = -2c sign(n) makes, by Whitham's equations of the law's own waves.
+    r"""Find the dispersive shock of v_n = -2c sign(n) by Whitham's equations for any law.
 
-    It is what the shock tends to as t grows: the plateau, both edges, and mean, amplitude and wavelength between them.
-    Of Toda's chain it is the closed form, to 1e-8. Elsewhere `theory.shock_edges`, which fits the edges by long waves
-    and linear ones alone, is near it, and the lattice tends to it:
+    This is the limit of the shock for large t: the plateau, both edges, and mean, amplitude and
+    wavelength between them. For Toda's chain it agrees with the closed form to 1e-8. For other laws
+    it is near `theory.shock_edges`, which fits the edges by long and linear waves alone. The
+    lattice converges to the numbers found here:
 
     | Hertz, d0 = 1/2, sound 1 | s_- | fit | measured | mean | fit | simulated |
     |---|---|---|---|---|---|---|
     | c = 0.3 | 0.8286 | 0.7989 | 0.829 | 0.540480 | 0.540692 | 0.540479 |
     | c = 0.5 | 0.7803 | 0.7153 | 0.780 | 0.861419 | 0.862148 | 0.861419 |
 
-    **Arguments:** as those of `theory.shock_edges`. **Returns:** `WhithamShock`. Typical: 5 s.
-    **Raises** ValueError as `shock_edges`; where the fit has no trailing edge, such as without sound ahead; where no
-    shock is found; where modulations grow within it; and for what is traced: it has no derivatives.
+    **Arguments:** as of `theory.shock_edges`. **Returns:** `WhithamShock`. Typical: 5 s.
+    **Raises** ValueError as `shock_edges`; where the fit has no trailing edge, such as without
+    sound ahead; where no shock is found; where modulations grow within it; and for traced numbers
+    (it has no derivatives).
     Source: G. B. Whitham, Linear and Nonlinear Waves (1974).
 
     **Example:**
@@ -146,7 +152,7 @@ def whitham(
             "There are no derivatives.",
         )
     ahead, c, why = one_number("ahead", ahead), one_number("c", c), None
-    # strong ones from weaker ones, where the fit is too far
+    # Strong shocks are reached from weaker ones where the fit is too far off.
     for parts in (1, 2, 4):
         try:
             share = np.ones(2)
@@ -154,7 +160,7 @@ def whitham(
                 step = _posed(law, c * part / parts, mass, ahead)
                 start, slope, found, left = _search(step, step.start * share)
                 share = start / step.start
-            # the same with coarser numbers
+            # The same with coarser parameters, for the error.
             other = step.curve(start, COARSER)
             other = step.curve(start - np.linalg.solve(slope, step.missed(other)), COARSER)
             rows = found.rows()
@@ -190,9 +196,9 @@ def whitham(
 
 
 class _Step(NamedTuple):
-    """A velocity step in scaled numbers, whose unit of strain is `jump`, and of speed and velocity `sound` (times it).
+    """A scaled velocity step: strains over `jump`, speeds over `sound`, velocities over both.
 
-    `start`: the strain of the plateau and the wave number there, by fitting; `velocity`: that of the chain ahead.
+    `start`: the fitted strain and wave number of the plateau; `velocity`: that of the chain ahead.
     """
 
     force: Callable
@@ -203,21 +209,18 @@ class _Step(NamedTuple):
     velocity: float
 
     def curve(self, start, means):
-        """The curve from the strain of a plateau and the wave number there."""
         return _curve(self.force, start, self.decay, means)
 
     def missed(self, found):
-        """What a curve misses of strain and velocity ahead."""
         return np.array([found.ahead, found.velocity - self.velocity])
 
 
 def _posed(law, c, mass, ahead):
-    """The step of v_n = -2c sign(n)."""
     fit = shock_edges(law, c, mass, ahead=ahead)
     if not np.isfinite(fit.trailing_speed):
         refuse("c", "a shock with a trailing edge", f"{c:g}", fit.outcome)
     sound, jump = float(fit.sound), float(fit.mean) - ahead
-    # the trailing edge of the fit is at cos^2(k/4) = V_+/V_-
+    # The trailing edge of the fit is at cos^2(k/4) = V_+/V_-.
     k = 4 * np.arccos((1 - float(fit.trailing_excess)) ** -0.5)
     return _Step(
         _scaled(medium_of(law, mass).law, ahead, jump),
@@ -230,7 +233,6 @@ def _posed(law, c, mass, ahead):
 
 
 def _scaled(law, ahead, jump):
-    """Force and stiffness at strains that count from the one ahead in jumps, stiffnesses over that ahead."""
     begin, stiffness, _ = (float(x[0]) for x in fine_values(law, np.array([ahead])))
 
     def force(x):
@@ -241,9 +243,10 @@ def _scaled(law, ahead, jump):
 
 
 class _Wave(NamedTuple):
-    """k, mean strain and (crest - trough)/2; cosine coefficients c and omega^2; their derivatives by the former.
+    """A wave: `place` (k, mean strain, (crest - trough)/2), cosine coefficients c, omega^2.
 
-    `phi`: the strain about the mean at the places of a period, from a crest on; `stiffness`: its coefficients there.
+    `slopes`: derivatives of (c, omega^2) by `place`. `phi`: the strain less the mean over a period,
+    from a crest on; `stiffness`: its Fourier coefficients.
     """
 
     place: np.ndarray
@@ -255,13 +258,10 @@ class _Wave(NamedTuple):
 
 
 class _Family:
-    """The waves of a force, each by Newton's method from the one before; the mass is 1."""
-
     def __init__(self, force: Callable):
         self.force, self.count, self.known = force, HARMONICS, None
 
     def system(self, place, c, square):
-        """Residual, Jacobian, less the residual's derivatives by the place; strain and stiffness of a `_Wave`."""
         (k, mean, size), j = place, np.arange(1, self.count + 1)
         points = 4 * self.count
         phi = np.fft.irfft(np.concatenate([[0.0], c, np.zeros(self.count)]), points) * points / 2
@@ -279,7 +279,6 @@ class _Family:
         return residual, jacobian, by_place, phi, stiffness
 
     def newton(self, place, c, square):
-        """The wave at a place from a guess, or `None`."""
         c = np.concatenate([c, np.zeros(self.count - len(c))])
         for _ in range(STEPS):
             residual, jacobian, by_place, *seen = self.system(place, c, square)
@@ -287,13 +286,12 @@ class _Family:
                 return None
             *move, change = np.linalg.solve(jacobian, residual)
             c, square = c - move, square - change
-            # the change of the square, whose weight is the amplitude, is known to rounding over that
+            # The square enters times the amplitude, so its rounding error is over the amplitude.
             if max(np.abs(move).max(), abs(change) * place[2]) < CONVERGED:
                 return _Wave(place, c, square, np.linalg.solve(jacobian, by_place), *seen)
         return None
 
     def follow(self, place):
-        """The wave at a place, on the way from the last one in as many parts as it takes."""
         place = np.asarray(place, float)
         if self.known is None:
             c = np.zeros(self.count)
@@ -320,13 +318,14 @@ class _Family:
         return wave
 
     def characteristic(self, place):
-        """The second fastest speed s at a place, the direction (dk, dy, da, dv) along it, and the row of a table."""
+        """Return the direction (dk, dy, da, dv) of the second fastest s, and the table's row."""
         wave = self.follow(place)
         (k, mean, size), c, square, (*by_c, by_square), phi, stiffness = wave
         j, omega, (by_k, by_mean, _) = np.arange(1, len(c) + 1), square**0.5, np.eye(3)
         omega_by = by_square / (2 * omega)
         force_by = stiffness[j] @ by_c + stiffness[0] * by_mean
-        # J = omega w c^2, and -L_k = -omega^2/2 w' c^2, with the derivatives of w = j^2/(8 sin^2(j k/2)) by k
+        # J = omega w c^2, and -L_k = -omega^2/2 w' c^2, with w = j^2/(8 sin^2(j k/2)) and its
+        # derivatives by k.
         sin, cos = np.sin(j * k / 2), np.cos(j * k / 2)
         w, w1 = j**2 / (8 * sin**2), -(j**3) * cos / (8 * sin**3)
         w2 = j**4 * (1 + 2 * cos**2) / (16 * sin**4)
@@ -334,7 +333,7 @@ class _Family:
         flux_by = -(w1 @ c**2) / 2 * by_square - square / 2 * (
             2 * (w1 * c) @ by_c + w2 @ c**2 * by_k
         )
-        # by the square of the amplitude, of which all are smooth functions
+        # Derivatives are by the squared amplitude, of which everything is a smooth function.
         smooth = np.array([1.0, 1.0, 1 / (2 * size)])
         left, right = np.zeros((2, 4, 4))
         left[0, :3], right[0, 0] = omega_by * smooth, 1.0
@@ -352,11 +351,11 @@ class _Family:
 
 
 class _Lost(Exception):
-    """There is no wave, or no shock; the sentence says why."""
+    """Raised with the reason why there is no wave or no shock."""
 
 
 class _Curve(NamedTuple):
-    """A curve of waves: the rows of both edges; strain and velocity ahead; its family and how (y, a, v) hang on k."""
+    """A curve of waves: both edges' rows, strain and velocity ahead, family, (y, a, v) of k."""
 
     edges: tuple[np.ndarray, np.ndarray]
     ahead: float
@@ -367,26 +366,23 @@ class _Curve(NamedTuple):
 
     @property
     def told(self):
-        """The numbers that have an error: both speeds, the strain of the plateau and the amplitude."""
         (trailing, *_), (leading, *_, amplitude, _) = self.edges
         return np.array([trailing, leading, self.edges[0][3], amplitude])
 
     def rows(self):
-        """(s, omega, k, mean, crest, trough) of waves along the curve."""
-        # from its end, where the family is
+        # From the end on, because the family is there.
         ks = np.linspace(*self.span, PLACES)[::-1]
         return [self.family.characteristic([k, *self.along(k)[:2]])[1] for k in ks][::-1]
 
 
 def _curve(force, start, decay, means):
-    """Follow the shock from the plateau's strain and the wave number there to where waves are far apart."""
     mean, k = start
     if not 0 < k < np.pi:
         raise _Lost("Its waves would be shorter than two sites at the trailing edge.")
     family, end = _Family(force), np.pi * decay / -np.log(means.overlap)
     sound = force(np.array([mean]))[1][0] ** 0.5
     edge = np.array([sound * np.cos(k / 2), 2 * sound * np.sin(k / 2), k, mean, mean, mean])
-    # directions by the amplitude, which turn as fast at its zero as anywhere
+    # The step is in the amplitude, because directions change at a finite rate in it at zero.
     leave = np.array([k, mean, 0.0, 0.0])
     halfway = leave + [0.0, 0.0, means.first / 2, 0.0]
     for _ in range(2):
@@ -400,7 +396,7 @@ def _curve(force, start, decay, means):
         way, _ = family.characteristic([k, *x[:2]])
         return way[1:] / way[0]
 
-    # longer steps would try places where there is no wave
+    # Longer steps would try places where there is no wave.
     how = dict(rtol=means.tolerance, atol=means.tolerance, max_step=(k1 - end) / means.steps)
     found = solve_ivp(along, (k1, end), [mean, size, v], "DOP853", dense_output=True, **how)
     mean, size, v = found.y[:, -1]
@@ -411,9 +407,10 @@ def _curve(force, start, decay, means):
 
 
 def _search(step, x):
-    """Start, derivative of what is missed by it, and the curve where nothing is missed, by Broyden's method.
+    """Find the start that meets strain and velocity ahead, by Broyden's method.
 
-    At last by how much what may be left moves the numbers of the result.
+    Return it with the derivative of the misses, the curve, and the effect of the tolerance on the
+    result.
     """
     curve, missed = partial(step.curve, means=FINE), step.missed
     found = curve(x)

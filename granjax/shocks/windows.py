@@ -1,4 +1,4 @@
-"""Windows into a shock: short stretches of the chain, run on for a moment, so that waves are seen in time as well."""
+"""Windows of a shock: short stretches of the chain, run on briefly to show waves in time."""
 
 from typing import NamedTuple
 
@@ -12,15 +12,16 @@ from ..programs import shared_size
 from ..strains import Shift
 from ..terms import Bond
 
-# frames in time, of which one in three counts where waves are fitted; sites beyond what the ends of a window can reach
+# The frames, of which one in three is used for fits; the extra sites beyond the reach of a window's
+# ends.
 FRAMES, THIRD, BEYOND = 97, 3, 8
-# bonds on each side of the middle that count; harmonics of a wave
+# The bonds on each side of the middle that are fitted; the harmonics of a wave.
 BESIDE, HARMONICS = 3, 6
 SAMPLES = 256
 
 
 class Windows(NamedTuple):
-    """Strains (frames, bonds, windows) of windows about the middle bonds `places`, at `times` (frames,) from now on."""
+    """Strains (frames, bonds, windows) about the bonds `places`, at `times` (frames,)."""
 
     places: np.ndarray
     times: np.ndarray
@@ -28,11 +29,11 @@ class Windows(NamedTuple):
 
     @property
     def half(self) -> int:
-        """Bonds on each side of the middle one."""
+        """The number of bonds on each side of the middle one."""
         return self.strains.shape[1] // 2
 
     def near(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Offsets of the bonds that count, times about the middle, and their strains, in a third of the frames."""
+        """Return the data to fit: bond offsets, centred times, strains of a third of the frames."""
         part = slice(self.half - BESIDE, self.half + BESIDE + 1)
         times = self.times[::THIRD]
         return np.arange(-BESIDE, BESIDE + 1), times - times[-1] / 2, self.strains[::THIRD, part]
@@ -47,13 +48,14 @@ def windows(
     fastest: float,
     step: float,
 ) -> Windows:
-    """The part of the strains (N - 1,) and velocities (N,) that holds the windows, run on for a time by equal steps.
+    """Run on the part of strains (N - 1,) and velocities (N,) that holds the windows.
 
-    Its ends are free: what they send inwards at the `fastest` speed stays some bonds from the middle of each window.
+    Its ends are free. What they send inwards at the `fastest` speed does not reach the bonds to
+    fit.
     """
     half = int(np.ceil(fastest * span)) + BEYOND + BESIDE
     first, count = places.min() - half, shared_size(int(np.ptp(places)) + 2 * half + 1)
-    # beyond the chain all is at rest as at its ends
+    # Beyond the chain the state is that at its ends.
     bonds = np.clip(first + np.arange(count), 0, len(strain) - 1)
     sites = np.clip(first + np.arange(count + 1), 0, len(velocity) - 1)
     u = np.append(0.0, -np.cumsum(strain[bonds]))
@@ -66,9 +68,9 @@ def windows(
 
 
 class LocalWave(NamedTuple):
-    """A periodic wave about one place: `crest` is where one is in the middle of the time.
+    """A periodic wave about one place; it has a crest at `crest` in the middle of the time.
 
-    `misfit`: what it leaves of the strains, over its amplitude.
+    `misfit`: the largest residual of the strains over the amplitude.
     """
 
     mean: float
@@ -83,7 +85,10 @@ NONE = LocalWave(*[np.nan] * 6)
 
 
 def local_wave(xi: np.ndarray, tau: np.ndarray, strains: np.ndarray) -> LocalWave:
-    """The wave sum a_j cos j(k xi - omega tau + phase), with a mean that drifts, nearest to strains (frames, bonds)."""
+    """Fit the wave sum a_j cos j(k xi - omega tau + phase) to strains (frames, bonds).
+
+    The mean may drift linearly.
+    """
     start = _guess(tau, strains)
     if start is None:
         return NONE
@@ -118,14 +123,13 @@ def local_wave(xi: np.ndarray, tau: np.ndarray, strains: np.ndarray) -> LocalWav
 
 
 def _guess(tau, strains):
-    """Wave number and frequency from crests in time of the middle bond and the next; `None` for fewer than two."""
     middle = strains.shape[1] // 2
     first, later = (_crests(tau, strains[:, middle + j]) for j in (0, 1))
     if len(first) < 2 or not len(later):
         return None
     period = np.diff(first).mean()
     delay = later[0] - first[np.argmin(np.abs(first - later[0]))]
-    # a wave to the right: the next bond is later, by less than a period
+    # A wave to the right reaches the next bond later, by less than a period.
     return np.array([2 * np.pi / period * (delay % period), 2 * np.pi / period])
 
 
@@ -137,5 +141,5 @@ def _crests(tau, x):
 
 
 def tops(x: np.ndarray) -> np.ndarray:
-    """Indices of what is higher than its neighbours."""
+    """Return the indices of the local maxima."""
     return np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1

@@ -1,4 +1,4 @@
-"""Two waves that meet: phase shifts, speeds and energies after it."""
+"""Collisions of two waves: phase shifts, speeds and energies afterwards."""
 
 from typing import NamedTuple
 
@@ -20,40 +20,41 @@ from ..units import SCALED
 from .solitary import Wave
 from .tracking import leaving, reach_of, run_twice, tracked
 
-# frames of the time before and as long after, how much longer it is than the least, contacts beyond, h omega, and how
-# many strains are looked at for that
+# The frames before, and in as much time after; the extra part of that time; spare contacts; h omega
+# of a step; the number of strains at which the speed of sound is computed.
 FRAMES, MORE, BEYOND, STEP, STRAINS = 64, 0.25, 8, 0.2, 65
-# how many times as long as before two waves are followed after they met, until they are free of what they shed
+# The times after the collision, over that before it, until the waves are free of their radiation.
 LONGER = 1, 4, 16
-# errors over how far the line through the frames before is away: what waves shed may fall like 1/t, whose end is 3.5
-# times as far from the last line as that from the one before
+# The error over the distance to the line through the frames before. Effects of radiation may fall
+# like 1/t; their limit is then 3.5 times as far from the last line as that is from the one before.
 LEFT = 4
-# share of the least separation from which on waves have parted
+# The part of the least separation at which waves have parted.
 APART = 0.8
-# share of its peak at which a wave ends, over the tolerance, and not below; speeds and laws that are the same
+# The strain, over peak and tolerance, at which a wave ends; its lower bound over the peak; the
+# relative difference of speeds and laws that are equal.
 TAIL, ROUNDING, SAME = 1e-6, 1e-15, 1e-12
 
 
 class Collision(Result):
-    """What `collide` returns; the first of two numbers is of the first wave.
+    """The result of `collide`; the first of two numbers is of the first wave.
 
-    Of several phases all arrays, and the numbers but those of both waves before, have these as their last axis.
+    With several phases, these are the last axis of all arrays and numbers that depend on the phase.
     """
 
     kind: str = array('"overtaking" or "head-on".')
     meeting: float = note("The time at which the waves would have met as points.", "s")
-    phase: Number = array("The part of `meeting_place` beyond a contact, as it was given.", "1")
+    phase: Number = array("The part of `meeting_place` beyond a contact, as given.", "1")
     meeting_place: Number = array("The place where the waves would have met, in contacts.", "1")
     shifts: Numbers = array(
-        "How far each wave is along n beyond where it would be alone, at `meeting`, by "
+        "The distance along n of each wave from where it would be alone, at `meeting`, by "
         "straight lines through its places before and after; NaN where the waves have not "
         "parted.",
         "1",
         "wave",
     )
     shift_errors: Numbers = array(
-        "The distance of the shifts from the truth, by either half of the frames, by as many "
-        "frames before, and by twice the time step.",
+        "The error of the shifts, from either half of the frames, from as many earlier frames, "
+        "and from twice the time step.",
         "1",
         "wave",
     )
@@ -67,23 +68,24 @@ class Collision(Result):
     radiated: Number = array("The energy that neither wave has afterwards.", "J")
     radiated_error: Number = array("The error of the radiated energy.", "J")
     separation: Number = array(
-        "The least distance between the two waves in the frames after they met, in contacts.", "1"
+        "The least distance between the two waves in the frames after the collision, in contacts.",
+        "1",
     )
     least_separation: float = note(
-        "The separation from which on the waves have parted, in contacts.", "1"
+        "The separation at which the waves have parted, in contacts.", "1"
     )
     misfits: Numbers = array(
-        "What the waves leave of the strains about them, over their peaks.", "1", "wave"
+        "The largest residuals of the fits of the waves, over their peaks.", "1", "wave"
     )
     times: Numbers = array("The times of the frames.", "s", "found")
     places: Numbers = array("The place of each wave in each frame.", "1", "wave found")
     run: Run = note("The run.")
-    # of each phase why there are no shifts
+    # The reason of each phase without shifts.
     _lost: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def outcome(self) -> str:
-        """Whether the waves have parted, and to what their shifts are known."""
+        """Whether the waves have parted, and the accuracy of their shifts."""
         shifts, errors = (np.reshape(x, (2, -1)) for x in (self.shifts, self.shift_errors))
         parted, said = ~np.isnan(shifts[0]), []
         if len(parted) > 1:
@@ -99,9 +101,10 @@ class Collision(Result):
 
 
 class _Course(NamedTuple):
-    """Where two waves would be at times 0 ... `time`, had they never met: x + c t; as points they do at `meeting`.
+    """The lines x + c t of two waves without interaction, at times 0 ... `time`.
 
-    `starts` (2, P): x of each phase. `sound`: the largest speed of it at strains of both waves together.
+    They cross at `meeting`. `starts` (2, P): x of each phase. `sound`: the largest speed of sound
+    at the waves' strains.
     """
 
     starts: np.ndarray
@@ -121,32 +124,35 @@ def collide(
     tolerance: Scalar = 1e-7,
     step: Scalar | None = None,
 ) -> Collision:
-    r"""Two solitary waves of one chain meet: where each is afterwards, beside where it would be alone.
+    r"""Let two solitary waves of a chain collide; measure phase shifts, speeds and energies.
 
-    Both are put on a chain with free ends, so far apart that the tail of neither reaches the other; they run until they
-    are as far apart again, and longer where they are not yet free of what they shed. Each is found by least squares of
-    the exact wave of its speed, before and after they met: a shift is the distance of two lines of places, at the time
-    when they would meet as points. Where the chain is not integrable, the waves leave with other speeds, so the shift
-    depends on that time, by speeds_after - speeds; and it depends on where between two contacts they meet, the `phase`.
+    Both start on a chain with free ends, so far apart that neither tail reaches the other. They run
+    until they are as far apart again, and longer where they are not yet free of radiation. Before
+    and after, each is found by a least-squares fit of the exact wave of its speed. A shift is the
+    distance of the two lines of places at the time when the waves would meet as points. In a chain
+    that is not integrable the speeds change, so the shift depends on that time, by speeds_after -
+    speeds. It also depends on where between two contacts the waves meet, the `phase`.
 
     **Arguments:**
 
-    - `first`, `second`: of `solitary_wave`, of one law and mass. They overtake where both run one way, and meet
-      head-on where one of them has a speed below zero. Their speeds must differ.
-    - `phase`: how far beyond a contact is the place where their peaks would meet as points, x_1 + c_1 t = x_2 + c_2 t,
-      in contacts, modulo 1: 0 on a contact, 1/2 on a bead. Several, (P,), are lanes of one run:
-      np.linspace(0, 1, 8, endpoint=False) tells the range.
-    - `tolerance` in (0, 0.1): of the shifts [contacts]. The tail of a wave ends at `tolerance`/10^6 of its peak; where
-      an error is larger, they are followed four, then sixteen times as long, by half the step each time. Time and
-      sites grow with the length of the tail over the difference in speed.
-    - `step`: time step; `None` a fifth of one over the highest frequency of the chain at strains of both waves
-      together, to begin with.
+    - `first`, `second`: of `solitary_wave`, of one law and mass, with different speeds. They
+      overtake where both run one way, and meet head-on where one speed is negative.
+    - `phase`: the place beyond a contact where their peaks would meet as points, x_1 + c_1 t =
+      x_2 + c_2 t, in contacts, modulo 1: 0 on a contact, 1/2 on a bead. Several, (P,), are lanes of
+      one run: np.linspace(0, 1, 8, endpoint=False) gives the range.
+    - `tolerance` in (0, 0.1): of the shifts [contacts]. A tail ends at `tolerance`/10^6 of the
+      peak. Where an error is larger, the waves are followed four, then sixteen times as long, with
+      half the step each time. Time and sites grow with the length of the tail over the difference
+      in speed.
+    - `step`: the first time step; `None` is 1/5 over the highest frequency of the chain at strains
+      of both waves together.
 
-    **Returns:** `Collision`. **Raises** ValueError for two of different chains, equal speeds, traced numbers.
-    Not differentiable: places are fitted. Toda's k = 1 and 0.5: shifts +1.180269670641735, -2.360539341283469
-    overtaking, +0.2273362938026457, -0.4546725876052915 head-on.
-    Source: N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240 (1965); Y. Shen, P. G. Kevrekidis, S. Sen,
-    A. Hoffman, Phys. Rev. E 90, 022905 (2014).
+    **Returns:** `Collision`. Not differentiable: places are fitted. Toda's k = 1 and 0.5: shifts
+    +1.180269670641735, -2.360539341283469 overtaking, +0.2273362938026457, -0.4546725876052915
+    head-on.
+    **Raises** ValueError for waves of different chains, equal speeds, and traced numbers.
+    Source: N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240 (1965); Y. Shen, P. G.
+    Kevrekidis, S. Sen, A. Hoffman, Phys. Rev. E 90, 022905 (2014).
 
     **Example:**
 
@@ -176,7 +182,7 @@ def collide(
         )
         if all(one["shift_errors"].max() <= tolerance for one in found):
             break
-    # several phases are the last axis
+    # Several phases are the last axis.
     numbers = {name: np.stack([one[name] for one in found], -1) for name in found[0]}
     numbers["phase"] = np.ravel(phases) % 1
     one, two = course.speeds
@@ -193,7 +199,6 @@ def collide(
 
 
 def _runs(waves, course, lanes, step):
-    """With a step, and with twice as much; a lane for each phase, or one run alone."""
     bond, units = Bond(Shift(1, "free"), waves[0].law), waves[0].units or SCALED
     made = lambda m: Lattice(m, bond, sites=course.sites, units=units)
     mass = waves[0].mass
@@ -207,7 +212,7 @@ def _runs(waves, course, lanes, step):
     )
     if step is None:
         step = STEP / course.longer**0.5 / (2 * course.sound)
-    # as close as before they meet
+    # Frames after the collision are as dense as before.
     frames = FRAMES * (1 + course.longer) + 1
     return run_twice(lattice, state, course.time, frames, step)
 
@@ -234,7 +239,7 @@ def _of_one_chain(first, second):
 def _course(waves, parted, longer, phases):
     speeds = np.array([float(wave.speed) for wave in waves])
     meeting = (1 + MORE) * parted / abs(speeds[0] - speeds[1])
-    # of the strains between those of both waves together, of either sign
+    # The largest speed of sound at any strain that both waves together can have.
     peaks = np.array([float(wave.amplitude) for wave in waves])
     strains = np.linspace(np.minimum(peaks, 0).sum(), np.maximum(peaks, 0).sum(), STRAINS)
     sound = float(np.sqrt(np.max(values(waves[0].law, strains)[1]) / float(waves[0].mass)))
@@ -247,7 +252,6 @@ def _course(waves, parted, longer, phases):
 
 
 def _measured(waves, course, start, parted, ts, both):
-    """What became of the waves, by the strains of both runs; and why there are no shifts."""
     meeting, speeds = course.meeting, course.speeds
     share, rest = MORE / (1 + MORE), course.time - meeting
     early = ts <= share * meeting * (1 + SAME)
@@ -305,7 +309,6 @@ def _measured(waves, course, start, parted, ts, both):
 
 
 def _highest(wave, strains, free, parted):
-    """The contact of the largest strain of the wave's sign, within half the distance of where it would be alone."""
     near = np.abs(np.arange(strains.shape[1]) - free[:, None]) < parted / 2
     return np.argmax(np.where(near, np.sign(float(wave.amplitude)) * strains, -np.inf), 1).astype(
         float

@@ -1,4 +1,4 @@
-"""`family`: solitary waves over their speed, amplitude or energy, and where their energy turns."""
+"""`family`: solitary waves over their speed, amplitude or energy, and extrema of the energy."""
 
 import jax
 import numpy as np
@@ -14,8 +14,9 @@ from .solitary import full_width
 class WaveFamily(Result):
     r"""Solitary waves of one law, in the order in which they were asked for.
 
-    Where `energy_slope` passes zero, at the speeds `turns`, waves gain or lose their stability: one pair of multipliers
-    of `Wave.floquet` is at +1 there, and waves on the side where energy falls with speed are unstable.
+    Where `energy_slope` passes zero, at the speeds `turns`, waves gain or lose stability: one pair
+    of multipliers of `Wave.floquet` is at +1 there. Waves whose energy falls with speed are
+    unstable.
     """
 
     speed: Numbers = array("The speed of each wave in contacts per time.", "1/s", "wave")
@@ -23,19 +24,15 @@ class WaveFamily(Result):
     energy: Numbers = array("The energy.", "J", "wave")
     momentum: Numbers = array("The momentum.", "N s", "wave")
     compression: Numbers = array("int phi.", "m", "wave")
-    width: Numbers = array(
-        "The number of contacts between the places where the strain is half of the amplitude.",
-        "1",
-        "wave",
-    )
+    width: Numbers = array("The full width at half of the amplitude, in contacts.", "1", "wave")
     energy_slope: Numbers = array("dE/dc, by the implicit function theorem.", "J s", "wave")
-    error: Numbers = array("The estimated distance of the strain from the truth.", "m", "wave")
+    error: Numbers = array("The estimated error of the strain.", "m", "wave")
     turns: Numbers = array("The speeds at which the slope passes zero.", "1/s", "turn")
     law: Law = array("The law of the contacts.")
 
     @property
     def outcome(self) -> str:
-        """How many waves, and where their energy turns."""
+        """The number of waves, and the speeds at which dE/dc passes zero."""
         turns = ", ".join(f"{x:.4g}" for x in self.turns)
         turned = f"dE/dc passes zero near c = {turns}" if turns else "their energy has no turn"
         return f"{len(self.speed)} waves; {turned}."
@@ -50,11 +47,11 @@ def family(
     mass: Scalar = 1.0,
     side: str | None = None,
 ) -> WaveFamily:
-    """Solitary waves of a law, or of a uniform chain, at several speeds, amplitudes or energies.
+    """Compute several solitary waves of a law, or of a uniform chain.
 
     **Arguments:** as of `solitary_wave`, with one of `speed`, `amplitude`, `energy` an array (P,).
-    **Returns:** `WaveFamily`. **Raises** ValueError where `solitary_wave` does, of the first that is none, and for what
-    is traced: `solitary_wave` has derivatives.
+    **Returns:** `WaveFamily`. **Raises** ValueError as `solitary_wave` does, at the first wave that
+    does not exist, and for traced numbers: only `solitary_wave` has derivatives.
 
     **Example:**
 
@@ -84,7 +81,6 @@ def family(
 
 
 def _zeros(c, slope):
-    """Speeds at which the slope passes zero, between neighbours, by a straight line."""
     order = np.argsort(c)
     c, slope = c[order], slope[order]
     i = np.flatnonzero(slope[:-1] * slope[1:] < 0)

@@ -1,4 +1,4 @@
-"""Modulations of a periodic wave: how they grow, and the characteristic speeds of Whitham's equations."""
+"""Modulations of a periodic wave: growth, and characteristic speeds of Whitham's equations."""
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -11,28 +11,28 @@ from ..tuning import one_thread
 from ..types import Parameter
 from .periodic import PeriodicWave
 
-# phases of a modulation by default, up to pi
+# The default number of phases of a modulation, up to pi.
 PHASES = 48
-# harmonics at least, and at most: a matrix has four times as many rows
+# The least and the most harmonics; the matrix has four times as many rows.
 FEWEST = 8
 MOST = 96
-# stiffness of a harmonic over that of the mean, below which it does not count
+# The stiffness of a harmonic, over that of the mean, below which it is neglected.
 NEGLIGIBLE = 1e-11
-# share of a perturbation in the lower half of the harmonics from which on it is resolved
+# The least part of a resolved perturbation in the lower half of the harmonics.
 RESOLVED = 0.9
-# what the same with fewer harmonics changes, times this, is the error
+# The error over the change with fewer harmonics.
 SAFETY = 2
-# a phase beside zero at which speeds are read off, and how often it is halved for the limit
+# The first phase at which speeds are computed, and how often it is halved for the limit.
 LONG = 0.03
 HALVINGS = 3
 
 
 class Modulation(Result):
-    r"""How modulations of a periodic wave grow: perturbations exp(i kappa n + lambda t) f(theta), f of its period.
+    r"""The growth of modulations exp(i kappa n + lambda t) f(theta) of a periodic wave.
 
-    For kappa -> 0 four of them have lambda = -i C kappa: C are the characteristic speeds of Whitham's four
-    conservation laws (`Averages`), the speeds at which a slow change of the wave runs. Where two of them are complex
-    the wave is unstable to long modulations.
+    f has the wave's period. For kappa -> 0 four modulations have lambda = -i C kappa. The C are the
+    characteristic speeds of Whitham's four conservation laws (`Averages`), with which slow changes
+    of the wave propagate. Where two of them are complex the wave is unstable to long modulations.
     """
 
     kappa: Float[np.ndarray, " kappa"] = array("The phase per site of each modulation.", "rad")
@@ -41,18 +41,18 @@ class Modulation(Result):
     )
     growth_error: Float[np.ndarray, " kappa"] = array("The error of the growth.", "1/s")
     speeds: Complex[np.ndarray, " speed"] = array(
-        "The characteristic speeds, in sites per time, from the lowest real part up.", "1/s"
+        "The characteristic speeds, in sites per time, in ascending order of the real part.", "1/s"
     )
     speed_errors: Float[np.ndarray, " speed"] = array("The errors of the speeds.", "1/s")
 
     @property
     def verdict(self) -> str:
-        """Of the modulations that were asked for: "unstable" where one grows by more than its error, else "stable"."""
+        """Say "unstable" where a computed modulation grows by more than its error, else "stable"."""
         return UNSTABLE if np.any(self.growth > self.growth_error) else STABLE
 
     @property
     def outcome(self) -> str:
-        """Which modulation grows fastest, and whether long ones do."""
+        """The fastest modulation, and whether long modulations grow."""
         i = int(np.argmax(self.growth))
         ways = "complex: long modulations grow"
         if np.all(np.abs(self.speeds.imag) <= self.speed_errors):
@@ -66,23 +66,24 @@ class Modulation(Result):
 
 @one_thread
 def modulation(wave: PeriodicWave, kappa: Parameter | None = None) -> Modulation:
-    r"""Growth of the modulations of a periodic wave on the infinite chain, and its characteristic speeds.
+    r"""Compute the growth of a periodic wave's modulations, and its characteristic speeds.
 
-    With w_n = exp(i kappa n + lambda t) sum_j w_j exp(i j theta), theta = k n - omega t, and c_l the Fourier
-    coefficients of the stiffness F'(phi(theta)) along the wave,
+    On the infinite chain, with w_n = exp(i kappa n + lambda t) sum_j w_j exp(i j theta), theta = k
+    n - omega t, and c_l the Fourier coefficients of the stiffness F'(phi(theta)) along the wave,
 
         m (lambda - i j omega)^2 w_j = -4 sin^2((kappa + j k)/2) sum_l c_{j-l} w_l
 
-    (Hill's method), an eigenvalue problem for each kappa; exp(2 pi lambda/omega) are the Floquet multipliers on a ring
-    that holds the wave and the modulation. The speeds are the limit of i lambda/kappa, by Richardson's extrapolation.
+    (Hill's method), an eigenvalue problem for each kappa. exp(2 pi lambda/omega) are the Floquet
+    multipliers on a ring that holds the wave and the modulation. The speeds are the limit of i
+    lambda/kappa, by Richardson's extrapolation.
 
-    **Arguments:** `wave`: of `periodic_wave`. `kappa`: phases per site [rad], any of them; `None` takes 48 up to pi.
-    Others are the same modulations: kappa + k, -kappa and kappa + 2 pi.
+    **Arguments:** `wave`: of `periodic_wave`. `kappa`: any phases per site [rad]; `None` takes 48
+    up to pi. kappa, kappa + k, -kappa and kappa + 2 pi are the same modulation.
 
-    **Returns:** `Modulation`. Typical: 1 s. Toda's waves are stable, and their speeds those of its four Riemann
-    invariants to 1e-9.
-    Source: Bronski, Hur, Johnson, in New Approaches to Nonlinear Waves, Springer (2016); Whitham, Linear and Nonlinear
-    Waves (1974).
+    **Returns:** `Modulation`. Typical: 1 s. Toda's waves are stable, and their speeds agree with
+    those of the four Riemann invariants to 1e-9.
+    Source: Bronski, Hur, Johnson, in New Approaches to Nonlinear Waves, Springer (2016); Whitham,
+    Linear and Nonlinear Waves (1974).
 
     **Example:**
 
@@ -114,8 +115,6 @@ def modulation(wave: PeriodicWave, kappa: Parameter | None = None) -> Modulation
 
 
 class _Hill:
-    """The eigenvalue problem of a wave's perturbations with harmonics from -count to count."""
-
     def __init__(self, wave, hat, count):
         self.k = 2 * np.pi / float(wave.wavelength)
         self.omega, self.mass = self.k * float(wave.speed), float(wave.mass)
@@ -123,7 +122,6 @@ class _Hill:
         self.stiffness = hat[self.j[:, None] - self.j]
 
     def spectrum(self, kappa):
-        """The exponents whose perturbations are resolved, and their errors by rounding."""
         pull = 4 * np.sin((kappa + self.j * self.k) / 2) ** 2 / (self.mass * self.omega)
         turn, one = np.diag(1j * self.omega * self.j), self.omega * np.eye(len(self.j))
         matrix = np.block([[turn, one], [-pull[:, None] * self.stiffness, turn]])
@@ -133,29 +131,27 @@ class _Hill:
         own = low > RESOLVED * weight.sum(0)
         alike = np.abs(np.sum(left.conj() * right, 0))
         rounding = np.finfo(float).eps * np.linalg.norm(matrix)
-        # of eigenvalues that meet the error is the root of rounding
+        # Where eigenvalues meet, the error is the square root of rounding.
         error = rounding / np.maximum(alike, np.sqrt(rounding))
         return found[own], error[own]
 
     def growth(self, kappa):
-        """The largest growth of a phase and its error."""
         found, error = self.spectrum(kappa)
         i = np.argmax(found.real)
         return found[i].real, error[i]
 
     def speeds(self):
-        """The limits of i lambda/kappa of the four smallest exponents, and their errors."""
         rows = []
         for kappa in LONG / 2.0 ** np.arange(HALVINGS + 1):
             found, error = self.spectrum(kappa)
             near = np.argsort(np.abs(found))[:4]
             speeds = 1j * found[near] / kappa
-            # the two of a complex pair have one real part
+            # The rounded real parts of a complex pair are equal, so the sort keeps it together.
             digits = np.round(speeds.real / np.abs(speeds).max(), 6)
             order = np.lexsort((speeds.imag, digits))
             rounding = error[near][order] / kappa
             rows.append(speeds[order])
-        # an even function of kappa
+        # Richardson's extrapolation of an even function of kappa.
         for order in range(1, HALVINGS + 1):
             before = rows[-1]
             rows = [(4**order * b - a) / (4**order - 1) for a, b in zip(rows, rows[1:])]

@@ -1,4 +1,4 @@
-"""`periodic_wave`: trains of waves about a mean strain."""
+"""`periodic_wave`: periodic trains of waves about a mean strain."""
 
 import jax
 import jax.numpy as jnp
@@ -13,19 +13,21 @@ from ..profiles.periodic import differentiated, train
 from ..results import Result, array
 from ..types import Count, Number, Scalar
 
-# points of the table; points of an average for each harmonic
+# The number of points in the table; the number of points per harmonic in an average.
 TABLE, AVERAGED = 129, 4
 
 
 class Averages(Result):
-    r"""Averages over a wavelength of a periodic wave y(theta), theta = k n - omega t, beads at rest in the mean.
+    r"""Averages over a wavelength of a periodic wave y(theta), theta = k n - omega t.
 
-    Whitham's equations of slowly modulated waves say that strain, momentum, action and energy are conserved:
+    The beads are at rest in the mean. Whitham's equations of slowly modulated waves are
+    conservation laws of the averages:
 
-        y_t + v_n = 0,   (m v)_t + F_n = 0,   J_t + (S/omega)_n = 0,   k_t + omega_n = 0,
+        y_t + v_n = 0,   (m v)_t + F_n = 0,   J_t + (S/omega)_n = 0,   k_t + omega_n = 0.
 
-    of the means. With the Lagrangian L(omega, k, y) of the family, J = dL/d omega, S/omega = -dL/dk, F = -dL/dy: so one
-    table of a family has all derivatives of its modulation equations, and a check on itself.
+    With the Lagrangian L(omega, k, y) of the family, J = dL/d omega, S/omega = -dL/dk and F =
+    -dL/dy. One table of a family therefore gives all derivatives of its modulation equations, and a
+    check.
     """
 
     omega: Number = array("The angular frequency.", "rad/s")
@@ -37,12 +39,12 @@ class Averages(Result):
     energy: Number = array("The energy per site.", "J")
     lagrangian: Number = array("The kinetic energy less the potential energy, per site.", "J")
     action: Number = array("J = 2 `kinetic`/omega per site.", "J s")
-    energy_flux: Number = array("S, the power of a bond on the bead ahead of it.", "W")
-    error: Number = array("The estimated relative distance from the truth.", "1")
+    energy_flux: Number = array("S, the power that a bond transmits to the bead ahead of it.", "W")
+    error: Number = array("The estimated relative error.", "1")
 
     @property
     def outcome(self) -> str:
-        """Over how many contacts, and how well they are known."""
+        """The number of contacts in the average, and its accuracy."""
         if traced((self.wavenumber, self.error)):
             return "Not known while traced."
         contacts = 2 * np.pi / self.wavenumber
@@ -50,9 +52,9 @@ class Averages(Result):
 
 
 def averages_of(wave: Profile, points: int, error: float) -> Averages:
-    """Averages of a periodic wave by the trapezoidal rule, which is exact of a Fourier form but for the law's curve.
+    """Return the averages of a periodic wave by the trapezoidal rule.
 
-    `error`: the relative one of the wave, to which rounding is added.
+    The curvature of the law is its only source of error. `error`: the relative one of the wave.
     """
     mass, wavelength, law = wave.mass, wave.wavelength, wave.law
     omega, xi = 2 * np.pi * wave.speed / wavelength, wavelength / points * np.arange(points)
@@ -81,9 +83,10 @@ def averages_of(wave: Profile, points: int, error: float) -> Averages:
 
 
 class PeriodicWave(Profile):
-    r"""A train of waves, strain phi(n - c t) of contact n with a length of `wavelength` contacts, a crest at xi = 0.
+    r"""A periodic train of waves: contact n has the strain phi(n - c t), with a crest at xi = 0.
 
-    m c^2 (phi - mean) = tent * F(phi) less its mean, in the frame in which the beads' mean velocity is zero.
+    m c^2 (phi - mean) = tent * F(phi) less its mean, in the frame in which the beads' mean velocity
+    is zero.
     """
 
     wavelength: Number = array("The wavelength in contacts.", "1")
@@ -95,21 +98,22 @@ class PeriodicWave(Profile):
 
     @property
     def outcome(self) -> str:
-        """How well it is known."""
+        """The accuracy of the wave."""
         if traced((self.error, self.amplitude)):
             return "Not known while traced."
         return f"Found to {self.error / abs(self.amplitude):.1e} of its amplitude."
 
     def state(self, sites: Count, centre: Scalar = 0.0) -> State:
-        """Displacements and velocities (sites,) with a crest at contact `centre`, of a chain.
+        """Return displacements and velocities (sites,) of a chain with a crest at contact `centre`.
 
-        On a ring, whose sites are a multiple of the wavelength, the mean strain belongs to the law:
-        `gx.laws.Strained(wave.law, wave.mean)`, and `u + wave.mean n` to the displacements.
+        On a ring, whose number of sites is a multiple of the wavelength, put the mean strain into
+        the law, `gx.laws.Strained(wave.law, wave.mean)`, and add `wave.mean n` to the
+        displacements.
         """
         return super().state(sites, centre)
 
     def averages(self) -> Averages:
-        """Mean strain, force, energy, action and their fluxes over a wavelength, for modulation theory."""
+        """Return mean strain, force, energy, action and their fluxes, for modulation theory."""
         points = AVERAGED * (len(self._shape.strain) // 2 + 1)
         known = jax.lax.stop_gradient((self.error, self.amplitude))
         return averages_of(self, points, float(known[0] / known[1]))
@@ -124,17 +128,19 @@ def periodic_wave(
     mean: Scalar = 0.0,
     mass: Scalar = 1.0,
 ) -> PeriodicWave:
-    r"""A periodic travelling wave of a chain of equal masses with one law between neighbours, exact on the lattice.
+    r"""Compute a periodic travelling wave of a chain of equal masses, exact on the lattice.
 
-    Newton's method on the Fourier form, c^2 m psi_k = sinc^2(k/2) (F(mean + psi))_k for k != 0, followed from waves of
-    small amplitude, whose speed is (K2/m)^{1/2} sinc(k/2), k = 2 pi/wavelength. Long ones are trains of solitary waves.
+    Newton's method solves the Fourier form, c^2 m psi_k = sinc^2(k/2) (F(mean + psi))_k for k != 0,
+    by continuation from waves of small amplitude, whose speed is (K2/m)^{1/2} sinc(k/2), k = 2
+    pi/wavelength. Long waves are trains of solitary waves.
 
-    **Arguments:** `law`, `mass`: as for `solitary_wave`. `wavelength`: contacts, above 2. One of `speed` (contacts per
-    time, above zero) and `amplitude`, (crest - trough)/2. `mean`: strain, positive in compression, at which the law has
-    to be stiff.
-    **Returns:** `PeriodicWave`, differentiable once in all numbers and the law's parameters (`jax.grad`, `jax.jvp`;
-    `jax.jit` and `jax.vmap` are refused). **Raises** ValueError for a speed or an amplitude that the family does not
-    reach, a law without stiffness at the mean, and one that is linear there.
+    **Arguments:** `law`, `mass`: as for `solitary_wave`. `wavelength`: in contacts, above 2. One of
+    `speed` (contacts per time, positive) and `amplitude`, (crest - trough)/2. `mean`: strain,
+    positive in compression, at which the law must have a stiffness.
+    **Returns:** `PeriodicWave`, differentiable once in all numbers and the law's parameters
+    (`jax.grad`, `jax.jvp`; `jax.jit` and `jax.vmap` are refused).
+    **Raises** ValueError for a speed or an amplitude that the family does not reach, a law without
+    stiffness at the mean, and one that is linear there.
     Source: J. C. Eilbeck, R. Flesch, Phys. Lett. A 149, 200 (1990).
 
     **Example:**

@@ -1,4 +1,4 @@
-"""A wave that meets the end of its chain: delay, amplitude and energy of what comes back, over the end's stiffness."""
+"""The reflection of a wave at the end of its chain: delay, amplitude and energy."""
 
 from typing import Any
 
@@ -20,28 +20,28 @@ from ..units import SCALED
 from .solitary import Wave
 from .tracking import leaving, reach_of, run_twice, tracked
 
-# frames of a run, contacts beyond, h omega, share of its peak at which a wave ends, and the least frames for a line
+# The frames of a run; spare contacts; h omega of a step; the strain, over the peak, at which a wave
+# ends; the least number of frames for a line.
 FRAMES, BEYOND, STEP, TAIL, LEAST = 257, 8, 0.2, 1e-14, 6
-# how often a run is taken again, twice as long, until the slowest lane's wave is back; what is none, over the peak
+# How often a run is tried, each time twice as long, until the slowest lane's wave is back; the
+# strain, over the peak, that does not count as a wave.
 AGAIN, FAINT = 3, 1e-3
 
 
 class Reflection(Result):
-    """What `reflect` returns; arrays over the lanes of the wall, or single numbers.
+    """The result of `reflect`: arrays over the lanes of the wall, or single numbers.
 
-    NaN where no solitary wave came back, for the reason in `outcome`. What the reflected wave has lost is in other
-    waves.
+    They are NaN where no solitary wave came back, for the reason in `outcome`. The energy that the
+    reflected wave has lost is in other waves.
     """
 
     delay: Numbers = array(
-        "The delay of the leading reflected wave at the last bead against an ideal mirror "
+        "The delay of the leading reflected wave at the last bead, relative to an ideal mirror "
         "there; negative where it is early, as at a rigid end.",
         "s",
     )
     delay_error: Numbers = array(
-        "The distance of the delay from the truth, by either half of the frames and by "
-        "twice the time step.",
-        "s",
+        "The error of the delay, from either half of the frames and from twice the time step.", "s"
     )
     speeds: Numbers = array("The speed of the reflected wave.", "1/s")
     speed_errors: Numbers = array("The error of the speed.", "1/s")
@@ -50,17 +50,17 @@ class Reflection(Result):
     energies: Numbers = array("The energy of the reflected wave.", "J")
     energy_errors: Numbers = array("The error of the energy.", "J")
     misfits: Numbers = array(
-        "What the reflected wave leaves of the strains about it, over its peak.", "1"
+        "The largest residual of the fit of the reflected wave, over its peak.", "1"
     )
-    speed: float = note("The speed of the wave that was sent.", "1/s")
-    amplitude: float = note("The amplitude of the wave that was sent.", "m")
-    energy: float = note("The energy of the wave that was sent.", "J")
+    speed: float = note("The speed of the incident wave.", "1/s")
+    amplitude: float = note("The amplitude of the incident wave.", "m")
+    energy: float = note("The energy of the incident wave.", "J")
     distance: int = note(
-        "The distance from the last bead at which the reflected wave was followed, in contacts.",
+        "The distance from the last bead, in contacts, at which the reflected wave was followed.",
         "1",
     )
     run: Run = note("The run.")
-    # of each lane why nothing is known; the static forces of the wall and of the chain
+    # The reason of each lane without a result; the static forces of the wall and of the chain.
     _lost: tuple[str, ...] = eqx.field(static=True)
     _loads: tuple[float, float] = eqx.field(static=True)
 
@@ -92,29 +92,38 @@ def reflect(
     distance: Count | None = None,
     step: Scalar | None = None,
 ) -> Reflection:
-    r"""A solitary wave is sent against the wall at the end of its chain: when and as what it comes back.
+    r"""Send a solitary wave against the wall at the end of its chain, and measure its reflection.
 
-    The leading reflected wave is found, as in `collide`, by least squares of the exact wave of its speed, while it runs
-    through `distance` to 1.5 `distance` contacts from the last bead. Its line of places, followed back, leaves the last
-    bead a `delay` after the line of the wave that was sent has come there.
+    The leading reflected wave is found, as in `collide`, by a least-squares fit of the exact wave
+    of its speed, from `distance` to 1.5 `distance` contacts from the last bead. Its line of places,
+    extrapolated back, leaves the last bead a `delay` after the line of the incident wave arrives
+    there.
 
     **Arguments:**
 
-    - `wave`: of `solitary_wave`, to the right (speed > 0). `wall`: law of the contact between the last bead and the
-      wall, of any kind, from equilibrium; parameters of shape (B,) are lanes, all in one program. `None`: rigid, the
-      last bead is held; the limit of an infinitely stiff contact, which the waves of all stiffer walls approach.
-    - `distance`: contacts; `None` is so far that sound has fallen behind, 30 at least. Further away more of what else
-      comes back has done so.
-    - `step`: time step; `None` a fifth of one over the bound on the frequencies of the stiffest lane.
+    - `wave`: of `solitary_wave`, to the right (speed > 0). `wall`: any law of the contact between
+      the last bead and the wall, from equilibrium; parameters of shape (B,) are lanes, all in one
+      program. `None`: rigid, the last bead is held; this is the limit of an infinitely stiff
+      contact.
+    - `distance`: contacts, at least 30 with `None` and far enough that sound has fallen behind. The
+      larger it is, the more of the other reflected waves has fallen behind.
+    - `step`: time step; `None` is 1/5 over the bound on the frequencies of the stiffest lane.
 
     A bead of radius R on an elastic half-space of Young's modulus E (an array: lanes), in SI:
-    `wall = gx.Hertz(gx.materials.hertz_coefficient("steel 316", R, gx.Material("wall", E, 0.3, 1.0), jnp.inf), F0)`.
 
-    **Returns:** `Reflection`. The delay falls as the contact stiffens, towards the rigid limit: -ln(cosh k)/sinh k for
-    Toda's soliton. **Raises** ValueError for a wave to the left, traced numbers, a wall with more than one axis of
-    lanes. Not differentiable: places are fitted.
-    Source: J. Yang, C. Silvestro, D. Khatri, L. De Nardo, C. Daraio, Phys. Rev. E 83, 046606 (2011); S. Job, F. Melo,
-    A. Sokolow, S. Sen, Phys. Rev. Lett. 94, 178002 (2005).
+        wall = gx.Hertz(
+            gx.materials.hertz_coefficient(
+                "steel 316", R, gx.Material("wall", E, 0.3, 1.0), jnp.inf
+            ),
+            F0,
+        )
+
+    **Returns:** `Reflection`. The delay falls as the contact stiffens, towards the rigid limit:
+    -ln(cosh k)/sinh k for Toda's soliton. Not differentiable: places are fitted.
+    **Raises** ValueError for a wave to the left, traced numbers, and a wall with several axes of
+    lanes.
+    Source: J. Yang, C. Silvestro, D. Khatri, L. De Nardo, C. Daraio, Phys. Rev. E 83, 046606
+    (2011); S. Job, F. Melo, A. Sokolow, S. Sen, Phys. Rev. Lett. 94, 178002 (2005).
 
     **Example:**
 
@@ -128,7 +137,7 @@ def reflect(
     if not float(wave.speed) > 0:
         refuse("wave", "one to the right, where the wall is", f"speed {float(wave.speed):g}")
     reach = reach_of(wave, TAIL)
-    # what runs at the speed of sound is to fall behind
+    # Waves at the speed of sound must fall behind.
     sound = float(jnp.sqrt(jnp.maximum(taylor(wave.law).K2, 0.0) / wave.mass)) / float(wave.speed)
     distance = max(30, int(reach * max(2, 1 / (1 - sound)))) if distance is None else distance
     scene = _Scene(wave, wall, reach, distance)
@@ -155,8 +164,6 @@ LATE = "no wave has come back yet"
 
 
 class _Scene:
-    """A chain with its wall, and the wave on its way."""
-
     def __init__(self, wave: Wave, wall: Law | None, reach: float, distance: int):
         self.wave, self.wall, self.distance = wave, wave.law if wall is None else wall, distance
         more = 0.25 * reach + 4
@@ -164,16 +171,16 @@ class _Scene:
         self.sites = shared_size(int(np.ceil(room)) + BEYOND)
         self.lanes = _lanes(self.wall)
         self.count = int(np.prod(self.lanes))
-        # contact n lies at n + 1/2 of the beads; a bead that is held is the wall of one bead less
+        # Contact n lies at n + 1/2 in bead numbers. A held bead is the wall of a chain of one bead
+        # less.
         self.mirror = self.sites - (0.5 if wall is None else 1.5)
         self.start, speed = self.mirror - reach - more, float(wave.speed)
         self.arrival, self.before = (reach + more) / speed, more / speed
         self.time = self.arrival + 1.25 * (1.5 * distance + reach) / speed
 
     def runs(self, time: float, step: float | None) -> list[Run]:
-        """With a step, and with twice as much."""
         lattice, state = self._lattice(), self.wave.state(self.sites, self.start)
-        # the beads ahead of the wave are at rest in place, as the wall is
+        # The beads ahead of the wave are at rest in place, as the wall is.
         state = State(
             *(
                 jnp.broadcast_to(x.reshape((-1,) + (1,) * len(self.lanes)), x.shape + self.lanes)
@@ -204,7 +211,6 @@ def _lanes(wall: Any) -> tuple[int, ...]:
 
 
 def _returned(scene, runs, lane):
-    """Nine numbers of one lane, NaN where they are not known, and why."""
     wave, none = scene.wave, [np.nan] * 9
     ts = np.asarray(runs[0].ts, float)
     at = (lane,) if scene.lanes else ()
@@ -226,7 +232,6 @@ def _returned(scene, runs, lane):
 
 
 def _leading(scene, ts, strains):
-    """Frames in which the largest strain away from the wall is where waves are followed; places; whether it left."""
     near, far = scene.mirror - scene.distance, scene.mirror - 1.5 * scene.distance
     seen = strains[:, : int(near + scene.distance / 2)]
     places, there = np.argmax(seen, axis=1), seen.max(1) > FAINT * abs(float(scene.wave.amplitude))

@@ -1,4 +1,4 @@
-"""`solitary_wave`: the wave of a law, or of a uniform chain."""
+"""`solitary_wave`: the solitary wave of a law or of a uniform chain."""
 
 from typing import Any
 
@@ -18,42 +18,41 @@ from ..types import Count, Number, Scalar
 from .cells import CellWave, Resonator, alone_with_resonators
 from .stability import stability
 
-# places of the table, and decays or contacts that it reaches
+# The number of places in the table, and its reach in decay lengths or contacts.
 TABLE, REACH = 257, 20.0
 
 
 class Wave(Profile):
-    r"""A wave that runs without changing its shape: strain phi(n - c t) of contact n, between the beads n and n + 1.
+    r"""A solitary wave: contact n, between the beads n and n + 1, has the strain phi(n - c t).
 
-    m c^2 phi = tent * F(phi), tent(x) = [1 - |x|]_+. Places xi = n - c t count contacts; the beads ahead of the wave
-    are at rest, and each has moved by `compression` when it has passed. Beads are fastest at xi = 1/2, midway between
-    two contacts. `state` is meant for a long chain with free ends: the beads ahead are at rest in place, those behind
-    have moved, which a wall there would feel.
+    m c^2 phi = tent * F(phi), tent(x) = [1 - |x|]_+. Places xi = n - c t count contacts. The beads
+    ahead are at rest; each has moved by `compression` after the wave has passed. Beads are fastest
+    at xi = 1/2, midway between two contacts. `state` is meant for a long chain with free ends: the
+    beads behind have moved, which would load a wall there.
 
-    Differentiable once in the parameters of the law, the mass and the given speed, amplitude or energy, by the implicit
-    function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`); `jax.jit` and `jax.vmap` around the search are refused.
+    Differentiable once in the parameters of the law, the mass and the given speed, amplitude or
+    energy, by the implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`). `jax.jit` and
+    `jax.vmap` around the search are refused.
     """
 
     amplitude: Number = array("The largest strain phi(0), negative for tension.", "m")
-    energy: Number = array("int (phi F/2 + W); the kinetic energy is int phi F/2.", "J")
+    energy: Number = array("int (phi F/2 + W), of which int phi F/2 is the kinetic energy.", "J")
     momentum: Number = array("m c int phi.", "N s")
     compression: Number = array("int phi.", "m")
-    width: Number = array(
-        "The number of contacts between the places where the strain is half of the amplitude.", "1"
-    )
+    width: Number = array("The full width at half of the amplitude, in contacts.", "1")
     decay: Number = array(
         "kappa of the tail exp(-kappa |xi|); NaN for a tail that falls faster (no sound at rest).",
         "1",
     )
     exponent: Number = array(
-        "ln phi(xi + 1) / ln phi(xi) of a tail that falls faster than an exponential; NaN "
-        "where there is a `decay`.",
+        "ln phi(xi + 1) / ln phi(xi) of a tail that falls faster than an exponential; NaN where "
+        "there is a `decay`.",
         "1",
     )
 
     @property
     def outcome(self) -> str:
-        """How well it is known, and how its tail falls."""
+        """The accuracy of the wave, and the decay of its tail."""
         if traced((self.amplitude, self.error, self.decay, self.exponent)):
             return "Not known while traced."
         tail = (
@@ -67,16 +66,16 @@ class Wave(Profile):
     def floquet(
         self, sites: Count | None = None, ends: str | None = None, **keywords: Any
     ) -> Floquet:
-        """Stability over the time in which it runs one site: `granjax.travelling.stability`."""
+        """Compute the stability over the time 1/c by `granjax.travelling.stability`."""
         return stability(self, sites, ends, **keywords)
 
 
 def full_width(shape: Shape, reach: float) -> Number:
-    """The full width at half of the largest strain, whose ends lie within `reach`, with its derivative."""
+    """Return the full width at half of the largest strain, with its derivative."""
     known = jax.lax.stop_gradient(shape)
     level = float(known.at("strain", 0.0)) / 2
     half = brentq(lambda x: float(known.at("strain", x)) - level, 0.0, reach, xtol=1e-15)
-    # the slope takes ten times as long as the search
+    # The slope takes ten times as long as the search, so it is computed only where needed.
     if not traced(shape):
         return jnp.asarray(2 * half)
     gap = shape.at("strain", half) - shape.at("strain", 0.0) / 2
@@ -93,30 +92,34 @@ def solitary_wave(
     side: str | None = None,
     resonator: Resonator | None = None,
 ) -> Wave | CellWave:
-    r"""The solitary wave of a chain of equal masses with one law between neighbours, exact on the lattice.
+    r"""Compute the solitary wave of a chain of equal masses with one law between neighbours.
 
-    m c^2 phi(x) = int (1 - |z|)_+ F(phi(x - z)) dz. A first shape comes from iterating the Fourier form at a
-    fixed peak, phi^ = sinc^2(k/2) F^/(m c^2), whose floor is rounding; the wave itself from Newton's method on the tent
-    integral in ln phi, so that its tail is right to its last digit, however small, and it is never the trivial one.
+    The wave is exact on the lattice: m c^2 phi(x) = int (1 - |z|)_+ F(phi(x - z)) dz. A first shape
+    comes from iterating the Fourier form at a fixed peak, phi^ = sinc^2(k/2) F^/(m c^2), down to
+    rounding. Newton's method then solves the tent integral in ln phi. The tail is therefore
+    accurate to its last digit, however small, and the trivial solution is excluded.
 
     **Arguments:**
 
-    - `law`: any law, from equilibrium (a precompression is the law's own), and with it `mass`; or a chain `Lattice` of
-      equal masses and bonds to the next site, whose walls and boundary do not count and whose units the result has.
-    - exactly one of `speed` (contacts per time; below zero it runs to the left), `amplitude` (the largest strain, below
-      zero in tension) and `energy`.
-    - `side`: `"compression"` or `"tension"`, where a law has waves on both; `None` is the first that has some. Hertz,
-      p > 1, magnets: compression; 0 < p < 1: tension (rarefaction).
-    - `resonator`: a `gx.Resonator` in every bead. Such a wave is alone at single stiffnesses, `tail_free_stiffness`; at
-      others the nearest is named, and `cell_wave` gives the wave with its ripple. With it the result is a `CellWave`.
+    - `law`: any law, from equilibrium (it includes a precompression), with `mass`; or a chain
+      `Lattice` of equal masses and bonds to the next site, whose walls and boundary are ignored and
+      whose units the result has.
+    - exactly one of `speed` (contacts per time; negative to the left), `amplitude` (the largest
+      strain, negative in tension) and `energy`.
+    - `side`: `"compression"` or `"tension"`, where a law has waves on both; `None` is the first
+      that has some. Hertz, p > 1, magnets: compression; 0 < p < 1: tension (rarefaction).
+    - `resonator`: a `gx.Resonator` in every bead; the result is then a `CellWave`. Such a wave has
+      no ripple only at single stiffnesses, `tail_free_stiffness`; at others the error names the
+      nearest, and `cell_wave` gives the wave with its ripple.
 
-    **Returns:** `Wave`. Hertz (A = m = c = 1): peak 1.48735937434940, energy 2.82348668842276; they scale as c^4, c^10.
+    **Returns:** `Wave`. Hertz (A = m = c = 1): peak 1.48735937434940, energy 2.82348668842276,
+    which scale as c^4 and c^10.
 
-    **Raises** ValueError for a speed at or below that of sound, one above what the law's energy holds, a law that has
-    no solitary wave (it does not stiffen), a lattice that is no uniform chain, a batch, none or several of speed,
-    amplitude and energy.
-    Source: English, Pego, Proc. AMS 133, 1763 (2005); Friesecke, Wattis, Commun. Math. Phys. 161, 391 (1994);
-    Herrmann, Proc. R. Soc. Edinb. A 140, 753 (2010).
+    **Raises** ValueError for a speed at or below that of sound or above what the law's energy
+    allows, a law that has no solitary wave (it does not stiffen), a lattice that is not a uniform
+    chain, a batch, and none or several of speed, amplitude and energy.
+    Source: English, Pego, Proc. AMS 133, 1763 (2005); Friesecke, Wattis, Commun. Math. Phys. 161,
+    391 (1994); Herrmann, Proc. R. Soc. Edinb. A 140, 753 (2010).
 
     **Example:**
 

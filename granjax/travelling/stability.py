@@ -1,4 +1,4 @@
-"""Waves as fixed points of "run for 1/c, then shift by one site", and their stability, by the code of orbits."""
+"""The stability of solitary waves, as fixed points of "run for 1/c, then shift by one site"."""
 
 from dataclasses import fields
 from typing import Any
@@ -22,28 +22,30 @@ from ..terms import Bond
 from ..types import Count, Scalar, StateLike
 from ..units import SCALED
 
-# strain over the peak where a ring closes, by default; sites of the shortest and the longest
+# The default strain, over the peak, half-way round a ring; the least and the most sites.
 CLOSED, SHORTEST, LONGEST = 1e-10, 12, 200
-# wave numbers at which the essential spectrum is looked at
+# The number of wave numbers at which the essential spectrum is computed.
 WAVES = 256
-# where far states are held: growth of the norm per contact without sound; steps at first and at most, to which the
-# matrix is known
+# For held ends: the growth rate of the norm per contact where there is no sound; the number of
+# steps at first and at most; the relative change of the matrix at which the steps suffice.
 RATE, STEPS, MOST, KNOWN = 1.0, 64, 2048, 1e-7
 
 
 def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
-    """A ring in which a wave runs, and the wave in its middle, displacements about the mean strain.
+    """Return a ring in which a wave runs, and its state with the wave in the middle.
 
-    The wave shortens the ring by its compression, so that every bond has the mean strain s = compression/sites at rest
-    and the law F(e + s) - F(s); displacements are periodic then, and a shift by one site is a symmetry. The ring's own
-    wave differs by what the tail has left half-way round.
+    The wave shortens the ring by its compression. At rest, every bond therefore has the mean strain
+    s = compression/sites and the law F(e + s) - F(s). Displacements measured from there are
+    periodic, and a shift by one site is a symmetry. The ring's own wave differs by about the strain
+    of the tail half-way round.
 
-    **Arguments:** `sites`: `None` is as many as bring the strain half-way round to 1e-10 of the peak.
-    **Raises** ValueError where more than 200 are needed (a wave little faster than sound), or fewer than 12 asked.
+    **Arguments:** `sites`: with `None`, the strain half-way round is 1e-10 of the peak.
+    **Raises** ValueError where more than 200 sites are needed (a wave little faster than sound), or
+    fewer than 12 are given.
     """
     sites = _sites_of(wave) if sites is None else sites
     s, centre = wave.compression / sites, sites // 2
-    # the mean of the strains themselves, which is that of the integral to what the tail leaves
+    # The mean of the strains themselves equals that of the integral up to the cut tail.
     xi = np.arange(sites) - centre
     e = jnp.asarray(wave.strain(xi)) - s
     e = e - e.mean()
@@ -73,13 +75,14 @@ def _sites_of(wave):
 
 
 def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: Any) -> Orbit:
-    r"""A wave of any ring as a fixed point: y(1/c) = S y(0), S the shift by one site, by Newton's method.
+    r"""Find a wave of any ring by Newton's method, as a fixed point y(1/c) = S y(0).
 
-    The lattice may have whatever terms: further neighbours, on-site forces, user-defined terms. `orbit.floquet()`
-    tells its stability.
+    S is the shift by one site. The lattice may have any terms: further neighbours, on-site forces,
+    user-defined terms. `orbit.floquet()` gives the stability.
 
-    **Arguments:** `lattice`: a ring of equal cells. `guess`: a state near the wave, such as that of `ring(wave)`, or of
-    a lattice that is near. `speed`: c, sites per time, below zero to the left. `keywords`: of `gx.orbits.orbit`.
+    **Arguments:** `lattice`: a ring of equal cells. `guess`: a nearby state, such as that of
+    `ring(wave)` or of a similar lattice. `speed`: c [sites per time], negative to the left.
+    `keywords`: of `gx.orbits.orbit`.
     **Returns:** `Orbit`. **Raises** as `gx.orbits.orbit` does, and ValueError for a speed of zero.
     """
     return orbit(
@@ -88,27 +91,29 @@ def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: An
 
 
 class WaveStability(Floquet):
-    """What `stability` returns: a `Floquet` that says on how many sites of which lattice it was found."""
+    """The `Floquet` that `stability` returns, and the ring or the chain of the computation."""
 
-    sites: int = hidden("The sites of the ring or the chain.", static=True, kw_only=True)
+    sites: int = hidden("The number of sites of the ring or the chain.", static=True, kw_only=True)
     bound: float = hidden(
-        "The bound on all multipliers but two of a chain with held ends, 0 of a ring.", kw_only=True
+        "The bound on all multipliers but two with held ends; 0 on a ring.", kw_only=True
     )
     ring: Floquet | None = hidden(
-        "What was found on the ring, where held ends have decided.", default=None, kw_only=True
+        "The result on the ring, where held ends decided the verdict.", default=None, kw_only=True
     )
-    held: Floquet | None = hidden("What these have found.", default=None, kw_only=True)
+    held: Floquet | None = hidden(
+        "The result with held ends, where they decided the verdict.", default=None, kw_only=True
+    )
     essential: np.ndarray = hidden(
-        "Multipliers of small waves far from this one, on the infinite chain: the essential "
-        "spectrum, in the norm in which it was found.",
+        "The essential spectrum: multipliers of small waves far from this wave on the infinite "
+        "chain, in the norm that was used.",
         kw_only=True,
     )
 
     @property
     def point(self) -> np.ndarray:
-        """The multipliers beyond the essential spectrum by more than their errors: they are the wave's own.
+        """The wave's own multipliers: outside the essential spectrum by more than their errors.
 
-        Those of a ring that held ends do not find are small waves that run round it.
+        Those of a ring that are absent with held ends belong to small waves that run round it.
         """
         own = self.held or self
         beyond = np.abs(own.multipliers) > np.abs(own.essential).max() + own.error
@@ -116,7 +121,7 @@ class WaveStability(Floquet):
 
     @property
     def outcome(self) -> str:
-        """Where it was found, and what led to the verdict."""
+        """The ring or chain that was used, and the reason for the verdict."""
         if self.bound:
             place = f"On a chain of {self.sites} sites with held ends:"
             if self.bound >= 1:
@@ -137,24 +142,29 @@ class WaveStability(Floquet):
 def stability(
     wave: Any, sites: Count | None = None, ends: str | None = None, **keywords: Any
 ) -> WaveStability:
-    r"""Multipliers of a wave over the time in which it runs one site: of S^-1 D y(1/c), with errors and a verdict.
+    r"""Compute the Floquet multipliers of a wave: the eigenvalues of S^-1 D y(1/c), with a verdict.
 
-    `ends="ring"`: the wave is set on a `ring`, refined there by Newton's method and judged as any orbit is, with Krein
-    signatures and four multipliers at +1 (phase and energy, displacement and momentum); the continuous spectrum is a
-    set of points on or near the unit circle. Small waves run round the ring and meet the wave again, which makes some
-    of them grow, by less the longer the ring is. So where a multiplier lies outside the circle, held ends decide; what
-    is the ring's own is then part of the `error`. `ends="held"`: a chain whose far states are held: at every shift a
-    bead at rest comes in ahead and one is left behind. Two multipliers are at +1 (place and speed), those of what the
-    wave leaves behind lie within the circle, in a norm that grows ahead of the wave (Pego and Weinstein), and there is
-    no signature. Where nothing carries sound, perturbations behind the wave stay or drift on, and come again on a ring.
+    S is the shift by one site.
 
-    Where dE/dc passes zero along a family one pair leaves +1 (Friesecke and Pego, Nonlinearity 17, 207 (2004);
-    Cuevas-Maraver and others, Phys. Rev. E 96, 032214 (2017)).
+    - `ends="ring"`: the wave is placed on a `ring`, refined by Newton's method and judged as any
+      orbit is, with Krein signatures and four multipliers at +1 (phase and energy, displacement and
+      momentum). The continuous spectrum is a set of points on or near the unit circle. Small waves
+      run round the ring and meet the wave again. Some of them grow by this, more slowly the longer
+      the ring is. Where a multiplier lies outside the circle, held ends therefore decide, and the
+      `error` includes the growth due to the ring.
+    - `ends="held"`: the far states are held: at every shift a bead at rest enters ahead and one is
+      dropped behind. Two multipliers are at +1 (place and speed). Those of the waves left behind
+      lie inside the circle, in a norm that grows ahead of the wave (Pego and Weinstein). There are
+      no signatures. Without sound, perturbations behind the wave stay or drift, and would meet it
+      again on a ring.
 
-    **Arguments:** `sites`: of the ring or the chain, `None` by the tail. `ends`: `None` is "ring" where there is sound,
-    "held" elsewhere. `keywords`: of `gx.floquet.floquet` on a ring.
-    **Returns:** `WaveStability`, whose outcome names the ring or the chain; `essential` is the essential spectrum of
-    the infinite chain, `point` what lies beyond it. **Raises** as `ring` and `wave_orbit` do.
+    Where dE/dc passes zero along a family, one pair leaves +1 (Friesecke and Pego, Nonlinearity 17,
+    207 (2004); Cuevas-Maraver and others, Phys. Rev. E 96, 032214 (2017)).
+
+    **Arguments:** `sites`: of the ring or the chain; `None` chooses them by the tail. `ends`:
+    `None` is "ring" where there is sound, "held" elsewhere. `keywords`: of `gx.floquet.floquet`, on
+    a ring.
+    **Returns:** `WaveStability`. **Raises** as `ring` and `wave_orbit` do.
 
     **Example:**
 
@@ -178,13 +188,12 @@ def stability(
 
 
 def _judged(found, wave, sites):
-    """What was found on a ring, judged by held ends where the ring itself may be why a multiplier leaves the circle."""
     told = {field.name: getattr(found, field.name) for field in fields(found)}
     told |= {"sites": sites, "bound": 0.0, "essential": _essential(wave, 0.0)}
     if found.verdict == STABLE:
         return WaveStability(**told)
     held, rho = _held(wave, sites), found.multipliers
-    # those of the wave, with their inverses; what else is off the circle is the ring's own
+    # The wave's own multipliers and their inverses. All others off the circle are due to the ring.
     growing = held.multipliers[held.unstable]
     waves = np.abs(rho[:, None] - np.concatenate([growing, 1 / growing])).argmin(0)
     own = np.setdiff1d(np.arange(len(rho)) if held.verdict != UNDECIDED else [], waves).astype(int)
@@ -244,7 +253,7 @@ def _held(wave, sites):
 
 
 def _essential(wave, rate):
-    """exp(i (k - omega(k)/c)) of both directions, at wave numbers k + i rate: of waves that fall as exp(-rate n)."""
+    """Return exp(i (k - omega(k)/c)) of both directions, at complex wave numbers k + i rate."""
     k = 2 * np.pi * np.arange(WAVES) / WAVES + 1j * rate
     stiffness = values(wave.law, np.zeros(1))[1][0]
     omega = 2 * np.sqrt(stiffness / float(wave.mass)) * np.sin(k / 2)
@@ -253,9 +262,9 @@ def _essential(wave, rate):
 
 
 def _radius(matrix, about):
-    """A bound on all multipliers but the two nearest +1, of every matrix as near to this one; infinite where not found.
+    """Bound all multipliers but the two nearest +1, of every matrix within `about` of this one.
 
-    In the norm x* P x, with R* P R + r^2 = r^2 P, what R is on the rest shrinks by the factor r (1 - 1/|P|)^{1/2}.
+    In the norm x* P x, with R* P R + r^2 = r^2 P, the rest R shrinks by r (1 - 1/|P|)^{1/2}.
     """
     rho = np.linalg.eigvals(matrix)
     apart = np.sort(np.abs(rho - 1))[1:3].mean()
@@ -266,10 +275,10 @@ def _radius(matrix, about):
         return np.inf
     norm = solve_discrete_lyapunov(rest.conj().T / r, np.eye(len(rest)))
     low, high = np.linalg.eigvalsh(norm)[[0, -1]]
-    # what the solution leaves of its equation is taken off
+    # The residual of the numerical solution is subtracted.
     shrinks = np.linalg.eigvalsh(norm - rest.conj().T @ norm @ rest / r**2)[0] / high
     if not (low > 0 and shrinks > 0):
         return np.inf
-    # of the two subspaces the angle, as what couples them over what sets them apart
+    # The angle between the two subspaces: their coupling over the gap of their eigenvalues.
     tilt = 1 + np.linalg.norm(triangle[:count, count:]) / apart
     return float(r * np.sqrt(1 - shrinks) + np.sqrt(high / low) * tilt * about)

@@ -1,4 +1,4 @@
-"""Where a wave is and how fast it runs, from the strains of a run: a fit of the wave's own shape, frame by frame."""
+"""The place and the speed of a wave in a run, by a fit of its exact shape in every frame."""
 
 from typing import NamedTuple
 
@@ -9,19 +9,20 @@ from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from .solitary import Wave, solitary_wave
 
-# least squares: of Gauss's iteration, and its last step in contacts
+# The Gauss-Newton iterations, and the step in contacts at which they stop.
 ITERATIONS, STILL = 12, 1e-13
-# share of the peak at which the window of a fit ends; a fit that leaves more than this of the peak is of no wave
+# The strain, over the peak, at which the window of a fit ends; the residual, over the peak, above
+# which the fit is not a solitary wave.
 WINDOW, MISFIT = 1e-3, 0.02
-# speeds closer than this have one shape; how often the shape of another speed is looked for
+# The relative difference below which two speeds share a shape; how often the shape is updated.
 NEAR, ROUNDS = 1e-5, 3
 
 
 class Track(NamedTuple):
-    """A wave in some frames: where it is, and the straight line through that.
+    """The places of a wave in some frames, and the straight line through them.
 
-    `wave`: the exact wave of about its speed. `coarse`: places in a run of twice the step. `misfit`: what the fit
-    leaves, over the peak, in the worst frame.
+    `wave`: the exact wave of about its speed. `coarse`: places in a run of twice the step.
+    `misfit`: the largest residual of the fit in any frame, over the peak.
     """
 
     wave: Wave
@@ -37,16 +38,16 @@ class Track(NamedTuple):
 
     @property
     def speed_error(self) -> float:
-        """How far other lines' slopes are from it: of either half of the frames, and of twice the step."""
+        """The largest change of the slope with either half of the frames or twice the step."""
         return max(abs(_line(*other)[1] - self.speed) for other in self._others())
 
     def at(self, time: float) -> tuple[float, float]:
-        """Where the line is at a time, and how far the other lines are from there."""
+        """Return the line's place at a time, and its largest distance from the other lines."""
         place = _at(time, self.times, self.places)
         return place, max(abs(_at(time, *other) - place) for other in self._others())
 
     def passes(self, place: float) -> tuple[float, float]:
-        """When the line is at a place, and its error."""
+        """Return the time at which the line passes a place, and its error."""
         time = self.times.mean() + (place - self.places.mean()) / self.speed
         return time, self.at(time)[1] / abs(self.speed)
 
@@ -60,13 +61,13 @@ class Track(NamedTuple):
 
 
 def run_twice(lattice: Lattice, state: State, time: float, frames: int, step: float) -> list[Run]:
-    """Runs with a step and with twice as much, which is to fit between two frames."""
+    """Run with a step, of which two fit between two frames, and with twice that step."""
     step = min(step, time / (2 * (frames - 1)))
     return [simulate(lattice, state, time, step=h, save_at=frames) for h in (step, 2 * step)]
 
 
 def reach_of(wave: Wave, share: float) -> float:
-    """From which place on the strain is below a share of the peak."""
+    """Return the place beyond which the strain is below a share of the peak."""
     x, peak = 1.0, abs(float(wave.amplitude))
     while abs(float(wave.strain(x))) > share * peak:
         x *= 1.1
@@ -76,15 +77,15 @@ def reach_of(wave: Wave, share: float) -> float:
 def tracked(
     wave: Wave, times: np.ndarray, strains: np.ndarray, coarse: np.ndarray, guesses: np.ndarray
 ) -> Track:
-    """A wave followed through frames of strains (T, contacts), also of a coarser run, from a guess for each frame."""
+    """Follow a wave through strains (T, contacts) of two runs, from guesses of its places."""
     places, misfit = fitted(wave, strains, guesses)
     return Track(wave, times, places, fitted(wave, coarse, places)[0], misfit)
 
 
 class Leaving(NamedTuple):
-    """A wave that leaves: its track by the exact wave of its own speed, amplitude and energy each with its error.
+    """A wave after a collision or reflection: track, and amplitude and energy with errors.
 
-    `why` it is not a solitary wave, a text; empty where it is one.
+    `why`: the reason why it is not a solitary wave; empty where it is one.
     """
 
     track: Track
@@ -96,7 +97,7 @@ class Leaving(NamedTuple):
 def leaving(
     wave: Wave, times: np.ndarray, strains: np.ndarray, coarse: np.ndarray, guesses: np.ndarray
 ) -> Leaving:
-    """What became of a wave, followed as by `tracked`."""
+    """Fit the exact wave of its own speed to a wave that is followed as by `tracked`."""
     track, none = tracked(wave, times, strains, coarse, guesses), np.full(2, np.nan)
     try:
         track, beside = _of_own_speed(track, strains, coarse)
@@ -109,9 +110,9 @@ def leaving(
 
 
 def _of_own_speed(track, strains, coarse):
-    """The track by the exact wave of the speed that it has; and another wave near by, for derivatives in the speed.
+    """Return the track with the exact wave of its speed, and a nearby wave for slopes.
 
-    **Raises** ValueError where the law has no wave of that speed, or the track is of no wave.
+    **Raises** ValueError where the law has no such wave, or the track fits no wave.
     """
     if not track.misfit < 1:
         refuse(
@@ -136,7 +137,6 @@ def _of_own_speed(track, strains, coarse):
 
 
 def _number(track, beside, name):
-    """Amplitude or energy of the wave of the track's speed, and its error; NaN where no other wave is beside it."""
     if beside is track.wave:
         return np.full(2, np.nan)
     at, speed = float(getattr(track.wave, name)), float(track.wave.speed)
@@ -147,9 +147,9 @@ def _number(track, beside, name):
 
 
 def fitted(wave: Wave, strains: np.ndarray, guesses: np.ndarray) -> tuple[np.ndarray, float]:
-    """Places (T,) at which the wave's shape is nearest to the strains, and what remains over the peak, at most.
+    """Return the places (T,) of the best fits, and the largest residual over the peak.
 
-    Places count contacts. The window moves with the wave, so that an even remainder moves no place.
+    Places count contacts. The window moves with the wave, so that an even residual shifts no place.
     """
     contacts, peak = strains.shape[1], float(wave.amplitude)
     half = int(np.ceil(reach_of(wave, WINDOW))) + 1

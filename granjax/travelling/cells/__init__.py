@@ -1,4 +1,4 @@
-"""Waves of chains whose cell holds several sites or a resonator: exact at anti-resonances, with a ripple between."""
+"""Waves of chains whose cell holds several sites or a resonator."""
 
 from .families import Nanoptera, TailFree, nanoptera, tail_free_curve
 from .public import CellWave, alone_with_resonators, cell_wave, tail_free

@@ -14,15 +14,15 @@ from ...profiles.medium import law_between, values
 from ...types import Parameter, Scalar
 from .resonator import Resonator
 
-# relative difference of numbers that repeat
+# The relative difference below which two numbers are equal.
 ALIKE = 1e-12
 
 
 def repeated_in(lattice: Lattice) -> tuple[Law, np.ndarray, dict]:
-    """The law of a cell's bonds, its masses (P,), and what a result keeps of the lattice.
+    """Return the law of a cell's bonds, its masses (P,), and the metadata of the lattice.
 
-    Walls and their contacts do not count. **Raises** ValueError for other lattices than a chain of bonds to the next
-    site, whose masses and bonds repeat at least twice.
+    Walls and their contacts are ignored. **Raises** ValueError unless the lattice is a chain of
+    bonds to the next site whose masses and bonds repeat at least twice.
     """
     wanted = "a chain of bonds between neighbours that repeats"
     law, (sites,) = law_between(lattice, wanted), lattice.sites
@@ -39,7 +39,7 @@ def repeated_in(lattice: Lattice) -> tuple[Law, np.ndarray, dict]:
 def chain_of(
     law: Law, masses: Parameter, speed: Scalar, resonator: Resonator | None = None
 ) -> Chain:
-    """The chain of a law and the masses of a cell; its smallest period and its mirror are found here."""
+    """Build the chain of a law and a cell's masses, with its smallest period and its mirror."""
     masses = np.atleast_1d(np.asarray(positive("masses", masses), float))
     if masses.ndim != 1:
         refuse(
@@ -89,7 +89,7 @@ def chain_of(
 
 
 def _period(*rows: Any) -> int | None:
-    """The least period of all rows, at most half of the first one; `None` without one."""
+    """Return the least common period, at most half of the first row; `None` without one."""
     shorter = range(1, len(rows[0]) // 2 + 1)
     return next((p for p in shorter if all(_alike(row[p:], row[:-p]) for row in rows)), None)
 

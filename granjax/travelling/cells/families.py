@@ -1,4 +1,4 @@
-"""Nanoptera over a parameter of the cell and the speed, and the curves on which they lose their ripple."""
+"""Nanoptera over a cell's parameter and the speed, and curves of waves without a ripple."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,41 +12,41 @@ from ...results import Result, array, hidden, note
 from ...types import Parameter, Scalar
 from .public import CellWave, cell_wave, tail_free
 
-# of the interval about the last place, in which the next one is sought
+# The part of the interval in which the next parameter is searched for.
 NARROW = 0.5
 
 
 class Nanoptera(Result):
-    """Waves with a ripple over two parameters: what `gx.travelling.nanoptera` returns."""
+    """Waves with a ripple over two parameters: the result of `gx.travelling.nanoptera`."""
 
     parameter: Float[np.ndarray, " parameter"] = array("The parameter of the cell.")
     speed: Float[np.ndarray, " speed"] = array("The speeds in sites per time.", "1/s")
     ripple: Float[np.ndarray, "parameter speed"] = array(
         "The smallest ripple, NaN where no wave was found.", "m"
     )
-    amplitude: Float[np.ndarray, "parameter speed"] = array("The largest strain in size.", "m")
+    amplitude: Float[np.ndarray, "parameter speed"] = array("The largest absolute strain.", "m")
     radiation: Float[np.ndarray, "parameter speed"] = array(
         "The power lost by a wave that is launched without its ripple.", "W"
     )
     error: Float[np.ndarray, "parameter speed"] = array("The error of the strains.", "m")
-    lost: tuple[str, ...] = note("Why waves were not found, a sentence each.")
+    lost: tuple[str, ...] = note("The reasons why waves were not found, one sentence each.")
 
     @property
     def outcome(self) -> str:
-        """How many waves were found."""
+        """The number of waves found."""
         return f"{np.isfinite(self.amplitude).sum()} waves of {self.amplitude.size}."
 
 
 class TailFree(Result):
-    """Waves without a ripple along a curve of parameter and speed: what `gx.travelling.tail_free_curve` returns."""
+    """Waves without a ripple along a curve: the result of `gx.travelling.tail_free_curve`."""
 
     speed: Float[np.ndarray, " point"] = array("The speeds in sites per time.", "1/s")
     parameter: Float[np.ndarray, " point"] = array("The parameter of the cell.")
-    amplitude: Float[np.ndarray, " point"] = array("The largest strain in size.", "m")
+    amplitude: Float[np.ndarray, " point"] = array("The largest absolute strain.", "m")
     energy: Float[np.ndarray, " point"] = array("The energies.", "J")
     error: Float[np.ndarray, " point"] = array("The error of the strains.", "m")
     waves: tuple[CellWave, ...] = hidden("The waves.")
-    lost: str = note("Why the curve ended before the last speed, or nothing.")
+    lost: str = note("Why the curve ended before the last speed; empty where it did not.")
 
     @property
     def outcome(self) -> str:
@@ -56,10 +56,11 @@ class TailFree(Result):
 
 
 def nanoptera(cell: Callable[[Any], Any], parameters: Parameter, speeds: Parameter) -> Nanoptera:
-    """Find the ripple of the waves of a cell over its parameter and the speed.
+    """Compute the ripple of the waves of a cell over its parameter and the speed.
 
-    **Arguments:** `cell`: parameter -> (law, masses), or a chain `Lattice`, as `tail_free` takes it. `parameters` (P,);
-    `speeds` (S,), c in sites per time. Each wave is that of `cell_wave`; a second or so.
+    **Arguments:** `cell`: parameter -> (law, masses), or a chain `Lattice`, as for `tail_free`.
+    `parameters` (P,); `speeds` (S,), c in sites per time. Each wave is that of `cell_wave` and
+    takes about a second.
     **Returns:** `Nanoptera`. **Raises** ValueError for other shapes.
 
     **Example:**
@@ -94,13 +95,14 @@ def nanoptera(cell: Callable[[Any], Any], parameters: Parameter, speeds: Paramet
 def tail_free_curve(
     cell: Callable[[Any], Any], low: Scalar, high: Scalar, speeds: Parameter
 ) -> TailFree:
-    """Follow a wave that travels without loss over the speed, its parameter of the cell going along.
+    """Follow a wave that travels without loss over the speed, together with its parameter.
 
-    The first wave is that of `tail_free` between `low` and `high`; each further one is sought about the place to which
-    the curve leads, in half of that interval.
+    The first wave is that of `tail_free` between `low` and `high`. Each next one is searched for
+    around the extrapolated parameter, in half of that interval.
 
-    **Arguments:** `cell`, `low`, `high`: as in `tail_free`. `speeds` (S,): c in sites per time, in the order in which
-    they are followed. **Returns:** `TailFree`, as far as the curve was followed. **Raises** as `tail_free` for the
+    **Arguments:** `cell`, `low`, `high`: as in `tail_free`. `speeds` (S,): c in sites per time, in
+    the order to follow.
+    **Returns:** `TailFree`, as far as the curve was followed. **Raises** as `tail_free` for the
     first speed.
     """
     width, waves, lost = float(high) - float(low), [], ""

@@ -1,4 +1,4 @@
-"""Where Newton's method for a wave of a cell begins: the wave of a uniform chain, or a simulated pulse."""
+"""Starting points of Newton's method: the wave of a uniform chain, or a simulated pulse."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,36 +14,38 @@ from ...profiles.fourier import Chain
 from ...strains import Shift
 from ...terms import Bond
 
-# the simulated pulse: cells of the chain, those between which its speed is measured, frames per shortest period
+# The simulated pulse: the cells of the chain, the two cells between which its speed is measured,
+# the frames per shortest period.
 CELLS, FIRST, LAST, FRAMES = 32, 14, 20, 40
 
 
 class Uniform(NamedTuple):
-    """The wave of a uniform chain, and the strain of each bond (P,) over its own."""
+    """The wave of a uniform chain, and the ratio (P,) of each bond's strain to it."""
 
     shape: TentShape
     share: np.ndarray
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """Strains (P, X) of the bonds."""
+        """Return the strains (P, X) of the bonds."""
         return self.share[:, None] * np.asarray(self.shape.at("strain", x))
 
 
 def uniform(chain: Chain) -> Uniform:
-    """The wave of equal bonds in which all masses go along, and which give way as the cell's bonds do in the mean.
+    """Return the wave of the uniform chain with the cell's mean total mass and mean compliance.
 
-    Where there are waves of both signs it has the smaller strains. **Raises** ValueError where there is none.
+    Of two waves of opposite signs it is that of smaller strains. **Raises** ValueError where there
+    is none.
     """
     law, mass, share = chain.laws[0], chain.total * chain.unit, np.ones(len(chain.masses))
     if chain.stiffness.any():
-        # all bonds carry one force
+        # All bonds carry the same force.
         share = chain.K2[0] / chain.K2
         mass *= share.mean()
     sides = [bounds(law, side) for side in (1, -1)]
     peaks = [reached(law, side, mass) if side.exist else None for side in sides]
     peaks = sorted([x for x in peaks if x is not None], key=abs)
     if peaks and not chain.stiffness.any():
-        # as powers of the strain
+        # Near the peak each law is approximated by a power of the strain.
         F, slope, _ = chain.bonds(np.full((len(share), 1), peaks[0]))[..., 0]
         power = peaks[0] * slope / F
         share = (F[0] / F) ** (1 / power)
@@ -54,11 +56,12 @@ def uniform(chain: Chain) -> Uniform:
 
 
 def struck(chain: Chain, peak: float) -> tuple[float, float, Callable] | None:
-    """The pulse that a blow to the heaviest bead of a cell sends down a chain with free ends; `None` without one.
+    """Simulate the pulse after a blow to a cell's heaviest bead in a chain with free ends.
 
-    `peak`: the strain of a wave of speed 1, about.
+    `peak`: the approximate strain of a wave of speed 1.
 
-    Its speed, half its width, and its strains (P, N) as a function of a box, zero beyond its core.
+    Return its speed, half its width, and its strains (P, N) as a function of a box, zero beyond the
+    core; `None` without a pulse.
     """
     P = len(chain.masses)
     sites = P * CELLS
@@ -74,8 +77,8 @@ def struck(chain: Chain, peak: float) -> tuple[float, float, Callable] | None:
     if not (np.isfinite(history).all() and history.max() > 0):
         return None
 
+    # The time at which the pulse is its own mirror image at a cell.
     def centre(cell):
-        """When the pulse is mirrored into itself at a cell."""
         bonds = P * cell + np.arange(P)
         partners = P * cell + chain.mirror - 1 - np.arange(P)
         return np.mean([_first_centroid(t, history[:, b]) for b in (*bonds, *partners)])
@@ -94,14 +97,12 @@ def struck(chain: Chain, peak: float) -> tuple[float, float, Callable] | None:
 
 
 def _width(x, strain):
-    """How far from the centre a strain falls to a hundredth of its peak."""
     low = np.abs(x[strain < 1e-2 * strain.max()])
     at = np.abs(x[np.argmax(np.where(np.abs(x) < 3, strain, 0))])
     return float(low[low > at].min())
 
 
 def _first_centroid(t, strain):
-    """Mean time of the first pulse of a strain, weighted by its square."""
     top = np.argmax(strain > 0.3 * strain.max())
     gone = np.flatnonzero(strain[top:] < 1e-3 * strain.max())
     weight = strain[: top + (gone[0] if len(gone) else len(t))] ** 2

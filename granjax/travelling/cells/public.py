@@ -21,57 +21,60 @@ from .resonator import Resonator
 from .tail import group, margin, periodic
 from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, without_tail
 
-# the speed over the sound speed from which on a box holds the wave
+# The least speed, over the sound speed, at which a box holds the wave.
 LEAST_MARGIN = 1.004
-# the ripple over the peak beyond which there is no pulse to speak of
+# The ripple, over the peak, above which there is no distinct pulse.
 LOUDEST = 0.5
-# relative distance of a mass from an anti-resonance within which the wave of that is returned
+# The relative distance of a mass ratio from an anti-resonance within which the latter's wave is
+# returned.
 NEAR = 1e-5
 
 
 class CellWave(Result):
-    """A wave of a chain whose cell holds P sites: the strain of contact n is phi_j(n - c t), j = n mod P.
+    """A wave of a chain with P sites in a cell: contact n has the strain phi_{n mod P}(n - c t).
 
-    Contact n lies between the sites n and n + 1; xi = n - c t counts sites, of a contact and of a bead alike, as in
-    `Wave`. A wave that a bead or a contact mirrors does so at xi = 0 of the contacts. `strain` and `velocity` give any
-    place; beyond the box where the wave was solved its own ripple continues, whose misfit `error` includes.
+    Contact n lies between the sites n and n + 1. xi = n - c t counts sites, of contacts and of
+    beads, as in `Wave`. A wave with a mirror symmetry has it at xi = 0 of the contacts. `strain`
+    and `velocity` accept any place: beyond the box of the solution the ripple continues, with a
+    misfit that `error` includes.
     """
 
     speed: float = note("The speed c in sites (not cells) per time.", "1/s")
     masses: Numbers = array("The masses of the smallest cell.", "kg", "place")
-    amplitude: float = note("The largest strain in size.", "m")
+    amplitude: float = note("The largest absolute strain.", "m")
     ripple: float = note(
-        "The largest strain of the linear wave that runs along; zero in a wave that travels"
-        " alone, NaN where several run along.",
+        "The largest strain of the linear wave that keeps pace; zero for a wave without loss, "
+        "NaN where several keep pace.",
         "m",
     )
     wavenumber: float | None = note(
         "The wave number of the ripple per site, as measured in the tail.", "rad"
     )
     linear_wavenumber: float | None = note(
-        "The wave number of the linear wave, omega(k) = c k; it differs by the ripple's square.",
+        "The wave number of the linear wave, omega(k) = c k; the difference is quadratic in the "
+        "ripple.",
         "rad",
     )
     parameter: float | None = array("The parameter of `tail_free`.")
     energy: float = note(
-        "The energy, a mean over the places of the wave in a cell; NaN with a ripple, whose"
-        " energy has no bound.",
+        "The energy, averaged over the wave's places in a cell; NaN with a ripple, whose energy "
+        "is unbounded.",
         "J",
     )
-    residual: float = array("What the equations leave, over the amplitude.")
-    error: float = note("The estimated distance of the strains from the truth.", "m")
+    residual: float = array("The residual of the equations, over the amplitude.")
+    error: float = note("The estimated error of the strains.", "m")
     radiation: float = note(
-        "The power that the wave loses where it is launched without its ripple, to second order"
-        " in that; NaN where it is not known: several ripples, resonators.",
+        "The power that the wave loses if it is launched without its ripple, to second order in "
+        "the ripple; NaN where unknown: several ripples, resonators.",
         "W",
     )
     xi: Numbers = array("The places of the table.", "1", "xi")
     strains: Numbers = array("The strains of the table.", "m", "place xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "place xi")
     resonator: Resonator | None = array("The resonator in each bead.")
-    # how far the core reaches, beyond which there is the ripple alone
+    # The half-width of the core, beyond which only the ripple remains.
     _core: float = eqx.field(static=True, default=0.0)
-    # linear waves that keep pace; how far the masses are from those given
+    # The number of linear waves that keep pace; the relative shift of the masses from those given.
     _waves: int = eqx.field(static=True, default=0)
     _off: float = eqx.field(static=True, default=0.0)
 
@@ -96,19 +99,20 @@ class CellWave(Result):
         return told
 
     def strain(self, xi: Parameter, bond: Count = 0) -> Float[np.ndarray, "..."]:
-        """Compression [m] at places xi = n - c t, of any shape, as contact `bond` of the cell sees it."""
+        """Return the compression [m] of the cell's contact `bond` at places xi of any shape."""
         return self._at(self.strains, xi, bond)
 
     def velocity(self, xi: Parameter, site: Count = 0) -> Float[np.ndarray, "..."]:
-        """Velocity [m/s] at places xi = n - c t, of any shape, as bead `site` of the cell sees it."""
+        """Return the velocity [m/s] of the cell's bead `site` at places xi of any shape."""
         return self._at(self.velocities, xi, site)
 
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
-        """Displacements and velocities of a chain of `sites` sites, the wave's xi = 0 at contact `centre`.
+        """Return displacements and velocities of `sites` sites, with xi = 0 at contact `centre`.
 
-        Site 0 is the first of the cell. `None` is the middle of the chain, (sites - 2)/2. The last bead is at its
-        place. Meant for free ends: those behind have moved. Contacts beyond the box see its own ripple go on. With
-        resonators dicts of `"bead"` and `"resonator"`.
+        Site 0 is the first of the cell. `None` is the middle of the chain, (sites - 2)/2. The last
+        bead is at its place, and the beads behind the wave have moved: this is meant for free ends.
+        The ripple continues beyond the box. With resonators the fields are dicts of `"bead"` and
+        `"resonator"`.
         """
         xi = places(sites, centre)
         u, v = np.zeros(sites), self._along(self.velocities, xi)
@@ -120,7 +124,6 @@ class CellWave(Result):
         return State(*({"bead": x, "resonator": y} for x, y in zip((u, v), inner)))
 
     def _along(self, table, xi):
-        """Values along a chain whose sites are at places xi."""
         out, P = np.empty(len(xi)), len(self.masses)
         for j in range(P):
             out[j::P] = self._at(table, xi[j::P], j)
@@ -141,7 +144,7 @@ class CellWave(Result):
 
 
 def swinging(velocities, xi, speed, resonator):
-    """Velocities of the resonators, and how far the beads are ahead of them: tables like those of the beads."""
+    """Return tables of the resonators' velocities and of the beads' displacements from them."""
     k = 2 * np.pi * np.fft.fftfreq(len(xi), xi[1] - xi[0])
     square = float(resonator.mass / resonator.stiffness)
     inner = np.fft.fft(velocities, axis=1) / (1 - square * speed**2 * k**2)
@@ -156,34 +159,39 @@ def cell_wave(
     speed: Scalar,
     resonator: Resonator | None = None,
 ) -> CellWave:
-    r"""The wave of a given speed in a chain whose masses and laws repeat with a cell of P sites.
+    r"""Compute the wave of a given speed in a chain that repeats with a cell of P sites.
 
-    Bond n, between the sites n and n + 1, has the law of place n mod P: parameters of `law` are numbers or arrays (P,).
+    Bond n, between the sites n and n + 1, has the law of place n mod P: parameters of `law` are
+    numbers or arrays (P,).
 
-    *With a stiffness at rest* (precompressed contacts, FPUT, Toda) a supersonic wave keeps pace with a linear wave of
-    the optical band, omega(k) = c k, and is a nanopteron: a core on a ripple that reaches to infinity on both sides.
-    Of these that with the smallest ripple is returned, `ripple` its amplitude: half of what a wave without ripple ahead
-    sheds behind, so zero means a wave that travels without loss. The equations are solved on a periodic box by
-    Newton's method in Fourier form; the box's length is the one at which the ripple is smallest.
+    *With a stiffness at rest* (precompressed contacts, FPUT, Toda) a supersonic wave keeps pace
+    with a linear wave of the optical band, omega(k) = c k. It is a nanopteron: a core on a ripple
+    that extends to infinity on both sides. The nanopteron with the smallest ripple is returned.
+    `ripple` is its amplitude, half of what a wave without a ripple ahead sheds behind: zero means a
+    wave without loss. Newton's method solves the Fourier form on a periodic box whose length
+    minimizes the ripple.
 
-    *Without one* (granular chain, F0 = 0) light beads behind a pulse rattle freely, and there is no such ripple: waves
-    travel at single values of the mass ratio alone (dimers: 1, 0.342845781150, 0.154751513885, 0.090127769139,
-    0.061502072781, ...), and between them every pulse decays (`gx.resonance.decay_rate`). Away from those the call is
-    refused; `tail_free` finds them.
+    *Without one* (granular chain, F0 = 0) light beads behind a pulse rattle freely. Waves exist
+    only at single mass ratios (dimers: 1, 0.342845781150, 0.154751513885, 0.090127769139,
+    0.061502072781, ...). At all others every pulse decays (`gx.resonance.decay_rate`), and the call
+    is refused. `tail_free` finds these ratios.
 
-    *With a resonator* in every bead the linear wave is the one in which bead and resonator swing against each other,
-    k = (kappa (1 + nu)/nu)^{1/2}/c without a stiffness at rest (in a chain without precompression its contacts open and
-    close). Where k is a multiple of 2 pi no contact feels it and the wave travels alone.
+    *With a resonator* in every bead, the linear wave is the swing of bead and resonator against
+    each other, k = (kappa (1 + nu)/nu)^{1/2}/c without a stiffness at rest (the contacts then open
+    and close). Where k is a multiple of 2 pi no contact feels it, and the wave has no ripple.
 
-    **Arguments:** `law` and `masses` (P,) [kg]; or a chain `Lattice` that repeats, whose walls do not count and whose
-    units the result has. `speed`: c, in sites (not cells) per time. `resonator`: a `gx.Resonator` in every bead.
+    **Arguments:** `law` and `masses` (P,) [kg]; or a chain `Lattice` that repeats, whose walls are
+    ignored and whose units the result has. `speed`: c, in sites (not cells) per time. `resonator`:
+    a `gx.Resonator` in every bead.
 
-    **Returns:** `CellWave`, not differentiable. **Raises** ValueError for a speed that is not supersonic, a law without
-    a wave of that speed, several sites without a stiffness at rest off the anti-resonances; RuntimeError where
-    no wave was found, which happens where the ripple is as strong as the wave.
-    Typical: Toda, masses (1, 0.9), 1.2 times the speed of sound: ripple 2.6 % of the peak.
-    Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011); Faver, Wright, SIAM J. Math. Anal. 50,
-    473 (2018); Vainchtein, Starosvetsky, Wright, Perline, Phys. Rev. E 93, 042210 (2016).
+    **Returns:** `CellWave`, not differentiable.
+    **Raises** ValueError for a speed that is not supersonic, a law without a wave of that speed,
+    and several sites without a stiffness at rest away from the anti-resonances; RuntimeError where
+    no wave was found, as where the ripple is as strong as the wave. Typical: Toda, masses (1, 0.9),
+    1.2 times the speed of sound: ripple 2.6 % of the peak.
+    Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011); Faver, Wright, SIAM
+    J. Math. Anal. 50, 473 (2018); Vainchtein, Starosvetsky, Wright, Perline, Phys. Rev. E 93,
+    042210 (2016).
 
     **Example:**
 
@@ -217,9 +225,9 @@ def _faster_than_sound(chain, speed):
 
 
 def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Resonator) -> CellWave:
-    """The wave that leaves none of the resonators in every bead swinging.
+    """Compute the wave that leaves no resonator swinging.
 
-    **Raises** ValueError where their stiffness is not one of those at which there is such a wave, naming the nearest.
+    **Raises** ValueError where the stiffness has no such wave, and names the nearest that has.
     """
     wave = cell_wave(law, [mass], speed=speed, resonator=resonator)
     if wave.ripple:
@@ -282,18 +290,21 @@ def tail_free(
     *,
     speed: Scalar,
 ) -> CellWave:
-    r"""The wave that travels without loss, and the parameter between `low` and `high` at which it does.
+    r"""Find the wave that travels without loss, and its parameter between `low` and `high`.
 
-    A cell that is mirrored by one of its beads or contacts leaves one condition: that the ripple's amplitude vanishes,
-    or, without a stiffness at rest, that neighbours far from the pulse do not drift apart (beads) or keep a gap
-    (contacts). Newton's method solves for the wave and the parameter together.
+    A cell with a mirror symmetry leaves one condition. With a stiffness at rest the ripple's
+    amplitude vanishes. Without one, neighbours far from the pulse must not drift apart (mirror at a
+    bead) or keep a gap (at a contact). Newton's method solves for the wave and the parameter
+    together.
 
-    **Arguments:** `cell`: parameter -> (law, masses), or a chain `Lattice`, as `cell_wave` takes them; for dimers
-    `lambda ratio: (gx.Hertz(), [1.0, ratio])`. `low` < `high`: around one such place. `speed`: c [sites per time].
+    **Arguments:** `cell`: parameter -> (law, masses), or a chain `Lattice`, as for `cell_wave`; for
+    dimers `lambda ratio: (gx.Hertz(), [1.0, ratio])`. `low` < `high`: an interval around one
+    solution. `speed`: c [sites per time].
 
-    **Returns:** `CellWave` with `parameter` (dimers of the sonic vacuum: 0.342845781150, any speed).
-    **Raises** ValueError for an empty interval, a cell that does not fit; RuntimeError where nothing was
-    found between `low` and `high`.
+    **Returns:** `CellWave` with `parameter` (dimers of the sonic vacuum: 0.342845781150, any
+    speed).
+    **Raises** ValueError for an empty interval and an unsuitable cell; RuntimeError where nothing
+    was found.
 
     **Example:**
 
@@ -339,7 +350,6 @@ def tail_free(
 
 
 def _recorded(search, resonator, speed, solved_for=False, **fields):
-    """The wave that a search finds, or that none was found."""
     try:
         found = search()
         phi, tail = found.solved.phi, found.tail
@@ -381,7 +391,7 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
 
 
 def _radiation(chain, ripple, size, speed):
-    """Energy per site of the ripple behind, twice as high, times the speed at which its train grows, c - domega/dk."""
+    """Return (c - domega/dk) times the energy per site of a ripple of twice the amplitude."""
     if np.isnan(size) or chain.resonator is not None or not chain.stiffness.any():
         return np.nan
     energy = np.mean(chain.stiffness * np.abs(2 * size * ripple.shape) ** 2) / 2
@@ -389,7 +399,6 @@ def _radiation(chain, ripple, size, speed):
 
 
 def _top(box, phi):
-    """The largest strain in size, between the places of the box as well."""
     bond, at = np.unravel_index(np.argmax(np.abs(phi)), phi.shape)
     near, apart = box.x[at], box.x[1] - box.x[0]
 
@@ -400,7 +409,6 @@ def _top(box, phi):
 
 
 def _energy(found, speed, v, resonator):
-    """Mean over the phases of a cell of the sum over its sites."""
     box, chain = found.box, found.box.chain
     density = chain.given[:, None] * v**2 / 2 + chain.unit * chain.bonds(found.solved.phi)[2]
     if resonator is not None:

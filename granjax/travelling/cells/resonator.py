@@ -1,4 +1,4 @@
-"""A mass on a spring in every bead, and the stiffness at which a wave leaves none of them swinging."""
+"""A mass on a spring in every bead, and the stiffness at which a wave leaves none swinging."""
 
 import equinox as eqx
 import jax
@@ -10,9 +10,9 @@ from ...types import Count, Number, Parameter, Scalar
 
 
 class Resonator(eqx.Module):
-    """A mass mu [kg] that a linear spring kappa [N/m] ties to its bead: mu w'' = kappa (u - w).
+    """A mass mu [kg] tied to its bead by a linear spring kappa [N/m]: mu w'' = kappa (u - w).
 
-    **Raises** ValueError for a mass or a stiffness that is not above zero.
+    **Raises** ValueError for a mass or a stiffness that is not positive.
     """
 
     mass: jax.Array
@@ -23,11 +23,11 @@ class Resonator(eqx.Module):
         self.mass, self.stiffness = positive("mass", mass), positive("stiffness", stiffness)
 
     def swing(self, mass: Number = 1.0) -> Number:
-        """Angular frequency [rad/s] at which a free bead of mass m and its resonator swing against each other."""
+        """Return the frequency [rad/s] of a free bead of mass m swinging against its resonator."""
         return (self.stiffness * (1 / self.mass + 1 / mass)) ** 0.5
 
     def tail_free(self, speed: Scalar, mass: Scalar = 1.0) -> Number:
-        """The stiffness [N/m] nearest to its own at which a wave of this speed leaves no resonator swinging."""
+        """Return the nearest stiffness [N/m] at which a wave leaves no resonator swinging."""
         n = np.maximum(np.round(self.swing(mass) / (2 * np.pi * speed)), 1)
         return tail_free_stiffness(speed, self.mass, mass, int(n))
 
@@ -35,13 +35,14 @@ class Resonator(eqx.Module):
 def tail_free_stiffness(
     speed: Number, resonator_mass: Number, mass: Number = 1.0, count: Count = 1
 ) -> Number:
-    r"""Stiffness of resonators that swing `count` times, exactly, while a wave of speed c runs on by one bead.
+    r"""Return the stiffness of resonators that swing `count` times while a wave moves by one bead.
 
-    kappa = (2 pi n c)^2 mu m/(mu + m) [N/m]: then a bead's two contacts cancel in what they leave in it, at any law:
-    phi = Lambda * F(phi), Lambda(x) = [(1 - |x|) m - mu sin(2 pi n |x|)/(2 pi n)]_{|x| < 1}/(m (m + mu) c^2).
+    kappa = (2 pi n c)^2 mu m/(mu + m) [N/m] at wave speed c. The effects of a bead's two contacts
+    on its resonator then cancel for any law: phi = Lambda * F(phi), Lambda(x) = [(1 - |x|) m - mu
+    sin(2 pi n |x|)/(2 pi n)]_{|x| < 1}/(m (m + mu) c^2).
 
     **Returns:** an array of the shape of the arguments. mu = 0.1, m = c = n = 1: 3.5889470549.
-    **Raises** ValueError for a speed or a mass that is not above zero.
+    **Raises** ValueError for a speed or a mass that is not positive.
     """
     speed, heavy = positive("speed", speed), positive("mass", mass)
     inner, count = positive("resonator_mass", resonator_mass), count

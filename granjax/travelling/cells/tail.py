@@ -1,4 +1,4 @@
-"""What runs with a wave far from its core: ripples, linear waves of its own phase speed, and how the core decays."""
+"""The far field of a wave: ripples (linear waves of its phase speed) and the core's decay."""
 
 from typing import NamedTuple
 
@@ -7,21 +7,21 @@ from scipy.optimize import brentq
 
 from ...profiles.fourier import Box, Chain
 
-# no ripple is sought beyond this wave number [rad/site], nor nearer to zero than the first
+# The largest wave number of a ripple that is searched for, and the step of the search [rad/site].
 HIGHEST, STEP = 60.0, 0.01
-# harmonics of a ripple that is not linear; steps for its wave number
+# The harmonics of a nonlinear ripple; the steps of the search for its wave number.
 HARMONICS, GAUSS_NEWTON = 8, 8
 
 
 class Ripple(NamedTuple):
-    """A linear wave Re(a q_j e^{ikx}) of speed c: `wavenumber` k [rad/site], `shape` q (P,), max |q| = 1."""
+    """A linear wave Re(a q_j e^{ikx}): `wavenumber` k [rad/site], `shape` q (P,), max |q| = 1."""
 
     wavenumber: float
     shape: np.ndarray
 
 
 def _excess(chain: Chain, k):
-    """omega_b(k)^2/c^2 - k^2 of every band, ascending, (P, K), and the vectors of the strain (P, P, K)."""
+    """Return omega_b(k)^2/c^2 - k^2 (P, K) of all bands, and their strain vectors (P, P, K)."""
     root = np.sqrt(chain.K2)
     B = root[:, None, None] * chain.response(k) * root[None, :, None]
     squares, vectors = np.linalg.eigh(np.moveaxis(B, -1, 0))
@@ -29,13 +29,14 @@ def _excess(chain: Chain, k):
 
 
 def ripples(chain: Chain) -> list[Ripple]:
-    """All linear waves that keep pace with a wave of speed 1: omega_b(k) = k, by root search band by band."""
+    """Find all linear waves that keep pace with a wave of speed 1: omega_b(k) = k."""
     if not np.all(chain.K2 > 0):
         return []
     k = np.arange(1, int(HIGHEST / STEP)) * STEP
     if chain.resonator is not None:
         nu, kappa = chain.resonator[0], chain.resonator[1] / chain.unit
-        # a bead and its resonator that swing alone: a ripple is the nearer to that, the less the contacts feel of it
+        # The free swing of a bead and its resonator: the less a ripple loads the contacts, the
+        # nearer its wave number is to this.
         swing = np.sqrt(kappa / nu + kappa / chain.masses)[:, None]
         k = np.unique(
             np.append(k, swing * (1 + np.outer([-1, 1], np.geomspace(1e-13, 1e-2, 56)).ravel()))
@@ -43,12 +44,13 @@ def ripples(chain: Chain) -> list[Ripple]:
         k = k[np.abs(kappa - nu * k**2) > 1e-9 * kappa]
     found = []
     excess = _excess(chain, k)[0]
-    # across that swing itself the sign changes through infinity
+    # Across the free swing itself the sign changes through infinity.
     apart = np.diff(k) > 1e-12 * k[1:]
     for band, i in zip(*np.nonzero((excess[:, :-1] * excess[:, 1:] < 0) & apart)):
         at = lambda q, band=band: _excess(chain, np.array([q]))[0][band, 0]
         root = brentq(at, k[i], k[i + 1], xtol=1e-15, rtol=1e-14)
-        # where the resonators' mass passes through infinity or a band through another the sign changes without a root
+        # The sign changes without a root where the resonators' effective mass passes through
+        # infinity or two bands cross.
         if abs(at(root)) < np.abs(excess[band, i : i + 2]).min():
             shape = _excess(chain, np.array([root]))[1][:, band, 0]
             found.append(Ripple(root, _normal(chain, shape)))
@@ -56,15 +58,14 @@ def ripples(chain: Chain) -> list[Ripple]:
 
 
 def group(chain: Chain, k: float) -> float:
-    """Group velocity over c of the linear wave with omega(k) = c k."""
+    """Return the group velocity over c of the linear wave with omega(k) = c k."""
     excess = _excess(chain, k + STEP * np.array([-0.1, 0.0, 0.1]))[0]
     below, _, above = excess[np.argmin(np.abs(excess[:, 1]))]
-    # omega^2 = excess + k^2, and omega = k there
+    # omega^2 = excess + k^2, and omega = k at the ripple.
     return (above - below) / (0.2 * STEP) / (2 * k) + 1
 
 
 def _normal(chain, shape):
-    """The shape with largest entry 1 in size, and a phase such that the mirrored ripple is itself."""
     if chain.mirror is not None:
         partner = shape[(chain.mirror - 1 - np.arange(len(shape))) % len(shape)]
         largest = np.argmax(np.abs(shape))
@@ -73,18 +74,21 @@ def _normal(chain, shape):
 
 
 def stiffness(chain: Chain) -> float:
-    """Of the cell as a whole, over M c^2: K2 of the springs in series."""
+    """Return K2 of the cell's springs in series, over M c^2."""
     return 1 / np.mean(1 / chain.K2) if np.all(chain.K2 > 0) else 0.0
 
 
 def margin(chain: Chain) -> float:
-    """Speed over the sound speed; infinite in a sonic vacuum."""
+    """Return the speed over the sound speed; infinite in a sonic vacuum."""
     K = stiffness(chain)
     return np.sqrt(chain.total / K) if K > 0 else np.inf
 
 
 def decay(chain: Chain) -> float:
-    """Rate [1/site] at which the core falls: K (2 sinh(q/2))^2 = m(iq) q^2 of the chain that the cell is on average."""
+    """Return the rate [1/site] at which the core falls.
+
+    It solves K (2 sinh(q/2))^2 = m(iq) q^2 for the averaged cell.
+    """
     K = stiffness(chain)
 
     def at(q):
@@ -95,9 +99,9 @@ def decay(chain: Chain) -> float:
 
 
 class Fit(NamedTuple):
-    """A ripple in the tail of a wave: complex amplitude a, measured from x = half; `wavenumber` as measured.
+    """A ripple in the tail: its complex amplitude at x = half, and its measured `wavenumber`.
 
-    `rest` is what a periodic function of that wave number leaves of the tail.
+    `rest`: the largest residual of the fit.
     """
 
     amplitude: complex
@@ -106,7 +110,7 @@ class Fit(NamedTuple):
 
 
 def tail(box: Box, phi, core: float):
-    """Places y = x - half of the tail, which the box joins at its ends, (X,) and strains there (P, X)."""
+    """Return places y = x - half (X,) of the tail, joined at the box's ends, and strains (P, X)."""
     y = np.where(box.x > 0, box.x - box.half, box.x + box.half)
     order = np.argsort(y)
     order = order[np.abs(y[order]) <= box.half - core]
@@ -114,13 +118,13 @@ def tail(box: Box, phi, core: float):
 
 
 def periodic(y, k: float):
-    """Columns (Y, 1 + 2 HARMONICS) of a periodic function at places y: the constant, then cosines and sines."""
+    """Return columns (Y, 1 + 2 HARMONICS) of a periodic function: the constant, cosines, sines."""
     turns = k * np.outer(y, np.arange(1, HARMONICS + 1))
     return np.concatenate([np.ones((len(y), 1)), np.cos(turns), np.sin(turns)], axis=1)
 
 
 def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
-    """The ripple beyond |x| = core, by a periodic function of one wave number for the bonds of the cell."""
+    """Fit the ripple beyond |x| = core by a periodic function of one wave number for all bonds."""
     y, strain = tail(box, phi, core)
     k, order = ripple.wavenumber, np.arange(1, HARMONICS + 1)
     for _ in range(GAUSS_NEWTON):
@@ -132,7 +136,7 @@ def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
         )
         if np.abs(amplitude) <= 1e-9 * np.abs(phi).max():
             break
-        # what the columns themselves cannot take up of the change with k
+        # The derivative in k, less its projection on the columns.
         turned = np.concatenate(
             [order * found[1 + HARMONICS :].T, -order * found[1 : 1 + HARMONICS].T], 1
         ).T
@@ -143,7 +147,7 @@ def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
 
 
 def ripple_row(box: Box, ripple: Ripple, core: float) -> np.ndarray:
-    """The row that takes strains (P N,) to the real amplitude of a ripple that its mirror makes itself."""
+    """Return the row that maps strains (P N,) to the amplitude of a mirrored ripple."""
     y, at = tail(box, np.arange(box.shape[0] * box.points).reshape(box.shape), core)
     wave = ripple.shape[:, None] * np.exp(1j * ripple.wavenumber * y)
     out = np.zeros(box.shape[0] * box.points)
@@ -152,9 +156,9 @@ def ripple_row(box: Box, ripple: Ripple, core: float) -> np.ndarray:
 
 
 def drift_row(box):
-    """The row that takes strains (P N,) to the slope of the first bond's at the box's end: beads that drift apart."""
+    """Return the row that maps strains (P N,) to the first bond's slope at the box's end."""
     hat = np.fft.ifft(1j * box.k * np.fft.fft(np.eye(1, box.points)[0])).real
-    # derivative at x = -half: circulant, so its first row
+    # The derivative at x = -half is the first row of a circulant matrix.
     out = np.zeros(box.shape[0] * box.points)
     out[: box.points] = hat[-np.arange(box.points) % box.points]
     return out

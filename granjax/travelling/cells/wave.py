@@ -1,4 +1,4 @@
-"""Waves of chains with a cell of several sites: the two ways to solve for one, with its ripple and without."""
+"""Solvers for waves of chains with a cell of several sites, with and without a ripple."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,29 +9,30 @@ from ...profiles.fourier import MOST, Box, Chain, Solved, fourier, newton, newto
 from .guess import struck, uniform
 from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
 
+# The points per site of a first box.
 POINTS = 5
-# decays of the core after which the ripple is alone
+# The decay lengths of the core after which only the ripple remains.
 DEEP = 29.0
-# the same where there is none
+# The same where there is no ripple.
 DEEPER = 35.0
-# the speed over the sound speed at which a wave of any cell is begun where it is lost at its own
+# The speed, over the sound speed, from which the search starts where it fails at the given speed.
 SLOW = 1.06
-# and beyond which one is not looked for
+# The speed, over the sound speed, beyond which no wave is searched for.
 FASTEST = 8.0
-# of the peak: the most that a wave without ripple leaves at the ends of a first box
+# The largest strain, over the peak, that a wave without ripple has at the ends of a first box.
 FLAT = 0.05
-# places at which the width of a wave is looked for
+# The number of places at which the width of a wave is searched for.
 WIDTHS = 1001
-# of the peak: what counts as no ripple
+# The ripple, over the peak, below which there is none.
 SILENT = 1e-11
 
 
 class Lost(Exception):
-    """Why no wave was found."""
+    """Raised with the reason why no wave was found."""
 
 
 class Found(NamedTuple):
-    """A wave in the chain's own units; `ripple` and `tail` are `None` where no linear wave keeps pace with it."""
+    """A wave in the chain's units; without a single linear wave, `ripple` and `tail` are `None`."""
 
     box: Box
     solved: Solved
@@ -42,10 +43,11 @@ class Found(NamedTuple):
 
 
 def on_a_box(chain: Chain) -> Found:
-    """A wave of a chain with a stiffness at rest: the nanopteron whose ripple is the smallest.
+    """Find the nanopteron with the smallest ripple, in a chain with a stiffness at rest.
 
-    The box joins the wave's two tails. Over its length the ripple's amplitude a is 1/a^2 = A + B cos 2kL + C sin 2kL,
-    the smallest a the half of what a wave without ripple before it would leave behind it. **Raises** `Lost`.
+    The periodic box joins the wave's two tails. The ripple's amplitude a depends on the box's
+    half-length L as 1/a^2 = A + B cos 2kL + C sin 2kL. The smallest a is half of what a wave
+    without a ripple ahead would leave behind. **Raises** `Lost`.
     """
     waves = ripples(chain)
     core = min((DEEP if waves else DEEPER) / decay(chain), 220.0)
@@ -63,7 +65,7 @@ def on_a_box(chain: Chain) -> Found:
     begun = _unresolved(solved.phi)
     for refined in range(4):
         worst = _unresolved(solved.phi)
-        # a law that is not smooth is hardly resolved by more places
+        # More points hardly improve the resolution where the law is not smooth.
         slow = refined == 2 and worst > 1e-2 * begun
         if worst < 1e-12 or slow or 1.5 * box.points * len(chain.masses) > MOST:
             break
@@ -84,7 +86,6 @@ def _begun(chain):
 
 
 def _rest(solved):
-    """The strain at the ends of the box over the largest."""
     return np.abs(solved.phi[:, 0]).max() / np.abs(solved.phi).max()
 
 
@@ -97,20 +98,17 @@ def _box(chain, half, density):
 
 
 def _again(chain, box, phi, half, density):
-    """The wave on another box, from that on one."""
     other = _box(chain, half, density)
     guess = fourier(phi, box.half, np.clip(other.x, -box.half, box.half))
     return other, newton(other, guess)
 
 
 def _unresolved(phi):
-    """Largest of the highest tenth of a wave's Fourier coefficients, over its largest."""
     hat = np.abs(np.fft.rfft(phi, axis=1))
     return hat[:, int(0.9 * hat.shape[1]) :].max() / hat.max()
 
 
 def _started(chain, half):
-    """A wave on some box: at its own speed, or from one little faster than sound, whose ripple is small."""
     try:
         return _turned_on(chain, half)
     except Lost as lost:
@@ -129,14 +127,13 @@ def _started(chain, half):
 
 
 def _turned_on(chain, half):
-    """A wave on some box, from a pulse of the chain of equal masses, on which the cell's own are turned on."""
     begun = _begun(chain)
 
     def blended(part):
         masses = (1 - part) * chain.total + part * chain.masses
         if chain.resonator is None or not part:
             return chain._replace(masses=masses, resonator=None)
-        # resonators that swing against their beads as fast as they do in the end
+        # The resonators swing against their beads at the final frequency for every part.
         nu, kappa = chain.resonator
         kappa = part * kappa * (1 + (1 - part) * nu)
         return chain._replace(masses=masses, resonator=(part * nu, kappa))
@@ -145,7 +142,7 @@ def _turned_on(chain, half):
     start = begun.at(box.x)
     solved = newton(box, start)
     height = np.abs(solved.phi).max()
-    # a chain that is compressed alike everywhere is a solution as well
+    # A uniformly compressed chain is a solution too and has to be excluded.
     if not (solved.converged and 0.2 < height / np.abs(start).max() < 5 and _rest(solved) < FLAT):
         raise Lost(
             f"Newton's method did not reach a wave of the chain of equal masses (residual {solved.residual:.1e})"
@@ -161,9 +158,9 @@ def _turned_on(chain, half):
 
 
 def _followed(chain_at, box, solved, part, step, least, change):
-    """The wave of chain_at(1) from that of another part, or as far as it goes; and the part that was reached.
+    """Follow a wave to chain_at(1), or as far as it goes; also return the part reached.
 
-    `change`: what the peak may change by in a step, at least and at most.
+    `change`: the least and the largest factor by which the peak may change in a step.
     """
     half = box.half
     while part < 1:
@@ -173,7 +170,7 @@ def _followed(chain_at, box, solved, part, step, least, change):
         if trial.converged and change[0] < moved < change[1] and _rest(trial) < 1:
             part, box, solved, step = part + step, other, trial, 1.5 * step
         elif step > least:
-            # a box that the ripple fits has no wave: another length does not fit it
+            # A box whose length fits the ripple has no wave, so the length is changed.
             step, half = step / 2, half + 0.13
         else:
             break
@@ -188,7 +185,8 @@ def _smallest(chain, box, solved, ripple, core):
         return Found(box, solved, ripple, found, core, 1)
     best = box, solved, found
     for _ in range(3):
-        # three lengths that spread over one period of the ripple about the best so far; near some there is no wave
+        # Three lengths over one period of the ripple about the best so far. Near some lengths there
+        # is no wave.
         lengths, sizes = [best[0].half], [np.abs(best[2].amplitude)]
         for part in (1, -1, 0.5, -0.5):
             if len(lengths) == 3:
@@ -225,11 +223,11 @@ def _smallest(chain, box, solved, ripple, core):
 
 
 def without_tail(chain_at: Callable, low: float, high: float, parts=(0.5, 0.2, 0.8)) -> Found:
-    """A wave without ripple, and the parameter in [low, high] where it is.
+    """Find a wave without a ripple and the parameter in [low, high] at which it exists.
 
-    `chain_at`: parameter to `Chain`. With a stiffness at rest the ripple's amplitude is to vanish, without one the
-    drift (or gap) that the pulse leaves between neighbours. `parts`: of the interval, where it is begun.
-    **Raises** `Lost`.
+    `chain_at`: parameter to `Chain`. With a stiffness at rest the ripple's amplitude must vanish;
+    without one, the drift or the gap between neighbours behind the pulse. `parts`: starting points,
+    as parts of the interval. **Raises** `Lost`.
     """
     for part in parts:
         try:
@@ -242,7 +240,7 @@ def without_tail(chain_at: Callable, low: float, high: float, parts=(0.5, 0.2, 0
 def _without_tail(chain_at, low, high, p):
     chain = chain_at(p)
     box, phi, speed, row, core = (_with_ripple if chain.stiffness.any() else _simulated)(chain)
-    # on from the speed of the pulse to that of the wave
+    # First at the speed of the simulated pulse, then at that of the wave.
     for goal in dict.fromkeys([speed, 1.0]):
 
         def box_of(p, goal=goal):
@@ -278,16 +276,16 @@ def _simulated(chain):
         raise Lost("a blow made no pulse that could be followed")
     speed, width, on = found
     box = Box(chain, width + 7.0, 2 * int(8 * (width + 7.0)))
-    # between contacts that are mirrored a gap that the pulse leaves
+    # Where the mirror is a contact, the pulse leaves a gap, otherwise a drift.
     gap = lambda box: np.eye(1, len(box.x) * len(chain.masses))[0]
     row = gap if (chain.mirror - 1) % len(chain.masses) == 0 else drift_row
     return box, on(box), speed, row, width + 5.0
 
 
 def of_one_site(chain: Chain) -> Found:
-    """The wave of equal beads without a stiffness at rest; with resonators the one of the smallest ripple.
+    """Find the wave of equal beads without a stiffness at rest.
 
-    **Raises** `Lost`.
+    With resonators it is that of the smallest ripple. **Raises** `Lost`.
     """
     shape = _begun(chain).shape
     on = lambda x: np.asarray(shape.at("strain", x))
@@ -298,7 +296,8 @@ def of_one_site(chain: Chain) -> Found:
     else:
         nu, kappa = chain.resonator
         ripple = Ripple(float(np.sqrt(kappa / chain.unit * (1 + nu) / nu)), np.ones(1, complex))
-        # as far from the lengths that the ripple fits as can be, four wavelengths beyond the core
+        # The half-length is as far as possible from those that fit the ripple, four wavelengths
+        # beyond the core.
         count = np.ceil(2 * core * ripple.wavenumber / (2 * np.pi)) + 8
         half, density = (count + 0.5) * np.pi / ripple.wavenumber, max(10, 2 * ripple.wavenumber)
     box = _box(chain, half, density)
@@ -313,7 +312,7 @@ def of_one_site(chain: Chain) -> Found:
 
 
 def error_of(found: Found) -> float:
-    """Estimated error of the strains, over their peak: a Newton step for the defect on a grid twice as fine."""
+    """Estimate the strains' relative error by a Newton step for the defect on a finer grid."""
     box, chain, phi = found.box, found.box.chain, found.solved.phi
     N = box.points
     fine = fourier(phi, box.half, -box.half + np.arange(2 * N) * box.half / N)
