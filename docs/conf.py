@@ -5,6 +5,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import pages  # noqa: E402
 import reference  # noqa: E402
 import showcase  # noqa: E402
 from docutils import nodes  # noqa: E402
@@ -54,7 +55,19 @@ html_theme_options = {
     "navbar_end": ["theme-switcher"],
     "pygments_light_style": "tango",
 }
-html_sidebars = {"index": [], "gallery/index": [], "start": []}
+# pages without others beside them
+ALONE = (
+    "index",
+    "gallery/index",
+    "start",
+    "methods",
+    "matlab",
+    "compare",
+    "formulas",
+    "cite",
+    "changes",
+)
+html_sidebars = {page: [] for page in ALONE}
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
@@ -78,6 +91,7 @@ def _lazily(app, pagename, templatename, context, doctree):
 def setup(app):
     """Pages that are made of what the package, the gallery and the notebooks hold."""
     app.connect("html-page-context", _lazily)
+    app.connect("source-read", pages.with_outputs)
     app.add_html_math_renderer("mathml", _math("inline"), _math("block"))
     reference.write(HERE / "reference")
     showcase.write(HERE)

@@ -1,26 +1,17 @@
-"""The pages of docs/: their blocks run, from top to bottom of each; their names and links exist."""
+"""The pages of docs/: their blocks run and print what is shown under them; their names and links exist."""
 
-import contextlib
-import io
+import json
 import re
 from pathlib import Path
 
+import pages
 import public
 import pytest
 
 import granjax as gx
 
-ROOT = Path(__file__).parents[1]
-DOCS = ROOT / "docs"
-PAGES = [
-    *(
-        DOCS / f"{name}.md"
-        for name in ("start", "methods", "matlab", "compare", "formulas", "cite")
-    ),
-    *sorted((DOCS / "concepts").glob("*.md")),
-    *sorted((DOCS / "how-to").glob("*.md")),
-]
-IDS = [str(page.relative_to(DOCS).with_suffix("")) for page in PAGES]
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = [DOCS / f"{page}.md" for page in pages.PAGES]
 FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.M | re.S)
 # of what a reader runs, and of what only shows
 LANGUAGES = {"python", "text", "toml", "matlab", "bibtex", "{toctree}"}
@@ -28,28 +19,25 @@ LANGUAGES = {"python", "text", "toml", "matlab", "bibtex", "{toctree}"}
 NAMES = {f"{page}.{name}" for page, name, _ in public.objects(gx)}
 
 
-def blocks(page):
-    return [code for language, code in FENCE.findall(page.read_text()) if language == "python"]
-
-
 @pytest.mark.site
-@pytest.mark.parametrize(
-    "page",
-    [page for page in PAGES if blocks(page)],
-    ids=[name for page, name in zip(PAGES, IDS) if blocks(page)],
-)
-def test_a_page_runs_from_top_to_bottom(page, elsewhere):
-    space = {}
-    with contextlib.redirect_stdout(io.StringIO()):
-        for number, block in enumerate(blocks(page), 1):
-            exec(compile(block, f"{page.name}, block {number}", "exec"), space)
+@pytest.mark.parametrize("page", [page for page in pages.PAGES if pages.blocks(page)])
+def test_a_page_runs_from_top_to_bottom_and_prints_what_it_shows(page, elsewhere):
+    kept = json.loads(pages.KEPT.read_text()).get(page, [])
+    for number, (said, figure) in enumerate(pages.run(page), 1):
+        shown = kept[number - 1] if kept else ""
+        assert pages.alike(shown, said), f"block {number} prints {said}"
+        assert pages.picture(page, number).exists() == (figure is not None)
 
 
 def test_there_are_pages():
-    assert len(PAGES) > 25 and sum(map(len, map(blocks, PAGES))) > 60 and len(NAMES) > 450
+    assert (
+        len(PAGES) > 25
+        and sum(len(pages.blocks(page)) for page in pages.PAGES) > 60
+        and len(NAMES) > 450
+    )
 
 
-@pytest.mark.parametrize("page", PAGES, ids=IDS)
+@pytest.mark.parametrize("page", PAGES, ids=pages.PAGES)
 def test_names_and_links_of_a_page_exist(page):
     text = page.read_text()
     assert re.match(r"# [^\n]+\n\n[A-Z][^#`|]+[.:]\s", text), "a title, and then a sentence"
