@@ -1,134 +1,134 @@
 """granjax: a differentiable simulator of nonlinear lattices on JAX.
 
-`import granjax as gx` is enough. It switches float64 on unless the environment holds JAX_ENABLE_X64, and sets two XLA
-flags that speed up its loops on the CPU unless it holds GRANJAX_TUNE=0; `gx.tune()` says what is in force.
+`import granjax as gx` enables float64 unless the environment has JAX_ENABLE_X64, and sets an XLA
+flag that speeds up loops on the CPU unless it has GRANJAX_TUNE=0; `gx.tune()` reports it.
 
     chain = gx.scenes.dimer(101, ratio=0.59)
     run = gx.simulate(chain, gx.states.impact(chain, velocity=1.0), 120.0, save_at=400)
     print(run)
 
-What there is; `help(gx.simulate)` says more of each.
+Contents (for details, `help(gx.simulate)`):
 
 Scenes
-    scenes              ready lattices: monomer, dimer, defects, disorder, FPUT, Toda, beads of materials in SI
-    states              where they start: impact, rest, modes, packets, steps, random
-    materials           steel, brass, PTFE ...; Hertz's contact coefficient from moduli and radii
-    Units               sizes of a scene's units of mass, length and time in SI
+    scenes              lattices: monomer, dimer, defects, disorder, FPUT, Toda, real beads in SI
+    states              initial states: impact, rest, modes, packets, steps, random
+    materials           steel, brass, PTFE ...; Hertz contact coefficients from moduli and radii
+    Units               the units of mass, length and time of a lattice, in SI
 Lattices
     Lattice             masses and terms, m a = sum of forces
     State               displacements and velocities, (u, v)
     vector_field        the equation of motion, for any diffrax solver
-    Term                what a term of your own derives from
+    Term                base class of your own terms
     Bond                a strain map and a law between sites
     OnSite              a force of each site's displacement
     Damping             a force -gamma m v
     Dashpot             a force of the rate of a bond
     ViscousContact      a dashpot that acts while a contact is closed
-    Drag                a force of the velocity's square
-    Langevin            a heat bath: damping and noise of a temperature
-    LongRange           bonds to all neighbours of a chain, with weights of the distance
-    Drive               a force of time on a site
-    BrilliantovContact  viscoelastic spheres that do not pull
-    CaputoDamping       a damping with the history of the velocity
+    Drag                a force of the squared velocity
+    Langevin            a heat bath: damping and thermal noise
+    LongRange           bonds to all neighbours of a chain, weighted by distance
+    Drive               a time-dependent force on a site
+    BrilliantovContact  viscoelastic spheres without attraction
+    CaputoDamping       damping with the history of the velocity
     PlasticContact      contacts that yield, and remember their largest overlap
-    Wall                a wall that yields, or moves
+    Wall                a yielding or moving wall
     Modulated           a term times a function of time
-    Harmonic            a cosine of time, whose numbers can be swept
-    Square              one that jumps between two values: layers in time
+    Harmonic            a cosine of time whose parameters can be swept
+    Square              a square wave: layers in time
     Breaks              times at which a function of time jumps
-    terms               the same, and what they are made of
+    terms               all terms, and their parts
 Strain maps
     Shift               bonds to a neighbour, on chains and grids, between fields of a cell
     Pairs               bonds of any graph
     Stretch             bonds as distances in the plane or in space
-    StrainMap           what a strain map of your own derives from
-    strains             the same, and `Stencil`: sums over several sites and fields
+    StrainMap           base class of your own strain maps
+    strains             all strain maps, and `Stencil`: sums over several sites and fields
 Laws
     Hertz               spheres in contact, A d^{3/2}
     PowerLaw            contacts of any exponent, magnets
-    Polynomial          Fermi, Pasta, Ulam and Tsingou
+    Polynomial          FPUT springs
     Toda                exponential springs
-    Linear              springs
+    Linear              linear springs
     Sine                sine-Gordon
     Yielding            a contact in series with a spring
     WaltonBraun         a plastic contact, bilinear
     Thornton            a plastic contact of spheres
-    PlasticLaw          what a plastic law of your own derives from
-    Spline              a law of free shape that never falls
-    Law                 what a law of your own derives from
-    laws                the same, and their Taylor coefficients
+    PlasticLaw          base class of your own plastic laws
+    Spline              a monotone law of free shape
+    Law                 base class of your own laws
+    laws                all laws, and their Taylor coefficients
 Motion
-    simulate            run a lattice in time
-    Run                 what it returns
+    simulate            integrate a lattice in time
+    Run                 its result
     caputo              a vector field with Caputo's derivative in time
-    CaputoRun           what it returns
-    RunWithMemory       what `simulate` returns where forces remember
-    Peak                a record: the highest value between the steps
-    PeakTime            a record: when it comes
-    Lowest              the lowest
-    Arrival             the time at which a quantity passes a threshold
-    Integral            an integral over time
-    Record              what a record of your own derives from
-    Reversible          reverse mode by integrating backwards, without memory
+    CaputoRun           its result
+    RunWithMemory       the result of `simulate` for forces that read the past
+    Peak                a record: the largest value, also between steps
+    PeakTime            a record: the time of the largest value
+    Lowest              a record: the smallest value
+    Arrival             a record: the time at which a quantity passes a threshold
+    Integral            a record: the integral over time
+    Record              base class of your own records
+    Reversible          reverse mode with constant memory, by integrating backwards
     derivative          the derivative of a run, with its error
-    Derivative          what it returns
-    Flow                a map over a number of steps, with tangents
-    first_order         DNLS, electrical lattices, the discrete p-Schroedinger equation; solitons, self-trapping
+    Derivative          its result
+    Flow                the map over a number of steps, with tangents
+    first_order         DNLS, electrical lattices, discrete p-Schroedinger; solitons, self-trapping
     fractional          kernel and symbol of the discrete fractional Laplacian
     measures            contact forces, energies, spectra, fronts, localisation of a state or a run
     equilibrium         where a lattice rests, and the loads that hold it
-    Equilibrium         what it returns
-    linear              modes, dispersion, bands, speed of sound, paths and strips of the plane, flat bands
+    Equilibrium         its result
+    linear              modes, dispersion, bands, speed of sound, paths and strips, flat bands
     topology            Zak phases, winding, Chern and valley numbers, quadrupole
 Solvers
     VelocityVerlet      order 2
     SRKN6b              order 4
-    ABA864              order 4, of seven forces; higher for small perturbations
+    ABA864              order 4, seven forces; higher for small perturbations
     SRKN11b             order 6
-    SRKN14a             order 6, of 14 stages: orbits
+    SRKN14a             order 6, 14 stages: for orbits
     KahanLi8            order 8
     SofroniouSpaletta10 order 10
     RKN86               order 8, with a tolerance
     RKN1210             order 12, with a tolerance
-    solvers             the same, and their stability
-    work_precision      error against time of many solvers on a scene
-    WorkPrecision       what it returns
+    solvers             all solvers, and their stability
+    work_precision      error against time of several solvers on a lattice
+    WorkPrecision       its result
 Periodic orbits
     breathers           breathers and their families
     forced              orbits of driven lattices, and their branches
-    kinks               what joins two wells of on-site forces: at rest, its Peierls-Nabarro barrier, moving
-    driven              where driven lattices settle: attractors, response curves
+    kinks               kinks between two wells: static, moving, Peierls-Nabarro barrier
+    driven              attractors and response curves of driven lattices
     chaos               Lyapunov exponents, alignment indices, frequencies, averages
     floquet             stability of periodic orbits
-    orbits              what these are made of: any orbit, its symmetry
+    orbits              any periodic orbit, and its symmetry
     newton              Newton's method
     continuation        pseudo-arclength continuation
 Measurements and design
-    fit                 parameters from traces, with errors
-    Fit                 what it returns
-    Traces              what was measured, from arrays and files
+    fit                 parameters from measured traces, with errors
+    Fit                 its result
+    Traces              measured traces, from arrays and files
     information         what planned traces would determine; the best sensors
-    Information         what it returns
+    Information         its result
     identify            sparse regression on lattice terms
     design              parameters that minimise an objective
-    Design              what it returns
-    smooth_peak         a maximum that differentiates
+    Design              its result
+    smooth_peak         a differentiable maximum
 Sweeps
-    sweep               a function of parameters over a grid or a list; kept, resumed, on many machines
+    sweep               a function on a grid or list; saved, resumed, on many machines
     sweeps              `paired`, the points of a list
 Theory
-    theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks
-    travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
+    theory              closed forms: envelopes, Toda, KdV, compactons, elliptic functions, shocks
+    travelling          solitary waves, also of dimers and resonators; collisions, reflection
     shocks              dispersive shocks: strain steps, velocity shocks, pistons
     Resonator           a mass on a spring in every bead
     resonance           transmission of dimers over their mass ratio
 Pictures and files
-    plots               pictures of all of it, with units
-    explore             sliders and a map that follows them, in a notebook
-    Result              what every result is: `to_xarray`, `save`, `in_units`
+    plots               pictures of all results, with units
+    explore             sliders and a picture that follows them, in a notebook
+    Result              base class of all results: `to_xarray`, `save`, `in_units`
 This process
     tune                XLA's flags
-    clear               let go of compiled programs
+    clear               release compiled programs
 """
 
 from . import tuning as _tuning
@@ -335,7 +335,7 @@ __all__ = [
 
 
 def __getattr__(name):
-    """Submodules that are loaded when first asked for, so that import stays quick."""
+    # Submodules are loaded when first used, so that import stays quick.
     if name in _LAZY:
         import importlib
 

@@ -1,6 +1,6 @@
-"""Refusals: bad input meets a `ValueError` that says argument, expected, got and remedy.
+"""Checks of arguments, which raise a `ValueError` with argument, expected, got and remedy.
 
-Every check looks at concrete values only. A traced value passes, because what it will be is not known yet.
+Only concrete values are checked. Traced values pass, since they are not known yet.
 """
 
 import difflib
@@ -17,9 +17,9 @@ PLAIN = (str, int, float, complex, tuple, list, dict)
 
 
 def refuse(argument: str, expected: str, got: str, remedy: str = "") -> NoReturn:
-    """Raise the one kind of error that granjax raises for bad input.
+    """Raise the ValueError of granjax for invalid input.
 
-    ValueError: `argument: expected ..., got .... remedy`
+    Its text is `argument: expected ..., got .... remedy`.
     """
     raise ValueError(
         f"{argument}: expected {expected}, got {got}." + (f" {remedy}" if remedy else "")
@@ -27,18 +27,18 @@ def refuse(argument: str, expected: str, got: str, remedy: str = "") -> NoReturn
 
 
 def concrete(x: Any) -> np.ndarray | None:
-    """`x` as a NumPy array, or `None` where it is traced."""
+    """Return `x` as a NumPy array, or `None` if it is traced."""
     return None if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 
 def plain_zero(x: Any) -> bool:
-    """Whether it is a plain number zero: what is that is left out, at no cost; arrays and traced zeros stay."""
+    """Return whether `x` is a plain number zero; arrays and traced zeros are not."""
     return isinstance(x, (int, float)) and bool(x == 0)
 
 
 def traced(tree: Any) -> bool:
-    """Whether some leaf of a pytree is being traced."""
-    # a loop, which takes half as long as `any` of a generator; every call of `simulate` asks five times
+    """Return whether some leaf of a pytree is traced."""
+    # A loop takes half as long as `any` of a generator, and `simulate` asks five times.
     for x in jax.tree.leaves(tree):
         if isinstance(x, jax.core.Tracer):
             return True
@@ -46,13 +46,13 @@ def traced(tree: Any) -> bool:
 
 
 def show(x: Any) -> str:
-    """A value for an error message, short."""
+    """Return a value as short text for an error message."""
     x = np.asarray(x)
     return np.array2string(x, threshold=6, edgeitems=2, precision=6) if x.ndim else repr(x.item())
 
 
 def described(x: Any) -> str:
-    """What was given, in a few words."""
+    """Return a short description of a value."""
     if isinstance(x, jax.core.Tracer):
         return f"a traced value of type {x.dtype} and shape {x.shape}"
     if isinstance(x, (np.ndarray, jax.Array)):
@@ -64,12 +64,15 @@ def described(x: Any) -> str:
 
 
 def letter(x: Any) -> str:
-    """NumPy's letter of an array's type; K for JAX's keys, V for the shorter floats, none where x is not an array."""
+    """Return NumPy's letter of an array's type, "" if it is no array.
+
+    K stands for JAX's keys, V for the shorter floats.
+    """
     return getattr(x.dtype, "kind", "K") if hasattr(x, "dtype") else ""
 
 
 def unmasked(argument: str, x: Any) -> Any:
-    """`x`, with nothing hidden under a mask that would be read all the same."""
+    """Return `x`; refuse an array with masked entries, whose values would be read all the same."""
     if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x):
         missing = f"{np.ma.count_masked(x)} of {x.size} masked"
         refuse(
@@ -82,15 +85,15 @@ def unmasked(argument: str, x: Any) -> Any:
 
 
 def real(argument: str, x: Any, expected: str = "real numbers") -> np.ndarray:
-    """`x` as a floating NumPy array, of any shape: measured numbers, NaN where one is missing.
+    """Return `x` as a floating NumPy array of any shape, in which NaN marks missing numbers.
 
-    Nothing is cut to its real part and nothing is read under a mask.
+    Complex and masked arrays are refused.
     """
     return np.asarray(_real(argument, x, expected), dtype=float)
 
 
 def _real(argument, x, expected="real numbers"):
-    """An array of real numbers, NumPy's, or JAX's where it is one."""
+    # Keeps an array of JAX.
     try:
         array = x if isinstance(x, jax.Array) else np.asarray(x)
         kind = letter(array)
@@ -110,18 +113,19 @@ def _real(argument, x, expected="real numbers"):
 
 
 def parameter(argument: str, x: Any) -> jax.Array:
-    """`x` as a floating array: finite real numbers, of any shape.
+    """Return `x` as a floating array of finite real numbers, of any shape.
 
-    A NumPy or Python number takes the default dtype; a floating JAX array keeps its own.
+    A NumPy or Python number takes the default type; a floating JAX array keeps its own.
     """
     if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating):
         array = x
     else:
         raw = _real(argument, x)
-        # a plain number stays one while tracing, so that it is checked there too
+        # A plain number stays concrete while tracing, so that it is checked there too.
         with jax.ensure_compile_time_eval():
             own = isinstance(raw, jax.Array)
-            # `jnp.asarray` of NumPy's array would compile a program for each shape; a copy, whose memory nobody changes
+            # `jnp.asarray` of NumPy's array would compile a program for each shape. The copy
+            # protects against later changes of the array.
             array = raw.astype(float) if own else jax.device_put(np.array(raw, float))
     value = concrete(array)
     if value is not None and not np.all(np.isfinite(value)):
@@ -132,7 +136,6 @@ def parameter(argument: str, x: Any) -> jax.Array:
 
 
 def _checked(argument, x, passes, expected, remedy):
-    """A parameter whose known values all pass."""
     array = parameter(argument, x)
     value = concrete(array)
     if value is not None and not np.all(passes(value)):
@@ -141,12 +144,12 @@ def _checked(argument, x, passes, expected, remedy):
 
 
 def positive(argument: str, x: Any, remedy: str = "") -> jax.Array:
-    """A parameter that is finite and above zero."""
+    """Return a parameter that is finite and above zero."""
     return _checked(argument, x, lambda value: value > 0, "numbers above zero", remedy)
 
 
 def non_negative(argument: str, x: Any, remedy: str = "") -> jax.Array:
-    """A parameter that is finite and not below zero."""
+    """Return a parameter that is finite and not below zero."""
     return _checked(argument, x, lambda value: value >= 0, "numbers not below zero", remedy)
 
 
@@ -160,7 +163,7 @@ def within(
     open_high: bool = False,
     remedy: str = "",
 ) -> jax.Array:
-    """A parameter inside an interval; a bracket that is open excludes its end."""
+    """Return a parameter inside an interval; an open bracket excludes its end."""
 
     def passes(value):
         above = value > low if open_low else value >= low
@@ -171,7 +174,7 @@ def within(
 
 
 def broadcast(**arrays: Any) -> None:
-    """Refuse arrays, by their names, whose shapes do not broadcast."""
+    """Refuse named arrays whose shapes do not broadcast."""
     shapes = {name: np.shape(x) for name, x in arrays.items()}
     try:
         np.broadcast_shapes(*shapes.values())
@@ -184,7 +187,7 @@ def broadcast(**arrays: Any) -> None:
 def per_lane(
     argument: str, x: Any, lanes: tuple[int, ...], check: Callable = parameter
 ) -> jax.Array:
-    """A parameter of a whole lattice: one number, or one per lane; `check`: what else each must be."""
+    """Return a parameter of a whole lattice: one number, or one per lane, each passing `check`."""
     array = check(argument, x)
     if array.shape not in ((), lanes):
         wanted = "one number" + (f", or one per lane, shape {lanes}" if lanes else "")
@@ -197,7 +200,7 @@ def per_lane(
 
 
 def tolerance(argument: str, x: Any, most: float = 0.1, typical: float = 1e-8) -> Any:
-    """A relative tolerance: one number above zero and below `most`, from which on nothing is asked."""
+    """Return a relative tolerance: one number above zero and below `most`."""
     if isinstance(x, jax.core.Tracer) or type(x) is float and 0 < x < most:
         return x
     value = _real(argument, x)
@@ -212,7 +215,7 @@ def tolerance(argument: str, x: Any, most: float = 0.1, typical: float = 1e-8) -
 
 
 def nearest(name: str, options: Iterable, most: int = 1) -> str:
-    """A question for the options whose names are nearest to a misspelt one; empty where none is near."""
+    """Return a question for the options closest to a misspelt name; empty if none is close."""
     lowered = {str(option).lower(): option for option in options}
     near = [
         lowered[n] for n in difflib.get_close_matches(name.lower(), lowered, n=most, cutoff=0.6)
@@ -221,9 +224,9 @@ def nearest(name: str, options: Iterable, most: int = 1) -> str:
 
 
 def one_of(argument: str, name: Any, options: Iterable) -> Any:
-    """One of some names; the nearest are suggested."""
+    """Return `name` if it is among the options; otherwise suggest the nearest."""
     options = tuple(options)
-    # what is of another kind may answer a comparison in its own way, as arrays do
+    # Objects of other types, such as arrays, may define comparison differently.
     if isinstance(name, tuple(map(type, options))) and name in options:
         return name
     remedy = nearest(described(name).strip("'"), options, 3)
@@ -231,22 +234,22 @@ def one_of(argument: str, name: Any, options: Iterable) -> Any:
 
 
 def is_whole(x: Any) -> bool:
-    """Whether it is a whole number, Python's or NumPy's, and no truth value."""
+    """Return whether `x` is a whole number of Python or NumPy, but not a boolean."""
     return isinstance(x, (int, np.integer)) and not isinstance(x, bool)
 
 
 def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
-    """A Python integer, not below a least value."""
+    """Return a Python integer that is not below a least value."""
     if not is_whole(x) or x < at_least:
         refuse(argument, f"a whole number not below {at_least}", described(x), remedy)
     return int(x)
 
 
 def held_in_memory(argument: str, count: int, each: int = 16, what: str = "sites") -> None:
-    """Refuse what the computer's memory does not hold: `count` things of `each` bytes, a state by default."""
+    """Refuse `count` things of `each` bytes, a state by default, that memory cannot hold."""
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # where the system does not say
+    except (AttributeError, ValueError, OSError):  # The system does not tell.
         return
     if count * each > memory:
         most = f"at most {memory // each:.3g} {what}, which {memory / 1e9:.0f} GB of memory hold"
@@ -254,7 +257,7 @@ def held_in_memory(argument: str, count: int, each: int = 16, what: str = "sites
 
 
 def random_key(seed: Any, remedy: str = "Equal seeds give equal draws.") -> jax.Array:
-    """A JAX key from a whole number, traced or not, or a key of either kind."""
+    """Return a JAX key from a whole number, traced or not, or from a key of either kind."""
     if is_whole(seed):
         return jax.random.key(int(seed))
     if isinstance(seed, jax.Array):

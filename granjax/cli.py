@@ -1,7 +1,7 @@
-"""The command line: `granjax resonance` computes how much of a pulse a dimer chain lets through.
+"""The command line: `granjax resonance` computes the transmission of dimer chains.
 
-Exit codes: 0; 1 where a computation failed; 2 for input that cannot be meant or a file that cannot
-be written, with a sentence.
+Exit codes: 0; 1 if a computation failed; 2 for invalid input or a file that cannot be written, with
+a sentence.
 """
 
 import argparse
@@ -32,7 +32,10 @@ UNITS = "mass of the heavy bead m = 1, contact stiffness A = 1, striker's veloci
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; `argv` without the program's name, `None` for that of the process. Returns the exit code."""
+    """Run a command and return the exit code.
+
+    `argv` excludes the program's name; `None` takes the arguments of the process.
+    """
     parser = argparse.ArgumentParser("granjax", description=ABOUT)
     parser.add_argument("--version", action="version", version=f"granjax {gx.__version__}")
     command = parser.add_subparsers().add_parser("resonance", help=RESONANCE, description=RESONANCE)
@@ -53,14 +56,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _resonance(arguments):
-    """How much of an impact dimer chains let through to a wall, over the mass ratio."""
     count = whole("--ratios", arguments.ratios, 3, "An extremum lies between two others.")
     beads = whole("--beads", arguments.beads, 3, "A dimer chain between walls.")
     place = folder("--out", arguments.out)
     keep_compiled()
     chosen = "host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
     if not chosen and jax.config.jax_num_cpu_devices <= 0:
-        with contextlib.suppress(RuntimeError):  # where JAX has started its devices stay
+        with contextlib.suppress(RuntimeError):  # Once JAX has started, its devices stay.
             jax.config.update("jax_num_cpu_devices", cores())
     sweep = gx.resonance.transmission(np.linspace(LOWEST_RATIO, 1, count + 1)[1:], beads)
     extrema = gx.resonance.refine(sweep)
@@ -87,7 +89,7 @@ def _resonance(arguments):
 
 
 def _picture(sweep, extrema, rows):
-    # the extrema among the points, so that cusps are sharp
+    # The extrema are added to the points, so that cusps are sharp.
     ratios = np.append(sweep.mass_ratio, [x for x, _, _ in rows])
     values = np.append(sweep.transmission, [T for _, T, _ in rows])
     marks = {"resonances": extrema.resonances, "anti_resonances": extrema.anti_resonances}

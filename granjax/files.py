@@ -1,4 +1,4 @@
-"""Files: a dataset as netCDF or MATLAB, and any content written beside its place and then moved into it."""
+"""Files: a dataset as netCDF or MATLAB, written completely or not at all."""
 
 import io
 import os
@@ -12,12 +12,12 @@ from .checks import refuse
 if TYPE_CHECKING:
     import xarray
 
-# bytes of a file's name that are kept in the name of what is written beside it
+# The bytes of a file's name that its temporary file keeps.
 LONGEST = 64
 
 
 def folder(argument: str, path: str | Path) -> Path:
-    """Return a folder for files, made where it is missing. **Raises** ValueError where that cannot be."""
+    """Return a folder, created if missing. **Raises** ValueError if that fails."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
@@ -26,7 +26,10 @@ def folder(argument: str, path: str | Path) -> Path:
 
 
 def target(argument: str, path: str | Path) -> Path:
-    """Return the path of a file to be written. **Raises** ValueError for a folder, or a place in none."""
+    """Return the path of a file to write.
+
+    **Raises** ValueError for a folder, or a path whose folder is missing.
+    """
     path = Path(path)
     if path.is_dir():
         refuse(argument, "a file's path", f"{str(path)!r}, which is a folder", "Add a name.")
@@ -41,12 +44,12 @@ def target(argument: str, path: str | Path) -> Path:
 
 
 def reason(error: BaseException) -> str:
-    """Why the system refused, in its words, without a path or a number."""
+    """Return the system's reason for an error, without a path or a number."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 def write(path: str | Path, content: bytes | str) -> Path:
-    """Write a file beside its place and move it there, so that it is whole, or as it was before."""
+    """Write a temporary file and move it into place, so that the file is complete or unchanged."""
     path = Path(path)
     name = os.fsencode(path.name)[:LONGEST].decode(errors="ignore")
     part = path.with_name(f".{name}.{secrets.token_hex(6)}.part")
@@ -59,7 +62,10 @@ def write(path: str | Path, content: bytes | str) -> Path:
 
 
 def save(data: "xarray.Dataset", path: str | Path) -> Path:
-    """Write a dataset to a `.nc` or a `.mat` file, whole or not at all. **Raises** ValueError for another ending."""
+    """Write a dataset to a `.nc` or a `.mat` file, completely or not at all.
+
+    **Raises** ValueError for another ending.
+    """
     path = target("path", path)
     makers = {".nc": netcdf, ".mat": matlab}
     if path.suffix.lower() not in makers:
@@ -68,7 +74,7 @@ def save(data: "xarray.Dataset", path: str | Path) -> Path:
 
 
 def netcdf(data: "xarray.Dataset") -> bytes:
-    """A dataset of real numbers and words as the bytes of a netCDF file, arrays with checksums."""
+    """Return a dataset of real numbers and words as a netCDF file's bytes, with checksums."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
@@ -84,11 +90,14 @@ def netcdf(data: "xarray.Dataset") -> bytes:
 
 
 def matlab(data: "xarray.Dataset") -> bytes:
-    """A dataset as the bytes of a MATLAB file of version 5: arrays by name, attributes in a struct `attributes`."""
+    """Return a dataset as the bytes of a MATLAB 5 file.
+
+    Arrays keep their names; attributes are in a struct `attributes`.
+    """
     from scipy.io import savemat
 
     def called(name):
-        # MATLAB's names are letters, digits and underscores, at most 63, and begin with a letter
+        # MATLAB's names are letters, digits and underscores, at most 63, and begin with a letter.
         name = re.sub(r"\W", "_", name, flags=re.ASCII)[:61]
         return name if name[:1].isalpha() else f"x_{name}"
 

@@ -1,4 +1,4 @@
-"""Text for reading: numbers as numbers, arrays by shape and range, functions by name."""
+"""Readable text: numbers as numbers, arrays by shape and range, functions by name."""
 
 import dataclasses
 import reprlib
@@ -10,12 +10,13 @@ import numpy as np
 
 from .checks import concrete, described
 
-# entries of an array that are written out, letters of one line, and of what stands within one
+# The most entries of an array that are written out, characters of a line, and characters of a
+# nested value.
 FEW, WIDTH, WITHIN = 6, 110, 60
 
 
 def text(value: Any, unit: str = "") -> str:
-    """A value for reading, with its unit: a number as a number, an array by shape and range."""
+    """Return a value with its unit as text: a number, or an array by shape and range."""
     if isinstance(value, str):
         return value
     if isinstance(value, (bool, np.bool_)):
@@ -36,7 +37,7 @@ def text(value: Any, unit: str = "") -> str:
 
 
 def brief(value: Any) -> str:
-    """What it is, in part of a line: of what has an outcome that, of a function its name."""
+    """Return part of a line about an object: its outcome or, for a function, its name."""
     if hasattr(value, "outcome"):
         return f"{type(value).__name__}: {value.outcome}"
     if isinstance(value, eqx.Module) or hasattr(value, "_asdict"):
@@ -46,7 +47,7 @@ def brief(value: Any) -> str:
 
 
 def numbers(x: np.ndarray) -> str:
-    """Numbers, words or flags of an array for reading, by shape and range where there are many."""
+    """Return an array of numbers, words or flags as text; by shape and range if it is large."""
     if x.ndim == 0:
         return text(bool(x)) if x.dtype == bool else _one(x[()])
     if x.size == 0:
@@ -66,15 +67,15 @@ def numbers(x: np.ndarray) -> str:
 
 
 def _one(x):
-    """A number: a whole one with all of its digits."""
+    # A whole number keeps all of its digits.
     return f"{x:.6g}" if x.dtype.kind in "fc" else f"{x}"
 
 
 def told(x: Any) -> str:
-    """The `repr` of a record: its name, and its public fields in part of a line each.
+    """Return the `repr` of a record: its name, and its public fields as parts of a line.
 
-    A class takes it by `__repr__ = told`. Fields that begin with an underscore, and those that are `None`, are left
-    out; `_shown`, names of attributes by those of arguments, says what stands there instead.
+    A class uses it by `__repr__ = told`. Fields that begin with an underscore or are `None` are
+    left out. `_shown`, a dict from names of arguments to names of attributes, replaces the fields.
     """
     shown = getattr(x, "_shown", None)
     if shown:
@@ -86,7 +87,7 @@ def told(x: Any) -> str:
 
 
 def called(name: str, arguments: dict[str, Any], units: dict[str, str] | None = None) -> str:
-    """The text of a call, without what is `None`: on one line where it fits, else with an argument a line."""
+    """Return the text of a call without arguments that are `None`, on one line if it fits."""
     units = units or {}
     parts = [
         f"{key}={_argument(value)} {units.get(key, '')}".rstrip()
@@ -123,9 +124,8 @@ def _argument(value):
 
 
 def _known(value):
-    """An array, or a text where its numbers are not known."""
     try:
         x = concrete(value)
-    except (TypeError, RuntimeError):  # JAX's keys, and what has been given away
+    except (TypeError, RuntimeError):  # JAX's keys, and donated or deleted arrays.
         return described(value)
     return f"traced, shape {value.shape}" if x is None else x

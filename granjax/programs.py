@@ -1,4 +1,4 @@
-"""Compiled programs: found quickly where they are called again, and waited for in a way that Ctrl-C reaches."""
+"""Compiled programs: cached for quick calls, and waited for so that Ctrl-C works."""
 
 import inspect
 import sys
@@ -20,19 +20,22 @@ from .tuning import wide_vectors
 from .types import Pytree
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
-# seconds for which an array is asked again and again; then pauses, of a share of what has passed, and the longest
+# Seconds of polling an array without a pause; then the pause as a share of the elapsed time, and
+# the longest pause.
 EAGER, SHARE, LONGEST = 5e-4, 0.02, 0.02
-# Vectors of 512 bits: without the option XLA takes half of them, and a run 1.5 times as long on AMD's Zen 5.
+# Vectors of 512 bits. Without this option XLA uses 256 bits, and a run on AMD's Zen 5 takes 1.5
+# times as long.
 WIDE = {"xla_cpu_prefer_vector_width": "512"}
-# jaxlib 0.10.2 gets this operation wrong with them (jax issue 39352), and no other one of 80 that were tried
+# With wide vectors jaxlib 0.10.2 computes this operation wrongly (jax issue 39352), and no other of
+# 80 that were tried.
 WRONG = "atan"
 
 
 def compiled(function: Callable) -> Callable:
-    """`jax.jit` of a function of pytrees, in which everything but arrays is static.
+    """Compile a function of pytrees with `jax.jit`; everything but arrays is static.
 
-    As `equinox.filter_jit`, for arguments that may be given by position, with less to do at each call, and with wide
-    vectors where the processor has them.
+    It is like `equinox.filter_jit`, for arguments that may be given by position, but faster to
+    call, and it uses wide vectors where the processor has them.
     """
 
     def flat(static, arrays):
@@ -51,7 +54,7 @@ def compiled(function: Callable) -> Callable:
             try:
                 return wide(static, arrays)
             except ValueError as error:
-                # of known numbers in a program that is traced: JAX takes options of the outermost one alone
+                # Within a traced program JAX accepts options of the outermost program only.
                 if "compiler_options" not in str(error):
                     raise
         return plain(static, arrays)
@@ -66,7 +69,7 @@ def compiled(function: Callable) -> Callable:
 
 
 def holds(jaxpr: Any, operation: str) -> bool:
-    """Whether a traced program has an operation of this name, in its loops and branches too."""
+    """Return whether a traced program contains an operation, also in loops and branches."""
     parameters = jax.tree.leaves([list(equation.params.values()) for equation in jaxpr.eqns])
     inner = [getattr(x, "jaxpr", x) for x in parameters if isinstance(x, (ClosedJaxpr, Jaxpr))]
     own = any(equation.primitive.name == operation for equation in jaxpr.eqns)
@@ -74,10 +77,11 @@ def holds(jaxpr: Any, operation: str) -> bool:
 
 
 def by_rows(transform: Callable, x: Any, *length: int, axis: int = -1) -> jax.Array:
-    """A Fourier transform along one axis of `x`, such as `jnp.fft.rfft`, in any program.
+    """Apply a Fourier transform, such as `jnp.fft.rfft`, along one axis of `x`.
 
-    XLA's transforms on the CPU work row by row in memory. What follows in the same program, such as LAPACK on the
-    Jacobian of a force, may ask for columns, and XLA then fails. So the layout is fixed on both sides.
+    XLA's transforms on the CPU need rows in memory. Later operations in the same program, such as
+    LAPACK on a Jacobian, may ask for columns, and XLA then fails. So the layout is fixed on both
+    sides.
     """
 
     def kept(x):
@@ -87,7 +91,7 @@ def by_rows(transform: Callable, x: Any, *length: int, axis: int = -1) -> jax.Ar
 
 
 def _ordered(function):
-    """What is given to a function, in the order of its arguments."""
+    # Puts named arguments in the order of the signature.
     signature = inspect.signature(function)
 
     def ordered(arguments, named):
@@ -101,9 +105,10 @@ def _ordered(function):
 
 
 def parted(tree: Pytree) -> tuple:
-    """What is static in a pytree, hashable, and a list of its arrays.
+    """Return the static part of a pytree, hashable, and a list of its arrays.
 
-    Of the first of several arguments that is `settled`, as most lattices are, they are kept while it lives.
+    If the first of several arguments is `settled`, as most lattices are, its parts are cached while
+    it lives.
     """
     if type(tree) is tuple and tree and getattr(tree[0], "settled", False):
         (first, own), (rest, more) = _settled(tree[0]), _parted(tree[1:])
@@ -120,7 +125,7 @@ def _parted(tree):
 
 
 class Kept:
-    """What was found of objects, kept for each while it lives, by identity. `gx.clear` lets go of it."""
+    """A cache of results by the identity of objects, while they live. `gx.clear` empties it."""
 
     def __init__(self):
         self._held = {}
@@ -130,12 +135,12 @@ class Kept:
         return len(self._held)
 
     def get(self, x: Any) -> Any:
-        """What was kept of x, or `None`."""
+        """Return what was kept for x, or `None`."""
         owner, found = self._held.get(id(x), _NOBODY)
         return found if owner() is x else None
 
     def put(self, x: Any, found: Any) -> Any:
-        """Keep what was found of x, and return it."""
+        """Keep a result for x, and return it."""
         key, held = id(x), self._held
         held[key] = weakref.ref(x, lambda _: held.pop(key, None)), found
         return found
@@ -145,7 +150,7 @@ _NOBODY = (lambda: None), None
 
 
 def once(function: Callable) -> Callable:
-    """A function of one object whose answer is kept while that object lives."""
+    """Cache the result of a function of one object while the object lives."""
     kept = Kept()
 
     @wraps(function)
@@ -163,7 +168,7 @@ def _settled(x):
 
 
 def joined(static: tuple, arrays: list) -> Pytree:
-    """The pytree that `parted` took apart."""
+    """Return the pytree that `parted` took apart."""
     first, rest = static
     arrays = iter(arrays)
     return (
@@ -177,39 +182,39 @@ def _joined(static, arrays):
 
 
 def is_untraced() -> bool:
-    """Whether nothing at all is traced here, whatever the arguments are."""
+    """Return whether nothing is being traced here, whatever the arguments are."""
     return not isinstance(jax.device_put(0.0), jax.core.Tracer)
 
 
 def concretely(function: Callable, *arguments: Any) -> Any:
-    """The result of a compiled function of known arguments, as NumPy arrays, in a program that is traced too.
+    """Return the result of a compiled function of known arguments as NumPy arrays.
 
-    There it is computed one operation at a time, each of which compiles.
+    Within a traced program it is computed one operation at a time, and each compiles.
     """
     with nullcontext() if is_untraced() else jax.ensure_compile_time_eval():
         return jax.tree.map(np.asarray, function(*arguments))
 
 
 def in_numpy(tree: Pytree) -> Pytree:
-    """A tree whose known arrays are NumPy's, of which an operation is no program to compile."""
+    """Return a tree with known arrays as NumPy arrays, whose operations compile nothing."""
     return jax.tree.map(lambda x: x if isinstance(x, jax.core.Tracer) else np.asarray(x), tree)
 
 
 def library(*values: Any) -> Any:
-    """NumPy where all values are known, so that nothing is compiled; else `jax.numpy`."""
+    """Return NumPy if all values are known, so that nothing is compiled; else `jax.numpy`."""
     return jnp if traced(values) else np
 
 
 def shared_size(n: int) -> int:
-    """A size rounded up to one of 8, 9, ..., 15, 16, 18, ..., 30, 32, ...: arrays of near-by sizes are one program."""
+    """Round a size up to one of 8, 9, ..., 15, 16, 18, ..., 30, 32, ..., to share programs."""
     unit = 1 << max(n.bit_length() - 4, 0)
     return -(-n // unit) * unit
 
 
 def wait(tree: Any) -> Any:
-    """What a compiled program returns, when all of it is there. Nothing happens to what is traced.
+    """Wait for the result of a compiled program and return it. Traced values pass.
 
-    JAX itself waits in a way that no signal reaches, so that Ctrl-C would be answered only at the program's end.
+    JAX's own wait blocks signals, so that Ctrl-C would work only at the end of the program.
     """
     arrays = [x for x in jax.tree.leaves(tree) if hasattr(x, "is_ready")]
     begin = time.perf_counter()
@@ -220,7 +225,10 @@ def wait(tree: Any) -> Any:
 
 
 def bar(total: int, unit: str, name: str, shown: bool = True, done: int = 0) -> Any:
-    """A bar with the time left, after two seconds, on a terminal or in a notebook: `update(n)`, a context manager."""
+    """Return a progress bar with the time left, shown after two seconds in a terminal or notebook.
+
+    It is a context manager with `update(n)`.
+    """
     from tqdm import tqdm
 
     shown = shown and (getattr(sys.stderr, "isatty", bool)() or "ipykernel" in sys.modules)

@@ -1,7 +1,8 @@
-"""What a splitting method sees, and all that it knows of the equation: a split system.
+"""The split system of an equation of motion, which is all that a splitting method uses.
 
-A system that can do a whole step better than stage by stage offers `compose(w, table, t, step)` in place of
-`by_stages`, and then needs no `refresh`, `kick` and `drift`.
+A system that has a better way to take a whole step than stage by stage offers
+`compose(w, table, t, step)` in place of `by_stages`, and then needs no `refresh`, `kick` and
+`drift`.
 """
 
 import abc
@@ -16,56 +17,56 @@ from .types import Number, Pytree, StateLike, VectorField
 
 
 def pair(like: StateLike, u: Pytree, v: Pytree) -> StateLike:
-    """(u, v) in the form of another state: a pair or a named tuple."""
+    """Return (u, v) in the form of another state: a pair or a named tuple."""
     return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))
 
 
 class Split(eqx.Module):
-    """H = T(v) + V(t, u) in the plain working form w = (u, v, a), free flight in between.
+    """H = T(v) + V(t, u) with free flight, in the working form w = (u, v, a).
 
-    `start` evaluates the force, `enter` and `leave` change between the state and the working form, `kick` and `drift`
-    are the two exact flows, `refresh` evaluates the force at a new place and time, `acceleration` reads it off for
-    dense output. The force that ends one step opens the next.
+    `start` evaluates the force; `enter` and `leave` convert between state and working form; `kick`
+    and `drift` are the two exact flows; `refresh` evaluates the force anew; `acceleration` returns
+    it for dense output. The last force of a step is the first of the next.
     """
 
     __repr__ = told
 
     @abc.abstractmethod
     def start(self, t: Number, y: StateLike) -> Pytree:
-        """The acceleration at (t, u), without what the drift takes."""
+        """Return the acceleration at (t, u), without the part that the drift contains."""
 
     def enter(self, y: StateLike, cache: Pytree) -> Pytree:
-        """The working form of a state and what `start` or `leave` gave."""
+        """Return the working form of a state and the cache from `start` or `leave`."""
         u, v = y
         return u, v, cache
 
     def leave(self, w: Pytree, like: StateLike) -> tuple:
-        """The state, in the form of another one, and the force that opens the next step."""
+        """Return the state, in the form of `like`, and the force for the next step."""
         u, v, a = w
         return pair(like, u, v), a
 
     def refresh(self, w: Pytree, t: Number) -> Pytree:
-        """The working form with the force at its place, at time t."""
+        """Return the working form with the force at its place, at time t."""
         u, v, _ = w
         return u, v, self.start(t, (u, v))
 
     def kick(self, w: Pytree, bh: Number) -> Pytree:
-        """The flow of the potential energy over a time bh: v += bh a."""
+        """Apply the flow of the potential energy over a time bh: v += bh a."""
         u, v, a = w
         return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
 
     def drift(self, w: Pytree, ah: Number) -> Pytree:
-        """The flow of the kinetic energy over a time ah: u += ah v."""
+        """Apply the flow of the kinetic energy over a time ah: u += ah v."""
         u, v, a = w
         return jax.tree.map(lambda u, v: u + ah.astype(u.dtype) * v, u, v), v, a
 
     def acceleration(self, y: StateLike, cache: Pytree) -> Pytree:
-        """The acceleration at a state, from what `leave` gave with it."""
+        """Return the acceleration at a state, from the cache of `leave`."""
         return cache
 
 
 class FieldSplit(Split):
-    """The split system of a plain vector field f(t, (u, v), args) = (v, a(t, u)); a must not depend on v."""
+    """The split system of a field f(t, (u, v), args) = (v, a(t, u)); a must not depend on v."""
 
     field: VectorField = eqx.field(static=True)
     args: Any
@@ -75,7 +76,7 @@ class FieldSplit(Split):
 
 
 def by_stages(split: Any, w: Pytree, table: Any, t: Number, step: Number) -> Pytree:
-    """The working form after a step from time t by a method's `table` of kicks and drifts, one after the other."""
+    """Return the working form after a step from time t, by a `table` of kicks and drifts."""
     ah, bh, times = table.a * step, table.b * step, t + np.cumsum(table.a) * step
     kicks_last = table.b[-1] != 0
     if table.b[0] != 0:

@@ -1,12 +1,13 @@
-"""XLA's flag, the floating type, threads, memory: what import sets, what it could not, and what is kept.
+"""Settings of the process: XLA's flag, the floating type, threads and memory.
 
-A flag makes loops over lattices faster on the CPU, diffrax's own too; a loop over arrays so large that XLA would use
-all cores gets slower (benchmarks/flags.py). XLA reads it once, before JAX's first computation:
-`xla_cpu_small_while_loop_byte_threshold`, an extra option of the backend, makes a loop one native function instead of a
-dispatch per operation. Such a loop runs on one thread; cores are used through devices.
+XLA reads the flag once, before JAX's first computation: `xla_cpu_small_while_loop_byte_threshold`,
+an extra option of the backend. It compiles a loop into one native function on one thread instead of
+a dispatch per operation, so cores are used through devices. Loops over lattices on the CPU get
+faster, also those of diffrax; a loop over arrays so large that XLA would use all cores gets slower
+(benchmarks/flags.py).
 
-The rest is chosen by the processor: the width of vectors (an option of each program), the form of a contact's square
-root, whether long chains are run in blocks, and how many lanes are run at a time.
+Other settings depend on the processor: the width of vectors (an option of each program), the form
+of a contact's square root, whether long chains run in blocks, and how many lanes run at a time.
 """
 
 import contextlib
@@ -22,7 +23,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000000"
-# JAX from this version on has not been tried: XLA ends a process for a flag that it does not know
+# JAX versions from this one on have not been tried: XLA ends a process for a flag that it does not
+# know.
 UNTRIED = (0, 13)
 
 
@@ -34,12 +36,12 @@ class Tuning(NamedTuple):
     outcome: str
 
 
-# seconds of compilation from which on a program is worth a file
+# Programs that compile for at least this many seconds are written to disk.
 WORTH_KEEPING = 0.1
 
 
 def _processor():
-    """What tells this processor from others, as far as the system says."""
+    # Identifies the processor, as far as the system tells.
     cpuinfo = Path("/proc/cpuinfo")
     return cpuinfo.read_text().split("\n\n")[0] if cpuinfo.is_file() else platform.processor()
 
@@ -50,9 +52,10 @@ def _has_avx512():
 
 @cache
 def wide_vectors() -> bool:
-    """Whether granjax's programs are compiled for vectors of 512 bits: on a CPU that has them.
+    """Return whether programs are compiled for vectors of 512 bits: on a CPU that has them.
 
-    That is an option of each program, which changes nothing else in the process. `GRANJAX_TUNE=0` forbids it.
+    It is an option of each program of granjax, and changes nothing else in the process.
+    `GRANJAX_TUNE=0` forbids it.
     """
     import jax
 
@@ -62,12 +65,14 @@ def wide_vectors() -> bool:
 
 @cache
 def root_by_products() -> bool:
-    """Whether a square root of float64 is made of multiplications and additions: where that is the faster one.
+    """Return whether multiplications and additions replace the square root of float64.
 
-    Over a whole run, roots by the processor's instruction take 1.2 to 1.4 times as long on Intel's with AVX-512, and
-    0.7 to 0.85 times as long on AMD's Zen 5; others, and other devices than a CPU, use their instruction.
-    `GRANJAX_ROOT=products` or `GRANJAX_ROOT=instruction` chooses by hand, before the first run: the two differ by a
-    unit in the last place. **Raises** ValueError for another word.
+    Over a whole run, the processor's root instruction takes 1.2 to 1.4 times as long on Intel's
+    processors with AVX-512, and 0.7 to 0.85 times as long on AMD's Zen 5. So only Intel's replace
+    it. `GRANJAX_ROOT=products` or `GRANJAX_ROOT=instruction`, before the first run, overrides the
+    choice; the two differ by a unit in the last place.
+
+    **Raises** ValueError for another word.
     """
     from .checks import one_of
 
@@ -80,21 +85,21 @@ def root_by_products() -> bool:
 
 @cache
 def blocks_win() -> bool:
-    """Whether long chains are faster block by block than stage by stage.
+    """Return whether long chains are faster block by block than stage by stage.
 
-    On Intel's processors with AVX-512 they take 0.7 of the time at 1e5 sites and 0.4 at 1e6; on AMD's Zen 5 1.15 and
-    1.1 of it. Others were not measured.
+    Blocks take 0.7 of the time at 1e5 sites and 0.4 at 1e6 on Intel's processors with AVX-512, but
+    1.15 and 1.1 on AMD's Zen 5. Others were not measured.
     """
     return _is_avx512_of("GenuineIntel")
 
 
 @cache
 def lanes_abreast() -> int:
-    """The number of lanes of a batch with a fixed step that are run at a time; 0 for all of them together.
+    """Return how many lanes of a batch with a fixed step run at a time; 0 for all together.
 
-    The arrays of some lanes stay in the nearer caches. On Intel's processors with AVX-512 eight of them take 0.8 to 0.9
-    of the time of all lanes together for chains of 20 to 1000 sites; on AMD's 64 of them take 0.5 to 1.0 of it.
-    Others were not measured.
+    The arrays of a few lanes stay in the nearer caches. Compared with all lanes together, eight
+    lanes take 0.8 to 0.9 of the time on Intel's processors with AVX-512, for chains of 20 to 1000
+    sites; 64 lanes take 0.5 to 1.0 on AMD's. Others were not measured.
     """
     if _is_avx512_of("GenuineIntel"):
         return 8
@@ -102,14 +107,13 @@ def lanes_abreast() -> int:
 
 
 def _is_avx512_of(maker):
-    """Whether JAX computes on a processor of this maker with AVX-512."""
     import jax
 
     return jax.default_backend() == "cpu" and maker in _processor() and _has_avx512()
 
 
 def _has_started():
-    """Whether JAX has started, so that XLA has read its flags: only then JAX refuses another number of devices."""
+    # Once JAX has started, and XLA has read its flags, JAX refuses another number of devices.
     import jax
 
     now = jax.config.jax_num_cpu_devices
@@ -122,17 +126,17 @@ def _has_started():
 
 
 def tune(*, cache: bool = False) -> Tuning:
-    """Set the XLA flag that makes loops on the CPU faster, if JAX has not started, and say what is in force.
+    """Set the XLA flag for faster loops on the CPU if JAX has not started; say what is in force.
 
-    Import does this already unless the environment holds `GRANJAX_TUNE=0`. A value that the user has set stays.
-    The flag is put in front of the others, because XLA reads nothing after a bare word. A JAX that is newer than those
-    tried gets none: XLA ends a process for a flag that it does not know.
+    Import does this already unless the environment has `GRANJAX_TUNE=0`. A value that the user has
+    set stays. The flag precedes others, because XLA reads nothing after a bare word. A JAX newer
+    than those tried gets no flag, since XLA ends a process for a flag that it does not know.
 
-    **Arguments:** `cache`: keep compiled programs on disk too (`keep_compiled`), so that the next process does not
-    compile them again.
+    **Arguments:** `cache`: also keep compiled programs on disk (`keep_compiled`), so that the next
+    process does not compile them again.
 
-    **Returns:** `Tuning(flags, complete, outcome)`; `complete` is false where JAX had started without the flag, or is
-    newer than what was tried.
+    **Returns:** `Tuning(flags, complete, outcome)`; `complete` is false if JAX started without the
+    flag, or is too new.
 
     **Example:**
 
@@ -165,13 +169,17 @@ def tune(*, cache: bool = False) -> Tuning:
 
 
 def keep_compiled(folder: str | Path | None = None) -> Path | None:
-    """Keep compiled programs on disk, so that the next process does not compile them again. The command line does so.
+    """Keep compiled programs on disk, so that the next process does not compile them again.
 
-    **Arguments:** `folder`: where; `None` is what `GRANJAX_CACHE` says, or granjax's folder in the user's cache
-    folder. Below it every kind of processor has its own folder.
+    The command line does so.
 
-    **Returns:** the folder, or `None` where nothing is kept: `GRANJAX_CACHE=0`, or it cannot be written. A folder that
-    the user has given to JAX itself stays. **Raises** ValueError for anything but a path.
+    **Arguments:** `folder`: `None` is the value of `GRANJAX_CACHE`, or granjax's folder in the
+    user's cache folder. Each kind of processor has its own subfolder.
+
+    **Returns:** the folder, or `None` where nothing is kept: with `GRANJAX_CACHE=0`, or if it
+    cannot be written. A folder that the user has given to JAX stays.
+
+    **Raises** ValueError for anything but a path.
     """
     import jax
 
@@ -204,20 +212,21 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
 
 
 def cores() -> int:
-    """Give the number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def clear() -> None:
-    """Let go of all compiled programs and of what is kept beside them, and hand the memory back to the system.
+    """Release all compiled programs and caches, and return the memory to the system.
 
-    JAX keeps the programs of every new shape, count of steps, record or solver as long as the process lives: some 31 MB
-    for a run of a chain of another length. Of 925 MB after 30 lengths 100 stay, and after another 30 as many.
-    Call it between the parts of a long study, or in a notebook, where many shapes were met; a loop over one shape keeps
-    nothing. What was computed before stays as it is. The next call of anything compiles again, functions of your own
-    under `jax.jit` included; what `keep_compiled` has on disk is read from there.
+    JAX keeps the programs for each new shape, number of steps, record or solver while the process
+    lives: about 31 MB for a run of a chain of another length. Of 925 MB after 30 lengths 100 MB
+    remain, and as many after another 30. Call it between parts of a long study, or in a notebook,
+    that use many shapes; a loop over one shape accumulates nothing. Results stay valid. The next
+    call of anything compiles again, also your own functions under `jax.jit`, unless `keep_compiled`
+    has it on disk.
     """
     import equinox
     import jax
@@ -230,7 +239,7 @@ def clear() -> None:
     equinox.clear_caches()
     jax.clear_caches()
     gc.collect()
-    # glibc keeps what was freed until it is asked
+    # glibc keeps freed memory until it is asked to return it.
     with contextlib.suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -244,7 +253,7 @@ def _user_cache():
 
 
 def prepare_import() -> None:
-    """What `import granjax` does first: float64 unless the environment says otherwise, and the XLA flag."""
+    """Prepare the import of granjax: float64, unless the environment chooses, and the XLA flag."""
     import jax
 
     if "JAX_ENABLE_X64" not in os.environ:
@@ -255,14 +264,14 @@ def prepare_import() -> None:
 
 @cache
 def pools() -> Any:
-    """The libraries whose threads can be limited: `pools().limit(limits=1)`, a context."""
+    """Return the libraries whose threads can be limited: `pools().limit(limits=1)`, a context."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
 def one_thread(function: Callable) -> Callable:
-    """The function with LAPACK on one thread: below some 500 rows more threads only wait for each other."""
+    """Return the function with LAPACK on one thread, faster below some 500 rows."""
 
     @wraps(function)
     def limited(*arguments, **keywords):

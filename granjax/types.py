@@ -1,7 +1,8 @@
-"""Words for the types of arguments, results and fields; where a shape is known, jaxtyping says it at its place.
+"""Names of the types of arguments, results and fields.
 
-Space comes first and lanes last: an array over sites has shape (N,), (N1, N2) or (N1, N2, d), and a batch of scenes
-adds trailing axes. Every word holds for NumPy and JAX, traced or not, in float32 and float64.
+Where the shape is known, jaxtyping states it in place. Space comes first and lanes last: an array
+over sites has shape (N,), (N1, N2) or (N1, N2, d), and a batch of lattices adds trailing axes. All
+names hold for NumPy and JAX, traced or not, in float32 and float64.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,39 +13,39 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Inexact, Integer, PyTree, Real
 
 AnyArray: TypeAlias = jax.Array | np.ndarray
-"""An array of NumPy or of JAX."""
+"""An array of NumPy or JAX."""
 
 
 @runtime_checkable
 class _Column(Protocol):
-    """What NumPy reads as an array, such as a `pandas.Series`."""
+    """What NumPy can read as an array, such as a `pandas.Series`."""
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray: ...
 
 
 Values: TypeAlias = Sequence | AnyArray | _Column
-"""Indices, labels or numbers one after the other: a list, an array, a column of a table."""
+"""A sequence of indices, labels or numbers: a list, an array, a column of a table."""
 
 Scalar: TypeAlias = int | float | np.number | Real[AnyArray, ""]
 """One real number."""
 
 Number: TypeAlias = int | float | np.number | Real[AnyArray, "..."]
-"""A real number, or one per lane (*lanes)."""
+"""A real number, or one per lane, of shape (*lanes)."""
 
 Parameter: TypeAlias = Number | Sequence
-"""A real number or an array over bonds or sites, then lanes; anything that broadcasts to them, lists too."""
+"""A real number, or an array or list that broadcasts to the bonds or sites, then lanes."""
 
 Count: TypeAlias = int | np.integer
 """A whole number."""
 
 Numbers: TypeAlias = Float[AnyArray, "..."]
-"""An array of floating numbers, its shape said in the docstring."""
+"""An array of floating numbers, whose shape the docstring states."""
 
 Counts: TypeAlias = Integer[AnyArray, "..."]
 """An array of whole numbers."""
 
 Flags: TypeAlias = Bool[AnyArray, "..."] | bool | np.bool_
-"""Whether, for one or for an array."""
+"""A truth value, or an array of them."""
 
 ComplexNumbers: TypeAlias = Complex[AnyArray, "..."]
 """An array of complex numbers."""
@@ -53,13 +54,13 @@ Amplitudes: TypeAlias = Inexact[AnyArray, "..."]
 """An array of real or complex numbers, such as the amplitudes of a first-order lattice."""
 
 Displacements: TypeAlias = Inexact[AnyArray, "..."] | dict[str, Inexact[AnyArray, "..."]]
-"""Displacements, velocities or forces over the sites: an array, or a dict of arrays where a cell holds fields."""
+"""Displacements, velocities or forces of the sites: an array, or a dict of one per field."""
 
 Times: TypeAlias = Float[AnyArray, " times"]
 """Times (T,), increasing."""
 
 Pytree: TypeAlias = PyTree
-"""A tree of arrays: a state, tangents, parameters with names."""
+"""A tree of arrays: a state, tangents, named parameters."""
 
 Scene: TypeAlias = Callable[[Any], Any]
 """A function of parameters that returns a `Lattice`."""
@@ -77,10 +78,10 @@ StateLike: TypeAlias = tuple[Any, Any] | list[Any]
 """A `State(u, v)`, or a pair."""
 
 Site: TypeAlias = Count | tuple[Count, ...] | list[Count]
-"""Index of a site, negative from the end; on a grid one per axis."""
+"""The index of a site, negative from the end; on a grid one per axis."""
 
 Cell: TypeAlias = Count | tuple[Count, ...] | None
-"""Sites per unit cell, on a grid along each axis; `None` finds them."""
+"""The number of sites per unit cell, on a grid along each axis; `None` determines it."""
 
 Seed: TypeAlias = Count | jax.Array
-"""A whole number, or a key of `jax.random`."""
+"""A whole number or a key of `jax.random`."""

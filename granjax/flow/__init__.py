@@ -1,4 +1,4 @@
-"""Flow: integrating a lattice in time."""
+"""Integration of a lattice in time."""
 
 from .caputo import CaputoRun, caputo
 from .derivative import Derivative, derivative

@@ -1,8 +1,8 @@
-"""Lanes last under `jax.vmap`.
+"""Runs under `jax.vmap`, with lanes last.
 
-`jax.vmap` of a run moves its lanes to the front of every loop, which is up to three times slower than lanes that come
-last. So a traced run has a batching rule of its own, which makes one lattice with lanes last of all its scenes. What is
-differentiated takes the plain form, since a rule of batching alone has no reverse mode.
+`jax.vmap` moves lanes to the front of every loop, which is up to three times slower than lanes that
+come last. So a traced run has its own batching rule, which makes one lattice with lanes last. Runs
+that are differentiated do not use it, since such a rule has no reverse mode.
 """
 
 from functools import lru_cache
@@ -21,18 +21,20 @@ from .integrate import integrate
 from .method import CUBICS, ENDS, Plan
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
-# bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
+# The bound on a traced run whose number of steps is not known. A bound that is not reached costs
+# nothing.
 TRACED_STEPS = 2**24
-# lanes of the trial by which a user's functions are known to keep lanes apart, and how well its numbers agree
+# The number of lanes, and the agreement required, of the trial that shows whether a user's
+# functions treat each lane separately.
 TRIED, AGREE = 3, 1e-5
 
 
 def batched(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan, *, own_step: bool
 ) -> Found:
-    """`integrate`, whose lanes come last where `jax.vmap` maps it.
+    """Integrate as `integrate` does, with lanes last under `jax.vmap`.
 
-    `own_step`: each lane's step may be replaced by that of the stiffest lane, because nobody has given it.
+    `own_step`: no step is given, so lanes may take that of the stiffest lane.
     """
     step = plan.step
     static, arrays = parted((lattice, state, plan.records))
@@ -40,7 +42,6 @@ def batched(
     kinds = _kinds(arrays)
 
     def scenes(arrays, step, shared):
-        """What `integrate` is given, of the arrays of one scene or of many."""
         lattice, state, records = joined(static, arrays)
         t0, t1, plan = joined(fixed, shared)
         return lattice, state, t0, t1, plan._replace(step=step, records=records)
@@ -50,14 +51,14 @@ def batched(
 
     closed, shapes = jax.make_jaxpr(plain, return_shape=True)(arrays, step, shared)
     if any(isinstance(x, jax.core.Tracer) for x in closed.consts):
-        # a function within reads traced numbers from outside, of which a rule would not know
+        # A function closes over traced values, of which a batching rule would not know.
         return plain(arrays, step, shared)
     everywhere = lambda own: jax.tree.map(lambda _: own, shapes)
 
     def lanes_last(size, over, arrays, step, shared):
         mapped, step_mapped, shared_mapped = over
         if not any(jax.tree.leaves(over)):
-            # differentiated behind a map of its tangents alone: this ends the recursion
+            # Only the tangents are mapped; this ends the recursion.
             return plain(arrays, step, shared), everywhere(False)
         alone = any(jax.tree.leaves(shared_mapped)) or step_mapped and not own_step
         if alone or not any(mapped) or not _keeps_lanes_apart(static, kinds):
@@ -71,7 +72,7 @@ def batched(
         arrays = [_behind(x, own, size) for x, own in zip(arrays, mapped)]
         lattice, state, t0, t1, plan = scenes(arrays, step, shared)
         looks = plan.openings == CUBICS
-        # nothing is differentiated here
+        # Nothing is differentiated here.
         plan = plan._replace(
             adjoint=diffrax.ForwardMode(), openings=ENDS if looks else plan.openings
         )
@@ -79,7 +80,8 @@ def batched(
         code = code_of_each(run.code, run.final, lattice.lanes)
         run = run._replace(code=jnp.where(good, code, TOO_MANY_STEPS))
         if looks:
-            # looking between steps takes half as long as the run: XLA drops this one where nobody reads what it saw
+            # Looking between steps takes half as long as the run. XLA drops this second run where
+            # nobody reads its margin.
             plan = plan._replace(save_ts=None, records={}, openings=CUBICS)
             seen = batched(lattice, state, t0, t1, plan, own_step=own_step)
             run = run._replace(margin=seen.margin)
@@ -94,7 +96,7 @@ def batched(
 
 
 def code_of_each(code: Any, final: State, lanes: tuple[int, ...]) -> Any:
-    """A code for each lane: one whose state is not finite says nothing of the others, which went on."""
+    """Return a code for each lane, so that a lane that is not finite does not mark the others."""
     own = [
         jnp.all(jnp.isfinite(x), axis=tuple(range(jnp.ndim(x) - len(lanes))))
         for x in jax.tree.leaves(final)
@@ -104,7 +106,7 @@ def code_of_each(code: Any, final: State, lanes: tuple[int, ...]) -> Any:
 
 
 def without_the_lost(run: Found, lanes: tuple[int, ...]) -> Found:
-    """The run with NaN for the numbers of lanes that did not complete, since nothing is raised while tracing."""
+    """Set the numbers of lanes that did not complete to NaN, as tracing cannot raise."""
     good = code_of_each(run.code, run.final, lanes) == COMPLETED
     lost = lambda tree: jax.tree.map(lambda x: jnp.where(good, x, jnp.nan), tree)
     names = "us", "vs", "final", "recorded", "energy_error"
@@ -112,7 +114,6 @@ def without_the_lost(run: Found, lanes: tuple[int, ...]) -> Found:
 
 
 def _behind(x, own, size):
-    """An array with its lanes last; what all lanes share has them too."""
     return (
         jnp.moveaxis(x, 0, -1)
         if own
@@ -126,9 +127,9 @@ def _kinds(arrays):
 
 @lru_cache(maxsize=256)
 def _keeps_lanes_apart(static, kinds):
-    """Whether forces and records give each of some lanes at random what it gets alone.
+    """Try whether forces and records treat each lane separately, on random lanes.
 
-    The functions that a user writes are for one scene, and may look along an axis that is the lanes' here.
+    A user's functions are written for one lattice, and may use an axis that holds the lanes here.
     """
     draw = np.random.default_rng(0)
 

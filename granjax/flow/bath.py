@@ -1,4 +1,4 @@
-"""Heat baths: a splitting step with the exact flow of `Langevin` terms beside it."""
+"""Heat baths: splitting steps with the exact flow of the `Langevin` terms."""
 
 from functools import partial
 from typing import Any
@@ -18,12 +18,12 @@ from ..types import Displacements, Number
 
 
 def baths(lattice: Lattice) -> tuple[Langevin, ...]:
-    """The heat baths among the terms."""
+    """Return the heat baths among the terms."""
     return tuple(term for term in lattice.terms if isinstance(term, Langevin))
 
 
 def isolated(lattice: Lattice) -> Lattice:
-    """The lattice without its heat baths."""
+    """Return the lattice without its heat baths."""
     if not baths(lattice):
         return lattice
     rest = tuple(term for term in lattice.terms if not isinstance(term, Langevin))
@@ -31,7 +31,7 @@ def isolated(lattice: Lattice) -> Lattice:
 
 
 def refuse_unfit(solver: Any, tolerance: Any, confirm: bool, backwards: bool, even: bool) -> None:
-    """Refuse what a run with heat baths cannot have."""
+    """Refuse arguments that a run with heat baths does not support."""
     if tolerance is not None or not isinstance(solver, AbstractSplitting):
         got = f"{type(solver).__name__}, tolerance={tolerance}"
         refuse("solver", "a splitting solver and step= with heat baths", got, "Try gx.SRKN11b().")
@@ -45,14 +45,15 @@ def refuse_unfit(solver: Any, tolerance: Any, confirm: bool, backwards: bool, ev
 
 
 class Bathed(Wrapped):
-    """A splitting solver of the isolated lattice, and before each of its steps that of the baths.
+    """A splitting solver of the isolated lattice, with the baths before each of its steps.
 
-    Both keep the canonical distribution, the solver's step to its order. `VelocityVerlet` has the baths in the middle
-    of its drift instead.
+    The baths keep the canonical distribution exactly, the solver to its order. With
+    `VelocityVerlet` the baths act in the middle of its drift instead.
     """
 
     def init(self, terms, t0, t1, y0, args):
-        # one run that goes on where another ended does not repeat its noise
+        # The time enters the key, so that a run that continues another one does not repeat its
+        # noise.
         time = jnp.atleast_1d(jax.lax.bitcast_convert_type(t0, jnp.uint32))
         keys = [_keys(bath.seed, args.lanes, time) for bath in baths(args)]
         return self.solver.init(terms, t0, t1, y0, isolated(args)), keys
@@ -72,7 +73,7 @@ class Bathed(Wrapped):
 
 
 def _baoab(lattice, y0, t0, t1, kept, bathed):
-    """Half a kick, half a drift, the baths, half a drift, half a kick."""
+    # Half a kick, half a drift, the baths, half a drift, half a kick.
     system, half = split_system(lattice), (t1 - t0) / 2
     w = system.drift(system.kick(system.enter(y0, kept), half), half)
     middle, cache = system.leave(w, y0)
@@ -84,7 +85,6 @@ def _baoab(lattice, y0, t0, t1, kept, bathed):
 
 
 def _bathed(lattice, v: Displacements, h: Number, keys: list) -> Displacements:
-    """The velocities after a time h in the baths alone."""
     for bath, key in zip(baths(lattice), keys):
         names = tuple(v) if isinstance(v, dict) else (None,)
         for i, name in enumerate(names):
@@ -100,13 +100,14 @@ def _cooled(bath, v, m, h, key):
     width = jnp.sqrt(-jnp.expm1(2 * x) * bath.temperature / m)
     sites = v.shape[: v.ndim - key.ndim]
     noise = _each(lambda k: jax.random.normal(k, sites, v.dtype), key)
-    # lanes are the first axes of what is drawn
+    # Lanes are the first axes of the draws, and are moved last.
     noise = jnp.moveaxis(noise, range(key.ndim), range(v.ndim - key.ndim, v.ndim))
     return jnp.exp(x) * v + width * noise
 
 
 def _keys(seed, lanes, time):
-    """A key for each lane, from its seed, how many lanes before it have the same one, and the time."""
+    # One key for each lane, from its seed, the number of lanes before it with the same seed, and
+    # the time.
     seeds = jnp.broadcast_to(seed, lanes).ravel()
     order = jnp.argsort(seeds, stable=True)
     place = jnp.argsort(order)
@@ -122,7 +123,7 @@ def _keys(seed, lanes, time):
 
 
 def _each(function, keys):
-    """A function of one key, for each lane's."""
+    # Maps a function of one key over the keys of all lanes.
     for _ in range(keys.ndim):
         function = jax.vmap(function)
     return function(keys)

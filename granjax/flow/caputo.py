@@ -1,4 +1,4 @@
-"""Vector fields with Caputo's derivative in time: D^a y = f(t, y), with the whole history."""
+"""Caputo's fractional derivative in time: D^a y = f(t, y), with the whole history."""
 
 from typing import Any
 
@@ -14,26 +14,27 @@ from ..results import Result, array
 from ..types import Count, Number, Pytree, Scalar, Times, VectorField
 from .method import checked_times
 
-# of Newton's method at each step: most iterations, and where they end, over the size of the solution
+# The most iterations of Newton's method at each step, and the change, relative to the solution, at
+# which they stop.
 ITERATIONS, SETTLED = 20, 1e-13
 
 
 class CaputoRun(Result):
-    """What `caputo` returns."""
+    """The result of `caputo`."""
 
     ts: Times = array("The times.", "s", "time", name="time")
-    ys: Pytree = array("The solution, of the structure of y with the times first.", axes="time ...")
+    ys: Pytree = array("The solution, with the structure of y and times first.", axes="time ...")
     error: Number = array(
-        "The largest distance from the truth, in any entry and at any time: from a second "
-        "run with half the steps, and of the start, t^a, from the first step."
+        "The largest error over all entries and times: the error estimated from a second run with "
+        "half the steps, plus the error of the start, t^a, estimated from the first step."
     )
     residual: Number = array(
-        "The largest change that Newton's method left, over the size of the solution."
+        "The largest last change of Newton's method, relative to the size of the solution."
     )
 
     @property
     def outcome(self) -> str:
-        """What became of the run, in a sentence (only where it is not traced)."""
+        """A sentence about how the run ended (not available while traced)."""
         if concrete(self.error) is None:
             return "Not known while traced."
         if not np.isfinite(self.error):
@@ -58,22 +59,26 @@ def caputo(
     args: Any = None,
     grading: Scalar | None = None,
 ) -> CaputoRun:
-    r"""Solve D^a y = f(t, y, args), y(t0) = y0, with Caputo's derivative of order 0 < a < 1 in time.
+    r"""Solve D^a y = f(t, y, args), y(t0) = y0, with Caputo's derivative of order 0 < a < 1.
 
-    D^a y(t) = 1/Gamma(1 - a) times the integral over s < t of y'(s)/(t - s)^a. The L1 scheme: y is linear within each
-    step, the new value is found by Newton's method (implicit: no bound on the step from stability), and the whole
-    history is kept: memory T n, cost T^2 n, and T Jacobians of n x n, for T steps and n numbers. Solutions start as
-    t^a, whose slope is infinite; times t0 + (t1 - t0) (j/T)^r, r = (2 - a)/a, make the error fall as T^{-(2 - a)} at
-    all times, where equal steps give T^{-a}. A history that is cut short is no such equation: what is left out decays
-    as slowly as the solution.
+    D^a y(t) = 1/Gamma(1 - a) times the integral over s < t of y'(s)/(t - s)^a. In the implicit L1
+    scheme y is linear within each step, Newton's method finds each new value, and stability does
+    not limit the step. The whole history is kept, since memory decays as slowly as the solution.
+    For T steps and n numbers it takes memory T n, time T^2 n, and T Jacobians of n x n.
 
-    **Arguments:** `field`: f(t, y, args); `y`: start, arrays; `order`: a in (0, 1); `steps`: T, even, at least 4;
-    `grading`: r >= 1, 1 for equal steps, `None` for (2 - a)/a, 12 at most (below a = 0.15 the order is 12 a).
+    Solutions start as t^a, with infinite slope. With times t0 + (t1 - t0) (j/T)^r, r = (2 - a)/a,
+    the error falls as T^{-(2 - a)} at all times; with equal steps as T^{-a}.
+
+    **Arguments:** `field`: f(t, y, args); `y`: the initial value, arrays; `order`: a in (0, 1);
+    `steps`: T, even, at least 4; `grading`: r >= 1, 1 for equal steps, `None` for (2 - a)/a, at
+    most 12 (below a = 0.15 the error falls as T^{-12 a}).
 
         run = gx.caputo(lambda t, y, args: -y, 1.0, 5.0, order=0.6)     # run.ys is E_a(-t^a)
 
-    **Returns:** `CaputoRun`. Derivatives in both modes; in reverse the memory is T^2 n. **Raises** ValueError for a
-    outside (0, 1), T odd, times that are not in order.
+    **Returns:** `CaputoRun`. Derivatives exist in both modes; reverse mode takes memory T^2 n.
+
+    **Raises** ValueError for a outside (0, 1), odd T, or times that are not in order.
+
     Source: M. Stynes, E. O'Riordan, J. L. Gracia, SIAM J. Numer. Anal. 55, 1057 (2017).
 
     **Example:**
@@ -93,7 +98,8 @@ def caputo(
         jnp.minimum((2 - order) / order, 12.0) if grading is None else parameter("grading", grading)
     )
     y = jax.tree.map(lambda x: parameter("y", x), y)
-    # plain numbers are inputs of what is compiled, not a part of it
+    # Plain numbers become inputs of the compiled program, so that other numbers do not compile
+    # anew.
     args = jax.tree.map(lambda x: jnp.asarray(x) if type(x) in (int, float, complex) else x, args)
     t0, t1 = (jnp.asarray(t, float) for t in (t0, t1))
     return _solved(field, y, t0, t1, order, grading, steps, args)
@@ -114,11 +120,13 @@ def _solved(field, y, t0, t1, order, grading, steps, args):
 
     fine, residual = _marched(f, flat, ends, order)
     coarse, _ = _marched(f, flat, ends[::2], order)
-    # away from the start; the order is approached from below
+    # Away from the start, by Richardson extrapolation. The factor 0.8 allows for an order that is
+    # approached from below.
     error = jnp.max(jnp.abs(fine[::2] - coarse)) / (
         2 ** (0.8 * jnp.minimum(2 - order, grading)) - 1
     )
-    # within the first steps, which the coarse run does not see: what the scheme makes of t^a there
+    # The error within the first step, which the coarse run does not see: that of the scheme for
+    # t^a.
     error += jnp.max(jnp.abs(fine[1] - flat)) * (
         jnp.exp(-gammaln(1 + order) - gammaln(2 - order)) - 1
     )
@@ -127,8 +135,7 @@ def _solved(field, y, t0, t1, order, grading, steps, args):
 
 
 def _newton(residual, start):
-    """The root of a step, and the last change over the size of the solution."""
-
+    # The root of a step, and the last change relative to the size of the solution.
     def improve(state):
         x, _, k = state
         move = jnp.linalg.solve(jax.jacfwd(residual)(x), residual(x))
@@ -147,14 +154,14 @@ def _tangent(linear, y):
 
 
 def _marched(f, y0, ends, order):
-    """The solution at the ends of steps, (T + 1, n), and what Newton's method left."""
+    # The solution at the ends of steps, (T + 1, n), and the largest last change of Newton's method.
     count, gaps = len(ends) - 1, jnp.diff(ends)
     gamma = jnp.exp(gammaln(2 - order))
 
     def step(carry, n):
         slopes, y, worst = carry
         t = ends[n + 1]
-        # of the history: the integral of (t - s)^{-a} over each past step
+        # The history: the integral of (t - s)^{-a} over each past step.
         since, gap = t - ends[1:], gaps
         past = jnp.arange(count) < n
         since = jnp.where(past, since, 1.0)

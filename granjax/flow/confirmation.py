@@ -1,4 +1,4 @@
-"""The errors of a run: the run again, by finer steps."""
+"""The errors of a run, from a second run with finer steps."""
 
 import diffrax
 import jax
@@ -14,17 +14,21 @@ from .march import march
 from .method import DENSE, Plan, least_tolerance
 from .run import Errors, Found
 
-# a run is confirmed by a tolerance smaller by this factor; or by steps shorter by these factors, the second one where
-# contacts opened, as errors of order 5/2 that come and go with the mesh may be alike twice
+# The second run has a tolerance smaller by the first factor, or steps shorter by the next ones. The
+# last factor is for runs in which contacts opened: their errors are of order 5/2 and vary with the
+# steps, so that two runs may agree by chance.
 TIGHTER = 100
 SHORTER = 2, 4
-# over the gap between both runs, where contacts opened, as errors come and go with the mesh: twice that of order 1
+# The factor on the gap between both runs where contacts opened: twice that of order 1, as errors
+# vary with the steps.
 OPENED = 4.0
-# the gap, over the motion, from which on an entry's own says nothing, as both runs have lost each other
+# From this gap on, relative to the motion, both runs have diverged, and the gap of a single entry
+# says nothing.
 APART = 0.1
-# over the gap between the smallest overlaps of both
+# The factor on the gap between the smallest overlaps of both runs.
 COVER = 2.0
-# units of rounding that a number is known to at best, times the root of the number of steps, over which it gathers
+# The rounding units within which a number is known at best, times the square root of the number of
+# steps, over which rounding accumulates.
 ROUNDED = 8
 
 
@@ -37,11 +41,15 @@ def confirmed(
     first: Found,
     good: Flags,
 ) -> Errors:
-    """The errors of what was found by the plan's steps, or to its tolerance; infinite where it is not `good`.
+    """Return the errors of what a run found; infinite where the run is not `good`.
 
-    They are the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, 1 where contacts
-    opened), doubled; and as gaps may vanish by chance, the largest one over the entries at any time so far, taken on
-    alike; and rounding. They cover the run's own error, that of the dense output, and that of the records.
+    An error covers the integration, the dense output and the records. It is the sum of:
+
+    - twice the gap between both runs, extrapolated to vanishing steps with the solver's order (2 at
+      most, 1 where contacts opened);
+    - the largest extrapolated gap over all entries and times so far, since a gap may vanish by
+      chance (more where both runs have diverged);
+    - rounding.
     """
     lattice, state, t0, t1, first, good = jax.lax.stop_gradient(
         (lattice, state, t0, t1, first, good)
@@ -50,7 +58,7 @@ def confirmed(
         (plan.step, plan.tolerance, plan.save_ts, plan.records)
     )
     if tolerance is not None:
-        # where the type cannot hold such a tolerance, one larger by this factor
+        # Where the floating type cannot hold a smaller tolerance, the second run has a larger one.
         less, more = tolerance / TIGHTER, tolerance * TIGHTER
         tolerance = jnp.where(less >= least_tolerance(lattice.dtype), less, more)
         how = f"a second run with a tolerance {TIGHTER} times smaller"
@@ -77,7 +85,7 @@ def confirmed(
 
 @compiled
 def _errors(lattice, state, t0, first, second, good, factor):
-    """The fields of `Errors`."""
+    # The fields of `Errors`.
     lanes, good = len(lattice.lanes), good & second.completed
     opened = (first.margin < 0) | (second.margin < 0)
     factor = jnp.where(opened, jnp.maximum(OPENED, factor), factor)
@@ -110,7 +118,7 @@ def _errors(lattice, state, t0, first, second, good, factor):
 
 
 def _saved(factor, units, lanes, good, x, finer):
-    """The error of (T, sites..., lanes...)."""
+    # The error of an array (T, sites..., lanes...).
     gap, over = jnp.abs(x - finer), tuple(range(1, x.ndim - lanes))
     known = jnp.where(jnp.isfinite(gap), gap, 0)
     largest = jax.lax.cummax(jnp.max(known, axis=over, keepdims=True), axis=0)
@@ -122,13 +130,14 @@ def _saved(factor, units, lanes, good, x, finer):
 
 
 def _recorded(factor, units, lanes, good, x, finer, short, finer_short):
-    """The error of a record, whose axes are its own."""
+    # The error of a record, whose axes are its own.
     gap = jnp.abs(x - finer)
     known = jnp.where(jnp.isfinite(gap), gap, 0)
     largest = jnp.max(known, axis=tuple(range(max(x.ndim - lanes, 0))), keepdims=True, initial=0)
     rounding = units * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
     error = factor * (known + largest / 2) + rounding
     error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
-    # what both runs never saw arrive, and by more than they are known to, has no time that could be wrong
+    # An arrival that neither run saw has no time that could be wrong, if the quantity missed the
+    # threshold by more than its error.
     missed = finer_short > factor * jnp.abs(short - finer_short)
     return jnp.where(jnp.isnan(x) & jnp.isnan(finer) & good & missed, jnp.nan, error)

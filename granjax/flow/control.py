@@ -1,4 +1,4 @@
-"""Step control: steps that end where forces jump in time, and adaptive steps where contacts open and close."""
+"""Step control: steps that end where forces jump in time, and adaptive steps."""
 
 import math
 from collections.abc import Callable
@@ -15,12 +15,12 @@ from ..terms.base import Altered
 from ..terms.waveforms import ULPS, count_breaks, next_break
 from ..types import Number, Pytree, Scalar, StateLike
 
-# a step that would end so near before its goal ends there
+# A step that would end within this relative distance before its goal ends at the goal.
 NEARLY = 1e-9
 
 
 class Held(Altered):
-    """A term for the times from `low` to `high` alone: beyond them it is what it is there."""
+    """A term whose time is restricted to [`low`, `high`]; outside it keeps the value at the end."""
 
     term: Term
     low: Number
@@ -43,7 +43,7 @@ class Held(Altered):
 
 
 class OneSided(Wrapped):
-    """A solver whose steps see a lattice as it is inside of them, and start with a force of their own."""
+    """A solver whose steps start with a new force and see the lattice as it is inside of them."""
 
     def init(self, terms, t0, t1, y0, args):
         return None
@@ -56,7 +56,7 @@ class OneSided(Wrapped):
 
 
 def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
-    """A lattice as it is inside of a step, at its ends too."""
+    """Return the lattice as it is inside of a step, also at the ends of the step."""
     slack = (
         2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
     )
@@ -66,25 +66,28 @@ def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
 
 
 def one_sided(solver: diffrax.AbstractSolver, lattice: Lattice) -> diffrax.AbstractSolver:
-    """The solver itself where nothing breaks."""
+    """Return the solver with one-sided steps, or unchanged where the lattice has no breaks."""
     return OneSided(solver) if lattice.breaks else solver
 
 
 def breaks_of(field: Callable, args: object) -> tuple:
-    """The `Breaks` of a vector field with these arguments; none of one that says nothing of them."""
+    """Return the `Breaks` of a vector field with these arguments; () where it declares none."""
     found = getattr(field, "breaks", None)
     return () if found is None else found(args)
 
 
 def landing(breaks: tuple, t: Number, step: Number, end: Scalar) -> Number:
-    """The end of a step from t: equal steps, none longer than `step`, up to the next break, or to `end`."""
+    """Return the end of a step from t: equal steps of at most `step` to the next break or `end`."""
     goal = jnp.minimum(next_break(breaks, t), end)
     count = jnp.maximum(jnp.ceil((goal - t) / step * (1 - NEARLY)), 1)
     return jnp.where(count == 1, goal, t + (goal - t) / count)
 
 
 def shared_out(breaks: tuple, t: Number, left: Number, end: Number, sign: Number) -> Number:
-    """The end of a step from t, where `left` steps lead to `end`, through all breaks: each stretch has its share."""
+    """Return the end of a step from t, where `left` steps lead through all breaks to `end`.
+
+    Each stretch between breaks gets its share of the steps.
+    """
     goal = jnp.minimum(next_break(breaks, t, sign), end)
     beyond = jnp.where(goal < end, 1 + count_breaks(breaks, goal, end, sign), 0)
     share = jnp.round(left * (goal - t) / jnp.where(end > t, end - t, 1))
@@ -119,7 +122,7 @@ class Landing(diffrax.AbstractStepSizeController):
 
 
 def cut(breaks: tuple, t: Number, step: Number) -> tuple:
-    """(the end of a step from t, the length that a break has cut short, or zero)."""
+    """Return the end of a step from t, and its full length if a break cut it short, else zero."""
     goal = next_break(breaks, t)
     short = t + step * (1 + NEARLY) > goal
     return jnp.where(short, goal, t + step), jnp.where(short, step, 0).astype(jnp.result_type(step))
@@ -128,13 +131,13 @@ def cut(breaks: tuple, t: Number, step: Number) -> tuple:
 SAFETY = 0.8
 SHRINK, GROW = 0.2, 3.0
 HALVINGS = 3
-# of an octave, to which a factor is rounded: an error is known to its rounding only, which steps that close in on an
-# opening contact would else make larger from one to the next
+# The factor of the step is rounded to this part of an octave. Rounding errors in the error estimate
+# would otherwise grow from step to step when steps close in on an opening contact.
 PARTS = 8
 
 
 class Scales(eqx.Module):
-    """Largest entry of displacements and of velocities, each by its own scale; what is not a number is infinite."""
+    """The largest entry of displacements and velocities, each relative to its scale."""
 
     displacement: jax.Array
     velocity: jax.Array
@@ -145,15 +148,16 @@ class Scales(eqx.Module):
 
 
 def largest(tree: Pytree) -> Number:
-    """The largest entry of a tree; what is not a number is infinite."""
+    """Return the largest absolute value in a tree; infinite if one is not a number."""
     sizes = [_maximum(jnp.abs(x).reshape(-1)) for x in jax.tree.leaves(tree)]
     return jnp.max(jnp.stack(sizes)) if len(sizes) > 1 else sizes[0]
 
 
 def _maximum(x):
-    # XLA's maximum over a long array may lose a NaN
+    # XLA's maximum over a long array may lose a NaN.
     x = jnp.where(x < jnp.inf, x, jnp.inf)
-    # nor does it vectorise: three times the two halves against each other, which overlap where the size is odd
+    # It does not vectorise either. So the array is halved three times, by the elementwise maximum
+    # of both halves, which overlap where the size is odd.
     for _ in range(HALVINGS):
         half = (x.size + 1) // 2
         x = jnp.maximum(x[:half], x[x.size - half :])
@@ -161,15 +165,16 @@ def _maximum(x):
 
 
 class StepControl(diffrax.AbstractAdaptiveStepSizeController):
-    r"""Steps whose local error stays below a tolerance: h <- h min(3, max(1/5, 0.8 (tolerance/error)^(1/q))).
+    r"""Steps with local error below a tolerance: h <- h min(3, max(1/5, 0.8 (tol/error)^(1/q))).
 
-    q is the order of the error estimate; the factor is rounded to eighths of an octave. A step that fails is tried
-    again, shorter; the next one that holds does not grow, since what a step meets first when a contact opens it meets
-    again at once. The first step is short, `first` tolerance^(1/q), and no force is spent to choose it.
+    q is the order of the error estimate; the factor is rounded to eighths of an octave. A failed
+    step is repeated with a shorter one. The next successful step does not grow, since it meets the
+    contact that opened again. The first step, `first` tolerance^(1/q), is short and needs no force
+    evaluation.
 
-    **Arguments:** `atol`: the tolerance, dimensionless. `norm`: of a state, in scales of the scene. `first`: a time.
-    `longest`: no step is longer; `None` for no such bound. `breaks`: those of a lattice; steps end there, and what
-    follows one is as long as was meant before it.
+    **Arguments:** `atol`: the dimensionless tolerance. `norm`: of a state, in the scales of the
+    lattice. `first`: a time. `longest`: the longest step, or `None`. `breaks`: times at which steps
+    end; the next step is as long as was planned before the break.
     """
 
     atol: jax.Array

@@ -1,4 +1,4 @@
-"""The derivative of what comes out of a run, with its error."""
+"""The derivative of the result of a run, with its error."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,11 +12,12 @@ from ..programs import compiled
 from ..results import Result, array
 from ..types import Numbers, Pytree, Scalar
 
-# steps, in those that are asked for; the last is the one whose derivative is returned
+# The steps, relative to the given one. The derivative at the last one is returned.
 LADDER = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-# over the largest difference found: 36 derivatives of two kinked chains, all within it, 35 without
+# The factor on the largest difference. With it the error covered all of 36 derivatives of two
+# kinked chains, without it 35.
 COVER = 2
-# relative error from which on a derivative is called one that the steps do not settle
+# From this relative error on, the outcome says that the derivative depends on the steps.
 UNSETTLED = 1e-3
 
 
@@ -27,8 +28,8 @@ class Derivative(Result):
         "The derivative at half the step, of the structure that `jax.jacfwd` gives."
     )
     error: Pytree = array(
-        "The estimated distance of the derivative from that of the true motion, of the same"
-        " structure."
+        "The estimated distance of the derivative from that of the true motion, of the same "
+        "structure."
     )
     slopes: Pytree = array("The derivative at each step of `ladder`.")
     ladder: Numbers = array("The steps.", "s", "step")
@@ -55,17 +56,19 @@ class Derivative(Result):
 
 
 def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> Derivative:
-    """df/dx of a function of runs, and what the time steps leave uncertain of it.
+    """Return df/dx of a function of runs, and its error due to the time steps.
 
-    The derivative of a run is that of its discrete steps. Where a force has a kink, a slope that jumps (a bilinear
-    spring, `PowerLaw` with exponent 1), the run converges with the second power of the step and its derivative with
-    the first, erratically: at the default step it may be wrong by tens of per cent with nothing to be seen. Here it is
-    taken at several steps, and the error is twice the largest of their differences from the shortest's, each for its
-    length.
+    The derivative of a run is that of its discrete steps. Where the slope of a force jumps (a
+    bilinear spring, `PowerLaw` with exponent 1), the run converges with the second power of the
+    step, its derivative erratically with the first. At the default step it may silently be wrong by
+    tens of per cent. This function takes the derivative at several steps. The error is twice the
+    largest difference from that at the shortest step, each scaled by the shortest step over its
+    own.
 
-    **Arguments:** `function(x, step)`: arrays from a `simulate(..., step=step)`; keep one function for many calls, as
-    each new one compiles anew. `x`: parameters, a tree of floating numbers. `step` [s]: the longest, such as
-    `run.stats["step"]` of a run at the default one; the others go down to its half.
+    **Arguments:** `function(x, step)`: arrays from a `simulate(..., step=step)`; keep one function
+    for many calls, since each new one compiles anew. `x`: parameters, a tree of floating numbers.
+    `step` [s]: the longest, e.g. `run.stats["step"]` of a run at the default step; the shortest is
+    half of it.
 
     **Returns:** `Derivative`. **Raises** ValueError for a step <= 0 or complex numbers.
 

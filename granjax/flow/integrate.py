@@ -32,15 +32,18 @@ from .run import (
 )
 from .stiffness import chosen, compressions, gathered_frequency, reached_frequency
 
-# how many times the root of the rounding unit a force may miss the slope of its energy
+# A force may differ from the slope of its energy by this many square roots of the rounding unit.
 KEPT = 100
-# omega times the longest adaptive step of a lattice that is driven
+# omega times the longest adaptive step of a driven lattice.
 QUIET = 2.0
 
 
 @compiled
 def integrate(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan) -> Found:
-    """Integrate and reduce; everything checked, everything chosen. Adaptive steps are each lane's own."""
+    """Integrate and reduce the records, with checked arguments.
+
+    Each lane has its own adaptive steps.
+    """
 
     def run(lattice, state, records):
         own = planned(lattice, state, t0, plan._replace(records=records))
@@ -55,7 +58,7 @@ def integrate(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: 
 
 
 def planned(lattice: Lattice, state: StateLike, t0: Scalar, plan: Plan) -> Plan:
-    """The plan with the records that a run keeps for itself."""
+    """Return the plan with the internal records of a run added."""
     records = dict(plan.records)
     if overlaps(lattice, t0, state.u):
         records[CLOSEST] = {
@@ -69,7 +72,7 @@ def planned(lattice: Lattice, state: StateLike, t0: Scalar, plan: Plan) -> Plan:
 
 
 class Part(NamedTuple):
-    """A part of a run: what was saved, where it ended, what its records carry on, its counts of steps, a code."""
+    """A part of a run: saved states, final time and state, records, step counts and code."""
 
     ts: Times
     ys: State
@@ -91,14 +94,17 @@ def part_of(
     plan: Plan,
     carried: dict | None = None,
 ) -> Part:
-    """The part from t0 to t1 of the run that `begin` = (state, t0, t1) says; `carried`: by its records, until t0."""
+    """Integrate the part from t0 to t1 of a run that begins with `begin` = (state, t0, t1).
+
+    `carried`: what the records carry at t0.
+    """
 
     def some(lattice, state, carried):
         return _parted(lattice, begin, state, t0, t1, plan, carried)
 
     found = None
     own = {CLOSEST, EXTREMES}.issuperset(plan.records)
-    # groups of lanes would draw the same noise
+    # With heat baths groups of lanes would draw the same noise.
     alone = plan.every or plan.progress or baths(lattice)
     if plan.tolerance is None and own and not alone:
         found = by_groups(some, lattice, state, carried)
@@ -109,9 +115,9 @@ def part_of(
 
 
 def _parted(lattice, begin, state, t0, t1, plan, carried):
-    """What a part has of each lane, and what lanes share."""
+    # Returns what each lane has, and what all lanes share.
     solver, records = plan.solver, plan.records
-    # diffrax sets this itself for its Runge-Kutta methods, but does not see it through a wrapper
+    # Diffrax sets this for its Runge-Kutta methods, but not through a wrapper.
     direct = isinstance(plan.adjoint, diffrax.DirectAdjoint)
     if direct and getattr(solver, "scan_kind", "own") is None:
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
@@ -138,9 +144,10 @@ def solved(
     t1: Scalar,
     plan: Plan,
 ) -> tuple[tuple, tuple]:
-    """What diffrax finds of a field: (saved states, the last, the solver's) of each lane, and what lanes share.
+    """Integrate a vector field with diffrax.
 
-    That is the saved times, the time it came to, its numbers of steps (all, accepted, rejected) and a code.
+    **Returns:** (saved states, final state, solver state) of each lane, and what lanes share:
+    (saved times, final time, numbers of all, accepted and rejected steps, code).
     """
     subs = [diffrax.SubSaveAt(t1=True)]
     if plan.every:
@@ -169,7 +176,7 @@ def solved(
 
 
 def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
-    """What was found in all parts of a run."""
+    """Return the results of a run from those of all its parts."""
     (state, t0, t1), records = begin, plan.records
     ts, ys, _, final, carried, steps, accepted, rejected, code = part
     recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
@@ -191,7 +198,7 @@ def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
         low, less_high = extremes
         high = jax.tree.map(jnp.negative, less_high)
         stats["omega"] = reached_frequency(lattice, low, high, t0, t1, final.u)
-    # times that were traced, and so not refused, may span no run
+    # Traced times were not checked, and may not be in order.
     size = plan.step if plan.tolerance is None else plan.tolerance
     meant = (t1 > t0) & (size > 0) & jnp.isfinite(t1 - t0) & jnp.isfinite(size)
     code = jnp.where(meant, code, NOTHING)
@@ -207,7 +214,7 @@ def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
 
 
 def overlaps(lattice, t, u):
-    """The overlaps of the contacts that can open, of bonds and walls."""
+    """Return the overlaps of the contacts of bonds and walls that can open."""
     found = [
         c.overlap for term in lattice.terms for c in term.compressions(t, u) if c.place != "site"
     ]
@@ -215,7 +222,7 @@ def overlaps(lattice, t, u):
 
 
 def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
-    """The overlaps of all contacts that can open, one array."""
+    """Return the overlaps of all contacts that can open, as one array."""
     found = overlaps(lattice, t, y.u)
     if len(found) == 1:
         return found[0]
@@ -224,7 +231,7 @@ def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
 
 
 def least_overlap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
-    """The least overlap of all contacts that can open, per lane; infinite where there is none."""
+    """Return the least overlap of all contacts that can open, per lane; infinite without any."""
     found = [_least(lattice, overlap) for overlap in overlaps(lattice, t, u)]
     return jnp.min(jnp.stack([jnp.full(lattice.lanes, jnp.inf, lattice.dtype), *found]), axis=0)
 
@@ -243,13 +250,15 @@ def _overlap_and_rate(t, y, lattice):
 
 
 def _compressions(t, y, lattice):
-    """The compressions and what is less than nothing of them, whose smallest values say how far they went."""
+    # The compressions and their negatives, whose smallest values are the extremes of the
+    # compressions.
     found = jax.lax.stop_gradient(compressions(lattice, t, y.u))
     return found, jax.tree.map(jnp.negative, found)
 
 
 def _margin(lattice, t0, smallest):
-    """The least overlap over how far it came from rest, of all contacts, per lane: below zero where one opened."""
+    # The least overlap, divided by the distance that it moved from rest, over all contacts, per
+    # lane. It is negative where a contact opened.
     smallest = jax.lax.stop_gradient(smallest)
     moved = smallest_overlap(t0, State(lattice.zeros(), None), lattice) - smallest
     margin = jnp.where(
@@ -259,7 +268,6 @@ def _margin(lattice, t0, smallest):
 
 
 def _least(lattice, x):
-    """The least of all contacts, per lane."""
     return jnp.min(x, axis=tuple(range(x.ndim - len(lattice.lanes))), initial=jnp.inf)
 
 
@@ -276,7 +284,7 @@ def _code(result, final):
 
 
 def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
-    """The sum of the gaps of all terms."""
+    """Return the sum of the energy gaps of all terms."""
     gaps = [energies.energy_gap(term, lattice, t, u) for term in lattice.terms]
     return jax.lax.stop_gradient(
         sum(gaps[1:], gaps[0]) if gaps else jnp.zeros(lattice.lanes, lattice.dtype)
@@ -289,7 +297,7 @@ def _energy_error(lattice, state, t0, ts, ys):
     start = lattice.energy(t0, state.u, state.v)
     used = jnp.isfinite(ts).reshape(
         (-1,) + (1,) * len(lattice.lanes)
-    )  # of a buffer with room to spare
+    )  # Some of the buffer is unused.
     energies = jax.lax.map(lambda ty: lattice.energy(ty[0], ty[1].u, ty[1].v), (ts, ys))
     scale = jnp.maximum(jnp.abs(start), lattice.kinetic_energy(state.v))
     errors = jnp.where(used, jnp.abs(energies - start), 0)
@@ -299,10 +307,10 @@ def _energy_error(lattice, state, t0, ts, ys):
 
 
 class _FixedStep(diffrax.ConstantStepSize):
-    """The step as a field.
+    """A fixed step, held in a field.
 
-    Diffrax checks an argument `dt0` by calling Python at run time, and JAX keeps no such program in its compilation
-    cache.
+    Diffrax checks an argument `dt0` with a Python callback at run time, and JAX cannot keep such
+    programs in its compilation cache.
     """
 
     step: jax.Array
@@ -312,7 +320,7 @@ class _FixedStep(diffrax.ConstantStepSize):
 
 
 def _controller(lattice, state, t0, t1, plan):
-    # a step is a choice, not a function of the scene
+    # The step has no derivative with respect to the lattice.
     lattice, state, t0, t1 = jax.tree.map(chosen, (lattice, state, t0, t1))
     omega = gathered_frequency(lattice, state, t0, t1)[0]
     omega = jnp.where(omega > 0, omega, 1 / (t1 - t0))
@@ -320,7 +328,7 @@ def _controller(lattice, state, t0, t1, plan):
     velocity = jnp.where(velocity > 0, velocity, 1.0)
     longest = plan.step
     if lattice.reads_time:
-        # what is at rest would step over all that is to come
+        # A lattice at rest would otherwise take a step so long that it misses the drive.
         longest = QUIET / omega if longest is None else jnp.minimum(longest, QUIET / omega)
     scales = Scales(velocity / omega, velocity)
     controller = StepControl(plan.tolerance, scales, 1 / omega, longest, lattice.breaks)

@@ -1,6 +1,7 @@
-"""Lanes apart: an adaptive run of a batch is a run of each lane, by steps of its own.
+"""Batches whose lanes are run separately.
 
-A fixed step is shared, and some lanes at a time stay in the processor's nearest cache.
+Each lane of an adaptive run has its own steps. A fixed step is shared, and groups of lanes are run
+one after another so that their arrays fit the processor's nearest cache.
 """
 
 import math
@@ -20,16 +21,17 @@ from ..types import AnyArray, Number, Pytree, Scalar, StateLike
 from .method import facts
 from .run import Found
 
-# what lanes that fill up the last group may cost, over all lanes
+# The largest relative cost of the idle lanes that fill up the last group.
 FILLING = 0.1
-# displacements of a group, at most: 64 lanes of 1024 sites take 0.9 of the time, of 4096 sites 1.2 times as long
+# The most displacements of a group. A group of 64 lanes of 1024 sites takes 0.9 of the time of all
+# lanes together, of 4096 sites 1.2 times as long.
 LARGEST = 2**17
 
 
 def each_lane(
     function: Callable, lattice: Lattice, state: StateLike, records: dict, t0: Number
 ) -> Found:
-    """What `function(lattice, state, records)` finds of each lane, one after another."""
+    """Apply `function(lattice, state, records)` to each lane, one after another."""
     parts, build = apart(lattice, state, records)
 
     def one(parts):
@@ -44,11 +46,11 @@ def each_lane(
 
 
 def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | None:
-    """What `function(lattice, *others)` returns of all lanes, from some of them at a time.
+    """Apply `function(lattice, *others)` to some lanes at a time.
 
-    That is two trees: of arrays with lanes last, and of what lanes share (of codes, the largest). `None` where that is
-    no gain: few lanes, or a processor with which it was not measured; or where a user-defined term might look from one
-    lane at another.
+    It returns a tree of arrays with lanes last, and a tree that lanes share (of codes, the
+    largest). The result is `None` where groups do not pay off (few lanes, or a processor that was
+    not measured), or where a user-defined term might mix lanes.
     """
     width, count = lanes_abreast(), math.prod(lattice.lanes)
     groups = -(-count // width) if width else 0
@@ -81,13 +83,14 @@ def _has_foreign_term(lattice):
 
 
 def apart(lattice: Lattice, *others: Pytree) -> tuple[list[AnyArray], Callable]:
-    """What lanes do not share, each with all lanes in one last axis, and the function that makes trees of it again.
+    """Return the arrays that differ between lanes, with all lanes in one last axis, and a builder.
 
-    That function takes those arrays for some lanes, or without that axis for one. Arrays have lanes as they broadcast:
-    by their last axes; what does not reach over the lanes belongs to all of them.
+    The builder makes trees of such arrays, for some lanes, or for one lane without that axis.
+    Arrays have lanes as they broadcast, by their last axes. Those without all of them are shared.
     """
     lanes, mark = lattice.lanes, lattice._mark
-    # it has as many axes as sites have; lanes too, where not only some of the parameters have them
+    # The mark has the axes of a site. It has lanes too, unless only some of the parameters have
+    # lanes.
     missing = lattice.axes + (lattice.dimension is not None) + len(lanes) - mark.ndim
     lattice = eqx.tree_at(lambda x: x._mark, lattice, mark.reshape(mark.shape + (1,) * missing))
     leaves, structure = jax.tree.flatten((lattice, *others))
@@ -103,7 +106,7 @@ def apart(lattice: Lattice, *others: Pytree) -> tuple[list[AnyArray], Callable]:
 
 
 def _over_lanes(x, lanes):
-    """An array with its lanes in one last axis; `None` where it has none."""
+    # The array with its lanes in one last axis; `None` where it has no lanes.
     shape = np.shape(x)
     if not shape:
         return None
@@ -116,9 +119,9 @@ def _over_lanes(x, lanes):
 
 
 def together(run: Found) -> Found:
-    """A run whose `ts` (T, lanes...) are those of each lane with the times that all share.
+    """Replace the times of each lane (T, lanes...) by times that all lanes share.
 
-    What a lane that stopped would have to show at a time that another one came to is NaN.
+    A lane that stopped early has NaN at times that only others reached.
     """
     over, xp = tuple(range(1, run.ts.ndim)), library(run.ts)
     reached = xp.max(xp.where(xp.isfinite(run.ts), run.ts, -xp.inf), axis=over)
@@ -137,7 +140,7 @@ def together(run: Found) -> Found:
 
 
 def refuse_lanes_within(t0: Scalar, one: tuple, every: tuple) -> None:
-    """Refuse user-defined functions that hold lanes themselves, or look from one lane at another.
+    """Refuse user-defined functions that hold lanes themselves, or mix lanes.
 
     `one`, `every`: (lattice, state, records) of one lane, and of all.
     """

@@ -1,4 +1,4 @@
-"""Runs that take long: in pieces, between which Ctrl-C is heard."""
+"""Long runs, split into pieces so that Ctrl-C works in between."""
 
 import itertools
 import math
@@ -20,29 +20,31 @@ from .lanes import apart, refuse_lanes_within, together
 from .method import CUBICS, Plan, facts, rounding_unit
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
-# seconds that an evaluation of the forces takes, and more for each number of a state: about, and at the least
+# Seconds per evaluation of the forces, and per number of a state: an estimate, and a lower bound.
 TAKES, LEAST = (5e-8, 1e-9), (2e-8, 2e-11)
-# evaluations a step of a solver that does not say
+# Evaluations per step of a solver that does not declare them.
 EVALUATIONS = 10
-# seconds of a piece; and from which on a run has pieces, and from which on it is waited for in a way that hears Ctrl-C
+# Seconds: the length of a piece; the length from which on a run is split into pieces; the length
+# from which on the wait for it reacts to Ctrl-C.
 PIECE, LONG, SHORT = 0.5, 2.0, 0.05
-# lanes of an adaptive run in one program, at most; and steps that one of them may well take
+# The most lanes of an adaptive run in one program, and a typical number of steps of a lane.
 ABREAST, EXPECTED = 16, 4096
-# what one loop counts; and steps that no lattice takes a day for
+# The most iterations of one loop, and a number of steps that takes no lattice a day.
 COUNTED, FEW = 2**31 - 1, 1e6
 DAY = 86400.0
-# seconds from which on it is said how long a run will take
+# From this many seconds on, a warning says how long a run will take.
 TOLD = 10.0
 _FORWARD = diffrax.ForwardMode()
 
 
 def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan) -> Found:
-    """`integrate`, and where nothing is traced what takes long in pieces, between which Ctrl-C is heard.
+    """Integrate as `integrate` does, in pieces if nothing is traced and the run takes long.
 
-    Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
-    wherever it is computed. An adaptive run has further pieces where its first one does not suffice.
+    The ends of pieces depend only on the number of steps and the size of the lattice, so that a run
+    is the same on all machines. An adaptive run gets further pieces where the first does not
+    suffice.
     """
-    # the step of known inputs is traced where somebody else's program computes it
+    # Within the trace of another program, the step of known inputs is traced.
     if traced(plan.step):
         return integrate(lattice, state, t0, t1, plan)
     about = facts(lattice)
@@ -58,10 +60,10 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         if steps * takes > LONG and forward and enough:
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
     else:
-        # nobody knows what an adaptive run takes
+        # The length of an adaptive run is not known in advance.
         long = True
         budget = 1 << int(LONG / takes).bit_length() if forward else None
-    # in a program that somebody else traces, constants too become its values
+    # While another program is traced, constants too become traced values.
     if (long or budget) and not is_untraced():
         return integrate(lattice, state, t0, t1, plan)
     if not ends:
@@ -81,27 +83,27 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
 
 
 def _steps(count, dtype):
-    """Steps in a run that is `count` of them long, as well as the type knows it."""
+    # Allows for the rounding of times in the floating type.
     known = max(4 * rounding_unit(dtype), 1e-12) * count
     return round(count) if abs(count - round(count)) <= known else math.ceil(count)
 
 
 def _number(x):
-    """A number as JAX's array, which a program takes more quickly than NumPy's, and which takes longer to make."""
+    # A JAX array is passed to a program more quickly than a NumPy one, but takes longer to make.
     return _kept_number(x, x.dtype) if isinstance(x, np.generic) else x
 
 
 @lru_cache(maxsize=256)
 def _kept_number(x, dtype):
     with jax.ensure_compile_time_eval():
-        # `jnp.asarray` would compile a program
+        # `jnp.asarray` would compile a program.
         return jax.device_put(np.asarray(x, dtype))
 
 
 def seconds_a_step(
     lattice: Lattice, solver: diffrax.AbstractSolver, takes: tuple[float, float] = LEAST
 ) -> float:
-    """What a step of a lattice costs about, or at the least [s]."""
+    """Return the estimated time of a step, or a lower bound with `LEAST` [s]."""
     return _evaluations(type(solver)) * (takes[0] + takes[1] * facts(lattice).numbers)
 
 
@@ -113,7 +115,7 @@ def _evaluations(kind):
 def refuse_endless(
     lattice: Lattice, plan: Plan, steps: int | None, max_steps: int | None, unknown: bool
 ) -> None:
-    """Refuse more steps than a day could do, unless `max_steps` says that they are meant."""
+    """Refuse more steps than a day could do, unless `max_steps` allows them."""
     if steps is None or steps < FEW:
         return
     remedy = "Give an earlier t1, a longer step= or tolerance="
@@ -135,7 +137,7 @@ def refuse_endless(
 
 
 def _lane_by_lane(lattice, state, t0, t1, plan):
-    """The lanes of an adaptive run: some in each program as long as none of them takes long, then one by one."""
+    # Runs some lanes in each program as long as none of them takes long, then one at a time.
     parts, build = apart(lattice, state, plan.records)
     count, progress = parts[0].shape[-1], plan.progress
     takes = seconds_a_step(lattice, plan.solver, TAKES) / count
@@ -145,7 +147,7 @@ def _lane_by_lane(lattice, state, t0, t1, plan):
         width = min(width, max(int(LONG / (EXPECTED * takes)), 1))
         limit = min(int(LONG / takes) // width, plan.max_steps or COUNTED)
         several = plan._replace(max_steps=limit)
-    if width == 1:  # a program of several does so itself, as it is traced
+    if width == 1:  # A program of several lanes checks this itself, while it is traced.
         refuse_lanes_within(
             t0,
             build([jnp.asarray(x[..., 0]) for x in parts]),
@@ -159,7 +161,8 @@ def _lane_by_lane(lattice, state, t0, t1, plan):
     runs, done, bar = [], 0, _bar(progress, count, "lanes")
     try:
         while done < count:
-            # a whole program that overlaps the one before, rather than another one
+            # The last group overlaps the one before, so that no program of another width is
+            # compiled.
             first = min(done, count - width)
             if width > 1:
                 some = [x[..., first : first + width] for x in parts]
@@ -189,7 +192,8 @@ def _lane_by_lane(lattice, state, t0, t1, plan):
 
 
 def _in_pieces(lattice, begin, ends, budget, plan):
-    """Pieces between `ends`, numbers of steps; or where these are none as many as it takes, of `budget` steps each."""
+    # Pieces lie between `ends`, numbers of steps. Without `ends` there are as many pieces as it
+    # takes, of `budget` steps each.
     number = facts(lattice).dtype.type
     state, t0, t1 = begin = begin[0], *(number(float(t)) for t in begin[1:])
     plan, most, wanted = planned(lattice, state, t0, plan), plan.max_steps, None
@@ -215,7 +219,7 @@ def _in_pieces(lattice, begin, ends, budget, plan):
                 own = own._replace(max_steps=int(min(budget, most - counts[0])))
             since = time.perf_counter()
             part = wait(_piece(lattice, begin, *last, own, carried))
-            # the first piece is compiled, the second one measured
+            # The first piece includes the compilation, so the second one is timed.
             if k == 2 and not plan.progress:
                 seconds = time.perf_counter() - since
                 _tell_long(float(t), float(part.t), float(t1), int(part.steps), seconds)
@@ -236,19 +240,19 @@ def _in_pieces(lattice, begin, ends, budget, plan):
         ) from None
     finally:
         bar.close()
-    # of what is not finite any more every time is one at which it is not
+    # A run that is not finite any more has this state at all later times.
     lost = bool((code == NOT_FINITE).any())
     if wanted is None:
         ts, ys = np.asarray([t1 if lost else t]), jax.tree.map(lambda x: x[None], state)
     else:
         ts, ys = _filled(wanted, kept, taken, lost)
     part = Part(ts, ys, t, state, carried or {}, *counts, code)
-    # where it may be looked for what went wrong
+    # `last` tells where to look for the cause of a failure.
     return _reduced(lattice, begin, plan._replace(save_ts=None), part)._replace(last=last)
 
 
 def _tell_long(begin, t, t1, steps, seconds):
-    """Warn of what will take long, by what a piece from `begin` to t took."""
+    # Estimates the time from that of the piece from `begin` to t.
     pieces = (t1 - t) / (t - begin) if t > begin else 0.0
     if pieces * seconds > TOLD:
         _warn(
@@ -266,7 +270,6 @@ def _warn(steps):
 
 
 def _spoken(seconds):
-    """A time as text, to two digits."""
     for unit, size in (("years", 365 * DAY), ("days", DAY), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.2g} {unit}"
@@ -274,7 +277,7 @@ def _spoken(seconds):
 
 
 def _filled(wanted, kept, taken, lost):
-    """The times and states that were saved, infinite where a run did not come so far, NaN where it is `lost`."""
+    # Times and states that the run did not reach are infinite, or NaN where it was `lost`.
     left, none = len(wanted) - taken, np.nan if lost else np.inf
     ts = wanted if lost else np.append(wanted[:taken], np.full(left, np.inf, wanted.dtype))
     join = lambda *x: np.concatenate([*x, np.full((left, *x[0].shape[1:]), none, x[0].dtype)])

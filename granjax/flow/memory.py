@@ -1,4 +1,7 @@
-"""Runs of lattices whose forces read the past: steps that carry internal variables, or the whole history."""
+"""Runs of lattices whose forces read the past.
+
+Adaptive steps carry internal variables, or equal steps keep the whole history.
+"""
 
 import math
 from collections.abc import Callable, Iterator
@@ -40,32 +43,32 @@ from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
 from .stiffness import largest_excitation
 
-# of steps that carry internal variables, whose first one has this part of the run with a tolerance of 1
+# The default tolerance of steps that carry internal variables, and the first step over t1 - t0 for
+# a tolerance of 1.
 TOLERANCE, FIRST = 1e-11, 0.01
-# times at which drives are looked at
+# The number of times at which drives are evaluated.
 SAMPLES = 257
-# h omega of the default step with the whole history, whose square is the error
+# h omega of the default step with the whole history. The relative error is its square.
 STEP_FRACTION = 0.02
 WHOSE = "for a lattice whose forces read the past"
 
 
 class RunWithMemory(Run):
-    """A `Run` of a lattice with terms that remember, from `simulate`.
+    """A `Run` of a lattice whose forces read the past.
 
-    Its `energy_error` is the largest |E - E0 - work| over the largest of |E0|, the kinetic energy at t0 and |work|,
-    where E counts `lost`: what the balance misses. NaN where the work is not known.
-
-    Whether a contact opened is looked at at the saved times alone.
+    `energy_error` is the largest |E - E0 - work| over the largest of |E0|, the kinetic energy at t0
+    and |work|, where E includes `lost`; NaN where the work is not known. Contact openings are
+    detected at the saved times only, or with Caputo damping at the ends of steps.
     """
 
     lattice: Lattice | None = hidden(
-        "The lattice with its internal variables as they are at the end, from which a run goes on: "
+        "The lattice with its internal variables at the end, to continue the run: "
         "`gx.simulate(run.lattice, run.final, t1, t0=...)`.",
         default=None,
     )
     memory: dict[str, Numbers] | None = entries(
-        "The internal variables at the saved times, (T, bonds), such as `largest_overlap` [m] of `PlasticContact`; of "
-        "several such terms the second is `largest_overlap_1`.",
+        "The internal variables at the saved times, (T, bonds), such as `largest_overlap` [m] of "
+        "`PlasticContact`; that of a second such term is `largest_overlap_1`.",
         axes="time bond",
         default=None,
     )
@@ -76,8 +79,8 @@ class RunWithMemory(Run):
         default=None,
     )
     work: Numbers | None = array(
-        "The work on the lattice, since t0, of all terms that do not keep the energy: of drives above zero, of "
-        "dashpots below.",
+        "The work of all terms that do not conserve energy on the lattice since t0: above zero "
+        "for drives, below zero for dashpots.",
         "J",
         "time",
         default=None,
@@ -85,7 +88,7 @@ class RunWithMemory(Run):
 
     @property
     def by_term(self) -> tuple[dict[str, Numbers] | None, ...]:
-        """The internal variables at the saved times, one dict for each term of the lattice; `None` for the others."""
+        """The internal variables at the saved times: for each term a dict, or `None`."""
         found = [{} if term.memory else None for term in self.lattice.terms]
         for i, own, name in _named(self.lattice):
             found[i][own] = self.memory[name]
@@ -111,7 +114,7 @@ class RunWithMemory(Run):
 
 
 def _named(lattice):
-    """(number of the term, its own name, name in a run) of every internal variable."""
+    # (Number of the term, own name, name in a run) of every internal variable.
     owned = [(i, own) for i, term in enumerate(lattice.terms) for own in term.memory]
     before = [sum(own == other for _, other in owned[:k]) for k, (_, own) in enumerate(owned)]
     return [(i, own, f"{own}_{n}" if n else own) for (i, own), n in zip(owned, before)]
@@ -133,7 +136,7 @@ def with_memory(
     throw: bool | None,
     max_steps: Any,
 ) -> Run:
-    """The run of `simulate` where forces read the past, its state and its times checked."""
+    """Run a lattice whose forces read the past, with checked state and times."""
     remedy = "Terms that remember are carried by a solver of their own; save_at= keeps what happens on the way."
     if solver is not None:
         refuse("solver", f"None {WHOSE}", type(solver).__name__, remedy)
@@ -194,12 +197,11 @@ def with_memory(
 
 
 def _total(lattice, tree):
-    """The sum of all arrays over their sites or bonds, per lane."""
     return jnp.zeros(lattice.lanes, lattice.dtype) + per_lane(tree, len(lattice.lanes))
 
 
 def _power(lattice, force, v):
-    """The power of a force, of which a dict may hold some fields alone."""
+    # The power of a force; a dict may hold only some of the fields.
     v = {name: v[name] for name in force} if isinstance(force, dict) else v
     return _total(lattice, jax.tree.map(jnp.multiply, force, v))
 
@@ -209,10 +211,8 @@ def _conserve(lattice):
 
 
 def _found(lattice, state, begin, works, missed, seen, ts, us, vs, final, code, **stats):
-    """What is found of a run that began with an energy, with the work at each time and what its balance misses.
-
-    `seen`: the least overlaps at times along the run.
-    """
+    # `begin`: the energy at the start. `works`: the work at each time. `missed`: the error of the
+    # energy balance. `seen`: the least overlaps along the run.
     scale = jnp.maximum(jnp.abs(begin), lattice.kinetic_energy(state.v))
     scale = jnp.maximum(scale, jnp.max(jnp.abs(works), axis=0))
     error, least = missed / jnp.where(scale > 0, scale, 1), jnp.min(seen, axis=0)
@@ -221,7 +221,7 @@ def _found(lattice, state, begin, works, missed, seen, ts, us, vs, final, code, 
 
 
 class Moving(NamedTuple):
-    """Displacements, velocities, the work of terms that keep no energy (lanes), and the internal variables by term."""
+    """Displacements, velocities, the work of non-conservative terms (lanes), and memory by term."""
 
     u: Any
     v: Any
@@ -233,8 +233,8 @@ class Moving(NamedTuple):
 def _with_variables(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
 ) -> tuple[Found, dict]:
-    """The run by adaptive steps that carry internal variables; lanes share them. What else a `RunWithMemory` has."""
-    # internal variables that the state itself has moved already
+    # All lanes share the adaptive steps. Also returns the further fields of a `RunWithMemory`. The
+    # initial state itself may change the internal variables first.
     memory = tuple(term.variables(lattice) if term.memory else None for term in lattice.terms)
     start = Moving(*state, jnp.zeros(lattice.lanes, lattice.dtype), memory)
     none = jnp.zeros((), lattice.dtype)
@@ -284,7 +284,7 @@ def _with_variables(
 
 
 def recalled(lattice: Lattice, memory: tuple) -> Lattice:
-    """The lattice that holds these internal variables."""
+    """Return the lattice with these internal variables."""
     terms = tuple(
         term if x is None else term.recalling(x) for term, x in zip(lattice.terms, memory)
     )
@@ -310,14 +310,14 @@ def _field(t, y, lattice):
 
 
 def _kept_energy(lattice, t, y):
-    """Energy of the motion and of the terms that keep it, what they have lost included."""
+    # The energy of the motion and of the conservative terms, including what those have lost.
     terms = zip(recalled(lattice, y.memory).terms, _conserve(lattice))
     kept = [term.energy(t, y.u) for term, conserves in terms if conserves]
     return lattice.kinetic_energy(y.v) + _total(lattice, kept)
 
 
 class _Speeds(eqx.Module):
-    """The largest error of a velocity, by the speed that all energy would give to the lightest site."""
+    """The largest error of a velocity, relative to a speed."""
 
     speed: jax.Array
 
@@ -326,7 +326,8 @@ class _Speeds(eqx.Module):
 
 
 def _speed(lattice, start, t0, t1):
-    """That speed; where nothing moves at first, what drives and walls give within the run."""
+    # The speed of the lightest site if it had all the energy. For a lattice at rest, the speed that
+    # drives and walls give it within the run.
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
     speed = jnp.sqrt(2 * jnp.max(jnp.abs(_kept_energy(lattice, t0, start))) / lightest)
     if lattice.reads_time:
@@ -337,10 +338,11 @@ def _speed(lattice, start, t0, t1):
 
 
 class Remembering(Wrapped):
-    """A solver that takes each step with the internal variables of its start, and then moves them.
+    """A solver that takes each step with the internal variables of its start, then updates them.
 
-    A contact that turns within a step has loaded all along it. What that misses in the force at the end, times the
-    step, joins the error: so steps are short where a contact turns, and what is missed falls with their third power.
+    The error that this makes in the force at the end, times the step, is added to the error
+    estimate. So steps are short where a contact turns from loading to unloading, and the error
+    falls with their third power.
     """
 
     @property
@@ -368,7 +370,7 @@ class Remembering(Wrapped):
 
 
 class _Path(diffrax.AbstractLocalInterpolation):
-    """The dense output of a step, with the internal variables as they have become at a time within it."""
+    """The dense output of a step, with the internal variables at each time."""
 
     kind: Callable = eqx.field(static=True)
     t0: Any
@@ -387,7 +389,6 @@ class _Path(diffrax.AbstractLocalInterpolation):
 
 
 def _steps_of_history(lattice, state, t0, t1, step, tolerance):
-    """How many equal steps a lattice with Caputo damping takes."""
     if tolerance is not None:
         refuse(
             "tolerance",
@@ -435,9 +436,10 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
 
 
 def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers]:
-    """(b_j of the value j steps ago, those of the value at the start, of j steps) of the product trapezoidal rule.
+    """Return the weights of the product trapezoidal rule, (count + 1,) and the shape of `order`.
 
-    For the integral of v(s) (t - s)^{-a}/Gamma(1 - a), v linear within steps; (count + 1,) and the shape of `order`.
+    The rule is for the integral of v(s) (t - s)^{-a}/Gamma(1 - a), v linear within steps. The first
+    array is b_j of the value j steps ago, the second that of the initial value after j steps.
     """
     j = jnp.arange(count + 1, dtype=order.dtype).reshape((-1,) + (1,) * order.ndim)
     far, q = jnp.maximum(j, 1), 2 - order
@@ -450,9 +452,10 @@ def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers]:
 
 
 def missed(order: Number, step: Number, count: int) -> Numbers:
-    """What the trapezoidal rule misses of t^{1-a}/Gamma(2 - a) in each of `count` steps, (count,) and `order`'s shape.
+    """Return the error of the trapezoidal rule for t^{1-a}/Gamma(2 - a) in each of `count` steps.
 
-    The damping of a velocity that is there at the start: of order h^{2-a} in the first steps, which would stay.
+    Its shape is (count,) and that of `order`. It is the damping of the initial velocity, of order
+    h^{2-a} in the first steps, and would persist.
     """
     j = jnp.arange(count + 1, dtype=order.dtype).reshape((-1,) + (1,) * order.ndim)
     q = 2 - order
@@ -465,9 +468,11 @@ def missed(order: Number, step: Number, count: int) -> Numbers:
 def _with_history(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, save_ts: Times | None, steps: int
 ) -> tuple[Found, dict]:
-    """The run by velocity Verlet with the whole history of the velocities. What else a `RunWithMemory` has."""
+    # Velocity Verlet with the whole history of the velocities. Also returns the further fields of a
+    # `RunWithMemory`.
     h, (u0, v0) = (t1 - t0) / steps, state
-    # of each damping: its field, its coefficient, the weights of the past and of the start, what they miss
+    # For each damping: its field, its coefficient, the weights of the past and of the start, and
+    # the errors of the rule.
     damped = []
     for term in lattice.terms:
         if isinstance(term, CaputoDamping):
@@ -489,7 +494,7 @@ def _with_history(
         return lattice.total([term.force(t, u, v, lattice.mass) for term in terms], u)
 
     def momenta(vs, each):
-        """Sum over the dampings of c times a function of each and of velocities."""
+        # The sum over the dampings of c times a function of its weights and the velocities.
         parts = []
         for field, c, *rules in damped:
             own = vs if field is None else {field: vs[field]}
@@ -497,7 +502,8 @@ def _with_history(
         return lattice.total(parts, v0)
 
     def power(t, u, v, a):
-        """Of the terms that keep no energy: of all forces, m a v, less those that do."""
+        # The power of the non-conservative terms: that of all forces, m a v, less that of the
+        # others.
         keep = forces(kept, t, u, v)
         rest = jax.tree.map(lambda m, a, f: m * a - f, lattice.mass, a, keep)
         return _power(lattice, rest, v)
@@ -510,7 +516,7 @@ def _with_history(
         t = t0 + (n + 1) * h
         half = jax.tree.map(lambda v, a: v + h / 2 * a, v, a)
         u = jax.tree.map(lambda u, w: u + h * w, u, half)
-        # of each damping what the velocities before this step say
+        # The damping force of the velocities before this step.
         past = momenta(vs, lambda v, inner, first, _: _convolved(v, inner, first, n + 1))
         pushed = jax.tree.map(jnp.subtract, forces(plain, t, u, half), past)
         slow = jax.tree.map(
@@ -521,7 +527,7 @@ def _with_history(
             slowing,
         )
         a = jax.tree.map(lambda v, w: 2 / h * (v - w), slow, half)
-        # what this step still has to take
+        # The momentum that the rule misses in this step.
         taken = momenta(v0, lambda v, *rules: rules[-1][n] * v)
         v = jax.tree.map(lambda v, p, m: v - p / m, slow, taken, lattice.mass)
         us, vs = (_written(xs, x, n + 1) for xs, x in ((us, u), (vs, v)))
@@ -544,7 +550,8 @@ def _with_history(
     u, v, _, us, vs, _, _, worst = carry
     final, ts = State(u, v), t1[None] if save_ts is None else save_ts
 
-    # displacements by the cubic through both ends of a step, the others linear between
+    # Displacements are interpolated by the cubic through both ends of a step, other quantities
+    # linearly.
     place = (ts - t0) / h
     k = jnp.clip(jnp.floor(place).astype(int), 0, steps - 1)
     within = lambda x: (place - k).reshape((-1,) + (1,) * (x.ndim - 1))
@@ -579,9 +586,10 @@ def _with_history(
 
 
 def _convolved(x, inner, first, n):
-    """Sum over k < n of b_{n-k} v_k, of an array of all velocities (T + 1, sites, lanes) that is zero from n on."""
+    # The sum over k < n of b_{n-k} v_k, for velocities (T + 1, sites, lanes) that are zero from n
+    # on.
     count = x.shape[0]
-    # b_n, b_{n-1}, ..., b_1 and what meets zeros
+    # b_n, b_{n-1}, ..., b_1, then weights that multiply zeros.
     rows = jnp.abs(n - jnp.arange(count))
     b = inner[rows].at[0].set(first[n])
     b = b.reshape((count,) + (1,) * (x.ndim - b.ndim) + b.shape[1:])

@@ -1,4 +1,4 @@
-"""What `simulate` is given, checked before tracing, and how it is run: the solver, the step, what is refused."""
+"""The checks of the arguments of `simulate`, and the choice of solver and step."""
 
 import math
 from collections.abc import Callable
@@ -24,13 +24,15 @@ from .stiffness import NEIGHBOURHOOD, chosen, gathered_frequency, linear_frequen
 
 
 class Facts(NamedTuple):
-    """What every call asks of a lattice, and what only its terms and shapes decide.
+    """Properties of a lattice that every call needs, and that its terms and shapes determine.
 
-    `template`: arrays of the shape of its displacements, of type `dtype`; `space`: the axes of its sites and the
-    components of a vector; `numbers`: how many displacements there are; `lanes`: of a batch. `traced`: whether a
-    parameter is. `reads_velocity`: whether some force does; `splits`: whether none does but linear damping;
-    `remembers`: whether some force reads the past; `has_breaks`: whether some force jumps in time. `known`: a dict for
-    what others work out when they first ask for it.
+    - `template`: arrays of the shape and `dtype` of its displacements
+    - `space`: the number of axes of its sites, and of components of a vector
+    - `numbers`: the number of displacements; `lanes`: of a batch
+    - `traced`: whether a parameter is traced
+    - `reads_velocity`: whether some force does; `splits`: whether only linear damping does
+    - `remembers`: whether some force reads the past; `has_breaks`: whether some jumps in time
+    - `known`: a dict for values that others compute on first use
     """
 
     template: object
@@ -48,7 +50,7 @@ class Facts(NamedTuple):
 
 @once
 def facts(lattice: Lattice) -> Facts:
-    """The `Facts` of a lattice, kept while it lives: its parameters never change."""
+    """Return the `Facts` of a lattice, which are kept while it lives, as it never changes."""
     velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
     template = lattice.template()
     return Facts(
@@ -66,15 +68,17 @@ def facts(lattice: Lattice) -> Facts:
     )
 
 
-# rounding units of t0 that a step has at least, as what they cost can be avoided
+# A step spans at least this many rounding units of t0, since the user can avoid that loss of
+# accuracy with t0 = 0.
 UNITS_AT_START = 256
-# and of the later of t0 and t1, as a long run loses much in other ways: steps that change the time at all
+# It also spans this many rounding units of the later of t0 and t1, so that steps change the time.
+# More is not asked, as long runs lose accuracy in other ways.
 UNITS_AT_END = 4
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 
 
 def checked_state(lattice: Lattice, state: StateLike) -> State:
-    """The state as arrays of the lattice's structure, shape and floating type."""
+    """Return the state as arrays of the lattice's structure, shape and floating type."""
     template, dtype = facts(lattice)[:2]
     return State(
         _checked_field("state.u", state[0], template, dtype),
@@ -83,7 +87,6 @@ def checked_state(lattice: Lattice, state: StateLike) -> State:
 
 
 def _checked_field(name, x, template, dtype):
-    """Displacements or velocities: an array, or a dict of one for each field of a cell."""
     if not isinstance(x, dict) and not isinstance(template, dict):
         return _checked_array(name, x, template.shape, dtype)
     kinds = [
@@ -121,7 +124,7 @@ def _checked_array(name, x, shape, dtype):
         )
     value = concrete(x)
     if value is not None:
-        # counting takes half as long as `all`, of a short chain
+        # For a short chain, counting takes half as long as `all`.
         count = value.size - np.count_nonzero(np.isfinite(value))
         if count:
             refuse(name, "finite numbers", f"{count} that are not", "Look for NaN or infinity.")
@@ -129,7 +132,7 @@ def _checked_array(name, x, shape, dtype):
 
 
 def checked_times(t0: Any, t1: Any) -> tuple:
-    """Start and end, in order; known ones as Python numbers, with which tracing does not interfere."""
+    """Return start and end, in order; known ones as Python numbers, which tracing leaves alone."""
     t0, t1 = _checked_time("t0", t0), _checked_time("t1", t1)
     if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not t1 > t0:
         refuse(
@@ -148,7 +151,7 @@ def _checked_time(name, t):
 
 
 def checked_size(name: str, x: Any) -> Scalar | None:
-    """A step or a tolerance: one finite number above zero, or `None`."""
+    """Return a step or a tolerance: one finite number above zero, or `None`."""
     if x is None or isinstance(x, jax.core.Tracer) or type(x) is float and 0 < x < math.inf:
         return x
     value = np.asarray(x)
@@ -160,13 +163,16 @@ def checked_size(name: str, x: Any) -> Scalar | None:
 def held_frames(
     argument: str, count: int, state: StateLike, what: str = "frames", each: int = 1
 ) -> None:
-    """Refuse a count of frames of a state, with their times, that memory cannot hold."""
+    """Refuse a number of frames of a state that memory cannot hold."""
     size = 8 + sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state))
     held_in_memory(argument, count, each * size, f"{what} of such a state")
 
 
 def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> tuple:
-    """Times to save at, the number of equal intervals that fixed steps have to fit, and whether to save every step."""
+    """Return the times to save, the number of equal intervals for fixed steps, and `every`.
+
+    `every`: whether to save every step.
+    """
     if save_at is None:
         return None, 1, False
     if isinstance(save_at, str):
@@ -205,7 +211,7 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> t
 
 
 def _intervals(ts, t0, t1):
-    """The number of equal intervals from t0 to t1 of which all times are ends; 1 where there is no such number."""
+    # The number of equal intervals from t0 to t1 whose ends include all times; 1 if there is none.
     gaps = np.diff(ts)
     spacing = gaps.min(initial=t1 - t0)
     places = (np.append(ts, t1) - t0) / spacing
@@ -215,7 +221,7 @@ def _intervals(ts, t0, t1):
 
 
 def checked_records(record: Any) -> dict:
-    """The records as a dict, empty where there are none."""
+    """Return the records as a dict, empty if there are none."""
     if record is None:
         return {}
     for name in record:
@@ -227,23 +233,26 @@ def checked_records(record: Any) -> dict:
 
 @cache
 def rounding_unit(dtype: Any) -> float:
-    """The spacing of the numbers of a floating type at 1, kept, as JAX takes long to say it."""
+    """Return the spacing of a floating type's numbers at 1, cached, since JAX is slow at it."""
     return float(jnp.finfo(dtype).eps)
 
 
 def least_tolerance(dtype: Any) -> float:
-    """The smallest tolerance that a floating type can hold."""
+    """Return the smallest tolerance that a floating type can hold."""
     return 16 * rounding_unit(dtype)
 
 
 def least_step(t0: Scalar, t1: Scalar, dtype: Any, larger: Callable = max) -> Scalar:
-    """The shortest step whose ends the floating type tells apart well enough; `larger` takes two numbers."""
+    """Return the shortest step that the floating type resolves at these times.
+
+    `larger`: a function of two numbers.
+    """
     start = UNITS_AT_START * abs(t0)
     return rounding_unit(dtype) * larger(start, UNITS_AT_END * larger(abs(t0), abs(t1)))
 
 
 def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
-    """Refuse times, known ones, that the floating type does not tell apart as well as steps need it."""
+    """Refuse known times at which the floating type does not resolve the steps."""
     if step < least_step(t0, t1, dtype):
         gap = rounding_unit(dtype) * max(abs(t0), abs(t1))
         finer = "" if dtype == np.dtype(float) else " Or compute in float64."
@@ -255,18 +264,19 @@ def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
         )
 
 
-# where it is looked for the smallest overlap of a contact: at the ends of steps, also on the cubic through both ends of
-# each step, or on the dense output
+# Where the smallest overlap of a contact is sought: at the ends of steps, also on the cubic through
+# both ends of each step, or on the dense output.
 ENDS, CUBICS, DENSE = "ends", "cubics", "dense output"
 
 
 class Plan(NamedTuple):
-    """How a run is integrated. As a pytree its arrays are those of `step`, `tolerance`, `save_ts` and `records`.
+    """How a run is integrated; its arrays are `step`, `tolerance`, `save_ts` and `records`.
 
-    `step` [s]: the fixed step; with a `tolerance` the longest, or `None`. `save_ts`: times to save at, `None` for the
-    end alone; `every`: save the end of each step. `max_steps`: `None` for a loop that may go on, which has no reverse
-    mode. `watch`: follow every compression, for the highest frequency that the run reaches. `openings`: where it is
-    looked for contacts that open.
+    - `step` [s]: the fixed step; with a `tolerance` the longest step, or `None`
+    - `save_ts`: times to save, `None` for the end only; `every`: save the end of each step
+    - `max_steps`: `None` for a loop without a bound, which has no reverse mode
+    - `watch`: follow all compressions, for the highest frequency that the run reaches
+    - `openings`: where contacts that open are sought
     """
 
     solver: diffrax.AbstractSolver
@@ -283,27 +293,27 @@ class Plan(NamedTuple):
 
     @property
     def has_pieces(self) -> bool:
-        """Whether a run may have pieces: it is not saved at each step, and its adjoint keeps nothing of it."""
+        """Whether a run may be split: not every step is saved, and the adjoint stores nothing."""
         return isinstance(self.adjoint, diffrax.ForwardMode) and not self.every
 
 
-# h omega of the default step
+# h omega of the default step.
 STEP_FRACTION = 0.5
-# neighbourhoods from which energy may gather in a bond, where it is looked at afterwards; the second one for a law
-# without a floor
+# The neighbourhoods, in lengths of a bond, from which energy may gather in a bond, where the run is
+# checked at its end. The second one is for a law without a floor.
 GATHERED = (4, 1)
-# how far beyond its bound a run at the default step may go before it is taken again
+# A run at the default step is repeated if it passed its bound by more than this factor.
 PASSED = 1.1
 DEFAULT_TOLERANCE = 1e-8
 MOST_STEPS = 1e8
-# of a run's length, below which the rounding of t0 is none that could be felt
+# Below this part of a run's length, the rounding of t0 does not matter.
 NEAR = 1e-9
-# built once: making a module takes longer than a short run
+# Built once, because making a module takes longer than a short run.
 _FIXED, _ADAPTIVE, _GENERAL = SRKN11b(), RKN86(), diffrax.Dopri8()
 
 
 def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> tuple:
-    """Solver, step and tolerance that go together, chosen where they are not given."""
+    """Return solver, step and tolerance that fit together, with defaults filled in."""
     if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
         name = getattr(solver, "__name__", None) or repr(solver)
         refuse(
@@ -332,7 +342,7 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
 
 
 def checked_tolerance(tolerance: Any, dtype: Any) -> Any:
-    """A tolerance that the floating type holds, as an array, so that another one compiles nothing."""
+    """Return the tolerance as an array, so that another one compiles nothing; check its range."""
     tolerance = checked_size("tolerance", tolerance)
     value, least = concrete(tolerance), least_tolerance(dtype)
     if value is not None and value < least:
@@ -353,11 +363,12 @@ def checked_tolerance(tolerance: Any, dtype: Any) -> Any:
 
 
 def _refuse_unfit(lattice, solver, step, tolerance, found):
-    """The tolerance, where a solver that is asked for by name has one; a lattice or sizes that it cannot serve."""
+    # For a solver that the user chose: refuses a lattice or sizes that it cannot serve, and returns
+    # the tolerance.
     dtype, velocity, splits = found.dtype, found.reads_velocity, found.splits
     if isinstance(solver, AbstractSplitting):
         if not splits:
-            split_system(lattice)  # refuses, naming the term
+            split_system(lattice)  # Refuses, and names the term.
         if tolerance is not None:
             refuse(
                 "tolerance",
@@ -366,7 +377,7 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
                 "A symplectic method loses its virtue under adaptive steps; use step=, or solver=gx.RKN86().",
             )
     if velocity and isinstance(solver, AbstractNystrom):
-        acceleration_only(lattice)  # refuses, naming the term
+        acceleration_only(lattice)  # Refuses, and names the term.
     if tolerance is not None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
         wanted = "one with an error estimate for a tolerance"
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
@@ -380,7 +391,7 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
 
 
 def number(x: Any, dtype: Any) -> Any:
-    """One number as an array of a type: NumPy's where it is known, which is quickly made."""
+    """Return one number as an array of a type: NumPy's if known, as it is quickly made."""
     return x.astype(dtype) if isinstance(x, jax.Array) else dtype.type(x)
 
 
@@ -389,10 +400,10 @@ def _default_tolerance(dtype):
 
 
 class Steps(NamedTuple):
-    """Equal steps: their size, their number (`None` where it is traced), how they were chosen, a remark.
+    """Equal steps: their size, number (`None` while traced), how they were chosen, and a remark.
 
-    `allowed`: h omega that the run may reach, where it may pass the bound that set the step, and so is to be looked at
-    when it has ended; else `None`.
+    `allowed`: the h omega that the run may reach, if it may pass the bound that set the step, so
+    that it must be checked at the end; else `None`.
     """
 
     size: Number
@@ -412,9 +423,9 @@ def fixed_step(
     frames: int,
     bound: Any = None,
 ) -> Steps:
-    """The steps of a run, a whole number of them in each of the equal frames.
+    """Return the steps of a run, a whole number of them in each of the equal frames.
 
-    `bound`: the highest frequency, where a run has shown it; by default that of the scene's energy.
+    `bound`: the highest frequency that a run has shown; by default that of the lattice's energy.
     """
     about, limit, allowed, given = facts(lattice), refused_from(solver), None, step is not None
     if not given:
@@ -435,7 +446,7 @@ def fixed_step(
         if known and limit is not None and not (about.traced or traced(state)):
             _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
         if isinstance(step, jax.core.Tracer):
-            step = jnp.where(step > 0, step, jnp.nan)  # what the outcome then says
+            step = jnp.where(step > 0, step, jnp.nan)  # The outcome then reports it.
     else:
         choice = f"default step, h omega_max <= {fraction:.3g}"
         if known and useless(step, t0, t1):
@@ -450,7 +461,7 @@ def fixed_step(
     if softens(lattice):
         remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
     span = chosen((t1 - t0) / frames)
-    # a few ulp of slack, so that 120/0.05 is 2400 and not 2401
+    # A few ulp of slack, so that 120/0.05 is 2400 and not 2401.
     count = span / step * (1 - 1e-12)
     if not known:
         count = jnp.maximum(jnp.ceil(count), 1)
@@ -463,10 +474,13 @@ def fixed_step(
 
 
 def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> None:
-    """The same refusal for adaptive steps, which are about as long as the default one."""
+    """Refuse times as `refuse_unresolved` does, for adaptive steps.
+
+    Those are about as long as the default step.
+    """
     about = facts(lattice)
     eps = rounding_unit(about.dtype)
-    # as a rule; the rest takes longer
+    # Most calls end here; the rest takes longer.
     if traced((t0, t1)) or eps * abs(t0) < NEAR * (t1 - t0) or about.traced or traced(state):
         return
     omega = linear_bound(lattice) or reachable(lattice, state, t0, t1)[0]
@@ -481,19 +495,25 @@ def frequency_bound(
     t1: Scalar,
     neighbourhood: Count = NEIGHBOURHOOD,
 ) -> Number:
-    """Bound on the angular frequencies that linearisation finds at what the scene's energy can reach.
+    """Return a bound on the frequencies of linearisation about all states that the energy allows.
 
-    The energy that may gather in a bond is the largest that a neighbourhood, some bonds' lengths wide, holds at the
-    start (the whole lattice's, where a term says nothing of how far it couples). A drive adds what a quasi-static push
-    to twice its largest value would store; a moving wall the energy of the heaviest site at twice its largest speed, or
-    its displacement shared by all sites, whichever is more. A modulation counts with its largest value and with the
-    energy that it gives the initial state. Where contacts may open all over the lattice it is doubled.
+    A bond may gather the largest energy that a neighbourhood, some bond lengths wide, holds at the
+    start (that of the whole lattice if a term does not say how far it couples). Driving adds
+    energy:
 
-    **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
-    **Raises** ValueError for a state of another shape, and times that are not in order.
+    - a drive adds that stored by a quasi-static push to twice its largest value;
+    - a moving wall adds that of the heaviest site at twice the wall's largest speed, or its
+      displacement shared by all sites, whichever is more;
+    - a modulation counts with its largest value and the energy that it gives the initial state.
+
+    The bound is doubled where contacts may open all over the lattice.
+
+    **Returns:** omega_max [rad/s], one number for all lanes; zero for a lattice without stiffness
+    at its energy. **Raises** ValueError for a state of another shape, and times that are not in
+    order.
     """
     state, neighbourhood = checked_state(lattice, state), whole("neighbourhood", neighbourhood, 1)
-    # arrays, whose values compile nothing anew
+    # As arrays, so that other values compile nothing.
     t0, t1 = (jnp.asarray(t, lattice.dtype) for t in checked_times(t0, t1))
     return _bound_at(lattice, state, t0, t1, neighbourhood)
 
@@ -504,18 +524,21 @@ def _bound_at(lattice, state, t0, t1, neighbourhood):
 
 
 def useless(step: Any, t0: Any, t1: Any) -> bool:
-    """Whether a step is none, or one of which a run has more than anybody waits for."""
+    """Return whether a step is not finite, or a run would take too many of them."""
     return bool(not math.isfinite(step) or (t1 - t0) / step > MOST_STEPS)
 
 
 def reachable(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> tuple:
-    """(A bound on the frequencies at this energy, a Python number where it is known, and whether a run may pass it)."""
+    """Return a bound on the frequencies at this energy, and whether a run may pass it.
+
+    The bound is a Python number where it is known.
+    """
     span = number(t0, np.dtype(float)), number(t1, np.dtype(float))
     if facts(lattice).traced or traced((state, t0, t1)):
         return frequency_bound(*jax.tree.map(chosen, (lattice, state, *span))), False
     for neighbourhood in GATHERED:
         found = gathered_frequency(lattice, state, *span, neighbourhood)
-        # plain numbers inside a transformation of something else
+        # Plain numbers within a transformation of something else.
         if isinstance(found, jax.core.Tracer):
             return frequency_bound(lattice, state, *span), False
         bound, beyond = np.asarray(found).tolist()
@@ -526,7 +549,7 @@ def reachable(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> tup
 
 @once
 def linear_bound(lattice: Lattice) -> float:
-    """A bound on the linear frequencies of a lattice that is known, quickly found and kept."""
+    """Return a bound on the linear frequencies of a known lattice; it is quick and cached."""
     return float(concretely(linear_frequency, lattice, 0))
 
 

@@ -1,4 +1,4 @@
-"""What is kept of a quantity along a run, found between steps from the dense output: no trajectory is stored."""
+"""Records: quantities reduced along a run, also between steps, without storing a trajectory."""
 
 import abc
 import inspect
@@ -22,27 +22,27 @@ from .bath import baths, isolated
 from .control import OneSided, inside
 from .within import crossing, guesses, higher, lobatto, mean, places, series, span, tops, value
 
-# the record beside the user's own that says whether a contact opened
+# The internal record that says whether a contact opened.
 CLOSEST = "closest overlap"
-# and the one of all compressions, from which follows how stiff the lattice has been
+# The internal record of all compressions, which gives the largest stiffness of the lattice.
 EXTREMES = "extreme compressions"
-# tops that are looked for within a step, one for each of this number of samples
+# One top is sought within a step per this number of samples.
 SAMPLES_PER_TOP = 8
-# how far a top may be above the highest sample, over the span of the samples
+# A top may exceed the highest sample by this part of the span of the samples.
 HIDDEN = 0.25
 FORMS = "a function (t, y, lattice) or a measure (lattice, y, t)"
 
 
 class Record(eqx.Module):
-    """A quantity followed along a run: `start` gives what is carried, `follow` takes it over one step.
+    """A quantity followed along a run: `start` begins what is carried, `follow` updates it.
 
-    The quantity is a function `(t, y, lattice)`, or a measure as in `gx.measures`: a function whose first argument is
-    called `lattice`, which is given `(lattice, y)`, and `t` where it takes an argument of that name. It returns a
-    floating array, or a tree of them (a dict of fields), each of which is followed on its own. Keep one function for
-    many runs, as each new one compiles anew.
+    The quantity is a function `(t, y, lattice)`, or a measure as in `gx.measures`: a function whose
+    first argument is called `lattice`. A measure is called with `(lattice, y)`, and with `t` if it
+    has an argument of that name. It returns a floating array, or a tree of them (a dict of fields),
+    each followed on its own. Keep one function for many runs, as each new one compiles anew.
 
-    A `sampled` record is given the quantity at places within each step, as many as the solver's order needs, along
-    the first axis; another one its value at the end alone.
+    A `sampled` record gets the quantity at several places within each step, as many as the order of
+    the solver needs, along the first axis. Other records get its value at the end.
 
     **Example:**
 
@@ -64,22 +64,25 @@ class Record(eqx.Module):
 
     @abc.abstractmethod
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
-        """What is carried, from the quantity before the first step and the number of samples within a step."""
+        """Return what is carried at first, from the quantity and the number of samples per step."""
 
     @abc.abstractmethod
     def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
-        """What is carried after the step from t0 to t0 + step; `q`: samples (count, ...) or the value at its end."""
+        """Return what is carried after the step from t0 to t0 + step.
+
+        `q`: samples (count, ...), or the value at the end of the step.
+        """
 
     def finish(self, carried: Any) -> Numbers:
-        """The result."""
+        """Return the result."""
         return carried
 
     def short(self, carried: Any) -> Numbers:
-        """How far the quantity has stayed below what is waited for; infinite where nothing is."""
+        """Return by how much the quantity stayed below its threshold; infinite without one."""
         return jnp.asarray(jnp.inf)
 
     def value(self, t: Number, y: StateLike, lattice: Lattice) -> Pytree:
-        """The quantity, a floating array or a tree of them."""
+        """Return the quantity, a floating array or a tree of them."""
         q = _called(self.quantity, t, y, lattice)
         leaves = jax.tree.leaves(q)
         if not leaves or not all(
@@ -94,10 +97,9 @@ def _array(x: Parameter) -> AnyArray:
 
 
 def _called(quantity, t, y, lattice):
-    """The quantity at a state, in the order of arguments that it is written in."""
     try:
         names = list(inspect.signature(quantity).parameters)
-    except (TypeError, ValueError):  # a function that does not say
+    except (TypeError, ValueError):  # The function does not tell its arguments.
         names = []
     if names[:1] != ["lattice"]:
         return quantity(t, y, lattice)
@@ -105,12 +107,12 @@ def _called(quantity, t, y, lattice):
 
 
 class Peak(Record):
-    """Largest value of a quantity over the run, elementwise, found between steps.
+    """The largest value of a quantity over the run, elementwise, also between steps.
 
-    The top of the polynomial through the samples of each step, by Newton's method.
+    It is the maximum of the polynomial through the samples of each step, by Newton's method.
 
-    **Arguments:** `quantity`: `(t, y, lattice)` or a measure, e.g. `gx.measures.contact_force`; see `Record`.
-    **Result:** an array of the quantity's shape.
+    **Arguments:** `quantity`: `(t, y, lattice)` or a measure, e.g. `gx.measures.contact_force`; see
+    `Record`. **Result:** an array of the quantity's shape.
 
     **Example:**
 
@@ -138,7 +140,7 @@ class Peak(Record):
 
 
 class Lowest(Peak):
-    """Smallest value of a quantity over the run, elementwise, found between steps as `Peak` finds the largest."""
+    """The smallest value of a quantity over the run, elementwise; see `Peak`."""
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
         return super().start(t, -q, count)
@@ -151,7 +153,7 @@ class Lowest(Peak):
 
 
 class PeakTime(Peak):
-    """When a quantity is the largest, elementwise, found between steps as `Peak` finds how large: the first of equals.
+    """The time at which a quantity is largest, elementwise, the first of equals; see `Peak`.
 
     **Arguments:** `quantity`: as in `Peak`.
     """
@@ -164,7 +166,8 @@ class PeakTime(Peak):
         best, when = carried
         highest = q.max(0)
         for top in tops(q, near):
-            # one that is no higher than a sample by what is resolved still says where
+            # Where the top is not resolved as higher than the samples, the highest sample gives the
+            # place.
             place = jnp.where(value(c, top.place) >= highest, top.place, x[jnp.argmax(q, 0)])
             height = jnp.maximum(top.height, highest)
             above = height > best
@@ -177,13 +180,13 @@ class PeakTime(Peak):
 
 
 class Arrival(Record):
-    """First time at which a quantity reaches a threshold from below, elementwise, found between steps; NaN if never.
+    """The first time at which a quantity rises to a threshold, elementwise; NaN if it never does.
 
-    Where it is above at the start, the time of the start. A crossing that rises and falls within one step is found by
-    its top.
+    It is found between steps, by the top if the quantity rises and falls within one step. Where the
+    quantity is at or above the threshold at the start, it is the start time.
 
-    **Arguments:** `quantity`: as in `Peak`; `threshold`: a number or an array that broadcasts; another one compiles
-    nothing anew.
+    **Arguments:** `quantity`: as in `Peak`; `threshold`: a number or an array that broadcasts;
+    another value compiles nothing anew.
 
     **Example:**
 
@@ -228,7 +231,8 @@ class Arrival(Record):
         return jnp.asarray(self.threshold, q.dtype)
 
     def _bracket(self, found, q):
-        """Two places within a step between which the threshold is first passed, or 0 and infinity; and the top."""
+        # Two places within a step between which the threshold is first passed, or 0 and infinity;
+        # and the height of the top.
         x, threshold = places(q), jax.lax.stop_gradient(self._threshold(q))
         high = jnp.where(q[1:] >= threshold, x[1:], jnp.inf).min(0)
         near = guesses(q, _most(q), high)
@@ -255,7 +259,7 @@ class Arrival(Record):
 
 
 class Integral(Record):
-    """Integral of a quantity over time, elementwise, by Gauss and Lobatto's rule on the samples of each step.
+    """The integral of a quantity over time, elementwise, by Gauss-Lobatto quadrature in each step.
 
     **Arguments:** `quantity`: as in `Peak`, e.g. a power or a momentum flux.
 
@@ -278,7 +282,7 @@ class Integral(Record):
 
 
 class AtEnds(Record):
-    """Smallest value of a quantity at the ends of steps, elementwise: cheap, and not refined between steps.
+    """The smallest value of a quantity at the ends of steps, elementwise: cheap, but not refined.
 
     **Arguments:** `quantity`: as in `Peak`.
     """
@@ -298,9 +302,10 @@ def _most(q):
 
 
 class Dips(AtEnds):
-    """Smallest value of a quantity, at the ends of steps and on the cubic through each step's values and rates.
+    """The smallest value of a quantity at the ends of steps and on the cubic through each step.
 
-    **Arguments:** `quantity`: as in `Peak`, the values and their rates stacked along the first axis.
+    **Arguments:** `quantity`: as in `Peak`, with values and their rates stacked along the first
+    axis.
     """
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
@@ -310,7 +315,7 @@ class Dips(AtEnds):
         least, (a, slope) = carried
         (end, last), b = q, step * slope
         c, d = 3 * (end - a) - 2 * b - step * last, 2 * (a - end) + b + step * last
-        # the root of b + 2 c s + 3 d s^2 where the cubic is convex
+        # The root of b + 2 c s + 3 d s^2 at which the cubic is convex.
         under = c * c - 3 * d * b
         below = c + jnp.sqrt(jnp.maximum(under, 0))
         s = jnp.clip(-b / jnp.where(below > 0, below, jnp.inf), 0, 1)
@@ -321,28 +326,28 @@ class Dips(AtEnds):
         return carried[0]
 
 
-# samples within a step: two more than the order, and no fewer than these
+# Samples per step: two more than the order of the solver, but at least this many.
 FEWEST = 6
 
 
 class _Carried(NamedTuple):
-    """Of one array of a quantity: its value at the end of the last step where steps are sampled, and what is kept."""
+    """For one array of a quantity: its last value, if steps are sampled, and what is carried."""
 
     last: Any
     kept: Any
 
 
 def leaf_by_leaf(function: Callable, carried: Pytree) -> Pytree:
-    """A function of what a record carries, over the arrays of its quantity."""
+    """Apply a function to what a record carries for each array of its quantity."""
     return jax.tree.map(
         lambda c: function(c.kept), carried, is_leaf=lambda x: isinstance(x, _Carried)
     )
 
 
 class Recorded(Wrapped):
-    """A solver that carries records beside its own state; a rejected step leaves them untouched.
+    """A solver that carries records beside its own state; a rejected step leaves them unchanged.
 
-    `carried`: by the same records, until the run starts; `None` where they start with it.
+    `carried`: what the records carry at the start; `None` where they begin there.
     """
 
     records: dict[str, Record]
@@ -372,7 +377,8 @@ class Recorded(Wrapped):
             for name, record in self.records.items()
             if not record.sampled
         }
-        # behind a jump in time, or a heat bath, a step starts with another value than the one before has ended with
+        # After a jump in time, or a heat bath, a step starts with another value than the previous
+        # one ended with.
         first = 0 if args.breaks or baths(args) else 1
         if sampled:
             lattice = isolated(inside(args, t0, t1) if args.breaks else args)
@@ -387,7 +393,8 @@ class Recorded(Wrapped):
                     for name, record in sampled.items()
                 }
 
-            # a loop, because XLA would fuse the dense output's coefficients into each of their many readers
+            # A loop, because XLA would fuse the coefficients of the dense output into each of their
+            # many readers.
             found |= jax.lax.map(values, times)
 
         def follow(record, q, old):
@@ -408,9 +415,10 @@ class Recorded(Wrapped):
         return max(FEWEST, self.solver.order(terms) + 2)
 
     def _path(self, terms, t0, t1, y0, y1, dense, lattice):
-        """A dense output as good as the solver: its own, or one from its ends and forces within the step."""
+        # Dense output as accurate as the solver: its own, or built from the ends and forces in the
+        # step.
         own = self.solver.interpolation_cls(t0=t0, t1=t1, **dense)
-        # the ends of a stiff step say little of what lies between
+        # The ends of a stiff step say little about the times between them.
         solver = self.solver.solver if isinstance(self.solver, OneSided) else self.solver
         if isinstance(own, Bootstrapped) or isinstance(solver, diffrax.AbstractImplicitSolver):
             return own

@@ -1,4 +1,7 @@
-"""What is said of a run that has ended: energy lost, pulses missed, magnets that met, beads that passed through."""
+"""Remarks on a run that has ended.
+
+They report lost energy, missed pulses, magnets that met, and beads that passed through each other.
+"""
 
 from typing import Any, NamedTuple
 
@@ -23,16 +26,17 @@ from ..types import Displacements, Number, Scalar, StateLike, Times
 from .method import reachable
 from .run import Found
 
-# tolerance from which on a run is remarked upon, and relative energy error
+# The tolerance and the relative energy error from which on there is a remark.
 LOOSE, SUSPICIOUS = 1e-2, 0.02
-# where an energy is evaluated again, over the displacements at the end, and how much of it may be lost over what is
-# seen
+# The energy is evaluated again nearby, at this part of the final displacements. It may be lost by
+# this many times the rounding seen there.
 NEARBY, ROUNDED = 1e-3, 10
-# places at which a function of time is looked at: in all, about, and in each step; steps at a time
+# Numbers of times at which a function of time is evaluated: about in all, the fewest and most in
+# each step, and steps at a time.
 MOST_PLACES = 2**18
 PLACES = 8, 2048
 BLOCK = 64
-# of its range, from which on it leaves what the ends of steps show
+# A pulse leaves the values at the ends of steps by at least this part of the range.
 LEAP = 0.25
 
 
@@ -46,14 +50,14 @@ def doubts(
     solver: diffrax.AbstractSolver,
     run: Found,
 ) -> str:
-    """Remarks on a run that has ended: a loose tolerance, much energy lost, an energy that is none; empty without."""
+    """Return remarks on a loose tolerance, lost energy or an unknown energy; empty without any."""
     said = []
     if tolerance is not None and tolerance > LOOSE:
         said.append(
             f"A tolerance of {show(tolerance)} is loose: a step may err by that part of the motion."
         )
     lost = np.asarray(run.energy_error)
-    # as a rule; the rest takes longer
+    # Most calls end here; the rest takes longer.
     if lost.max() <= SUSPICIOUS or not lattice.conserves:
         return " ".join(said)
     if np.isnan(lost).any() and np.all(run.completed):
@@ -85,11 +89,11 @@ def doubts(
 
 
 def missed(lattice: Lattice, t0: Scalar, t1: Scalar, step: Any, tolerance: Any) -> str:
-    """A remark where a function of time, of which no breaks are told, has a pulse that steps of a run may pass over.
+    """Return a remark if a function of time without breaks has a pulse that steps may miss.
 
-    Between the ends of a step it goes beyond what it is at four ends around by a quarter of its range, or more. An
-    adaptive step is tried at many places, so that a quarter of its mean length counts. Pulses are looked for at 8 to
-    2048 places in each step: shorter ones nobody sees.
+    Such a pulse leaves the range of the four nearest ends of steps by a quarter of the function's
+    range. An adaptive step evaluates many times, so a quarter of the mean step counts. Each step is
+    searched at 8 to 2048 times; shorter pulses are not found.
     """
     if not _signals(lattice):
         return ""
@@ -110,13 +114,14 @@ def missed(lattice: Lattice, t0: Scalar, t1: Scalar, step: Any, tolerance: Any) 
 
 @once
 def _signals(lattice):
-    """The functions of time of a lattice, each with the number of its term."""
+    # The functions of time of a lattice, each with the number of its term.
     return [(i, f) for i, term in enumerate(lattice.terms) for f in functions_of_time(term)]
 
 
 @compiled
 def _leap(function, t0, t1, count, places):
-    """How far a function of time leaves, within one of equal steps, what it is at their ends; over its range."""
+    # How far a function of time, within one of equal steps, leaves its values at the nearest ends,
+    # relative to its range.
     at, h = jax.vmap(function), (t1 - t0) / count
     inner = (np.arange(places) + 0.5) / places
 
@@ -138,10 +143,8 @@ def _leap(function, t0, t1, count, places):
 
 
 def _resolved(lattice, state, t0, t1, run):
-    """Whether some lane lost more energy than what its terms' arithmetic leaves uncertain.
-
-    That shows where the energy is evaluated along a short straight line through the end, on which it hardly bends.
-    """
+    # Whether some lane lost more energy than rounding explains. The rounding shows in the energy
+    # along a short straight line through the final displacements, on which the energy hardly bends.
     scale = np.maximum(np.abs(lattice.energy(t0, *state)), lattice.kinetic_energy(state.v))
     parts = 1 + NEARBY * np.linspace(-1, 1, 9)
     line = [
@@ -166,27 +169,30 @@ def _lost(lattice, state, t0, t1, step, tolerance, solver, lost):
     return f"Much energy was lost or won, {lost:.2g} of it: the run is not accurate; give {way}."
 
 
-# of the distance at rest, which is none
+# Magnets meet at this part of their distance at rest.
 TOUCH = 1e-6
-# of a contact's length: what float32 resolves across a thousand of them, and what counts as overlap
+# The relative accuracy of lengths: what float32 resolves across a thousand contacts, and the least
+# overlap that is reported.
 ALIKE = 1e-4
-# how much further than touch it is looked, over the largest diameter, until something has moved so far
+# Pairs are sought this much further apart than touch, relative to the largest diameter.
 SKIN = 0.5
-# the least multiple of the middle length at which a bond on a line leads around a ring
+# A bond on a line that is longer than this multiple of the median leads around a ring.
 AROUND = 1.5
-# vectors by which a lattice repeats itself, along two axes and between; more mean other places than of bonds
+# The most periods of a lattice along two axes and their diagonals. With more, the positions do not
+# match the bonds.
 REPEATS = 8
 
 
 @once
 def unseen(lattice: Lattice) -> str:
-    """The names of the terms that may have contacts of which nobody knows whether they open."""
+    """Return the names of terms whose contacts do not tell whether they open."""
     names = [type(term).__name__ for term in lattice.terms if not _known(term, lattice)]
     return ", ".join(dict.fromkeys(names))
 
 
 def _known(term, lattice):
-    """Whether the laws of a term say whether they open; a term without any does not know, where it reads places."""
+    # Whether the laws of a term tell whether they open. A term without laws does not tell, if it
+    # reads displacements.
     found = []
 
     def look(t, u):
@@ -197,17 +203,17 @@ def _known(term, lattice):
                 and (c.overlap is not None or not c.law.opens)
             )
 
-    # traced, so that nothing is computed for what the laws know
+    # Traced, so that nothing is computed.
     jax.eval_shape(look, time_of(lattice), lattice.template())
     if found:
         return all(found)
-    # what opens beside a dashpot is its contact
+    # The contact beside a dashpot is that of another term.
     beside = isinstance(inner_of(term), (Dashpot, ViscousContact))
     return beside or not reads(term, lattice).displacement
 
 
 def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple | None:
-    """(bond, number of its term, time, lane) where a law ends at a length within a time; `None` for nowhere."""
+    """Return (bond, term number, time, lane) where magnets meet within a time, or `None`."""
     found, time = [], jnp.asarray(t, lattice.dtype)
 
     def rooms(u):
@@ -219,7 +225,7 @@ def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple 
         for rest, room, rate in zip(*parts):
             if room is None:
                 continue
-            # of bonds and lanes
+            # The shape is (bonds, lanes).
             shape = (-1, int(np.prod(lattice.lanes)))
             rest, room, rate = (x.reshape(shape) for x in np.broadcast_arrays(rest, room, rate))
             left = np.where(rate < 0, room / np.where(rate < 0, -rate, 1), np.inf)
@@ -233,11 +239,13 @@ def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple 
 
 
 class _Beads(NamedTuple):
-    """What touches without a bond: `places` at rest of all sites, and then of the beads of the walls.
+    """Beads that may touch without a bond.
 
-    `radii` [m] of all, -inf of a site without a contact; `joined`: codes of the pairs that have a bond; `periods`:
-    vectors by which the lattice repeats itself; `gap`: the least distance between rims without a bond, at rest, at most
-    half a diameter.
+    - `places`: at rest, of all sites and then of the beads of the walls
+    - `radii` [m]: -inf for a site without contacts
+    - `joined`: codes of the pairs with a bond
+    - `periods`: vectors by which the lattice repeats
+    - `gap`: the least distance at rest between rims without a bond, at most half a diameter
     """
 
     places: np.ndarray
@@ -248,10 +256,10 @@ class _Beads(NamedTuple):
 
 
 def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) -> str:
-    """Which beads without a bond overlap, at the saved times or the end of a run that is not traced, in a sentence.
+    """Return a sentence about beads without a bond that overlap, at the saved times or the end.
 
-    Empty where none do, where the lattice does not know the radii of its beads (no positions, no contacts), and where a
-    term does not say which sites it joins.
+    It is empty without such beads, where the lattice does not know the radii (no positions or
+    contacts), and where a term does not tell which sites it joins. The run must not be traced.
     """
     lanes = _beads_of(lattice)
     if lanes is None:
@@ -262,8 +270,8 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
         now = [_of(us, name)[frame] if frame < len(ts) else _of(end, name) for name in names]
         u = np.concatenate([np.asarray(x).reshape(-1, components, len(lanes)) for x in now])
         count, d = len(u), lanes[0].places.shape[1]
-        # as long as nothing has moved by half of the gap at rest nothing can have met; a lattice without walls may move
-        # on
+        # Nothing can have met before something moved by half of the gap at rest. A lattice without
+        # walls may move as a whole.
         moved = u[:, :d]
         walled = any(len(beads.places) > count for beads in lanes)
         away = moved if walled else moved - moved.mean(0)
@@ -291,7 +299,6 @@ def _of(tree, name):
 
 
 def _site(lattice, number):
-    """The name of a site, from its number in the order of the fields."""
     for name in lattice.fields or (None,):
         shape = _of(lattice.sites, name)
         if number < np.prod(shape):
@@ -303,7 +310,7 @@ def _site(lattice, number):
 
 
 def _near(beads, u):
-    """The pairs of beads without a bond that are near each other, their distances, and those of touch."""
+    # Near pairs of beads without a bond, their distances, and the distances at which they touch.
     from scipy.spatial import cKDTree
 
     count, total = len(u), len(beads.places)
@@ -313,7 +320,7 @@ def _near(beads, u):
     reach = (1 + SKIN) * 2 * beads.radii.max()
     pairs = cKDTree(at).query_pairs(reach, output_type="ndarray")
     low, high = np.sort(number[pairs], 1).T
-    # one of both moves and is no image, and they are not joined
+    # The first bead is no image, both differ, and no bond joins them.
     apart = (pairs[:, 0] < count) & (low != high) & ~np.isin(low * total + high, beads.joined)
     distance = np.linalg.norm(at[pairs[apart, 0]] - at[pairs[apart, 1]], axis=1)
     return number[pairs[apart]], distance, (beads.radii[low] + beads.radii[high])[apart]
@@ -321,7 +328,7 @@ def _near(beads, u):
 
 @once
 def _beads_of(lattice):
-    """The `_Beads` of each lane; `None` of a lattice that does not know their radii."""
+    # The `_Beads` of each lane; `None` for a lattice that does not know their radii.
     if lattice.positions is None:
         return None
     batch, places, numbers, count = int(np.prod(lattice.lanes)), [], {}, 0
@@ -353,7 +360,7 @@ def _beads_of(lattice):
 
 
 def _vectors(lattice, strain_map, places, tail, head):
-    """From tail to head of every bond at rest, (bonds, d, lanes); NaN where not known."""
+    # The vectors from tail to head of all bonds at rest, (bonds, d, lanes); NaN where not known.
     shape = len(tail), *places.shape[1:]
     vector = getattr(strain_map, "vector", None)
     if vector is not None:
@@ -370,7 +377,7 @@ def _vectors(lattice, strain_map, places, tail, head):
 
 
 def _touches(strain_map, term):
-    """Whether the ends of a bond are in touch: a contact that opens, or one that slips."""
+    # Whether the ends of a bond touch: a contact that opens, or a tangential one.
     law = getattr(term, "law", None)
     if strain_map.tangential or law is None or not law.opens:
         return strain_map.tangential
@@ -379,7 +386,7 @@ def _touches(strain_map, term):
 
 
 def _one_lane(places, tail, head, vector, touches):
-    """The `_Beads` of one lattice; `None` where its bonds say nothing of radii, or other than its places."""
+    # `None` where the bonds do not tell the radii, or do not match the positions.
     count, d = places.shape
     touches = touches & np.isfinite(vector).all(1)
     inner, number = (tail != WALL) & (head != WALL), np.maximum(tail, head)
@@ -388,7 +395,7 @@ def _one_lane(places, tail, head, vector, touches):
     if radii is None:
         return None
     near = ALIKE * length[touches].mean()
-    # a bond around a ring is another vector than that between the places of its ends
+    # The vector of a bond around a ring differs from that between its ends.
     around = (vector - places[head] + places[tail])[inner & np.isfinite(length)]
     periods = _halves(around[np.abs(around).max(1, initial=0) > near], near)
     if len(periods) > REPEATS:
@@ -413,7 +420,8 @@ def _one_lane(places, tail, head, vector, touches):
 
 
 def _radii(count, tail, head, length, touches):
-    """The radii that the lengths of contacts are sums of, the most even ones; -inf of sites that have no contact."""
+    # The radii whose sums are the lengths of the contacts, as even as possible; -inf for sites
+    # without contacts.
     if not touches.any():
         return None
     ends, known = np.stack([tail, head], 1)[touches], length[touches]
@@ -434,20 +442,20 @@ def _radii(count, tail, head, length, touches):
     found = mean / 2 + lsqr(matrix, known - mean, atol=ALIKE**2, btol=ALIKE**2)[0]
     if (np.abs(matrix @ found - known) > ALIKE * mean).any() or (found[ends] <= 0).any():
         return None
-    # of what touches walls alone nothing is known
+    # The radii of beads that touch only walls are not known.
     radii[:] = -np.inf
     radii[ends] = found[ends]
     return radii
 
 
 def _halves(vectors, near):
-    """Vectors that differ, each one of a pair of opposite ones."""
+    # Different vectors, one of each opposite pair.
     first = np.argmax(np.abs(vectors) > near, 1)[:, None]
     return _distinct(np.sign(np.take_along_axis(vectors, first, 1)) * vectors, near)[0]
 
 
 def _distinct(points, near):
-    """The points that differ, and which of these each one is."""
+    # The different points, and the index among them of each given point.
     from scipy.spatial import cKDTree
 
     if not len(points):

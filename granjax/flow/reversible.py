@@ -1,4 +1,4 @@
-"""`Reversible`: the derivative of a run in reverse mode by integrating backwards, which keeps nothing of the way."""
+"""`Reversible`: reverse-mode derivatives by integrating backwards, which stores nothing."""
 
 import diffrax
 import equinox as eqx
@@ -19,24 +19,27 @@ from .stepping import Flow, check_moved, check_steps
 
 
 class Reversible(eqx.Module):
-    r"""Reverse mode with memory that does not grow with the number of steps: `simulate(..., adjoint=gx.Reversible())`.
+    r"""Reverse mode with constant memory: `simulate(..., adjoint=gx.Reversible())`.
 
-    A splitting method is made of kicks v += b h a(u) and drifts u += a h v, and each can be undone. The derivative goes
-    back from the end, undoing one after another and pulling its cotangent through, so that nothing was kept. It is the
-    exact derivative of the discrete run as far as the way back is the way there. With closed contacts it is, to 1e-12
-    after 1e5 steps; a chaotic scene (a sonic vacuum: contacts that open and close) does not return in floating point,
-    and damping amplifies rounding by exp(gamma t) on the way back. So the start that was reached is compared with the
-    start, and where they differ by more than `tolerance` the derivative is NaN rather than wrong; use
+    A splitting method consists of kicks v += b h a(u) and drifts u += a h v, and each can be
+    undone. The derivative goes back from the end, undoes them one by one and pulls its cotangent
+    through, so that nothing is stored. It is the exact derivative of the discrete run if the way
+    back retraces the run. With closed contacts it does, to 1e-12 after 1e5 steps. A chaotic motion
+    (a sonic vacuum: contacts that open and close) does not return in floating point, and damping
+    amplifies rounding by exp(gamma t) on the way back. Where the start that is reached differs from
+    the true one by more than `tolerance`, the derivative is NaN; use
     `diffrax.RecursiveCheckpointAdjoint()` there.
 
-    **Arguments:** `tolerance`: of the return error, max |y - y0| over the largest entry at both ends, displacements
-    and velocities each for themselves. `return_error`: leave it at zero; the derivative with respect to it *is* the
-    return error, the way in which a gradient reports it: `jax.grad(f, (0, 1))(x, gx.Reversible())[1].return_error`.
+    **Arguments:** `tolerance`: of the return error max |y - y0|, relative to the largest entry at
+    both ends, separately for displacements and velocities; from 1 on it accepts any way back.
+    `return_error`: leave it at zero. The derivative with respect to it *is* the return error:
+    `jax.grad(f, (0, 1))(x, gx.Reversible())[1].return_error`.
 
-    Wants a splitting solver at a fixed step and no records, and refuses forward mode; gives derivatives of what is
-    saved and of the end (NaN for those of `energy_error`) with respect to lattice and state, not with respect to times.
-    Takes 3 to 6 times the run.
-    From 1 on it trusts a way back that leads elsewhere. **Raises** ValueError for a tolerance that is not above zero.
+    It needs a splitting solver at a fixed step, and supports neither records nor forward mode. It
+    differentiates saved states and the end (`energy_error` gives NaN) with respect to lattice and
+    state, not to times. It takes 3 to 6 times as long as the run.
+
+    **Raises** ValueError for a tolerance that is not above zero.
 
     **Example:**
 
@@ -82,9 +85,10 @@ def checked_reversible(lattice: Lattice, plan: Plan) -> None:
 
 
 def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
-    """A sentence in the place of JAX's, where an adjoint of reverse mode meets forward mode; other errors pass on.
+    """Replace JAX's error where an adjoint of reverse mode meets forward mode; pass others on.
 
-    JAX speaks itself where the program was traced first and differentiated then: `jax.jacfwd(jax.jit(f))`.
+    JAX raises its own error where the program is traced first and differentiated then:
+    `jax.jacfwd(jax.jit(f))`.
     """
     if "forward-mode" not in str(error):
         raise error
@@ -105,12 +109,15 @@ def return_error(
     steps: Count | Counts,
     solver: diffrax.AbstractSolver,
 ) -> Number:
-    """What integrating to t1 and back to t0 misses: max |y - y0| over the largest entry at both ends, of u or of v.
+    """Return max |y - y0| after integrating to t1 and back, relative to the largest entry.
 
-    **Arguments:** `steps`: how many each way, a whole number or an array; `solver`: any with symmetric steps.
+    The largest entry is that at both ends; the result is the larger one of u and v.
+
+    **Arguments:** `steps`: the number each way, a whole number or an array; `solver`: any with
+    symmetric steps.
     """
     check_steps(steps)
-    # arrays, whose values compile nothing anew
+    # As arrays, so that other values compile nothing.
     t0, t1 = (jnp.asarray(t, lattice.dtype) for t in (t0, t1))
     return _return_error(lattice, state, t0, t1, jnp.asarray(steps), solver)
 
@@ -125,7 +132,10 @@ def _return_error(lattice, state, t0, t1, steps, solver):
 
 
 class _Backwards(eqx.Module):
-    """A split system that undoes kicks and drifts: w = (that of the lattice, its time, its cotangent, the gradient)."""
+    """A split system that undoes kicks and drifts.
+
+    Its working form is w = (that of the lattice, time, cotangent, gradient).
+    """
 
     free: object
     fixed: object
@@ -146,7 +156,7 @@ class _Backwards(eqx.Module):
             own, t, pulled, gradient = self._pulled(move, own, t, (*pulled, zero), gradient)
             force = lambda free, e: self._system(free).law.force(e)
             _, pull = jax.vjp(force, self.free, system.compression(own))
-            # what the force leaves in its slot is a buffer, not a cotangent
+            # The slot of the force holds a buffer, not a cotangent.
             change, pulled = system.spread(pulled, pull, idle)
             return own, t, pulled, jax.tree.map(jnp.add, gradient, change)
         move = lambda system, w: system.kick(system.refresh(w, t), -bh)
@@ -158,7 +168,6 @@ class _Backwards(eqx.Module):
         return self._pulled(move, self._system(self.free).drift(own, ah), *rest)
 
     def _pulled(self, move, own, t, cotangent, gradient):
-        """The working form before a move, with the cotangent pulled through it."""
         moved = lambda free, w: move(self._system(free), w)
         change, cotangent = jax.vjp(moved, self.free, own)[1](cotangent)
         return own, t, cotangent, jax.tree.map(jnp.add, gradient, change)
@@ -166,7 +175,10 @@ class _Backwards(eqx.Module):
 
 @eqx.filter_custom_vjp
 def reversible(moved: tuple, span: tuple, plan: Plan) -> Found:
-    """`integrate` with the derivative of `Reversible`; moved = (lattice, state, adjoint)."""
+    """Integrate as `integrate` does, with the derivative of `Reversible`.
+
+    moved = (lattice, state, adjoint).
+    """
     lattice, state, _ = moved
     return integrate(lattice, state, *span, plan)
 
@@ -181,18 +193,18 @@ def _(perturbed, moved, *rest):
 def _(residuals, cotangents, perturbed, moved, span, plan):
     (final, count), (lattice, state, adjoint) = residuals, moved
     free, fixed = eqx.partition(lattice, perturbed[0])
-    # older versions of JAX give literals, which know less than arrays
+    # Older versions of JAX give literals, which lack methods of arrays.
     solver, save_ts, h = plan.solver, plan.save_ts, jnp.asarray(plan.step)
     time = lambda k: span[0] + k * h
 
     def seen(free, y, k, t):
-        """The state at t, within step k that begins with y."""
+        # The state at t, within step k, which begins with y.
         args = diffrax.ODETerm(vector_field), time(k), time(k + 1), y, eqx.combine(free, fixed)
         _, _, dense, _, _ = solver.step(*args, solver.init(*args), False)
         return solver.interpolation_cls(t0=time(k), t1=time(k + 1), **dense).evaluate(t)
 
     def undone(i, carry):
-        """The state before a step, what it passes on of the cotangent, and the gradient of the parameters."""
+        # The state before a step, its cotangent, and the gradient of the parameters.
         k, y, pulled, gradient = carry
         way, system = _Backwards(free, fixed), split_system(lattice)
         _, pull = jax.vjp(
@@ -209,7 +221,7 @@ def _(residuals, cotangents, perturbed, moved, span, plan):
 
     zero = jax.tree.map(jnp.zeros_like, final)
     ends = _filled(cotangents.final, zero)
-    if save_ts is None:  # the one frame that is saved is the end
+    if save_ts is None:  # The only saved frame is the end.
         frames = _filled(State(cotangents.us, cotangents.vs), jax.tree.map(lambda x: x[None], zero))
         ends = jax.tree.map(lambda x, frame: x + frame[0], ends, frames)
     carry = count, final, ends, jax.tree.map(jnp.zeros_like, free)
@@ -238,7 +250,7 @@ def _(residuals, cotangents, perturbed, moved, span, plan):
 
 
 def _filled(cotangent, zero):
-    """A cotangent with zeros where there is none."""
+    # Zeros replace missing cotangents.
     return jax.tree.map(
         lambda z, c: z if c is None else c, zero, cotangent, is_leaf=lambda x: x is None
     )

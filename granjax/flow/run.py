@@ -1,4 +1,4 @@
-"""The record of a run."""
+"""The result of a run."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -16,9 +16,9 @@ from ..results import Held, Result, array, entries, hidden, note, part
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNRESOLVED = range(8)
-# how far beyond touch, over how far it came from rest, a contact is certainly open
+# A contact is certainly open beyond this margin (see `Found`).
 OPENED = 0.05
-# what has become of a run, by its code
+# How a run ended, by its code.
 WHY = {
     NOT_FINITE: "The state is not finite: the motion left the law's domain, or the step is too long.",
     TOO_MANY_STEPS: "Stopped at the most steps allowed; give max_steps= or a looser tolerance.",
@@ -33,11 +33,11 @@ WHY = {
 
 
 class Errors(Result):
-    """How far the numbers of a run may be from the truth: `run.error`, from a second run at another step.
+    """Estimated errors of a run: `run.error`, from a second run at another step.
 
-    Each has the shape and the unit of what it is of. They are infinite where one of both runs has not completed, only
-    one of them has seen an `Arrival`, or a pulse of a drive may lie between the steps of both; NaN for an `Arrival`
-    that did not happen. They have no derivative.
+    Each has the shape and unit of its quantity. It is infinite if one of both runs did not
+    complete, if only one saw an `Arrival`, or if a pulse of a drive may lie between the steps of
+    both; NaN for an `Arrival` that did not happen. Errors have no derivative.
     """
 
     us: Displacements = array("The errors of the displacements.", "m", "time site", name="u")
@@ -45,17 +45,17 @@ class Errors(Result):
     final: State = part("The errors of the last state.", "site")
     energy: Numbers = array("The error of the energy at the saved times.", "J", "time")
     overlap: Numbers = array(
-        "The smallest overlap of a contact that can open, found between steps, per lane: below zero it opened, "
-        "infinite where there is no such contact.",
+        "The smallest overlap of the contacts that can open, also between steps, per lane: "
+        "negative if one opened, infinite without such contacts.",
         "m",
     )
     overlap_error: Numbers = array("The error of the smallest overlap.", "m")
     records: dict[str, Pytree] = entries("The errors of the records, by name.", name="record")
-    how: str = array("What the second run was.", static=True)
+    how: str = array("How the second run was made.", static=True)
 
     @property
     def outcome(self) -> str:
-        """The largest errors, in a sentence (only where they are not traced)."""
+        """A sentence about the largest errors (not available while traced)."""
         if isinstance(self.energy, jax.core.Tracer):
             return "Not known while traced."
         u, v = (max(float(np.max(x)) for x in jax.tree.leaves(tree)) for tree in (self.us, self.vs))
@@ -63,7 +63,7 @@ class Errors(Result):
 
 
 class Run(Result):
-    """What `simulate` returns. It prints itself.
+    """The result of `simulate`. It prints as text.
 
     **Example:**
 
@@ -75,43 +75,45 @@ class Run(Result):
     True
     """
 
-    ts: Numbers = array("The saved times; by default the end alone.", "s", "time", name="time")
+    ts: Numbers = array("The saved times; by default only the end.", "s", "time", name="time")
     us: Displacements = array("The displacements at these times.", "m", "time site", name="u")
     vs: Displacements = array("The velocities at these times.", "m/s", "time site", name="v")
-    final: State = hidden("The `State` at the last time; of a lane that stopped where it did.")
+    final: State = hidden("The `State` at the last time, or where a lane stopped.")
     energy_error: Numbers = note(
-        "Largest |E - E0|/max(|E0|, kinetic energy) over the saved times, per lane; NaN where a term does not keep the "
-        "energy (says so, or its force is not the slope of its energy)."
+        "The largest |E - E0|/max(|E0|, kinetic energy) over the saved times, per lane; NaN if a "
+        "term does not conserve energy (it says so, or its force is not the slope of its energy)."
     )
     _margin: Numbers
-    code: Counts = hidden("What became of the run, a number for each lane that has its own steps.")
+    code: Counts = hidden("How the run ended: a number, per lane where lanes have their own steps.")
     stats: dict[str, Number] = entries(
-        "`steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones), `force_evaluations` "
-        "(NaN for diffrax's own solvers); where energy might gather beyond the default step's bound `omega`, that of "
-        "what was reached. Per lane where lanes have their own steps.",
+        "`steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones), "
+        "`force_evaluations` (NaN for solvers of diffrax). If energy might gather beyond the "
+        "bound of the default step, `omega` is the bound for the motion that was reached. Per "
+        "lane where lanes have their own steps.",
         {"step": "s", "omega": "rad/s"},
         named="stats_{}",
     )
-    recorded: dict[str, Pytree] = entries("What the records found, by name.")
+    recorded: dict[str, Pytree] = entries("The results of the records, by name.")
     failed_at: tuple[float, float, tuple[int, ...]] | None = hidden(
-        "Between which times, and at which sites, a run first was not finite.", default=None
+        "The times between which a run first was not finite, and the sites.", default=None
     )
     met: tuple[int, int, float, tuple[int, ...]] | None = hidden(
-        "Where magnets met: (bond, number of its term, time, lane, () where the outcome names it); else `None`.",
+        "Where magnets met: (bond, number of the term, time, lane), with () for the lane if the "
+        "outcome names it; else `None`.",
         default=None,
     )
     error: Errors | None = array(
-        "The errors of all of them, with `simulate(..., confirm=True)`; else `None`.", default=None
+        "The errors of the run with `simulate(..., confirm=True)`; else `None`.", default=None
     )
     started: Any = hidden(
-        "The (lattice, state) that it began with, or the problem that made them; `None` of a traced one.",
+        "The (lattice, state) at the start, or the problem that made them; `None` if traced.",
         default=None,
     )
     solver: str = array("The name of the solver.", static=True, default="")
-    choice: str = array("What was chosen, and why.", static=True, default="")
-    remark: str = hidden("What else the outcome says.", static=True, default="")
+    choice: str = array("How the steps were chosen.", static=True, default="")
+    remark: str = hidden("Further remarks of the outcome.", static=True, default="")
     unseen: str = hidden(
-        "The terms that may have contacts of which nobody knows whether they opened.",
+        "The terms whose contacts do not tell whether they open.",
         static=True,
         default="",
     )
@@ -122,19 +124,19 @@ class Run(Result):
 
     @property
     def completed(self) -> Flags:
-        """Whether the run reached t1 with finite numbers: each lane where they have steps of their own, else every one.
+        """Whether the run reached t1 with finite numbers, per lane if lanes have their own steps.
 
-        What a lane that stopped would have to show at later times is NaN.
+        Values of a lane at times after it stopped are NaN.
         """
-        # by NumPy where it can be, as for JAX each comparison is a program to compile
+        # With NumPy if possible, since JAX compiles a program for each comparison.
         return in_numpy(self.code) == COMPLETED
 
     @property
     def outcome(self) -> str:
-        """What became of the run, in a sentence (only where the run is not traced).
+        """A sentence about how the run ended (not available while traced).
 
-        It also names beads that have no bond and overlap, at the saved times or at the end, where a scene knows the
-        size of its beads by its positions and contacts: bonds are fixed, and such beads pass through one another.
+        It also names beads that overlap without a bond, at the saved times or the end, if positions
+        and contacts tell the radii: bonds are fixed, and such beads pass through one another.
         """
         code = concrete(self.code)
         if code is None:
@@ -157,25 +159,25 @@ class Run(Result):
 
     @property
     def contact_opened(self) -> Flags:
-        """Whether a contact was open at any time, per lane; `opening` says how sure that is.
+        """Whether a contact was open at any time, per lane; `opening` says how certain that is.
 
-        With `confirm=True` by the finer run, found between steps; else at the ends of the steps; under a
-        transformation also on the cubic through both ends of each step.
+        It is checked at the ends of steps, under a transformation also on the cubic through each
+        step. With `confirm=True` the finer run decides, also between steps.
         """
         return in_numpy(self._margin if self.error is None else self.error.overlap) < 0
 
     @property
     def opening(self) -> str:
-        """Whether a contact opened, in a word: yes, no, unsure, unknown.
+        """Whether a contact opened, in one word: yes, no, unsure, unknown.
 
-        Unsure where the closest approach is within its error of zero, which `confirm=True` finds, or comes so near at
-        the ends of steps that it may be otherwise between them; unknown where a law or a term does not say when its
-        contacts open.
+        Unsure: with `confirm=True`, the closest approach is within its error of zero; otherwise it
+        is so close at the ends of steps that a contact may open between them. Unknown: a law or a
+        term does not tell when its contacts open.
         """
         if self.error is None:
             sure = (self._margin <= -OPENED) | (self._margin >= self._zone)
         else:
-            # what has not come nearer than at rest has not opened
+            # A contact whose overlap never fell below that at rest has not opened.
             sure = np.abs(self.error.overlap) > self.error.overlap_error
             sure = sure | (np.asarray(self._margin) == np.inf)
         if np.any(np.asarray(sure) & np.asarray(self.contact_opened)):
@@ -228,10 +230,12 @@ class Run(Result):
 
 
 class Found(NamedTuple):
-    """What the compiled part of a run returns, of which a `Run` is made.
+    """What the compiled part of a run returns.
 
-    `margin`: the least overlap over how far it came from rest, per lane; `closest`: the least overlap; `short`: how far
-    what records wait for has stayed below it; `last`: the state and times at which its last piece began.
+    - `margin`: the least overlap, divided by the distance that it moved from rest, per lane
+    - `closest`: the least overlap
+    - `short`: by how much records stayed below their thresholds
+    - `last`: the state and times at the start of the last piece
     """
 
     ts: Times
@@ -253,7 +257,7 @@ class Found(NamedTuple):
         return self.code == COMPLETED
 
 
-# of what is found, what is a field of a run by the same name
+# The fields of `Found` that are fields of a `Run` by the same name.
 FILLED = frozenset(Found._fields) & {field.name for field in dataclasses.fields(Run)}
 
 
@@ -263,12 +267,15 @@ MOST_STRUCTURES = 256
 
 
 def run_of(found: Found, lattice: Lattice, space: tuple, names: tuple, more: dict) -> Run:
-    """The `Run` of what was found. `names`: solver, choice, remark, unseen, zone; `more`: other fields."""
+    """Build the `Run` from the arrays that the integration returned.
+
+    `names`: solver, choice, remark, unseen, zone; `more`: other fields.
+    """
     key = names, space
     own = found._asdict() | {"_margin": found.margin, "_mark": lattice._mark} | more
     fields = [own.get(name) for name in _FIELDS]
     structure = _STRUCTURES.get(key)
-    # filling a structure takes a tenth of the time that calling the class takes
+    # Filling a structure takes a tenth of the time of calling the class.
     if structure is not None:
         return jax.tree.unflatten(structure, fields)
     named = dict(zip(("solver", "choice", "remark", "unseen", "_zone"), names))
@@ -280,5 +287,5 @@ def run_of(found: Found, lattice: Lattice, space: tuple, names: tuple, more: dic
 
 
 def finite(tree: Pytree) -> Flags:
-    """Whether every number of a tree is finite."""
+    """Return whether every number of a tree is finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))

@@ -1,4 +1,4 @@
-"""`simulate`: from a lattice and a state to a run, over diffrax."""
+"""The function `simulate`, which integrates a lattice in time with diffrax."""
 
 import math
 
@@ -42,12 +42,15 @@ from .reversible import Reversible, checked_reversible, refuse_forward_mode, rev
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 
 SAVED_STEPS = 2**16
-# a contact that kept more than this part of how far it came, at the ends of steps, did not open between them: at the
-# default step it may dip by 1/32 of that, and what is more covers the error of the run; with dips looked for
+# The margin of a contact is its smallest overlap at the ends of steps, divided by the distance that
+# it moved from rest to get there. A contact with a larger margin than these numbers did not open
+# between the ends. NEAR is for the default step, at which the overlap may dip by 1/32 of that
+# distance; the rest of NEAR covers the integration error. FAR is for a given step or tolerance,
+# DIPPED for runs that also look between the ends.
 NEAR, FAR, DIPPED = 0.25, 1.0, 0.01
-# h omega of a given step from which on the ends of steps say nothing of what lies between
+# From this h omega of a given step on, the ends of steps say nothing about the times between them.
 COARSE = 1.5
-# built once: making a module takes longer than a short run
+# Built once, because making a module takes longer than a short run.
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _LANES_LAST = (diffrax.DirectAdjoint, diffrax.ForwardMode)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
@@ -70,56 +73,61 @@ def simulate(
     throw: bool | None = None,
     max_steps: Count | None = None,
 ) -> Run:
-    r"""Integrate m a = F(t, u, v) from t0 to t1.
+    r"""Integrate the equation of motion m a = F(t, u, v) from t0 to t1.
 
     **Arguments:**
 
-    - `lattice`: a `Lattice`, or a batch of them with lanes last. `state`: `State(u, v)` or a pair, of
-      `lattice.shape` (then lanes), in the lattice's floating type.
-    - `t1` > `t0`: end and start.
-    - `solver`: any of granjax's or diffrax's; `None` chooses SRKN11b at a fixed step, RKN86 where `tolerance` is
-      given, diffrax's Dopri8 where a force reads the velocity in another way than `Damping`.
-    - `step`: fixed step, the longest: it is shortened to divide t1 - t0, and the spacing of the saved times where that
-      is even; times that lie between steps are read off the dense output. `None` takes h omega_max = 1/2, with
-      omega_max a bound on the frequencies that the scene can reach at its energy (not only the linear one, which is
-      zero in a sonic vacuum), where a bond gathers at most what four neighbours held at the start. What the run reached
-      is looked at when it has ended (`stats["omega"]`), and where it passed the bound the run is taken again; under a
-      transformation nothing is looked at, and sixteen neighbours count.
-    - `tolerance`: adaptive steps, each with a local error below `tolerance` times the scene's scale of velocity (and
-      that over omega_max for displacements), in the largest norm over sites. With `step` too, no step is longer than
-      that. Above 0.01 the outcome says that it is loose; from 1 on it is refused. The mesh follows the state, not its
-      tangents: for derivatives of a smooth orbit (a monodromy) give `step` alone. Every lane of a batch has steps of
-      its own, as in a call by itself; a fixed `step` is shared by all.
-    - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,
-      the end of every step (of one lattice, or of lanes that share a fixed one).
-    - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps. They
-      take functions `(t, y, lattice)` and measures `(lattice, y, t)`.
-    - `confirm`: run a second time, with steps of half the length (a quarter where contacts opened; or a tolerance 100
-      times smaller), for `run.error`: that of what was saved, of the records, of the energy; and look between steps
-      whether a contact opened. It takes 8 to 25 times as long. The error has no derivative.
-    - `adjoint`: `None` for derivatives in both modes; or diffrax's `ForwardMode`, `DirectAdjoint` or
-      `RecursiveCheckpointAdjoint` (reverse mode alone, cheaper there); or `Reversible()` (reverse mode alone, memory
-      independent of the number of steps, for scenes that integrate back to where they came from).
-    - `progress`: a progress bar. `throw`: raise where the run, or a lane of it, does not complete; `None` does so
-      outside of transformations, and under one makes the numbers of such a run, or lane, NaN. `max_steps`: the most
-      steps of an adaptive or traced run, of each lane.
+    - `lattice`: a `Lattice`, or a batch with lanes last. `state`: a `State(u, v)` or a pair, of
+      shape `lattice.shape` (then lanes), in the floating type of the lattice.
+    - `t1` > `t0`: the end and the start.
+    - `solver`: any solver of granjax or diffrax. `None` chooses SRKN11b at a fixed step, RKN86 with
+      a `tolerance`, and diffrax's Dopri8 where a force other than `Damping` reads the velocity.
+    - `step`: the longest fixed step. It is shortened to divide t1 - t0, and the spacing of the
+      saved times where that is even; states at other times are read off the dense output. `None`
+      takes h omega_max = 1/2, with omega_max a bound on the frequencies that the lattice can reach
+      at its energy (not the linear ones, which are zero in a sonic vacuum). It assumes that a bond
+      gathers at most the energy that four neighbours held at the start; a run that passed the bound
+      (`stats["omega"]`) is repeated with a shorter step. Under a transformation nothing is checked,
+      and sixteen neighbours count.
+    - `tolerance`: adaptive steps, each with a local error below `tolerance` times the velocity
+      scale of the lattice (over omega_max for displacements), in the maximum norm over sites. A
+      `step` given as well is the longest one. The outcome warns of a tolerance above 0.01; from 1
+      on it is refused. Steps follow the state, not its tangents: for derivatives of a smooth orbit
+      (a monodromy) give `step` alone. Each lane of a batch has its own adaptive steps, whereas a
+      fixed `step` is shared.
+    - `save_at`: `None` for the end only; a whole number of frames from t0 to t1; an array of times;
+      or `"steps"` for the end of every step (of one lattice, or of lanes that share a fixed step).
+    - `record`: a dict of `Peak`, `Arrival`, `Integral`, `Lowest`, which reduce a quantity along the
+      run and between steps. They take functions `(t, y, lattice)` and measures `(lattice, y, t)`.
+    - `confirm`: run again with steps of half the length (a quarter where contacts opened; or with a
+      tolerance 100 times smaller). This gives `run.error`, the errors of the saved states, records
+      and energy, and finds contacts that open between steps. It takes 8 to 25 times as long. The
+      error has no derivative.
+    - `adjoint`: `None` for derivatives in both modes; diffrax's `ForwardMode`, `DirectAdjoint` or
+      `RecursiveCheckpointAdjoint` (reverse mode only, cheaper); or `Reversible()` (reverse mode
+      only, memory independent of the number of steps, for motion that can be integrated back to its
+      start).
+    - `progress`: show a progress bar. `throw`: raise if the run, or a lane, does not complete;
+      `None` raises outside of transformations, and inside sets the numbers of that run or lane to
+      NaN. `max_steps`: the most steps of an adaptive or traced run, per lane.
 
-    Under `jax.vmap` lanes are put last, and share the default step of the stiffest, as those of a batch do. What is
-    differentiated keeps its lanes in front, each with its own step.
+    Under `jax.vmap` lanes are moved last and share the default step of the stiffest, as in a batch.
+    A differentiated run keeps its lanes first, each with its own step.
 
-    A derivative is that of the discrete steps. Where a force has a kink (a slope that jumps: a bilinear spring, an
-    exponent 1) it converges with the first power of the step, erratically, and at the default step tens of per cent
-    may be missing, with nothing to be seen: `gx.derivative(function, x, step)` gives its error.
+    A derivative is that of the discrete steps. Where the slope of a force jumps (a bilinear spring,
+    an exponent 1), it converges erratically, with the first power of the step. At the default step
+    it may silently be wrong by tens of per cent; `gx.derivative(function, x, step)` gives its
+    error.
 
-    Where forces read the past (`PlasticContact`, `CaputoDamping`), solvers of their own run the lattice, without
-    `solver`, `record` and `save_at="steps"`: adaptive steps to a tolerance of 1e-11 by default, which carry internal
-    variables, all lanes together, with derivatives in forward mode; or equal steps with the whole history, h omega =
-    1/50 by default. A `RunWithMemory` is what they return.
+    Forces that read the past have their own solvers, without `solver`, `record` and
+    `save_at="steps"`, and return a `RunWithMemory`. `PlasticContact` takes adaptive steps that
+    carry internal variables, shared by all lanes (tolerance 1e-11 by default), with derivatives in
+    forward mode. `CaputoDamping` takes equal steps with the whole history (h omega = 1/50 by
+    default).
 
     **Returns:** `Run`.
 
-    **Raises** ValueError for input that cannot be meant (a sentence says argument, expected, got, remedy);
-    RuntimeError where `throw` and the run does not complete.
+    **Raises** ValueError for invalid input; RuntimeError if `throw` and the run does not complete.
 
     **Example:**
 
@@ -132,7 +140,7 @@ def simulate(
     """
     about = facts(lattice)
 
-    # what is given
+    # Check the arguments.
     state = checked_state(lattice, state)
     t0, t1 = checked_times(t0, t1)
     unknown = about.traced or traced((state, t0, t1, step, tolerance, save_at, record))
@@ -160,19 +168,20 @@ def simulate(
         even = not between or set(np.asarray(save_ts)).issubset((t0, t1))
         refuse_unfit(solver, tolerance, confirm, isinstance(adjoint, Reversible), even)
 
-    # the steps
+    # Choose the steps.
     if tolerance is None:
         steps = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
         refuse_far(lattice, state, t0, t1)
         steps = Steps(step, None, _adaptive(tolerance, step), "", None)
     backwards = adjoint if isinstance(adjoint, Reversible) else None
-    # an adjoint that is asked for by name is asked for its memory, of which looking between steps takes as much again
+    # Looking between steps doubles the memory, and a user who names an adjoint wants to save
+    # memory.
     openings = DENSE if confirm else CUBICS if unknown and adjoint is None else ENDS
     adjoint = _FORWARD if backwards is not None else _adjoint(adjoint, unknown)
     plan = Plan(
         solver,
-        # diffrax raises the state to the type of the times
+        # As the lattice's type, since diffrax promotes the state to the type of the times.
         None if steps.size is None else number(steps.size, about.dtype),
         tolerance,
         None if save_ts is None else jnp.asarray(save_ts, about.dtype),
@@ -191,10 +200,10 @@ def simulate(
         argument = "save_at" if max_steps is None else "max_steps"
         held_frames(argument, plan.max_steps, state, "steps")
 
-    # the run
+    # Integrate.
     begin = lattice, state, number(t0, about.dtype), number(t1, about.dtype)
     try:
-        # a derivative of Reversible is asked for where something is traced
+        # `Reversible` matters only where something is traced, that is, may be differentiated.
         if backwards is not None and (unknown or traced(backwards)):
             found = reversible((lattice, state, backwards), begin[2:], plan)
             wait(found.code)
@@ -218,7 +227,7 @@ def simulate(
     if unknown and throw is None:
         found = without_the_lost(found, about.lanes)
 
-    # what is said of it
+    # Describe the outcome.
     if every and known:
         found = _cut(found)
         plan = plan._replace(save_ts=found.ts)
@@ -230,7 +239,7 @@ def simulate(
         remark = " ".join(filter(None, (remark, hidden, said, met)))
         more["started"] = lattice, state
     if confirm:
-        # lanes of `jax.vmap` may have had a shorter step than their own
+        # Lanes of `jax.vmap` may have taken a shorter step than their own.
         shared = unknown and tolerance is None
         taken = plan._replace(step=found.stats["step"]) if shared else plan
         more["error"] = confirmed(*begin, taken, found, found.completed & (not hidden))
@@ -247,14 +256,12 @@ def simulate(
 
 
 def _adaptive(tolerance, longest):
-    """The choice of adaptive steps, as text."""
     shown = lambda x: "traced" if isinstance(x, jax.core.Tracer) else show(x)
     bound = "" if longest is None else f", none longer than {shown(longest)}"
     return f"adaptive steps, tolerance {shown(tolerance)}{bound}"
 
 
 def _zone(lattice, plan, step, unknown):
-    """From which margin on a contact is known to have stayed closed between the ends of steps."""
     if plan.tolerance is None and step is not None and not unknown:
         if plan.step * linear_bound(lattice) > COARSE:
             return math.inf
@@ -264,7 +271,6 @@ def _zone(lattice, plan, step, unknown):
 
 
 def _adjoint(adjoint, unknown):
-    """The adjoint that is asked for, or the one that serves both modes where something may be differentiated."""
     if adjoint is None:
         return _BOTH_MODES if unknown else _FORWARD
     if not isinstance(adjoint, _ADJOINTS):
@@ -274,25 +280,25 @@ def _adjoint(adjoint, unknown):
 
 
 def _most_steps(adjoint, unknown, every, steps, max_steps):
-    """The most steps: `None` for a loop that may go on, which has no reverse mode."""
+    # `None` is a loop without a bound, which has no reverse mode.
     if max_steps is not None:
         return whole("max_steps", max_steps, 1)
     if isinstance(adjoint, diffrax.ForwardMode) and not every:
         return None
     if steps is None:
         return SAVED_STEPS if every else TRACED_STEPS
-    # what is saved under a transformation keeps its length
+    # Under a transformation the saved array keeps its length.
     if every and unknown:
         return steps
-    # rounded up, so that many scenes compile once: room to save by little, a bound on a loop by more
+    # Rounded up, so that many lattices share one program: a little for the buffer of saved steps,
+    # more for a mere bound on the loop.
     return shared_size(steps) if every else 1 << (steps - 1).bit_length()
 
 
 def _cut(run):
-    """Saved steps without the unused rest of the buffer."""
     used = np.isfinite(np.asarray(run.ts))
     count = int(np.count_nonzero(used))
-    # by NumPy, since for JAX a slice of another length is another program
+    # With NumPy, since JAX compiles a new program for a slice of another length.
     where = lambda x: x.sharding if x.committed else None
     kept = jax.tree.map(
         lambda x: jax.device_put(np.asarray(x)[:count], where(x)), (run.ts, run.us, run.vs)
@@ -301,8 +307,9 @@ def _cut(run):
 
 
 def _located(found, begin, plan):
-    """Where and when a run failed, and where magnets met: again with frames, twice closer."""
-    # of its last piece; of a batch the first lane of which that is so
+    # Runs again with frames, refined twice.
+    # Only the last piece of the run is repeated; of a batch only the first lane with the largest
+    # code.
     lattice, state, *span = begin if found.last is None else (begin[0], *found.last)
     code, sizes = np.asarray(found.code), np.ravel(found.stats["step"])
     if code.ndim:

@@ -1,4 +1,7 @@
-"""The map of a state over a time by a fixed number of steps, with tangents: what orbits and Floquet theory stand on."""
+"""The map of a state over a time by a fixed number of steps, with its tangents.
+
+Periodic orbits and Floquet theory use it.
+"""
 
 from numbers import Number
 from typing import Any
@@ -20,20 +23,23 @@ from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .control import OneSided, breaks_of, shared_out
 from .method import refuse_unresolved
 
-# numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
+# The most numbers in a vector register: rows of tangents that are a multiple of it are up to 1.2
+# times faster.
 VECTOR = 8
 
 
 class Flow(eqx.Module):
     r"""The flow phi(y; t0, t1, args) of y' = f(t, y, args), by a fixed number of equal steps.
 
-    Mesh and method do not depend on the state, so that its derivative is that of a smooth map; a symplectic solver
-    gives a symplectic one. Tangents travel beside the state in a trailing axis, D phi times many vectors at once.
+    Steps and method do not depend on the state, so the derivative is that of a smooth map; with a
+    symplectic solver the map is symplectic. Tangents are carried beside the state in a trailing
+    axis: D phi times many vectors at once.
 
-    **Arguments:** `steps`: how many from t0 to t1; a whole number, or an array, whose value compiles nothing anew but
-    has no reverse mode. `solver`: any of granjax's or diffrax's, used at a fixed step. `field`: f(t, y, args), by
-    default that of a lattice, with the lattice as `args` and `State(u, v)` as y. Where its forces jump in time, at
-    `Breaks`, the steps are shared out to the stretches between.
+    **Arguments:** `steps`: the number from t0 to t1; a whole number, or an array, whose value
+    compiles nothing anew but has no reverse mode. `solver`: any of granjax or diffrax, used at a
+    fixed step. `field`: f(t, y, args), by default that of a lattice, with the lattice as `args` and
+    `State(u, v)` as y. Where its forces jump in time, at `Breaks`, the stretches between share the
+    steps.
 
     **Example:**
 
@@ -53,12 +59,12 @@ class Flow(eqx.Module):
             check_steps(self.steps)
 
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
-        """The state at t1 of what is `y` at t0; of a lattice's shape, where that is what moves."""
+        """Return the state at t1 from `y` at t0, of the lattice's shape where a lattice moves."""
         check_moved("y", y, self, args)
         return _run(self.solver, self.field, self.steps, y, t0, t1, args)
 
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
-        """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
+        """Return (phi(y), D phi(y) tangents); `tangents` is like `y` with a trailing axis."""
         check_moved("y", y, self, args)
         shapes, own = ([np.shape(x) for x in jax.tree.leaves(tree)] for tree in (tangents, y))
         if len(shapes) != len(own) or any(x[:-1] != a or x == a for x, a in zip(shapes, own)):
@@ -76,7 +82,7 @@ class Flow(eqx.Module):
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
     def derivative(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
-        """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
+        """Return (phi(y), D phi(y)), with the derivative as a matrix over the raveled state."""
         flat, unravel = ravel_pytree(_floating(y))
         if jnp.iscomplexobj(flat):
             refuse(
@@ -91,7 +97,7 @@ class Flow(eqx.Module):
 
 
 def check_steps(steps: Count | Counts) -> None:
-    """Refuse anything but a number of steps, where it is known."""
+    """Refuse a known value that is not a number of steps."""
     if not traced(steps):
         whole("steps", np.asarray(steps)[()], 1)
 
@@ -99,7 +105,7 @@ def check_steps(steps: Count | Counts) -> None:
 def check_moved(
     argument: str, y: Any, flow: Flow, args: Any, whose: str = "the lattice args"
 ) -> None:
-    """Refuse, as this argument, anything but a state of the lattice `args`, where a lattice moves."""
+    """Refuse a `y` that is not a state of the lattice `args`, where a lattice moves."""
     if flow.field is not vector_field:
         if isinstance(flow.solver, (AbstractSplitting, AbstractNystrom)) and not _is_pair(y):
             refuse(
@@ -114,25 +120,26 @@ def check_moved(
 
 
 def matrix(tangents: Pytree) -> Numbers:
-    """Tangents as the columns of a matrix, rows raveled as a state is."""
+    """Return tangents as the columns of a matrix, with rows raveled as a state is."""
     return jnp.concatenate([x.reshape(-1, x.shape[-1]) for x in jax.tree.leaves(tangents)])
 
 
 def columns(like: Pytree, vectors: Numbers) -> Pytree:
-    """Inverse of `matrix`: columns (n, m) as tangents of a state."""
+    """Return columns (n, m) as tangents of a state, the inverse of `matrix`."""
     _, unravel = ravel_pytree(like)
     return jax.vmap(unravel, in_axes=-1, out_axes=-1)(vectors)
 
 
 def _run(solver, field, steps, y, t0, t1, args, tangents=None):
-    """`_marched` as a part of the program that is traced; elsewhere as one of its own, which is compiled once."""
+    # `_marched` within a program that is being traced; else a program of its own, compiled once.
     y = _floating(y)
     if not traced((steps, t0, t1)):
         refuse_unresolved(t0, t1, float(np.min(abs(t1 - t0) / np.asarray(steps))), _of_times(y))
     arguments = solver, field, steps, y, t0, t1, args, tangents
     fixed = solver, field, args
     if not traced((steps, y, t0, t1, args, tangents)) and all(map(_stays, jax.tree.leaves(fixed))):
-        # plain numbers are inputs of what is compiled, not a part of it
+        # Plain numbers become inputs of the compiled program, so that other numbers do not compile
+        # anew.
         t0, t1, numbers = jax.tree.map(
             lambda x: jnp.asarray(x) if _is_number(x) else x, (t0, t1, args)
         )
@@ -141,23 +148,24 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
             return _by_itself(solver, field, steps, y, t0, t1, numbers, tangents)
         except (
             TypeError
-        ):  # arguments without a hash, or a field that needs the value of a number: `range(args)`
+        ):  # Arguments without a hash, or a field that needs the value of a number: `range(args)`.
             pass
     return _marched(*arguments)
 
 
 def _floating(y):
-    """A state as arrays, whole numbers as floating ones: a step is no whole number."""
+    # Whole numbers become floating ones, as steps are not whole numbers.
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x, float)), y)
 
 
 def _of_times(y):
-    """The floating type of times, which are real where a state is complex."""
+    """Return the floating type of times, which are real where a state is complex."""
     return jnp.finfo(jnp.result_type(*jax.tree.leaves(y))).dtype
 
 
 def _stays(leaf):
-    """Whether a program may keep it, or take it as an input: any other object may change and be the same to JAX."""
+    # Whether a program may keep the object, or take it as an input: any other object may change
+    # while JAX takes it for the same.
     return (
         leaf is None
         or isinstance(leaf, (jax.Array, np.ndarray, np.generic, Number, str))
@@ -185,10 +193,10 @@ def _by_itself(solver, field, steps, y, t0, t1, args, tangents):
 
 
 def _march(solver, field, steps, y, t0, t1, args, breaks):
-    """The state after equal steps, or after as many that end at breaks: time runs forwards in `t * sign`."""
+    # Equal steps, or as many that end at breaks. Time runs forwards in `t * sign`.
     terms, flat = diffrax.ODETerm(field), _of_times(y)
     if getattr(solver, "scan_kind", "own") is None:
-        # diffrax's loop over stages, in the kind with both modes
+        # The kind of diffrax's loop over stages that has both derivative modes.
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
     solver = OneSided(solver) if breaks else solver
     t0, t1, h = (jnp.asarray(x, flat) for x in (t0, t1, (t1 - t0) / steps))
@@ -200,7 +208,7 @@ def _march(solver, field, steps, y, t0, t1, args, breaks):
             left = (steps - i).astype(flat)
             end = shared_out(breaks, t * sign, left, t1 * sign, sign).astype(flat) * sign
         else:
-            # lengths that are rounded alike would add up
+            # Adding h each time would accumulate its rounding.
             end = t0 + (i + 1) * h
         y, _, _, state, _ = solver.step(terms, t, end, y, args, state, False)
         return y, end, state
@@ -214,7 +222,8 @@ def _is_pair(y):
 
 
 def _join(y, tangents):
-    """Positions with theirs, velocities with theirs, so that methods for (u, v) apply; any other state as it is."""
+    # Tangents join positions and velocities, so that methods for (u, v) apply. Other states stay as
+    # they are.
     return ((y[0], tangents[0]), (y[1], tangents[1])) if _is_pair(y) else (y, tangents)
 
 
@@ -227,7 +236,7 @@ def _part(like, ends):
 
 
 def _variational(field, like):
-    """The variational equation of a field: its own, or by `jax.jvp`."""
+    # The field's own variational equation, or one by `jax.jvp`.
     own = getattr(field, "variational", None)
     if own is not None:
         return own

@@ -1,13 +1,14 @@
-"""A bound on the highest frequency that a scene can reach at its energy, which sets the default step.
+"""A bound on the highest frequency at the energy of a lattice, which sets the default step.
 
-A bond gathers at most the energy that its neighbourhood holds at the start: no bond is compressed further than where
-its own energy is that. The largest stiffness k_b = F'(x) within that range makes a matrix |K| = sum |B|^T k |B| with no
-sign left in it, and for every positive w
+A bond gathers at most the energy that its neighbourhood holds at the start, which limits its
+compression. The largest stiffness k_b = F'(x) in that range makes a matrix |K| = sum |B|^T k |B|
+without signs, and for every positive w
 
     omega_max^2 <= max_i (M^-1 |K| w)_i / w_i                                   (Collatz, Wielandt),
 
-exact for chains of next neighbours once w is the leading vector; a few power steps bring it close. Terms that know no
-such matrix add their largest eigenvalue. The neighbourhood is a rule of thumb: a run is looked at when it has ended.
+exact for chains of next neighbours if w is the leading vector; a few power steps come close. Terms
+without such a matrix add their largest eigenvalue. The neighbourhood is a rule of thumb, which is
+checked at the end of the run.
 """
 
 import inspect
@@ -28,14 +29,16 @@ from ..terms.energies import site_energy
 from ..terms.reach import per_lane, reads
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
 
-# of power iteration; few are enough for a look, which a tenth too much does not mislead
+# Steps of power iteration. A check after a run needs few, since an error of a tenth does not
+# mislead it.
 POWER_STEPS, FEW_STEPS = 40, 12
 SAMPLES = 257
-# lengths of a bond from which energy may gather in one
+# The neighbourhood, in lengths of a bond, from which energy may gather in a bond.
 NEIGHBOURHOOD = 16
-# of speeds, over the largest one, that count as none
+# Speeds below this part of the largest count as zero.
 ROUNDING = 1e-12
-# where contacts open all over a lattice, the order of every method is 5/2: shorter steps
+# Where contacts open all over a lattice, every method has order 5/2, so the steps are shorter by
+# this factor.
 OPENING = 2.0
 
 
@@ -47,7 +50,10 @@ def gathered_frequency(
     t1: Scalar,
     neighbourhood: Any = NEIGHBOURHOOD,
 ) -> Numbers:
-    """(`frequency_bound`, whether a run might pass it), (2,): not where the neighbourhood holds all energy there is."""
+    """Return (`frequency_bound`, whether a run may pass it), (2,).
+
+    A run cannot pass it if the neighbourhood holds all energy.
+    """
     ts = _times(lattice, t0, t1)
     force, displacement, speed = largest_excitation(lattice, ts)
     heaviest = jnp.max(jnp.stack([jnp.max(m) for m in jax.tree.leaves(lattice.mass)]))
@@ -72,7 +78,7 @@ def gathered_frequency(
         if c.place != "site"
     ]
     if contacts:
-        # for a cheap scene the search takes longer than all else
+        # Conditional, as for a cheap lattice the search takes longer than all else.
         opens = jax.lax.cond(
             spread,
             lambda: jnp.any(jnp.stack([both.opens(law) for law in contacts])),
@@ -83,7 +89,7 @@ def gathered_frequency(
 
 
 def largest_excitation(lattice: Lattice, ts: Times) -> Excitation:
-    """The largest of what drives and walls do at some times."""
+    """Return the largest excitation by drives and walls at some times."""
     zero = jnp.zeros((), lattice.dtype)
     driven = [term.excitation(lattice, ts) for term in lattice.terms]
     return reduce(partial(jax.tree.map, jnp.maximum), driven, Excitation(zero, zero, zero))
@@ -91,9 +97,9 @@ def largest_excitation(lattice: Lattice, ts: Times) -> Excitation:
 
 @compiled
 def linear_frequency(lattice: Lattice, power_steps: Count = POWER_STEPS) -> Number:
-    """The same bound for infinitesimal motion about equilibrium: zero in a sonic vacuum.
+    """Return the bound for infinitesimal motion about equilibrium: zero in a sonic vacuum.
 
-    `power_steps`: how close; none gives a bound all the same.
+    `power_steps`: more steps give a sharper bound; zero steps still give a bound.
     """
     zero = jnp.zeros((), lattice.dtype)
     none = jnp.zeros((2, *lattice.lanes), lattice.dtype)
@@ -102,7 +108,7 @@ def linear_frequency(lattice: Lattice, power_steps: Count = POWER_STEPS) -> Numb
 
 
 def compressions(lattice: Lattice, t: Number, u: Displacements) -> tuple:
-    """The compressions of every term's laws, a tuple of arrays for each term; its energy where it has no laws."""
+    """Return the compressions of the laws of each term, or the energy of a term without laws."""
     found = []
     for term in lattice.terms:
         own = tuple(c.compression for c in term.compressions(t, u))
@@ -118,7 +124,7 @@ def compressions(lattice: Lattice, t: Number, u: Displacements) -> tuple:
 def reached_frequency(
     lattice: Lattice, low: Any, high: Any, t0: Scalar, t1: Scalar, u: Displacements
 ) -> Number:
-    """The bound at the least and largest `compressions` that a run has seen."""
+    """Return the bound at the least and largest `compressions` of a run."""
     ts = _times(lattice, t0, t1)
     none, reaches = jnp.zeros(lattice.lanes, lattice.dtype), []
     for term, *ends in zip(lattice.terms, low, high):
@@ -129,7 +135,7 @@ def reached_frequency(
 
 
 def _times(lattice, t0, t1):
-    """Times from t0 to t1, unevenly spaced, so that no period of a drive hides between them."""
+    # Times from t0 to t1, unevenly spaced, so that no period of a drive hides between them.
     i = np.arange(SAMPLES)
     places = np.clip(
         i + np.where(i % (SAMPLES - 1) == 0, 0, (0.6180339887498949 * i) % 1 - 0.5), 0, SAMPLES - 1
@@ -145,17 +151,17 @@ def _sites(lattice):
 
 
 def _sides(lattice, state, ts):
-    """Whether bonds may be extended, and pressed together, by more than they hold at the start; `None` for all others.
-
-    Where all bonds of a chain open, or all close, they go on so until the waves come back from a free end: a shock
-    presses together, a rarefaction extends. A rule of thumb, which the look at the end of a run corrects.
-    """
+    # Whether bonds may be extended, and compressed, by more than their energy at the start allows;
+    # `None` for lattices other than plain chains.
+    # Where all bonds of a chain extend, or all compress, they go on until waves return from a free
+    # end: a shock compresses, a rarefaction extends. This rule of thumb is corrected by the check
+    # at the end of a run.
     plain = lattice.fields is None and lattice.axes == 1 and lattice.dimension is None
     if not plain or any(
         span(term) is None or max(span(term), default=0) > 1 for term in lattice.terms
     ):
         return None
-    # between two walls and in a ring what extends one bond presses others together
+    # Between two walls and in a ring, extension of one bond compresses others.
     ring = any(
         found is not None and found[1] == "periodic"
         for found in map(next_neighbours, lattice.terms)
@@ -172,7 +178,8 @@ def _sides(lattice, state, ts):
             if found.displacement or found.time:
                 return None
             continue
-        # a site that is tied down swings back at once, and where stiffness changes in time energy does
+        # A site on a spring of its own swings back at once; a stiffness that changes in time brings
+        # energy back at once.
         if any(c.place == "site" for c in contacts) or len(_energy_times(term, lattice, ts)) > 1:
             return None
 
@@ -192,7 +199,7 @@ def _sides(lattice, state, ts):
 
 
 def _way(lattice, v, size):
-    """Sites from where a chain moves to the nearest free end of it."""
+    # The number of sites between the moving part of a chain and its nearest free end.
     count, held = v.shape[0], {side for term in lattice.terms for side in walls(term)}
     ways = [jnp.asarray(count)]
     for side, x in (("left", v), ("right", v[::-1])):
@@ -204,7 +211,8 @@ def _way(lattice, v, size):
 
 
 def _gathered(lattice, state, ts, neighbourhood):
-    """The most energy that a neighbourhood holds at the start, what the whole holds, and the first without speeds."""
+    # The most energy of a neighbourhood at the start, the energy of the whole lattice, and the
+    # first without kinetic energy.
     u, v = state
     spans = [span(term) for term in lattice.terms]
     one_shape = lattice.fields is None or len(set(lattice.sites.values())) == 1
@@ -246,20 +254,20 @@ def _gathered(lattice, state, ts, neighbourhood):
 
 
 def _energy_times(term, lattice, ts):
-    """The times at which the energy of the initial state is looked at: all where the stiffness changes."""
-    # a wall that moves is looked at where it begins
+    # The times at which the energy of the initial state is evaluated: all, if the stiffness changes
+    # in time. A moving wall counts at its initial position.
     moves = isinstance(within(term), Wall) and within(term).motion is not None
     return ts if reads(term, lattice).time and not moves else ts[:1]
 
 
 def _window(x, axis, width):
-    """Sums over `width` neighbours along an axis, as if it were a ring."""
+    # Sums over `width` neighbours along an axis, as if it were a ring.
     size = x.shape[axis]
     if width >= size:
         return x.sum(axis, keepdims=True)
     x = jnp.concatenate([x, jax.lax.slice_in_dim(x, 0, width - 1, axis=axis)], axis)
     shape = tuple(width if i == axis else 1 for i in range(x.ndim))
-    # NumPy's zero: one of JAX's is traced within a program, and the sum is then one without derivatives
+    # A zero of JAX would be traced within a program, and the sum would then have no derivatives.
     return jax.lax.reduce_window(
         x, np.zeros((), x.dtype), jax.lax.add, shape, (1,) * x.ndim, "VALID"
     )
@@ -271,7 +279,7 @@ def _bound(lattice, reaches, power_steps=POWER_STEPS):
     numbers = [x for x in found if not inspect.isroutine(x)]
     mass, site = lattice.mass, lattice.zeros()
     if lattice.dimension is not None:
-        # of components with masses of their own the least
+        # If components have their own masses, the least counts.
         mass = jax.tree.map(
             lambda m: jnp.min(m, lattice.axes) if m.ndim > lattice.axes else m, mass
         )
@@ -302,18 +310,18 @@ def _add(total, part):
 
 
 def chosen(x: Any) -> Any:
-    """The value where differentiation alone stands in the way: a step is a choice, not a function of the scene."""
+    """Return the value without derivatives: a step is a choice, not a function of the lattice."""
     return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
 
 
 @once
 def softens(lattice: Lattice) -> bool:
-    """Whether a re-opening contact of the lattice is infinitely stiff, so that no step bound exists there."""
+    """Return whether re-opening contacts are infinitely stiff, so that no step bound exists."""
     found = []
 
     def look(t, u):
         found.extend(c.law.softens for term in lattice.terms for c in term.compressions(t, u))
 
-    # traced, so that nothing is computed for what the laws know
+    # Traced, so that nothing is computed.
     jax.eval_shape(look, jax.ShapeDtypeStruct((), lattice.dtype), lattice.template())
     return any(found)

@@ -1,4 +1,7 @@
-"""Tops and crossings within one step, on the polynomial through samples of a quantity at Gauss-Lobatto's places."""
+"""Maxima ("tops") and crossings of a quantity within one step.
+
+They are those of the polynomial through samples at the Gauss-Lobatto points.
+"""
 
 from functools import cache
 from typing import NamedTuple
@@ -12,18 +15,19 @@ from ..types import Count, Flags, Number, Numbers, Parameter
 NEWTON_STEPS = 2
 ROOT_STEPS = 60
 HALVINGS = 6
-# the last two of a polynomial's coefficients, times this, are what it does not resolve
+# The polynomial does not resolve its last two coefficients times this.
 UNRESOLVED = 4
-# Newton's last step, in half steps of time, beyond which it has not come to a top
+# Newton's method has not converged to a top if its last move is longer than this, in half time
+# steps.
 ARRIVED = 1e-3
-# how far a parabola may be below the top, over the span of the samples
+# A parabola may be below the top by this part of the span of the samples.
 MARGIN = 0.1
-# how far beyond its own half of the way to its neighbours a sample looks for a top
+# A sample looks for a top up to this factor beyond half of the way to its neighbours.
 SLACK = 1.5
 
 
 class Lobatto(NamedTuple):
-    """Places x in [-1, 1], ends included, weights of a mean, and the matrix from values to Chebyshev's coefficients."""
+    """Points x in [-1, 1], weights of a mean, and the matrix to Chebyshev coefficients."""
 
     x: np.ndarray
     weights: np.ndarray
@@ -32,7 +36,7 @@ class Lobatto(NamedTuple):
 
 @cache
 def lobatto(count: int) -> Lobatto:
-    """Gauss and Lobatto's rule, whose mean is that of every polynomial of degree 2 count - 3."""
+    """Return the Gauss-Lobatto rule, whose mean is exact for polynomials of degree 2 count - 3."""
     basis = np.polynomial.legendre.Legendre.basis(count - 1)
     x = np.concatenate([[-1.0], np.sort(basis.deriv().roots().real), [1.0]])
     x = (x - x[::-1]) / 2
@@ -41,27 +45,27 @@ def lobatto(count: int) -> Lobatto:
 
 
 def places(q: Numbers) -> Numbers:
-    """Where the samples along the first axis are taken, in [-1, 1], of a shape that broadcasts with them."""
+    """Return the points in [-1, 1] of the samples, in a shape that broadcasts with them."""
     return jnp.asarray(lobatto(len(q)).x, q.dtype).reshape((-1,) + (1,) * (q.ndim - 1))
 
 
 def mean(q: Numbers) -> Numbers:
-    """The mean over a step of what is sampled along the first axis."""
+    """Return the mean over a step of samples along the first axis."""
     return _weighted(lobatto(len(q)).weights, q)
 
 
 def series(q: Numbers) -> list[Numbers]:
-    """Chebyshev's coefficients of the polynomial through samples along the first axis."""
+    """Return the Chebyshev coefficients of the polynomial through samples along the first axis."""
     return [_weighted(row, q) for row in lobatto(len(q)).coefficients]
 
 
 def _weighted(weights, q):
-    # written out, which XLA makes one pass of, where a product of matrices is a call
+    # Written out, so that XLA makes one pass; a matrix product would be a call.
     return sum(w * x for w, x in zip(weights.tolist(), q))
 
 
 def value(c: list[Numbers], x: Numbers) -> Numbers:
-    """A Chebyshev series at x in [-1, 1], by Clenshaw's sum."""
+    """Return a Chebyshev series at x in [-1, 1], by Clenshaw's algorithm."""
     one = two = jnp.zeros_like(x)
     for later in c[:0:-1]:
         one, two = later + 2 * x * one - two, one
@@ -69,7 +73,7 @@ def value(c: list[Numbers], x: Numbers) -> Numbers:
 
 
 def slope(c: list[Numbers]) -> list[Numbers]:
-    """The coefficients of a Chebyshev series' derivative."""
+    """Return the coefficients of the derivative of a Chebyshev series."""
     out = [jnp.zeros_like(c[0])] * (len(c) + 1)
     for k in range(len(c) - 1, 0, -1):
         out[k - 1] = out[k + 1] + 2 * k * c[k]
@@ -77,33 +81,33 @@ def slope(c: list[Numbers]) -> list[Numbers]:
 
 
 def span(q: Numbers) -> Numbers:
-    """Largest less smallest sample."""
+    """Return the largest sample minus the smallest."""
     return q.max(0) - q.min(0)
 
 
 class Guess(NamedTuple):
-    """Where a top may lie within a step, and how high it may be: -inf where there is none."""
+    """The estimated place and height of a top within a step; the height is -inf without a top."""
 
     place: Numbers
     height: Numbers
 
 
 def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
-    """The highest tops of the parabolas through three samples.
+    """Return the highest tops of the parabolas through three samples.
 
-    **Arguments:** `q`: samples along the first axis, elementwise. `count`: how many tops at most. `until`: the last
-    place that counts.
+    **Arguments:** `q`: samples along the first axis, elementwise. `count`: the most tops. `until`:
+    the last place that counts.
     """
     q, x = jax.lax.stop_gradient(q), lobatto(len(q)).x.tolist()
     found = [Guess(jnp.zeros_like(q[0]), jnp.full_like(q[0], -jnp.inf))] * count
-    # one by one, which XLA makes one pass of
+    # One by one, of which XLA makes one pass.
     for j in range(1, len(x) - 1):
         left, right = x[j] - x[j - 1], x[j + 1] - x[j]
         before, after = (q[j] - q[j - 1]) * (1 / left), (q[j + 1] - q[j]) * (1 / right)
         bend = (after - before) * (2 / (left + right))
         rise = (before * right + after * left) * (1 / (left + right))
         move = -rise / jnp.where(bend < 0, bend, -jnp.inf)
-        # the outermost look as far as the ends
+        # The outermost samples look as far as the ends.
         nearest = -left if j == 1 else -SLACK * left / 2
         furthest = right if j == len(x) - 2 else SLACK * right / 2
         there = (bend < 0) & (move >= nearest) & (move <= furthest) & (x[j] + move <= until)
@@ -116,16 +120,17 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
 
 
 def higher(q: Numbers, guesses: list[Guess], than: Number) -> Flags:
-    """Whether a top that is guessed may be higher than something."""
+    """Return whether a guessed top may be higher than a value."""
     return guesses[0].height + MARGIN * span(jax.lax.stop_gradient(q)) > than
 
 
 def tops(q: Numbers, guesses: list[Guess]) -> list[Guess]:
-    """The tops that are guessed, as they are; the height of the first sample where none is.
+    """Return the guessed tops on the polynomial; without a top the height is the first sample.
 
-    Newton's method on the polynomial through all samples. A top above all samples by less than what the polynomial
-    does not resolve is none, but a kink or a jump. The heights' derivatives are the quantity's own, to second order.
+    The heights have the quantity's derivatives, to second order.
     """
+    # Newton's method refines each guess. A top that exceeds all samples by less than the polynomial
+    # resolves is a kink or a jump, and does not count.
     c = series(q)
     moving = slope(c)
     still, first = jax.lax.stop_gradient((c, moving))
@@ -139,7 +144,8 @@ def tops(q: Numbers, guesses: list[Guess]) -> list[Guess]:
         rise, height = value(moving, x), value(c, x)
         left = rise / jnp.where(bend < 0, bend, -jnp.inf)
         there = (guessed > -jnp.inf) & (bend < 0) & (jnp.abs(left) < ARRIVED) & (height >= least)
-        # zero in value and in slope; it brings the moving place of the top into the second derivative
+        # The correction has zero value and slope. It brings the moving place of the top into the
+        # second derivative.
         found.append(Guess(x, jnp.where(there, height - rise * left / 2, q[0])))
     return found
 
@@ -147,7 +153,10 @@ def tops(q: Numbers, guesses: list[Guess]) -> list[Guess]:
 def crossing(
     c: list[Numbers], threshold: Parameter, low: Numbers, high: Numbers, there: Flags
 ) -> Numbers:
-    """Where a series rises through a threshold between two places, at which it is below and not below it."""
+    """Return where a series rises through a threshold between `low` and `high`.
+
+    It is below the threshold at `low`, and not below it at `high`.
+    """
     moving = slope(c)
     still, first, low, high = jax.lax.stop_gradient((c, moving, low, high))
 
@@ -160,7 +169,7 @@ def crossing(
         return jnp.where(good, new, (low + high) / 2), low, high
 
     x, _, _ = jax.lax.fori_loop(0, ROOT_STEPS, closer, ((low + high) / 2, low, high))
-    # two steps more from a fixed place carry the first and the second derivative
+    # Two more steps from a fixed place carry the first and second derivatives.
     for _ in range(2):
         rise = value(moving, x)
         x = x - jnp.where(

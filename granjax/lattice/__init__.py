@@ -1,4 +1,4 @@
-"""The lattice, its equation of motion, and its split form."""
+"""The lattice, its equation of motion and its split form."""
 
 from .blocks import in_blocks
 from .linearised import linearised

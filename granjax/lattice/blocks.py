@@ -1,8 +1,8 @@
-"""Long chains: all stages of a step on one block of sites after the other, so that a block stays in the cache.
+"""Long chains: all stages of a step on one block of sites after another, in the cache.
 
-At stage j the window of a block has moved j sites to the left. What it needs from its left neighbour has then been
-through as many stages, and what its right neighbour has not touched yet stands still behind it: nothing is computed
-twice, and the arrays are passed through once a step.
+At stage j the window of a block has moved j sites to the left. The sites that it reads on its left
+have been through as many stages, and those on its right are still untouched. So nothing is computed
+twice, and the arrays are passed through once per step.
 """
 
 from functools import partial
@@ -29,16 +29,17 @@ from .split import (
     vector_field,
 )
 
-# sites in a block, and in a chain that is worth the arrays around it
+# Sites of a block, and of a chain for which blocks pay off.
 BLOCK, LONG = 512, 100_000
 
 
 class BlockSplit(Split):
-    """A long chain of one bond to the next site, with walls, free ends or as a ring: w = (u, v), no force is kept.
+    """A long chain with one bond to the next site, with walls, free ends or as a ring: w = (u, v).
 
-    `stages` is the same chain by stages, which derivatives take; `boundary` that of the bonds. The arrays have a margin
-    on either side, in which sites stay at rest; a ring has its other end there, since what is wrong at the end of a
-    margin comes in by one site a stage.
+    No force is kept. `stages` is the same chain by stages, which derivatives use; `boundary` is
+    that of the bonds. The arrays have a margin on both sides, whose sites stay at rest. For a ring
+    the margin holds the other end; errors at the end of a margin move inwards by one site per
+    stage.
     """
 
     stages: ChainSplit | PlainSplit | SpringSplit
@@ -79,7 +80,7 @@ def _composed_jvp(rest, table, primals, tangents):
 
 
 class _Chain(eqx.Module):
-    """What a window reads of the chain, from arrays with a margin of `margin` sites in front and room behind.
+    """The arrays of a chain, with `margin` sites in front and room behind.
 
     A bond has the index of the site on its right.
     """
@@ -115,7 +116,8 @@ class _Chain(eqx.Module):
         return jnp.where(self.inside(first, 1, self.sites), force, 0) if self.open_ends else force
 
     def kick(self, near, first, at, bh):
-        """Kicks of the sites from place `at` on of what is near, itself at `first` of the chain."""
+        # Kicks sites from place `at` on of the window `near`, which begins at site `first` of the
+        # chain.
         u, v, f = near
         pull = dynamic_slice(f, (at,), (BLOCK,)) - dynamic_slice(f, (at + 1,), (BLOCK,))
         moved = dynamic_slice(v, (at,), (BLOCK,)) + bh * self.mobility(first + at) * pull
@@ -132,7 +134,7 @@ class _Chain(eqx.Module):
         return u, v, f
 
     def push(self, near, first, at):
-        """The forces of the bonds on the left of the sites from place `at` on."""
+        # The forces of the bonds on the left of the sites from place `at` on.
         u, v, f = near
         left, right = (dynamic_slice(u, (at - shift,), (BLOCK,)) for shift in (1, 0))
         return u, v, dynamic_update_slice(f, self.force(first + at, left, right), (at,))
@@ -161,8 +163,7 @@ def _in_blocks(system, table, w, h):
         return u, v, tuple(dynamic_update_slice(x, x[BLOCK:], (0,)) for x in near)
 
     def through(near, first):
-        """All stages: what is near has its first site at `first` of the chain."""
-
+        # All stages on a window that begins at site `first` of the chain.
         def stage(j, near):
             near = chain.push(chain.drift(near, first, margin - j, ah[j]), first, margin - j)
             return chain.kick(near, first, margin - j - 1, bh[j + 1])
@@ -183,7 +184,7 @@ def _in_blocks(system, table, w, h):
 
 
 def _entered(chain, near, u, v, first):
-    """A further block of the chain behind what is near, with the forces that opened the step."""
+    # Adds the next block of the chain behind the window, with the forces at the start of the step.
     at = chain.margin
     fresh = dynamic_slice(u, (first + at,), (BLOCK + 1,))
     force = chain.force(first + at + 1, fresh[:-1], fresh[1:])
@@ -195,7 +196,6 @@ def _entered(chain, near, u, v, first):
 
 
 def _prepared(system, u, around, sites, margin, behind):
-    """The `_Chain` of a system."""
     lattice, first = system.stages.lattice, 0 if system.boundary == "fixed" else 1
     bonds = _bonds(u.shape[0], system.boundary)
 
@@ -223,7 +223,7 @@ def _prepared(system, u, around, sites, margin, behind):
 
 
 def in_blocks(lattice: Lattice, y: StateLike) -> BlockSplit | None:
-    """The split system of a long chain; `None` for other lattices than a long chain of one bond to the next site."""
+    """Return the split system of a long chain with one bond to the next site; else `None`."""
     shape = () if lattice.fields else np.shape(y[0])
     if lattice.lanes or len(shape) != 1 or shape[0] < LONG or not blocks_win():
         return None
@@ -231,7 +231,7 @@ def in_blocks(lattice: Lattice, y: StateLike) -> BlockSplit | None:
     if found is None:
         return None
     law, boundary = found
-    # a window takes what a law holds for its bonds; a table of a law's own belongs to all of them
+    # A window takes the parameters of its bonds; a table of the law belongs to all bonds.
     shapes = {np.shape(x) for x in jax.tree.leaves(law) if eqx.is_array(x)}
     own = shapes - {(), (1,), (_bonds(shape[0], boundary),)}
     return None if own else BlockSplit(split_system(lattice), law, boundary)

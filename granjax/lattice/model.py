@@ -1,4 +1,4 @@
-"""The lattice: masses and terms, and the equation of motion that they make."""
+"""The lattice: masses, terms, and their equation of motion."""
 
 import math
 from collections.abc import Sequence
@@ -41,25 +41,26 @@ class Lattice(eqx.Module):
 
     **Arguments:**
 
-    - `mass`: m > 0 [kg], one per site, an array (N,) or (N1, N2) on a grid; or a number together with `sites`; or a
-      dict of those, one per named field of a cell (`{"bead": ..., "resonator": ...}`). `lattice.mass` is what was
-      given: a number stays one number, of shape (), which is quicker, and has no entry [0];
-      `gx.lattice.spread_mass(lattice)` has the mass of every site, as an array of `lattice.shape`.
-    - `terms`: a tuple of `Bond`, `OnSite`, `Damping`, `Dashpot`, `ViscousContact`, `Drag`, `Drive`, `Wall`,
-      `Modulated`.
-    - `sites`: number of sites (a tuple on a grid), where `mass` is a number.
-    - `dimension`: `None` for scalar displacements, 2 or 3 for vectors, in a trailing axis of `u`; a mass may have that
-      axis too, one per component, as beads have that turn.
-    - `positions` [m]: places of the sites at rest, (N, d) or (N1, N2, d), or a dict of such: where pictures draw them;
-      `None` for a chain. No force reads them.
-    - `units`: what the numbers are counted in, `"SI"`, or `"scaled"` for units of their own. Pictures and files of
-      whatever is computed from it say so; nothing is converted. `gx.scenes.beads` is in SI.
+    - `mass`: m > 0 [kg], one per site, an array (N,), or (N1, N2) on a grid; or one number together
+      with `sites`; or a dict of those, one per named field of a cell, such as
+      `{"bead": m, "resonator": M}`. `lattice.mass` keeps one number as it is, of shape (), which is
+      faster; `gx.lattice.spread_mass(lattice)` returns the mass of every site.
+    - `terms`: a tuple of `Bond`, `OnSite`, `Damping`, `Dashpot`, `ViscousContact`, `Drag`, `Drive`,
+      `Wall`, `Modulated`.
+    - `sites`: the number of sites (a tuple on a grid), if `mass` is one number.
+    - `dimension`: `None` for scalar displacements; 2 or 3 for vectors, in a trailing axis of `u`. A
+      mass may have that axis too, one per component, as for beads that rotate.
+    - `positions` [m]: the places of the sites at rest, (N, d) or (N1, N2, d), or a dict of those,
+      for pictures; `None` for a chain. Forces do not use them.
+    - `units`: `"SI"`, or `"scaled"` for other units. Pictures and files show it; nothing is
+      converted. `gx.scenes.beads` is in SI.
 
-    Displacements `u` have the shape `lattice.shape`: (N,), (N1, N2, d), or a dict of such. A batch of lattices is
-    `jax.vmap(make, out_axes=-1)(parameters)`; its lanes are trailing axes of everything.
+    Displacements `u` have the shape `lattice.shape`: (N,), (N1, N2, d), or a dict of those. A batch
+    of lattices is `jax.vmap(make, out_axes=-1)(parameters)`; its lanes are trailing axes of
+    everything.
 
-    **Raises** ValueError for a mass that is not positive and finite, fewer than two sites, a term that is none, or
-    parameters that do not fit the number of bonds or sites, naming the term.
+    **Raises** ValueError for a mass that is not positive and finite, fewer than two sites, a term
+    of another type, or parameters that do not fit the number of bonds or sites, naming the term.
 
     **Example:**
 
@@ -69,7 +70,7 @@ class Lattice(eqx.Module):
     ((20,), False)
     """
 
-    # it never changes, so that `programs.parted` takes it apart once
+    # A lattice never changes, so that `programs.parted` flattens it only once.
     settled: ClassVar[bool] = True
     mass: object
     terms: tuple[Term, ...]
@@ -120,7 +121,7 @@ class Lattice(eqx.Module):
     def __repr__(self) -> str:
         try:
             lanes, kilogram = self.lanes, "kg" if self.units == SI else ""
-        except (AttributeError, TypeError, ValueError):  # of a tree that JAX has made of it
+        except (AttributeError, TypeError, ValueError):  # JAX put other leaves into the tree.
             lanes, kilogram = (), ""
         rows = [
             (
@@ -160,7 +161,6 @@ class Lattice(eqx.Module):
         return mass, shape, per_site
 
     def _places(self, positions):
-        """The positions of the sites, checked."""
         each = positions if isinstance(positions, dict) else {None: positions}
         each = {name: parameter("positions", x) for name, x in each.items()}
         places = each.get(None, each)
@@ -200,34 +200,35 @@ class Lattice(eqx.Module):
 
     @property
     def fields(self):
-        """Names of the fields of a cell, or `None` for a plain array."""
+        """The names of the fields of a cell, or `None` for a plain array."""
         return tuple(self.mass) if isinstance(self.mass, dict) else None
 
     @property
     def sites(self):
-        """Shape of the sites without vectors and lanes: (N,), (N1, N2), or a dict of such."""
+        """The shape of the sites without vectors and lanes: (N,), (N1, N2), or a dict of those."""
         return dict(self._sites) if isinstance(self.mass, dict) else self._sites
 
     @property
     def axes(self):
-        """Number of leading axes that count sites."""
+        """The number of leading axes that count sites."""
         return len(self._sites[0][1]) if isinstance(self.mass, dict) else len(self._sites)
 
     @property
     def space(self):
-        """Number of leading axes that count sites, and of components of a vector at each, 0 for numbers."""
+        """The number of site axes, and of components of a vector (0 for scalars)."""
         return self.axes, self.dimension or 0
 
     @property
     def origin(self):
-        """What results keep of their lattice: its units and its axes."""
+        """What results keep of their lattice: its units and axes."""
         return {"_mark": self._mark, "_space": self.space}
 
     @property
     def lanes(self):
-        """Trailing shape of a batch of lattices; () for one.
+        """The trailing shape of a batch of lattices; () for one.
 
-        **Raises** ValueError for lanes that are leading axes, as `jax.vmap` makes them without `out_axes=-1`.
+        **Raises** ValueError for lanes in leading axes, as `jax.vmap` makes them without
+        `out_axes=-1`.
         """
         if isinstance(self.mass, dict):
             (name, per_site), (_, sites) = self._per_site[0], self._sites[0]
@@ -235,7 +236,7 @@ class Lattice(eqx.Module):
         else:
             mass, per_site, sites = self.mass, self._per_site, self._sites
         own = self.axes + (self.dimension is not None)
-        # as many sites as lanes: the masses do not tell which is which
+        # With as many sites as lanes the shape of the masses is ambiguous.
         shape = mass.shape
         if (
             self._mark.shape[:own] != (1,) * own
@@ -253,7 +254,7 @@ class Lattice(eqx.Module):
 
     @property
     def shape(self):
-        """Shape of the displacements of one lattice (a dict of shapes where a cell holds several fields)."""
+        """The shape of the displacements of one lattice (a dict if a cell has several fields)."""
         vector = () if self.dimension is None else (self.dimension,)
         if isinstance(self.mass, dict):
             return {name: shape + vector for name, shape in self._sites}
@@ -261,23 +262,23 @@ class Lattice(eqx.Module):
 
     @property
     def dtype(self):
-        """Floating type of the lattice's parameters."""
+        """The floating type of the parameters."""
         arrays = [x for x in jax.tree.leaves((self.mass, self.terms)) if hasattr(x, "dtype")]
         kinds = {x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)}
         return kinds.pop() if len(kinds) == 1 else jnp.result_type(*kinds)
 
     @property
     def units(self):
-        """What its numbers are counted in, "SI" or "scaled"; `None` while traced."""
+        """The units of the numbers, "SI" or "scaled"; `None` while traced."""
         return counted_in(self._mark)
 
     def counted_in(self, units: str) -> Any:
-        """The same lattice, its numbers said to be those of `"SI"`, or `"scaled"`; none is converted."""
+        """Return the same lattice labelled `"SI"` or `"scaled"`, without conversion."""
         mark = mark_of(units)
         return eqx.tree_at(lambda x: x._mark, self, jnp.full_like(self._mark, mark))
 
     def template(self) -> Any:
-        """`jax.ShapeDtypeStruct`s of the displacements, lanes included."""
+        """Return `jax.ShapeDtypeStruct`s of the displacements, lanes included."""
         lanes, shape = self.lanes, self.shape
         if not isinstance(shape, dict):
             return jax.ShapeDtypeStruct(shape + lanes, self.mass.dtype)
@@ -285,11 +286,11 @@ class Lattice(eqx.Module):
         return {name: jax.ShapeDtypeStruct(own + lanes, dtype) for name, own in shape.items()}
 
     def zeros(self) -> Displacements:
-        """Displacements (or velocities) that are zero, lanes included."""
+        """Return zero displacements (or velocities), lanes included."""
         return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), self.template())
 
     def astype(self, dtype: Any) -> Any:
-        """The lattice with every floating parameter in another type, for a float32 run."""
+        """Return the lattice with its floating parameters in another type, for a float32 run."""
         if not jnp.issubdtype(dtype, jnp.floating):
             refuse("dtype", "a floating type, such as numpy.float32", f"{dtype}")
 
@@ -299,7 +300,10 @@ class Lattice(eqx.Module):
         return jax.tree.map(cast, self)
 
     def force(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
-        """Sum of the forces on the sites, of the structure of `u`: of the lattice's shape, lanes or tangents behind."""
+        """Return the sum of the forces on the sites, with the structure of `u`.
+
+        `u` and `v` have the lattice's shape, followed by lanes or tangents.
+        """
         check_shape(self, "u", u)
         check_shape(self, "v", v)
         return self.sum_forces(t, u, v, self.terms)
@@ -307,11 +311,11 @@ class Lattice(eqx.Module):
     def sum_forces(
         self, t: Number, u: Displacements, v: Displacements, terms: Sequence[Term]
     ) -> Displacements:
-        """Sum of the forces of some terms, of the structure of `u`."""
+        """Return the sum of the forces of some terms, with the structure of `u`."""
         return self.total([term.force(t, u, v, self.mass) for term in terms], u)
 
     def total(self, parts: Sequence[Displacements | None], u: Displacements) -> Displacements:
-        """Sum of arrays over the sites, or of dicts of those fields that they touch; `None` is nothing."""
+        """Return the sum of arrays over the sites, or of dicts of fields; `None` counts as zero."""
         parts = [part for part in parts if part is not None]
         if isinstance(u, dict):
             return {
@@ -321,11 +325,11 @@ class Lattice(eqx.Module):
         return _sum(parts, u)
 
     def acceleration(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
-        """a = force/m."""
+        """Return a = force/m."""
         return jax.tree.map(jnp.divide, self.force(t, u, v), self.mass)
 
     def potential_energy(self, t: Number, u: Displacements) -> Number:
-        """Potential energy of the whole lattice, from equilibrium; shape of the lanes."""
+        """Return the potential energy relative to equilibrium, in the shape of the lanes."""
         check_shape(self, "u", u)
         total = 0.0
         for term in self.terms:
@@ -335,22 +339,22 @@ class Lattice(eqx.Module):
         return total
 
     def kinetic_energy(self, v: Displacements) -> Number:
-        """Sum of m v^2/2; shape of the lanes."""
+        """Return the sum of m v^2/2, in the shape of the lanes."""
         check_shape(self, "v", v)
         kinetic = jax.tree.map(lambda m, v: m * v * v / 2, self.mass, v)
         return per_lane(kinetic, len(self.lanes))
 
     def energy(self, t: Number, u: Displacements, v: Displacements) -> Number:
-        """Kinetic and potential energy of the whole lattice, from equilibrium; shape of the lanes."""
+        """Return the kinetic plus potential energy, in the shape of the lanes."""
         return self.kinetic_energy(v) + self.potential_energy(t, u)
 
     @property
     def conserves(self):
-        """Whether every term keeps the energy."""
+        """Whether every term conserves the energy."""
         return not self.unkept()
 
     def unkept(self) -> tuple[str, ...]:
-        """The names of the terms that do not keep the energy."""
+        """Return the names of the terms that do not conserve the energy."""
         return tuple(type(term).__name__ for term in self.terms if not reads(term, self).conserves)
 
     @property
@@ -369,22 +373,22 @@ class Lattice(eqx.Module):
         return tuple(b for term in self.terms for b in term.jumps())
 
     def for_run(self) -> Any:
-        """The lattice whose terms hold what their forces need and no state changes, such as transforms of kernels."""
+        """Return the lattice with precomputed parts of its forces, e.g. transforms of kernels."""
         own = [term.for_run(self) if isinstance(term, LongRange) else term for term in self.terms]
         return eqx.tree_at(lambda x: x.terms, self, tuple(own))
 
     def unbalanced(self) -> Displacements:
-        """Force on each site at rest, from the total contact forces (preloads included).
+        """Return the force on each site at rest, from the contact forces including preloads.
 
-        Zero where the preloads balance. At an end that a static load holds, such as F0 of a free end, it shows that
-        load: +-F0 there and zero elsewhere is a scene in equilibrium.
+        It is zero where the preloads balance. At an end held by a static load, such as F0 at a free
+        end, it is that load: +-F0 there and zero elsewhere is an equilibrium.
         """
         u = self.zeros()
         return self.total([term.preload_force(u) for term in self.terms], u)
 
 
 def _per_vector(term, axes):
-    """The term with its parameters of each site made those of a vector, by a trailing axis."""
+    # Parameters of each site get a trailing axis for the components of a vector.
     inner = within(term)
     if not inner.per_site:
         return term
@@ -394,16 +398,16 @@ def _per_vector(term, axes):
 
 @lru_cache
 def _one(axes, mark):
-    """A number with an axis for each of a site's: it shows where `jax.vmap` puts its lanes, and says the units.
-
-    No program reads it, so that one serves lattices in SI and in scaled numbers.
-    """
+    # A number with an axis for each axis of a site. It shows where `jax.vmap` puts lanes, and
+    # stores the units. Programs do not read it, so they are shared between lattices in SI and
+    # scaled units.
     with jax.ensure_compile_time_eval():
         return jax.device_put(np.full((1,) * axes, mark))
 
 
 def _has_sites(lattice, own):
-    """Whether some parameter has more axes than lanes: for single numbers the place of the lanes is no question."""
+    # Whether some parameter has more axes than the lanes. For single numbers the place of the lanes
+    # does not matter.
     return any(
         np.ndim(x) > lattice._mark.ndim - own
         for x in jax.tree.leaves((lattice.mass, lattice.terms))
@@ -411,7 +415,7 @@ def _has_sites(lattice, own):
 
 
 def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lattice") -> None:
-    """That displacements or velocities are real, with an entry for every site and lane; more axes may follow."""
+    """Refuse arrays that are not real or lack an entry for a site or lane; more axes may follow."""
     sites, lanes = lattice.shape, lattice.lanes
     sites = sites if isinstance(sites, dict) else {None: sites}
     given = x if isinstance(x, dict) else {None: x}
@@ -419,7 +423,7 @@ def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lat
     got = {field: np.shape(array) for field, array in given.items()}
     if wanted.keys() != got.keys() or not all(
         len(got[field]) >= len(shape)
-        # one lane serves many, as of a lattice whose tangents they are
+        # One lane serves many, such as the tangents of a lattice.
         and all(
             w == g or w == 1 and i >= len(sites[field])
             for i, (w, g) in enumerate(zip(shape, got[field]))
@@ -436,7 +440,7 @@ def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lat
 
 
 def refuse_memory(lattice: Lattice) -> None:
-    """Refuse terms whose force reads the past, in what knows the present state alone."""
+    """Refuse terms whose force depends on the past."""
     for i, term in enumerate(lattice.terms):
         if memory := memory_of(term):
             refuse(
@@ -452,5 +456,5 @@ def _sum(parts, like):
 
 
 def spread_mass(lattice: Lattice) -> Displacements:
-    """Mass of every degree of freedom, of the structure of the displacements; `lattice.mass` may be one number."""
+    """Return the mass of every degree of freedom, with the structure of the displacements."""
     return jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros())

@@ -1,6 +1,6 @@
-"""The lattice as a split system: what the splitting solvers see.
+"""The lattice as a split system, for the splitting solvers.
 
-Linear damping of the sites goes exactly into the drift.
+Linear damping of the sites is part of the drift, exactly.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,8 @@ from ..terms.reach import reads
 from ..types import Number, StateLike
 from .model import Lattice, check_shape, refuse_memory
 
-# numbers in a processor's longest vector; sites from which on a rest of one counts for nothing
+# Numbers in the longest vector register; from the second number of sites on, an incomplete vector
+# does not matter.
 VECTOR, SHORT = 8, 2000
 
 
@@ -49,15 +50,16 @@ class PlainSplit(Split):
 
 
 class ChainSplit(eqx.Module):
-    """A chain of one bond to the next site, with rigid walls or free ends, and damping: w = (u, v, f), the fast form.
+    """The fast form of a damped chain with one bond to the next site: w = (u, v, f).
 
-    XLA evaluates a fused force once per reader, twice a bond. Written by `dynamic_update_slice` into a buffer that the
-    loop carries, it is evaluated once. `u` keeps a resting ghost at each rigid wall; `f` has one entry more than there
-    are bonds (walls), or a zero at each end (free ends), so that the update never covers the whole buffer. Between
-    walls there may be some `spare` ghosts more, so that the bonds are whole vectors: 101 bonds took 1.14 times as long
-    as 104.
+    `u` has a resting ghost site at each wall. `f` has one entry more than there are bonds (walls),
+    or a zero at each end (free ends), so that an update never covers the whole buffer. Between
+    walls `spare` ghosts may make the bonds whole vectors.
     """
 
+    # XLA evaluates a fused force once for each reader, twice per bond. Written by
+    # `dynamic_update_slice` into a buffer that the loop carries, the force is evaluated once.
+    # 101 bonds took 1.14 times as long as 104, which are whole vectors.
     lattice: Lattice
     law: Law
     boundary: str = eqx.field(static=True)
@@ -76,18 +78,18 @@ class ChainSplit(eqx.Module):
         )
 
     def compression(self, w):
-        """The compression of every bond in a working form."""
+        """Return the compressions of all bonds."""
         return w[0][:-1] - w[0][1:]
 
     def filled(self, w, force):
-        """The working form with these forces of the bonds."""
+        """Return the working form with these forces of the bonds."""
         return w[0], w[1], self._put(w[2], force)
 
     def spread(self, pulled, of_force, idle):
-        """Cotangents of a working form before its force was evaluated, given what pulls that of the force.
+        """Return cotangents of the working form before its force was evaluated.
 
-        Like the force, its cotangent is written into a buffer that the loop carries (`idle`), so that it is evaluated
-        once.
+        `of_force` pulls back the cotangent of the force. Like the force, it is written into a
+        buffer (`idle`) that the loop carries, so that it is evaluated once.
         """
         u, v, f = pulled
         first, bonds, rest = 0 if self._walls else 1, u.shape[0] - 1, [(0, 0)] * (u.ndim - 1)
@@ -146,10 +148,11 @@ class ChainSplit(eqx.Module):
 
 
 class SpringSplit(eqx.Module):
-    """A chain as of `ChainSplit` whose bonds are linear springs, such as one of tangents: w = (u, v).
+    """A chain like `ChainSplit` with linear springs, such as one of tangents: w = (u, v).
 
-    The force is cheap enough to be evaluated once per reader. `u` keeps a resting ghost at each end, so that a kick is
-    one pass over three neighbours: v_n += bh/m_n (k_{n-1} (u_{n-1} - u_n) - k_n (u_n - u_{n+1})).
+    The force is cheap enough to be evaluated for each reader. `u` has a resting ghost site at each
+    end, so that a kick is one pass over three neighbours: v_n += bh/m_n (k_{n-1} (u_{n-1} - u_n) -
+    k_n (u_n - u_{n+1})).
     """
 
     lattice: Lattice
@@ -194,13 +197,14 @@ class SpringSplit(eqx.Module):
 
 
 def split_system(lattice: Lattice) -> Any:
-    """The lattice as kicks and drifts for a splitting solver.
+    """Return the lattice as kicks and drifts for a splitting solver.
 
-    **Raises** ValueError naming the term where a force reads the velocity in another way than linear damping of each
-    site, which no splitting into exact flows takes; and for lanes that stand before the sites.
+    **Raises** ValueError naming the term where a force depends on the velocity in another way than
+    linear damping of each site, for which there are no exact flows; and for lanes in front of the
+    sites.
     """
     refuse_memory(lattice)
-    lattice.lanes  # is refused where lanes stand before the sites
+    lattice.lanes  # Refuses lanes in front of the sites.
     for i, term in enumerate(lattice.terms):
         if term.exact_damping() is None and reads(term, lattice).velocity:
             refuse(
@@ -219,21 +223,24 @@ def split_system(lattice: Lattice) -> Any:
 
 
 def _spare(lattice, law):
-    """Bonds that fill up the last vector of a short chain, one scene, whose bonds are all alike."""
+    # Spare bonds fill up the last vector of a short chain without lanes whose bonds are all alike.
     (sites,) = lattice.sites
     alike = not lattice.lanes and not any(jnp.ndim(x) for x in jax.tree.leaves(law))
     return -(sites + 1) % VECTOR if alike and sites < SHORT else 0
 
 
 def next_neighbours(lattice: Lattice) -> tuple[Law, str] | None:
-    """(law, boundary) of the bonds of a chain that has, beside damping, bonds to the next site alone; else `None`."""
+    """Return (law, boundary) if the only bonds of a chain are to the next site, else `None`.
+
+    The chain may have damping.
+    """
     forces = _without_velocity(lattice)
     plain = lattice.fields is None and lattice.dimension is None and lattice.axes == 1
     return chain.next_neighbours(forces[0]) if plain and len(forces) == 1 else None
 
 
 def acceleration_only(lattice: Lattice) -> Callable:
-    """The acceleration a(t, u) alone, for Nystrom pairs.
+    """Return the acceleration a(t, u), for Nystrom pairs.
 
     **Raises** ValueError naming the term where a force reads the velocity.
     """
@@ -250,7 +257,7 @@ def acceleration_only(lattice: Lattice) -> Callable:
 
 
 def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
-    """dy/dt = (v, a): the right-hand side of diffrax's form f(t, y, args), with the lattice as `args`.
+    """Return dy/dt = (v, a), in diffrax's form f(t, y, args) with the lattice as `args`.
 
     `y` is a `State` (or a pair (u, v)); the result has its structure.
 
@@ -274,14 +281,14 @@ vector_field.breaks = lambda lattice: lattice.breaks
 
 
 def damped_flight(u, v, rate, ah):
-    """Exact flow of u' = v, v' = -rate v over ah, of any sign; rate `None` is free flight."""
+    """Return the exact flow of u' = v, v' = -rate v over ah of any sign; rate `None` is zero."""
     ah = ah.astype(v.dtype)
     if rate is None:
         return u + ah * v, v
     x = rate * ah
     small = jnp.abs(x) < 1e-8
     weight = jnp.where(small, 1 - x / 2, -jnp.expm1(-x) / jnp.where(small, 1, x))
-    # the factor itself, so near to 1, is rounded alike in every step
+    # The factor exp(-x) itself, near 1, would be rounded alike in every step.
     return u + ah * weight * v, v + jnp.expm1(-x) * v
 
 
@@ -290,7 +297,7 @@ def _without_velocity(lattice):
 
 
 def damping_rates(lattice, u):
-    """Pairs (field, total rate or `None`) for every field of the displacements."""
+    """Yield (field, total rate or `None`) for every field of the displacements."""
     damping = [term.exact_damping() for term in lattice.terms]
     for name in tuple(u) if isinstance(u, dict) else (None,):
         rates = [found[1] for found in damping if found is not None and found[0] in (None, name)]

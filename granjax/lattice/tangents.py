@@ -1,6 +1,7 @@
-"""A state and its tangents as one system: the variational equation, split for the splitting solvers or as a field.
+"""The variational equation of a state and its tangents, split or as a vector field.
 
-The extended state is ((u, U), (v, V)), where U and V have the shape of u with a trailing axis, one entry a tangent.
+The extended state is ((u, U), (v, V)), where U and V have the shape of u with a trailing axis, one
+entry per tangent.
 """
 
 import equinox as eqx
@@ -14,9 +15,9 @@ from .split import acceleration_only, split_system, vector_field
 
 
 class TangentSplit(eqx.Module):
-    """Kicks and drifts of a lattice and of the lattice linearised about where the force was evaluated last.
+    """Kicks and drifts of a lattice and of the lattice linearised at the last force evaluation.
 
-    The linearised one travels with the working form and with what is kept between steps.
+    The linearised lattice travels with the working form and with what is kept between steps.
     """
 
     lattice: Lattice
@@ -65,7 +66,7 @@ class TangentSplit(eqx.Module):
 
 
 def variational(t: Number, y: tuple[StateLike, StateLike], lattice: Lattice) -> tuple:
-    """dy/dt of the state and its tangents: f(t, y, args), with the lattice as `args`."""
+    """Return dy/dt of the state and its tangents: f(t, y, args), with the lattice as `args`."""
     (u, U), (v, V) = y
     return (v, V), _accelerations(lattice, t, u, U, v, V)
 
@@ -75,7 +76,7 @@ def _accelerations(lattice, t, u, U, v, V):
 
 
 def _of_positions(lattice):
-    acceleration_only(lattice)  # refuses, naming the term
+    acceleration_only(lattice)  # Refuses, and names the term.
 
     def accelerations(t, uU):
         zero = jax.tree.map(jnp.zeros_like, uU)

@@ -1,4 +1,4 @@
-"""Uniform displacements that a lattice does not resist."""
+"""Uniform displacements without a restoring force."""
 
 import jax
 import numpy as np
@@ -10,11 +10,11 @@ NOT_RESISTED = 1e-9
 
 
 def uniform_moves(lattice: Lattice) -> np.ndarray:
-    """Uniform displacements that cost nothing, as columns (n, k) over the raveled displacements.
+    """Return the uniform displacements without cost, columns (n, k) over the raveled displacements.
 
-    k = 1 for a chain with free ends or a ring, 0 with a wall or a site potential; in the plane one a free direction.
-    Fields that no term joins move each for themselves. Asked of the terms, whatever their parameters, so that a traced
-    lattice has them too.
+    k = 1 for a chain with free ends or a ring, 0 with a wall or a site potential; in the plane one
+    per free direction. Fields that no term couples move independently. The terms decide this
+    without their parameters, so it also works for a traced lattice.
     """
     moves = components(lattice)
     answers = [term.resists(lattice, moves) for term in lattice.terms]
@@ -25,10 +25,10 @@ def uniform_moves(lattice: Lattice) -> np.ndarray:
 
 
 def _null_space(answers):
-    """Combinations of columns that vanish, (moves, k), by elimination, so that they are plain where they can be."""
+    # Combinations of columns that vanish, (moves, k). Elimination keeps them simple where possible.
     rows = answers[np.abs(answers).max(1) > 0]
     size = answers.shape[1]
-    # all rows of unlike size say the same as their triangular factor, below which nothing is left
+    # The triangular factor of all rows has the same null space.
     rows = rows / np.abs(rows).max(1, keepdims=True)
     rows = np.linalg.qr(np.concatenate([rows, np.zeros((size, size))]), mode="r")
     scale, pivots = max(1.0, np.abs(rows).max()), []
