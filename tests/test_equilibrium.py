@@ -370,3 +370,15 @@ def test_lanes_by_vmap():
             gx.scenes.monomer(5, stiffness=A, precompression=1.0), loads=jnp.full(5, 0.02)
         )
         np.testing.assert_allclose(found[:, lane], alone.state.u, rtol=1e-11)
+
+
+def test_loads_move_all_sites_of_a_ring_in_the_plane():
+    """No site of a ring is an end that is held: the displacements are those of the dense stiffness."""
+    ring = gx.scenes.triangular(4, 4, boundary="periodic")
+    loads = 1e-6 * np.random.default_rng(0).normal(size=(4, 4, 2))
+    loads -= loads.mean((0, 1))
+    found = gx.equilibrium(ring, loads=jnp.asarray(loads))
+    flat = lambda x: ring.force(0.0, x.reshape(4, 4, 2), ring.zeros()).ravel()
+    stiffness = -np.asarray(jax.jacfwd(flat)(jnp.zeros(32)))
+    u = np.linalg.lstsq(stiffness, loads.ravel(), rcond=1e-10)[0]
+    np.testing.assert_allclose(found.state.u.ravel(), u, rtol=0, atol=1e-4 * np.abs(u).max())

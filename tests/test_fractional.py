@@ -149,3 +149,11 @@ def test_refusals():
     ):
         with pytest.raises(ValueError, match=words):
             make()
+
+
+@pytest.mark.parametrize("s", [0.3, 0.8])
+def test_sites_beyond_fixed_ends_hold_every_site_as_much(s):
+    """One site moves alone in the infinite chain, which pulls it back by the sum of all weights."""
+    chain = gx.scenes.fractional(7, s, boundary="fixed")
+    pull = [-chain.force(0.0, u, chain.zeros())[n] for n, u in enumerate(jnp.eye(7))]
+    np.testing.assert_allclose(pull, float(gx.fractional.total(s)), rtol=1e-12)
