@@ -382,16 +382,6 @@ def test_sound_of_a_thermal_chain():
     assert np.mean(seen) == pytest.approx(speed, rel=5e-3)
 
 
-@pytest.mark.slow
-def test_the_beta_chain_is_renormalised():
-    rings = copies(lambda k: chain(gx.Polynomial(k, 0.0, 1.0), 64, "periodic"), 2048)
-    state = gx.states.gibbs(rings, 1.0, seed=2)
-    u, v = (np.abs(np.fft.fft(np.asarray(x), axis=0)[1:33]) ** 2 for x in state)
-    bare = 2 * np.sin(np.pi * np.arange(1, 33) / 64)
-    ratio = (v.mean(1) / u.mean(1)) ** 0.5 / bare
-    assert ratio.mean() == pytest.approx(1.461888448, rel=0.01)
-
-
 def test_conductivity_of_a_chain_with_a_known_one():
     """A current of <J(0) J(t)> = 0.9^t/0.19, in lanes and as one history."""
     rng = np.random.default_rng(0)
