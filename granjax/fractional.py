@@ -1,4 +1,4 @@
-"""The discrete fractional Laplacian: its kernel, its symbol, and its matrix on a ring or on a finite chain."""
+"""The discrete fractional Laplacian: its kernel and its symbol, on an infinite chain and a ring."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ __all__ = ["kernel", "symbol", "total"]
 
 
 def checked_order(order: Parameter) -> jax.Array:
-    """The order s of a fractional Laplacian, in (0, 1]."""
+    """Return the order s of a fractional Laplacian, in (0, 1]."""
     return within(
         "order",
         order,
@@ -25,17 +25,19 @@ def checked_order(order: Parameter) -> jax.Array:
 
 
 def kernel(order: Parameter, offsets: Count) -> Numbers:
-    r"""Weights K(1), ..., K(M) of the discrete fractional Laplacian.
+    r"""Return the weights K(1), ..., K(M) of the discrete fractional Laplacian.
 
     ((-Delta)^s u)_n = sum_{m != 0} K(m) (u_n - u_{n+m}),
     K(m) = 4^s Gamma(1/2 + s)/(sqrt(pi) |Gamma(-s)|) Gamma(|m| - s)/Gamma(|m| + 1 + s),
 
-    on the infinite chain, where its symbol is (4 sin^2(k/2))^s. K(1) = Gamma(1 + 2s) s/((1 + s) Gamma(1 + s)^2) and
-    K(m + 1) = K(m) (m - s)/(m + 1 + s), which has no large numbers, and no 0/0 at s = 1: there K = 1, 0, 0, ...
+    on the infinite chain; its symbol is (4 sin^2(k/2))^s. K(1) = Gamma(1 + 2s) s/((1 + s)
+    Gamma(1 + s)^2) and K(m + 1) = K(m) (m - s)/(m + 1 + s), without large numbers, and without 0/0
+    at s = 1: K = 1, 0, 0, ...
 
-    **Arguments:** `order`: s in (0, 1], a number, or one per lane (*lanes), traced or not: it may be differentiated.
-    `offsets`: M >= 1. **Returns:** (M, *lanes), all positive for s < 1, their tail ~ m^{-1-2s}. **Raises** ValueError
-    for s outside (0, 1]. Rounding: below 1e-14 sqrt(M) of each. Source: Ciaurri et al., Adv. Math. 330, 688 (2018).
+    **Arguments:** `order`: s in (0, 1], a number, or one per lane (*lanes), possibly traced;
+    differentiable. `offsets`: M >= 1. **Returns:** (M, *lanes), positive for s < 1, with the
+    tail ~ m^{-1-2s}; rounding below 1e-14 sqrt(M) of each. **Raises** ValueError for s outside
+    (0, 1]. Source: Ciaurri et al., Adv. Math. 330, 688 (2018).
     """
     s, count = checked_order(order), whole("offsets", offsets, 1)
     m = jnp.arange(1, count, dtype=s.dtype).reshape(-1, *[1] * s.ndim)
@@ -44,13 +46,13 @@ def kernel(order: Parameter, offsets: Count) -> Numbers:
 
 
 def total(order: Parameter) -> Numbers:
-    """Sum of all weights on both sides, Gamma(1 + 2s)/Gamma(1 + s)^2: what holds a site whose neighbours are fixed."""
+    """Return the sum of all weights, Gamma(1 + 2s)/Gamma(1 + s)^2: a site's stiffness."""
     s = jnp.asarray(order)
     return jnp.exp(gammaln(1 + 2 * s) - 2 * gammaln(1 + s))
 
 
 def symbol(order: Parameter, k: Parameter) -> Numbers:
-    """(4 sin^2(k/2))^s at wave numbers k of any shape; the order's lanes come last."""
+    """Return (4 sin^2(k/2))^s at wave numbers k of any shape; the lanes of the order come last."""
     s = checked_order(order)
     k = jnp.asarray(k, s.dtype)
     x = 4 * jnp.sin(k.reshape(*k.shape, *[1] * s.ndim) / 2) ** 2
@@ -59,30 +61,30 @@ def symbol(order: Parameter, k: Parameter) -> Numbers:
 
 
 def wave_numbers(sites: Count) -> np.ndarray:
-    """Wave numbers 2 pi j/N of a ring, j = 0 ... N-1, exactly paired about pi."""
+    """Return the wave numbers 2 pi j/N of a ring, j = 0 ... N-1, those above pi reflected."""
     j = np.arange(sites)
     return 2 * np.pi * np.minimum(j, sites - j) / sites
 
 
 def ring_kernel(order: Parameter, sites: Count) -> Numbers:
-    """Weights of the offsets 1, ..., N-1 on a ring of N sites: the sum of the images of `kernel`, exactly.
+    """Return the weights of the offsets 1, ..., N-1 on a ring: `kernel` summed over images.
 
-    The inverse Fourier transform of the symbol, so that omega^2 = (4 sin^2(k/2))^s at the wave numbers of the ring.
-    Shape (N-1, *lanes); the weight of m is that of N-m.
+    The inverse Fourier transform of the symbol: omega^2 = (4 sin^2(k/2))^s at the ring's wave
+    numbers. Shape (N-1, *lanes), symmetric in m and N-m.
     """
     sites = whole("sites", sites, 2)
     values = symbol(order, wave_numbers(sites))
     return -by_rows(jnp.fft.fft, values, axis=0).real[1:] / sites
 
 
-# images of a ring that are summed one by one; the rest is a series of Euler and Maclaurin
+# Number of images of a ring that are summed directly; the rest is an Euler-Maclaurin series.
 IMAGES = 16
 
 
 def to_the_right(order: Parameter, sites: Count) -> Numbers:
-    """The part of `ring_kernel` that goes to the right, sum_{j >= 0} K(m + j N), m = 1, ..., N-1; N - m has the rest.
+    """Return the rightward part of `ring_kernel`, sum_{j >= 0} K(m + j N), m = 1, ..., N-1.
 
-    What a law needs that tells left from right, such as alpha e^2.
+    The rest is that of N - m. Laws without left-right symmetry, such as alpha e^2, need it.
     """
     s, sites = checked_order(order), whole("sites", sites, 2)
     both = ring_kernel(s, sites)

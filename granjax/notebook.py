@@ -1,4 +1,4 @@
-"""In a notebook: sliders for the numbers of a scene, above a space-time map that follows them."""
+"""Notebook tools: sliders for the parameters of a scene with a live space-time map."""
 
 import base64
 import html
@@ -20,7 +20,7 @@ from .plots import drawn, figure, space_time, style
 from .types import Count, Quantity, Scalar, Scene, StateLike
 
 INSTALL = "pip install 'granjax[notebook]'"
-# label, what is counted, and the function of time, state and lattice
+# Label, label of the axis, and the function of time, state and lattice.
 MAPS = {
     "v": ("velocity (m/s)", "site", lambda t, y, _: y.v),
     "u": ("displacement (m)", "site", lambda t, y, _: y.u),
@@ -28,15 +28,15 @@ MAPS = {
     "strain": ("strain (m)", "contact", lambda t, y, x: measures.strain(x, y)),
     "energy": ("energy (J)", "site", lambda t, y, x: measures.site_energy(x, y, t)),
 }
-# of a slider whose ends are not given
+# Defaults of sliders without given ends.
 LEAST_RATIO = 0.05
 DECADE = 10.0
 AMPLITUDES = ((0.01, 10.0, "log"), 1.0)
-# sites that a wave crosses, about, in a radian of the highest frequency
+# About the number of sites that a wave crosses in one radian of the highest frequency.
 PACE = 0.25
-# over the linear frequencies, what no wave reaches: the bound of a law whose stiffness has none
+# A frequency bound above this multiple of the linear frequencies comes from an unbounded stiffness.
 FLOORLESS = 1e3
-# an update may take this multiple of the steps of the first run
+# An update may take this multiple of the steps of the first run.
 ROOM = 8
 SIZE = (5.8, 4.3)
 
@@ -50,28 +50,27 @@ def explore(
     frames: Count = 240,
     **parameters: Any,
 ) -> "Explorer":
-    r"""Sliders for the parameters of a scene, above a space-time map that follows them, in a notebook.
+    r"""Show sliders for the parameters of a scene, above a space-time map that follows them.
 
-    A value that is refused, and a run that does not complete, say so below the map.
+    Messages below the map report rejected values, and runs that do not complete.
 
     **Arguments:**
 
-    - `scene`: a function of named numbers that returns a `Lattice`, or a pair of it and a `State`, such as
-      `gx.scenes.dimer` or a lambda.
-    - `t1`: end of the runs; by default about what a wave takes to cross the lattice at first.
-    - `state`: the start, whose displacements and velocities the slider `amplitude` multiplies: a `State`, or a function
-      of the lattice. `None`: an impact on site 0, whose velocity is `amplitude`.
-    - `quantity`: `"v"`, `"u"`, `"force"`, `"strain"`, `"energy"` (of each site), or a function `(t, y, lattice)` that
-      returns a number for each place.
+    - `scene`: a function of named numbers that returns a `Lattice`, or a pair of it and a `State`,
+      such as `gx.scenes.dimer` or a lambda.
+    - `t1`: end of the runs; by default about the time in which a wave first crosses the lattice.
+    - `state`: the initial state, a `State` or a function of the lattice, multiplied by the slider
+      `amplitude`. `None`: an impact on site 0 with velocity `amplitude`.
+    - `quantity`: `"v"`, `"u"`, `"force"`, `"strain"`, `"energy"` (per site), or a function
+      `(t, y, lattice)` that returns one number per site or contact.
     - `frames`: rows of the map.
-    - Parameters by name: `ratio=(0.1, 1.0)` is a slider, `load=(1, 1e3, "log")` one by the logarithm, whole numbers
-      `sites=(20, 100)` one of whole numbers, which compiles once for each; any other value is fixed. What is not named
-      has a slider where it is called `ratio` or `precompression`, and where a function of your own gives it a floating
-      number.
+    - Parameters by name: `ratio=(0.1, 1.0)` is a slider, `load=(1, 1e3, "log")` a logarithmic one,
+      `sites=(20, 100)` one of integers, which compiles for each; other values are fixed. `ratio`,
+      `precompression`, and floating numbers of your own function have sliders by default.
 
-    **Returns:** an `Explorer`, which a notebook shows; `.run`, `.lattice`, `.state`, `.values` are the present ones.
-    **Raises** ImportError outside of a notebook and without ipywidgets, saying what to install; ValueError for names
-    that the scene does not have, and for first values that it refuses.
+    **Returns:** an `Explorer`, which a notebook shows; `.run`, `.lattice`, `.state`, `.values` are
+    the present ones. **Raises** ImportError outside a notebook or without ipywidgets; ValueError
+    for unknown names, and for first values that the scene rejects.
 
     **Example:**
 
@@ -88,7 +87,6 @@ def explore(
 
 
 def _widgets():
-    """The package ipywidgets, where a notebook shows it."""
     try:
         import ipywidgets
     except ImportError:
@@ -101,7 +99,6 @@ def _widgets():
 
 
 def _sliders(widgets, scene, given):
-    """Sliders by name, and what is fixed, of the parameters of a function and those that were given."""
     found = inspect.signature(scene).parameters
     known = {name: p.default for name, p in found.items() if p.kind is not p.VAR_KEYWORD}
     own = not str(getattr(inspect.unwrap(scene), "__module__", "")).startswith("granjax.")
@@ -133,7 +130,6 @@ def _sliders(widgets, scene, given):
 
 
 def _slider(widgets, name, ends, value):
-    """The slider of ipywidgets for a range, at a value or in its middle."""
     low, high, *log = ends
     if not (np.isfinite([low, high]).all() and low < high and (low > 0 or not log)):
         remedy = "A logarithmic slider begins above zero." if log else ""
@@ -152,11 +148,12 @@ def _slider(widgets, name, ends, value):
 
 
 class Explorer:
-    """Sliders and a map. `gx.explore` makes one, and a notebook shows it as the last line of a cell.
+    """Sliders and a map, made by `gx.explore` and shown as the last line of a notebook cell.
 
     - `values`: the present values by name; `move(ratio=0.4)` sets some, as dragging does.
-    - `lattice`, `state`, `run`: what is shown, for further work; `None` where the present values have no run.
-    - `said`: the sentence below the map. `figure`: matplotlib's; `widget`: all of it, `sliders`: those of ipywidgets.
+    - `lattice`, `state`, `run`: those shown; `None` if the present values have no run.
+    - `said`: the sentence below the map. `figure`: matplotlib's; `widget`: the whole, and
+      `sliders`: of ipywidgets.
     """
 
     def __init__(
@@ -187,7 +184,7 @@ class Explorer:
         return {name: slider.value for name, slider in self.sliders.items()}
 
     def move(self, **values: Scalar) -> None:
-        """Set some sliders. **Raises** ValueError for a slider that is not there, or a value beyond its ends."""
+        """Set some sliders. **Raises** ValueError for an unknown slider or a value out of range."""
         for name, x in values.items():
             slider = self.sliders[one_of("slider", name, self.sliders)]
             base = getattr(slider, "base", None)
@@ -202,12 +199,12 @@ class Explorer:
 
     def _repr_mimebundle_(self, **options: Any) -> dict:
         bundle = self.widget._repr_mimebundle_(**options) or {}
-        # for where a stored notebook is read without a kernel
+        # A picture for readers of a stored notebook without a kernel.
         picture = base64.b64encode(drawn(self.figure, ".png", dpi=100)).decode()
         return bundle | {"text/plain": repr(self), "image/png": picture}
 
     def _built(self, values):
-        """Lattice, state, and whether the scene itself gave the state. Numbers are arrays: none compiles anew."""
+        """Lattice, state, and whether the scene gave the state; arrays avoid recompilation."""
         values = {k: jnp.asarray(x) if isinstance(x, float) else x for k, x in values.items()}
         values = self._fixed | values
         known = inspect.signature(self._scene).parameters
@@ -224,7 +221,6 @@ class Explorer:
         return lattice, jax.tree.map(lambda x: amplitude * jnp.asarray(x), State(*state)), False
 
     def _compute(self, values):
-        """The run of some values. **Raises** ValueError for what the scene refuses."""
         self._at, self.lattice, self.state, self.run = values, None, None, None
         lattice, state, _ = self._built(values)
         if self.t1 is None:
@@ -236,7 +232,7 @@ class Explorer:
             remedy = "Such as quantity=lambda t, y, lattice: y.v[:, 0]."
             refuse("quantity", "a number for each place on a line", described(data), remedy)
         self.lattice, self.state, self.run, self.said = lattice, state, run, run.outcome
-        # a run that stopped early has nothing for its last frames
+        # A run that stopped early has no values for its last frames.
         data = np.where(np.isfinite(data), data, np.nan)
         self.figure = figure(*SIZE)
         with style():
@@ -244,11 +240,10 @@ class Explorer:
             space_time(run, ax, quantity=data, ts=times, label=label, site_label=place)
 
     def _follow(self, **values):
-        """Compute what the sliders say and show it, or say why there is nothing to show."""
         from IPython.display import display
 
         try:
-            # the first values have been computed before there were sliders
+            # The first values were computed before the sliders existed.
             if self.run is None or values != self._at:
                 self._compute(values)
             display(self.figure)
@@ -259,7 +254,6 @@ class Explorer:
 
 
 def _crossing(lattice, state):
-    """About the time that a wave takes to cross a lattice."""
     omega = float(frequency_bound(lattice, state, 0.0, 1.0))
     linear = float(linear_frequency(lattice))
     omega = linear if linear > 0 and not omega < FLOORLESS * linear else omega

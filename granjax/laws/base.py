@@ -1,4 +1,4 @@
-"""What every force law is, and its Taylor coefficients."""
+"""The base class of force laws, derived laws, and Taylor coefficients."""
 
 import abc
 import functools
@@ -17,16 +17,16 @@ from ..units import PART, Dimensional
 
 
 class Law(Dimensional):
-    """A force law of one bond or one site: force against compression, measured from static equilibrium.
+    """A force law of bonds or sites: force against compression, from static equilibrium.
 
-    `force(e)` is positive in compression and `force(0) = 0`; `energy(e)` is its integral with `energy(0) = 0`. The
-    force that the bond carries in equilibrium is `preload`; the total contact force is `preload + force(e)`.
-    `overlap(e)` is what must stay positive for the law to hold as one smooth branch (an open contact, magnets that
-    met), or `None`; a law where nothing can open says `opens = False`.
+    `force(e)` is positive in compression and `force(0) = 0`; `energy(e)` is its integral with
+    `energy(0) = 0`. `preload` is the force in equilibrium; the total contact force is
+    `preload + force(e)`. `overlap(e)` is positive while the contact is closed
+    (or magnets are apart), or `None`; a law that cannot open says `opens = False`.
 
-    Everything is elementwise: `e` has the shape of the bonds (then lanes), parameters are scalars or arrays over them.
-    To add a law write `force` and `energy`, with parameters that are arrays (another value of a plain number compiles
-    anew), and one line in the tests' list of cases. `law + law` is their sum.
+    All methods are elementwise: `e` has the shape of the bonds (then lanes), parameters are scalars
+    or arrays over them. A new law needs `force` and `energy`, with arrays as parameters
+    (plain numbers recompile for each value). `law + law` is a sum.
 
     **Example:**
 
@@ -42,11 +42,11 @@ class Law(Dimensional):
 
     @abc.abstractmethod
     def force(self, e: Number) -> Numbers:
-        """Force beyond the preload at compression `e`."""
+        """Return the force beyond the preload at compression `e`."""
 
     @abc.abstractmethod
     def energy(self, e: Number) -> Numbers:
-        """Potential energy at compression `e`, without the work of the preload."""
+        """Return the potential energy at compression `e`, without the work of the preload."""
 
     @property
     def preload(self):
@@ -54,34 +54,34 @@ class Law(Dimensional):
         return 0.0
 
     def overlap(self, e: Number) -> Numbers | None:
-        """Length that is positive while the contact is closed, or `None` where the law has no such limit."""
+        """Return a length that is positive while the contact is closed; `None` without a limit."""
         return None
 
     def room(self, e: Number) -> Numbers | None:
-        """Length that is positive where the law has a force, as between magnets that have not met; or `None`."""
+        """Return a length that is positive where the law has a force (magnets apart), or `None`."""
         return None
 
     @property
     def opens(self):
-        """Whether a contact of this law can open: `True` (`overlap` says when), `False`, `None` where nobody knows.
+        """Whether a contact can open: `True` (see `overlap`), `False`, or `None` if unknown.
 
-        A law that writes no `overlap` does not know, unless it says `opens = False`.
+        Unknown for a law that defines neither `overlap` nor `opens = False`.
         """
         return None if type(self).overlap is Law.overlap else True
 
     def derivative(self, e: Number) -> Numbers:
-        """Stiffness F'(e), elementwise."""
+        """Return the stiffness F'(e), elementwise."""
         e = jnp.asarray(e)
         return jax.jvp(self.force, (e,), (jnp.ones_like(e),))[1]
 
     @property
     def parts(self):
-        """The laws that this one is made of in parallel; itself for a simple one."""
+        """The laws in parallel that make up this one; itself for a simple one."""
         return (self,)
 
     @property
     def softens(self):
-        """Whether a contact that re-opens is infinitely stiff, so that no step bound exists there."""
+        """Whether a re-opening contact is infinitely stiff, so that no step bound exists there."""
         return False
 
     @property
@@ -102,7 +102,7 @@ class Law(Dimensional):
 
 
 def checked_preload(argument: str, F0: Parameter, remedy: str):
-    """`None` for a plain zero, so that a law without preload costs no operation; else a checked array."""
+    """Return a checked array; `None` for a plain zero, which then costs no operation."""
     if plain_zero(F0):
         return None
     return non_negative(argument, F0, remedy)
@@ -111,8 +111,8 @@ def checked_preload(argument: str, F0: Parameter, remedy: str):
 class Sum(Law):
     """Laws in parallel: F = sum of F_k. Write `law + law`.
 
-    Typical: a coated bead or an O-ring as a double power law, `Hertz(1.0) + PowerLaw(0.2, 2.5)`; a nonlinear site
-    potential on a linear one. The overlap is the smallest of the parts'.
+    Typical: a coated bead or an O-ring, `Hertz(1.0) + PowerLaw(0.2, 2.5)`; a nonlinear site
+    potential plus a linear one. The overlap is the smallest of the parts.
 
     **Example:**
 
@@ -173,12 +173,11 @@ def _smallest(lengths):
 
 
 class Derived(Law):
-    """A law that is made of another one, and is open, or without a force, where that one is."""
+    """A law based on another one; it is open, or without force, where that one is."""
 
     law: eqx.AbstractVar[Law]
 
     def _moved(self, e):
-        """The compression of the other law."""
         return e
 
     @property
@@ -190,7 +189,7 @@ class Derived(Law):
         return self.law.opens
 
     def _own(self, x):
-        """A length of the other law, or `None`, as one of this law."""
+        """A length of the other law, or `None`, converted to this law."""
         return x
 
     def overlap(self, e):
@@ -201,11 +200,11 @@ class Derived(Law):
 
 
 class Scaled(Derived):
-    """A law times a factor: F = g F_law(e), for stiffness that changes in time or along the chain.
+    """A law times a factor, F = g F_law(e), for stiffness that varies in time or along the chain.
 
-    With a length l it is stretched as well, F = g F_law(e/l): as l bonds in series, or in other units.
-
-    **Arguments:** `law`; `factor`: g, and `length`: l > 0, numbers or arrays over bonds, dimensionless; `None` for 1.
+    With a length l it is also stretched, F = g F_law(e/l), as l bonds in series. **Arguments:**
+    `law`; `factor`: g, and `length`: l > 0, numbers or arrays over bonds, dimensionless; `None` for
+    1.
 
     **Example:**
 
@@ -255,12 +254,14 @@ class Scaled(Derived):
 
 
 class Strained(Derived):
-    """A law measured from another equilibrium, a strain s: F(e) = F_law(e + s) - F_law(r), with r = s by default.
+    """A law about another equilibrium, the strain s: F(e) = F_law(e + s) - F_law(r).
 
-    So a ring carries a mean strain, such as what a solitary wave shortens it by, while its displacements are periodic;
-    and with one r for bonds of several s the far states of a shock are held at u = 0, without a ramp in u.
-    **Arguments:** `law`; `strain`: s [m], number or array over bonds; `reference`: r [m], the strain at which force and
-    energy are zero, `None` for s. With r beside s the force at e = 0 is that of the law from r to s.
+    It gives a ring with periodic displacements a mean strain, such as the shortening by a solitary
+    wave. With one r for bonds of several s, the far states of a shock are at u = 0, without a ramp;
+    the force at e = 0 is then that of the law from r to s.
+
+    **Arguments:** `law`; `strain`: s [m], number or array over bonds; `reference`: r [m], the
+    strain of zero force and energy, `None` for s.
 
     **Example:**
 
@@ -316,13 +317,13 @@ class Taylor(NamedTuple):
 
 
 def taylor(law: Law, e: Number = 0.0) -> Taylor:
-    """Taylor coefficients of a law about a compression, by nested derivatives.
+    """Return the Taylor coefficients of a law about a compression, by nested derivatives.
 
     K2 = F'(e), K3 = F''(e)/2, K4 = F'''(e)/6. For Hertz with d0 = A = 1: 3/2, 3/8, -1/16.
 
-    **Arguments:** `law`; `e`: compression about which to expand, 0 is equilibrium.
-    **Returns:** `Taylor(K2, K3, K4)`, arrays of the shape of the law's parameters. In a sonic vacuum (Hertz without
-    precompression) all three are zero: such a contact has no linear limit.
+    **Arguments:** `law`; `e`: compression, 0 at equilibrium. **Returns:** `Taylor(K2, K3, K4)`, of
+    the shape of the law's parameters. In a sonic vacuum (Hertz without precompression) all are
+    zero: no linear limit.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""Contacts: the power law A [d0 + y]_+^p and its special case, Hertz."""
+"""Contacts: the power law A [d0 + e]_+^p and its special case, Hertz."""
 
 import abc
 
@@ -20,7 +20,7 @@ def _precompression(F0):
 
 
 class _Contact(Law):
-    """F(e) = A ([d0 + e]_+^p - d0^p) for p > 0; F(e) = A ((d0 - e)^p - d0^p), without plus part, for p < 0."""
+    """F(e) = A ([d0 + e]_+^p - d0^p) for p > 0; F(e) = A ((d0 - e)^p - d0^p) for p < 0."""
 
     stiffness: eqx.AbstractVar[jax.Array]
     precompression: eqx.AbstractVar[jax.Array | None]
@@ -32,7 +32,7 @@ class _Contact(Law):
 
     @property
     def repels(self):
-        """Whether p < 0; known before tracing, see `PowerLaw`."""
+        """Whether p < 0; `None` while unknown in tracing."""
         return False
 
     @property
@@ -94,7 +94,7 @@ class _Contact(Law):
         return self.stiffness / q * self._difference(e, p + 1) - self.precompression * e
 
     def _near_rest(self, e, energy):
-        """The energy, by its binomial series where its closed form would lose digits: |e| below d0/50."""
+        """Use the binomial series for |e| < d0/50, where the closed form loses digits."""
         p = self.exponent
         d0 = self.rest_overlap
         near = (jnp.abs(e) < 0.02 * d0) & (d0 > 0)
@@ -129,15 +129,16 @@ _HERTZ = 1.5
 class Hertz(_Contact):
     r"""Hertz contact of elastic spheres.
 
-    F(e) = A ([d0 + e]_+^{3/2} - d0^{3/2}),   d0 = (F0/A)^{2/3};   energy A (2/5) [d0 + e]_+^{5/2}, from equilibrium.
+    F(e) = A ([d0 + e]_+^{3/2} - d0^{3/2}),   d0 = (F0/A)^{2/3};   energy A (2/5) [d0 + e]_+^{5/2},
+    from equilibrium.
 
-    **Arguments:** `stiffness`: A > 0 [N/m^{3/2}], scalar or one per contact (`granjax.materials.hertz_coefficient`
-    gives it). `precompression`: static force F0 >= 0 [N]; the plain number 0 is a contact without preload, which
-    costs nothing.
+    **Arguments:** `stiffness`: A > 0 [N/m^{3/2}], scalar or one per contact
+    (`granjax.materials.hertz_coefficient`). `precompression`: static force F0 >= 0 [N]; a plain 0
+    costs nothing. Typical: steel beads of 9.53 mm radius A = 9.8e9 N/m^{3/2}, F0 = 1 ... 20 N;
+    scaled A = 1, F0 = 0 or 1.
 
-    Typical: steel beads of 9.53 mm radius A = 9.8e9 N/m^{3/2}, F0 = 1 ... 20 N; scaled A = 1, F0 = 0 or 1.
-    **Raises** ValueError for A <= 0, F0 < 0 or values that are not finite.
-    Source: H. Hertz, J. reine angew. Math. 92, 156 (1881); Nesterenko, Dynamics of Heterogeneous Materials (2001).
+    **Raises** ValueError for A <= 0, F0 < 0 or values that are not finite. Source: H. Hertz, J.
+    reine angew. Math. 92, 156 (1881); Nesterenko, Dynamics of Heterogeneous Materials (2001).
 
     **Example:**
 
@@ -165,19 +166,19 @@ class PowerLaw(_Contact):
     r"""Power law of any exponent p != 0.
 
     p > 0:  F(e) = A ([d0 + e]_+^p - d0^p), a contact that opens;
-    p < 0:  F(e) = A ((d0 - e)^p - d0^p), repelling magnets at rest distance d0, without a plus part;
+    p < 0:  F(e) = A ((d0 - e)^p - d0^p), repelling magnets at rest distance d0, no plus part;
     d0 = (F0/A)^{1/p}.
 
-    Where magnets meet (d0 - e <= 0) force and energy are NaN: an outcome, not a number. For 0 < p < 1 a contact that
-    re-opens is infinitely stiff, so that no step is small enough there.
+    Where magnets meet (d0 - e <= 0) force and energy are NaN. For 0 < p < 1 a re-opening contact is
+    infinitely stiff: no step is small enough there.
 
-    **Arguments:** `stiffness`: A > 0. `exponent`: p; a Python number is static (and 1, 3/2, 2, 5/2, 3 are fast), an
-    array, of any shape that broadcasts over the bonds, can be swept and differentiated. `precompression`: F0 >= 0;
-    F0 > 0 is needed for p < 0, which has no equilibrium without it.
+    **Arguments:** `stiffness`: A > 0. `exponent`: p; a Python number is static
+    (1, 3/2, 2, 5/2, 3 are fast), an array that broadcasts over the bonds can be swept and
+    differentiated. `precompression`: F0 >= 0; p < 0 needs F0 > 0 for an equilibrium.
 
-    Typical: p = 3/2 spheres, 3 ... 4 cylinders and O-rings, 1/2 strain softening, -3 dipole ring magnets.
-    **Raises** ValueError for p = 0 or not finite, A <= 0, F0 < 0, F0 = 0 with p < 0, or signs of p that differ.
-    Source: Chong & Kevrekidis, Dynamics of Nonlinear Lattices, and references there.
+    Typical: p = 3/2 spheres, 3 ... 4 cylinders and O-rings, 1/2 strain softening, -3 dipole ring
+    magnets. **Raises** ValueError for p = 0 or not finite, A <= 0, F0 < 0, F0 = 0 with p < 0, or p
+    of both signs. Source: Chong & Kevrekidis, Dynamics of Nonlinear Lattices, and references there.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""Contacts that yield: the force reads the largest overlap so far, too."""
+"""Plastic contacts, whose force also reads the largest overlap so far."""
 
 import abc
 
@@ -14,12 +14,12 @@ from .real_power import root
 
 
 class PlasticLaw(Dimensional):
-    """A contact with a history: force F(s, P) at overlap s, where P >= s is the largest overlap so far.
+    """A contact with a history: force F(s, P) at overlap s, with the largest overlap so far P >= s.
 
-    At s = P it loads, below it unloads and loads again along one curve. `stored(s, P)` is what unloading from s gives
-    back, `lost(P)` what has been dissipated, so that d(stored + lost) = F ds on both branches: stored(s, P) is the
-    integral of F(., P) up to s, and lost(P) that of F(x, x) up to P, less stored(P, P). Everything is elementwise;
-    `left(P)` is the overlap at which an unloaded contact opens. To add a law write these four.
+    It loads at s = P; below P it unloads and reloads along one curve. A new law needs four methods,
+    elementwise. `stored(s, P)` is the integral of F(., P) up to s, and `lost(P)` that of F(x, x) up
+    to P, minus stored(P, P), so that d(stored + lost) = F ds on both branches. `left(P)` is the
+    overlap at which an unloaded contact opens.
 
     **Example:**
 
@@ -35,30 +35,30 @@ class PlasticLaw(Dimensional):
 
     @abc.abstractmethod
     def force(self, s: Number, largest: Number) -> Numbers:
-        """Total contact force [N], zero for an open contact."""
+        """Return the total contact force [N], zero for an open contact."""
 
     @abc.abstractmethod
     def stored(self, s: Number, largest: Number) -> Numbers:
-        """Energy that unloading gives back [J]."""
+        """Return the energy that unloading gives back [J]."""
 
     @abc.abstractmethod
     def lost(self, largest: Number) -> Numbers:
-        """Energy dissipated so far [J]."""
+        """Return the energy dissipated so far [J]."""
 
     @abc.abstractmethod
     def left(self, largest: Number) -> Numbers:
-        """Overlap at which the unloaded contact opens [m]: the permanent indentation."""
+        """Return the permanent indentation: the overlap at which the unloaded contact opens [m]."""
 
     def _wrapped(self, units):
         return _InOtherUnits(self, units.length, units.force)
 
 
 class WaltonBraun(PlasticLaw):
-    r"""The bilinear contact of Walton and Braun: F = k1 s in loading, F = k2 [s - (1 - k1/k2) P]_+ below P.
+    r"""Walton and Braun's bilinear contact: F = k1 s in loading, k2 [s - (1 - k1/k2) P]_+ below P.
 
-    **Arguments:** `loading`: k1 > 0 [N/m]; `unloading`: k2 >= k1 [N/m]; numbers or one per contact. Restitution
-    sqrt(k1/k2) at every speed. Typical: k2/k1 = 1.2 ... 6. **Raises** ValueError for k1 <= 0 or k2 < k1.
-    Source: O. R. Walton, R. L. Braun, J. Rheol. 30, 949 (1986).
+    **Arguments:** `loading`: k1 > 0 [N/m]; `unloading`: k2 >= k1 [N/m]; numbers or one per contact.
+    The restitution is sqrt(k1/k2) at every speed. Typical: k2/k1 = 1.2 ... 6. **Raises** ValueError
+    for k1 <= 0 or k2 < k1. Source: O. R. Walton, R. L. Braun, J. Rheol. 30, 949 (1986).
 
     **Example:**
 
@@ -101,15 +101,16 @@ class WaltonBraun(PlasticLaw):
 class Thornton(PlasticLaw):
     r"""Thornton's elastic, perfectly plastic spheres.
 
-    Loading: Hertz, A s^{3/2}, to the overlap s_y where the pressure at the centre reaches its limit, then its tangent,
-    A s_y^{3/2} (3 s/s_y - 1)/2. Unloading from P > s_y: Hertz with the larger radius of the flattened contact,
-    F = F_P [(s - s_P)/(P - s_P)]_+^{3/2}, P - s_P = F_P/(A P^{1/2}).
+    Loading: Hertz, A s^{3/2}, up to the overlap s_y where the central pressure reaches its limit,
+    then the tangent, A s_y^{3/2} (3 s/s_y - 1)/2. Unloading from P > s_y: Hertz with the larger
+    radius of the flattened contact, F = F_P [(s - s_P)/(P - s_P)]_+^{3/2},
+    P - s_P = F_P/(A P^{1/2}).
 
-    **Arguments:** `stiffness`: A > 0 [N/m^{3/2}]; `yield_overlap`: s_y > 0 [m], (pi p_y/(2 E*))^2 R* for a limiting
-    pressure p_y (about 1.6 to 3 times the yield stress), reduced modulus E* and radius R*. The speed of first yield of
-    a pair of reduced mass m is V_y = (4 A s_y^{5/2}/(5 m))^{1/2}; `gx.theory.restitution` is that of an impact.
-    Typical: steel beads of 1 cm yield from some cm/s on. **Raises** ValueError for what is not above zero.
-    Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
+    **Arguments:** `stiffness`: A > 0 [N/m^{3/2}]; `yield_overlap`: s_y > 0 [m], (pi p_y/(2 E*))^2
+    R* for a limiting pressure p_y (about 1.6 to 3 times the yield stress), reduced modulus E* and
+    radius R*. A pair of reduced mass m yields from the speed V_y = (4 A s_y^{5/2}/(5 m))^{1/2} on
+    (`gx.theory.restitution`); steel beads of 1 cm from some cm/s. **Raises** ValueError for values
+    that are not positive. Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
 
     **Example:**
 
@@ -129,7 +130,7 @@ class Thornton(PlasticLaw):
         )
 
     def _turn(self, largest):
-        """(P/s_y, at least 1; A s_y^{3/2}; the depth P - s_P that unloading leaves behind, and the force at P)."""
+        """(P/s_y, at least 1; A s_y^{3/2}; the depth P - s_P; the force at P)."""
         y = self.yield_overlap
         x = jnp.where(largest > y, largest, y) / y
         unit = self.stiffness * y * root(y)
@@ -158,8 +159,6 @@ class Thornton(PlasticLaw):
 
 
 class _InOtherUnits(PlasticLaw):
-    """A plastic law with overlaps and forces counted in other units."""
-
     law: PlasticLaw
     length: jax.Array
     unit: jax.Array
@@ -178,7 +177,7 @@ class _InOtherUnits(PlasticLaw):
 
 
 class Indented(Law):
-    """A plastic law whose largest overlap so far is known, measured from equilibrium at the overlap `rest`.
+    """A plastic law at a known largest overlap, measured from equilibrium at the overlap `rest`.
 
     **Example:**
 
@@ -216,5 +215,5 @@ class Indented(Law):
         return s - self.law.left(largest)
 
     def lost(self) -> Numbers:
-        """Energy dissipated since equilibrium [J]."""
+        """Return the energy dissipated since equilibrium [J]."""
         return self.law.lost(self.largest) - self.law.lost(self.rest)

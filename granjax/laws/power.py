@@ -1,12 +1,12 @@
-"""The plus power [s]_+^p: one safe function, differentiable to any order, fast where p is known.
+"""The plus power [s]_+^p, differentiable to any order and fast for static p.
 
-A contact that is open has no force and no stiffness. The power of the positive part and its derivatives are
+An open contact has no force and no stiffness. At every order,
 
-    [s]_+^p = s^p,   d/ds [s]_+^p = p [s]_+^(p-1)   for s > 0,   and zero for s <= 0,
+    [s]_+^p = s^p,   d/ds [s]_+^p = p [s]_+^(p-1)   for s > 0,   and zero for s <= 0.
 
-at every order. At s = 0 the one-sided limits of the derivatives are infinite from some order on (from the second
-for p = 3/2); zero there is granjax's choice, so that an open or a touching contact never gives NaN. A NaN overlap
-stays NaN: a state that has gone wrong is not hidden.
+At s = 0 some one-sided limits of the derivatives are infinite (from the second on for p = 3/2);
+granjax returns zero there, so that an open or touching contact never gives NaN. A NaN overlap stays
+NaN, so that a failed state is not hidden.
 """
 
 from functools import partial
@@ -20,12 +20,12 @@ from .real_power import logarithm, real_power, root
 
 
 def plus_power(s: Number, p: Number) -> Numbers:
-    """[s]_+^p, elementwise.
+    """Return [s]_+^p, elementwise.
 
-    **Arguments:** `s`: overlap, any shape. `p`: exponent of any sign; a Python number is static, and a multiple of
-    one half then costs multiplications and one square root; an array may be traced and is differentiable.
-
-    **Returns:** an array of the shape of `s` and `p` broadcast; zero where `s <= 0`, NaN where `s` is NaN.
+    **Arguments:** `s`: overlap, any shape. `p`: exponent of any sign; a Python number is static,
+    and a multiple of one half then costs only multiplications and one square root; an array may be
+    traced and is differentiable. **Returns:** an array of the broadcast shape of `s` and `p`; zero
+    where `s <= 0`, NaN where `s` is NaN.
 
     **Example:**
 
@@ -77,7 +77,7 @@ def _free_power(s, p, k):
     value = real_power(x, p)
     if k:
         value = value * logarithm(x) ** k
-    # finite, so that a factor p - 1 = 0 in front of it gives zero
+    # Finite, so that a factor p - 1 = 0 in front of it gives zero.
     most = jnp.finfo(value.dtype).max
     return jnp.where(is_open, 0, jnp.clip(value, -most, most))
 
@@ -86,7 +86,7 @@ def _free_power_jvp(k, primals, tangents):
     s, p = primals
     ds, dp = (None if isinstance(d, SymbolicZero) else d for d in tangents)
     value = _free_power(s, p, k)
-    # a derivative that is not needed is left out: times zero it would be NaN where it overflows
+    # A derivative that is not needed is left out: where it overflows, zero times it would be NaN.
     change = jnp.zeros_like(value)
     if ds is not None:
         slope = p * _free_power(s, p - 1, k)

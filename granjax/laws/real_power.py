@@ -1,16 +1,16 @@
 """Powers and logarithms of positive numbers that vectorise on a CPU.
 
-XLA calls a scalar library function for every float64 `pow` and `log`. Here a positive number is taken apart by its
-bits, x = 2^e m with sqrt(1/2) <= m < sqrt(2), and put together by XLA's `exp`, which is vectorised:
+XLA calls a scalar function for every float64 `pow` and `log`. Here x = 2^e m is split by its bits,
+sqrt(1/2) <= m < sqrt(2), and recombined by XLA's vectorised `exp`:
 
     log x = e log 2 + log m,     x^p = 2^n exp((p e - n) log 2 + p log m),     n = round(p e),
 
-with p e exact to twice the digits, so that the relative error is about (2 + |p|) units in the last place at every x.
+with p e exact to twice the digits: the relative error is about (2 + |p|) units in the last place.
 log m is fdlibm's series (K. C. Ng, Sun Microsystems, 1993).
 
-Square roots, too, are bound by one slow instruction on some processors (`granjax.tuning.root_by_products`). There
-1/sqrt(x) starts from the halved exponent, good to 3 %, and two steps of fourth order,
-y <- y (1 + h/2 + 3h^2/8 + 5h^3/16) with h = 1 - x y^2, leave 1.4 units in the last place.
+On some processors sqrt is slow too (`granjax.tuning.root_by_products`). There 1/sqrt(x) starts from
+the halved exponent, accurate to 3 %, and two steps of fourth order leave 1.4 units in the last
+place: y <- y (1 + h/2 + 3h^2/8 + 5h^3/16), h = 1 - x y^2.
 """
 
 import jax.numpy as jnp
@@ -31,7 +31,8 @@ _SERIES = (
     1.479819860511658591e-01,
 )
 _ROOT_HALF = int(np.float64(np.sqrt(0.5)).view(np.int64))
-# bits of 2^52 + 2048: a whole number added below them becomes that float, without a conversion
+# Bits of 2^52 + 2048: adding an integer to them gives the float of that integer plus this offset,
+# without a conversion.
 _WHOLE, _OFFSET = int(np.float64(2.0**52 + 2048).view(np.int64)), 2.0**52 + 2048
 _HIGH_HALF = ~((1 << 27) - 1)
 _TINY, _HUGE = float(np.finfo(float).tiny), float(np.finfo(float).max)
@@ -40,10 +41,10 @@ _HALVED = 0x5FE6EB50C7B537A9
 
 
 def real_power(x, p):
-    """x^p for x >= 0 and p != 0, elementwise; NaN stays NaN, zero and infinity go where they should.
+    """Return x^p for x >= 0 and p != 0, elementwise; NaN stays NaN, zero and infinity are exact.
 
-    `x`: any floating type; float64 takes the fast way. `p`: a number or an array. Below the smallest normal number the
-    result is that of p = 1 or -1.
+    `x`: any floating type, fast for float64. `p`: a number or an array. Below the smallest normal
+    number p counts as 1 or -1.
     """
     if x.dtype != jnp.float64:
         return x**p
@@ -58,7 +59,10 @@ def real_power(x, p):
 
 
 def root(x):
-    """sqrt(x) for x >= 0, elementwise, in the form that this processor takes faster; zero, infinity, NaN stay."""
+    """Return sqrt(x) for x >= 0, elementwise, by the faster method on this processor.
+
+    Zero, infinity and NaN stay as they are.
+    """
     return _root_by_products(x) if x.dtype == jnp.float64 and root_by_products() else jnp.sqrt(x)
 
 
@@ -73,9 +77,9 @@ def _root_by_products(x):
 
 
 def cube_root(x):
-    """The cube root of x >= 0, elementwise; a power of eight in x is one of two in it, to the last digit.
+    """Return the cube root of x >= 0, elementwise, exact for factors of eight.
 
-    XLA's, x^(1/3), loses digits far from 1.
+    XLA's x^(1/3) loses digits far from 1.
     """
     if x.dtype != jnp.float64:
         return jnp.cbrt(x)
@@ -86,7 +90,10 @@ def cube_root(x):
 
 
 def logarithm(x):
-    """log x for x > 0, elementwise, below the smallest normal number that of it; NaN stays NaN."""
+    """Return log x for x > 0, elementwise; NaN stays NaN.
+
+    x is clipped at the smallest normal number.
+    """
     if x.dtype != jnp.float64:
         return jnp.log(x)
     e, m = _split(jnp.maximum(x, _TINY))
@@ -94,7 +101,7 @@ def logarithm(x):
 
 
 def _split(x):
-    """The whole number e, as a float, and m in [sqrt(1/2), sqrt(2)) with x = 2^e m."""
+    """Return e, a whole number as a float, and m in [sqrt(1/2), sqrt(2)) with x = 2^e m."""
     bits = lax.bitcast_convert_type(x, jnp.int64)
     e = (bits - _ROOT_HALF) >> 52
     return lax.bitcast_convert_type(e + _WHOLE, x.dtype) - _OFFSET, lax.bitcast_convert_type(

@@ -1,4 +1,4 @@
-"""Laws without a contact: polynomial (FPUT), Toda, linear, sine."""
+"""Laws that never open: polynomial (FPUT), Toda, linear, sine."""
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +13,14 @@ def _optional(name, x):
 
 
 class Polynomial(Law):
-    r"""Fermi-Pasta-Ulam-Tsingou law: F(e) = K2 e + K3 e^2 + K4 e^3, energy K2 e^2/2 + K3 e^3/3 + K4 e^4/4.
+    r"""Fermi-Pasta-Ulam-Tsingou law: F(e) = K2 e + K3 e^2 + K4 e^3.
 
-    **Arguments:** `K2`, `K3`, `K4`: scalars or one per bond; a plain 0 is a term that is not there. Compression is
-    positive, so K3 > 0 stiffens under compression, as Hertz does.
+    Energy K2 e^2/2 + K3 e^3/3 + K4 e^4/4. **Arguments:** `K2`, `K3`, `K4`: scalars or one per bond;
+    a plain 0 omits the term. Compression is positive, so K3 > 0 stiffens under compression, as
+    Hertz does.
 
-    Typical: alpha chain K2 = 1, K3 = 1/4; beta chain K2 = 1, K4 = 1. **Raises** ValueError for values not finite.
-    Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
+    Typical: alpha chain K2 = 1, K3 = 1/4; beta chain K2 = 1, K4 = 1. **Raises** ValueError for
+    values not finite. Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
 
     **Example:**
 
@@ -103,8 +104,8 @@ class Toda(Law):
 class Linear(Law):
     """Linear spring: F(e) = K e, energy K e^2/2.
 
-    **Arguments:** `stiffness`: K [N/m], not negative for a stable lattice (a negative one is allowed, as an inverted
-    site potential). **Raises** ValueError for values not finite.
+    **Arguments:** `stiffness`: K [N/m]; a negative K is allowed, as an inverted site potential.
+    **Raises** ValueError for values not finite.
 
     **Example:**
 
@@ -133,10 +134,11 @@ class Linear(Law):
 
 
 class Sine(Law):
-    """Sine law, as a rule on-site (sine-Gordon, Frenkel-Kontorova, pendula): F(u) = (K/q) sin(q u).
+    """Sine law, usually on-site (sine-Gordon, Frenkel-Kontorova, pendula): F(u) = (K/q) sin(q u).
 
-    Energy (2K/q^2) sin^2(q u/2). **Arguments:** `stiffness`: K, the linear stiffness; `wavenumber`: q > 0, so that
-    the potential has period 2 pi/q. Typical: K = q = 1. **Raises** ValueError for values not finite, q <= 0.
+    Energy (2K/q^2) sin^2(q u/2). **Arguments:** `stiffness`: K, the linear stiffness; `wavenumber`:
+    q > 0; the potential has period 2 pi/q. Typical: K = q = 1. **Raises** ValueError for values not
+    finite, q <= 0.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""A monotone cubic spline: a force law without a formula, to be found from data."""
+"""A monotone cubic spline: a force law fitted to data."""
 
 import equinox as eqx
 import jax
@@ -11,21 +11,21 @@ from .base import Law, checked_preload
 
 
 class Spline(Law):
-    r"""A force law as a cubic spline that never falls: F(e) = int_0^e k(x) dx, k(x) = sum_j k_j B_j(x) >= 0.
+    r"""A monotone cubic spline: F(e) = int_0^e k(x) dx, k(x) = sum_j k_j B_j(x) >= 0.
 
-    The stiffness k(e) = F'(e) is a quadratic spline; its coefficients k_j >= 0 are those of B-splines, which are
-    positive and sum to one. F is then monotone (an I-spline), twice differentiable between the ends and linear in
-    every k_j: `scipy.optimize.nnls` finds those of measured forces (below). k_0 and the last k_j are the stiffness
-    at the end knots and beyond them, where F goes on as a straight line; each of the others is nearly the stiffness
-    midway between two knots. k_0 = 0 makes a contact that opens at the first knot.
+    The stiffness k(e) = F'(e) is a quadratic spline; its coefficients k_j >= 0 belong to B-splines,
+    which are positive and sum to one. F is an I-spline, twice differentiable between the ends and
+    linear in every k_j: `scipy.optimize.nnls` fits them to measured forces. k_0 and the last k_j
+    are the stiffness at the end knots and beyond, where F is straight; each other k_j is nearly the
+    stiffness midway between two knots. With k_0 = 0 the contact opens at the first knot.
 
-    **Arguments:** `knots`: (K,) compressions that increase, with first <= 0 <= last [m]; plain numbers, static.
-    `stiffness`: k_j >= 0 [N/m], (K + 1,), or (K + 1, bonds) for one law per bond; what a fit moves, with the bounds
-    (0, None). `preload`: F0 >= 0 [N], the force at equilibrium.
+    **Arguments:** `knots`: (K,) increasing compressions, first <= 0 <= last [m], plain numbers,
+    static. `stiffness`: k_j >= 0 [N/m], (K + 1,), or (K + 1, bonds) for one law per bond; fit it
+    with the bounds (0, None). `preload`: F0 >= 0 [N], the force at equilibrium. Typical: 4 to 12
+    knots over the compressions that occur; the law is known only within the data.
 
-    Typical: 4 to 12 knots over the compressions that occur; the law is known only where the data have been.
-    **Raises** ValueError for knots that do not increase or lie on one side of 0, a stiffness below 0 or of another
-    length, F0 < 0. Source: J. O. Ramsay, Statistical Science 3, 425 (1988).
+    **Raises** ValueError for knots that do not increase or lie on one side of 0, a stiffness below
+    0 or of another length, F0 < 0. Source: J. O. Ramsay, Statistical Science 3, 425 (1988).
 
     **Example:**
 
@@ -57,7 +57,7 @@ class Spline(Law):
                 f"{len(self.knots) + 1} numbers, one more than knots",
                 f"shape {stiffness.shape}",
             )
-        # a leaf for each: scalars, or arrays over the bonds, as the parameters of any law
+        # One leaf for each, scalars or arrays over the bonds, as in every law.
         self._coefficients = tuple(stiffness)
         self._preload = checked_preload("preload", preload, "A contact can only push.")
 
@@ -81,9 +81,9 @@ class Spline(Law):
         return total
 
     def _pieces(self, e):
-        """For each interval: the way to e within it and beyond it, and k, k', k''/2 where that way begins.
+        """Yield, per interval, the distances to e within and beyond it; k, k', k''/2 at its start.
 
-        It begins at the point nearest to equilibrium, so that no digits are lost near there.
+        The start is the point nearest to equilibrium, so that no digits are lost near there.
         """
         middle = self._coefficients[1:-1]
         ends = [self._coefficients[0], *self._inner_ends(), self._coefficients[-1]]
@@ -104,7 +104,6 @@ class Spline(Law):
             yield there - start, e - there, *k
 
     def _inner_ends(self):
-        """Stiffness at the inner knots: between its neighbours, so that its slope is continuous."""
         h = np.diff(self.knots).tolist()
         k = self._coefficients[1:-1]
         return [(h[i + 1] * k[i] + h[i] * k[i + 1]) / (h[i] + h[i + 1]) for i in range(len(h) - 1)]

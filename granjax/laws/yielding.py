@@ -1,4 +1,4 @@
-"""A contact in series with a spring: a wall or a support that gives way."""
+"""A contact in series with a spring: a yielding wall or support."""
 
 from functools import partial
 
@@ -14,14 +14,14 @@ NEWTON_STEPS = 200
 
 
 class Yielding(Derived):
-    r"""A law in series with a linear spring of stiffness k: F(e) = F_law(x), where x + F_law(x)/k = e.
+    r"""A law in series with a linear spring of stiffness k: F(e) = F_law(x), x + F_law(x)/k = e.
 
-    The compression e is shared between the contact (x) and what it leans on (F/k). Energy: energy_law(x) + F^2/(2k).
-    The inner law must have a force that does not fall with compression. The equation is solved by Newton's method,
-    kept between 0 and e by bisection; the derivative is that of the implicit function.
+    x is the compression of the contact, F/k that of the support. Energy: energy_law(x) + F^2/(2k).
+    The force of the inner law must not fall with compression. The equation is solved by Newton's
+    method, safeguarded by bisection; the derivative is that of the implicit function.
 
-    **Arguments:** `law`; `support`: k > 0 [N/m]; k much above the contact's stiffness is a rigid wall.
-    **Raises** ValueError for k <= 0 or a law that is none.
+    **Arguments:** `law`; `support`: k > 0 [N/m]; a very large k is a rigid wall. **Raises**
+    ValueError for k <= 0 or a law that is none.
 
     **Example:**
 
@@ -61,7 +61,7 @@ def _share(law, support, e):
         residual, slope = jax.jvp(
             lambda x: x + law.force(x) / support - e, (x,), (jnp.ones_like(x),)
         )
-        below = residual < 0  # magnets that met give NaN: above
+        below = residual < 0  # NaN, where magnets met, counts as above
         low, high = jnp.where(below, x, low), jnp.where(below, high, x)
         better = x - residual / slope
         inside = (better >= low) & (better <= high)

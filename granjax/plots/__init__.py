@@ -1,14 +1,15 @@
-"""Plots: each takes a result, its dataset or arrays, draws into `ax` (or a new figure) and returns the Axes.
+"""Plots: each takes a result, its dataset or arrays, and returns the Axes.
 
-They know no lattice: a run is anything with `ts`, `us`, `vs`, a dispersion anything with `k`, `omega`, `cell`.
+Each draws into `ax`, or a new figure. They need no lattice: a run is anything with `ts`, `us`,
+`vs`, a dispersion anything with `k`, `omega`, `cell`.
 
-Units are those of the result. One in SI is drawn with one prefix per axis that reads (µs, mm/s, kHz), chosen from the
-range of the numbers; one in scaled numbers says "(scaled)". A dataset holds the unit of each variable, so that
-`gx.plots.space_time(run.in_units("us", "mm/s"))` draws microseconds. Arrays have the label that they are given: one
-that ends with a unit of SI, "force (N)", gets a prefix, and with any other, "force (lb)", it stays as it is.
+Axes have the units of the result, in SI with one prefix each (us, mm/s, kHz), chosen from the range
+of the numbers; scaled numbers are labelled "(scaled)". A dataset holds the unit of each variable:
+`gx.plots.space_time(run.in_units("us", "mm/s"))` draws microseconds. Arrays get the given label; an
+SI unit in it, "force (N)", gets a prefix, any other, "force (lb)", is unchanged.
 
-Colour maps are perceptually uniform, or diverge evenly from white at zero; line colours are those of Okabe and Ito. All
-can be told apart by colour-blind eyes.
+Colour maps are perceptually uniform, or diverge evenly from white at zero; line colours are those
+of Okabe and Ito. All are safe for colour-blind readers.
 """
 
 from .fits import corner, fit

@@ -1,4 +1,4 @@
-"""What the plots are given, as NumPy arrays of known shape."""
+"""Conversion of plot arguments to NumPy arrays of known shape."""
 
 from typing import Any, NamedTuple, TypeAlias
 
@@ -10,7 +10,7 @@ from ..types import Parameter
 from .style import said_by, units_of
 
 Samples: TypeAlias = Parameter | np.ma.MaskedArray
-"""Numbers to draw; what is masked is a gap."""
+"""Numbers to draw; masked entries are gaps."""
 
 LABELS = {"u": ("displacement", "m"), "v": ("velocity", "m/s")}
 
@@ -18,7 +18,7 @@ LABELS = {"u": ("displacement", "m"), "v": ("velocity", "m/s")}
 def numbers(
     argument: str, x: Any, ndim: int | None = None, finite: bool = True
 ) -> Float[np.ndarray, "..."]:
-    """Return a floating NumPy array; with `finite=False` NaN and infinity pass, as gaps in the picture."""
+    """Return a floating NumPy array; with `finite=False` NaN and infinity are allowed, as gaps."""
     if isinstance(x, np.ma.MaskedArray):
         x = x.astype(float).filled(np.nan)
     array = np.asarray(parameter(argument, np.asarray(x)) if finite else real(argument, x))
@@ -29,7 +29,7 @@ def numbers(
 
 
 def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
-    """Return `size` numbers, each above the one before."""
+    """Return `size` increasing numbers."""
     x = numbers(argument, x, 1)
     if len(x) != size or not np.all(np.diff(x) > 0):
         refuse(argument, f"{size} rising numbers, as many as the data has", show(x))
@@ -37,7 +37,7 @@ def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
 
 
 class History(NamedTuple):
-    """A quantity over time: times (T,) or `None`, numbers (T, ...), what they are, their unit, what is counted in."""
+    """A quantity over time: times (T,) or `None`, numbers (T, ...), label, unit, unit system."""
 
     ts: Any
     data: Any
@@ -47,10 +47,10 @@ class History(NamedTuple):
 
 
 def history(run_or_array: Any, quantity: Any, label: str | None = None) -> History:
-    """Return a quantity of a run, of the dataset of one, or an array, which is the quantity.
+    """Return a quantity of a run or its dataset; an array is itself the quantity.
 
-    `quantity`: "u", "v", another variable of a dataset, or an array over the times. **Raises** ValueError for a run
-    that saved a single time, and for a quantity that it does not have.
+    `quantity`: "u", "v", another variable of a dataset, or an array over the times. **Raises**
+    ValueError for a run with a single time, and for an unknown quantity.
     """
     stored = "time" in getattr(run_or_array, "variables", ())
     if not stored and not hasattr(run_or_array, "ts"):
@@ -71,7 +71,7 @@ def history(run_or_array: Any, quantity: Any, label: str | None = None) -> Histo
 
 
 def frames_of(data: Any, argument: str = "quantity") -> Float[np.ndarray, "T N"]:
-    """Return the numbers (T, N) of a history of a chain with one number per site."""
+    """Return the numbers (T, N) of a chain with one number per site."""
     if isinstance(data, dict):
         names, remedy = ", ".join(map(repr, data)), "Pick one: quantity=run.vs[...]."
         refuse(argument, "an array where a cell holds several fields", f"fields {names}", remedy)

@@ -1,4 +1,4 @@
-"""Fits: data beside the fitted signals, and corner plots of what is known."""
+"""Fits: data beside the fitted signals, and corner plots of the parameters."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ from ..types import Count, Scalar
 from .arrays import numbers
 from .style import COLOURS, FAINT, axes_or_new, shown, units_of
 
-# half-width of a corner plot's axes, in standard deviations
+# Half-width of a corner plot's axes, in standard deviations.
 REACH = 3.5
 
 
@@ -25,16 +25,12 @@ def fit(
     *,
     sensors: Sequence[Count] | None = None,
 ) -> Shaped[np.ndarray, "2 columns"]:
-    """Draw data and fitted signal of every sensor, with the residuals below.
+    """Draw the data and fitted signal of every sensor, with the residuals below.
 
-    **Arguments:**
-
-    - `result`: a `Fit`, or anything with `traces` (each with `times` (T,), `data` (T, S), `sensors`, S names),
-      `signals` and `residuals`, one (T, S) per trace.
-    - `ax`: Axes of shape (2, columns); `None` makes them in a new figure.
-    - `sensors`: which columns, counted through all traces; `None` is all.
-
-    **Returns:** an array of Axes (2, columns).
+    **Arguments:** `result`: a `Fit`, or anything with `traces` (each with `times` (T,), `data`
+    (T, S), `sensors`, S names), `signals` and `residuals`, one (T, S) per trace. `ax`: Axes of
+    shape (2, columns). `sensors`: which columns, counted through all traces; `None` for all.
+    **Returns:** the Axes (2, columns).
 
     **Example:**
 
@@ -79,13 +75,13 @@ def fit(
 
 
 def _axes_of(result, columns):
-    """How the times are drawn, and each column; sensors of one kind, the first word of a name, share a unit."""
+    """The scale of the times and of each column; sensors with the same first word share a unit."""
     said, kinds = units_of(result), {}
     keys = [(name.split()[0], getattr(trace, "unit", None)) for trace, _, name, *_ in columns]
     for key, (trace, sensor, _, signal, _) in zip(keys, columns):
         kinds.setdefault(key, []).extend(np.asarray(x)[:, sensor] for x in (trace.data, signal))
     by = {
-        # a recorder's numbers have no unit
+        # Raw numbers of a recorder have no unit.
         (kind, unit): shown(f"{kind} signal" if unit == "" else kind, np.concatenate(x), unit, said)
         for (kind, unit), x in kinds.items()
     }
@@ -99,19 +95,18 @@ def corner(
     *,
     truths: dict[str, Scalar] | None = None,
 ) -> Shaped[np.ndarray, "P P"]:
-    """Draw what is known of each pair of parameters: ellipses of one and two deviations, Gaussians on the diagonal.
+    """Draw the covariance of each pair of parameters as ellipses, Gaussians on the diagonal.
 
-    The ellipses are contours of the Gaussian with the fit's covariance; the inner one holds 39 % and the outer one
-    86 % of the probability of a pair.
+    The ellipses of one and two deviations hold 39 % and 86 % of the probability of a pair.
 
-    **Arguments:** `result`: a `Fit`, or anything with `parameters` (a dict), `names` (P,) of its numbers, "a" or
-    "a[0]", "a[1]", ..., and `covariance` (P, P) in their order. `axes`: Axes (P, P). `truths`: dict of known values to
-    mark, with names as in `names`.
+    **Arguments:** `result`: a `Fit`, or anything with `parameters` (a dict), `names` (P,) of its
+    numbers, "a" or "a[0]", "a[1]", ..., and `covariance` (P, P) in their order. `axes`: Axes
+    (P, P). `truths`: dict of known values to mark, with names as in `names`.
 
-    **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
-    (parameters that are not determined).
+    **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance
+    that is not finite (undetermined parameters).
     """
-    # a tree of parameters may have been sorted on the way: their places are those of their names
+    # A tree of parameters may have been sorted; the order is that of `names`.
     first = [name.partition("[")[0] for name in result.names]
     order = sorted(result.parameters, key=first.index)
     values = np.concatenate([numbers(k, result.parameters[k]).ravel() for k in order])
@@ -165,7 +160,6 @@ def corner(
 
 
 def _power(value):
-    """The power of ten that is put in front of a number, 0 where it reads well without."""
     power = int(np.floor(np.log10(abs(value)))) if value != 0 else 0
     return 0 if -1 <= power <= 3 else power
 

@@ -17,7 +17,7 @@ from .style import AxesOrNone, add_colour_bar, add_legend, axes_or_new, colour, 
 SCALES = ("linear", "log")
 EVEN = 1e-6
 SIGNED = 0.02
-# more rows or columns than these are averaged over a pixel, not picked
+# Images with more rows or columns than this are averaged over each pixel, not sampled.
 FINE = 1000
 
 
@@ -35,24 +35,26 @@ def space_time(
     site_label: str = "site",
     colour_bar: bool = True,
 ) -> Axes:
-    """Draw the space-time map of a history: site on x, time on y, the quantity in colour.
+    """Draw a space-time map: site on x, time on y, the quantity in colour.
 
     **Arguments:**
 
-    - `run_or_array`: a run (anything with `ts`, `us`, `vs`, or the dataset of one), or an array
-      (T, N), NumPy or JAX.
-    - `quantity`: with a run `"v"`, `"u"` or an array (T, N), such as `gx.measures.along(gx.measures.strain, ...)`;
-      with a dataset the name of any variable over times and sites.
-    - `ts`: times (T,), rising; those of the run by default, frame numbers for an array. `sites`: places (N,), rising,
-      0 ... N-1 by default.
-    - `scale`: `"linear"`, with zero in white where the data have both signs; `"log"`, the absolute value, cut at
-      `floor` in (0, 1) times the limit.
-    - `limit`: value of the full colour > 0, in units of the data; the largest absolute value by default.
-    - `label`: of the quantity; one that ends with a unit of SI, "contact force (N)", gets a prefix.
+    - `run_or_array`: a run (anything with `ts`, `us`, `vs`, or its dataset), or an array (T, N),
+      NumPy or JAX.
+    - `quantity`: with a run `"v"`, `"u"` or an array (T, N), such as
+      `gx.measures.along(gx.measures.strain, ...)`; with a dataset any variable over times and
+      sites.
+    - `ts`: increasing times (T,), by default of the run, or frame numbers. `sites`: increasing
+      positions (N,), by default 0 ... N-1.
+    - `scale`: `"linear"`, with zero in white if the data have both signs; `"log"`, the absolute
+      value, cut at `floor` in (0, 1) times the limit.
+    - `limit` > 0: value of the full colour, in units of the data; by default the largest absolute
+      value.
+    - `label`: of the quantity; an SI unit at its end, "contact force (N)", gets a prefix.
       `site_label`: of the axis.
 
-    **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` where times or places are uneven).
-    **Raises** ValueError for another scale, shapes that do not fit, a floor outside (0, 1).
+    **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` for uneven times or
+    sites). **Raises** ValueError for another scale, shapes that do not fit, a floor outside (0, 1).
 
     **Example:**
 
@@ -83,7 +85,7 @@ def space_time(
         norm, map_name = colours_of(data, top)
     image = _draw(ax, x, y, data, norm, map_name)
     ax.set(xlabel=site_label, ylabel=by_time.label)
-    # few enough for a journal's column
+    # Few enough ticks for a journal column.
     ticks = {"nbins": 6, "steps": [1, 2, 5, 10], "integer": True}
     if sites is None or np.all(2 * x % 1 == 0):
         ax.xaxis.set_major_locator(MaxNLocator(**ticks))
@@ -96,7 +98,7 @@ def space_time(
 
 
 def colours_of(data: Float[np.ndarray, "T N"], top: Scalar) -> tuple[Normalize, str]:
-    """Return norm and map: a diverging map about zero where both signs matter."""
+    """Return norm and map; diverging about zero if the data have both signs."""
     seen = data[np.isfinite(data)]
     low, high = seen.min(initial=0.0), seen.max(initial=0.0)
     if low >= -SIGNED * top:
@@ -141,14 +143,15 @@ def traces(
 
     **Arguments:**
 
-    - `ts`: times (T,), rising, and `qs`: history (T, N), NumPy or JAX; or a run or its dataset, and `qs` as `quantity`
-      of `space_time`. `sites`: indices of the sites to show, negative from the end; `None` for all.
-    - `offset`: distance between traces [units of q]; `None` takes the largest span of one; 0 lays them over each
-      other, with a legend. `labels`: one per trace, by default the site's index.
-    - `label`: of the quantity, on the scale bar or the axis, as in `space_time`. `site_label`: of the axis.
+    - `ts`: increasing times (T,), and `qs`: history (T, N), NumPy or JAX; or a run or its dataset,
+      and `qs` as `quantity` of `space_time`. `sites`: indices of the sites to show, negative from
+      the end; `None` for all.
+    - `offset`: distance between traces [units of q]; `None` for the largest span of one; 0 overlays
+      them, with a legend. `labels`: one per trace, by default the site's index.
+    - `label`, `site_label`: of the scale bar or axis, as in `space_time`.
 
-    **Returns:** the Axes; `ax.lines` holds the traces first, in order.
-    **Raises** ValueError for shapes that do not fit, an offset below zero.
+    **Returns:** the Axes; `ax.lines` holds the traces first, in order. **Raises** ValueError for
+    shapes that do not fit, an offset below zero.
 
     **Example:**
 
@@ -158,7 +161,7 @@ def traces(
     4
     """
     found = history(ts, qs, label)
-    if found.ts is None:  # times and numbers of no run
+    if found.ts is None:  # arrays instead of a run
         found = found._replace(ts=ts, data=qs)
     qs = frames_of(found.data, "qs")
     by_time = shown("time", found.ts, "s", found.units)
@@ -190,7 +193,6 @@ def traces(
 
 
 def _scale_bar(ax, span, by):
-    """A bar of a round height beside the traces, in place of a second axis."""
     power = 10.0 ** np.floor(np.log10(span))
     height = float(max(m for m in (1, 2, 5) if m * power <= span * (1 + 1e-12)) * power)
     limits = low, high = ax.get_ylim()

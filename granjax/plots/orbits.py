@@ -1,4 +1,4 @@
-"""Time-periodic orbits: Floquet multipliers, breathers, branches, response curves up and down."""
+"""Time-periodic orbits: Floquet multipliers, breathers, branches, response curves."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from .arrays import numbers
 from .histories import space_time
 from .style import COLOURS, FAINT, AxesOrNone, add_legend, axes_or_new, shown, units_of
 
-# Krein signature -> colour, mark, what it is called
+# Krein signature -> colour, mark, label
 _KREIN = {
     1: (COLOURS[0], "o", "Krein +"),
     -1: (COLOURS[1], "s", "Krein $-$"),
@@ -25,18 +25,18 @@ _VERDICTS = {
     "undecided": (FAINT, ":", "undecided"),
     "": (COLOURS[0], "-", None),
 }
-# between two verdicts
+# Line between two points of different verdicts.
 UNKNOWN = (FAINT, ":")
-# points of a line in a step
+# Points of a smooth line per step.
 FINE = 12
-# of its length, how far apart points of a line count that coincide
+# Distance between coincident points of a line, as a fraction of its length.
 COINCIDING = 1e-9
-# of one frequency: rounding
+# Relative difference within which frequencies count as equal.
 SAME = 1e-12
-# of a `Branch` what is drawn, its label, its unit
+# The fields of a `Branch` that are drawn, their labels, their units.
 AXES_OF_A_BRANCH = ("energy", "amplitude"), ("energy", r"amplitude $\max|u_n|$"), ("J", "m")
 VELOCITY = "velocity (m/s)"
-# what a bifurcation is called that changes nothing by itself
+# The `kind` of an event that does not change the stability by itself.
 EXTREMUM = "extremum of energy"
 _ORBITS = {
     "stable": ("0.2", "-", "orbit, stable"),
@@ -48,14 +48,14 @@ _ORBITS = {
 def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Axes:
     r"""Draw Floquet multipliers in the complex plane with the unit circle.
 
-    Colours and marks tell the Krein signature; 0 is off the circle, at a meeting of two signs, or of a flow without
-    one. Unstable multipliers, but for those that symmetry puts at +1, have a ring. With uniform damping the circle of
-    radius exp(-gamma T/2), about which multipliers pair, is dotted.
+    Colours and marks show the Krein signature; 0 is off the circle, at a collision of two signs, or
+    for a flow without signature. Unstable multipliers have a ring, except those that symmetry puts
+    at +1. With uniform damping the circle of radius exp(-gamma T/2), about which multipliers pair,
+    is dotted.
 
-    **Arguments:** `fl`: a `Floquet`, or anything with `multipliers` (2n,), `krein` (2n,), `error` (2n,), `expected`,
-    `rate` and `period`. `legend`: whether signatures are named.
-
-    **Returns:** the Axes; the rings are the last of `ax.lines`, labelled "unstable".
+    **Arguments:** `fl`: a `Floquet`, or anything with `multipliers` (2n,), `krein` (2n,), `error`
+    (2n,), `expected`, `rate` and `period`. `legend`: whether signatures are named. **Returns:** the
+    Axes; the rings are the last of `ax.lines`, labelled "unstable".
 
     **Example:**
 
@@ -89,7 +89,7 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Ax
 
 
 def unstable_of(fl: Any) -> np.ndarray:
-    """Return the indices of the multipliers outside the unit circle by more than their error, but for symmetries'."""
+    """Return the indices of unstable multipliers, beyond their error and symmetry."""
     rho = np.asarray(fl.multipliers)
     symmetry = np.argsort(np.abs(rho - 1))[: fl.expected]
     outside = np.flatnonzero(np.abs(rho) - 1 > np.asarray(fl.error))
@@ -104,22 +104,21 @@ def breather(
     mode: Count | None = None,
     field: str | None = None,
 ) -> np.ndarray:
-    """Draw a breather in four panels: displacements, Floquet multipliers, the two halves of an eigenvector.
-
-    Of a stable one, of which nothing grows, strain and a period of the velocities instead.
+    """Draw a breather in four panels: displacements, Floquet multipliers, an eigenvector's halves.
 
     **Arguments:**
 
-    - `breather`: an `Orbit` of a chain with scalar displacements, or anything with `state` (u, v), and `floquet()`
-      unless `fl` is given. `fl`: its `Floquet`.
-    - `axes`: four Axes in any shape, for (a) to (d); by default those of a new figure.
-    - `mode`: index of the multiplier whose eigenvector is shown; by default the largest unstable one. A stable orbit
-      has none: (c) then is the strain u_n - u_{n+1}, and (d) the velocity over a period, of `breather.run()`. The
-      eigenvector is turned so that its largest displacement is real, positive and 1; imaginary parts, of complex
-      multipliers, are dashed.
-    - `field`: which is shown, where a cell holds several; by default `"bead"`.
+    - `breather`: an `Orbit` of a chain with scalar displacements, or anything with `state` (u, v),
+      and `floquet()` unless `fl` is given. `fl`: its `Floquet`.
+    - `axes`: four Axes in any shape, for (a) to (d); by default a new figure.
+    - `mode`: index of the multiplier whose eigenvector is shown; by default the largest unstable
+      one. For a stable orbit (c) is the strain u_n - u_{n+1}, and (d) the velocity over a period,
+      from `breather.run()`. The eigenvector is scaled so that its largest displacement is 1;
+      imaginary parts, for complex multipliers, are dashed.
+    - `field`: which is shown, if a cell has several; by default `"bead"`.
 
-    **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields without a name of one, lanes.
+    **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields without a
+    name of one, lanes.
     """
     fl, units = breather.floquet() if fl is None else fl, units_of(breather)
     axes = axes_or_new(axes, 8.4, 6.4, 2, 2)
@@ -159,12 +158,10 @@ def breather(
 
 
 def _field_of(u, field):
-    """One field of displacements or velocities, those of the plain array where there is one."""
     return u[one_of("field", field, tuple(u))] if isinstance(u, dict) else u
 
 
 def _parts(fl, mode, u, field):
-    """Displacements and velocities of an eigenvector, of the field shown, whose largest displacement there is 1."""
     halves = np.split(np.asarray(fl.vectors)[:, mode], 2)
     if isinstance(u, dict):
         names = sorted(u)
@@ -192,22 +189,22 @@ def branch(
     marks: Any = None,
     omega_label: str = r"angular frequency $\omega_b$",
 ) -> np.ndarray:
-    """Draw a family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
+    """Draw a family of breathers: energy and amplitude over frequency, stability, bifurcations.
 
-    Breathers of one frequency, as from `gx.breathers.anticontinuous`, are drawn over their parameter `p`.
-
-    Smooth curves through the points. A part of one stability ends at the bifurcation between two points, of
-    `br.bifurcations` or `marks`; where none is known (or several are) the curve between the two points is dotted.
+    Breathers of one frequency, as from `gx.breathers.anticontinuous`, are drawn over their
+    parameter `p`. Curves through the points are smooth. The stability changes at the bifurcation
+    between two points, from `br.bifurcations` or `marks`; with none or several the curve between
+    the two points is dotted.
 
     **Arguments:**
 
-    - `br`: a `Branch`, or anything with `omega`, `energy`, `amplitude`, (P,) each, and `verdict`: P words "stable",
-      "unstable", "undecided", or ""; `p` (P,) and `bifurcations` count where it has them.
-    - `axes`: two Axes; by default those of a new figure. `bands`: intervals (B, 2) of the linear spectrum to shade,
-      such as `gx.breathers.bands_of(chain)[0]`; `marks`: bifurcations to mark, those of
-      `gx.breathers.bifurcations(br)`, or frequencies. Extrema of the energy, at which stability may change, are
-      diamonds on the curves.
-    - `omega_label`: of the frequencies' axis.
+    - `br`: a `Branch`, or anything with `omega`, `energy`, `amplitude`, (P,) each, and `verdict`: P
+      words "stable", "unstable", "undecided", or ""; optionally `p` (P,) and `bifurcations`.
+    - `axes`: two Axes; by default a new figure. `bands`: intervals (B, 2) of the linear spectrum to
+      shade, such as `gx.breathers.bands_of(chain)[0]`; `marks`: bifurcations to mark, from
+      `gx.breathers.bifurcations(br)`, or frequencies. Energy extrema, where stability may change,
+      are diamonds.
+    - `omega_label`: of the frequency axis.
 
     **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit.
 
@@ -243,24 +240,25 @@ def branch(
             look = {"color": COLOURS[2], "ls": ":", "lw": 1.0, "zorder": 1}
             ax.axvline(place, label=None if known else "bifurcation", **look)
         ax.set_xlim(x.min() - room, x.max() + room)
-        # a family whose energies are alike fills the picture, so that its extremum is seen
+        # A family of similar energies fills the axis, so that its extremum is visible.
         low, high = height.min(), height.max()
         ax.set_ylim(0 if high - low > 0.5 * high else low - 0.1 * (high - low or 1), None)
         ax.set_ylim(None, high + 0.06 * (high - ax.get_ylim()[0]))
         ax.set(xlabel=over.label, ylabel=by.label)
-        # few enough for a journal's column: frequencies have many digits
+        # Few enough ticks for a journal column, since frequencies have many digits.
         ax.locator_params(axis="x", nbins=5)
     add_legend(axes.ravel()[1], inside=True)
     return axes
 
 
 def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> Axes:
-    """Draw the branches of `gx.orbits.diagram`: the largest |u| at t0 over the parameter, bifurcations marked.
+    """Draw the branches of `gx.orbits.diagram`: the largest |u| at t0 over the parameter.
 
-    Stable orbits are lines, others dashed; tori have dots. Each bifurcation has a mark for its kind.
+    Stable orbits are solid, others dashed; tori have dots. Each kind of bifurcation has its own
+    mark.
 
-    **Arguments:** `found`: a `Diagram`, or anything with `branches`, each with `p`, `amplitude`, `verdict`. `label`: of
-    the parameter's axis. **Returns:** the Axes.
+    **Arguments:** `found`: a `Diagram`, or anything with `branches`, each with `p`, `amplitude`,
+    `verdict`. `label`: of the parameter axis. **Returns:** the Axes.
 
     **Example:**
 
@@ -277,7 +275,7 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
         torus = not hasattr(one, "bifurcations")
         stable = np.asarray(one.verdict) == "stable"
         for whole, dash in ((stable, "-"), (~stable, "--")):
-            # a step belongs to the part of its first point
+            # A step belongs to the part of its first point.
             kept = whole | np.append(False, whole[:-1])
             ax.plot(
                 x,
@@ -299,16 +297,15 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
 
 
 def _between(p, event):
-    """Which part of the way to the next point a bifurcation is."""
     here, there = p[event.after], p[event.after + 1]
     return float(np.clip((event.p - here) / (there - here), 0, 1)) if there != here else 0.5
 
 
 def _line(ax, x, y, br, looks, marks=(), factor=1.0):
-    """A smooth line through points in parts of one verdict each, cut where a located bifurcation changes it.
+    """Draw a smooth line in parts of one verdict each, cut at the located bifurcation.
 
-    Where the verdict changes and nothing is located in between, or several bifurcations are, nobody knows which one the
-    orbits between have: dotted.
+    Where the verdict changes without one, or with several, the verdict in between is unknown:
+    dotted.
     """
     verdict, p = np.asarray(br.verdict), np.asarray(getattr(br, "p", x / factor), float)
     curve = np.column_stack([x, y, p])
@@ -329,7 +326,6 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
         named.add(name)
 
     def inside(i, event):
-        """Where in the i-th step an event lies, a `Bifurcation` or a value of the parameter."""
         places = np.linspace(s[i], s[i + 1], 1001)
         away = at(places)[:, 2] - getattr(event, "p", event)
         after = getattr(event, "after", None)
@@ -359,15 +355,16 @@ def hysteresis(
     x_label: str = "parameter",
     y_label: str = "response",
 ) -> Axes:
-    """Draw the response while a parameter goes up and down again; where the two differ is shaded.
+    """Draw the response to a parameter swept up and down; the difference is shaded.
 
     **Arguments:**
 
-    - `sweep`: a `gx.driven.ResponseCurve`, or anything with its `values` (P,), `up`, `down` and `hysteresis`.
-    - `orbits`: a `Branch`, or anything with `p`, `response` and `verdict` (P,), drawn behind, unstable parts
-      dashed, in smooth curves that change where its `bifurcations` are.
-    - `x_label`, `y_label`: of the axes. One that ends with a unit of SI, "angular frequency (rad/s)" or "rms velocity
-      (m/s)", gets a prefix.
+    - `sweep`: a `gx.driven.ResponseCurve`, or anything with its `values` (P,), `up`, `down` and
+      `hysteresis`.
+    - `orbits`: a `Branch`, or anything with `p`, `response` and `verdict` (P,), drawn behind in
+      smooth curves that change at its `bifurcations`, unstable parts dashed.
+    - `x_label`, `y_label`: of the axes. An SI unit at the end, "angular frequency (rad/s)" or "rms
+      velocity (m/s)", gets a prefix.
 
     **Returns:** the Axes.
     """

@@ -1,4 +1,4 @@
-"""Beads of the plane as circles with the forces between them; films of runs, of chains and of the plane."""
+"""Beads in the plane as circles with the forces between them; films of runs."""
 
 from typing import Any
 
@@ -24,15 +24,15 @@ from .style import (
     units_of,
 )
 
-# of the size of a lattice, how far apart beads of one place count
+# Beads closer than this fraction of the lattice's size count as coincident.
 CLOSED = 1e-9
-# beads whose outlines would hide them
+# From this number of beads on, outlines would hide them.
 MANY = 3000
-# width of the line of the largest force, of a bead ...
+# Width of the line of the largest force, as a fraction of a bead's diameter ...
 SHARE = 0.13
 # ... and at most [points]
 WIDEST = 2.5
-# of the largest force, what is not drawn
+# Forces below this fraction of the largest are not drawn.
 LEAST = 1e-3
 
 
@@ -47,19 +47,23 @@ def beads(
     limit: Scalar | None = None,
     colour_bar: bool = True,
 ) -> Axes:
-    """Draw beads of a lattice of the plane as circles, coloured by a quantity, with the forces between them as lines.
+    """Draw the beads of a plane lattice as circles, coloured by a quantity, with force lines.
 
     **Arguments:**
 
-    - `places`: anything with `positions`, such as a `Lattice`; or an array (..., 2), or a dict of such.
-    - `values`: one number for each bead, shaped as the places without their last axis (a dict of such for fields), such
-      as the energies of `gx.measures.site_energy`; `None` draws the beads alone. `label`: what they are; one that ends
-      with a unit of SI, "energy (J)", gets a prefix. `limit` > 0: the value of the full colour.
-    - `network`: anything with `segments` (bonds, 2, 2) and `force` (bonds,), such as `gx.measures.force_network`: lines
-      as wide as the force is large, of the second colour where it pulls, with a key of the largest.
-    - `radius`: of the circles, in the unit of the places; half of the least distance by default.
+    - `places`: anything with `positions`, such as a `Lattice`; or an array (..., 2), or a dict of
+      arrays.
+    - `values`: one number per bead, shaped as the places without their last axis
+      (a dict for fields), such as `gx.measures.site_energy`; `None` draws only the beads. `label`:
+      names them; an SI unit at its end, "energy (J)", gets a prefix. `limit` > 0: the value of the
+      full colour.
+    - `network`: anything with `segments` (bonds, 2, 2) and `force` (bonds,), such as
+      `gx.measures.force_network`: lines with a width proportional to the force, in the second
+      colour if it pulls, with a legend of the largest.
+    - `radius`: of the circles, in the unit of the places; by default half of the least distance.
 
-    **Returns:** the Axes; the circles are `ax.collections[0]`. **Raises** ValueError for shapes that do not fit.
+    **Returns:** the Axes; the circles are `ax.collections[0]`. **Raises** ValueError for shapes
+    that do not fit.
 
     **Example:**
 
@@ -92,7 +96,6 @@ def beads(
 
 
 def _fields(places):
-    """Places by the name of their field; "" of the only one."""
     if getattr(places, "lanes", ()):
         refuse("places", "one lattice", f"a batch of {places.lanes}", "Take a lane.")
     places = getattr(places, "positions", places)
@@ -109,7 +112,6 @@ def _fields(places):
 
 
 def _places(places, radius):
-    """Places (N, 2) of all fields, and the radius of a bead, half of the least distance where none is given."""
     at = np.concatenate([numbers("places", x).reshape(-1, 2) for x in _fields(places).values()])
     if radius is not None:
         return at, float(positive("radius", radius))
@@ -120,7 +122,6 @@ def _places(places, radius):
 
 
 def _numbers(values, places, times, length=False):
-    """Numbers (times, N) of all fields, one after the other; `length`: of vectors their length."""
     columns = []
     for name, x in _fields(places).items():
         shape = (*times, *np.shape(x)[:-1])
@@ -134,7 +135,6 @@ def _numbers(values, places, times, length=False):
 
 
 def _circles(ax, at, radius) -> EllipseCollection:
-    """Circles of one radius at some places."""
     size = np.full(len(at), 2 * radius)
     look = {"edgecolor": "0.35", "linewidth": 0.4 if len(at) < MANY else 0}
     where = {"units": "xy", "offsets": at, "offset_transform": ax.transData}
@@ -142,7 +142,7 @@ def _circles(ax, at, radius) -> EllipseCollection:
 
 
 def _lines(ax, lines, force, radius, units):
-    """Forces as lines over the beads, so thin that these can be seen, and a key that says how large the widest is."""
+    """Draw forces as lines over the beads, thin enough to see these, and a legend of the widest."""
     by = shown("force", force, "N", units)
     force = by(force)
     top = np.nanmax(np.abs(force), initial=0.0)
@@ -165,7 +165,6 @@ def _lines(ax, lines, force, radius, units):
 
 
 def _frame(ax, at, radius, label):
-    """Limits about all beads and bonds, equal scales, labels x and y."""
     low, high = np.nanmin(at, 0) - 1.5 * radius, np.nanmax(at, 0) + 1.5 * radius
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     ax.set(xlabel=label, ylabel="y" + label[1:])
@@ -183,21 +182,22 @@ def film(
     move: Scalar = 0.0,
     ax: AxesOrNone = None,
 ) -> FuncAnimation:
-    """Make a film of a run: a chain as a curve over its sites, a lattice of the plane as beads.
+    """Make a film of a run: a chain as a curve over its sites, a plane lattice as beads.
 
-    `gx.plots.save(film(run, lattice), "impact.gif")`, or .mp4 where ffmpeg is installed.
+    `gx.plots.save(film(run, lattice), "impact.gif")`, or .mp4 if ffmpeg is installed.
 
     **Arguments:**
 
-    - `run`: anything with `ts`, `us`, `vs`, of more than one time, or the dataset of one.
-    - `places`: of the plane, as in `beads`; `None` for a chain.
-    - `quantity`: `"v"`, `"u"` (of vectors in the plane their length), or an array over times and sites.
-    - `limit` > 0: of the colour or the axis, the largest of all frames by default. `label`: as in `beads`.
-    - `rate`: frames a second. `move`: the factor by which displacements u are drawn larger. `ax`: where it is drawn, by
-      default in a figure of its own.
+    - `run`: anything with `ts`, `us`, `vs` and several times, or its dataset.
+    - `places`: of a plane lattice, as in `beads`; `None` for a chain.
+    - `quantity`: `"v"`, `"u"` (for vectors in the plane their length), or an array over times and
+      sites.
+    - `limit` > 0: of the colour or the axis, by default the largest value. `label`: as in `beads`.
+    - `rate`: frames per second. `move`: the factor that magnifies displacements u. `ax`: by default
+      in a new figure.
 
-    **Returns:** an animation of matplotlib's, for `gx.plots.save`. **Raises** ValueError for a run of one time, and
-    shapes that do not fit.
+    **Returns:** a matplotlib animation, for `gx.plots.save`. **Raises** ValueError for a run with a
+    single time, and shapes that do not fit.
     """
     found = history(run, quantity, label)
     by_time = shown("time", found.ts, "s", found.units)
@@ -211,7 +211,7 @@ def film(
     top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(limit)
     by = shown(found.label, top, found.unit, found.units)
     data, top = by(data), top * by.factor
-    if ax is None:  # of a figure that no notebook shows beside the film
+    if ax is None:  # a figure that a notebook does not show beside the film
         with style():
             ax = figure(*((5.4, 3.0) if places is None else (4.8, 4.2))).subplots()
     title, unit = ax.set_title(" "), by_time.after
@@ -232,7 +232,6 @@ def film(
 
 
 def _moving(ax, run, places, move, data, top, by, units):
-    """Beads drawn as they are at first, and the function that shows a later frame."""
     at, radius = _places(places, None)
     place = shown("x", at, "m", units_of(places) or units)
     at, radius = place(at), place.factor * radius

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from ..checks import one_of, refuse
 from .style import FAINT, AxesOrNone, add_legend, axes_or_new, colour
 
-# what is drawn, and its label
+# The column that is drawn, and its label.
 AGAINST = {
     "time": ("seconds", "time of one run (s)"),
     "evaluations": ("evaluations", "force evaluations of one run"),
@@ -18,17 +18,18 @@ DEFAULT = "default"
 
 
 def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> Axes:
-    """Draw the error against the work that it takes, both logarithmic: down and to the left is better.
+    """Draw the error against the work, both logarithmic: down and to the left is better.
 
     **Arguments:**
 
-    - `wp`: what `gx.work_precision` returns, or any table with one entry a point: `method`, `error`, `seconds`,
-      `evaluations`, `drawn`; with `methods`, their names in order, and `floor`, the uncertainty of the reference, which
-      is shaded (NaN: none). A method named `"default"` is a star.
-    - `against`: `"time"` or `"evaluations"`; methods that do not count those are left out.
+    - `wp`: the result of `gx.work_precision`, or a table with one entry per point: `method`,
+      `error`, `seconds`, `evaluations`, `drawn`; with `methods`, their names in order, and `floor`,
+      the uncertainty of the reference, which is shaded (NaN: none). A method named `"default"` is a
+      star.
+    - `against`: `"time"` or `"evaluations"`; methods that do not count evaluations are left out.
 
-    **Returns:** the Axes; one line per method in `ax.lines`. **Raises** ValueError for anything else to draw against,
-    or a table where no point is drawn.
+    **Returns:** the Axes; one line per method in `ax.lines`. **Raises** ValueError for another
+    `against`, or a table without points to draw.
     """
     column, label = AGAINST[one_of("against", against, tuple(AGAINST))]
     work, error = np.asarray(getattr(wp, column)), np.asarray(wp.error)
@@ -53,7 +54,6 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
 
 
 def _shade(ax, floor, lowest):
-    """The uncertainty of the reference, below which nothing is known."""
     if not floor > 0:
         return
     bottom, top = min(floor, lowest) / 10, ax.get_ylim()[1]

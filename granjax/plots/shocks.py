@@ -23,7 +23,7 @@ from .style import (
 BOND = r"bond from the step $n$"
 SPEED = r"speed $n/t$, bonds per time"
 OVER = ("place", "speed")
-# of `modulation`: the field of a `Shock`, that of a theory, what it is called, and the unit of its numbers in SI
+# For `modulation`: the field of a `Shock`, that of a theory, the label, and the SI unit.
 QUANTITIES = {
     "m": ("m", "m", r"modulation parameter $m$", ""),
     "mean": ("means", "mean", "mean strain", "m"),
@@ -42,16 +42,17 @@ def shock(
     time: Scalar | None = None,
     over: str = "place",
 ) -> Axes:
-    r"""Draw the strain after a step over the place, or over n/t, with edges, plateau and amplitude of a shock.
+    r"""Draw the strain after a step over position or n/t, with the edges and mean of a shock.
 
     **Arguments:**
 
-    - `run_or_strain`: a run of `problem.run(...)`, whose last state is drawn; or strains (B,). `problem`: what was
-      run, `None` for what the run remembers.
-    - `shock`: anything with `trailing_speed`, `leading_speed`, `mean` and `amplitude`, such as `gx.shocks.measure(run)`
-      or a theory's `velocity_shock(c)`: its edges are dashed, its mean and its amplitude drawn and written beside.
-    - `places` (B,), rising: of strains, from the step; `time`: theirs, needed where edges are drawn or `over="speed"`.
-    - `over`: "place" or "speed", which counts bonds per time.
+    - `run_or_strain`: a run of `problem.run(...)`, whose last state is drawn; or strains (B,).
+      `problem`: what was run, `None` for the one that the run remembers.
+    - `shock`: anything with `trailing_speed`, `leading_speed`, `mean` and `amplitude`, such as
+      `gx.shocks.measure(run)` or a theory's `velocity_shock(c)`; all four are marked.
+    - `places` (B,): increasing, from the step, for strains; `time`: of the strains, needed for
+      edges or `over="speed"`.
+    - `over`: "place" or "speed", bonds per time.
 
     **Returns:** the Axes; the strain is `ax.lines[0]`. **Raises** ValueError for a batch.
 
@@ -80,7 +81,6 @@ def shock(
 
 
 def _mark(ax, shock, along, by_y):
-    """Edges, plateau and amplitude; `along`: what a speed is multiplied with to be a place of the picture."""
     trailing, leading = along * float(shock.trailing_speed), along * float(shock.leading_speed)
     ahead, mean, way = float(getattr(shock, "ahead", 0.0)), float(shock.mean), np.sign(leading)
     ground, level, crest = by_y(
@@ -92,7 +92,6 @@ def _mark(ax, shock, along, by_y):
     ax.set_ylim(low, high + 0.16 * (high - low))
 
     def write(words, place, offset, tone, side, **where):
-        """Words beside a place, to the right of it where `side` is above zero, in the middle for 0."""
         look = {"size": "small", "color": tone, "ha": ("center", "left", "right")[int(side)]}
         where = {"xycoords": "data", "textcoords": "offset points", **where}
         ax.annotate(words, place, offset, **look, **where)
@@ -116,7 +115,7 @@ def _mark(ax, shock, along, by_y):
         words = f"amplitude {abs(crest - ground):.4g} {by_y.unit}".strip()
         middle = (leading, (crest + ground) / 2)
         write(words, middle, (6 * way, 0), COLOURS[3], way, va="center")
-    # room for what is written ahead of the leading edge
+    # Make room for the text ahead of the leading edge.
     first, last = ax.get_xlim()
     space = 0.4 * (leading - (first if way > 0 else last))
     ax.set_xlim(min(first, leading + space), max(last, leading + space))
@@ -129,17 +128,19 @@ def modulation(
     quantity: str = "m",
     beside: Mapping[str, Any] | None = None,
 ) -> Axes:
-    """Draw how the waves of a shock change along it: as measured in windows, over n/t, beside theories.
+    """Draw the modulation of a shock's waves over n/t, measured in windows, beside theories.
 
     **Arguments:**
 
-    - `shock`: anything with `s` (W,) and what is drawn, `m`, `means`, `amplitudes` or `wavelengths` (W,), such as
-      `gx.shocks.measure(run)`. Of `m` what the theory that it was fitted with has at n/t, `speeds_of_m`, is drawn too.
-    - `quantity`: "m", "mean", "amplitude" (crest less trough) or "wavelength".
+    - `shock`: anything with `s` (W,) and `m`, `means`, `amplitudes` or `wavelengths` (W,), such as
+      `gx.shocks.measure(run)`. For `m` the speeds of the fitted theory, `speeds_of_m`, are also
+      drawn.
+    - `quantity`: "m", "mean", "amplitude" (crest minus trough) or "wavelength".
     - `beside`: dict from a name to anything with `speed` (X,) and the quantity (X,), such as
-      `gx.theory.toda.modulation(m, c)`; to what `gx.shocks.whitham` returns; or to a pair (speeds, values).
+      `gx.theory.toda.modulation(m, c)`; to the result of `gx.shocks.whitham`; or to a pair
+      (speeds, values).
 
-    **Returns:** the Axes; what was measured is `ax.lines[0]`.
+    **Returns:** the Axes; the measured values are `ax.lines[0]`.
     """
     measured, field, label, unit = QUANTITIES[one_of("quantity", quantity, tuple(QUANTITIES))]
     s = np.asarray(shock.s)
@@ -153,7 +154,7 @@ def modulation(
             one = one.s, getattr(one, measured)
         elif not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
             one = one.speed, getattr(one, field)
-        # where m = 1 a wavelength is infinite
+        # At m = 1 a wavelength is infinite.
         curves[name] = [numbers(f"beside[{name!r}]", x, 1, finite=False) for x in one]
     said = units_of(shock)
     by_x, by_y = shown(SPEED, s, "1/s", said), shown(label, values, unit, said)
@@ -169,7 +170,6 @@ def modulation(
 
 
 def _profile(given, problem, places, time):
-    """Places, strains, time (`None` where nobody says) and units of what is drawn."""
     if hasattr(given, "final"):
         problem = getattr(given, "started", None) if problem is None else problem
         if problem is None:

@@ -1,4 +1,4 @@
-"""The house style: fonts, colours, new figures. Nothing global is changed."""
+"""The house style: fonts, colours, new figures, without global changes."""
 
 import contextlib
 import io
@@ -25,22 +25,22 @@ from ..units import SCALED, SI
 from ..units.names import known_unit, readable
 
 AxesOrNone: TypeAlias = Axes | None
-"""Axes to draw into, `None` for those of a new figure."""
+"""Axes to draw into, `None` for a new figure."""
 
 # Okabe and Ito (2008): blue, vermilion, green, orange, sky, purple, black
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#000000")
 DASHES = ("-", "--", "-.", ":")
 FAINT = "0.55"
 HERTZ = known_unit("Hz")
-# a label that ends with a unit
+# A label that ends with a unit.
 BRACKET = re.compile(r"(.*\S)\s*[([]([^)\]]+)[)\]]\s*$")
 OMEGA = r"angular frequency $\omega$"
-# of the range of a colour bar, what numbers may lie beyond it by rounding
+# Numbers may lie beyond a colour bar by this fraction of its range, because of rounding.
 ROUNDING = 1e-6
-# of a legend: the width of a letter [points], and letters that a handle takes
+# For a legend: the width of a letter [points], and the width of a handle in letters.
 LETTER = 4.6
 HANDLE = 5
-# more rows than these are written smaller
+# A legend with more rows than this has smaller letters.
 ROWS = 3
 SMALLER = 0.75
 
@@ -64,7 +64,7 @@ _STYLE = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Set the house style in a context: `with gx.plots.style(): ...` for Axes of your own.
+    """Set the house style in a context: `with gx.plots.style(): ...` for your own Axes.
 
     **Example:**
 
@@ -73,7 +73,7 @@ def style() -> Iterator[None]:
     >>> ax.spines["top"].get_visible()
     False
     """
-    # not matplotlib's own context: it would undo what a notebook's backend sets when it loads inside
+    # matplotlib's own context would undo the settings of a notebook backend that is loaded inside.
     kept = {name: matplotlib.rcParams[name] for name in _STYLE}
     matplotlib.rcParams.update(_STYLE)
     try:
@@ -83,10 +83,10 @@ def style() -> Iterator[None]:
 
 
 def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
-    """Make an empty figure without a window, to be filled by `.subplots(rows, columns)` inside `with style()`.
+    """Return an empty figure without a window; fill it by `.subplots(rows, columns)` in `style()`.
 
-    **Arguments:** `width`, `height` [inch]. **Returns:** a matplotlib `Figure` that lays itself out.
-    **Raises** ValueError for sizes that are not above zero.
+    **Arguments:** `width`, `height` [inch]. **Returns:** a matplotlib `Figure` with automatic
+    layout. **Raises** ValueError for sizes that are not above zero.
     """
     size = float(positive("width", width)), float(positive("height", height))
     with style():
@@ -96,12 +96,13 @@ def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
 
 
 def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
-    """Write what a plot returned; the path's ending says how (png, pdf, svg; gif, mp4 for an animation).
+    """Write a plot in the format of the path's ending (png, pdf, svg; gif, mp4 for animations).
 
-    **Arguments:** `made`: a figure, Axes, or several Axes of one figure in an array, a list or a dict: the whole figure
-    is written. Or an animation of matplotlib's; mp4 needs ffmpeg. `dpi`: dots per inch.
-    **Returns:** the path. The file is there whole or not at all. **Raises** ValueError for Axes of several figures,
-    another ending, or where nothing can be written there; OSError where writing fails (a full disk).
+    **Arguments:** `made`: a figure, Axes, or several Axes of one figure in an array, a list or a
+    dict: the whole figure is written. Or a matplotlib animation; mp4 needs ffmpeg. `dpi`: dots per
+    inch. **Returns:** the path. No partial file is left. **Raises** ValueError for Axes of several
+    figures, another ending, or a path that cannot be written; OSError if writing fails
+    (a full disk).
 
     **Example:**
 
@@ -114,7 +115,7 @@ def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
 
 
 def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
-    """Return what a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it."""
+    """Return the bytes of a `save` file with this ending: `".png"`, `".pdf"`, `".svg"`."""
     dpi = float(positive("dpi", dpi))
     if isinstance(made, Animation):
         return _moving(made, ending, dpi)
@@ -127,7 +128,7 @@ def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
 
 
 def _moving(made, ending, dpi):
-    """An animation's file. Its writers know files alone, so that one is made elsewhere."""
+    """An animation's bytes, by a temporary file, since its writers need one."""
     writers = {".gif": "pillow"} | {
         end: "ffmpeg" for end in (".mp4", ".webm") if FFMpegWriter.isAvailable()
     }
@@ -140,7 +141,6 @@ def _moving(made, ending, dpi):
 
 
 def _figure(made):
-    """The figure of what a plot returned."""
     if isinstance(made, dict):
         made = list(made.values())
     several = isinstance(made, (Sequence, np.ndarray)) and not isinstance(made, str)
@@ -164,7 +164,7 @@ def axes_or_new(
     columns: Count = 1,
     **how: Any,
 ) -> Axes | np.ndarray:
-    """Return the Axes that were given, several as an array; or those of a new pyplot figure in the house style."""
+    """Return the given Axes, several as an array, or those of a new pyplot figure."""
     if ax is not None:
         return ax if rows * columns == 1 else np.asarray(ax, dtype=object)
     import matplotlib.pyplot as plt
@@ -175,9 +175,9 @@ def axes_or_new(
 
 
 def add_legend(ax: Axes, handles: Sequence[Artist] | None = None, *, inside: bool = False) -> None:
-    """Write a legend that hides nothing, in as many columns as have room.
+    """Add a legend in as many columns as fit, above the Axes or `inside` at their top.
 
-    It stands above the Axes; or `inside`, at their top, whose upper limit makes room: they may then have a title.
+    Inside, the upper limit of the Axes is raised for it; they may then have a title.
     """
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     if not handles:
@@ -199,19 +199,19 @@ def add_legend(ax: Axes, handles: Sequence[Artist] | None = None, *, inside: boo
 
 
 def colour(i: Count) -> str:
-    """Return the i-th line colour, around again after the last."""
+    """Return the i-th line colour, cyclically."""
     return COLOURS[i % len(COLOURS)]
 
 
 def add_colour_bar(ax: Axes, image: Any, label: str, data: Any = None) -> Any:
-    """Add a colour bar beside the Axes, pointed where numbers (those of the image, or `data`) lie beyond its ends."""
+    """Add a colour bar, pointed where the image's numbers (or `data`) exceed its ends."""
     data, norm = np.ma.compressed(image.get_array() if data is None else data), image.norm
     beyond = ROUNDING * (norm.vmax - norm.vmin)
     low, high = np.nanmin(data) < norm.vmin - beyond, np.nanmax(data) > norm.vmax + beyond
     extend = ("neither", "max", "min", "both")[int(high) + 2 * int(low)]
     bar = ax.figure.colorbar(image, ax=ax, pad=0.02, extend=extend, extendfrac=0.03)
     bar.set_label(label, size=ax.yaxis.label.get_size())
-    # Axes that share an axis with others may have no letters of their own there
+    # Axes that share an axis with others may have no tick labels there.
     letters = [*ax.yaxis.get_majorticklabels(), *ax.xaxis.get_majorticklabels()]
     if letters:
         bar.ax.tick_params(labelsize=letters[0].get_size())
@@ -219,7 +219,7 @@ def add_colour_bar(ax: Axes, image: Any, label: str, data: Any = None) -> Any:
 
 
 def log_ticks(axis: Axis, x: Any) -> None:
-    """Write 2 and 5 in place of powers of ten alone where the numbers of a logarithmic axis span less than two."""
+    """Add ticks at 2 and 5 if the numbers of a logarithmic axis span less than two decades."""
     x = np.asarray(x)
     x = x[np.isfinite(x) & (x > 0)]
     if x.size and x.max() < 100 * x.min():
@@ -229,9 +229,9 @@ def log_ticks(axis: Axis, x: Any) -> None:
 
 
 class Shown(NamedTuple):
-    """How an axis is drawn: what its numbers are multiplied with, its label, the unit's name ("" for none).
+    """The scale of an axis: the factor of its numbers, its label, its unit ("" for none).
 
-    Called with numbers it gives those that are drawn.
+    Call it with numbers to get those that are drawn.
     """
 
     factor: float
@@ -240,7 +240,7 @@ class Shown(NamedTuple):
 
     @property
     def after(self) -> str:
-        """What follows a number: its unit, or "(scaled)"."""
+        """Text after a number: its unit, or "(scaled)"."""
         return self.unit or f"({SCALED})" * self.label.endswith(f"({SCALED})")
 
     def __call__(self, x: Any) -> np.ndarray | float:
@@ -248,9 +248,9 @@ class Shown(NamedTuple):
 
 
 def units_of(*results: Any) -> str | None:
-    """Say what the numbers of results (`None` for none) are counted in, "SI" or "scaled"; `None` where none says.
+    """Return the units of results (`None` for none): "SI", "scaled", or `None` if unknown.
 
-    **Raises** ValueError where one is in SI and another scaled, which make no picture together.
+    **Raises** ValueError where one is in SI and another scaled.
     """
     found = {getattr(x, "units", None) for x in results} & {SI, SCALED}
     if len(found) > 1:
@@ -260,7 +260,7 @@ def units_of(*results: Any) -> str | None:
 
 
 def said_by(x: Any, unit: str | None, units: str | None) -> tuple[str | None, str | None]:
-    """Return the unit of numbers, and what they are counted in: what a variable of a dataset says itself goes first."""
+    """Return the unit and unit system of numbers, first from the attributes of a variable."""
     own = getattr(x, "attrs", {}).get("units")
     return (unit, units) if own is None else (own, SCALED if own == SCALED else SI)
 
@@ -268,19 +268,18 @@ def said_by(x: Any, unit: str | None, units: str | None) -> tuple[str | None, st
 def shown(label: str, x: Any, unit: str | None = None, units: str | None = None) -> Shown:
     """Choose one prefix for an axis from the range of its numbers.
 
-    **Arguments:** `label`: without the unit; or with the one of SI, "force (N)", where `unit` is `None`. `x`: the
-    numbers, or the largest of them; a variable of a dataset says its own unit. `unit`: that of the numbers in SI; ""
-    of a pure number, `None` where it is not known. `units`: what they are counted in, "SI", "scaled" or `None`, as
-    `units_of` says.
+    **Arguments:** `label`: without the unit; or with an SI unit, "force (N)", where `unit` is
+    `None`. `x`: the numbers, or the largest of them; a dataset variable has its own unit. `unit`:
+    the SI unit of the numbers; "" for pure numbers, `None` if unknown. `units`: from `units_of`.
 
-    A base unit of SI gets a prefix, and rad/s become Hz; any other unit is drawn as it is.
+    A base unit of SI gets a prefix, and rad/s become Hz; any other unit is unchanged.
     """
     unit, units = said_by(x, unit, units)
     bracket = BRACKET.match(label)
     if unit is None and bracket:
         label, unit = bracket[1], bracket[2]
         known = known_unit(unit)
-        # "force (N)" of a scaled result is scaled; any other unit is drawn as it is
+        # "force (N)" of a scaled result is scaled; any other unit is unchanged.
         units = units if units and known and known.size in (1.0, HERTZ.size) else SI
     if unit == "" or units is None:
         return Shown(1.0, label, "")

@@ -23,17 +23,17 @@ from .style import (
 REASON = "reason"
 NOT_YET = "not computed yet"
 GAP = "0.85"
-# words that have the same colours everywhere, and what tells their bands apart without colours
+# Words with fixed colours, and hatches that distinguish bands without colours.
 KNOWN = {"stable": 0, "unstable": 1, "undecided": 3}
 HATCHES = ("", "///", "xx", "...", "---", "|||", "++")
-# how even the steps of an axis are
+# Relative tolerance for evenly spaced values.
 EVEN = 1e-6
-# lines of more points have no dots
+# Lines with more points have no dots.
 MANY = 64
 
 
 class Along(NamedTuple):
-    """A parameter on an axis: where its values stand, whether the axis is logarithmic, how it is written."""
+    """A parameter on an axis: its positions, whether the axis is logarithmic, its scale."""
 
     at: np.ndarray
     log: bool
@@ -41,7 +41,7 @@ class Along(NamedTuple):
 
     @property
     def edges(self) -> np.ndarray:
-        """Ends of the cells about rising places."""
+        """Ends of the cells about increasing positions."""
         x = np.log(self.at) if self.log else self.at
         if len(x) == 1:
             x = np.array([x[0] - 0.5, x[0] + 0.5])
@@ -51,7 +51,7 @@ class Along(NamedTuple):
         return np.exp(x) if self.log else x
 
     def dress(self, ax: Axes, which: str) -> None:
-        """Label and scale of the axis "x" or "y"."""
+        """Set the label and scale of the axis "x" or "y"."""
         ax.set(**{f"{which}label": self.by.label})
         if self.log:
             ax.set(**{f"{which}scale": "log"})
@@ -68,24 +68,27 @@ def sweep(
 ) -> Axes:
     """Draw a sweep of a grid: a line over one parameter, a map over two.
 
-    A lane that failed is a cross, and what is not known a gap. Axes are logarithmic where their values are spaced so.
+    A failed lane is a cross, an unknown value a gap. Axes with logarithmically spaced values are
+    logarithmic.
 
     **Arguments:**
 
-    - `data`: what `gx.sweep` returns, or any `xarray.Dataset` of its form: parameters are coordinates of the
-      dimensions, units the attribute `units`, failures words of a variable `reason`.
-    - `name`: of a variable with one number per lane, by default the first. A line of NAME has bars of NAME_error, where
-      the sweep holds that.
-    - `lines`: a parameter of a grid whose values are a line each, in place of an axis of a map.
-    - `bands`: of a line, the variable of words that colours its background, such as a verdict.
+    - `data`: the result of `gx.sweep`, or an `xarray.Dataset` of its form: parameters are
+      coordinates of the dimensions, units the attribute `units`, failures words in a variable
+      `reason`.
+    - `name`: a variable with one number per lane, by default the first. A line of NAME has error
+      bars from NAME_error, if present.
+    - `lines`: a parameter of a grid whose values are a line each, instead of an axis of a map.
+    - `bands`: for a line, the variable of words that colours its background, such as a verdict.
 
-    xarray draws the rest: lanes of a list `data.plot.scatter(x="speed", y="drop", hue="peak")`, words
-    `(data.verdict == "stable").plot()`, variables with an axis of their own `data.strain.plot.line(x="ratio")`. Of more
-    parameters fix some, `data.sel(load=1.0)`; small multiples are `data.peak.plot(col="load")`.
+    xarray draws the rest: lanes of a list `data.plot.scatter(x="speed", y="drop", hue="peak")`,
+    words `(data.verdict == "stable").plot()`, variables with their own axis
+    `data.strain.plot.line(x="ratio")`. Fix further parameters, `data.sel(load=1.0)`, or draw small
+    multiples, `data.peak.plot(col="load")`.
 
-    **Returns:** the Axes. The map is `ax.collections[0]`, the lines `ax.lines`.
-    **Raises** ValueError for a name that is not there, more than two parameters, the lanes of a list, parameters that
-    are words, and a dataset without a variable of one real number for each point.
+    **Returns:** the Axes. The map is `ax.collections[0]`, the lines `ax.lines`. **Raises**
+    ValueError for an unknown name, more than two parameters, the lanes of a list, parameters that
+    are words, and a dataset without a variable of one real number per point.
 
     **Example:**
 
@@ -144,7 +147,6 @@ def sweep(
 
 
 def _parameters(data):
-    """The dimensions of the lanes, which are the names of the parameters."""
     own = [key for key in data.coords if data[key].dims == (key,)]
     shared = [{*x.dims} for x in data.data_vars.values()] or [set()]
     lanes = data[REASON].dims if REASON in data else set.intersection(*shared)
@@ -157,14 +159,13 @@ def _parameters(data):
 
 
 def _shown(data, name, x):
-    """How numbers of a dataset are drawn."""
     told = data[name].attrs
     label, unit = str(told.get("long_name", name)).replace("_", " "), told.get("units", "")
     return shown(label, x, unit, SCALED if unit == SCALED else SI)
 
 
 def _along(data, name):
-    """A parameter on an axis. Of a logarithmic one the middle has to be readable."""
+    """A parameter on an axis; a logarithmic one has the prefix of its geometric mean."""
     if data[name].dtype.kind not in "fiub":
         refuse(
             "data", "parameters that are numbers", f"words of {name!r}", "Choose one by data.sel."
@@ -179,7 +180,6 @@ def _along(data, name):
 
 
 def _draw_bands(ax, along, words):
-    """Words along an axis, as bands of a colour and a pattern each: known words have the same everywhere."""
     found = sorted({*words} - {""})
     if len(found) > len(COLOURS):
         wanted = f"a variable of at most {len(COLOURS)} different words"
@@ -197,7 +197,6 @@ def _draw_bands(ax, along, words):
 
 
 def _draw_lines(ax, along, y, lines):
-    """A line over one parameter, or one for every value of a second."""
     x, *others = along
     names = [
         f"{lines} {value:.4g} {second.by.unit}".rstrip() for second in others for value in second.at
@@ -208,7 +207,6 @@ def _draw_lines(ax, along, y, lines):
 
 
 def _draw_crosses(ax, x, y, failed, **where):
-    """Crosses where lanes failed, said in the legend."""
     if failed.any():
         label = f"failed: {np.count_nonzero(failed)} of {failed.size}"
         look = {"color": "black", "ms": 4, "mew": 1, "clip_on": False, "zorder": 4}
@@ -216,7 +214,6 @@ def _draw_crosses(ax, x, y, failed, **where):
 
 
 def _draw_map(ax, along, z, label):
-    """A map over two parameters, the first to the right, about white where numbers have both signs."""
     seen = z[np.isfinite(z)]
     low, high = (seen.min(), seen.max()) if seen.size else (0.1, 1.0)
     norm, tones = Normalize(low, high), "viridis"

@@ -19,7 +19,7 @@ from .style import (
     units_of,
 )
 
-# of a wave's largest strain, what belongs to its core
+# The core of a wave is where the strain exceeds this fraction of its largest value.
 CORE = 0.02
 
 
@@ -30,17 +30,18 @@ def wave(
     beside: Mapping[str, Numbers] | None = None,
     floor: Scalar = 1e-16,
 ) -> Axes:
-    """Draw the strain of a travelling wave over the place, contacts as dots, and its tail in an inset.
+    """Draw the strain of a travelling wave over position, contacts as dots, its tail in an inset.
 
     **Arguments:**
 
-    - `wave_record`: anything with `xi` (X,), `strain(xi)`, `velocity(xi)` and `speed`, such as the result of
-      `gx.travelling.solitary_wave`, whose slope d strain/d xi = (v(xi + 1) - v(xi))/c is drawn too; with `strains`
-      (P, X), as each contact of a cell sees the wave, such as that of `gx.travelling.cell_wave`.
+    - `wave_record`: anything with `xi` (X,), `strain(xi)`, `velocity(xi)` and `speed`, such as from
+      `gx.travelling.solitary_wave`, whose slope d strain/d xi = (v(xi + 1) - v(xi))/c is also
+      drawn; or with `strains` (P, X) at each contact of a cell, such as from
+      `gx.travelling.cell_wave`.
     - `beside`: dict from a name to strains (X,) at `wave_record.xi`, such as compactons.
-    - `floor`: lowest decade of a wave's inset, a share of the largest value.
+    - `floor`: lower limit of the inset, relative to the largest value.
 
-    **Returns:** the Axes; the curves are `ax.lines`: strain, slope, what is beside, dots. The inset with the absolute
+    **Returns:** the Axes; `ax.lines` are strain, slope, `beside`, dots. The inset with the absolute
     values is `ax.child_axes[0]`.
     """
     record = wave_record
@@ -72,7 +73,7 @@ def wave(
     _curves(tail, xi, {name: np.abs(y) for name, y in curves.items()}, 0.7)
     largest = max(np.nanmax(np.abs(y)) for y in curves.values()) or 1.0
     tail.set(yscale="log", ylim=(floor * largest, 10 * largest), xlim=(xi.min(), xi.max()))
-    # few and small letters
+    # few ticks with small labels
     tail.xaxis.set_major_locator(MaxNLocator(3))
     tail.yaxis.set_major_locator(LogLocator(numticks=4))
     tail.tick_params(labelsize="x-small")

@@ -1,4 +1,4 @@
-"""Waves of lattices: dispersion with a spectrum under it, Floquet-Bloch bands, bands of the plane, transmission."""
+"""Linear waves: dispersion with spectra, Floquet-Bloch bands, bands of the plane, transmission."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,9 +24,9 @@ from .style import (
     units_of,
 )
 
-# of the largest frequency, from which on a gap is one ...
+# Smallest gap that is drawn, as a fraction of the largest frequency ...
 CLOSED = 1e-6
-# ... and one below all bands
+# ... and the smallest one below all bands.
 FOOT = 0.05
 
 
@@ -37,19 +37,20 @@ def dispersion(
     spectrum: Any = None,
     floor: Scalar = 1e-6,
 ) -> Axes:
-    """Draw the dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
+    """Draw the dispersion relation of a chain with its gaps, optionally over a spectrum.
 
     **Arguments:**
 
-    - `dispersion_record`: anything with `k` (K,) [rad per cell], `omega` (K, bands) and `cell`, such as the result of
-      `gx.linear.dispersion`. A gap is shaded where all frequencies of one band lie below those of the next over the
-      given k, so give half a zone at least.
-    - `spectrum`: anything with `k` (S,) [rad per site], `omega` (W,) and `power` (S, W), such as the result of
-      `gx.measures.spectrum`; drawn on a logarithmic scale down to `floor` in (0, 1) of its largest power. The axis is
-      then the wave number per site, with the bands repeated over the zones that the spectrum spans.
+    - `dispersion_record`: anything with `k` (K,) [rad per cell], `omega` (K, bands) and `cell`,
+      such as from `gx.linear.dispersion`. A gap is shaded where one band lies below the next at all
+      given k, so give at least half a zone.
+    - `spectrum`: anything with `k` (S,) [rad per site], `omega` (W,) and `power` (S, W), such as
+      from `gx.measures.spectrum`; drawn on a logarithmic scale down to `floor` in (0, 1) of its
+      largest power. The axis is then the wave number per site, with the bands repeated over the
+      zones of the spectrum.
 
     **Returns:** the Axes; `ax.lines` holds the bands, the spectrum is `ax.collections[0]`.
-    **Raises** ValueError for the record of a lattice with more than one axis.
+    **Raises** ValueError for a lattice with more than one axis.
 
     **Example:**
 
@@ -91,13 +92,11 @@ def dispersion(
 
 
 def _from_zero(ax, omega, room):
-    """An axis of frequencies from zero, or what is below it."""
     top = room * float(np.nanmax(omega)) or 1.0
     ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), top)
 
 
 def _along(ax, cell, span):
-    """An axis of wave numbers, with ticks at multiples of pi/2 where it is a zone or half of one."""
     per = "site" if cell == 1 else f"cell of {cell} sites"
     ax.set_xlabel(f"wave number $k$ (rad/{per})")
     ax.set_xlim(*span)
@@ -108,7 +107,6 @@ def _along(ax, cell, span):
 
 
 def _name(halves):
-    """A multiple of pi/2 in TeX."""
     if halves == 0:
         return "0"
     n, under = (halves // 2, "") if halves % 2 == 0 else (halves, "/2")
@@ -130,7 +128,6 @@ def _under(ax, spectrum, by, floor):
 
 
 def _zones(ax, k, omega, cell, span):
-    """Bands over the wave number per site, both ways from zero, repeated over the zones of a larger cell."""
     if k.min() >= 0 or k.max() <= 0:
         k, omega = np.concatenate([-k[::-1], k]), np.concatenate([omega[::-1], omega])
         order = np.argsort(k, kind="stable")
@@ -144,19 +141,20 @@ def _gaps(omega):
     low, high = np.nanmin(omega, 0), np.nanmax(omega, 0)
     least = CLOSED * np.nanmax(np.abs(omega))
     gaps = [(float(a), float(b)) for a, b in zip(high[:-1], low[1:]) if b - a > least]
-    # below the lowest band, but for what is missing because k = 0 is
+    # Also below the lowest band, unless the gap is there only because k = 0 was not sampled.
     below = [(0.0, float(low[0]))] if low[0] > max(least, FOOT * high[-1]) else []
     return below + gaps
 
 
 def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
-    """Draw quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, and the growth rate.
+    """Draw the quasi-frequencies and growth rate of a modulated chain, k-gaps shaded.
 
-    **Arguments:** `bands`: anything with `k` (K,), `omega` and `growth` (K, multipliers), `edges` (gaps, 2) or `None`,
-    `period`, `cell`, such as the result of `gx.linear.floquet_bands`. The largest growth rate has an axis of its own.
+    **Arguments:** `bands`: anything with `k` (K,), `omega` and `growth` (K, multipliers), `edges`
+    (gaps, 2) or `None`, `period`, `cell`, such as from `gx.linear.floquet_bands`.
 
-    **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
-    growth is the last of `ax.figure.axes`. **Raises** ValueError for the record of several axes.
+    **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` the growing
+    ones; the axis of the largest growth rate is the last of `ax.figure.axes`. **Raises** ValueError
+    for several axes.
     """
     k, rate = np.asarray(bands.k), np.asarray(bands.growth)
     by = shown(OMEGA, bands.omega, "rad/s", units_of(bands))
@@ -185,12 +183,14 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
 
 
 def bands(record: Any, ax: AxesOrNone = None) -> Axes:
-    """Draw bands along a path through the zone, or those of a strip coloured by the edge to which a wave is bound.
+    """Draw bands along a path through the zone, or those of a strip coloured by edge.
 
-    **Arguments:** `record`: anything with `distance`, `omega` (K, bands), `names` and `marks`, such as the result of
-    `gx.linear.path`; or with `k`, `omega` and `edge` (K, bands), such as that of `gx.linear.ribbon`.
+    **Arguments:** `record`: anything with `distance`, `omega` (K, bands), `names` and `marks`, such
+    as from `gx.linear.path`; or with `k`, `omega` and `edge` (K, bands), such as from
+    `gx.linear.ribbon`.
 
-    **Returns:** the Axes; of a path `ax.lines` begins with the bands, of a strip `ax.collections[0]` are its waves.
+    **Returns:** the Axes; for a path `ax.lines` begins with the bands, for a strip
+    `ax.collections[0]` holds the waves.
     """
     by = shown(OMEGA, record.omega, "rad/s", units_of(record))
     omega = by(record.omega)
@@ -224,11 +224,11 @@ def zone(
     levels: Count = 12,
     velocity: bool = False,
 ) -> Axes:
-    """Draw contours of equal frequency of a band over the Brillouin zone, whose edge is drawn.
+    """Draw contours of equal frequency of a band over the Brillouin zone.
 
-    **Arguments:** `record`: anything with `q` (n, m, 2), `omega` (n, m, bands), `velocity` (n, m, bands, 2) and
-    `corners` (c, 2), such as the result of `gx.linear.zone_map`. `band`: counted from the lowest. `levels`: how many
-    contours. `velocity`: whether arrows show the group velocity.
+    **Arguments:** `record`: anything with `q` (n, m, 2), `omega` (n, m, bands), `velocity`
+    (n, m, bands, 2) and `corners` (c, 2), such as from `gx.linear.zone_map`. `band`: counted from
+    the lowest. `levels`: number of contours. `velocity`: whether arrows show the group velocity.
 
     **Returns:** the Axes; the frequencies are `ax.collections[0]`.
     """
@@ -252,9 +252,9 @@ def zone(
 
 
 def density_of_states(record: Any, ax: AxesOrNone = None) -> Axes:
-    """Draw a density of states over the frequency, with a band of its error.
+    """Draw a density of states over frequency, with its error as a band.
 
-    **Arguments:** `record`: anything with `omega`, `density` and `error` (W,), such as the result of
+    **Arguments:** `record`: anything with `omega`, `density` and `error` (W,), such as from
     `gx.linear.density_of_states`. **Returns:** the Axes; `ax.lines[0]` is the density.
     """
     units = units_of(record)
@@ -272,11 +272,11 @@ def density_of_states(record: Any, ax: AxesOrNone = None) -> Axes:
 
 
 def complex_bands(record: Any, ax: AxesOrNone = None) -> Axes:
-    """Draw complex wave numbers of given frequencies: Re k to the right of zero, -Im k to the left.
+    """Draw complex wave numbers against frequency: Re k right of zero, -Im k left.
 
-    **Arguments:** `record`: anything with `omega` (W,) and `k` (W, waves), such as the result of
-    `gx.linear.complex_bands`; of each pair of waves the one that decays to the right is drawn. **Returns:** the Axes;
-    `ax.collections` are the real and the imaginary parts.
+    **Arguments:** `record`: anything with `omega` (W,) and `k` (W, waves), such as from
+    `gx.linear.complex_bands`; of each pair only the wave that decays to the right is drawn.
+    **Returns:** the Axes; `ax.collections` are the real and the imaginary parts.
     """
     by = shown(OMEGA, record.omega, "rad/s", units_of(record))
     k = np.asarray(record.k)
@@ -308,11 +308,13 @@ def transmission(
 ) -> Axes:
     """Draw the transmitted force of a dimer chain over the mass ratio, relative to the monomer's.
 
-    **Arguments:** `mass_ratio`: light over heavy, (R,), in (0, 1]; `transmission`: (R,), or (R, C) for C curves;
-    `resonances`, `anti_resonances`: mass ratios to mark, with dashed and dotted lines; `label`: of the curve, or one
-    per curve; `y_label`: of the axis; one with a unit, "peak force (N)", says that nothing is relative.
+    **Arguments:** `mass_ratio`: light over heavy, (R,), in (0, 1]; `transmission`: (R,), or (R, C)
+    for C curves; `resonances`, `anti_resonances`: mass ratios to mark, with dashed and dotted
+    lines; `label`: of the curve, or one per curve; `y_label`: of the axis; a unit in it, "peak
+    force (N)", marks absolute values.
 
-    **Returns:** the Axes. **Raises** ValueError for ratios outside (0, 1] or shapes that do not fit.
+    **Returns:** the Axes. **Raises** ValueError for ratios outside (0, 1] or shapes that do not
+    fit.
     """
     ratios = np.asarray(within("mass_ratio", mass_ratio, 0, 1, open_low=True))
     by = shown(y_label, transmission)

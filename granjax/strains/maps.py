@@ -1,4 +1,4 @@
-"""What every strain map is, and what follows where it is linear."""
+"""The base classes of strain maps."""
 
 import abc
 from collections.abc import Callable, Sequence
@@ -13,17 +13,18 @@ from ..checks import plain_zero
 from ..types import Displacements, Number, Numbers
 from ..units import Dimensional
 
-# what power iteration from a random start may lack
+# MARGIN is a safety factor for the convergence of power iteration from a random start.
 POWER_STEPS, MARGIN = 40, 1.1
 BOUNDARIES = ("fixed", "free", "periodic")
 BOTH = ("left", "right")
 
 
 class StrainMap(Dimensional):
-    """A map from displacements to one compression per bond; `axes` leading axes count the bonds, lanes follow.
+    """A map from displacements to one compression per bond.
 
-    Write `strain`; everything else follows from it by automatic differentiation, and is overridden where a map can do
-    better. `linear`: the strain is linear in the displacements. `tangential`: it is how far a contact has slipped.
+    The bonds have `axes` leading axes, then lanes. A map needs `strain`; the rest follows by
+    automatic differentiation, and may be overridden. `linear`: the strain is linear in the
+    displacements. `tangential`: it is the slip of a contact.
 
     **Example:**
 
@@ -38,9 +39,9 @@ class StrainMap(Dimensional):
     linear: ClassVar[bool] = False
     tangential: ClassVar[bool] = False
 
-    # sites along each axis between the ends of the longest bond, where that is known
+    # Sites along each axis between the ends of the longest bond; `None` if unknown.
     span: ClassVar[tuple[int, ...] | None] = None
-    # the ends of a chain at which bonds lead to a wall
+    # The ends of a chain where bonds connect to a wall.
     walls: ClassVar[tuple[str, ...]] = ()
 
     @property
@@ -50,20 +51,20 @@ class StrainMap(Dimensional):
 
     @abc.abstractmethod
     def strain(self, u: Displacements) -> Numbers:
-        """Compression of every bond, measured from equilibrium."""
+        """Return the compression of every bond, measured from equilibrium."""
 
     def rate(self, u: Displacements, v: Displacements) -> Numbers:
-        """de/dt of every bond."""
+        """Return de/dt of every bond."""
         return jax.jvp(self.strain, (u,), (v,))[1]
 
     def pull(self, u: Displacements, f: Numbers) -> Displacements:
-        """(de/du)^T f: an array over the bonds taken to the sites."""
+        """Return (de/du)^T f on the sites, for f over the bonds."""
         return jax.vjp(self.strain, u)[1](f)[0]
 
     def load(self, u: Displacements, law: Any) -> Displacements:
-        """What the bonds take from the sites: (de/du)^T F(e), the preload counted only where e(u) is not linear.
+        """Return (de/du)^T F(e), the negative of the force on the sites.
 
-        The force on the sites is minus this.
+        The preload counts only where e(u) is not linear.
         """
         if self.linear:
             return self.pull(u, law.force(self.strain(u)))
@@ -76,11 +77,11 @@ class StrainMap(Dimensional):
         return jax.tree.map(jnp.subtract, now, rest)
 
     def push(self, u: Displacements, law: Any) -> Displacements:
-        """Force on the sites, -load."""
+        """Return the force on the sites, -load."""
         return jax.tree.map(jnp.negative, self.load(u, law))
 
     def energy(self, u: Displacements, law: Any) -> Numbers:
-        """Energy of every bond, measured from equilibrium: energy(e) + F0 (e - its linear part)."""
+        """Return the energy of every bond from equilibrium: energy(e) + F0 (e - linear part)."""
         e = self.strain(u)
         if self.linear:
             return law.energy(e)
@@ -88,22 +89,22 @@ class StrainMap(Dimensional):
         return law.energy(e) + law.preload * (e - linear)
 
     def split(self, bonds: Numbers, u: Displacements) -> Displacements:
-        """A quantity of the bonds shared out to their sites as |de/du| at rest weighs these; dense, bonds x sites."""
+        """Distribute a bond quantity to the sites by |de/du| at rest; dense, bonds x sites."""
         weights = jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
         whole = sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
         return jax.tree.map(lambda w: jnp.tensordot(bonds / whole, w, bonds.ndim), weights)
 
     def stiffness_bound(self, lattice: Any, k: Numbers) -> Any:
-        """A bound on B^T k B for stiffnesses k >= 0 of the bonds, with B = de/du at rest.
+        """Return a bound on B^T k B for stiffnesses k >= 0 of the bonds, with B = de/du at rest.
 
-        A function that takes w > 0, one number a site, to |B|^T k |B| w; or a number, no less than the eigenvalues of
-        M^{-1/2} B^T k B M^{-1/2}, as here by power iteration.
+        Either a function from w > 0, one number per site, to |B|^T k |B| w; or, as here by power
+        iteration, a number no less than the eigenvalues of M^{-1/2} B^T k B M^{-1/2}.
         """
         rest = lattice.zeros()
         return spectral_radius(lambda w: self.pull(rest, k * self.rate(rest, w)), lattice)
 
     def turning(self, lattice: Any, law: Any) -> Number:
-        """Transverse stiffness that the preload of a bond that turns adds."""
+        """Return the transverse stiffness from the preload of rotating bonds."""
         return 0.0
 
     def _wrapped(self, units):
@@ -111,7 +112,7 @@ class StrainMap(Dimensional):
 
 
 class InOtherUnits(StrainMap):
-    """A map with displacements and compressions counted in another unit of length."""
+    """A map in another unit of length."""
 
     strain_map: StrainMap
     length: jax.Array
@@ -125,7 +126,7 @@ class InOtherUnits(StrainMap):
 
 
 def spectral_radius(product: Callable, lattice: Any):
-    """Largest |eigenvalue| of M^{-1/2} K M^{-1/2}, by power iteration, for a linear map product(w) = K w."""
+    """Return the largest |eigenvalue| of M^{-1/2} K M^{-1/2}, where product(w) = K w."""
     root = jax.tree.map(jnp.sqrt, lattice.mass)
     w = jax.tree.map(
         lambda s: np.random.default_rng(0).normal(size=s.shape).astype(s.dtype), lattice.template()
@@ -152,17 +153,17 @@ def spectral_radius(product: Callable, lattice: Any):
 
 
 class LinearMap(StrainMap):
-    """A map that is a sum of selected sites, each with a weight, and its transpose."""
+    """A map that is a weighted sum of selected sites, and its transpose."""
 
     linear: ClassVar[bool] = True
 
     @abc.abstractmethod
     def gather(self, f: Numbers) -> Displacements:
-        """Transpose of `strain`: an array over bonds to the sites (a dict of the fields that it touches)."""
+        """Return the transpose of `strain`, from bonds to sites (or a dict of fields)."""
 
     @abc.abstractmethod
     def reach(self, w: Displacements) -> Numbers:
-        """|de/du| w: the sum, with positive weights, over the ends of every bond."""
+        """Return |de/du| w: the sum over the ends of every bond with positive weights."""
 
     def rate(self, u: Displacements, v: Displacements) -> Numbers:
         return self.strain(v)
@@ -183,7 +184,7 @@ class LinearMap(StrainMap):
 
 
 class Sites(LinearMap):
-    """The displacements of the sites themselves, or of those of one field: what ties a site to its place."""
+    """The displacements of the sites, or of one field, for on-site forces."""
 
     dimensions = {}
     axes = None  # as many as the lattice has
@@ -201,7 +202,7 @@ class Sites(LinearMap):
 
 
 class End(StrainMap):
-    """How far the site at an end of a chain has moved towards a wall there, (1,)."""
+    """The displacement of an end site of a chain towards a wall, (1,)."""
 
     dimensions = {}
     linear: ClassVar[bool] = True
@@ -225,25 +226,25 @@ class End(StrainMap):
 
 
 class TwoEnds(LinearMap):
-    """e = tail - head, by two selections of sites and their transposes."""
+    """e = tail - head, with two selections of sites and their transposes."""
 
     fields: eqx.AbstractVar[tuple[str, str] | None]
 
     @abc.abstractmethod
     def _select(self, x, end):
-        """The sites of one array at the tails (end 0) or heads (end 1) of all bonds; zero at a wall."""
+        """The sites at the tails (end 0) or heads (end 1) of all bonds; zero at a wall."""
 
     @abc.abstractmethod
     def _return(self, f, end):
         """Transpose of `_select`."""
 
     def joins(self, numbers: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the sites, NumPy arrays over them, at the tails and at the heads of all bonds; -1 for a wall."""
+        """Return the site numbers (NumPy arrays) at the tails and heads of all bonds; -1: wall."""
         ends = self.ends(jax.tree.map(lambda x: x + 1, numbers))
         return tuple(np.asarray(end) - 1 for end in ends)
 
     def ends(self, x: Any) -> tuple:
-        """What stands at the tails and at the heads of all bonds; zero at a wall."""
+        """Return the values at the tails and heads of all bonds; zero at a wall."""
         tail, head = (x, x) if self.fields is None else (x[name] for name in self.fields)
         return self._select(tail, 0), self._select(head, 1)
 
@@ -257,7 +258,7 @@ class TwoEnds(LinearMap):
     def push(self, u, law):
         if self.fields is not None:
             return super().push(u, law)
-        # head less tail, instead of minus (tail less head): one operation less
+        # head - tail instead of -(tail - head): one operation less.
         f = law.force(self.strain(u))
         return self._return(f, 1) - self._return(f, 0)
 
@@ -270,12 +271,11 @@ class TwoEnds(LinearMap):
         return tail + head
 
     def _weighted(self, x):
-        """The two parts of a strain."""
         return self.ends(x)
 
 
 class VectorMap(StrainMap):
-    """A map of bonds between vectors; `pairs` says which sites are joined."""
+    """A map of bonds between vectors; `pairs` gives the joined sites."""
 
     pairs: eqx.AbstractVar[TwoEnds]
 
@@ -299,7 +299,7 @@ class VectorMap(StrainMap):
 
 
 def checked_fields(fields: str | Sequence[str] | None):
-    """`None`, or the pair of names of tail and head."""
+    """Return `None`, or the field names of tail and head."""
     if fields is None:
         return None
     if isinstance(fields, str):

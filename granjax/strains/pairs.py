@@ -15,15 +15,16 @@ WALL = -1
 
 
 class Pairs(TwoEnds):
-    """Bonds listed one by one, on any graph: e_b = u[tail_b] - u[head_b]. The escape hatch.
+    """Bonds listed one by one, on any graph: e_b = u[tail_b] - u[head_b].
 
-    **Arguments:** `tail`, `head`: site indices along the first axis, one of each per bond; -1 is a rigid wall.
-    `sites`: number of sites, where the last ones have no bond (a pair for two fields). `fields`: as in `Shift`.
-    `weights`: a pair of positive numbers or arrays over bonds (w_tail, w_head), e_b = w_tail u[tail] - w_head u[head],
-    such as the cosine of an angle by which a guide turns; `None` for 1.
+    **Arguments:** `tail`, `head`: site indices along the first axis, one of each per bond; -1 is a
+    rigid wall. `sites`: number of sites, where the last ones have no bond (a pair for two fields).
+    `fields`: as in `Shift`. `weights`: a pair of positive numbers or arrays over bonds
+    (w_tail, w_head), e_b = w_tail u[tail] - w_head u[head], such as the cosine of a guide's angle;
+    `None` for 1.
 
-    **Shapes:** `u` (N,) to `e` (bonds,). **Raises** ValueError for indices that are no whole numbers, lists of
-    different length, an index outside the lattice, or a bond from a site to itself.
+    **Shapes:** `u` (N,) to `e` (bonds,). **Raises** ValueError for indices that are not integers,
+    lists of different length, an index outside the lattice, or a bond from a site to itself.
 
     **Example:**
 
@@ -100,14 +101,13 @@ class Pairs(TwoEnds):
     def _return(self, f, end):
         index = np.array((self.tail, self.head)[end])
         sites = self.sites[end]
-        # a wall's share goes to one site too many, which is then cut off
+        # The force on a wall goes to one extra site, which is then cut off.
         f = f if self.weights is None else f * _over(self.weights[end], f)
         spread = jnp.zeros((sites + 1,) + f.shape[1:], f.dtype)
         return spread.at[np.where(index == WALL, sites, index)].add(f)[:sites]
 
 
 def _over(weight, x):
-    """A number, or one per bond (and lane), with axes for what else there is."""
     return weight.reshape(weight.shape + (1,) * (x.ndim - weight.ndim)) if weight.ndim else weight
 
 

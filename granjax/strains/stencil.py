@@ -1,4 +1,4 @@
-"""The normal form of a strain map: sites of fields at fixed offsets, each with a weight, as slices."""
+"""Strain maps from slices: sites of fields at fixed offsets, each with a weight."""
 
 import abc
 from collections.abc import Sequence
@@ -14,8 +14,6 @@ from .maps import BOTH, BOUNDARIES, LinearMap, TwoEnds, checked_fields
 
 
 class _Grid(LinearMap):
-    """Slices of a lattice with axes; every axis has a boundary, and a least and a largest offset of a bond."""
-
     boundary: eqx.AbstractVar[tuple[str, ...]]
 
     @property
@@ -33,17 +31,15 @@ class _Grid(LinearMap):
 
     @property
     def axes(self):
-        """Number of leading axes of the lattice that the bonds keep."""
+        """Number of leading axes."""
         return len(self.boundary)
 
     def _cut_out(self, x, offset):
-        """The sites at one offset of all bonds; zero at a wall."""
         for axis, (k, (low, high), b) in enumerate(zip(offset, self._reaches, self.boundary)):
             x = _select(x, axis, k, low, high, b)
         return x
 
     def _put_back(self, f, offset):
-        """Transpose of `_cut_out`."""
         for axis, (k, (low, high), b) in enumerate(zip(offset, self._reaches, self.boundary)):
             f = _return(f, axis, k, low, high, b)
         return f
@@ -75,7 +71,7 @@ def _pad(x, axis, low, high):
 
 
 def _library(x):
-    """NumPy for its arrays, such as the numbers of sites, whose bonds are counted while JAX traces; else JAX."""
+    """NumPy for its arrays, such as site numbers, so that bonds are counted while JAX traces."""
     return np if isinstance(x, np.ndarray) else jnp
 
 
@@ -94,17 +90,19 @@ def _boundaries(boundary, axes):
 
 
 class Shift(_Grid, TwoEnds):
-    r"""Bonds between each site and the site `offset` further on: e_n = u_n - u_{n+offset}. The normal form.
+    r"""Bonds between each site and the site `offset` further on: e_n = u_n - u_{n+offset}.
 
     **Arguments:**
 
-    - `offset`: a whole number, or a tuple of them, one per axis of the lattice; 0 only between two fields.
-    - `boundary`: `"fixed"` (rigid walls; N + |offset| bonds), `"free"` (N - |offset|) or `"periodic"` (N); a tuple
-      for one per axis.
-    - `fields`: name of the field, or the pair (tail, head), where a cell holds several; `None` for a plain array.
+    - `offset`: an integer, or a tuple with one per axis of the lattice; 0 only between two fields.
+    - `boundary`: `"fixed"` (rigid walls; N + |offset| bonds), `"free"` (N - |offset|) or
+      `"periodic"` (N); or a tuple, one per axis.
+    - `fields`: name of the field, or the pair (tail, head), if a cell has several; `None` for a
+      plain array.
 
-    **Shapes:** `u` (N,) to `e` (N + 1,), (N - 1,) or (N,) for offset 1; trailing axes (vectors, lanes) pass through.
-    **Raises** ValueError for an unknown boundary, an offset that is no whole number, or 0 within one field.
+    **Shapes:** `u` (N,) to `e` (N + 1,), (N - 1,) or (N,) for offset 1; trailing axes
+    (vectors, lanes) are kept. **Raises** ValueError for an unknown boundary, an offset that is not
+    an integer, or 0 within one field.
 
     **Example:**
 
@@ -146,21 +144,23 @@ class Shift(_Grid, TwoEnds):
 
 
 class Stencil(_Grid):
-    r"""Bonds that read several sites and fields: e_n = sum over parts of weight * u_field[n + offset].
+    r"""Bonds over several sites and fields: e_n = sum over parts of weight * u_field[n + offset].
 
-    `Shift` is the special case of the weights 1 and -1. Others: shear with rotation
-    u_n - u_{n+1} + R (theta_n + theta_{n+1}); the bend u_{n-1} - 2 u_n + u_{n+1} of three sites, with a law of its own.
+    Examples: `Shift`, with weights 1 and -1; shear with rotation u_n - u_{n+1} + R
+    (theta_n + theta_{n+1}); the bend u_{n-1} - 2 u_n + u_{n+1}.
 
     **Arguments:**
 
-    - `parts`: triples (field, offset, weight); `field`: a name, or `None` for a plain array; `offset`: a whole number,
-      or one per axis; `weight`: a number or an array over the bonds, which can be swept and differentiated. Fields
-      are displacements: a rotation enters as a length (R theta), or the scene keeps its own units.
-    - `boundary`: as in `Shift`: `"fixed"` has every bond that touches a site, with resting sites beyond the ends,
-      `"free"` those that lie within the lattice, `"periodic"` one a site.
+    - `parts`: triples (field, offset, weight). `field`: a name, or `None` for a plain array;
+      `offset`: an integer, or one per axis; `weight`: a number or an array over the bonds, which
+      can be swept and differentiated. Fields are displacements: a rotation enters as a length
+      (R theta), unless the scene has its own units.
+    - `boundary`: as in `Shift`: `"fixed"` has every bond that touches a site, with sites at rest
+      beyond the ends, `"free"` those within the lattice, `"periodic"` one per site.
 
-    **Shapes:** for largest and least offset k_max, k_min: `u` (N,) to `e` (N + k_max - k_min,), (N - (k_max - k_min),)
-    or (N,). **Raises** ValueError for parts that are no such triples, offsets of unlike length, or no part.
+    **Shapes:** `u` (N,) to `e` (N + k,), (N - k,) or (N,) for these boundaries, k = largest minus
+    least offset. **Raises** ValueError for parts that are no such triples, offsets of different
+    length, or no part.
     """
 
     dimensions = {"weights": (0, 0, 0)}

@@ -1,4 +1,4 @@
-"""Bonds between vectors, in the plane or in space: distances, fixed directions, slips of beads that turn."""
+"""Bonds between vectors in the plane or in space: distances, directions, slips."""
 
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ from .maps import LinearMap, TwoEnds, VectorMap
 
 
 class Directed(VectorMap):
-    """Bonds between sites whose places differ by a vector at rest: what distances and slips have in common."""
+    """Bonds between sites separated by a vector at rest."""
 
     pairs: TwoEnds
     vector: jax.Array
@@ -28,9 +28,10 @@ class Directed(VectorMap):
         positive("vector", jnp.linalg.norm(self.vector, axis=-1), "A bond at rest has a length.")
 
     def _geometry(self, u):
-        """Components of D and R, and numbers of each bond: |R|, R . D, D . D, |R - D|, and |R| less that.
+        """Components of D and R; per bond |R|, R . D, D . D, |R - D|, and |R| - |R - D|.
 
-        Component by component: an array whose last axis has two entries is several times as slow to go through.
+        It works component by component, since an array whose last axis has two entries is several
+        times slower.
         """
         whole = self.pairs.strain(u)
         D = [
@@ -47,7 +48,6 @@ class Directed(VectorMap):
         return D, R, rest, along, square, length, e
 
     def _vectors(self, bonds):
-        """The components of R, for bonds (and lanes) of a shape."""
         axis = self.pairs.axes
         R = self.vector
         if R.ndim == 1:
@@ -57,19 +57,20 @@ class Directed(VectorMap):
 
 
 class Stretch(Directed):
-    r"""Bonds as distances in the plane or in space, with the geometry's own nonlinearity and the prestress.
+    r"""Bonds as distances in the plane or in space, with geometric nonlinearity and prestress.
 
     With D = u_tail - u_head and the vector R from tail to head at rest: length |R - D|, compression
-    e = |R| - |R - D|, direction n = (R - D)/|R - D|. The sites feel the total force F0 + F(e) along n less F0 along
-    n0 = R/|R|, so that the preload turns with the bond and gives the transverse stiffness -F0/|R|.
+    e = |R| - |R - D|, direction n = (R - D)/|R - D|. The sites feel the total force F0 + F(e) along
+    n minus F0 along n0 = R/|R|: the preload rotates with the bond and gives the transverse
+    stiffness -F0/|R|.
 
-    **Arguments:** `pairs`: a `Shift` or `Pairs` that says which sites are joined. `vector`: R, shape (d,) or
+    **Arguments:** `pairs`: a `Shift` or `Pairs` that joins the sites. `vector`: R, shape (d,) or
     (bonds..., d) [m], not zero.
 
-    **Shapes:** `u` (sites..., d, lanes...) to `e` (bonds..., lanes...); components of `u` beyond the vector's, such as
-    a rotation, are left alone. **Raises** ValueError for a vector of length zero or a map that is neither Shift nor
-    Pairs. That the preloads balance at u = 0, with the boundary's loads, is the user's: `Lattice.unbalanced()` gives
-    what is left over.
+    **Shapes:** `u` (sites..., d, lanes...) to `e` (bonds..., lanes...); further components of `u`,
+    such as a rotation, are ignored. **Raises** ValueError for a vector of length zero or a map that
+    is neither Shift nor Pairs. The user must balance the preloads and the boundary's loads at
+    u = 0: `Lattice.unbalanced()` gives the remainder.
 
     **Example:**
 
@@ -107,16 +108,16 @@ class Stretch(Directed):
 
 
 class Along(VectorMap, LinearMap):
-    r"""The part of a difference of vectors along a fixed direction: e = d . (u_tail - u_head).
+    r"""The component of a difference of vectors along a fixed direction: e = d . (u_tail - u_head).
 
-    `Stretch` without the geometry's nonlinearity, where d is the unit vector from tail to head; the resistance to
-    rolling, where d is that of the rotation, (0, 0, 1).
+    With the unit vector d from tail to head, a `Stretch` without geometric nonlinearity; with d the
+    axis of rotation, (0, 0, 1), rolling resistance.
 
-    **Arguments:** `pairs`: a `Shift` or `Pairs` that says which sites are joined. `direction`: d, (components,), of
-    any length but zero, dimensionless.
+    **Arguments:** `pairs`: a `Shift` or `Pairs` that joins the sites. `direction`: d,
+    (components,), not zero, dimensionless.
 
-    **Shapes:** `u` (sites..., components, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a direction
-    that is no vector.
+    **Shapes:** `u` (sites..., components, lanes...) to `e` (bonds..., lanes...). **Raises**
+    ValueError for a direction that is no vector.
     """
 
     dimensions = {"pairs": PART, "direction": (0, 0, 0)}
@@ -146,29 +147,28 @@ class Along(VectorMap, LinearMap):
         return jnp.sum(self._shaped(direction, D.ndim) * D, self.axes)
 
     def _shaped(self, direction, axes):
-        """The direction with axes for the lanes that it lacks."""
         return direction.reshape(direction.shape + (1,) * (axes - self.axes - direction.ndim))
 
 
 class Slip(Directed):
-    r"""How far two beads have slipped past each other at their contact, in the plane.
+    r"""The slip of two beads at their contact, in the plane.
 
-    Beads have (u_x, u_y, s): s = R theta [m], the way of a point of the rim, R the bead's radius, anticlockwise. With
-    the vector L from tail to head at rest, |L| the sum of the radii, and phi the angle by which the line of centres has
-    turned:
+    Beads have (u_x, u_y, s): s = R theta [m], the path of a point of the rim, R the bead's radius,
+    anticlockwise. With the vector L from tail to head at rest, |L| the sum of the radii, and phi
+    the rotation of the line of centres:
 
     e = s_tail + s_head - |L| phi,   phi = angle from L to L - (u_tail - u_head).
 
-    Places tell phi up to whole turns. The turn is the one nearest to how far the beads have turned, so that e is signed
-    and lies between -pi |L| and pi |L|: two beads may circle each other as often as they like, and a rigid rotation by
-    any angle slips nowhere, so that the force keeps both momenta. For small
-    displacements |L| phi is the part of u_head - u_tail along L turned by 90 degrees. A linear law of it is Mindlin's
-    tangential stiffness about the static load.
+    Positions give phi only up to full turns; the turn nearest to the beads' rotation is taken, so e
+    is signed and lies between -pi |L| and pi |L|. Two beads may circle each other any number of
+    times. A rigid rotation has no slip, so the force conserves both momenta. For small
+    displacements |L| phi is the component of u_head - u_tail along L turned by 90 degrees; with a
+    linear law it is Mindlin's tangential stiffness about the static load.
 
-    **Arguments:** as of `Stretch`, with a vector of two components.
-    **Shapes:** `u` (sites..., 3, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a vector that is none
-    of the plane. Source: Mindlin, J. Appl. Mech. 16, 259 (1949); Merkel, Tournat, Gusev, Phys. Rev. E 82, 031305
-    (2010).
+    **Arguments:** as `Stretch`, with a vector of two components. **Shapes:** `u`
+    (sites..., 3, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a vector not in
+    the plane. Source: Mindlin, J. Appl. Mech. 16, 259 (1949); Merkel, Tournat, Gusev, Phys. Rev. E
+    82, 031305 (2010).
     """
 
     dimensions = {"pairs": PART, "vector": (0, 1, 0)}
@@ -188,12 +188,13 @@ class Slip(Directed):
         D, R, rest, along, *_ = self._geometry(u)
         turned = jnp.arctan2(R[1] * D[0] - R[0] * D[1], rest * rest - along)
         e = self.pairs.reach(self._component(u, 2)) - rest * turned
-        # places do not tell whole turns; an e of less than half a turn stays as it is, to the last digit
+        # Positions do not determine full turns. An e of less than half a turn stays exact.
         return e - 2 * jnp.pi * rest * jax.lax.round(e / (2 * jnp.pi * rest))
 
     def stiffness_bound(self, lattice, k):
-        # a bead's inertia is J in m R^2: with weights J w of its displacements and w of its turning, both rows of
-        # |B|^T k |B| w are at most (1 + J) k (w_tail + w_head) over the smaller of its masses
+        # A bead's inertia is J m R^2. With weights J w of its displacements and w of its
+        # rotation, both rows of |B|^T k |B| w are at most (1 + J) k (w_tail + w_head) over the
+        # smaller of its masses.
         axis = lattice.axes
         parts = [
             jnp.min(m, axis) / jnp.max(m, axis)

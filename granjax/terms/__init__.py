@@ -1,7 +1,4 @@
-"""Terms of the equation of motion: m a = sum over terms of force(t, u, v, m).
-
-A term that a scene does not need is not in the tuple, and then costs nothing.
-"""
+"""Terms of the equation of motion: m a = sum over terms of force(t, u, v, m)."""
 
 from .base import Compression, Excitation, Remembering, Term
 from .bonds import Bond, Grip, Modulated

@@ -1,4 +1,4 @@
-"""What every term is, and what the rest of the library asks of one."""
+"""The base classes of all terms, and operations that hold for every term."""
 
 import abc
 from collections.abc import Callable, Iterator
@@ -18,9 +18,9 @@ from .waveforms import Breaks, own_breaks, signal_of
 
 
 class Compression(NamedTuple):
-    """What a law of a term acts on at a time: `compression` [m] of all its bonds, or of its sites.
+    """The law of a term and the `compression` [m] of all its bonds or sites.
 
-    `place`: "bond" (between sites), "wall" (a site and a wall: one value) or "site" (no contact).
+    `place`: "bond", "wall" (between a site and a wall: one value) or "site" (no contact).
     """
 
     law: Law
@@ -36,17 +36,17 @@ class Compression(NamedTuple):
 
     @property
     def overlap(self):
-        """Overlap [m], positive where closed; `None` for a law that cannot open."""
+        """Overlap [m], positive where the contact is closed; `None` for a law that cannot open."""
         return self.law.overlap(self.compression)
 
     @property
     def room(self):
-        """Length [m], positive where the law has a force; `None` for a law that has one everywhere."""
+        """Length [m], positive where the law has a force; `None` if it has one everywhere."""
         return self.law.room(self.compression)
 
 
 class Excitation(NamedTuple):
-    """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall."""
+    """The largest `force` [N] of drives, `displacement` [m] and `speed` [m/s] of moving walls."""
 
     force: jax.Array
     displacement: jax.Array
@@ -57,12 +57,13 @@ class Excitation(NamedTuple):
 class Term(Dimensional):
     r"""One contribution to the force on the sites.
 
-    Write `force`, and `energy` where the term stores any; add one line to the tests' list of cases. All else is found
-    by automatic differentiation, and a term overrides what it knows better: its linearisation, a bound on its
-    stiffness, the displacements that it does not resist. Of a term's own contacts the library learns by `compressions`.
+    Write `force`, and `energy` if the term stores any. The rest is found by automatic
+    differentiation; a term may override what it knows better.
 
-    - `force(t, u, v, mass)` has the structure of `u`, or is a dict of those fields that the term acts on.
-    - `energy(t, u)`: from equilibrium, an array over bonds, sites or whatever it sums over, lanes last.
+    - `force(t, u, v, mass)` has the structure of `u`, or is a dict of the fields that the term acts
+      on.
+    - `energy(t, u)`: from equilibrium, an array over bonds, sites or another index, lanes last.
+    - `compressions(t, u)`: the contacts of the term, if it has any.
 
     **Example:**
 
@@ -75,29 +76,29 @@ class Term(Dimensional):
     Array([9.81, 9.81, 9.81], dtype=float64)
     """
 
-    # the name of the law or number that the force is proportional to, where one is
+    # The field with the law or number that the force is proportional to, if there is one.
     linear_in: ClassVar[str | None] = None
-    # the variables of the past that the force reads, and their units in SI
+    # The memory variables that the force reads, and their units in SI.
     memory: ClassVar[dict[str, str]] = {}
-    # whether arrays over the sites hold for every component of a vector there
+    # Whether a parameter array over the sites applies to every component of a vector there.
     per_site: ClassVar[bool] = False
-    # sites along each axis that it couples, () for single ones, `None` where that is not known
+    # Range of the coupling in sites along each axis; () for single sites, `None` if unknown.
     span: ClassVar[tuple[int, ...] | None] = None
-    # the ends of a chain that it ties to a wall
+    # The ends of a chain that the term ties to a wall.
     walls: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def force(
         self, t: Number, u: Displacements, v: Displacements, mass: Displacements | Number
     ) -> Displacements:
-        """Force on the sites at time t."""
+        """Return the force on the sites at time t."""
 
     def energy(self, t: Number, u: Displacements) -> Any:
-        """Potential energy, one value per bond or site, from equilibrium; `None` for a term that stores none."""
+        """Return the energy from equilibrium per bond or site; `None` if the term stores none."""
         return None
 
     def preload_force(self, u: Displacements) -> Displacements | None:
-        """Force of the preloads of bonds and walls on the sites at rest, or `None`; `u` gives the shapes."""
+        """Return the force of the preloads on the sites at rest; `u` gives the shapes."""
         t, rest = jnp.zeros(()), jax.tree.map(jnp.zeros_like, u)
         contacts = [c for c in self.compressions(t, rest) if c.place != "site"]
         if not contacts:
@@ -114,16 +115,16 @@ class Term(Dimensional):
         return jax.tree.map(jnp.negative, transpose(preloads)[0])
 
     def compressions(self, t: Number, u: Displacements) -> tuple[Compression, ...]:
-        """What the term's laws act on."""
+        """Return a `Compression` for each law of the term."""
         return ()
 
     def jumps(self) -> tuple[Breaks, ...]:
-        """The `Breaks` of its functions of time, where steps end; by default of the one that its `dimensions` name."""
+        """Return the `Breaks` of the functions of time, where time steps end."""
         own = own_breaks(self)
         return () if own is None else (own,)
 
     def excitation(self, lattice: Any, ts: Numbers) -> Excitation:
-        """What drives the lattice from outside during the times `ts`: by default the largest force at rest."""
+        """Return the excitation during the times `ts`: by default the largest force at rest."""
         zero = jnp.zeros((), lattice.dtype)
         if not reads(self, lattice).time:
             return Excitation(zero, zero, zero)
@@ -136,10 +137,10 @@ class Term(Dimensional):
         return Excitation(jnp.max(jax.vmap(largest)(ts)), zero, zero)
 
     def check(self, name: str, lattice: Any) -> None:
-        """Refuse a lattice that has no place for the term."""
+        """Raise ValueError for a lattice that the term cannot act on."""
 
     def linearised(self, lattice: Any, t: Number, u: Displacements, v: Displacements) -> Any:
-        """The term's tangent about a state, as a term of one more trailing lane; `None` where it has none."""
+        """Return the tangent about a state as a term with one more trailing lane, or `None`."""
         found = reads(self, lattice)
         return (
             Tangent(self, t, u, v, lattice.mass, found)
@@ -148,13 +149,14 @@ class Term(Dimensional):
         )
 
     def exact_damping(self) -> tuple | None:
-        """(field, rate) of a linear damping of sites, which a splitting solver takes exactly, or `None`."""
+        """Return (field, rate) of linear damping that splitting solvers take exactly, or `None`."""
         return None
 
     def resists(self, lattice: Any, moves: list) -> np.ndarray:
-        """How the force answers uniform displacements: columns (n, k), one for each of `moves`, zero for a free one.
+        """Return the response of the force to uniform displacements: columns (n, k), one per move.
 
-        By default dF/du at random displacements of all sizes, each relative to the answer to a random displacement.
+        Zero for a free one. By default dF/du at random displacements of all sizes, relative to the
+        response to a random displacement.
         """
         if not reads(self, lattice).displacement:
             return np.zeros((0, len(moves)))
@@ -162,11 +164,10 @@ class Term(Dimensional):
         return np.asarray(answers_to(moves, term, mass, lattice.template())).reshape(-1, len(moves))
 
     def stiffness_bound(self, lattice: Any, reach: Reach, factor: Number = 1.0) -> Any:
-        """A bound on the stiffness at what the motion may reach, times a factor.
+        """Return a bound on the stiffness within `reach`, times a factor.
 
-        A function that takes w > 0 on the sites to |K| w, with |K| no less than |dF/du| entry by entry; or a number,
-        no less than the eigenvalues of M^{-1/2} dF/du M^{-1/2}. By default the latter, estimated at rest and at
-        displacements of the energy that `reach` allows: of single sites, of neighbours in antiphase, of a step, of all.
+        A function from w > 0 on the sites to |K| w, with |K| no less than |dF/du| entry by entry;
+        or a number no less than the eigenvalues of M^{-1/2} dF/du M^{-1/2}, by default an estimate.
         """
         if not reads(self, lattice).displacement:
             return jnp.zeros((), lattice.dtype)
@@ -179,32 +180,32 @@ class Term(Dimensional):
 
 
 class Remembering(Term):
-    """A term whose force reads the past, by variables of its own; a run carries them.
+    """A term whose force reads the past through internal variables, which a run carries.
 
-    `memory`: their names, and their units in SI. A term that has no `variables` needs a solver of its own.
+    `memory`: their names and SI units. A term without `variables` needs a solver of its own.
     """
 
     def variables(self, lattice: Any) -> dict[str, Numbers] | None:
-        """The internal variables as the term holds them; `None` where it has none."""
+        """Return the internal variables that the term holds, or `None`."""
         return None
 
     def recalling(self, variables: dict[str, Numbers]) -> Any:
-        """The term that holds these internal variables."""
+        """Return the term with these internal variables."""
         return self
 
     def advanced(
         self, variables: dict[str, Numbers], step: Number, y0: Any, y1: Any
     ) -> dict[str, Numbers]:
-        """The internal variables after a time step from the state y0 to y1."""
+        """Return the internal variables after a time step from y0 to y1."""
         return variables
 
     def lost(self, variables: dict[str, Numbers]) -> Any:
-        """The energy dissipated so far, which these variables say, an array over bonds."""
+        """Return the energy dissipated so far, an array over bonds, or `None`."""
         return None
 
 
 class Altered(Term):
-    """A term that gives what another one gives, changed."""
+    """A term that wraps another term and changes its force."""
 
     term: eqx.AbstractVar[Term]
 
@@ -222,20 +223,20 @@ class Altered(Term):
 
 
 def layers(term: Term) -> Iterator[Term]:
-    """The term, then what it alters, and so on."""
+    """Yield the term, then the term that it wraps, and so on."""
     yield term
     if isinstance(term, Altered):
         yield from layers(term.term)
 
 
 def within(term: Term) -> Term:
-    """The term that others alter, or the term itself."""
+    """Return the innermost wrapped term, or the term itself."""
     *_, inner = layers(term)
     return inner
 
 
 def functions_of_time(term: Term) -> list[Callable]:
-    """The functions of time of a term and of those that it alters, of which no breaks are known."""
+    """Return the functions of time of all layers of a term that have no known breaks."""
     return [
         getattr(part, name)
         for part in layers(term)
@@ -244,22 +245,22 @@ def functions_of_time(term: Term) -> list[Callable]:
 
 
 def memory_of(term: Term) -> dict[str, str]:
-    """What of the past the force reads: names of variables and their units in SI; empty for most terms."""
+    """Return the memory variables of a term and their SI units; empty for most terms."""
     return within(term).memory
 
 
 def get(u: Displacements, field: str | None) -> Number:
-    """A field of the displacements, or all where they have none."""
+    """Return one field of the displacements, or all of them."""
     return u if field is None else u[field]
 
 
 def put(x: Number, field: str | None) -> Displacements:
-    """A force on a field, or on all sites."""
+    """Return a force on one field, or on all sites."""
     return x if field is None else {field: x}
 
 
 def wider(tree: Pytree):
-    """Arrays with a trailing axis for tangents; single numbers as they are."""
+    """Append an axis for tangents to all arrays, not to numbers."""
     return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) else x, tree)
 
 
@@ -281,7 +282,7 @@ class Tangent(Term):
 
 
 def each_tangent(function: Callable, reads: Dependence, axis: int = -1):
-    """A linear function for many tangents along an axis: at once, or one by one where that cannot be compiled."""
+    """Map a linear function over tangents, one by one where `vmap` cannot be compiled."""
     if not reads.transforms:
         return jax.vmap(function, in_axes=axis, out_axes=axis)
 
@@ -295,7 +296,7 @@ def each_tangent(function: Callable, reads: Dependence, axis: int = -1):
 
 
 def times(term: Term, factor: Number) -> Term:
-    """The term with its force times a factor: a number, or an array over its bonds where it has bonds."""
+    """Return the term with its force times a number, or an array over its bonds."""
     if term.linear_in is None:
         return Multiplied(term, jnp.asarray(factor))
     own = getattr(term, term.linear_in)
@@ -304,7 +305,7 @@ def times(term: Term, factor: Number) -> Term:
 
 
 class Multiplied(Altered):
-    """A term with its force and energy times a factor."""
+    """A term times a factor."""
 
     dimensions = {"term": PART, "factor": (0, 0, 0)}
     term: Term
@@ -332,7 +333,7 @@ class Multiplied(Altered):
 
 
 class InOtherUnits(Altered):
-    """A term with all that it reads and gives counted in other units."""
+    """A term in other units."""
 
     term: Term
     units: object

@@ -1,4 +1,4 @@
-"""Forces between sites: bonds, and terms whose stiffness changes in time."""
+"""Forces between sites: bonds, tangential contact springs, time-modulated terms."""
 
 from collections.abc import Callable
 from typing import ClassVar
@@ -40,8 +40,8 @@ class Joined(Term):
 class Bond(Joined):
     """Bonds of one kind: a strain map and a law. Force on the sites: -(de/du)^T law.force(e).
 
-    **Arguments:** `strain_map`, such as `Shift(1, "fixed")`; `law`, such as `Hertz()`.
-    **Raises** ValueError where these are no strain map or no law.
+    **Arguments:** `strain_map`, such as `Shift(1, "fixed")`; `law`, such as `Hertz()`. **Raises**
+    ValueError where these are no strain map or no law.
 
     **Example:**
 
@@ -61,7 +61,7 @@ class Bond(Joined):
         self.strain_map, self.law = strain_map, law
 
     def compression(self, t: Number, u: Displacements) -> Numbers:
-        """Compression of every bond."""
+        """Return the compression of every bond."""
         return self.strain_map.strain(u)
 
     def force(self, t, u, v, mass):
@@ -88,30 +88,31 @@ class Bond(Joined):
         largest = jnp.max(jnp.asarray(factor, lattice.dtype))
         k = k + largest * self.strain_map.turning(lattice, self.law)
         bound = self.strain_map.stiffness_bound(lattice, k)
-        if isinstance(bound, jax.Array):  # of de/du at rest, which is not all of a user-defined map
+        if isinstance(bound, jax.Array):  # of de/du at rest only; a user-defined map may vary
             bound = jnp.maximum(bound, largest * largest_eigenvalue(self, lattice, reach))
         return bound
 
 
 def spring(law: Law, e: Number):
-    """The linear spring of a law's stiffness at compressions e, one lane wider."""
-    # not by the constructor, whose checks cost time at every step that is not compiled
+    """Return the linear spring of a law's stiffness at compressions e, with one more lane."""
+    # The constructor is avoided: its checks cost time at every uncompiled step.
     return eqx.tree_at(lambda spring: spring.stiffness, Linear(), law.derivative(e)[..., None])
 
 
 class Grip(Bond):
-    r"""A tangential spring of a contact, which it lets go of: energy V(x) g(s/|x|), s the contact's overlap.
+    r"""A tangential contact spring that can release: energy V(x) g(s/|x|), s the normal overlap.
 
-    g = 1 while |x| <= s: the contact grips, by the law's own force. Where it has moved along by more than it is pressed
-    in, g = z^3 (10 - 15 z + 6 z^2) of z = s/|x|, and g = 0 where it is open. So the force -dE/du, of which a part is
-    along the line of centres, is continuous, keeps the energy and both momenta, and asks for nothing of the past: an
-    open contact has no tangential force, and it grips again where the beads come back to within s of where they touched
-    at rest. With k_t and k_n of a contact s^p it lets go at |T|/N = p k_t/k_n, 1.2 for Mindlin's spheres, which real
-    contacts reach by sliding, with friction: there is none here (`gx.measures.slip_ratio`).
+    g = 1 while |x| <= s: the contact grips with the law's own force. Beyond, g = z^3
+    (10 - 15 z + 6 z^2), z = s/|x|; g = 0 for an open contact. The force -dE/du, which has a part
+    along the line of centres, is continuous, conserves energy and both momenta, and has no memory:
+    a contact grips again once the beads return to within s of where they touched at rest. For a
+    normal force s^p it releases at |T|/N = p k_t/k_n, 1.2 for Mindlin's spheres. Real contacts
+    reach it by sliding with friction, absent here (`gx.measures.slip_ratio`).
 
-    **Arguments:** `strain_map`: x, a `gx.strains.Slip`, or the `gx.strains.Along` of two turns that roll; `law`: V and
-    its force; `contact`: the `Bond` along the line of centres, with as many bonds, whose law says the overlap. A law
-    that cannot open (a spring, glue) never lets go.
+    **Arguments:** `strain_map`: x, a `gx.strains.Slip`, or the `gx.strains.Along` of two rotations
+    that roll; `law`: V and its force; `contact`: the `Bond` along the line of centres, with as many
+    bonds, whose law gives the overlap. If that law cannot open (a spring, glue), the spring never
+    releases.
     """
 
     dimensions = {"strain_map": PART, "law": PART, "contact": PART}
@@ -123,7 +124,6 @@ class Grip(Bond):
         self.contact = contact
 
     def _stored(self, x, overlap):
-        """V(x) g(s/|x|), elementwise."""
         whole = self.law.energy(x) + self.law.preload * x
         if overlap is None:
             return whole
@@ -157,15 +157,16 @@ class Grip(Bond):
 class Modulated(Altered):
     """A term whose force changes in time: F -> g(t) F.
 
-    The factor multiplies the force measured from equilibrium, so that u = 0 stays an equilibrium.
+    The factor multiplies the force measured from equilibrium, so u = 0 stays an equilibrium.
 
-    **Arguments:** `term`: any term that stores energy or dissipates it: a `Bond`, an `OnSite`, a `Wall`, a `Dashpot`,
-    one of your own; `modulation`: g(t), a function or Module such as `Harmonic(0.1, omega, mean=1.0)`; it may return
-    an array over the bonds (a travelling modulation).
-    `breaks`: the times at which g or a derivative of it jumps, a list or `Breaks(times, period)`; steps end there, and
-    see g from one side. Without them every method is of order 2 at best there. `None`: those that the modulation knows
-    itself, by an attribute `breaks`, as `Square` does.
-    **Raises** ValueError for no term, a modulation that cannot be called, or breaks that are not finite.
+    **Arguments:** `term`: any term that stores or dissipates energy, such as `Bond`, `OnSite`,
+    `Wall`, `Dashpot`; `modulation`: g(t), a function or Module such as
+    `Harmonic(0.1, omega, mean=1.0)`, which may return an array over the bonds. `breaks`: the times
+    at which g or a derivative of it jumps, a list or `Breaks(times, period)`. Steps end there;
+    otherwise every method is at best of order 2. `None`: the attribute `breaks` of the modulation,
+    which `Square` has.
+    **Raises** ValueError for no term, a modulation that cannot be called, or breaks that are not
+    finite.
 
     **Example:**
 
@@ -187,7 +188,7 @@ class Modulated(Altered):
         self.breaks = checked_breaks(breaks)
 
     def at(self, t: Number) -> Term:
-        """The term with the stiffness it has at time t."""
+        """Return the term with its stiffness at time t."""
         return times(self.term, self.modulation(t))
 
     def force(self, t, u, v, mass):

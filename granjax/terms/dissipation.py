@@ -1,4 +1,4 @@
-"""Forces that read velocities or the past: damping, dashpots, drag, viscoelastic and elastic-plastic contacts."""
+"""Forces that depend on velocities or the past: damping, dashpots, drag, inelastic contacts."""
 
 from typing import ClassVar
 
@@ -18,9 +18,9 @@ from .bonds import Bond, Joined
 class Damping(Term):
     """Linear damping of each site: acceleration -gamma v, force -gamma m v; gamma = 1/tau.
 
-    **Arguments:** `rate`: gamma >= 0 [1/s], scalar or one per site; `field`: as in `OnSite`, `None` for all.
-    Splitting solvers take it exactly, in the drift. Typical: tau = 0.2 ... 5 ms for steel beads, gamma = 0.01 ... 0.1
-    in scaled units. **Raises** ValueError for gamma < 0.
+    **Arguments:** `rate`: gamma >= 0 [1/s], scalar or one per site; `field`: as in `OnSite`, `None`
+    for all. Splitting solvers treat it exactly, in the drift. Typical: tau = 0.2 ... 5 ms for steel
+    beads, gamma = 0.01 ... 0.1 in scaled units. **Raises** ValueError for gamma < 0.
 
     **Example:**
 
@@ -57,20 +57,20 @@ class Damping(Term):
 
 
 class Langevin(Damping):
-    r"""A heat bath at sites: m dv = -gamma m v dt + sqrt(2 gamma m k_B T) dW, on top of the other forces.
+    r"""A heat bath: m dv = -gamma m v dt + sqrt(2 gamma m k_B T) dW, plus the other forces.
 
-    `gx.simulate` takes it exactly over each step, with a splitting solver at a fixed step: over h a velocity v becomes
-    c v + sqrt((1 - c^2) k_B T/m) xi, c = exp(-gamma h), xi Gaussian. With `VelocityVerlet` this happens in the middle
-    of the drift (the BAOAB scheme, in which <u^2> of a harmonic lattice is exact at any stable step and <v^2> is
-    off by -h^2 omega^2/4 of itself); with any other splitting before the step, so that all moments are right to the
-    solver's order. Save at even spacings, which the steps hit. Everything else in the library (linear theory, `Flow`)
-    sees the mean motion, which is that of `Damping`.
+    `gx.simulate` solves it exactly, by a splitting solver with a fixed step h: v becomes
+    c v + sqrt((1 - c^2) k_B T/m) xi, c = exp(-gamma h), xi Gaussian. With `VelocityVerlet` this
+    happens in the middle of the drift (the BAOAB scheme: <u^2> of a harmonic lattice is exact at
+    any stable step, <v^2> has the relative error -h^2 omega^2/4); with any other splitting before
+    the step, and all moments have the solver's order. Save at equal spacings, which the steps hit.
+    Everything else, such as linear theory or `Flow`, sees the mean motion, that of `Damping`.
 
-    **Arguments:** `rate`: gamma >= 0 [1/s], a number or one per site: zero where there is no bath. `temperature`: k_B T
-    >= 0 [J], a number or one per site. `seed`: a whole number, traced ones too, or one per lane; lanes that share a
-    seed have noise of their own, the first of them that of a run alone. A run that starts at another time draws other
-    numbers. `field`: as in `OnSite`. **Raises** ValueError for negative rates or temperatures, or a seed that is not
-    whole.
+    **Arguments:** `rate`: gamma >= 0 [1/s], and `temperature`: k_B T >= 0 [J], numbers or one per
+    site. `seed`: an integer, possibly traced, or one per lane. Lanes with the same seed have
+    different noise; the first has that of a single run. Another start time gives other numbers.
+    `field`: as in `OnSite`. **Raises** ValueError for negative rates or temperatures, or a seed
+    that is not an integer.
     Source: B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013).
 
     **Example:**
@@ -104,8 +104,6 @@ class Langevin(Damping):
 
 
 class _Viscous(Joined):
-    """Bonds whose force reads the rate of strain, in proportion to a coefficient."""
-
     linear_in: ClassVar[str | None] = "coefficient"
     coefficient: eqx.AbstractVar[jax.Array]
 
@@ -114,11 +112,11 @@ class _Viscous(Joined):
 
 
 class Dashpot(_Viscous):
-    """Dashpots between sites: force -(de/du)^T c de/dt, on the velocity difference of the ends.
+    """Dashpots between sites: force -(de/du)^T c de/dt, from the velocity difference of the ends.
 
-    **Arguments:** `strain_map`: which sites are joined; `coefficient`: c >= 0 [N s/m], scalar or one per bond.
-    Its force reads the velocities of neighbours, so splitting solvers refuse it: use diffrax's Tsit5 or Dopri8.
-    **Raises** ValueError for c < 0.
+    **Arguments:** `strain_map`: which sites are joined; `coefficient`: c >= 0 [N s/m], scalar or
+    one per bond. Splitting solvers refuse it, since it reads the velocities of neighbours: use
+    diffrax's Tsit5 or Dopri8. **Raises** ValueError for c < 0.
 
     **Example:**
 
@@ -145,9 +143,10 @@ class Dashpot(_Viscous):
 class ViscousContact(_Viscous):
     r"""Viscoelastic contacts: force -(de/du)^T c [d0 + e]_+^q de/dt.
 
-    **Arguments:** `strain_map`; `coefficient`: c >= 0, scalar or one per bond; `exponent`: q > 0, 1/2 for
-    viscoelastic spheres; `overlap`: d0 >= 0 at equilibrium [m]. **Raises** ValueError for c, d0 < 0 or q <= 0.
-    Splitting solvers refuse it, as they do a dashpot. Source: Kuwabara, Kono, Jpn. J. Appl. Phys. 26, 1230 (1987).
+    **Arguments:** `strain_map`; `coefficient`: c >= 0, scalar or one per bond; `exponent`: q > 0,
+    1/2 for viscoelastic spheres; `overlap`: d0 >= 0 at equilibrium [m]. Splitting solvers refuse
+    it. **Raises** ValueError for c, d0 < 0 or q <= 0. Source: Kuwabara, Kono, Jpn. J. Appl. Phys.
+    26, 1230 (1987).
     """
 
     dimensions = {
@@ -181,18 +180,19 @@ class ViscousContact(_Viscous):
 
 
 class BrilliantovContact(Bond):
-    r"""Viscoelastic spheres of Brilliantov, Spahn, Hertzsch and Poeschel, contact and dissipation in one.
+    r"""Viscoelastic spheres of Brilliantov, Spahn, Hertzsch and Poeschel: contact and dissipation.
 
-    F = [A (s^{3/2} + (3/2) tau s^{1/2} ds/dt)]_+, s = d0 + e, and on the sites (de/du)^T times F - F0 less: the form of
-    Kuwabara and Kono, `Hertz(A)` beside `ViscousContact(3 A tau/2)`, but a contact that parts faster than its matter
-    follows carries nothing instead of pulling.
+    F = [A (s^{3/2} + (3/2) tau s^{1/2} ds/dt)]_+, s = d0 + e; force on the sites -(de/du)^T
+    (F - F0). As `Hertz(A)` with `ViscousContact(3 A tau/2)`, of Kuwabara and Kono, but a contact
+    that separates quickly has zero force instead of pulling.
 
-    **Arguments:** `strain_map`; `stiffness`: A > 0 [N/m^{3/2}]; `dissipative_time`: tau >= 0 [s], of the material's
-    viscosities over its moduli; `precompression`: F0 >= 0 [N]. Numbers or one per bond. Restitution falls as 1 - 1.730
-    tau (A/m)^{2/5} V^{1/5} (`gx.theory.restitution.viscoelastic`). Splitting solvers refuse it; `simulate` chooses
-    Dopri8. Typical: tau (A/m)^{2/5} V^{1/5} = 0.01 ... 0.3. **Raises** ValueError for A <= 0, tau or F0 < 0.
-    Source: N. V. Brilliantov et al., Phys. Rev. E 53, 5382 (1996); T. Schwager, T. Poeschel, Phys. Rev. E 78, 051304
-    (2008).
+    **Arguments:** `strain_map`; `stiffness`: A > 0 [N/m^{3/2}]; `dissipative_time`: tau >= 0 [s],
+    from the material's viscosities and moduli; `precompression`: F0 >= 0 [N]. Numbers or one per
+    bond. Typical: tau (A/m)^{2/5} V^{1/5} = 0.01 ... 0.3; the restitution falls as 1 - 1.730 tau
+    (A/m)^{2/5} V^{1/5} (`gx.theory.restitution.viscoelastic`). Splitting solvers refuse it;
+    `simulate` chooses Dopri8. **Raises** ValueError for A <= 0, tau or F0 < 0.
+    Source: N. V. Brilliantov et al., Phys. Rev. E 53, 5382 (1996); T. Schwager, T. Poeschel, Phys.
+    Rev. E 78, 051304 (2008).
     """
 
     dimensions = {"strain_map": PART, "law": PART, "dissipative_time": (0, 0, 1)}
@@ -216,7 +216,7 @@ class BrilliantovContact(Bond):
         total = self.law.stiffness * (elastic + slope * rate)
         pushes = total > 0
         total = jnp.where(pushes, total, 0)
-        # what it is at rest is the chain's load, which stays
+        # The force at rest is balanced by the static load of the chain, so it is subtracted.
         pull, load = self.strain_map.pull(u, total), self.preload_force(u)
         if isinstance(pull, dict):
             load = {name: load[name] for name in pull}
@@ -224,17 +224,17 @@ class BrilliantovContact(Bond):
 
 
 class CaputoDamping(Remembering):
-    r"""Damping of each site with a memory: force -c D^a u, Caputo's derivative of order 0 < a < 1.
+    r"""Damping of each site with memory: force -c D^a u, Caputo's derivative of order 0 < a < 1.
 
-    D^a u(t) = 1/Gamma(1 - a) times the integral over s < t of v(s)/(t - s)^a: between a spring (a = 0) and a damper
-    (a = 1), as of polymers. `gx.simulate` runs it by velocity Verlet with the whole history from t0 on, before which
-    the lattice was at rest: error ~ h^2, memory T N, cost T^2 N for T steps and N sites. What needs a motion that
-    depends on its present state alone refuses it.
+    D^a u(t) is 1/Gamma(1 - a) times the integral over s < t of v(s)/(t - s)^a, between a spring
+    (a = 0) and a damper (a = 1), as for polymers. `gx.simulate` uses velocity Verlet with the whole
+    history since t0, before which the lattice is at rest: error ~ h^2, memory T N, cost T^2 N for T
+    steps and N sites. Functions that assume a motion without memory refuse it.
 
-    **Arguments:** `coefficient`: c >= 0 [N s^a/m], scalar or one per site; `order`: a in (0, 1), one number (or one
-    per lane); `field`: as in `OnSite`, `None` for all. Typical: a = 0.2 ... 0.6 for rubber and PTFE.
-    **Raises** ValueError for c < 0, or a outside (0, 1): order 1 is `Damping`. Source: M. Caputo, Geophys. J. R. Astr.
-    Soc. 13, 529 (1967).
+    **Arguments:** `coefficient`: c >= 0 [N s^a/m], scalar or one per site; `order`: a in (0, 1),
+    one number (or one per lane); `field`: as in `OnSite`, `None` for all. Typical: a = 0.2 ... 0.6
+    for rubber and PTFE. **Raises** ValueError for c < 0, or a outside (0, 1): order 1 is `Damping`.
+    Source: M. Caputo, Geophys. J. R. Astr. Soc. 13, 529 (1967).
 
     **Example:**
 
@@ -268,7 +268,7 @@ class CaputoDamping(Remembering):
             )
 
     def force(self, t, u, v, mass):
-        """Zero: of a motion that begins; what else it is, the past says."""
+        """Return zero; the solver adds the force of the past."""
         own = v if self.field is None else {self.field: v[self.field]}
         return jax.tree.map(lambda v: 0 * self.coefficient * v, own)
 
@@ -276,8 +276,8 @@ class CaputoDamping(Remembering):
 class Drag(Term):
     """Quadratic drag of each site: force -c v|v|.
 
-    **Arguments:** `coefficient`: c >= 0 [kg/m], scalar or one per site. **Raises** ValueError for c < 0. Splitting
-    solvers refuse it.
+    **Arguments:** `coefficient`: c >= 0 [kg/m], scalar or one per site. Splitting solvers refuse
+    it. **Raises** ValueError for c < 0.
     """
 
     dimensions = {"coefficient": (1, -2, 2)}
@@ -301,18 +301,18 @@ class Drag(Term):
 
 
 class PlasticContact(Bond, Remembering):
-    r"""Elastic-plastic contacts: bonds whose force reads the largest overlap P(t) = max s(t') over t' <= t.
+    r"""Elastic-plastic contacts: the force reads the largest overlap P(t) = max s(t') over t' <= t.
 
-    Force on the sites: -(de/du)^T (F(s, P) - F0), s = d0 + e, F0 = F(d0, d0) the static force of a contact that has
-    never been pressed further. P is an internal variable, one per bond. `gx.simulate` carries it, and returns a
-    `RunWithMemory`; whatever needs a motion that depends on its present state alone refuses such a lattice. Measures
-    of a state take P as the lattice holds it, at least the present overlap: that of `run.lattice` is the one at the
-    end of a run, and `gx.measures.along(measure, lattice, run)` puts in that of each frame.
+    Force on the sites: -(de/du)^T (F(s, P) - F0), s = d0 + e; F0 = F(d0, d0) is the static force of
+    a virgin contact. `gx.simulate` carries P, one per bond, and returns a `RunWithMemory`;
+    functions that assume a motion without memory refuse such a lattice. Measures of a state use the
+    P of the lattice, at least the present overlap. `run.lattice` holds the P at the end of a run;
+    `gx.measures.along(measure, lattice, run)` uses the P of each frame.
 
-    **Arguments:** `strain_map`, such as `Shift(1, "fixed")`; `law`: `gx.WaltonBraun`, `gx.Thornton`, or a
-    user-defined `gx.PlasticLaw`; `overlap`: d0 >= 0 at equilibrium [m], zero without precompression; `largest`: P at
-    the start, `None` for d0 (virgin contacts). Numbers or one per bond.
-    **Raises** ValueError for d0 < 0, P < d0, or another kind of law.
+    **Arguments:** `strain_map`, such as `Shift(1, "fixed")`; `law`: `gx.WaltonBraun`,
+    `gx.Thornton`, or a user-defined `gx.PlasticLaw`; `overlap`: d0 >= 0 at equilibrium [m], zero
+    without precompression; `largest`: P at the start, `None` for d0 (virgin). Numbers or one per
+    bond. **Raises** ValueError for d0 < 0, P < d0, or another kind of law.
     """
 
     dimensions = {"strain_map": PART, "law": PART}
@@ -354,15 +354,15 @@ class PlasticContact(Bond, Remembering):
 
 
 def _highest(x0, x1, d0, d1):
-    """The largest value within a step of the cubic through values and slopes (times the step) at its ends."""
+    """Return the maximum of the cubic with end values x0, x1 and slopes d0, d1 (times the step)."""
     rise = x1 - x0
     a, b = 3 * (d0 + d1 - 2 * rise), 3 * rise - 2 * d0 - d1
     square = b * b - a * d0
     turns = square > 0
-    # of the two places where the slope a x^2 + 2 b x + d0 is zero, that where it falls: x = d0/(-b + root)
+    # The slope a x^2 + 2 b x + d0 has two zeros; the maximum is x = d0/(-b + root).
     below = jnp.sqrt(jnp.where(turns, square, 1)) - b
     place = jnp.where(turns & (below != 0), d0 / jnp.where(below != 0, below, 1), 0)
-    # where a maximum lies does not count to first order
+    # To first order the maximum does not depend on its position.
     x = jax.lax.stop_gradient(jnp.clip(place, 0, 1))
     inside = x0 + x * (d0 + x * (b + x * a / 3))
     return jnp.maximum(jnp.maximum(x0, x1), inside)

@@ -1,4 +1,4 @@
-"""Energies of a term: who has them, and whether its force is their slope."""
+"""The energy of a term per site, and whether its force is the energy's gradient."""
 
 from typing import Any
 
@@ -16,10 +16,11 @@ DENSE = 4000
 
 
 def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displacements | None:
-    """Potential energy shared out to sites, of the structure of `u` (or of some of its fields).
+    """Return the potential energy per site, with the structure of `u` (or some of its fields).
 
-    Bonds share theirs as their ends weigh in the strain; an array over the sites stays as it is. The energies of other
-    terms are shared out as the squares of their derivatives weigh the sites; dense, and refused for a large lattice.
+    Bonds share theirs by the weights of their ends in the strain; an array over the sites stays as
+    it is. Other energies are shared by their squared derivatives, a dense computation that is
+    refused for large lattices.
     """
     energy, inner = term.energy(t, u), within(term)
     if energy is None or isinstance(energy, dict):
@@ -37,7 +38,7 @@ def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displa
             "Give its energy as an array over the sites, or write it as a Bond.",
         )
     lanes, own = len(lattice.lanes), energy.ndim - len(lattice.lanes)
-    # lanes do not mix, so the derivatives of their sum are those of each
+    # The lanes are independent, so the derivatives of their sum are the derivatives of each.
     slopes = jax.jacrev(lambda u: term.energy(t, u).sum(tuple(range(own, own + lanes))))(u)
     weights = jax.tree.map(lambda x: x * x + jnp.finfo(x.dtype).tiny, slopes)
     whole = sum(w.sum(tuple(range(own, w.ndim - lanes))) for w in jax.tree.leaves(weights))
@@ -53,9 +54,9 @@ def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displa
 
 
 def energy_gap(term: Term, lattice: Any, t: Number, u: Displacements) -> Numbers:
-    """How far the force is from the slope of the energy, relative: |dE + F.w|/(sum of |dE| and |F w|), along one w.
+    """Return the mismatch |dE + F.w|/(sum of |dE| and |F w|) along one irregular displacement w.
 
-    Zero, to rounding (also that of the preloads), for a force that keeps the energy; w is irregular. Shape of the
+    Zero, up to rounding (also of the preloads), for a force that conserves energy. Shape of the
     lanes.
     """
     lanes = len(lattice.lanes)
@@ -65,7 +66,8 @@ def energy_gap(term: Term, lattice: Any, t: Number, u: Displacements) -> Numbers
 
     w = jax.tree.map(lambda x: _irregular(x, x.ndim - lanes), u)
     _, change = jax.jvp(lambda u: term.energy(t, u), (u,), (w,))
-    # displacements are known to their rounding alone, and a motion all alike has no force beyond what that makes
+    # Displacements are known only up to rounding, and the force of a uniform motion is nothing but
+    # the effect of that rounding.
     far = jnp.max(
         jnp.stack([jnp.max(jnp.abs(x), tuple(range(x.ndim - lanes))) for x in jax.tree.leaves(u)]),
         0,
@@ -86,7 +88,6 @@ def energy_gap(term: Term, lattice: Any, t: Number, u: Displacements) -> Numbers
 
 
 def _irregular(like, axes):
-    """Numbers between -1 and 1 without pattern over the leading axes, of the shape of an array."""
     size = int(np.prod(like.shape[:axes]))
     x = np.cos(np.arange(size) ** 2 * 0.6180339887498949 + np.arange(size)).reshape(
         like.shape[:axes]

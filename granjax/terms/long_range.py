@@ -1,4 +1,4 @@
-"""Bonds to all neighbours of a chain: magnets, algebraic kernels, fractional lattices; their sums by FFT."""
+"""Bonds to many neighbours of a chain, summed by FFT: magnets, algebraic and fractional kernels."""
 
 import math
 from typing import Any, ClassVar, NamedTuple
@@ -17,40 +17,44 @@ from ..units import PART
 from .base import Compression, Term, get, put, wider
 from .reach import steepest
 
-# offsets up to which a sum over neighbours costs less than two transforms; up to which all of them are one array
+# Number of offsets up to which a sum over neighbours costs less than two transforms, and up to
+# which all offsets are evaluated as one array.
 FEW = 8
 TAKES = ("displacement", "strain")
 
 
 class LongRange(Term):
-    r"""Bonds from each site of a chain to its first M neighbours: weights of the offsets, and one law.
+    r"""Bonds from each site of a chain to its first M neighbours: one law, weighted by offset.
 
-    Force on site n: -sum_m [c_m F(u_n - u_{n+m}) - c_m F(u_{n-m} - u_n)], m = 1 ... M, with the law's F. With
-    `takes="strain"` the law takes the compression per spacing, F(e/m): so are magnets, each of which repels every
-    other, A (m d - e)^p = A m^p (d - e/m)^p, a kernel m^p and the law of neighbours.
+    Force on site n: -sum_m [c_m F(u_n - u_{n+m}) - c_m F(u_{n-m} - u_n)], m = 1 ... M. With
+    `takes="strain"` the law takes the compression per spacing, F(e/m), as for magnets that all
+    repel each other: A (m d - e)^p = A m^p (d - e/m)^p, the kernel m^p and the law of neighbours.
 
-    Laws that are polynomials (`Linear`, `Polynomial`) take the time of a few FFTs, whatever M: (u_n - u_j)^k by the
-    binomial theorem; a run transforms the kernel once (`for_run`). At 1e5 sites a step of one force then takes some 7
-    times that of linear springs to next neighbours, 5 times that of Hertz contacts (22, 3.3, 4.2 ns a site, processor
-    time). Rounding is about 1e-16 sum_m c_m (2 max |u|)^k, where u is counted from its mean. All other
-    laws, and kernels of at most 8 offsets, are summed bond by bond.
+    Polynomial laws (`Linear`, `Polynomial`) cost a few FFTs, whatever M: (u_n - u_j)^k is expanded
+    by the binomial theorem. A run transforms the kernel once (`for_run`). At 1e5 sites one force
+    evaluation takes about 7 times that of linear springs to next neighbours, 5 times that of Hertz
+    contacts (22, 3.3, 4.2 ns per site, processor time). The rounding error is about 1e-16 sum_m c_m
+    (2 max |u|)^k, with u measured from its mean. Other laws, and kernels of at most 8 offsets, are
+    summed bond by bond.
 
     **Arguments:**
 
-    - `kernel`: c_m (M,), dimensionless, of any sign, for the offsets 1 to M. A kernel may be longer than the chain.
+    - `kernel`: c_m (M,), dimensionless, of any sign, for the offsets 1 to M; it may be longer than
+      the chain. Typical: 1/m^2 ... 1/m^5.
     - `law`: one for all bonds.
-    - `boundary`: `"free"` (bonds within the chain: nothing is wrapped), `"fixed"` (the chain goes on at rest beyond its
-      ends, as far as the kernel reaches), `"periodic"` (every offset of the kernel goes around the ring, several times
-      where M is larger: what an infinite chain does whose motion repeats after the ring; nothing is cut).
+    - `boundary`: `"free"` (only bonds within the chain), `"fixed"` (the chain continues at rest
+      beyond its ends, as far as the kernel reaches), `"periodic"` (every offset goes around the
+      ring, several times for large M, as in an infinite chain with periodic motion).
     - `takes`: "displacement" or "strain". `field`: as in `OnSite`.
-    - `beyond`: how many sites at rest there are beyond each end of a fixed chain, `None` for as many as the kernel
-      reaches; 1 for magnets between two that are held.
-    - `rest`: displacements (N,) at which forces are measured to be zero, `None` for none: `gx.equilibrium` finds them.
+    - `beyond`: number of sites at rest beyond each end of a fixed chain, `None` for the kernel's
+      range; 1 for magnets between two held ones.
+    - `rest`: displacements (N,) at which forces are measured to be zero, or `None`.
 
-    Typical: 1/m^2 ... 1/m^5. Of a law with a preload a free chain, or one with few sites beyond, is at rest at u = 0
-    by loads on its sites alone (`Lattice.unbalanced`): `gx.equilibrium` finds where it rests without them.
-    **Raises** ValueError for a kernel that is no row of numbers, a law with parameters of its own for each bond, and a
-    lattice that is no chain. Source: Flach, Phys. Rev. E 58, R4116 (1998); Chong et al., Phys. Rev. Lett. 131, 117201.
+    If the law has a preload, a free chain, or one with few sites beyond, rests at u = 0 only under
+    loads on its sites (`Lattice.unbalanced`); `gx.equilibrium` finds `rest` without them.
+    **Raises** ValueError for a kernel that is no row of numbers, a law with separate parameters for
+    each bond, and a lattice that is no chain. Source: Flach, Phys. Rev. E 58, R4116 (1998); Chong
+    et al., Phys. Rev. Lett. 131, 117201.
     """
 
     dimensions = {"kernel": (0, 0, 0), "law": PART, "rest": (0, 1, 0)}
@@ -114,16 +118,16 @@ class LongRange(Term):
 
     @property
     def span(self):
-        """Sites that the bonds couple, along the chain."""
+        """The coupling range along the chain."""
         return (self.kernel.shape[0],)
 
     @property
     def walls(self):
-        """The ends that are tied to what is at rest."""
+        """The ends that are tied to sites at rest."""
         return BOTH if self.boundary == "fixed" else ()
 
     def nearest(self) -> Law:
-        """The law of the bonds to the next site, as they are at rest."""
+        """Return the law of the bonds to the next site at rest."""
         law = (
             self.law
             if self.rest is None
@@ -133,14 +137,12 @@ class LongRange(Term):
 
     @property
     def _beyond(self):
-        """How many sites at rest there are beyond each end of a chain; `None` around a ring."""
         if self.boundary == "fixed":
             return self.kernel.shape[0] if self.beyond is None else self.beyond
         return 0 if self.boundary == "free" else None
 
     @property
     def _powers(self):
-        """The coefficients of the law where its sums are done by FFT."""
         return None if self.kernel.shape[0] <= FEW else self.law.powers
 
     def force(self, t, u, v, mass):
@@ -152,7 +154,7 @@ class LongRange(Term):
         return put(self._sums(rest + x).force() - held, self.field)
 
     def for_run(self, lattice: Any) -> Any:
-        """The term with the transforms of its kernel, and with the forces at rest, which it counts from."""
+        """Return the term with the transforms of its kernel and its forces at rest computed."""
         plain = eqx.tree_at(lambda x: x._kept, self, None, is_leaf=lambda x: x is None)
         x = get(lattice.zeros(), self.field)
         weights = {} if self._powers is None else plain._sums(x).known()
@@ -180,7 +182,6 @@ class LongRange(Term):
         return _Powers(law.powers, x, self._beyond, weights)
 
     def _law(self, x):
-        """The law of the bonds of every offset that counts, with axes for all of the lanes of `x`."""
         beyond = self._beyond
         c = self.kernel if beyond is None else self.kernel[: x.shape[0] - 1 + beyond]
         c = c.reshape(c.shape + (1,) * (x.ndim - c.ndim))
@@ -195,7 +196,7 @@ class LongRange(Term):
         return put(force, self.field)
 
     def compressions(self, t, u):
-        """Those of next neighbours."""
+        """Return the compressions of next neighbours."""
         law, x = self.nearest(), get(u, self.field)
         c = law.factor.reshape(law.factor.shape + (1,) * (x.ndim - law.factor.ndim))
         return (Compression(Scaled(law.law, c), _strains(x, self.boundary)),)
@@ -216,17 +217,16 @@ class LongRange(Term):
             x = get(w, self.field)
             own = k.reshape(k.shape + (1,) * (x.ndim - k.ndim))
             springs = _Powers({1: own}, x, self._beyond, {})
-            # the springs' force is what the neighbours push, less what holds the site
+            # The springs' force is the push of the neighbours minus the part that holds the site.
             pushed = springs.force() + springs.held(1, self._beyond) * x
             return put(2 * own.sum(0) * x + pushed, self.field)
 
         return bound
 
     def _steepest(self, law, reach):
-        """Largest stiffness of the bonds of each offset, (M, lanes...)."""
         c = law.factor
         if self.takes == "strain":
-            # a mean of m compressions side by side: none is above the largest
+            # e/m is the mean of m adjacent compressions, so it does not exceed the largest of them.
             first = jnp.where(c[:1] > 0, c[:1], 1)
             k = reach.stiffest(Scaled(self.nearest().law, first), 0)
             return jnp.max(k, 0, keepdims=True) / first * c / law.length
@@ -237,7 +237,7 @@ class LongRange(Term):
 
 
 class LongRangeTangent(Term):
-    """The linear springs of a `LongRange` term about displacements `about`, which have a trailing axis for tangents."""
+    """The linear springs of a `LongRange` term at displacements `about`, tangents last."""
 
     dimensions = {"term": PART, "about": (0, 1, 0)}
     term: LongRange
@@ -248,8 +248,6 @@ class LongRangeTangent(Term):
 
 
 class _Bonds(NamedTuple):
-    """Sums over the bonds of a chain one offset after the other: its `law`, displacements, sites `beyond`."""
-
     law: Scaled
     x: jax.Array
     beyond: int | None
@@ -263,13 +261,13 @@ class _Bonds(NamedTuple):
         )
 
     def energy(self):
-        """Half of each bond's at either end, all of it where the other end is at rest beyond the chain."""
+        """Each end gets half of a bond's energy, or all if the other end is beyond the chain."""
         return self._sum(
             lambda law, e, own: law.energy(e), lambda left, right: left + right, halves=True
         )
 
     def _sum(self, bond, joined, w=None, halves=False):
-        """Each bond is looked at once, at column k + count for a left end at k, and is added to both of its sites."""
+        """Evaluate each bond once, at column k + count for a left end at k, and sum at sites."""
         n, count = self.x.shape[0], self.law.factor.shape[0]
         mode = "wrap" if self.beyond is None else "constant"
         arrays = (self.x,) if w is None else (self.x, w)
@@ -308,19 +306,18 @@ class _Bonds(NamedTuple):
 
 
 class _Kept(NamedTuple):
-    """What a run keeps: of each power of the law the transforms of its weights and their sums, and forces at rest."""
+    """Precomputed for a run: `weights`, as `_Powers.known`, and the forces at rest."""
 
     weights: dict
     held: jax.Array | None
 
 
 class _Powers(NamedTuple):
-    """The same for a law that is a polynomial, by FFT, from its coefficients c, (M, lanes...).
+    """The same sums as `_Bonds` for a polynomial law with coefficients c (M, lanes...), by FFT.
 
-    `weights`: what is `known` of each power.
-
-    The sum over j of s_j c_j (x_n - x_j)^p, s_j = -1 for even k where j < n, is that of x_n^a times sums over all
-    neighbours of x_j^b, a + b = p: a transform of each x^b, and one back for each x^a.
+    The sum over j of s_j c_j (x_n - x_j)^p, s_j = -1 for even k where j < n, expands into terms
+    x_n^a times sums over all neighbours of x_j^b, a + b = p: one transform of each x^b, and one
+    back for each x^a.
     """
 
     powers: dict
@@ -330,7 +327,6 @@ class _Powers(NamedTuple):
 
     @property
     def around(self):
-        """Whether the chain is a ring."""
         return self.beyond is None
 
     def known(self):
@@ -352,7 +348,7 @@ class _Powers(NamedTuple):
         return self._sum(parts) * w - self._sum(parts, w)
 
     def _sum(self, parts, w=None):
-        """Sum over `parts` = (a, p, k) of a s_j c_j (x_n - x_j)^p [w_j] over all neighbours, with weights of e^k."""
+        """Sum a s_j c_j (x_n - x_j)^p [w_j] over neighbours j and `parts` (a, p, k)."""
         x, one = self._centred(), 0 if w is None else w
         shape = jnp.broadcast_shapes(x.shape, jnp.shape(one))
         transforms, total, columns = {}, 0.0, {}
@@ -382,30 +378,26 @@ class _Powers(NamedTuple):
         return transform, self.held(k, self.beyond)
 
     def held(self, k, beyond):
-        """The sum of the weights of all bonds of a site, with this number of sites beyond the ends."""
         right, left = _bonds_within(self.powers[k], self.x.shape[0], beyond)
         return right - (-1) ** k * left
 
     def _centred(self):
-        """Displacements, of which differences count alone, from their mean where nothing is at rest."""
+        """Subtract the mean, where no site is held, since only differences matter."""
         if self.beyond:
             return self.x
         return self.x - jax.lax.stop_gradient(jnp.mean(self.x, 0, keepdims=True))
 
 
 def _offsets(c):
-    """The offsets 1 ... M, with axes as the weights."""
     return jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
 
 
 def _spread(values, x):
-    """Numbers of the sites of a chain (or one for all), and of its first lanes, as an array over all of `x`."""
     values = jnp.reshape(values, values.shape + (1,) * (x.ndim - values.ndim))
     return jnp.broadcast_to(values, x.shape)
 
 
 def _bonds_within(c, n, beyond):
-    """The sums of the weights of all bonds to the right and to the left of each site."""
     if beyond is None or beyond >= c.shape[0]:
         return c.sum(0, keepdims=True), c.sum(0, keepdims=True)
     sums = jnp.concatenate([jnp.zeros_like(c[:1]), jnp.cumsum(c, 0)])
@@ -414,7 +406,6 @@ def _bonds_within(c, n, beyond):
 
 
 def _strains(x, boundary):
-    """u_n - u_{n+1} of all bonds."""
     if boundary == "periodic":
         return x - jnp.roll(x, -1, 0)
     if boundary == "fixed":
@@ -426,7 +417,7 @@ FACTORS = (2, 3, 5, 7)
 
 
 def spectrum(c, n, parity, around, dtype):
-    """The transform of the weights `c` (M, lanes...) on n sites: its real and its imaginary part, lanes last."""
+    """Return the (real, imaginary) transform of the weights `c` (M, lanes...), lanes last."""
     c = jnp.moveaxis(c.astype(dtype), 0, -1)
     if around:
         found = by_rows(jnp.fft.rfft, folded(c, n))
@@ -438,7 +429,7 @@ def spectrum(c, n, parity, around, dtype):
 
 
 def behind(spectrum, ndim):
-    """A spectrum as complex numbers for arrays of this number of axes, frequencies last as `forth` has them."""
+    """Return a spectrum as a complex array with `ndim` axes, frequencies last as in `forth`."""
     real, imag = (
         None if x is None else jnp.moveaxis(x.reshape(x.shape + (1,) * (ndim - x.ndim)), 0, -1)
         for x in spectrum
@@ -447,7 +438,7 @@ def behind(spectrum, ndim):
 
 
 def forth(x, around):
-    """The transform of `x` (N, lanes...), its frequencies last."""
+    """Return the transform of `x` (N, lanes...), frequencies last."""
     x, n = jnp.moveaxis(x, 0, -1), x.shape[0]
     if around:
         return by_rows(jnp.fft.rfft, x)
@@ -456,7 +447,7 @@ def forth(x, around):
 
 
 def back(y, n, around):
-    """Inverse of `forth`, n sites first."""
+    """Return the inverse of `forth`, sites first."""
     if around:
         return jnp.moveaxis(by_rows(jnp.fft.irfft, y, n), -1, 0)
     y = by_rows(jnp.fft.ifft, y)
@@ -464,17 +455,18 @@ def back(y, n, around):
 
 
 def folded(c, n):
-    """The kernel of a ring of n sites: weights of the offsets 0 ... n - 1, summed over all ways around."""
+    """Return the kernel of a ring of n sites: weights of the offsets 0 ... n - 1."""
     count = -(-(c.shape[-1] + 1) // n)
     c = jnp.pad(c, [(0, 0)] * (c.ndim - 1) + [(1, count * n - 1 - c.shape[-1])])
     return c.reshape(c.shape[:-1] + (count, n)).sum(-2)
 
 
 def _laid_out(c, n, parity):
-    """The kernel of an acyclic convolution by one complex transform of the chain's own length, not a real one of twice.
+    """Lay out the kernel for an acyclic convolution by one complex transform of the chain's length.
 
-    With weights w^j, w^n = i, a cyclic convolution gives what has gone around the end times i; the kernel a + i b whose
-    imaginary part holds the negative offsets, with the sign changed, brings it back as real numbers.
+    With factors w^j, w^n = i, a cyclic convolution multiplies what wraps around by i. The kernel
+    a + i b, whose imaginary part holds the negative offsets with the sign changed, makes this real
+    again. A real transform would need twice the length.
     """
     c = c[..., : n - 1]
     idle = jnp.zeros(c.shape[:-1] + (smooth(n) - 1 - c.shape[-1],), c.dtype)
@@ -485,7 +477,6 @@ def _laid_out(c, n, parity):
 
 
 def _turn(n, dtype):
-    """The weights w^j."""
     length = smooth(n)
     return np.exp(0.5j * np.pi * np.arange(length) / length).astype(
         jnp.result_type(dtype, np.complex64)
@@ -493,7 +484,7 @@ def _turn(n, dtype):
 
 
 def smooth(n):
-    """The least whole number from n on that has small prime factors alone."""
+    """Return the least integer >= n with small prime factors only."""
     while True:
         rest = n
         for factor in FACTORS:

@@ -1,4 +1,4 @@
-"""What the library finds out about a term: what its force reads, what a motion may reach, the stiffness there."""
+"""Analysis of a term: what its force reads, what a motion can reach, the stiffness there."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -18,20 +18,22 @@ from ..strains.maps import spectral_radius
 from ..types import Displacements, Flags, Number, Numbers, Pytree
 
 SAMPLES = 33
-# of the least length, 2^-60, up to 2^40; then of the interval, to 2^-40 of it
+# Doublings of the least length, from 2^-60 to 2^40; then halvings, to 2^-40 of the interval.
 DOUBLED, HALVED = 100, 40
-# a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there
+# A contact with an exponent below 1 is infinitely stiff where it opens. The bound uses only
+# overlaps above this fraction of the overlap at rest.
 CLOSED_FRACTION = 0.05
 
 
 class Reach(eqx.Module):
-    """What a motion may reach.
+    """What a motion can reach.
 
-    **Fields:** `energy`: of one bond or site [J], (2,) and lanes: what may extend it, and what may press it together.
-    `force`: what a drive pushes with. `displacement` (2,): what a wall that moves leaves to each bond, to extend it and
-    to press it together, `None` where nothing moves, and `width`: the bonds whose energy of that may gather in one.
-    `ts`: times at which changing parameters are looked at. `u`: displacements at the start. `seen`: the least and the
-    largest compressions of every law of the term that a run has seen, which then count instead; else `None`.
+    **Fields:** `energy`: of one bond or site [J], (2,) and lanes: for extension and compression.
+    `force`: the largest of a drive. `displacement` (2,): what a moving wall transfers to each bond
+    in extension and compression, or `None`; `width`: the number of bonds whose energy from it may
+    gather in one. `ts`: times at which changing parameters are evaluated. `u`: displacements at the
+    start. `seen`: the least and largest compressions of every law in an earlier run, which replace
+    the estimate, or `None`.
     """
 
     energy: jax.Array
@@ -44,18 +46,18 @@ class Reach(eqx.Module):
     __repr__ = told
 
     def stiffest(self, law: Any, index: int) -> Numbers:
-        """Largest |F'(x)| over the compressions x within reach, per bond; `index` counts the term's compressions."""
+        """Return the largest |F'(x)| within reach, per bond; `index` counts the term's laws."""
         return steepest(law, *self.ends(law, index))
 
     def opens(self, law: Any) -> Flags:
-        """Whether some contact of the law may open."""
+        """Return whether some contact of the law may open."""
         overlaps = [law.overlap(x) for x in self.ends(law, 0)]
         return jnp.any(
             jnp.stack([jnp.min(s) <= 0 for s in overlaps if s is not None] or [jnp.zeros((), bool)])
         )
 
     def ends(self, law: Any, index: int) -> Any:
-        """The least compression within reach, not above zero, and the largest, not below."""
+        """Return the least (<= 0) and largest (>= 0) compressions within reach."""
         if self.seen is not None:
             low, high = self.seen
             return jnp.minimum(low[index], 0), jnp.maximum(high[index], 0)
@@ -81,7 +83,7 @@ class Reach(eqx.Module):
 
 
 def steepest(law: Any, low: Numbers, high: Numbers):
-    """Largest |F'(x)| for low <= 0 <= high, elementwise; for a law that softens, where it is well closed."""
+    """Return the largest |F'(x)| for low <= 0 <= high; well closed if the law softens."""
     fractions = jnp.linspace(0.0, 1.0, SAMPLES, dtype=low.dtype)
 
     ends = jnp.stack([low, high])
@@ -93,7 +95,10 @@ def steepest(law: Any, low: Numbers, high: Numbers):
 
 
 def furthest(reachable: Callable, zero: Numbers, sign: Numbers | float):
-    """Largest |x| of one sign within reach: doubling, then bisection, in one loop, which is compiled once."""
+    """Return the largest reachable |x| of one sign.
+
+    By doubling, then bisection, in one loop that is compiled once.
+    """
     start = zero + jnp.asarray(2.0**-60, zero.dtype)
 
     def closer(i, state):
@@ -111,12 +116,12 @@ def furthest(reachable: Callable, zero: Numbers, sign: Numbers | float):
 
 
 def per_lane(tree: Pytree, lanes: int) -> Number:
-    """The sum of all arrays over their sites or bonds, whose last `lanes` axes are those of a batch."""
+    """Return the sum of all arrays over their sites or bonds, for each of the last `lanes` axes."""
     return sum(x.sum(tuple(range(x.ndim - lanes))) for x in jax.tree.leaves(tree))
 
 
 def largest_eigenvalue(term: Any, lattice: Any, reach: Reach) -> Any:
-    """Largest |eigenvalue| of M^{-1/2} dF/du M^{-1/2} of one term over displacements of the energy within reach."""
+    """Return the largest |eigenvalue| of M^{-1/2} dF/du M^{-1/2} of one term within reach."""
     t, zeros, lanes = reach.ts[0], lattice.zeros(), len(lattice.lanes)
     energy = jnp.max(reach.energy)
 
@@ -128,7 +133,7 @@ def largest_eigenvalue(term: Any, lattice: Any, reach: Reach) -> Any:
 
     def within(direction):
         size = furthest(lambda a: (stored(along(a, direction)) <= energy) & (energy > 0), zero, 1.0)
-        # a displacement that costs nothing is not sampled at infinity
+        # A displacement without energy would be infinite; it is left out.
         return along(jnp.where(stored(along(2 * size, direction)) > energy, size, 0), direction)
 
     def eigenvalue(u):
@@ -150,11 +155,11 @@ def largest_eigenvalue(term: Any, lattice: Any, reach: Reach) -> Any:
 
 
 def components(lattice: Any) -> list:
-    """The uniform displacement of one component of one field, for each."""
+    """Return the uniform displacements, one for each component of each field."""
     zeros = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), lattice.template())
     moves = []
     for i in range(lattice.dimension or 1):
-        # the vector axis lies before the lanes
+        # The vector axis comes before the lanes.
         place = (..., i) + (slice(None),) * len(lattice.lanes) if lattice.dimension else ...
         for name in zeros if isinstance(zeros, dict) else (None,):
             move = jax.tree.map(np.copy, zeros)
@@ -164,7 +169,6 @@ def components(lattice: Any) -> list:
 
 
 def _directions(lattice):
-    """Single displacements, neighbours in antiphase, a step and all together, of both signs; every lane alike."""
     found = []
     for move in components(lattice):
         moving = next(x for x in jax.tree.leaves(move) if x.any())
@@ -194,9 +198,10 @@ RESISTS = 1e-9
 
 
 class Dependence(NamedTuple):
-    """What a force reads: `time`, `displacement`, `velocity`; and whether the term stores an `energy`.
+    """What a force reads: `time`, `displacement`, `velocity`; whether the term stores `energy`.
 
-    `transforms`: it holds an FFT, which XLA compiles for the CPU in some memory layouts only: no batches by `vmap`.
+    `transforms`: it uses an FFT, which XLA compiles for the CPU only in some memory layouts: no
+    `vmap`.
     """
 
     time: bool = False
@@ -207,22 +212,22 @@ class Dependence(NamedTuple):
 
     @property
     def conserves(self):
-        """Whether the term keeps the energy."""
+        """Whether the term conserves energy."""
         return self.energy and not self.time and not self.velocity
 
 
 def traced(term: Any, lattice: Any):
-    """(shapes of the force, `Dependence`) of a term on a lattice, found once for each structure."""
+    """Return (shapes of the force, `Dependence`) of a term on a lattice, cached by structure."""
     return _used_by_force((term, time_of(lattice), lattice.template(), lattice.mass))
 
 
 def reads(term: Any, lattice: Any) -> Dependence:
-    """What the force of a term reads, found by tracing it."""
+    """Return what the force of a term reads."""
     return traced(term, lattice)[1]
 
 
 def time_of(lattice: Any):
-    """A time in the lattice's floating type, as a shape."""
+    """Return the shape and type of a time on the lattice."""
     return jax.ShapeDtypeStruct((), lattice.dtype)
 
 
@@ -250,7 +255,7 @@ def _traced_force(structure, leaves):
 
 
 def used(function: Callable, arguments: tuple, places: tuple = (1,)):
-    """(shapes of the result, whether an FFT is in it, whether it depends on each of the arguments at some places)."""
+    """Return (shapes of the result, whether it uses an FFT, whether it reads each argument)."""
     arguments = jax.tree.map(_abstract, arguments)
     closed, shapes, _ = eqx.filter_make_jaxpr(function)(*arguments)
     _, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.out_avals))
@@ -270,7 +275,7 @@ def _abstract(x):
 
 
 def stand_in(x: Number, random: np.random.Generator | None = None) -> Number:
-    """The value, or where it is traced ones, or numbers between 1 and 2."""
+    """Return the value; where it is traced, ones, or random numbers between 1 and 2."""
     x = jax.lax.stop_gradient(x) if is_traced(x) else x
     if not is_traced(x):
         return x
@@ -278,7 +283,7 @@ def stand_in(x: Number, random: np.random.Generator | None = None) -> Number:
 
 
 def answers_to(moves: list, term: Any, mass: Displacements | Number, template: Pytree):
-    """dF/du along some displacements, (scales, n, moves), each relative to the answer to a random one."""
+    """Return dF/du along some displacements (scales, n, moves), relative to a random one."""
     random = np.random.default_rng(0)
     where, other = (
         jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template)
@@ -304,7 +309,6 @@ def _answers(moves, term, mass, where, other, scale):
 
 
 def _raveled(force, zeros):
-    """A force as one array, with zeros for the fields that it does not touch."""
     if isinstance(zeros, dict):
         force = {name: force.get(name, zero) for name, zero in zeros.items()}
     return ravel_pytree(jax.tree.map(lambda f, u: jnp.broadcast_to(f, u.shape), force, zeros))[0]

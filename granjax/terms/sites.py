@@ -1,4 +1,4 @@
-"""What acts on single sites: on-site laws, drives, walls at the ends of a chain."""
+"""Terms that act on single sites: on-site laws, drives, walls at the ends of a chain."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -21,8 +21,8 @@ from .waveforms import Breaks, as_module, checked_breaks
 class OnSite(Bond):
     """A force that ties each site to its rest position: F = -law.force(u).
 
-    **Arguments:** `law`, elementwise in u (Linear, Sine, Polynomial, ...); `field`: name of the field, where a cell
-    holds several. **Raises** ValueError where `law` is no law.
+    **Arguments:** `law`, elementwise in u (Linear, Sine, Polynomial, ...); `field`: its name, if a
+    cell has several. **Raises** ValueError where `law` is no law.
 
     **Example:**
 
@@ -51,13 +51,15 @@ class OnSite(Bond):
 class Drive(Term):
     """A force on one site: F_site = f(t).
 
-    **Arguments:** `waveform`: a function of time, `Harmonic(amplitude, omega)` or any callable Module; in the plane
-    it returns a vector. `site`: index (a tuple on a grid), negative from the end. `field`: as in `OnSite`. `breaks`:
-    times at which it jumps, as in `Modulated`; and the beginning and the end of a pulse that is not long against the
-    time step, with some times between where its shape counts: steps end there, where otherwise a run may pass over
-    it. A run looks at 8 to 2048 places in each step; where it finds such a pulse its `outcome` says so, and the errors
-    of its records are infinite. It finds no shorter one, and looks at nothing under a transformation.
-    **Raises** ValueError where `waveform` cannot be called.
+    **Arguments:** `waveform`: a function of time, `Harmonic(amplitude, omega)` or any callable
+    Module; in the plane it returns a vector. `site`: index (a tuple on a grid), negative from the
+    end. `field`: as in `OnSite`. `breaks`: times at which f jumps, as in `Modulated`; also the
+    start and end of a short pulse and some times in between, or a run may step over it. **Raises**
+    ValueError where `waveform` cannot be called.
+
+    A run samples 8 to 2048 points of each step for missed pulses, except under a transformation;
+    shorter pulses are not found. With a missed pulse its `outcome` says so, and the errors of its
+    records are infinite.
 
     **Example:**
 
@@ -112,14 +114,14 @@ class Drive(Term):
 class Wall(Bond):
     """A wall at one end of a chain: rigid, elastic, driven or yielding.
 
-    Left: e = w(t) - u_0; right: e = u_{N-1} - w(t); the end site feels the contact force law.force(e) away from the
-    wall. Use it with a `Shift` whose boundary is `"free"` at that end.
+    Left: e = w(t) - u_0; right: e = u_{N-1} - w(t). The contact force law.force(e) pushes the end
+    site away from the wall. Use it with a `Shift` whose boundary is `"free"` at that end.
 
     **Arguments:** `law`: the contact with the wall (a sphere on a plane of another material:
-    `Hertz(materials.hertz_coefficient(...), F0)`). `side`: `"left"` or `"right"`. `motion`: the wall's displacement
-    w(t), a function or Module, `None` for a wall at rest. `support`: stiffness of a linear spring behind the wall
-    [N/m], for a wall that yields; `None` for none. `field`: as in `OnSite`. `breaks`: times at which the motion or its
-    speed jumps, as in `Modulated`.
+    `Hertz(materials.hertz_coefficient(...), F0)`). `side`: `"left"` or `"right"`. `motion`: the
+    wall's displacement w(t), a function or Module, or `None`. `support`: stiffness of a linear
+    spring behind the wall [N/m], or `None`. `field`: as in `OnSite`. `breaks`: times at which the
+    motion or its speed jumps, as in `Modulated`.
     **Raises** ValueError for another side, a motion that cannot be called, support <= 0.
 
     **Example:**
@@ -203,7 +205,7 @@ class Wall(Bond):
 
 
 def with_still_walls(lattice: Any) -> Any:
-    """The lattice with all moving walls held still."""
+    """Return the lattice with all moving walls at rest."""
 
     def still(term):
         if not isinstance(within(term), Wall) or within(term).motion is None:

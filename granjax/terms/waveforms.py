@@ -1,4 +1,4 @@
-"""Functions of time: what drives, moves walls and modulates stiffness."""
+"""Functions of time for drives, moving walls and modulated stiffness."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,15 +12,15 @@ from ..printing import told
 from ..types import Number, Numbers, Parameter, Waveform
 from ..units import Dimensional, Signal
 
-# rounding units by which a function may miss the time at which it jumps
+# Number of rounding units by which the jump of a function may differ from its break.
 ULPS = 16
 
 
 class Function(eqx.Module):
-    """A plain Python function of time, held as static: two equal functions compile once, another compiles anew.
+    """A plain Python function of time, a static field: equal functions compile once.
 
-    It must be pure, as JAX asks: a global number that it reads is compiled into the first run and kept. Values that are
-    swept, changed or differentiated belong in a Module, like `Harmonic`.
+    It must be pure: a global number that it reads is fixed at the first compilation. Values that
+    are swept, changed or differentiated belong in a Module such as `Harmonic`.
     """
 
     function: Callable = eqx.field(static=True)
@@ -31,10 +31,10 @@ class Function(eqx.Module):
 
 
 class Harmonic(eqx.Module):
-    """a cos(omega t + phase): a waveform for `Drive`, `Wall` and `Modulated`, with parameters that can be swept.
+    """The waveform a cos(omega t + phase) + mean for `Drive`, `Wall` and `Modulated`.
 
-    **Arguments:** `amplitude`; `omega`: angular frequency [rad/s]; `phase` [rad]; `mean`: added constant (1 for a
-    modulation of stiffness).
+    **Arguments:** `amplitude`: a; `omega`: angular frequency [rad/s]; `phase` [rad]; `mean`:
+    constant, 1 for a modulation of stiffness.
 
     **Example:**
 
@@ -60,10 +60,10 @@ class Harmonic(eqx.Module):
 
 
 class Breaks(Dimensional):
-    """Times at which a function of time jumps, itself or a derivative: time steps end there and look to one side alone.
+    """Times at which a function of time or one of its derivatives jumps; time steps end there.
 
-    **Arguments:** `times` [s]: a number or a list, in any order; `period` [s]: those and all that lie whole periods
-    away, `None` for those alone. **Raises** ValueError for no time, times that are not finite, period <= 0.
+    **Arguments:** `times` [s]: a number or a list, in any order; `period` [s] of their repetition,
+    or `None`. **Raises** ValueError for no time, times that are not finite, period <= 0.
     """
 
     dimensions = {"times": (0, 0, 1), "period": (0, 0, 1)}
@@ -78,9 +78,9 @@ class Breaks(Dimensional):
         raise NotImplementedError
 
     def after(self, t: Number, sign: Number = 1) -> Numbers:
-        """The first break after t, later than it by more than rounding; infinity where there is none.
+        """Return the first break later than t by more than rounding; infinity without one.
 
-        `sign`: -1 for a time that runs backwards, t and the result being those of that time.
+        `sign`: -1 for t and the result in reversed time.
         """
         times, slack = sign * self.times, ULPS * jnp.finfo(self.times.dtype).eps
         if self.period is not None:
@@ -91,7 +91,7 @@ class Breaks(Dimensional):
         return jnp.min(jnp.where(times > t + slack * jnp.abs(t), times, jnp.inf))
 
     def between(self, t0: Number, t1: Number, sign: Number = 1) -> Numbers:
-        """How many breaks lie after t0 and before t1; those of different lanes count each."""
+        """Return the number of breaks after t0 and before t1, summed over lanes."""
         times, slack = sign * self.times, ULPS * jnp.finfo(self.times.dtype).eps
         low, high = t0 + slack * jnp.abs(t0), t1 - slack * jnp.abs(t1)
         if self.period is None:
@@ -104,14 +104,14 @@ class Breaks(Dimensional):
 
 
 class Square(eqx.Module):
-    """mean + amplitude for a share of each period 2 pi/omega, mean - amplitude for the rest: layers in time.
+    """A square wave: mean + amplitude for a share of each period 2 pi/omega, else mean - amplitude.
 
-    The former while (omega t + phase)/2 pi, less its whole part, is below `share`. It knows its own breaks: steps end
-    there without more ado.
+    It is mean + amplitude while the fractional part of (omega t + phase)/2 pi is below `share`.
+    Steps end at its jumps automatically.
 
-    **Arguments:** `amplitude`; `omega`: angular frequency [rad/s]; `phase` [rad]; `mean`: 1 for a modulation of
-    stiffness; `share` in (0, 1), 1/2 for equal layers. Numbers, or arrays over the bonds (one omega for all of them).
-    **Raises** ValueError for omega <= 0, a share outside (0, 1).
+    **Arguments:** `amplitude`; `omega`: angular frequency [rad/s]; `phase` [rad]; `mean`: 1 for a
+    modulation of stiffness; `share` in (0, 1). Numbers, or arrays over the bonds
+    (one omega for all). **Raises** ValueError for omega <= 0, a share outside (0, 1).
     """
 
     amplitude: jax.Array
@@ -146,7 +146,7 @@ class Square(eqx.Module):
 
     @property
     def breaks(self) -> Breaks:
-        """The times at which it jumps."""
+        """The times at which the waveform jumps."""
         period = 2 * jnp.pi / self.omega
         return Breaks(
             jnp.stack(
@@ -157,17 +157,17 @@ class Square(eqx.Module):
 
 
 def next_break(breaks: tuple, t: Number, sign: Number = 1) -> Number:
-    """The first of some `Breaks` after t."""
+    """Return the first time after t in several `Breaks`."""
     return jnp.min(jnp.stack([b.after(t, sign) for b in breaks]))
 
 
 def count_breaks(breaks: tuple, t0: Number, t1: Number, sign: Number = 1) -> Number:
-    """How many of some `Breaks` lie between two times."""
+    """Return the number of breaks between two times in several `Breaks`."""
     return sum(b.between(t0, t1, sign) for b in breaks)
 
 
 def signal_of(term: Any) -> str | None:
-    """The field of a term that holds a function of time, as its `dimensions` say; `None` where none does."""
+    """Return the name of the field that holds the term's function of time, or `None`."""
     for name, kind in (type(term).dimensions or {}).items():
         if isinstance(kind, Signal) and getattr(term, name) is not None:
             return name
@@ -175,20 +175,20 @@ def signal_of(term: Any) -> str | None:
 
 
 def own_breaks(term: Any) -> Breaks | None:
-    """The `Breaks` of the function of time that a term holds itself, or `None`."""
+    """Return the `Breaks` of the term's own function of time, or `None`."""
     name = signal_of(term)
     if name is None:
         return None
     given = getattr(term, "breaks", None)
-    # else those that the function knows itself
+    # Without given breaks, use those that the function itself declares.
     return checked_breaks(getattr(getattr(term, name), "breaks", None) if given is None else given)
 
 
 def checked_breaks(breaks: Parameter | Breaks | None) -> Breaks | None:
-    """`Breaks` from a list of times; `None` stays."""
+    """Return a list of times as `Breaks`; `None` stays `None`."""
     return breaks if breaks is None or isinstance(breaks, Breaks) else Breaks(breaks)
 
 
 def as_module(f: Waveform) -> Callable:
-    """A function of time as a Module."""
+    """Return a function of time as a Module."""
     return f if isinstance(f, eqx.Module) else Function(f)
