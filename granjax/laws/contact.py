@@ -129,8 +129,8 @@ _HERTZ = 1.5
 class Hertz(_Contact):
     r"""Hertz contact of elastic spheres.
 
-    F(e) = A ([d0 + e]_+^{3/2} - d0^{3/2}),   d0 = (F0/A)^{2/3};   energy A (2/5) [d0 + e]_+^{5/2},
-    from equilibrium.
+    F(e) = A ([d0 + e]_+^{3/2} - d0^{3/2}),   d0 = (F0/A)^{2/3};
+    energy A (2/5) ([d0 + e]_+^{5/2} - d0^{5/2}) - F0 e.
 
     **Arguments:** `stiffness`: A > 0 [N/m^{3/2}], scalar or one per contact
     (`granjax.materials.hertz_coefficient`). `precompression`: static force F0 >= 0 [N]; a plain 0
