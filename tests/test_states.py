@@ -404,3 +404,11 @@ def test_bad_input_is_refused_with_a_sentence(case):
     call, message = BAD[case]
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("length", [1e-6, 1.0, 1e6])
+def test_a_cubic_part_that_varies_is_no_uniform_chain_in_any_unit_of_length(length):
+    K3 = np.where(np.arange(39) % 2, 1.0, 1.02) / length
+    varied = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Polynomial(1.0, K3, 0.0)), sites=40)
+    with refused("a uniform chain"):
+        states.kdv_soliton(varied, speed=1.05, centre=20.0)
