@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from refusals import refused
 
 import granjax as gx
 from granjax import measures, states
