@@ -1,7 +1,7 @@
-"""Identification of the terms of a lattice from data: sparse regression on a library of terms.
+"""Identify the terms of a lattice from data, by sparse regression on a library of terms.
 
-`regression` finds which terms act, and how strongly, from motion seen at every site; `library` offers it granjax's own
-terms as candidates. The parameters of a known law, or the coefficients of a `Spline`, are found by `granjax.fit`.
+`regression` finds which terms act, and how strongly, from the motion of all sites. `library` gives
+candidate terms. `granjax.fit` finds parameters of a known law or coefficients of a `Spline`.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,18 +26,18 @@ from .types import Count, Displacements, Parameter, Scalar, Times
 
 __all__ = ["Coefficient", "Regression", "library", "regression"]
 
-# condition of the scaled columns from which on coefficients are said to stand for each other
+# The outcome calls coefficients interchangeable above this condition number of the scaled columns.
 ALIKE = 1e6
-# a residue below this many errors of the differentiation is not looked at
+# A residue below this many differentiation errors is ignored,
 MARGIN = 1.5
-# and below this many roundings
+# and so is one below this many rounding errors.
 ROUNDING = 1e6
-# numbers among which neighbours are looked for, so that it takes a fraction of a second
+# the most samples among which neighbours are searched, which takes a fraction of a second
 MOST = 10_000
 
 
 class Coefficient(NamedTuple):
-    """A coefficient that was found, its standard error, and the rms of its accelerations over that of all."""
+    """A coefficient, its standard error, and its share of the rms acceleration."""
 
     value: float
     error: float
@@ -46,35 +46,35 @@ class Coefficient(NamedTuple):
 
 
 class Regression(Result):
-    """What `regression` returns."""
+    """The result of `regression`."""
 
     coefficients: dict[str, Coefficient] = array(
-        "`Coefficient(value, error, share)` of each term that was kept, by name."
+        "`Coefficient(value, error, share)` of each kept term, by name."
     )
-    dropped: tuple[str, ...] = array("The names of the terms that were dropped.", axes="dropped")
+    dropped: tuple[str, ...] = array("The names of the dropped terms.", axes="dropped")
     covariance: Float[np.ndarray, "term term_"] = array(
         "The covariance of the coefficients, in their order."
     )
     r_squared: float = array("1 - |residual|^2/|a - mean|^2.")
     noise: float = array("The rms of the residual, per degree of freedom.", "m/s^2")
     condition: float = array(
-        "The condition number of the kept columns at unit length; large where they stand "
-        "for each other."
+        "The condition number of the kept columns at unit length; large if they are nearly "
+        "dependent."
     )
     lattice: Lattice | None = array(
-        "The `Lattice` of the terms and the known ones; `None` where a term refuses the "
-        "sign of its coefficient."
+        "The `Lattice` of the found and the known terms; `None` if a term refuses the sign of "
+        "its coefficient."
     )
     refused: tuple[str, ...] = array(
         "The names of the terms that refuse the sign of their coefficient.", axes="refused"
     )
     residue: float = array(
-        "What neighbouring residuals share beyond noise, over the rms of the accelerations."
+        "The rms that neighbouring residuals share beyond noise, over that of the accelerations."
     )
 
     @property
     def outcome(self) -> str:
-        """What became of it, in sentences."""
+        """Sentences on the terms that were kept, and on what is missing."""
         found = [*self.coefficients]
         said = [
             f"{len(found)} of {len(found) + len(self.dropped)} terms kept ({', '.join(found)}); "
@@ -106,18 +106,23 @@ def library(
     on_site: Sequence[Count] = (1, 3),
     dissipation: Sequence[str] | None = None,
 ) -> dict[str, Callable]:
-    r"""Candidate terms of a lattice, as a dict from names to functions of their coefficient.
+    r"""Return candidate terms, as a dict from names to functions of a coefficient.
 
     Bonds K e^p ("e", "e^2", "e^3") and contacts A ([d0 + e]_+^p - d0^p) ("[e]_+^1.5"); on-site forces -k u^p
     ("u", "u^3"); dissipation: "v" (Damping: a = -gamma v), "de/dt" (Dashpot), "[e]_+^0.5 de/dt" (ViscousContact) and
     "v|v|" (Drag).
 
-    **Arguments:** `strain_map`: the bonds, such as `Shift(1, "fixed")`; `powers`, `on_site`: of 1, 2, 3; `contacts`:
-    exponents p > 0; `overlap`: d0 >= 0 of the contacts at equilibrium [m]; `dissipation`: names of those wanted,
-    `None` for all. Add candidates of your own with `|`: `library(...) | {"wall": lambda A: Wall(Hertz(A))}`; each
-    term must be proportional to its coefficient and can be built with 1.
-    **Raises** ValueError for another power or name. Contacts of close exponents, and under load all powers, are much
-    alike: offer few.
+    **Arguments:**
+
+    - `strain_map`: the bonds, such as `Shift(1, "fixed")`.
+    - `powers`, `on_site`: of 1, 2, 3. `contacts`: exponents p > 0.
+    - `overlap`: d0 >= 0 of the contacts at equilibrium [m].
+    - `dissipation`: names; `None` for all.
+
+    Add your own candidates with `|`: `library(...) | {"wall": lambda A: Wall(Hertz(A))}`. Each term
+    must be proportional to its coefficient and accept 1. Offer few: contacts of close exponents,
+    and all powers under load, are nearly dependent.
+    **Raises** ValueError for another power or name.
 
     **Example:**
 
@@ -174,29 +179,33 @@ def regression(
     threshold: Scalar = 0.02,
     ridge: Scalar = 0.0,
 ) -> Regression:
-    r"""Coefficients of the equation of motion from motion seen at every site: a = sum_j c_j f_j(t, u, v)/m.
+    r"""Find coefficients of the equation of motion a = sum_j c_j f_j(t, u, v)/m from the motion.
 
-    Sequentially thresholded least squares (SINDy): columns f_j/m are scaled to unit length; those whose share of the
-    measured accelerations, |c_j| |f_j/m|/|a|, is below the threshold are dropped, the others solved for again (with
-    the ridge), until none is; what is left is solved for without ridge. Error bars are those of least squares with
-    independent errors of one size in the accelerations, so too small for those of a smoothing spline, which are
-    correlated. Errors of u and v are not in them: they bias coefficients towards zero; where they count, use a fit of
-    trajectories.
+    Sequentially thresholded least squares (SINDy): columns f_j/m are scaled to unit length. Those
+    whose share of the measured accelerations, |c_j| |f_j/m|/|a|, is below the threshold are
+    dropped, and the others solved for again, until none is. The last solution is without ridge.
+
+    Standard errors assume independent, equal errors of the accelerations. They are too small for
+    smoothing splines, whose errors are correlated. They omit errors of u and v, which bias
+    coefficients towards zero; if these matter, fit trajectories.
 
     **Arguments:**
 
-    - `mass`: as for `Lattice`, one per site. `candidates`: dict from names to functions that build a term from its
-      coefficient, as `library` gives; every column is term.force at coefficient 1.
-    - `ts` (T,), `us`, `vs` (T, N), or dicts of such: times, displacements from equilibrium, velocities.
-    - `accelerations` (T, N); `None`: the derivative of a quintic smoothing spline of the velocities, site by site, with
-      as few knots as leave a residual of rms `noise` [m/s] (Reinsch, Dierckx), through every point where that is 0;
-      three times at each end are left out. About twenty frames a period are wanted.
-    - `known`: terms whose coefficients are known (walls, drives); their accelerations are subtracted.
-    - `threshold`: least share, in [0, 1); typical 0.01 ... 0.1, above the relative noise and below the weakest term.
-      `ridge`: added to the diagonal of the scaled normal matrix while columns are chosen.
+    - `mass`: as for `Lattice`, one per site.
+    - `candidates`: dict from names to functions that build a term from its coefficient, as
+      `library` returns. Each column is term.force at coefficient 1.
+    - `ts` (T,), `us`, `vs` (T, N) or dicts: times, displacements from equilibrium, velocities.
+    - `accelerations` (T, N). `None` differentiates a quintic smoothing spline of the velocities at
+      each site, with as few knots as leave a residual of rms `noise` [m/s] (Reinsch, Dierckx); 0
+      interpolates. It omits three times at each end and needs about twenty samples a period.
+    - `known`: terms with known coefficients (walls, drives); their accelerations are subtracted.
+    - `threshold`: least share, in [0, 1); typically 0.01 ... 0.1, above the relative noise and
+      below the weakest term.
+    - `ridge`: added to the diagonal of the scaled normal matrix while terms are selected.
 
-    **Returns:** `Regression`. **Raises** ValueError for shapes that do not fit, fewer numbers than candidates, a
-    candidate that gives no force at all, or a threshold that drops them all.
+    **Returns:** `Regression`.
+    **Raises** ValueError for wrong shapes, fewer numbers than candidates, a candidate without any
+    force, or a threshold that drops all.
     Source: Brunton, Proctor, Kutz, PNAS 113, 3932 (2016).
 
     **Example:**
@@ -290,7 +299,7 @@ def _flat(tree):
 
 
 def _differentiated(ts, vs, noise):
-    """Accelerations of the inner times, the rms of their error, and which times those are."""
+    """Return accelerations at inner times, the rms of their error, and the slice of these times."""
     from scipy.interpolate import UnivariateSpline
 
     if len(ts) < 12:
@@ -310,12 +319,12 @@ def _differentiated(ts, vs, noise):
         return np.stack([spline.derivative()(t) for spline in splines], -1).reshape(v.shape)[inner]
 
     found, coarse = (jax.tree.map(lambda v: derivative(v, every), vs) for every in (1, 2))
-    # where noise prevails the error itself, else that of twice the interval, which is larger
+    # The difference is the error itself if noise dominates, else that of twice the sampling
+    # interval, which is larger.
     return found, float(np.sqrt(np.mean((_flat(found) - _flat(coarse)) ** 2))), inner
 
 
 def _in_time(residual, accelerations):
-    """Residuals and those that follow them at the same site."""
     leaves = jax.tree.leaves(accelerations)
     ends = np.cumsum([x.size for x in leaves])
     residuals = [r.reshape(x.shape) for r, x in zip(np.split(residual, ends[:-1]), leaves)]
@@ -323,7 +332,7 @@ def _in_time(residual, accelerations):
 
 
 def _alike(residual, A):
-    """Pairs of residuals where all candidates say nearly the same, each pair once."""
+    """Return pairs of residuals with nearly equal candidate columns, each pair once."""
     from scipy.spatial import cKDTree
 
     some = np.unique(np.linspace(0, len(A) - 1, min(len(A), MOST)).astype(int))
@@ -333,7 +342,6 @@ def _alike(residual, A):
 
 
 def _thresholded(A, y, threshold, ridge):
-    """Coefficients and which of them are kept."""
     sizes = np.linalg.norm(A, axis=0)
     kept = np.ones(len(sizes), bool)
 
@@ -358,7 +366,7 @@ def _thresholded(A, y, threshold, ridge):
 
 
 def _ridge(X, y, ridge):
-    """Least squares of X c = y with ridge |c|^2, by the augmented matrix: the normal one would square the condition."""
+    # The normal matrix would square the condition number; the augmented matrix does not.
     if ridge:
         X = np.concatenate([X, np.sqrt(ridge) * np.eye(X.shape[1])])
         y = np.concatenate([y, np.zeros(X.shape[1])])
@@ -366,7 +374,6 @@ def _ridge(X, y, ridge):
 
 
 def _built(make, value):
-    """The term of a coefficient, `None` where it refuses that."""
     try:
         return make(value)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Named parameters within bounds, as one vector of free numbers: what fitting and design move."""
+"""Named parameters within bounds as one vector of free numbers, for fits and designs."""
 
 from typing import TypeAlias
 
@@ -14,22 +14,24 @@ from .programs import compiled
 from .types import AnyArray, Numbers, Parameter, Scalar
 
 Bounds: TypeAlias = dict[str, tuple | list | None] | None
-"""From name to (low, high), numbers or arrays, `None` for no bound; names that are left out are free."""
+"""Dict from name to (low, high), numbers or arrays; `None` for no bound. Other names are free."""
 
-# part of the way to a bound that is left where a parameter counts as being there
+# A parameter is at a bound if its distance is below this share of that of the start.
 NEAR = 1e-4
 
 
 class Coordinates(eqx.Module):
-    r"""Free coordinates x (P,) of a dict of parameters, with x = 0 at the start and changes of order one.
+    r"""Free coordinates x (P,) of a dict of parameters: x = 0 at the start, changes of order one.
 
-    Without bounds theta = start + scale x, scale = |start| (its largest entry; where that is zero 1, or what `sized`
-    makes of it); above a lower bound theta = low + (start - low) e^x, below an upper one its mirror image; between two
-    theta = low + (high - low) s, log(s/(1 - s)) = x + its value at the start. Bounds are approached, and in
-    floating point touched, but never passed.
+    - No bounds: theta = start + scale x, where scale is the largest entry of |start|, or 1 if that
+      is zero (see `sized`).
+    - A lower bound: theta = low + (start - low) e^x; an upper one is the mirror image.
+    - Both: theta = low + (high - low) s with log(s/(1 - s)) = x + its value at the start.
+
+    Bounds are never passed; rounding may reach them.
 
     **Arguments:** `start`: dict from name to a number or an array. `bounds`: `Bounds`.
-    **Raises** ValueError for a bound of no parameter, or a start that is not inside of its bounds.
+    **Raises** ValueError for bounds of an unknown name, or a start that is not inside its bounds.
     """
 
     start: dict[str, Numbers]
@@ -43,7 +45,7 @@ class Coordinates(eqx.Module):
         bounds = bounds or {}
         for name in bounds:
             one_of("bounds", name, tuple(start))
-        # by way of NumPy, which has no weak types: each would be another program
+        # Conversion by NumPy removes weak types, which would cause another compilation.
         self.start = {
             name: jax.device_put(np.asarray(parameter(name, x))) for name, x in start.items()
         }
@@ -51,7 +53,7 @@ class Coordinates(eqx.Module):
         both = {name: _interval(name, x, bounds.get(name)) for name, x in self.start.items()}
         self.low = {name: low for name, (low, _) in both.items()}
         self.high = {name: high for name, (_, high) in both.items()}
-        # one scale for an array: an entry that is zero may move as far as its neighbours
+        # An array has one scale, so that a zero entry can move as far as the others.
         self.scale = {
             name: jax.device_put(np.asarray(np.abs(x).max() or 1.0, x.dtype))
             for name, x in self.start.items()
@@ -59,7 +61,7 @@ class Coordinates(eqx.Module):
 
     @property
     def names(self) -> list[str]:
-        """A name for every free number, in the order of the start: "damping", "stiffness[0]", "stiffness[1]", ..."""
+        """Names of all free numbers, in the order of the start: "damping", "stiffness[0]", ..."""
         return [
             f"{name}[{', '.join(map(str, index))}]" if index else name
             for name in self.order
@@ -68,7 +70,7 @@ class Coordinates(eqx.Module):
 
     @property
     def sizeless(self) -> list[str]:
-        """Names of the parameters that start at zero without a bound, which says nothing of how far they may move."""
+        """Names of unbounded parameters that start at zero, so that they have no natural scale."""
         return [
             name
             for name, x in self.start.items()
@@ -76,9 +78,9 @@ class Coordinates(eqx.Module):
         ]
 
     def sized(self, value: Scalar, slopes: Float[AnyArray, " P"]) -> "Coordinates":
-        """The same with a scale for what is `sizeless`: the change that moves a value by its own size.
+        """Scale `sizeless` parameters: a unit change then changes a value by its own size.
 
-        `slopes`: of the value in the free coordinates, (P,). Without it a start at zero would count in units of 1.
+        `slopes`: derivatives of the value by the free coordinates (P,).
         """
         scale, slopes = dict(self.scale), self.unflat(np.asarray(slopes))
         for name in self.sizeless:
@@ -90,13 +92,13 @@ class Coordinates(eqx.Module):
 
     @property
     def size(self) -> int:
-        """P, how many free numbers there are."""
+        """P, the number of free numbers."""
         return sum(value.size for value in self.start.values())
 
     def parameters(self, x: Float[AnyArray, " P"]) -> dict[str, Numbers]:
-        """The dict of parameters at x (P,)."""
+        """Return the dict of parameters at x (P,)."""
         found = self._parameters(x)
-        # a program sorts the names
+        # Compiled functions sort the names of a dict.
         return {name: found[name] for name in self.order}
 
     @compiled
@@ -114,7 +116,7 @@ class Coordinates(eqx.Module):
         return low + (high - low) * jax.nn.sigmoid(x + jnp.log((start - low) / (high - start)))
 
     def at_bounds(self, parameters: dict[str, Parameter]) -> list[str]:
-        """Names of the parameters with an entry that touches a bound, as nearly as floating numbers do."""
+        """Return the names of parameters with an entry at a bound, within 1e-4."""
 
         def touches(name, bound):
             left, whole = (np.subtract(x[name], bound) for x in (parameters, self.start))
@@ -124,7 +126,7 @@ class Coordinates(eqx.Module):
         return [name for name, bound in bounds if bound is not None and touches(name, bound)]
 
     def flat(self, parameters: dict[str, Parameter]) -> Float[AnyArray, " P"]:
-        """A dict of parameters as one vector (P,), in the order of `names`; NumPy's unless it is traced."""
+        """Return parameters as a vector (P,) in the order of `names`; NumPy's unless traced."""
         array = jnp if traced(parameters) else np
         parts = [
             array.broadcast_to(parameters[name], self.start[name].shape).ravel()
@@ -133,7 +135,7 @@ class Coordinates(eqx.Module):
         return array.concatenate(parts)
 
     def unflat(self, vector: Float[AnyArray, " P"]) -> dict[str, Numbers]:
-        """The inverse of `flat`: a vector (P,) as a dict of the parameters' shapes."""
+        """Return the dict of parameters of a vector (P,), the inverse of `flat`."""
         ends = np.cumsum([self.start[name].size for name in self.order])
         return {
             name: vector[end - self.start[name].size : end].reshape(self.start[name].shape)
@@ -142,7 +144,7 @@ class Coordinates(eqx.Module):
 
     @compiled
     def slopes(self, x: Float[AnyArray, " P"]) -> Float[AnyArray, " P"]:
-        """d theta/d x at x, (P,): every parameter has a coordinate of its own."""
+        """Return d theta/d x at x (P,); the Jacobian is diagonal."""
         return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]
 
 

@@ -1,4 +1,4 @@
-"""`Result`: what every record of the library is: an outcome, text for reading, named arrays with units, files."""
+"""`Result`: the base of all results, with an outcome, named arrays with units, and files."""
 
 import dataclasses
 import sys
@@ -26,13 +26,16 @@ FIELD, COMPONENT, LANE = "field", "component", "lane"
 
 
 class Held(NamedTuple):
-    """What a field of a result is: its axes, words with a space between; its unit; its name in a file; its description.
+    """The metadata of a field of a result.
 
-    `axes=None` makes an attribute of it instead of a variable, and leaves out a result within. A variable of the one
-    axis that has its name is a coordinate. `site` stands for all axes of a lattice: `site`, `site_1` on a grid,
-    `component` of vectors, and `field` before them where a cell holds several. Axes beyond those named are lanes, or
-    called `NAME_k`. Axes that are not named stand where the dots do ("site ... mode"), or at the end. What is `hidden`
-    is neither printed nor in a file. `named`: how the entries of a dict are called that are fields of their own.
+    - `axes`: names separated by spaces. `None` makes the field an attribute instead of a variable,
+      and leaves out a nested result. A variable whose only axis has its name is a coordinate.
+      `site` stands for all axes of a lattice: `site`, `site_1` on a grid, `component` of vectors,
+      preceded by `field` if a cell holds several. Further axes are lanes, or called `NAME_k`; they
+      stand at the dots ("site ... mode"), or at the end.
+    - `unit`: in SI, or a dict by entry. `name`: in a file. `doc`: the description.
+    - `hidden`: neither printed nor in a file.
+    - `named`: the pattern of the names of dict entries that are fields of their own.
     """
 
     axes: str | None = ""
@@ -43,7 +46,7 @@ class Held(NamedTuple):
     named: str = ""
 
     def unit_of(self, entry: str) -> str:
-        """The unit of an entry of a dict or of a named tuple, by its name."""
+        """Return the unit of an entry of a dict or named tuple."""
         return self.unit.get(entry, "") if isinstance(self.unit, dict) else self.unit
 
 
@@ -51,7 +54,7 @@ class Held(NamedTuple):
 MOTION = {"u": "m", "v": "m/s"}
 
 Lanes: TypeAlias = dict[str, Values] | None
-"""The parameters that the lanes of a batch were swept over, by name, `None` where they have no names."""
+"""Names and values of the parameters that vary over the lanes of a batch; `None` for no names."""
 
 SAY = (
     "Say it where it is made, as in spectrum(..., units=run.units), or here, in_units('SI', 'us')."
@@ -70,29 +73,27 @@ def array(
     name: str = "",
     **options: Any,
 ) -> Any:
-    """A field of a result: its description, its unit in SI, its axes, its name in a file if it has another there.
+    """Declare a field of a result, with its description, SI unit, axes, and name in a file.
 
-    A named tuple may have a unit for each of its entries.
-
-    Axes are read off an annotation that names them, `Float[np.ndarray, "point mode"]`, where they are not given.
-    `options` are those of `equinox.field`.
+    A named tuple may have a unit for each entry. Axes that are not given are taken from an
+    annotation such as `Float[np.ndarray, "point mode"]`. `options` are those of `equinox.field`.
     """
     held = Held(axes, unit, name, doc)
     return eqx.field(metadata={"held": held, "annotated": axes is None}, **options)
 
 
 def part(doc: str = "", axes: str | None = None, *, name: str = "", **options: Any) -> Any:
-    """A field that is a `State`, or a result within, whose variables have the name of the field in front."""
+    """Declare a `State` or nested result; the field's name prefixes its variables."""
     return array(doc, MOTION, axes, name=name, **options)
 
 
 def note(doc: str = "", unit: str = "", *, name: str = "", **options: Any) -> Any:
-    """A field that a dataset has as an attribute, whatever its shape; results and states within are left out."""
+    """Declare a field that is an attribute of a dataset. Nested results and states are left out."""
     return eqx.field(metadata={"held": Held(None, unit, name, doc)}, **options)
 
 
 def hidden(doc: str = "", **options: Any) -> Any:
-    """A field that is neither printed nor in a dataset."""
+    """Declare a field that is neither printed nor in a dataset."""
     return eqx.field(metadata={"held": Held(doc=doc, hidden=True)}, **options)
 
 
@@ -105,17 +106,16 @@ def entries(
     name: str = "",
     **options: Any,
 ) -> Any:
-    """A dict of arrays, each of them a field of its own, with one unit for all or one by key.
+    """Declare a dict of arrays, each a field of its own, with one unit for all or one by key.
 
-    A file calls an entry by `named`, "stats_{}", or NAME_KEY where another field has that name already; NAME is the
-    field's own where it is not given. The description is that of the dict.
+    `named`, such as "stats_{}", gives the name of an entry in a file. It is NAME_KEY if another
+    field has that name; NAME is `name` or that of the field. `doc` describes the dict.
     """
     held = Held(axes, unit, name, doc, named=named)
     return eqx.field(metadata={"held": held}, **options)
 
 
 def _axes(hint: Any) -> str:
-    """The axes that an annotation names, without lanes."""
     words = getattr(hint, "dim_str", "").split()
     if words or not get_args(hint):
         return "" if "..." in words else " ".join(x for x in words if x[0] not in "*_123456789")
@@ -123,19 +123,22 @@ def _axes(hint: Any) -> str:
 
 
 class Result(eqx.Module):
-    """What a computation returns.
+    """The result of a computation.
 
-    `outcome` says in a sentence what became of it. Printing shows numbers as numbers and arrays by shape and range.
-    What is read (`outcome`, what is printed, a dataset) is made of NumPy's arrays: reading compiles and runs nothing.
-    `to_xarray()` gives the arrays with named axes, units and where they come from; `save` writes them to a file.
+    `outcome` is a sentence on how the computation ended. Printing shows numbers, and arrays by
+    shape and range. Reading (`outcome`, printing, datasets) uses NumPy arrays, so that it compiles
+    nothing. `to_xarray()` returns the arrays with named axes, units and provenance; `save` writes
+    them to a file.
 
-    To add one: fields with their types, each `= array("What it is.", "m/s", "time site")` (a `State`: `part`, what is
-    an attribute in a file: `note`, a dict of fields: `entries`), and `outcome`, a field or a property; properties that
-    a file has too are named in `exported`. What only the result itself knows of a field, it says in `_held`; a class
-    that is printed in another way than field by field gives its rows in `_rows`. What comes from a lattice has its
-    `_mark`, or it as a field `lattice`: where that is not in SI, files say "scaled" in place of a unit. What has
-    neither is counted in what nobody knows, and files give no units; a class that is always in SI says so by
-    `_else = SI`.
+    To write a new class:
+
+    - Declare each field with its type and `= array("What it is.", "m/s", "time site")`; use `part`
+      for a `State`, `note` for an attribute in a file, `entries` for a dict of fields.
+    - Define `outcome`, as a field or a property. List in `exported` the properties that files have.
+    - Override `_held` for metadata known only at run time, and `_rows` for another printed form.
+    - Results of a lattice have its `_mark`, or a field `lattice`; if that is not in SI, files say
+      "scaled" instead of a unit. Without either, units are unknown and files give none; a class
+      that is always in SI sets `_else = SI`.
 
     **Example:**
 
@@ -149,9 +152,9 @@ class Result(eqx.Module):
 
     outcome: eqx.AbstractVar[str]
     exported: ClassVar[dict[str, Held]] = {}
-    # what a result without a mark is counted in, "SI" where its fields say their units so; `None` where nobody knows
+    # the units of a result without a mark: "SI" if its fields are in SI, `None` if unknown
     _else: ClassVar[str | None] = None
-    # of the lattice that it comes from: its units; axes that count sites, and components of a vector at each
+    # of its lattice: the mark of its units; the numbers of site axes and of vector components
     _mark: Any = eqx.field(default=None, kw_only=True, repr=False)
     _space: tuple[int, int] | None = eqx.field(static=True, kw_only=True, default=None)
 
@@ -179,13 +182,12 @@ class Result(eqx.Module):
 
     @property
     def units(self) -> str | None:
-        """What its numbers are counted in, "SI" or "scaled"; `None` where nobody said so, or while traced."""
+        """The units of the numbers, "SI" or "scaled"; `None` if unknown or traced."""
         mark, _ = self._origin
         return self._else if mark is None else counted_in(mark)
 
     @property
     def _origin(self):
-        """The mark and the space of the lattice that it comes from."""
         lattice = vars(self).get("lattice")
         if self._mark is None and getattr(lattice, "_mark", None) is not None:
             return lattice._mark, lattice.space
@@ -199,28 +201,24 @@ class Result(eqx.Module):
         return "\n".join(f"{name:<{width}}{value}" for name, value in rows)
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        """Name and text of each line of what is printed."""
         for name, value, held in self._fields():
             yield name.replace("_", " "), text(value, self._unit(held))
         yield "outcome", self.outcome
 
     def _told(self, name: str, value: object) -> str:
-        """A value of a field, with its unit."""
         return text(value, self._unit(self._described[name]))
 
     def _unit(self, held: Held) -> str:
-        """The unit in which a field is counted; nothing where it is scaled."""
         if isinstance(held.unit, dict):
             return ""
         unit = _said(self.units, None, held.unit)[1].get("units", "")
         return "" if unit == SCALED else unit
 
     def _held(self, name: str) -> Held:
-        """The description of a field."""
         return self._described.get(name, Held())
 
     def _fields(self) -> Iterator[tuple[str, Any, Held]]:
-        """Name, value and description of what is shown and kept, without the outcome and what is not there."""
+        """Yield the name, value and metadata of each shown field but `outcome`."""
         taken, dicts = {"outcome"}, []
         for name in (*(field.name for field in dataclasses.fields(self)), *self.exported):
             held = self._held(name)
@@ -241,24 +239,26 @@ class Result(eqx.Module):
                 yield called, x, Held(held.axes, held.unit_of(key))
 
     def to_xarray(self, *, lanes: Lanes = None) -> "xarray.Dataset":
-        """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.
+        """Return the arrays as an `xarray.Dataset`, with the rest and versions as attributes.
 
-        Axes are called what they count. `site` is a coordinate; a cell's fields of one shape lie along `field`, others
-        are variables of their own (NAME_FIELD over `site_FIELD`); vectors have a `component`, "x", "y". The lanes of a
-        batch are an axis `lane`, or what `lanes` calls them: `run.to_xarray(lanes={"ratio": ratios})`, one parameter
-        for each of their axes, or several of the shape of the batch.
-        Other dicts give NAME_KEY for each array; complex numbers two, NAME_real and NAME_imag. A result within gives
-        its variables as NAME_VARIABLE, a tuple of records arrays of their numbers and words, NAME_FIELD.
-        Units are the attribute `units` of every variable and of the whole; scaled numbers have "scaled", and as
-        `si_units` what a `gx.Units` leads back to.
-        **Raises** ValueError where the result is traced, or `lanes` do not fit the batch.
+        - Sites: `site` is a coordinate. Vectors have an axis `component`, "x", "y". Fields of a
+          cell lie along `field` if they have one shape, else in NAME_FIELD over `site_FIELD`.
+        - Lanes of a batch: an axis `lane`, or named by `lanes`, as in
+          `run.to_xarray(lanes={"ratio": ratios})`: one parameter for each axis, or several of the
+          shape of the batch.
+        - Names: dicts give NAME_KEY, complex numbers NAME_real and NAME_imag, nested results
+          NAME_VARIABLE, tuples of records NAME_FIELD for their numbers and words.
+        - Units: the attribute `units` of each variable and of the dataset. Scaled numbers have
+          "scaled", and `si_units`, the unit to which a `gx.Units` converts them.
+
+        **Raises** ValueError if the result is traced, or `lanes` do not fit the batch.
         """
         return _by_numpy(self)._dataset(lanes, self.units, _said)
 
     def _dataset(self, lanes, counted, count, outer=(None, None)):
-        """The dataset of numbers `counted` in SI or scaled, which `count` gives another unit.
+        """Return the dataset. `counted`: "SI" or "scaled". `count` converts units.
 
-        Of a result around it: its mark, how its arrays lie.
+        `outer`: the mark and the layout of the enclosing result.
         """
         if traced(self):
             refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
@@ -292,22 +292,24 @@ class Result(eqx.Module):
         return data
 
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
-        """`to_xarray(lanes=lanes)` with its numbers counted in other units.
+        """Return `to_xarray(lanes=lanes)` with other units.
 
-        `run.in_units("us", "mm/s")`: words, each for all that has its dimension; "kHz" turns an angular frequency into
-        one of cycles. All else stays in SI. Scaled numbers come to SI by the `gx.Units` that leads there,
-        `run.in_units(units)`, or to words, `run.in_units(units, "us")`; those in SI become scaled by a `gx.Units`
-        alone. A variable without a unit, such as a user-defined record, stays as it is, and says so by `units` where
-        that is not what all else is counted in. Of a result that does not say
-        what it is counted in "SI" or "scaled" says it, `peaks.in_units("SI", "us")`.
+        - `run.in_units("us", "mm/s")` converts all quantities with the dimensions of these units;
+          the others stay in SI. "kHz" converts angular frequencies to cycles.
+        - `run.in_units(units)` with a `gx.Units` converts scaled numbers to SI, and SI to scaled
+          ones. `run.in_units(units, "us")` converts scaled numbers to SI and then to "us".
+        - `peaks.in_units("SI", "us")` states "SI" or "scaled" for a result whose units are unknown.
 
-        **Raises** ValueError for a word that nothing here takes or that is not known, for words of scaled numbers, and
-        for units of what nobody has said.
+        Variables without a unit, such as user-defined records, stay as they are; their attribute
+        `units` says so if they differ from the rest.
+
+        **Raises** ValueError for unit names that are unknown or match no variable, for unit names
+        without a `gx.Units` on scaled numbers, and for a result of unknown units.
         """
         if not units:
             return self.to_xarray(lanes=lanes)
         kinds = [x for x in units if isinstance(x, str) and x in (SI, SCALED)]
-        # by NumPy, as for JAX each power is a program
+        # NumPy, since JAX would compile each power.
         sizes = [jax.tree.map(np.asarray, x) for x in units if isinstance(x, Units)]
         words = [named_unit(x) for x in units if isinstance(x, str) and x not in kinds]
         counted = self.units or next(iter(kinds), None)
@@ -325,7 +327,6 @@ class Result(eqx.Module):
         seen = {}
 
         def count(counted, x, unit):
-            """Numbers in the units that are asked for, and attributes that say these."""
             x, told = _said(counted, x, unit)
             known = known_unit(unit)
             if known is None or not any(known.dimension):
@@ -350,21 +351,21 @@ class Result(eqx.Module):
         return data
 
     def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:
-        """Write `to_xarray(lanes=lanes)` to a file: netCDF (`.nc`) or MATLAB (`.mat`, version 5).
+        """Write `to_xarray(lanes=lanes)` to a netCDF (`.nc`) or MATLAB (`.mat`, version 5) file.
 
-        `xarray.load_dataset(path)` reads the netCDF file back as the same dataset, with names, units and versions, and
-        checks the sums that the file holds of its arrays; `gx.states.stored(lattice, data)` is a state of it to go on
-        from. `load` of MATLAB and `scipy.io.loadmat` read the `.mat` file: arrays by name, and attributes in a struct
-        `attributes`. Complex numbers are NAME_real and NAME_imag.
+        `xarray.load_dataset(path)` reads the netCDF file as the same dataset and verifies the
+        checksums of its arrays; `gx.states.stored(lattice, data)` returns a state to continue from.
+        MATLAB's `load` and `scipy.io.loadmat` read the `.mat` file: arrays by name, attributes in a
+        struct `attributes`. Complex numbers are NAME_real and NAME_imag.
 
-        **Returns:** the path. **Raises** ValueError for another ending, for lanes that do not fit, and where nothing
-        can be written; OSError where writing fails. What was there before stays then.
+        **Returns:** the path.
+        **Raises** ValueError for another extension, lanes that do not fit, or a path that is a
+        folder or whose folder is missing; OSError if writing fails. An existing file then stays.
         """
         return save(self.to_xarray(lanes=lanes), path)
 
 
 def _in_brackets(held):
-    """Axes and unit of a field, as its row in a docstring has them."""
     units = held.unit
     if isinstance(units, dict):
         units = "" if held.named else ", ".join(units.values())
@@ -372,13 +373,13 @@ def _in_brackets(held):
 
 
 def _by_numpy(result):
-    """The same with NumPy's arrays in place of JAX's, but for those that are traced."""
+    """Replace JAX arrays by NumPy arrays, except traced ones."""
     known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
     return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, result)
 
 
 def _said(counted, x, unit):
-    """Numbers counted in SI or scaled, and attributes that say their unit; none where nobody knows."""
+    """Return the numbers, and attributes that state their unit; none if it is unknown."""
     known = known_unit(unit)
     if known is None or not any(known.dimension) or counted == SI:
         return x, {"units": unit} if unit else {}
@@ -386,7 +387,7 @@ def _said(counted, x, unit):
 
 
 def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:
-    """Arrays of the numbers and words that all records of a tuple have; `None` where its type is none of records."""
+    """Return arrays of the numbers and words in a tuple of records; `None` for other types."""
     kind = next(iter(get_args(hint)), None) if get_origin(hint) is tuple else None
     if not (isinstance(kind, type) and isinstance(value, tuple)):
         return None
@@ -401,9 +402,9 @@ def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:
 
 
 def _joined(data: "xarray.Dataset", name: str, inner: "xarray.Dataset") -> "xarray.Dataset":
-    """A dataset with that of a result within: its variables as NAME_VARIABLE, on axes of their own but sites.
+    """Merge the dataset of a nested result, with variables NAME_VARIABLE.
 
-    Axes that both have are shared where they are as long and have the same coordinates.
+    Site axes and common axes are shared if lengths and coordinates agree.
     """
     shared = [
         x
@@ -422,10 +423,11 @@ def _joined(data: "xarray.Dataset", name: str, inner: "xarray.Dataset") -> "xarr
 
 
 class _Layout(NamedTuple):
-    """How the arrays of a result lie.
+    """The layout of the arrays of a result.
 
-    `space`: how many axes count sites, and components of a vector at each; `None` where nobody knows. `lanes`: the
-    shape of a batch, of whose axes `first` lead all others (as `jax.vmap` has them) and the others come last.
+    - `space`: the numbers of site axes and of vector components; `None` if unknown.
+    - `lanes`: the shape of the batch. Its `first` axes lead (as in `jax.vmap`), the others come
+      last.
     """
 
     space: tuple[int, int] | None
@@ -433,7 +435,7 @@ class _Layout(NamedTuple):
     first: int = 0
 
     def words(self, axes: str) -> tuple[list[str], bool]:
-        """The names of an array's own axes, without lanes, and whether these are all that there are."""
+        """Return the names of an array's axes without lanes, and whether they are complete."""
         named, every = [], True
         for word in axes.split():
             named.append(word)
@@ -445,19 +447,18 @@ class _Layout(NamedTuple):
         return named, every and (self.space is not None or not any(map(_is_site, named)))
 
     def beyond(self, shape: tuple[int, ...], axes: str) -> int | None:
-        """How many axes an array has beside its own ones; `None` where that is not known."""
+        """Return the number of axes beyond the array's own; `None` if unknown."""
         words, every = self.words(axes)
         return len(shape) - len(words) + words.count("...") if every else None
 
     def around(self, shape: tuple[int, ...], axes: str) -> bool:
-        """Whether the lanes stand around an array's own axes."""
         behind = len(shape) - len(self.lanes) + self.first
         if not self.lanes or behind < self.first or self.beyond(shape, axes) == 0:
             return False
         return shape[: self.first] + shape[behind:] == self.lanes
 
     def named(self, shape: tuple[int, ...], axes: str, name: str, lanes: list[str]) -> list[str]:
-        """A name for every axis of an array; those that are not told are `NAME_k`, behind sites `site_k`."""
+        """Return names of all axes; unnamed ones are `NAME_k`, or `site_k` after a site axis."""
         around = self.around(shape, axes)
         count = len(shape) - len(lanes) * around
         words, _ = self.words(axes)
@@ -478,10 +479,10 @@ def _is_site(word):
 
 
 def _layout(arrays, mark, space, lanes):
-    """How arrays of such shapes and axes lie.
+    """Find the layout of arrays.
 
-    Lanes are what the mark of their lattice has beside one entry for all sites; without a mark what every array has
-    beyond its own axes, or where no number of axes is known what `lanes` names.
+    The lanes are the axes of the lattice's mark besides those of its sites. Without a mark they are
+    the axes that all arrays have beyond their own, or if these are unknown, those in `lanes`.
     """
     plain, mark = _Layout(space), np.shape(mark)
     beyond = [(shape, plain.beyond(shape, axes)) for shape, axes in arrays]
@@ -504,9 +505,9 @@ def _layout(arrays, mark, space, lanes):
 
 
 def _lanes_named(lanes, shape):
-    """Names of the lanes' axes, and {name: (axes, values)} of the parameters that were swept.
+    """Return the names of the lane axes, and {name: (axes, values)} of the swept parameters.
 
-    One parameter for each axis gives it its name; others, one value for each lane, stand along it.
+    One parameter per axis names it. Others have one value for each lane.
     """
     plain = [f"{LANE}_{k}" if k else LANE for k in range(len(shape))]
     if lanes is None:
@@ -514,7 +515,7 @@ def _lanes_named(lanes, shape):
     if not shape:
         refuse("lanes", "a result of a batch", "one of a single scene", "Leave lanes= out.")
     values = {str(name): np.asarray(x) for name, x in lanes.items()}
-    # columns of a table
+    # Columns of a pandas table have the type object.
     values = {name: x.astype(str) if x.dtype == object else x for name, x in values.items()}
     sizes = [x.shape for x in values.values()]
     if sizes == [(n,) for n in shape]:
@@ -528,7 +529,7 @@ def _lanes_named(lanes, shape):
 
 
 class _Table:
-    """A dataset in the making, which is filled field by field. `cell`: fields along one axis."""
+    """A builder of a dataset, field by field. `cell`: the names along the axis `field`."""
 
     def __init__(self, layout, lanes, count):
         self.layout, self.count = layout, count
@@ -537,7 +538,6 @@ class _Table:
         self.variables, self.attributes, self.cell = {}, {}, []
 
     def add(self, name, value, held):
-        """What a field of a result holds: an array, or a dict or named tuple of such."""
         over_sites = "site" in (held.axes or "").split()
         if hasattr(value, "_asdict"):
             for key, x in value._asdict().items():
@@ -558,7 +558,7 @@ class _Table:
                 self._put(name, x, self._axes(name, x.shape, held), held)
 
     def _alike(self, cell):
-        """Whether the fields of a cell lie along one axis: all have one shape, and are those of others."""
+        """Return whether a cell fits one axis: equal shapes, and the names of earlier cells."""
         return len({np.shape(x) for x in cell.values()}) == 1 and self.cell in ([], [*cell])
 
     def _axes(self, name, shape, held):
@@ -567,17 +567,17 @@ class _Table:
         return axes
 
     def _put(self, name, x, axes, held):
-        """An array as a variable, or where it has neither axes nor lanes as an attribute."""
+        """Add an array as a variable, or as an attribute if it has neither axes nor lanes."""
         parts = {name: x}
         if x.dtype.kind == "c":
             parts = {f"{name}_real": x.real, f"{name}_imag": x.imag}
-        # both parts have one unit
+        # Both parts have the same unit.
         for key, part in parts.items():
             parts[key], told = self.count(part, held.unit)
         if not x.ndim or held.axes is None and x.shape != self.layout.lanes:
             for key, y in parts.items():
                 y = y.astype(int) if y.dtype == bool else y
-                # a list of one is one in netCDF
+                # netCDF reads a list of one number as a number.
                 self.attributes[key] = y.item() if y.size == 1 else y.tolist()
             self.attributes |= {f"{name}_{key}": word for key, word in told.items()}
             return
@@ -590,7 +590,6 @@ class _Table:
         self.variables |= {key: (axes, y, told) for key, y in parts.items()}
 
     def finished(self, attributes):
-        """The dataset, lanes last, with its coordinates and further attributes."""
         import xarray
 
         taken = {*self.swept} & {*self.variables, *self.attributes, *self.own, FIELD, COMPONENT}
@@ -607,7 +606,8 @@ class _Table:
         for key, told in self.variables.items():
             x = xarray.Variable(*told).transpose(..., *self.lanes, missing_dims="ignore")
             if key in self.sizes and x.dims != (key,):
-                # times of each lane: one clock where all lanes have the same, else beside the axis of that name
+                # Times by lane become the coordinate if all lanes have the same, else a variable
+                # with another name.
                 one = x.isel(dict.fromkeys(self.lanes, 0), missing_dims="ignore") if x.size else x
                 key, x = (key, one) if one.dims == (key,) and (x == one).all() else (f"{key}s", x)
             variables[key] = x
@@ -616,7 +616,6 @@ class _Table:
 
 
 def _numbers(value):
-    """Numbers or words as an array, `None` of what is neither."""
     try:
         x = np.asarray(value)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Fitting: parameters of a scene from measured traces, with what the data determine and what they do not."""
+"""Fits of scene parameters to measured traces, and what the data determine."""
 
 from .fit import fit
 from .fitted import Fit

@@ -1,4 +1,4 @@
-"""What the data determine and what they do not: directions in the space of parameters, as sentences."""
+"""Directions in parameter space that the data determine or do not, and sentences about them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,20 +13,20 @@ from ..programs import compiled
 from ..types import AnyArray, Numbers
 from .problem import Problem
 
-# a relative deviation from which on a combination counts as not determined
+# A combination with a relative deviation above this counts as not determined.
 LOOSE = 0.3
-# a parameter takes part in a direction from this component on, relative to the largest
+# A parameter takes part in a direction if its component, relative to the largest, exceeds this.
 PART = 0.2
 SINGULAR = 1e-14
-# names that one sentence lists
+# the most names that one sentence lists
 MANY = 6
 
 
 class Direction(NamedTuple):
-    """A combination of parameters: product of theta_i^{w_i}, and its relative standard deviation.
+    """A combination of parameters, prod theta_i^{w_i}, and its relative standard deviation.
 
-    `weights` (P,): a unit vector in d theta_i/size_i, the derivatives of logarithms where a size is the parameter.
-    `deviation`: standard deviation along it; infinite where the data do not see it at all.
+    - `weights` (P,): a unit vector in d theta_i/size_i (d log theta_i if the size is theta_i).
+    - `deviation`: the standard deviation along it; infinite if the data do not see it.
     """
 
     weights: np.ndarray
@@ -34,7 +34,7 @@ class Direction(NamedTuple):
     __repr__ = told
 
     def words(self, names: Sequence[str]) -> str:
-        """The combination as a product of powers of its parameters."""
+        """Return the combination as a product of powers of its parameters."""
         largest = np.abs(self.weights).max()
         parts = [
             (w / largest, name) for w, name in zip(self.weights, names) if abs(w) > 0.05 * largest
@@ -50,10 +50,10 @@ def directions(
     sizes: Float[AnyArray, " P"],
     noise: float = 1.0,
 ) -> list[Direction]:
-    """Principal directions of the data's knowledge, the least known first.
+    """Return the principal directions of the Fisher information, the least known first.
 
-    **Arguments:** `jacobian` (n, P): of the residuals with respect to the parameters; `sizes` (P,): what a relative
-    change refers to; `noise`: standard deviation of the residuals.
+    **Arguments:** `jacobian` (n, P): of the residuals with respect to the parameters; `sizes` (P,):
+    what relative changes refer to; `noise`: standard deviation of the residuals.
     """
     scaled = np.asarray(jacobian) * np.asarray(sizes)
     _, s, vh = np.linalg.svd(scaled, full_matrices=scaled.shape[0] < scaled.shape[1])
@@ -66,7 +66,7 @@ def directions(
 def covariance(
     found: Sequence[Direction], sizes: Float[AnyArray, " P"]
 ) -> Float[np.ndarray, "P P"]:
-    """Covariance of the parameters (P, P) from their directions; infinite along what the data do not see."""
+    """Return the covariance of the parameters (P, P); infinite for those in unseen directions."""
     total = np.zeros((len(sizes), len(sizes)))
     blind = np.zeros(len(sizes), bool)
     for direction in found:
@@ -81,7 +81,7 @@ def covariance(
 def sentences(
     found: Sequence[Direction], names: Sequence[str], quantities: Sequence[tuple]
 ) -> tuple[str, ...]:
-    """What is not determined, named by its parameters, and what is known instead; empty where all is well."""
+    """Describe undetermined parameters, and what is known instead; empty if there are none."""
     loose = [direction for direction in found if not direction.deviation <= LOOSE]
     if not loose:
         return ()
@@ -118,9 +118,12 @@ def quantities(
     flat: Float[AnyArray, " P"],
     sizes: Float[AnyArray, " P"],
 ) -> list[tuple[str, Float[np.ndarray, " P"]]]:
-    """(name, gradient (P,) of its logarithm in relative parameters) of each bond's linear stiffness."""
+    """Return (name, gradient (P,)) of the linear stiffness of each bond law.
+
+    The gradient is that of its logarithm with respect to relative changes of the parameters.
+    """
     laws, found = [], []
-    # traced, so that nothing is computed for what the laws know
+    # Tracing gives the laws' static properties without computing anything.
     jax.eval_shape(lambda p: laws.extend(_bonds(problem, p)), parameters)
     for (i, law), value, gradient in zip(laws, *map(np.asarray, _stiffnesses(problem, flat))):
         if value > 0 and np.isfinite([value, *gradient]).all():
@@ -131,7 +134,7 @@ def quantities(
 
 
 def _bonds(problem, parameters):
-    """(index of the term, law) of everything that acts between sites, as it stands at t0."""
+    # (index of the term, law) of all bond laws at t0
     lattice = problem.lattice(parameters)
     return [
         (i, c.law)
@@ -143,8 +146,6 @@ def _bonds(problem, parameters):
 
 @compiled
 def _stiffnesses(problem, flat):
-    """The mean linear stiffness of all bonds (B,), and its derivatives with respect to the parameters (B, P)."""
-
     def every(flat):
         laws = _bonds(problem, problem.coordinates.unflat(flat))
         return jnp.array(
@@ -155,10 +156,9 @@ def _stiffnesses(problem, flat):
 
 
 def along(found: Sequence[Direction], gradient: Float[AnyArray, " P"]) -> float:
-    """Standard deviation of a quantity with a gradient (P,) in parameters relative to their sizes.
+    """Return the standard deviation of a quantity, from its gradient in relative parameters (P,).
 
-    Summed over directions, and not through the covariance, since directions that the data hardly see cancel in what
-    they do see.
+    It sums over directions: in the covariance, large variances would have to cancel.
     """
     variance, unseen = 0.0, 1e-6 * np.linalg.norm(gradient)
     for direction in found:
@@ -171,7 +171,7 @@ def along(found: Sequence[Direction], gradient: Float[AnyArray, " P"]) -> float:
 
 
 def _simplest(directions):
-    """A basis of the same space with few parameters in each direction: elimination, the largest component first."""
+    """Return a sparse basis of the same space, by elimination with the largest pivot first."""
     rows = np.array(directions)
     for k in range(len(rows)):
         i, j = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)

@@ -1,4 +1,4 @@
-"""`fit`: parameters of a scene from measured traces."""
+"""`fit`: the fit of scene parameters to measured traces."""
 
 from collections.abc import Sequence
 
@@ -23,11 +23,11 @@ from .traces import Traces
 from .windows import cut
 
 METHODS = ("least squares", "gradient")
-# a return error below which integrating backwards is trusted
+# Integrating backwards is trusted if the return error is below this.
 RETURNS = 1e-8
-# a step that is this much longer than the fitted scene would choose is shortened, and the fit goes on
+# A step longer than this times what the fitted scene needs is shortened, and the fit goes on.
 TOO_LONG = 1.3
-# a relative change from which on every start would count as an end
+# The tolerance must be below this: with a larger one every start would count as converged.
 MOST = 1e-2
 
 
@@ -53,35 +53,42 @@ def fit(
     tolerance: Scalar = 1e-8,
     throw: bool | None = None,
 ) -> Fit:
-    r"""Parameters of a scene that minimise the sum over samples of ((signal - data)/sigma)^2.
+    r"""Fit parameters of a scene: minimise the sum over samples of ((signal - data)/sigma)^2.
 
-    Levenberg and Marquardt's method (MINPACK's) with derivatives in forward mode, or descent along gradients (optax) in
-    reverse mode, through a run at one fixed step.
+    The method is Levenberg-Marquardt (MINPACK) with forward-mode derivatives, or gradient descent
+    (optax) with reverse-mode ones, through a run at one fixed step.
 
     **Arguments:**
 
-    - `scene`: a function of a dict of parameters that returns a `Lattice`; keep one function for many fits, since
-      another compiles anew. `start`: dict from name to a number or an array, where the search begins.
-    - `traces`: `Traces`, or a list of them where several kinds were measured.
-    - `state`: at t0, a `State`, or a function (parameters, lattice) that returns one (an unknown velocity of impact).
-    - `bounds`: dict from name to (low, high), `None` for no bound, kept by a transformation: (0, None) for a stiffness.
-    - `t0`: when the scene starts. `step`, `solver`: as in `simulate`; `None` takes SRKN11b, or Dopri8 where a force
-      reads velocities, at h omega_max = 1/2.
-    - `run_tolerance`: that of adaptive runs (`tolerance` of `simulate`) in place of a fixed step, by least squares in
-      one window: for scenes that are stiff for a part of the time, such as impacts.
-    - `method`: `"least squares"`, or `"gradient"` for more than some hundred parameters: descent by `optimiser` (of
-      optax; `None` is L-BFGS). Its derivatives are taken by `Reversible` where integrating back returns to the start
-      to 1e-8, else from checkpoints; `return_error` and `adjoint` of the result say which.
-    - `starts`: how many, the first at `start`, the others Gaussian around it with deviation `spread` (relative, within
-      bounds), from `seed`; they run one after another in one program, and the best is returned.
-    - `windows`: pieces of the record, each with a free state at its start (multiple shooting), for chaotic or long
-      records: as many as make each short beside the time in which neighbouring runs part. Wants sensors at most sites.
-    - `max_steps`: of the minimiser. `tolerance`: relative change of parameters and residuals at which it ends, < 0.01.
-    - `throw`: raise where it does not converge; `None` does.
+    - `scene`: a function from a dict of parameters to a `Lattice`. Each new one compiles again, so
+      reuse it.
+    - `start`: dict from name to a number or an array, where the search begins.
+    - `traces`: `Traces`, or a list of them for several kinds of sensors.
+    - `state`: a `State` at t0, or a function (parameters, lattice) that returns one, as for an
+      unknown impact velocity.
+    - `bounds`: dict from name to (low, high), `None` for no bound: (0, None) for a stiffness. They
+      are kept by a transformation.
+    - `t0`: the start time of the scene. `step`, `solver`: as in `simulate`; `None` takes SRKN11b,
+      or Dopri8 if a force depends on velocities, at h omega_max = 1/2.
+    - `run_tolerance`: the `tolerance` of adaptive runs instead of a fixed step, for scenes that
+      are stiff part of the time, such as impacts. Only for least squares in one window.
+    - `method`: `"least squares"`, or `"gradient"` for more than a few hundred parameters.
+    - `optimiser`: of optax, for `"gradient"`; `None` is L-BFGS. Derivatives use `Reversible` if
+      integrating back returns to the start within 1e-8, else checkpoints (see `return_error` and
+      `adjoint` of the result).
+    - `starts`: their number. The first is `start`, the others are Gaussian around it with relative
+      deviation `spread`, within bounds, from `seed`. The best fit is returned.
+    - `windows`: the number of pieces with free initial states (multiple shooting), for long or
+      chaotic records. Each should be shorter than the time in which neighbouring trajectories
+      diverge. Needs sensors at most sites.
+    - `max_steps`: of the minimiser. `tolerance`: relative change of parameters and residuals at
+      convergence, < 0.01.
+    - `throw`: raise an error if the fit fails; `None` does.
 
-    **Returns:** `Fit`. **Raises** ValueError for input that cannot be meant; RuntimeError where `throw` and the fit
-    fails: not finite at the start, traces that do not depend on any parameter there (contacts that never close on the
-    way to the sensors have no gradient), steps spent. Typical: 20 beads, 4 sensors, 4 parameters: well below a second.
+    **Returns:** `Fit`. 20 beads, 4 sensors and 4 parameters take well below a second.
+    **Raises** ValueError for invalid input; with `throw`, RuntimeError if the start is not finite,
+    the traces depend on no parameter there (as behind contacts that never close), or the minimiser
+    does not converge.
     Source: Levenberg, Quart. Appl. Math. 2, 164 (1944); Marquardt, SIAM J. Appl. Math. 11, 431 (1963); Moré, Lecture
     Notes in Mathematics 630, 105 (1978).
 
@@ -114,7 +121,7 @@ def fit(
     for _ in range(3):
         every, adjoint = _minimised(problem, x0, method, optimiser, tolerance, max_steps)
         costs = np.array([found.cost if np.isfinite(found.cost) else np.inf for found in every])
-        # of those that reach one minimum, as far as the tolerance tells, the first
+        # Of the starts that reach the least cost, within the tolerance, take the first.
         best = every[int(np.argmax(costs <= (1 + tolerance) * costs.min()))]
         reached = reached or tuple(2 * float(cost) for cost in costs)
         x0 = best.x[None]
@@ -126,7 +133,7 @@ def fit(
         if shorter:
             problem = problem.with_step(wanted)
         if later:
-            # not with windows, which know their times
+            # This never happens with windows, which refuse unknown offsets.
             problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
         if not shorter and not later:
             break
@@ -134,10 +141,7 @@ def fit(
 
 
 def _looked_at(problem, x):
-    """The problem with a scale for what starts at zero, and the code of a start x that has no derivatives, or `None`.
-
-    The scale is the change that moves the residuals by their own size.
-    """
+    """Return the problem with scales for zero parameters, and a failure code or `None`."""
     coordinates = problem.coordinates
     value, jacobian = evaluated(problem, x)
     jacobian = jacobian[:, : coordinates.size]
@@ -152,7 +156,6 @@ def _looked_at(problem, x):
 
 
 def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
-    """What a method found from every start, and the name of its derivatives."""
     if method == METHODS[0]:
         delay = patience(problem)
         return [least_squares(problem, x, tolerance, max_steps, delay) for x in x0], "forward mode"
@@ -163,7 +166,7 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
 
 
 def reverse_mode(problem: Problem) -> tuple[diffrax.AbstractAdjoint | Reversible, int | None]:
-    """The adjoint that serves a problem in reverse mode, and the most steps that it keeps checkpoints for."""
+    """Return the adjoint for reverse mode, and the largest number of steps for its checkpoints."""
     if not problem.moving and way_back(problem, problem.coordinates.start) < RETURNS:
         return Reversible(), None
     steps = int(np.ceil(float(problem.t1 - problem.t0) / float(problem.step))) + 1

@@ -1,4 +1,4 @@
-"""What a fit returns."""
+"""`Fit`: the result of a fit."""
 
 from collections.abc import Iterator
 from typing import ClassVar
@@ -14,82 +14,82 @@ from .determined import Direction, sentences
 from .problem import Problem
 from .traces import Traces
 
-# a step error, in units of sigma, from which on it is said
+# The outcome mentions a step error above this, in units of sigma.
 NOTICEABLE = 0.1
-# a share of the traces' squares below which a scene is said to show something else than what was measured
+# The outcome warns of another minimum if the scene explains at most this share of the
+# squared data.
 SHOWN = 0.5
-# mean squares of the residuals, in units of sigma^2, above which noise alone does not make them
+# A mean square of the residuals above this, in units of sigma^2, is more than noise.
 NOISY = 2.0
-# contacts that one sentence lists
+# the most contacts that one sentence lists
 MANY = 6
 
 
 class Fit(Result):
-    r"""Parameters that bring a scene closest to its traces."""
+    r"""The result of a fit: parameters, their covariance, and what the data determine."""
 
-    parameters: dict[str, Numbers] = array("The fitted parameters, a dict as the start.")
+    parameters: dict[str, Numbers] = array("The fitted parameters, a dict like `start`.")
     covariance: Float[AnyArray, "P P"] = array(
-        "The covariance of Gauss and Newton, (J^T J)^{-1} with residuals in units of sigma,"
-        " in the order of `names`; infinite for what the data do not see.",
+        "The Gauss-Newton covariance, (J^T J)^{-1} with residuals in units of sigma, in the order"
+        " of `names`; infinite for parameters that the data do not determine at all.",
         axes="parameter parameter_",
     )
     names: tuple[str, ...] = array(
-        "A name for every number of the parameters.", "", "parameter", name="parameter", static=True
+        "A name for each number in the parameters.", "", "parameter", name="parameter", static=True
     )
-    signals: tuple[Float[AnyArray, "_ _"], ...] = hidden("What the fitted scene shows, per trace.")
+    signals: tuple[Float[AnyArray, "_ _"], ...] = hidden("The signals of the scene, per trace.")
     residuals: tuple[Float[AnyArray, "_ _"], ...] = hidden(
-        "(signal - data)/sigma per trace, zero where a sample is missing."
+        "(signal - data)/sigma per trace, zero for missing samples."
     )
     samples: int = array("The number of samples.", static=True)
     noise: float = array(
-        "The standard deviation of the residuals where no sigma was given, else 1.", static=True
+        "The standard deviation of the residuals if no sigma was given, else 1.", static=True
     )
     directions: tuple[Direction, ...] = hidden(
-        "Combinations of parameters with their relative deviations, the least known first."
+        "Combinations of parameters and their relative deviations, the least known first."
     )
     sizes: Float[AnyArray, " P"] = hidden(
-        "The parameters that deviations are relative to; their starts where a parameter is "
-        "near zero to within its error.",
+        "The values that deviations are relative to: the parameters, or the start of one that is "
+        "zero within its error.",
     )
     quantities: tuple[tuple, ...] = hidden(
-        "The linear stiffness of every kind of bond: its name, and the gradient of its logarithm."
+        "The linear stiffness of each bond law: its name, and the gradient of its logarithm."
     )
-    explained: float = array(
-        "The share of the traces' squares that the scene explains.", static=True
-    )
+    explained: float = array("The share of the squared data that the scene explains.", static=True)
     residue: float = array(
-        "What neighbouring residuals share beyond noise, over all of them; 0 where it is noise.",
+        "The rms that neighbouring residuals share beyond noise, over that of the residuals; 0 if "
+        "it is only noise.",
         static=True,
     )
-    at_bounds: tuple[str, ...] = hidden("Parameters at a bound, by name.", static=True)
+    at_bounds: tuple[str, ...] = hidden("The names of the parameters at a bound.", static=True)
     meeting: float | None = hidden(
-        "How well windows meet, in units of sigma; `None` for a record in one piece.",
+        "The largest mismatch of neighbouring windows, in units of sigma; `None` for one window.",
         static=True,
     )
     windows: int = hidden("The number of windows.", static=True)
     silent: tuple[tuple, ...] = hidden(
-        "Terms and contacts that never close, where nothing depends on the parameters.", static=True
+        "Terms and their contacts that never close, if the traces see no parameter.", static=True
     )
     iterations: int = array("The number of iterations of the minimiser.", static=True)
     code: int = hidden("How the minimiser ended.", static=True)
-    step: float = array("The time step, of runs at a fixed one.", static=True)
+    step: float = array("The time step, for runs at a fixed step.", static=True)
     run_tolerance: float | None = array("The tolerance of adaptive runs.", static=True)
     step_error: float = array(
         "The change of the signals, in units of sigma, when the time step is halved, or the tolerance of adaptive "
         "runs is divided by 100.",
         static=True,
     )
-    return_error: float = array("What integrating back to the start misses, relative.", static=True)
-    adjoint: str = array("How the derivatives were taken.", static=True)
+    return_error: float = array("The relative error of integrating back to the start.", static=True)
+    adjoint: str = array("The method of differentiation.", static=True)
     starts: tuple[float, ...] = array(
-        "The chi_square that every start reached.",
+        "The chi_square that each start reached.",
         "1",
         "start",
         name="chi_square_of_starts",
         static=True,
     )
     traces: tuple[Traces, ...] = hidden("The traces.")
-    problem: Problem = hidden("The problem of least squares.")
+    problem: Problem = hidden("The least-squares problem.")
     exported: ClassVar[dict[str, Held]] = dict.fromkeys(("deviations", "chi_square"), Held())
 
     @property
@@ -99,33 +99,33 @@ class Fit(Result):
 
     @property
     def chi_square(self) -> float:
-        """Sum of the squares of the residuals, about `samples` - P where the scene and sigma are right."""
+        """The sum of squared residuals; about `samples` - P if the scene and sigma are right."""
         return float(sum((np.asarray(r) ** 2).sum() for r in self.residuals))
 
     @property
     def reduced_chi_square(self) -> float:
-        """chi_square over samples less parameters, about 1."""
+        """chi_square/(`samples` - P); about 1 if the scene and sigma are right."""
         return self.chi_square / max(self.samples - len(self.names), 1)
 
     @property
     def deviations(self) -> dict[str, np.ndarray]:
-        """Standard deviation of every parameter, a dict of the same shapes."""
+        """The standard deviations of the parameters, a dict of the same shapes."""
         flat = np.sqrt(np.diag(np.asarray(self.covariance)))
         return self.problem.coordinates.unflat(flat)
 
     @property
     def correlations(self) -> Float[np.ndarray, "P P"]:
-        """Correlation matrix (P, P); NaN for a parameter that the data do not see."""
+        """The correlation matrix (P, P); NaN for parameters of infinite variance."""
         covariance = np.asarray(self.covariance)
         size = np.sqrt(np.diag(covariance))
         with np.errstate(invalid="ignore"):
             return covariance / np.outer(size, size)
 
     def whiteness(self) -> list[Float[np.ndarray, " _"]]:
-        """Probability that residuals as correlated as these are white noise, per sensor (a list of (S,)).
+        """Return the p-value for white residuals, per sensor (a list of (S,)).
 
-        Ljung and Box's test: n(n+2) sum_k r_k^2/(n-k) against chi^2 of min(20, T/5) degrees of freedom.
-        Source: Biometrika 65, 297 (1978).
+        The Ljung-Box test: n(n+2) sum_k r_k^2/(n-k) against chi^2 of min(20, T/5) degrees of
+        freedom. Source: Biometrika 65, 297 (1978).
         """
         return [np.array([_ljung_box(x) for x in np.asarray(r).T]) for r in self.residuals]
 
@@ -136,12 +136,12 @@ class Fit(Result):
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Sentences that name what the data do not determine."""
+        """Sentences on what the data do not determine."""
         return sentences(self.directions, self.names, self.quantities)
 
     @property
     def outcome(self) -> str:
-        """What became of it, in sentences: convergence, agreement with the noise, what is not determined."""
+        """Sentences on convergence, agreement with the noise, and undetermined parameters."""
         how = {
             CONVERGED: f"Converged in {self.iterations} steps",
             SPENT: f"Not converged after {self.iterations} steps",
@@ -209,7 +209,7 @@ class Fit(Result):
 
     def _fields(self) -> Iterator[tuple[str, object, Held]]:
         yield from super()._fields()
-        # every trace has a clock and sensors of its own
+        # Each trace has its own times and sensors.
         for k, trace in enumerate(self.traces):
             time, sensor = f"time_{k}", f"sensor_{k}"
             both = f"{time} {sensor}"

@@ -1,4 +1,4 @@
-"""`information`: how well a planned measurement would determine parameters, and where its sensors belong."""
+"""`information`: how well a planned measurement determines parameters, and the best sensors."""
 
 import jax
 import jax.numpy as jnp
@@ -13,18 +13,18 @@ from ..types import AnyArray, Count, Number, Numbers, Parameter, Scalar, Scene
 from .problem import Problem, Start, prepared
 from .traces import Traces
 
-# of the largest eigenvalue: a direction of less information is not determined
+# A direction is not determined if its eigenvalue is below this share of the largest.
 BLIND = 1e-12
 
 
 class Information(Result):
-    """The Fisher information of each sensor about parameters.
+    """The Fisher information of each sensor about the parameters.
 
-    That of several is the sum, as their noise is independent.
+    Independent sensors add their information.
     """
 
     matrix: Float[AnyArray, "S P P"] = array(
-        "The Fisher information of each sensor, about the parameters as they are.",
+        "The Fisher information of each sensor, about absolute changes of parameters.",
         axes="sensor parameter parameter_",
     )
     values: Float[AnyArray, " P"] = array("The parameters.", axes="parameter")
@@ -32,35 +32,35 @@ class Information(Result):
         "The names of the parameters.", axes="parameter", name="parameter", static=True
     )
     sensors: tuple[str, ...] = array("The sensors.", axes="sensor", name="sensor", static=True)
-    places: tuple[int, ...] = note("Which of all candidates these sensors are.", static=True)
+    places: tuple[int, ...] = note("The indices of the sensors among all candidates.", static=True)
 
     @property
     def relative_each(self) -> Float[AnyArray, "S P P"]:
-        """That of each sensor about relative changes of the parameters; about absolute ones where these are zero."""
+        """`matrix` for relative changes of the parameters (absolute for zero ones)."""
         size = jnp.where(self.values != 0, self.values, 1)
         return self.matrix * size[:, None] * size
 
     @property
     def relative(self) -> Float[AnyArray, "P P"]:
-        """The sum of `relative_each`."""
+        """The sum of `relative_each` over the sensors."""
         return self.relative_each.sum(0)
 
     @property
     def log_det(self) -> Number:
-        """The logarithm of the determinant of `relative`, which a D-optimal experiment makes as large as it gets.
+        """log det `relative`, which a D-optimal experiment maximises.
 
-        It is differentiable by what the scene depends on: `gx.design` finds a drive that maximises it.
+        It is differentiable, so that `gx.design` can find a drive that maximises it.
         """
         return jnp.linalg.slogdet(self.relative)[1]
 
     @property
     def covariance(self) -> Float[AnyArray, "P P"]:
-        """The least covariance that an unbiased estimate can have (Cramer and Rao): that of `gx.fit` of good data."""
+        """The Cramer-Rao bound on the covariance of unbiased estimates, as in `gx.fit`."""
         return jnp.linalg.inv(self.matrix.sum(0))
 
     @property
     def deviations(self) -> dict[str, Number]:
-        """The least standard deviation of each parameter, by name; infinite where the sensors do not determine it."""
+        """The least standard deviation of each parameter, by name; infinite if not `determined`."""
         deviations = np.full(len(self.names), np.inf)
         if self.determined:
             deviations = np.sqrt(np.diag(np.asarray(self.covariance)))
@@ -74,7 +74,7 @@ class Information(Result):
 
     @property
     def outcome(self) -> str:
-        """How well the sensors determine the parameters, or that they do not."""
+        """A sentence on how well the sensors determine the parameters."""
         count = f"{len(self.sensors)} sensor{'s' * (len(self.sensors) > 1)}"
         if not self.determined:
             return f"{count} do not determine all of {', '.join(self.names)}."
@@ -86,19 +86,22 @@ class Information(Result):
         return f"{count} would determine {', '.join(shares)}."
 
     def best(self, count: Count) -> "Information":
-        """The D-optimal choice of some sensors: those whose `log_det` is the largest that was found.
+        """Choose a number of sensors with the largest `log_det` (D-optimal).
 
-        One after the other is added, and then each is exchanged for one that is left out, until no exchange is better.
-        For few candidates that is mostly the best choice of all.
+        Sensors are added one by one, then exchanged while that improves. With few candidates this
+        mostly finds the optimum.
 
-        **Arguments:** `count`: how many. **Returns:** the `Information` of these alone, in the order of `sensors`.
-        **Raises** ValueError for more than there are. Source: Fedorov, Theory of Optimal Experiments (1972).
+        **Arguments:** `count`: how many.
+        **Returns:** the `Information` of these alone, in the order of `sensors`.
+        **Raises** ValueError for more than there are.
+        Source: Fedorov, Theory of Optimal Experiments (1972).
         """
         every = len(self.sensors)
         if whole("count", count, 1) > every:
             refuse("count", f"at most {every}, the sensors there are", f"{count}")
         each = np.asarray(self.relative_each)
-        # where few sensors do not determine all, those count that bring the largest part of what all together see
+        # The floor keeps the determinant positive while too few sensors are chosen to determine
+        # all parameters. The choice then prefers those that see most of what all see together.
         floor = BLIND * np.trace(each.sum(0)) * np.eye(len(self.names))
         worth = lambda chosen: np.linalg.slogdet(each[chosen].sum(0) + floor)[1]
         chosen: list[int] = []
@@ -135,18 +138,19 @@ def information(
     step: Scalar | None = None,
     solver: AbstractSolver | None = None,
 ) -> Information:
-    r"""The Fisher information that planned traces would bring about the parameters of a scene.
+    r"""Compute the Fisher information of planned traces about the parameters of a scene.
 
-    F = sum over samples of (d signal/d theta)(d signal/d theta)^T/sigma^2, one matrix for each sensor, by derivatives
-    in forward mode through the run. Its inverse is the covariance that `gx.fit` reports where the scene is right.
+    F = sum over samples of (d signal/d theta)(d signal/d theta)^T/sigma^2, one matrix for each
+    sensor. The inverse of their sum is the covariance that `gx.fit` reports if the scene is right.
 
     **Arguments:**
 
-    - `scene`, `state`, `t0`, `step`, `solver`: as in `gx.fit`. `parameters`: where the information is asked for.
-    - `traces`: `gx.Traces` of all candidates, with their times and `sigma`. Their data are not read: zeros will do.
+    - `scene`, `state`, `t0`, `step`, `solver`: as in `gx.fit`.
+    - `parameters`: the values at which to evaluate the information.
+    - `traces`: `gx.Traces` of all candidate sensors, with times and `sigma`. Data may be zeros.
 
-    **Returns:** `Information`; `.best(3)` is the D-optimal choice of three sensors. Differentiable in what the scene
-    depends on, such as the frequency of a drive, with `step` given.
+    **Returns:** `Information`; `.best(3)` is the D-optimal choice of three sensors. With `step`
+    given it is differentiable with respect to quantities in the scene, such as a drive frequency.
     **Raises** ValueError as `gx.fit` does, and for traces without `sigma`.
 
     **Example:**
@@ -171,10 +175,8 @@ def information(
 
 @compiled
 def _matrices(problem: Problem, values: Numbers) -> Numbers:
-    """F of each sensor, (S, P, P)."""
-
     def signals(values):
-        # by the adjoint that serves both modes, for a derivative of the information
+        # adjoint=None supports both modes, so that the information can be differentiated.
         return problem.signals(problem.coordinates.unflat(values), adjoint=None)[0]
 
     slopes = jax.jacfwd(signals)(values)

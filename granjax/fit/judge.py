@@ -1,4 +1,4 @@
-"""From where a minimiser ended to a `Fit`: errors, directions, what is left in the residuals."""
+"""`judged`: build a `Fit`, with errors and an analysis of residuals."""
 
 import jax
 import jax.numpy as jnp
@@ -16,21 +16,22 @@ from .problem import Problem
 from .solve import Found, linearised, still_to_go
 from .windows import Windows
 
-# a minimiser that has stalled or spent its steps has converged if chi^2 could fall by less: a hundredth of a deviation
+# A minimiser that stalled or used all its steps still counts as converged if chi^2 could fall by
+# less than this, which is a hundredth of a standard deviation.
 ARRIVED = 1e-4
-# what is taken for zero
+# Smaller numbers count as zero.
 EXACT = 1e-30
-# deviations of white noise from which on neighbours are said to have something in common
+# The correlation of neighbours is significant above this many standard deviations of white noise.
 STRUCTURED = 4.0
-# of a record, each time but the first, and each but the last
+# the times of a record without the first, and without the last
 AFTER_AND_BEFORE = slice(1, None), slice(-1)
 
 
 def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """What residuals have in common with their neighbours: its rms over theirs, and in how many deviations of noise.
+    """Return the share of rms common to neighbouring residuals (n,), and its significance.
 
-    **Arguments:** pairs of neighbours (n,). Of independent errors, equal or not, the sum of the products has the mean
-    zero and the deviation sqrt(sum of their squares); what varies slowly adds its own square to each product.
+    The significance is in standard deviations: for independent errors, the sum of products has mean
+    zero and deviation sqrt(sum of their squares). A slow part adds its square to each product.
     """
     common, squares = np.sum(one * after), np.sum(one**2 + after**2) / 2
     deviation = np.sqrt(np.sum((one * after) ** 2))
@@ -44,7 +45,7 @@ def judged(
     starts: tuple[float, ...],
     adjoint: str,
 ) -> Fit:
-    """The `Fit` at what a minimiser found."""
+    """Build the `Fit` from the point that a minimiser found."""
     x = jnp.asarray(found.x, problem.dtype)
     coordinates = problem.coordinates
     own, names = x[: coordinates.size], tuple(coordinates.names)
@@ -56,10 +57,10 @@ def judged(
     samples = int(sum(np.isfinite(trace.data).sum() for trace in problem.traces))
     known = all(trace.sigma is not None for trace in problem.traces)
     squares, free = sum(np.sum(np.square(r)) for r in residuals), max(samples - flat.size, 1)
-    # in units of the size of the data where no sigma says more
+    # Without sigma, the residuals are in units of the rms of the data.
     noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / free))
     residuals = tuple(r / noise for r in residuals)
-    # directions are of logarithms, so that their components are the exponents of a product
+    # Directions are in log theta, so that their components are the exponents of a product.
     sizes = np.where(flat != 0, flat, np.where(start != 0, start, slopes))
     code, known_directions, stiffnesses = int(found.code), (), ()
     if code in (SPENT, STALLED) and still_to_go(value, jacobian)[0] < ARRIVED * noise**2:
@@ -68,7 +69,7 @@ def judged(
     if code not in (NO_START, NO_GRADIENT):
         seen = np.abs(slopes) > EXACT * np.abs(sizes)
         by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
-        # near zero, as far as the data tell, a logarithm says nothing
+        # A logarithm is meaningless for a parameter that is zero within its error.
         known_to = noise / np.maximum(np.linalg.norm(by_parameter, axis=0), EXACT)
         vanishing = (np.abs(flat) < LOOSE * np.abs(start)) & (LOOSE * np.abs(flat) < known_to)
         sizes = np.where(vanishing, start, sizes)
@@ -120,7 +121,7 @@ def judged(
 
 
 def _own(jacobian, count):
-    """The columns of the parameters, without what other free numbers could take up of them."""
+    """Project the free states of windows out of the columns of the parameters."""
     own, others = jacobian[:, :count], jacobian[:, count:]
     if others.shape[1] == 0 or not np.isfinite(jacobian).all():
         return own
@@ -129,7 +130,7 @@ def _own(jacobian, count):
 
 
 def way_back(problem: Problem, parameters: dict[str, Numbers]) -> float:
-    """The return error of the run of some parameters; infinite where its solver's steps are not symmetric."""
+    """Return the return error of a run; infinite for solvers that are not splitting methods."""
     if not isinstance(problem.solver, AbstractSplitting):
         return np.inf
     return float(_way_back(problem, parameters))
@@ -145,7 +146,7 @@ def _way_back(problem, parameters):
 
 
 def _silent(problem, parameters):
-    """Contacts that never close, by the index of their term."""
+    """Return (index of the term, contacts that never close)."""
     lattice = problem.lattice(parameters)
     times = jnp.linspace(problem.t0, problem.t1, 129)
     run = problem.run(parameters, times)

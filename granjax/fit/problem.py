@@ -1,4 +1,4 @@
-"""The scene beside its traces: signals and residuals as functions of the parameters."""
+"""`Problem`: signals and residuals of a fit as functions of the parameters."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
@@ -24,22 +24,24 @@ from ..types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
 from ..units import SI
 from .traces import Traces, checked_shape, checked_traces, number
 
-# room behind the last sample for an offset that is fitted, in record lengths
+# time after the last sample that leaves room for a fitted offset, in record lengths
 ROOM = 0.1
-# a record beyond this share of the chain's own time, or below it, is counted in another unit of time
+# A record that is longer than the chain's own time by more than this factor, or shorter, is in
+# another unit of time.
 FAR_OFF = 1e6
-# the longest step times the fastest decay, which is 4 c/m in a chain of dashpots; steps of the iteration for it
+# the largest step times the fastest decay rate (4 c/m in a chain of dashpots); the number of power
+# iterations for that rate
 FASTEST, POWER_STEPS = 4.0, 64
 Start: TypeAlias = StateLike | Callable[[Any, Any], StateLike]
 """A state at t0, or a function (parameters, lattice) that returns one."""
 Signals: TypeAlias = tuple[Float[AnyArray, "_ _"], ...]
-"""One (T, S) per trace."""
+"""One array (T, S) per trace."""
 
 
 class Problem(eqx.Module):
-    """What a fit compares: the run of `scene(parameters)` from t0 to t1 at a fixed step, read off where traces are.
+    """The runs of `scene(parameters)` from t0 to t1, sampled where the traces are.
 
-    A scene or a state that is a module may hold arrays: others like it are compared by the same program.
+    A scene or state that is an `eqx.Module` may hold arrays; new values need no new compilation.
     """
 
     scene: Callable
@@ -61,28 +63,28 @@ class Problem(eqx.Module):
 
     @property
     def moving(self) -> bool:
-        """Whether the time of some trace is fitted."""
+        """Whether the offset of a trace is fitted."""
         return any(isinstance(trace.offset, str) for trace in self.traces)
 
     def lattice(self, parameters: dict[str, Numbers]) -> Lattice:
-        """The lattice of some parameters."""
+        """Return the lattice at some parameters."""
         return self.scene(parameters)
 
     def state(self, parameters: dict[str, Numbers], lattice: Lattice) -> State:
-        """The state at t0."""
+        """Return the state at t0."""
         if self.make_state is None:
             return self.given_state
         return as_state(self.make_state(parameters, lattice), lattice.dtype)
 
     def finer(self) -> "Problem":
-        """The same by half the step, or a hundredth of the tolerance: its signals differ by their error."""
+        """Return the problem with step/2, or tolerance/100, to estimate the integration error."""
         if self.run_tolerance is None:
             return self.with_step(float(self.step) / 2)
         finer = max(float(self.run_tolerance) / 100, least_tolerance(self.dtype))
         return eqx.tree_at(lambda p: p.run_tolerance, self, jnp.asarray(finer, self.dtype))
 
     def with_step(self, step: Scalar) -> "Problem":
-        """The same at another time step."""
+        """Return the problem with another time step."""
         return eqx.tree_at(lambda p: p.step, self, jnp.asarray(step, self.dtype))
 
     def run(
@@ -93,7 +95,7 @@ class Problem(eqx.Module):
         max_steps: int | None = None,
         state: State | None = None,
     ) -> Run:
-        """The run of some parameters, saved at rising times; from their own state or another."""
+        """Run the scene, saved at increasing times, from `state` or that of the parameters."""
         lattice = self.lattice(parameters)
         state = self.state(parameters, lattice) if state is None else state
         return simulate(
@@ -111,7 +113,7 @@ class Problem(eqx.Module):
         )
 
     def signals(self, parameters: dict[str, Numbers], **keywords: object) -> tuple[Signals, State]:
-        """What every trace would show without noise, a tuple of (T, S), and the state at t1."""
+        """Return the noise-free signals, a tuple of (T, S), and the state at t1."""
         times = [trace.times + number(trace.offset, parameters) for trace in self.traces]
         joined = jnp.concatenate(times)
         order = jnp.argsort(joined)
@@ -128,14 +130,14 @@ class Problem(eqx.Module):
         return tuple(signals), run.final
 
     def residuals(self, x: Float[AnyArray, " P"], **keywords: object) -> Float[AnyArray, " n"]:
-        """(signal - data)/sigma of every sample at free coordinates x, one vector; zero where a sample is missing."""
+        """Return (signal - data)/sigma of all samples at x; zero for missing ones."""
         return misfits(self.traces, self.signals(self.coordinates.parameters(x), **keywords)[0])
 
     def linearise(
         self,
         x: Float[AnyArray, " P"],
     ) -> tuple[Float[AnyArray, " n"], Float[AnyArray, "n P"], Signals]:
-        """(residuals, their Jacobian, signals) at x."""
+        """Return (residuals, their Jacobian, signals) at x."""
 
         def both(x):
             signals, _ = self.signals(self.coordinates.parameters(x))
@@ -146,7 +148,7 @@ class Problem(eqx.Module):
         return value, matrix, signals
 
     def times(self, parameters: dict[str, Numbers]) -> Float[np.ndarray, " n"]:
-        """The times of all samples in the scene's clock, at some parameters."""
+        """Return the times of all samples, with offsets."""
         return np.concatenate(
             [
                 np.asarray(trace.times) + np.asarray(number(trace.offset, parameters))
@@ -155,29 +157,29 @@ class Problem(eqx.Module):
         )
 
     def end(self, parameters: dict[str, Numbers]) -> Float[AnyArray, ""]:
-        """Where a run has to end: at the last sample, with room behind it where its time is fitted."""
+        """Return the end of a run: the last sample, plus room for fitted offsets."""
         times = self.times(parameters)
         return jnp.asarray(times.max() + ROOM * np.ptp(times) * self.moving, self.dtype)
 
     def pace(self, parameters: dict[str, Numbers]) -> tuple[float, float]:
-        """(frequency, step) of some parameters; an infinite step where no time scale sets one.
+        """Return (frequency, step); the step is infinite if no time scale sets it.
 
-        The highest frequency that the energy of the start allows, of linear modes or of contacts that close, and the
-        step that it asks for.
+        The frequency is the highest that the initial energy allows, of linear modes or closing
+        contacts.
         """
         lattice = self.lattice(parameters)
         state = checked_state(lattice, self.state(parameters, lattice))
         omega = float(frequency_bound(lattice, state, self.t0, self.t1))
         if not omega > 0:
             return omega, np.inf
-        # what a splitting solver does not take exactly
+        # Splitting solvers treat dissipation exactly, so that it does not limit their step.
         rate = 0.0 if facts(lattice).splits else float(_fastest_decay(lattice, self.t0, *state))
         return omega, min(STEP_FRACTION / omega, FASTEST / rate if rate > 0 else np.inf)
 
 
 @compiled
 def _fastest_decay(lattice, t, u, v):
-    """The largest rate at which a motion about a state decays by forces that read velocities, by power iteration."""
+    """Return the fastest decay rate by velocity-dependent forces, by power iteration."""
     flat, unravel = ravel_pytree(v)
     rates = jax.linearize(lambda w: ravel_pytree(lattice.acceleration(t, u, unravel(w)))[0], flat)[
         1
@@ -207,11 +209,11 @@ def prepared(
     run_tolerance: Scalar | None = None,
     **others: object,
 ) -> Problem:
-    """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`.
+    """Build the checked `Problem` of a fit, with a step for the start.
 
-    `others`: options of `fit` that say how it goes on from there.
+    **Arguments**, **Raises:** as in `fit`; `others` are ignored.
     """
-    # known numbers stay known within a program that is traced
+    # This keeps known numbers concrete inside a traced program.
     with jax.ensure_compile_time_eval():
         coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
@@ -253,7 +255,7 @@ def prepared(
         )
     problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
     if not is_untraced():
-        # what a scene closes over may be traced too
+        # The scene may close over traced values, from which no step can be derived.
         if step is None:
             refuse("step", "a time step within a program that is traced", "None")
         return problem.with_step(step)
@@ -266,7 +268,6 @@ def prepared(
 
 
 def _refuse_other_units(units, omega, span):
-    """Refuse a record that is a million times as long as the chain's own time 1/omega, or as short."""
     if not 0 < omega < np.inf or FAR_OFF > span * omega > 1 / FAR_OFF:
         return
     unit = "seconds" if units == SI else "the lattice's unit of time"
@@ -284,22 +285,21 @@ def _refuse_other_units(units, omega, span):
 
 
 def as_state(state: State | tuple | list, dtype: object) -> State:
-    """A pair of arrays, or of dicts of them, as a `State` of a floating type."""
+    """Convert a pair of arrays, or of dicts of arrays, to a `State`."""
     return jax.tree.map(lambda x: jnp.asarray(x, dtype), State(*state))
 
 
 def misfit(trace: Traces, signal: Float[AnyArray, "T S"]) -> Float[AnyArray, "T S"]:
-    """(signal - data)/sigma of one trace (T, S), zero where a sample is missing."""
+    """Return (signal - data)/sigma of one trace (T, S), zero for missing samples."""
     return jnp.where(trace.weights > 0, (signal - trace.data) * trace.weights, 0.0)
 
 
 def misfits(traces: tuple[Traces, ...], signals: Signals) -> Float[AnyArray, " n"]:
-    """Those of several traces, one vector."""
+    """Return the misfits of all traces as one vector."""
     return jnp.concatenate([misfit(*both).ravel() for both in zip(traces, signals)])
 
 
 def _read(trace, lattice, us, vs, times):
-    """The signal of one trace's sensors (T, S)."""
     if trace.kind == "force":
         forces = jax.vmap(lambda u, v, t: contact_force(lattice, State(u, v), t, bond=trace.bond))(
             us, vs, times
@@ -309,7 +309,6 @@ def _read(trace, lattice, us, vs, times):
 
 
 def _check_places(traces, lattice, state, parameters):
-    """That every sensor is where something is, and every named gain and offset a parameter."""
     for k, trace in enumerate(traces):
         for what, x in (("gain", trace.gain), ("offset", trace.offset)):
             if isinstance(x, str):

@@ -1,4 +1,4 @@
-"""The minimisers: Levenberg and Marquardt's method of MINPACK, and descent along gradients."""
+"""The minimisers: Levenberg-Marquardt (MINPACK) and gradient descent."""
 
 from typing import NamedTuple
 
@@ -13,14 +13,14 @@ from ..programs import compiled
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
 
-# singular values below this share of the largest are of directions that the data do not see
+# Directions with singular values below this share of the largest are invisible to the data.
 NEGLIGIBLE = 1e-6
-# seconds before a fit says how far it is
+# seconds before a fit shows its progress
 PATIENCE = 5.0
 
 
 class Found(NamedTuple):
-    """Where a minimiser ended: free coordinates, half the sum of squares, iterations, code."""
+    """The end of a minimiser: coordinates, half the sum of squares, iterations, code."""
 
     x: Float[AnyArray, " n"]
     cost: Scalar
@@ -33,7 +33,7 @@ def linearised(
     problem: eqx.Module,
     x: Float[AnyArray, " n"],
 ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m n"], Signals, Signals]:
-    """(residuals, their Jacobian, signals, misfits per trace) at x: the one program of a fit by least squares."""
+    """Return (residuals, their Jacobian, signals, misfits per trace) at x."""
     value, matrix, signals = problem.linearise(x)
     return value, matrix, signals, tuple(misfit(*both) for both in zip(problem.traces, signals))
 
@@ -42,7 +42,7 @@ def evaluated(
     problem: eqx.Module,
     x: Float[AnyArray, " n"],
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m n"]]:
-    """(residuals, Jacobian) at x in double precision."""
+    """Return (residuals, Jacobian) at x in double precision."""
     value, jacobian, *_ = linearised(problem, jnp.asarray(x, problem.dtype))
     return np.asarray(value, float), np.asarray(jacobian, float)
 
@@ -50,7 +50,7 @@ def evaluated(
 def still_to_go(
     value: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m n"]
 ) -> tuple[float, Float[np.ndarray, " n"]]:
-    """By how much |value|^2 could still fall along the directions that the data see, and the step (n,) to there."""
+    """Return the possible decrease of |value|^2 in visible directions, and its step (n,)."""
     widths = np.linalg.norm(jacobian, axis=0)
     widths = np.where(widths > 0, widths, 1.0)
     u, s, vh = np.linalg.svd(jacobian / widths, full_matrices=False)
@@ -65,11 +65,11 @@ def least_squares(
     max_steps: int,
     delay: float = PATIENCE,
 ) -> Found:
-    """Levenberg and Marquardt's method of MINPACK from x (n,).
+    """Minimise by Levenberg-Marquardt (MINPACK) from x (n,).
 
-    A bar shows the steps that are left at most after a `delay` [s]. It has converged where the sum of squares could
-    fall by less than the tolerance, relatively, or the step to there is as short, and has stalled where neither is so,
-    but no step is better. No step ends where the Jacobian is not finite.
+    It has converged if the possible relative decrease of the sum of squares, or the step to it, is
+    below the tolerance. It has stalled if neither holds but no step improves. Steps to a non-finite
+    Jacobian are rejected. A progress bar appears after `delay` [s].
     Source: Moré, Lecture Notes in Mathematics 630, 105 (1978).
     """
     from scipy import optimize
@@ -80,12 +80,12 @@ def least_squares(
     with tqdm(total=max_steps, desc="fit", unit="step", delay=delay, leave=False) as bar:
 
         def both(x):
-            # by one run, as MINPACK asks for the Jacobian where it has just asked for the residuals
+            # One run gives both: MINPACK asks for the residuals and then for the Jacobian there.
             if x.tobytes() not in latest:
                 bar.update()
                 value, jacobian = evaluated(problem, x)
                 value = np.where(np.isfinite(jacobian).all(), value, np.nan)
-                # MINPACK wants as many residuals as unknowns
+                # MINPACK needs at least as many residuals as unknowns.
                 more = (0, max(0, x.size - value.size))
                 latest.clear()
                 latest[x.tobytes()] = np.pad(value, more), np.pad(jacobian, (more, (0, 0)))
@@ -117,7 +117,7 @@ def least_squares(
 
 
 def patience(problem: Problem) -> float:
-    """Seconds before a fit says how far it is: none where one step of it takes longer."""
+    """Return the seconds before a fit shows progress; 0 if one step takes longer."""
     lattice = problem.lattice(problem.coordinates.start)
     steps = (float(problem.t1) - float(problem.t0)) / float(problem.step)
     each = steps * seconds_a_step(lattice, problem.solver) * (1 + problem.coordinates.size)
@@ -125,7 +125,7 @@ def patience(problem: Problem) -> float:
 
 
 class MeanSquare(eqx.Module):
-    """Half of the mean square of the residuals, for derivatives in reverse mode through at most `most` steps."""
+    """Half the mean square of the residuals, for reverse mode through at most `most` steps."""
 
     problem: Problem
     adjoint: eqx.Module
@@ -133,7 +133,7 @@ class MeanSquare(eqx.Module):
 
     @property
     def samples(self) -> int:
-        """How many numbers there are."""
+        """The number of samples, missing ones included."""
         return sum(trace.data.size for trace in self.problem.traces)
 
     def __call__(self, x: Float[AnyArray, " n"]) -> Float[AnyArray, ""]:
@@ -148,7 +148,7 @@ def gradient_descent(
     tolerance: Scalar,
     max_steps: int,
 ) -> Found:
-    """Descent from x (n,), with derivatives in reverse mode."""
+    """Minimise by gradient descent from x (n,), with reverse-mode derivatives."""
     found = descend(cost, x, optimiser, max_steps, tolerance)
     code = SPENT if found.code == NOT_FINITE else found.code
     return Found(found.x, cost.samples * found.least, len(found.values) - 1, code)

@@ -1,4 +1,4 @@
-"""Measured traces: what was recorded, where, how well."""
+"""`Traces`: measured signals, their sensors and their noise."""
 
 import re
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from ..units.names import known_unit
 
 KINDS = ("velocity", "displacement", "force")
 QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}
-# a name and the unit in brackets at its end: "Time (us)", "v [mm/s]"
+# a name followed by a unit in brackets: "Time (us)", "v [mm/s]"
 HEADER = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
 
@@ -27,18 +27,23 @@ class Traces(eqx.Module):
 
     **Arguments:**
 
-    - `times` (T,): of the recorder, rising [s]. Dates become seconds from the first one, and time differences seconds.
-    - `velocity` [m/s], `displacement` [m] or `force` [N] (total contact force, compression positive), exactly one of
-      them: (T, S), one column per sensor, or (T,) for one. NaN marks what is missing.
-    - `sites`: where, for velocity and displacement: S indices, negative from the end, tuples on a grid. `contacts`:
-      where, for force: S indices of bonds as `gx.measures.contact_force` counts them; `bond`: of which bond term.
-    - `sigma` > 0: standard deviation of the noise, in units of the data; a number, one per sensor (S,), or (T, S).
-      `None`: one unknown number, taken from the residuals.
-    - `gain`: a number, one per sensor, or the name of a parameter. `offset`: time of the scene at the recorder's time
-      0 [s], a number or the name of a parameter; what was recorded before t0 is compared with the state at t0.
-    - `field`: where a cell holds several. `component`: of the displacements, where they are vectors.
+    - `times` (T,): of the recorder, increasing [s]. Dates become seconds since the first one,
+      time differences seconds.
+    - `velocity` [m/s], `displacement` [m] or `force` [N] (total contact force, compression
+      positive), exactly one: (T, S), one column per sensor, or (T,) for one. NaN is missing data.
+    - `sites`: S indices of sites, for velocity and displacement; negative ones count from the end;
+      tuples on a grid.
+    - `contacts`: S indices of contacts, for force, as in `gx.measures.contact_force`. `bond`: the
+      index of the bond term.
+    - `sigma` > 0: standard deviation of the noise, in units of the data: a number, (S,) or (T, S).
+      `None`: one unknown number, estimated from the residuals.
+    - `gain`: a number, one per sensor, or the name of a parameter.
+    - `offset`: scene time at the recorder's time 0 [s], a number or the name of a parameter.
+      Samples before t0 are compared with the state at t0.
+    - `field`: if a cell holds several. `component`: of vector displacements.
 
-    **Raises** ValueError for times that do not rise, data of another shape, no sensor, sigma <= 0.
+    **Raises** ValueError for times that do not increase, data of another shape, no sensor,
+    sigma <= 0.
 
     **Example:**
 
@@ -147,23 +152,22 @@ class Traces(eqx.Module):
         read: dict[str, Any] | None = None,
         **traces: Any,
     ) -> "Traces":
-        """Read traces from a table of columns, by `pandas.read_csv`.
+        """Read traces from a table by `pandas.read_csv`, and convert them to SI.
 
-        A column is named by its header, with or without the unit in brackets at its end, or by its index from 0. The
-        data are turned into SI: s, m/s, m, N.
+        A column is given by its header, with or without the unit in brackets, or its index from 0.
 
         **Arguments:**
 
         - `time`: the column of times.
-        - `velocity`, `displacement` or `force`, exactly one of them: a column, or a list with one per sensor.
-        - `units`: {column: unit}, for columns whose header does not end in a unit such as "Time (us)" or "v [mm/s]".
-          A unit is a name, such as us, mm/s, nm or kN; or a number, the size in SI of one unit of the column:
-          {"Bead 3": 0.025} for a vibrometer with 0.025 (m/s)/V.
+        - `velocity`, `displacement` or `force`, exactly one: a column, or a list of one per sensor.
+        - `units`: {column: unit}, for headers without a unit such as "Time (us)" or "v [mm/s]". A
+          unit is a name (us, mm/s, nm, kN) or its size in SI: {"Bead 3": 0.025} for a vibrometer
+          with 0.025 (m/s)/V.
         - `read`: keywords of `pandas.read_csv`, such as {"sep": ";", "decimal": ",", "comment": "#"}.
-        - `traces`: what `Traces` takes besides, such as `sites`, `sigma` or `gain`.
+        - `traces`: other arguments of `Traces`, such as `sites`, `sigma` or `gain`.
 
-        **Raises** ValueError for a column that is not in the table, holds text or has no known unit, and as `Traces`
-        does; OSError and pandas' own errors for a file that cannot be read.
+        **Raises** ValueError for a column that is missing, holds text or has no known unit, and as
+        `Traces` does; OSError and pandas' own errors for an unreadable file.
 
         **Example:**
 
@@ -212,44 +216,43 @@ class Traces(eqx.Module):
 
     @property
     def sensors(self) -> list[str]:
-        """A name for every column: "velocity of site 2", "force of contact 0"."""
+        """The names of the columns: "velocity of site 2", "force of contact 0"."""
         what = "contact" if self.kind == "force" else "site"
         return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}" for p in self.places]
 
     @property
     def indices(self) -> list[tuple]:
-        """The index of every sensor in an array over sites, its component included."""
+        """The index of each sensor in an array over sites, with its component."""
         component = () if self.component is None else (self.component,)
         return [(..., *place, *component) for place in self.places]
 
     def picked(self, x: Displacements) -> Float[AnyArray, "... S"]:
-        """The entries of displacements or velocities, with further axes first, at the sensors."""
+        """Return displacements or velocities (..., sites) at the sensors."""
         x = x if self.field is None else x[self.field]
         return jnp.stack([x[index] for index in self.indices], axis=-1)
 
     @property
     def unit(self) -> str:
-        """The unit of the data in SI, "" of a recorder's numbers, from which a gain leads that is fitted or not 1."""
+        """The SI unit of the data; "" if the gain is fitted or not 1."""
         gain = None if isinstance(self.gain, str) else concrete(self.gain)
         return "" if gain is None or (gain != 1).any() else QUANTITIES[self.kind]
 
     @property
     def weights(self) -> Float[AnyArray, "T S"]:
-        """1/sigma where there is a number, 0 where there is none (T, S)."""
+        """1/sigma (T, S); 0 for missing samples."""
         array = jnp if traced(self) else np
         sigma = array.asarray(self.size if self.sigma is None else self.sigma)
         return array.where(array.isfinite(self.data), 1 / sigma, 0.0)
 
     @property
     def size(self) -> Float[AnyArray, ""]:
-        """Root mean square of the data, the unit of residuals while the noise is not known."""
+        """The rms of the data, which replaces an unknown sigma."""
         known = jnp.isfinite(self.data)
         square = jnp.sum(jnp.where(known, self.data, 0) ** 2) / jnp.maximum(jnp.sum(known), 1)
         return jnp.where(square > 0, jnp.sqrt(square), 1.0)
 
 
 def _seconds(times):
-    """Times as numbers: dates in seconds from the first one, time differences in seconds."""
     if isinstance(times, jax.Array) or np.asarray(times).dtype.kind not in "OMm":
         return times
     import pandas
@@ -261,7 +264,6 @@ def _seconds(times):
 
 
 def _column(table, quantity, key):
-    """The name of a table's column, from its index or its name, with or without a unit in brackets."""
     names = list(table.columns)
     if isinstance(key, int):
         return names[key]
@@ -273,12 +275,12 @@ def _column(table, quantity, key):
 
 
 def number(x: Numbers | str, parameters: dict[str, Numbers]) -> Numbers:
-    """A gain or an offset: a number, or the parameter that it names."""
+    """Return a gain or offset as a number, by name if it is a parameter."""
     return parameters[x] if isinstance(x, str) else x
 
 
 def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
-    """An array that is a number or has one of some shapes."""
+    """Return x; refuse it unless it is a number or has one of the shapes `others`."""
     if jnp.shape(x) not in ((), *others):
         shown = "".join(f", or shape {shape}" for shape in others)
         refuse(name, f"one number{shown}", f"shape {jnp.shape(x)}")
@@ -286,7 +288,7 @@ def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
 
 
 def _places(name, where):
-    """Indices of the sensors, each a tuple; one tuple is one place on a grid."""
+    # A single tuple is one place on a grid.
     one = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where)
     where = [where] if one or np.ndim(where) == 0 else list(where)
     places = [np.atleast_1d(np.asarray(place)) for place in where]
@@ -301,5 +303,5 @@ def _places(name, where):
 
 
 def checked_traces(traces: Traces | Sequence[Traces]) -> tuple[Traces, ...]:
-    """A tuple of `Traces`."""
+    """Return a tuple of `Traces`."""
     return (traces,) if isinstance(traces, Traces) else tuple(traces)

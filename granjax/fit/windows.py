@@ -1,4 +1,4 @@
-"""Multiple shooting: a long or chaotic record in windows, each with a state of its own at its start."""
+"""Multiple shooting: a long or chaotic record in windows, each with its own initial state."""
 
 from collections.abc import Callable
 
@@ -17,16 +17,16 @@ from ..types import AnyArray
 from .problem import Problem, Signals, misfits
 from .traces import number
 
-# how much better than the noise neighbouring windows have to meet, in deviations
+# the tolerance for the mismatch of neighbouring windows, in standard deviations of the noise
 MEETING = 0.1
 
 
 class Windows(Problem):
-    r"""A `Problem` in K windows: free are the parameters and the states s_j at the starts of windows 1 ... K - 1.
+    r"""A `Problem` in K windows, with free initial states in windows 1 ... K - 1.
 
-    Residuals are those of the data, each window run from its own start, and what the ends of windows miss of the
-    next start, in units of a tenth of the noise. The derivative of a window grows with its own length alone, where that
-    of the whole record grows like exp(lambda t) in a chaotic scene, with minima as close as that.
+    The residuals are those of the data, and the mismatches between the end of each window and the
+    next initial state, in units of a tenth of the noise. Derivatives grow with the length of a
+    window. Over a whole chaotic record they grow like exp(lambda t), and minima are as dense.
     Source: Bock, Recent advances in parameter identification techniques for ODE, Birkhaeuser (1983).
     """
 
@@ -40,11 +40,11 @@ class Windows(Problem):
     __repr__ = told
 
     def meeting_of(self, residuals: Float[AnyArray, " n"]) -> float:
-        """How well the windows meet, in units of sigma, from the residuals, whose last ones say it."""
+        """Return the largest mismatch of windows, in units of sigma, from the residuals."""
         return float(MEETING * np.abs(residuals[-self.starts.size :]).max())
 
     def _cut(self, x):
-        """(the parameters' coordinates, states at the starts of all windows (K, n))."""
+        """Split x into parameter coordinates and the initial states of all windows (K, n)."""
         own, rest = jnp.split(x, [self.coordinates.size])
         parameters = self.coordinates.parameters(own)
         first = ravel_pytree(self.state(parameters, self.lattice(parameters)))[0]
@@ -52,7 +52,6 @@ class Windows(Problem):
         return own, jnp.concatenate([first[None], moved])
 
     def _window(self, own, start, parts, t0, t1):
-        """Residuals (m,), end (n,) and signals of one window."""
         start = self.unravel(start)
         how = self.coordinates, parts, t0, t1, self.step, self.solver, None
         problem = Problem(self.scene, None, start, *how)
@@ -63,9 +62,9 @@ class Windows(Problem):
         self,
         x: Float[AnyArray, " P"],
     ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m P"], Signals]:
-        """(residuals, their Jacobian, signals): of the data, then of what neighbouring windows miss of each other.
+        """Return (residuals, their Jacobian, signals): data first, then mismatches.
 
-        Every window has tangents of its own, by its start and by the parameters; the chain rule leads from there to x.
+        Each window is differentiated by its state and the parameters, then the chain rule applied.
         """
         parts, named = eqx.partition(self.parts, eqx.is_array)
         own, starts = self._cut(x)
@@ -97,10 +96,10 @@ class Windows(Problem):
 
 
 def cut(problem: Problem, count: int) -> Windows:
-    """A problem in `count` windows of equally many samples.
+    """Split a problem into `count` windows of equally many samples.
 
-    Their starts are guessed by running the start's scene from window to window, with what the sensors of velocity and
-    displacement say put in at each; a velocity also tells the displacement, by its integral from the state at t0.
+    Initial states are guessed by running the scene at the start from window to window, and
+    inserting measured velocities and displacements, or integrals of velocities.
     """
     clocks = [
         None if isinstance(trace.offset, str) else np.asarray(trace.times + trace.offset)
@@ -120,7 +119,7 @@ def cut(problem: Problem, count: int) -> Windows:
         refuse("windows", f"at most {times.size // 2}, for {times.size} samples", f"{count}")
     first = np.linspace(0, times.size, count + 1).round().astype(int)
     edges = np.concatenate([[float(problem.t0)], times[first[1:-1]], times[-1:]])
-    # the samples of every window; what shorter ones lack repeats their last
+    # the samples of each window; shorter windows repeat their last sample
     samples = np.minimum(first[:-1, None] + np.arange(np.diff(first).max()), first[1:, None] - 1)
     repeated = np.diff(samples, axis=1, prepend=-1) == 0
     parts = tuple(_parted(trace, samples, repeated) for trace in problem.traces)
@@ -129,7 +128,7 @@ def cut(problem: Problem, count: int) -> Windows:
     readings, starts = _readings(problem, parameters, state), []
     for t0, t1, sample in zip(edges[:-2], edges[1:-1], first[1:-1]):
         leg = eqx.tree_at(lambda p: (p.t0, p.t1), problem, (jnp.asarray(t0), jnp.asarray(t1)))
-        # arrays that can be written to
+        # NumPy arrays can be written to.
         state = jax.tree.map(np.array, _leg(leg, parameters, state))
         for part, trace, values in readings:
             x = state[part] if trace.field is None else state[part][trace.field]
@@ -138,7 +137,7 @@ def cut(problem: Problem, count: int) -> Windows:
                     x[index] = value
         starts.append(state)
     flat = np.stack([ravel_pytree(state)[0] for state in starts])
-    # the displacements or the velocities of all windows are counted in the largest of them
+    # Displacements and velocities are scaled by the largest of each over all windows.
     largest = [
         max(float(np.max(np.abs(x))) for x in jax.tree.leaves(every)) or 1.0
         for every in zip(*starts)
@@ -167,7 +166,7 @@ def _leg(problem, parameters, state):
 
 
 def _parted(trace, samples, repeated):
-    """A trace with its samples on a leading axis of windows; those that are repeated count as missing."""
+    """Return a trace with a leading axis of windows; repeated samples count as missing."""
     sigma = np.broadcast_to(trace.sigma, trace.data.shape)[samples]
     data = np.where(repeated[..., None], np.nan, np.asarray(trace.data)[samples])
     gain, offset = (
@@ -182,7 +181,7 @@ def _parted(trace, samples, repeated):
 
 
 def _readings(problem, parameters, state):
-    """(0 for displacements or 1 for velocities, trace, values (T, S)) of what sensors say, the surest last."""
+    """Return readings (0 for u or 1 for v, trace, values (T, S)), the most reliable last."""
     from scipy.integrate import cumulative_trapezoid
 
     measured, integrated = [], []

@@ -1,4 +1,4 @@
-"""Sweeps: a function of parameters over a grid or a list; kept, resumed, on many machines."""
+"""Sweeps of a function over a grid or a list of parameters, stored, resumed, in parallel."""
 
 from .points import Points, paired
 from .sweep import sweep

@@ -1,4 +1,4 @@
-"""The swept function: compiled for many points at a time where it can be, else called for one after another."""
+"""The swept function: compiled for many points at once if possible, else called one by one."""
 
 import inspect
 import itertools
@@ -17,11 +17,11 @@ from ..checks import described, refuse
 from ..programs import compiled
 from ..results import Result
 
-# the remark on a point whose results do not fit those of others
+# the remark on a point whose results have other shapes
 ODD = "The function returned shapes {} here, but {} before. Return the same names and shapes."
-# failed points of a chunk that are computed again alone, for what their errors say
+# the number of failed points of a chunk that are computed again alone, to get their error messages
 ASKED = 4
-# attributes of a result that say nothing of its numbers
+# attributes of a result that are not its data
 KNOWN = ("granjax", "jax", "result", "units", "cite")
 DRAWS = (
     "It is compiled once for many points, which would share what NumPy's or Python's random draws. Draw from a "
@@ -30,10 +30,12 @@ DRAWS = (
 
 
 class Task(NamedTuple):
-    """How points are computed: a pickled function, whether it takes names or one dict, how many points together.
+    """How points are computed.
 
-    `static`: parameters that are no arrays in the compiled program; `None` for a function that holds Python. `shared`:
-    those that have one value for all points, such as the time at which all runs end.
+    - `function`: pickled. `keywords`: whether it takes names or one dict.
+    - `static`: parameters that are not arrays in the program; `None` if it cannot be traced.
+    - `shared`: parameters with one value for all points, such as the end time.
+    - `width`: points at a time.
     """
 
     function: bytes
@@ -44,14 +46,14 @@ class Task(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """Results of n points: {name: (n, ...)}, and a reason for each, "" where it did not fail."""
+    """Results of n points: {name: (n, ...)}, and the reason of each failure, "" for success."""
 
     columns: dict[str, xarray.Variable]
     reasons: np.ndarray
 
 
 def by_keywords(function: Callable, names: tuple[str, ...]) -> bool:
-    """Whether a function takes parameters by their names, else all of them as one dict."""
+    """Return whether a function takes parameters by name, not as one dict."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
@@ -75,7 +77,7 @@ def _binds(signature, *arguments, **named):
 
 
 def packed(function: Callable) -> bytes:
-    """The function as bytes, by cloudpickle where that is installed: it takes lambdas and functions of notebooks."""
+    """Pickle a function; cloudpickle, if installed, also takes lambdas and notebook functions."""
     try:
         import cloudpickle as by
     except ImportError:
@@ -92,12 +94,12 @@ def packed(function: Callable) -> bytes:
         )
 
 
-# a process keeps it, so that it compiles once
+# The cache returns the same function in a process, so that it compiles once.
 unpacked = lru_cache(maxsize=8)(pickle.loads)
 
 
 def computed(task: Task, function: Callable | None, values: dict[str, np.ndarray]) -> Chunk:
-    """The results at some points (n,); `function`: that of the task, `None` in another process."""
+    """Compute the results at points (n,). `function` is `None` in another process."""
     function = unpacked(task.function) if function is None else function
     count = len(next(iter(values.values())))
     rows, reasons = [None] * count, np.full(count, "", object)
@@ -121,7 +123,6 @@ def computed(task: Task, function: Callable | None, values: dict[str, np.ndarray
 
 
 def _by_program(task, function, values, points, together, rows):
-    """Fill `rows` of the points `together` by compiled programs, one for each value of static parameters."""
     key = lambda i: tuple(points[i][name] for name in task.static)
     for _, group in itertools.groupby(sorted(together, key=key), key):
         group = list(group)
@@ -145,7 +146,7 @@ def _by_program(task, function, values, points, together, rows):
 
 
 def kinds(values: dict[str, np.ndarray]) -> tuple:
-    """What of the parameters' arrays a program depends on."""
+    """Return the names and types of the parameters, on which a program depends."""
     return tuple((name, x.dtype.str) for name, x in values.items())
 
 
@@ -153,9 +154,9 @@ def kinds(values: dict[str, np.ndarray]) -> tuple:
 def program(
     function: Callable, keywords: bool, static: tuple, shared: tuple, kinds: tuple
 ) -> tuple:
-    """A compiled function of many points, what it returns that is no array, and the order of the names.
+    """Return a compiled function of many points, its non-array results, and the order of names.
 
-    **Raises** what tracing does, and ValueError for a function that computes something else when it is traced again.
+    **Raises** errors of tracing, and ValueError for a function that differs when traced again.
     """
     kept, known = [], dict(static)
 
@@ -167,7 +168,7 @@ def program(
 
     def numbers():
         shapes = {name: jax.ShapeDtypeStruct((), kind) for name, kind in kinds if name not in known}
-        # as another function each time, or JAX would not trace it again
+        # A new lambda each time, or JAX would reuse the first trace.
         traced = jax.make_jaxpr(lambda values: one(values))(shapes)
         return [*_numbers(traced), *_numbers(jax.tree.leaves(kept[0]))]
 
@@ -179,12 +180,12 @@ def program(
             DRAWS,
         )
     axes = {name: None if name in shared else 0 for name, _ in kinds if name not in known}
-    # the numbers of the points, which nothing reads, are mapped where all parameters are shared or static
+    # The unused indices give `vmap` an axis even if all parameters are shared or static.
     return compiled(jax.vmap(lambda _, values: one(values), (0, axes))), *kept
 
 
 def _numbers(x):
-    """The numbers that are written into a traced program and into programs within it, in order."""
+    """Yield the primitives and constants of a traced program and its nested ones, in order."""
     if isinstance(x, (tuple, list)):
         for part in x:
             yield from _numbers(part)
@@ -201,9 +202,9 @@ def _numbers(x):
 
 
 def _refused(function, keywords, values, points):
-    """{point: sentence} of those whose scenes are refused, which a compiled program does not notice.
+    """Return {point: message} for invalid scenes, which a compiled program does not notice.
 
-    It is looked for at the ends of each parameter first, and where one of these is, at every point.
+    It checks the extremes of each parameter, and all points if one of these fails.
     """
     numbers = [x for x in values.values() if x.dtype.kind != "U"]
     ends = sorted({int(pick(x)) for x in numbers for pick in (np.argmin, np.argmax)})
@@ -214,7 +215,7 @@ def _refused(function, keywords, values, points):
 
 
 def _refusal(function, keywords, point):
-    """What is said of numbers that are known, without anything being computed."""
+    """Return the error message of a scene, found by tracing."""
     try:
         jax.make_jaxpr(lambda: eqx.filter(call(function, point, keywords), eqx.is_array))()
     except ValueError as error:
@@ -225,7 +226,6 @@ def _refusal(function, keywords, point):
 
 
 def _alone(function, keywords, point):
-    """The columns of one point, `None` where it raises, and why it failed."""
     try:
         row = columns(call(function, point, keywords), name_of(function), point)
     except Exception as error:
@@ -234,12 +234,12 @@ def _alone(function, keywords, point):
 
 
 def call(function: Callable, point: Mapping[str, Any], keywords: bool) -> Any:
-    """What the function returns at one point."""
+    """Call the function at one point."""
     return function(**point) if keywords else function(dict(point))
 
 
 def said(error: BaseException) -> str:
-    """An error in a line."""
+    """Return an error message on one line."""
     text = " ".join(str(error).split())[:400]
     return (
         text
@@ -255,7 +255,7 @@ def _not_finite(row):
 
 
 def _stacked(rows, reasons):
-    """The rows of points as a `Chunk`: NaN, or "", for those that failed or whose names or shapes are others."""
+    """Stack rows to a `Chunk`, with NaN or "" for failures and for other names or shapes."""
     shapes = lambda row: {name: x.shape for name, x in row.items()}
     first = next((row for row in rows if row), {})
     for i, row in enumerate(rows):
@@ -270,13 +270,15 @@ def _stacked(rows, reasons):
 
 
 def name_of(function: Callable) -> str:
-    """What the one number that a function returns is called."""
+    """Return the name for the result of a function that returns one number."""
     name = getattr(function, "__name__", "")
     return name if name.isidentifier() else "value"
 
 
 def columns(value: Any, name: str, taken: Iterable[str]) -> dict[str, xarray.Variable]:
-    """What a function returned at one point, by names, which are not those of its parameters; numbers as floats.
+    """Return the results at one point by name, with real numbers as floats.
+
+    A name that is taken by a parameter gets the ending `_found`.
 
     **Raises** ValueError for anything but a number, word, array, dict of them or result.
     """

@@ -1,4 +1,4 @@
-"""Where a sweep looks: a grid, or a list."""
+"""The points of a sweep: a grid or a list."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
@@ -10,16 +10,16 @@ from ..printing import called, numbers
 from ..types import Values
 
 LANE = "lane"
-# names that the results of a sweep have
+# names that a sweep reserves
 TAKEN = {LANE, "reason", "outcome"}
 
 
 class Points:
     """The lanes of a sweep, in order.
 
-    - `design`: `"grid"`, all combinations, the last parameter running fastest; or `"list"`, one value of each a lane.
-    - `axes`: {name: values}, of a grid the coordinates along each axis, of a list one value a lane.
-    - `shape`, `dims`: of the results; `count`: how many lanes there are.
+    - `design`: `"grid"` for all combinations, where the last parameter varies fastest, or `"list"`.
+    - `axes`: {name: values}, the coordinates along each axis of a grid, or one value per lane.
+    - `shape`, `dims`: of the results; `count`: the number of lanes.
     """
 
     def __init__(self, axes: dict[str, np.ndarray], design: str):
@@ -30,14 +30,14 @@ class Points:
         self.count = int(np.prod(self.shape, dtype=np.int64))
 
     def values(self, lanes: np.ndarray) -> dict[str, np.ndarray]:
-        """The parameters of some lanes, by their numbers (n,)."""
+        """Return the parameters of lanes, given by their indices (n,)."""
         if self.design == "list":
             return {name: x[lanes] for name, x in self.axes.items()}
         places = np.unravel_index(lanes, self.shape)
         return {name: x[place] for (name, x), place in zip(self.axes.items(), places)}
 
     def at(self, lane: int) -> dict[str, Any]:
-        """The parameters of one lane as Python's numbers and words."""
+        """Return the parameters of one lane as Python numbers and words."""
         return {name: x.item() for name, x in self.values(np.array([lane])).items()}
 
     def __repr__(self) -> str:
@@ -47,11 +47,11 @@ class Points:
 
 
 Parameters: TypeAlias = Mapping[str, Any] | Sequence[Mapping[str, Any]] | Points
-"""What a sweep varies: {name: values} for all combinations, a list of dicts, or what `paired` gives."""
+"""Parameters: {name: values} for all combinations, a list of dicts, or the result of `paired`."""
 
 
 def points_of(parameters: Parameters) -> Points:
-    """The points that a user has asked for. **Raises** ValueError where that says none."""
+    """Convert parameters to `Points`. **Raises** ValueError for invalid ones."""
     if isinstance(parameters, Points):
         return parameters
     if isinstance(parameters, Mapping):
@@ -75,10 +75,11 @@ def points_of(parameters: Parameters) -> Points:
 
 
 def paired(parameters: dict[str, Values]) -> Points:
-    """Lists side by side: the first lane has the first value of each, and so on; a row of a table is a lane.
+    """Combine lists entry by entry, as rows of a table: lane i has the i-th value of each.
 
-    **Arguments:** `parameters`: {name: values}, all of one length: numbers or words.
-    **Returns:** what `gx.sweep` takes. **Raises** ValueError for lists of several lengths, empty ones, other values.
+    **Arguments:** `parameters`: {name: values}, numbers or words, all of one length.
+    **Returns:** `Points` for `gx.sweep`.
+    **Raises** ValueError for lists of different lengths, empty lists and other values.
 
     **Example:**
 
@@ -113,7 +114,6 @@ def _name(name):
 
 
 def _row(name, x):
-    """Values as a NumPy array (n,) of numbers or words."""
     try:
         x = np.asarray(list(x) if isinstance(x, range) else x)
     except (TypeError, ValueError):

@@ -1,7 +1,8 @@
-"""What a sweep has found: arrays in memory, or a zarr store that is filled chunk by chunk and resumed.
+"""The results of a sweep: arrays in memory, or a zarr store that is filled chunk by chunk.
 
-Each file of a store is replaced atomically, nothing larger is. So the order is: arrays without values, then `done`,
-whose absence marks an unfinished store; then, for each chunk, its values, and its flag in `done` last.
+Only single files of a store are replaced atomically. The order is therefore: empty arrays; then
+`done`, whose absence marks an unfinished store; then the values of each chunk, and its flag in
+`done` last.
 """
 
 import json
@@ -19,10 +20,11 @@ NOT_YET = "not computed yet"
 
 
 class Store:
-    """Arrays by name over the design, and which of its blocks are there.
+    """Arrays by name over the design, and flags of its finished blocks.
 
-    `root`: a folder or a URL, `None` for the memory. `identity` tells a sweep from others; another `source` is a
-    warning. **Raises** ValueError for a store of another sweep, and for what is none.
+    `root`: a folder or a URL, `None` for memory. `identity` identifies the sweep; a changed
+    `source` of the function only causes a warning.
+    **Raises** ValueError for the store of another sweep, and for other paths.
     """
 
     def __init__(
@@ -58,7 +60,7 @@ class Store:
         self.done = self.flags[:]
 
     def put(self, number: int, chunk: Chunk) -> None:
-        """Keep a chunk. Those in which every point failed wait for one that tells names and shapes."""
+        """Store a chunk. Chunks without results wait for one that gives names and shapes."""
         self.waiting.append((number, chunk))
         if not self.arrays and chunk.columns:
             self._begin(chunk.columns)
@@ -66,7 +68,6 @@ class Store:
             self._write(*self.waiting.pop())
 
     def _begin(self, columns):
-        """Arrays for what a first chunk holds."""
         import zarr
 
         if self.root is not None:
@@ -88,7 +89,7 @@ class Store:
         self.arrays["reason"] = self._made("reason", over, shape, self.chunk, np.dtype(str))
         self.arrays["reason"][...] = np.full(shape, NOT_YET)
         if self.root is not None:
-            # before `done`, which xarray then does not read
+            # before `done` is made, so that xarray does not read it
             zarr.consolidate_metadata(self.group.store)
             flags = ("chunk",), self.done.shape, self.done.shape
             self.flags = self._made("done", *flags, np.dtype(bool))
@@ -132,13 +133,13 @@ class Store:
             self.flags[number] = True
 
     def dataset(self) -> xarray.Dataset:
-        """What there is; of a store on disk the values are read when they are asked for."""
+        """Return the results; values on disk are read lazily."""
         if self.root is None:
             data = xarray.Dataset(self.variables)
         else:
             data = xarray.open_zarr(self.root, chunks=None, consolidated=True)
         data = data.set_coords(self.points.axes)[[*self.arrays]].assign_attrs(self.attrs)
-        # words as NumPy's own, whatever the store or the version made of them
+        # Words become NumPy strings; their type depends on the store and the versions.
         for name, x in data.variables.items():
             if x.dtype.kind not in "biufcU":
                 data[name] = x.dims, np.array(x.values.tolist(), str), x.attrs
@@ -146,7 +147,7 @@ class Store:
 
 
 def opened(root: str):
-    """The group of a store, `None` where there is nothing. **Raises** ValueError for other paths."""
+    """Open the group of a store; `None` if there is none. **Raises** ValueError for other paths."""
     import zarr
 
     try:
@@ -169,7 +170,7 @@ def opened(root: str):
 
 
 def refuse_another(root: str, there: dict, here: dict) -> None:
-    """Refuse the store of another sweep, with what differs."""
+    """Refuse the store of another sweep, and name the differences."""
     before, now = there["parameters"], here["parameters"]
     row = lambda x: numbers(np.asarray(x)).removeprefix("shape ")
     if list(before) != list(now):

@@ -1,4 +1,4 @@
-"""`sweep`: a function of parameters over all their values."""
+"""`sweep`: compute a function over many parameters."""
 
 import inspect
 import itertools
@@ -23,11 +23,11 @@ from . import function as own
 from .points import Parameters, points_of
 from .store import Store, opened
 
-# points of a chunk: as many fit a core's cache, and no more chunks than that many
+# least and most points of a chunk, which fit a core's cache, and the number of chunks to aim at
 LEAST, MOST, CHUNKS = 64, 256, 16
-# chunks of a function that holds Python, of which each is kept as soon as it is done
+# the most chunks for a function that cannot be traced; each is stored as soon as it is done
 KEPT = 256
-# chunks that are given to each worker, and workers where an executor does not say how many it has
+# chunks submitted per worker; assumed workers of an executor that does not tell their number
 AHEAD, WORKERS = 2, 16
 
 
@@ -41,7 +41,7 @@ def sweep(
     progress: bool = True,
     units: dict[str, str] | None = None,
 ) -> xarray.Dataset:
-    r"""Compute a function of parameters at all of their values; kept and resumed where `store` is given.
+    r"""Compute a function at all values of its parameters; `store` keeps the results.
 
         def pulse(ratio):
             chain = gx.scenes.dimer(11, ratio=ratio)
@@ -54,27 +54,30 @@ def sweep(
 
     **Arguments:**
 
-    - `function`: of the parameters by their names, or of one dict of them; pure, for a single scene: it draws random
-      numbers by `jax.random`, from a parameter `seed`. It returns a number, a word, an array, a dict of such, or a
-      result of granjax, always of the same names and shapes. What can be traced is compiled for many points at a
-      time, and its runs have their lanes last; words stay as they are, and whole numbers where they decide a size. A
-      function that holds Python (breathers, fits, shocks) is called for one point after another.
-    - `parameters`: {name: values}, all combinations of numbers or words; `gx.sweeps.paired` for lists side by side, or
-      a list of dicts.
-    - `store`: a folder, or a URL that fsspec knows (`"s3://bucket/map.zarr"`), for a zarr store, which
-      `xarray.open_zarr` reads at any time. The same call resumes after any interruption.
-    - `chunk`: points at a time, which share their default step, that of the stiffest; `None`: 64 to 256, or that of the
-      store. Results depend on it by rounding and the error of steps.
-    - `executor`: any of `concurrent.futures`, or a Dask client. `None`: threads, one a core, for what is compiled.
-    - `progress`: a bar with the time left, after two seconds. `units`: {name: unit} of parameters and results.
+    - `function`: takes the parameters by name, or one dict. It must be pure and for a single
+      scene; random numbers come from `jax.random` and a parameter `seed`. It returns a number, a
+      word, an array, a dict of these, or a granjax result, always with equal names and shapes.
+      Traceable functions are compiled for many points at a time, with lanes last; words stay
+      static, and whole numbers if they set a size. Others (breathers, fits, shocks) are called
+      point by point.
+    - `parameters`: {name: values}, numbers or words, for all combinations; `gx.sweeps.paired` for
+      lists entry by entry; or a list of dicts.
+    - `store`: a folder or fsspec URL (`"s3://bucket/map.zarr"`) of a zarr store, which
+      `xarray.open_zarr` reads at any time. The same call resumes after an interruption.
+    - `chunk`: points at a time. They share a default step, that of the stiffest, so that results
+      depend on `chunk` by rounding and integration errors. `None`: 64 to 256, or as in the store.
+    - `executor`: of `concurrent.futures`, or a Dask client. `None`: threads for compiled functions,
+      one per core.
+    - `progress`: show a bar with the time left after two seconds.
+    - `units`: {name: unit} of parameters and results.
 
-    A point that is refused, raises, does not complete or gives what is not finite has a sentence in `reason` and NaN;
-    the others stand.
+    A point that fails (invalid scene, error, incomplete run, non-finite result) has its reason in
+    `reason`, and NaN if it gave no result; the others are unaffected.
 
-    **Returns:** an `xarray.Dataset` over the parameters, with units, and the versions and an `outcome` as attributes.
-    **Raises** ValueError for parameters that the function does not take, for one that computes something else when it
-    is called again, and for a store of another sweep; RuntimeError where every point failed, or a process of the
-    executor died.
+    **Returns:** an `xarray.Dataset` over the parameters, with units, versions and an `outcome`.
+    **Raises** ValueError for parameters that the function does not take, a function that differs
+    when called again, or the store of another sweep; RuntimeError if every point failed, or a
+    process of the executor died.
 
     **Example:**
 
@@ -139,7 +142,7 @@ def sweep(
 
 
 def _static(function, keywords, points, shared):
-    """The parameters that are no arrays in a compiled program; `None` where the function holds Python."""
+    """Return the static parameters of a compiled program; `None` if tracing fails."""
     words = tuple(name for name, x in points.axes.items() if x.dtype.kind == "U")
     sizes = tuple(name for name, x in points.axes.items() if x.dtype.kind in "Uiub")
     first = {name: x[:1] for name, x in points.axes.items()}
@@ -155,7 +158,6 @@ def _static(function, keywords, points, shared):
 
 
 def _chunk(root, chunk, points, static):
-    """The points of a chunk along each axis of the design."""
     there = None if root is None else opened(root)
     if chunk is None and there is not None and "sweep" in there.attrs:
         kept = json.loads(there.attrs["sweep"])["chunk"]
@@ -171,7 +173,7 @@ def _chunk(root, chunk, points, static):
         room = whole("chunk", chunk, 1)
     shape = []
     for name, n in zip(reversed(points.dims), reversed(points.shape)):
-        # a program for each value of a static parameter
+        # Each value of a static parameter needs its own program.
         size = 1 if name in (static or ()) else min(n, room) if chunk else -(-n // -(-n // room))
         shape.insert(0, size)
         room = max(room // size, 1)
@@ -179,7 +181,7 @@ def _chunk(root, chunk, points, static):
 
 
 def _results(task, function, executor, values):
-    """(number, chunk) as they are finished; what has not begun is taken back when something goes wrong."""
+    """Yield (number, chunk) as they finish; after an error, cancel pending ones."""
     mine, workers = executor is None, cores()
     if mine and (
         task.static is None or min(workers, len(values)) < 2 or jax.default_backend() != "cpu"
