@@ -652,3 +652,12 @@ def test_a_breather_of_an_odd_force_whose_second_harmonic_would_be_a_wave():
     assert_allclose(half, -start, rtol=0, atol=1e-9)
     with refused("n = 2: 2 omega = 1.6 lies in the band"):
         gx.breathers.breather(on_sites(gx.Polynomial(1.0, 0.1, -0.1), sites=21), omega)
+
+
+def test_a_hardening_chain_has_breathers_above_its_band():
+    """The family comes from the highest mode below the frequency, which rises with the energy."""
+    family = gx.breathers.family(gx.scenes.fput(16, 0.0, 1.0), until=2.2, stability=False)
+    assert family.omega[0] == pytest.approx(2 * np.sin(np.pi * 16 / 34), abs=1e-5)
+    assert family.omega[-1] == 2.2 and np.all(np.diff(family.energy) > 0)
+    u = np.asarray(family.orbit(-1).state.u)
+    assert np.all(u[:-1] * u[1:] < 0) and np.abs(u[0]) < 0.01 * np.abs(u).max()
