@@ -222,7 +222,7 @@ def test_every_kind_of_result_goes_out_and_comes_back(kind, tmp_path):
         x = next((data.get(y) for y in (held.name or name, f"{name}_real") if y in data), None)
         if wanted and x is not None:
             assert {x.split("_")[0] for x in wanted} <= {axis.split("_")[0] for axis in x.dims}
-            assert name in kind.exported or x.attrs["long_name"] == held.doc
+            assert name in kind.exported or x.attrs["description"] == held.doc
     assert comes_back(result.save(tmp_path / "result.nc"), data)
 
 

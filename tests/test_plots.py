@@ -158,6 +158,13 @@ def test_the_scale_bar_has_the_height_that_it_names(ax):
     assert ax.texts[0].get_text() == "velocity 2 m/s"
 
 
+def test_a_trace_of_one_site_and_of_none(ax, record):
+    plots.traces(record.ts, record.vs, 2, ax)
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), record.vs[:, 2])
+    with refused("sites: expected whole numbers within"):
+        plots.traces(record.ts, record.vs, 1000, ax)
+
+
 def test_traces_laid_over_each_other_have_a_legend(ax, record):
     plots.traces(
         record.ts,

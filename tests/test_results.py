@@ -49,8 +49,8 @@ def test_a_result_has_named_axes_units_and_an_origin(sample):
 
 def test_a_field_says_what_it_is_once(sample):
     data = sample.to_xarray()
-    assert data.time.attrs == {"units": "s", "long_name": "The times."}
-    assert data.u_bead.attrs["long_name"] == "The displacements."
+    assert data.time.attrs == {"units": "s", "long_name": "time", "description": "The times."}
+    assert data.u_bead.attrs["description"] == "The displacements."
     told = "- `roots` (root): The roots."
     assert told in Sample.__doc__ and "- `ts` (time) [s]: The times." in Sample.__doc__
 

@@ -484,3 +484,13 @@ def test_scaled_vectors_turn_with_their_bonds():
     a = chain.acceleration(0.0, *units.state_to_si(gx.State(u, v)))
     scaled_a = small.acceleration(0.0, u, v)
     assert_allclose(a / units.acceleration, scaled_a, atol=1e-11 * float(jnp.abs(scaled_a).max()))
+
+
+def test_a_law_of_several_parts_fits_a_chain():
+    law = gx.PowerLaw(1.0, 1.0, 0.0) + gx.PowerLaw(2.0, 3.0, 0.0)
+    chain = gx.scenes.chain(6, 1.0, law, boundary="free")
+    assert_allclose(chain.force(0.0, jnp.zeros(6).at[0].set(0.5), chain.zeros())[1], 0.75)
+    each = gx.Hertz(np.ones(5)) + gx.Linear(1.0)
+    assert gx.scenes.chain(6, 1.0, each, boundary="free").shape == (6,)
+    with refused("Hertz.stiffness"):
+        gx.scenes.chain(7, 1.0, each, boundary="free")

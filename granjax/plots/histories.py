@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
 from matplotlib.ticker import MaxNLocator
 
-from ..checks import one_of, positive, within
+from ..checks import one_of, positive, refuse, within
 from ..types import Parameter, Scalar
 from .arrays import Samples, frames_of, history, rising
 from .style import AxesOrNone, add_colour_bar, add_legend, axes_or_new, colour, shown
@@ -166,7 +166,11 @@ def traces(
     qs = frames_of(found.data, "qs")
     by_time = shown("time", found.ts, "s", found.units)
     ts = by_time(rising("ts", found.ts, len(qs)))
-    sites = np.arange(qs.shape[1])[slice(None) if sites is None else np.asarray(sites)]
+    count = qs.shape[1]
+    sites = np.arange(count) if sites is None else np.atleast_1d(np.asarray(sites))
+    if sites.dtype.kind not in "iub" or np.any((sites < -count) | (sites >= count)):
+        refuse("sites", f"whole numbers within {-count} ... {count - 1}", repr(sites.tolist()))
+    sites = np.arange(count)[sites]
     chosen = qs[:, sites]
     by = shown(found.label, chosen, found.unit, found.units)
     chosen = by(chosen)

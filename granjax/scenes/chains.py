@@ -84,11 +84,12 @@ def check_each(count: int, what: str, **parameters: Parameter | None) -> None:
 
 def fitting(law: Any, count: int, what: str) -> Any:
     """Return the law after checking its parameters with `check_each`."""
-    kind = type(law)
-    # A user-defined law may have arrays of other shapes.
-    if kind.__module__.startswith("granjax."):
-        arrays = {name.removeprefix("_free_"): x for name, x in vars(law).items() if np.shape(x)}
-        check_each(count, what, **{f"{kind.__name__}.{name}": x for name, x in arrays.items()})
+    for part in law.parts:
+        kind = type(part)
+        # A user-defined law may have arrays of other shapes.
+        if kind.__module__.startswith("granjax."):
+            own = {name.removeprefix("_free_"): x for name, x in vars(part).items() if np.shape(x)}
+            check_each(count, what, **{f"{kind.__name__}.{name}": x for name, x in own.items()})
     return law
 
 
