@@ -1,7 +1,7 @@
 """A shock absorber: a tapered chain spreads a blow
 
-A blow runs through twenty beads to a wall. In a taper whose beads shrink, with a small bead after every large one,
-the pulse breaks into many, and the largest force on the wall is a fraction of what equal beads pass.
+A blow travels along twenty beads to a wall. In a tapered chain the beads shrink, and a small bead follows every large
+one. The pulse breaks into many pulses, and the largest force on the wall is a fraction of the force behind equal beads.
 
 :systems: shock absorber
 :part: Devices

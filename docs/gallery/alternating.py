@@ -1,7 +1,8 @@
 """Contacts that soften and harden in turn: a breather in the gap
 
-Exponents 3/2 and 1/2 alternate along a chain of equal masses, so that its stiffnesses do too and a gap opens. Just
-below the upper band a bright breather stands in it, whose tail falls by the rate of a linear wave at its frequency.
+The exponents 3/2 and 1/2 alternate along a chain of equal masses, so the stiffnesses alternate too and a gap opens. A
+bright breather exists in the gap just below the upper band. Its tail decays at the rate of a linear wave at the same
+frequency.
 
 :systems: alternating softening and hardening
 :part: Beyond the granular chain

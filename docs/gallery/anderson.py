@@ -1,7 +1,8 @@
 """Anderson localisation: in a disordered chain every wave decays
 
-Masses vary at random by 20 %. A wave of any frequency decays along the chain, the faster the higher its frequency;
-long waves reach furthest. Where neighbours deviate oppositely, long waves reach further still. Lines: weak disorder.
+The masses vary at random by 20 %. A wave of any frequency decays along the chain, and it decays faster the higher its
+frequency; long waves reach furthest. If neighbouring masses deviate in opposite directions, long waves reach further
+still. The lines are the theory of weak disorder.
 
 :systems: Anderson localisation
 :part: Disorder and losses

@@ -1,7 +1,8 @@
 """Aubry and Andre: a quasi-periodic chain localises all at once
 
-The springs to the ground vary as a cosine that never repeats itself. Below V = 2K each wave reaches over the whole
-chain; above, every one is localised, all with the same length 1/log(V/2K), without any disorder.
+The stiffness of the springs to the ground varies as a cosine whose period is incommensurate with the lattice. Below V =
+2K every mode extends over the whole chain. Above it every mode is localised, all with the same length 1/log(V/2K),
+without any disorder.
 
 :systems: quasi-periodic chain (Aubry-Andre)
 :part: Topology and flat bands

@@ -1,7 +1,8 @@
 """A breather in two dimensions, from the limit of no coupling
 
-One site of a square of hardening oscillators swings by itself while nothing couples them. Followed over the coupling
-it stays there, above the frequencies of all waves, its neighbours moving against it.
+In the limit of no coupling, one site of a square lattice of hardening oscillators oscillates and all others are at
+rest. When the coupling is increased, the breather stays on this site, at a frequency above those of all waves, and its
+neighbours move in the opposite direction.
 
 :systems: breathers in two dimensions
 :part: The plane

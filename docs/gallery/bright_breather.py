@@ -1,7 +1,8 @@
 """A bright breather from rest: a shaken dimer that is let go
 
-One end of a steel and aluminium chain is shaken at the lower edge of its optical band. The wave that fills the chain is
-modulationally unstable, breaks up, and leaves a breather whose frequency has sunk into the gap. The wall then stops.
+One end of a steel and aluminium chain is driven at the lower edge of its optical band. The wave that fills the chain is
+modulationally unstable. It breaks up and leaves a breather whose frequency has dropped into the gap. Then the wall
+stops.
 
 :systems: breathers in a dimer, driven and damped chain
 :part: Breathers
@@ -29,7 +30,7 @@ overlap = float(jnp.mean(chain.terms[0].law.rest_overlap[1:-1]))
 
 
 def run(amplitude, state, periods):
-    """Shake the left wall; the run with all frames, and the share of the energy after each period."""
+    """Drive the left wall. Return the run with all frames and the localised share of energy after each period."""
     shaken = gx.driven.driven_chain(chain, amplitude, omega, ends="left", damping=1 / 0.2)
     run = gx.simulate(
         shaken,
@@ -47,13 +48,13 @@ def run(amplitude, state, periods):
 driven, before = run(0.175 * overlap, gx.states.rest(chain), 105)
 free, after = run(0.0, driven.final, 300)
 number = float(after[-100:].min())
-# of the bead with most kinetic energy: the highest line of its spectrum
+# the highest spectral line of the bead with the largest kinetic energy
 last = np.asarray(free.vs)[-200 * steps :]
 v = last[:, np.argmax(np.asarray(chain.mass) * (last**2).mean(0))]
 padded = np.abs(np.fft.rfft(v * np.hanning(len(v)), 16 * len(v)))
 frequency = np.argmax(padded) / (16 * len(v)) / (period / steps)
 assert number > 0.5 and gap[0] < frequency < 0.99 * gap[1]
-# not while the drive is on: the wave fills the chain first
+# the energy is not localised during the drive, because the wave fills the chain first
 assert before[52:].min() < 0.4
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 ax.plot(np.arange(105), before, label="driven")

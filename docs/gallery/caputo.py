@@ -1,7 +1,8 @@
 """Caputo's derivative in time: relaxation with a memory
 
-Relaxation of fractional order, D^a y = -y, remembers all of its past: it begins faster than an exponential and then
-falls as the power t^(-a). The curves are the simulation, the dots Mittag-Leffler's function.
+The relaxation equation of fractional order, D^a y = -y, has a memory of its whole past. The solution begins faster than
+an exponential and then decays as the power t^(-a). The curves are the simulation, the dots are the Mittag-Leffler
+function.
 
 :systems: Caputo derivative in time
 :part: Beyond the granular chain

@@ -1,8 +1,9 @@
 """Breathers that live on two sites alone
 
-In a diamond chain with a cubic force at each site, the two middle sites of a square that move against each other leave
-all others at rest, exactly, at every amplitude: each moves as if it were alone (line). Their frequencies may lie
-among those of the waves (grey); the Floquet multipliers tell which are stable (dots) and which not (crosses).
+A diamond chain has a cubic force at each site. The two middle sites of one square move against each other. All other
+sites stay exactly at rest at every amplitude, and each of the two moves like a single oscillator (line). The
+frequencies may lie inside the bands of the waves (grey). The Floquet multipliers tell which breathers are stable (dots)
+and which are unstable (crosses).
 
 :systems: compact nonlinear breathers
 :part: Topology and flat bands
@@ -21,7 +22,9 @@ import granjax as gx
 chain = gx.scenes.diamond(6, ground=0.5, on_site=gx.Polynomial(0.0, 0.0, 1.0))
 pair = gx.linear.flat_bands(chain).state(chain)
 swing = np.array([0.3, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6, 3.0])
-alone = np.pi / 2 * np.sqrt(4.5 + swing**2) / ellipk(swing**2 / (9 + 2 * swing**2))  # of one site
+alone = (
+    np.pi / 2 * np.sqrt(4.5 + swing**2) / ellipk(swing**2 / (9 + 2 * swing**2))
+)  # the frequency of one site alone
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 ax.axhspan(*np.sqrt(4.5 + np.array([-1, 1]) * 8**0.5), color="0.9")
 ax.plot(swing, alone, color="0.4", label="one site alone")

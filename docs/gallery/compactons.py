@@ -1,7 +1,8 @@
 """Compactons beside the exact solitary wave of a sonic vacuum
 
-Two long-wave equations give waves that end: Nesterenko's, 5 % too high, and that of Ahnert and Pikovsky, 3 % too low.
-The exact wave has a tail that falls doubly exponentially, faster than any exponential, and never ends (inset).
+Two long-wave equations have solitary waves of finite support. Nesterenko's compacton is 5 % too high, that of Ahnert
+and Pikovsky 3 % too low. The exact wave has a tail that decays doubly exponentially, faster than any exponential, and
+never ends (inset).
 
 :systems: compactons
 :part: Travelling waves

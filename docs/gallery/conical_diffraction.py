@@ -1,7 +1,7 @@
 """Conical diffraction: a ring from a Dirac point
 
-A packet of waves at the corner K of a honeycomb's zone, where two bands meet in a cone, spreads as a ring of constant
-width: all its waves have the same speed, whatever their direction.
+At the corner K of a honeycomb's Brillouin zone two bands meet in a cone. A wave packet at this point spreads as a ring
+of constant width, because all its waves have the same speed in every direction.
 
 :systems: conical diffraction
 :part: The plane

@@ -1,7 +1,8 @@
 """A quadrupole lattice holds a state in each corner
 
-Squares of four sites, with one negative spring each and stiffer springs between the squares than within them. Bulk and
-edges have gaps; four states remain in the middle, one in each corner. The nested Zak phases (1/2, 1/2) foretell them.
+The lattice consists of squares of four sites, each with one negative spring; the springs between the squares are
+stiffer than those within them. The bulk and the edges have gaps. Four states remain in the middle of the gap, one in
+each corner. The nested Zak phases (1/2, 1/2) predict them.
 
 :systems: corner states
 :part: Topology and flat bands

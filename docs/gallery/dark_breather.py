@@ -1,7 +1,7 @@
 """A dark breather: a gap in a vibrating chain
 
-In a chain of equal beads all vibrate against their neighbours, but for a dip in the middle, where the phase turns
-over. Hertz contacts have only such breathers, below the upper edge of the band.
+In a chain of equal beads all beads oscillate against their neighbours, except for a dip in the middle, where the phase
+jumps by half a period. Chains with Hertz contacts have only breathers of this kind, below the upper edge of the band.
 
 :systems: dark breathers in a monomer
 :part: Breathers

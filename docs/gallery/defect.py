@@ -1,7 +1,7 @@
 """A light bead holds a mode above the band
 
-One bead of mass 0.6 in a chain of equal beads: its mode lies above all waves, which are shaded, and falls by the same
-factor from bead to bead.
+One bead of mass 0.6 in a chain of equal beads has a localised mode. Its frequency lies above the band of the waves,
+which is shaded, and its amplitude falls by the same factor from bead to bead.
 
 :systems: defect modes
 :part: Breathers

@@ -1,7 +1,7 @@
 """Design by gradients: masses that put a gap where it is wanted
 
-Beads of two masses alternate. By the derivatives of the band edges with respect to the masses, the gap is moved to
-between 0.9 and 1.6 (shaded): the dispersion before (dashed) and after.
+Beads of two masses alternate. The derivatives of the band edges with respect to the masses are used to move the gap to
+between 0.9 and 1.6 (shaded). The figure shows the dispersion before (dashed) and after.
 
 :systems: gradients and design
 :part: Data

@@ -1,8 +1,8 @@
 """A dimer chain without precompression: resonances and anti-resonances
 
-How much of a blow reaches the wall behind 101 beads, heavy and light in turn, depends on their mass ratio: at a
-resonance (dashed) the light beads rattle and keep four fifths, at an anti-resonance (dotted) the pulse loses nothing
-on its way, once the first beads have made it.
+Heavy and light beads alternate in a chain of 101 beads that ends at a wall. How much of a blow reaches the wall depends
+on the mass ratio. At a resonance (dashed) the light beads rattle and retain four fifths. At an anti-resonance (dotted)
+the pulse loses nothing on its way after the first beads have formed it.
 
 :systems: dimer
 :part: Travelling waves

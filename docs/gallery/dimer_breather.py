@@ -1,7 +1,7 @@
 """A breather in the gap of a dimer chain
 
-Beads that swing in one place and nowhere else, at a frequency between the bands of a precompressed steel and
-aluminium chain. The energy stays on a few light beads; the two halves of the chain are pushed apart.
+In a precompressed steel and aluminium chain a few beads oscillate in one place, at a frequency between the bands. The
+energy stays on a few light beads, and the two halves of the chain are pushed apart.
 
 :systems: breathers in a dimer
 :part: Breathers

@@ -1,7 +1,7 @@
 """Fronts of a chain with dashpots
 
-Dashpots between the beads turn a dispersive shock into a front that keeps its shape. Behind it the strain oscillates,
-and above a critical damping it does not.
+Dashpots between the beads turn a dispersive shock into a front that keeps its shape. The strain behind the front
+oscillates, unless the damping is above a critical value.
 
 :systems: dissipative shock fronts
 :part: Shocks

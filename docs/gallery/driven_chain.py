@@ -1,8 +1,8 @@
 """A shaken chain: the resonance leans over and folds
 
-Five precompressed beads, damped, one of the walls shaken near the highest mode. Hertz contacts soften, so the
-resonance leans to lower frequencies; between its two folds there are three motions, of which the middle one is
-unstable (crosses). A short piece of the upper one has doubled its period.
+Five precompressed, damped beads lie between two walls, one of which is driven near the highest mode. Hertz contacts
+soften, so the resonance bends towards lower frequencies. Between its two folds there are three periodic motions, and
+the middle one is unstable (crosses). On a short piece of the upper branch the period has doubled.
 
 :systems: driven and damped chain
 :part: Breathers

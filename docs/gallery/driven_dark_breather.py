@@ -1,7 +1,8 @@
 """A dark breather from rest: two shaken walls
 
-Both walls of a steel chain push inwards at the same time, just below the cut-off. The two waves cancel at the middle
-bead, whose neighbours swing against each other: a dark breather. A tenth of the drive makes the arches of a sine.
+Both walls of a steel chain push inwards at the same time, just below the cut-off frequency. The two waves cancel at the
+middle bead, whose neighbours move against each other: a dark breather. A drive with a tenth of the amplitude produces
+the arches of a sine instead.
 
 :systems: dark breathers in a monomer, driven and damped chain
 :part: Breathers
@@ -24,7 +25,7 @@ assert abs(float(A) / 1.0114e10 - 1) < 1e-4 and abs(highest - 7350.3) < 0.1
 
 
 def settled(amplitude, phase=(0.0, np.pi)):
-    """Shake both walls at 7290 Hz from rest until the motion repeats."""
+    """Drive both walls at 7290 Hz from rest until the motion repeats."""
     omega = 2 * np.pi * 7290
     driven = gx.driven.driven_chain(chain, amplitude, omega, damping=1 / 5e-3, phase=phase)
     return gx.driven.settle(
@@ -36,12 +37,12 @@ dark, arches = settled(0.2e-6), settled(0.02e-6)
 u, v, speed = (np.asarray(x) for x in (dark.us, dark.vs, dark.amplitude))
 number = 1e3 * float(np.sqrt((v**2).mean()))
 background = speed[np.abs(np.arange(21) - 10) > 5].mean()
-# at rest in the middle, half of the background 1.8 sites away, the ends at 0.89 of the largest speed
+# at rest in the middle; half of the background 1.8 sites away; the ends reach 0.89 of the largest speed
 half = 10 + np.argmax(speed[10:] > background / 2)
 width = 2 * (half - 11 + (background / 2 - speed[half - 1]) / (speed[half] - speed[half - 1]))
 assert dark.multiple == 1 and speed[10] < 1e-6 * background and abs(width - 3.678) < 0.01
 assert abs(background / 0.01111 - 1) < 1e-3 and speed[0] > 0.88 * speed.max()
-# neighbours swing against each other; one frequency: what lies at its multiples is below half a percent
+# neighbours move in opposite directions, with one frequency: its harmonics are below half a percent
 pairs = (v[:, :-1] * v[:, 1:]).mean(0) / np.sqrt((v**2).mean(0)[:-1] * (v**2).mean(0)[1:])
 assert np.delete(pairs, [9, 10]).mean() < -0.99
 spectrum = np.abs(np.fft.rfft(v, axis=0))[:: len(v) // 48]

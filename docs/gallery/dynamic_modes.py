@@ -1,8 +1,8 @@
 """Dynamic modes: frequencies of a chain from two of its masses
 
-A chain of Su, Schrieffer and Heeger swings at random, and the first masses of two cells are watched. Without any
-model the decomposition of the delayed snapshots, by PyDMD, finds all twenty frequencies, with the two in the gap,
-which are a thousandth apart.
+A Su-Schrieffer-Heeger chain moves at random, and only the first masses of two cells are observed. Without a model,
+dynamic mode decomposition of the delayed snapshots by PyDMD finds all twenty frequencies. These include the two
+frequencies in the gap, which differ by a thousandth.
 
 :systems: dynamic mode decomposition
 :part: Data
@@ -24,7 +24,7 @@ run = gx.simulate(
     chain, gx.states.random(chain, seed=0), 120.0, save_at=401, solver=gx.SRKN14a(), step=0.05
 )
 seen = np.asarray(run.us["a"])[:, :2]
-# snapshots lie along the last axis, each stacked with the 149 that follow; twenty frequencies need forty modes
+# snapshots along the last axis, each stacked with the next 149; twenty frequencies need forty modes
 found = hankel_preprocessing(DMD(svd_rank=40, exact=True), d=150).fit(seen.T)
 omega = np.log(found.eigs).imag / 0.3
 omega = np.sort(omega[omega > 1e-3])

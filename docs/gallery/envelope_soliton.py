@@ -1,7 +1,7 @@
 """An envelope soliton: the sech of the NLS equation on a lattice
 
-Put on a chain whose contacts soften, the envelope's bright soliton (line) swings above the band and stays where it
-is. After 100 periods the strains (dots) still fill it.
+On a chain whose contacts soften, the bright soliton of the NLS equation (line) oscillates above the band and stays
+where it is. After 100 periods the strains (dots) still fill this envelope.
 
 :systems: envelope solitons (NLS)
 :part: Breathers

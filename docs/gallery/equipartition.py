@@ -1,8 +1,8 @@
 """Equipartition: the energy of the alpha chain does not come back for ever
 
-At a small energy the first mode of the FPUT chain has its energy again and again. At a larger one the returns are
-lost: the energy spreads over all modes, and the entropy of its shares comes to that of thermal equilibrium. That is
-less than ln N, by 0.39 for 15 modes, since energies fluctuate.
+At a small energy the first mode of the FPUT chain recovers its energy again and again. At a larger energy these
+recurrences are lost: the energy spreads over all modes, and the entropy of their shares approaches that of thermal
+equilibrium. This entropy is less than ln N, by 0.39 for 15 modes, because the energies fluctuate.
 
 :systems: FPUT chain
 :part: Thermal chains and chaos

@@ -1,4 +1,4 @@
-"""The gallery: one small script for each system, with its picture and one number beside what is expected of it.
+"""The gallery: one small script for each system, with its picture and one number beside the expected value.
 
 `python docs/gallery/examples.py NAME ...` runs some, or with no name all, and keeps pictures, numbers and times for the
 site (`pictures/`, `made.json`); the site's build runs none of them.
@@ -39,15 +39,15 @@ class Example(NamedTuple):
 
     @property
     def lines(self) -> int:
-        """Lines of code, without empty ones."""
+        """The number of lines of code, without empty lines."""
         return sum(bool(line.strip()) for line in self.code.splitlines())
 
     def agrees(self, number: float) -> bool:
-        """Whether a number is what is expected."""
+        """Return whether a number is as expected."""
         return abs(number - self.expected) <= self.within
 
     def run(self) -> dict:
-        """What the script leaves."""
+        """Run the script and return its namespace."""
         path = HERE / f"{self.name}.py"
         space = {"__name__": self.name, "__file__": str(path)}
         exec(compile(path.read_text(), str(path), "exec"), space)
@@ -55,7 +55,7 @@ class Example(NamedTuple):
 
 
 def read(path: Path) -> Example:
-    """An example from its file."""
+    """Read an example from its file."""
     text = path.read_text()
     _, words, code = text.split('"""', 2)
     fields = dict(re.findall(r"^:(\w+): (.*)$", words, re.M))
@@ -81,7 +81,7 @@ def read(path: Path) -> Example:
 
 
 def every() -> dict[str, Example]:
-    """All examples by name."""
+    """Return all examples by name."""
     own = Path(__file__).name
     return {path.stem: read(path) for path in sorted(HERE.glob("*.py")) if path.name != own}
 
@@ -96,7 +96,7 @@ def systems() -> list[str]:
 
 
 def make(example: Example) -> dict:
-    """Run an example and keep its picture; its number and the seconds it took."""
+    """Run an example and save its picture. Return its number and the seconds that it took."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -113,12 +113,12 @@ def make(example: Example) -> dict:
 
 
 def main(names: list[str]) -> int:
-    """Run examples by name; 1 where a number is not what is expected."""
+    """Run examples by name. Return 1 if a number is not as expected, else 0."""
     known, wrong = every(), 0
     for name in names or known:
         one = known[name]
         made = make(one)
-        # read again: others may have written since
+        # read the table again: another process may have written it since
         table = json.loads(MADE.read_text()) if MADE.exists() else {}
         MADE.write_text(json.dumps({**table, name: made}, indent=1, sort_keys=True) + "\n")
         verdict = "agrees" if one.agrees(made["number"]) else "DIFFERS"

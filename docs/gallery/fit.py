@@ -1,7 +1,7 @@
 """A fit of measured traces: stiffness and load of a chain
 
-Two noisy velocities of a chain that was struck are fitted by a simulation, with its derivatives. A blow that is
-strong enough to feel the nonlinearity tells stiffness and load apart, which weak waves know only together.
+A simulation is fitted, with its derivatives, to two noisy velocities of a chain that was struck. Weak waves determine
+only a combination of stiffness and load. A blow that is strong enough to be nonlinear determines both.
 
 :systems: fits of measured traces
 :part: Data

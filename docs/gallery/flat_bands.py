@@ -1,7 +1,7 @@
 """Flat bands of chains: sawtooth, stub and diamond
 
-Where two ways to a site cancel, a wave cannot leave: one band is flat, and its energy stays on two or three sites.
-Lines are the bands of the spring chains, dots the closed forms Omega^2 - E of the hopping models.
+If the contributions of two paths to a site cancel, a wave cannot leave. One band is then flat, and its energy stays on
+two or three sites. Lines are the bands of the spring chains, dots the closed forms Omega^2 - E of the hopping models.
 
 :systems: flat bands of chains
 :part: Topology and flat bands

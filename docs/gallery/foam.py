@@ -1,7 +1,7 @@
 """Foam and tensegrity: sound slows down as the load grows
 
-Open-cell foam and tensegrity prisms can soften under compression, F = A d^p with p < 1. The heavier such a chain is
-loaded, the slower is its sound, c = (p/m)^(1/2) A^(1/2p) F0^((1 - 1/p)/2): the opposite of a chain of beads.
+Open-cell foam and tensegrity prisms can soften under compression, F = A d^p with p < 1. The larger the load on such a
+chain, the slower its sound, c = (p/m)^(1/2) A^(1/2p) F0^((1 - 1/p)/2). In a chain of beads the opposite holds.
 
 :systems: foam, tensegrity
 :part: Beyond the granular chain

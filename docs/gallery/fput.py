@@ -1,7 +1,7 @@
 """Fermi, Pasta, Ulam and Tsingou: the energy comes back
 
-All energy starts in the longest mode of 31 masses between cubic springs (alpha = 1/4), spreads over a few modes, and
-returns to the first at t = 9376, after 146 of its periods.
+All energy starts in the longest mode of 31 masses between springs with a quadratic force term (alpha = 1/4). It spreads
+over a few modes and returns to the first mode at t = 9376, after 146 of its periods.
 
 :systems: FPUT chain
 :part: Lattices

@@ -1,7 +1,8 @@
 """Fractional chains: every site feels every other at once
 
-The second difference of a chain of Fermi, Pasta, Ulam and Tsingou becomes a power s of itself, whose weights fall as
-m^(-1-2s). A blow at one end runs out in a cone, but ahead of it a part is everywhere at once, an algebraic precursor.
+In a chain of Fermi, Pasta, Ulam and Tsingou the second difference is replaced by its power s, whose weights decay as
+m^(-1-2s). A blow at one end spreads in a cone. In addition a small part appears at once at all sites ahead of the cone,
+an algebraic precursor.
 
 :systems: fractional chains
 :part: Beyond the granular chain

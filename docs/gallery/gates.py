@@ -1,8 +1,8 @@
 """A switch and logic gates made of beads
 
-Sines in the gap of a chain under load do not pass. Two of them together do: the contacts make their difference in
-frequency, which lies in the band. So a threshold on what comes out reads "both": AND; and one signal switches the
-other. Signals in the band pass each by itself: OR.
+Sinusoidal signals in the gap of a chain under load do not pass. Two of them together do: the nonlinear contacts
+generate their difference frequency, which lies in the band. A threshold on the output therefore makes an AND gate, and
+one signal can switch the other. Signals in the band pass individually, which makes an OR gate.
 
 :systems: switch and logic gates
 :part: Devices
@@ -38,12 +38,12 @@ def last_squared(t, y, lattice):
 
 
 def outputs(chain, amplitudes, omegas):
-    """Rms velocity of the last bead in both halves of the watch, and over it, with what half the step changes too."""
+    """Return the last bead's rms velocity in each half of the window and in all of it, and its error."""
     still = gx.driven.driven_chain(chain, 0.0, 1.0, ends="left", damping=1 / 1.75e-3)
     wall = lambda a, w: eqx.tree_at(lambda c: c.terms[-2].motion, still, Signals(a, w))
     lanes = jax.vmap(wall, out_axes=-1)(amplitudes, omegas)
     found = []
-    for steps in (12, 24):  # per period of the fastest signal
+    for steps in (12, 24):  # steps per period of the fastest signal
         state, step = gx.states.rest(lanes), 2 * np.pi / omegas.max() / steps
         for begin, end in ((0.0, 20e-3), (20e-3, 30e-3), (30e-3, 40e-3)):
             run = gx.simulate(
@@ -70,10 +70,10 @@ halves, output, error = outputs(steel, amplitudes, omegas)
 number = 1e3 * float(halves[0, 3])
 low, high = output - error, output + error
 AND, OR, on, alone = (slice(a, b) for a, b in ((0, 4), (4, 8), (8, 17), (17, 26)))
-# a threshold that reads AND may vary by a factor of forty, none reads XOR, one of 0.1 mm/s reads OR
+# the threshold for AND may vary by a factor of forty, none gives XOR, one of 0.1 mm/s gives OR
 assert low[3] > 40 * high[:3].max() and low[1:3].min() < high[3]
 assert ((output[OR] > 1e-4) == rows.any(1)).all() and low[OR][1:].min() > 5e-4
-# the signal is switched, the control alone does not come through; half of the largest is passed at 112 nm
+# the control switches the signal but does not pass alone; the output is half its maximum at 112 nm
 assert (high[alone][1:] < 0.04 * output[on][1:]).all() and low[on][8] > 250 * high[on][0]
 half = output[on][8] / 2 + np.array([-1, 1]) * error[on][8] / 2
 assert (

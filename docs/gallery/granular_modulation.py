@@ -1,8 +1,8 @@
 """Waves inside a granular shock, as Whitham's equations of the contact law have them
 
-Between its edges a dispersive shock is a train of periodic waves that changes slowly. Whitham's modulation equations of
-the waves of the contact law itself, solved without a closed form (lines), and what is measured of a chain in windows
-(dots), which tends to them like 1/t.
+Between its edges a dispersive shock is a train of periodic waves that changes slowly. The lines are the solution of
+Whitham's modulation equations for the waves of the contact law itself, obtained without a closed form. The dots are
+measured in windows of a chain, and approach the lines like 1/t.
 
 :systems: granular dispersive shock
 :part: Shocks
@@ -20,7 +20,7 @@ law = gx.Hertz(2 * 2**0.5 / 3, precompression=1 / 3)
 theory = gx.shocks.whitham(law, 0.5)
 number = theory.trailing_speed
 chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=620)
-# a piston makes one half of the shock of two colliding halves
+# a piston produces one half of the shock of two colliding half-chains
 run = gx.shocks.piston(chain, 1.0).run(500.0)
 measured = gx.shocks.measure(run)
 ax, axes = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained")

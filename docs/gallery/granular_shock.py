@@ -1,8 +1,8 @@
 """A dispersive shock of a granular chain between its edges
 
-Two halves of a precompressed chain collide. Whitham's modulation equations of the chain's own periodic waves say where
-the oscillation begins and ends (lines) and what it leaves behind; dispersive-shock fitting, which asks for the speed of
-sound on either side alone, says nearly so (dashed).
+Two halves of a precompressed chain collide. Whitham's modulation equations of the chain's own periodic waves predict
+where the oscillation begins and ends (lines) and the plateau that it leaves behind. Dispersive-shock fitting, which
+needs only the speed of sound on either side, predicts nearly the same edges (dashed).
 
 :systems: granular dispersive shock
 :part: Shocks

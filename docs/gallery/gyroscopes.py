@@ -1,7 +1,8 @@
 """Gyroscopes on a honeycomb: sound that runs one way around the edge
 
-Beads on a honeycomb, tied to their places, each with a gyroscopic force g (v_y, -v_x): no force of masses and springs
-gives a band a Chern number, this one does. In the middle gap of a strip one mode runs along either edge, each one way.
+Beads on a honeycomb are tied to their places, and a gyroscopic force g (v_y, -v_x) acts on each. Masses and springs
+alone cannot give a band a Chern number; this force can. In the middle gap of a strip one mode runs along each edge, in
+one direction only.
 
 :systems: valley edge modes
 :part: Topology and flat bands

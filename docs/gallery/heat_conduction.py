@@ -1,7 +1,7 @@
 """Heat conduction: the conductivity of a chain grows with its length
 
-A chain that keeps its momentum has no Fourier law: its conductivity grows like a power of its length. Chains of the
-beta kind stand between two heat baths; their flux over the gradient of their middle half is stored
+A chain that conserves momentum does not obey Fourier's law: its conductivity grows as a power of its length. FPUT-beta
+chains are placed between two heat baths. Their flux divided by the gradient in their middle half is stored
 (`stored/conductivity.py`, some 20 minutes).
 
 :systems: FPUT chain

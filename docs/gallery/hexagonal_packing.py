@@ -1,7 +1,8 @@
 """A struck hexagonal packing: the front spreads and falls
 
-One bead in the middle of a hexagon of beads that just touch is struck to the right. What stays together in a chain
-spreads here: forces (lines) run out along the rows, and the velocity of the front falls as a power of the distance.
+One bead in the middle of a hexagon of beads that just touch is struck to the right. A pulse that would stay together in
+a chain spreads here: forces (lines) propagate along the rows, and the velocity of the front decays as a power of the
+distance.
 
 :systems: hexagonal packing
 :part: The plane

@@ -1,7 +1,8 @@
 """Isofrequency contours: where energy goes straight ahead
 
-Contours of one frequency of a square lattice over its zone, with the group velocity at right angles to them. At
-omega^2 = 4K/m (orange) the contour is a square: all its waves carry energy along the diagonals.
+The figure shows contours of constant frequency of a square lattice over its Brillouin zone, with the group velocity at
+right angles to them. At omega^2 = 4K/m (orange) the contour is a square, and all its waves carry energy along the
+diagonals.
 
 :systems: isofrequency contours
 :part: The plane

@@ -1,8 +1,8 @@
 """A pulse at a Y-junction divides
 
-The last bead of a chain touches the first ones of two branches. The pulse goes on into both, each with less than half
-of the force where the branches leave at an angle, and a part comes back. Two branches straight ahead are one chain
-of twice the mass and the stiffness.
+The last bead of a chain touches the first beads of two branches. The pulse continues into both branches and a part is
+reflected. If the branches leave at an angle, each pulse has less than half of the force. Two branches straight ahead
+are equivalent to one chain of twice the mass and the stiffness.
 
 :systems: networks of chains
 :part: The plane

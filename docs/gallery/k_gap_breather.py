@@ -1,7 +1,8 @@
 """A breather of a k-gap: localised in time, spread over space
 
-In a ring whose stiffness is modulated, a wave of the k-gap grows until nonlinearity drives it out of resonance; then
-it shrinks again as it grew. Where a breather in space decays to both sides, this one decays to before and after.
+In a ring whose stiffness is modulated in time, a wave in the k-gap grows until the nonlinearity drives it out of
+resonance; then it decays again at the rate at which it grew. A breather in space decays to both sides; this breather
+decays in time, before and after.
 
 :systems: breathers of k-gaps
 :part: Beyond the granular chain

@@ -1,7 +1,7 @@
 """Kagome and Lieb lattices: a flat band in the plane
 
-Both have a band at one frequency for every wave vector. It is made of states that never leave their sites: in the
-kagome lattice the six sites of a hexagon, with signs in turn.
+Both lattices have a band at one frequency for every wave vector. It consists of states that never leave their sites. In
+the kagome lattice such a state occupies the six sites of a hexagon, with alternating signs.
 
 :systems: kagome and Lieb lattices
 :part: Topology and flat bands

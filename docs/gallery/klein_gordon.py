@@ -1,7 +1,8 @@
 """Klein-Gordon chain: a breather from the limit of no coupling
 
-Each site has a hard force u + u^3 of its own. One of them swings at omega = 1.4, above the band, and is followed from
-no coupling to C = 0.1: its neighbours take part, each exponentially less than the one before.
+Each site has its own hardening on-site force u + u^3. In the limit of no coupling one site oscillates at omega = 1.4,
+above the band. The breather is continued to the coupling C = 0.1: its neighbours then oscillate too, each exponentially
+less than the one before.
 
 :systems: Klein-Gordon chain (phi^4)
 :part: Beyond the granular chain

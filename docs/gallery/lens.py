@@ -1,7 +1,8 @@
 """An acoustic lens: loads that make pulses meet
 
-Eleven chains are struck at once and end on a medium. A pulse takes a time ~ F0^(-1/6), so loads can make up for the
-ways from the chains' ends to a focus: there the pulses meet, and the pressure rises.
+Eleven chains are struck at once and end at a medium. The travel time of a pulse scales as F0^(-1/6), so the loads of
+the chains can compensate for the different distances from their ends to a focus. The pulses meet at the focus, and the
+pressure there rises.
 
 :systems: acoustic lens
 :part: Devices

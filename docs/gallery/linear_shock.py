@@ -1,7 +1,7 @@
 """Two halves of a linear chain collide
 
-Without nonlinearity there is no shock, but the lattice still disperses the front: it spreads with the cube root of
-time, and the strain rings about the plateau. Dots are the simulation, the line is Bessel's sum.
+Without nonlinearity there is no shock, but the lattice still disperses the front. The front widens with the cube root
+of time, and the strain oscillates about the plateau. Dots are the simulation, the line is a sum of Bessel functions.
 
 :systems: linear shock
 :part: Shocks

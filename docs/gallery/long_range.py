@@ -1,7 +1,7 @@
 """Long-range interactions: a breather with an algebraic tail
 
-Springs to all neighbours, weaker as 1/m^3, hold a light mass that swings above the band. Its breather falls off as
-the springs do, and not exponentially as with springs to the next neighbours alone.
+A light mass oscillates above the band in a chain with springs to all neighbours, whose stiffness decays as 1/m^3. The
+breather decays like the springs, and not exponentially as with nearest-neighbour springs alone.
 
 :systems: long-range interactions
 :part: Beyond the granular chain

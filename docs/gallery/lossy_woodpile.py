@@ -1,7 +1,7 @@
 """A woodpile with losses: wave numbers of given frequencies
 
-In the gap above a rod's resonance every wave decays over some rods. With losses, here of a viscoelastic kind with the
-memory of `gx.CaputoDamping`, every wave of any frequency decays; the resonance is where it decays within one rod.
+In the gap above a rod's resonance every wave decays within some rods. With losses, waves of all frequencies decay; here
+the losses are viscoelastic, with the memory of `gx.CaputoDamping`. At the resonance a wave decays within one rod.
 
 :systems: woodpile chain
 :part: Disorder and losses

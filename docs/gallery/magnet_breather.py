@@ -1,8 +1,8 @@
 """Breathers of magnets: an algebraic tail about a light one
 
-In a chain of magnets that all repel each other a light one swings above the band. Its breathers grow out of a
-localised mode, whose tail falls off as the stiffness between two magnets does, r^(-5), and not exponentially as it
-would with next neighbours alone.
+In a chain of magnets that all repel each other a light magnet oscillates above the band. Its breathers start from a
+localised mode. The tail of the mode decays as the stiffness between two magnets, r^(-5), and not exponentially as it
+would with nearest neighbours alone.
 
 :systems: breathers of magnets
 :part: Beyond the granular chain

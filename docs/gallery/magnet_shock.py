@@ -1,7 +1,7 @@
 """Magnets that collide: a dispersive shock without contact
 
-Two halves of a chain of repelling magnets move towards each other. From the middle an undular bore runs out either
-way, led by nearly solitary waves; between them the magnets come to rest, closer together.
+Two halves of a chain of repelling magnets move towards each other. An undular bore runs out from the middle in both
+directions, led by nearly solitary waves. Between the two bores the magnets come to rest, closer together.
 
 :systems: shock waves of magnets
 :part: Beyond the granular chain

@@ -1,7 +1,7 @@
 """Repelling magnets: solitary waves that never let go
 
-Magnets repel each other by F = A d^(-3): without contact, they are never out of touch. Their solitary waves are
-narrow pulses, the narrower and higher the faster they run.
+Magnets repel each other with F = A d^(-3). They act without contact, so the interaction never opens. Their solitary
+waves are narrow pulses, and the faster a wave, the narrower and higher it is.
 
 :systems: repelling magnets
 :part: Beyond the granular chain

@@ -1,8 +1,8 @@
 """Mass-in-mass: a solitary wave that leaves its resonators at rest
 
-A mass on a spring inside every bead takes energy from a pulse, unless it swings exactly once while the pulse runs on
-by one bead. Left with a spring that is softer by 30 %, right with that spring: nothing is left swinging behind.
-Colours: velocities of the resonators.
+A mass on a spring inside every bead takes energy from a pulse, unless it oscillates exactly once while the pulse passes
+by one bead. Left: a spring that is softer by 30 %. Right: the spring of the exact condition, for which nothing
+oscillates behind the pulse. The colours are the velocities of the resonators.
 
 :systems: mass-in-mass chain
 :part: Travelling waves

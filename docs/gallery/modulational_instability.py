@@ -1,7 +1,8 @@
 """Modulational instability: a uniform wave breaks into breathers
 
-In a chain whose contacts soften, neighbours that swing against each other do not stay alike: a slow modulation grows
-at the rate of the nonlinear Schroedinger equation, until the energy stands in one place, from where it comes back.
+In a chain whose contacts soften, neighbours oscillate against each other with the same amplitude. This uniform wave is
+unstable: a slow modulation grows at the rate of the nonlinear Schroedinger equation until the energy is concentrated in
+one place, and later returns.
 
 :systems: modulational instability
 :part: Breathers

@@ -1,8 +1,8 @@
 """A nanopteron: a solitary wave on a ripple that never ends
 
-In a precompressed dimer an optical wave keeps pace with any supersonic pulse, which therefore rides on a ripple that
-reaches to infinity on both sides. Its wave number is that at which the optical branch has the phase speed of the
-pulse.
+In a precompressed dimer an optical wave has the same phase speed as any supersonic pulse. The pulse therefore travels
+on a ripple that extends to infinity on both sides. The wave number of the ripple is the one at which the phase speed of
+the optical branch equals the speed of the pulse.
 
 :systems: nanoptera in dimers
 :part: Travelling waves

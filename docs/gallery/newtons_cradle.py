@@ -1,8 +1,8 @@
 """Newton's cradle: a breather that travels along hanging beads
 
-Beads on strings touch without load. A blow makes a packet of swinging beads that travels: a breather. Small swings
-obey the discrete p-Schroedinger equation, whose one constant tau_0 says how contacts raise the frequency of two beads
-that swing against each other, omega = 1 + sqrt(a)/tau_0.
+Beads on strings touch without load. A blow creates a travelling packet of oscillating beads: a breather. Oscillations
+of small amplitude obey the discrete p-Schroedinger equation. Its one constant tau_0 determines how contacts raise the
+frequency of two beads that oscillate against each other, omega = 1 + sqrt(a)/tau_0.
 
 :systems: Newton's cradle
 :part: Beyond the granular chain

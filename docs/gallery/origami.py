@@ -1,7 +1,7 @@
 """Origami: a blow that compresses sends a pulse of extension ahead
 
-Folded cells soften under compression, so what is extended runs faster than what is compressed. A blow on the end of
-such a chain is overtaken by its own recoil: the pulse in front is a solitary wave of extension (line).
+Folded cells soften under compression, so extension travels faster than compression. After a blow on the end of such a
+chain the recoil overtakes the compression: the leading pulse is a solitary wave of extension (line).
 
 :systems: origami
 :part: Beyond the granular chain

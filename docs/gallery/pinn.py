@@ -1,9 +1,9 @@
 """A physics-informed network: stiffness and damping from two sensors
 
-A network learns the motion of four beads from the velocities of two of them, with 1 % of noise, while it has to obey
-the equation of motion, whose stiffness and damping are learned beside it: equinox makes the network, optax trains it,
-and the residual is that of the library's own lattice. Where the initial state is known, as here, `gx.fit` is surer
-and gives a covariance.
+A network learns the motion of four beads from the velocities of two of them, with 1 % of noise. It also has to obey the
+equation of motion, whose stiffness and damping are learned at the same time. equinox builds the network, optax trains
+it, and the residual is that of the library's own lattice. If the initial state is known, as here, `gx.fit` is more
+reliable and gives a covariance.
 
 :systems: physics-informed networks
 :part: Data
@@ -38,7 +38,7 @@ run = gx.simulate(chain, state, T, save_at=61)
 seen = np.asarray(run.vs)[:, SENSORS]
 seen = seen + 0.01 * np.sqrt(np.mean(seen**2)) * np.random.default_rng(0).normal(size=seen.shape)
 
-# the network reads the time and waves up to a little above the highest linear frequency
+# inputs of the network: the time, and waves up to slightly above the highest linear frequency
 highest = float(gx.linear.normal_modes(chain).omega[-1])
 count = int(np.ceil(highest * T / np.pi))
 frequencies = 1.2 * highest / count * jnp.arange(1.0, count + 1)
@@ -54,7 +54,7 @@ def motion(network, t):
 
 
 def moved(network, t):
-    """Displacements, velocities and accelerations at one time."""
+    """Return displacements, velocities and accelerations at one time."""
     velocity = lambda t: jax.jvp(lambda t: motion(network, t), (t,), (1.0,))
     (u, v), (_, a) = jax.jvp(velocity, (t,), (1.0,))
     return u, v, a
@@ -73,7 +73,7 @@ def loss(model):
 
 
 def trained(model, optimiser, steps):
-    """The model after some steps of an optimiser of optax."""
+    """Return the model after some steps of an optax optimiser."""
     free, fixed = eqx.partition(model, eqx.is_inexact_array)
     cost = lambda free: loss(eqx.combine(free, fixed))
 

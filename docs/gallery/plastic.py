@@ -1,7 +1,7 @@
 """Contacts that yield: how fast two beads part
 
-Spheres that yield keep a dent, and so part more slowly than they met. Below the speed at which they first yield the
-restitution is 1; far above it falls as v^(-1/4), Thornton's law.
+Spheres that yield keep a dent, and so separate more slowly than they approached. Below the speed at which they first
+yield the coefficient of restitution is 1. Far above it the coefficient decreases as v^(-1/4), Thornton's law.
 
 :systems: dissipation and plastic contacts
 :part: Disorder and losses

@@ -1,7 +1,7 @@
 """A precompressed chain: solitary waves just above the speed of sound
 
-Precompression brings sound, and with it solitary waves that are faster. Near the speed of sound the exact wave
-(lines) is nearly the soliton of Korteweg and de Vries (dashes); at 1.2 times that speed it is 40 % higher, and wider.
+Precompression makes sound possible, and solitary waves that are faster than sound. Near the speed of sound the exact
+wave (lines) is close to the Korteweg-de Vries soliton (dashes). At 1.2 times that speed it is 40 % higher, and wider.
 
 :systems: precompressed granular chain
 :part: Travelling waves

@@ -1,7 +1,7 @@
 """Hollow cylinders: a shock of rarefaction
 
-Contacts that soften in compression turn things around: where two halves are pulled apart, a dispersive shock of
-rarefaction runs out, led by a rarefaction pulse. Dashed: its edges by fitting.
+Contacts that soften in compression reverse the usual behaviour: if two halves are pulled apart, a dispersive shock of
+rarefaction runs out, led by a rarefaction pulse. The dashed lines are its edges by dispersive-shock fitting.
 
 :systems: rarefaction waves in hollow elliptical cylinders
 :part: Shocks

@@ -1,8 +1,9 @@
 """A rectifier: what passes from left and from right is not the same
 
-Steel beads under load, the second of them smaller, driven from either wall in the gap just below its mode. A weak drive
-passes alike both ways, as reciprocity says; the difference grows as the square of the amplitude. From the defect's side
-the mode is reached directly: its orbit loses stability, and what it then sends out at low frequencies passes the band.
+A chain of steel beads under load has a smaller second bead. It is driven from either wall in the gap, just below the
+mode of this defect. A weak drive is transmitted equally in both directions, by reciprocity; the difference grows as the
+square of the amplitude. From the defect's side the drive excites the mode directly. The orbit of the mode loses
+stability, and then emits low frequencies that pass through the band.
 
 :systems: rectifier
 :part: Devices
@@ -33,7 +34,7 @@ def driven(chain, omega, end, amplitude):
 
 
 def passed(chain, omega, end, amplitude, steps=96):
-    """Give the amplitude at omega of the force on the wall at rest while the other one moves."""
+    """Return the amplitude at omega of the force on the wall at rest while the other wall moves."""
     lattice, wall = driven(chain, omega, end, amplitude), {"left": 2, "right": 1}[end]
     run = gx.forced.forced_orbit(lattice, 2 * np.pi / omega, steps=steps).run(64)
     force = gx.measures.along(gx.measures.contact_force, lattice, run, bond=wall)
@@ -51,7 +52,7 @@ assert apart[0] < 1e-8
 
 
 def power(beyond, lattice, u, v, t):
-    """What the beads beyond dissipate in the mean."""
+    """Return the mean power that the beads `beyond` dissipate."""
     return jnp.mean(jnp.sum((lattice.mass * v * v)[:, beyond], 1)) / 1.75e-3
 
 
@@ -71,7 +72,7 @@ branch = gx.forced.forced_branch(
 )
 (onset,), (ceased,) = branch.bifurcations, [x.p for x in near.bifurcations if x.before == 1][:1]
 assert onset.kind == "Neimark-Sacker" and abs(onset.p / 0.17919e-6 - 1) < 1e-4
-# settling finds it too, from the other side all repeats; milliwatts against femtowatts
+# settling finds this onset too; from the other side all motions repeat; milliwatts against femtowatts
 assert (
     abs(ceased / onset.p - 1) < 0.02 and (far.multiple == 1).all() and modes[-2] < omega < modes[-1]
 )

@@ -1,7 +1,8 @@
 """Renormalised waves: heat stiffens the beta chain
 
-In thermal equilibrium the waves of the beta-FPUT chain have the dispersion of the linear chain times one factor, at
-k_B T = 1 and no pressure 1.46. The spectrum of a run shows it; <v_k^2>/<u_k^2> of Gibbs states measures it.
+In thermal equilibrium the waves of the beta-FPUT chain have the dispersion of the linear chain times one factor, which
+is 1.46 at k_B T = 1 and zero pressure. The spectrum of a run shows this dispersion; <v_k^2>/<u_k^2> of Gibbs states
+measures the factor.
 
 :systems: FPUT chain
 :part: Thermal chains and chaos

@@ -1,8 +1,8 @@
 """Self-trapping: beyond a threshold what one site has stays there
 
 Two coupled sites of the discrete nonlinear Schroedinger equation, or two coupled circuits with nonlinear capacitors,
-exchange what one of them had at first. Above chi = 4V they do so no more. Fractional coupling of more sites lowers
-the threshold.
+exchange the energy that one of them had at first. Above chi = 4V this exchange stops. Fractional coupling of more sites
+lowers the threshold.
 
 :systems: fractional DNLS and electrical lattices
 :part: Beyond the granular chain

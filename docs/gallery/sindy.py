@@ -1,7 +1,8 @@
 """Sparse identification: a force law from a list of candidates
 
-Eight beads between walls, seen with 1 % of noise. Of a list of candidate terms, powers of the strain, contacts,
-dashpots, dampings, regression keeps two: a contact of exponent 3/2 and a damping, and gives their coefficients.
+Eight beads between walls are observed with 1 % of noise. The list of candidate terms contains powers of the strain,
+contacts, dashpots and dampings. Sparse regression selects two of them, a contact of exponent 3/2 and a damping, and
+gives their coefficients.
 
 :systems: sparse identification (SINDy)
 :part: Data

@@ -1,8 +1,9 @@
 """Sine-Gordon chain: a kink, and the barrier that pins it
 
-Coupled pendula, of which one half has turned once more than the other. The kink between them rests on a bond; on a
-site it rests too, higher by the Peierls-Nabarro barrier, which falls exponentially with its width. Its energy becomes
-that of the continuum, 8 sqrt(C), from below.
+One half of a chain of coupled pendula has made one more turn than the other half. The kink between them is at rest on a
+bond. It is also at rest on a site, at an energy that is higher by the Peierls-Nabarro barrier; this barrier falls
+exponentially with the width of the kink. The energy of the kink approaches that of the continuum, 8 sqrt(C), from
+below.
 
 :systems: sine-Gordon chain
 :part: Beyond the granular chain

@@ -1,7 +1,7 @@
 """A struck chain without precompression: one solitary wave
 
-Beads that barely touch know no sound. A blow on the first becomes a single solitary wave about five beads wide, which
-takes 99.4 % of the energy along; behind it the beads part.
+In a chain of beads that barely touch there is no sound. A blow on the first bead becomes a single solitary wave about
+five beads wide, which carries 99.4 % of the energy. The beads behind it separate.
 
 :systems: granular chain in a sonic vacuum
 :part: Travelling waves

@@ -1,7 +1,7 @@
 """Sound bullets: five delays that meet at one site
 
-Five sites at an edge of a square lattice are pushed, each with the delay that its distance asks for, so that all pulses
-arrive at the focus together. In a linear lattice their heights add up.
+Five sites at an edge of a square lattice are pushed with different delays, which depend on the distance to the focus,
+so that all pulses arrive there together. In a linear lattice their heights add up.
 
 :systems: sound bullets
 :part: The plane
@@ -38,15 +38,15 @@ class Pulse(eqx.Module):
 
 
 class Bullet(NamedTuple):
-    alone: np.ndarray  # crest at the focus of each channel alone, and when it comes
+    alone: np.ndarray  # crest at the focus of each channel alone, and its time
     arrival: np.ndarray
-    together: np.ndarray  # of the first 1, 2, ... channels with delays
-    at_once: float  # of all without delays
-    error: float  # of all of these heights
+    together: np.ndarray  # crest of the first 1, 2, ... channels with delays
+    at_once: float  # crest of all channels without delays
+    error: float  # the error of all these heights
 
 
 def bullet(lattice, channels, focus, t1, force, duration, direction=1.0):
-    """Fire every channel alone, then 1, 2, ... of them with delays by which all arrive with the last."""
+    """Fire every channel alone, then 1, 2, ... of them, delayed so that all arrive with the last one."""
     n, along = len(channels), np.array(direction)
     velocity = lambda t, y, lattice: jnp.tensordot(along, y.v[focus], along.ndim)
     record = {"height": gx.Peak(velocity), "when": gx.PeakTime(velocity)}

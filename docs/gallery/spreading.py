@@ -1,8 +1,9 @@
 """Spreading by chaos: a packet in a disordered nonlinear chain never stops, and slows down
 
-Disorder holds all linear waves where they are. Where the chain is nonlinear too, chaos carries the energy on: its
-second moment grows like t^(1/3). As it thins out the chaos weakens: the rate at which near-by motions part falls like
-t^(-1/4), which it comes to late. 64 chains up to t = 2e6, stored (`stored/spreading.py`, some 25 minutes).
+Disorder localises all linear waves. If the chain is also nonlinear, chaos spreads the energy, and its second moment
+grows like t^(1/3). As the packet becomes more dilute, the chaos weakens: the rate at which nearby trajectories separate
+decays like t^(-1/4), a law that is reached only late. Data of 64 chains up to t = 2e6 are stored
+(`stored/spreading.py`, some 25 minutes).
 
 :systems: Klein-Gordon chain (phi^4)
 :part: Thermal chains and chaos
@@ -24,7 +25,7 @@ t = t[:, 0]
 
 
 def exponent(t, x, since):
-    """Give the slope of the mean over the chains from a time on, and its error by leaving one out after the other."""
+    """Return the slope of the mean over the chains from the time `since` on, and its jackknife error."""
     late = t >= since
     slope = lambda x: np.polyfit(np.log(t[late]), np.log(x[late].mean(1)), 1)[0]
     without = [slope(np.delete(x, i, 1)) for i in range(lanes)]

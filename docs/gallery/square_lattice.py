@@ -1,7 +1,7 @@
 """A planar front in a square packing is the solitary wave of a chain
 
-One side of a square packing of beads that just touch is struck. Rows do not push each other sideways, so that the
-front is that of a chain, and keeps its height.
+One side of a square packing of beads that just touch is struck. The rows do not push each other sideways, so the front
+is the solitary wave of a single chain and keeps its height.
 
 :systems: square lattice
 :part: The plane

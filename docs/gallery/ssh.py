@@ -1,8 +1,8 @@
 """Su-Schrieffer-Heeger chain: two states in the gap
 
-Springs k1 within pairs of masses and k2 between pairs. While k1 < k2 the Zak phase of the band below the gap is pi and
-a chain between walls holds one state at either end, in the middle of the gap; at k1 = k2 the gap closes, and beyond it
-the phase is zero and the states are gone.
+The springs within pairs of masses are k1, those between pairs k2. If k1 < k2, the Zak phase of the band below the gap
+is pi, and a chain between walls has one state at each end, in the middle of the gap. At k1 = k2 the gap closes; beyond
+it the phase is zero and the states are gone.
 
 :systems: Su-Schrieffer-Heeger chain
 :part: Topology and flat bands

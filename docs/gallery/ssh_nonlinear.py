@@ -1,8 +1,8 @@
 """A topological edge state that bends with its amplitude
 
-A Su-Schrieffer-Heeger chain whose springs harden with the cube of their strain holds one state, at its left end. Its
-backbone curve (line) is where the breathers (dots) begin, which cross the gap towards the upper band; the Floquet
-multipliers of the last one say whether it is stable.
+The springs of a Su-Schrieffer-Heeger chain harden with the cube of their strain, and the chain has one state, at its
+left end. The backbone curve of this state (line) is where the family of breathers (dots) starts, which crosses the gap
+towards the upper band. The Floquet multipliers of the last breather tell whether it is stable.
 
 :systems: nonlinear topological edge states
 :part: Topology and flat bands

@@ -1,7 +1,7 @@
 """Steel beads in SI: a blow of 0.1 m/s and its force
 
-Forty steel beads of 9.53 mm radius touch without load, and the first is struck with 0.1 m/s. The force that travels
-follows from the elastic constants alone: F = 0.63955 (A^2 m^3 v^6)^(1/5).
+Forty steel beads of 9.53 mm radius touch without load, and the first is struck at 0.1 m/s. The force that travels along
+the chain follows from the elastic constants alone: F = 0.63955 (A^2 m^3 v^6)^(1/5).
 
 :systems: materials and beads in SI
 :part: Travelling waves

@@ -1,8 +1,9 @@
 """Disordered chains: energy spreads between diffusion and flight
 
-A kick spreads freely in an ordered chain, its second moment growing as t^2. Disorder stops all but the long waves,
-which carry a share that falls with time: the moment grows as t^(3/2). The slope still falls slowly: it is told with the
-scatter of the samples and its change from the first to the second half of the window, per decade of time.
+In an ordered chain the energy of a kick spreads freely, and its second moment grows as t^2. Disorder stops all waves
+except the long ones, which carry a share that decreases with time: the moment grows as t^(3/2). The slope still
+decreases slowly. It is given with the scatter of the samples and with its change from the first to the second half of
+the window, per decade of time.
 
 :systems: superdiffusive transport
 :part: Disorder and losses
@@ -21,7 +22,7 @@ import granjax as gx
 
 
 def moments(chain, seeds, times, step, site=None, displaced=False, chunk=96):
-    """Give the second moment of the energy after a kick of one site of each chain, (samples, times)."""
+    """Return the second moment of the energy after a kick of one site of each chain, (samples, times)."""
     found = []
     for part in np.split(np.asarray(seeds), range(chunk, len(seeds), chunk)):
         chains = jax.vmap(chain, out_axes=-1)(part)
@@ -38,20 +39,20 @@ def moments(chain, seeds, times, step, site=None, displaced=False, chunk=96):
 
 
 def slope(x, y):
-    """Give the slope of log y, (..., times), over log time."""
+    """Return the slope of log y, (..., times), over log time."""
     x = x - x.mean()
     return np.log(y) @ x / (x @ x)
 
 
 def drift(x, y):
-    """Give the change of the slope between the halves of the times, per decade of time."""
+    """Return the change of the slope between the two halves of the times, per decade of time."""
     n = len(x) // 2
     apart = (x[-n:].mean() - x[:n].mean()) / np.log(10)
     return (slope(x[-n:], y[..., -n:]) - slope(x[:n], y[..., :n])) / apart
 
 
 def fitted(of, times, samples, window):
-    """Give what `of` says of the mean of the samples in a window, and its standard error by bootstrap."""
+    """Return `of` applied to the mean of the samples in a window, and its standard error by bootstrap."""
     inside = (times >= window[0] * (1 - 1e-9)) & (times <= window[1] * (1 + 1e-9))
     n = len(samples)
     weights = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), 400) / n

@@ -1,8 +1,8 @@
 """Sound in a thermal chain: fluctuations run with the adiabatic speed
 
-In a chain at a temperature the correlation of strains has two peaks, which move with the speed of sound of that
-temperature and pressure and widen like t^(2/3), as for the Kardar-Parisi-Zhang equation: scaled so, late times
-come to one shape.
+In a chain in thermal equilibrium the correlation of strains has two peaks. They move with the speed of sound at the
+given temperature and pressure, and widen like t^(2/3), as for the Kardar-Parisi-Zhang equation. With this scaling the
+peaks at late times approach one shape.
 
 :systems: FPUT chain
 :part: Thermal chains and chaos
@@ -21,7 +21,7 @@ import granjax as gx
 
 law, T, N = gx.Polynomial(1.0, -2.0, 1.0), 0.5, 320
 bond = gx.theory.thermal.bond_state(law, T, 1.0)
-# a ring is held at its mean length: the same law about its mean compression
+# a ring has a fixed length, so the law is expanded about its mean compression
 e = float(bond.strain)
 about = gx.Polynomial(1 - 4 * e + 3 * e * e, -2 + 3 * e, 1.0)
 
@@ -33,7 +33,7 @@ def ring(mass):
 rings = jax.vmap(ring, out_axes=-1)(jnp.ones(48))
 state = gx.states.gibbs(rings, T, seed=1)
 run = gx.simulate(rings, state, 2000.0, step=0.2, save_at=1001)
-# the correlation of a ring is less by a part, as it holds the sum of its strains
+# a ring keeps the sum of its strains, which lowers the correlation by a constant
 held = float(bond.strain_variance) / N
 found = gx.measures.correlation(run.us - jnp.roll(run.us, -1, 1), dt=2.0, lags=39)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
@@ -42,7 +42,7 @@ for lag in (15, 20, 26, 32, 38):
     t = float(found.lag[lag])
     right = np.asarray(found.offset) > c * t / 2
     place, value = np.asarray(found.offset)[right], np.asarray(found.value[lag])[right] + held
-    # the top of the parabola through the upper third of the peak
+    # the vertex of the parabola through the upper third of the peak
     bend, slope, _ = np.polyfit(place, value, 2, w=value > 0.67 * value.max())
     speeds.append(-slope / (2 * bend) / t)
     ax.plot((place - c * t) / t ** (2 / 3), t ** (2 / 3) * value, label=f"t = {t:.0f}")

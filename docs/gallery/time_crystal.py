@@ -1,7 +1,7 @@
 """Phononic time crystal: waves that grow in a gap of wave numbers
 
-All springs of a ring are 10 % stiffer and softer in turn, at the same time. As layers in space open gaps of
-frequency, so layers in time open gaps of wave number: within them waves grow by a fixed factor in each period.
+All springs of a ring become 10 % stiffer and softer in turn, at the same time. Layers in space open gaps in frequency;
+these layers in time open gaps in the wave number. Within such a gap waves grow by a fixed factor in each period.
 
 :systems: phononic time crystal
 :part: Beyond the granular chain

@@ -1,7 +1,7 @@
 """Toda's chain: two solitons pass through each other
 
-A fast soliton catches up with a slow one. Both come out as they went in; all that is left of the meeting is that the
-fast one is ahead of where it would be alone, and the slow one behind.
+A fast soliton overtakes a slow one. Both leave the collision with their shape unchanged. The only effect is a shift:
+the fast soliton is ahead of where it would be alone, and the slow one behind.
 
 :systems: Toda chain, collisions of solitary waves
 :part: Lattices

@@ -1,7 +1,8 @@
 """A dispersive shock of Toda's chain
 
-Two halves of a chain collide. Between the plateau behind and the chain at rest ahead an oscillation grows longer and
-longer, from a linear wave to a soliton; Whitham's theory has plateau, edges and amplitude in closed form.
+Two halves of a chain collide. Between the plateau behind and the chain at rest ahead an oscillation becomes longer and
+longer. It is a linear wave at its trailing edge and a soliton at its leading edge. Whitham's theory gives the plateau,
+the edges and the amplitude in closed form.
 
 :systems: Toda dispersive shock
 :part: Shocks

@@ -1,8 +1,8 @@
 """A torus of two frequencies in a Toda ring
 
-Two modes of a ring of four sites, with amplitudes of their own: a circle of states that turns by an angle while one
-mode returns. The ring is integrable, so a run stays on the torus for good. The error falls geometrically with the
-number of angles K.
+Two modes of a ring of four sites have different amplitudes. The torus is computed as a circle of states that turns by
+an angle while one mode completes a period. The ring is integrable, so a run stays on the torus for ever. The error
+decreases geometrically with the number of angles K.
 
 :systems: Toda chain
 :part: Breathers
@@ -35,7 +35,7 @@ left.plot(circle[:, 0], circle[:, 1], lw=2, label="the circle at one phase")
 left.set(xlabel="first site (scaled)", ylabel="second site (scaled)")
 left.legend(loc="upper right")
 for angles in (7, 9, 13, 17, 21, 27, 35):
-    for _ in range(2):  # the second time nothing is compiled
+    for _ in range(2):  # nothing is compiled in the second pass, which is the one that is timed
         before = time.perf_counter()
         found = gx.orbits.torus(ring, (1, 3), (0.8, 0.5), angles=angles)
         took = time.perf_counter() - before

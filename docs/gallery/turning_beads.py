@@ -1,7 +1,7 @@
 """Beads that turn: three bands of a hexagonal packing
 
-With tangential stiffness at the contacts beads do not only move, they also rotate. A third band appears, and long
-shear waves are faster than those of beads that do not turn (dashed).
+If the contacts have a tangential stiffness, beads rotate as well as move. A third band appears, and long shear waves
+are faster than those of beads that do not turn (dashed).
 
 :systems: beads that turn
 :part: The plane

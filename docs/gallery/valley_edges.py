@@ -1,12 +1,12 @@
 """A wall between two valley phases carries one wave for each valley
 
-A honeycomb with a heavy and a light site in each cell has a gap; the two orders of the masses are two phases, whose
-Berry curvature near each corner of the zone differs in sign. Where they meet, one band of waves bound to the wall
-crosses the gap at either valley, with opposite velocities.
+A honeycomb with a heavy and a light mass in each cell has a gap. The two orders of the masses are two phases, whose
+Berry curvature near each corner of the Brillouin zone has opposite sign. Where the phases meet, one band of waves bound
+to the wall crosses the gap at each valley, with opposite velocities.
 
 :systems: valley edge modes
 :part: Topology and flat bands
-:number: waves of the wall that cross the gap upwards less downwards, at the valley k > 0
+:number: waves of the wall that cross the gap upwards minus downwards, at the valley k > 0
 :expected: -1
 :within: 0.001
 :source: difference of the valley Chern numbers, +-1/2 on either side; Ma, Shvets, New J. Phys. 18, 025012 (2016)

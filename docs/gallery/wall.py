@@ -1,7 +1,7 @@
 """A soliton comes back from a rigid wall too early
 
-Toda's soliton turns at a wall that holds the last bead as if it had met its mirror image. It comes back as it was,
-and earlier than a mirror would send it, since it meets itself head-on.
+A wall that holds the last bead reflects Toda's soliton as if the soliton had met its mirror image. It returns
+unchanged, but earlier than from a mirror at that bead, because it collides head-on with its image.
 
 :systems: reflection from a wall
 :part: Travelling waves

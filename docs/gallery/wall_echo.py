@@ -1,8 +1,9 @@
 """The modulus of a wall from one echo
 
-A wave runs down a chain of steel beads that leans on something, bone or a polymer. The softer that is, the later and
-flatter the wave comes back. From one trace of one bead, with 2 % of noise, its Young's modulus follows: an ordinary fit
-of a chain with a wall. Some of its starts end where the echo meets another pulse of the trace; the best of them counts.
+A wave travels down a chain of steel beads that leans on a wall, for example bone or a polymer. The softer the wall, the
+later and flatter is the reflected wave. The wall's Young's modulus is fitted to one trace of one bead with 2 % of
+noise; the model is a chain with a wall. Some starts of the fit end where the echo meets another pulse of the trace; the
+best start counts.
 
 :systems: quality of a wall by one echo
 :part: Devices

@@ -1,7 +1,7 @@
 """Woodpile: crossed rods whose bending modes open gaps
 
-Rods in a stack touch at points and bend; two bending modes of every rod are resonators of the chain. About the
-frequency of either no wave passes (shaded).
+Rods in a stack touch at points and bend. Two bending modes of every rod act as resonators of the chain. No wave passes
+near the frequency of either mode (shaded).
 
 :systems: woodpile chain
 :part: Travelling waves

@@ -1,6 +1,6 @@
-"""The review's sixteen figures: `python docs/review/all.py` keeps their pictures and numbers here.
+"""The review's sixteen figures: `python docs/review/all.py` stores their pictures and numbers here.
 
-`--check` compares the numbers alone. One that differs makes the exit code 1.
+`--check` only compares the numbers. If one differs, the exit code is 1.
 """
 
 import json

@@ -1,10 +1,11 @@
 """Breather.1: dark breather of the granular chain and its NLS approximation.
 
-Strain of the bond-centred dark breather of a monomer chain at its turning point, by Newton's method
-(dots) and from the defocusing NLS equation (line), A = d0 = m = 1. Constant force at the ends: the
-strain vanishes there too. Chosen here: 82 beads. Right: error of the NLS amplitude at a quarter of
-the chain, of the part of the strain that is odd in harmonics. The envelope's next order is
-epsilon^2 = 1 - omega_b/omega_0, so that the error falls with its first power.
+The figure shows the strain of the bond-centred dark breather of a monomer chain at its turning
+point, from Newton's method (dots) and from the defocusing NLS equation (line), with A = d0 = m = 1.
+The force at the ends is constant, so the strain vanishes there too. Chosen here: 82 beads. Right:
+the error of the NLS amplitude at a quarter of the chain, for the part of the strain that contains
+the odd harmonics. The next order of the envelope is epsilon^2 = 1 - omega_b/omega_0, so the error
+decreases with its first power.
 """
 
 import math
@@ -15,7 +16,7 @@ import numpy as np
 import granjax as gx
 
 BEADS = 82
-# 1 - omega_b/omega_0; the profile of the first is shown
+# 1 - omega_b/omega_0; the figure shows the profile of the first
 DETUNINGS = np.array([0.01, 0.015, 0.02, 0.03, 0.04])
 
 

@@ -1,14 +1,15 @@
 """Breather.2: dark breather of a driven, damped steel chain, from rest and by Newton's method.
 
-The experiment, simulated: 21 beads of steel (E = 200 GPa, nu = 0.3, 28.2 g, radius 9.53 mm, 10 N,
-damping time 5 ms) between walls that push towards the chain at the same time. Chosen here: 0.2 um
-at 7290 Hz; the infinite chain's cut-off is 7369 Hz. Velocities after settling from rest, their
-extrema, and those of the periodic orbit by Newton's method. Right: change of the state from one
-period to the next. Where it first falls to 1e-8 all velocities are disturbed at random, by up to
-1e-6 of the largest, once: what settles must be stable against motions without the mirror symmetry
-of the start, and these decay more slowly. The expected value is that of harmonic balance in NumPy
-(benchmarks/references/harmonic_balance.py), 12 and 20 harmonics agreeing to 1e-10; SciPy's DOP853
-closes the orbit to 1e-13. The chain is that of Chong et al., Phys. Rev. E 89, 032924 (2014).
+This simulates the experiment: 21 beads of steel (E = 200 GPa, nu = 0.3, 28.2 g, radius 9.53 mm, 10
+N, damping time 5 ms) lie between walls that push towards the chain at the same time. Chosen here:
+0.2 um at 7290 Hz; the cut-off of the infinite chain is 7369 Hz. Left: the velocities after settling
+from rest, their extrema, and those of the periodic orbit from Newton's method. Right: the change of
+the state from one period to the next. Where this change first falls to 1e-8, all velocities are
+disturbed once at random, by up to 1e-6 of the largest. The settled motion must therefore also be
+stable against motions without the mirror symmetry of the start, which decay more slowly. The
+expected value is from harmonic balance in NumPy (benchmarks/references/harmonic_balance.py), where
+12 and 20 harmonics agree to 1e-10; SciPy's DOP853 closes the orbit to 1e-13. The chain is that of
+Chong et al., Phys. Rev. E 89, 032924 (2014).
 """
 
 import math

@@ -1,10 +1,11 @@
 """Breather.3: bright breather of a dimer chain, its multipliers and its unstable mode.
 
-(a) Displacements of the light-centred breather of a precompressed dimer, A = d0 = light mass = 1,
-constant force at the ends, in the gap below the optical band; (b) Floquet multipliers; (c)
-displacements and (d) velocities of the unstable mode. Chosen here: 121 beads, light at both ends
-and in the middle, heavy ones of mass 2.957949, and 0.985 of the optical edge sqrt(3). The expected
-multiplier is that of an independent shooting method with a converged step.
+(a) Displacements of the light-centred breather of a precompressed dimer, with A = d0 = light mass =
+1 and constant force at the ends, in the gap below the optical band; (b) Floquet multipliers; (c)
+displacements and (d) velocities of the unstable mode. Chosen here: 121 beads, with light beads at
+both ends and in the middle, heavy beads of mass 2.957949, and a frequency of 0.985 times the
+optical edge sqrt(3). The expected multiplier is from an independent shooting method with a
+converged step.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,8 @@
 """DSW.1: dispersive shock from a step in the strain.
 
-Granular chain, A = d0 = m = 1, at rest, with the strain 4 left of the step and 0 right of it, at t
-= 150: a rarefaction runs to the left, a dispersive shock to the right. The expected value is that
-of an independent integration by SciPy's DOP853 at 1e-12.
+A granular chain with A = d0 = m = 1 starts at rest, with the strain 4 left of the step and 0 right
+of it. The figure shows it at t = 150: a rarefaction wave travels to the left, a dispersive shock to
+the right. The expected value is from an independent integration by SciPy's DOP853 at 1e-12.
 """
 
 import functools
@@ -16,12 +16,12 @@ import granjax as gx
 
 STRAIN = 4.0
 TIME = 150.0
-# sites beyond what has moved
+# sites beyond those that have moved
 SPARE = 60
 
 
 def crests(places, strain):
-    """Places and heights of the crests right of the step, of a spline; no ripple is one."""
+    """Return places and heights of the spline crests right of the step, without ripples."""
     spline = CubicSpline(places, strain)
     top = spline.derivative().roots(extrapolate=False)
     top = top[(spline(top, 2) < 0) & (top > 0) & (spline(top) > 0.3 * strain[places > 0].max())]
@@ -30,7 +30,7 @@ def crests(places, strain):
 
 @functools.cache
 def stepped():
-    """Places of the bonds from the step, their strains, and the edges of the shock."""
+    """Return the places of the bonds from the step, their strains, and the edges of the shock."""
     law = gx.Hertz(1.0, 1.0)
     sound = lambda y: float(law.derivative(y)) ** 0.5
     sites = 2 * (int(1.15 * sound(STRAIN) * TIME) + SPARE)
@@ -39,7 +39,7 @@ def stepped():
     strain = np.asarray(problem.strain(problem.run(TIME).final.u))
     places = np.arange(strain.size) - float(problem.centre)
     top, height = crests(places, strain)
-    # between the fan, whose tail runs at the sound of the plateau, and the shock
+    # between the rarefaction fan, whose tail has the plateau's speed of sound, and the shock
     mean = strain[(places > 0) & (places < 0.1 * TIME)].mean()
     edges = SimpleNamespace(
         trailing_speed=2 * sound(0.0) - sound(mean),

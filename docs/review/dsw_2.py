@@ -1,7 +1,7 @@
 """DSW.2: two zooms into the dispersive shock.
 
-The shock of DSW.1 near its trailing and its leading edge: bonds (dots) and splines through them.
-The expected value is that of an independent integration by SciPy's DOP853 at 1e-12.
+The figure shows the shock of DSW.1 near its trailing and its leading edge: bonds (dots) and splines
+through them. The expected value is from an independent integration by SciPy's DOP853 at 1e-12.
 """
 
 import matplotlib.pyplot as plt
@@ -9,7 +9,7 @@ import numpy as np
 from dsw_1 import TIME, crests, stepped
 from scipy.interpolate import CubicSpline
 
-# from the trailing edge (0) to the leading one (1), and bonds to either side
+# positions from the trailing (0) to the leading edge (1), and bonds on either side
 ZOOMS = {"trailing": 0.17, "leading": 0.85}
 ASIDE = 14
 

@@ -1,10 +1,10 @@
 """DSW.3: granular velocity shock and its KdV prediction.
 
-Granular chain with precompression, scaled to the speed of sound 1 and K3 = 1/2, after a velocity
-shock of half velocity c = 0.1, at T_f = 1200 of the slow time t eps^3/24, eps^2 = 24 c: edges of
-KdV, and its modulated wave at n = t, the phase fitted. By symmetry one half is run, which a piston
-of speed 2c pushes. The expected value is that of converged simulations by another method, t = 2000
-and 8000.
+A granular chain with precompression is scaled to the speed of sound 1 and K3 = 1/2. The figure
+shows it after a velocity shock of half velocity c = 0.1, at T_f = 1200 of the slow time t eps^3/24,
+eps^2 = 24 c, with the edges of KdV and its modulated wave at n = t, whose phase is fitted. By
+symmetry only one half is simulated, pushed by a piston of speed 2c. The expected value is from
+converged simulations by another method, t = 2000 and 8000.
 """
 
 import functools
@@ -23,7 +23,7 @@ TODA = gx.theory.toda.velocity_shock(C)
 
 
 def pushed():
-    """A piston of speed 2c at the end of the chain, as long as nothing reaches its other end."""
+    """Return a chain with a piston of speed 2c, long enough that no wave reaches its other end."""
     sites = int(float(TODA.leading_speed) * TIME) + 60
     chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), LAW),), sites=sites, units="scaled")
     return gx.shocks.piston(chain, 2 * C)
@@ -31,16 +31,16 @@ def pushed():
 
 @functools.cache
 def collided():
-    """Places and strains of the bonds; the contact of the piston is the first."""
+    """Return places and strains of the bonds; the first is the contact with the piston."""
     problem = pushed()
-    # steps twice as long as the default leave errors below 1e-6
+    # steps twice as long as the default give errors below 1e-6
     u = problem.run(TIME, step=0.4).final.u
     strain = np.append(2 * C * TIME - float(u[0]), np.asarray(problem.strain(u)))
     return np.arange(strain.size) + 0.5, strain
 
 
 def draw(name, edges, wave):
-    """The whole shock with a theory's edges, and its modulated wave `wave(n, phase)` at n = t."""
+    """Draw the shock with a theory's edges, and its modulated wave `wave(n, phase)` at n = t."""
     places, strain = collided()
     canvas = plt.figure(figsize=(9.6, 3.8), layout="constrained")
     whole, zoom = canvas.subplots(1, 2, width_ratios=(1.5, 1))

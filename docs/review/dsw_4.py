@@ -1,7 +1,7 @@
 """DSW.4: granular velocity shock and its Toda approximation.
 
-The shock of DSW.3: edges of Toda, and its modulated wave at n = t, the phase fitted. The expected
-value is that of an independent integration by SciPy's DOP853 at 1e-12.
+The figure shows the shock of DSW.3 with the edges of Toda and its modulated wave at n = t, whose
+phase is fitted. The expected value is from an independent integration by SciPy's DOP853 at 1e-12.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """DSW.5: edges of the granular velocity shock, KdV and Toda.
 
-The shock of DSW.3 up to t = 300: the strain, and the edges of KdV (solid) and Toda (dashed). The
-expected value is that of an independent integration by SciPy's DOP853 at 1e-12.
+The figure shows the strain of the shock of DSW.3 up to t = 300, and the edges of KdV (solid) and
+Toda (dashed). The expected value is from an independent integration by SciPy's DOP853 at 1e-12.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,9 @@
 """Fig. 1.2: the travelling wave's profile, its derivative and its tail.
 
-The exact wave of a Hertz chain without precompression (A = m = 1) at speed 1, its slope, the
-strains of the lattice's contacts, and both compactons, which end where the wave's tail goes on
-doubly exponentially (inset). The expected values come from the same equation by two other methods.
+The figure shows the exact wave of a Hertz chain without precompression (A = m = 1) at speed 1, its
+slope, the strains of the contacts of the lattice, and both compactons. The compactons end where the
+tail of the wave continues to decay doubly exponentially (inset). The expected values are from the
+same equation, solved by two other methods.
 """
 
 import matplotlib.pyplot as plt
@@ -12,7 +13,7 @@ import granjax as gx
 
 PEAK = 1.48735937434940207
 TAIL = 1.66653015582526e-15
-# points between two contacts, and contacts shown on each side
+# number of points between two contacts, and of contacts shown on each side
 POINTS = 32
 REACH = 6
 
@@ -21,7 +22,7 @@ def make():
     wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
     xi = np.linspace(-REACH, REACH, 2 * REACH * POINTS + 1)
     strain = np.asarray(wave.strain(xi))
-    # the wave's equation: the strain's slope is the difference of the velocities of neighbours
+    # by the wave equation the slope of the strain is the difference of neighbouring velocities
     slope = np.asarray(wave.velocity(xi + 1) - wave.velocity(xi))
     nesterenko = np.asarray(gx.theory.compacton.nesterenko(xi, speed=1.0).strain)
     ahnert = np.asarray(gx.theory.compacton.ahnert_pikovsky(xi, speed=1.0).strain)

@@ -1,8 +1,8 @@
 """Fig. 1.3: space-time evolution of the exact travelling wave, strain, c = 1.
 
-The fixed point of phi = tent * phi^(3/2) set on a Hertz chain of 90 beads without precompression,
-A = m = 1, and its profile after it has run along 60 contacts. It has to keep the speed and the
-profile that it was computed for.
+The fixed point of phi = tent * phi^(3/2) is set on a Hertz chain of 90 beads without
+precompression, A = m = 1. The figure shows its profile after it has travelled along 60 contacts.
+The wave has to keep the speed and the profile for which it was computed.
 """
 
 import matplotlib.pyplot as plt
@@ -11,7 +11,7 @@ import numpy as np
 import granjax as gx
 
 BEADS = 90
-# contact of the crest at the start, and contacts that the wave runs
+# contact of the crest at the start, and number of contacts that the wave travels
 START = 12
 TRAVEL = 60
 # strain at 3, 2, 1 and 0 contacts from the crest

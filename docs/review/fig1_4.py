@@ -1,10 +1,10 @@
 """Fig. 1.4: velocities of adjacent beads of a granular chain.
 
-The experiment, simulated: a striker hits a chain of equal spheres in contact without
-precompression; Hertz contacts, no friction, rotation or losses. The review gives no numbers for it,
-so these are chosen here: 32 beads of chrome steel of 19.05 mm, the striker (bead 0) included, at
-0.4 m/s. In units of A = m = v = 1 the pulse is the same in every material. The expected values are
-those of converged simulations of a long chain by two independent methods.
+This simulates the experiment: a striker hits a chain of equal spheres in contact without
+precompression, with Hertz contacts and no friction, rotation or losses. The review gives no numbers
+for it, so these are chosen here: 32 beads of chrome steel of 19.05 mm, including the striker (bead
+0), at 0.4 m/s. In units of A = m = v = 1 the pulse is the same for every material. The expected
+values are from converged simulations of a long chain by two independent methods.
 """
 
 import functools
@@ -15,7 +15,7 @@ import numpy as np
 import granjax as gx
 
 STEEL = ("chrome steel", 9.525e-3, 0.4)
-# largest velocity over the striker's, and beads per second over (A^2 v/m^2)^(1/5)
+# largest velocity over the striker's; speed in beads per second over (A^2 v/m^2)^(1/5)
 PEAK = 0.68163155
 SPEED = 0.84050877
 BEADS = 32
@@ -27,7 +27,7 @@ def velocity(t, y, lattice):
 
 @functools.cache
 def struck(material, radius, striker):
-    """A run, and of its pulse the velocity over the striker's and the speed [beads/s]."""
+    """Return a run, its pulse's velocity over the striker's, and the pulse's speed [beads/s]."""
     rate = scale(material, radius, striker)
     chain = gx.scenes.beads(material, radius, cells=BEADS, boundary="free")
     start, end = gx.states.impact(chain, striker), (BEADS - 2) / (SPEED * rate)
@@ -37,7 +37,7 @@ def struck(material, radius, striker):
 
 
 def scale(material, radius, striker):
-    """(A^2 v/m^2)^(1/5) [1/s]: by it alone the speed of the pulse depends on the material."""
+    """Return (A^2 v/m^2)^(1/5) [1/s], to which the speed of the pulse is proportional."""
     A = gx.materials.hertz_coefficient(material, radius)
     m = gx.materials.bead_mass(material, radius)
     return float((A * A * striker / (m * m)) ** 0.2)

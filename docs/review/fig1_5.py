@@ -1,8 +1,8 @@
 """Fig. 1.5: space-time plot of the bead velocities of a granular chain.
 
-The simulation of fig. 1.4, all beads. The pulse runs at some 560 m/s, as in the experiments, far
-below sound in steel. The expected speed is that of converged simulations of a long chain by two
-independent methods, A = m = v = 1.
+The figure shows all beads of the simulation of fig. 1.4. The pulse travels at some 560 m/s, as in
+the experiments, far below the speed of sound in steel. The expected speed is from converged
+simulations of a long chain by two independent methods, A = m = v = 1.
 """
 
 import matplotlib.pyplot as plt

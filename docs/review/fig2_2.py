@@ -1,10 +1,11 @@
 """Fig. 2.2: transmitted force of a dimer chain over the mass ratio.
 
-A striker like the heavy beads hits a 1:1 dimer chain of 101 beads without precompression; largest
-force on the rigid wall at its far end, over the monomer's. Between 0.55 and 0.594 a second pulse
-brings it. Dotted: the literature's asymptotic anti-resonances. The review says that less than 30 %
-come through at 0.59; the expected values are those of SciPy's DOP853 at a relative tolerance of
-1e-10, the ratio 0.595 and its 0.2096 the literature's minimum.
+A striker like the heavy beads hits a 1:1 dimer chain of 101 beads without precompression. The
+figure shows the largest force on the rigid wall at its far end, over that of the monomer. Between
+the mass ratios 0.55 and 0.594 a second pulse causes this maximum. Dotted: the asymptotic
+anti-resonances of the literature. The review says that less than 30 % is transmitted at 0.59. The
+expected values are from SciPy's DOP853 at a relative tolerance of 1e-10; the ratio 0.595 and its
+0.2096 are the minimum of the literature.
 """
 
 import matplotlib.pyplot as plt
@@ -20,7 +21,7 @@ KNOWN = {0.59: 0.2683193, 0.5944: 0.2086785, 0.595: 0.2096113}
 def make():
     sweep = gx.resonance.transmission(np.linspace(LOWEST, 1.0, 381), BEADS)
     found = gx.resonance.refine(sweep, accuracy=2e-5)
-    # the extrema among the points of the curve, so that cusps are sharp
+    # add the extrema to the points of the curve, so that its cusps are sharp
     ratio = np.concatenate(
         [sweep.mass_ratio, found.resonances, found.anti_resonances, found.local_extrema]
     )

@@ -1,10 +1,10 @@
 """Fig. 2.3: space-time plot at the first resonance of a dimer chain.
 
-The simulation of fig. 2.4, all beads. Right: the energy beyond a contact when the leading pulse has
-passed it, at the first minimum of the contact's force. The review: less than 30 % of the initial
-energy makes it through (grey). The expected value is that of SciPy's DOP853, relative tolerances of
-1e-10 and 1e-12 agreeing to 1e-7. Beside it the pulse of a chain of equal beads, which is not
-scattered.
+The figure shows all beads of the simulation of fig. 2.4. Right: the energy beyond a contact after
+the leading pulse has passed it, at the first minimum of the contact's force. According to the
+review less than 30 % of the initial energy passes (grey). The expected value is from SciPy's
+DOP853, where relative tolerances of 1e-10 and 1e-12 agree to 1e-7. For comparison: the pulse of a
+chain of equal beads, which is not scattered.
 """
 
 import matplotlib.pyplot as plt
@@ -19,10 +19,10 @@ def along(measure, chain, run):
 
 
 def passed(chain, run):
-    """The share of the energy that the pulse carries past a contact, NaN where the run ends."""
+    """Return the share of the energy that the pulse carries past each contact, NaN if cut off."""
     force = along(gx.measures.contact_force, chain, run)
     energy = along(gx.measures.site_energy, chain, run)
-    # half of a contact's energy, 2/5 of force times overlap, is counted with the bead behind it
+    # half of a contact's energy, 2/5 of force times overlap, belongs to the bead behind it
     half = 0.2 * force * along(gx.measures.overlap, chain, run)
     beyond = np.cumsum(energy[:, ::-1], 1)[:, -2::-1] - half
     share = np.full(force.shape[1], np.nan)
@@ -32,7 +32,7 @@ def passed(chain, run):
         rises = (np.diff(F[top:]) >= 0) & (F[top:-1] < F[top])
         if rises.any():
             k = top + np.argmax(rises)
-            # from the frame to the minimum, by the parabola of the force there, flows F v
+            # energy F v dt flows from this frame to the minimum of the force's local parabola
             curve = F[k - 1] - 2 * F[k] + F[k + 1]
             frames = (F[k - 1] - F[k + 1]) / (2 * curve) if F[k] > 0 and curve > 0 else 0.0
             flown = F[k] * run.vs[k, n + 1] * frames * (run.ts[1] - run.ts[0])

@@ -1,11 +1,12 @@
 """Fig. 2.4: velocities of the heavy beads at the first resonance.
 
-The experiment, simulated: a heavy bead strikes a 1:1 dimer chain of mass ratio 0.59 without
-precompression; Hertz contacts, no friction, rotation or losses. The review does not say the rest,
-chosen here: 120 beads of chrome steel, the heavy ones and the striker (bead 0) of 19.05 mm, at 0.4
-m/s; light beads are smaller. Behind the pulse the motion is chaotic; from 100 on in units of A = m
-= v = 1 (2.9 ms here) its detail there depends on rounding, the pulse does not. The expected value
-is that of SciPy's DOP853, relative tolerances of 1e-10 and 1e-12 agreeing to 1e-7.
+This simulates the experiment: a heavy bead strikes a 1:1 dimer chain of mass ratio 0.59 without
+precompression, with Hertz contacts and no friction, rotation or losses. The review does not give
+the rest, which is chosen here: 120 beads of chrome steel, the heavy ones and the striker (bead 0)
+of 19.05 mm, at 0.4 m/s; the light beads are smaller. Behind the pulse the motion is chaotic. After
+a time of 100 in units of A = m = v = 1 (2.9 ms here) its detail depends on rounding, but the pulse
+does not. The expected value is from SciPy's DOP853, where relative tolerances of 1e-10 and 1e-12
+agree to 1e-7.
 """
 
 import functools
@@ -32,7 +33,7 @@ def velocity(t, y, lattice):
 
 @functools.cache
 def struck():
-    """The chain, its run with largest forces and velocities, and the units of time and force."""
+    """Return the chain, its run with the records, and the units of time and force."""
     light = RADIUS * RATIO ** (1 / 3)
     A = float(gx.materials.hertz_coefficient(MATERIAL, RADIUS, MATERIAL, light))
     m = float(gx.materials.bead_mass(MATERIAL, RADIUS))
@@ -47,7 +48,7 @@ def struck():
 
 
 def draw(first, kind):
-    """Velocities of every eighth bead from the first one on."""
+    """Draw the velocities of every eighth bead, starting with bead `first`."""
     _, run, second, _ = struck()
     until = slice(0, np.searchsorted(run.ts, 100 * second), 4)
     ax = plt.figure(figsize=(5.6, 4.6), layout="constrained").subplots()

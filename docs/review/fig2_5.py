@@ -1,8 +1,8 @@
 """Fig. 2.5: velocities of the light beads at the first resonance.
 
-The simulation of fig. 2.4 as long as its detail does not depend on rounding. No contact pushes
-harder than one that holds all the energy, (2/5) A delta^(5/2) = m v^2/2. The expected value is that
-of SciPy's DOP853, relative tolerances of 1e-10 and 1e-12 agreeing to 1e-7.
+The simulation of fig. 2.4 is shown as long as its detail does not depend on rounding. No contact
+force exceeds that of a contact that holds all the energy, (2/5) A delta^(5/2) = m v^2/2. The
+expected value is from SciPy's DOP853, where relative tolerances of 1e-10 and 1e-12 agree to 1e-7.
 """
 
 import matplotlib.pyplot as plt
