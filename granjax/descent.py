@@ -13,20 +13,19 @@ from .programs import compiled
 from .types import AnyArray, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE, NO_GRADIENT, NO_START = range(6)
-# length of a step in the free coordinates where no curvature is known
+# the length of a step in the free coordinates if the curvature is unknown
 SHORT = 0.3
-# of the fall that the slope promises, what a step must bring
+# a step must bring this share of the decrease that the slope predicts
 DECREASE = 1e-4
-# part of a step below which none is tried
+# the shortest part of a step that is tried
 SHORTEST = 1e-8
 
 
 class Descent(NamedTuple):
-    """Where a descent ended.
+    """The end of a descent.
 
-    The best point `x` and its value `least`; `values` and `norms` of the points that were accepted, the start first;
-    `start`: the gradient at the start; `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite on the way,
-    4 gradient zero at the start, 5 not finite at the start.
+    `x`, `least`: the best point and its value. `values`, `norms`: of the accepted points, the start
+    first. `start`: the gradient there. `code`: CONVERGED, ..., NO_START.
     """
 
     x: Float[np.ndarray, " P"]
@@ -45,11 +44,12 @@ def descend(
     tolerance: Scalar,
     mode: str = "reverse",
 ) -> Descent:
-    """Steps of an optimiser from x (P,) until one of the reasons to end.
+    """Minimise a cost by steps of an optimiser from x (P,).
 
-    **Arguments:** `cost(x)`: a function, or a module with arrays, those of another start compile nothing anew.
-    `optimiser`: of optax; `None` is L-BFGS with steps that are shortened until the cost falls. `tolerance`: of the
-    gradient's largest entry, relative to the start's. `mode`: of the gradient, "forward" or "reverse".
+    **Arguments:** `cost(x)`: a function, or a module, which compiles nothing anew for other arrays.
+    `optimiser`: of optax; `None` is L-BFGS with steps that are shortened until the cost falls.
+    `tolerance`: of the gradient's largest entry, relative to the start's. `mode`: of the gradient,
+    "forward" or "reverse".
     """
     search = optimiser is None
     optimiser = _lbfgs() if search else optimiser
@@ -71,7 +71,8 @@ def descend(
         step, state = _step(optimiser, None if search else cost, gradient, state, x, value)
         curved = np.vdot(x - old_x, gradient - old_gradient) > 0
         if search and not (curved and np.vdot(step, gradient) < 0):
-            # memory is of no use where the curvature is not positive: there, as at the start, a short step downhill
+            # without positive curvature the memory of L-BFGS is useless: forget it and take a short
+            # step downhill, as at the start
             step = -SHORT * gradient / np.linalg.norm(gradient)
             state = _step(optimiser, None, gradient, optimiser.init(x), x, value)[1]
         part, step = 1.0, np.asarray(step)
@@ -82,7 +83,7 @@ def descend(
             slope = part * float(np.vdot(step, gradient))
             if not search or finite and new_value <= value + DECREASE * slope:
                 break
-            # the parabola through both values and the slope, within limits
+            # minimum of the parabola through both values and the slope, within limits
             beyond = 2 * float(new_value - value - slope)
             part *= min(max(-slope / beyond, 0.1), 0.5) if beyond > 0 else 0.1
             if part < SHORTEST:
@@ -103,7 +104,7 @@ def descend(
 def value_and_gradient(
     cost: Callable, mode: str, x: Float[AnyArray, " P"]
 ) -> tuple[Float[AnyArray, ""], Float[AnyArray, " P"]]:
-    """The cost at x and its gradient, "forward" by one tangent for each entry, or in "reverse"."""
+    """Return the cost at x and its gradient, "forward" (one tangent per entry) or "reverse"."""
     if mode == "reverse":
         return jax.value_and_grad(cost)(x)
     unit = jnp.eye(x.size, dtype=x.dtype)
@@ -119,7 +120,6 @@ def _lbfgs():
 
 @compiled
 def _step(optimiser, cost, gradient, state, x, value):
-    """The optimiser's step from x, and its state after it."""
     import optax
 
     update = optax.with_extra_args_support(optimiser).update

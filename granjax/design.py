@@ -1,4 +1,4 @@
-"""`design`: parameters that make a scalar of a simulation, of modes or of bands as small or as large as it gets."""
+"""`design`: minimise or maximise a scalar of a simulation, of modes or of bands by its gradient."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,41 +27,41 @@ from .results import Result, array
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
 
 MODES = ("forward", "reverse")
-# parameters up to which a simulation's forward mode is done first, its time to compile included
+# up to this many parameters a simulation in forward mode is faster, compilation included
 FEW = 20
 
 
 class Design(Result):
-    """What `design` returns: the best point that it met.
+    """The result of `design`: the best point that it met.
 
-    `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite
-    at the start.
+    `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the
+    start, 5 not finite at the start.
     """
 
     parameters: dict[str, Numbers] = array("The parameters, by name.")
     value: Float[AnyArray, ""] = array("The objective at the best point.")
     start_value: Float[AnyArray, ""] = array("The objective at the start.")
     history: Float[AnyArray, " point"] = array(
-        "The objective at every point, the start first, NaN after the last one."
+        "The objective at each point, the start first; NaN after the last point."
     )
     gradient_norm: Float[AnyArray, " point"] = array(
-        "The largest entry of the gradient in the free coordinates at every point."
+        "The largest entry of the gradient in the free coordinates at each point."
     )
     start_gradient: Float[AnyArray, " parameter"] = array(
         "The gradient at the start, in the order of `names`."
     )
     iterations: Integer[AnyArray, ""] = array("The number of iterations.")
     every: Numbers = array(
-        "The best value of each start, NaN for one without a gradient.", axes="start"
+        "The best value from each start; NaN for a start without a gradient.", axes="start"
     )
-    code: Integer[AnyArray, ""] = array("How the search ended.")
+    code: Integer[AnyArray, ""] = array("The code of how the search ended.")
     names: tuple[str, ...] = array(
         "The names of the parameters.", axes="parameter", name="parameter", static=True
     )
 
     @property
     def outcome(self) -> str:
-        """What became of it, in a sentence or two."""
+        """One or two sentences on how the search ended."""
         code, slopes = int(self.code), np.asarray(self.start_gradient)
         if code == NO_GRADIENT:
             return (
@@ -103,33 +103,36 @@ def design(
     seed: Count = 0,
     throw: bool = True,
 ) -> Design:
-    r"""Parameters that minimise (maximise) an objective, by its gradient.
+    r"""Find parameters that minimise (or maximise) an objective, by its gradient.
 
-    The optimiser moves the free coordinates of `granjax.parameters.Coordinates`: changes of order one, bounds never
-    passed. The objective and its gradient are one compiled program; the best point met is kept.
+    The optimiser moves the free coordinates of `granjax.parameters.Coordinates`, which keep the
+    bounds. The objective and its gradient are one compiled program; the best point met is kept. It
+    is a local optimum: `starts` tries several.
 
     **Arguments:**
 
-    - `objective(parameters)`: one real number, by any JAX function of the dict: of `simulate` and its records, of
-      `granjax.linear.normal_modes`, of `granjax.linear.bands` with `cell=`, of a breather. Give `simulate` its
-      `step`: a traced run does not know the number of steps otherwise, which reverse mode must.
-    - `start`: dict from name to number or array; `bounds`: dict from name to (low, high), `None` for no bound.
-    - `maximise`: the largest value rather than the least.
-    - `optimiser`: any of optax; `None` takes `optax.lbfgs` with steps that are shortened until the objective falls.
-      That descends steadily on smooth objectives; where there are kinks or noise try
+    - `objective(parameters)`: one real number, by any JAX function of the dict: of `simulate` and
+      its records, `granjax.linear.normal_modes`, `granjax.linear.bands` with `cell=`, a breather.
+      Give `simulate` its `step`: reverse mode must know the number of steps.
+    - `start`: dict from name to number or array; `bounds`: dict from name to (low, high), `None`
+      for no bound.
+    - `maximise`: whether to maximise.
+    - `optimiser`: any of optax; `None` takes `optax.lbfgs` with steps that are shortened until the
+      objective falls. With kinks or noise try
       `optax.adam(optax.cosine_decay_schedule(0.1, max_steps))`.
-    - `max_steps`: the most steps. `tolerance`: ends where every entry of the gradient is below `tolerance` times the
-      start's largest one.
-    - `mode`: `"forward"` costs some 2.4 runs of a simulation a parameter, keeps no steps (with
-      `adjoint=diffrax.ForwardMode()`) and compiles three times faster than `"reverse"`, which costs six to eight runs
-      for all parameters and keeps every step, or checkpoints by `adjoint=diffrax.RecursiveCheckpointAdjoint()`, which
-      has no forward mode. `None`: forward for up to 20 parameters.
-    - `starts`: a list of dicts tried beside `start`, or how many random ones: normal with deviation 1 in the free
-      coordinates, from `seed`. They run one after another in one program; the best is returned.
-    - `throw`: raise where no start has a finite gradient that is not zero.
+    - `max_steps`: the most steps. `tolerance`: it ends when every entry of the gradient is below
+      `tolerance` times the start's largest one.
+    - `mode`: `"forward"` costs some 2.4 runs of a simulation per parameter, keeps no steps (with
+      `adjoint=diffrax.ForwardMode()`) and compiles three times faster. `"reverse"` costs six to
+      eight runs for all parameters and keeps every step, or checkpoints by
+      `adjoint=diffrax.RecursiveCheckpointAdjoint()`, which has no forward mode. `None`: forward for
+      up to 20 parameters.
+    - `starts`: a list of dicts tried beside `start`, or the number of random ones: normal with
+      deviation 1 in the free coordinates, from `seed`. The best is returned.
+    - `throw`: raise if no start has a finite gradient that is not zero.
 
-    **Returns:** `Design`. **Raises** ValueError for input that cannot be meant; RuntimeError where `throw` and the
-    gradient at the start is exactly zero or not finite. It finds a local optimum: `starts` tries several.
+    **Returns:** `Design`. **Raises** ValueError for invalid input; RuntimeError with `throw` if the
+    gradient at the start is exactly zero or not finite.
 
     **Example:**
 
@@ -175,13 +178,14 @@ def design(
 def smooth_peak(
     values: Parameter, power: Scalar = 40, axis: int | tuple[int, ...] | None = None
 ) -> Numbers:
-    r"""Smooth largest value of positive quantities, such as forces: the p-norm (mean [v]_+^p)^{1/p}.
+    r"""Return a smooth largest value of positive quantities: the p-norm (mean [v]_+^p)^{1/p}.
 
-    Between the mean and the largest value. Where two peaks change places the largest has a kink, which this rounds
-    off. Of a history give frames that resolve it; `simulate(record={"peak": Peak(...)})` gives the largest value of
-    each quantity between steps, smooth but for such changes.
+    It lies between the mean and the largest value, whose kink where two peaks change places it
+    rounds off. A history needs frames that resolve it; `simulate(record={"peak": Peak(...)})` finds
+    each largest value between steps, smooth but for such kinks.
 
-    **Arguments:** `values`; those below zero count as zero. `power`: p > 1, typical 20 ... 100. `axis`: `None` for all.
+    **Arguments:** `values`: those below zero count as zero. `power`: p > 1, typical 20 ... 100.
+    `axis`: `None` for all.
     """
     values = jnp.maximum(parameter("values", values), 0)
     power = within("power", power, 1, np.inf, open_low=True, open_high=True)
@@ -199,7 +203,6 @@ def _peak(values, power, axis):
 
 
 def _others(coordinates, bounds, starts, seed):
-    """The further starts, each with free coordinates of its own."""
     if starts is None:
         return []
     if isinstance(starts, (list, tuple)):
@@ -216,8 +219,6 @@ def _listed(names, which):
 
 
 class _Cost(eqx.Module):
-    """The objective of free coordinates, less is better."""
-
     objective: Callable
     coordinates: Coordinates
     maximise: bool = eqx.field(static=True)

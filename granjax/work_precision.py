@@ -1,7 +1,6 @@
-"""Work and precision: the error of many methods against the time they take, on any scene.
+"""Work and precision: the error of many methods against their time, on any scene.
 
-`work_precision` does it for a lattice and solvers; `measure` for any `Ladder`, which is a name, a
-list of steps or tolerances and a function that computes the final state with one of them.
+`work_precision` measures solvers on a lattice; `measure` measures any `Ladder`.
 """
 
 import math
@@ -41,58 +40,58 @@ SPLITTING = (VelocityVerlet, SRKN6b, ABA864, SRKN11b, SRKN14a, KahanLi8, Sofroni
 NYSTROM = (RKN86, RKN1210)
 DIFFRAX = (diffrax.Tsit5, diffrax.Dopri8)
 
-# from one value of a ladder to the next the error falls by about this factor
+# the error falls by about this factor from one value of a ladder to the next
 RUNG = 10.0
 # the first tolerance of a ladder
 FIRST_TOLERANCE = 1e-2
-# the first step of a ladder, over the longest stable one: just inside
+# the first step of a ladder over the longest stable step
 FIRST_STEP = 0.95
-# values of a ladder at most
+# largest number of values of a ladder
 MOST_VALUES = 48
-# fewest steps that a run is divided into
+# smallest number of steps of a run
 LEAST_INTERVALS = 4
-# of a solver without a table
+# assumed order of a solver without a table
 ORDER = 4
-# of the rounding unit: the least tolerance; references at 16 are worse than at 20
+# the smallest tolerance in rounding units; references at 16 are worse than at 20
 ROUNDINGS = 20
 
-# errors below this many floors (uncertainties of the reference) are neither drawn nor used
+# Errors below this many floors are neither drawn nor used; the floor is the uncertainty of the
+# reference.
 DRAWN = 4.0
-# a worse reference tells nothing
+# the largest floor of a useful reference
 LARGEST_FLOOR = 1e-3
-# below this an error falls as a power of the step
+# below this error the error is assumed to be a power of the step
 ASYMPTOTIC = 1e-2
-# above this many floors an error is its own
+# above this many floors the reference does not affect an error
 CLEAR = 10.0
-# values without a smaller error after which rounding has taken over
+# a ladder ends after this many values without a smaller error, because rounding dominates
 STALLED = 4
-# what the timed calls of a point may take altogether [s]
+# total time of the timed calls of a point [s]
 ENOUGH = 3.0
-# a ladder ends where a call takes this many times as long as its coarsest ...
+# a ladder ends where a call takes this many times as long as that of the coarsest value ...
 LONGER = 10.0
-# ... and this long [s]
+# ... and at least this long [s]
 AT_LEAST = 0.2
 
-# tolerances of the reference, of which the one with the least distance between two runs is taken
+# tolerances of the reference; that with the smallest distance between two runs is used
 REFERENCE_TOLERANCES = 10.0 ** -np.arange(9, 15)
-# tolerances of the confirming runs, over those that they confirm
+# tolerance of the confirming runs over that of the runs that they confirm
 OTHER_MESH = 1.3
 
 
 class Ladder(NamedTuple):
     """One method and the values of its step or tolerance, for `measure`.
 
-    - `name`: of the method; `parameter`: `"step"` or `"tolerance"`; `values`: its values.
-    - `call(value)`: computes the final state, and returns `(state, evaluations)` or
-      `(state, evaluations, steps)`: the state a pair (u, v) or any tree of arrays like the
-      reference, force evaluations and steps numbers, or `None` where they are not known. It may
-      compile on its first call. A ValueError or RuntimeError marks the point alone.
+    - `name`: of the method; the advice compares with a ladder called `"default"`, a run without
+      options.
+    - `parameter`: `"step"` or `"tolerance"`; `values`: its values.
+    - `call(value)`: returns `(state, evaluations)` or `(state, evaluations, steps)`: the final
+      state, a pair (u, v) or any tree of arrays like the reference, and two counts, numbers or
+      `None`. It may compile on its first call. A ValueError or RuntimeError fails this point only.
     - `stops`: whether the ladder ends where its error reaches the floor or has not fallen for four
       values, or where one call takes too long; otherwise every value is tried.
-    - `limit`: the longest stable step; orders are read off below half of it.
-    - `solver`: the solver that `gx.simulate` takes, where there is one, for the advice.
-
-    A ladder called `"default"` is what happens without any choice; the advice compares with it.
+    - `limit`: the longest stable step; the order is fitted below half of it.
+    - `solver`: for the advice, the solver of `gx.simulate`, if there is one.
     """
 
     name: str
@@ -104,9 +103,8 @@ class Ladder(NamedTuple):
     solver: diffrax.AbstractSolver | None = None
 
 
+# the result of one value of a ladder, and why it is not meaningful
 class _Point(NamedTuple):
-    """What one value of a ladder gave, and why it says nothing."""
-
     value: float
     error: float = math.nan
     evaluations: float = math.nan
@@ -115,20 +113,20 @@ class _Point(NamedTuple):
 
 
 class Advice(Result):
-    """A method and its step or tolerance for an error; printed, it says so in a sentence."""
+    """A method and its step or tolerance for an error; `str` of it is a sentence."""
 
     _else: ClassVar[str | None] = SI
     asked: float = array("The error that was asked for")
-    method: str = array('What to use; `"default"` where that is no choice at all', static=True)
+    method: str = array('The method; `"default"` for `simulate` without options', static=True)
     parameter: str = array('`"step"` or `"tolerance"`', static=True)
     value: float = array("Its value; NaN for the default")
-    error: float = array("The error that was measured with it")
-    seconds: float = array("The wall time that was measured", "s")
-    evaluations: float = array("Its evaluations of the force; NaN where they are not known")
-    default_error: float = array("What no choice at all gives; NaN if unknown", default=math.nan)
-    default_seconds: float = array("How long that takes", "s", default=math.nan)
+    error: float = array("The measured error")
+    seconds: float = array("The measured wall time", "s")
+    evaluations: float = array("Evaluations of the force; NaN if unknown")
+    default_error: float = array("The error of the default; NaN if unknown", default=math.nan)
+    default_seconds: float = array("The wall time of the default", "s", default=math.nan)
     solver: diffrax.AbstractSolver | None = array(
-        "The solver, where it is one of `gx.simulate`'s", default=None
+        "The solver, if it is one of `gx.simulate`", default=None
     )
 
     @property
@@ -169,7 +167,7 @@ class WorkPrecision(Result):
 
     _else: ClassVar[str | None] = SI
     method: tuple[str, ...] = array(
-        "What was run; `default` is `gx.simulate` without any choice", axes="point", static=True
+        "The method; `default` is `gx.simulate` without options", axes="point", static=True
     )
     parameter: tuple[str, ...] = array("`step` or `tolerance`", axes="point", static=True)
     value: Float[np.ndarray, " point"] = array("Its value; NaN for the default")
@@ -177,26 +175,26 @@ class WorkPrecision(Result):
     seconds: Float[np.ndarray, " point"] = array("Median wall time of a call, compiled", "s")
     fastest: Float[np.ndarray, " point"] = array("Shortest wall time of a call", "s")
     evaluations: Float[np.ndarray, " point"] = array("Evaluations of the force; NaN if unknown")
-    steps: Float[np.ndarray, " point"] = array("Steps; NaN where they are not known")
-    drawn: Bool[np.ndarray, " point"] = array("Whether the point says something")
+    steps: Float[np.ndarray, " point"] = array("Steps; NaN if unknown")
+    drawn: Bool[np.ndarray, " point"] = array("Whether the point is meaningful")
     note: tuple[str, ...] = array(
-        "Why it does not: refused, failed, below the floor", axes="point", static=True
+        "Why it is not: refused, failed, below the floor", axes="point", static=True
     )
     methods: tuple[str, ...] = array(
         "Names of the methods", axes="method_name", name="method_name", static=True
     )
     compile_seconds: Float[np.ndarray, " method_name"] = array(
-        "What the first call took beyond the second", "s"
+        "Extra time of the first call over the second", "s"
     )
     order: Float[np.ndarray, " method_name"] = array("Observed order, see `observed_order`")
     order_error: Float[np.ndarray, " method_name"] = array("Its standard error")
     floor: float = array(
-        "Uncertainty of the reference, the distance of two independent runs: nothing below four "
-        "of it (`least_error`) is drawn; NaN where it is not known"
+        "Uncertainty of the reference, the distance of two independent runs; errors below four "
+        "floors (`least_error`) are not drawn; NaN if unknown"
     )
     repeats: int = array("Timed calls of a point", static=True)
-    reference_note: str = array("How the reference came about", name="reference", static=True)
-    reference: Pytree = hidden("What errors are measured against", default=None)
+    reference_note: str = array("The origin of the reference", name="reference", static=True)
+    reference: Pytree = hidden("The state from which errors are measured", default=None)
     solvers: tuple = hidden("The solvers, for the advice", static=True, default=())
 
     @property
@@ -208,7 +206,7 @@ class WorkPrecision(Result):
 
     @property
     def least_error(self) -> float:
-        """Four floors: the smallest error that is drawn; 0 where the floor is not known."""
+        """Four floors, the smallest error that is drawn; 0 if the floor is unknown."""
         return DRAWN * self.floor if math.isfinite(self.floor) else 0.0
 
     @property
@@ -217,14 +215,14 @@ class WorkPrecision(Result):
         return dict(zip(self.methods, zip(self.order.tolist(), self.order_error.tolist())))
 
     def advice(self, error: Scalar) -> Advice:
-        """Say what to use for an error that you can live with, in the measure of `distance`.
+        """Return the fastest point of the table whose error is at most `error`.
 
-        Of all points of the table with no larger error it is the fastest. For a finer choice give
-        `work_precision` more steps.
+        The error is in the measure of `distance`. For a finer choice give `work_precision` more
+        steps.
 
-        **Returns:** `Advice`; `str` of it says so in a sentence, `gx.simulate(...,
-        **advice.keywords)` follows it. **Raises** ValueError for an error below four floors, or
-        below all that was measured.
+        **Returns:** `Advice`, for `gx.simulate(..., **advice.keywords)`.
+
+        **Raises** ValueError for an error below four floors or below all measured errors.
         """
         asked = float(positive("error", error))
         if asked < self.least_error:
@@ -281,39 +279,38 @@ def work_precision(
     repeats: Count = 5,
     longest: Scalar | None = None,
 ) -> WorkPrecision:
-    r"""Measure the error at t1 against the time of `simulate`, and against force evaluations.
+    r"""Measure the error at t1 against the time and the force evaluations of `simulate`.
 
-    The error is dimensionless: the largest over sites of |u - u_ref| / max |u_ref| and
+    The error is dimensionless: the maximum over sites of |u - u_ref| / max |u_ref| and
     |v - v_ref| / max |v_ref|.
 
     **Arguments:**
 
-    - `lattice`, `state`, `t1`, `t0`: the scene, as for `simulate`.
-    - `solvers`: list of solvers, granjax's or diffrax's, or a dict from names of yours to them.
-      `None`: VelocityVerlet, SRKN6b, ABA864, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10 where the
-      scene splits, RKN86 and RKN1210 where no force reads the velocity, diffrax's Tsit5 and Dopri8
-      always.
-    - `steps`: what they are tried with: one list for all (steps for solvers of fixed step,
-      tolerances for adaptive ones), or a dict from a solver's name to its list.
-      `None`, or a name that is not in the dict: steps from the stability limit down in ratios of
-      10^(1/order), tolerances from 1e-2 down by decades, until the error reaches the floor or falls
-      no more, or a call takes longer than `longest`.
-    - `reference`: the final state, a `State` or a pair; `uncertainty`: its, in the measure of the
-      error; `None` if not known, and then nothing is held back. `None`: two independent runs of
-      high order, refined until their distance is least; that is the floor.
-    - `repeats`: timed calls of each point, of which the median counts (fewer where they add up to
-      more than 3 s); solvers take turns. `longest` [s]; `None`: ten times what the solver takes at
-      its coarsest, but at least 0.2 s.
+    - `lattice`, `state`, `t1`, `t0`: as for `simulate`.
+    - `solvers`: list of solvers, granjax's or diffrax's, or a dict from names to them. `None`: all
+      splitting methods of granjax if the scene splits, RKN86 and RKN1210 if no force reads the
+      velocity, and diffrax's Tsit5 and Dopri8.
+    - `steps`: one list for all solvers (steps or, if they are adaptive, tolerances), or a dict from
+      a solver's name to its list. `None`, or a missing name: steps from the stability limit down in
+      ratios of 10^(1/order), or tolerances from 1e-2 down in decades, until the error reaches the
+      floor or stops falling, or a call takes longer than `longest`.
+    - `reference`: the final state, a `State` or a pair. `None`: two independent runs of high order,
+      refined until their distance is smallest; that distance is the floor.
+    - `uncertainty`: of a given reference, in the measure of the error; with `None` no point is
+      withheld.
+    - `repeats`: timed calls of each point, in turns; the median counts. There are fewer where they
+      add up to more than 3 s.
+    - `longest` [s]: `None`: ten times the time of the solver's coarsest value, at least 0.2 s.
 
     **Returns:** `WorkPrecision`: print it, `.advice(error)`, `.orders`, `.floor`, `.to_xarray()`;
-    `gx.plots.work_precision` draws it. Nothing below four floors is drawn or used. Refused and
-    failed points stay, with a sentence.
+    `gx.plots.work_precision` draws it. Errors below four floors are neither drawn nor used. Refused
+    and failed points stay, with a note.
 
-    **Raises** ValueError for input that cannot be meant; RuntimeError where two runs of high order
-    do not agree to 1e-3, so that the scene has no reference at t1: chains without precompression
-    amplify rounding until nothing is left of it.
+    **Raises** ValueError for invalid input; RuntimeError if two runs of high order differ by more
+    than 1e-3. Then no reference exists at t1, as in chains without precompression, which amplify
+    rounding.
 
-    Typical: eleven solvers compile in 10 s; then a chain of 100 beads takes some seconds.
+    Typical: eleven solvers compile in 10 s; a chain of 100 beads then takes some seconds.
 
     **Example:**
 
@@ -366,20 +363,24 @@ def measure(
     longest: Scalar | None = None,
     note: str = "",
 ) -> WorkPrecision:
-    """Measure error, time and evaluations of every value of every ladder, against one reference.
+    """Measure error, time and evaluations of every value of every ladder against one reference.
 
-    First every ladder is called, for its compile time, its errors and its counts. Then all points
-    are called `repeats` times in turns (A B C A B C), and the median wall time of a call counts.
+    First every ladder is called for its compile time, errors and counts. Then all points are timed
+    in turns (A B C A B C); the median of `repeats` calls counts.
 
     **Arguments:**
 
-    - `ladders`: list of `Ladder`. `reference`: what all of them approximate, a tree like their
-      states: a pair (u, v), or any tuple of arrays; `uncertainty`: its, the floor of the table, in
-      the measure of `distance`; `None` or NaN where nobody knows it.
-    - `repeats`, `longest`: as for `work_precision`. `note`: what the reference is, a sentence.
+    - `ladders`: list of `Ladder`.
+    - `reference`: what all ladders approximate, a tree like their states: a pair (u, v), or any
+      tuple of arrays.
+    - `uncertainty`: of the reference, in the measure of `distance`: the floor of the table; `None`
+      or NaN if unknown.
+    - `repeats`, `longest`: as for `work_precision`. `note`: a sentence on the reference.
 
-    **Returns:** `WorkPrecision`. **Raises** ValueError for two ladders of one name, an uncertainty
-    above 1e-3 (no reference), a state of other shapes than the reference.
+    **Returns:** `WorkPrecision`.
+
+    **Raises** ValueError for two ladders of one name, an uncertainty above 1e-3, and a state of
+    other shapes than the reference.
     """
     repeats = whole("repeats", repeats, 1)
     floor = math.nan if uncertainty is None else float(np.max(uncertainty))
@@ -420,13 +421,12 @@ def measure(
 
 
 def distance(state: Pytree, reference: Pytree) -> float:
-    r"""Measure the largest error of a state, each of its parts by its own scale.
+    r"""Return the largest error of a state, each of its parts relative to its own scale.
 
         error = max over parts x of  max |x - x_ref| / max |x_ref|
 
-    Parts are u and v of a pair; an array that is not in a tuple is one part, and so is a dict of
-    fields. A part that passes through zero at the final time has a small scale and so a large
-    error: end runs elsewhere.
+    Parts are u and v of a pair; a dict of fields, or an array outside a tuple, is one part. A part
+    that passes through zero at the final time has a large error: end the run at another time.
 
     **Arguments:** two trees of arrays of equal shapes. **Returns:** a float; NaN where the state is
     not finite. **Raises** ValueError where shapes differ.
@@ -440,7 +440,7 @@ def distance(state: Pytree, reference: Pytree) -> float:
         apart = np.max([np.max(np.abs(x - y), initial=0.0) for x, y in zip(part, exact)])
         scale = np.max([np.max(np.abs(y), initial=0.0) for y in exact])
         errors.append(apart / scale if scale > 0 else apart)
-    # NumPy's maximum keeps a NaN, Python's own may lose it
+    # NumPy's maximum keeps a NaN; Python's may lose it
     return float(np.max(errors))
 
 
@@ -450,14 +450,15 @@ def _parts(argument, tree):
 
 
 def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[float, float]:
-    r"""Find the slope of log(error) over log(step), by least squares, and its standard error.
+    r"""Return the least-squares slope of log(error) over log(step), and its standard error.
 
-    Only errors below 1e-2 and above ten floors count; where the error rises again towards the
-    shortest steps, so that rounding has taken over, only those before, and above ten times the
-    smallest.
+    Only errors below 1e-2 and above ten floors count. If the error rises again towards the shortest
+    steps, because of rounding, only errors before the minimum and above ten times the minimum
+    count.
 
     **Arguments:** `steps`, `errors` (P,); `floor`: uncertainty of the reference, or NaN.
-    **Returns:** (order, standard error), NaN where fewer than three points are left.
+
+    **Returns:** (order, standard error), NaN for fewer than three points.
     """
     along = np.argsort(steps)[::-1]
     steps, errors = np.asarray(steps)[along], np.asarray(errors)[along]
@@ -470,26 +471,26 @@ def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[
             keep &= (errors > CLEAR * errors[least]) & (np.arange(len(errors)) < least)
     if np.count_nonzero(keep) < 3:
         return math.nan, math.nan
-    # the degrees of freedom are the points less two: of three one is left
+    # the degrees of freedom are the number of points minus two
     (slope, _), squares, *_ = np.polyfit(np.log(steps[keep]), np.log(errors[keep]), 1, full=True)
     x = np.log(steps[keep])
     spread = (x - x.mean()) @ (x - x.mean())
     return float(slope), float(np.sqrt(squares[0] / (len(x) - 2) / spread))
 
 
+# uses points between half the stability limit and the floor
 def _order(ladder, points, floor):
-    """The observed order between half the stability limit and the floor."""
     if ladder.parameter != "step":
         return math.nan, math.nan
     points = [one for one in points if not one.note and one.value <= ladder.limit / 2]
     counts = np.array([one.steps for one in points])
-    # the number of steps knows how far a step was shortened to fit
+    # steps may be shortened to fit the run, so the number of steps gives the actual length
     steps = 1 / counts if np.all(np.isfinite(counts)) else [one.value for one in points]
     return observed_order(steps, [one.error for one in points], floor)
 
 
+# the result of a call, or the message of its ValueError or RuntimeError; and its wall time [s]
 def _once(call, value):
-    """What a call gives, and its wall time [s]; a ValueError or RuntimeError becomes a sentence."""
     start = time.perf_counter()
     try:
         found = jax.block_until_ready(call(value))
@@ -498,8 +499,8 @@ def _once(call, value):
     return found, time.perf_counter() - start
 
 
+# the `_Point` of a value, the wall time [s] of its call, and whether the call succeeded
 def _tried(ladder, value, reference, floor):
-    """The `_Point` of a value, the wall time [s] of its call, and whether that went through."""
     found, seconds = _once(ladder.call, value)
     if isinstance(found, str):
         return _Point(value, note=found), seconds, False
@@ -515,12 +516,12 @@ def _tried(ladder, value, reference, floor):
     return _Point(value, error, *counts, why), seconds, True
 
 
+# seconds of compiling, and the points up to where the ladder ends
 def _climb(ladder, reference, floor, longest):
-    """Seconds of compiling, and the points as far as the ladder goes."""
     compiling, points, smallest, waited, works = 0.0, [], math.inf, 0, False
     for value in ladder.values:
         point, seconds, done = _tried(ladder, value, reference, floor)
-        if not works:  # the first call, or none has worked before
+        if not works:  # a successful first call compiles; the second one gives the time without it
             _, again = _once(ladder.call, value)
             compiling, seconds = max(compiling, seconds - again), again
             limit = max(AT_LEAST, LONGER * seconds) if longest is None else longest
@@ -532,17 +533,15 @@ def _climb(ladder, reference, floor, longest):
             continue
         if point.error < DRAWN * floor or smallest < ASYMPTOTIC and waited == STALLED:
             break
-        # once may be another process that had the processor
+        # a single long call may be due to another process on the processor
         if seconds > limit and _once(ladder.call, value)[1] > limit:
             break
     return compiling, points
 
 
+# Median and shortest wall times (2, calls) [s] of (call, value) pairs in turns. Each is called
+# `repeats` times, or until its times add up to `ENOUGH`.
 def _in_turns(calls, repeats):
-    """Median and shortest wall times (2, calls) [s] of pairs (call, value) that take turns.
-
-    Each is called `repeats` times, or until its times add up to `ENOUGH`.
-    """
     spent = [[] for _ in calls]
     for _ in range(repeats):
         for (call, value), times in zip(calls, spent):
@@ -552,7 +551,6 @@ def _in_turns(calls, repeats):
 
 
 def _values(name, values):
-    """Steps or tolerances as a tuple of floats, the coarsest first."""
     array = np.atleast_1d(real(f"steps of {name}", values))
     if name != DEFAULT and not (array.size and np.all(np.isfinite(array) & (array > 0))):
         expected = "finite numbers above zero, such as [0.1, 0.05]"
@@ -561,7 +559,6 @@ def _values(name, values):
 
 
 def _named(solvers):
-    """A dict from name to solver."""
     if isinstance(solvers, diffrax.AbstractSolver):
         solvers = [solvers]
     if not isinstance(solvers, Mapping):
@@ -579,7 +576,7 @@ def _named(solvers):
 
 
 def sensible_solvers(lattice: Lattice) -> dict[str, diffrax.AbstractSolver]:
-    """Name all solvers that take the lattice, and diffrax's Tsit5 and Dopri8."""
+    """Return all solvers that take the lattice, and diffrax's Tsit5 and Dopri8, by name."""
     known = facts(lattice)
     kinds = SPLITTING if known.splits else ()
     kinds += () if known.reads_velocity else NYSTROM
@@ -587,7 +584,7 @@ def sensible_solvers(lattice: Lattice) -> dict[str, diffrax.AbstractSolver]:
 
 
 def highest_frequency(lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar) -> float:
-    """Find the highest linear frequency; the bound at this energy where that is zero; 0 for neither."""
+    """Return the highest linear frequency, or if it is zero the bound at this energy, or 0."""
     omega = float(np.max(linear_frequency(lattice)))
     if omega > 0:
         return omega
@@ -598,18 +595,17 @@ def highest_frequency(lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar) -
 
 
 def stable_step(solver: diffrax.AbstractSolver, omega: Scalar) -> float:
-    """Find the longest stable step of a solver; infinity where none is known, or it has no end."""
+    """Return the longest stable step of a solver; infinity if it is unknown or has no limit."""
     limit = stability_limit(solver)
     return limit / omega if limit and omega > 0 else math.inf
 
 
 def _least(dtype):
-    """The smallest tolerance."""
     return ROUNDINGS * float(jnp.finfo(dtype).eps)
 
 
+# tolerances, or steps, between which the error falls by about `RUNG`
 def _sensible_values(solver, limit, span, dtype):
-    """Tolerances, or steps, between which the error falls by about `RUNG`."""
     down = RUNG ** -np.arange(MOST_VALUES)
     if isinstance(solver, diffrax.AbstractAdaptiveSolver):
         values = FIRST_TOLERANCE * down
@@ -621,12 +617,12 @@ def _sensible_values(solver, limit, span, dtype):
     return tuple(float(f"{x:.3g}") for x in values)
 
 
+# force evaluations and steps of a run, averaged over lanes
 def _counts(run):
-    """Force evaluations and steps of a run, their means over lanes."""
     stats, kind = jax.tree.map(np.mean, run.stats), getattr(diffrax, run.solver, None)
     forces = stats["force_evaluations"]
     if isinstance(kind, type) and issubclass(kind, diffrax.AbstractERK):
-        # diffrax's explicit methods do not count their forces
+        # diffrax's explicit methods do not count evaluations
         forces = stats["steps"] * (kind.tableau.num_stages - bool(kind.tableau.fsal))
     return forces, stats["steps"]
 
@@ -634,15 +630,16 @@ def _counts(run):
 def find_reference(
     lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar
 ) -> tuple[Pytree, float, str]:
-    r"""Run two adaptive methods of high order at ever finer tolerances, and take the closest pair.
+    r"""Return the final state on which two adaptive methods of high order agree best.
 
-    RKN1210 and RKN86, or Dopri8 and Tsit5 where a force reads the velocity. Both run once more at
-    another tolerance, so that no chance agreement passes: the floor is the largest distance of the
-    other three from the first. In float64, whatever the type of the lattice, unless JAX is held to
-    float32.
+    RKN1210 and RKN86, or Dopri8 and Tsit5 where a force reads the velocity, run at finer and finer
+    tolerances. The closest pair runs again at another tolerance, to exclude a chance agreement. The
+    floor is the largest distance of the other three runs from the first. The runs are in float64
+    unless JAX is restricted to float32.
 
-    **Returns:** (final state, floor, what the runs were). **Raises** RuntimeError where they do not
-    agree to 1e-3, or one does not complete.
+    **Returns:** (final state, floor, what the runs were).
+
+    **Raises** RuntimeError where they differ by more than 1e-3 or one does not complete.
     """
     wide = jnp.zeros(()).dtype
     lattice, state = lattice.astype(wide), jax.tree.map(lambda x: jnp.asarray(x, wide), state)
@@ -661,7 +658,7 @@ def find_reference(
             first, second = ends(tolerance)
             found.append((distance(second, first), tolerance, first))
     except RuntimeError as error:
-        # a finer run may fail where a coarser one did not
+        # a finer run may fail after a coarser one succeeded
         if not found:
             raise RuntimeError(f"No reference: a run of high order fails. {error}") from None
     apart, tolerance, final = min(found, key=lambda x: x[0])

@@ -1,6 +1,6 @@
-"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, Salerno's lattice, the discrete p-Schroedinger equation.
+"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, Salerno's, discrete p-Schroedinger.
 
-They are complex vector fields f(t, psi, args) over `gx.Flow` and diffrax, the equation being `args`:
+They are complex vector fields f(t, psi, args) for `gx.Flow` and diffrax; `args` is the equation:
 
     import numpy as np
 

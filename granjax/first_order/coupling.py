@@ -1,4 +1,4 @@
-"""Linear coupling of sites over any distance: a symmetric matrix that depends on the distance alone, by FFT."""
+"""Linear coupling that depends on the distance of two sites alone, over any distance, by FFT."""
 
 import equinox as eqx
 import jax
@@ -8,16 +8,19 @@ from ..fractional import kernel, symbol, total, wave_numbers
 from ..programs import by_rows
 from ..types import Amplitudes, Numbers
 
-# sites of a finite chain up to which the modes of its coupling are kept
+# the most sites of a finite chain for which the modes of its coupling are kept
 MOST_MODES = 512
 
 
 class Coupling(eqx.Module):
-    r"""(L psi)_n = sum_{m != 0} c_|m| (psi_n - psi_{n+m}), by FFT on a ring, by one of twice the length elsewhere.
+    r"""(L psi)_n = sum_{m != 0} c_|m| (psi_n - psi_{n+m}), by FFT.
 
-    `values` (P, *lanes): the symbol on P >= N wave numbers. `diagonal` (N, *lanes): what is added at each site of a
-    finite chain, `None` on a ring. `modes` (N, N, *lanes), `rates` (N, *lanes): its modes and their eigenvalues; a ring
-    has plane waves and those of `values`, a long chain none.
+    The FFT is on the ring of the sites, or for a finite chain on one of twice the length.
+
+    - `values` (P, *lanes): the symbol on P >= N wave numbers.
+    - `diagonal` (N, *lanes): added at each site of a finite chain; `None` on a ring.
+    - `modes` (N, N, *lanes), `rates` (N, *lanes): modes and eigenvalues of a short finite chain,
+      else `None`.
     """
 
     values: jax.Array
@@ -27,12 +30,12 @@ class Coupling(eqx.Module):
     sites: int = eqx.field(static=True)
 
     def __call__(self, psi: Amplitudes) -> Amplitudes:
-        """L psi, for psi (N, *lanes)."""
+        """Return L psi for psi (N, *lanes)."""
         moved = self._filtered(psi, trailing(self.values, psi))
         return moved if self.diagonal is None else moved + trailing(self.diagonal, psi) * psi
 
     def flow(self, psi: Amplitudes, time: Numbers) -> Amplitudes:
-        """exp(-i L time) psi, as psi and what is added to it: so is rounding as small as a short time."""
+        """Return exp(-i L time) psi, as psi plus a change, whose rounding falls with the time."""
         if self.diagonal is None:
             return psi + self._filtered(psi, _turn(time * trailing(self.values, psi)))
         along = jnp.einsum("nk...,n...->k...", self.modes, psi)
@@ -51,24 +54,23 @@ class Coupling(eqx.Module):
 
 
 def _turn(angle):
-    """exp(-i angle) - 1."""
     return -2 * jnp.sin(angle / 2) ** 2 - 1j * jnp.sin(angle)
 
 
 def trailing(x: Numbers, like: Amplitudes) -> Numbers:
-    """Site arrays with as many trailing axes as another one."""
+    """Return site arrays with as many trailing axes as `like`."""
     return x.reshape(*x.shape, *[1] * (like.ndim - x.ndim))
 
 
 def of_order(sites: int, order: jax.Array, boundary: str) -> Coupling:
-    """The fractional Laplacian of order s, on a ring or a finite chain."""
+    """Return the fractional Laplacian of order s, on a ring or a finite chain."""
     if boundary == "periodic":
         return Coupling(symbol(order, wave_numbers(sites)), None, None, None, sites)
     return _finite(sites, kernel(order, sites - 1), total(order), boundary)
 
 
 def of_weights(sites: int, weights: jax.Array, boundary: str) -> Coupling:
-    """The coupling of given weights (M, *lanes) of the offsets 1, ..., M."""
+    """Return the coupling with weights (M, *lanes) of the offsets 1, ..., M."""
     if boundary == "periodic":
         k = wave_numbers(sites).reshape(-1, 1, *[1] * (weights.ndim - 1))
         m = jnp.arange(1, len(weights) + 1).reshape(1, -1, *[1] * (weights.ndim - 1))
@@ -81,7 +83,6 @@ def of_weights(sites: int, weights: jax.Array, boundary: str) -> Coupling:
 
 
 def _finite(sites, weights, whole, boundary):
-    """The coupling of a chain with ends: the matrix is a part of that of a ring of twice the length."""
     zero = jnp.zeros_like(weights[:1])
     if boundary == "fixed":
         diagonal = jnp.broadcast_to(whole, (sites, *weights.shape[1:]))

@@ -1,4 +1,4 @@
-"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, Salerno's and Ablowitz and Ladik's, the electrical one, DpS."""
+"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, Salerno (Ablowitz-Ladik), electrical, DpS."""
 
 import abc
 from typing import Any
@@ -19,11 +19,11 @@ from .coupling import Coupling, of_order, of_weights, trailing
 
 
 class Equation(eqx.Module):
-    """A first-order lattice, i dpsi_n/dt = dH/dpsi_n*, psi complex of shape (N, *lanes).
+    """A first-order lattice i dpsi_n/dt = dH/dpsi_n*, with psi complex of shape (N, *lanes).
 
-    To add one, give it `sites` and write `energy`, real and free of the phase of psi (then the norm is kept);
-    `gradient` where it is cheaper than automatic differentiation. `gx.first_order.field` is its vector field. A lattice
-    with other Poisson brackets writes `rate` and `norm` too, as `Salerno` does.
+    To add one, give it `sites` and `energy`, real and independent of the phase of psi (then the
+    norm is kept), and `gradient` if that is cheaper than automatic differentiation. With other
+    Poisson brackets it also needs `rate` and `norm`, as `Salerno`.
     """
 
     sites: eqx.AbstractVar[int]
@@ -31,36 +31,36 @@ class Equation(eqx.Module):
 
     @abc.abstractmethod
     def energy(self, psi: Amplitudes) -> Numbers:
-        """H, one number per lane."""
+        """Return H, one number per lane."""
 
     def gradient(self, psi: Amplitudes) -> Amplitudes:
-        """dH/dpsi*, of psi's shape."""
+        """Return dH/dpsi*, of psi's shape."""
         return jnp.conj(jax.grad(lambda psi: jnp.sum(self.energy(psi)))(psi)) / 2
 
     def rate(self, psi: Amplitudes) -> Amplitudes:
-        """i dpsi/dt: dH/dpsi*, where the brackets are the plain ones."""
+        """Return i dpsi/dt, which is dH/dpsi* for the standard brackets."""
         return self.gradient(psi)
 
     def norm(self, psi: Amplitudes) -> Numbers:
-        """Sum over the sites of |psi_n|^2, one number per lane."""
+        """Return the sum of |psi_n|^2 over the sites, one number per lane."""
         return jnp.sum(_density(psi), axis=0)
 
     @property
     def has_flows(self) -> Flags:
-        """Whether H = H1 + H2 with two exact flows, `drift` and `kick`: what `SplitStep` composes."""
+        """Whether H = H1 + H2 with exact flows `drift` and `kick`, for `SplitStep`."""
         return False
 
     def drift(self, psi: Amplitudes, time: Number) -> Amplitudes:
-        """The exact flow of the linear coupling."""
+        """Return the exact flow of the linear coupling."""
         return refuse_split(self)
 
     def kick(self, psi: Amplitudes, time: Number) -> Amplitudes:
-        """The exact flow of what each site does by itself."""
+        """Return the exact flow of each site by itself."""
         return refuse_split(self)
 
 
 def refuse_split(equation: Any) -> Any:
-    """Say that an equation has no exact flows to compose."""
+    """Refuse an equation without exact flows."""
     refuse(
         "solver",
         f"a solver of any vector field for a {type(equation).__name__}",
@@ -76,33 +76,40 @@ def check_shape(psi: Any, equation: Any) -> None:
 
 
 def field(t: Any, psi: Amplitudes, equation: Equation) -> Amplitudes:
-    """dpsi/dt = -i dH/dpsi* (-i `rate`): a vector field f(t, psi, args) for `gx.Flow(n, solver, field)`, diffrax."""
+    """Return dpsi/dt = -i `rate`, a vector field f(t, psi, args) for `gx.Flow` and diffrax."""
     check_shape(psi, equation)
     return -1j * equation.rate(psi)
 
 
 class DNLS(Equation):
-    r"""Discrete nonlinear Schroedinger equation, with next neighbours, fractional or any linear coupling.
+    r"""The discrete nonlinear Schroedinger equation, with any linear coupling (also fractional).
 
-    i dpsi_n/dt = e_n psi_n + V sum_{m != 0} c_|m| (psi_n - psi_{n+m}) - g(|psi_n|^2) psi_n,  g(x) = chi x.
+    i dpsi_n/dt = e_n psi_n + V sum_{m != 0} c_|m| (psi_n - psi_{n+m}) - g(|psi_n|^2) psi_n,
+    g(x) = chi x.
 
-    It keeps the norm, and H = sum_n e_n |psi_n|^2 + V sum_{n, m>0} c_m |psi_{n+m} - psi_n|^2 - G(|psi_n|^2), G' = g.
-    Its band is [0, 4 V], or [0, 4^s V] for the order s; the tight-binding form with -V (psi_{n+1} + psi_{n-1}) is the
-    same in a frame that turns, psi exp(2 i V t). chi > 0 focuses (V > 0): bright solitons below the band.
-    The dimer `DNLS(2, V, chi, boundary="fixed")` with psi = (1, 0) traps itself beyond chi = 4 V.
+    It keeps the norm and, with G' = g,
+
+    H = sum_n e_n |psi_n|^2 + V sum_{n, m>0} c_m |psi_{n+m} - psi_n|^2 - G(|psi_n|^2).
+
+    Its band is [0, 4 V], or [0, 4^s V] for the order s. The tight-binding form with -V (psi_{n+1} +
+    psi_{n-1}) is the same in a rotating frame, psi exp(2 i V t). chi > 0 focuses (V > 0): bright
+    solitons lie below the band. The dimer is `DNLS(2, V, chi, boundary="fixed")`.
 
     **Arguments:**
 
     - `sites`: N >= 2, on a ring >= 3.
-    - `coupling`: V [rad/s]. `nonlinearity`: chi [rad/s per |psi|^2], or a `Law` whose force is g, of |psi|^2.
-    - `order`: s in (0, 1] of a fractional Laplacian, whose weights c_m are `gx.fractional.kernel(s, M)`.
-    - `kernel`: weights c_1, ..., c_M (M,) instead; next neighbours where neither is given.
+    - `coupling`: V [rad/s]. `nonlinearity`: chi [rad/s per |psi|^2], or a `Law` whose force is g,
+      of |psi|^2.
+    - `order`: s in (0, 1] of a fractional Laplacian, with weights c_m from
+      `gx.fractional.kernel(s, M)`.
+    - `kernel`: weights c_1, ..., c_M (M,) instead. Without both, next neighbours.
     - `potential`: e_n [rad/s], a number, or one per site (N,).
-    - `boundary`: `"periodic"`; `"fixed"`, sites beyond the ends where psi = 0; `"free"`, no sites there.
+    - `boundary`: `"periodic"`; `"fixed"`, psi = 0 beyond the ends; `"free"`, no sites there.
 
-    Every number may have lanes (*lanes), be traced and be differentiated, s too.
-    **Raises** ValueError for s outside (0, 1], an order beside a kernel, potentials of another length, boundaries that
-    do not exist. Sources: Kenkre, Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
+    All numbers, s too, may have lanes (*lanes), be traced and differentiated.
+    **Raises** ValueError for s outside (0, 1], an order beside a kernel, potentials of another
+    length, unknown boundaries. Sources: Kenkre, Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett.
+    A 384, 126180 (2020).
 
     **Example:**
 
@@ -175,29 +182,32 @@ class DNLS(Equation):
         return psi * jnp.exp(-1j * time * self._shift(psi))
 
     def _shift(self, psi):
-        """Frequency of each site by itself."""
         own = -self.nonlinearity.force(_density(psi))
         return own if self.potential is None else own + trailing(self.potential, psi)
 
 
-# below this mu |psi|^2 the logarithm is a series of TERMS terms, exact to rounding
+# below this mu |psi|^2 a series of TERMS terms replaces the logarithm, exact to rounding
 SMALL, TERMS = 0.05, 12
 
 
 class Salerno(Equation):
-    r"""Salerno's lattice, between that of Ablowitz and Ladik and DNLS.
+    r"""Salerno's lattice, between the Ablowitz-Ladik lattice and DNLS.
 
     i dpsi_n/dt = V [2 psi_n - (1 + mu |psi_n|^2) (psi_{n+1} + psi_{n-1})] - chi |psi_n|^2 psi_n.
 
-    chi = 0 is the integrable lattice of Ablowitz and Ladik, mu = 0 is `DNLS`. With the brackets
-    i dpsi_n/dt = (1 + mu |psi_n|^2) dH/dpsi_n* it keeps the norm sum ln(1 + mu |psi_n|^2)/mu and
-    H = sum_n -2 V Re(psi_n* psi_{n+1}) + (2 V + chi/mu) ln(1 + mu |psi_n|^2)/mu - chi |psi_n|^2/mu.
-    The soliton at rest for chi = 0 is sinh(b) sech(b (n - x)) exp(-i omega t)/sqrt(mu) at any x, with
-    omega = 2 V (1 - cosh b).
+    chi = 0 is the integrable Ablowitz-Ladik lattice, mu = 0 is `DNLS`. With the brackets i
+    dpsi_n/dt = (1 + mu |psi_n|^2) dH/dpsi_n*
+    it keeps the norm sum ln(1 + mu |psi_n|^2)/mu and
 
-    **Arguments:** `sites`: N >= 2, on a ring >= 3. `coupling`: V [rad/s]. `nonlinearity`: chi [rad/s per |psi|^2].
-    `intersite`: mu >= 0 [per |psi|^2]. `boundary`: `"periodic"`, or `"fixed"`, psi = 0 beyond the ends. Numbers may
-    have lanes (*lanes). **Raises** ValueError for mu < 0 and other boundaries.
+    H = sum_n -2 V Re(psi_n* psi_{n+1}) + (2 V + chi/mu) ln(1 + mu |psi_n|^2)/mu - chi |psi_n|^2/mu.
+
+    For chi = 0 the soliton at rest is sinh(b) sech(b (n - x)) exp(-i omega t)/sqrt(mu) at any x,
+    with omega = 2 V (1 - cosh b).
+
+    **Arguments:** `sites`: N >= 2, on a ring >= 3. `coupling`: V [rad/s]. `nonlinearity`: chi
+    [rad/s per |psi|^2]. `intersite`: mu >= 0 [per |psi|^2]. `boundary`: `"periodic"`, or `"fixed"`,
+    psi = 0 beyond the ends. Numbers may have lanes (*lanes). **Raises** ValueError for mu < 0 and
+    other boundaries.
     Sources: Ablowitz, Ladik, J. Math. Phys. 17, 1011 (1976); Salerno, Phys. Rev. A 46, 6856 (1992).
 
     **Example:**
@@ -247,7 +257,6 @@ class Salerno(Equation):
         return jnp.sum(self._logarithms(psi)[0], axis=0)
 
     def _logarithms(self, psi):
-        """ln(1 + mu x)/mu and (x - ln(1 + mu x)/mu)/mu, for x = |psi|^2, at mu = 0 too."""
         x = _density(psi)
         z = self.intersite * x
         small = z < SMALL
@@ -257,7 +266,6 @@ class Salerno(Equation):
         return x * (1 - z * share), x**2 * share
 
     def _neighbours(self, psi):
-        """psi_{n+1} + psi_{n-1}."""
         if self.boundary == "periodic":
             return jnp.roll(psi, -1, axis=0) + jnp.roll(psi, 1, axis=0)
         wide = jnp.pad(psi, [(1, 1)] + [(0, 0)] * (psi.ndim - 1))
@@ -265,7 +273,6 @@ class Salerno(Equation):
 
 
 def _density(psi):
-    """|psi|^2, smooth at zero."""
     return jnp.real(psi) ** 2 + jnp.imag(psi) ** 2
 
 
@@ -279,18 +286,20 @@ def electrical(
     order: Parameter | None = None,
     boundary: str = "periodic",
 ) -> DNLS:
-    r"""Electrical lattice with fractional coupling, in its first-order form: the envelope of its voltage.
+    r"""Return the DNLS of the voltage envelope of an electrical lattice with fractional coupling.
 
-    Cells of a nonlinear capacitor Q = C (U + b U^3) and a coil L2 to the ground, coupled by coils L1:
+    Its cells are a nonlinear capacitor Q = C (U + b U^3) and a coil L2 to the ground, coupled by
+    coils L1:
 
     d^2 Q_n/dt^2 = -(1/L1) ((-Delta)^s U)_n - U_n/L2,  omega0^2 = 1/(L2 C).
 
-    With U = 2 Re(psi exp(-i omega0 t)), weak coupling and small b |psi|^2 it is DNLS with V = omega0 L2/(2 L1) and
-    chi = (3/2) b omega0, here in SI or scaled alike; errors are of second order in V/omega0 and chi |psi|^2/omega0.
+    With U = 2 Re(psi exp(-i omega0 t)), weak coupling and small b |psi|^2, it is DNLS with
+    V = omega0 L2/(2 L1) and chi = (3/2) b omega0, in SI or scaled. Errors are of second order in
+    V/omega0 and chi |psi|^2/omega0.
 
-    **Arguments:** `sites`: N. `inductance`: L1 > 0 [H] between cells, `ground`: L2 > 0 [H]. `capacitance`: C > 0 [F].
-    `nonlinearity`: b [1/V^2], positive where the capacitance grows. `order`, `boundary`: as of `DNLS`; a fixed end is
-    held at U = 0, a free end is open.
+    **Arguments:** `sites`: N. `inductance`: L1 > 0 [H] between cells, `ground`: L2 > 0 [H].
+    `capacitance`: C > 0 [F]. `nonlinearity`: b [1/V^2], positive if the capacitance grows. `order`,
+    `boundary`: as of `DNLS`; a fixed end has U = 0, a free end is open.
     **Returns:** `DNLS`; psi [V]. **Raises** ValueError as `DNLS`, and for L1, L2, C not above zero.
     Typical: L1 = 680 uH, L2 = 330 uH, C = 788 pF. Source: Molina, Phys. Rev. E 104, 024219 (2021).
     """
@@ -306,18 +315,21 @@ def electrical(
 
 
 class DpS(Equation):
-    r"""Discrete p-Schroedinger equation: the modulation equation of Newton's cradle.
+    r"""The discrete p-Schroedinger equation: the modulation equation of Newton's cradle.
 
-    i dA_n/dt = kappa [(A_{n+1} - A_n) |A_{n+1} - A_n|^{p-1} - (A_n - A_{n-1}) |A_n - A_{n-1}|^{p-1}].
+    i dA_n/dt = kappa [(A_{n+1} - A_n) |A_{n+1} - A_n|^{p-1}
+                      - (A_n - A_{n-1}) |A_n - A_{n-1}|^{p-1}].
 
-    By default kappa = 1/(2 tau_0), where tau_0 = 2^{1-p} sqrt(pi) Gamma(p/2 + 3/2)/Gamma(p/2 + 1), 1.54506223 for
-    p = 3/2: then u_n = 2 Re(A_n exp(i t)) is the cradle with k = m = A = 1 (`of_cradle` for others) for a time of order
-    eps^{1-p}, with an error that falls with the amplitude eps. It keeps the norm and
-    H = -2 kappa/(p + 1) sum |A_{n+1} - A_n|^{p+1}; a solution times eps is one in the time t eps^{1-p}.
+    By default kappa = 1/(2 tau_0), see `tau_0`. Then u_n = 2 Re(A_n exp(i t)) is the cradle with
+    k = m = A = 1 (`of_cradle` for others) for a time of order eps^{1-p}, with an error that falls
+    with the amplitude eps. It keeps the norm and H = -2 kappa/(p + 1) sum |A_{n+1} - A_n|^{p+1};
+    eps times a solution is one in the time t eps^{1-p}.
 
-    **Arguments:** `sites`: N >= 2. `stiffness`: kappa [rad/s m^{1-p}]; `None` is 1/(2 tau_0). `exponent`: p > 1.
-    `omega`: that of the carrier, for `state`. `boundary`: `"free"`, `"fixed"` (walls, A = 0) or `"periodic"`.
-    **Raises** ValueError for p <= 1, omega <= 0. Source: James, Kevrekidis, Cuevas, Physica D 251, 39 (2013).
+    **Arguments:** `sites`: N >= 2. `stiffness`: kappa [rad/s m^{1-p}]; `None` is 1/(2 tau_0).
+    `exponent`: p > 1. `omega`: of the carrier, for `state`. `boundary`: `"free"`, `"fixed"` (walls,
+    A = 0) or `"periodic"`.
+    **Raises** ValueError for p <= 1, omega <= 0. Source: James, Kevrekidis, Cuevas, Physica D 251,
+    39 (2013).
 
     **Example:**
 
@@ -363,7 +375,7 @@ class DpS(Equation):
         pendulum: Parameter = 1.0,
         boundary: str = "free",
     ) -> "DpS":
-        """The modulation equation of `gx.scenes.cradle` of such parameters, one number each, in SI or scaled.
+        """Return the modulation equation of `gx.scenes.cradle`; one number each, in SI or scaled.
 
         omega = sqrt(k/m), kappa = A/(2 m omega tau_0).
         """
@@ -390,12 +402,11 @@ class DpS(Equation):
         return self.stiffness * jnp.diff(flux, axis=0)
 
     def state(self, psi: Amplitudes, t: Scalar = 0.0) -> State:
-        """The cradle's state (u, v) at time t: u = 2 Re(A exp(i omega t)), v = 2 Re(i omega A exp(i omega t))."""
+        """Return the cradle's u = 2 Re(A exp(i omega t)) and v = 2 Re(i omega A exp(i omega t))."""
         turned = psi * jnp.exp(1j * self.omega * t)
         return State(2 * turned.real, -2 * self.omega * turned.imag)
 
     def _steps(self, psi):
-        """Differences A_{n+1} - A_n over the bonds; of a finite chain with the one before and the one behind it."""
         if self.boundary == "periodic":
             return jnp.roll(psi, -1, axis=0) - psi
         mode = "constant" if self.boundary == "fixed" else "edge"
@@ -403,9 +414,10 @@ class DpS(Equation):
 
 
 def tau_0(exponent: Parameter = 1.5) -> Numbers:
-    r"""tau_0 = 2^{1-p} sqrt(pi) Gamma(p/2 + 3/2)/Gamma(p/2 + 1), 1.5450622310844768 for Hertz's p = 3/2.
+    r"""Return tau_0 = 2^{1-p} sqrt(pi) Gamma(p/2 + 3/2)/Gamma(p/2 + 1).
 
-    The first harmonic of [cos]_+^p, which makes the contact force of beads that swing an effective one.
+    It is 1.5450622310844768 for Hertz's p = 3/2: the first harmonic of [cos]_+^p, for the effective
+    contact force of swinging beads.
     """
     p = positive("exponent", exponent)
     gamma = jax.scipy.special.gammaln
@@ -413,7 +425,6 @@ def tau_0(exponent: Parameter = 1.5) -> Numbers:
 
 
 def _power(x, q):
-    """x^q for x >= 0 and q > 0, with the derivative zero at x = 0."""
     inside = x > 0
     return jnp.where(inside, jnp.exp(q * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
 

@@ -14,35 +14,35 @@ from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar
 from .equations import Equation, check_shape, field
 from .split_step import SplitStep
 
-# steps times the fastest rate, of the first of two runs
+# the first run's step times the fastest rate, with SplitStep and with other solvers
 BEGIN = {True: 1.0, False: 0.3}
-# how often the step is halved, at most
+# the most halvings of the step
 HALVINGS = 6
 # power iterations for the fastest rate
 ITERATIONS = 30
-# units in the last place that a step loses
+# rounding error of a step, in units in the last place
 ROUNDED = 4
 
 
 class Evolution(Result):
-    """A run of a first-order lattice: what `gx.first_order.evolve` returns."""
+    """A run of a first-order lattice, from `gx.first_order.evolve`."""
 
     ts: Times = array("The times.", "s", "time", name="time")
     psis: Amplitudes = array("The amplitudes psi.", axes="time site", name="psi")
     error: Numbers = array(
-        "The largest distance, of any site, to a run with steps of twice the length: an "
-        "upper bound where steps are short enough; and what becomes of rounding at the "
-        "start, which chaos makes grow.",
+        "The largest distance of any site to a run with twice the step, an upper bound if "
+        "steps are short enough, plus the growth of rounding errors at the start, which "
+        "chaos amplifies.",
         axes="time",
     )
     norm: Numbers = array("The norm.", axes="time")
     energy: Numbers = array("The energy H.", axes="time")
-    norm_error: Numbers = note("How far the norm moved at most, over the norm.")
+    norm_error: Numbers = note("The largest change of the norm, over the norm.")
     energy_error: Numbers = note(
-        "How far the energy moved at most, over max(|H|, sum |psi| |dH/dpsi*|)."
+        "The largest change of the energy, over max(|H|, sum |psi| |dH/dpsi*|)."
     )
     step: Number = array("The time step.", "s")
-    tolerance: Number = array("The tolerance that was asked for.")
+    tolerance: Number = array("The requested tolerance.")
     solver: str = array("The name of the solver.", static=True)
 
     @property
@@ -57,12 +57,12 @@ class Evolution(Result):
 
     @property
     def completed(self) -> Flags:
-        """Whether the error came below the tolerance times the root of the norm, in every lane."""
+        """Whether the error is below the tolerance times the root of the norm, in every lane."""
         return (self.error <= self.tolerance * self.norm[0] ** 0.5).all()
 
     @property
     def outcome(self) -> str:
-        """What became of it, a sentence."""
+        """A sentence on how the run ended."""
         if traced((self.psis, self.error)):
             return "Not known while traced."
         if not np.isfinite(np.asarray(self.error)).all():
@@ -92,14 +92,14 @@ def evolve(
 
     - `equation`: `DNLS`, `DpS` or one of your own. `psi`: the start (N, *lanes), real or complex.
     - `save_at`: `None` for the end alone, a number of frames, or increasing times within [0, t1].
-    - `solver`: `None` takes `SplitStep`, which keeps the norm, where the equation has its flows, and `diffrax.Dopri8`
-      elsewhere; or any diffrax solver.
-    - `step`: the first run's longest step, then it is run once more with half of it, and no further. `None` chooses it
-      by the fastest rate at the start, and halves it until the tolerance is met, six times at most.
-    - `tolerance`: of |psi_n|, over the root of the norm.
+    - `solver`: any diffrax solver; `None` takes `SplitStep`, which keeps the norm, if the equation
+      has its flows, else `diffrax.Dopri8`.
+    - `step`: the longest step of the first run; a second run halves it once. `None` chooses it by
+      the fastest rate at the start and halves it until the tolerance is met, at most six times.
+    - `tolerance`: of |psi_n|, relative to the root of the norm.
 
-    **Returns:** `Evolution`; its `outcome` says how well it is known. It
-    differentiates in both modes in the start and in the numbers of the equation: then the step must be given.
+    **Returns:** `Evolution`; its `outcome` gives the accuracy. With `step` given, it differentiates
+    in both modes in the start and in the numbers of the equation.
     **Raises** ValueError for another shape, times out of order, a step that is not above zero.
 
     **Example:**
@@ -127,7 +127,7 @@ def evolve(
     while far > float(tolerance) and halvings < HALVINGS:
         after = run(2 ** (halvings + 1) * counts)
         closer = _apart(now, after)
-        if not closer < far:  # rounding, or chaos
+        if not closer < far:  # rounding or chaos limits the agreement
             break
         before, now, halvings, far = now, after, halvings + 1, closer
     taken = float(np.max(np.diff(times) / counts)) / 2**halvings
@@ -142,7 +142,7 @@ def _start(equation, psi):
     lanes = "Give the start the equation's lanes, last."
     try:
         found = jax.eval_shape(equation.rate, psi)
-    except (TypeError, ValueError) as error:  # JAX's words for shapes that do not fit
+    except (TypeError, ValueError) as error:  # JAX reports shapes that do not fit
         refuse("psi", "a start that the equation takes", f"shape {psi.shape}: {error}", lanes)
     if found.shape != psi.shape:
         refuse(
@@ -155,7 +155,6 @@ def _start(equation, psi):
 
 
 def _times(t1, save_at):
-    """All times at which a span ends, the first included, and the index of the first that is kept."""
     t1 = float(t1)
     if not t1 > 0:
         refuse("t1", "a time above zero", f"{t1}")
@@ -172,7 +171,6 @@ def _times(t1, save_at):
 
 
 def _step(equation, psi, solver, known, longest):
-    """The first run's step, of the fastest rate at the start."""
     if not known:
         refuse(
             "step",
@@ -186,7 +184,7 @@ def _step(equation, psi, solver, known, longest):
 
 @compiled
 def _rate(equation, psi):
-    """The fastest rate of the linearisation at psi, by power iteration: the largest of all lanes."""
+    """Return the fastest rate of the linearisation at psi in all lanes, by power iteration."""
     along = jnp.exp(1j * _angles(psi))
 
     def improve(_, carry):
@@ -199,20 +197,20 @@ def _rate(equation, psi):
 
 
 def _angles(psi):
-    """Angles to which nothing is orthogonal, of the golden one."""
+    """Return angles from the golden angle, to which no mode is orthogonal."""
     n = jnp.arange(psi.size, dtype=jnp.real(psi).dtype).reshape(psi.shape)
     return 2.399963 * n**2
 
 
 @compiled
 def _turned(psi, steps):
-    """The start, its phases moved by the rounding that this number of steps adds up, which has one sign."""
+    """Return the start with phases moved by the rounding of that many steps, which has one sign."""
     return psi * jnp.exp(1j * steps * ROUNDED * jnp.finfo(psi.dtype).eps * jnp.cos(_angles(psi)))
 
 
 def _run(solver, equation, psi, times, counts):
     ends = jnp.asarray(times, jnp.real(psi).dtype)
-    if traced((equation, psi)):  # of as many steps as are known, for reverse mode
+    if traced((equation, psi)):  # reverse mode needs a known number of steps
         frames = [psi]
         for a, b, count in zip(ends[:-1], ends[1:], counts):
             frames.append(Flow(int(count), solver, field)(frames[-1], a, b, equation))
@@ -231,7 +229,7 @@ def _marched(solver, equation, psi, ends, counts):
 
 
 def _apart(before, now):
-    """The largest distance of two runs, over the root of the norm; infinite where one is not finite."""
+    """Return the largest distance of two runs over the root of the norm; huge if not finite."""
     before, now = np.asarray(before), np.asarray(now)
     norm = np.sum(np.abs(now[0]) ** 2, axis=0)
     found = np.max(
@@ -242,7 +240,6 @@ def _apart(before, now):
 
 @compiled
 def _measured(equation, psis):
-    """Norm and energy of each frame, and the scale of the latter's error."""
     norms, energies = jax.lax.map(lambda psi: (equation.norm(psi), equation.energy(psi)), psis)
     size = jnp.sum(jnp.abs(psis[0]) * jnp.abs(equation.gradient(psis[0])), axis=0)
     return norms, energies, jnp.maximum(jnp.abs(energies[0]), size)
@@ -262,7 +259,7 @@ def _told(equation, solver, times, first, now, error, step, tolerance):
         step,
         tolerance,
         type(solver).__name__,
-        # of no units, with the lanes of a batch
+        # without units, with the lanes of a batch
         _mark=jnp.full((1, *now.shape[2:]), jnp.nan),
         _space=(1, 0),
     )

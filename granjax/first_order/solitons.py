@@ -1,4 +1,4 @@
-"""Standing solitons of first-order lattices, from the limit of no coupling."""
+"""Standing solitons of first-order lattices, from the anti-continuous limit (no coupling)."""
 
 import equinox as eqx
 import jax
@@ -12,17 +12,18 @@ from ..results import Result, array, hidden
 from ..types import Count, Number, Numbers, Parameter, Scalar
 from .equations import DNLS, Equation
 
-# the first coupling, over the frequency; the longest step, a factor; how alike neighbours are; the most steps
+# the first coupling relative to the frequency, the largest factor of a step, the least cosine
+# between neighbouring profiles, the most steps
 WEAK, LONGEST, ALIKE, TRIES = 0.1, 1.5, 0.97, 200
-# of the largest amplitude, that at the ends of what is localised
+# a localised profile has less than this share of its largest amplitude at the ends
 LOCALISED = 0.05
-# squares of amplitudes that no site has
+# no site has a larger squared amplitude
 BEYOND = 1e60
 FOUND = "Found: it is localised and stands still."
 
 
 class Soliton(Result):
-    """A standing solution psi_n(t) = phi_n exp(-i omega t): what `gx.first_order.soliton` returns."""
+    """A standing solution psi_n(t) = phi_n exp(-i omega t), from `gx.first_order.soliton`."""
 
     psi: Numbers = array("The real amplitudes phi.", axes="site")
     omega: Number = array("The frequency.", "rad/s")
@@ -35,7 +36,7 @@ class Soliton(Result):
 
     @property
     def outcome(self) -> str:
-        """What became of it, a sentence."""
+        """A sentence on how the search ended."""
         if traced((self.psi, self.tail)):
             return "Not known while traced."
         if not np.all(self.root.converged):
@@ -59,22 +60,25 @@ def soliton(
     centre: Count | None = None,
     throw: bool | None = None,
 ) -> Soliton:
-    """A localised standing solution phi_n exp(-i omega t), by Newton's method: dH/dpsi*(phi) = omega phi.
+    """Find a localised standing solution phi_n exp(-i omega t) by Newton's method.
+
+    It solves dH/dpsi*(phi) = omega phi.
 
     **Arguments:**
 
-    - `equation`: `DNLS`, whose coupling is raised from zero, where each site is alone; or any other with a `guess` that
-      is a profile, such as `DpS`.
-    - `omega`: [rad/s], outside the band: below it where the sites focus (in-phase), above it where they defocus
-      (staggered).
-    - `guess`: `"site"`, one site is alone at first; `"bond"`, two are; or a real profile (N,).
-    - `centre`: of the words, N // 2 by default.
-    - `throw`: raise where Newton's method does not converge, or what it finds is flat; `None` does so.
+    - `equation`: `DNLS`, whose coupling is raised from zero, where sites are independent; or any
+      other, such as `DpS`, with a profile as `guess`.
+    - `omega`: [rad/s], outside the band: below it if the sites focus (in-phase), above it if they
+      defocus (staggered).
+    - `guess`: `"site"`, one excited site at zero coupling; `"bond"`, two; or a real profile (N,).
+    - `centre`: the site for these words, N // 2 by default.
+    - `throw`: raise if Newton's method does not converge or finds a flat solution; `None` does.
 
-    Beside a profile as `guess` the numbers of the equation and omega may be traced: it differentiates in both modes.
-    **Returns:** `Soliton`; it stands still at `equation`, so `evolve` turns it alone.
-    **Raises** ValueError for a frequency in the band or on the side where a site by itself has none, or lanes;
-    RuntimeError with the outcome. Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994).
+    With a profile as `guess`, the numbers of the equation and omega may be traced, and it
+    differentiates in both modes.
+    **Returns:** `Soliton`; `evolve` of it with `equation` only turns its phase.
+    **Raises** ValueError for lanes, or a frequency in the band or on the side where a single site
+    has none; RuntimeError with the outcome. Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994).
 
     **Example:**
 
@@ -125,7 +129,6 @@ def _tolerance(phi, omega):
 
 
 def _raised(equation, omega, guess, centre):
-    """The solution at the full coupling, from sites that are alone."""
     omega_ = _outside_the_band(equation, float(omega))
     last = equation.sites - (guess == "bond" and equation.laplacian.diagonal is not None)
     if not -equation.sites <= centre < equation.sites or not centre % equation.sites < last:
@@ -156,14 +159,12 @@ def _raised(equation, omega, guess, centre):
 
 
 def _alike(one, other):
-    """Cosine of the angle between two profiles."""
     one, other = np.asarray(one), np.asarray(other)
     sizes = np.linalg.norm(one) * np.linalg.norm(other)
     return float(one @ other / sizes) if sizes > 0 else 0.0
 
 
 def _outside_the_band(equation, omega):
-    """omega, where it is outside of the linear band and all potentials."""
     values = np.asarray(equation.coupling)[..., None] * np.asarray(equation.laplacian.values)
     if np.ndim(equation.coupling) or np.asarray(equation.laplacian.values).ndim != 1:
         refuse("equation", "one equation", "a batch of several", "Take one lane after the other.")
@@ -186,7 +187,6 @@ def _outside_the_band(equation, omega):
 
 
 def _alone(equation, omega, place):
-    """The amplitude at which a site by itself turns with omega: g(a^2) = e - omega."""
     own = (
         0.0
         if equation.potential is None
@@ -235,7 +235,6 @@ def _made(equation, omega, root: Root):
 
 
 def _tail(equation, shape):
-    """The largest of the sites farthest from the highest one."""
     apart = jnp.abs(jnp.arange(len(shape)) - jnp.argmax(shape))
     ring = getattr(equation, "boundary", None) == "periodic" or (
         isinstance(equation, DNLS) and equation.laplacian.diagonal is None

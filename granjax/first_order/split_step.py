@@ -1,4 +1,4 @@
-"""Splitting for first-order lattices: two exact flows, each of which keeps the norm, composed to order 8."""
+"""Splitting for first-order lattices: two exact, norm-preserving flows, composed to order 8."""
 
 from typing import Any, ClassVar
 
@@ -14,11 +14,11 @@ from .equations import Equation, field, refuse_split
 
 
 class SplitStep(diffrax.AbstractSolver):
-    """Symmetric split steps of order 8: the coupling's exact flow (by FFT or modes) and that of the sites in turns.
+    """A symmetric splitting of order 8: the exact flows of the coupling (FFT, modes) and the sites.
 
-    For `Equation`s that have both flows (`DNLS`), at fixed steps: the norm is kept to rounding whatever the step, and
-    the energy without drift. A step costs 17 of each; at an error of 1e-9 it takes half the time of `diffrax.Dopri8`,
-    whose norm drifts by 1e-11 there (101 sites, s = 1/2, t = 100).
+    For an `Equation` with both flows (`DNLS`), at fixed steps. It keeps the norm to rounding at any
+    step, and the energy without drift. A step costs 17 of each flow. At an error of 1e-9 it takes
+    half the time of `diffrax.Dopri8`, whose norm drifts by 1e-11 (101 sites, s = 1/2, t = 100).
     Coefficients: Kahan, Li, Math. Comput. 66, 1089 (1997).
     """
 
@@ -47,7 +47,7 @@ class SplitStep(diffrax.AbstractSolver):
 
 
 class _Flows:
-    """The two flows of an equation, as a splitting method asks for them."""
+    """The two flows of an equation, in the form that a splitting method needs."""
 
     def __init__(self, equation: Any):
         if not getattr(equation, "has_flows", False):
@@ -64,14 +64,12 @@ class _Flows:
         return w
 
     def restore(self, w, before):
-        """The norm of before: what rounding takes of it is of one sign, and adds up."""
+        """Restore the norm of before: the rounding errors have one sign and would add up."""
         had, has = (jnp.sum(jnp.abs(x) ** 2, axis=0) for x in (before, w))
         return w * jax.lax.stop_gradient(1 + (had - has) / (2 * jnp.where(had > 0, had, 1.0)))
 
 
 class _TangentFlows(_Flows):
-    """The same of a state and its tangents."""
-
     def drift(self, w, ah):
         return _pushed(lambda psi: super(_TangentFlows, self).drift(psi, ah), *w)
 
@@ -88,7 +86,7 @@ def _pushed(function, psi, tangents):
 
 
 def variational(t: Any, joined: Pytree, equation: Equation) -> Pytree:
-    """The variational equation of `field`, of (psi, tangents) with a trailing axis."""
+    """Return the rate of (psi, tangents), the tangents along a trailing axis."""
     return _pushed(lambda psi: field(t, psi, equation), jnp.asarray(joined[0]), joined[1])
 
 

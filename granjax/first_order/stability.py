@@ -1,4 +1,4 @@
-"""Linear stability of standing solitons (Bogoliubov and de Gennes), and their families over the frequency."""
+"""Linear stability of standing solitons (Bogoliubov-de Gennes), and families over the frequency."""
 
 import jax
 import jax.numpy as jnp
@@ -14,21 +14,21 @@ from ..types import Count, Scalar
 from .equations import Equation
 from .solitons import Soliton, soliton
 
-# of the norm of the linearisation, what rounding leaves in it
+# the rounding error of the linearisation, relative to its norm
 ROUNDING = 50 * np.finfo(float).eps
-# a growth rate above this number of errors is an instability
+# a growth rate above this many errors is an instability
 SURE = 3
 
 
 class SolitonStability(Result):
-    """Small disturbances of a standing soliton: what `gx.first_order.stability` returns."""
+    """The growth rates of small disturbances, from `gx.first_order.stability`."""
 
     rates: Complex[np.ndarray, " mode"] = array(
         "The rates lambda of exp(lambda t), the largest real part first.", "rad/s"
     )
     error: Float[np.ndarray, " mode"] = array("The error of each rate.", "rad/s")
     modes: Complex[np.ndarray, "two site mode"] = array(
-        "Of each rate the real and the imaginary part of the disturbance chi.",
+        "The real and the imaginary part of the disturbance chi of each rate.",
         axes="part site mode",
     )
     verdict: str = array('"stable", "unstable" or "undecided".', static=True)
@@ -40,7 +40,7 @@ class SolitonStability(Result):
 
     @property
     def outcome(self) -> str:
-        """The verdict and the largest growth rate, a sentence."""
+        """A sentence with the verdict and the largest growth rate."""
         return (
             f"{self.verdict.capitalize()}: the largest growth rate is {self.growth:.6g} "
             f"+- {self.error[0]:.1g}."
@@ -48,15 +48,15 @@ class SolitonStability(Result):
 
 
 def stability(equation: Equation, found: Soliton) -> SolitonStability:
-    r"""Find the growth rates of small disturbances of a standing soliton.
+    r"""Compute the growth rates of small disturbances of a standing soliton.
 
-    psi_n = (phi_n + chi_n(t)) exp(-i omega t) gives a linear, real system for (Re chi, Im chi), whose eigenvalues
-    lambda come as +-lambda and +-lambda*: those on the imaginary axis are oscillations. Two are zero, since the phase
-    is free. The error holds rounding and what the error of the soliton makes, times the condition of each eigenvalue,
-    and at a double eigenvalue the root of that.
+    psi_n = (phi_n + chi_n(t)) exp(-i omega t) gives a real linear system for (Re chi, Im chi), with
+    eigenvalues +-lambda and +-lambda*. Those on the imaginary axis are oscillations; two are zero,
+    since the phase is free. The error includes rounding and the error of the soliton, times the
+    condition of each eigenvalue; at a double eigenvalue it is the root of that.
 
-    **Arguments:** `equation`, `found`: one equation and the `Soliton` of it, from `soliton`.
-    **Returns:** `SolitonStability`. **Raises** ValueError for a batch, and where it is traced.
+    **Arguments:** `equation`, `found`: an equation and its `Soliton`, from `soliton`.
+    **Returns:** `SolitonStability`. **Raises** ValueError for a batch, and while traced.
     Source: Kevrekidis, The Discrete Nonlinear Schroedinger Equation (Springer 2009), chapter 2.
 
     **Example:**
@@ -77,7 +77,7 @@ def stability(equation: Equation, found: Soliton) -> SolitonStability:
     if phi.shape != (equation.sites,):
         refuse("found", f"one soliton of {equation.sites} sites", f"shape {phi.shape}")
     error = float(found.error) * np.abs(phi).max()
-    # a random direction: the error of the profile has any shape
+    # a random direction, since the error of the profile may have any shape
     other = phi + error * np.random.default_rng(0).choice([-1.0, 1.0], phi.size)
     near, far = (
         np.asarray(_linearised(equation, jnp.asarray(x), jnp.asarray(found.omega)))
@@ -87,13 +87,13 @@ def stability(equation: Equation, found: Soliton) -> SolitonStability:
     size = np.linalg.norm(near, 2)
     about = ROUNDING * size + np.linalg.norm(far - near, 2)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    # a double eigenvalue moves by the root of a change
+    # a perturbation moves a double eigenvalue by its square root
     apart = np.minimum(about / np.maximum(overlap, about / size), np.sqrt(about * size))
     order = np.lexsort((-values.imag, -values.real.round(12)))
     values, apart = values[order], apart[order]
     grows = values.real > SURE * apart
     verdict = "unstable" if grows.any() else "stable"
-    # beside the zeros of the phase, a growth within its error
+    # a growth within its error, apart from the zeros of the phase
     if verdict == "stable" and np.any((values.real > 1e-6 * size) & ~grows):
         verdict = "undecided"
     # SciPy gives real vectors where all rates are real
@@ -103,8 +103,6 @@ def stability(equation: Equation, found: Soliton) -> SolitonStability:
 
 @compiled
 def _linearised(equation, phi, omega):
-    """d/dt of (Re chi, Im chi), a real matrix (2N, 2N)."""
-
     def rate(x):
         psi = x[: phi.size] + 1j * x[phi.size :]
         change = -1j * (equation.rate(psi) - omega * psi)
@@ -114,25 +112,23 @@ def _linearised(equation, phi, omega):
 
 
 class SolitonFamily(Result):
-    """Standing solitons along the frequency: what `gx.first_order.soliton_family` returns."""
+    """Standing solitons over the frequency, from `gx.first_order.soliton_family`."""
 
     omega: Float[np.ndarray, " point"] = array("The frequencies.", "rad/s")
     psi: Float[np.ndarray, "point site"] = array("The real amplitudes phi.")
     norm: Float[np.ndarray, " point"] = array("The norms.")
     growth: Float[np.ndarray, " point"] = array("The largest growth rates.", "1/s")
     growth_error: Float[np.ndarray, " point"] = array("The errors of the growth rates.", "1/s")
-    verdict: Shaped[np.ndarray, " point"] = array("Of each soliton, as `stability` has it.")
+    verdict: Shaped[np.ndarray, " point"] = array("The verdict of `stability` on each soliton.")
     curve: Curve = hidden("The curve, with its folds and branch points.")
 
     @property
     def outcome(self) -> str:
-        """Why it ended."""
+        """A sentence on why it ended."""
         return self.curve.outcome.replace("p reached", "The frequency reached")
 
 
 class _Standing(Problem):
-    """dH/dpsi*(phi) = omega phi over the frequency."""
-
     equation: Equation
 
     def residual(self, x, p):
@@ -148,13 +144,14 @@ def soliton_family(
     arclength: Scalar = 0.05,
     points: Count = 200,
 ) -> SolitonFamily:
-    """Follow a standing soliton over its frequency, through folds, with the stability of each.
+    """Follow a standing soliton over its frequency, through folds, with its stability.
 
-    **Arguments:** `equation`, `found`: one equation and its `Soliton`. `until`: the frequency at which to end.
-    `leaving`: instead of `found`, the branch that crosses at a branch point, `(family.curve, i)` for
-    `family.curve.special[i]`. `arclength`: the first step, over the norm of (phi, omega). `points`: the most solitons.
-    **Returns:** `SolitonFamily`. **Raises** ValueError for a point that is no branch point; RuntimeError where the
-    first one is not found.
+    **Arguments:** `equation`, `found`: an equation and its `Soliton`. `until`: the frequency at
+    which to end. `leaving`: instead of `found`, the branch that crosses at a branch point:
+    `(family.curve, i)` for `family.curve.special[i]`. `arclength`: the first step, relative to the
+    norm of (phi, omega). `points`: the most solitons.
+    **Returns:** `SolitonFamily`. **Raises** ValueError for a point that is no branch point;
+    RuntimeError if the first soliton is not found.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""Self-trapping: from which nonlinearity on a site keeps what it had."""
+"""Self-trapping: the nonlinearity above which a site keeps its excitation."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,25 +13,25 @@ from ..results import Result, array
 from ..types import Count, Number, Numbers, Scalar
 from .evolution import evolve
 
-# nonlinearities that are run at once
+# nonlinearities in one batch
 LANES = 9
-# runs of so many, at most
+# the most batches
 ROUNDS = 20
 
 
 class SelfTrapping(Result):
-    """Where self-trapping begins: what `gx.first_order.self_trapping` returns."""
+    """The threshold of self-trapping, from `gx.first_order.self_trapping`."""
 
     nonlinearity: Number = array("The threshold.")
-    error: Number = array("Half of the bracket that is left.")
+    error: Number = array("Half of the last bracket.")
     tried: Numbers = array("All nonlinearities that were tried, in order.", axes="tried")
-    kept: Numbers = array("The least share of the norm on the site at each of them.", axes="tried")
+    kept: Numbers = array("The least share of the norm on the site, at each one.", axes="tried")
     share: Number = array("The share that counts as trapped.")
     t1: Number = array("The time until which the motion was followed.", "s")
 
     @property
     def outcome(self) -> str:
-        """From which nonlinearity on it is trapped, and how well that is known."""
+        """A sentence with the threshold and its error."""
         return f"Trapped from {self.nonlinearity:.8g} +- {self.error:.1g} on, over a time of {self.t1:g}."
 
 
@@ -46,18 +46,19 @@ def self_trapping(
     tolerance: Scalar = 1e-6,
     frames: Count = 200,
 ) -> SelfTrapping:
-    """The nonlinearity from which on an excitation of one site stays there: more than a share of it, all the time.
+    """Find the nonlinearity above which an excited site always keeps more than a share of the norm.
 
-    It starts with psi = 1 on one site; the threshold is bracketed by batches of runs. For the dimer it is chi = 4 V,
-    where the time between two visits of the unstable state in the middle is infinite: an error e of the threshold
-    takes a time of order log(1/e)/V. On a chain of order s < 1 it is lower than with next neighbours.
+    The start is psi = 1 on one site; batches of runs bracket the threshold. For the dimer it is
+    chi = 4 V, where the period is infinite: an error e of the threshold takes a time of order
+    log(1/e)/V. On a chain of order s < 1 it is lower than with next neighbours.
 
-    **Arguments:** `scene`: nonlinearity -> `Equation`, such as `lambda chi: gx.first_order.DNLS(64, 1.0, chi)`; JAX
-    traces it. `low`, `high`: nonlinearities of which the first does not trap and the second does. `t1`: how long [s].
-    `site`, `share`: where, and how much of the norm, in (0, 1). `tolerance`: half of the last bracket, over the
-    threshold. `frames`: how often is looked.
-    **Returns:** `SelfTrapping`. **Raises** ValueError where `low` traps too, or `high` does not. Sources: Kenkre,
-    Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
+    **Arguments:** `scene`: nonlinearity -> `Equation`, such as
+    `lambda chi: gx.first_order.DNLS(64, 1.0, chi)`; JAX traces it. `low`, `high`: nonlinearities
+    that do not trap and that trap. `t1`: how long to follow the motion [s]. `site`, `share`: the
+    site, and the share of the norm, in (0, 1). `tolerance`: half of the last bracket, relative to
+    the threshold. `frames`: how many times are checked.
+    **Returns:** `SelfTrapping`. **Raises** ValueError if `low` traps or `high` does not.
+    Sources: Kenkre, Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
     """
     low, high = float(positive("low", low)), float(positive("high", high))
     if not low < high:
@@ -65,7 +66,7 @@ def self_trapping(
     within("share", share, 0, 1, open_low=True, open_high=True)
     checked_tolerance("tolerance", tolerance)
     equation = scene(low)
-    if not -equation.sites <= site < equation.sites:  # JAX clips an index
+    if not -equation.sites <= site < equation.sites:  # JAX clips indices silently
         refuse("site", f"a site of {equation.sites}", f"{site}")
     tried, kept = {}, None
     for _ in range(ROUNDS):
@@ -98,7 +99,6 @@ def self_trapping(
 
 
 def _kept(scene, values, sites, site, t1, frames):
-    """The least share of the norm that stays on the site, per lane."""
     batch = jax.vmap(scene, out_axes=-1)(jnp.asarray(values))
     psi = jnp.zeros((sites, len(values))).at[site].set(1.0)
     return np.asarray(

@@ -1,4 +1,4 @@
-"""The leading pulse in a long dimer chain: peak contact forces, rate of decay, and the ratios where that is zero."""
+"""The leading pulse in a long dimer chain: peak forces, decay rate, zeros of the rate."""
 
 from collections.abc import Sequence
 
@@ -9,22 +9,23 @@ from ..checks import refuse, whole, within
 from ..types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
-# beads behind the last contact that is read, so that the free end is not felt there
+# beads behind the last contact that is read, so that it does not feel the free end
 MARGIN = 12
-# of the bracket, relative to its centre, within which a quartic represents the rate
+# a quartic represents the rate within a bracket of this width relative to its centre
 FIT_WIDTH = 0.01
 
 
 def contact_forces(ratios: Parameter, contacts: Parameter) -> Float[np.ndarray, "contacts n"]:
-    """Largest contact forces of a long dimer chain with free ends, struck at bead 0 with v = 1.
+    """Compute the largest contact forces of a long free dimer chain, bead 0 struck with v = 1.
 
-    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (c,), contact n lies between the beads n
-    and n + 1, counted from 0; an even one has the heavy bead first.
+    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (c,), from 0; contact n
+    lies between the beads n and n + 1, an even one has the heavy bead first.
 
     Fixed steps with h omega_max = 1/2: relative error about 1e-6 at contact 60.
 
-    **Returns:** a NumPy array (c, n), in units of A^(2/5) (m v^2)^(3/5). **Raises** ValueError for ratios outside
-    (0, 1] or a contact that is no whole number. Typical: 0.63955 for the monomer, 0.30190 at ratio 1/2, contact 20.
+    **Returns:** a NumPy array (c, n), in units of A^(2/5) (m v^2)^(3/5). **Raises** ValueError for
+    ratios outside (0, 1] or a contact that is no whole number. Typical: 0.63955 for the monomer,
+    0.30190 at ratio 1/2, contact 20.
     """
     ratios = checked_ratios(ratios)
     bonds = tuple(whole(f"contacts[{i}]", n, 0) for i, n in enumerate(np.atleast_1d(contacts)))
@@ -35,15 +36,17 @@ def contact_forces(ratios: Parameter, contacts: Parameter) -> Float[np.ndarray, 
 
 
 def decay_rate(ratios: Parameter, contacts: Sequence[int] = (200, 600)) -> Float[np.ndarray, " n"]:
-    """Decay rate of the leading pulse per dimer: -ln(F_b/F_a)/((b - a)/2), F the peak forces at two contacts.
+    """Compute the decay rate of the leading pulse per dimer.
 
-    It is zero at anti-resonances and positive between them, up to the error of the step (1e-9).
+    The rate is -ln(F_b/F_a)/((b - a)/2), F the peak forces at two contacts. It is zero at
+    anti-resonances and positive between them, up to the error of the step (1e-9).
 
-    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (a, b), a < b, both even or both odd,
-    counted from 0.
+    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (a, b), a < b, both even
+    or both odd, from 0.
 
-    **Returns:** a NumPy array (n,). **Raises** ValueError for ratios outside (0, 1], or contacts that are not such a
-    pair. Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+    **Returns:** a NumPy array (n,). **Raises** ValueError for ratios outside (0, 1], or contacts
+    that are not such a pair. Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606
+    (2011).
 
     **Example:**
 
@@ -66,17 +69,17 @@ def _checked_contacts(contacts):
 
 
 def anti_resonance(low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600)) -> float:
-    """Mass ratio between `low` and `high` at which the leading pulse does not decay: zero of the asymptotic decay rate.
+    """Find the mass ratio in [low, high] at which the leading pulse does not decay.
 
-    The rate touches zero there from above, so it is sought as the rate's minimum: by grids of sixteen ratios until
-    the bracket is within 1 % of its centre, then as the minimum of a quartic through such a grid.
+    There the asymptotic decay rate touches zero from above. Grids of sixteen ratios bracket the
+    minimum within 1 % of its centre, and a quartic through the last grid gives it.
 
-    **Arguments:** `low` < `high`, in (0, 1], around one anti-resonance; `contacts`: where the decay is read, as in
+    **Arguments:** `low` < `high`, in (0, 1], around one anti-resonance; `contacts`: as in
     `decay_rate`; further down the chain is closer to the limit.
 
-    **Returns:** a float, good to about 1e-6 with the default contacts (0.342846, 0.154751, 0.090128; the monomer's
-    own, 1, only at that end of the interval). **Raises** ValueError for an interval outside (0, 1] or empty,
-    RuntimeError where the rate has no minimum inside.
+    **Returns:** a float, good to about 1e-6 with the default contacts (0.342846, 0.154751,
+    0.090128; 1, the monomer, only as the end of the interval). **Raises** ValueError for an
+    interval outside (0, 1] or empty, RuntimeError if the rate has no minimum inside.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
 
     **Example:**
@@ -113,7 +116,6 @@ def anti_resonance(low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200,
 
 
 def _vertex(ratios, rates, best):
-    """Minimum of the quartic through the rates that is nearest to the lowest of them."""
     centre, width = (ratios[0] + ratios[-1]) / 2, (ratios[-1] - ratios[0]) / 2
     quartic = np.polynomial.Polynomial.fit((ratios - centre) / width, rates, 4, domain=[-1, 1])
     places = quartic.deriv().roots()

@@ -10,20 +10,21 @@ from .decay import decay_rate
 from .lanes import LANES, checked_ratios, peak_forces
 
 LEAST_BEADS = 3
-# time a bead that the slowest pulse takes, at any ratio, and the time for its force to rise and fall
+# the time per bead of the slowest pulse at any ratio, and the time of its force to rise and fall
 SLOWEST, LEAST_TIME = 1.2, 5.0
-# contacts between which the pulse has found its form, and has not yet been passed by those behind it
+# between these contacts the pulse has found its form, and no later pulse has passed it yet
 DEPTHS = 40, 100
-# of a mass ratio, to which two of a sweep are told apart
+# decimal digits that distinguish two mass ratios
 DIGITS = 12
-# ratios on each side of a maximum at which the decay is looked at; it touches zero there as a parabola
+# ratios on each side of a maximum at which the decay is computed; it touches zero as a parabola
 LOOKED = 8
-# a share of the decay at the minima: at zeros below 0.1, at ripples of 31 to 201 beads above 0.4
+# decay at a maximum over that at its minima: below 0.1 at zeros, above 0.4 at ripples (31 to 201
+# beads)
 TOUCHES = 0.2
 
 
 class Transmission(Result):
-    """What `transmission` returns."""
+    """The result of `transmission`."""
 
     mass_ratio: Float[np.ndarray, " mass_ratio"] = array("The mass ratios.", "1")
     peak_force: Float[np.ndarray, " mass_ratio"] = array(
@@ -44,9 +45,9 @@ class Transmission(Result):
 
 
 class Extrema(Result):
-    """What `refine` returns: minima and maxima of the transmission, in ascending ratios.
+    """The result of `refine`: minima and maxima of the transmission, in ascending ratios.
 
-    Two resonances have an anti-resonance between them, where the leading pulse does not decay.
+    Between two resonances lies an anti-resonance, where the leading pulse does not decay.
     """
 
     resonances: Float[np.ndarray, " resonance"] = array("The mass ratios of the minima.", "1")
@@ -77,23 +78,25 @@ class Extrema(Result):
 def transmission(
     ratios: Parameter, beads: Count = 101, *, run_time: Scalar | None = None
 ) -> Transmission:
-    r"""Largest force that a struck dimer chain exerts on a rigid wall at its far end, relative to the monomer's.
+    r"""Compute the largest force of a struck dimer chain on a wall, relative to the monomer's.
 
-    T(epsilon) = max_t F_wall(t; epsilon)/max_t F_wall(t; 1), so T(1) = 1. The wall is felt as one more contact with
-    A = 1. The largest force counts, whichever pulse brings it: between epsilon = 0.55 and 0.594 at 101 beads that is
-    not the first pulse but the one behind it, so that the deepest minimum is a cusp.
+    T(epsilon) = max_t F_wall(t; epsilon)/max_t F_wall(t; 1), so T(1) = 1. The wall at the far end
+    is one more contact with A = 1. Any pulse counts: between epsilon = 0.55 and 0.594 at 101 beads
+    it comes from the second pulse, so that the deepest minimum is a cusp.
 
     **Arguments:**
 
     - `ratios`: mass ratios light over heavy in (0, 1], (n,).
-    - `beads`: N >= 3 moving beads. A wall also stands behind bead 0, which only its rebound meets.
-    - `run_time`: until when the wall is watched [in units (m^2/(A^2 v))^(1/5)]; `None` takes 1.5 N + 10, after the
-      leading pulse has been reflected at every ratio; at least 1.2 N + 5, when it has reached the wall.
+    - `beads`: N >= 3 moving beads. A wall also stands behind bead 0; only its rebound meets that.
+    - `run_time`: how long the wall is watched [in units (m^2/(A^2 v))^(1/5)]. `None` takes 1.5 N +
+      10, when the leading pulse has been reflected at every ratio; at least 1.2 N + 5, when it has
+      reached the wall.
 
-    Fixed steps with h omega_max = 1/2: relative error of T at 101 beads 1e-6, near 0.587 up to 6e-6.
+    Fixed steps with h omega_max = 1/2: relative error of T at 101 beads 1e-6, near 0.587 up to
+    6e-6.
 
-    **Returns:** `Transmission`; NaN where a run did not complete. **Raises** ValueError for ratios outside (0, 1],
-    N < 3 or a shorter run. Typical: N = 101, T = 0.21 at 0.595.
+    **Returns:** `Transmission`; NaN for a run that did not complete. **Raises** ValueError for
+    ratios outside (0, 1], N < 3 or a shorter run. Typical: N = 101, T = 0.21 at 0.595.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
 
     **Example:**
@@ -104,7 +107,8 @@ def transmission(
     """
     ratios = checked_ratios(ratios)
     beads = whole("beads", beads, LEAST_BEADS, "A dimer chain between walls.")
-    # the pulse takes 0.93 per bead at epsilon = 0.05, 1.2 in the monomer and up to 1.35 at the first resonance
+    # the pulse takes a time of 0.93 per bead at epsilon = 0.05, 1.2 in the monomer and up to 1.35
+    # at the first resonance
     run_time = 1.5 * beads + 10 if run_time is None else float(positive("run_time", run_time))
     least = SLOWEST * beads + LEAST_TIME
     if run_time < least:
@@ -122,23 +126,26 @@ def transmission(
 
 
 def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4) -> Extrema:
-    """Local extrema of a transmission over the mass ratio, by search between the neighbours of the grid's.
+    """Refine the local extrema of a transmission over the mass ratio, between grid neighbours.
 
-    Brackets of all extrema shrink together by 2/9 a round, eight ratios in each, so that a cusp is no harder than a
-    smooth top. An extremum narrower than the grid's spacing is not seen.
+    The brackets shrink by 2/9 a round, with eight ratios in each; a cusp is no harder than a smooth
+    extremum. An extremum narrower than the grid is missed.
 
-    A maximum is an anti-resonance where the decay rate of the leading pulse, between contacts 40 and 100 of a long
-    chain, touches zero between the minima beside it: there it is below a fifth of its values at these. A largest ratio
-    1 that lies above its neighbour is one. Of the minima between two anti-resonances the deepest is the resonance, and
-    what else is there are local extrema, ripples of a finite chain. The maxima are not yet the zeros of the asymptotic
-    decay rate, for which see `anti_resonance`.
+    - A maximum is an anti-resonance if the decay rate of the leading pulse, between contacts 40 and
+      100 of a long chain, touches zero between the minima beside it: if it falls below a fifth of
+      its values at these. So is the ratio 1, if it is the largest and lies above its neighbour.
+    - The deepest minimum between two anti-resonances is the resonance.
+    - All others are local extrema, ripples of a finite chain.
 
-    **Arguments:** `sweep`: what `transmission` returned; `accuracy`: half-width of the final brackets.
+    These maxima are not yet the zeros of the asymptotic decay rate; see `anti_resonance`.
 
-    **Returns:** `Extrema`. **Raises** ValueError for fewer than three different ratios or transmissions that are NaN.
+    **Arguments:** `sweep`: from `transmission`; `accuracy`: half-width of the final brackets.
+
+    **Returns:** `Extrema`. **Raises** ValueError for fewer than three different ratios or NaN
+    transmissions.
     """
     accuracy = float(tolerance("accuracy", accuracy, 1, 1e-4))
-    # ratios that differ by rounding are one ratio, whose transmissions differ by rounding too
+    # ratios that differ by rounding are one ratio; their transmissions differ by rounding too
     _, first = np.unique(np.round(sweep.mass_ratio, DIGITS), return_index=True)
     ratios = np.asarray(sweep.mass_ratio)[first]
     values = np.asarray(sweep.transmission)[first]
@@ -172,9 +179,8 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4) -> Extrema:
 
 
 def _named(x, T, signs, ends):
-    """Which of the extrema, whose signs alternate, are resonances, and which anti-resonances."""
     highest, lowest = signs > 0, np.zeros(len(x), bool)
-    # around each maximum but the monomer's own, to the minima beside it or the ends of the grid
+    # each maximum except the monomer's, up to the minima beside it or the ends of the grid
     tops = np.flatnonzero(highest & (x < 1))
     if not (signs < 0).any():
         return lowest, highest
@@ -198,9 +204,9 @@ def _named(x, T, signs, ends):
 
 
 def _narrowed(sweep, low, high, signs, accuracy):
-    """Extrema within brackets, and the transmission there.
+    """Return the extrema within brackets, and the transmission there.
 
-    Each bracket is one chunk of lanes, so that its points share a step and the error of the step does not order them.
+    Each bracket is one chunk of lanes, whose points share a step: its error does not order them.
     """
     each, fractions = np.arange(len(low)), np.arange(1, LANES + 1) / (LANES + 1)
     while True:

@@ -1,7 +1,7 @@
-"""Peak contact forces of many dimer chains, a sweep over the mass ratio.
+"""Peak contact forces of many dimer chains: a sweep over the mass ratio.
 
-A chunk has eight lanes: one vector of float64, and its step follows its own stiffest lane. All calls share one
-compiled program.
+A chunk has eight lanes: one vector of float64, whose step follows its stiffest lane. All calls
+share one compiled program.
 """
 
 from functools import cache
@@ -23,7 +23,7 @@ LANES = 8
 
 
 def checked_ratios(ratios: Parameter) -> Float[np.ndarray, " n"]:
-    """Mass ratios as a NumPy array (n,), each in (0, 1]."""
+    """Return mass ratios as a NumPy array (n,), each in (0, 1]."""
     ratios = np.asarray(
         within("ratios", ratios, 0, 1, open_low=True, remedy="The ratio is light over heavy."),
         float,
@@ -45,9 +45,9 @@ def peak_forces(
     bonds: tuple[int, ...],
     t1: Scalar,
 ) -> Float[np.ndarray, "bonds n"]:
-    """Largest forces of some bonds until t1, shape (bonds, n); NaN for a run that did not complete.
+    """Return the largest forces (bonds, n) of some bonds until t1; NaN for incomplete runs.
 
-    **Arguments:** `ratios` (n,), checked; `bonds`: a tuple of indices into the chain's bonds.
+    **Arguments:** `ratios` (n,), checked; `bonds`: indices into the chain's bonds.
     """
     times = np.full(len(ratios), float(t1))
     struck = _struck(int(beads), boundary, tuple(bonds))
@@ -57,8 +57,6 @@ def peak_forces(
 
 @cache
 def _struck(beads, boundary, bonds):
-    """The swept function: one object for one chain, so that nothing compiles twice."""
-
     def forces(t, y, lattice):
         return contact_force(lattice, y)[jnp.asarray(bonds)]
 

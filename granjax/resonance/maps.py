@@ -1,4 +1,4 @@
-"""Decay of a pulse in chains of larger cells without precompression, over two parameters of the cell."""
+"""Decay of a pulse in uncompressed chains of larger cells, over two parameters of the cell."""
 
 from collections.abc import Callable
 from functools import cache
@@ -21,7 +21,8 @@ from ..terms import Bond
 from ..types import Parameter
 from .lanes import LANES
 
-# beads behind the last cell that is read; time that a pulse takes a bead, at most, and to rise and fall
+# beads behind the last cell that is read; the longest time of a pulse per bead; the time in which
+# its force rises and falls
 MARGIN, PACE, PASSING = 12, 1.4, 6.0
 MIXED = ("1:1", "2:1", "3:1", "4:1", "5:1")
 KINDS = (*MIXED, "trimer")
@@ -39,13 +40,13 @@ def _trimer(second, third):
 
 
 class ResonanceMap(Result):
-    """What `resonance_map` returns."""
+    """The result of `resonance_map`."""
 
     first: Float[np.ndarray, " first"] = array("The values of the first parameter.", "1")
     second: Float[np.ndarray, " second"] = array("The values of the second parameter.", "1")
     rate: Float[np.ndarray, "first second"] = array(
-        "The decay rate of the leading pulse per cell; 0 where it travels without loss, NaN"
-        " where a run failed.",
+        "The decay rate of the leading pulse per cell; 0 if it travels without loss, NaN"
+        " if a run failed.",
         "1",
     )
     force: Float[np.ndarray, "first second"] = array(
@@ -79,28 +80,31 @@ def resonance_map(
     *,
     cells: tuple[int, int] = (8, 20),
 ) -> ResonanceMap:
-    r"""Decay rate of the leading pulse in chains of one kind of cell, over two parameters of the cell.
+    r"""Compute the decay rate of the leading pulse over two parameters of the chain's cell.
 
-    Chains of Hertz contacts without precompression and with free ends; the first bead is struck with v = 1. The rate
-    is -ln(F_b/F_a)/(b - a), F the largest force of the first contact of the cells a and b until 1.4 n + 6 for contact n
-    [units of (m^2/(A^2 v))^{1/5}], whichever pulse brings it: where the leading one decays fast that is the one behind
-    it, which may bring more (a rate below zero). It is zero where a pulse travels without loss, as at the
-    anti-resonances of dimers; larger cells come near to that only where two parameters are right.
+    The chains have Hertz contacts without precompression and free ends; the first bead is struck
+    with v = 1. The rate is -ln(F_b/F_a)/(b - a), where F is the largest force of the first contact
+    of the cells a and b until 1.4 n + 6 for contact n [units of (m^2/(A^2 v))^{1/5}]. If the
+    leading pulse decays fast, F is that of the one behind it, which may grow (a rate below zero).
+    The rate is zero without loss, as at anti-resonances of dimers; larger cells come close only at
+    special values of both parameters.
 
     **Arguments:**
 
-    - `kind`: `"2:1"` ... `"5:1"`: that many beads of mass 1, then one of mass `ratio` (first parameter), whose two
-      contacts have the `stiffness` (second) over that of the others; `"1:1"` likewise; `"trimer"`: masses 1, `second`,
-      `third`, equal contacts. Or a function of two numbers that gives masses (P,) and stiffnesses (P,) of the contacts
-      behind them, with largest mass 1.
+    - `kind`: `"1:1"`, `"2:1"` ... `"5:1"`: that many beads of mass 1, then one of mass `ratio`
+      (first parameter), whose two contacts have `stiffness` (second) relative to the others;
+      `"trimer"`: masses 1, `second`, `third`, equal contacts. Or a function of two numbers that
+      returns masses (P,) and stiffnesses (P,) of the contacts behind them, with largest mass 1.
     - `first` (p,), `second` (q,): values of the parameters, above zero.
     - `cells`: (a, b), a < b; further down the chain is closer to the limit.
 
-    Fixed steps with h omega_max = 1/2, eight chains at a time, on every core: rates are good to about 4e-6.
+    Fixed steps with h omega_max = 1/2, eight chains at a time, on every core: rates are good to
+    about 4e-6.
 
-    **Returns:** `ResonanceMap`. **Raises** ValueError for another kind, values not above zero, cells that are no such
-    pair. Typical: 80 chains of 3:1 in a second.
-    Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011), and the review's references for N:1.
+    **Returns:** `ResonanceMap`. **Raises** ValueError for another kind, values not above zero,
+    cells that are no such pair. Typical: 80 chains of 3:1 in a second.
+    Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011), and the review's
+    references for N:1.
 
     **Example:**
 
@@ -153,10 +157,9 @@ def _cell(make, p, q):
 
 
 def _forces(masses, stiffness, cells):
-    """Largest forces (2, n) of the first contacts of two cells, for n cells (n, P): a sweep, NaN where a run failed."""
     P = masses.shape[1]
     beads = (cells[1] + 1) * P + MARGIN
-    # one end of all runs is one loop for many lanes
+    # with the same end for all runs, one loop serves many lanes
     until = float(_slow(masses.T, stiffness.T).max()) * (PACE * P * cells[1] + PASSING)
     lanes = {f"mass_{i}": x for i, x in enumerate(masses.T)} | {
         f"stiffness_{i}": x for i, x in enumerate(stiffness.T)
@@ -167,17 +170,16 @@ def _forces(masses, stiffness, cells):
 
 
 def _slow(masses, stiffness):
-    """How much longer a pulse takes than in equal beads with m = A = 1, at most; the cell along axis 0."""
+    """Return the most that a pulse is slower than in equal beads, m = A = 1; cells on axis 0."""
     return jnp.maximum((masses.max(0) / stiffness.min(0)) ** 0.4, 1.0)
 
 
 @cache
 def _pulse(P, beads, first, last):
-    """The function of a cell's numbers that the sweep is of."""
     places = first, last
 
     def leading(t, y, lattice):
-        # what comes long after the leading pulse is not that
+        # forces long after the leading pulse do not count
         slow, force = _slow(lattice.mass, lattice.terms[0].law.stiffness), contact_force(lattice, y)
         return jnp.stack(
             [jnp.where(t <= slow * (PACE * n + PASSING), force[n], 0.0) for n in places]

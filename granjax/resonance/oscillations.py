@@ -1,4 +1,4 @@
-"""How often a light bead swings between its heavy neighbours while a pulse squeezes them."""
+"""Count the swings of a light bead between its heavy neighbours while a pulse squeezes them."""
 
 from functools import cache
 
@@ -18,17 +18,18 @@ from ..types import Count, Parameter
 from .decay import MARGIN
 from .lanes import LANES, checked_ratios
 
-# of the heavy beads' approach: what counts as squeezed; of the swing: what counts as a turn
+# shares of the heavy beads' largest approach: the least that counts as squeezed, the least
+# prominence of a turn
 SQUEEZED, TURN = 1e-3, 1e-4
 FRAMES = 2400
 
 
 class Oscillations(Result):
-    """What `oscillations` returns, for each mass ratio."""
+    """The result of `oscillations`, for each mass ratio."""
 
     mass_ratio: Float[np.ndarray, " mass_ratio"] = array("The mass ratios.", "1")
     count: Float[np.ndarray, " mass_ratio"] = array(
-        "Swings of the light bead during one squeeze, to half a swing: 1, 2, 3, 4 at the "
+        "The swings of the light bead during a squeeze, to half a swing: 1, 2, 3, 4 at the "
         "anti-resonances 1, 0.342846, 0.154751, 0.090128.",
         "1",
     )
@@ -43,13 +44,15 @@ class Oscillations(Result):
 
 
 def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
-    """Swings of a light bead during the squeeze by the leading pulse, in a long dimer chain struck at its heavy end.
+    """Count the swings of a light bead during the squeeze by the leading pulse.
 
-    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `bead`: which one, an odd number; far enough from the
-    struck end the pulse has found its form.
+    The dimer chain is long and struck at its heavy end.
+    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `bead`: an odd number, far from the
+    struck end.
 
-    **Returns:** `Oscillations`; NaN where a run did not complete. Between anti-resonances the count passes through half
-    a swing more. **Raises** ValueError for ratios outside (0, 1] or a bead that is not light.
+    **Returns:** `Oscillations`; NaN for a run that did not complete. Between anti-resonances the
+    count passes through a half-integer. **Raises** ValueError for ratios outside (0, 1] or a bead
+    that is not light.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
     """
     ratios, bead = checked_ratios(ratios), whole("bead", bead, 1)
@@ -63,7 +66,6 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
 
 @cache
 def _squeezed(beads, bead):
-    """The swept function: compressions (T,) of the two contacts of a bead until the pulse has passed at any ratio."""
     ts = np.linspace(0.5 * bead, 1.4 * bead + 12, FRAMES)
 
     def strains(ratio):
@@ -76,14 +78,15 @@ def _squeezed(beads, bead):
 
 
 def squeeze_count(left: Parameter, right: Parameter) -> float:
-    """Swings of a bead between its neighbours while these are squeezed, from the compressions of its two contacts.
+    """Count the swings of a bead during a squeeze, from the compressions of its two contacts.
 
-    The bead's place between its neighbours is z = (left - right)/2. Counted are the turns of z, two to a swing, from
-    where the neighbours' approach left + right exceeds a thousandth of its largest until it falls below or has its
-    first minimum behind the peak: so a bead that rattles on afterwards is not counted on.
+    The turns of the bead's position z = (left - right)/2 are counted, two per swing, while the
+    neighbours' approach left + right exceeds a thousandth of its largest value. The count ends at
+    the first minimum of the approach after the peak, so that later rattling does not count.
 
-    **Arguments:** `left`, `right` (T,): compressions, of one pulse, in the order of time (or of -xi of a wave), dense
-    enough to show the swings. **Returns:** a multiple of 1/2; NaN for numbers that are none.
+    **Arguments:** `left`, `right` (T,): compressions of one pulse in the order of time (or of -xi
+    of a wave), dense enough to show the swings.
+    **Returns:** a multiple of 1/2; NaN for input that is not finite or never compressed.
     **Raises** ValueError for arrays that are not two such rows.
     """
     left, right = np.asarray(left, float), np.asarray(right, float)

@@ -1,4 +1,4 @@
-"""Integrators as diffrax solvers on y = (u, v): a solver is a table, a class and prose."""
+"""Integrators as diffrax solvers on y = (u, v): each is a class with a table of coefficients."""
 
 from .nystrom import RKN86, RKN1210, AbstractNystrom
 from .splitting import (

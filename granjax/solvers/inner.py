@@ -1,12 +1,14 @@
-"""Free displacements inside a Nystrom step, from the forces that the step has evaluated anyway.
+"""Displacements inside a Nystrom step, from forces that the step has evaluated anyway.
 
-Position c of the step: u0 + c h v0 + h^2 sum w_j(c) k_j. The weights w satisfy the order conditions as far as the
-stages allow and make the remaining ones small. A force evaluated there is what dense output starts from.
+The position at the fraction c of a step is u0 + c h v0 + h^2 sum w_j(c) k_j. The weights w satisfy
+as many order conditions as the stages allow and make the next ones small. Dense output starts from
+the forces at such positions.
 
-The error of such a position is a sum over *trees*, vectors x over the stages, of (w . x) h^(2 + grade): the powers
-c^g/g!, whose w . x should be c^(g+2)/(g+2)!, and products of powers of c with the errors of the stages' own
-positions, whose w . x should vanish. The error of a stage's position is the quadrature error of a power, or A times a
-tree of the second kind.
+The error of such a position is a sum over *trees*, vectors x over the stages, of
+(w . x) h^(2 + grade). Trees are the powers c^g/g!, for which w . x should be c^(g+2)/(g+2)!, and
+products of powers of c with the errors of the stages' own positions, for which it should be zero.
+The error of a stage's position is the quadrature error of a power, or A times a tree of the second
+kind.
 """
 
 from math import factorial
@@ -25,11 +27,11 @@ def weights(
     step: Scalar = 1.5,
     further: int = 4,
 ) -> tuple[np.ndarray, int]:
-    r"""Weights w, one row per node, and the order of the error of the positions that they give.
+    r"""Return the weights w, one row per node, and the order of the error of their positions.
 
-    `A`, `c`: the stages. The order conditions hold to the highest grade that they can; the freedom that is left makes
-    the conditions of the `further` next grades small in the least-squares sense, at h omega = `step`,
-    rather than the weights.
+    `A`, `c`: the stages. The order conditions hold up to the highest possible grade. The remaining
+    freedom makes the conditions of the next `further` grades small, in the least-squares sense, at
+    h omega = `step`.
     """
     found, grade = None, 0
     while True:
@@ -45,8 +47,8 @@ def weights(
     return _least(A, c, nodes, found, free, grade, step, further).T, grade + 2
 
 
+# `w` plus the combination of `free` with the smallest conditions from `grade` on
 def _least(A, c, nodes, w, free, grade, step, further):
-    """`w` moved along the columns of `free` to where the conditions from `grade` on are least."""
     if not free.size:
         return w
     left, right = [], []
@@ -58,7 +60,6 @@ def _least(A, c, nodes, w, free, grade, step, further):
 
 
 def _moment(g, s):
-    """The double integral of s^g/g!."""
     return s ** (g + 2) / factorial(g + 2)
 
 
@@ -75,8 +76,8 @@ def _clean(x, scale):
     return np.where(np.abs(x) > ROUNDING * scale, x, 0)
 
 
+# the trees by grade; the power of c comes first
 def _trees(A, c, grades):
-    """Trees by grade, each grade's power of c first."""
     power = [c**g / factorial(g) for g in range(grades + 1)]
     errors = [[] for _ in power]
     products = [[] for _ in power]

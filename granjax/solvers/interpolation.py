@@ -1,4 +1,4 @@
-"""Dense output of one step: the displacement as one polynomial, the velocity as its derivative."""
+"""Dense output of one step: a polynomial displacement, and the velocity as its derivative."""
 
 from collections.abc import Callable
 from functools import cache
@@ -17,11 +17,11 @@ Entry: TypeAlias = AnyArray | np.inexact
 
 
 class QuinticHermite(diffrax.AbstractLocalInterpolation):
-    r"""Displacement between the ends of a step as the quintic through u, v, a at both; velocity as its derivative.
+    r"""Dense output as the quintic through u, v, a at both ends of a step.
 
-    With s = (t - t0)/h: error h^6 u^(6)/46080 in the middle, zero to second order at the ends.
-    `y0`, `y1`: states (u, v); `a0`, `a1`: accelerations, of the structure of u. `direction`: -1 where diffrax counts
-    time backwards.
+    With s = (t - t0)/h the error is h^6 u^(6)/46080 in the middle, and zero to second order at the
+    ends. `y0`, `y1`: states (u, v); `a0`, `a1`: accelerations, of the structure of u; `direction`:
+    -1 if diffrax's time runs backwards.
     """
 
     t0: object
@@ -47,14 +47,15 @@ class QuinticHermite(diffrax.AbstractLocalInterpolation):
 
 
 class Bootstrapped(diffrax.AbstractLocalInterpolation):
-    r"""The quintic through u, v, a at both ends, with w(s) q(s) on top, w = s^3 (1 - s)^3, so that u'' = a inside too.
+    r"""Dense output as the quintic plus s^3 (1 - s)^3 q(s), so that u'' = a holds inside too.
 
-    q is of degree m - 1, fixed by the acceleration at m interior places (`correction`): u of degree m + 5 in
-    s = (t - t0)/h, with an error of order h^(m+6) where those accelerations are good to order m + 4. Ends are met in
-    u, v and a.
+    The quintic goes through u, v, a at both ends. q, of degree m - 1, follows from the
+    accelerations at m interior places (`correction`). u has degree m + 5 in s = (t - t0)/h and an
+    error of order h^(m+6), if those accelerations are accurate to order m + 4.
 
-    `y0`: the state at t0. `quintic`: coefficients of s^2 ... s^5, four of the structure of u. `inside`: coefficients
-    of q in the Legendre polynomials of 2s - 1, m of the same. `direction`: -1 where diffrax counts time backwards.
+    `y0`: the state at t0. `quintic`: the coefficients of s^2 ... s^5, each of the structure of u.
+    `inside`: the m coefficients of q in the Legendre polynomials of 2s - 1. `direction`: -1 if
+    diffrax's time runs backwards.
     """
 
     t0: object
@@ -86,10 +87,10 @@ def bootstrapped(
     acceleration: Callable,
     rounds: Count,
 ) -> Bootstrapped:
-    """Dense output from the ends of any step and 2 + 4 + ... + 2 `rounds` more accelerations.
+    """Construct dense output from the ends of any step and 2 + 4 + ... + 2 `rounds` accelerations.
 
-    Each round asks for the accelerations `acceleration(t, y)` along the output of the one before, two places more than
-    that did, and gains two orders: degree 5 + 2 rounds, an error of order h^(6 + 2 rounds).
+    Each round evaluates `acceleration(t, y)` along the output of the round before, at two more
+    places, and gains two orders: degree 5 + 2 rounds, an error of order h^(6 + 2 rounds).
     """
     h, structure = t1 - t0, jax.tree.structure(a0)
 
@@ -126,10 +127,10 @@ def bootstrapped(
 
 
 def quintic(rise: Entry, gain: Entry, p0: Entry, p1: Entry) -> tuple:
-    """Coefficients of s^2 ... s^5 of u(s) - u0 - s h v0.
+    """Return the coefficients of s^2 ... s^5 of u(s) - u0 - s h v0.
 
-    `rise` = u1 - u0 - h v0, `gain` = h (v1 - v0), `p0`, `p1` = h^2 a at the ends: all of the size of h^2 a, so that
-    nothing cancels where displacements or velocities are large.
+    `rise` = u1 - u0 - h v0, `gain` = h (v1 - v0), `p0`, `p1` = h^2 a at the ends. All have the size
+    of h^2 a, so large displacements or velocities cause no cancellation.
     """
     q0, q1 = p0 / 2, p1 / 2
     return (
@@ -141,7 +142,7 @@ def quintic(rise: Entry, gain: Entry, p0: Entry, p1: Entry) -> tuple:
 
 
 class Correction(NamedTuple):
-    """q = `take` @ (h^2 a at `nodes`) - `less` @ (coefficients of s^2 ... s^5): what `Bootstrapped` puts inside."""
+    """`Bootstrapped`'s q = `take` @ (h^2 a at `nodes`) - `less` @ (coefficients of s^2 ... s^5)."""
 
     nodes: np.ndarray
     take: np.ndarray
@@ -150,12 +151,12 @@ class Correction(NamedTuple):
 
 @cache
 def correction(m: int) -> Correction:
-    r"""Nodes and matrices for m interior accelerations.
+    r"""Return the nodes and matrices for m interior accelerations.
 
-    The error polynomial E, of degree m + 6 with triple zeros at the ends and E'' = 0 at the nodes, is made the
-    Gegenbauer one, d^2E/ds^2 ~ s(1 - s) P_{m+2}^{(1,1)}(2s - 1), by taking the nodes from the zeros of its second
-    derivative (Gauss-Lobatto's interior nodes). Of these m + 2 the pair is left out that leaves the system best
-    conditioned.
+    The error polynomial E has degree m + 6, triple zeros at the ends, and E'' = 0 at the nodes. The
+    nodes are zeros of the second derivative of the Gegenbauer one,
+    d^2E/ds^2 ~ s(1 - s) P_{m+2}^{(1,1)}(2s - 1), the interior Gauss-Lobatto nodes. Of these m + 2
+    nodes the pair is left out whose absence gives the best-conditioned system.
     """
     inner = np.polynomial.legendre.Legendre.basis(m + 3).deriv().roots().real
     inner = (np.sort(inner) + 1) / 2
@@ -169,8 +170,8 @@ def correction(m: int) -> Correction:
     return Correction(nodes, take, take @ powers)
 
 
+# second derivatives of w(s) P_j(2s - 1) at the nodes, one column per j
 def _second(nodes):
-    """Second derivatives of w(s) P_j(2s - 1) at the nodes, one column per j."""
     columns = []
     for j in range(len(nodes)):
         p = np.polynomial.legendre.Legendre.basis(j)
@@ -181,13 +182,11 @@ def _second(nodes):
 
 
 def _weight(s):
-    """w = s^3 (1 - s)^3 and its two derivatives."""
     p, dp = s * (1 - s), 1 - 2 * s
     return p**3, 3 * p * p * dp, 6 * p * dp * dp - 6 * p * p
 
 
 def _evaluate(s, h, u0, v0, low, inside):
-    """u and v at s from the coefficients of the quintic and of q."""
     s = s.astype(u0.dtype)
     c2, c3, c4, c5 = low
     u = s * (h * v0 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
@@ -201,7 +200,6 @@ def _evaluate(s, h, u0, v0, low, inside):
 
 
 def _legendre(x, count):
-    """Values and derivatives of the first Legendre polynomials."""
     one = jnp.ones_like(x)
     values, slopes = [one, x], [jnp.zeros_like(x), one]
     for n in range(1, count - 1):
@@ -210,14 +208,14 @@ def _legendre(x, count):
     return list(zip(values, slopes))[:count]
 
 
+# the fraction of the step at t, and its length in the direction of the state's time
 def _place(step, t):
-    """Place in the step, 0 ... 1, and its length in the direction of the state's own time."""
     length = jnp.asarray(step.t1 - step.t0)
     return (t - step.t0) / jnp.where(length == 0, 1, length), length * step.direction
 
 
+# a state like `like`, from `both`, which gives (u, v) for the leaves of `trees`
 def _state(like, both, *trees):
-    """A state of the form `like` from `both`, which gives (u, v) for one array, and the trees that it is fed from."""
     structure = jax.tree.structure(trees[0])
     values = [both(*leaves) for leaves in zip(*map(jax.tree.leaves, trees))]
     u, v = (structure.unflatten([value[i] for value in values]) for i in (0, 1))

@@ -1,9 +1,10 @@
 """Runge-Kutta-Nystrom pairs as diffrax solvers: adaptive steps for u'' = a(t, u).
 
-One step: u_i = u + c_i h v + h^2 sum_j A_ij k_j, k_i = a(t + c_i h, u_i), then u + h v + h^2 sum b_i k_i and
-v + h sum bp_i k_i, with error estimates h^2 sum be_i k_i and h sum bpe_i k_i. The force that ends a step opens the
-next. Only the acceleration is asked for: from the vector field's own `acceleration_only(args)`, which refuses forces
-that read the velocity, or from any f(t, (u, v), args) = (v, a(t, u)).
+One step: u_i = u + c_i h v + h^2 sum_j A_ij k_j, k_i = a(t + c_i h, u_i), then
+u + h v + h^2 sum b_i k_i and v + h sum bp_i k_i, with error estimates h^2 sum be_i k_i and
+h sum bpe_i k_i. The last force of a step is the first of the next. The acceleration comes from the
+vector field's own `acceleration_only(args)`, which refuses forces that read the velocity, or from
+any f(t, (u, v), args) = (v, a(t, u)).
 """
 
 from functools import cache, partial
@@ -26,10 +27,10 @@ from .stability import stability_limit
 
 
 class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
-    """A Nystrom pair; a subclass is a name, a table, a degree of dense output and prose.
+    """A Nystrom pair; a subclass adds a name, a table and the degree of dense output.
 
-    Dense output asks for `inside` more forces a step. A solve that saves nothing between its steps does not pay them:
-    what nobody reads is not compiled.
+    Dense output needs `inside` more forces per step. A solve that saves nothing inside its steps
+    skips them.
     """
 
     term_structure: ClassVar = diffrax.AbstractTerm
@@ -43,19 +44,19 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
 
     @classmethod
     def stability_limit(cls) -> float | None:
-        """Largest h omega at which a fixed step is stable on u'' = -omega^2 u: `granjax.solvers.stability`."""
+        """Largest h omega of a stable step on u'' = -omega^2 u: `granjax.solvers.stability`."""
         return stability_limit(cls)
 
     @classmethod
     def evaluations(cls) -> float:
-        """Force evaluations per step, with the last one kept for the next step's first."""
+        """Force evaluations per step; the last one is reused by the next step."""
         return len(_stages(cls).c) - 1
 
     def order(self, terms):
         return self.table().order
 
     def error_order(self, terms):
-        # the estimate is the local error of the embedded method
+        # the estimate is the local error of the embedded method, one order above its global error
         return self.table().embedded_order + 1
 
     def init(self, terms, t0, t1, y0, args):
@@ -81,9 +82,10 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
 
 
 class RKN86(AbstractNystrom):
-    """Dormand, El-Mikkawy and Prince's RKN 8(6), eight forces a step: the default of `simulate` for a tolerance.
+    """Dormand, El-Mikkawy and Prince's RKN 8(6), the default of `simulate` with a tolerance.
 
-    Dense output of degree 8 from three more forces. Contact loss below 1e-5; source: IMA J. Numer. Anal. 7, 423 (1987).
+    Eight forces per step; dense output of degree 8 from three more. For contacts that open and
+    errors below 1e-5. Source: IMA J. Numer. Anal. 7, 423 (1987).
 
     **Example:**
 
@@ -97,23 +99,23 @@ class RKN86(AbstractNystrom):
 
 
 class RKN1210(AbstractNystrom):
-    """Dormand, El-Mikkawy and Prince's RKN 12(10), 17 forces a step, for smooth scenes below 1e-8.
+    """Dormand, El-Mikkawy and Prince's RKN 12(10), for smooth scenes and errors below 1e-8.
 
-    Dense output of degree 12 from seven more forces. Source: IMA J. Numer. Anal. 7, 423 (1987).
+    17 forces per step; dense output of degree 12 from seven more. Source: IMA J. Numer. Anal. 7,
+    423 (1987).
     """
 
     inside: ClassVar[int] = 7
 
 
 def _system(terms, args):
-    """The forces as a split system, of which only the forces are used, and the direction of time."""
     field, direction = unwrap(terms)
     offer = getattr(field, "split_system", None)
     return (FieldSplit(_AtRest(field), args) if offer is None else offer(args)), direction
 
 
+# a field with `acceleration_only` refuses in its own words
 def _refuse_velocity(field, t, y, args):
-    """ValueError where the acceleration reads the velocity; the field's own words where it has some."""
     if hasattr(field, "acceleration_only"):
         field.acceleration_only(args)
         return
@@ -129,9 +131,8 @@ def _refuse_velocity(field, t, y, args):
         )
 
 
+# a vector field at zero velocity, for an a(t, u) that must not depend on v
 class _AtRest(eqx.Module):
-    """A vector field without velocity: what a(t, u) is where it must not depend on v."""
-
     field: object = eqx.field(static=True)
 
     def __call__(self, t, y, args):
@@ -139,9 +140,8 @@ class _AtRest(eqx.Module):
         return self.field(t, pair(y, u, jax.tree.map(jnp.zeros_like, v)), args)
 
 
+# one step from t0 to t1 in diffrax's time, which always increases
 class _Step(NamedTuple):
-    """One step from t0 to t1 in diffrax's time, which runs forwards, and from y0."""
-
     system: object
     t0: object
     t1: object
@@ -152,21 +152,19 @@ class _Step(NamedTuple):
     def h(self):
         return (self.t1 - self.t0) * self.direction
 
+    # never beyond t1, where a jump may lie
     def times(self, c):
-        """Times at the places c, never past t1, where a jump may lie."""
         return jnp.minimum(self.t0 + c * (self.t1 - self.t0), self.t1) * self.direction
 
     def force(self, kept, t, u):
-        """The force at (t, u), in the system's own form, and the acceleration."""
         at = pair(self.y0, u, self.y0[1])
         _, kept = self.system.leave(self.system.refresh(self.system.enter(at, kept), t), at)
         return kept, self.system.acceleration(at, kept)
 
+    # The function (i, k) -> u0 + c_i h v0 + h^2 sum_j weights_ij k_j.
+    # One branch per row: the code after it is traced once, and each sum has only the weights of its
+    # own row, as constants.
     def places(self, c, weights):
-        """The function (i, k) -> u0 + c_i h v0 + h^2 sum_j weights_ij k_j.
-
-        A branch a row: what follows is traced once, and every sum has its own row's numbers alone, as constants.
-        """
         return lambda i, k: jax.lax.switch(
             i, [partial(self._place, *row) for row in zip(c, weights)], k
         )
@@ -176,9 +174,8 @@ class _Step(NamedTuple):
         return jax.tree.map(jnp.add, moved, _sum(weights, k, self.h, 2))
 
 
+# the table with u1 as last stage, whose force is the first of the next step
 class _Stages(NamedTuple):
-    """The table with u1 as its last stage, whose force opens the next step."""
-
     A: np.ndarray
     c: np.ndarray
     b: np.ndarray
@@ -201,7 +198,6 @@ def _stages(cls):
 
 
 def _march(stages, step, kept):
-    """All accelerations k, the new state, and the force there in the system's own form."""
     u0, v0 = step.y0
     count = len(stages.c)
     k = jax.tree.map(lambda u: jnp.zeros((count,) + u.shape, u.dtype), u0)
@@ -228,18 +224,16 @@ def _write(k, a, i):
 
 
 def _sum(weights, k, h, power):
-    """h^power sum weights_j k_j over the first axis."""
     return jax.tree.map(lambda k: _weighted(weights, k, h, power), k)
 
 
+# a sum over a sequence of arrays; zero weights are left out of the program
 def _weighted(weights, k, h, power):
-    """The same for a sequence of arrays; weights that are zero are left out."""
     used = np.flatnonzero(weights)
     return h.astype(k[0].dtype) ** power * sum(float(weights[j]) * k[j] for j in used)
 
 
 def _dense(cls, step, k, kept):
-    """What `Bootstrapped` is made from: the quintic of the ends, and accelerations inside."""
     fit = correction(cls.inside)
     place = step.places(fit.nodes, inner_weights(cls))
 
@@ -256,9 +250,9 @@ def _dense(cls, step, k, kept):
     return dict(y0=step.y0, quintic=coefficients[:4], inside=coefficients[4:], direction=direction)
 
 
+# weights over the forces of a step, one row per coefficient of `Bootstrapped`
 @cache
 def _polynomial(cls):
-    """Weights over the forces of the step and of the inner places: one row per coefficient of `Bootstrapped`."""
     stages, fit = _stages(cls), correction(cls.inside)
     ends = np.eye(len(stages.c))[[0, -1]]
     low = np.stack(quintic(stages.b, stages.bp, *ends))
@@ -267,6 +261,6 @@ def _polynomial(cls):
 
 @cache
 def inner_weights(cls) -> np.ndarray:
-    """Weights over the stages of the positions where dense output asks for forces, one row per node."""
+    """Return the weights over the stages of each position where dense output needs a force."""
     stages = _stages(cls)
     return weights(stages.A, stages.c, correction(cls.inside).nodes)[0]

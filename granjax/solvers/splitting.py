@@ -1,9 +1,9 @@
 """Symplectic splitting methods as diffrax solvers.
 
-The equation is m a = F(t, u), H = T(v) + V(t, u). One step composes the two exact flows, kick (v += b h a) and drift
-(u += a h v), with a table of coefficients. A solver sees a *split system* and no physics: the vector field offers it
-as an attribute `split_system(args)`, and one that takes whole steps as `in_blocks(args, y)`; any other
-f(t, (u, v), args) = (v, a(t, u)) gets `FieldSplit`.
+The equation is m a = F(t, u), H = T(v) + V(t, u). One step composes the two exact flows, kick
+(v += b h a) and drift (u += a h v), with a table of coefficients. A solver works on a *split
+system*, which the vector field offers as `split_system(args)`, or as `in_blocks(args, y)` if it
+takes whole steps; any other f(t, (u, v), args) = (v, a(t, u)) gets `FieldSplit`.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from .stability import stability_limit
 
 
 def unwrap(terms: Any) -> tuple[Callable, Number]:
-    """The vector field inside diffrax's terms, and the direction of time that diffrax wraps around it."""
+    """Return the vector field inside diffrax's terms, and the direction of time around it."""
     direction = 1
     while hasattr(terms, "term"):
         direction = direction * terms.direction
@@ -31,7 +31,7 @@ def unwrap(terms: Any) -> tuple[Callable, Number]:
 
 
 class AbstractSplitting(diffrax.AbstractSolver):
-    """A symmetric composition of kicks and drifts; a subclass is a name, a table and prose."""
+    """A symmetric composition of kicks and drifts; a subclass adds a name and a table."""
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar = QuinticHermite
@@ -43,12 +43,12 @@ class AbstractSplitting(diffrax.AbstractSolver):
 
     @classmethod
     def stability_limit(cls) -> float | None:
-        """Largest h omega at which the method is stable on u'' = -omega^2 u: `granjax.solvers.stability`."""
+        """Largest h omega of a stable step on u'' = -omega^2 u: `granjax.solvers.stability`."""
         return stability_limit(cls)
 
     @classmethod
     def evaluations(cls) -> Number:
-        """Force evaluations per step, with the last kick's force kept for the next step's first."""
+        """Force evaluations per step; the last kick's force is reused by the next step."""
         return int(np.count_nonzero(cls.table().b)) - (cls.table().b[0] != 0)
 
     def order(self, terms):
@@ -67,7 +67,8 @@ class AbstractSplitting(diffrax.AbstractSolver):
         return system.start(t0 * direction, y0)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        # fixed steps: no controller that these methods accept reports a jump, so the kept force is never stale
+        # These methods take fixed steps only, and their controllers report no jump, so the kept
+        # force is never stale.
         del made_jump
         system, direction = self._system(terms, args, y0)
         table = self.table()
@@ -86,24 +87,33 @@ class AbstractSplitting(diffrax.AbstractSolver):
 
 
 class VelocityVerlet(AbstractSplitting):
-    """Velocity Verlet, order 2, one force a step. Robust and cheap for rough answers; source: Verlet (1967)."""
+    """Velocity Verlet, order 2, one force per step: robust, and cheap for rough results.
+
+    Source: Verlet (1967).
+    """
 
 
 class SRKN6b(AbstractSplitting):
-    """Blanes and Moan's SRKN6b, order 4, six forces a step; source: J. Comput. Appl. Math. 142, 313 (2002)."""
+    """Blanes and Moan's SRKN6b, order 4, six forces per step.
+
+    Source: J. Comput. Appl. Math. 142, 313 (2002).
+    """
 
 
 class ABA864(AbstractSplitting):
-    """Blanes and others' ABA864, order 4, seven forces a step, drift first.
+    """Blanes and others' ABA864, order 4, seven forces per step, drift first.
 
-    Of H = A + eps B, where both flows are exact, its error is of the order eps h^8 + eps^2 h^6 + eps^3 h^4. In a weakly
-    nonlinear FPUT chain its energy error is a seventh of SRKN6b's for as many forces, and its error of the state three
-    times as large. Source: Appl. Numer. Math. 68, 58 (2013).
+    For H = A + eps B with exact flows of both, its error is of order
+    eps h^8 + eps^2 h^6 + eps^3 h^4. In a weakly nonlinear FPUT chain, with equally many forces, its
+    energy error is a seventh of SRKN6b's and its error of the state three times as large. Source:
+    Appl. Numer. Math. 68, 58 (2013).
     """
 
 
 class SRKN11b(AbstractSplitting):
-    """Blanes and Moan's SRKN11b, order 6, eleven forces a step: the default of `simulate`. Source: as SRKN6b.
+    """Blanes and Moan's SRKN11b, order 6, eleven forces per step: the default of `simulate`.
+
+    Source: as SRKN6b.
 
     **Example:**
 
@@ -115,11 +125,16 @@ class SRKN11b(AbstractSplitting):
 
 
 class SRKN14a(AbstractSplitting):
-    """Blanes and Moan's SRKN14a, order 6, fourteen forces a step, drift first. Source: as SRKN6b."""
+    """Blanes and Moan's SRKN14a, order 6, fourteen forces per step, drift first.
+
+    Source: as SRKN6b.
+    """
 
 
 class KahanLi8(AbstractSplitting):
-    """Kahan and Li's composition, order 8, seventeen forces a step; source: Math. Comput. 66, 1089 (1997).
+    """Kahan and Li's composition, order 8, seventeen forces per step.
+
+    Source: Math. Comput. 66, 1089 (1997).
 
     **Example:**
 
@@ -131,7 +146,7 @@ class KahanLi8(AbstractSplitting):
 
 
 class SofroniouSpaletta10(AbstractSplitting):
-    """Sofroniou and Spaletta's composition, order 10, 35 forces a step, for errors near rounding.
+    """Sofroniou and Spaletta's composition, order 10, 35 forces per step, for errors near rounding.
 
     Source: Optim. Methods Softw. 20, 597 (2005).
     """

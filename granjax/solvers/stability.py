@@ -1,18 +1,21 @@
-r"""Linear stability: what one step of a method does to u'' = -omega^2 u, as a function of z = h omega.
+r"""Linear stability: one step of a method on u'' = -omega^2 u, as a function of z = h omega.
 
-The step is the matrix R(z) on (u, v/omega). Its spectral radius rho(z) is the factor of amplitude a step, log(rho)/z
-the growth per radian of phase. Three kinds of method:
+The step is the matrix R(z) on (u, v/omega). Its spectral radius rho(z) is the factor of the
+amplitude per step, and log(rho)/z is the growth per radian of phase. There are three kinds of
+methods:
 
-- symplectic ones *keep*: det R = 1 and rho = 1, but for windows of z where trace R leaves [-2, 2]. All but Verlet meet
-  their first one, narrow and weak, where the numerical phase of a step is pi (growth 1e-4 ... 1e-2 a radian);
-- others *damp* from zero on (RKN pairs, Bosh3, Dopri5, Tsit5) up to an end, or
-- *amplify* from zero on (Heun, Dopri8) and have no interval of stability in the strict sense.
+- symplectic ones *keep* amplitudes: det R = 1 and rho = 1, except in windows of z where trace R
+  leaves [-2, 2]. All but Verlet have a first, narrow and weak window where the numerical phase of a
+  step is pi (growth 1e-4 ... 1e-2 per radian);
+- others *damp* from z = 0 on (RKN pairs, Bosh3, Dopri5, Tsit5), up to an end;
+- others *amplify* from z = 0 on (Heun, Dopri8) and have no interval of stability in the strict
+  sense.
 
-One rule serves all: `stability_limit` is the z up to which nothing grows by more than `GROWTH` per radian. For a
-symplectic method that is where its first window begins.
+`stability_limit` is for all of them the z up to which no mode grows by more than `GROWTH` per
+radian. For a symplectic method it is the start of the first window.
 
-Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006); van der Houwen, Sommeijer, SIAM J. Numer. Anal.
-24, 595 (1987), for the Nystrom pairs.
+Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006); van der Houwen, Sommeijer,
+SIAM J. Numer. Anal. 24, 595 (1987), for the Nystrom pairs.
 """
 
 from functools import cache
@@ -26,18 +29,18 @@ from ..printing import told
 from ..types import Number, Parameter, Scalar
 from . import tables
 
-# e-fold in 1e5 radians, 16 000 periods: less is not seen in the runs that a fixed step is made for
+# growth by e in 1e5 radians, 16 000 periods: less is invisible in typical runs with a fixed step
 GROWTH = 1e-5
-# e-fold in 100 radians: no error that an accurate step keeps small, but a run that is lost
+# growth by e in 100 radians: not an error that an accurate step keeps small, but a lost run
 RUNAWAY = 1e-2
-# growth that rounding alone can feign
+# apparent growth that rounding alone can cause
 ROUNDING = 1e-11
 SPACING = 1 / 256
 FARTHEST = (4.0, 16.0, 64.0)
 
 
 class Window(NamedTuple):
-    """start < h omega < end, where the amplitude grows; `growth`, the largest per radian (per step: times h omega)."""
+    """start < h omega < end, where the amplitude grows, and the largest `growth` per radian."""
 
     start: float
     end: float
@@ -46,14 +49,16 @@ class Window(NamedTuple):
 
 
 class Stability(NamedTuple):
-    """One line of the table of `stability`.
+    """The stability of one solver, as `stability` returns it.
 
-    - `limit`: h omega up to which the growth stays below `GROWTH` per radian; inf for none.
+    - `limit`: h omega up to which the growth is below `GROWTH` per radian; inf if there is no end.
     - `refused_from`: h omega from which on `simulate` refuses a fixed step.
-    - `interval`: h omega up to which rho <= 1 but for rounding; 0 where the method amplifies from zero on.
+    - `interval`: h omega up to which rho <= 1 within rounding; 0 for a method that amplifies from
+      zero on.
     - `near_zero`: "keeps", "damps" or "amplifies".
-    - `evaluations`: forces per step, NaN for an implicit method; `per_evaluation`: limit/evaluations.
-    - `windows`: where it is unstable, in order, up to the h omega that was asked for.
+    - `evaluations`: forces per step, NaN for an implicit method; `per_evaluation`:
+      limit/evaluations.
+    - `windows`: the windows of instability, in order, up to the h omega asked for.
     """
 
     solver: str
@@ -68,7 +73,7 @@ class Stability(NamedTuple):
 
 
 def stability(solver: diffrax.AbstractSolver | type, until: Scalar = 16.0) -> Stability:
-    """The table's line of a solver (class or instance), with its windows of instability up to h omega = `until`.
+    """Return the stability of a solver (class or instance), with windows up to h omega = `until`.
 
     **Raises** ValueError for a solver whose step is not known here.
     """
@@ -91,18 +96,20 @@ def stability(solver: diffrax.AbstractSolver | type, until: Scalar = 16.0) -> St
 
 
 def stability_limit(solver: diffrax.AbstractSolver | type) -> float | None:
-    """h omega up to which a mode grows by less than `GROWTH` per radian; inf without end, `None` where not known.
+    """Return the h omega up to which no mode grows by more than `GROWTH` per radian.
 
-    `solver`: class or instance; granjax's, or diffrax's with a table of coefficients. Computed once, then looked up.
+    It is inf without an end, `None` if unknown. `solver`: class or instance, granjax's, or
+    diffrax's with a table of coefficients. The value is cached.
     """
     return _limit(_kind(solver), GROWTH)
 
 
 def refused_from(solver: diffrax.AbstractSolver | type) -> float | None:
-    """h omega from which on `simulate` refuses a fixed step; inf without end, `None` where not known.
+    """Return the h omega from which on `simulate` refuses a fixed step.
 
-    `stability_limit` for granjax's own methods. Runge-Kutta methods, most of which amplify from zero on, may grow by
-    `RUNAWAY` per radian: what grows more slowly is an error as any other, that a shorter step makes smaller.
+    It is inf without an end, `None` if unknown. For granjax's own methods it is `stability_limit`.
+    Runge-Kutta methods, most of which amplify from zero on, may grow by `RUNAWAY` per radian:
+    slower growth is an ordinary error, which a shorter step reduces.
     """
     kind = _kind(solver)
     return _limit(kind, GROWTH if hasattr(kind, "table") else RUNAWAY)
@@ -116,7 +123,6 @@ def _limit(kind, growth):
 
 
 def _first(solver, growth):
-    """The windows as far as the first one needs."""
     for until in FARTHEST:
         found = windows(solver, until, growth)
         if found:
@@ -125,10 +131,10 @@ def _first(solver, growth):
 
 
 def one_step(solver: diffrax.AbstractSolver | type, z: Parameter) -> np.ndarray:
-    r"""R(z), shape (..., 2, 2) for z of shape (...): (u, v/omega) after one step h from (u, v/omega), z = h omega.
+    r"""Return R(z), shape (..., 2, 2) for z = h omega of shape (...), the step of (u, v/omega).
 
-    `LeapfrogMidpoint` and `ReversibleHeun` carry a second state besides: the complex matrix on both, for
-    y' = i omega y.
+    `LeapfrogMidpoint` and `ReversibleHeun` have a second state: for them R is the complex matrix on
+    both, for y' = i omega y.
 
     **Raises** ValueError for a solver without a table of coefficients.
     """
@@ -144,20 +150,20 @@ def one_step(solver: diffrax.AbstractSolver | type, z: Parameter) -> np.ndarray:
 
 
 def amplification(solver: diffrax.AbstractSolver | type, z: Parameter) -> Number:
-    """rho(z), the factor by which a step at h omega = z multiplies the fastest growing amplitude."""
+    """Return rho(z), the factor of the fastest-growing amplitude per step at h omega = z."""
     return np.exp(_log_radius(one_step(solver, z)))
 
 
 def growth(solver: diffrax.AbstractSolver | type, z: Parameter) -> Number:
-    """log(rho)/z, the growth per radian of phase."""
+    """Return log(rho)/z, the growth per radian of phase."""
     z = np.asarray(z, float)
     return _log_radius(one_step(solver, z)) / z
 
 
 def windows(solver: diffrax.AbstractSolver | type, until: Scalar, growth: Scalar = GROWTH) -> tuple:
-    """Every `Window` that begins below h omega = `until` in which a mode grows by more than `growth` per radian.
+    """Return every `Window` that begins below h omega = `until`.
 
-    Found however narrow: the grid is refined wherever eigenvalues nearly meet.
+    In a window a mode grows by more than `growth` per radian. Narrow windows are found too.
     """
     z = places(solver, until)
     rate = _log_radius(one_step(solver, z)) / z
@@ -172,7 +178,7 @@ def windows(solver: diffrax.AbstractSolver | type, until: Scalar, growth: Scalar
 
 
 def evaluations(solver: diffrax.AbstractSolver | type) -> float:
-    """Force evaluations per step, with those kept from the step before; NaN for an implicit method."""
+    """Return the force evaluations per step, without reused ones; NaN for an implicit method."""
     kind = _kind(solver)
     if hasattr(kind, "evaluations"):
         return int(kind.evaluations())
@@ -201,7 +207,6 @@ def _matrix(a, b, c, d):
 
 
 def _composed(table, z):
-    """Kicks and drifts in turn."""
     one, zero = np.ones_like(z), np.zeros_like(z)
     R = _matrix(one, zero, zero, one)
     for i, b in enumerate(table.b):
@@ -211,8 +216,8 @@ def _composed(table, z):
     return R
 
 
+# the positions U of the stages solve (1 + z^2 A) U = u + z c w, w = v/omega
 def _nystrom(table, z):
-    """Positions U of the stages from (1 + z^2 A) U = u + z c w, and the two sums over them."""
     z = z[..., None, None]
     one = np.ones_like(table.c)
     left = np.eye(len(one)) + z**2 * table.A
@@ -224,8 +229,8 @@ def _nystrom(table, z):
     return _matrix(np.ones_like(z), z, np.zeros_like(z), np.ones_like(z)) + rest
 
 
+# the stability function P at i z, for y = u - i v/omega
 def _runge_kutta(tableau, z):
-    """The stability function P at i z, for y = u - i v/omega."""
     count = tableau.num_stages
     A = np.zeros((count, count))
     for i, row in enumerate(tableau.a_lower):
@@ -239,8 +244,8 @@ def _runge_kutta(tableau, z):
     return _rotation(1 + (iz * stages) @ np.asarray(tableau.b_sol))
 
 
+# the matrix on (u, v/omega) of a complex factor of u - i v/omega
 def _rotation(factor):
-    """A complex factor of u - i v/omega, written for (u, v/omega)."""
     return _matrix(factor.real, factor.imag, -factor.imag, factor.real)
 
 
@@ -248,8 +253,8 @@ def _leapfrog(z):
     return _matrix(2j * z, 1 + 0j * z, 1 + 0j * z, 0j * z)
 
 
+# On (y, y^): y^ <- 2 y - y^ + i z y^, then y <- y + i z (y^ before + y^ after)/2
 def _reversible_heun(z):
-    """On (y, y^): y^ <- 2 y - y^ + i z y^, then y <- y + i z (y^ before + y^ after)/2."""
     return _matrix(1 + 1j * z, -(z**2) / 2 + 0j, 2 + 0j * z, 1j * z - 1)
 
 
@@ -264,8 +269,9 @@ _WITHOUT_TABLE = {
 # its eigenvalues ---------------------------------------------------------------------------------------------------
 
 
+# ((R11 - R22)/2)^2 + R12 R21, positive where the eigenvalues are real; this form does not cancel
+# where they meet
 def _discriminant(R):
-    """((R11 - R22)/2)^2 + R12 R21, above zero where the eigenvalues are real; no cancellation where they meet."""
     return ((R[..., 0, 0] - R[..., 1, 1]) / 2) ** 2 + R[..., 0, 1] * R[..., 1, 0]
 
 
@@ -273,8 +279,8 @@ def _determinant(R):
     return R[..., 0, 0] * R[..., 1, 1] - R[..., 0, 1] * R[..., 1, 0]
 
 
+# log(rho), exact to rounding for real matrices: rho^2 = det R for a complex pair of eigenvalues
 def _log_radius(R):
-    """log(rho), exact to rounding for real matrices: rho^2 = det R where the eigenvalues are a complex pair."""
     if np.iscomplexobj(R):
         return np.log(np.abs(np.linalg.eigvals(R)).max(-1))
     D, mean = _discriminant(R), np.abs(R[..., 0, 0] + R[..., 1, 1]) / 2
@@ -285,7 +291,7 @@ def _log_radius(R):
 
 
 def places(solver: diffrax.AbstractSolver | type, until: Scalar) -> np.ndarray:
-    """A grid of h omega, finer around every local maximum of the discriminant."""
+    """Return a grid of h omega, refined around every local maximum of the discriminant."""
     z = SPACING * np.arange(1, int(np.ceil(until / SPACING)) + 1)
     R = one_step(solver, z)
     if np.iscomplexobj(R):
@@ -302,7 +308,6 @@ def places(solver: diffrax.AbstractSolver | type, until: Scalar) -> np.ndarray:
 
 
 def _bisect(solver, low, high, rate):
-    """Where the growth passes `rate` between two places."""
     rises = _log_radius(one_step(solver, high)) > rate * high
     for _ in range(60):
         middle = (low + high) / 2
@@ -314,7 +319,6 @@ def _bisect(solver, low, high, rate):
 
 
 def _near_zero(solver):
-    """What the determinant does first."""
     z = places(solver, 4.0)
     change = np.log(np.abs(_determinant(one_step(solver, z))))
     seen = np.flatnonzero(np.abs(change) > 1e-12)

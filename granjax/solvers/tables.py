@@ -14,7 +14,10 @@ def _read():
 
 
 class Splitting(NamedTuple):
-    """One step: kick b[0], drift a[0], kick b[1], ..., drift a[s-1], kick b[s], in units of the step."""
+    """A splitting method.
+
+    One step: kick b[0], drift a[0], kick b[1], ..., drift a[s-1], kick b[s], in units of the step.
+    """
 
     a: np.ndarray
     b: np.ndarray
@@ -23,7 +26,7 @@ class Splitting(NamedTuple):
 
 
 class Nystrom(NamedTuple):
-    """k_i = F(u + c_i h v + h^2 A_ij k_j)/m; weights b, bp of u and v, be, bpe of their error estimates."""
+    """k_i = F(u + c_i h v + h^2 A_ij k_j)/m; weights b, bp of u, v and be, bpe of their errors."""
 
     A: np.ndarray
     b: np.ndarray
@@ -41,13 +44,13 @@ def _numbers(x):
 
 
 def splitting(name: str) -> Splitting:
-    """Table of a splitting method by the name of its class."""
+    """Return the table of a splitting method by the name of its class."""
     t = _read()["splitting"][name]
     return Splitting(_numbers(t["a"]), _numbers(t["b"]), t["order"], t["source"])
 
 
 def nystrom(name: str) -> Nystrom:
-    """Table of a Runge-Kutta-Nystrom pair by the name of its class."""
+    """Return the table of a Runge-Kutta-Nystrom pair by the name of its class."""
     t = _read()["nystrom"][name]
     return Nystrom(
         *(_numbers(t[key]) for key in ("A", "b", "bp", "be", "bpe", "c")),

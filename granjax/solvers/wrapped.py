@@ -1,10 +1,10 @@
-"""What a solver around another one says of itself: what the inner one says."""
+"""A wrapper whose solver properties are those of the inner solver."""
 
 import diffrax
 
 
 class Wrapped(diffrax.AbstractWrappedSolver):
-    """A solver that answers as its `solver` does; `init` and `step` are what a subclass adds."""
+    """A solver with the properties of its `solver`; a subclass adds `init` and `step`."""
 
     solver: diffrax.AbstractSolver
 

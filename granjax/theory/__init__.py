@@ -1,18 +1,18 @@
-"""Closed forms: what theory says about a chain, without a lattice.
+"""Closed-form results of theory, which need no lattice.
 
-- `elliptic`: Jacobi's functions and Legendre's integrals.
+- `elliptic`: Jacobi's elliptic functions and Legendre's integrals.
 - `compacton`: solitary waves of continuum equations without linear sound.
-- `kdv`: the Korteweg-de Vries equation of long, weak waves; solitons, periodic waves, dispersive shocks on a chain.
+- `kdv`: the Korteweg-de Vries equation of long, weak waves: solitons, periodic waves, shocks.
 - `linear_shock`: steps of velocity and of strain in a linear chain.
-- `localisation`: how far waves reach in a weakly disordered chain.
-- `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
-- `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
-- `mittag_leffler`: of fractional relaxation.
-- `restitution`: of two bodies that collide, plastic ones.
-- `simple_wave`: the state behind a velocity step of any law, rarefaction fans.
+- `localisation`: the localisation length of waves in a weakly disordered chain.
+- `long_wave`: long-wave equations of a chain: residuals, linear waves, a solitary wave.
+- `nls`: the nonlinear Schroedinger equation of wave packets: solitons, modulational instability.
+- `mittag_leffler`: the Mittag-Leffler function of fractional relaxation.
+- `restitution`: coefficients of restitution of two colliding bodies.
+- `simple_wave`: the state behind a velocity step for any law, and rarefaction fans.
 - `thermal`: averages of a bond at a temperature and a pressure.
-- `toda`: the Toda chain: solitons, periodic waves, dispersive shocks, eigenvalues of its Lax matrix.
-- `shock_edges`: the edges of a dispersive shock of any convex law, by fitting.
+- `toda`: the Toda chain: solitons, periodic waves, dispersive shocks, Lax eigenvalues.
+- `shock_edges`: the edges of a dispersive shock for any convex law, by fitting.
 """
 
 from . import (

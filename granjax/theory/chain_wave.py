@@ -1,4 +1,4 @@
-"""What a closed form says of the sites of a chain, and what all such forms ask of their arguments."""
+"""The result of closed forms on the sites of a chain, and checks of their arguments."""
 
 from typing import NamedTuple
 
@@ -11,10 +11,11 @@ from ..printing import told
 
 
 class ChainWave(NamedTuple):
-    """A wave at sites n and times t, of their shapes broadcast.
+    """A wave at sites n and times t, of their broadcast shape.
 
-    - `strain`: y_n = u_n - u_{n+1} of the bond between n and n + 1, compression positive.
-    - `velocity`: v_n = du_n/dt of site n. `displacement`: u_n, but for a constant.
+    - `strain` [m]: y_n = u_n - u_{n+1} of the bond between n and n + 1, compression positive.
+    - `velocity` [m/s]: v_n = du_n/dt of site n.
+    - `displacement` [m]: u_n, up to a constant.
 
     **Example:**
 
@@ -30,15 +31,12 @@ class ChainWave(NamedTuple):
 
 
 def _numbers(**given):
-    """Finite arrays."""
     return [parameter(name, x) for name, x in given.items()]
 
 
+# `sign`: the sign of the strains, which the quantity `named` sets; `sound`: the speed of sound,
+# which the quantities `sound_named` set
 def _one_given(given, sound, sign, named, sound_named):
-    """The only one of a soliton's numbers that is not None, and its name.
-
-    `sign`: that of its strains, which `named` has; `sound`: the speed of sound, which `sound_named` set.
-    """
     names = [name for name, x in given.items() if x is not None]
     if len(names) != 1:
         got = ", ".join(names) or "none"
@@ -68,12 +66,10 @@ def _one_given(given, sound, sign, named, sound_named):
 
 
 def _direction_of(direction):
-    """1 of a wave to the right, -1 of one to the left."""
     return 1.0 if one_of("direction", direction, ("right", "left")) == "right" else -1.0
 
 
 def _stiffnesses(K2, K3, mass, remedy):
-    """K2 > 0, K3 other than zero, mass > 0, as arrays."""
     K2, K3, mass = (
         positive("K2", K2, "A chain without linear stiffness has no sound."),
         parameter("K3", K3),
@@ -85,13 +81,13 @@ def _stiffnesses(K2, K3, mass, remedy):
     return K2, K3, mass
 
 
+# 1/cosh x without overflow and without a kink
 def _sech(x):
-    """1/cosh x, which neither overflows nor has a kink."""
     return 2 * jnp.exp(-(jax.nn.softplus(2 * x) + jax.nn.softplus(-2 * x)) / 2)
 
 
+# sinh x - x without cancellation at small x
 def _sinh_less(x):
-    """sinh x - x, with its digits where x is small."""
     square = x * x
     series = 1.0
     for k in range(8, 0, -1):
@@ -101,7 +97,6 @@ def _sinh_less(x):
 
 
 def _toda_constants(strength, rate, mass):
-    """a, b of one sign and m > 0 of a Toda chain."""
     a, b, m = _numbers(strength=strength, rate=rate, mass=mass)
     positive("mass", m)
     signs = concrete(a), concrete(b)

@@ -1,16 +1,18 @@
-r"""Compactons: solitary waves of continuum equations, exactly zero outside of an interval.
+r"""Compactons: solitary waves of continuum equations that are exactly zero outside an interval.
 
-Two long-wave equations of a chain with the force F = A y^p, A = `stiffness`, m = `mass`, have them, for any p > 1; with
-the speed c in sites a unit time and the strain Y of n - c t, compression positive,
+Two long-wave equations of a chain with the force F = A y^p, A = `stiffness`, m = `mass`, have
+compactons for every p > 1. With the speed c in sites per unit time and the strain Y of n - c t,
+compression positive,
 
     Y = (m c^2/A)^{1/(p - 1)} a cos^{2/(p - 1)}(b x),   |b x| < pi/2,   else 0,
 
-with a = ((p + 1)/2)^{1/(p - 1)}, b = (6 (p - 1)^2/(p (p + 1)))^{1/2} from the displacements (Nesterenko), and
-a = (2 p/(p + 1))^{1/(p - 1)}, b = 3^{1/2} (p - 1)/p from the strains (Ahnert and Pikovsky). The exact wave of the chain
-is neither: its tails fall doubly exponentially. `long_wave` has the equations.
+where a = ((p + 1)/2)^{1/(p - 1)}, b = (6 (p - 1)^2/(p (p + 1)))^{1/2} for the displacements
+(Nesterenko), and a = (2 p/(p + 1))^{1/(p - 1)}, b = 3^{1/2} (p - 1)/p for the strains (Ahnert and
+Pikovsky). The solitary wave of the chain differs from both: its tails fall doubly exponentially.
+The equations are in `long_wave`.
 
-Source: V. F. Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001); K. Ahnert, A. Pikovsky, Phys. Rev. E 79,
-026209 (2009); the prefactors a are 25/16 and 36/25 for p = 3/2.
+Source: V. F. Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001); K. Ahnert, A.
+Pikovsky, Phys. Rev. E 79, 026209 (2009); the prefactors a are 25/16 and 36/25 for p = 3/2.
 """
 
 from typing import NamedTuple
@@ -29,9 +31,10 @@ __all__ = ["Compacton", "ahnert_pikovsky", "nesterenko"]
 class Compacton(NamedTuple):
     """A compacton at places x = n - c t.
 
-    - `strain`: Y(x), of bond n, which lies between the sites n and n + 1.
-    - `velocity`: that of the continuum, c Y(x - 1/2), of site n, half a site behind the middle of its bond.
-    - `half_width`: half the interval outside of which it is zero [sites].
+    - `strain`: Y(x) of bond n, between the sites n and n + 1.
+    - `velocity`: c Y(x - 1/2), that of the continuum at site n, half a site behind the bond's
+      middle.
+    - `half_width`: half the interval outside which the compacton is zero [sites].
 
     **Example:**
 
@@ -54,9 +57,12 @@ def nesterenko(
     stiffness: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> Compacton:
-    """The compacton of the long-wave equation of the displacements; Hertz: (25/16) c^4 cos^4((2/5)^{1/2} x).
+    """Return the compacton of the long-wave equation of the displacements.
 
-    **Arguments:** `x` [sites]; `p` > 1; `speed`, `stiffness`, `mass` > 0. **Raises** ValueError for others.
+    For Hertz it is (25/16) c^4 cos^4((2/5)^{1/2} x).
+
+    **Arguments:** `x` [sites]; `p` > 1; `speed`, `stiffness`, `mass` > 0. **Raises** ValueError for
+    others.
 
     **Example:**
 
@@ -76,9 +82,9 @@ def ahnert_pikovsky(
     stiffness: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> Compacton:
-    """The compacton of the long-wave equation of the strains; Hertz: (36/25) c^4 cos^4(x/3^{1/2}).
+    """Return the compacton of the long-wave equation of the strains.
 
-    **Arguments**, **Raises**: as `nesterenko`.
+    For Hertz it is (36/25) c^4 cos^4(x/3^{1/2}). **Arguments**, **Raises**: as `nesterenko`.
 
     **Example:**
 

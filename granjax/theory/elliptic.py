@@ -2,17 +2,18 @@ r"""Jacobi's elliptic functions and Legendre's integrals, for a parameter m = k^
 
     u = F(phi, m) = int_0^phi (1 - m sin^2)^{-1/2},   sn u = sin phi,   cn u = cos phi,   dn^2 u = 1 - m sn^2 u
 
-Every function takes m, or in its place the complement `m1` = 1 - m: near m = 1, where solitons are, 1 - m written as a
-floating number has lost its digits, and K(m) = ln(4/m1^{1/2}) + ... reads them. Elementwise in arrays that broadcast,
-differentiable to any order and in both modes in every argument. Values are right to 1e-13, absolute or relative,
-whichever is more; jacobi of a large |u| to |u| times the rounding of a number, which the reduction by its period costs.
-An m1 below 1e-307, where numbers end, is zero.
+Every function takes m or its complement `m1` = 1 - m. Near m = 1, where solitons are, a
+floating-point m has lost the digits of 1 - m, and K(m) = ln(4/m1^{1/2}) + ... needs them. All
+functions act elementwise on arrays that broadcast, and are differentiable to any order, in both
+modes, in every argument. The error is 1e-13, absolute or relative, whichever is larger; for large
+|u| that of `jacobi` is |u| times the rounding unit, because of the reduction by the period. An m1
+below 1e-307 counts as zero.
 
-Complete integrals by the arithmetic-geometric mean and by Carlson's duplication, incomplete ones by the latter; sn, cn
-and dn by Landen's transformations.
+Methods: the arithmetic-geometric mean and Carlson's duplication for complete integrals, the latter
+for incomplete ones, Landen's transformations for sn, cn, dn.
 
-Source: B. C. Carlson, Numer. Algorithms 10, 13 (1995); R. Bulirsch, Numer. Math. 7, 78 (1965); NIST Digital Library of
-Mathematical Functions, chapters 19, 20, 22; for the derivatives in m section 19.4.
+Source: B. C. Carlson, Numer. Algorithms 10, 13 (1995); R. Bulirsch, Numer. Math. 7, 78 (1965); NIST
+Digital Library of Mathematical Functions, chapters 19, 20, 22; derivatives in m: section 19.4.
 """
 
 from typing import NamedTuple
@@ -47,10 +48,14 @@ class Jacobi(NamedTuple):
 
 
 def jacobi(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Jacobi:
-    """sn(u, m), cn(u, m), dn(u, m). At m = 0 sin u, cos u, 1; at m = 1 tanh u, sech u, sech u.
+    """Return sn(u, m), cn(u, m), dn(u, m).
 
-    **Arguments:** `u`: any real number; `m` in [0, 1], or `m1` = 1 - m. **Returns:** `Jacobi(sn, cn, dn)`.
-    **Raises** ValueError for m outside [0, 1], values not finite, shapes that do not broadcast.
+    They are sin u, cos u, 1 at m = 0 and tanh u, sech u, sech u at m = 1.
+
+    **Arguments:** `u`: real; `m` in [0, 1], or `m1` = 1 - m. **Returns:** `Jacobi(sn, cn, dn)`.
+
+    **Raises** ValueError for m outside [0, 1], values that are not finite, shapes that do not
+    broadcast.
 
     **Example:**
 
@@ -63,9 +68,9 @@ def jacobi(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = N
 
 
 def zeta(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
-    """Jacobi's zeta function Z(u, m) = int_0^u dn^2 - u E/K, of period 2K. At m = 1 tanh u.
+    """Return Jacobi's zeta function Z(u, m) = int_0^u dn^2 - u E/K.
 
-    **Arguments**, **Raises**: as `jacobi`.
+    Its period is 2K; at m = 1 it is tanh u. **Arguments**, **Raises**: as `jacobi`.
 
     **Example:**
 
@@ -77,7 +82,9 @@ def zeta(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = Non
 
 
 def K(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
-    """Complete integral of the first kind K(m) = F(pi/2, m): pi/2 at m = 0, infinite at m = 1.
+    """Return the complete integral of the first kind, K(m) = F(pi/2, m).
+
+    It is pi/2 at m = 0 and infinite at m = 1.
 
     **Arguments:** `m` in [0, 1], or `m1` = 1 - m. **Raises** ValueError for others.
 
@@ -90,9 +97,11 @@ def K(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
 
 
 def E(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
-    """Complete integral of the second kind E(m) = int_0^{pi/2} (1 - m sin^2)^{1/2}: pi/2 at m = 0, 1 at m = 1.
+    """Return the complete integral of the second kind, E(m) = int_0^{pi/2} (1 - m sin^2)^{1/2}.
 
-    Its derivative is infinite at m = 1. **Arguments**, **Raises**: as `K`.
+    It is pi/2 at m = 0 and 1 at m = 1, where its derivative is infinite.
+
+    **Arguments**, **Raises**: as `K`.
 
     **Example:**
 
@@ -103,10 +112,15 @@ def E(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
 
 
 def Pi(n: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
-    """Complete integral of the third kind Pi(n, m) = int_0^{pi/2} 1/((1 - n sin^2)(1 - m sin^2)^{1/2}).
+    """Return the complete integral of the third kind.
 
-    **Arguments:** `n` <= 1, the characteristic, of either sign; infinite at n = 1 and at m = 1. `m`, `m1`: as `K`.
-    **Raises** ValueError for n > 1, where the integrand has a pole: no principal value is taken; and as `K`.
+        Pi(n, m) = int_0^{pi/2} 1/((1 - n sin^2)(1 - m sin^2)^{1/2})
+
+    **Arguments:** `n` <= 1: the characteristic; `m`, `m1`: as `K`. Pi is infinite at n = 1 and at
+    m = 1.
+
+    **Raises** ValueError as `K`, and for n > 1, where the integrand has a pole: the principal value
+    is not computed.
 
     **Example:**
 
@@ -118,10 +132,12 @@ def Pi(n: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None)
 
 
 def F(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
-    """Incomplete integral of the first kind, of the amplitude phi [rad]: F(phi, m), the inverse of phi = am u.
+    """Return the incomplete integral of the first kind F(phi, m), the inverse of phi = am u.
 
-    **Arguments:** `phi`: any real number; F(phi + pi) = F(phi) + 2K. Where sin phi = z is known, phi = arcsin z. `m`,
-    `m1`: as `K`. At m = 1 infinite for |phi| >= pi/2. **Raises** ValueError as `K`.
+    **Arguments:** `phi`: real amplitude [rad], F(phi + pi) = F(phi) + 2K; `m`, `m1`: as `K`. If
+    sin phi = z is known, pass phi = arcsin z. F is infinite at m = 1 for |phi| >= pi/2.
+
+    **Raises** ValueError as `K`.
 
     **Example:**
 
@@ -136,7 +152,6 @@ def F(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
 
 
 def _arguments(m, m1, **others):
-    """The other arguments as arrays, and m1."""
     if (m is None) == (m1 is None):
         refuse("m, m1", "one of the two", "both" if m1 is not None else "none", "m1 is 1 - m.")
     name, given = ("m", m) if m1 is None else ("m1", m1)
@@ -146,8 +161,8 @@ def _arguments(m, m1, **others):
     return [parameter(key, x) for key, x in others.items()], 1 - given if m1 is None else given
 
 
+# u, refused where its own rounding is a large part of a period
 def _resolved(u, m1):
-    """u, whose rounding is a small part of a period."""
     value, other = concrete(u), concrete(m1)
     most = 0.1 / float(jnp.finfo(u.dtype).eps)
     if value is not None and other is not None and np.any((np.abs(value) > most) & (other > 0)):

@@ -1,4 +1,4 @@
-"""sn, cn, dn, zeta and the logarithm of Theta, in m1 = 1 - m; `elliptic` is their face."""
+"""sn, cn, dn, zeta and the logarithm of Theta, as functions of m1 = 1 - m; public in `elliptic`."""
 
 from functools import partial
 
@@ -11,8 +11,8 @@ from .chain_wave import _sech
 from .elliptic_integrals import _E, _K, _RD, MEANS, _positive, _second
 
 
+# r and j of u = r + 2 j K with |r| <= K
 def _period_left(u, m1):
-    """u = r + 2 j K with |r| <= K, and j."""
     j = jax.lax.stop_gradient(jnp.where(m1 > 0, jnp.round(u / (2 * _K(_positive(m1)[0]))), 0.0))
     return jnp.where(j == 0, u, u - 2 * j * _K(jnp.where(j == 0, 1.0, m1))), j
 
@@ -36,27 +36,27 @@ def _zeta(u, m1):
     return second - r * share
 
 
+# ln Theta(u)/Theta(0), the integral of zeta; ln cosh u at m = 1
 def _log_theta(u, m1):
-    """ln Theta(u)/Theta(0), whose derivative in u is zeta; at m = 1 ln cosh u."""
     r, _ = _period_left(u, m1)
     safe, root = _positive(m1)
     w, far = _nearer(r, safe)
     *_, d, log = _by_means(w, root)
-    # Theta(K - w)/Theta(w) = dn(w)/m1^{1/4}
+    # by Theta(K - w)/Theta(w) = dn(w)/m1^{1/4}
     log = log + jnp.where(far, jnp.log(d) - jnp.log(safe) / 4, 0.0)
     return jnp.where(m1 == 0, jnp.logaddexp(r, -r) - np.log(2), log)
 
 
+# the smaller of |r| and K - |r|, and whether it is the latter
 def _nearer(r, m1):
-    """|r| or K - |r|, whichever is less, and whether it is the latter."""
     w, K = jnp.abs(r), _K(m1)
     far = w > K / 2
     return jnp.where(far, K - w, w), far
 
 
+# sn, cn, dn for |r| <= K, from the smaller of |r| and K - |r|; hyperbolic functions at m = 1
 @jax.custom_jvp
 def _in_period(r, m1):
-    """sn, cn, dn of |r| <= K: of |r| or K - |r|, whichever is less, and at m = 1 hyperbolic functions."""
     w, far = _nearer(r, m1)
     whole = jnp.tanh(w), _sech(w), _sech(w)
     s, c, d = (jnp.where(m1 == 0, x, y) for x, y in zip(whole, _by_means(w, _positive(m1)[1])))
@@ -69,16 +69,15 @@ def _in_period(r, m1):
     return jnp.sign(r) * s, c, d
 
 
+# sn, cn, dn and ln Theta(w)/Theta(0) for 0 <= w <= K/2, by Landen's transformations. `root` is that
+# of m1. The levels begin where m is zero; t is sn/cn. Theta/Theta(0) is twice its square one level
+# below, over 1 + dn.
 def _by_means(w, root):
-    """sn, cn, dn and ln Theta(w)/Theta(0) of 0 <= w <= K/2, for the root of m1, by Landen's transformations.
-
-    Level by level, from where m is zero: t is sn/cn, Theta/Theta(0) twice its square one level below over 1 + dn.
-    """
     means = [(jnp.ones_like(root), root, 1 - root)]
     for _ in range(MEANS):
         a, b, apart = means[-1]
         a, b = (a + b) / 2, jnp.sqrt(a * b)
-        # the difference of two means has its digits, as those of the levels below count twofold
+        # a - b without cancellation, because `log` doubles its error at every level
         means.append((a, b, apart**2 / (4 * (a + b))))
     (mean, *_), *levels = reversed(means)
     t, d, log = jnp.tan(mean * w) / mean, 1.0, 0.0
@@ -103,19 +102,19 @@ def _(primals, tangents):
     return (s, c, d), tuple(change)
 
 
+# where dn^2 underflows
 def _flat(d):
-    """Where dn is so small that its square is no number."""
     return d < 16 * np.sqrt(float(jnp.finfo(d.dtype).tiny))
 
 
+# derivatives in m, from that of the amplitude, -dn int_0^u (sn/dn)^2/2
 def _slopes_in_m(s, c, d, m1):
-    """Derivatives in m, from that of the amplitude, -dn int_0^u (sn/dn)^2/2."""
     flat = _flat(d)
     safe = jnp.where(flat, 1.0, d)
     turn = jnp.where(
         flat, -jnp.sign(s) / (4 * d), -safe * s**3 * _RD(jnp.where(flat, 1.0, c), 1.0, safe) / 6
     )
-    # finite, so that a tangent that is zero stays so
+    # finite, so that its product with a zero tangent is zero
     turn = jnp.clip(turn, -jnp.finfo(turn.dtype).max, jnp.finfo(turn.dtype).max)
     first = jnp.where(flat, -jnp.sign(s) / 4, c * jnp.where(flat, 0.0, turn))
     return first, -s * turn, jnp.where(flat, s * turn, (-s * s / 2 - (1 - m1) * s * first) / safe)

@@ -1,4 +1,4 @@
-"""Carlson's symmetric integrals by duplication, and Legendre's by them, in m1 = 1 - m; `elliptic` is their face."""
+"""Carlson's integrals by duplication, and Legendre's of m1 in terms of them; see `elliptic`."""
 
 from functools import partial
 
@@ -6,19 +6,17 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-# duplications until the arguments of an integral agree to 1e-3, were they 1e300 apart; means until two numbers are one
+# Duplications after which the arguments of an integral agree to 1e-3, even from 1e300 apart; steps
+# after which the arithmetic-geometric mean has converged.
 DUPLICATIONS, MEANS = 18, 14
 
 
 # ------------------------------------------------------------------------------------- Carlson's integrals, of squares
 
 
+# The roots a, b, c of Carlson's arguments are given, so that an argument that passes zero, such as
+# cos^2 phi, has a derivative there. `step` accumulates terms of the duplications.
 def _duplicated(a, b, c, step, start):
-    """The arguments a^2, b^2, c^2 after the duplications, and what `step` has gathered.
-
-    Roots are what is given: an argument that passes zero, such as cos^2 phi, then has a derivative there.
-    """
-
     def once(i, carry):
         (x, y, z), (a, b, c), gathered = carry
         shift = a * b + b * c + c * a
@@ -30,8 +28,8 @@ def _duplicated(a, b, c, step, start):
     return jax.lax.fori_loop(1, DUPLICATIONS, once, carry)
 
 
+# R_F(a^2, b^2, c^2); at most one of a, b, c >= 0 may be zero
 def _RF(a, b, c):
-    """R_F(a^2, b^2, c^2); at most one of a, b, c >= 0 may vanish."""
     a, b, c = jnp.broadcast_arrays(a, b, c)
     (x, y, z), _, _ = _duplicated(a, b, c, lambda gathered, *_: gathered, ())
     mean = (x + y + z) / 3
@@ -42,8 +40,8 @@ def _RF(a, b, c):
     return (1 - E2 / 10 + E3 / 14 + E2 * E2 / 24 - 3 * E2 * E3 / 44 + high) / jnp.sqrt(mean)
 
 
+# R_D(a^2, b^2, c^2), symmetric in a and b; c > 0 and one of a, b > 0
 def _RD(a, b, c):
-    """R_D(a^2, b^2, c^2), symmetric in a and b; c > 0 and one of a, b > 0."""
     a, b, c = jnp.broadcast_arrays(a, b, c)
 
     def step(gathered, roots, z, shift):
@@ -72,9 +70,8 @@ def _RD(a, b, c):
 # ------------------------------------------------------------------------------------------------------------ integrals
 
 
+# gives a function of m1 its derivative, which may be infinite at m1 = 0
 def _sloped(function, slope):
-    """Give a function of m1 a slope, which may be infinite where m1 = 0."""
-
     @partial(function.defjvp, symbolic_zeros=True)
     def _(primals, tangents):
         value, (change,) = function(*primals), tangents
@@ -84,7 +81,6 @@ def _sloped(function, slope):
 
 
 def _positive(m1):
-    """m1, with something else in place of zero, and its root."""
     m1 = jnp.where(m1 != 0, m1, 1.0)
     return m1, jnp.sqrt(m1)
 
@@ -119,7 +115,7 @@ def _complete(integral, m1):
 
 @jax.jit
 def _F(phi, m1):
-    # phi less a multiple j of pi, whose integral is 2 j K
+    # the part j pi of phi contributes 2 j K
     j = jnp.round(phi / jnp.pi)
     r = phi - j * jnp.pi
     s, c = jnp.sin(r), jnp.abs(jnp.cos(r))
@@ -128,15 +124,15 @@ def _F(phi, m1):
     return s * _RF(c, d, 1.0) + whole
 
 
+# E(am u, m) for |u| <= K, from sn, cn and dn of u, as a sum of positive terms
 def _second(u, s, c, d, m1):
-    """E(am u, m) of |u| <= K, from sn, cn and dn of it: a sum of positive terms."""
     m = 1 - m1
     return m1 * (u + m / 3 * s**3 * _RD(c, 1.0, d)) + m * s * c / d
 
 
+# Bulirsch's means, whose terms are all positive for n < 1
 @jax.jit
 def _complete_Pi(n, m1):
-    """By Bulirsch's means, of which all terms are positive for n < 1."""
     inside = (m1 != 0) & (n != 1)
     n, m1 = jnp.where(inside, n, 0.0), jnp.where(inside, m1, 1.0)
     p, one = jnp.sqrt(1 - n), jnp.ones_like(m1)

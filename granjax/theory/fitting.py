@@ -1,13 +1,14 @@
-r"""Dispersive-shock fitting: the edges of a shock of any convex law, from the speed of sound on its two sides.
+r"""Dispersive-shock fitting: the edges of a shock from the speed of sound on both sides.
 
-Two halves of a chain are thrown at each other, v_n = -2c sign(n); either is like a chain before a piston of speed 2c.
-Two shocks run apart, and leave the strain that the simple wave gives. With V(y) = (F'(y)/m)^{1/2} the speed of sound at
-strain y [sites/s], V_+ ahead of the shock and V_- behind it,
+The law may be any convex one. Two halves of a chain with v_n = -2c sign(n) collide; each behaves
+like a chain before a piston of speed 2c. Two shocks move apart and leave the strain of the simple
+wave. With the speed of sound V(y) = (F'(y)/m)^{1/2} at strain y [sites/s], V_+ ahead of the shock
+and V_- behind it,
 
     int_ahead^mean V dy = 2c,    s_- = 2 V_+ - V_-,    s_+ = V_+ sinh(2q)/(2q),   cosh^2 q = V_-/V_+.
 
-Exact of the Toda chain, and near elsewhere; `wave=True` asks a solitary wave for a second opinion of s_+, and
-`shocks.whitham` solves the modulation equations themselves.
+The edges are exact for the Toda chain, approximate for other laws. `wave=True` checks s_+ against a
+solitary wave; `shocks.whitham` solves the modulation equations.
 
     law = gx.Hertz(precompression=1.0)
     edges = gx.theory.shock_edges(law, 0.2)
@@ -32,11 +33,12 @@ from ..types import Number, Scalar
 from .chain_wave import _sinh_less
 from .simple_states import _path_to, _speed_of, _width_of
 
-# bead velocity at the crest of the leading wave over c: of the Toda chain exactly
+# bead velocity at the crest of the leading wave over c; exact for the Toda chain
 PEAK = 4.0
-# of the logarithm of the speed of that wave above sound's
+# tolerance of ln(speed of that wave - speed of sound)
 SETTLED = 1e-10
-# V_-/V_+ from which on neighbours behind the shock swing against each other, and the fit has no trailing edge
+# From this V_-/V_+ on neighbours behind the shock oscillate against each other, and the fit has no
+# trailing edge.
 BINARY = 2.0
 STRONG = (
     "{}: the waves behind would be shorter than two sites, and there is no trailing edge of this kind. The leading "
@@ -47,11 +49,11 @@ STRONG = (
 
 
 class FittedEdges(Result):
-    """Edges of a dispersive shock that runs to the right, by `shock_edges`.
+    """The edges of a dispersive shock to the right, as `shock_edges` returns them.
 
-    The speed of the solitary wave is exact of the Toda chain as s_+ is, and elsewhere nearer to what was simulated
-    (leading crests until t = 1000, extrapolated by 1/t), so that the distance of the two speeds is about what the fit
-    misses:
+    For the Toda chain s_+ and the speed of the solitary wave are exact. For other laws the latter
+    is closer to the simulated speed (leading crests until t = 1000, extrapolated by 1/t), so their
+    difference estimates the error of the fit:
 
     | law, c | s_+ | wave | simulated | mean | simulated |
     |---|---|---|---|---|---|
@@ -69,31 +71,31 @@ class FittedEdges(Result):
 
     trailing_speed: Number = array("The trailing speed s_-.", "1/s")
     leading_speed: Number = array("The leading speed s_+.", "1/s")
-    mean: Number = array("The strain behind.", "m")
+    mean: Number = array("The strain behind the shock.", "m")
     sound: Number = array("The speed of sound V_+ ahead.", "1/s")
-    trailing_excess: Number = array("s_-/V_+ - 1, negative, with its digits where c is small.", "1")
-    leading_excess: Number = array("s_+/V_+ - 1, with its digits where c is small.", "1")
+    trailing_excess: Number = array("s_-/V_+ - 1, negative, accurate at small c.", "1")
+    leading_excess: Number = array("s_+/V_+ - 1, accurate at small c.", "1")
     error: Number = array(
-        "The estimated relative distance of the excesses and of mean - ahead from what the "
-        "formulas say.",
+        "The estimated relative numerical error of the excesses and of mean - ahead, as solutions "
+        "of the formulas.",
         "1",
     )
     wave_speed: Number | None = array(
-        "The speed of the solitary wave whose beads reach the velocity 4c, `None` without "
+        "The speed of the solitary wave whose beads reach the velocity 4c; `None` without "
         "`wave=True`.",
         "1/s",
     )
     amplitude: Number | None = array(
-        "The strain of that wave above the strain ahead, `None` without `wave=True`.", "m"
+        "The strain of that wave above the strain ahead; `None` without `wave=True`.", "m"
     )
-    # V_-/V_+ - 1; how far the beads of that wave are from 4c, relative, and why there is none
+    # V_-/V_+ - 1; the relative distance of that wave's bead velocity from 4c; why there is no wave
     _growth: float = eqx.field(static=True)
     _gap: float = eqx.field(static=True, default=np.nan)
     _lost: str = eqx.field(static=True, default="")
 
     @property
     def outcome(self) -> str:
-        """How well the edges are known."""
+        """How accurately the edges are known."""
         if traced((self.leading_speed, self.wave_speed, self.error)):
             return "Not known while traced."
         strong = not self._growth < BINARY - 1
@@ -122,24 +124,26 @@ def shock_edges(
     ahead: Scalar = 0.0,
     wave: bool = False,
 ) -> FittedEdges:
-    r"""Edges of the shock v_n = -2c sign(n) of a chain, by dispersive-shock fitting.
+    r"""Compute the edges of the shock v_n = -2c sign(n) by dispersive-shock fitting.
 
     **Arguments:**
 
-    - `law`, `mass`: any law that bends one way between the two states; or a uniform chain `Lattice`, which has both,
-      and the units of the result.
-    - `c`: a quarter of the jump of the velocity [m/s]: above zero where the law stiffens in compression (Hertz, Toda,
-      magnets), below zero where it stiffens in tension (p < 1, K3 < 0), whose shocks are of rarefaction.
-    - `ahead`: strain of the chain before [m]. `wave`: whether to look for the solitary wave of the front too, which
-      takes seconds.
+    - `law`, `mass`: any law without an inflection between the two states; or a uniform chain
+      `Lattice`, which has both, and the units of the result.
+    - `c` [m/s]: a quarter of the jump of the velocity: positive where the law stiffens in
+      compression (Hertz, Toda, magnets), negative where it stiffens in tension (p < 1, K3 < 0) and
+      shocks are rarefactions.
+    - `ahead`: strain before the shock [m].
+    - `wave`: whether to compute the solitary wave of the front too, which takes seconds.
 
-    **Returns:** `FittedEdges`, differentiable in c, the mass, the strain ahead and the law's parameters (`jax.grad`,
-    `jax.jvp`; `jax.jit` and `jax.vmap` are refused). Where V_- >= 2 V_+ there is no trailing edge: s_- is NaN, the
-    leading speed is that of the solitary wave whose beads reach 4c, and `outcome` says how well that is known. Of Hertz
-    without sound ahead (A = m = 1, c = 1/2) it is 1.04242, simulated 1.0437; the mean is 1.01647, simulated 1.00466.
-    **Raises** ValueError for c = 0, a c that makes no shock but a rarefaction, a law that is linear, that has an
-    inflection between the states, that ends before them or has no stiffness.
-    Typical: Toda, c = 1/2: 1/2, 1.31519, mean 0.81093.
+    **Returns:** `FittedEdges`, differentiable in c, mass, ahead and the law's parameters
+    (`jax.grad`, `jax.jvp`; not under `jax.jit` or `jax.vmap`). For V_- >= 2 V_+ there is no
+    trailing edge: s_- is NaN, the leading speed is that of the solitary wave whose beads reach 4c,
+    and `outcome` gives its accuracy. For Hertz without sound ahead (A = m = 1, c = 1/2) the speed
+    is 1.04242 (simulated 1.0437), the mean 1.01647 (simulated 1.00466).
+
+    **Raises** ValueError for c = 0, a c that makes a rarefaction, and a law that is linear, has an
+    inflection between the states, ends before them or has no stiffness.
 
     **Example:**
 
@@ -180,9 +184,9 @@ def shock_edges(
     )
 
 
+# mean, V_+, s_-/V_+ - 1 and s_+/V_+ - 1; the last two mean nothing for V_+ = 0
 @compiled
 def _excesses(law, mass, c, ahead, width, nodes, weights, close):
-    """mean, V_+, s_-/V_+ - 1 and s_+/V_+ - 1; the latter two without a meaning where V_+ = 0."""
     width = _width_of(law, mass, c, ahead, width, nodes, weights)
     low, high = law.derivative(ahead), law.derivative(ahead + width)
     at = ahead + width * nodes
@@ -191,13 +195,13 @@ def _excesses(law, mass, c, ahead, width, nodes, weights, close):
         low > 0, low, 1.0
     )
     log = jnp.log1p(grown) / 2
-    # of the wave number 2q of the leading wave: cosh^2 q = V_-/V_+
+    # 2q, the wave number of the leading wave, with cosh^2 q = V_-/V_+
     twice = 2 * jnp.arcsinh(jnp.sqrt(jnp.expm1(log)))
     return ahead + width, _speed_of(low / mass), -jnp.expm1(log), _sinh_less(twice) / twice
 
 
+# speed and amplitude of the solitary wave whose beads reach 4c; its gap to 4c, or why there is none
 def _front(medium, c, ahead, path, guess):
-    """Speed and amplitude of the solitary wave whose beads reach 4c, with derivatives; how far they are off, why."""
     own = medium
     if path.ahead != 0 or traced(ahead):
         own = medium._replace(law=Strained(medium.law, ahead))
@@ -208,7 +212,7 @@ def _front(medium, c, ahead, path, guess):
         return np.log(abs(float(velocity)) / (PEAK * abs(path.c))), amplitude
 
     try:
-        # the logarithms of the speed above sound's and of the velocity are nearly straight in each other
+        # ln(velocity) is nearly linear in ln(speed - speed of sound)
         start = np.log(guess - path.sound)
         x = root_scalar(lambda x: reached(x)[0], method="secant", x0=start, xtol=SETTLED).root
         gap, amplitude = reached(x)
@@ -227,6 +231,5 @@ def _front(medium, c, ahead, path, guess):
 
 
 def _wave(medium, speed, side):
-    """Bead velocity at the crest, and the largest strain, of the solitary wave of a speed."""
     shape = wave_of(medium, speed, side=side).shape
     return shape.at("velocity", 0.5), shape.at("strain", 0.0)

@@ -1,15 +1,17 @@
 r"""The Korteweg-de Vries equation of long, weak waves that run one way along a chain.
 
-Sites of mass m, force K2 y + K3 y^2 + ... of the strain y_n = u_n - u_{n+1}, compression positive; any law gives K2, K3
-(`granjax.laws.taylor(law)`). With sigma = (K2/m)^{1/2} the speed of sound [sites/s],
+Sites have mass m, and the force is K2 y + K3 y^2 + ... of the strain y_n = u_n - u_{n+1},
+compression positive; `granjax.laws.taylor(law)` gives K2, K3 of any law. With the speed of sound
+sigma = (K2/m)^{1/2} [sites/s],
 
     y_n(t) = (eps^2 K2/(24 K3)) Y(X, T),   X = eps (n - sigma t),   T = sigma eps^3 t/24,   Y_T + Y_XXX + Y Y_X = 0,
 
-to a relative error of the order of speed/sigma - 1 = eps^2 V/24. The functions below have no eps: they take what a
-laboratory knows, a speed or an amplitude. Waves are of compression for K3 > 0, of rarefaction for K3 < 0.
+with a relative error of the order of speed/sigma - 1 = eps^2 V/24. The functions take a speed or an
+amplitude in place of eps. Waves are of compression for K3 > 0, of rarefaction for K3 < 0.
 
-**Velocity and displacement** are those of a lattice whose strain is exactly that of KdV and travels: u_n - u_{n+1} =
-y_n and v_n - v_{n+1} = dy_n/dt, by the series of (d/2)/sinh(d/2) to d^6, right to the eighth power of the width.
+**Velocity and displacement** are those of a lattice in which the KdV strain travels:
+u_n - u_{n+1} = y_n and v_n - v_{n+1} = dy_n/dt, by the series of (d/2)/sinh(d/2) up to d^6. The
+error is of the eighth order in the inverse width.
 
     import matplotlib.pyplot as plt
     import numpy as np
@@ -17,7 +19,7 @@ y_n and v_n - v_{n+1} = dy_n/dt, by the series of (d/2)/sinh(d/2) to d^6, right 
     wave = gx.theory.kdv.soliton(np.arange(100), 0.0, K2, K3, speed=1.02 * K2**0.5, centre=50.0)
     plt.plot(np.arange(100), wave.strain)
 
-The dispersive shock of a law beside that of Toda's chain, which needs no long waves:
+The dispersive shock of a law beside that of the Toda chain, which is not limited to long waves:
 
     import matplotlib.pyplot as plt
     import numpy as np
@@ -29,8 +31,8 @@ The dispersive shock of a law beside that of Toda's chain, which needs no long w
     strains = np.stack([kdv.strain, toda.strain], -1)
     plt.plot(n, strains, label=["KdV", "Toda"])
 
-Source: D. J. Korteweg, G. de Vries, Phil. Mag. 39, 422 (1895); N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240
-(1965); for chains G. Friesecke, R. L. Pego, Nonlinearity 12, 1601 (1999).
+Source: D. J. Korteweg, G. de Vries, Phil. Mag. 39, 422 (1895); N. J. Zabusky, M. D. Kruskal, Phys.
+Rev. Lett. 15, 240 (1965); for chains G. Friesecke, R. L. Pego, Nonlinearity 12, 1601 (1999).
 """
 
 from typing import NamedTuple
@@ -65,12 +67,12 @@ __all__ = [
     "velocity_shock",
 ]
 
-# (d/2)/sinh(d/2) = 1 - d^2/24 + ...
+# coefficients of (d/2)/sinh(d/2) = 1 - d^2/24 + ...
 HALF_STEP = (1.0, -1 / 24, 7 / 5760, -31 / 967680)
 
 
 class Scales(NamedTuple):
-    """`sound` sigma [sites/s]; `strain` K2/K3 [m], the unit of strain of KdV's solutions here.
+    """The scales of KdV: `sound` sigma [sites/s]; `strain` K2/K3 [m], the unit of strain.
 
     **Example:**
 
@@ -85,11 +87,13 @@ class Scales(NamedTuple):
 
 
 def scales(K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Scales:
-    """The map from a chain to KdV: y = (K2/K3) s, s_t + sigma (s_n + s_nnn/24 + s s_n) = 0.
+    """Return the scales that map a chain to KdV.
 
-    So that Y = 24 s/eps^2 of X and T is the equation with coefficients 1. **Arguments:** `K2` > 0 [N/m], `K3` not zero
-    [N/m^2], of `granjax.laws.taylor(law)`; `mass` > 0 of a site. **Raises** ValueError for others.
-    Typical: Hertz with d0 = A = m = 1: sigma = 1.22474, K2/K3 = 4.
+    With y = (K2/K3) s the equation is s_t + sigma (s_n + s_nnn/24 + s s_n) = 0; Y = 24 s/eps^2 of X
+    and T has coefficients 1.
+
+    **Arguments:** `K2` > 0 [N/m], `K3` not zero [N/m^2], from `granjax.laws.taylor(law)`;
+    `mass` > 0 of a site. **Raises** ValueError for others.
 
     **Example:**
 
@@ -102,9 +106,9 @@ def scales(K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Scales:
 
 
 def speed(amplitude: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:
-    """Speed of the soliton of an amplitude, sigma (1 + K3 amplitude/(3 K2)) [sites/s].
+    """Return the speed of the soliton of an amplitude, sigma (1 + K3 amplitude/(3 K2)) [sites/s].
 
-    **Raises** ValueError for an amplitude not of the sign of K3, and as `scales`.
+    **Raises** ValueError for an amplitude without the sign of K3, and as `scales`.
 
     **Example:**
 
@@ -116,7 +120,7 @@ def speed(amplitude: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 
 
 
 def amplitude(speed: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:
-    """Amplitude of the soliton of a speed, 3 (K2/K3) (speed/sigma - 1) [m].
+    """Return the amplitude of the soliton of a speed, 3 (K2/K3) (speed/sigma - 1) [m].
 
     **Raises** ValueError for a speed not above that of sound, and as `scales`.
 
@@ -141,17 +145,21 @@ def soliton(
     centre: Parameter = 0.0,
     direction: str = "right",
 ) -> ChainWave:
-    r"""The soliton y = 3 (K2/K3) d sech^2((6 d)^{1/2} (n - centre -+ c t)), c = sigma (1 + d).
+    r"""Return the soliton of a speed or an amplitude.
+
+        y = 3 (K2/K3) d sech^2((6 d)^{1/2} (n - centre -+ c t)),   c = sigma (1 + d)
 
     **Arguments:**
 
-    - `n`, `t`: sites and times, arrays that broadcast, `n[:, None]` and `t` for all of both.
-    - `K2`, `K3`, `mass`: as in `scales`. `speed` c > sigma [sites/s], or `amplitude` [m], of the sign of K3.
-    - `centre`: bond of the crest at t = 0, where bond n lies between the sites n and n + 1. `direction`: "right",
-      "left".
+    - `n`, `t`: sites and times, as in `toda.soliton`; `K2`, `K3`, `mass`: as in `scales`.
+    - `speed` c > sigma [sites/s], or `amplitude` [m], of the sign of K3.
+    - `centre`: bond of the crest at t = 0; bond n lies between the sites n and n + 1.
+    - `direction`: "right" or "left".
 
-    **Returns:** `ChainWave` of strain, velocity, displacement (zero far to the right). Relative error of the strain as
-    a wave of the chain about d: 1 % at 1 % above sound. **Raises** ValueError for a wave that is not faster than sound.
+    **Returns:** `ChainWave` of strain, velocity, displacement (zero far to the right). As a wave of
+    the chain the strain has a relative error of about d: 1 % at 1 % above sound.
+
+    **Raises** ValueError for a wave that is not faster than sound.
 
     **Example:**
 
@@ -178,13 +186,19 @@ def cnoidal(
     centre: Parameter = 0.0,
     direction: str = "right",
 ) -> ChainWave:
-    r"""The periodic wave y = (K2/K3) [r1 + r2 - r3 + 2 (r3 - r1) dn^2(2 (r3 - r1)^{1/2} (n - centre -+ c t), m)].
+    r"""Return the periodic wave of three Riemann invariants of KdV.
 
-    m = (r2 - r1)/(r3 - r1), c = sigma (1 + (r1 + r2 + r3)/3); its wavelength is K(m)/(r3 - r1)^{1/2} sites. The three
-    are Riemann invariants of KdV over 24/eps^2: r2 = r3 is a soliton on a strain of (K2/K3) r1, r1 = r2 a uniform one.
+        y = (K2/K3) [r1 + r2 - r3 + 2 (r3 - r1) dn^2(2 (r3 - r1)^{1/2} (n - centre -+ c t), m)]
 
-    **Arguments:** r1 <= r2 <= r3, r1 < r3, small against 1; all else as `soliton`. **Returns:** `ChainWave`; the
-    velocity is zero in the mean, where r2 = r3 far from the crest; the displacement has -(mean strain) n in it.
+    with m = (r2 - r1)/(r3 - r1), c = sigma (1 + (r1 + r2 + r3)/3). Its wavelength is
+    K(m)/(r3 - r1)^{1/2} sites. r1, r2, r3 are the invariants divided by 24/eps^2: r2 = r3 is a
+    soliton on a strain of (K2/K3) r1, r1 = r2 a uniform strain.
+
+    **Arguments:** r1 <= r2 <= r3, r1 < r3, small compared with 1; all others as `soliton`.
+
+    **Returns:** `ChainWave`. The mean velocity is zero; for r2 = r3 the velocity is zero far from
+    the crest. The displacement contains -(mean strain) n.
+
     **Raises** ValueError for numbers in another order.
 
     **Example:**
@@ -204,7 +218,6 @@ def cnoidal(
 
 
 def _excess(sound, unit, **given):
-    """speed/sigma - 1 of a soliton."""
     name, value = _one_given(given, sound, unit, "K3", "K2 and mass")
     return value / sound - 1 if name == "speed" else value / (3 * unit)
 
@@ -217,7 +230,7 @@ def _soliton(n, t, centre, excess, unit, sound, sign):
     profile = lambda x: _powers(kappa, x, top)
     strain = profile(x)[0]
     derivatives = _derivatives(*profile(x - 0.5), excess)
-    # zero far to the right, as 1 - tanh is
+    # the sigmoid is proportional to 1 - tanh, which is zero far to the right
     integral = -top / kappa * 2 * jax.nn.sigmoid(-2 * kappa * (x - 0.5))
     velocity, displacement = _of_sites(derivatives, integral)
     return unit * strain, unit * c * velocity, unit * displacement
@@ -251,8 +264,8 @@ def _cnoidal(n, t, centre, r1, r2, r3, unit, sound, sign):
     return unit * profile(x)[0], unit * c * velocity, unit * (displacement - mean * n)
 
 
+# s and its first six derivatives, by s''' = 24 (excess - s) s'
 def _derivatives(s, first, second, excess):
-    """s and its derivatives up to the sixth, by s''' = 24 (excess - s) s'."""
     g = 24 * (excess - s)
     third = g * first
     fourth = g * second - 24 * first**2
@@ -261,8 +274,8 @@ def _derivatives(s, first, second, excess):
     return s, first, second, third, fourth, fifth, sixth
 
 
+# velocity over the speed, and displacement, half a site ahead: their differences over sites give s
 def _of_sites(s, integral):
-    """Velocity over the speed, and displacement, of half a site ahead: of what differences of sites give s."""
     return sum(a * x for a, x in zip(HALF_STEP, s[::2])), -sum(
         a * x for a, x in zip(HALF_STEP, (integral, *s[1::2]))
     )

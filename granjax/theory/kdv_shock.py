@@ -1,6 +1,7 @@
-r"""The dispersive shock of KdV on a chain, as A. V. Gurevich and L. P. Pitaevskii found it; `kdv` is its face.
+r"""The dispersive shock of KdV on a chain, by A. V. Gurevich and L. P. Pitaevskii; public in `kdv`.
 
-Inside, strain is counted in K2/K3 and speed in that of sound, and m1 = 1 - m keeps its digits at the leading edge.
+The private functions have K2/K3 as unit of strain and the speed of sound as unit of speed;
+m1 = 1 - m is accurate near the leading edge.
 """
 
 from typing import NamedTuple
@@ -31,11 +32,13 @@ STRAIGHT = "Without K3 a chain has no KdV equation; of K4 alone it has the modif
 
 
 class Modulation(NamedTuple):
-    """The periodic wave of a dispersive shock of KdV where its parameter is m.
+    """The periodic wave in a dispersive shock of KdV, at the place of parameter m.
 
-    - `speed`: n/t of that place [sites/s]. `r1`, `r2`, `r3`: its numbers for `cnoidal`.
-    - `mean`, `crest`, `trough`: of its strain [m]; `amplitude`: crest less trough. `wavelength` [sites].
-    - `phase` [rad]: that of `shock_wave`, 3 pi/2 at the leading edge; behind it diverges, like ln^2 m.
+    - `speed`: n/t of that place [sites/s]. `r1`, `r2`, `r3`: the arguments of `cnoidal`.
+    - `mean`, `crest`, `trough`: of the strain [m]; `amplitude`: crest minus trough [m].
+    - `wavelength` [sites].
+    - `phase` [rad]: the phase in `shock_wave`: 3 pi/2 at the leading edge; it diverges like ln^2 m
+      at the trailing edge.
 
     **Example:**
 
@@ -58,17 +61,23 @@ class Modulation(NamedTuple):
 
 
 def velocity_shock(c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> ShockEdges:
-    r"""The dispersive shock that v_n = -2c sign(n) sends to the right through a chain at rest in strain, by KdV.
+    r"""Return the edges of the dispersive shock to the right that v_n = -2c sign(n) makes, by KdV.
+
+    The chain has no strain before the step.
 
         s_-/sigma = 1 - C,   s_+/sigma = 1 + 2C/3,   mean C K2/K3,   amplitude 2 C K2/K3,   C = 2c K3/(K2 sigma)
 
-    With sigma = K2 = 1, K3 = 1/2, those of `toda.velocity_shock`, s_+ to -4c^2/45, mean and amplitude to -c^2 and -4c^2
-    (1.4, 23 and 44 % too much at c = 1/2). A strain step from y to 0 is that of c = sigma y/2.
+    With sigma = K2 = 1, K3 = 1/2, these differ from `toda.velocity_shock`, whose next terms are
+    -4c^2/45 in s_+, -c^2 in the mean and -4c^2 in the amplitude: KdV is 1.4, 23 and 44 % too large
+    at c = 1/2. A strain step from y to 0 corresponds to c = sigma y/2.
 
-    **Arguments:** `c` [m/s]: half the velocity of either side, of the sign of K3: a law that softens has shocks of
-    rarefaction. `K2` > 0, `K3` not zero, `mass`: as in `scales`. **Returns:** `ShockEdges`. **Raises** ValueError
-    unless 0 < C < 1: for c of the other sign no shock, from C = 1 on an edge that runs backwards, far beyond what KdV
-    tells of a chain. Typical: C = 0.1.
+    **Arguments:** `c` [m/s]: half the velocity of either side, of the sign of K3 (a law that
+    softens has shocks of rarefaction); `K2` > 0, `K3` not zero, `mass`: as in `scales`.
+
+    **Returns:** `ShockEdges`.
+
+    **Raises** ValueError unless 0 < C < 1: c of the other sign makes no shock, and from C = 1 on,
+    far outside KdV's range, an edge would run backwards. Typical: C = 0.1.
 
     **Example:**
 
@@ -83,14 +92,19 @@ def velocity_shock(c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter =
 def modulation(
     m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0
 ) -> Modulation:
-    r"""The periodic wave inside the dispersive shock of `velocity_shock`, and the speed n/t at which it stands.
+    r"""Return the periodic wave of parameter m in the shock, and the speed n/t of its place.
 
         r1 = 0,  r2 = C m,  r3 = C,   (n/t)/sigma = 1 + C S(m),   S = (1 + m)/3 - (2/3) m (1 - m) K/(E - (1 - m) K)
 
-    From m = 0 at the trailing edge, S = -1, to m = 1 at the leading edge, S = 2/3; right to rounding at both.
-    **Arguments:** `m` in [0, 1], all else as `velocity_shock`. **Returns:** `Modulation`. **Raises** ValueError for
-    others. The slope of speed and mean in m is infinite at m = 1. Typical: S(1/2) = -0.22947987.
-    Source: A. V. Gurevich, L. P. Pitaevskii, Sov. Phys. JETP 38, 291 (1974).
+    m rises from 0 at the trailing edge, S = -1, to 1 at the leading edge, S = 2/3; the result is
+    accurate to rounding at both. The slopes of speed and mean in m are infinite at m = 1.
+
+    **Arguments:** `m` in [0, 1]; all others as `velocity_shock`.
+
+    **Returns:** `Modulation`. **Raises** ValueError for other arguments.
+
+    Typical: S(1/2) = -0.22947987. Source: A. V. Gurevich, L. P. Pitaevskii, Sov. Phys. JETP 38, 291
+    (1974).
 
     **Example:**
 
@@ -105,10 +119,12 @@ def modulation(
 def modulus(
     speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0
 ) -> Numbers:
-    """The parameter m of the periodic wave at speed = n/t, the inverse of `modulation(m, c, K2, K3).speed`.
+    """Return the parameter m of the periodic wave at speed = n/t, the inverse of `modulation`.
 
-    **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m in (0, 1) between the edges, 0
-    behind and 1 ahead of them; derivatives of any order between. **Raises** ValueError as `velocity_shock`.
+    **Arguments:** `speed` [sites/s], any; all others as `velocity_shock`.
+
+    **Returns:** m in (0, 1) between the edges, with derivatives of any order; 0 behind and 1 ahead
+    of them. **Raises** ValueError as `velocity_shock`.
 
     **Example:**
 
@@ -129,12 +145,16 @@ def shock_wave(
     mass: Parameter = 1.0,
     phase: Parameter | None = None,
 ) -> ShockWave:
-    r"""The dispersive shock of `velocity_shock` as a wave: plateau, modulated periodic wave, strain 0 ahead.
+    r"""Return the dispersive shock of `velocity_shock` at places n and times t.
+
+    It consists of the plateau, the modulated periodic wave, and strain 0 ahead:
 
         y = (K2/K3) C (2 dn^2(z, m) - 1 + m),   z = 2 C^{1/2} (n - sigma (1 + C (1 + m)/3) t) + phase K(m)/pi
 
-    of `cnoidal`, whose numbers are those of `modulation` where the speed is n/t. **Arguments:** `n`, `t` > 0, `phase`:
-    as in `toda.shock_wave`, of whose phase KdV's is the limit of weak shocks; all else as `velocity_shock`.
+    as in `cnoidal`, with the numbers of `modulation` at speed n/t.
+
+    **Arguments:** `n`, `t` > 0, `phase`: as in `toda.shock_wave`, whose phase tends to that of KdV
+    for weak shocks; all others as `velocity_shock`.
 
     **Returns:** `ShockWave`. **Raises** ValueError for t <= 0 and as `velocity_shock`.
 
@@ -149,8 +169,8 @@ def shock_wave(
     return ShockWave(*_shock_wave(n, sound * t, phase, C, unit))
 
 
+# C, the speed of sound and the unit of strain
 def _scaled(c, K2, K3, mass):
-    """C, the speed of sound and the unit of strain."""
     K2, K3, mass = _stiffnesses(K2, K3, mass, STRAIGHT)
     sound = jnp.sqrt(K2 / mass)
     C = 2 * parameter("c", c) * K3 / (K2 * sound)
@@ -166,8 +186,8 @@ def _scaled(c, K2, K3, mass):
     return C, sound, K2 / K3
 
 
+# mean, crest and trough in units of C
 def _strains(m1):
-    """Mean, crest and trough over C."""
     inside = jnp.where(m1 != 0, m1, 1.0)
     return jnp.where(m1 != 0, 2 * _E(inside) / _K(inside) - m1, 0.0), 2 - m1, m1
 

@@ -1,19 +1,21 @@
-r"""Steps of a linear chain, m u_n'' = K (u_{n-1} - 2 u_n + u_{n+1}), by sums of Bessel functions.
+r"""Steps of a linear chain, m u_n'' = K (u_{n-1} - 2 u_n + u_{n+1}), as sums of Bessel functions.
 
 With w = (K/m)^{1/2} the strain y_n = u_n - u_{n+1} is
 
     velocity step  v_n = -2c sign(n):      y_n(t) = 2c int_0^t [J_{2n}(2ws) + J_{2n+2}(2ws)] ds,
     strain step    y_n = c for n <= 0:     y_n(t) = c sum_{j >= n} J_{2j}(2wt).
 
-Ahead of |n| = w t there is nothing, at the front an Airy function, behind it the plateau 2c/w or c/2 with a ringing
-that fades. Both are Fourier integrals of something analytic and periodic: the midpoint rule of M points, chosen from
-t, errs by J_{2M - 2n}(2wt), right to 1e-14 or so of 2c/w and c.
+The strain is zero ahead of |n| = w t and an Airy function at the front; behind the front it rings
+with falling amplitude around the plateau 2c/w or c/2. The midpoint rule of M points, for Fourier
+integrals of analytic periodic functions, errs by J_{2M - 2n}(2wt); M is chosen from t, with an
+error of about 1e-14 of 2c/w or c.
 
     import numpy as np
     n = np.arange(-60, 60)
     y = gx.theory.linear_shock.velocity_step(n, 40.0, 0.5)
 
-Source: E. Schroedinger, Ann. Phys. 44, 916 (1914); A. Mielke, C. Patz, Z. Anal. Anwend. 36, 441 (2017).
+Source: E. Schroedinger, Ann. Phys. 44, 916 (1914); A. Mielke, C. Patz, Z. Anal. Anwend. 36, 441
+(2017).
 """
 
 from functools import partial
@@ -27,7 +29,7 @@ from ..types import Numbers, Parameter
 
 __all__ = ["strain_step", "velocity_step"]
 
-# sites beyond the front, of its widths w t^{1/3} and alone, where J_{2n}(2wt) is below rounding
+# J_{2n}(2wt) is below rounding from WIDTHS (w t)^{1/3} + MORE sites ahead of the front
 WIDTHS, MORE = 8.0, 24
 LEAST = 64
 
@@ -35,12 +37,17 @@ LEAST = 64
 def velocity_step(
     n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0
 ) -> Numbers:
-    """Strain of bond n, between the sites n and n + 1, at time t after v_n = -2c sign(n), sign(0) = 0.
+    """Return the strain of bond n at time t after v_n = -2c sign(n), sign(0) = 0.
 
-    **Arguments:** `n`: whole numbers; `t` >= 0 [s]; `c` [m/s]; `K2` > 0 [N/m]; `mass` > 0 [kg]: arrays that broadcast,
-    `n[:, None]` and `t` for all of both. **Returns:** y [m], differentiable in all but n. **Raises** ValueError for
-    bonds that are no whole numbers, t < 0, and a t that is traced by `jax.jit` or `jax.vmap`: it says how many points
-    the sum has. Typical: c = K = m = 1: 2 near n = 0 at late times.
+    **Arguments:** `n`: whole numbers, bond n between the sites n and n + 1; `t` >= 0 [s];
+    `c` [m/s]; `K2` > 0 [N/m]; `mass` > 0 [kg]: arrays that broadcast, `n[:, None]` and `t` for all
+    pairs.
+
+    **Returns:** y [m], differentiable in all but n; for c = K = m = 1 about 2 near n = 0 at late
+    times.
+
+    **Raises** ValueError for bonds that are not whole numbers, t < 0, and a t that `jax.jit` or
+    `jax.vmap` traces, because it sets the number of points of the sum.
 
     **Example:**
 
@@ -55,10 +62,11 @@ def velocity_step(
 def strain_step(
     n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0
 ) -> Numbers:
-    """Strain of bond n at time t after y_n = c for n <= 0, zero for n > 0, of a chain at rest.
+    """Return the strain of bond n at time t in a chain released at rest with y_n = c for n <= 0.
 
-    **Arguments**, **Raises**: as `velocity_step`, `c` [m]. **Returns:** y [m]. Typical: c = 1: 1/2 near n = 0 at late
-    times, 1.27/2 at the first crest.
+    Bonds n > 0 have no strain at first. **Arguments**, **Raises**: as `velocity_step`, `c` [m].
+
+    **Returns:** y [m]; for c = 1 about 1/2 near n = 0 at late times, 1.27/2 at the first crest.
 
     **Example:**
 
@@ -70,8 +78,8 @@ def strain_step(
     return c * (jnp.where(n <= 0, 1.0, 0.0) + mean)
 
 
+# `side`: 1 for a velocity step, -1 for a strain step
 def _given(n, t, c, K2, mass, side):
-    """n, c and w = (K2/m)^{1/2} as arrays, and the `_mean` of a velocity step, `side` 1, or of a strain step, -1."""
     n, c = parameter("n", n), parameter("c", c)
     t = non_negative("t", t, "Before t = 0 the chain is at rest.")
     w = jnp.sqrt(positive("K2", K2) / positive("mass", mass))
@@ -92,13 +100,13 @@ def _given(n, t, c, K2, mass, side):
     return n, c, w, _mean(n, w * t, points, side)
 
 
+# a mean over angles: int_0^x [J_{2n}(2s) + J_{2n+2}(2s)] ds, for side -1 int_0^x J_{2n-1}(2s) ds
 @partial(jax.jit, static_argnums=(2, 3))
 def _mean(n, x, points, side):
-    """int_0^x [J_{2n}(2s) + J_{2n+2}(2s)] ds, or of side -1 int_0^x J_{2n-1}(2s) ds, as a mean over angles."""
     odd = np.arange(1, points, 2)
     angle = np.pi * odd / (2 * points)
     sine = np.sin(angle)
-    # whole numbers turn by whole parts of a circle, without rounding
+    # the angles are reduced in integers, without rounding
     order = (2 * n + side).astype(int)[..., None]
     turn = jnp.mod(order * odd, 4 * points) * (np.pi / (2 * points))
     x = x[..., None]

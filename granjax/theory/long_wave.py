@@ -1,22 +1,25 @@
-r"""Long-wave equations of a chain with a force F(y) of the strain: three, which agree for waves that are long enough.
+r"""Long-wave equations of a chain with a force F(y): three, which agree for long enough waves.
 
-Sites at x = n, mass m, strain y, compression positive; to the fourth derivative in x the chain
+Sites at x = n have mass m and strain y, compression positive. To the fourth derivative in x the
+chain
 
     m y_n'' = F(y_{n-1}) - 2 F(y_n) + F(y_{n+1})
 
 becomes one of
 
-- `"displacement"`: m y_tt = d_x^2 [F + (1/12)(d_x^2 F - F''(y) y_x^2/2)], from the displacements u, y = -u_x
-  (Nesterenko; for F = A y^p the last term is A p (p - 1) y^{p-2} y_x^2/2 = A p (p - 1) (-u_x)^{p-2} (u_xx)^2/2);
-- `"strain"`: m y_tt = d_x^2 F + (1/12) d_x^4 F, from the strains (Ahnert and Pikovsky);
+- `"displacement"`: m y_tt = d_x^2 [F + (1/12)(d_x^2 F - F''(y) y_x^2/2)], from the displacements u,
+  y = -u_x (Nesterenko). For F = A y^p the last term is A p (p - 1) y^{p-2} y_x^2/2 = A p (p - 1)
+  (-u_x)^{p-2} (u_xx)^2/2.
+- `"strain"`: m y_tt = d_x^2 F + (1/12) d_x^4 F, from the strains (Ahnert and Pikovsky).
 - `"regularised"`: m y_tt = d_x^2 F + (m/12) d_x^2 y_tt (Rosenau).
 
-Each has its own solitary wave: `compacton.nesterenko`, `compacton.ahnert_pikovsky`, `regularised_wave`. Only the last
-equation may be integrated in time: the linear waves of the others have omega^2 = (K2/m) k^2 (1 - k^2/12), below zero
-beyond k = 12^{1/2}, so that the shortest of them grow fastest without bound (`omega_squared`).
+Their solitary waves are `compacton.nesterenko`, `compacton.ahnert_pikovsky` and `regularised_wave`.
+Only the last equation can be integrated in time. Linear waves of the others have omega^2 = (K2/m)
+k^2 (1 - k^2/12), negative for k > 12^{1/2}: the shortest waves grow fastest, without bound
+(`omega_squared`).
 
-Source: V. F. Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001); K. Ahnert, A. Pikovsky, Phys. Rev. E 79,
-026209 (2009); P. Rosenau, Phys. Lett. A 118, 222 (1986).
+Source: V. F. Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001); K. Ahnert, A.
+Pikovsky, Phys. Rev. E 79, 026209 (2009); P. Rosenau, Phys. Lett. A 118, 222 (1986).
 """
 
 import jax
@@ -35,10 +38,13 @@ FORMS = ("displacement", "strain", "regularised")
 def omega_squared(
     k: Parameter, form: str, *, K2: Parameter = 1.0, mass: Parameter = 1.0
 ) -> Numbers:
-    """Square of the frequency of a linear wave: (K2/m) k^2 (1 - k^2/12), of `"regularised"` (K2/m) k^2/(1 + k^2/12).
+    """Return the square of the frequency of a linear wave.
 
-    That of the chain is (4 K2/m) sin^2(k/2). **Arguments:** `k` [rad/site]; `form`: of `FORMS`; `K2` = F'(0).
-    **Returns:** omega^2 [1/s^2], below zero where a wave grows. **Raises** ValueError for another form, mass <= 0.
+    It is (K2/m) k^2 (1 - k^2/12), for `"regularised"` (K2/m) k^2/(1 + k^2/12); the chain itself has
+    (4 K2/m) sin^2(k/2).
+
+    **Arguments:** `k` [rad/site]; `form`: one of `FORMS`; `K2` = F'(0). **Returns:**
+    omega^2 [1/s^2], negative where a wave grows. **Raises** ValueError for another form, mass <= 0.
 
     **Example:**
 
@@ -58,10 +64,14 @@ def regularised_wave(
     stiffness: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> compacton.Compacton:
-    r"""The solitary wave of the regularised equation, a sech^{2/(p-1)}(3^{1/2} (p-1) x), a^{p-1} = m c^2 (p + 1)/(2 A).
+    r"""Return the solitary wave of the regularised equation.
 
-    F = A y^p, p > 1, x = n - c t [sites]; Hertz: (25/16) c^4 sech^4(3^{1/2} x/2). It has tails exp(-12^{1/2} |x|), no
-    edge: `half_width` is infinite. **Arguments**, **Returns**, **Raises**: as `compacton.nesterenko`.
+        a sech^{2/(p-1)}(3^{1/2} (p-1) x),   a^{p-1} = m c^2 (p + 1)/(2 A)
+
+    for F = A y^p, p > 1, x = n - c t [sites]; Hertz: (25/16) c^4 sech^4(3^{1/2} x/2). Its tails
+    fall as exp(-12^{1/2} |x|), so `half_width` is infinite.
+
+    **Arguments**, **Returns**, **Raises**: as `compacton.nesterenko`.
 
     **Example:**
 

@@ -1,27 +1,31 @@
-r"""The nonlinear Schroedinger equation of wave packets in a periodic chain, its solitons and its instability.
+r"""The nonlinear Schroedinger equation of wave packets in a periodic chain: solitons, instability.
 
-A cell of P sites of mass m_j; bond j joins site j to site j+1 (the last one to the next cell) with the force
-F_j(y) = K2_j y + K3_j y^2 + K4_j y^3 of the strain y_j = u_j - u_{j+1}, compression positive, as
-`granjax.laws.taylor` gives them. A packet at wave number k per cell,
+A cell has P sites of mass m_j. Bond j joins site j to site j+1 (the last one to the next cell) with
+the force F_j(y) = K2_j y + K3_j y^2 + K4_j y^3 of the strain y_j = u_j - u_{j+1}, compression
+positive; `granjax.laws.taylor` gives the coefficients. A packet at wave number k per cell,
 
-    y_j(n, t) = eps [s_j Y(X, T) e^{i (k n + omega t)} + c.c.] + O(eps^2),   X = eps (n - c t),  T = eps^2 t,
+    y_j(n, t) = eps [s_j Y(X, T) e^{i (k n + omega t)} + c.c.] + O(eps^2),
+    X = eps (n - c t),  T = eps^2 t,
 
 with c = -d omega/dk obeys
 
     i Y_T + nu2 Y_XX + nu3 |Y|^2 Y = 0,   nu2 = -(d^2 omega/dk^2)/2,
 
-so that a uniform wave has the frequency omega + nu3 |eps Y|^2 (nu3 > 0: hardening). **Amplitude**: the mean of |s_j|^2
-over the bonds of a cell is 1, so 2 |eps Y| is the amplitude of oscillation of a bond, in the root mean square where the
-bonds of a cell differ. X counts cells. Neither enters the sign of nu2 nu3: bright solitons where it is positive, dark
-ones where it is negative.
+so that a uniform wave has the frequency omega + nu3 |eps Y|^2 (nu3 > 0: hardening). X counts cells.
+Bright solitons exist for nu2 nu3 > 0, dark ones for nu2 nu3 < 0.
 
-**Constant force or fixed length.** The wave also strains the chain in the mean, at second order. At constant force
-this strain is free to follow the envelope. At fixed length it is zero in the mean over the chain, which changes the
-frequency of a wave that fills the chain, and nothing else: what modulates it (the dip of a dark soliton, the
-instability) still carries its mean strain along, and keeps the nu3 of constant force.
+**Amplitude**: the mean of |s_j|^2 over the bonds of a cell is 1. So 2 |eps Y| is the amplitude of a
+bond, in the root mean square if the bonds of a cell differ.
 
-Source: G. Huang, B. Hu, Phys. Rev. B 57, 5746 (1998); C. Chong, P. G. Kevrekidis, Coherent Structures in Granular
-Crystals (Springer, 2018). The fixed-length relation is tested against periodic orbits of rings.
+**Constant force or fixed length.** At second order the wave also causes a mean strain. At constant
+force this strain follows the envelope freely. At fixed length its mean over the chain is zero. This
+changes only the frequency of a wave that fills the chain: a modulation of the wave (the dip of a
+dark soliton, the instability) still carries its own mean strain and keeps the nu3 of constant
+force.
+
+Source: G. Huang, B. Hu, Phys. Rev. B 57, 5746 (1998); C. Chong, P. G. Kevrekidis, Coherent
+Structures in Granular Crystals (Springer, 2018). The fixed-length relation is tested against
+periodic orbits of rings.
 """
 
 import jax
@@ -52,11 +56,16 @@ __all__ = [
 def bright(
     X: Number, T: Number, kappa: Number, nu2: Number, nu3: Number, X0: Number = 0.0
 ) -> Complex[Array, "..."]:
-    r"""Bright soliton at rest: Y = (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} (X - X0)] exp(i kappa T).
+    r"""Return the bright soliton at rest.
 
-    **Arguments:** `X`, `T`: arrays that broadcast; `kappa`: shift of the frequency, of the sign of nu2 and nu3; `nu2`,
-    `nu3`: as in `coefficients`, at constant force; `X0`: centre. **Returns:** Y, complex.
-    **Raises** ValueError where nu2 nu3 < 0, which has only dark solitons, and where kappa nu3 <= 0.
+        Y = (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} (X - X0)] exp(i kappa T)
+
+    **Arguments:** `X`, `T`: arrays that broadcast; `kappa`: shift of the frequency, of the sign of
+    nu2 and nu3; `nu2`, `nu3`: as in `coefficients`, at constant force; `X0`: centre.
+
+    **Returns:** Y, complex.
+
+    **Raises** ValueError where nu2 nu3 < 0 (dark solitons only) or kappa nu3 <= 0.
 
     **Example:**
 
@@ -76,14 +85,20 @@ def dark(
     X0: Number = 0.0,
     nu3_force: Number | None = None,
 ) -> Complex[Array, "..."]:
-    r"""Black soliton: Y = (kappa/nu3)^{1/2} tanh[(-nu3_force kappa/(2 nu2 nu3))^{1/2} (X - X0)] exp(i kappa T).
+    r"""Return the black soliton.
 
-    At constant force nu3_force = nu3 and the inverse width is (-kappa/(2 nu2))^{1/2}. At fixed length the background
-    has the nu3 of fixed length (monomer at k = pi: 3 K4 K2^{-1/2}, m = 1), while the dip keeps that of constant force.
+        Y = (kappa/nu3)^{1/2} tanh[(-nu3_force kappa/(2 nu2 nu3))^{1/2} (X - X0)] exp(i kappa T)
 
-    **Arguments:** as in `bright`; `nu3` of the background, `nu3_force` of the dip, `None` for the same.
+    At constant force nu3_force = nu3 and the inverse width is (-kappa/(2 nu2))^{1/2}. At fixed
+    length the background has the nu3 of fixed length (monomer at k = pi: 3 K4 K2^{-1/2}, m = 1),
+    and the dip that of constant force.
+
+    **Arguments:** as in `bright`; `nu3`: of the background; `nu3_force`: of the dip, by default the
+    same.
+
     **Returns:** Y, complex.
-    **Raises** ValueError where nu2 nu3_force > 0, which has only bright solitons, and where kappa nu3 <= 0.
+
+    **Raises** ValueError where nu2 nu3_force > 0 (bright solitons only) or kappa nu3 <= 0.
 
     **Example:**
 
@@ -100,12 +115,17 @@ def dark(
 def growth_rate(
     Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number
 ) -> Float[Array, "..."]:
-    r"""Growth per unit T of a modulation e^{iQX} of a uniform wave: [nu2 Q^2 (2 nu3 |Y|^2 - nu2 Q^2)]^{1/2}.
+    r"""Return the growth rate per unit T of a modulation e^{iQX} of a uniform wave.
 
-    Zero where the bracket is not positive. Largest, nu3 |Y|^2, at Q^2 = nu3 |Y|^2/nu2.
+        [nu2 Q^2 (2 nu3 |Y|^2 - nu2 Q^2)]^{1/2}
 
-    **Arguments:** `Q`: per cell; `amplitude`: |Y|; `nu2`, `nu3`: as in `coefficients`, at constant force, also where
-    the chain has a fixed length. **Returns:** array of their broadcast shape.
+    It is zero where the bracket is not positive, and largest, nu3 |Y|^2, at Q^2 = nu3 |Y|^2/nu2.
+
+    **Arguments:** `Q`: per cell; `amplitude`: |Y|; `nu2`, `nu3`: as in `coefficients`, at constant
+    force, even if the chain has a fixed length.
+
+    **Returns:** array of the broadcast shape.
+
     Source: T. B. Benjamin, J. E. Feir, J. Fluid Mech. 27, 417 (1967).
 
     **Example:**
@@ -115,13 +135,13 @@ def growth_rate(
     """
     Q, amplitude, nu2, nu3 = _numbers(Q=Q, amplitude=amplitude, nu2=nu2, nu3=nu3)
     square = nu2 * Q**2 * (2 * nu3 * amplitude**2 - nu2 * Q**2)
-    # what is not a number, such as a traced one, stays so
+    # this way a NaN stays a NaN
     stable = square <= 0
     return jnp.where(stable, 0.0, jnp.sqrt(jnp.where(stable, 1.0, square)))
 
 
 class Profile(Result):
-    """A breather at a turning point (all velocities zero), to second order in its amplitude; N sites.
+    """A breather of N sites at a turning point (all velocities zero), to second order in amplitude.
 
     **Example:**
 
@@ -132,17 +152,16 @@ class Profile(Result):
     """
 
     strain: Float[Array, " site"] = array(
-        "y_i = u_i - u_{i+1} of the bond to the right of site i; the last one leads out of "
-        "the chain."
+        "y_i = u_i - u_{i+1} of the bond to the right of site i; the last bond leaves the chain."
     )
     mean_strain: Float[Array, " site"] = array("The part of the strain that does not oscillate.")
     displacement: Float[Array, " site"] = array(
-        "The displacements of the sites, whose differences are `strain`."
+        "The displacements of the sites; `strain` is their difference."
     )
-    amplitude: Float[Array, ""] = array("|Y|, at the centre (bright) or far from it (dark).")
+    amplitude: Float[Array, ""] = array("|Y| at the centre (bright) or far from it (dark).")
     inverse_width: Float[Array, ""] = array("The inverse width of the envelope.", "1/cell")
     omega: Float[Array, ""] = array("The frequency of the breather.", "rad/s")
-    kappa: Float[Array, ""] = array("The frequency of the breather less the linear one.", "rad/s")
+    kappa: Float[Array, ""] = array("The breather's frequency minus the linear one.", "rad/s")
 
     @property
     def outcome(self) -> str:
@@ -155,22 +174,25 @@ class Profile(Result):
 def bright_profile(
     coefficients: Coefficients, omega: Scalar, cells: Count, centre: Scalar | None = None
 ) -> Profile:
-    r"""Bright breather of frequency omega: 2 (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} x], kappa = omega - omega(k).
+    r"""Return the bright breather of frequency omega on a chain of cells.
 
-    The strain holds the oscillation at its turning point, the second harmonic and the mean strain. Far away the chain
-    is at rest, so constant force and fixed length are the same.
+    Its envelope is 2 (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} x], kappa = omega - omega(k). The
+    strain contains the oscillation at its turning point, the second harmonic and the mean strain.
+    Constant force and fixed length agree, as the chain is at rest far away.
 
     **Arguments:**
 
-    - `coefficients`: what `nls.coefficients` returned at k = 0 or pi, where the packet stands still.
-    - `omega`: frequency of the breather, on the side of omega(k) to which the nonlinearity shifts it.
-    - `cells`: number of cells; the first site of the chain is the first of the cell.
-    - `centre`: in sites: 4 is site 4, 4.5 the bond between 4 and 5; `None` the middle, (N - 1)/2.
+    - `coefficients`: the result of `nls.coefficients` at k = 0 or pi, where the packet stands
+      still.
+    - `omega`: frequency of the breather, on the side of omega(k) to which the nonlinearity shifts
+      it.
+    - `cells`: number of cells; the chain begins with the first site of a cell.
+    - `centre`: 4 is site 4, 4.5 the bond between 4 and 5; `None`: the middle, (N - 1)/2.
 
-    **Returns:** `Profile`. Relative error of the strain of the order of `inverse_width` squared.
+    **Returns:** `Profile`. The relative error of the strain is of the order of `inverse_width`
+    squared.
+
     **Raises** ValueError for another k, where nu2 nu3 < 0, and for omega on the other side.
-    Typical: dimer K2, K3, K4 = 3/2, 3/8, -1/16 with m = 1, M = 3 at the bottom of its optical branch,
-    omega = 0.99 sqrt3.
 
     **Example:**
 
@@ -188,13 +210,15 @@ def bright_profile(
 def dark_profile(
     coefficients: Coefficients, omega: Scalar, cells: Count, centre: Scalar | None = None
 ) -> Profile:
-    r"""Dark breather of frequency omega: 2 (kappa/nu3)^{1/2} tanh[b x], b as in `dark`, kappa = omega - omega(k).
+    r"""Return the dark breather of frequency omega on a chain of cells.
 
-    As `bright_profile`. At fixed length (`coefficients` with `constraint="length"`) the mean strain vanishes far from
-    the dip, as in an infinite chain; a ring of N sites is stretched by the dip's mean strain over N.
+    Its envelope is 2 (kappa/nu3)^{1/2} tanh[b x], with b as in `dark` and kappa = omega - omega(k).
+    Arguments and result are those of `bright_profile`. At fixed length (`coefficients` with
+    `constraint="length"`) the mean strain vanishes far from the dip, as in an infinite chain; a
+    ring of N sites is also stretched by the dip's mean strain over N.
 
-    **Raises** ValueError for k other than 0 or pi, where nu2 nu3_force > 0, and for omega on the other side.
-    Typical: monomer K2, K3, K4 = 3/2, 3/8, -1/16, m = 1, k = pi, omega = 0.99 sqrt6: amplitude 0.23094.
+    **Raises** ValueError for k other than 0 or pi, where nu2 nu3_force > 0, and for omega on the
+    other side.
 
     **Example:**
 
@@ -219,8 +243,8 @@ def _dark(kappa, nu2, nu3, nu3_force):
     return jnp.sqrt(kappa / nu3), jnp.sqrt(-nu3_force * kappa / (2 * nu2 * nu3))
 
 
+# refuses a pair unless nu2 nu3_force has the sign `focusing`
 def _signs(focusing, kappa, nu2, nu3, nu3_force):
-    """The numbers as arrays; refuses an equation without such a soliton (the sign `focusing` of nu2 nu3_force)."""
     name = "nu3" if nu3_force is nu3 else "nu3_force"
     given = _numbers(kappa=kappa, nu2=nu2, nu3=nu3, nu3_force=nu3_force)
     if traced(given):
@@ -248,7 +272,6 @@ def _shifts(nu3):
 
 
 def _kappa(c, omega, nu3):
-    """The shift of a breather's frequency from the linear one, of the sign of nu3."""
     omega = parameter("omega", omega)
     k, resonant, linear, nu3 = map(concrete, (c.k, c.resonant, c.omega, nu3))
     if k is not None and abs(np.sin(k)) > 1e-9:
@@ -277,13 +300,13 @@ def _places(coefficients, cells, centre):
 
 @compiled
 def _profile(c, shape, amplitude, width, background, cells, centre):
-    """Strain, mean strain and displacement of a chain of cells under a real envelope (P sites per cell)."""
     P = len(c.mode)
     i = np.arange(P * cells)
     j, sign = i % P, jnp.where(jnp.cos(c.k) > 0, 1, -1) ** (i // P)
     envelope = lambda x: amplitude * shape(width * x / P)
     bonds = i + 0.5 - centre
-    # a modulated wave strains bond j by s A - i (ds/dk) A'; of it, `lag` is what the place of the bond does not say
+    # A modulated wave strains bond j by s A - i (ds/dk) A'. The envelope is evaluated at the bond
+    # itself, which covers part of the second term; `lag` is the rest of it.
     s, lag = jnp.real(c.strain), P * jnp.imag(c.strain_slope) - jnp.real(c.strain) * np.arange(P)
     lag = lag - s * jnp.sum(s * lag) / jnp.sum(s**2)
     A, slope = jax.jvp(envelope, (bonds,), (jnp.ones_like(bonds),))

@@ -1,4 +1,4 @@
-"""Coefficients of the envelope equation of a periodic chain; `nls` says which equation."""
+"""Coefficients of the envelope equation of a periodic chain; the equation is in `nls`."""
 
 import jax
 import jax.numpy as jnp
@@ -10,14 +10,15 @@ from ..programs import compiled
 from ..results import Result, array
 from ..types import Count, Parameter, Scalar
 
-# relative distances of omega^2, in units of rounding, below which branches touch and a harmonic lies on a branch
+# relative distances of omega^2, in units of rounding, below which two branches touch and the second
+# harmonic lies on a branch
 TOUCHING, RESONANT = 1e6, 1e5
-# of derivatives: two in k, and two in the parameters
+# orders of derivatives: two in k, and two in the parameters
 ORDERS = 4
 
 
 class Coefficients(Result):
-    """What `coefficients` returns, for Y as in the text of `nls`; P bonds and sites per cell.
+    """The result of `coefficients`, for Y as defined in `nls`; P bonds and sites per cell.
 
     **Example:**
 
@@ -34,7 +35,7 @@ class Coefficients(Result):
         "nu3 under the constraint, in 1/(length^2 time).", axes="lane"
     )
     nu3_force: Float[Array, "*lanes"] = array(
-        "nu3 at constant force, that of every modulated envelope.", axes="lane"
+        "nu3 at constant force, which holds for every modulated envelope.", axes="lane"
     )
     mode: Complex[Array, "*lanes P"] = array("The displacements per Y.", axes="lane ... site")
     strain: Complex[Array, "*lanes P"] = array("The strains s_j per Y.", axes="lane ... bond")
@@ -53,19 +54,19 @@ class Coefficients(Result):
         "The second harmonic of the strains per Y^2.", axes="lane ... bond"
     )
     resonant: Bool[Array, "*lanes"] = array(
-        "Whether 2k, 2 omega is a wave of the chain that the second harmonic feeds; `nu3` "
+        "Whether 2k, 2 omega is a wave of the chain that the second harmonic drives; `nu3` "
         "is then infinite.",
         axes="lane",
     )
     bond: Integer[Array, "*lanes"] = array(
-        "The bond whose s_j is real and positive: the one that is strained most, the first "
-        "of equals.",
+        "The bond whose s_j is real and positive: the most strained one, the first if several "
+        "are equal.",
         axes="lane",
     )
 
     @property
     def focusing(self) -> Bool[Array, "*lanes"]:
-        """Whether nu2 nu3 > 0 for a modulated envelope: bright solitons, modulational instability."""
+        """Whether nu2 nu3 > 0 for a modulated envelope: bright solitons and instability."""
         return self.nu2 * self.nu3_force > 0
 
     @property
@@ -91,26 +92,27 @@ def coefficients(
     branch: Count = 0,
     constraint: str = "force",
 ) -> Coefficients:
-    r"""Coefficients of the envelope equation at one wave number of one branch.
+    r"""Compute the coefficients of the envelope equation at one wave number of one branch.
 
-    With the Bloch mode e (strains s = S(k) e of mean square 1) the third order, projected on e, gives
-    nu3 = sum_j [3 K4_j |s_j|^4 + 2 K3_j (y0_j |s_j|^2 + Y2_j conj(s_j)^2)] / (2 omega sum_j m_j |e_j|^2). Second
-    harmonic: (D(2k) - 4 omega^2 M) U2 = -S(2k)^H K3 s^2, Y2 = S(2k) U2. Mean strain:
-    K2_j y0_j + 2 K3_j |s_j|^2 = f in every bond, with f = (d omega/dk)^2 (sum_j m_j) (sum_j y0_j) at constant force,
-    and with sum_j y0_j = 0 at fixed length. Monomer at k = pi: `B` at constant force, 3 K4 (K2 m)^{-1/2} at fixed
-    length.
+    With the Bloch mode e (strains s = S(k) e of mean square 1), the third order, projected on e,
+    gives nu3 = sum_j [3 K4_j |s_j|^4 + 2 K3_j (y0_j |s_j|^2 + Y2_j conj(s_j)^2)] / (2 omega sum_j
+    m_j |e_j|^2). The second harmonic solves (D(2k) - 4 omega^2 M) U2 = -S(2k)^H K3 s^2, Y2 = S(2k)
+    U2. The mean strain solves K2_j y0_j + 2 K3_j |s_j|^2 = f in every bond, with f = (d omega/dk)^2
+    (sum_j m_j) (sum_j y0_j) at constant force and sum_j y0_j = 0 at fixed length. Monomer at
+    k = pi: `B` at constant force, 3 K4 (K2 m)^{-1/2} at fixed length.
 
     **Arguments:**
 
     - `mass`, `K2`, `K3`, `K4`: scalars or (P,), one per site or bond of the cell; mass > 0, K2 > 0.
     - `k`: phase per cell [rad]; `branch`: 0 is the acoustic one.
-    - `constraint`: `"force"` or `"length"`, what the ends hold constant.
+    - `constraint`: what the ends hold constant, `"force"` or `"length"`.
 
-    **Returns:** `Coefficients`. Differentiable in every number, and under `jit` and `vmap`; there a branch that is not
-    simple gives NaN.
-    **Raises** ValueError for masses or K2 that are not positive, shapes that do not fit, a branch that the cell has
-    not, omega = 0 (k = 0 of the acoustic branch: long waves, Korteweg-de Vries), and where two branches touch.
-    Typical: K2, K3, K4 = 3/2, 3/8, -1/16 (Hertz, d0 = A = 1), m = 1, k = pi: nu2 = 0.306186, nu3 = -0.459279.
+    **Returns:** `Coefficients`, differentiable in every number; under `jit` and `vmap` a branch
+    that is not simple gives NaN.
+
+    **Raises** ValueError for masses or K2 that are not positive, shapes that do not fit, a branch
+    that does not exist, omega = 0 (k = 0 of the acoustic branch: use Korteweg-de Vries), and where
+    two branches touch.
 
     **Example:**
 
@@ -142,7 +144,6 @@ def coefficients(
 
 
 def _cell(mass, K2, K3, K4):
-    """Masses and coefficients of one cell, (P,) each."""
     arrays = {"mass": positive("mass", mass), "K3": parameter("K3", K3), "K4": parameter("K4", K4)}
     arrays["K2"] = positive(
         "K2", K2, "A bond without linear stiffness carries no linear wave; give precompression."
@@ -154,21 +155,21 @@ def _cell(mass, K2, K3, K4):
     return [jnp.broadcast_to(arrays[name], (sites,)) for name in ("mass", "K2", "K3", "K4")]
 
 
+# the matrix S from the displacements of a cell to the strains of its bonds; `turn` is e^{ik}
 def _strains(turn, sites):
-    """The matrix S from the displacements of a cell to the strains of its bonds; `turn`: e^{ik}."""
     wrap = np.zeros((sites, sites))
     wrap[-1, 0] = 1
     return np.eye(sites) - np.eye(sites, k=1) - turn * wrap
 
 
+# the pseudo-inverse of a Hermitian matrix, without the eigenvalues of size up to `least`
 def _inverse(values, vectors, least):
-    """Pseudo-inverse of a Hermitian matrix, without the eigenvalues up to `least`."""
     kept = jnp.abs(values) > least
     return (vectors * jnp.where(kept, 1 / jnp.where(kept, values, 1), 0)) @ vectors.conj().T
 
 
+# x with A x = b; `inverse` is constant, and each correction adds one order of derivatives
 def _solve(A, b, inverse):
-    """x with A x = b, where `inverse` is constant: each correction carries one more order of derivatives."""
     x = inverse @ b
     for _ in range(ORDERS):
         x = x + inverse @ (b - A @ x)
@@ -182,9 +183,10 @@ def _square(z):
 @compiled
 def _coefficients(mass, K2, K3, K4, k, branch, length):
     sites = mass.size
-    # displacement per mass-normalised one
+    # turns mass-normalised displacements into displacements
     light = 1 / jnp.sqrt(mass)
-    # constant, as derivatives of `eigh` fail where any two branches touch; corrections carry those of this one
+    # The derivatives of `eigh` fail where any two branches touch. So its result is a constant, and
+    # the corrections in `wave` carry the derivatives of this branch.
     S = jax.lax.stop_gradient(_strains(jnp.exp(1j * k), sites) * light)
     squared, vectors = jnp.linalg.eigh((S.conj().T * jax.lax.stop_gradient(K2)) @ S)
     own, rounding = squared[branch], jnp.finfo(squared.dtype).eps
@@ -192,8 +194,8 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     touches = jnp.any((jnp.abs(squared - own) <= least) & (jnp.arange(sites) != branch))
     inverse = _inverse(squared - own, vectors, least)
 
+    # omega^2, mass-normalised displacements, and strains, from M^{-1/2} D M^{-1/2} = S^H K2 S
     def wave(k):
-        """omega^2, mass-normalised displacements and strains, M^{-1/2} D M^{-1/2} = S^H K2 S."""
         S = _strains(jnp.exp(1j * k), sites) * light
         H, v, value = (S.conj().T * K2) @ S, vectors[:, branch], own
         for _ in range(ORDERS):
@@ -253,9 +255,11 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
 
 
 def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Float[Array, "..."]:
-    r"""nu3 of the monomer chain at k = pi and constant force: (3 K2 K4 - 4 K3^2)/(K2^{3/2} m^{1/2}).
+    r"""Return nu3 of the monomer chain at k = pi and constant force.
 
-    Power law A [d0 + sign(p) y]^p with m = 1: -p^3 (p - 1) A^2 d0^{2p-4}/(2 K2^{3/2}), positive for 0 < p < 1 alone.
+    It is (3 K2 K4 - 4 K3^2)/(K2^{3/2} m^{1/2}). For the power law A [d0 + sign(p) y]^p with m = 1
+    it is -p^3 (p - 1) A^2 d0^{2p-4}/(2 K2^{3/2}), positive only for 0 < p < 1.
+
     **Raises** ValueError for K2 or masses that are not positive.
 
     **Example:**

@@ -1,4 +1,4 @@
-"""The Mittag-Leffler function, which is to fractional relaxation what the exponential is to the plain one."""
+"""The Mittag-Leffler function, the counterpart of the exponential for fractional relaxation."""
 
 import jax
 import jax.numpy as jnp
@@ -8,23 +8,31 @@ from ..checks import concrete, parameter, positive, refuse, show, within
 from ..programs import compiled
 from ..types import Number, Parameter
 
-# of the parabola of Weideman and Trefethen; the error falls as 2.85^-NODES, and rounding grows as exp(0.13 NODES)
+# nodes on the parabola of Weideman and Trefethen: the error of the rule falls as 2.85^-NODES, and
+# that of rounding grows as exp(0.13 NODES)
 NODES = 32
 
 
 def mittag_leffler(z: Parameter, order: Parameter, second: Parameter = 1.0) -> Number:
-    r"""E_{a,b}(z) = sum over k of z^k/Gamma(a k + b), for z <= 0 and 0 < a <= 1.
+    r"""Return the Mittag-Leffler function E_{a,b}(z) for z <= 0 and 0 < a <= 1.
 
-    E_a(-t^a) solves D^a y = -y, y(0) = 1, with Caputo's derivative: it falls as 1 - t^a/Gamma(1 + a) at first, and as
-    t^{-a}/Gamma(1 - a) at last. E_1(z) = exp(z), E_{1/2}(-x) = exp(x^2) erfc(x).
+        E_{a,b}(z) = sum over k of z^k/Gamma(a k + b)
 
-    By its inverse Laplace transform, (1/2 pi i) times the integral of e^s s^{a-b}/(s^a - z), on a parabola around the
-    negative axis: for these arguments no pole is near it. Error below 2e-14 for b up to 1, 1e-12 for
-    b = 2, 2e-11 for b = 3.
+    E_a(-t^a) solves D^a y = -y, y(0) = 1, with Caputo's derivative D^a. It falls as
+    1 - t^a/Gamma(1 + a) at early times and as t^{-a}/Gamma(1 - a) at late times. E_1(z) = exp(z),
+    E_{1/2}(-x) = exp(x^2) erfc(x).
 
-    **Arguments:** `z`: real, <= 0; `order`: a in (0, 1]; `second`: b > 0; they broadcast. Differentiable in all.
-    **Raises** ValueError for others; z > 0 grows as exp(z^{1/a})/a, and orders above 1 oscillate: their poles are not
-    counted here. Source: J. A. C. Weideman, L. N. Trefethen, Math. Comput. 76, 1341 (2007); R. Garrappa, SIAM J.
+    It is the inverse Laplace transform, (1/2 pi i) times the integral of e^s s^{a-b}/(s^a - z),
+    along a parabola around the negative axis. The error is below 2e-14 for b <= 1, 1e-12 for b = 2
+    and 2e-11 for b = 3.
+
+    **Arguments:** `z`: real, <= 0; `order`: a in (0, 1]; `second`: b > 0. They broadcast;
+    differentiable in all.
+
+    **Raises** ValueError for other arguments: z > 0, where it grows as exp(z^{1/a})/a, and a > 1,
+    where it oscillates, need the poles, which are not included.
+
+    Source: J. A. C. Weideman, L. N. Trefethen, Math. Comput. 76, 1341 (2007); R. Garrappa, SIAM J.
     Numer. Anal. 53, 1350 (2015).
 
     **Example:**
@@ -49,6 +57,6 @@ def _by_contour(z, order, second):
     weight = jnp.exp(s) * NODES * (-0.2388 * theta + 0.25j) * (2 / NODES)
     z, order, second = (x[..., None] for x in jnp.broadcast_arrays(z, order, second))
     log = jnp.log(s)
-    # the other half of the parabola is the mirror image
+    # the other half of the parabola is the mirror image, so the imaginary part gives the whole
     found = jnp.imag(weight * jnp.exp((order - second) * log) / (jnp.exp(order * log) - z)).sum(-1)
     return jax.lax.convert_element_type(found, z.dtype)

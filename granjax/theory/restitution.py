@@ -1,22 +1,25 @@
-"""Coefficients of restitution of two bodies that collide, in closed form."""
+"""Coefficients of restitution of two colliding bodies in closed form."""
 
 import jax.numpy as jnp
 
 from ..checks import non_negative, positive
 from ..types import Number, Parameter
 
-# (4/5) B(3/5, 3/2) (5/4)^{3/5}, B the beta function
+# (4/5) B(3/5, 3/2) (5/4)^{3/5} with the beta function B
 FIRST = 1.1534488581
 
 
 def thornton(speed: Parameter, yield_speed: Parameter) -> Number:
-    r"""Of elastic, perfectly plastic spheres, with r = V_y/V.
+    r"""Return the coefficient of restitution of elastic, perfectly plastic spheres.
 
-        e = (6 sqrt3/5)^{1/2} (1 - r^2/6)^{1/2} [r/(r + 2 sqrt(6/5 - r^2/5))]^{1/4}   for V > V_y, else 1.
+        e = (6 sqrt3/5)^{1/2} (1 - r^2/6)^{1/2} [r/(r + 2 sqrt(6/5 - r^2/5))]^{1/4},   r = V_y/V,
 
-    **Arguments:** `speed`: relative speed V of approach [m/s]; `yield_speed`: V_y [m/s], (4 A s_y^{5/2}/(5 m))^{1/2}
-    of `gx.Thornton(A, s_y)` and a reduced mass m. Falls as V^{-1/4}. Source: C. Thornton, J. Appl. Mech. 64, 383
-    (1997).
+    for V > V_y, else 1. It falls as V^{-1/4}.
+
+    **Arguments:** `speed`: relative speed V of approach [m/s]; `yield_speed`: V_y [m/s], which is
+    (4 A s_y^{5/2}/(5 m))^{1/2} for `gx.Thornton(A, s_y)` and a reduced mass m.
+
+    Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
 
     **Example:**
 
@@ -36,16 +39,17 @@ def viscoelastic(
     dissipative_time: Parameter,
     reduced_mass: Parameter = 0.5,
 ) -> Number:
-    r"""Viscoelastic spheres whose dissipation is weak.
+    r"""Return the coefficient of restitution of weakly dissipative viscoelastic spheres.
 
         e = 1 - 1.15344 x + 0.79826 x^2,   x = (3/2) tau (A/m)^{2/5} V^{1/5}.
 
-    Of Hertz beside Kuwabara and Kono's `ViscousContact(3 A tau/2)`, but for 0.6 x^3; `BrilliantovContact(..., A, tau)`,
-    which does not pull, parts faster by up to 0.03 x^2.
+    It holds for Hertz with Kuwabara and Kono's `ViscousContact(3 A tau/2)`, up to 0.6 x^3.
+    `BrilliantovContact(..., A, tau)`, which does not pull, separates faster by up to 0.03 x^2.
 
-    **Arguments:** `speed`: V [m/s]; `stiffness`: A [N/m^{3/2}]; `dissipative_time`: tau [s]; `reduced_mass`: m [kg],
-    half of each of two equal ones. Source: R. Ramirez, T. Poeschel, N. V. Brilliantov, T. Schwager, Phys. Rev. E 60,
-    4465 (1999).
+    **Arguments:** `speed`: V [m/s]; `stiffness`: A [N/m^{3/2}]; `dissipative_time`: tau [s];
+    `reduced_mass`: m [kg], half the mass of each of two equal bodies.
+
+    Source: R. Ramirez, T. Poeschel, N. V. Brilliantov, T. Schwager, Phys. Rev. E 60, 4465 (1999).
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""What the dispersive shocks of KdV and Toda share: their results, and the parameter m that moves at a given speed."""
+"""The common parts of the dispersive shocks of KdV and Toda: results, and m at a given speed."""
 
 from typing import NamedTuple
 
@@ -10,23 +10,26 @@ from ..checks import parameter, positive, within
 from ..printing import told
 from .elliptic_integrals import _K, _sloped
 
-# of Newton's method for ln(1 - m), from a guess that is never far
+# Newton steps for ln(1 - m), from a guess that is always close
 NEWTON = 5
-# sinh^2 at the places of the trapezoidal rule, of which the first counts half; beyond the last no integrand is left
+# sinh^2 at the nodes of the trapezoidal rule, whose first weight is half; beyond the last node
+# every integrand is negligible
 STEP, LAST = 0.2, 40.0
 SQUARES = np.sinh(np.arange(0, LAST, STEP)) ** 2
-# sin^2, ln cos^2 and weights of angles of which ln tan is equidistant
+# sin^2, ln cos^2 and weights of angles whose ln tan is equidistant
 _W = np.arange(-56, LAST, STEP)
 ANGLES = 1 / (1 + np.exp(-2 * _W)), -np.logaddexp(0, 2 * _W), STEP / (2 * np.cosh(_W))
-# in place of K(1), where sech of it is no number
+# in place of the infinite K(1); sech of it underflows to zero
 FAR = 1e3
 
 
 class ShockEdges(NamedTuple):
-    """Where a dispersive shock ends, and how large it is there.
+    """The edges of a dispersive shock, and its size there.
 
-    - `trailing_speed`, `leading_speed`: n/t of its harmonic edge behind and of its solitary edge ahead [sites/s].
-    - `mean`: strain of the plateau behind, in the mean. `amplitude`: strain of the crest at the leading edge.
+    - `trailing_speed`, `leading_speed`: n/t of the harmonic edge behind and of the solitary edge
+      ahead [sites/s].
+    - `mean`: mean strain of the plateau behind [m].
+    - `amplitude`: strain of the crest at the leading edge [m].
 
     **Example:**
 
@@ -43,11 +46,12 @@ class ShockEdges(NamedTuple):
 
 
 class ShockWave(NamedTuple):
-    """A dispersive shock at places n and times t, of their shapes broadcast.
+    """A dispersive shock at places n and times t, of their broadcast shape.
 
-    - `strain`: that of the modulated periodic wave, the plateau behind it, what the last crest leaves ahead.
-    - `m`: parameter of the periodic wave there, 1 ahead, and 0 on the plateau where that is one.
-    - `mean`, `crest`, `trough`: of the periodic wave there: mean, and strains between which it oscillates.
+    - `strain` [m]: the modulated periodic wave, the plateau behind it, and the flank of the last
+      crest ahead of it.
+    - `m`: parameter of the periodic wave; 1 ahead, and 0 on the plateau, if there is one.
+    - `mean`, `crest`, `trough` [m]: mean, largest and smallest strain of the periodic wave there.
 
     **Example:**
 
@@ -65,18 +69,17 @@ class ShockWave(NamedTuple):
 
 
 def _places(n, t, phase):
-    """Places, times above zero and phases where they are given, as arrays."""
     t = positive("t", t, "Before that nothing has moved: a shock is spread over n/t.")
     return parameter("n", n), t, None if phase is None else parameter("phase", phase)
 
 
 def _modulus_of(m):
-    """m in [0, 1]."""
     return within("m", m, 0, 1, remedy="It is 0 at the trailing edge and 1 at the leading edge.")
 
 
+# The shift of the argument of Jacobi's functions by a phase. Ahead of all crests, where m1 = 0, FAR
+# leaves only the flank of the last one.
 def _turn(phase, m1, c):
-    """What a phase adds to the argument of Jacobi's functions; ahead of all crests, where m1 = 0, their last flank."""
     phase = _phase(m1, c) if phase is None else phase
     phase = phase - 2 * jnp.pi * jnp.round(phase / (2 * jnp.pi))
     return (
@@ -84,13 +87,11 @@ def _turn(phase, m1, c):
     )
 
 
+# (s(m) - 1)/c of the Toda chain, or for c = 0 S(m) of KdV, without cancellation at small c. With
+# S = sinh^2 x and rho = (1 + c m1)/(1 + c) it is the ratio of the integrals over all x of
+# [m/((1 + c)(1 + rho S)) - m1 S]/((1 + S)(1 + m1 S)^{1/2}) and rho/((1 + rho S)(1 + m1 S)^{1/2}).
+# The error of the trapezoidal rule is exp(-pi^2/step).
 def _excess(m1, c):
-    """(s(m) - 1)/c of the Toda chain, of c = 0 S(m) of KdV, by integrals of which no digits cancel where c is small.
-
-    With S = sinh^2 x and rho = (1 + c m1)/(1 + c), over all x, by the trapezoidal rule, whose error is exp(-pi^2/step):
-
-        int [m/((1 + c)(1 + rho S)) - m1 S]/((1 + S)(1 + m1 S)^{1/2}) over int rho/((1 + rho S)(1 + m1 S)^{1/2})
-    """
     share = 1 + c * m1
 
     def parts(S):
@@ -101,9 +102,10 @@ def _excess(m1, c):
     return over / under - _steep(m1)
 
 
+# The integral of a function of sinh^2 x over x > 0. Its poles must be no closer to the real axis
+# than pi/2.
 def _integral(function, dtype):
-    """Integral of a function of sinh^2 x over x > 0, which has no poles nearer to the real axis than pi/2."""
-    # further ones would overflow in float32
+    # larger squares would overflow in float32
     squares = jnp.asarray(SQUARES[SQUARES < float(jnp.finfo(dtype).max) ** 0.4], dtype)
     first = STEP / 2 * function(squares[0])
     return jax.lax.fori_loop(
@@ -111,15 +113,12 @@ def _integral(function, dtype):
     )
 
 
+# Phase pi - D of the wave after a velocity step of the Toda chain, or for c = 0 of KdV, with
+#   D = int_E3^E4 ln chi |P|^{-1/2} / int_E2^E3 |P|^{-1/2},   P = (x - E1)(x - E2)(x - E3)(x - E4),
+#   chi(x)^2 = (x^2 - (1 - c)^2)((1 + c)^2 - x^2)/(c x)^2,
+# where chi is the density of the solitons that the left half sends into the right one. Trapezoidal
+# rule in ln tan of the angle whose sin^2 is (x - E3)/(E4 - E3).
 def _phase(m1, c):
-    r"""Phase of the wave after a velocity shock of the Toda chain, of c = 0 of KdV: pi - D, 3 pi/2 at the leading edge.
-
-        D = int_E3^E4 ln chi |P|^{-1/2} / int_E2^E3 |P|^{-1/2},   P = (x - E1)(x - E2)(x - E3)(x - E4),
-        chi(x)^2 = (x^2 - (1 - c)^2)((1 + c)^2 - x^2)/(c x)^2
-
-    the density of what the left half sends as solitons into the right one. Trapezoidal rule in ln tan of the angle
-    whose sin^2 is (x - E3)/(E4 - E3).
-    """
     inside, ends = (m1 != 0) & (m1 != 1), jnp.where(m1 == 0, 3 * jnp.pi / 2, jnp.pi)
     m1 = jnp.where(inside, m1, 0.5)
     share, span, reached = (
@@ -148,21 +147,20 @@ def _steep(m1):
     return jnp.zeros_like(m1)
 
 
-# what goes like m1 ln(1/m1) has no slope at m1 = 0
+# adds the infinite slope at m1 = 0 of functions that behave like m1 ln(1/m1)
 _sloped(_steep, lambda m1: jnp.where(m1 != 0, 0.0, jnp.inf))
 
 
+# m1 at the trailing edge; for c > 1 the wave there has a length of two sites and the numbers
+# -+(1 + c), -+(1 - c)
 def _last(c):
-    """m1 at the trailing edge: beyond c = 1 a wave of two sites stands behind it, of numbers -+(1 + c), -+(1 - c)."""
     return 1 / jnp.maximum(c, 1.0) ** 2
 
 
+# m1 where (s(m) - 1)/c is x, or that of the nearer edge where x is outside the shock. Newton's
+# method for ln of the distance of x from the leading edge, which is nearly linear in ln m1.
 @jax.custom_jvp
 def _complement(x, c):
-    """m1 where (s(m) - 1)/c is x: what it is at the trailing edge behind that, 0 ahead of the leading one.
-
-    By Newton's method for ln of how far x is below the leading edge, nearly straight in ln m1.
-    """
     x, c = jnp.broadcast_arrays(x, c)
     last = _last(c)
     low, high = _excess(last, c), _excess(jnp.zeros_like(c), c)

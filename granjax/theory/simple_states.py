@@ -1,4 +1,4 @@
-r"""The state behind a simple wave of any law: int_ahead^mean (F'/m)^{1/2} dy = 2c, by quadrature with a known error."""
+r"""The state behind a simple wave: int_ahead^mean (F'/m)^{1/2} dy = 2c, by adaptive quadrature."""
 
 from typing import Any, NamedTuple
 
@@ -14,32 +14,35 @@ from ..profiles.medium import CHUNK, in_chunks, one_number
 from ..programs import compiled
 from ..types import Numbers
 
-# nodes of a panel, and of the rule that it is checked by
+# nodes of a panel, and of the coarser rule that checks it
 FINE = 16
 COARSE = 11
-# panels that get shorter towards either end of a path
+# panels that shorten towards the two ends of a path
 GRADED = (60, 50)
-# how often a panel that does not settle may be halved, and how many are at a time
+# how often a panel that has not converged may be halved, and how many are halved at a time
 HALVINGS = 40
 MOST = 64
-# binary orders of magnitude of the strain that are looked through, short of the largest number; strains in each
+# Binary orders of magnitude of the strain that are scanned, those left out below the largest
+# number, and strains per order.
 ORDERS = 400
 SHORT = 12
 EACH = 2
-# of the search for a width, whose bracket is halved where Newton's method leaves it
+# steps of the search for a width: Newton's method, or bisection where Newton's leaves the bracket
 STEPS = 100
-# in units of rounding, relative: an integral that is further from its value than this was not solved for
+# relative error of the integral, in units of rounding, above which the search has failed
 UNSOLVED = 1e6
-# share of the largest change of slope that counts as one the other way
+# F'' of the other sign counts as an inflection from this part of the largest |F''| on
 BENT = 1e-9
 _RULES = [np.polynomial.legendre.leggauss(count) for count in (FINE, COARSE)]
 
 
 class Path(NamedTuple):
-    """From the strain `ahead` to the one behind, `width` further: nodes and weights on (0, 1), and what is there.
+    """The path from the strain `ahead` to the strain behind, which is `width` further.
 
-    `sound`, `behind`: V_+ and V_- [1/s]; `growth`: V_-/V_+ - 1 with its digits; `close`: whether it takes an integral
-    of F'' to have them; `error`: relative, of `width` and `growth`.
+    - `nodes`, `weights`: of a quadrature on (0, 1).
+    - `sound`, `behind`: V_+ and V_- [1/s]; `growth`: V_-/V_+ - 1, accurate when small.
+    - `close`: whether these accurate values need an integral of F''.
+    - `error`: relative error of `width` and `growth`.
     """
 
     c: float
@@ -56,7 +59,7 @@ class Path(NamedTuple):
 
     @property
     def arrays(self) -> tuple[Numbers, ...]:
-        """Width, nodes and weights filled up to few lengths, and 1 where F'' is needed, for a compiled program."""
+        """Width, padded nodes and weights, and 1 if F'' is needed, for a compiled program."""
         count = -(-len(self.nodes) // CHUNK) * CHUNK
         nodes, weights = np.full(count, 0.5), np.zeros(count)
         nodes[: len(self.nodes)], weights[: len(self.nodes)] = self.nodes, self.weights
@@ -64,7 +67,6 @@ class Path(NamedTuple):
 
 
 def _rounding():
-    """The rounding of the numbers that a law is evaluated in."""
     return float(jnp.finfo(jnp.result_type(float)).eps)
 
 
@@ -80,8 +82,9 @@ def _slopes(law, e):
     )
 
 
+# F' and F'' at known strains; NaN where a contact is open, two magnets have met, or the law has no
+# stiffness
 def _slopes_at(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """F' and F'' at known strains; NaN where a contact is open, two magnets have met, or the law has no stiffness."""
     first, second, overlap = in_chunks(_slopes, law, e)
     with np.errstate(invalid="ignore"):
         there = (overlap > 0) & (first > 0) & np.isfinite(first)
@@ -89,16 +92,14 @@ def _slopes_at(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _panels():
-    """Ends on [0, 1] that come ever closer to either of them."""
     low, high = (2.0 ** -np.arange(count, 0, -1.0) for count in GRADED)
     return np.concatenate([[0.0], low, 1 - high[::-1][1:], [1.0]])
 
 
+# Nodes, weights, F' and F'' over a path, and relative errors of the means of (F'/m)^{1/2} and F''.
+# Panels that shorten towards the ends resolve singularities there; where two rules disagree a panel
+# is halved.
 def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
-    """Nodes, weights, F', F'' there, and relative errors of the means of (F'/m)^{1/2} and of F'' over a path.
-
-    Panels that get shorter towards either end hold what is singular there; those that two rules disagree on are halved.
-    """
     edges, rounding = _panels(), _rounding()
     ends, kept, apart = np.stack([edges[:-1], edges[1:]], 1), [], np.zeros(2)
     for level in range(HALVINGS):
@@ -114,7 +115,7 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
             whole = np.abs(fine).sum(-1)
         bad = (off > 8 * rounding * whole[:, None]).any(0) & np.isfinite(off).all(0)
         bad &= (high - low > 8 * rounding * high)[:, 0] & (level < HALVINGS - 1)
-        # the worst ones alone, so that a law that is rough everywhere ends
+        # only the worst panels, so that the work for a law that is rough everywhere is bounded
         worst = np.argsort(-(off / np.maximum(whole, 1e-300)[:, None]).max(0) * bad)
         bad[worst[MOST:]] = False
         kept.append(np.stack([nodes, weights, first, second])[:, ~bad, :FINE].reshape(4, -1))
@@ -129,11 +130,9 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
         return *np.concatenate(kept, 1), apart / whole + 4 * rounding
 
 
+# The path of a velocity 2c, for a `kind` of "shock", "fan" or either. ValueError where the law has
+# no such state, makes the other kind, or has an inflection.
 def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Path:
-    """The path of a velocity 2c; of a given `kind`, "shock" or "fan", or of either.
-
-    **Raises** ValueError where the law has no such state, makes the other kind of wave of that c, or bends both ways.
-    """
     c, ahead = one_number("c", c), one_number("ahead", ahead)
     law, mass, side = medium.law, float(medium.mass), 1 if c > 0 else -1
     if c == 0:
@@ -188,7 +187,6 @@ def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Pat
 
 
 def _at_rest(law, ahead):
-    """F' ahead, which may be zero; refused where it is below, infinite or that of an open contact."""
     first, _, overlap = (float(x[0]) for x in _slopes(law, jnp.full(CHUNK, ahead)))
     if overlap < 0:
         refuse(
@@ -206,21 +204,20 @@ def _at_rest(law, ahead):
     return first
 
 
+# distances from the strain ahead, over all orders of magnitude that the law has; F' and F'' there
 def _scan(law, ahead, side):
-    """Distances from the strain ahead over all orders of magnitude, with F' and F'' there, as far as the law goes."""
     orders = min(ORDERS, jnp.finfo(jnp.result_type(float)).maxexp - SHORT)
     strains = 2.0 ** (np.arange(-orders * EACH, orders * EACH + 1) / EACH)
     first, second = _slopes_at(law, ahead + side * strains)
     begin = int(np.argmax(np.isfinite(first)))
     lost = ~np.isfinite(first[begin:])
     end = begin + (int(np.argmax(lost)) if lost.any() else len(lost))
-    # where a stiffness falls below the least number there is nothing to add
+    # a stiffness that underflows adds nothing
     first[:begin], second[:begin] = 0.0, 0.0
     return strains[: end + 1], first[:end], second[:end]
 
 
 def _refuse_other(kind, bends, c):
-    """What a law makes of a jump is a shock where it stiffens along the way, else a fan."""
     bent = bends[np.isfinite(bends) & (bends != 0)]
     way = "compression" if c > 0 else "tension"
     if not len(bent):
@@ -242,8 +239,8 @@ def _refuse_other(kind, bends, c):
         refuse("c", wanted, f"{c:g}, which makes {made}", f"Or ask {other} for that.")
 
 
+# the signed distance over which |int V dy| is the jump, and the quadrature over it
 def _width(law, mass, ahead, side, jump, strains, first):
-    """The distance over which int V dy is the jump, above zero in tension too, and the quadrature there."""
     covered = np.cumsum(np.sqrt(first / mass) * np.diff(strains[: len(first)], prepend=0.0))
     at = strains[min(np.searchsorted(covered, jump), len(strains) - 1)]
     low, high = 0.0, strains[-1]
@@ -253,7 +250,7 @@ def _width(law, mass, ahead, side, jump, strains, first):
         gap = at * (found[1] @ speed) - jump
         if abs(gap) <= 2 * _rounding() * jump or high - low <= 2 * _rounding() * high:
             break
-        # not a number where the law has ended
+        # `gap` is NaN where the law has ended
         low, high = (at, high) if gap < 0 else (low, at)
         newton = at - gap / speed[np.argmax(found[0])]
         at = newton if low < newton < high else (low + high) / 2
@@ -269,16 +266,16 @@ def _width(law, mass, ahead, side, jump, strains, first):
     return side * at, found
 
 
+# (F'/m)^{1/2}; zero, with zero derivatives, where the stiffness is not positive
 def _speed_of(square: Numbers) -> Numbers:
-    """The root of F'/m; zero, with derivatives of zero, where nothing is stiff."""
     stiff = square > 0
     return jnp.where(stiff, jnp.sqrt(jnp.where(stiff, square, 1.0)), 0.0)
 
 
+# Newton's method repeated from `width`, so that the result has the derivatives of the solution
 def _width_of(
     law: Law, mass: Any, c: Any, ahead: Any, width: Any, nodes: Numbers, weights: Numbers
 ) -> Numbers:
-    """The distance `width` again, by Newton's method, so that it has the derivatives of what it solves."""
     for _ in range(2):
         whole = width * (weights @ _speed_of(law.derivative(ahead + width * nodes) / mass))
         width = width - (whole - 2 * c) / _speed_of(law.derivative(ahead + width) / mass)

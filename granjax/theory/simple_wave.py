@@ -1,13 +1,15 @@
-r"""Simple waves of any law: the state that a velocity step leaves behind, and the fan of a rarefaction.
+r"""Simple waves of any law: the state behind a velocity step, and the rarefaction fan.
 
-Long waves of m y_tt = F(y)_nn run one way along the curve on which v - int V dy is constant, V(y) = (F'(y)/m)^{1/2} the
-speed of sound [sites/s]. So the halves of a chain with v_n = -2c sign(n) meet at the strain y_- with
+Long waves obey m y_tt = F(y)_nn. Along a wave that runs one way, v - int V dy is constant, where
+V(y) = (F'(y)/m)^{1/2} is the speed of sound [sites/s]. Two halves of a chain with v_n = -2c sign(n)
+therefore meet at the strain y_- with
 
     int_ahead^{y_-} V dy = 2c.
 
-Where V falls on the way from the one ahead to y_- the wave is a fan, V(y(n/t)) = |n|/t for V_- < |n|/t < V_+; where it
-rises there is a dispersive shock (`shock_edges`), whose plateau is y_- exactly of Toda's chain and nearly so
-elsewhere: precompressed Hertz (d0 = 1/2, sound 1), c = 0.1, 0.3, 0.5: 9e-6, 2e-4, 7e-4 above what was simulated.
+If V falls from the strain ahead to y_-, the wave is a fan, V(y(n/t)) = |n|/t for V_- < |n|/t < V_+.
+If V rises, the wave is a dispersive shock (`shock_edges`). Its plateau is exactly y_- for the Toda
+chain and nearly so for other laws: for precompressed Hertz (d0 = 1/2, sound 1) and c = 0.1, 0.3,
+0.5, y_- is 9e-6, 2e-4, 7e-4 above the simulated plateau.
 
     import matplotlib.pyplot as plt
     import numpy as np
@@ -36,14 +38,24 @@ HALVINGS = 60
 
 
 def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0) -> Numbers:
-    """Strain behind the waves of v_n = -2c sign(n), int_ahead^mean (F'/m)^{1/2} dy = 2c, to 1e-12 or so.
+    """Return the strain behind the waves of v_n = -2c sign(n), with an error of about 1e-12.
 
-    **Arguments:** `law`, `mass`: any law, or a uniform chain `Lattice`, which has both; `c` [m/s]: above zero
-    compresses, below zero stretches; `ahead`: strain before [m]. **Returns:** a strain [m], differentiable in all but
-    the kind of law (`jax.grad`, `jax.jvp`; `jax.jit` and `jax.vmap` are refused). **Raises** ValueError for c = 0, a
-    law without stiffness ahead, or one that ends before: contacts open, magnets meet.
-    Typical: Toda 2 ln(1 + c); Hertz without precompression, A = m = 1, c = 1/2: 1.01646, 1.2 % above the mean that was
-    simulated: the wave is no simple one there.
+    It solves int_ahead^mean (F'/m)^{1/2} dy = 2c.
+
+    **Arguments:**
+
+    - `law`, `mass`: any law and its mass, or a uniform chain `Lattice`, which has both.
+    - `c` [m/s]: positive compresses, negative stretches.
+    - `ahead`: strain before the step [m].
+
+    **Returns:** a strain [m], differentiable in all numbers (`jax.grad`, `jax.jvp`; not under
+    `jax.jit` or `jax.vmap`).
+
+    **Raises** ValueError for c = 0, a negative or infinite stiffness ahead, open contacts ahead,
+    and a law that ends before the state: contacts open, magnets meet.
+
+    Typical: Hertz without precompression, A = m = 1, c = 1/2: 1.01646, 1.2 % above the simulated
+    mean: the wave is not simple there.
 
     **Example:**
 
@@ -69,12 +81,18 @@ def fan(
     *,
     ahead: Scalar = 0.0,
 ) -> Numbers:
-    """Strain at the places n = speed t of the two rarefactions that v_n = -2c sign(n) makes.
+    """Return the strain at n = speed t in the two rarefactions of v_n = -2c sign(n).
 
-    `ahead` for |speed| > V_+, V(y) = |speed| in the fan, `mean` for |speed| < V_-. **Arguments:** as `mean`; `speed`:
-    n/t [sites/s], any shape. **Returns:** strains of that shape [m], differentiable as `mean` is; at the two edges,
-    where it has a kink, from the side of the fan. **Raises** ValueError as `mean`, where c makes a shock, and where the
-    law has an inflection between the states. Long waves alone: at the edges a lattice rings over t^{1/3} sites.
+    The strain is `ahead` for |speed| > V_+, solves V(y) = |speed| in the fan, and is `mean` for
+    |speed| < V_-. This holds for long waves: at the edges a lattice rings over t^{1/3} sites.
+
+    **Arguments:** as `mean`; `speed`: n/t [sites/s], any shape.
+
+    **Returns:** strains of that shape [m], differentiable as `mean` is. At the two kinks the
+    derivative is that of the fan.
+
+    **Raises** ValueError as `mean`, where c makes a shock, and where the law has an inflection
+    between the states.
 
     **Example:**
 
@@ -109,8 +127,8 @@ def fan(
     )
 
 
+# the position of each speed along the path of strain, from 0 ahead to 1 behind, by bisection
 def _solved(medium, path, speeds):
-    """Share of the way from the strain ahead to the one behind, at which sound is so fast, by halving."""
     low, high = np.zeros(len(speeds)), np.ones(len(speeds))
     for _ in range(HALVINGS):
         middle = (low + high) / 2
@@ -125,7 +143,7 @@ def _solved(medium, path, speeds):
 @compiled
 def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weights):
     width = _width_of(law, mass, c, ahead, width, nodes, weights)
-    # by Newton's method, for the digits of a weak fan and for derivatives
+    # Newton's method restores the digits of a weak fan and gives the derivatives
     for _ in range(2):
         stiff, bend = jax.jvp(law.derivative, (ahead + further,), (jnp.ones_like(further),))
         usable = inside & (bend != 0)

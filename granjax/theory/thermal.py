@@ -1,7 +1,8 @@
-r"""Thermal equilibrium of one bond, by quadrature: averages, fluctuations, the speed of sound.
+r"""Thermal equilibrium of one bond by quadrature: averages, fluctuations, the speed of sound.
 
-In a chain with a free end the bonds are independent. At temperature T (k_B T [J]) and pressure P, the mean total
-contact force, each compression e has the density exp(-(V(e) - P e)/(k_B T)), where V' is the total contact force.
+In a chain with a free end the bonds are independent. At temperature T (k_B T [J]) and pressure P,
+the mean total contact force, the compression e of each has the density exp(-(V(e) - P e)/(k_B T)),
+where V' is the total contact force.
 """
 
 from typing import Any
@@ -17,63 +18,69 @@ from ..types import Count, Number, Numbers, Parameter
 
 __all__ = ["BondState", "bond_state"]
 
-# where the density is looked for, whatever the unit of length: powers of two on both sides of rest
+# compressions at which the density is first looked for: powers of two, for any unit of length
 LADDER = 2.0 ** np.arange(-140, 70)
-# of the logarithm of the density below its maximum: exp(-45) is 3e-20
+# the density is neglected where its logarithm is this far below the maximum: exp(-45) is 3e-20
 DEPTH = 45.0
-# the number of places that each zoom looks at, between those where the density ends
+# zooms onto the interval of the density, and the number of compressions that each evaluates
 ZOOMS = 8
 PLACES = 64
-# of a quadrature, and of a table from which compressions are drawn
+# nodes of a quadrature, and of a table from which compressions are drawn
 NODES = 1025
 TABLE = 257
-# nodes are spread over length, over the logarithm of the density, and over the density itself
+# passes that spread the nodes over length, the logarithm of the density and the density itself
 SPREADINGS = 4
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(5)
-# what both rules may miss alike in the cell where a contact opens, over their difference: 13 in 60 scenes at worst
+# Error estimate over the difference of the two rules. In the cell where a contact opens both rules
+# have a similar error: in 60 scenes it was at most 13 times their difference.
 COVER = 30.0
 FEWER, FEWER_WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 class BondState(Result):
-    """What `bond_state` returns: averages over the canonical distribution of a bond; shapes of the law's parameters."""
+    """Averages over the canonical distribution of a bond, of the shape of the law's parameters."""
 
-    temperature: Numbers = array("k_B T.", "J")
+    temperature: Numbers = array("The temperature k_B T.", "J")
     pressure: Numbers = array("The mean total contact force.", "N")
-    strain: Numbers = array("Mean compression, from the law's equilibrium.", "m")
+    strain: Numbers = array("Mean compression from the law's equilibrium.", "m")
     energy: Numbers = array(
-        "Mean energy of the bond from equilibrium, without the preload's work.", "J"
+        "Mean energy of the bond above equilibrium, without the work of the preload.", "J"
     )
     strain_variance: Numbers = array("Variance of the compression.", "m^2")
     energy_variance: Numbers = array("Variance of the energy V - P e.", "J^2")
     covariance: Numbers = array("Covariance of compression and energy V - P e.", "J m")
     sound_speed: Numbers = array(
-        "Adiabatic speed of sound of a chain of such bonds and of equal masses, in sites.", "1/s"
+        "Adiabatic speed of sound of a chain of such bonds and equal masses, in sites.", "1/s"
     )
     error: Numbers = array(
-        "The largest relative error of the quadratures; of the mean compression over its deviation."
+        "The largest relative error of the quadratures; that of the mean compression is relative "
+        "to its standard deviation."
     )
 
     @property
     def outcome(self) -> str:
-        """Temperature and pressure, in a sentence."""
+        """The distribution, in a sentence."""
         return "The canonical distribution of one bond."
 
 
 def bond_state(
     law: Any, temperature: Parameter, pressure: Parameter | None = None, *, mass: Parameter = 1.0
 ) -> BondState:
-    r"""Find the averages of a bond at a temperature and a pressure.
+    r"""Compute the averages of a bond at a temperature and a pressure.
 
     With U = V(e) - P e and beta = 1/(k_B T) the adiabatic speed of sound, in sites per time, is
 
     $$c^2 = \frac{1/(2\beta^2) + \langle U;U\rangle}{m\,\Gamma},\quad
     \Gamma = \beta(\langle e;e\rangle\langle U;U\rangle - \langle e;U\rangle^2) + \langle e;e\rangle/(2\beta).$$
 
-    **Arguments:** `law`; `temperature`: k_B T > 0 [J]; `pressure`: P [N], by default the law's preload, with which a
-    chain between free ends is in equilibrium; `mass` [kg]. Numbers, or arrays that broadcast with the law's parameters.
-    **Raises** ValueError for a temperature or mass that is not positive, and where there is no canonical distribution:
-    the law's energy less P e has no lower bound (FPUT-alpha), or does not rise (an unloaded contact at P = 0).
+    **Arguments:** `law`; `temperature`: k_B T > 0 [J]; `pressure`: P [N], by default the law's
+    preload, which balances a chain with free ends; `mass` [kg]. They broadcast with the law's
+    parameters.
+
+    **Raises** ValueError for a temperature or mass that is not positive, and where no canonical
+    distribution exists: V(e) - P e has no lower bound (FPUT-alpha) or does not rise (an unloaded
+    contact at P = 0).
+
     Source: H. Spohn, J. Stat. Phys. 154, 1191 (2014).
 
     **Example:**
@@ -93,7 +100,7 @@ def bond_state(
 
 
 def checked_nodes(law: Any, T: Numbers, P: Numbers, count: Count = NODES) -> Numbers:
-    """Nodes of a mesh on which the density is resolved, (count, ...); refuse where there is no distribution."""
+    """Return mesh nodes (count, ...) that resolve the density; refuse laws without a density."""
     nodes, confined = jax.lax.stop_gradient(_nodes(law, T, P, count))
     if not isinstance(confined, jax.core.Tracer) and not np.all(confined):
         refuse(
@@ -106,7 +113,7 @@ def checked_nodes(law: Any, T: Numbers, P: Numbers, count: Count = NODES) -> Num
 
 
 def potential(law: Any, T: Number, P: Number, e: Numbers) -> Numbers:
-    """(V - P e)/(k_B T), infinite where the law has no force."""
+    """Return (V - P e)/(k_B T), infinite where the law is not defined."""
     g = (law.energy(e) - (P - law.preload) * e) / T
     room = law.room(e)
     return jnp.where(jnp.isnan(g) | (False if room is None else room <= 0), jnp.inf, g)
@@ -147,13 +154,15 @@ def _nodes(law, T, P, count):
 
 
 def _columns(function, x, xs, ys):
-    """`function(x, xs, ys)` of each column."""
     flat = jax.vmap(function, (None, 1, 1), 1)(x, *(a.reshape(len(a), -1) for a in (xs, ys)))
     return flat.reshape((len(x),) + ys.shape[1:])
 
 
 def masses(law: Any, T: Numbers, P: Numbers, nodes: Numbers, weighted: Any = None) -> tuple:
-    """(The weight of each cell of the mesh, less its integral by fewer points), each for quantities of (e, g)."""
+    """Integrate the density, times `weighted(e)`, over each cell of the mesh.
+
+    **Returns:** the integrals, and their differences from a rule with fewer points.
+    """
     low, width = nodes[:-1], jnp.diff(nodes, axis=0)
     floor = jnp.min(potential(law, T, P, nodes), 0)
 
@@ -187,7 +196,6 @@ def _moments(law, T, P, nodes):
 
 
 def _averages(law, T, P, nodes, quantity):
-    """A mean over the distribution, and its error."""
     weight, missed = masses(law, T, P, nodes)
     value, wrong = masses(law, T, P, nodes, quantity)
     total = jnp.sum(weight, 0)

@@ -1,20 +1,22 @@
 r"""The Toda chain in closed form: m u_n'' = a exp(b (u_{n-1} - u_n)) - a exp(b (u_n - u_{n+1})).
 
-With a = `strength`, b = `rate`, m = `mass`; force a (exp(b y) - 1) of the strain y_n = u_n - u_{n+1}, as `laws.Toda`.
-Time is counted in (m/(a b))^{1/2}, strain and displacement in 1/b, energy in a/b; sound runs at (a b/m)^{1/2} sites a
-unit time. Any law F = K2 y + K3 y^2 + ... is near a Toda chain, with the constants that `matched` gives. Both a and b
-may be negative: then the waves are of rarefaction, as in a law with K3 < 0.
+Here a = `strength`, b = `rate`, m = `mass`. The force of the strain y_n = u_n - u_{n+1} is
+a (exp(b y) - 1), as in `laws.Toda`. The units of scaled quantities are (m/(a b))^{1/2} of time, 1/b
+of strain and displacement, a/b of energy; the speed of sound is (a b/m)^{1/2} [sites/s]. Any law
+F = K2 y + K3 y^2 + ... is close to the Toda chain with the constants of `matched`. a and b may both
+be negative: then the waves are of rarefaction, as in a law with K3 < 0.
 
-One soliton: exp(b y_n) - 1 = sinh^2 k sech^2(k (n - n0) -+ (a b/m)^{1/2} t sinh k); it moves sinh k/k times as fast as
-sound, and its wave number k [1/site] sets all else. Several of them, and periodic waves, as R. Hirota and H. Flaschka
-found them: every function below is exact, in arrays that broadcast, differentiable in both modes in all its numbers.
+One soliton is exp(b y_n) - 1 = sinh^2 k sech^2(k (n - n0) -+ (a b/m)^{1/2} t sinh k). Its speed is
+sinh k/k times that of sound, and its wave number k [1/site] sets all its other properties. All
+functions are exact, broadcast, and are differentiable in both modes in all numbers.
 
     import numpy as np
     n, t = np.arange(120), np.linspace(40, 160, 121)
     wave = gx.theory.toda.two_solitons(n, t[:, None], k1=1.0, k2=0.5, centre1=-57.0, centre2=-44.0)
     gx.plots.space_time(wave.strain, ts=t, label="strain", site_label="contact")
 
-The dispersive shock that two halves leave which meet with the velocities 2c and -2c, for 0 < c (b m/a)^{1/2} < 1:
+The dispersive shock of two halves that meet with velocities 2c and -2c, for
+0 < c (b m/a)^{1/2} < 1:
 
     import matplotlib.pyplot as plt
     import numpy as np
@@ -23,8 +25,9 @@ The dispersive shock that two halves leave which meet with the velocities 2c and
     shock = gx.theory.toda.shock_wave(n, t, 0.3)
     plt.plot(n, shock.strain)
 
-Source: M. Toda, Theory of Nonlinear Lattices (Springer, 1989); R. Hirota, J. Phys. Soc. Jpn. 35, 286 (1973);
-H. Flaschka, Phys. Rev. B 9, 1924 (1974); G. Biondini, C. Chong, P. Kevrekidis, Physica D 469, 134315 (2024).
+Source: M. Toda, Theory of Nonlinear Lattices (Springer, 1989); R. Hirota, J. Phys. Soc. Jpn. 35,
+286 (1973); H. Flaschka, Phys. Rev. B 9, 1924 (1974); G. Biondini, C. Chong, P. Kevrekidis, Physica
+D 469, 134315 (2024).
 """
 
 from functools import partial
@@ -75,7 +78,7 @@ __all__ = [
     "wavenumber",
 ]
 
-# of the inversion of a monotonic function from a guess that is never far
+# Newton steps that invert a monotonic function from a guess that is always close
 NEWTON = 9
 
 
@@ -95,10 +98,10 @@ class TodaConstants(NamedTuple):
 
 
 def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
-    """The Toda chain of the same K2 and K3: b = 2 K3/K2, a = K2^2/(2 K3).
+    """Return the Toda chain of the same K2 and K3: b = 2 K3/K2, a = K2^2/(2 K3).
 
-    **Arguments:** of any law, `granjax.laws.taylor(law)`. **Raises** ValueError for K2 <= 0 and for K3 = 0, which no
-    Toda chain has. Typical: Hertz with d0 = A = 1, K2 = 3/2, K3 = 3/8: a = 3, b = 1/2.
+    **Arguments:** for any law, the values of `granjax.laws.taylor(law)`. **Raises** ValueError for
+    K2 <= 0 and for K3 = 0, which no Toda chain has.
 
     **Example:**
 
@@ -116,7 +119,9 @@ def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
 def speed(
     k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
 ) -> Numbers:
-    """Speed of a soliton, sinh k/k times that of sound (a b/m)^{1/2} [sites/s]. **Arguments:** `k` > 0 [1/site].
+    """Return the speed of a soliton [sites/s], sinh k/k times that of sound, (a b/m)^{1/2}.
+
+    **Arguments:** `k` > 0 [1/site].
 
     **Example:**
 
@@ -128,7 +133,9 @@ def speed(
 
 
 def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
-    """Largest strain of a soliton, 2 ln(cosh k)/b. **Arguments:** `k` > 0 [1/site]; `rate`: b, not zero.
+    """Return the largest strain of a soliton, 2 ln(cosh k)/b.
+
+    **Arguments:** `k` > 0 [1/site]; `rate`: b, not zero.
 
     **Example:**
 
@@ -141,7 +148,9 @@ def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
 
 
 def energy(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0) -> Numbers:
-    """Energy of a soliton, (sinh 2k - 2k) a/b. **Arguments:** `k` > 0 [1/site].
+    """Return the energy of a soliton, (sinh 2k - 2k) a/b.
+
+    **Arguments:** `k` > 0 [1/site].
 
     **Example:**
 
@@ -161,10 +170,12 @@ def wavenumber(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> Numbers:
-    """Wave number k of the soliton of a given speed, amplitude or energy: the inverse of those functions.
+    """Return the wave number k of the soliton of a given speed, amplitude or energy.
 
-    **Arguments:** one of `speed` [sites/s], `amplitude` [m], of the sign of b, `energy` [J].
-    **Raises** ValueError for none or several, a speed not above that of sound, an amplitude of the wrong sign.
+    **Arguments:** one of `speed` [sites/s], `amplitude` [m], of the sign of b, or `energy` [J].
+
+    **Raises** ValueError for none or several of them, a speed not above that of sound, an amplitude
+    of the wrong sign.
 
     **Example:**
 
@@ -216,17 +227,21 @@ def soliton(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> ChainWave:
-    """One soliton, exp(b y) - 1 = sinh^2 k sech^2(k (n - centre) -+ (a b/m)^{1/2} t sinh k).
+    """Return one soliton.
+
+        exp(b y) - 1 = sinh^2 k sech^2(k (n - centre) -+ (a b/m)^{1/2} t sinh k)
 
     **Arguments:**
 
-    - `n`, `t`: sites and times, arrays that broadcast, `n[:, None]` and `t` for all of both.
+    - `n`, `t`: sites and times, arrays that broadcast; `n[:, None]` and `t` for all pairs.
     - `k` > 0: wave number [1/site]; see `wavenumber`.
-    - `centre`: bond of the crest at t = 0, where bond n lies between the sites n and n + 1; need not be whole.
+    - `centre`: bond of the crest at t = 0, any real number; bond n lies between sites n and n + 1.
     - `direction`: "right" or "left".
 
-    **Returns:** `ChainWave` of strain, velocity and displacement, which is zero far to the right, and 2k/b far to the
-    left: the sum of all strains. **Raises** ValueError for k <= 0, and constants that no Toda chain has.
+    **Returns:** `ChainWave`. The displacement is zero far to the right and 2k/b, the sum of all
+    strains, far to the left.
+
+    **Raises** ValueError for k <= 0 and for constants that no Toda chain has.
 
     **Example:**
 
@@ -254,12 +269,14 @@ def two_solitons(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> ChainWave:
-    """Two solitons that pass through each other.
+    """Return two solitons that pass through each other.
 
-    The first runs to the right, the second as well, or to the left where `head_on`. **Arguments:** as `soliton`;
-    `centre1`, `centre2`: where the crests would be at t = 0 had they never met: before they meet they are at
-    centre + speed t, afterwards by `phase_shifts` further. **Raises** ValueError as `soliton`, and where k1 = k2 of two
-    that run the same way, which never meet.
+    The first moves to the right. The second does too, or to the left for `head_on`.
+
+    **Arguments:** as `soliton`. `centre1`, `centre2`: the crests are at centre + speed t before
+    they meet, and further by `phase_shifts` afterwards.
+
+    **Raises** ValueError as `soliton`, and for k1 = k2 in the same direction: they never meet.
 
     **Example:**
 
@@ -272,7 +289,7 @@ def two_solitons(
         n=n, t=t, k1=k1, k2=k2, centre1=centre1, centre2=centre2
     )
     meeting = _log_meeting(k1, k2, head_on)
-    # before they meet, the one behind feels the other as passed
+    # In the sum f the soliton behind carries its shift before they meet: its start makes up for it.
     behind = (True, False) if head_on else (k1 > k2, k1 < k2)
     starts = tuple(
         c - jnp.where(first, meeting / (2 * k), 0.0)
@@ -287,14 +304,17 @@ def two_solitons(
 
 
 def phase_shifts(k1: Parameter, k2: Parameter, *, head_on: bool = False) -> tuple[Numbers, Numbers]:
-    r"""By how many sites two solitons are further along n after they have met than they would be alone.
+    r"""Return the displacements along n [sites] that two solitons gain when they meet.
 
-    One that overtakes the other: (1/k_i) ln[sinh((k1 + k2)/2)/sinh(|k1 - k2|/2)], forward for the faster, backward
-    for the slower. `head_on`, the first to the right and the second to the left: (1/k_i) ln[cosh((k1 + k2)/2)/
-    cosh((k1 - k2)/2)], both forward along their own ways, so that the second's is negative.
+    Overtaking: (1/k_i) ln[sinh((k1 + k2)/2)/sinh(|k1 - k2|/2)], forward for the faster soliton and
+    backward for the slower one. `head_on` (the first to the right, the second to the left):
+    (1/k_i) ln[cosh((k1 + k2)/2)/cosh((k1 - k2)/2)], each forward along its own direction, so the
+    second is negative.
 
-    **Returns:** the two shifts. **Raises** ValueError for k <= 0 and for k1 = k2 of two that run the same way.
-    Typical: k = 1 and 0.5 +1.18027, -2.36054; head-on +0.22734, -0.45467.
+    **Returns:** the two shifts. **Raises** ValueError for k <= 0, and for k1 = k2 in the same
+    direction.
+
+    Typical: k = 1 and 0.5, head-on: +0.22734, -0.45467.
 
     **Example:**
 
@@ -331,23 +351,24 @@ def _pair(k1, k2, head_on):
     return k1, k2
 
 
+# ln of [sinh((k1 - k2)/2)/sinh((k1 + k2)/2)]^2, with cosh in place of sinh for a head-on pair
 def _log_meeting(k1, k2, head_on):
-    """ln of the factor of a pair: [sinh((k1 - k2)/2)/sinh((k1 + k2)/2)]^2, with cosh for two that run head-on."""
     less, more, sign = jnp.exp(-jnp.abs(k1 - k2)), jnp.exp(-(k1 + k2)), 1 if head_on else -1
-    # the larger of k1, k2 enters both: its exponential is left out
+    # the exponential of the larger of k1 and k2 is in both factors and cancels
     return 2 * (jnp.log1p(sign * less) - jnp.log1p(sign * more)) - 2 * jnp.minimum(k1, k2)
 
 
+# u = ln f_{n-1} - ln f_n, where f = sum over sets S of solitons of A_S exp(-2 sum_S theta_i); all
+# terms are positive
 @partial(jax.jit, static_argnums=(3,))
 def _solitons(n, t, ks, signs, centres, meetings, a, b, m):
-    r"""u = ln f_{n-1} - ln f_n, f = sum over sets S of solitons of A_S exp(-2 sum_S theta_i); all terms positive."""
     rate = jnp.sqrt(a * b / m)
     phases = [2 * (s * rate * t * jnp.sinh(k) - k * (n - c)) for k, s, c in zip(ks, signs, centres)]
     sets = [(), *[(i,) for i in range(len(ks))], *([tuple(range(len(ks)))] if len(ks) > 1 else [])]
     log = lambda S: sum((phases[i] for i in S), sum(meetings) if len(S) > 1 else 0.0)
     total = lambda S, x: sum((x[i] for i in S), 0.0)
     logs = jnp.stack(jnp.broadcast_arrays(*map(log, sets)))
-    # weights of the sets at site n; one site earlier each weighs exp(2 k_S) as much
+    # weights of the sets at site n; at site n - 1 each is exp(2 k_S) times larger
     p = jax.nn.softmax(logs, 0)
     k, omega = (
         [total(S, ks) for S in sets],

@@ -1,4 +1,4 @@
-"""Periodic waves of the Toda chain, and the eigenvalues of its Lax matrix; `toda` is their face."""
+"""Periodic waves of the Toda chain, and the eigenvalues of its Lax matrix; public in `toda`."""
 
 from functools import partial
 from typing import NamedTuple
@@ -16,11 +16,12 @@ from .elliptic_integrals import _K, _RF
 
 
 class PeriodicNumbers(NamedTuple):
-    """What the four numbers of a periodic wave say of it.
+    """The properties of the periodic wave of four numbers E1, E2, E3, E4.
 
-    - `wavelength` [sites], `period` [s], both infinite of a soliton; `speed` of its crests [sites/s].
-    - `m1`: 1 less the parameter of its elliptic functions: 0 of a soliton, 1 of a wave without amplitude.
-    - `mean_strain` [m], `mean_velocity` [m/s]; `crest`, `trough`: largest and smallest strain (for b > 0).
+    - `wavelength` [sites], `period` [s]: infinite for a soliton. `speed`: of the crests [sites/s].
+    - `m1`: 1 - m of the elliptic functions: 0 for a soliton, 1 for a wave of zero amplitude.
+    - `mean_strain` [m], `mean_velocity` [m/s].
+    - `crest`, `trough` [m]: the largest and smallest strain (for b > 0).
 
     **Example:**
 
@@ -53,21 +54,34 @@ def periodic_wave(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> ChainWave:
-    r"""The four-parameter family of periodic travelling waves, in scaled numbers (a = b = m = 1).
+    r"""Return the four-parameter periodic travelling wave of the Toda chain.
 
-        exp y_n = (E4 - E3 + E2 - E1)^2/4 + (E3 - E2)(E4 - E1) cn^2(z_n, m),   z_n = 2 F (n - centre) - omega t,
-        v_n = E1 + E2 + E3 + E4 - 2 mu_n,   mu_n = (E2 - E1 B sn^2)/(1 - B sn^2) of (z_n - F, m),
+    In scaled quantities (a = b = m = 1)
 
-    m = (E3 - E2)(E4 - E1)/((E4 - E2)(E3 - E1)), omega = ((E4 - E2)(E3 - E1))^{1/2}, B = (E3 - E2)/(E3 - E1), and F the
-    incomplete integral of arcsin ((E4 - E2)/(E4 - E1))^{1/2}. It is equal to the usual formula for y by mu and the root
-    of (mu - E1)(mu - E2)(mu - E3)(mu - E4), and needs no sign.
+        exp y_n = (E4 - E3 + E2 - E1)^2/4 + (E3 - E2)(E4 - E1) cn^2(z_n, m),
+        z_n = 2 F (n - centre) - omega t,
+        v_n = E1 + E2 + E3 + E4 - 2 mu_n,
+        mu_n = (E2 - E1 B sn^2)/(1 - B sn^2) of (z_n - F, m),
 
-    **Arguments:** `n`, `t`, `centre`: as `soliton`; E1 < E2 <= E3 <= E4, E2 < E4: the ends of the bands of the Lax
-    matrix, which of a chain at rest are -1 and 1. E3 = E4 is a soliton on a chain of uniform strain and velocity, E2 =
-    E3 such a chain alone. A number added to all four adds twice of it to the velocity. **Returns:** `ChainWave`; the
-    displacement has -(mean strain) n + (mean velocity) t in it, which `periodic_numbers` gives.
-    **Raises** ValueError for numbers in another order. Source: Biondini, Chong, Kevrekidis (2024), with the sign of
-    omega t of a wave that runs to the right, and mu + b = (E1 + E2 + E3 + E4)/2.
+    with m = (E3 - E2)(E4 - E1)/((E4 - E2)(E3 - E1)), omega = ((E4 - E2)(E3 - E1))^{1/2},
+    B = (E3 - E2)/(E3 - E1), and F the incomplete integral of arcsin ((E4 - E2)/(E4 - E1))^{1/2}.
+    This y equals the usual formula in mu and the root of (mu - E1)(mu - E2)(mu - E3)(mu - E4), but
+    needs no sign.
+
+    **Arguments:**
+
+    - `n`, `t`, `centre`: as `soliton`.
+    - E1 < E2 <= E3 <= E4, E2 < E4: the ends of the bands of the Lax matrix, -1 and 1 for a chain at
+      rest. E3 = E4 is a soliton on a chain of uniform strain and velocity, E2 = E3 the uniform
+      chain alone. A number added to all four adds twice itself to the velocity.
+
+    **Returns:** `ChainWave`. The displacement contains -(mean strain) n + (mean velocity) t, with
+    the means of `periodic_numbers`.
+
+    **Raises** ValueError for numbers in another order.
+
+    Source: Biondini, Chong, Kevrekidis (2024); here the sign of omega t is that of a wave to the
+    right, and mu + b = (E1 + E2 + E3 + E4)/2.
 
     **Example:**
 
@@ -90,9 +104,10 @@ def periodic_numbers(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> PeriodicNumbers:
-    """Wavelength, period, speed and means of `periodic_wave`. **Arguments**, **Raises**: as there.
+    """Return the wavelength, period, speed and means of `periodic_wave`.
 
-    A wavelength between 1 and 2 sites is that of a wave to the left, in which sites see a longer one, 1/(1 - 1/it).
+    **Arguments**, **Raises**: as `periodic_wave`. A wavelength L between 1 and 2 sites is that of a
+    wave to the left, which looks longer when it is sampled at the sites: 1/(1 - 1/L).
 
     **Example:**
 
@@ -116,8 +131,8 @@ def _ends(*Es):
     return tuple(arrays)
 
 
+# m1, omega, F, and the coefficients of exp y = bottom + depth cn^2
 def _shape(E1, E2, E3, E4):
-    """m1, omega, F and the coefficients of exp y and of mu, of the ends of the bands."""
     square = (E4 - E2) * (E3 - E1)
     m1 = (E2 - E1) * (E4 - E3) / square
     s, c, d = (
@@ -186,17 +201,28 @@ def lax_eigenvalues(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> Numbers:
-    r"""Eigenvalues of the Lax matrix of N sites, ascending: v_n/2 on its diagonal, exp(y_n/2)/2 beside it (scaled).
+    r"""Return the eigenvalues of the Lax matrix of N sites, in ascending order.
 
-    A Toda ring keeps all of them, in time and whatever its solitons do; so does a chain whose ends are far from what
-    moves. A chain at rest fills [-1, 1]; each soliton has one beyond, cosh k to the right and -cosh k to the left.
+    In scaled quantities the matrix has v_n/2 on its diagonal and exp(y_n/2)/2 beside it.
 
-    **Arguments:** `strain` [m]: (N - 1,) of the bonds of a `"free"` chain, or (N,) of a `"periodic"` one, whose last
-    bond leads from the last site to the first; `velocity` [m/s]: (N,); lanes after the sites. With a lattice:
-    `measures.strain(lattice, y)`, `y.v`; frames of a run count as lanes, `run.vs.T`. Integrals of the motion are the
-    sums of powers of the eigenvalues, and their histogram is the density of states. **Returns:** (N, *lanes). Forces at
-    free ends, such as that of a static load, are no part of the matrix: it is kept as long as the ends stay at rest.
-    **Raises** ValueError for shapes that do not fit, fewer than two sites (three on a ring).
+    A Toda ring conserves all eigenvalues; so does a chain whose ends are far from any motion. A
+    chain at rest fills [-1, 1]. Each soliton adds one outside: cosh k to the right, -cosh k to the
+    left. Sums of powers of the eigenvalues are integrals of the motion; their histogram is the
+    density of states.
+
+    **Arguments:**
+
+    - `strain` [m]: (N - 1,) for a `"free"` chain; (N,) for a `"periodic"` one, whose last bond
+      joins the last site to the first.
+    - `velocity` [m/s]: (N,). Lanes come after the sites.
+
+    For a lattice: `measures.strain(lattice, y)`, `y.v`; frames of a run count as lanes, `run.vs.T`.
+
+    **Returns:** (N, *lanes). Forces on free ends, such as a static load, are not in the matrix: the
+    eigenvalues are conserved only while the ends rest.
+
+    **Raises** ValueError for shapes that do not fit and for fewer than two sites (three on a ring).
+
     Source: H. Flaschka, Phys. Rev. B 9, 1924 (1974).
 
     **Example:**

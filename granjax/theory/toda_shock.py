@@ -1,6 +1,7 @@
-r"""The dispersive shock of a Toda chain after a velocity shock, by Whitham's modulation equations; see `toda`.
+r"""The dispersive shock of a Toda chain after a velocity step, by Whitham's modulation equations.
 
-All inside in scaled numbers, strength = rate = mass = 1, with m1 = 1 - m, which keeps its digits at the leading edge.
+Public in `toda`. The private functions use scaled quantities (strength = rate = mass = 1) and
+m1 = 1 - m, which is accurate near the leading edge.
 """
 
 from typing import NamedTuple
@@ -29,17 +30,20 @@ from .self_similar import (
     _turn,
 )
 
-# of 1 - m, as the least m of a shock is written
+# relative tolerance of 1 - m where an m is compared with the smallest m of a shock
 ROUNDING = 1e-6
 SCALED = "c rate/(strength rate/mass)^(1/2)"
 
 
 class Modulation(NamedTuple):
-    """The periodic wave of a dispersive shock of the Toda chain where its parameter is m.
+    """The periodic wave in a dispersive shock of the Toda chain, at the place of parameter m.
 
-    - `speed`: n/t of that place [sites/s]. `E1`, `E2`, `E3`, `E4`: its numbers for `periodic_wave` (scaled).
-    - `mean`, `crest`, `trough`: of its strain [m]; `amplitude`: crest less trough. `wavelength` [sites].
-    - `phase` [rad]: that of `shock_wave`, 3 pi/2 at the leading edge; behind it diverges, like ln^2 m.
+    - `speed`: n/t of that place [sites/s].
+    - `E1`, `E2`, `E3`, `E4`: the arguments of `periodic_wave` (scaled).
+    - `mean`, `crest`, `trough`: of the strain [m]; `amplitude`: crest minus trough [m].
+    - `wavelength` [sites].
+    - `phase` [rad]: the phase in `shock_wave`: 3 pi/2 at the leading edge; it diverges like ln^2 m
+      at the trailing edge.
 
     **Example:**
 
@@ -65,18 +69,24 @@ class Modulation(NamedTuple):
 def velocity_shock(
     c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
 ) -> ShockEdges:
-    r"""The dispersive shock that v_n = -2c sign(n) sends to the right through a Toda chain at rest in strain.
+    r"""Return the edges of the dispersive shock to the right that v_n = -2c sign(n) makes.
 
-        s_- = 1 - c,   s_+ = (c (1 + c))^{1/2}/arsinh c^{1/2},   mean 2 ln(1 + c),   amplitude 2 ln(1 + 2c)
+    The Toda chain has no strain before the step. In scaled quantities, for c < 1,
 
-    in scaled numbers, for c < 1. From c = 1 on there is no plateau: behind s_-, the speed of `modulation` at m = 1 -
-    1/c^2, neighbours swing against each other forever between the crest and the trough that it has there; `mean` is
-    theirs.
+        s_- = 1 - c,   s_+ = (c (1 + c))^{1/2}/arsinh c^{1/2},
+        mean 2 ln(1 + c),   amplitude 2 ln(1 + 2c).
 
-    **Arguments:** `c` [m/s]: half the velocity of either side, of the sign of `rate`; scaled c rate/(strength
-    rate/mass)^{1/2}. `strength`, `rate`, `mass`: as everywhere here. **Returns:** `ShockEdges`. **Raises** ValueError
-    for c of the other sign, which pulls the chain apart and has a rarefaction.
-    Typical: c = 0.1 0.9, 1.06581768, 0.19062036, 0.36464311.
+    For c >= 1 there is no plateau: s_- is the speed of `modulation` at m = 1 - 1/c^2, and behind it
+    neighbours oscillate against each other forever, between the crest and the trough at that m;
+    `mean` is their mean strain.
+
+    **Arguments:** `c` [m/s]: half the velocity of either side, of the sign of `rate`; its scaled
+    value is c rate/(strength rate/mass)^{1/2}. `strength`, `rate`, `mass`: as everywhere in `toda`.
+
+    **Returns:** `ShockEdges`.
+
+    **Raises** ValueError for c of the other sign, which pulls the chain apart and makes a
+    rarefaction.
 
     **Example:**
 
@@ -96,16 +106,20 @@ def modulation(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> Modulation:
-    r"""The periodic wave inside the dispersive shock of `velocity_shock`, and the speed n/t at which it stands.
+    r"""Return the periodic wave of parameter m in the shock, and the speed n/t of its place.
 
         E1 = -(1 + c),  E2 = 1 - c,  E3 = (1 + c)(1 - c m1)/(1 + c m1),  E4 = 1 + c,   m1 = 1 - m,
-        s(m) = c (1 + c)/(1 + c m1) [(1 + c m1) E - (1 + c) m1 K]/[(1 + c) K - (1 + c m1) Pi(c m/(1 + c), m)]
+        s(m) = c (1 + c)/(1 + c m1)
+               [(1 + c m1) E - (1 + c) m1 K]/[(1 + c) K - (1 + c m1) Pi(c m/(1 + c), m)]
 
-    From m = 0 at the trailing edge, where it has no amplitude, to m = 1 at the leading edge, a soliton; right to
-    rounding at both. Where c > 1 (scaled) it begins at m = 1 - 1/c^2, with a wave of two sites. **Arguments:** `m` in
-    [0, 1], `c` and all else as `velocity_shock`. **Returns:** `Modulation`. **Raises** ValueError for others.
-    The slope of speed and mean in m is infinite at m = 1.
-    Typical: c = 0.5, m = 0.2, 0.5, 0.8, 0.95: speed 0.607509, 0.803701, 1.063430, 1.237004.
+    m rises from 0 at the trailing edge (no amplitude) to 1 at the leading edge (a soliton); the
+    result is accurate to rounding at both. For c > 1 (scaled) it begins at m = 1 - 1/c^2, with a
+    wave of two sites. The slopes of speed and mean in m are infinite at m = 1.
+
+    **Arguments:** `m` in [0, 1]; all others as `velocity_shock`.
+
+    **Returns:** `Modulation`. **Raises** ValueError for other arguments.
+
     Source: Biondini, Chong, Kevrekidis (2024).
 
     **Example:**
@@ -125,7 +139,7 @@ def modulation(
             show(values[0]),
             "There the shock begins, with a wave of two sites.",
         )
-    # m alone sets m1: what rounding puts below the least m has no slope
+    # an m that rounding put below the smallest m is clipped, and the clip carries no derivative
     m1 = 1 - m
     return Modulation(
         *_modulation(m1 + jax.lax.stop_gradient(jnp.minimum(m1, _last(c)) - m1), c, rate, b)
@@ -140,10 +154,13 @@ def modulus(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> Numbers:
-    """The parameter m of the periodic wave at speed = n/t, the inverse of `modulation(m, c).speed`.
+    """Return the parameter m of the periodic wave at speed = n/t, the inverse of `modulation`.
 
-    **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m between the edges, 0 behind
-    them, or 1 - 1/c^2 where c > 1 (scaled), and 1 ahead; derivatives of any order between.
+    **Arguments:** `speed` [sites/s], any; all others as `velocity_shock`.
+
+    **Returns:** m: behind the trailing edge 0, or 1 - 1/c^2 for c > 1 (scaled); ahead of the
+    leading edge 1; between the edges with derivatives of any order.
+
     **Raises** ValueError as `velocity_shock`.
 
     **Example:**
@@ -165,25 +182,36 @@ def shock_wave(
     rate: Parameter = 1.0,
     mass: Parameter = 1.0,
 ) -> ShockWave:
-    r"""The dispersive shock of `velocity_shock` as a wave: plateau or middle, modulated periodic wave, strain 0 ahead.
+    r"""Return the dispersive shock of `velocity_shock` at places n and times t.
 
-        exp y = (E4 - E3 + E2 - E1)^2/4 + (E3 - E2)(E4 - E1) cn^2(z, m),   z = 2 F n - omega t + phase K(m)/pi
+    It consists of the plateau (or the middle), the modulated periodic wave, and strain 0 ahead:
 
-    of `periodic_wave`, whose numbers are those of `modulation` where the speed is n/t. **Arguments:**
+        exp y = (E4 - E3 + E2 - E1)^2/4 + (E3 - E2)(E4 - E1) cn^2(z, m),
+        z = 2 F n - omega t + phase K(m)/pi
 
-    - `n`, `t` > 0: places and times, arrays that broadcast. n is measured from the place of the shock: where site 0
-      has velocity 0, the bond between n and n + 1 is at n + 1/2. The wave to the left is the mirror image: give |n|.
-    - `phase` [rad], 2 pi a wave: `None`, that of the shock, which is known (`modulation(m, c).phase`); or a number or
-      an array over n that varies slowly, of a wave that came about in another way.
-    - `c` and all else as `velocity_shock`.
+    as in `periodic_wave`, with the numbers of `modulation` at speed n/t.
 
-    **Returns:** `ShockWave`. The phase is pi less the integral of ln chi over the band from E3 to E4, over that of 1
-    over the gap from E2 to E3, both with the weight |(x - E1)(x - E2)(x - E3)(x - E4)|^{-1/2}, where chi(x)^2 =
-    (x^2 - E2^2)(E4^2 - x^2)/(c x)^2 is what the left half does to the right one. Nothing is fitted; the error inside
-    falls like 1/t, at the edges more slowly; where c > 1 (scaled) the wave of two sites is right at once, but around
-    n = 0, where a motion of few sites stands. **Raises** ValueError for t <= 0 and as `velocity_shock`.
-    Typical: c = 1/2, t = 200: wrong by 0.006 in the middle. Source of the form of the phase: J. Michor, Phys. Lett. A
-    380, 1110 (2016); chi is the scattering of these two halves.
+    **Arguments:**
+
+    - `n`, `t` > 0: places and times, arrays that broadcast. n is measured from the place of the
+      shock: where site 0 has velocity 0, the bond between n and n + 1 is at n + 1/2. The wave to
+      the left is the mirror image: pass |n|.
+    - `phase` [rad], 2 pi per wave: `None` for the phase of this shock (`modulation(m, c).phase`);
+      or a number or an array over n that varies slowly, for a wave of another origin.
+    - `c` and all others as `velocity_shock`.
+
+    **Returns:** `ShockWave`. Nothing is fitted. The error falls like 1/t inside, more slowly at the
+    edges. For c > 1 (scaled) the wave of two sites is accurate at once, except in a few sites
+    around n = 0, where a motion remains.
+
+    The phase is pi - int_E3^E4 ln chi w dx/int_E2^E3 w dx, with the weight
+    w = |(x - E1)(x - E2)(x - E3)(x - E4)|^{-1/2} and the scattering of the left half into the right
+    one, chi(x)^2 = (x^2 - E2^2)(E4^2 - x^2)/(c x)^2.
+
+    **Raises** ValueError for t <= 0 and as `velocity_shock`.
+
+    Typical: c = 1/2, t = 200: error 0.006 in the middle. Source of the form of the phase: J.
+    Michor, Phys. Lett. A 380, 1110 (2016).
 
     **Example:**
 
@@ -196,8 +224,8 @@ def shock_wave(
     return ShockWave(*_shock_wave(n, rate * t, phase, c, b))
 
 
+# scaled c, the unit of speed, and 1/(unit of strain)
 def _scaled(c, strength, rate, mass):
-    """c, the unit of speed and that of 1/strain."""
     a, b, m = _toda_constants(strength, rate, mass)
     rate = jnp.sqrt(a * b / m)
     c = parameter("c", c) * b / rate
@@ -212,8 +240,8 @@ def _scaled(c, strength, rate, mass):
     return c, rate, b
 
 
+# omega, F, exp y - 1 at the trough, and the rise of exp y from trough to crest
 def _numbers_of(m1, c):
-    """omega and F of the periodic wave, and exp y - 1 of its trough, and how much more its crest has."""
     share = 1 + c * m1
     omega = 2 * jnp.sqrt(c * (1 + c) / share)
     F = jnp.sqrt(c / (1 + c)) * _RF(1 / jnp.sqrt(1 + c), jnp.sqrt(share / (1 + c)), 1.0)
@@ -221,8 +249,8 @@ def _numbers_of(m1, c):
     return omega, F, root * (2 + root), 4 * c * (1 + c) * (1 - m1) / share
 
 
+# mean, crest and trough; the integral for the mean does not cancel at small c
 def _strains(m1, low, depth):
-    """Mean, crest and trough; the mean as an integral, of which no digits cancel where c is small."""
     inside = jnp.where(m1 != 0, m1, 1.0)
     mean = _integral(
         lambda S: jnp.log1p(low + depth / (1 + S)) / jnp.sqrt(1 + inside * S), m1.dtype
