@@ -84,7 +84,8 @@ def check_each(count: int, what: str, **parameters: Parameter | None) -> None:
 
 def fitting(law: Any, count: int, what: str) -> Any:
     """Return the law after checking its parameters with `check_each`."""
-    for part in law.parts:
+    # A law with memory has no parts.
+    for part in getattr(law, "parts", (law,)):
         kind = type(part)
         # A user-defined law may have arrays of other shapes.
         if kind.__module__.startswith("granjax."):
