@@ -96,7 +96,7 @@ def to_the_right(order: Parameter, sites: Count) -> Numbers:
 
 
 def _beyond(s, z, spacing):
-    """sum_{j >= 0} K(z + j N) for large z, by K = C z^{-1-2s} exp(a/z^2 + b/z^4 + ...)."""
+    # sum_{j >= 0} K(z + j N) for large z, by K = C z^{-1-2s} exp(a/z^2 + b/z^4 + ...).
     a = s * (s + 1) * (2 * s + 1) / 6
     b = (s**5 + 2.5 * s**4 + 5 / 3 * s**3 - s / 6) / 10
     parts = ((1.0, 1 + 2 * s), (a, 3 + 2 * s), (b + a * a / 2, 5 + 2 * s))

@@ -299,7 +299,7 @@ def _flat(tree):
 
 
 def _differentiated(ts, vs, noise):
-    """Return accelerations at inner times, the rms of their error, and the slice of these times."""
+    # Return accelerations at inner times, the rms of their error, and the slice of these times.
     from scipy.interpolate import UnivariateSpline
 
     if len(ts) < 12:
@@ -332,7 +332,7 @@ def _in_time(residual, accelerations):
 
 
 def _alike(residual, A):
-    """Return pairs of residuals with nearly equal candidate columns, each pair once."""
+    # Return pairs of residuals with nearly equal candidate columns, each pair once.
     from scipy.spatial import cKDTree
 
     some = np.unique(np.linspace(0, len(A) - 1, min(len(A), MOST)).astype(int))

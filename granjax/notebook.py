@@ -204,7 +204,7 @@ class Explorer:
         return bundle | {"text/plain": repr(self), "image/png": picture}
 
     def _built(self, values):
-        """Lattice, state, and whether the scene gave the state; arrays avoid recompilation."""
+        # Lattice, state, and whether the scene gave the state; arrays avoid recompilation.
         values = {k: jnp.asarray(x) if isinstance(x, float) else x for k, x in values.items()}
         values = self._fixed | values
         known = inspect.signature(self._scene).parameters

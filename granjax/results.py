@@ -218,7 +218,7 @@ class Result(eqx.Module):
         return self._described.get(name, Held())
 
     def _fields(self) -> Iterator[tuple[str, Any, Held]]:
-        """Yield the name, value and metadata of each shown field but `outcome`."""
+        # Yield the name, value and metadata of each shown field but `outcome`.
         taken, dicts = {"outcome"}, []
         for name in (*(field.name for field in dataclasses.fields(self)), *self.exported):
             held = self._held(name)
@@ -373,13 +373,13 @@ def _in_brackets(held):
 
 
 def _by_numpy(result):
-    """Replace JAX arrays by NumPy arrays, except traced ones."""
+    # Replace JAX arrays by NumPy arrays, except traced ones.
     known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
     return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, result)
 
 
 def _said(counted, x, unit):
-    """Return the numbers, and attributes that state their unit; none if it is unknown."""
+    # Return the numbers, and attributes that state their unit; none if it is unknown.
     known = known_unit(unit)
     if known is None or not any(known.dimension) or counted == SI:
         return x, {"units": unit} if unit else {}
@@ -387,7 +387,7 @@ def _said(counted, x, unit):
 
 
 def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:
-    """Return arrays of the numbers and words in a tuple of records; `None` for other types."""
+    # Return arrays of the numbers and words in a tuple of records; `None` for other types.
     kind = next(iter(get_args(hint)), None) if get_origin(hint) is tuple else None
     if not (isinstance(kind, type) and isinstance(value, tuple)):
         return None
@@ -558,7 +558,7 @@ class _Table:
                 self._put(name, x, self._axes(name, x.shape, held), held)
 
     def _alike(self, cell):
-        """Return whether a cell fits one axis: equal shapes, and the names of earlier cells."""
+        # Return whether a cell fits one axis: equal shapes, and the names of earlier cells.
         return len({np.shape(x) for x in cell.values()}) == 1 and self.cell in ([], [*cell])
 
     def _axes(self, name, shape, held):
@@ -567,7 +567,7 @@ class _Table:
         return axes
 
     def _put(self, name, x, axes, held):
-        """Add an array as a variable, or as an attribute if it has neither axes nor lanes."""
+        # Add an array as a variable, or as an attribute if it has neither axes nor lanes.
         parts = {name: x}
         if x.dtype.kind == "c":
             parts = {f"{name}_real": x.real, f"{name}_imag": x.imag}

@@ -158,7 +158,7 @@ class _Mesh(NamedTuple):
 # |E_nm|^2/(distance of n and m), or by |E_nm| where that is less. A gap that closes, at whatever k,
 # is halved until it is below CLOSED.
 def _cut(waves, count, numbers):
-    """Return a mesh of at least `count` lines per axis on which bands are apart from all others."""
+    # Return a mesh of at least `count` lines per axis on which bands are apart from all others.
     axes, unit = waves.axes, 2 * np.pi / count
     plain, others = np.arange(count), np.setdiff1d(np.arange(waves.size), numbers)
     gap, nearest, lost, cuts, largest = np.inf, np.full(axes, np.nan), False, [], None

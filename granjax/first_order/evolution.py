@@ -184,7 +184,7 @@ def _step(equation, psi, solver, known, longest):
 
 @compiled
 def _rate(equation, psi):
-    """Return the fastest rate of the linearisation at psi in all lanes, by power iteration."""
+    # Return the fastest rate of the linearisation at psi in all lanes, by power iteration.
     along = jnp.exp(1j * _angles(psi))
 
     def improve(_, carry):
@@ -197,14 +197,14 @@ def _rate(equation, psi):
 
 
 def _angles(psi):
-    """Return angles from the golden angle, to which no mode is orthogonal."""
+    # Return angles from the golden angle, to which no mode is orthogonal.
     n = jnp.arange(psi.size, dtype=jnp.real(psi).dtype).reshape(psi.shape)
     return 2.399963 * n**2
 
 
 @compiled
 def _turned(psi, steps):
-    """Return the start with phases moved by the rounding of that many steps, which has one sign."""
+    # Return the start with phases moved by the rounding of that many steps, which has one sign.
     return psi * jnp.exp(1j * steps * ROUNDED * jnp.finfo(psi.dtype).eps * jnp.cos(_angles(psi)))
 
 
@@ -229,7 +229,7 @@ def _marched(solver, equation, psi, ends, counts):
 
 
 def _apart(before, now):
-    """Return the largest distance of two runs over the root of the norm; huge if not finite."""
+    # Return the largest distance of two runs over the root of the norm; huge if not finite.
     before, now = np.asarray(before), np.asarray(now)
     norm = np.sum(np.abs(now[0]) ** 2, axis=0)
     found = np.max(

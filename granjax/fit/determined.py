@@ -171,7 +171,7 @@ def along(found: Sequence[Direction], gradient: Float[AnyArray, " P"]) -> float:
 
 
 def _simplest(directions):
-    """Return a sparse basis of the same space, by elimination with the largest pivot first."""
+    # Return a sparse basis of the same space, by elimination with the largest pivot first.
     rows = np.array(directions)
     for k in range(len(rows)):
         i, j = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)

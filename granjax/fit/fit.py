@@ -141,7 +141,7 @@ def fit(
 
 
 def _looked_at(problem, x):
-    """Return the problem with scales for zero parameters, and a failure code or `None`."""
+    # Return the problem with scales for zero parameters, and a failure code or `None`.
     coordinates = problem.coordinates
     value, jacobian = evaluated(problem, x)
     jacobian = jacobian[:, : coordinates.size]

@@ -121,7 +121,7 @@ def judged(
 
 
 def _own(jacobian, count):
-    """Project the free states of windows out of the columns of the parameters."""
+    # Project the free states of windows out of the columns of the parameters.
     own, others = jacobian[:, :count], jacobian[:, count:]
     if others.shape[1] == 0 or not np.isfinite(jacobian).all():
         return own
@@ -146,7 +146,7 @@ def _way_back(problem, parameters):
 
 
 def _silent(problem, parameters):
-    """Return (index of the term, contacts that never close)."""
+    # Return (index of the term, contacts that never close).
     lattice = problem.lattice(parameters)
     times = jnp.linspace(problem.t0, problem.t1, 129)
     run = problem.run(parameters, times)

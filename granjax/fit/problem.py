@@ -179,7 +179,7 @@ class Problem(eqx.Module):
 
 @compiled
 def _fastest_decay(lattice, t, u, v):
-    """Return the fastest decay rate by velocity-dependent forces, by power iteration."""
+    # Return the fastest decay rate by velocity-dependent forces, by power iteration.
     flat, unravel = ravel_pytree(v)
     rates = jax.linearize(lambda w: ravel_pytree(lattice.acceleration(t, u, unravel(w)))[0], flat)[
         1

@@ -44,7 +44,7 @@ class Windows(Problem):
         return float(MEETING * np.abs(residuals[-self.starts.size :]).max())
 
     def _cut(self, x):
-        """Split x into parameter coordinates and the initial states of all windows (K, n)."""
+        # Split x into parameter coordinates and the initial states of all windows (K, n).
         own, rest = jnp.split(x, [self.coordinates.size])
         parameters = self.coordinates.parameters(own)
         first = ravel_pytree(self.state(parameters, self.lattice(parameters)))[0]
@@ -166,7 +166,7 @@ def _leg(problem, parameters, state):
 
 
 def _parted(trace, samples, repeated):
-    """Return a trace with a leading axis of windows; repeated samples count as missing."""
+    # Return a trace with a leading axis of windows; repeated samples count as missing.
     sigma = np.broadcast_to(trace.sigma, trace.data.shape)[samples]
     data = np.where(repeated[..., None], np.nan, np.asarray(trace.data)[samples])
     gain, offset = (
@@ -181,7 +181,7 @@ def _parted(trace, samples, repeated):
 
 
 def _readings(problem, parameters, state):
-    """Return readings (0 for u or 1 for v, trace, values (T, S)), the most reliable last."""
+    # Return readings (0 for u or 1 for v, trace, values (T, S)), the most reliable last.
     from scipy.integrate import cumulative_trapezoid
 
     measured, integrated = [], []

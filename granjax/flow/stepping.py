@@ -159,7 +159,7 @@ def _floating(y):
 
 
 def _of_times(y):
-    """Return the floating type of times, which are real where a state is complex."""
+    # Return the floating type of times, which are real where a state is complex.
     return jnp.finfo(jnp.result_type(*jax.tree.leaves(y))).dtype
 
 

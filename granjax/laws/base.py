@@ -189,7 +189,7 @@ class Derived(Law):
         return self.law.opens
 
     def _own(self, x):
-        """A length of the other law, or `None`, converted to this law."""
+        # A length of the other law, or `None`, converted to this law.
         return x
 
     def overlap(self, e):

@@ -94,7 +94,7 @@ class _Contact(Law):
         return self.stiffness / q * self._difference(e, p + 1) - self.precompression * e
 
     def _near_rest(self, e, energy):
-        """Use the binomial series for |e| < d0/50, where the closed form loses digits."""
+        # Use the binomial series for |e| < d0/50, where the closed form loses digits.
         p = self.exponent
         d0 = self.rest_overlap
         near = (jnp.abs(e) < 0.02 * d0) & (d0 > 0)

@@ -130,7 +130,7 @@ class Thornton(PlasticLaw):
         )
 
     def _turn(self, largest):
-        """(P/s_y, at least 1; A s_y^{3/2}; the depth P - s_P; the force at P)."""
+        # (P/s_y, at least 1; A s_y^{3/2}; the depth P - s_P; the force at P).
         y = self.yield_overlap
         x = jnp.where(largest > y, largest, y) / y
         unit = self.stiffness * y * root(y)

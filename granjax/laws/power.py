@@ -71,7 +71,7 @@ def _power_of_positive(x, p):
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
 def _free_power(s, p, k):
-    """s^p log(s)^k for s > 0, else zero: closed under differentiation in s and in p."""
+    # s^p log(s)^k for s > 0, else zero: closed under differentiation in s and in p.
     is_open = s <= 0
     x = jnp.where(is_open, 1, s)
     value = real_power(x, p)

@@ -101,7 +101,7 @@ def logarithm(x):
 
 
 def _split(x):
-    """Return e, a whole number as a float, and m in [sqrt(1/2), sqrt(2)) with x = 2^e m."""
+    # Return e, a whole number as a float, and m in [sqrt(1/2), sqrt(2)) with x = 2^e m.
     bits = lax.bitcast_convert_type(x, jnp.int64)
     e = (bits - _ROOT_HALF) >> 52
     return lax.bitcast_convert_type(e + _WHOLE, x.dtype) - _OFFSET, lax.bitcast_convert_type(

@@ -54,7 +54,7 @@ class Yielding(Derived):
 
 @partial(jax.custom_jvp, nondiff_argnums=())
 def _share(law, support, e):
-    """Solve x + law.force(x)/support = e for x."""
+    # Solve x + law.force(x)/support = e for x.
 
     def step(carry):
         low, high, x, _, count = carry

@@ -48,7 +48,7 @@ def gaps_of(known: Any, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
 # real and smooth in k, negative on the unit circle and positive off it, so that its zeros are the
 # edges of gaps. The instability is s without losses, and log|rho| with them.
 def _look(known, maps):
-    """Return the instability, the nearness s, and the largest log|rho|, of maps (K, 2P, 2P)."""
+    # Return the instability, the nearness s, and the largest log|rho|, of maps (K, 2P, 2P).
     rho, vectors = np.linalg.eig(maps)
     half = maps.shape[1] // 2
     sign = 2 * np.sum(np.imag(np.conj(vectors[:, :half]) * vectors[:, half:]), axis=1)
@@ -60,7 +60,7 @@ def _look(known, maps):
 
 
 def _told(known, k):
-    """Return the instability at k, the least that counts, its change with larger steps, and s."""
+    # Return the instability at k, the least that counts, its change with larger steps, and s.
     fine, coarse, about = known.levels(k[:, None])
     unstable, near, _ = _look(known, fine)
     size = np.maximum(1, np.linalg.norm(fine, axis=(1, 2))) if known.conserves else 1
@@ -121,7 +121,7 @@ def _edges(known, outside, inside):
 
 
 def _fastest(known, edges):
-    """Return where waves grow fastest in each gap, and log|rho| there."""
+    # Return where waves grow fastest in each gap, and log|rho| there.
     if not len(edges):
         return np.zeros((2, 0))
     # take the mirror image in 0 <= k <= pi

@@ -75,7 +75,7 @@ def fit(
 
 
 def _axes_of(result, columns):
-    """The scale of the times and of each column; sensors with the same first word share a unit."""
+    # The scale of the times and of each column; sensors with the same first word share a unit.
     said, kinds = units_of(result), {}
     keys = [(name.split()[0], getattr(trace, "unit", None)) for trace, _, name, *_ in columns]
     for key, (trace, sensor, _, signal, _) in zip(keys, columns):

@@ -142,7 +142,7 @@ def _circles(ax, at, radius) -> EllipseCollection:
 
 
 def _lines(ax, lines, force, radius, units):
-    """Draw forces as lines over the beads, thin enough to see these, and a legend of the widest."""
+    # Draw forces as lines over the beads, thin enough to see these, and a legend of the widest.
     by = shown("force", force, "N", units)
     force = by(force)
     top = np.nanmax(np.abs(force), initial=0.0)

@@ -128,7 +128,7 @@ def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
 
 
 def _moving(made, ending, dpi):
-    """An animation's bytes, by a temporary file, since its writers need one."""
+    # An animation's bytes, by a temporary file, since its writers need one.
     writers = {".gif": "pillow"} | {
         end: "ffmpeg" for end in (".mp4", ".webm") if FFMpegWriter.isAvailable()
     }

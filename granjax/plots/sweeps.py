@@ -165,7 +165,7 @@ def _shown(data, name, x):
 
 
 def _along(data, name):
-    """A parameter on an axis; a logarithmic one has the prefix of its geometric mean."""
+    # A parameter on an axis; a logarithmic one has the prefix of its geometric mean.
     if data[name].dtype.kind not in "fiub":
         refuse(
             "data", "parameters that are numbers", f"words of {name!r}", "Choose one by data.sel."

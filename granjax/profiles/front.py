@@ -38,7 +38,7 @@ FINEST, KINKED = 2.0**-7, 1e-5
 
 
 def _powers():
-    """Return coefficients of (t - 1/2)^k from values at t = 1 - STENCIL, ..., STENCIL, exactly."""
+    # Return coefficients of (t - 1/2)^k from values at t = 1 - STENCIL, ..., STENCIL, exactly.
     odd = 2.0 * np.arange(2 * STENCIL) + 1 - 2 * STENCIL
     lagrange = [
         np.poly(np.delete(odd, j))[::-1] / np.prod(odd[j] - np.delete(odd, j))
@@ -106,7 +106,7 @@ class Kernels(NamedTuple):
 
 
 def _stencils(width):
-    """Return weights of z(x + j h), |j| <= STENCIL, for a tent `width` h wide and its slope."""
+    # Return weights of z(x + j h), |j| <= STENCIL, for a tent `width` h wide and its slope.
     j, i = np.arange(STENCIL + 1.0), np.arange(STENCIL + 1)
     moments = 2 / ((2 * i + 1) * (2 * i + 2)) * float(width) ** (2 * i)
     even = np.vander(j**2, increasing=True).T * np.where(j > 0, 2.0, 1.0)

@@ -84,7 +84,7 @@ def differentiated(
 
 
 def _harmonics(count):
-    """Return j < `count`, and cos, sin of j theta on a box, which begins at a trough."""
+    # Return j < `count`, and cos, sin of j theta on a box, which begins at a trough.
     j, theta = np.arange(1, count), np.pi * np.arange(2 * count) / count - np.pi
     return j, np.cos(np.outer(j, theta)), np.sin(np.outer(j, theta))
 
@@ -196,7 +196,7 @@ def train(
 
 
 def _scale(law, mean, stiffness):
-    """Return a strain over which the stiffness changes by half."""
+    # Return a strain over which the stiffness changes by half.
     steps = 2.0 ** np.arange(-160, 161)
     slope = np.concatenate([values(law, mean + steps)[1], values(law, mean - steps)[1]]).reshape(
         2, -1

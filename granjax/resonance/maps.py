@@ -170,7 +170,7 @@ def _forces(masses, stiffness, cells):
 
 
 def _slow(masses, stiffness):
-    """Return the most that a pulse is slower than in equal beads, m = A = 1; cells on axis 0."""
+    # Return the most that a pulse is slower than in equal beads, m = A = 1; cells on axis 0.
     return jnp.maximum((masses.max(0) / stiffness.min(0)) ** 0.4, 1.0)
 
 

@@ -144,7 +144,7 @@ def _resonant(
     law=None,
     units=SCALED,
 ):
-    """Build the chain; `resonators`: from field to mass and stiffness, each by argument name."""
+    # Build the chain; `resonators`: from field to mass and stiffness, each by argument name.
     sites = a_chain(sites)
     if law is None:
         stiffness = positive(

@@ -353,7 +353,7 @@ def _sides(law, mass, jump, dashpot):
 
 @compiled
 def _power(law, step):
-    """Return the work of both forces less what the law stores and the beads keep."""
+    # Return the work of both forces less what the law stores and the beads keep.
     return step.speed * (step.force * step.jump / 2 - law.energy(step.jump))
 
 

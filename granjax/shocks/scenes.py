@@ -232,7 +232,7 @@ def _over_bonds(law: Law, lattice: Lattice, choose: Callable) -> Law:
 
 
 def _beyond(law, strain, reference):
-    """Return the energy of a bond at one strain beyond the work of the force at another."""
+    # Return the energy of a bond at one strain beyond the work of the force at another.
     return law.energy(strain) - law.energy(reference) - law.force(reference) * (strain - reference)
 
 
@@ -268,7 +268,7 @@ def _jolt(lattice, into):
 
 
 def _spread(lattice):
-    """Return the force of a site's unit velocity on its neighbours by dashpots, over the mass."""
+    # Return the force of a site's unit velocity on its neighbours by dashpots, over the mass.
     v = lattice.zeros()
     v, found = v.at[v.shape[0] // 2].set(1), jnp.zeros(lattice.lanes)
     for term in lattice.terms:

@@ -152,7 +152,7 @@ def _places(what, lattice, centre, direction):
 
 @compiled
 def _uniform(lattice):
-    """Measure the chain by its force on a step in its middle, a ramp and a translation."""
+    # Measure the chain by its force on a step in its middle, a ramp and a translation.
     zeros = lattice.zeros()
     size = zeros.shape[0]
     mid = size // 2

@@ -54,7 +54,7 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
 
 
 def _frame(x, frame):
-    """Return one frame, with the axes site, component, lanes."""
+    # Return one frame, with the axes site, component, lanes.
     x = x.isel(time=frame) if "time" in x.dims else x
     first = [axis for axis in x.dims if str(axis).partition("_")[0] == "site"]
     first += [axis for axis in x.dims if axis == "component"]

@@ -71,7 +71,7 @@ def _pad(x, axis, low, high):
 
 
 def _library(x):
-    """NumPy for its arrays, such as site numbers, so that bonds are counted while JAX traces."""
+    # NumPy for its arrays, such as site numbers, so that bonds are counted while JAX traces.
     return np if isinstance(x, np.ndarray) else jnp
 
 

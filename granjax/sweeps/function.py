@@ -185,7 +185,7 @@ def program(
 
 
 def _numbers(x):
-    """Yield the primitives and constants of a traced program and its nested ones, in order."""
+    # Yield the primitives and constants of a traced program and its nested ones, in order.
     if isinstance(x, (tuple, list)):
         for part in x:
             yield from _numbers(part)
@@ -215,7 +215,7 @@ def _refused(function, keywords, values, points):
 
 
 def _refusal(function, keywords, point):
-    """Return the error message of a scene, found by tracing."""
+    # Return the error message of a scene, found by tracing.
     try:
         jax.make_jaxpr(lambda: eqx.filter(call(function, point, keywords), eqx.is_array))()
     except ValueError as error:
@@ -255,7 +255,7 @@ def _not_finite(row):
 
 
 def _stacked(rows, reasons):
-    """Stack rows to a `Chunk`, with NaN or "" for failures and for other names or shapes."""
+    # Stack rows to a `Chunk`, with NaN or "" for failures and for other names or shapes.
     shapes = lambda row: {name: x.shape for name, x in row.items()}
     first = next((row for row in rows if row), {})
     for i, row in enumerate(rows):

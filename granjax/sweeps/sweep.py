@@ -142,7 +142,7 @@ def sweep(
 
 
 def _static(function, keywords, points, shared):
-    """Return the static parameters of a compiled program; `None` if tracing fails."""
+    # Return the static parameters of a compiled program; `None` if tracing fails.
     words = tuple(name for name, x in points.axes.items() if x.dtype.kind == "U")
     sizes = tuple(name for name, x in points.axes.items() if x.dtype.kind in "Uiub")
     first = {name: x[:1] for name, x in points.axes.items()}
@@ -181,7 +181,7 @@ def _chunk(root, chunk, points, static):
 
 
 def _results(task, function, executor, values):
-    """Yield (number, chunk) as they finish; after an error, cancel pending ones."""
+    # Yield (number, chunk) as they finish; after an error, cancel pending ones.
     mine, workers = executor is None, cores()
     if mine and (
         task.static is None or min(workers, len(values)) < 2 or jax.default_backend() != "cpu"

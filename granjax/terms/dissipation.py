@@ -354,7 +354,7 @@ class PlasticContact(Bond, Remembering):
 
 
 def _highest(x0, x1, d0, d1):
-    """Return the maximum of the cubic with end values x0, x1 and slopes d0, d1 (times the step)."""
+    # Return the maximum of the cubic with end values x0, x1 and slopes d0, d1 (times the step).
     rise = x1 - x0
     a, b = 3 * (d0 + d1 - 2 * rise), 3 * rise - 2 * d0 - d1
     square = b * b - a * d0

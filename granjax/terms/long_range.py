@@ -267,7 +267,7 @@ class _Bonds(NamedTuple):
         )
 
     def _sum(self, bond, joined, w=None, halves=False):
-        """Evaluate each bond once, at column k + count for a left end at k, and sum at sites."""
+        # Evaluate each bond once, at column k + count for a left end at k, and sum at sites.
         n, count = self.x.shape[0], self.law.factor.shape[0]
         mode = "wrap" if self.beyond is None else "constant"
         arrays = (self.x,) if w is None else (self.x, w)
@@ -348,7 +348,7 @@ class _Powers(NamedTuple):
         return self._sum(parts) * w - self._sum(parts, w)
 
     def _sum(self, parts, w=None):
-        """Sum a s_j c_j (x_n - x_j)^p [w_j] over neighbours j and `parts` (a, p, k)."""
+        # Sum a s_j c_j (x_n - x_j)^p [w_j] over neighbours j and `parts` (a, p, k).
         x, one = self._centred(), 0 if w is None else w
         shape = jnp.broadcast_shapes(x.shape, jnp.shape(one))
         transforms, total, columns = {}, 0.0, {}
@@ -382,7 +382,7 @@ class _Powers(NamedTuple):
         return right - (-1) ** k * left
 
     def _centred(self):
-        """Subtract the mean, where no site is held, since only differences matter."""
+        # Subtract the mean, where no site is held, since only differences matter.
         if self.beyond:
             return self.x
         return self.x - jax.lax.stop_gradient(jnp.mean(self.x, 0, keepdims=True))

@@ -253,7 +253,7 @@ def _held(wave, sites):
 
 
 def _essential(wave, rate):
-    """Return exp(i (k - omega(k)/c)) of both directions, at complex wave numbers k + i rate."""
+    # Return exp(i (k - omega(k)/c)) of both directions, at complex wave numbers k + i rate.
     k = 2 * np.pi * np.arange(WAVES) / WAVES + 1j * rate
     stiffness = values(wave.law, np.zeros(1))[1][0]
     omega = 2 * np.sqrt(stiffness / float(wave.mass)) * np.sin(k / 2)

@@ -92,7 +92,7 @@ def cut(cell: CrystalCell, counts: tuple, outline: str | Callable) -> Cut:
 
 
 def _open_to_the_rim(cell, number):
-    """Mark as `WALL` the empty places that bonds over empty places join to the margin."""
+    # Mark as `WALL` the empty places that bonds over empty places join to the margin.
     ends = [(number[tie.tail], number[tie.head], [-k for k in tie.offset]) for tie in cell.ties]
     grown = True
     while grown:

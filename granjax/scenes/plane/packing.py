@@ -154,7 +154,7 @@ def _between(bodies, radius, precompression, which, uneven, pairs):
 
 
 def _at_rest(lattice):
-    """Return the packing measured from its state of rest."""
+    # Return the packing measured from its state of rest.
     found = equilibrium(lattice, hold="nothing", throw=False)
     if not traced(found) and not (found.found and found.verdict == "stable"):
         overlaps = [float(jnp.min(bond.law.strain)) for bond in lattice.terms]

@@ -89,7 +89,7 @@ def chain_of(
 
 
 def _period(*rows: Any) -> int | None:
-    """Return the least common period, at most half of the first row; `None` without one."""
+    # Return the least common period, at most half of the first row; `None` without one.
     shorter = range(1, len(rows[0]) // 2 + 1)
     return next((p for p in shorter if all(_alike(row[p:], row[:-p]) for row in rows)), None)
 

@@ -391,7 +391,7 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
 
 
 def _radiation(chain, ripple, size, speed):
-    """Return (c - domega/dk) times the energy per site of a ripple of twice the amplitude."""
+    # Return (c - domega/dk) times the energy per site of a ripple of twice the amplitude.
     if np.isnan(size) or chain.resonator is not None or not chain.stiffness.any():
         return np.nan
     energy = np.mean(chain.stiffness * np.abs(2 * size * ripple.shape) ** 2) / 2

@@ -21,7 +21,7 @@ class Ripple(NamedTuple):
 
 
 def _excess(chain: Chain, k):
-    """Return omega_b(k)^2/c^2 - k^2 (P, K) of all bands, and their strain vectors (P, P, K)."""
+    # Return omega_b(k)^2/c^2 - k^2 (P, K) of all bands, and their strain vectors (P, P, K).
     root = np.sqrt(chain.K2)
     B = root[:, None, None] * chain.response(k) * root[None, :, None]
     squares, vectors = np.linalg.eigh(np.moveaxis(B, -1, 0))
