@@ -164,13 +164,13 @@ def claims():
     )
     yield (
         "granjax/solvers/nystrom.py",
-        "Contact loss below 1e-5",
+        "contacts that open and errors below 1e-5",
         {"RKN86 over the best splitting method at 1e-5": _own("impact", "1e-05", "RKN86")},
         "precision.json: scenes.impact.figures",
     )
     yield (
         "granjax/solvers/nystrom.py",
-        "for smooth scenes below 1e-8",
+        "for smooth scenes and errors below 1e-8",
         {"RKN1210 over the best other at 1e-8": _own("smooth", "1e-08", "RKN1210")},
         "precision.json: scenes.smooth.figures",
     )

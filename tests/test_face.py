@@ -9,7 +9,7 @@ import granjax as gx
 
 def listed():
     """(name, what is said of it) of each line of the module's docstring."""
-    return re.findall(r"^    (\w+) +(\S.*)$", gx.__doc__[gx.__doc__.index("What there is") :], re.M)
+    return re.findall(r"^    (\w+) +(\S.*)$", gx.__doc__[gx.__doc__.index("Contents") :], re.M)
 
 
 def test_help_lists_the_face_once():

@@ -84,8 +84,8 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
 class RKN86(AbstractNystrom):
     """Dormand, El-Mikkawy and Prince's RKN 8(6), the default of `simulate` with a tolerance.
 
-    Eight forces per step; dense output of degree 8 from three more. For contacts that open and
-    errors below 1e-5. Source: IMA J. Numer. Anal. 7, 423 (1987).
+    Eight forces per step; dense output of degree 8 from three more. For
+    contacts that open and errors below 1e-5. Source: IMA J. Numer. Anal. 7, 423 (1987).
 
     **Example:**
 
