@@ -93,7 +93,7 @@ def resonance_map(
 
     - `kind`: `"1:1"`, `"2:1"` ... `"5:1"`: that many beads of mass 1, then one of mass `ratio`
       (first parameter), whose two contacts have `stiffness` (second) relative to the others;
-      `"trimer"`: masses 1, `second`, `third`, equal contacts. Or a function of two numbers that
+      `"trimer"`: masses 1, `first`, `second`, equal contacts. Or a function of two numbers that
       returns masses (P,) and stiffnesses (P,) of the contacts behind them, with largest mass 1.
     - `first` (p,), `second` (q,): values of the parameters, above zero.
     - `cells`: (a, b), a < b; further down the chain is closer to the limit.
