@@ -325,8 +325,8 @@ class DpS(Equation):
     with the amplitude eps. It keeps the norm and H = -2 kappa/(p + 1) sum |A_{n+1} - A_n|^{p+1};
     eps times a solution is one in the time t eps^{1-p}.
 
-    **Arguments:** `sites`: N >= 2, on a ring >= 3. `stiffness`: kappa [rad/s m^{1-p}]; `None` is 1/(2 tau_0).
-    `exponent`: p > 1. `omega`: of the carrier, for `state`. `boundary`: `"free"`, `"fixed"` (walls,
+    **Arguments:** `sites`: N >= 2, on a ring >= 3. `stiffness`: kappa [rad/s m^{1-p}]; `None` is
+    1/(2 tau_0). `exponent`: p > 1. `omega`: of the carrier, for `state`. `boundary`: `"free"`, `"fixed"` (walls,
     A = 0) or `"periodic"`.
     **Raises** ValueError for p <= 1, omega <= 0. Source: James, Kevrekidis, Cuevas, Physica D 251,
     39 (2013).
