@@ -586,10 +586,10 @@ class _Table:
             for axis, n in zip(axes, x.shape)
         ]
         self.sizes |= dict(zip(axes, x.shape))
-        told |= {"description": held.doc} if held.doc else {}
         for key, y in parts.items():
             # xarray writes the long name beside an axis.
-            self.variables[key] = axes, y, told | {"long_name": key.replace("_", " ")}
+            said = {"long_name": key.replace("_", " "), "description": held.doc} if held.doc else {}
+            self.variables[key] = axes, y, told | said
 
     def finished(self, attributes):
         import xarray

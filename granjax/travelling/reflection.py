@@ -111,12 +111,10 @@ def reflect(
 
     A bead of radius R on an elastic half-space of Young's modulus E (an array: lanes), in SI:
 
-        wall = gx.Hertz(
-            gx.materials.hertz_coefficient(
-                "steel 316", R, gx.Material("wall", E, 0.3, 1.0), jnp.inf
-            ),
-            F0,
-        )
+        R, E, F0 = 9.525e-3, 2e11, 20.0
+        half_space = gx.materials.Material("wall", E, 0.3, 1.0)
+        A = gx.materials.hertz_coefficient("steel 316", R, half_space, float("inf"))
+        wall = gx.Hertz(A, F0)
 
     **Returns:** `Reflection`. The delay falls as the contact stiffens, towards the rigid limit:
     -ln(cosh k)/sinh k for Toda's soliton. Not differentiable: places are fitted.
