@@ -56,18 +56,7 @@ html_theme_options = {
     "pygments_light_style": "tango",
 }
 # pages without others beside them
-ALONE = (
-    "index",
-    "gallery/index",
-    "start",
-    "methods",
-    "matlab",
-    "compare",
-    "formulas",
-    "cite",
-    "changes",
-)
-html_sidebars = {page: [] for page in ALONE}
+html_sidebars = {page: [] for page in ("index", "gallery/index", "changes", *pages.ALONE)}
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 

@@ -19,8 +19,10 @@ import matplotlib.pyplot as plt
 DOCS = Path(__file__).parent
 OUTPUTS = DOCS / "outputs"
 KEPT = OUTPUTS / "printed.json"
+# pages that stand alone; the others are in a folder
+ALONE = ("start", "methods", "matlab", "compare", "formulas", "cite")
 PAGES = [
-    *(f"{name}" for name in ("start", "methods", "matlab", "compare", "formulas", "cite")),
+    *ALONE,
     *sorted(f"concepts/{path.stem}" for path in (DOCS / "concepts").glob("*.md")),
     *sorted(f"how-to/{path.stem}" for path in (DOCS / "how-to").glob("*.md")),
 ]

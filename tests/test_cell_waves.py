@@ -139,7 +139,7 @@ def test_nanoptera_ride_on_the_optical_wave_of_their_speed(law, masses, over):
         wave.linear_wavenumber, abs=1e-6 if over < 1.03 else 5e-4
     )
     assert 1e-6 < wave.ripple / wave.amplitude < 0.02 and wave.error / wave.amplitude < (
-        1e-10 if over < 1.03 else 1e-8
+        1e-11 if over < 1.03 else 1e-8
     )
     assert "ripple" in wave.outcome and np.isnan(wave.energy)
 

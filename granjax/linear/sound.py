@@ -82,7 +82,7 @@ def _speeds(found, turn):
     g = turns.sum(0) @ T
     odd = T.T @ jnp.einsum("r,rab->ab", R, turns) @ T
     bend = odd + through(answer, g) + through(g, answer)
-    inverse = jnp.linalg.inv(jnp.linalg.cholesky(jnp.eye(len(odd)) + through(g, g)))
+    inverse = jnp.linalg.inv(turning.factor(jnp.eye(len(odd)) + through(g, g)))
     squares, bend = (inverse @ x @ inverse.T for x in (squares, bend))
     return turning.levels(squares, 1j * bend, largest)[0][len(odd) :]
 
@@ -116,10 +116,10 @@ def _check_acoustic(found):
             "forces that tie sites to their rest positions",
             "Such a lattice has no acoustic band, and so no sound speed; see granjax.linear.bands.",
         )
-    turns = concrete(jax.lax.stop_gradient(found.turning)) if found.damping is not None else None
-    if turns is not None and np.abs(T.T @ turns.sum(0) @ T).max() > LOOSE * np.finfo(
-        turns.dtype
-    ).eps * max(np.abs(turns).max(), np.sqrt(scale)):
+    turns = None if found.damping is None else concrete(jax.lax.stop_gradient(found.turning))
+    if turns is not None and np.abs(T.T @ turns.sum(0) @ T).max() > tolerance / scale * max(
+        np.abs(turns).max(), np.sqrt(scale)
+    ):
         refuse(
             "lattice",
             "gyroscopic forces between sites",

@@ -17,13 +17,16 @@ def hamiltonian(D: AnyArray, G: AnyArray, scale: Number) -> ComplexNumbers:
     as motion may grow there. Rounding on the `scale` of the stiffness is added to D, which uniform
     motion would make singular.
     """
-    L = _factor(D + _rounding(D, scale) * jnp.eye(len(D)))
+    L = factor(D + _rounding(D, scale) * jnp.eye(len(D)))
     return jnp.block([[jnp.zeros_like(L), 1j * L.conj().T], [-1j * L, -1j * G]])
 
 
-# not by LAPACK: XLA calls it for many matrices from threads that wait for others, and may deadlock
-def _factor(D):
-    # Cholesky's factor L of D = L L^+, column by column; NaN where there is none
+def factor(D: AnyArray) -> AnyArray:
+    """Return Cholesky's factor L of D = L L^+, NaN where there is none.
+
+    Not by LAPACK: XLA calls it for many matrices from threads that wait for others, and may
+    deadlock.
+    """
     place = jnp.arange(len(D))
 
     def column(L, j):

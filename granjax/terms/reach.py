@@ -279,7 +279,8 @@ def stand_in(x: Number, random: np.random.Generator | None = None) -> Number:
     x = jax.lax.stop_gradient(x) if is_traced(x) else x
     if not is_traced(x):
         return x
-    return np.ones(x.shape, x.dtype) if random is None else random.uniform(1, 2, x.shape)
+    found = np.ones(x.shape) if random is None else random.uniform(1, 2, x.shape)
+    return found.astype(x.dtype)
 
 
 def answers_to(moves: list, term: Any, mass: Displacements | Number, template: Pytree):
