@@ -79,7 +79,7 @@ def unmasked(argument: str, x: Any) -> Any:
             argument,
             "numbers without a mask",
             missing,
-            "Where NaN may stand for what is missing: .filled(np.nan).",
+            "Use .filled(np.nan) where NaN may stand for a missing value.",
         )
     return x
 
@@ -105,7 +105,7 @@ def _real(argument, x, expected="real numbers"):
             argument,
             "real numbers",
             f"{array.dtype}",
-            "Take .real or abs() of them, whichever is meant.",
+            "Take the real part or abs(), whichever you mean.",
         )
     if kind not in "fiu" or not kind:
         refuse(argument, expected, described(x), "Give a number or an array of numbers.")

@@ -176,7 +176,7 @@ def continuation(
     bounds = () if until is None else tuple(np.atleast_1d(np.asarray(until, float)))
     x0 = np.atleast_1d(np.asarray(x0, float))
     if x0.ndim != 1:
-        refuse("x0", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
+        refuse("x0", "a vector of unknowns, shape (n,)", f"shape {x0.shape}")
     direction = np.asarray(direction, float)
     if direction.shape not in ((), (x0.size + 1,)) or not direction.any():
         wanted = f"1, -1 or a tangent of shape ({x0.size + 1},)"

@@ -21,7 +21,7 @@ def folder(argument: str, path: str | Path) -> Path:
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        refuse(argument, "a folder that can be made", f"{str(path)!r} ({reason(error)})")
+        refuse(argument, "a folder that can be created", f"{str(path)!r} ({reason(error)})")
     return Path(path)
 
 

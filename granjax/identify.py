@@ -358,7 +358,7 @@ def _thresholded(A, y, threshold, ridge):
         if not kept.any():
             refuse(
                 "threshold",
-                "a share that some candidate has",
+                "a share that at least one candidate reaches",
                 f"{threshold:g}",
                 "Lower it, or offer other terms.",
             )

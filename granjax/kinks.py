@@ -304,7 +304,7 @@ def _checked_wells(lattice, right, left):
         refuse("lattice", "forces that depend on positions alone", ", ".join(lattice.unkept()))
     left, right = float(left), float(right)
     if left == right:
-        refuse("right", "another well than the left one", f"{right:g}")
+        refuse("right", "a well other than the left one", f"{right:g}")
     forces = np.asarray(_uniform(lattice, np.linspace(left, right, 65)))
     scale = forces[1:-1].max()
     if not scale > 0:
@@ -314,7 +314,7 @@ def _checked_wells(lattice, right, left):
         if not force <= 1e-9 * scale:
             refuse(
                 name,
-                "a well, in which nothing is pushed",
+                "a well, where the force is zero",
                 f"{x:g}, with {force / scale:.2g} of the largest force on the way",
                 "Ends must be free: walls at u = 0 hold no other well.",
             )
@@ -322,7 +322,7 @@ def _checked_wells(lattice, right, left):
         place = len(stiffness) // 2
         row = stiffness[place]
         if not row.sum() > 0:
-            refuse(name, "a well, to which sites come back", f"{x:g}, the top of a barrier")
+            refuse(name, "a well, whose force drives sites back", f"{x:g}, the top of a barrier")
         coupling = -np.sum((np.arange(len(row)) - place) ** 2 * row) / 2
         found.append((np.abs(stiffness).max(), coupling, row.sum()))
     return _Wells(left, right, scale, *found[0])

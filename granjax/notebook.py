@@ -258,6 +258,11 @@ def _crossing(lattice, state):
     linear = float(linear_frequency(lattice))
     omega = linear if linear > 0 and not omega < FLOORLESS * linear else omega
     if not (omega > 0 and math.isfinite(omega)):
-        refuse("t1", "the end of the runs", "None", "No frequency of the scene says it.")
+        refuse(
+            "t1",
+            "the end of the runs",
+            "None",
+            "The scene has no frequency from which one could be chosen.",
+        )
     sites = max(max(x.shape[: lattice.axes]) for x in jax.tree.leaves(lattice.zeros()))
     return float(f"{sites / (PACE * omega):.2g}")

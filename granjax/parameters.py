@@ -159,6 +159,6 @@ def _interval(name, value, bounds):
                 name,
                 f"a start {side} its bound {show(bound)}",
                 show(value),
-                "A bound is no place to start from.",
+                "A start lies between its bounds.",
             )
     return low, high

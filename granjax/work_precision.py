@@ -385,13 +385,13 @@ def measure(
     repeats = whole("repeats", repeats, 1)
     floor = math.nan if uncertainty is None else float(np.max(uncertainty))
     if floor < 0 or floor > LARGEST_FLOOR:
-        remedy = "A worse reference tells nothing; end the run earlier."
+        remedy = "A worse reference is of no use; end the run earlier."
         refuse("uncertainty", f"a number from 0 to {LARGEST_FLOOR:g}", f"{floor:g}", remedy)
     ladders = tuple(x._replace(values=_values(x.name, x.values)) for x in ladders)
     names = tuple(ladder.name for ladder in ladders)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        refuse("ladders", "a name of its own for each", f"{twice!r} twice")
+        refuse("ladders", "a different name for each", f"{twice!r} twice")
     climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
     points = [(ladder, one) for ladder, (_, found) in zip(ladders, climbed) for one in found]
     drawn = np.array([not one.note for _, one in points])

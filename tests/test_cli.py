@@ -51,7 +51,7 @@ def test_resonance_from_a_shell(tmp_path):
         (["resonance", "--beads", "2"], "--beads: expected a whole number not below 3, got 2."),
         (["resonance", "--ratios", "2"], "--ratios: expected a whole number not below 3, got 2."),
         (["resonance", "--beads", "many"], "invalid int value: 'many'"),
-        (["resonance", "--out", "FILE/folder"], "--out: expected a folder that can be made"),
+        (["resonance", "--out", "FILE/folder"], "--out: expected a folder that can be created"),
         (["resonance", "--bead-count", "2"], "unrecognized arguments"),
         (["sing"], "invalid choice: 'sing'"),
     ],

@@ -139,11 +139,13 @@ def _start(equation, psi):
     psi = jnp.asarray(psi)
     psi = psi.astype(jnp.result_type(psi, jnp.complex64))
     check_shape(psi, equation)
-    lanes = "Give the start the equation's lanes, last."
+    lanes = "Give the initial state the equation's lanes, on its last axis."
     try:
         found = jax.eval_shape(equation.rate, psi)
     except (TypeError, ValueError) as error:  # JAX reports shapes that do not fit
-        refuse("psi", "a start that the equation takes", f"shape {psi.shape}: {error}", lanes)
+        refuse(
+            "psi", "an initial state that fits the equation", f"shape {psi.shape}: {error}", lanes
+        )
     if found.shape != psi.shape:
         refuse(
             "psi",
@@ -174,7 +176,7 @@ def _step(equation, psi, solver, known, longest):
     if not known:
         refuse(
             "step",
-            "a step beside numbers that are traced, whose rate nobody knows",
+            "a step where numbers are traced, since their fastest rate is not known",
             "None",
             "Give step=, such as 0.5 over the fastest rate.",
         )

@@ -94,7 +94,7 @@ def soliton(
                 "guess",
                 f"a profile (N,) for a {type(equation).__name__}",
                 repr(guess),
-                "Only DNLS has a limit of sites that are alone; of DpS try 1, -2, 1 times an amplitude.",
+                "Only DNLS has a limit of uncoupled sites. For DpS try 1, -2, 1 times an amplitude.",
             )
         phi, root = _raised(
             equation, omega, guess, equation.sites // 2 if centre is None else centre
@@ -205,7 +205,7 @@ def _alone(equation, omega, place):
     if above(high) < 0:
         refuse(
             "omega",
-            "a frequency that a site by itself can have",
+            "a frequency that a single uncoupled site can have",
             f"{omega:.6g}",
             "Below the band the sites must focus (nonlinearity > 0), above it defocus.",
         )

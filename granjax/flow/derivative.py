@@ -86,7 +86,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
             "x",
             "real numbers",
             "complex ones",
-            "Write real and imaginary parts as parameters of their own.",
+            "Give the real and imaginary parts as separate parameters.",
         )
     ladder = float(positive("step", step)) * np.asarray(LADDER)
     x = jax.tree.map(

@@ -144,13 +144,13 @@ def refuse_lanes_within(t0: Scalar, one: tuple, every: tuple) -> None:
 
     `one`, `every`: (lattice, state, records) of one lane, and of all.
     """
-    remedy = "What differs from lane to lane belongs into a field of a Module; or give step=, where lanes share theirs."
+    remedy = "Put what differs from lane to lane into a field of a Module, or give step=, which all lanes share."
     try:
         one[0].check_terms()
     except ValueError as error:
         refuse(
             "lattice",
-            "terms that work on one lane, as each has steps of its own",
+            "terms that work on a single lane, since each lane has its own steps",
             str(error).rstrip("."),
             remedy,
         )
@@ -163,7 +163,7 @@ def refuse_lanes_within(t0: Scalar, one: tuple, every: tuple) -> None:
         else:
             said = f"shape {got} for one and {wanted} for all"
         if got is None or [shape + every[0].lanes for shape in got] != wanted:
-            wanted = "a quantity of each lane, lanes last, as each has steps of its own"
+            wanted = "a quantity of a single lane, since each lane has its own steps"
             refuse(f"record[{name!r}]", wanted, said.rstrip("."), remedy)
 
 

@@ -403,7 +403,9 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
     ]
     if others:
         refuse(
-            "lattice", "no force of velocities beside CaputoDamping and Damping", ", ".join(others)
+            "lattice",
+            "no force that reads velocities, except CaputoDamping and Damping",
+            ", ".join(others),
         )
     if traced((step, t0, t1)):
         refuse(

@@ -89,7 +89,7 @@ class Flow(eqx.Module):
                 "y",
                 "a real state",
                 "a complex one",
-                "It is no complex matrix: take `tangents` along 1 and 1j.",
+                "The derivative is not a complex matrix: give `tangents` along 1 and 1j.",
             )
         unit = jax.vmap(unravel, out_axes=-1)(jnp.eye(flat.size, dtype=flat.dtype))
         end, tangents = self.tangents(y, unit, t0, t1, args)
@@ -110,7 +110,7 @@ def check_moved(
         if isinstance(flow.solver, (AbstractSplitting, AbstractNystrom)) and not _is_pair(y):
             refuse(
                 "solver",
-                "one of a first-order equation for a state that is no pair (u, v)",
+                "a solver of first-order equations, since the state is not a pair (u, v)",
                 type(flow.solver).__name__,
                 "Take diffrax.Dopri8(), or gx.first_order.SplitStep() for DNLS.",
             )

@@ -445,9 +445,9 @@ def refuse_memory(lattice: Lattice) -> None:
         if memory := memory_of(term):
             refuse(
                 f"terms[{i}] ({type(term).__name__})",
-                "a force of the present state alone",
+                "a force that depends on the present state alone",
                 f"one that remembers the {', '.join(memory).replace('_', ' ')}",
-                "gx.simulate(lattice, state, t1) runs such a lattice, with the solver it has for them.",
+                "Use gx.simulate(lattice, state, t1), which has a solver for it.",
             )
 
 

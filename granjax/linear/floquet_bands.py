@@ -229,7 +229,7 @@ def floquet_bands(
     if known is None and steps is None:
         refuse(
             "steps",
-            "so many steps of a period, as the lattice or k is traced",
+            "the number of steps of a period, since the lattice or k is traced",
             "None",
             "Write steps=64.",
         )
@@ -290,7 +290,7 @@ class _Known:
                 "period",
                 f"one of at most {MOST_STEPS / PER_RADIAN:.3g} radians of the fastest waves",
                 f"{float(period):.6g}, which is {self.turned:.3g} of them",
-                "Look at its unit.",
+                "Check its unit.",
             )
         points = np.asarray(k).reshape(-1, len(cell.cell))
         self.steps = self._found(points) if steps is None else steps
@@ -314,8 +314,8 @@ class _Known:
                 refuse(
                     "lattice",
                     "waves that stay finite over a period",
-                    "a growth beyond all numbers",
-                    "Look at its stiffness, or give a shorter period.",
+                    "a growth that overflows",
+                    "Check its stiffness, or give a shorter period.",
                 )
             rounding = ROUNDING * self.eps * size * (1 + self.turned)
             least = max(TOLERANCE * size, rounding)

@@ -118,7 +118,7 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     if uneven is not None and uneven > tolerance:
         refuse(
             "lattice",
-            "forces that are alike at both sites of a bond",
+            "forces that act equally on both sites of a bond",
             "gyroscopic or one-way forces",
             "Waves to the left and to the right differ: simulate the chain, driven at one end.",
         )

@@ -107,7 +107,7 @@ def sensor_force(
         "lattice",
         "a chain with bonds between next neighbours",
         "none of that field",
-        "Of other lattices take the mean of gx.measures.contact_force yourself.",
+        "For other lattices average gx.measures.contact_force yourself.",
     )
 
 

@@ -244,7 +244,7 @@ def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -
                 f"{argument}.{name}",
                 "finite numbers",
                 "NaN or infinity among them",
-                "A run that has diverged leads nowhere.",
+                "The run that made them has diverged.",
             )
     return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
 
@@ -307,12 +307,17 @@ def checked_symmetry(
         return symmetry
     if symmetry.trivial:
         wanted = "one after which the forces repeat"
-        refuse("period", wanted, repr(float(period)), "Give the drive's, or a multiple.")
+        refuse(
+            "period",
+            wanted,
+            repr(float(period)),
+            "Give the period of the drive, or a multiple of it.",
+        )
     refuse(
         "symmetry",
         "a symmetry of the lattice",
         repr(symmetry),
-        "Its image has other accelerations.",
+        "The image of a state has other accelerations than the state.",
     )
 
 

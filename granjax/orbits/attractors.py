@@ -720,7 +720,7 @@ def response(
             "values",
             "at least two, ascending",
             f"shape {values.shape}",
-            "The way down comes by itself.",
+            "The way down is followed without being asked for.",
         )
     # No response changes by more than twice the larger one.
     jump = float(checked_tolerance("jump", jump, 2, 0.2))

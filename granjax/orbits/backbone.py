@@ -232,5 +232,5 @@ def _check(found, own, squared):
             "mode",
             "one that drives no other mode of its frequency",
             "one that does",
-            "Give as a State the combination of those modes that stays by itself.",
+            "Give the combination of these modes that is an orbit, as a State.",
         )

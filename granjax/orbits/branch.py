@@ -536,7 +536,7 @@ def bifurcations(
     """
     if not branch._family.shooting.reversible:
         wanted = "a family of breathers"
-        refuse("branch", wanted, "a branch of forced orbits", "Its own are branch.bifurcations.")
+        refuse("branch", wanted, "a branch of forced orbits", "Use branch.bifurcations.")
     for kind in kinds:
         one_of("kinds", kind, KINDS)
     accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
@@ -701,7 +701,7 @@ def forced_branch(
     """
     start, until = float(start), float(until)
     if start == until:
-        refuse("until", "another value than start", repr(until))
+        refuse("until", "a value other than start", repr(until))
     period = period if callable(period) else positive("period", period)
     longest_arclength = 5 * arclength if longest_arclength is None else longest_arclength
     scenes = [made(make, period, p) for p in (start, until)]

@@ -278,7 +278,7 @@ def half_steps(
         return steps // 2
     steps = default_steps(lattice, period, 2, doubled=True, guess=guess) if steps is None else steps
     if steps % 2:
-        refuse("steps", "an even number, of which half a period takes half", repr(steps))
+        refuse("steps", "an even number, since half a period takes half of them", repr(steps))
     return steps // 2
 
 
@@ -385,7 +385,7 @@ def breather(
                 "guess.u",
                 "displacements that are not all zero",
                 "the state at rest",
-                "Velocities are dropped: of a motion take a state where it turns.",
+                "Velocities are not used: give a turning point of the motion.",
             )
         # A guess that fills the lattice may lead to a bright or a dark breather.
         if not unknown and localisation(lattice, guess).fills:
@@ -783,9 +783,9 @@ def anticontinuous(
     if end == 0:
         refuse(
             "coupling",
-            "a coupling to go to, not zero",
+            "a coupling other than zero",
             repr(end),
-            "At zero every site is by itself.",
+            "At zero coupling no site feels another.",
         )
     period = 2 * np.pi / omega
     scene = _Traced(scene)
@@ -850,8 +850,8 @@ def _limit(lattice, omega, sites, amplitudes, field):
     if any(float(largest(x[others])) > 1e-9 * float(largest(x)) for x in (u, force)):
         refuse(
             "scene",
-            "sites that do not feel each other at coupling 0",
-            "others that are pushed",
+            "sites on which no neighbour acts at coupling 0",
+            "sites on which neighbours act",
             "A breather of a lattice without such a limit: gx.breathers.breather.",
         )
     return state

@@ -373,7 +373,7 @@ def floquet(
     factors, products, ends = zip(fine, coarse, coarser)
     if not all(np.isfinite(x).all() for found in factors for x in found):
         remedy = "Give more steps=, or look at the state."
-        refuse("steps", "so many that the motion stays finite", repr(count), remedy)
+        refuse("steps", "enough steps for the motion to stay finite", repr(count), remedy)
     begin, monodromy = there * scale, products[0]
     away = _displacement(known, monodromy, ends[0] - begin, change(*ends))
     if not rests:
@@ -442,7 +442,7 @@ def _refuse_open(start, away, fine, coarse, free, scale):
             "state",
             "one that returns after the period",
             f"a gap of {gap / size:.1e} of its size",
-            "gx.orbits.orbit and gx.forced.forced_orbit find the orbit beside it.",
+            "gx.orbits.orbit and gx.forced.forced_orbit find the orbit near it.",
         )
 
 

@@ -243,7 +243,7 @@ class _Ring(NamedTuple):
                 "lattice",
                 "a force that is nonlinear for this wave, by which growth saturates",
                 "a linear one",
-                "Waves of its k-gaps grow for ever: gx.linear.floquet_bands has their rates.",
+                "Waves of its k-gaps grow without bound: gx.linear.floquet_bands has their rates.",
             )
         return size / BEGIN
 
@@ -257,7 +257,7 @@ class _Ring(NamedTuple):
                 refuse(
                     "amplitude",
                     "a wave that saturates",
-                    f"one that grows beyond all numbers from {begin:.3g}",
+                    f"one that overflows from {begin:.3g}",
                     "Its force softens, or its contacts open: there is no breather of this k-gap.",
                 )
             high = int(np.argmax(energy >= 0.5 * energy.max()))

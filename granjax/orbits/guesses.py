@@ -683,7 +683,7 @@ def _amplitude(lattice, omega, place, sign):
 def _refuse_alone(omega):
     refuse(
         "omega",
-        "a frequency that the site alone can have",
+        "a frequency that a single uncoupled site can have",
         f"{omega:.6g}",
         "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.",
     )

@@ -210,7 +210,7 @@ def locus(
     """Follow a bifurcation at z = (x, q) of a family in a second parameter, as `Branch.locus`."""
     start, until = float(start), float(until)
     if start == until:
-        refuse("until", "another value than start", repr(until))
+        refuse("until", "a value other than start", repr(until))
     problem, x = _begun(
         family, z, kind, angle, make, period, jnp.asarray(start), jnp.asarray(until - start)
     )

@@ -106,7 +106,7 @@ def _fields(places):
                 "places",
                 "a lattice with positions in the plane, or an array (..., 2)",
                 "none" if x is None else f"shape {np.shape(x)}",
-                "Of places in space give two components: positions[:, :2]." * (x is not None),
+                "For places in space give two components: positions[:, :2]." * (x is not None),
             )
     return fields
 

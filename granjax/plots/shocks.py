@@ -174,7 +174,7 @@ def _profile(given, problem, places, time):
         problem = getattr(given, "started", None) if problem is None else problem
         if problem is None:
             wanted = "what was run, as gx.shocks.velocity_shock returns it"
-            refuse("problem", wanted, "None, and the run does not know")
+            refuse("problem", wanted, "None, and the run does not hold it")
         strain, time = problem.strain(given.final.u), np.asarray(given.ts)[-1]
         places = np.arange(len(strain)) - np.asarray(problem.centre, float)
     else:

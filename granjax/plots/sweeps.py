@@ -101,13 +101,15 @@ def sweep(
     dims = _parameters(data)
     if lines is not None:
         if len(dims) != 2:
-            refuse("lines", "None, but for a grid of two parameters", f"{lines!r} of {len(dims)}")
+            refuse(
+                "lines", "None, except for a grid of two parameters", f"{lines!r} of {len(dims)}"
+            )
         dims = sorted(dims, key=lambda dim: dim == one_of("lines", lines, dims))
     if len(dims) > 2:
         remedy = "Fix some: data.sel(load=1.0, method='nearest')."
         refuse("data", "one or two parameters that vary", f"{len(dims)}", remedy)
     if bands is not None and len(dims) != 1:
-        refuse("bands", "None, but for a line over one parameter of a grid", repr(bands))
+        refuse("bands", "None, except for a line over one parameter of a grid", repr(bands))
     data = data.sortby(list(dims))
     known = [
         key for key, x in data.data_vars.items() if {*x.dims} == {*dims} and x.dtype.kind in "fiub"

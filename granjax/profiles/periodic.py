@@ -185,7 +185,7 @@ def train(
     if not found.residual < CONVERGED:
         refuse(
             "law",
-            "one whose periodic wave is found",
+            "a law whose periodic wave is found",
             f"a residual of {found.residual:.1e} after Newton's method",
         )
     error, c = max(apart, ROUNDING * float(np.abs(phi).max())), float(np.sqrt(level / mass))
@@ -210,7 +210,7 @@ def _scale(law, mean, stiffness):
             "law",
             "one that is not linear",
             "one whose waves have one speed",
-            "gx.linear tells their frequencies.",
+            "Use gx.linear for their frequencies.",
         )
     return float(steps[np.argmax(changed)])
 
@@ -224,7 +224,7 @@ def _to_amplitude(waves, box, first, amplitude):
         "amplitude",
         f"one that the family reaches, up to about {reached:.3g}",
         f"{amplitude:g}",
-        "Beyond, contacts may open within the wave.",
+        "Above it contacts may open within the wave.",
     )
 
 
@@ -241,7 +241,7 @@ def _to_speed(waves, box, first, mass, speed):
         "speed",
         f"one {way} that of small waves of this length, {np.sqrt(small / mass):.6g}, as far as their family goes",
         f"{speed:g}",
-        "Amplitudes say which it has: amplitude=...",
+        "Give amplitude= to see which speeds it has.",
     )
 
 

@@ -157,7 +157,7 @@ def _problem(medium, found: Bounds, c, a, E):
                 "speed",
                 f"one above that of sound, {sound:g}, by a part in 1e9 or more",
                 f"{c!r}",
-                "Closer the wave is a soliton of Korteweg and de Vries to all digits.",
+                "Closer to it the wave is a soliton of the Korteweg-de Vries equation to all digits.",
             )
         unit = reached(medium.law, found, level)
         if unit is None:
@@ -170,11 +170,11 @@ def _problem(medium, found: Bounds, c, a, E):
                 "amplitude",
                 "a strain at which the law has stiffened",
                 f"{a:g}",
-                "There it has ended, or is softer than at rest.",
+                "At this strain the law has ended, or is softer than at rest.",
             )
         return _Problem(medium, a, level, found.linear / level, "amplitude", a)
     if not E > 0:
-        refuse("energy", "a number above zero", f"{E:g}", "That is the chain at rest.")
+        refuse("energy", "a number above zero", f"{E:g}", "This is the chain at rest.")
     return _by_energy(medium, found, E)
 
 
@@ -253,8 +253,8 @@ def _first(problem):
     if not np.isfinite(level):
         refuse(
             "law",
-            "one whose first shape settles",
-            "one whose shape does not",
+            "a law for which the iteration of the first shape converges",
+            "one for which it does not",
             "Try another speed or amplitude.",
         )
     x, within = places.nodes, places.interpolated
@@ -283,7 +283,7 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
             if count == PLACES[-1]:
                 refuse(
                     "law",
-                    "one whose wave is found",
+                    "a law whose wave is found",
                     f"a residual of {found.residual:.1e} after Newton's method",
                     "The search failed, which does not say that there is none. Try another speed or amplitude.",
                 )

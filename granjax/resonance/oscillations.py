@@ -57,7 +57,7 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
     """
     ratios, bead = checked_ratios(ratios), whole("bead", bead, 1)
     if bead % 2 == 0:
-        refuse("bead", "a light one, of an odd number", str(bead))
+        refuse("bead", "a light bead, whose number is odd", str(bead))
     beads = bead + 2 + MARGIN
     found = sweep(_squeezed(beads, bead), paired({"ratio": ratios}), chunk=LANES)
     counts = map(squeeze_count, found.left.values, found.right.values)

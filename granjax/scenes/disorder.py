@@ -101,7 +101,7 @@ def disordered(
     elif of == "stiffness":
         A = A * (1 + x)
     elif law is not None:
-        remedy = "Positions change the static force, which a law has made."
+        remedy = "Positions change the static force, which is part of a law."
         refuse("law", "None with of='position'", "a law", remedy)
     else:
         precompression = _displaced(x, A, exponent, precompression, boundary)
@@ -135,7 +135,7 @@ def _displaced(x, A, exponent, precompression, boundary):
             "precompression",
             "a static force above zero with of='position'",
             f"{precompression}",
-            "Without overlap at rest there is none that positions could change.",
+            "Without overlap at rest positions change no force.",
         )
     right = jnp.roll(x, -1) if boundary == "periodic" else x[1:]
     change = (x if boundary == "periodic" else x[:-1]) - right

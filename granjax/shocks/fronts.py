@@ -206,7 +206,7 @@ def _jump(medium, piston):
             "piston",
             "a velocity that some strain of the law has",
             f"{piston:g}",
-            "There the force ends, or does not grow.",
+            "At this strain the force ends, or does not grow.",
         )
 
     def over(e):
@@ -218,7 +218,7 @@ def _jump(medium, piston):
 def _checked_step(medium, jump, given):
     behind, ahead, _, dashpot = given
     if not jump or behind is not None and abs(jump) <= ROUNDING * abs(ahead):
-        refuse("behind", "another strain than ahead", f"{behind:g}", "A front joins two.")
+        refuse("behind", "a strain other than ahead", f"{behind:g}", "A front joins two strains.")
     step = _Step(*map(float, _sides(medium.law, medium.mass, jnp.asarray(jump), dashpot)))
     chord, excess, short = step.force / jump, step.excess, step.short
     if not (np.isfinite(chord) and chord > 0 and np.isfinite(excess + short)):
@@ -271,7 +271,7 @@ def _solved(law, step, trial, critical):
     if found is None or not found.residual < solver.CONVERGED:
         refuse(
             "dashpot",
-            "one whose front is found",
+            "a dashpot whose front is found",
             f"{step.zeta / critical.zeta:.2g} of the critical one",
             "Of a smaller damping the train of waves behind is longer, and may reach where the law ends.",
         )

@@ -41,7 +41,7 @@ def problem_of(run: Run, problem: Riemann | None) -> Riemann:
         refuse(
             "problem",
             "what was run, as gx.shocks.velocity_shock returns it",
-            "nothing, and the run does not know",
+            "None, and the run does not hold it",
             "Give it: measure(run, problem).",
         )
     return _recognised(*run.started)

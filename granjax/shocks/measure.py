@@ -215,7 +215,7 @@ def _profile(run, problem, side):
             "run",
             "a shock with quiet bonds before it",
             got,
-            "A longer chain, or a shorter run; problem.horizon().",
+            "Take a longer chain or a shorter run; problem.horizon() is the longest.",
         )
     # Waves from an end that is held are cut off.
     last = quiet[-1] + EVEN

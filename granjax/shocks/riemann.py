@@ -98,9 +98,9 @@ class Riemann(eqx.Module):
         if self._jolt is None:
             refuse(
                 "t1",
-                "a time, for a chain of other forces than those of bonds to the next site",
+                "a time, since not all forces are those of bonds to the next site",
                 "None",
-                "How fast they carry is not known here.",
+                "How fast the others carry a signal is not known here.",
             )
         centre, last = self.centre + 0.5, self.lattice.shape[0] - 1
         room = (

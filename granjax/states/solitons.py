@@ -145,7 +145,7 @@ def _places(what, lattice, centre, direction):
                 "lattice",
                 "a force with a quadratic part, K3 other than zero",
                 "K3 = 0",
-                "Neither equation is near such a chain; see states.solitary_wave.",
+                "Neither equation describes such a chain; see states.solitary_wave.",
             )
     return chain, numbers(lattice), crest(lattice, centre, direction)
 

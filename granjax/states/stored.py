@@ -38,7 +38,7 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
             "data",
             f"numbers in {lattice.units}, as those of the lattice",
             f"numbers in {said}",
-            "run.in_units(...) and gx.Units lead from one to the other.",
+            "run.in_units(...) and gx.Units convert one into the other.",
         )
     made = []
     for name in ("u", "v"):

@@ -142,7 +142,7 @@ def _local_frequency(lattice, q, k):
             "omega",
             "the wave's frequency",
             "None",
-            "This chain is not uniform, so its own stiffness does not say; give a number or omega(q).",
+            "This chain is not uniform, so its stiffness gives no frequency; give a number or omega(q).",
         )
     return jnp.sqrt(jnp.maximum(squares, 0))
 

@@ -25,7 +25,7 @@ ASKED = 4
 KNOWN = ("granjax", "jax", "result", "units", "cite")
 DRAWS = (
     "It is compiled once for many points, which would share what NumPy's or Python's random draws. Draw from a "
-    "parameter: jax.random.normal(jax.random.key(seed), shape), with a seed for each point."
+    "parameter: jax.random.normal(jax.random.key(seed), shape), with one seed for each point."
 )
 
 
@@ -175,8 +175,8 @@ def program(
     if numbers() != numbers():
         refuse(
             "function",
-            "one that computes the same each time",
-            "other numbers when it is called again",
+            "a function that gives the same numbers at each call",
+            "other numbers at a second call",
             DRAWS,
         )
     axes = {name: None if name in shared else 0 for name, _ in kinds if name not in known}

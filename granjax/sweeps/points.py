@@ -125,7 +125,7 @@ def _row(name, x):
             f"parameters[{name!r}]",
             "a row of numbers or words",
             f"{x.dtype} of shape {x.shape}",
-            "A number that all lanes share belongs into the function; of several arrays sweep their number.",
+            "Put a number that all points share into the function; to sweep over several arrays, sweep their index.",
         )
     if x.dtype.kind == "f":
         x = x.astype(float)

@@ -170,7 +170,7 @@ def _resolved(u, m1):
             "u",
             f"numbers below {most:.3g} in size, but at m = 1",
             show(value),
-            "Beyond, the rounding of u itself passes through periods. Take it modulo 4 K(m).",
+            "For larger u its rounding exceeds a period. Take it modulo 4 K(m).",
         )
     return u
 
@@ -183,6 +183,6 @@ def _characteristic(n):
             "n",
             "numbers not above 1",
             show(value),
-            "Beyond 1 the integrand has a pole; no principal value.",
+            "Beyond 1 the integrand has a pole, and no principal value is taken.",
         )
     return n

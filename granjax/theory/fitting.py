@@ -155,7 +155,7 @@ def shock_edges(
     c, ahead = parameter("c", c), parameter("ahead", ahead)
     path = _path_to(medium.known, c, ahead, "shock")
     if not path.growth > 0:
-        refuse("c", "a jump that changes the speed of sound by what numbers resolve", f"{path.c:g}")
+        refuse("c", "a jump that changes the speed of sound by more than rounding", f"{path.c:g}")
     mean, sound, trailing, leading = _excesses(medium.law, medium.mass, c, ahead, *path.arrays)
     speeds, front, told = [sound * (1 + trailing), sound * (1 + leading)], (None, None), ()
     strong = not path.growth < BINARY - 1

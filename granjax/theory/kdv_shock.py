@@ -180,7 +180,7 @@ def _scaled(c, K2, K3, mass):
             "c",
             "C = 2 c K3/(K2 (K2/mass)^(1/2)) in (0, 1)",
             show(value),
-            "Of the other sign there is a rarefaction, or where K3 < 0 a compression that spreads; a shock as "
+            "With the other sign there is a rarefaction, or where K3 < 0 a compression that spreads; a shock as "
             "strong as C = 1 is no long, weak wave.",
         )
     return C, sound, K2 / K3

@@ -193,7 +193,7 @@ def _at_rest(law, ahead):
             "ahead",
             "a strain at which the contacts are closed",
             f"{ahead:g}",
-            "Across a gap no sound runs.",
+            "Sound does not cross a gap.",
         )
     if not 0 <= first < np.inf:
         refuse(

@@ -336,7 +336,7 @@ def _wave_number(name, k):
             name,
             f"numbers below {most:.0f}",
             show(value),
-            "Beyond, exp(2k) passes the largest number.",
+            "For larger k, exp(2k) overflows.",
         )
     return k
 

@@ -182,7 +182,7 @@ def stability(
             "keywords",
             "none where the far states are held",
             ", ".join(keywords),
-            'They belong to ends="ring".',
+            'Use them with ends="ring".',
         )
     return _held(wave, _sites_of(wave) if sites is None else sites)
 

@@ -117,7 +117,7 @@ def _of_own_speed(track, strains, coarse):
     if not track.misfit < 1:
         refuse(
             "wave",
-            "one that is nearest to the strains",
+            "a wave close to the strains",
             f"a misfit of {track.misfit:.1%} of its peak",
         )
     for _ in range(ROUNDS):
