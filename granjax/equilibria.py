@@ -17,6 +17,7 @@ from .laws import Strained
 from .newton import newton
 from .programs import compiled, concretely
 from .results import Result, array, note, part
+from .strains import Stretch
 from .terms import Bond, LongRange, Term, chain, reach
 from .terms.base import Altered, get
 from .terms.sites import with_still_walls
@@ -367,7 +368,8 @@ def _finished(problem, x, jacobian):
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
     measured = tuple(_measured_from(term, lattice, u) for term in lattice.terms)
-    measured = eqx.tree_at(lambda x: x.terms, lattice, measured)
+    parts = measured, _places(lattice, u)
+    measured = eqx.tree_at(lambda x: (x.terms, x.positions), lattice, parts, is_leaf=_is_none)
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
     least = None, None
@@ -443,11 +445,26 @@ def _measured_from(term, lattice, u):
     # The term with displacements counted from `u`, and its forces beyond those there.
     if isinstance(term, LongRange):
         rest = get(u, term.field) + (0 if term.rest is None else term.rest)
-        return eqx.tree_at(lambda x: x.rest, term, rest, is_leaf=lambda x: x is None)
-    if type(term) is Bond and term.strain_map.linear:
-        strained = Strained(term.law, term.strain_map.strain(u))
-        return eqx.tree_at(lambda x: x.law, term, strained)
+        return eqx.tree_at(lambda x: x.rest, term, rest, is_leaf=_is_none)
+    if type(term) is Bond and (term.strain_map.linear or type(term.strain_map) is Stretch):
+        at, law, strain = term.strain_map, term.law, term.strain_map.strain(u)
+        if type(law) is Strained and law.reference is None:
+            law, strain = law.law, law.strain + strain
+        if not at.linear:
+            at = Stretch(at.pairs, at.vector - at.pairs.strain(u)[..., : at.components])
+        return eqx.tree_at(lambda x: (x.strain_map, x.law), term, (at, Strained(law, strain)))
     return _MeasuredFrom(term, u) if reach.reads(term, lattice).displacement else term
+
+
+def _is_none(x):
+    return x is None
+
+
+def _places(lattice, u):
+    # The positions of the sites at rest, where displacements have components along them.
+    if lattice.positions is None or lattice.dimension is None:
+        return lattice.positions
+    return jax.tree.map(lambda x, u: x + u[..., : x.shape[-1]], lattice.positions, u)
 
 
 def _wall_loads(term, u):

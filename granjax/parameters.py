@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .checks import one_of, parameter, refuse, show, traced
+from .checks import described, one_of, parameter, refuse, show, traced
 from .printing import told
 from .programs import compiled
 from .types import AnyArray, Numbers, Parameter, Scalar
@@ -42,6 +42,8 @@ class Coordinates(eqx.Module):
     __repr__ = told
 
     def __init__(self, start: dict[str, Parameter], bounds: Bounds = None):
+        if not isinstance(start, dict):
+            refuse("start", "a dict from names to numbers or arrays", described(start))
         bounds = bounds or {}
         for name in bounds:
             one_of("bounds", name, tuple(start))

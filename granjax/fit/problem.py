@@ -217,7 +217,7 @@ def prepared(
     with jax.ensure_compile_time_eval():
         coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
-    lattice, traces = scene(parameters), checked_traces(traces)
+    lattice, traces = _scene_at(scene, parameters), checked_traces(traces)
     if lattice.lanes:
         refuse(
             "scene", "a function that returns one Lattice", f"a batch with lanes {lattice.lanes}"
@@ -265,6 +265,16 @@ def prepared(
         remedy = "Nothing is stiff at this energy, so no time scale sets one: give step=."
         refuse("step", "a time step", "None", remedy)
     return problem.with_step(wanted if step is None else float(positive("step", step)))
+
+
+def _scene_at(scene, parameters):
+    try:
+        return scene(parameters)
+    except KeyError as error:
+        if not error.args or error.args[0] in parameters:
+            raise
+        names = ", ".join(map(repr, parameters))
+        refuse("start", f"a value for {error.args[0]!r}, which the scene looks up", names)
 
 
 def _refuse_other_units(units, omega, span):

@@ -19,6 +19,9 @@ from ..types import Count, Displacements, Number, Parameter, Site
 from ..units import SCALED, SI
 from ..units.names import counted_in, mark_of
 
+# What a force that branches on its strain is told.
+_NO_BRANCH = "A force acts on all sites at once: write jnp.where(e > 0, ..., ...) instead of if."
+
 
 class State(NamedTuple):
     """Displacements and velocities, arrays (or dicts of arrays) of one shape: a diffrax state.
@@ -189,7 +192,10 @@ class Lattice(eqx.Module):
                 )
             except (TypeError, ValueError, IndexError, AttributeError) as error:
                 wanted = f"parameters that fit a lattice of shape {self.shape}"
-                refuse(name, wanted, f"an error: {str(error).rstrip('.')}")
+                said = str(error).splitlines()[0].rstrip(".")
+                branches = isinstance(error, jax.errors.ConcretizationTypeError)
+                remedy = _NO_BRANCH if branches or "truth value" in said else ""
+                refuse(name, wanted, f"an error: {said}", remedy)
             wanted = (
                 u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
             )

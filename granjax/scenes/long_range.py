@@ -83,7 +83,7 @@ def magnets(
             "spacing",
             f"more than the diameter of a magnet, {show(size)}",
             show(concrete(d)),
-            "These magnets touch.",
+            "These touch.",
         )
     power = exponent if isinstance(exponent, (int, float)) else p
     # Known numbers use NumPy, because JAX compiles a program for each operation.

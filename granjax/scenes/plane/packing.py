@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -163,20 +162,4 @@ def _at_rest(lattice):
             f"{min(overlaps):.3g} m: some are left without neighbours that hold them. Give a larger "
             f"precompression, or radii that differ less. {found.outcome}"
         )
-    u = found.state.u
-
-    def moved(bond):
-        pairs, vector = (
-            bond.strain_map.pairs,
-            bond.strain_map.vector - bond.strain_map.pairs.strain(u),
-        )
-        overlap = bond.law.strain + bond.strain_map.strain(u)
-        there = (
-            type(bond.strain_map)(pairs, vector),
-            eqx.tree_at(lambda x: x.strain, bond.law, overlap),
-        )
-        return type(bond)(*there)
-
-    positions = jax.tree.map(jnp.add, lattice.positions, u)
-    parts = lambda x: (x.terms, x.positions)
-    return eqx.tree_at(parts, lattice, (tuple(map(moved, lattice.terms)), positions))
+    return found.lattice
