@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from .checks import one_of, positive, real, refuse, show, whole
 from .flow import frequency_bound, linear_frequency, simulate
-from .flow.method import checked_state, checked_times, facts
+from .flow.arguments import checked_state, checked_times, facts
 from .lattice import Lattice
 from .results import SI, Result, array, hidden
 from .solvers import (

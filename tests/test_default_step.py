@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import eigvalsh_tridiagonal
 
 import granjax as gx
-from granjax.flow.method import STEP_FRACTION
+from granjax.flow.steps import STEP_FRACTION
 
 N, T1 = 200, 40.0
 TODA, VACUUM = gx.scenes.toda(N), gx.scenes.monomer(N)

@@ -10,7 +10,7 @@ import pytest
 
 import granjax as gx
 from granjax import programs
-from granjax.flow.method import facts
+from granjax.flow.arguments import facts
 
 # other tests of the same process must not have compiled these shapes
 N = 7

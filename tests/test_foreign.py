@@ -13,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 from refusals import refused
 
 import granjax as gx
-from granjax.flow.method import STEP_FRACTION, frequency_bound
+from granjax.flow.steps import STEP_FRACTION, frequency_bound
 from granjax.lattice import linearised
 from granjax.orbits.asked import shifts
 

@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
+from granjax.flow.integrate import Plan
 from granjax.flow.march import refuse_endless
-from granjax.flow.method import Plan
 
 march = sys.modules["granjax.flow.march"]
 RECORD = {"sum": gx.Integral(gx.measures.contact_force)}

@@ -15,8 +15,8 @@ from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax import scenes
-from granjax.flow.method import frequency_bound
 from granjax.flow.remarks import passing
+from granjax.flow.steps import frequency_bound
 
 K, M = np.array([2 * np.pi / 3, 4 * np.pi / 3]), np.array([np.pi, 0.0])
 RNG = np.random.default_rng(7)

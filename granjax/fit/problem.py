@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse
 from ..flow import Run, frequency_bound, simulate
-from ..flow.method import STEP_FRACTION, checked_state, checked_tolerance, facts, least_tolerance
+from ..flow.arguments import checked_state, checked_tolerance, facts, least_tolerance
+from ..flow.steps import STEP_FRACTION
 from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..parameters import Bounds, Coordinates

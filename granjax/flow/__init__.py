@@ -3,13 +3,12 @@
 from .caputo import CaputoRun, caputo
 from .derivative import Derivative, derivative
 from .memory import RunWithMemory
-from .method import frequency_bound
 from .record import Arrival, Integral, Lowest, Peak, PeakTime, Record
 from .reversible import Reversible, return_error
 from .run import Run
 from .simulate import simulate
 from .stepping import Flow
-from .stiffness import linear_frequency
+from .steps import frequency_bound, linear_frequency
 
 __all__ = [
     "Arrival",

@@ -17,8 +17,7 @@ from jax.custom_batching import custom_vmap
 from ..lattice import Lattice, State, vector_field
 from ..programs import joined, parted
 from ..types import Scalar, StateLike
-from .integrate import integrate
-from .method import CUBICS, ENDS, Plan
+from .integrate import CUBICS, ENDS, Plan, integrate
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # The bound on a traced run whose number of steps is not known. A bound that is not reached costs

@@ -12,7 +12,7 @@ from ..checks import concrete, parameter, refuse, whole, within
 from ..programs import compiled
 from ..results import Result, array
 from ..types import Count, Number, Pytree, Scalar, Times, VectorField
-from .method import checked_times
+from .arguments import checked_times
 
 # The most iterations of Newton's method at each step, and the change, relative to the solution, at
 # which they stop.

@@ -8,10 +8,10 @@ from ..checks import traced
 from ..lattice import Lattice, State, vector_field
 from ..programs import compiled
 from ..types import Flags, Number, StateLike
+from .arguments import least_tolerance
 from .batching import batched
-from .integrate import overlaps
+from .integrate import DENSE, Plan, overlaps
 from .march import march
-from .method import DENSE, Plan, least_tolerance
 from .run import Errors, Found
 
 # The second run has a tolerance smaller by the first factor, or steps shorter by the next ones. The

@@ -17,8 +17,7 @@ from ..types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, T
 from .bath import Bathed, baths
 from .control import Landing, Scales, StepControl, largest, one_sided
 from .lanes import by_groups, each_lane
-from .method import CUBICS, DENSE, ENDS, Plan, least_step
-from .record import CLOSEST, EXTREMES, AtEnds, Dips, Lowest, Recorded, leaf_by_leaf
+from .record import CLOSEST, EXTREMES, AtEnds, Dips, Lowest, Record, Recorded, leaf_by_leaf
 from .run import (
     COMPLETED,
     FAILED,
@@ -30,12 +29,44 @@ from .run import (
     Found,
     finite,
 )
-from .stiffness import chosen, compressions, gathered_frequency, reached_frequency
+from .steps import chosen, compressions, gathered_frequency, least_step, reached_frequency
 
 # A force may differ from the slope of its energy by this many square roots of the rounding unit.
 KEPT = 100
 # omega times the longest adaptive step of a driven lattice.
 QUIET = 2.0
+
+# Where the smallest overlap of a contact is sought: at the ends of steps, also on the cubic through
+# both ends of each step, or on the dense output.
+ENDS, CUBICS, DENSE = "ends", "cubics", "dense output"
+
+
+class Plan(NamedTuple):
+    """How a run is integrated; its arrays are `step`, `tolerance`, `save_ts` and `records`.
+
+    - `step` [s]: the fixed step; with a `tolerance` the longest step, or `None`
+    - `save_ts`: times to save, `None` for the end only; `every`: save the end of each step
+    - `max_steps`: `None` for a loop without a bound, which has no reverse mode
+    - `watch`: follow all compressions, for the highest frequency that the run reaches
+    - `openings`: where contacts that open are sought
+    """
+
+    solver: diffrax.AbstractSolver
+    step: Number | None
+    tolerance: Number | None
+    save_ts: Times | None
+    records: dict[str, Record]
+    adjoint: diffrax.AbstractAdjoint
+    max_steps: int | None = None
+    every: bool = False
+    progress: bool = False
+    watch: bool = False
+    openings: str = ENDS
+
+    @property
+    def has_pieces(self) -> bool:
+        """Whether a run may be split: not every step is saved, and the adjoint stores nothing."""
+        return isinstance(self.adjoint, diffrax.ForwardMode) and not self.every
 
 
 @compiled

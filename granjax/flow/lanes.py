@@ -18,7 +18,7 @@ from ..programs import library
 from ..terms import Term
 from ..tuning import lanes_abreast
 from ..types import AnyArray, Number, Pytree, Scalar, StateLike
-from .method import facts
+from .arguments import facts
 from .run import Found
 
 # The largest relative cost of the idle lanes that fill up the last group.

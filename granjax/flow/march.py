@@ -15,9 +15,9 @@ from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..programs import compiled, is_untraced, wait
 from ..types import Scalar, StateLike
-from .integrate import Part, integrate, part_of, planned, reduced
+from .arguments import facts, rounding_unit
+from .integrate import CUBICS, Part, Plan, integrate, part_of, planned, reduced
 from .lanes import apart, refuse_lanes_within, together
-from .method import CUBICS, Plan, facts, rounding_unit
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # Seconds per evaluation of the forces, and per number of a state: an estimate, and a lower bound.

@@ -26,22 +26,12 @@ from ..terms import CaputoDamping
 from ..terms.base import memory_of
 from ..terms.reach import per_lane, reads
 from ..types import Number, Numbers, Scalar, StateLike, Times
+from .arguments import checked_size, checked_tolerance, held_frames, least_tolerance, number
 from .control import StepControl, largest, one_sided
-from .integrate import least_overlap, solved
-from .method import (
-    Plan,
-    checked_size,
-    checked_tolerance,
-    frequency_bound,
-    held_frames,
-    least_tolerance,
-    number,
-    refuse_far,
-    refuse_unresolved,
-)
+from .integrate import Plan, least_overlap, solved
 from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
-from .stiffness import largest_excitation
+from .steps import frequency_bound, largest_excitation, refuse_far, refuse_unresolved
 
 # The default tolerance of steps that carry internal variables, and the first step over t1 - t0 for
 # a tolerance of 1.

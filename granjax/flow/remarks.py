@@ -23,8 +23,8 @@ from ..terms.chain import span
 from ..terms.energies import energy_gap
 from ..terms.reach import reads, time_of
 from ..types import Displacements, Number, Scalar, StateLike, Times
-from .method import reachable
 from .run import Found
+from .steps import reachable
 
 # The tolerance and the relative energy error from which on there is a remark.
 LOOSE, SUSPICIOUS = 1e-2, 0.02

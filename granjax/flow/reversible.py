@@ -12,8 +12,7 @@ from ..programs import compiled
 from ..solvers import AbstractSplitting
 from ..split_system import by_stages
 from ..types import Count, Counts, Number, Scalar, StateLike
-from .integrate import integrate
-from .method import Plan
+from .integrate import Plan, integrate
 from .run import Found
 from .stepping import Flow, check_moved, check_steps
 

@@ -11,35 +11,28 @@ from ..checks import refuse, show, traced, whole
 from ..lattice import Lattice, State
 from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
-from .batching import TRACED_STEPS, batched, without_the_lost
-from .bath import baths, refuse_unfit
-from .confirmation import confirmed
-from .integrate import integrate
-from .lanes import apart
-from .march import march, refuse_endless
-from .memory import with_memory
-from .method import (
-    CUBICS,
-    DENSE,
-    ENDS,
-    Plan,
-    Steps,
+from .arguments import (
     checked_method,
     checked_records,
     checked_save_at,
     checked_state,
     checked_times,
     facts,
-    fixed_step,
     held_frames,
-    linear_bound,
     number,
-    refuse_far,
 )
+from .batching import TRACED_STEPS, batched, without_the_lost
+from .bath import baths, refuse_unfit
+from .confirmation import confirmed
+from .integrate import CUBICS, DENSE, ENDS, Plan, integrate
+from .lanes import apart
+from .march import march, refuse_endless
+from .memory import with_memory
 from .record import Record
 from .remarks import doubts, meeting, missed, passing, unseen
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
+from .steps import Steps, fixed_step, linear_bound, refuse_far
 
 SAVED_STEPS = 2**16
 # The margin of a contact is its smallest overlap at the ends of steps, divided by the distance that

@@ -21,7 +21,7 @@ from ..programs import compiled, parted
 from ..solvers import AbstractNystrom, AbstractSplitting, SRKN14a
 from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .control import OneSided, breaks_of, shared_out
-from .method import refuse_unresolved
+from .steps import refuse_unresolved
 
 # The most numbers in a vector register: rows of tangents that are a multiple of it are up to 1.2
 # times faster.

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..checks import concrete, described, refuse, traced, whole
 from ..flow import Flow, frequency_bound, linear_frequency
-from ..flow.method import facts
+from ..flow.arguments import facts
 from ..lattice import Lattice, State, uniform_moves
 from ..programs import compiled, in_numpy, library
 from ..types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times

@@ -5,7 +5,8 @@ import numpy as np
 
 from ..checks import refuse, show
 from ..flow import simulate
-from ..flow.method import checked_method, fixed_step
+from ..flow.arguments import checked_method
+from ..flow.steps import fixed_step
 from ..lattice import Lattice, State
 from ..programs import compiled
 from ..results import Result, array, note

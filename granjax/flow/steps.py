@@ -1,4 +1,4 @@
-"""A bound on the highest frequency at the energy of a lattice, which sets the default step.
+"""The choice of a fixed step, and the bound on the highest frequency that sets the default one.
 
 A bond gathers at most the energy that its neighbourhood holds at the start, which limits its
 compression. The largest stiffness k_b = F'(x) in that range makes a matrix |K| = sum |B|^T k |B|
@@ -13,21 +13,27 @@ checked at the end of the run.
 
 import inspect
 import math
+from collections.abc import Callable
 from functools import partial, reduce
-from typing import Any
+from typing import Any, NamedTuple
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import concrete, refuse, traced, whole
 from ..lattice import Lattice
-from ..programs import compiled, once
+from ..programs import compiled, concretely, once
+from ..solvers.stability import refused_from
 from ..terms import Reach, Wall
 from ..terms.base import Excitation, within
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
 from ..terms.reach import per_lane, reads
+from ..terms.waveforms import count_breaks
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
+from .arguments import checked_state, checked_times, facts, number, rounding_unit
 
 # Steps of power iteration. A check after a run needs few, since an error of a tenth does not
 # mislead it.
@@ -40,6 +46,211 @@ ROUNDING = 1e-12
 # Where contacts open all over a lattice, every method has order 5/2, so the steps are shorter by
 # this factor.
 OPENING = 2.0
+# h omega of the default step.
+STEP_FRACTION = 0.5
+# The neighbourhoods, in lengths of a bond, from which energy may gather in a bond, where the run is
+# checked at its end. The second one is for a law without a floor.
+GATHERED = (4, 1)
+# A run at the default step is repeated if it passed its bound by more than this factor.
+PASSED = 1.1
+MOST_STEPS = 1e8
+# Below this part of a run's length, the rounding of t0 does not matter.
+NEAR = 1e-9
+# A step spans at least this many rounding units of t0, since the user can avoid that loss of
+# accuracy with t0 = 0.
+UNITS_AT_START = 256
+# It also spans this many rounding units of the later of t0 and t1, so that steps change the time.
+# More is not asked, as long runs lose accuracy in other ways.
+UNITS_AT_END = 4
+
+
+class Steps(NamedTuple):
+    """Equal steps: their size, number (`None` while traced), how they were chosen, and a remark.
+
+    `allowed`: the h omega that the run may reach, if it may pass the bound that set the step, so
+    that it must be checked at the end; else `None`.
+    """
+
+    size: Number
+    count: int | None
+    choice: str
+    remark: str
+    allowed: float | None
+
+
+def fixed_step(
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    step: Scalar | None,
+    solver: diffrax.AbstractSolver | type,
+    frames: int,
+    bound: Any = None,
+) -> Steps:
+    """Return the steps of a run, a whole number of them in each of the equal frames.
+
+    `bound`: the highest frequency that a run has shown; by default that of the lattice's energy.
+    """
+    about, limit, allowed, given = facts(lattice), refused_from(solver), None, step is not None
+    if not given:
+        bound, watch = reachable(lattice, state, t0, t1) if bound is None else (bound, True)
+        bound = chosen(bound)
+        if not isinstance(bound, jax.core.Tracer) and not bound > 0:
+            refuse(
+                "step",
+                "a time step",
+                "None",
+                "Nothing is stiff at this energy (a sonic vacuum at rest?), so no time scale sets one: give step=.",
+            )
+        fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
+        step, allowed = fraction / bound, PASSED * fraction if watch else None
+    known = not traced((step, t0, t1))
+    if given:
+        choice = "given step"
+        if known and limit is not None and not (about.traced or traced(state)):
+            _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
+        if isinstance(step, jax.core.Tracer):
+            step = jnp.where(step > 0, step, jnp.nan)  # The outcome then reports it.
+    else:
+        choice = f"default step, h omega_max <= {fraction:.3g}"
+        if known and useless(step, t0, t1):
+            refuse(
+                "step",
+                "a time step",
+                "None",
+                f"The bound on the stiffness at this energy asks for steps of {step:.1e}: no useful one (a law "
+                "without a floor, or far more energy than moves). Give step= or tolerance=.",
+            )
+    remark = ""
+    if softens(lattice):
+        remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
+    span = chosen((t1 - t0) / frames)
+    # A few ulp of slack, so that 120/0.05 is 2400 and not 2401.
+    count = span / step * (1 - 1e-12)
+    if not known:
+        count = jnp.maximum(jnp.ceil(count), 1)
+        return Steps((t1 - t0) / (count * frames), None, choice, remark, allowed)
+    refuse_unresolved(t0, t1, step, about.dtype)
+    count = max(math.ceil(count), 1) * frames
+    more = count_breaks(lattice.breaks, t0, t1) if about.has_breaks else 0
+    steps = None if isinstance(more, jax.core.Tracer) else count + int(more)
+    return Steps((t1 - t0) / count, steps, choice, remark, allowed)
+
+
+def reachable(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> tuple:
+    """Return a bound on the frequencies at this energy, and whether a run may pass it.
+
+    The bound is a Python number where it is known.
+    """
+    span = number(t0, np.dtype(float)), number(t1, np.dtype(float))
+    if facts(lattice).traced or traced((state, t0, t1)):
+        return frequency_bound(*jax.tree.map(chosen, (lattice, state, *span))), False
+    for neighbourhood in GATHERED:
+        found = gathered_frequency(lattice, state, *span, neighbourhood)
+        # Plain numbers within a transformation of something else.
+        if isinstance(found, jax.core.Tracer):
+            return frequency_bound(lattice, state, *span), False
+        bound, beyond = np.asarray(found).tolist()
+        if not bound > 0 or not useless(STEP_FRACTION / bound, t0, t1):
+            break
+    return bound, bool(beyond)
+
+
+def useless(step: Any, t0: Any, t1: Any) -> bool:
+    """Return whether a step is not finite, or a run would take too many of them."""
+    return bool(not math.isfinite(step) or (t1 - t0) / step > MOST_STEPS)
+
+
+def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
+    omega = linear_bound(lattice)
+    if 0 < step * omega <= limit:
+        return
+    what = "the highest linear frequency"
+    if omega > 0:
+        omega = concrete(linear_frequency(lattice))
+    else:
+        omega = concrete(reachable(lattice, state, t0, t1)[0])
+        what = "the highest frequency at this energy"
+    if omega is not None and step * omega > limit:
+        refuse(
+            "step",
+            f"at most {limit / omega:.4g}, where {type(solver).__name__} is stable",
+            f"{step}",
+            f"{what[0].upper()}{what[1:]} is {omega:.4g} and the limit h omega < {limit:.4g}.",
+        )
+
+
+def least_step(t0: Scalar, t1: Scalar, dtype: Any, larger: Callable = max) -> Scalar:
+    """Return the shortest step that the floating type resolves at these times.
+
+    `larger`: a function of two numbers.
+    """
+    start = UNITS_AT_START * abs(t0)
+    return rounding_unit(dtype) * larger(start, UNITS_AT_END * larger(abs(t0), abs(t1)))
+
+
+def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
+    """Refuse known times at which the floating type does not resolve the steps."""
+    if step < least_step(t0, t1, dtype):
+        gap = rounding_unit(dtype) * max(abs(t0), abs(t1))
+        finer = "" if dtype == np.dtype(float) else " Or compute in float64."
+        refuse(
+            "t0, t1, step",
+            f"a step that is long against the gaps between numbers of {dtype} at these times",
+            f"a step of {step:.3g} from t0 = {t0:g} to t1 = {t1:g}, where numbers lie {gap:.2g} apart",
+            f"Count time from t0=0 (of what drives the lattice too), or take a longer step.{finer}",
+        )
+
+
+def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> None:
+    """Refuse times as `refuse_unresolved` does, for adaptive steps.
+
+    Those are about as long as the default step.
+    """
+    about = facts(lattice)
+    eps = rounding_unit(about.dtype)
+    # Most calls end here; the rest takes longer.
+    if traced((t0, t1)) or eps * abs(t0) < NEAR * (t1 - t0) or about.traced or traced(state):
+        return
+    omega = linear_bound(lattice) or reachable(lattice, state, t0, t1)[0]
+    if omega > 0:
+        refuse_unresolved(t0, t1, STEP_FRACTION / omega, about.dtype)
+
+
+def frequency_bound(
+    lattice: Lattice,
+    state: StateLike,
+    t0: Scalar,
+    t1: Scalar,
+    neighbourhood: Count = NEIGHBOURHOOD,
+) -> Number:
+    """Return a bound on the frequencies of linearisation about all states that the energy allows.
+
+    A bond may gather the largest energy that a neighbourhood, some bond lengths wide, holds at the
+    start (that of the whole lattice if a term does not say how far it couples). Driving adds
+    energy:
+
+    - a drive adds that stored by a quasi-static push to twice its largest value;
+    - a moving wall adds that of the heaviest site at twice the wall's largest speed, or its
+      displacement shared by all sites, whichever is more;
+    - a modulation counts with its largest value and the energy that it gives the initial state.
+
+    The bound is doubled where contacts may open all over the lattice.
+
+    **Returns:** omega_max [rad/s], one number for all lanes; zero for a lattice without stiffness
+    at its energy. **Raises** ValueError for a state of another shape, and times that are not in
+    order.
+    """
+    state, neighbourhood = checked_state(lattice, state), whole("neighbourhood", neighbourhood, 1)
+    # As arrays, so that other values compile nothing.
+    t0, t1 = (jnp.asarray(t, lattice.dtype) for t in checked_times(t0, t1))
+    return _bound_at(lattice, state, t0, t1, neighbourhood)
+
+
+@compiled
+def _bound_at(lattice, state, t0, t1, neighbourhood):
+    return gathered_frequency(lattice, state, t0, t1, neighbourhood)[0]
 
 
 @compiled
@@ -105,6 +316,12 @@ def linear_frequency(lattice: Lattice, power_steps: Count = POWER_STEPS) -> Numb
     none = jnp.zeros((2, *lattice.lanes), lattice.dtype)
     reach = Reach(none, zero, None, 1, zero[None], lattice.zeros())
     return _bound(lattice, [reach] * len(lattice.terms), power_steps)
+
+
+@once
+def linear_bound(lattice: Lattice) -> float:
+    """Return a bound on the linear frequencies of a known lattice; it is quick and cached."""
+    return float(concretely(linear_frequency, lattice, 0))
 
 
 def compressions(lattice: Lattice, t: Number, u: Displacements) -> tuple:
