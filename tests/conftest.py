@@ -35,12 +35,12 @@ def pytest_configure(config):
     os.environ["MPLBACKEND"] = "Agg"
     if WORKER or not hands_out:
         asked = config.getoption("markexpr")
-        config.programs = _prepare(typed_too="not slow" in asked, long=asked == "study")
+        config.programs = _prepare(typed_too="not slow" in asked)
         _forget(config.programs)
 
 
-def _prepare(typed_too, long):
-    """Flags, import hook, granjax; the folder of compiled programs, or None. `long`: programs worth the optimiser."""
+def _prepare(typed_too):
+    """Flags, import hook, granjax; the folder of compiled programs, or None."""
     import jax
 
     if "XLA_FLAGS" not in os.environ:
@@ -50,8 +50,8 @@ def _prepare(typed_too, long):
             cheap += " --xla_cpu_use_fusion_emitters=false"
         os.environ["XLA_FLAGS"] = cheap
         # for the processes that tests start too
-        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(not long))
-        jax.config.update("jax_disable_most_optimizations", not long)
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+        jax.config.update("jax_disable_most_optimizations", True)
     # older versions trace literals of a class of their own, which no annotation knows
     if typed_too and jax.__version_info__ >= (0, 10):
         import typed

@@ -33,30 +33,20 @@ def driven(omega):
 
 # what is wrong, who refuses it, and what the sentence must name
 BAD = (
-    *((f"mass {m}", lambda m=m: chain(BOND, mass=m, sites=6), "mass") for m in (0.0, NAN, INF)),
-    ("one mass of many", lambda: chain(BOND, mass=np.array([1, 1, 0, 1.0])), "mass"),
+    *((f"mass {m}", lambda m=m: chain(BOND, mass=m, sites=6), "mass") for m in (0.0, NAN)),
     (
         "mass of a field",
         lambda: chain(mass={"bead": np.ones(3), "resonator": -np.ones(3)}),
         "mass['resonator']",
     ),
     ("mass complex", lambda: chain(BOND, mass=np.ones(6) * 1j), "mass"),
-    ("mass string", lambda: chain(BOND, mass="heavy"), "mass"),
-    ("mass ragged", lambda: chain(BOND, mass=[[1.0], [1.0, 2.0]]), "mass"),
-    ("mass bool", lambda: chain(BOND, mass=np.array([True, True])), "mass"),
     ("mass without sites", lambda: chain(BOND, mass=1.0), "mass"),
     ("one site", lambda: chain(mass=np.ones(1)), "two sites"),
     ("sites 0", lambda: chain(mass=1.0, sites=0), "sites"),
-    ("sites 2.5", lambda: chain(mass=1.0, sites=2.5), "sites"),
     ("sites and masses", lambda: chain(mass=np.ones(5), sites=6), "mass"),
-    ("dimension 0", lambda: chain(BOND, dimension=0), "dimension"),
-    *((f"hertz {a}", lambda a=a: gx.Hertz(a), "stiffness") for a in (0, NAN, 1j, "stiff")),
-    ("power", lambda: gx.PowerLaw([1, -1], 2.0), "stiffness"),
+    *((f"hertz {a}", lambda a=a: gx.Hertz(a), "stiffness") for a in (0, 1j, "stiff")),
     *((f"F0 {f}", lambda f=f: gx.Hertz(1.0, f), "precompression") for f in (-1.0, INF)),
-    *(
-        (f"p {p}", lambda p=p: gx.PowerLaw(1.0, p, 1.0), "exponent")
-        for p in (0, 0.0, NAN, [0.5, 0.0])
-    ),
+    *((f"p {p}", lambda p=p: gx.PowerLaw(1.0, p, 1.0), "exponent") for p in (0, [0.5, 0.0])),
     ("p of two signs", lambda: gx.PowerLaw(1.0, np.array([1.5, -3]), 1.0), "exponent"),
     (
         "magnets without load",
@@ -64,69 +54,40 @@ BAD = (
         "exponent and precompression",
     ),
     ("polynomial of nothing", lambda: gx.Polynomial(0.0), "K2, K3, K4"),
-    ("polynomial nan", lambda: gx.Polynomial(1.0, NAN), "K3"),
-    ("toda", lambda: gx.Toda(-1.0), "strength"),
-    ("toda rate", lambda: gx.Toda(1.0, 0.0), "rate"),
-    ("linear", lambda: gx.Linear(NAN), "stiffness"),
-    ("sine", lambda: gx.Sine(1.0, 0.0), "wavenumber"),
-    ("support", lambda: gx.Yielding(HERTZ, 0.0), "support"),
     ("boundary", lambda: gx.Shift(1, "fixd"), "Did you mean 'fixed'?"),
-    ("boundaries", lambda: gx.Shift((1, 0), ("fixed",)), "boundary"),
-    *((f"offset {k}", lambda k=k: gx.Shift(k), "offset") for k in (0, (0, 0), 1.0, ())),
-    ("offset 0 in a field", lambda: gx.Shift(0, "free", "bead"), "offset"),
+    *((f"offset {k}", lambda k=k: gx.Shift(k), "offset") for k in (0, 1.0)),
     ("pairs float", lambda: gx.Pairs([0.0], [1]), "tail"),
-    ("pairs empty", lambda: gx.Pairs([], []), "tail"),
     ("pairs lengths", lambda: gx.Pairs([0, 1], [1]), "head"),
-    ("pairs -2", lambda: gx.Pairs([0], [-2]), "head"),
     ("pairs self", lambda: gx.Pairs([0, 1], [1, 1]), "head"),
-    ("pairs sites", lambda: gx.Pairs([0, 1], [1, 2], sites=2), "sites"),
     (
         "pairs of another lattice",
         lambda: chain(gx.Bond(gx.Pairs([0], [1]), HERTZ)),
         "terms[0] (Bond)",
     ),
     ("vector zero", lambda: gx.Stretch(gx.Shift(1), [0.0, 0.0]), "vector"),
-    ("vector number", lambda: gx.Stretch(gx.Shift(1), 1.0), "vector"),
     ("damping", lambda: gx.Damping(-0.1), "rate"),
-    ("dashpot", lambda: gx.Dashpot(gx.Shift(1), -0.1), "coefficient"),
     *(
         (
             f"drive of site {k}",
             lambda k=k: chain(gx.Drive(gx.Harmonic(1.0, 1.0), k)),
             "terms[0] (Drive)",
         )
-        for k in (6, -7, (0, 1))
+        for k in (6, -7)
     ),
-    ("terms of none", lambda: chain(BOND, None), "terms[1]"),
     ("a lattice beyond memory", lambda: chain(BOND, mass=1.0, sites=10**14), "GB of memory"),
-    ("a grid beyond memory", lambda: gx.Lattice(1.0, BOND, sites=(10**7, 10**7)), "GB of memory"),
     (
         "linearised about another shape",
         lambda: gx.lattice.linearised(LINEAR, 0.0, np.zeros(5)),
         "u",
     ),
-    ("harmonic", lambda: gx.Harmonic(NAN, 1.0), "amplitude"),
     ("wall side", lambda: gx.Wall(HERTZ, "rigth"), "Did you mean 'right'?"),
-    ("wall support", lambda: gx.Wall(HERTZ, support=-1.0), "support"),
     ("no term", lambda: chain(BOND, HERTZ), "terms[1]"),
     (
         "parameters per bond",
         lambda: chain(gx.Damping(0.1), gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.ones(6)))),
         "terms[1] (Bond)",
     ),
-    (
-        "loads per bond",
-        lambda: chain(gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, np.ones(4)))),
-        "terms[0] (Bond)",
-    ),
     ("rates per site", lambda: chain(gx.Damping(np.ones(5))), "terms[0] (Damping)"),
-    ("onsite per site", lambda: chain(gx.OnSite(gx.Linear(np.ones(7)))), "terms[0] (OnSite)"),
-    (
-        "dashpots per bond",
-        lambda: chain(gx.Dashpot(gx.Shift(1, "free"), np.ones(6))),
-        "terms[0] (Dashpot)",
-    ),
-    ("parameters per wall", lambda: chain(gx.Wall(gx.Hertz(np.ones(2)))), "terms[0] (Wall)"),
     (
         "modulation per bond",
         lambda: chain(gx.Modulated(BOND, lambda t: jnp.ones(4))),
@@ -142,26 +103,10 @@ BAD = (
         lambda: chain(gx.Bond(gx.Stretch(gx.Shift(1), [1.0, 0, 0]), HERTZ), dimension=2),
         "terms[0] (Bond)",
     ),
-    (
-        "stretch on a line",
-        lambda: chain(gx.Bond(gx.Stretch(gx.Shift(1), [1.0, 0.0]), HERTZ)),
-        "terms[0] (Bond)",
-    ),
     ("unknown field", lambda: chain(gx.OnSite(HERTZ, "beed"), mass=CELL), "bead"),
-    (
-        "unknown field of a bond",
-        lambda: chain(gx.Bond(gx.Shift(1, "free", "beed"), HERTZ), mass=CELL),
-        "bead",
-    ),
-    ("field of a plain array", lambda: chain(gx.OnSite(HERTZ, "bead")), "terms[0] (OnSite)"),
     ("no field in a cell", lambda: chain(BOND, mass=CELL), "terms[0] (Bond)"),
     ("mass masked", lambda: chain(BOND, mass=MASKED), "1 of 6 masked"),
     ("data masked", lambda: gx.Traces(np.arange(6.0), velocity=MASKED, sites=0), ".filled(np.nan)"),
-    (
-        "data complex",
-        lambda: gx.Traces(np.arange(6.0), velocity=np.ones(6) * 1j, sites=0),
-        "complex128",
-    ),
     (
         "times complex",
         lambda: gx.simulate(
@@ -169,14 +114,11 @@ BAD = (
         ),
         "save_at",
     ),
-    ("radius complex", lambda: gx.materials.hertz_coefficient("steel 316", 1j), "radius"),
     (
         "a displacement per site",
         lambda: gx.states.random(chain(BOND), 0, np.ones(6)),
         "displacement",
     ),
-    ("a temperature per site", lambda: gx.states.thermal(chain(BOND), np.ones(6)), "temperature"),
-    ("a strain per site", lambda: gx.states.strain_step(chain(BOND), np.ones(6)), "left"),
     (
         "a speed per site",
         lambda: gx.states.velocity_step(chain(BOND), np.ones(6)),
@@ -202,7 +144,7 @@ BAD = (
     ),
     *(
         (f"tolerance {x}", lambda x=x: checks.tolerance("tolerance", x), "tolerance")
-        for x in (-1, True, INF, NAN, 1.0, 0, "fine", np.ones(2))
+        for x in (-1, True, NAN, 1.0, np.ones(2))
     ),
     *(
         (
@@ -225,7 +167,6 @@ BAD = (
         lambda: decide(np.ones(2), np.zeros(2), 0, True, 1.0),
         "resolution",
     ),
-    ("adjoint of tolerance 0", lambda: gx.Reversible(0.0), "tolerance"),
     (
         "masses of other sites",
         lambda: gx.identify.regression(
@@ -237,11 +178,6 @@ BAD = (
         "damping of other sites",
         lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, damping=np.ones(5)),
         "(Damping)",
-    ),
-    (
-        "walls at an unknown field",
-        lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, field="bead"),
-        "field",
     ),
     (
         "complex displacements",
@@ -261,11 +197,6 @@ BAD = (
             gx.theory.nls.coefficients(1.0, 1.5, 0.375, 1.0, np.pi), 2.0, 9
         ),
         "omega: expected a frequency above",
-    ),
-    (
-        "a dip of the wrong sign",
-        lambda: gx.theory.nls.dark(0.0, 0.0, 1.0, -1.0, 1.0, nu3_force=-1.0),
-        "nu3_force",
     ),
     (
         "too few periods",

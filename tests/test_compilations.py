@@ -165,13 +165,17 @@ def sweep(seed):
 
 
 FAST = with_a_step, normal_modes, floquet
-SLOW = with_the_default_step, with_a_tolerance, breather, fit, forced_orbit
-STUDY = solitary_wave, attractors, sweep
-CALLS = [
-    *FAST,
-    *(pytest.param(call, marks=pytest.mark.slow) for call in SLOW),
-    *(pytest.param(call, marks=pytest.mark.study) for call in STUDY),
-]
+SLOW = (
+    with_the_default_step,
+    with_a_tolerance,
+    breather,
+    fit,
+    forced_orbit,
+    solitary_wave,
+    attractors,
+    sweep,
+)
+CALLS = [*FAST, *(pytest.param(call, marks=pytest.mark.slow) for call in SLOW)]
 # programs of a first call, at most, that of a scene included
 MOST = {with_a_step: 8, with_the_default_step: 6, with_a_tolerance: 8, fit: 15}
 # where a contact comes near opening, two more runs look between the steps; a wave's own numbers say how finely it is

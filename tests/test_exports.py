@@ -262,7 +262,6 @@ F = 4
 @pytest.mark.parametrize(
     "lanes, named, wanted",
     [
-        ((3,), None, ("lane",)),
         ((3,), {"bead": NAMES_}, ("bead",)),
         ((3,), {"ratio": RATIOS, "load": LOADS}, ("lane",)),
         ((3, 2), {"ratio": RATIOS, "load": [1, 2]}, ("ratio", "load")),
