@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from granjax.tuning import cores
+from granjax.base.tuning import cores
 
 PACKAGES = ("granjax", "jax", "jaxlib", "diffrax", "equinox", "numpy")
 ROOT = Path(__file__).parents[1]

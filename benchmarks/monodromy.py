@@ -224,7 +224,7 @@ def family():
     With the compilation cache off, and with what an earlier process has left there.
     """
     code = FAMILY.format(arclength=LONGEST_ARCLENGTH, points=4 * POINTS)
-    cached = f"import granjax.tuning; granjax.tuning.keep_compiled(){code}"
+    cached = f"import granjax.base.tuning; granjax.base.tuning.keep_compiled(){code}"
     fresh, points = processes(code, {"GRANJAX_CACHE": "0"})
     return {"points": points, "fresh": fresh, "with_cache": processes(cached, {})[0]}
 

@@ -13,7 +13,7 @@ from typing import Any
 import public
 
 import granjax as gx
-from granjax import types as words
+from granjax.base import types as words
 
 CODE = re.compile(r"(`[^`]+`)")
 SPECIAL = re.compile(r"([\\*_<$])")

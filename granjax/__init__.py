@@ -131,13 +131,15 @@ This process
     clear               release compiled programs
 """
 
-from . import tuning as _tuning
+from .base import tuning as _tuning
 
 _tuning.prepare_import()
 
 from . import laws, solvers, strains, terms  # noqa: E402
-from .design import Design, design, smooth_peak  # noqa: E402
+from .base.tuning import clear, tune  # noqa: E402
+from .base.units import Units  # noqa: E402
 from .fit import Fit, Information, Traces, fit, information  # noqa: E402
+from .fit.design import Design, design, smooth_peak  # noqa: E402
 from .flow import (  # noqa: E402
     Arrival,
     CaputoRun,
@@ -203,28 +205,22 @@ from .terms import (  # noqa: E402
     ViscousContact,
     Wall,
 )
-from .tuning import clear, tune  # noqa: E402
-from .units import Units  # noqa: E402
 from .work_precision import WorkPrecision, work_precision  # noqa: E402
 
 __version__ = "0.2.0"
+# Modules that are loaded when first used, so that import stays quick.
 _LAZY = {
     name: f".{name}"
     for name in (
         "breathers",
-        "chaos",
         "continuation",
         "driven",
         "first_order",
         "floquet",
         "forced",
-        "fractional",
-        "identify",
-        "kinks",
         "linear",
         "materials",
         "measures",
-        "newton",
         "orbits",
         "plots",
         "resonance",
@@ -233,15 +229,21 @@ _LAZY = {
         "states",
         "sweeps",
         "theory",
-        "topology",
         "travelling",
     )
+} | {
+    "chaos": ".orbits.chaos",
+    "fractional": ".terms.fractional",
+    "identify": ".fit.identify",
+    "kinks": ".orbits.kinks",
+    "newton": ".continuation.newton",
+    "topology": ".linear.topology",
 }
 _WITHIN = {
-    "Equilibrium": ".equilibria",
+    "Equilibrium": ".continuation.equilibria",
     "Resonator": ".travelling",
-    "equilibrium": ".equilibria",
-    "explore": ".notebook",
+    "equilibrium": ".continuation.equilibria",
+    "explore": ".plots.explore",
     "sweep": ".sweeps",
 }
 
@@ -335,7 +337,6 @@ __all__ = [
 
 
 def __getattr__(name):
-    # Submodules are loaded when first used, so that import stays quick.
     if name in _LAZY:
         import importlib
 

@@ -3,14 +3,7 @@
 from .orbits import Bifurcation, Branch, Orbit, guesses
 from .orbits.backbone import Backbone, backbone
 from .orbits.branch import bifurcations
-from .orbits.families import (
-    QBreather,
-    anticontinuous,
-    bands_of,
-    breather,
-    family,
-    q_breather,
-)
+from .orbits.families import QBreather, anticontinuous, bands_of, breather, family, q_breather
 from .orbits.gap_breather import GapBreather, k_gap_breather
 from .orbits.guesses import bright_guess, dark_guess
 from .orbits.localised import Localisation, localisation

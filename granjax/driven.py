@@ -1,15 +1,7 @@
 """Damped, driven chains in the time domain: attractors, response curves."""
 
 from .orbits import Bifurcation
-from .orbits.attractors import (
-    Attractor,
-    Jump,
-    ResponseCurve,
-    Way,
-    driven_chain,
-    response,
-    settle,
-)
+from .orbits.attractors import Attractor, Jump, ResponseCurve, Way, driven_chain, response, settle
 
 __all__ = [
     "Attractor",

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import broadcast, concrete, positive, real, refuse, within
-from .printing import called
-from .types import Number, Parameter
+from .base.checks import broadcast, concrete, positive, real, refuse, within
+from .base.printing import called
+from .base.types import Number, Parameter
 
 __all__ = [
     "NAMES",

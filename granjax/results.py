@@ -11,12 +11,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .checks import refuse, traced
-from .files import save
-from .printing import text
-from .types import Values
-from .units import SCALED, SI, Units
-from .units.names import counted_in, known_unit, named_unit
+from .base.checks import refuse, traced
+from .base.files import save
+from .base.printing import text
+from .base.types import Values
+from .base.units import SCALED, SI, Units
+from .base.units.names import counted_in, known_unit, named_unit
 
 if TYPE_CHECKING:
     import xarray  # half a second

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .checks import one_of, positive, real, refuse, show, whole
+from .base.checks import one_of, positive, real, refuse, show, whole
+from .base.types import Count, Parameter, Pytree, Scalar, StateLike
 from .flow import frequency_bound, linear_frequency, simulate
 from .flow.arguments import checked_state, checked_times, facts
 from .lattice import Lattice
@@ -31,7 +32,6 @@ from .solvers import (
     VelocityVerlet,
 )
 from .solvers.stability import stability_limit
-from .types import Count, Parameter, Pytree, Scalar, StateLike
 
 __all__ = ["Advice", "Ladder", "WorkPrecision", "distance", "measure", "work_precision"]
 

@@ -58,7 +58,7 @@ def _prepare(typed_too):
 
         typed.install()
 
-    from granjax import tuning
+    from granjax.base import tuning
 
     # a folder of the tests' own, whose name processes that tests start inherit, and the command line's switch below
     own = os.environ.get("GRANJAX_CACHE") or str(tuning._user_cache() / "granjax")

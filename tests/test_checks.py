@@ -8,7 +8,7 @@ import pytest
 from refusals import refused
 
 import granjax as gx
-from granjax import checks
+from granjax.base import checks
 from granjax.orbits.floquet import decide
 
 ROOT = Path(gx.__file__).parent

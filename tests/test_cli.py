@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import granjax as gx
-from granjax.cli import main
+from granjax.__main__ import main
 
 SMALL = ["resonance", "--beads", "11", "--ratios", "12"]
 
@@ -20,7 +20,7 @@ SMALL = ["resonance", "--beads", "11", "--ratios", "12"]
 @pytest.mark.slow
 def test_resonance_from_a_shell(tmp_path):
     """In a process of its own, from whose devices every core takes a share."""
-    code = "import jax, sys; from granjax.cli import main; main(sys.argv[1:]); print(jax.device_count())"
+    code = "import jax, sys; from granjax.__main__ import main; main(sys.argv[1:]); print(jax.device_count())"
     kept = tmp_path / "kept"
     own = {k: v for k, v in os.environ.items() if k not in ("JAX_NUM_CPU_DEVICES", "XLA_FLAGS")}
     done = subprocess.run(

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
-from granjax.design import (
+from granjax.fit.design import (
     CONVERGED,
     NO_GRADIENT,
     NO_START,

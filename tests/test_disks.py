@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from granjax import files, plots
+from granjax import plots
+from granjax.base import files
 from granjax.results import Result, array
 
 

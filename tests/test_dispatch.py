@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import granjax as gx
-from granjax import programs
+from granjax.base import programs
 from granjax.flow.arguments import facts
 
 # other tests of the same process must not have compiled these shapes

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
-from granjax import notebook as module
+from granjax.plots import explore as module
 
 ipywidgets = pytest.importorskip("ipywidgets")
 _heard = []

@@ -17,8 +17,8 @@ from scipy.io import loadmat
 
 import granjax as gx
 from granjax import linear, measures
+from granjax.continuation.newton import newton
 from granjax.flow.run import Errors
-from granjax.newton import newton
 from granjax.results import Result, array
 from granjax.work_precision import Ladder, measure
 

@@ -14,10 +14,10 @@ from refusals import refused
 from scipy.integrate import solve_ivp
 
 import granjax as gx
+from granjax.fit.parameters import Coordinates
 from granjax.fit.problem import prepared
 from granjax.fit.solve import STALLED, least_squares
 from granjax.fit.windows import cut
-from granjax.parameters import Coordinates
 
 N, SITES = 20, [2, 7, 12, 17]
 TIMES = np.linspace(0.1, 40.0, 400)

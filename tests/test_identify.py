@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 import granjax as gx
 from granjax import Drag, ViscousContact
-from granjax.identify import library, regression
+from granjax.fit.identify import library, regression
 from granjax.laws import Scaled, Spline
 
 N = 8

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from granjax.newton import newton
+from granjax.continuation.newton import newton
 
 
 def meeting(x, args):

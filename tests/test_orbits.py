@@ -7,7 +7,7 @@ from scipy.special import ellipe, ellipj, ellipk
 
 import granjax as gx
 from granjax.continuation import continuation
-from granjax.newton import newton
+from granjax.continuation.newton import newton
 from granjax.orbits import Mirror, Shooting, Sign, Symmetry, Translation, orbit
 from granjax.orbits.asked import checked_symmetry, shifts
 

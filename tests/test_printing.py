@@ -7,8 +7,8 @@ import pytest
 from test_exports import legible
 
 import granjax as gx
-from granjax.printing import numbers
-from granjax.units import Units
+from granjax.base.printing import numbers
+from granjax.base.units import Units
 
 LONG = np.linspace(0.5, 1.0, 400)
 CHAIN = gx.scenes.monomer(400, mass=LONG, precompression=1.0)

@@ -21,7 +21,7 @@ def test_the_makers_numbers_know_nothing_of_the_library():
     for name in ("equations.py", "integrators.py"):
         for node in ast.walk(ast.parse((BENCHMARKS / "references" / name).read_text())):
             if isinstance(node, ast.ImportFrom):
-                assert (node.level, node.module) in {(0, "functools"), (0, "granjax.checks")}
+                assert (node.level, node.module) in {(0, "functools"), (0, "granjax.base.checks")}
             if isinstance(node, ast.Import):
                 assert [alias.name for alias in node.names] == ["numpy"]
 

@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.testing import assert_allclose
 
 import granjax as gx
-from granjax.cli import main
+from granjax.__main__ import main
 
 pytestmark = pytest.mark.smoke
 BEADS = 6

@@ -11,7 +11,7 @@ import pytest
 from refusals import refused
 
 import granjax as gx
-from granjax import programs
+from granjax.base import programs
 
 REPORT = """
 import json, os, sys
@@ -145,9 +145,9 @@ def test_what_the_user_set_stays(own):
 KEPT = """
 import json, os
 import granjax as gx
-from granjax import programs
+from granjax.base import programs
 import jax
-from granjax import tuning
+from granjax.base import tuning
 place = tuning.keep_compiled()
 print(json.dumps([place and str(place), jax.config.jax_compilation_cache_dir]))
 """
@@ -210,7 +210,7 @@ ONE_MORE_LENGTH = """
 import json, os
 from pathlib import Path
 import granjax as gx
-from granjax import programs
+from granjax.base import programs
 from granjax.terms import reach
 
 def resident():

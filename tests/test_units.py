@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
-from granjax.units.names import known_unit, readable
+from granjax.base.units.names import known_unit, readable
 
 plots = gx.plots
 

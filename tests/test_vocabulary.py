@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 import granjax
+from granjax import base
+from granjax.base.units import Units
 from granjax.results import Result
-from granjax.units import Units
 
 TABLE = Path(__file__).parents[1] / "CONTRIBUTING.md"
 # whose functions are called with a lattice elsewhere than first, and why
@@ -32,17 +33,22 @@ TIME_STEPS = (
 )
 
 
+# what the folders hold beside what their own names show
+WITHIN = ["continuation.equilibria", "fit.descent", "fit.design", "fit.parameters"]
+
+
 def faces(package):
     """Modules under a package that are public: its own, and those that their `__all__` names."""
     for m in pkgutil.iter_modules(package.__path__):
         if not m.name.startswith("_"):
             module = importlib.import_module(f"{package.__name__}.{m.name}")
-            yield module.__name__.removeprefix("granjax.")
-            named = (getattr(module, name) for name in getattr(module, "__all__", ()))
-            yield from (x.__name__.removeprefix("granjax.") for x in named if inspect.ismodule(x))
+            yield module
+            yield from (getattr(module, name) for name in getattr(module, "__all__", ()))
 
 
-NAMES = list(dict.fromkeys(faces(granjax)))
+SHOWN = [*faces(granjax), *faces(base), *(getattr(granjax, name) for name in granjax.__all__)]
+NAMES = [x.__name__.removeprefix("granjax.") for x in SHOWN if inspect.ismodule(x)]
+NAMES = list(dict.fromkeys(NAMES + WITHIN))
 
 
 class Signature(NamedTuple):

@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from granjax.checks import refuse
+from granjax.base.checks import refuse
 
 EXTENDED = np.longdouble
 FEWEST_DIGITS = 18

@@ -4,9 +4,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..fractional import kernel, symbol, total, wave_numbers
-from ..programs import by_rows
-from ..types import Amplitudes, Numbers
+from ..base.programs import by_rows
+from ..base.types import Amplitudes, Numbers
+from ..terms.fractional import kernel, symbol, total, wave_numbers
 
 # the most sites of a finite chain for which the modes of its coupling are kept
 MOST_MODES = 512

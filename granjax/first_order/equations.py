@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
-from ..fractional import checked_order
+from ..base.checks import non_negative, one_of, parameter, positive, refuse, whole, within
+from ..base.printing import told
+from ..base.types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar
 from ..lattice import State
 from ..laws import Law, Linear
-from ..printing import told
 from ..strains import BOUNDARIES
-from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar
+from ..terms.fractional import checked_order
 from .coupling import Coupling, of_order, of_weights, trailing
 
 

@@ -5,12 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse, show, traced
-from ..checks import tolerance as checked_tolerance
+from ..base.checks import positive, refuse, show, traced
+from ..base.checks import tolerance as checked_tolerance
+from ..base.programs import compiled
+from ..base.types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
 from ..flow import Flow
-from ..programs import compiled
 from ..results import Result, array, note
-from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
 from .equations import Equation, check_shape, field
 from .split_step import SplitStep
 

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
-from ..checks import one_of, parameter, refuse, traced
-from ..newton import Root, newton
+from ..base.checks import one_of, parameter, refuse, traced
+from ..base.types import Count, Number, Numbers, Parameter, Scalar
+from ..continuation.newton import Root, newton
 from ..results import Result, array, hidden
-from ..types import Count, Number, Numbers, Parameter, Scalar
 from .equations import DNLS, Equation
 
 # the first coupling relative to the frequency, the largest factor of a step, the least cosine

@@ -6,10 +6,10 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
+from ..base.types import Pytree
 from ..solvers import tables
+from ..solvers.split_system import by_stages
 from ..solvers.splitting import unwrap
-from ..split_system import by_stages
-from ..types import Pytree
 from .equations import Equation, field, refuse_split
 
 

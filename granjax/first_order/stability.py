@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Complex, Float, Shaped
 from scipy.linalg import eig
 
-from ..checks import refuse, traced
-from ..continuation import Curve, Problem, continuation
-from ..programs import compiled
+from ..base.checks import refuse, traced
+from ..base.programs import compiled
+from ..base.types import Count, Scalar
+from ..continuation.arclength import Curve, Problem, continuation
 from ..results import Result, array, hidden
-from ..types import Count, Scalar
 from .equations import Equation
 from .solitons import Soliton, soliton
 

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse, within
-from ..checks import tolerance as checked_tolerance
+from ..base.checks import positive, refuse, within
+from ..base.checks import tolerance as checked_tolerance
+from ..base.types import Count, Number, Numbers, Scalar
 from ..results import Result, array
-from ..types import Count, Number, Numbers, Scalar
 from .evolution import evolve
 
 # nonlinearities in one batch

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..printing import told
-from ..programs import compiled
-from ..types import AnyArray, Numbers
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import AnyArray, Numbers
 from .problem import Problem
 
 # A combination with a relative deviation above this counts as not determined.

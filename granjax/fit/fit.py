@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 
-from ..checks import one_of, refuse
-from ..checks import tolerance as checked_tolerance
-from ..descent import NO_GRADIENT, NO_START
+from ..base.checks import one_of, refuse
+from ..base.checks import tolerance as checked_tolerance
+from ..base.tuning import one_thread
+from ..base.types import Count, Parameter, Scalar, Scene
 from ..flow import Reversible
-from ..parameters import Bounds
-from ..tuning import one_thread
-from ..types import Count, Parameter, Scalar, Scene
+from .descent import NO_GRADIENT, NO_START
 from .fitted import Fit
 from .judge import judged, way_back
+from .parameters import Bounds
 from .problem import Problem, Start, prepared
 from .solve import Found, MeanSquare, evaluated, gradient_descent, least_squares, patience
 from .traces import Traces

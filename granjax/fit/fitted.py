@@ -6,10 +6,10 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
+from ..base.types import AnyArray, Numbers
 from ..lattice import Lattice
 from ..results import Held, Result, array, hidden
-from ..types import AnyArray, Numbers
+from .descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from .determined import Direction, sentences
 from .problem import Problem
 from .traces import Traces

@@ -6,10 +6,10 @@ import numpy as np
 from diffrax import AbstractSolver
 from jaxtyping import Float
 
-from ..checks import refuse, whole
-from ..programs import compiled
+from ..base.checks import refuse, whole
+from ..base.programs import compiled
+from ..base.types import AnyArray, Count, Number, Numbers, Parameter, Scalar, Scene
 from ..results import Result, array, note
-from ..types import AnyArray, Count, Number, Numbers, Parameter, Scalar, Scene
 from .problem import Problem, Start, prepared
 from .traces import Traces
 

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
+from ..base.programs import compiled
+from ..base.types import Numbers
 from ..flow import return_error
-from ..programs import compiled
 from ..solvers import AbstractSplitting
-from ..types import Numbers
+from .descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
 from .determined import LOOSE, covariance, directions, quantities
 from .fitted import NOTICEABLE, Fit
 from .problem import Problem

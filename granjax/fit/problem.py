@@ -11,18 +11,18 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import one_of, positive, refuse
+from ..base.checks import one_of, positive, refuse
+from ..base.printing import told
+from ..base.programs import compiled, is_untraced
+from ..base.types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
+from ..base.units import SI
 from ..flow import Run, frequency_bound, simulate
 from ..flow.arguments import checked_state, checked_tolerance, facts, least_tolerance
 from ..flow.steps import STEP_FRACTION
 from ..lattice import Lattice, State
 from ..measures import contact_force
-from ..parameters import Bounds, Coordinates
-from ..printing import told
-from ..programs import compiled, is_untraced
 from ..solvers import RKN86, SRKN11b
-from ..types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
-from ..units import SI
+from .parameters import Bounds, Coordinates
 from .traces import Traces, checked_shape, checked_traces, number
 
 # time after the last sample that leaves room for a fitted offset, in record lengths

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..descent import CONVERGED, NO_START, NOT_FINITE, SPENT, STALLED, descend
+from ..base.programs import compiled
+from ..base.types import AnyArray, Scalar
 from ..flow.march import seconds_a_step
-from ..programs import compiled
-from ..types import AnyArray, Scalar
+from .descent import CONVERGED, NO_START, NOT_FINITE, SPENT, STALLED, descend
 from .problem import Problem, Signals, misfit
 
 # Directions with singular values below this share of the largest are invisible to the data.

@@ -11,10 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import concrete, described, one_of, parameter, positive, real, refuse, show, traced
-from ..printing import told
-from ..types import AnyArray, Count, Displacements, Number, Numbers, Parameter, Scalar, Values
-from ..units.names import known_unit
+from ..base.checks import (
+    concrete,
+    described,
+    one_of,
+    parameter,
+    positive,
+    real,
+    refuse,
+    show,
+    traced,
+)
+from ..base.printing import told
+from ..base.types import AnyArray, Count, Displacements, Number, Numbers, Parameter, Scalar, Values
+from ..base.units.names import known_unit
 
 KINDS = ("velocity", "displacement", "force")
 QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}

@@ -9,11 +9,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Integer
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import AnyArray
 from ..lattice import State
-from ..printing import told
-from ..programs import compiled
-from ..types import AnyArray
 from .problem import Problem, Signals, misfits
 from .traces import number
 

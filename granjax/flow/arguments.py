@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, held_in_memory, one_of, real, refuse, show, traced, whole
+from ..base.checks import concrete, held_in_memory, one_of, real, refuse, show, traced, whole
+from ..base.programs import library, once
+from ..base.types import Scalar, StateLike
 from ..lattice import Lattice, State, acceleration_only, split_system
-from ..programs import library, once
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..terms.base import memory_of
 from ..terms.reach import reads
-from ..types import Scalar, StateLike
 from .record import CLOSEST, EXTREMES
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
+from ..base.programs import joined, parted
+from ..base.types import Scalar, StateLike
 from ..lattice import Lattice, State, vector_field
-from ..programs import joined, parted
-from ..types import Scalar, StateLike
 from .integrate import CUBICS, ENDS, Plan, integrate
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 

@@ -8,13 +8,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.types import Displacements, Number
 from ..lattice import Lattice, split_system
 from ..solvers import AbstractSplitting, VelocityVerlet
 from ..solvers.wrapped import Wrapped
 from ..terms import Langevin
 from ..terms.base import get
-from ..types import Displacements, Number
 
 
 def baths(lattice: Lattice) -> tuple[Langevin, ...]:

@@ -8,10 +8,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.scipy.special import gammaln
 
-from ..checks import concrete, parameter, refuse, whole, within
-from ..programs import compiled
+from ..base.checks import concrete, parameter, refuse, whole, within
+from ..base.programs import compiled
+from ..base.types import Count, Number, Pytree, Scalar, Times, VectorField
 from ..results import Result, array
-from ..types import Count, Number, Pytree, Scalar, Times, VectorField
 from .arguments import checked_times
 
 # The most iterations of Newton's method at each step, and the change, relative to the solution, at

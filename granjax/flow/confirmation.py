@@ -4,10 +4,10 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from ..checks import traced
+from ..base.checks import traced
+from ..base.programs import compiled
+from ..base.types import Flags, Number, StateLike
 from ..lattice import Lattice, State, vector_field
-from ..programs import compiled
-from ..types import Flags, Number, StateLike
 from .arguments import least_tolerance
 from .batching import batched
 from .integrate import DENSE, Plan, overlaps

@@ -8,12 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.types import Number, Pytree, Scalar, StateLike
 from ..lattice import Lattice
 from ..solvers.wrapped import Wrapped
 from ..terms import Term
 from ..terms.base import Altered
 from ..terms.waveforms import ULPS, count_breaks, next_break
-from ..types import Number, Pytree, Scalar, StateLike
 
 # A step that would end within this relative distance before its goal ends at the goal.
 NEARLY = 1e-9

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse
-from ..programs import compiled
+from ..base.checks import positive, refuse
+from ..base.programs import compiled
+from ..base.types import Numbers, Pytree, Scalar
 from ..results import Result, array
-from ..types import Numbers, Pytree, Scalar
 
 # The steps, relative to the given one. The derivative at the last one is returned.
 LADDER = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)

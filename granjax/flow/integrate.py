@@ -9,11 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.programs import compiled
+from ..base.types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
 from ..lattice import Lattice, State, vector_field
-from ..programs import compiled
 from ..solvers import AbstractNystrom
 from ..terms import energies
-from ..types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
 from .bath import Bathed, baths
 from .control import Landing, Scales, StepControl, largest, one_sided
 from .lanes import by_groups, each_lane

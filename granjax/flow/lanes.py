@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.programs import library
+from ..base.tuning import lanes_abreast
+from ..base.types import AnyArray, Number, Pytree, Scalar, StateLike
 from ..lattice import Lattice
-from ..programs import library
 from ..terms import Term
-from ..tuning import lanes_abreast
-from ..types import AnyArray, Number, Pytree, Scalar, StateLike
 from .arguments import facts
 from .run import Found
 

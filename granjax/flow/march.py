@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, traced
+from ..base.checks import refuse, traced
+from ..base.programs import compiled, is_untraced, wait
+from ..base.types import Scalar, StateLike
 from ..lattice import Lattice
-from ..programs import compiled, is_untraced, wait
-from ..types import Scalar, StateLike
 from .arguments import facts, rounding_unit
 from .integrate import CUBICS, Part, Plan, integrate, part_of, planned, reduced
 from .lanes import apart, refuse_lanes_within, together

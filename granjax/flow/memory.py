@@ -15,17 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
 
-from ..checks import concrete, refuse, show, traced, whole
+from ..base.checks import concrete, refuse, show, traced, whole
+from ..base.printing import text
+from ..base.programs import compiled
+from ..base.types import Number, Numbers, Scalar, StateLike, Times
 from ..lattice import Lattice, State
 from ..lattice.split import damping_rates
-from ..printing import text
-from ..programs import compiled
 from ..results import Held, array, entries, hidden
 from ..solvers.wrapped import Wrapped
 from ..terms import CaputoDamping
 from ..terms.base import memory_of
 from ..terms.reach import per_lane, reads
-from ..types import Number, Numbers, Scalar, StateLike, Times
 from .arguments import checked_size, checked_tolerance, held_frames, least_tolerance, number
 from .control import StepControl, largest, one_sided
 from .integrate import Plan, least_overlap, solved

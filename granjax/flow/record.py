@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.printing import told
+from ..base.types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
 from ..lattice import Lattice
-from ..printing import told
 from ..solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped
 from ..solvers.wrapped import Wrapped
-from ..types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
 from .bath import baths, isolated
 from .control import OneSided, inside
 from .within import crossing, guesses, higher, lobatto, mean, places, series, span, tops, value

@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import show
+from ..base.checks import show
+from ..base.programs import compiled, once
+from ..base.types import Displacements, Number, Scalar, StateLike, Times
 from ..lattice import Lattice, State
-from ..programs import compiled, once
 from ..solvers.stability import refused_from
 from ..strains import WALL
 from ..strains.maps import TwoEnds
@@ -22,7 +23,6 @@ from ..terms.base import within as inner_of
 from ..terms.chain import span
 from ..terms.energies import energy_gap
 from ..terms.reach import reads, time_of
-from ..types import Displacements, Number, Scalar, StateLike, Times
 from .run import Found
 from .steps import reachable
 

@@ -5,13 +5,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import positive, refuse
+from ..base.checks import positive, refuse
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Count, Counts, Number, Scalar, StateLike
 from ..lattice import Lattice, State, split_system, vector_field
-from ..printing import told
-from ..programs import compiled
 from ..solvers import AbstractSplitting
-from ..split_system import by_stages
-from ..types import Count, Counts, Number, Scalar, StateLike
+from ..solvers.split_system import by_stages
 from .integrate import Plan, integrate
 from .run import Found
 from .stepping import Flow, check_moved, check_steps

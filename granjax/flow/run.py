@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete
+from ..base.checks import concrete
+from ..base.programs import in_numpy
+from ..base.types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 from ..lattice import Lattice, State
-from ..programs import in_numpy
 from ..results import Held, Result, array, entries, hidden, note, part
-from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNRESOLVED = range(8)
 # A contact is certainly open beyond this margin (see `Found`).

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, show, traced, whole
+from ..base.checks import refuse, show, traced, whole
+from ..base.programs import shared_size, wait
+from ..base.types import Count, Parameter, Scalar, StateLike
 from ..lattice import Lattice, State
-from ..programs import shared_size, wait
-from ..types import Count, Parameter, Scalar, StateLike
 from .arguments import (
     checked_method,
     checked_records,

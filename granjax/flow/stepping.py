@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import refuse, traced, whole
+from ..base.checks import refuse, traced, whole
+from ..base.printing import told
+from ..base.programs import compiled, parted
+from ..base.types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
-from ..printing import told
-from ..programs import compiled, parted
 from ..solvers import AbstractNystrom, AbstractSplitting, SRKN14a
-from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .control import OneSided, breaks_of, shared_out
 from .steps import refuse_unresolved
 

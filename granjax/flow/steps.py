@@ -22,9 +22,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse, traced, whole
+from ..base.checks import concrete, refuse, traced, whole
+from ..base.programs import compiled, concretely, once
+from ..base.types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
 from ..lattice import Lattice
-from ..programs import compiled, concretely, once
 from ..solvers.stability import refused_from
 from ..terms import Reach, Wall
 from ..terms.base import Excitation, within
@@ -32,7 +33,6 @@ from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
 from ..terms.reach import per_lane, reads
 from ..terms.waveforms import count_breaks
-from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
 from .arguments import checked_state, checked_times, facts, number, rounding_unit
 
 # Steps of power iteration. A check after a run needs few, since an error of a tenth does not

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..types import Count, Flags, Number, Numbers, Parameter
+from ..base.types import Count, Flags, Number, Numbers, Parameter
 
 NEWTON_STEPS = 2
 ROOT_STEPS = 60

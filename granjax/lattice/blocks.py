@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import dynamic_slice, dynamic_update_slice
 
+from ..base.tuning import blocks_win
+from ..base.types import StateLike
 from ..laws import Law
-from ..split_system import Split, by_stages, pair
-from ..tuning import blocks_win
-from ..types import StateLike
+from ..solvers.split_system import Split, by_stages, pair
 from .model import Lattice
 from .split import (
     ChainSplit,

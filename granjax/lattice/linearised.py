@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..types import Displacements, Number
+from ..base.types import Displacements, Number
 from .model import Lattice, check_shape, refuse_memory
 
 

@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, held_in_memory, letter, parameter, positive, refuse, whole
-from ..printing import text, told
+from ..base.checks import described, held_in_memory, letter, parameter, positive, refuse, whole
+from ..base.printing import text, told
+from ..base.types import Count, Displacements, Number, Parameter, Site
+from ..base.units import SCALED, SI
+from ..base.units.names import counted_in, mark_of
 from ..terms import LongRange, Term
 from ..terms.base import memory_of, within
 from ..terms.reach import per_lane, reads, traced
-from ..types import Count, Displacements, Number, Parameter, Site
-from ..units import SCALED, SI
-from ..units.names import counted_in, mark_of
 
 # What a force that branches on its strain is told.
 _NO_BRANCH = "A force acts on all sites at once: write jnp.where(e > 0, ..., ...) instead of if."

@@ -10,12 +10,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.types import Number, StateLike
 from ..laws import Law
-from ..split_system import Split, pair
+from ..solvers.split_system import Split, pair
 from ..terms import chain
 from ..terms.reach import reads
-from ..types import Number, StateLike
 from .model import Lattice, check_shape, refuse_memory
 
 # Numbers in the longest vector register; from the second number of sites on, an incomplete vector

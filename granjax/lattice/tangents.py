@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..types import Number, StateLike
+from ..base.types import Number, StateLike
 from .linearised import linearised
 from .model import Lattice
 from .split import acceleration_only, split_system, vector_field

@@ -9,11 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, plain_zero
-from ..printing import told
-from ..programs import compiled
-from ..types import Number, Numbers, Parameter
-from ..units import PART, Dimensional
+from ..base.checks import non_negative, plain_zero
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Number, Numbers, Parameter
+from ..base.units import PART, Dimensional
 
 
 class Law(Dimensional):

@@ -6,8 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import concrete, parameter, positive, refuse, show
-from ..types import Parameter
+from ..base.checks import concrete, parameter, positive, refuse, show
+from ..base.types import Parameter
 from .base import Law, checked_preload
 from .power import plus_power
 from .real_power import cube_root

@@ -5,9 +5,9 @@ import abc
 import jax
 import jax.numpy as jnp
 
-from ..checks import concrete, positive, refuse, show
-from ..types import Number, Numbers, Parameter
-from ..units import PART, Dimensional
+from ..base.checks import concrete, positive, refuse, show
+from ..base.types import Number, Numbers, Parameter
+from ..base.units import PART, Dimensional
 from .base import Law
 from .power import plus_power
 from .real_power import root

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from ..types import Number, Numbers
+from ..base.types import Number, Numbers
 from .real_power import logarithm, real_power, root
 
 

@@ -8,7 +8,7 @@ sqrt(1/2) <= m < sqrt(2), and recombined by XLA's vectorised `exp`:
 with p e exact to twice the digits: the relative error is about (2 + |p|) units in the last place.
 log m is fdlibm's series (K. C. Ng, Sun Microsystems, 1993).
 
-On some processors sqrt is slow too (`granjax.tuning.root_by_products`). There 1/sqrt(x) starts from
+On some processors sqrt is slow too (`granjax.base.tuning.root_by_products`). There 1/sqrt(x) starts from
 the halved exponent, accurate to 3 %, and two steps of fourth order leave 1.4 units in the last
 place: y <- y (1 + h/2 + 3h^2/8 + 5h^3/16), h = 1 - x y^2.
 """
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..tuning import root_by_products
+from ..base.tuning import root_by_products
 
 _LOG2 = 0.6931471805599453
 _LOG2_HIGH, _LOG2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10

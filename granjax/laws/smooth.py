@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, plain_zero, positive, refuse
-from ..types import Parameter
+from ..base.checks import parameter, plain_zero, positive, refuse
+from ..base.types import Parameter
 from .base import Law
 
 

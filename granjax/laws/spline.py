@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, non_negative, parameter, refuse, show
-from ..types import Parameter, Values
+from ..base.checks import concrete, non_negative, parameter, refuse, show
+from ..base.types import Parameter, Values
 from .base import Law, checked_preload
 
 

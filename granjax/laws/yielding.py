@@ -5,9 +5,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from ..checks import positive
-from ..types import Parameter
-from ..units import PART
+from ..base.checks import positive
+from ..base.types import Parameter
+from ..base.units import PART
 from .base import Derived, Law
 
 NEWTON_STEPS = 200

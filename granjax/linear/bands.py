@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse
+from ..base.checks import concrete, refuse
+from ..base.programs import compiled
+from ..base.types import Count, Numbers
 from ..lattice import Lattice
-from ..programs import compiled
 from ..results import Result, array, note
-from ..types import Count, Numbers
 from .cell import by_lanes, in_lanes, turning_cell
 from .modes import signed_root
 from .stiffness import each, mesh

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse, traced, whole
+from ..base.checks import concrete, refuse, traced, whole
+from ..base.printing import told
+from ..base.programs import compiled, concretely
+from ..base.types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from ..lattice import Lattice
-from ..printing import told
-from ..programs import compiled, concretely
 from ..results import Held
 from ..terms.chain import span
-from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from . import turning
 from .stiffness import (
     at_rest,

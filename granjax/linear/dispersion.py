@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter
+from ..base.checks import parameter
+from ..base.programs import compiled
+from ..base.types import ComplexNumbers, Count, Numbers, Parameter
 from ..lattice import Lattice
-from ..programs import compiled
 from ..results import Held, Result, array, note
-from ..types import ComplexNumbers, Count, Numbers, Parameter
 from . import turning
 from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, slopes, turning_cell
 from .modes import signed_root

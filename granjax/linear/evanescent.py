@@ -4,10 +4,10 @@ import equinox as eqx
 import numpy as np
 from scipy.linalg import eig
 
-from ..checks import parameter, refuse
+from ..base.checks import parameter, refuse
+from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
 from ..lattice import Lattice
 from ..results import Result, array, note
-from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
 from .cell import damped_cell
 from .losses import without_memory
 

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import null_space, qr
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.types import AnyArray, Cell, Count, Numbers
 from ..lattice import Lattice, State
 from ..results import Result, array, note
-from ..types import AnyArray, Cell, Count, Numbers
 from .cell import UnitCell, by_sites, matrices, unit_cell
 from .stiffness import grid, mesh, unpack
 

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import parameter, positive, refuse, traced, whole
+from ..base.checks import parameter, positive, refuse, traced, whole
+from ..base.tuning import one_thread
+from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
 from ..lattice import Lattice, State
 from ..results import Held, Result, array, note
-from ..tuning import one_thread
-from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
 from .cell import along_waves, by_lanes, in_lanes, phases
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies

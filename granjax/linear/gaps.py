@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize.elementwise import find_minimum, find_root
 
-from ..tuning import one_thread
+from ..base.tuning import one_thread
 
 EPS = np.finfo(float).eps
 # how far a multiplier may turn between two samples [rad]

@@ -8,12 +8,12 @@ from jaxtyping import Float
 from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from ..checks import concrete, refuse, whole
+from ..base.checks import concrete, refuse, whole
+from ..base.programs import compiled
+from ..base.types import AnyArray, Count, Displacements, Number, Numbers
 from ..lattice import Lattice, spread_mass
-from ..programs import compiled
 from ..results import Result, array
 from ..terms.reach import reads
-from ..types import AnyArray, Count, Displacements, Number, Numbers
 from . import turning
 from .cell import blocks_of, by_lanes, in_lanes
 from .stiffness import (

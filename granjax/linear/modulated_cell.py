@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, traced
+from ..base.checks import refuse, traced
+from ..base.programs import compiled, concretely
+from ..base.types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from ..flow.control import shared_out
 from ..lattice import Lattice
-from ..programs import compiled, concretely
 from ..terms.reach import reads
-from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
 from .stiffness import blocks, grid, largest, undriven
 

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, refuse, whole
+from ..base.checks import parameter, refuse, whole
+from ..base.programs import compiled
+from ..base.types import ComplexNumbers, Count, Numbers, Parameter
 from ..lattice import Lattice
-from ..programs import compiled
 from ..results import Result, array, note
-from ..types import ComplexNumbers, Count, Numbers, Parameter
 from .cell import blocks_of, by_lanes, cut_out, in_lanes
 from .modes import signed_root
 from .stiffness import grid, turning_at_rest

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, refuse
+from ..base.checks import concrete, parameter, refuse
+from ..base.programs import compiled
+from ..base.types import Count, Number, Parameter
 from ..lattice import Lattice
-from ..programs import compiled
-from ..types import Count, Number, Parameter
 from . import turning
 from .cell import LOOSE, turning_cell
 from .modes import signed_root

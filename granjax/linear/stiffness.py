@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import refuse, traced
+from ..base.checks import refuse, traced
+from ..base.programs import compiled, concretely
+from ..base.types import AnyArray, Displacements, Number, Numbers
 from ..lattice import Lattice, spread_mass
 from ..lattice.model import refuse_memory
-from ..programs import compiled, concretely
 from ..terms.reach import reads, time_of, used
 from ..terms.sites import with_still_walls
-from ..types import AnyArray, Displacements, Number, Numbers
 
 # times at which a force of time and velocity is sampled: on every scale, and no simple fractions
 GENERIC = (0.618 * 10.0 ** np.arange(-6, 5)).tolist()

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, described, positive, refuse, show
+from ..base.checks import concrete, described, positive, refuse, show
+from ..base.programs import compiled, concretely
+from ..base.types import Flags, Number, Parameter
 from ..lattice import Lattice, spread_mass
-from ..programs import compiled, concretely
 from ..results import Result, array
-from ..types import Flags, Number, Parameter
 from .losses import without_memory
 from .stiffness import at_rest, blocks, components, grid, stand_in
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..types import AnyArray, ComplexNumbers, Number, Numbers
+from ..base.types import AnyArray, ComplexNumbers, Number, Numbers
 
 # the rounding of omega^2, in units of eps times the size of the matrix times the largest stiffness
 ROUNDING = 4

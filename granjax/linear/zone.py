@@ -8,10 +8,10 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial import Voronoi
 
-from ..checks import refuse, whole
+from ..base.checks import refuse, whole
+from ..base.types import Cell, Count, Numbers
 from ..lattice import Lattice
 from ..results import Result, array, note
-from ..types import Cell, Count, Numbers
 from .cell import by_lanes, in_lanes, turning_cell
 from .dispersion import bloch_waves
 from .stiffness import mesh

@@ -7,14 +7,7 @@ frames of a run.
 """
 
 from .contacts import contact_force, contacts, overlap, sensor_force, strain
-from .energies import (
-    energy,
-    kinetic_energy,
-    momentum,
-    potential_energy,
-    power,
-    site_energy,
-)
+from .energies import energy, kinetic_energy, momentum, potential_energy, power, site_energy
 from .fronts import Front, Peaks, arrival_times, front_speed, peak_times
 from .histories import along, rms_velocity
 from .localisation import energy_centre, participation, participation_number, second_moment

@@ -2,10 +2,10 @@
 
 import jax.numpy as jnp
 
-from ..checks import refuse, whole
+from ..base.checks import refuse, whole
+from ..base.types import Count, Number, Numbers, StateLike
 from ..lattice import Lattice
 from ..terms.chain import next_neighbours
-from ..types import Count, Number, Numbers, StateLike
 from .states_of import parts
 
 

@@ -3,11 +3,11 @@
 import jax
 import jax.numpy as jnp
 
+from ..base.programs import compiled
+from ..base.types import Displacements, Number, StateLike
 from ..lattice import Lattice
-from ..programs import compiled
 from ..terms import energies
 from ..terms.reach import per_lane, reads
-from ..types import Displacements, Number, StateLike
 from .states_of import parts
 
 

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, parameter, refuse, show, within
+from ..base.checks import concrete, one_of, parameter, refuse, show, within
+from ..base.types import Number, Numbers, Parameter, Scalar
 from ..results import Result, array
-from ..types import Number, Numbers, Parameter, Scalar
 
 ROOT_STEPS = 12
 

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from ..base.types import Displacements, Number, Numbers, Pytree
 from ..flow import RunWithMemory
 from ..flow.memory import recalled
 from ..lattice import Lattice, State
-from ..types import Displacements, Number, Numbers, Pytree
 
 
 def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytree:

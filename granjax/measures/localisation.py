@@ -5,9 +5,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, refuse
+from ..base.checks import parameter, refuse
+from ..base.types import Number, Parameter, StateLike
 from ..lattice import Lattice
-from ..types import Number, Parameter, StateLike
 from .energies import site_energy
 
 

@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, parameter, refuse
+from ..base.checks import non_negative, parameter, refuse
+from ..base.types import Numbers, Parameter, StateLike
 from ..lattice import Lattice
-from ..types import Numbers, Parameter, StateLike
 from .states_of import parts
 
 

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.printing import told
+from ..base.types import Displacements, Number, Numbers, StateLike
 from ..lattice import Lattice
-from ..printing import told
 from ..strains.maps import TwoEnds
 from ..terms.base import within
-from ..types import Displacements, Number, Numbers, StateLike
 from .states_of import parts
 
 

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, refuse, traced
+from ..base.checks import parameter, refuse, traced
+from ..base.types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
 from ..lattice import Lattice
 from ..results import Result, array
-from ..types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
 from .energies import site_energy
 from .networks import placed
 

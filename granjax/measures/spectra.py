@@ -3,10 +3,10 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, parameter, positive, refuse
+from ..base.checks import one_of, parameter, positive, refuse
+from ..base.types import Numbers, Parameter, Scalar
+from ..base.units import names
 from ..results import Result, array
-from ..types import Numbers, Parameter, Scalar
-from ..units import names
 
 WINDOWS = ("hann", "none")
 

@@ -3,9 +3,9 @@
 import jax
 import numpy as np
 
-from ..checks import per_lane, refuse
+from ..base.checks import per_lane, refuse
+from ..base.types import Number, StateLike
 from ..lattice import Lattice
-from ..types import Number, StateLike
 
 
 def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:

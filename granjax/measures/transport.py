@@ -5,13 +5,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, positive, refuse, whole
+from ..base.checks import parameter, positive, refuse, whole
+from ..base.printing import told
+from ..base.types import Count, Number, Numbers, Parameter, Scalar, StateLike
+from ..base.units import names
 from ..lattice import Lattice
-from ..printing import told
 from ..results import Result, array, note
 from ..terms.chain import next_neighbours, span
-from ..types import Count, Number, Numbers, Parameter, Scalar, StateLike
-from ..units import names
 from .states_of import parts
 
 # blocks of a history whose means give the standard error of the whole mean

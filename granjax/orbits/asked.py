@@ -11,12 +11,12 @@ from diffrax import AbstractSolver, Dopri8
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import concrete, described, refuse, traced, whole
+from ..base.checks import concrete, described, refuse, traced, whole
+from ..base.programs import compiled, in_numpy, library
+from ..base.types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.arguments import facts
 from ..lattice import Lattice, State, uniform_moves
-from ..programs import compiled, in_numpy, library
-from ..types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times
 
 
 class Symmetry(eqx.Module):

@@ -11,18 +11,11 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Integer
 
-from ..checks import one_of, per_lane, refuse, whole
-from ..checks import tolerance as checked_tolerance
-from ..flow import Flow
-from ..lattice import Lattice, State
-from ..measures import contacts, rms_velocity
-from ..printing import told
-from ..programs import compiled, library, shared_size
-from ..results import Result, array, hidden, note, part
-from ..solvers import SRKN11b
-from ..terms import Damping, Harmonic, Wall
-from ..terms.chain import walls, without_walls
-from ..types import (
+from ..base.checks import one_of, per_lane, refuse, whole
+from ..base.checks import tolerance as checked_tolerance
+from ..base.printing import told
+from ..base.programs import compiled, library, shared_size
+from ..base.types import (
     Count,
     Counts,
     Displacements,
@@ -34,6 +27,13 @@ from ..types import (
     StateLike,
     Times,
 )
+from ..flow import Flow
+from ..lattice import Lattice, State
+from ..measures import contacts, rms_velocity
+from ..results import Result, array, hidden, note, part
+from ..solvers import SRKN11b
+from ..terms import Damping, Harmonic, Wall
+from ..terms.chain import walls, without_walls
 from .asked import (
     COARSE,
     answered,

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import refuse, traced
+from ..base.checks import refuse, traced
+from ..base.programs import compiled
+from ..base.types import Count, Displacements, Number, Scalar, StateLike
 from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
 from ..linear.stiffness import at_rest
-from ..programs import compiled
 from ..results import Result, array
-from ..types import Count, Displacements, Number, Scalar, StateLike
 from .asked import checked_state
 
 # Modes whose omega^2 differ by less than this share of the largest have one frequency.

@@ -11,17 +11,17 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Inexact, Shaped
 
-from ..checks import one_of, positive, refuse, tolerance
-from ..continuation import Curve, residual_of
+from ..base.checks import one_of, positive, refuse, tolerance
+from ..base.programs import compiled
+from ..base.tuning import one_thread
+from ..base.types import Count, Displacements, Numbers, Scalar, StateLike
+from ..continuation.arclength import Curve, residual_of
+from ..continuation.newton import Root, nearby
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
 from ..measures import rms_velocity
-from ..newton import Root, nearby
-from ..programs import compiled
 from ..results import Held, Result, array, hidden, part
 from ..solvers import SRKN14a
-from ..tuning import one_thread
-from ..types import Count, Displacements, Numbers, Scalar, StateLike
 from .asked import (
     answered,
     checked_period,

@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from ..base.types import Count
 from ..results import Result, hidden, note
-from ..types import Count
 from .branch import BRANCH_POINT, DOUBLING, TORUS, Branch
 
 

@@ -12,16 +12,16 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import one_of, positive, refuse, traced
+from ..base.checks import one_of, positive, refuse, traced
+from ..base.programs import compiled, in_numpy, library
+from ..base.tuning import one_thread
+from ..base.types import Count, Counts, Numbers, Scalar, Site, StateLike
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
 from ..measures import modal_energy
-from ..programs import compiled, in_numpy, library
 from ..results import Result, array, hidden, part
 from ..solvers import KahanLi8
-from ..tuning import one_thread
-from ..types import Count, Counts, Numbers, Scalar, Site, StateLike
 from .asked import checked_lattice, checked_state, default_steps, largest
 from .branch import Branch, branch_of, examined, examined_along
 from .guesses import (

@@ -10,17 +10,17 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float, Inexact, Integer
 
-from ..checks import refuse, whole, within
-from ..checks import tolerance as checked_tolerance
+from ..base.checks import refuse, whole, within
+from ..base.checks import tolerance as checked_tolerance
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.tuning import one_thread
+from ..base.types import Count, Pytree, Scalar
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
-from ..printing import told
-from ..programs import compiled
 from ..results import Result, array
 from ..solvers import KahanLi8
 from ..terms.reach import reads
-from ..tuning import one_thread
-from ..types import Count, Pytree, Scalar
 from .asked import (
     Symmetry,
     a_time,
@@ -33,13 +33,7 @@ from .asked import (
     one_lattice,
     shifts,
 )
-from .spectrum import (
-    change,
-    known_spectrum,
-    product_spectrum,
-    size_of,
-    uncertain,
-)
+from .spectrum import change, known_spectrum, product_spectrum, size_of, uncertain
 
 
 class _Structure(NamedTuple):

@@ -8,15 +8,15 @@ import numpy as np
 from diffrax import AbstractSolver
 from scipy.optimize import root_scalar
 
-from ..checks import positive, refuse
+from ..base.checks import positive, refuse
+from ..base.programs import bar, compiled
+from ..base.tuning import one_thread
+from ..base.types import Count, Displacements, Numbers, Scalar
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import floquet_bands
-from ..programs import bar, compiled
 from ..results import Result, array
 from ..solvers import KahanLi8
-from ..tuning import one_thread
-from ..types import Count, Displacements, Numbers, Scalar
 from .asked import default_steps, fixed_step_solver, largest, one_lattice
 from .floquet import raveled
 from .scales import last_near

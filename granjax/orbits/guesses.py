@@ -15,20 +15,20 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
-from ..checks import positive, refuse
+from ..base.checks import positive, refuse
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Scalar, Site
+from ..continuation.newton import newton
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
 from ..laws import taylor
 from ..linear import bands
 from ..linear.cell import unit_cell
-from ..newton import newton
-from ..printing import told
-from ..programs import compiled
 from ..solvers import KahanLi8
 from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
-from ..types import Scalar, Site
 from .asked import checked_lattice, shifts
 from .scales import nonlinear_length
 

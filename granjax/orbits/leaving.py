@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import refuse
-from ..continuation import directions, linearised
+from ..base.checks import refuse
+from ..base.programs import compiled
+from ..base.types import Scalar
+from ..continuation.arclength import directions, linearised
 from ..flow import Flow
 from ..lattice import State
-from ..programs import compiled
 from ..results import Result, array
-from ..types import Scalar
 from .problems import Family, over_omega
 
 # The relative rounding of third derivatives (ROUNDING). SAFETY multiplies the change of a

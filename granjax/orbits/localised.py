@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import traced
+from ..base.checks import traced
+from ..base.printing import told
+from ..base.types import StateLike
 from ..lattice import Lattice, State
 from ..linear.cell import unit_cell
 from ..measures import participation, site_energy
-from ..printing import told
-from ..types import StateLike
 from .asked import checked_state, one_lattice
 from .orbit import SPREAD, Orbit
 

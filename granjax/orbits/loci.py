@@ -10,13 +10,13 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import refuse
-from ..continuation import Curve, Problem, System, continuation, linearised, residual_of
+from ..base.checks import refuse
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Count, Numbers, Scalar
+from ..continuation.arclength import Curve, Problem, System, continuation, linearised, residual_of
 from ..lattice import Lattice, State
-from ..printing import told
-from ..programs import compiled
 from ..results import Result, array, hidden, part
-from ..types import Count, Numbers, Scalar
 from .problems import Family
 
 KINDS = ("fold", "branch point", "period doubling", "Neimark-Sacker", "Krein collision")

@@ -12,17 +12,11 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jax.typing import DTypeLike
 
-from ..checks import concrete, positive, refuse, traced
-from ..checks import tolerance as checked_tolerance
-from ..flow import Flow
-from ..lattice import Lattice, State, vector_field
-from ..newton import CONVERGED, SPENT, STALLED, Root, newton
-from ..programs import compiled, in_numpy, library
-from ..results import Held, Result, array, hidden, part
-from ..solvers import SRKN14a
-from ..terms.reach import reads
-from ..tuning import one_thread
-from ..types import (
+from ..base.checks import concrete, positive, refuse, traced
+from ..base.checks import tolerance as checked_tolerance
+from ..base.programs import compiled, in_numpy, library
+from ..base.tuning import one_thread
+from ..base.types import (
     Count,
     Counts,
     Displacements,
@@ -34,6 +28,12 @@ from ..types import (
     StateLike,
     Times,
 )
+from ..continuation.newton import CONVERGED, SPENT, STALLED, Root, newton
+from ..flow import Flow
+from ..lattice import Lattice, State, vector_field
+from ..results import Held, Result, array, hidden, part
+from ..solvers import SRKN14a
+from ..terms.reach import reads
 from .asked import (
     Symmetry,
     checked_state,

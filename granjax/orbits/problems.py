@@ -10,13 +10,13 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import described, refuse
-from ..continuation import Curve, Problem, System, continuation
+from ..base.checks import described, refuse
+from ..base.printing import told
+from ..base.programs import compiled, in_numpy, library
+from ..base.types import AnyArray, Count, Counts, Number, Numbers, Scalar, StateLike
+from ..continuation.arclength import Curve, Problem, System, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
-from ..printing import told
-from ..programs import compiled, in_numpy, library
-from ..types import AnyArray, Count, Counts, Number, Numbers, Scalar, StateLike
 from .asked import Symmetry, free_moves, shifts
 
 

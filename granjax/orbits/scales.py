@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from ..base.programs import compiled
+from ..base.types import Displacements, Numbers
 from ..lattice import Lattice
-from ..programs import compiled
-from ..types import Displacements, Numbers
 from .asked import largest
 
 # The relative change of the stiffness at the length.

@@ -10,14 +10,14 @@ import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
-from ..checks import positive, refuse
-from ..continuation import APART, Problem, another, solve
-from ..equilibria import equilibrium
+from ..base.checks import positive, refuse
+from ..base.types import Count, Numbers, Scalar, StateLike
+from ..continuation.arclength import APART, Problem, another, solve
+from ..continuation.equilibria import equilibrium
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, State, spread_mass
 from ..results import Result, array, note, part
 from ..solvers import KahanLi8, SRKN14a
-from ..types import Count, Numbers, Scalar, StateLike
 from .asked import (
     Mirror,
     Sign,

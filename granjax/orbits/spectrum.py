@@ -5,8 +5,8 @@ from jaxtyping import Float, Inexact
 from scipy.linalg import eig, eigh
 from scipy.optimize import linear_sum_assignment
 
-from ..tuning import one_thread
-from ..types import Parameter, Scalar
+from ..base.tuning import one_thread
+from ..base.types import Parameter, Scalar
 
 # The rounding of a product of many steps, relative to the norm, in units of the last place.
 ROUNDING = 500

@@ -12,19 +12,19 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Shaped
 
-from ..checks import positive, refuse, traced, whole
-from ..checks import tolerance as checked_tolerance
-from ..continuation import Curve, Problem, continuation
+from ..base.checks import positive, refuse, traced, whole
+from ..base.checks import tolerance as checked_tolerance
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Count, Numbers, Scalar
+from ..continuation.arclength import Curve, Problem, continuation
 from ..flow import Flow
 from ..flow.stepping import matrix
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..linear import normal_modes
 from ..measures.transport import birkhoff
-from ..printing import told
-from ..programs import compiled
 from ..results import Result, array, hidden, part
 from ..solvers import SRKN14a
-from ..types import Count, Numbers, Scalar
 from .asked import checked_lattice, default_steps, fixed_step_solver, largest_of_each, shifts
 from .problems import Family
 

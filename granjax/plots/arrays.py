@@ -5,8 +5,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import parameter, real, refuse, show
-from ..types import Parameter
+from ..base.checks import parameter, real, refuse, show
+from ..base.types import Parameter
 from .style import said_by, units_of
 
 Samples: TypeAlias = Parameter | np.ma.MaskedArray

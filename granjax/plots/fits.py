@@ -10,8 +10,8 @@ from matplotlib.colors import to_rgba
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
-from ..checks import one_of, refuse
-from ..types import Count, Scalar
+from ..base.checks import one_of, refuse
+from ..base.types import Count, Scalar
 from .arrays import numbers
 from .style import COLOURS, FAINT, axes_or_new, shown, units_of
 

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
 from matplotlib.ticker import MaxNLocator
 
-from ..checks import one_of, positive, refuse, within
-from ..types import Parameter, Scalar
+from ..base.checks import one_of, positive, refuse, within
+from ..base.types import Parameter, Scalar
 from .arrays import Samples, frames_of, history, rising
 from .style import AxesOrNone, add_colour_bar, add_legend, axes_or_new, colour, shown
 

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.interpolate import Akima1DInterpolator
 
-from ..checks import one_of
-from ..types import Count
+from ..base.checks import one_of
+from ..base.types import Count
 from .arrays import numbers
 from .histories import space_time
 from .style import COLOURS, FAINT, AxesOrNone, add_legend, axes_or_new, shown, units_of

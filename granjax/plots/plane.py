@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.lines import Line2D
 
-from ..checks import positive, refuse, whole
-from ..types import Count, Scalar
+from ..base.checks import positive, refuse, whole
+from ..base.types import Count, Scalar
 from .arrays import frames_of, history, numbers
 from .histories import SIGNED, colours_of
 from .style import (

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..checks import one_of, refuse
+from ..base.checks import one_of, refuse
 from .style import FAINT, AxesOrNone, add_legend, axes_or_new, colour
 
 # The column that is drawn, and its label.

@@ -6,19 +6,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..checks import one_of, positive, refuse
-from ..types import Parameter, Scalar
+from ..base.checks import one_of, positive, refuse
+from ..base.types import Parameter, Scalar
 from .arrays import numbers, rising
-from .style import (
-    COLOURS,
-    DASHES,
-    AxesOrNone,
-    add_legend,
-    axes_or_new,
-    colour,
-    shown,
-    units_of,
-)
+from .style import COLOURS, DASHES, AxesOrNone, add_legend, axes_or_new, colour, shown, units_of
 
 BOND = r"bond from the step $n$"
 SPEED = r"speed $n/t$, bonds per time"

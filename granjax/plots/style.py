@@ -18,11 +18,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from ..checks import one_of, positive, refuse
-from ..files import target, write
-from ..types import Count, Scalar
-from ..units import SCALED, SI
-from ..units.names import known_unit, readable
+from ..base.checks import one_of, positive, refuse
+from ..base.files import target, write
+from ..base.types import Count, Scalar
+from ..base.units import SCALED, SI
+from ..base.units.names import known_unit, readable
 
 AxesOrNone: TypeAlias = Axes | None
 """Axes to draw into, `None` for a new figure."""

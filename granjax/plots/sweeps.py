@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm, Normalize
 
-from ..checks import one_of, refuse
-from ..units import SCALED, SI
+from ..base.checks import one_of, refuse
+from ..base.units import SCALED, SI
 from .style import (
     COLOURS,
     AxesOrNone,

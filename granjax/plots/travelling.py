@@ -7,17 +7,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from ..types import Numbers, Scalar
+from ..base.types import Numbers, Scalar
 from .arrays import numbers
-from .style import (
-    COLOURS,
-    DASHES,
-    AxesOrNone,
-    axes_or_new,
-    colour,
-    shown,
-    units_of,
-)
+from .style import COLOURS, DASHES, AxesOrNone, axes_or_new, colour, shown, units_of
 
 # The core of a wave is where the strain exceeds this fraction of its largest value.
 CORE = 0.02

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Polygon
 
-from ..checks import refuse, within
-from ..types import Count, Parameter, Scalar
+from ..base.checks import refuse, within
+from ..base.types import Count, Parameter, Scalar
 from .arrays import Samples, numbers
 from .style import (
     COLOURS,

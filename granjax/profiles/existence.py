@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import bisect
 
-from ..checks import one_of, refuse
+from ..base.checks import one_of, refuse
 from ..laws import Law
 from .highest import highest
 from .medium import values

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_banded
 
-from ..programs import compiled
+from ..base.programs import compiled
 from .damped import damped
 from .medium import fine_force
 from .shape import ContactShape

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, positive, refuse, traced
+from ..base.checks import concrete, positive, refuse, traced
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Number, Numbers, Scalar
 from ..lattice import Lattice
 from ..laws import Law
-from ..printing import told
-from ..programs import compiled
 from ..terms.chain import next_neighbours, span, walls, without_walls
-from ..types import Number, Numbers, Scalar
 
 # The number of arguments at which one program evaluates a law.
 CHUNK = 8192

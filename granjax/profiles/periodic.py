@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, traced
+from ..base.checks import refuse, traced
+from ..base.types import Number, Numbers
+from ..continuation.newton import newton as root
 from ..laws import Law, Strained
-from ..newton import newton as root
-from ..types import Number, Numbers
 from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
 

@@ -5,10 +5,10 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from ..base.types import Count, Number, Numbers, Parameter, Scalar
 from ..lattice import State
 from ..laws import Law
 from ..results import Result, array
-from ..types import Count, Number, Numbers, Parameter, Scalar
 
 
 class Profile(Result):

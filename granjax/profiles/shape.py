@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import traced
+from ..base.checks import traced
+from ..base.programs import compiled, shared_size
+from ..base.types import Numbers
 from ..laws import Law
-from ..programs import compiled, shared_size
-from ..types import Numbers
 from .medium import fine_force
 from .tent import RULE
 

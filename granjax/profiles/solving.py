@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import root_scalar
 
-from ..checks import refuse, traced
-from ..printing import told
-from ..programs import compiled
+from ..base.checks import refuse, traced
+from ..base.printing import told
+from ..base.programs import compiled
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine, fine_force, implicit, one_number, values
 from .shape import TentShape

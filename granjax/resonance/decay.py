@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import refuse, whole, within
-from ..types import Parameter, Scalar
+from ..base.checks import refuse, whole, within
+from ..base.types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
 # beads behind the last contact that is read, so that it does not feel the free end

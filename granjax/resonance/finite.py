@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import positive, refuse, tolerance, whole
+from ..base.checks import positive, refuse, tolerance, whole
+from ..base.types import Count, Parameter, Scalar
 from ..results import Result, array, note
-from ..types import Count, Parameter, Scalar
 from .decay import decay_rate
 from .lanes import LANES, checked_ratios, peak_forces
 

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import refuse, show, within
+from ..base.checks import refuse, show, within
+from ..base.types import Count, Parameter, Scalar
 from ..flow import Peak, simulate
 from ..measures import contact_force
 from ..scenes import dimer
 from ..states import impact
 from ..sweeps import paired, sweep
-from ..types import Count, Parameter, Scalar
 
 LANES = 8
 

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import described, one_of, positive, refuse, whole
+from ..base.checks import described, one_of, positive, refuse, whole
+from ..base.types import Parameter
 from ..flow import Peak, simulate
 from ..lattice import Lattice
 from ..laws import Hertz
@@ -18,7 +19,6 @@ from ..states import impact
 from ..strains import Shift
 from ..sweeps import paired, sweep
 from ..terms import Bond
-from ..types import Parameter
 from .lanes import LANES
 
 # beads behind the last cell that is read; the longest time of a pulse per bead; the time in which

@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import find_peaks
 
-from ..checks import refuse, whole
+from ..base.checks import refuse, whole
+from ..base.types import Count, Parameter
 from ..flow import simulate
 from ..results import Result, array, note
 from ..scenes import dimer
 from ..states import impact
 from ..sweeps import paired, sweep
-from ..types import Count, Parameter
 from .decay import MARGIN
 from .lanes import LANES, checked_ratios
 

@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, positive, refuse, whole
+from ..base.checks import one_of, positive, refuse, whole
+from ..base.types import Count, Parameter, Scalar
+from ..base.units import SI
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, bead_mass, hertz_coefficient, named, stack
 from ..strains import BOUNDARIES
 from ..terms import Wall
-from ..types import Count, Parameter, Scalar
-from ..units import SI
 from .chains import chain, stacked
 
 

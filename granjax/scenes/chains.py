@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, parameter, positive, refuse, traced, whole, within
+from ..base.checks import one_of, parameter, positive, refuse, traced, whole, within
+from ..base.programs import library
+from ..base.types import Count, Parameter, Scalar
+from ..base.units import SCALED
 from ..lattice import Lattice
 from ..laws import Hertz, Law, Polynomial, PowerLaw, Toda
-from ..programs import library
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, Damping, OnSite
-from ..types import Count, Parameter, Scalar
-from ..units import SCALED
 
 MANY = "For many at once: jax.vmap(lambda x: scene(..., x), out_axes=-1)(values)."
 _RATIO = "The ratio is light over heavy; the heavy bead has mass 1."

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from ..checks import concrete, one_of, positive, random_key, refuse, within
+from ..base.checks import concrete, one_of, positive, random_key, refuse, within
+from ..base.types import Count, Parameter, Scalar, Seed
+from ..base.units import SCALED
 from ..lattice import Lattice
 from ..laws import Law
-from ..types import Count, Parameter, Scalar, Seed
-from ..units import SCALED
 from .chains import MANY, a_chain, chain, contacts_of, monomer, number
 
 DISORDERED = ("mass", "radius", "stiffness", "position")

@@ -2,14 +2,14 @@
 
 import jax.numpy as jnp
 
-from ..checks import non_negative, one_of, positive, refuse
-from ..fractional import checked_order, kernel, ring_kernel, to_the_right
+from ..base.checks import non_negative, one_of, positive, refuse
+from ..base.types import Count, Parameter
+from ..base.units import PART
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Scaled
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, LongRange, OnSite
-from ..types import Count, Parameter
-from ..units import PART
+from ..terms.fractional import checked_order, kernel, ring_kernel, to_the_right
 from .chains import a_chain, number
 from .on_site import COUPLED, pendula
 

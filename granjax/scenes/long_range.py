@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, non_negative, one_of, parameter, positive, refuse, show, whole
+from ..base.checks import concrete, non_negative, one_of, parameter, positive, refuse, show, whole
+from ..base.types import Count, Parameter, Scalar
+from ..base.units import SCALED
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw
 from ..strains import BOUNDARIES
 from ..terms import LongRange
-from ..types import Count, Parameter, Scalar
-from ..units import SCALED
 from .chains import a_chain, number
 
 # largest number of magnets of a finite chain whose equilibrium is computed

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ..checks import concrete, non_negative, one_of, positive, refuse
+from ..base.checks import concrete, non_negative, one_of, positive, refuse
+from ..base.types import Count, Parameter
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..strains import Shift
 from ..terms import Bond, Damping, Harmonic, Modulated, OnSite, Square
-from ..types import Count, Parameter
 from .chains import check_each, contacts_of, number
 
 _SHAPES = {"cosine": Harmonic, "square": Square}

@@ -1,10 +1,10 @@
 """Chains with a force on every site: Newton's cradle, Klein-Gordon (phi^4), sine-Gordon."""
 
-from ..checks import non_negative, positive, refuse
+from ..base.checks import non_negative, positive, refuse
+from ..base.types import Count, Parameter
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Sine
 from ..terms import OnSite
-from ..types import Count, Parameter
 from .chains import chain, check_each, monomer
 
 # Weak coupling is the usual case of these chains, so 0 is allowed.

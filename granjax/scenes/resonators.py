@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
-from ..checks import non_negative, positive, refuse
+from ..base.checks import non_negative, positive, refuse
+from ..base.types import Count, Numbers, Parameter
+from ..base.units import SCALED
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..strains import Pairs, Shift
 from ..terms import Bond
-from ..types import Count, Numbers, Parameter
-from ..units import SCALED
 from .chains import a_chain, check_each, contact, contacts_of, fitting
 
 _TIE = "A resonator without stiffness is let go: 0 leaves the chain of beads."

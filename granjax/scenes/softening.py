@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ..checks import concrete, positive, refuse, within
+from ..base.checks import concrete, positive, refuse, within
+from ..base.types import Count, Parameter
+from ..base.units import SCALED
 from ..lattice import Lattice
-from ..types import Count, Parameter
-from ..units import SCALED
 from .chains import contacts_of, monomer, stacked
 
 _STIFF = "A contact of 0 < p < 1 without static force is infinitely stiff at rest, and so where it re-opens."

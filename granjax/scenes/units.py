@@ -6,11 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import concrete, positive, refuse
+from ..base.checks import concrete, positive, refuse
+from ..base.printing import told
+from ..base.types import Scalar
+from ..base.units import SCALED, Units
 from ..lattice import Lattice
-from ..printing import told
-from ..types import Scalar
-from ..units import SCALED, Units
 
 
 class ScaledLattice(NamedTuple):

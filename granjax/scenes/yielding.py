@@ -2,13 +2,13 @@
 
 import jax.numpy as jnp
 
-from ..checks import non_negative, parameter, positive
+from ..base.checks import non_negative, parameter, positive
+from ..base.types import Count, Parameter
+from ..base.units import SCALED
 from ..lattice import Lattice
 from ..laws import Thornton, plus_power
 from ..strains import Shift
 from ..terms import PlasticContact
-from ..types import Count, Parameter
-from ..units import SCALED
 from .chains import a_chain, contacts_of, fitting
 
 

@@ -8,18 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
-from ..checks import positive, refuse, traced
+from ..base.checks import positive, refuse, traced
+from ..base.programs import compiled
+from ..base.types import Count, Number, Scalar
 from ..lattice import Lattice, State
 from ..laws import Law, Strained
 from ..profiles import Medium, Profile, medium_of, places, tabled, tails
 from ..profiles import front as solver
 from ..profiles.highest import highest
 from ..profiles.medium import fine_force, implicit, one_number, single, values
-from ..programs import compiled
 from ..results import array
 from ..terms import Dashpot
 from ..terms.chain import boundary_of
-from ..types import Count, Number, Scalar
 
 # The places of the table, the powers of e that it covers, its most contacts behind; the strains
 # checked between both states.

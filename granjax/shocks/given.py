@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..checks import refuse, show
+from ..base.checks import refuse, show
 from ..flow import Run
 from ..lattice import Lattice, State
 from ..profiles import Medium, medium_of

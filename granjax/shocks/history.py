@@ -3,14 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, show
+from ..base.checks import refuse, show
+from ..base.programs import compiled
+from ..base.types import Count, Counts, Number, Numbers, Scalar, Times, Values
 from ..flow import simulate
 from ..flow.arguments import checked_method
 from ..flow.steps import fixed_step
 from ..lattice import Lattice, State
-from ..programs import compiled
 from ..results import Result, array, note
-from ..types import Count, Counts, Number, Numbers, Scalar, Times, Values
 from .riemann import Riemann
 
 

@@ -6,12 +6,12 @@ import jax
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ..checks import one_of, refuse, whole
+from ..base.checks import one_of, refuse, whole
+from ..base.types import Count
 from ..flow import Run
 from ..measures import peak_times
 from ..profiles.medium import values
 from ..terms.chain import walls
-from ..types import Count
 from .given import medium_before, problem_of
 from .riemann import Riemann
 from .shock import Shock

@@ -9,14 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse
+from ..base.checks import concrete, refuse
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Displacements, Number, Numbers, Scalar
 from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from ..laws import Law
-from ..printing import told
-from ..programs import compiled
 from ..terms.reach import furthest
-from ..types import Displacements, Number, Numbers, Scalar
 
 # The points on the range of strains; the nodes of an integral over it.
 SAMPLES, NODES = 33, 32

@@ -7,17 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, per_lane, refuse, show, traced
+from ..base.checks import concrete, per_lane, refuse, show, traced
+from ..base.printing import told
+from ..base.types import Count, Number, Parameter
 from ..lattice import Lattice, State
 from ..laws import Law, Strained
-from ..printing import told
 from ..states import velocity_step
 from ..states.places import chain_only, inside
 from ..strains import Shift
 from ..terms import Bond, Wall
 from ..terms.chain import next_neighbours
 from ..terms.reach import reads
-from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 
 CHAIN = "a chain of bonds between neighbours"

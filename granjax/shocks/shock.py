@@ -3,9 +3,9 @@
 import equinox as eqx
 import numpy as np
 
+from ..base.types import Number, Numbers
 from ..laws import Law
 from ..results import Result, array, note
-from ..types import Number, Numbers
 
 # The misfit of a theory, over the jump, above which the outcome mentions it.
 MISSES = 0.3

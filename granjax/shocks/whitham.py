@@ -25,7 +25,9 @@ from jaxtyping import Float
 from scipy.integrate import solve_ivp
 from scipy.linalg import eig
 
-from ..checks import refuse, traced
+from ..base.checks import refuse, traced
+from ..base.tuning import one_thread
+from ..base.types import Scalar
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
@@ -33,8 +35,6 @@ from ..profiles.medium import fine_values, one_number
 from ..profiles.solving import decay_rate
 from ..results import Result, array
 from ..theory.fitting import shock_edges
-from ..tuning import one_thread
-from ..types import Scalar
 
 # The harmonics at first, and at most; the size of the last ones over the jump at which they
 # suffice.

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
+from ..base.programs import shared_size
 from ..flow import simulate
 from ..lattice import Lattice, State
 from ..profiles.medium import Medium
-from ..programs import shared_size
 from ..strains import Shift
 from ..terms import Bond
 

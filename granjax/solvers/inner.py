@@ -15,7 +15,7 @@ from math import factorial
 
 import numpy as np
 
-from ..types import Scalar
+from ..base.types import Scalar
 
 ROUNDING = 1e-13
 

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..split_system import pair
-from ..types import AnyArray, Count, Pytree, Scalar, StateLike
+from ..base.types import AnyArray, Count, Pytree, Scalar, StateLike
+from .split_system import pair
 
 # real or complex
 Entry: TypeAlias = AnyArray | np.inexact

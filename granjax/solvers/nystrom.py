@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from ..checks import refuse
-from ..split_system import FieldSplit, pair
+from ..base.checks import refuse
 from . import tables
 from .inner import weights
 from .interpolation import Bootstrapped, correction, quintic
+from .split_system import FieldSplit, pair
 from .splitting import unwrap
 from .stability import stability_limit
 

@@ -14,10 +14,10 @@ import diffrax
 import jax.numpy as jnp
 import numpy as np
 
-from ..split_system import FieldSplit, by_stages
-from ..types import Number
+from ..base.types import Number
 from . import tables
 from .interpolation import QuinticHermite
+from .split_system import FieldSplit, by_stages
 from .stability import stability_limit
 
 

@@ -24,9 +24,9 @@ from typing import NamedTuple
 import diffrax
 import numpy as np
 
-from ..checks import refuse
-from ..printing import told
-from ..types import Number, Parameter, Scalar
+from ..base.checks import refuse
+from ..base.printing import told
+from ..base.types import Number, Parameter, Scalar
 from . import tables
 
 # growth by e in 1e5 radians, 16 000 periods: less is invisible in typical runs with a fixed step

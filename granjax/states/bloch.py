@@ -3,13 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, parameter, positive, refuse, traced
+from ..base.checks import one_of, parameter, positive, refuse, traced
+from ..base.programs import compiled
+from ..base.types import Count, Parameter
 from ..lattice import Lattice, State
 from ..linear.cell import by_sites, chosen_bands, matrices, unit_cell
 from ..linear.stiffness import grid, mesh, unpack
 from ..linear.zone import lattice_vectors, named_points
-from ..programs import compiled
-from ..types import Count, Parameter
 
 # over the largest omega^2: bands closer than MEET meet, omega^2 down to -ROUNDING is rounding
 MEET, ROUNDING = 1e-9, 1e-12

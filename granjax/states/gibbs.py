@@ -4,15 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import per_lane, positive, random_key, refuse, whole
+from ..base.checks import per_lane, positive, random_key, refuse, whole
+from ..base.programs import compiled
+from ..base.types import Count, Parameter, Seed
 from ..flow import Flow, frequency_bound
 from ..flow.bath import isolated
 from ..lattice import Lattice, State
 from ..lattice.split import next_neighbours
-from ..programs import compiled
 from ..solvers import SRKN11b
 from ..theory.thermal import TABLE, checked_nodes, masses, potential
-from ..types import Count, Parameter, Seed
 from .simple import thermal
 
 # time step of hybrid Monte Carlo times the highest frequency

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, per_lane, refuse, whole
+from ..base.checks import concrete, per_lane, refuse, whole
+from ..base.types import Count, Parameter
 from ..lattice import Lattice, State
 from ..linear import normal_modes
 from ..terms import Modulated
-from ..types import Count, Parameter
 from .places import chain_only, column, state_of
 
 

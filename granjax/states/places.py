@@ -6,9 +6,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..checks import concrete, one_of, parameter, per_lane, refuse, show, within
+from ..base.checks import concrete, one_of, parameter, per_lane, refuse, show, within
+from ..base.types import Parameter
 from ..lattice import Lattice, State
-from ..types import Parameter
 
 
 def field_of(lattice: Lattice, field: str | None) -> str | None:

@@ -4,16 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import (
-    non_negative,
-    parameter,
-    per_lane,
-    random_key,
-    refuse,
-    traced,
-)
+from ..base.checks import non_negative, parameter, per_lane, random_key, refuse, traced
+from ..base.types import Parameter, Seed, Site
 from ..lattice import Lattice, State
-from ..types import Parameter, Seed, Site
 from .places import field_of, site_of
 
 

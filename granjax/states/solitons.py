@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, per_lane, positive, refuse, show
+from ..base.checks import concrete, per_lane, positive, refuse, show
+from ..base.programs import compiled
+from ..base.types import Parameter
 from ..lattice import Lattice, State, spread_mass
-from ..programs import compiled
 from ..theory import kdv, toda
-from ..types import Parameter
 from .places import chain_only, crest, numbers, state_of
 
 # largest deviation from a uniform chain over K2; largest wave at the ends over its crest; fewest

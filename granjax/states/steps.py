@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 
-from ..checks import per_lane
+from ..base.checks import per_lane
+from ..base.types import Parameter
 from ..lattice import Lattice, State
-from ..types import Parameter
 from .places import chain_only, inside, numbers, state_of
 
 

@@ -5,10 +5,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.types import Count
 from ..lattice import Lattice, State
 from ..lattice.model import check_shape
-from ..types import Count
 
 
 def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:

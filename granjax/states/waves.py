@@ -8,18 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import (
-    concrete,
-    described,
-    per_lane,
-    positive,
-    refuse,
-    within,
-)
+from ..base.checks import concrete, described, per_lane, positive, refuse, within
+from ..base.programs import by_rows, compiled
+from ..base.types import Parameter, Scalar
 from ..lattice import Lattice, State
 from ..profiles import medium_of, one_given, wave_of
-from ..programs import by_rows, compiled
-from ..types import Parameter, Scalar
 from .places import chain_only, column, crest, inside, numbers, state_of
 
 UNIFORM = 1e-6

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import plain_zero
-from ..types import Displacements, Number, Numbers
-from ..units import Dimensional
+from ..base.checks import plain_zero
+from ..base.types import Displacements, Number, Numbers
+from ..base.units import Dimensional
 
 # MARGIN is a safety factor for the convergence of power iteration from a random start.
 POWER_STEPS, MARGIN = 40, 1.1

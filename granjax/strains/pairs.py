@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse, whole
-from ..types import Parameter, Site, Values
+from ..base.checks import positive, refuse, whole
+from ..base.types import Parameter, Site, Values
 from .maps import BOTH, TwoEnds, checked_fields
 
 WALL = -1

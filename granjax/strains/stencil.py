@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import is_whole, one_of, parameter, refuse
-from ..types import Site
+from ..base.checks import is_whole, one_of, parameter, refuse
+from ..base.types import Site
 from .maps import BOTH, BOUNDARIES, LinearMap, TwoEnds, checked_fields
 
 

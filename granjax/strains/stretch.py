@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, positive, refuse
-from ..types import Parameter
-from ..units import PART
+from ..base.checks import parameter, positive, refuse
+from ..base.types import Parameter
+from ..base.units import PART
 from .maps import LinearMap, TwoEnds, VectorMap
 
 

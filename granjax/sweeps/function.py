@@ -13,8 +13,8 @@ import numpy as np
 import xarray
 from jax.typing import ArrayLike
 
-from ..checks import described, refuse
-from ..programs import compiled
+from ..base.checks import described, refuse
+from ..base.programs import compiled
 from ..results import Result
 
 # the remark on a point whose results have other shapes

@@ -5,9 +5,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..checks import described, refuse
-from ..printing import called, numbers
-from ..types import Values
+from ..base.checks import described, refuse
+from ..base.printing import called, numbers
+from ..base.types import Values
 
 LANE = "lane"
 # names that a sweep reserves

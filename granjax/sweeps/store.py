@@ -11,8 +11,8 @@ import warnings
 import numpy as np
 import xarray
 
-from ..checks import refuse
-from ..printing import numbers
+from ..base.checks import refuse
+from ..base.printing import numbers
 from .function import ODD, Chunk
 from .points import Points
 

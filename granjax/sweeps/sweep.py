@@ -15,10 +15,10 @@ import jax
 import numpy as np
 import xarray
 
-from ..checks import described, refuse, whole
-from ..programs import bar
-from ..tuning import cores
-from ..types import Count
+from ..base.checks import described, refuse, whole
+from ..base.programs import bar
+from ..base.tuning import cores
+from ..base.types import Count
 from . import function as own
 from .points import Parameters, points_of
 from .store import Store, opened

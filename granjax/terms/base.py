@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.printing import told
+from ..base.types import Displacements, Number, Numbers, Pytree
+from ..base.units import PART, Dimensional
 from ..laws import Law, Scaled
-from ..printing import told
-from ..types import Displacements, Number, Numbers, Pytree
-from ..units import PART, Dimensional
 from .reach import Dependence, Reach, answers_to, largest_eigenvalue, reads, stand_in
 from .waveforms import Breaks, own_breaks, signal_of
 

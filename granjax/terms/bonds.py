@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import plain_zero
+from ..base.checks import plain_zero
+from ..base.programs import compiled, concretely
+from ..base.types import Displacements, Number, Numbers, Parameter, Waveform
+from ..base.units import PART, Signal
 from ..laws import Law, Linear, Scaled
-from ..programs import compiled, concretely
 from ..strains import StrainMap
-from ..types import Displacements, Number, Numbers, Parameter, Waveform
-from ..units import PART, Signal
 from .base import Altered, Compression, Term, times, wider
 from .reach import RESISTS, largest_eigenvalue, stand_in
 from .waveforms import Breaks, as_module, checked_breaks

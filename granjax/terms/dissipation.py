@@ -6,11 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import concrete, non_negative, parameter, positive, refuse, show, within
+from ..base.checks import concrete, non_negative, parameter, positive, refuse, show, within
+from ..base.types import Count, Counts, Parameter, Scalar
+from ..base.units import PART
 from ..laws import Hertz, Indented, PlasticLaw, plus_power
 from ..strains import StrainMap
-from ..types import Count, Counts, Parameter, Scalar
-from ..units import PART
 from .base import Remembering, Term, wider
 from .bonds import Bond, Joined
 

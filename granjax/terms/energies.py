@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
-from ..types import Displacements, Number, Numbers
+from ..base.checks import refuse
+from ..base.types import Displacements, Number, Numbers
 from .base import Term, within
 from .bonds import Joined
 from .reach import per_lane

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, parameter, refuse, whole
+from ..base.checks import one_of, parameter, refuse, whole
+from ..base.programs import by_rows
+from ..base.types import Count, Parameter
+from ..base.units import PART
 from ..laws import Law, Scaled, Strained
-from ..programs import by_rows
 from ..strains import BOTH, BOUNDARIES
-from ..types import Count, Parameter
-from ..units import PART
 from .base import Compression, Term, get, put, wider
 from .reach import steepest
 

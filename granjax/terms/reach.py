@@ -11,11 +11,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from ..checks import traced as is_traced
-from ..printing import told
-from ..programs import compiled, concretely, holds
+from ..base.checks import traced as is_traced
+from ..base.printing import told
+from ..base.programs import compiled, concretely, holds
+from ..base.types import Displacements, Flags, Number, Numbers, Pytree
 from ..strains.maps import spectral_radius
-from ..types import Displacements, Flags, Number, Numbers, Pytree
 
 SAMPLES = 33
 # Doublings of the least length, from 2^-60 to 2^40; then halvings, to 2^-40 of the interval.

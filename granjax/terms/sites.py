@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, refuse
+from ..base.checks import one_of, refuse
+from ..base.types import Parameter, Site, Waveform
+from ..base.units import PART, Signal
 from ..laws import Law, Yielding
 from ..strains import End, Sites
-from ..types import Parameter, Site, Waveform
-from ..units import PART, Signal
 from .base import Excitation, Term, get, put, within
 from .bonds import Bond, spring
 from .waveforms import Breaks, as_module, checked_breaks

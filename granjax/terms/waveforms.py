@@ -7,10 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, positive, within
-from ..printing import told
-from ..types import Number, Numbers, Parameter, Waveform
-from ..units import Dimensional, Signal
+from ..base.checks import parameter, positive, within
+from ..base.printing import told
+from ..base.types import Number, Numbers, Parameter, Waveform
+from ..base.units import Dimensional, Signal
 
 # Number of rounding units by which the jump of a function may differ from its break.
 ULPS = 16

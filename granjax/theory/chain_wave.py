@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, parameter, positive, refuse, show, traced
-from ..printing import told
+from ..base.checks import concrete, one_of, parameter, positive, refuse, show, traced
+from ..base.printing import told
 
 
 class ChainWave(NamedTuple):

@@ -21,9 +21,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, positive, within
-from ..printing import told
-from ..types import Parameter
+from ..base.checks import parameter, positive, within
+from ..base.printing import told
+from ..base.types import Parameter
 
 __all__ = ["Compacton", "ahnert_pikovsky", "nesterenko"]
 

@@ -22,9 +22,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, refuse, show, within
-from ..printing import told
-from ..types import Numbers, Parameter
+from ..base.checks import concrete, parameter, refuse, show, within
+from ..base.printing import told
+from ..base.types import Numbers, Parameter
 from .elliptic_functions import _jacobi, _zeta
 from .elliptic_integrals import _E, _F, _K, _complete, _complete_Pi
 

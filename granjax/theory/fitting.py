@@ -23,13 +23,13 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import root_scalar
 
-from ..checks import parameter, refuse, traced
+from ..base.checks import parameter, refuse, traced
+from ..base.programs import compiled
+from ..base.types import Number, Scalar
 from ..lattice import Lattice
 from ..laws import Law, Strained
 from ..profiles import medium_of, wave_of
-from ..programs import compiled
 from ..results import Result, array
-from ..types import Number, Scalar
 from .chain_wave import _sinh_less
 from .simple_states import _path_to, _speed_of, _width_of
 

@@ -41,9 +41,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse, show
-from ..printing import told
-from ..types import Numbers, Parameter
+from ..base.checks import concrete, refuse, show
+from ..base.printing import told
+from ..base.types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sech, _stiffnesses
 from .elliptic_functions import _jacobi, _zeta
 from .elliptic_integrals import _E, _K

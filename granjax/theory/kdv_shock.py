@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, refuse, show
-from ..printing import told
-from ..types import Numbers, Parameter
+from ..base.checks import concrete, parameter, refuse, show
+from ..base.printing import told
+from ..base.types import Numbers, Parameter
 from .chain_wave import _stiffnesses
 from .elliptic_functions import _jacobi
 from .elliptic_integrals import _E, _K

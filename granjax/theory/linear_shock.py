@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, non_negative, parameter, positive, refuse, show
-from ..types import Numbers, Parameter
+from ..base.checks import concrete, non_negative, parameter, positive, refuse, show
+from ..base.types import Numbers, Parameter
 
 __all__ = ["strain_step", "velocity_step"]
 

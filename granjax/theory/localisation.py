@@ -17,8 +17,8 @@ Source: Ishii, Prog. Theor. Phys. Suppl. 53, 77 (1973); Matsuda, Ishii, Prog. Th
 
 import jax.numpy as jnp
 
-from ..checks import concrete, non_negative, parameter, positive, refuse, show
-from ..types import Numbers, Parameter
+from ..base.checks import concrete, non_negative, parameter, positive, refuse, show
+from ..base.types import Numbers, Parameter
 
 __all__ = ["lyapunov_exponent"]
 

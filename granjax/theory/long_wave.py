@@ -25,8 +25,8 @@ Pikovsky, Phys. Rev. E 79, 026209 (2009); P. Rosenau, Phys. Lett. A 118, 222 (19
 import jax
 import jax.numpy as jnp
 
-from ..checks import one_of, parameter, positive
-from ..types import Numbers, Parameter
+from ..base.checks import one_of, parameter, positive
+from ..base.types import Numbers, Parameter
 from . import compacton
 from .chain_wave import _numbers, _sech
 

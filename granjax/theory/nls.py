@@ -33,10 +33,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..checks import concrete, parameter, refuse, show, traced
-from ..programs import compiled
+from ..base.checks import concrete, parameter, refuse, show, traced
+from ..base.programs import compiled
+from ..base.types import Count, Number, Parameter, Scalar
 from ..results import Result, array
-from ..types import Count, Number, Parameter, Scalar
 from .chain_wave import _numbers, _sech
 from .nls_coefficients import B, Coefficients, coefficients
 

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
-from ..checks import concrete, one_of, parameter, per_lane, positive, refuse, show
-from ..programs import compiled
+from ..base.checks import concrete, one_of, parameter, per_lane, positive, refuse, show
+from ..base.programs import compiled
+from ..base.types import Count, Parameter, Scalar
 from ..results import Result, array
-from ..types import Count, Parameter, Scalar
 
 # relative distances of omega^2, in units of rounding, below which two branches touch and the second
 # harmonic lies on a branch

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, positive, refuse, show, within
-from ..programs import compiled
-from ..types import Number, Parameter
+from ..base.checks import concrete, parameter, positive, refuse, show, within
+from ..base.programs import compiled
+from ..base.types import Number, Parameter
 
 # nodes on the parabola of Weideman and Trefethen: the error of the rule falls as 2.85^-NODES, and
 # that of rounding grows as exp(0.13 NODES)

@@ -2,8 +2,8 @@
 
 import jax.numpy as jnp
 
-from ..checks import non_negative, positive
-from ..types import Number, Parameter
+from ..base.checks import non_negative, positive
+from ..base.types import Number, Parameter
 
 # (4/5) B(3/5, 3/2) (5/4)^{3/5} with the beta function B
 FIRST = 1.1534488581

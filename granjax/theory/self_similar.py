@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, positive, within
-from ..printing import told
+from ..base.checks import parameter, positive, within
+from ..base.printing import told
 from .elliptic_integrals import _K, _sloped
 
 # Newton steps for ln(1 - m), from a guess that is always close

@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Numbers
 from ..laws import Law
-from ..printing import told
 from ..profiles import Medium
 from ..profiles.medium import CHUNK, in_chunks, one_number
-from ..programs import compiled
-from ..types import Numbers
 
 # nodes of a panel, and of the coarser rule that checks it
 FINE = 16

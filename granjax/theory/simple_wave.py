@@ -24,12 +24,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, refuse
+from ..base.checks import concrete, parameter, refuse
+from ..base.programs import compiled
+from ..base.types import Numbers, Parameter, Scalar
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
-from ..programs import compiled
-from ..types import Numbers, Parameter, Scalar
 from .simple_states import _path_to, _slopes_at, _width_of
 
 __all__ = ["fan", "mean"]

@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import parameter, positive, refuse
-from ..programs import compiled
+from ..base.checks import parameter, positive, refuse
+from ..base.programs import compiled
+from ..base.types import Count, Number, Numbers, Parameter
 from ..results import Result, array
-from ..types import Count, Number, Numbers, Parameter
 
 __all__ = ["BondState", "bond_state"]
 

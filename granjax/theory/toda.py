@@ -38,9 +38,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, positive, refuse, show
-from ..printing import told
-from ..types import Numbers, Parameter
+from ..base.checks import concrete, positive, refuse, show
+from ..base.printing import told
+from ..base.types import Numbers, Parameter
 from .chain_wave import (
     ChainWave,
     _direction_of,

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, parameter, refuse, show
-from ..printing import told
-from ..types import Numbers, Parameter
+from ..base.checks import concrete, one_of, parameter, refuse, show
+from ..base.printing import told
+from ..base.types import Numbers, Parameter
 from .chain_wave import ChainWave, _numbers, _toda_constants
 from .elliptic_functions import _jacobi, _log_theta, _zeta
 from .elliptic_integrals import _K, _RF

@@ -7,16 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, within
+from ..base.checks import refuse, within
+from ..base.programs import shared_size
+from ..base.types import Number, Numbers, Parameter, Scalar
+from ..base.units import SCALED
 from ..flow import Run
 from ..lattice import Lattice, State
 from ..profiles.medium import values
-from ..programs import shared_size
 from ..results import Result, array, note
 from ..strains import Shift
 from ..terms import Bond
-from ..types import Number, Numbers, Parameter, Scalar
-from ..units import SCALED
 from .solitary import Wave
 from .tracking import leaving, reach_of, run_twice, tracked
 

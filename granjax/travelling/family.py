@@ -3,11 +3,11 @@
 import jax
 import numpy as np
 
+from ..base.types import Numbers, Parameter, Scalar
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of, one_given, wave_of
 from ..results import Result, array
-from ..types import Numbers, Parameter, Scalar
 from .solitary import full_width
 
 

@@ -4,11 +4,11 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.linalg import eig
 
+from ..base.tuning import one_thread
+from ..base.types import Parameter
 from ..orbits.floquet import STABLE, UNSTABLE
 from ..profiles.medium import values
 from ..results import Result, array
-from ..tuning import one_thread
-from ..types import Parameter
 from .periodic import PeriodicWave
 
 # The default number of phases of a modulation, up to pi.

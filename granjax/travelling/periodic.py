@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse, traced
+from ..base.checks import positive, refuse, traced
+from ..base.types import Count, Number, Scalar
 from ..lattice import Lattice, State
 from ..laws import Law
 from ..profiles import Profile, medium_of, one_given, tabled
 from ..profiles.medium import one_number, values
 from ..profiles.periodic import differentiated, train
 from ..results import Result, array
-from ..types import Count, Number, Scalar
 
 # The number of points in the table; the number of points per harmonic in an average.
 TABLE, AVERAGED = 129, 4

@@ -7,16 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..base.checks import refuse
+from ..base.programs import shared_size
+from ..base.types import Count, Numbers, Scalar
+from ..base.units import SCALED
 from ..flow import Run, frequency_bound
 from ..lattice import Lattice, State
 from ..laws import Law, taylor
-from ..programs import shared_size
 from ..results import Result, array, note
 from ..strains import Shift
 from ..terms import Bond, Wall
-from ..types import Count, Numbers, Scalar
-from ..units import SCALED
 from .solitary import Wave
 from .tracking import leaving, reach_of, run_twice, tracked
 

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
-from ..checks import refuse, traced
+from ..base.checks import refuse, traced
+from ..base.types import Count, Number, Scalar
 from ..lattice import Lattice
 from ..laws import Law
 from ..orbits.floquet import Floquet
 from ..profiles import Profile, Shape, Solved, medium_of, one_given, tabled, wave_of
 from ..profiles.medium import implicit
 from ..results import array
-from ..types import Count, Number, Scalar
 from .cells import CellWave, Resonator, alone_with_resonators
 from .stability import stability
 

@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import schur, solve_discrete_lyapunov
 
-from ..checks import one_of, refuse
+from ..base.checks import one_of, refuse
+from ..base.types import Count, Scalar, StateLike
+from ..base.units import SCALED
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..laws import Strained
@@ -19,8 +21,6 @@ from ..results import hidden
 from ..solvers import KahanLi8
 from ..strains import Shift
 from ..terms import Bond
-from ..types import Count, Scalar, StateLike
-from ..units import SCALED
 
 # The default strain, over the peak, half-way round a ring; the least and the most sites.
 CLOSED, SHORTEST, LONGEST = 1e-10, 12, 200

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..checks import refuse
+from ..base.checks import refuse
 from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from .solitary import Wave, solitary_wave

@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import granjax as gx
+from granjax.continuation.newton import newton
 from granjax.floquet import floquet
 from granjax.forced import forced_branch, forced_orbit
-from granjax.newton import newton
 from granjax.orbits import Shooting
 
 # a guess that falls to rest -----------------------------------------------------------------------------------------

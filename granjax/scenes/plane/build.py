@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import non_negative, one_of, plain_zero, positive, refuse, whole
+from ...base.checks import non_negative, one_of, plain_zero, positive, refuse, whole
+from ...base.types import Count, Parameter, Scalar
+from ...base.units import SCALED
 from ...lattice import Lattice
 from ...laws import Law, Linear, Strained
 from ...strains import BOUNDARIES, Along, Pairs, Shift, Slip, Stretch
 from ...terms import Bond, Grip, OnSite
-from ...types import Count, Parameter, Scalar
-from ...units import SCALED
 from ..chains import contact, number
 from .cells import CrystalCell
 from .outline import cut, positions_of

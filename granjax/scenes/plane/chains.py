@@ -5,11 +5,11 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from ...checks import non_negative, parameter, positive, whole
+from ...base.checks import non_negative, parameter, positive, whole
+from ...base.types import Count, Parameter, Scalar
+from ...base.units import SCALED
 from ...lattice import Lattice
 from ...laws import Law, Linear
-from ...types import Count, Parameter, Scalar
-from ...units import SCALED
 from ..chains import chain
 from .build import crystal
 from .cells import DIAMOND, SAWTOOTH, SSH, STUB

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-from ...checks import positive, whole
+from ...base.checks import positive, whole
+from ...base.types import Count, Scalar
 from ...lattice import Lattice
 from ...laws import Linear
-from ...types import Count, Scalar
 from .build import crystal
 from .cells import CUBIC, FCC, HCP, HONEYCOMB, KAGOME, LIEB, QUADRUPOLE, SQUARE, TRIANGULAR
 

@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import concrete, one_of, parameter, refuse, whole
+from ...base.checks import concrete, one_of, parameter, refuse, whole
+from ...base.types import Count, Parameter
+from ...base.units import SCALED
 from ...lattice import Lattice
 from ...laws import Law
 from ...strains import WALL, Pairs
 from ...terms import Bond
-from ...types import Count, Parameter
-from ...units import SCALED
 from ..chains import contact, number
 
 # a cosine below this counts as that of a right angle

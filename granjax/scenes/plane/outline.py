@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...checks import one_of, refuse
+from ...base.checks import one_of, refuse
 from ...strains import WALL
 from .cells import CrystalCell, Tie
 

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import described, one_of, plain_zero, positive, refuse, traced
-from ...equilibria import equilibrium
+from ...base.checks import described, one_of, plain_zero, positive, refuse, traced
+from ...base.types import Count, Parameter, Scalar
+from ...base.units import SI
+from ...continuation.equilibria import equilibrium
 from ...lattice import Lattice
 from ...laws import Hertz, Linear, Strained
 from ...materials import Material, bead_mass, hertz_coefficient, named
-from ...types import Count, Parameter, Scalar
-from ...units import SI
 from .build import crystal, mindlin
 from .cells import HONEYCOMB, KAGOME, SQUARE, TRIANGULAR
 

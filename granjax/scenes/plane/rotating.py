@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from ...base.types import Count, Parameter, Scalar
 from ...lattice import Lattice
-from ...types import Count, Parameter, Scalar
 from ..chains import a_chain
 from .build import crystal
 from .cells import CHAIN

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import positive, refuse, show
+from ...base.checks import positive, refuse, show
+from ...base.types import Parameter, Scalar
 from ...lattice import Lattice
 from ...laws import Law
 from ...profiles.fourier import Chain
 from ...profiles.medium import law_between, values
-from ...types import Parameter, Scalar
 from .resonator import Resonator
 
 # The relative difference below which two numbers are equal.

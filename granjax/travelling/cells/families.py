@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ...checks import parameter, refuse
+from ...base.checks import parameter, refuse
+from ...base.types import Parameter, Scalar
 from ...lattice import Lattice
 from ...results import Result, array, hidden, note
-from ...types import Parameter, Scalar
 from .public import CellWave, cell_wave, tail_free
 
 # The part of the interval in which the next parameter is searched for.

@@ -8,14 +8,14 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ...checks import positive, refuse
+from ...base.checks import positive, refuse
+from ...base.types import Count, Numbers, Parameter, Scalar
 from ...lattice import Lattice, State
 from ...laws import Law
 from ...profiles import places
 from ...profiles.fourier import fourier
 from ...profiles.highest import highest
 from ...results import Result, array, note
-from ...types import Count, Numbers, Parameter, Scalar
 from .cell import chain_of, repeated_in
 from .resonator import Resonator
 from .tail import group, margin, periodic

@@ -4,9 +4,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ...checks import positive
-from ...printing import told
-from ...types import Count, Number, Parameter, Scalar
+from ...base.checks import positive
+from ...base.printing import told
+from ...base.types import Count, Number, Parameter, Scalar
 
 
 class Resonator(eqx.Module):

@@ -20,15 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from .checks import parameter, refuse, whole
-from .lattice import Lattice
-from .linear import unit_cell
-from .linear.cell import chosen_bands, matrices, turning_cell
-from .linear.stiffness import in_groups, mesh
-from .linear.zone import lattice_vectors as _vectors
-from .linear.zone import named_points as _named_points
-from .results import Result, array, note
-from .types import AnyArray, Count, Number, Numbers, Parameter
+from ..base.checks import parameter, refuse, whole
+from ..base.types import AnyArray, Count, Number, Numbers, Parameter
+from ..lattice import Lattice
+from ..results import Result, array, note
+from . import unit_cell
+from .cell import chosen_bands, matrices, turning_cell
+from .stiffness import in_groups, mesh
+from .zone import lattice_vectors as _vectors
+from .zone import named_points as _named_points
 
 # a gap below this part of the largest omega^2 is closed
 CLOSED = 1e-9

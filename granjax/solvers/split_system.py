@@ -12,8 +12,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .printing import told
-from .types import Number, Pytree, StateLike, VectorField
+from ..base.printing import told
+from ..base.types import Number, Pytree, StateLike, VectorField
 
 
 def pair(like: StateLike, u: Pytree, v: Pytree) -> StateLike:

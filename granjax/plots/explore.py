@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from . import measures, states
-from .checks import described, is_whole, one_of, positive, refuse, whole
-from .flow import frequency_bound, linear_frequency, simulate
-from .lattice import Lattice, State
-from .plots import drawn, figure, space_time, style
-from .types import Count, Quantity, Scalar, Scene, StateLike
+from .. import measures, states
+from ..base.checks import described, is_whole, one_of, positive, refuse, whole
+from ..base.types import Count, Quantity, Scalar, Scene, StateLike
+from ..flow import frequency_bound, linear_frequency, simulate
+from ..lattice import Lattice, State
+from . import drawn, figure, space_time, style
 
 INSTALL = "pip install 'granjax[notebook]'"
 # Label, label of the axis, and the function of time, state and lattice.

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .programs import compiled
-from .types import AnyArray, Scalar
+from ..base.programs import compiled
+from ..base.types import AnyArray, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE, NO_GRADIENT, NO_START = range(6)
 # the length of a step in the free coordinates if the curvature is unknown

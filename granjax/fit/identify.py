@@ -12,17 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .checks import non_negative, one_of, parameter, positive, refuse, within
-from .fit.determined import covariance, directions
-from .fit.judge import AFTER_AND_BEFORE, STRUCTURED, structure
-from .lattice import Lattice
-from .laws import Polynomial, PowerLaw, Scaled
-from .printing import told
-from .programs import compiled
-from .results import Result, array
-from .strains import StrainMap
-from .terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
-from .types import Count, Displacements, Parameter, Scalar, Times
+from ..base.checks import non_negative, one_of, parameter, positive, refuse, within
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Count, Displacements, Parameter, Scalar, Times
+from ..lattice import Lattice
+from ..laws import Polynomial, PowerLaw, Scaled
+from ..results import Result, array
+from ..strains import StrainMap
+from ..terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
+from .determined import covariance, directions
+from .judge import AFTER_AND_BEFORE, STRUCTURED, structure
 
 __all__ = ["Coefficient", "Regression", "library", "regression"]
 

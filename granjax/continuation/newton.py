@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import described, refuse, traced
-from .programs import compiled, in_numpy
-from .results import Result, array
-from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
+from ..base.checks import described, refuse, traced
+from ..base.programs import compiled, in_numpy
+from ..base.types import Count, Counts, Flags, Numbers, Parameter, Scalar
+from ..results import Result, array
 
 __all__ = ["Root", "newton"]
 

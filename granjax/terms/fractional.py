@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
 
-from .checks import whole, within
-from .programs import by_rows
-from .types import Count, Numbers, Parameter
+from ..base.checks import whole, within
+from ..base.programs import by_rows
+from ..base.types import Count, Numbers, Parameter
 
 __all__ = ["kernel", "symbol", "total"]
 

@@ -10,17 +10,17 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from .checks import parameter, positive, refuse, whole
-from .flow.stepping import columns, matrix
-from .lattice import Lattice, State
-from .measures.transport import birkhoff
-from .orbits.asked import COARSE, asked
-from .orbits.attractors import slowly
-from .printing import told
-from .programs import compiled
-from .results import Held, Result, array, hidden, part
-from .solvers import SRKN11b
-from .types import Count, Numbers, Parameter, Scalar, StateLike
+from ..base.checks import parameter, positive, refuse, whole
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Count, Numbers, Parameter, Scalar, StateLike
+from ..flow.stepping import columns, matrix
+from ..lattice import Lattice, State
+from ..measures.transport import birkhoff
+from ..results import Held, Result, array, hidden, part
+from ..solvers import SRKN11b
+from .asked import COARSE, asked
+from .attractors import slowly
 
 __all__ = ["Frequency", "Gali", "Lyapunov", "birkhoff", "frequency", "gali", "lyapunov"]
 

@@ -10,8 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .checks import described, one_of, parameter, refuse, within
-from .checks import tolerance as checked_tolerance
+from ..base.checks import described, one_of, parameter, refuse, within
+from ..base.checks import tolerance as checked_tolerance
+from ..base.types import AnyArray, Count, Numbers, Parameter, Scalar
+from ..results import Result, array
 from .descent import (
     CONVERGED,
     NO_GRADIENT,
@@ -23,8 +25,6 @@ from .descent import (
     value_and_gradient,
 )
 from .parameters import Bounds, Coordinates
-from .results import Result, array
-from .types import AnyArray, Count, Numbers, Parameter, Scalar
 
 MODES = ("forward", "reverse")
 # up to this many parameters a simulation in forward mode is faster, compilation included
@@ -105,7 +105,7 @@ def design(
 ) -> Design:
     r"""Find parameters that minimise (or maximise) an objective, by its gradient.
 
-    The optimiser moves the free coordinates of `granjax.parameters.Coordinates`, which keep the
+    The optimiser moves the free coordinates of `granjax.fit.parameters.Coordinates`, which keep the
     bounds. The objective and its gradient are one compiled program; the best point met is kept. It
     is a local optimum: `starts` tries several.
 

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .checks import described, one_of, parameter, refuse, show, traced
-from .printing import told
-from .programs import compiled
-from .types import AnyArray, Numbers, Parameter, Scalar
+from ..base.checks import described, one_of, parameter, refuse, show, traced
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import AnyArray, Numbers, Parameter, Scalar
 
 Bounds: TypeAlias = dict[str, tuple | list | None] | None
 """Dict from name to (low, high), numbers or arrays; `None` for no bound. Other names are free."""

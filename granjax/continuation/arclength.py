@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import brentq
 
-from .checks import one_of, positive, refuse
+from ..base.checks import one_of, positive, refuse
+from ..base.printing import told
+from ..base.programs import compiled
+from ..base.types import Count, Numbers, Parameter, Pytree, Scalar
+from ..results import Result, array, hidden
 from .newton import by_forward_mode, evaluated, newton
-from .printing import told
-from .programs import compiled
-from .results import Result, array, hidden
-from .types import Count, Numbers, Parameter, Pytree, Scalar
 
 __all__ = ["Curve", "Point", "Problem", "Special", "System", "another", "continuation"]
 

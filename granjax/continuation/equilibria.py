@@ -10,19 +10,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from .checks import one_of, refuse, traced
-from .lattice import Lattice, State, uniform_moves
-from .lattice.model import check_shape as _check_shape
-from .laws import Strained
+from ..base.checks import one_of, refuse, traced
+from ..base.programs import compiled, concretely
+from ..base.types import AnyArray, Count, Displacements, Flags, Numbers
+from ..base.units import PART
+from ..lattice import Lattice, State, uniform_moves
+from ..lattice.model import check_shape as _check_shape
+from ..laws import Strained
+from ..results import Result, array, note, part
+from ..strains import Stretch
+from ..terms import Bond, LongRange, Term, chain, reach
+from ..terms.base import Altered, get
+from ..terms.sites import with_still_walls
 from .newton import newton
-from .programs import compiled, concretely
-from .results import Result, array, note, part
-from .strains import Stretch
-from .terms import Bond, LongRange, Term, chain, reach
-from .terms.base import Altered, get
-from .terms.sites import with_still_walls
-from .types import AnyArray, Count, Displacements, Flags, Numbers
-from .units import PART
 
 # The most unknowns for which Newton's method has a dense derivative.
 DENSE = 4000

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from .checks import refuse
-from .lattice import Lattice, State, spread_mass
-from .newton import newton
-from .orbits.asked import one_lattice
-from .programs import compiled
-from .results import Result, array, part
-from .types import Number, Numbers, Scalar
+from ..base.checks import refuse
+from ..base.programs import compiled
+from ..base.types import Number, Numbers, Scalar
+from ..continuation.newton import newton
+from ..lattice import Lattice, State, spread_mass
+from ..results import Result, array, part
+from .asked import one_lattice
 
 # A kink may be pushed by this share of the largest force between the wells and still count as at
 # rest, as in the continuum.

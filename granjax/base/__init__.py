@@ -1,0 +1,1 @@
+"""What everything stands on: checks of arguments, units, printing, files, compiled programs, XLA's flags."""
