@@ -214,12 +214,11 @@ def _by_energy(medium, found, E):
 
 
 def _settled(problem: _Problem) -> tuple[Places, np.ndarray, float]:
-    """Return places, ln of strain over peak and ln of the level, by a coarse iteration.
-
-    The start is sech^(2/s)(s rate x/2), the limit of weak waves where the force grows beyond its
-    linear part as e^(1 + s). Without a linear part it is a Gaussian, which lies above a tail that
-    falls faster.
-    """
+    # Return places, ln of strain over peak and ln of the level, by a coarse iteration.
+    #
+    # The start is sech^(2/s)(s rate x/2), the limit of weak waves where the force grows beyond its
+    # linear part as e^(1 + s). Without a linear part it is a Gaussian, which lies above a tail that
+    # falls faster.
     rate = decay_rate(1 / problem.linear) if problem.linear > 0 else 0.0
     steep = max(rate, problem.exponent(1.0))
     if rate:

@@ -210,11 +210,10 @@ def _ends(name, edge, names, count):
 
 
 def _meet(tail, head, direction):
-    """Return the contacts at the nodes, their weights, and the guides with loose ends.
-
-    A contact is (incoming guide, outgoing guide, guide whose law it has). Loose ends touch a wall.
-    If the directions are traced, all guides at a node touch.
-    """
+    # Return the contacts at the nodes, their weights, and the guides with loose ends.
+    #
+    # A contact is (incoming guide, outgoing guide, guide whose law it has). Loose ends touch a wall.
+    # If the directions are traced, all guides at a node touch.
     known = concrete(jax.lax.stop_gradient(direction))
     meetings, kinds, begin, end = [], [], [], []
     for node in sorted({*tail.tolist(), *head.tolist()}):
