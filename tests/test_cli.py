@@ -97,7 +97,7 @@ def test_an_interrupt_ends_what_takes_long(tmp_path):
     finally:
         signal.signal(signal.SIGINT, before)
     assert script.stdout.readline() == "ready\n"
-    time.sleep(10.0)
+    time.sleep(6.0)
     assert script.poll() is None
     script.send_signal(signal.SIGINT)
     told = script.communicate(timeout=60)[1].splitlines()

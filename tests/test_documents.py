@@ -84,14 +84,16 @@ def fit_is_that_of_the_file(fit, printed):
 
 
 @pytest.mark.slow
-def test_the_readme_runs_from_top_to_bottom(elsewhere, request):
+def test_the_readme_runs_from_top_to_bottom(elsewhere):
     space, printed = run(README[:-1])
     fit_is_that_of_the_file(space["fit"], printed)
     assert (elsewhere / "dimer.png").stat().st_size > 1e4 and space["run"].completed
     assert space["branch"].verdict[0] == "stable" and "multiplier" in printed
-    # many solvers at many steps
-    request.getfixturevalue("optimised")
-    assert "For 1e-06" in run(README[-1:], **space)[1]
+
+
+@pytest.mark.slow
+def test_the_last_block_of_the_readme_runs_many_solvers_at_many_steps(elsewhere, optimised):
+    assert "For 1e-06" in run(README[-1:], gx=gx)[1]
 
 
 @pytest.mark.parametrize(

@@ -398,14 +398,14 @@ gx.sweep(slow, {"a": np.arange(1.0, 25.0), "b": [0.5, 1.0]}, store=sys.argv[1], 
 
 
 @pytest.mark.slow
-def test_killed_six_times_and_resumed_to_the_same_bits(tmp_path):
+def test_killed_three_times_and_resumed_to_the_same_bits(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(KILLED)
     call = [sys.executable, str(script)]
     subprocess.run([*call, str(tmp_path / "whole.zarr")], check=True, capture_output=True)
     store, there = tmp_path / "killed.zarr", []
-    # the first ones before the store is whole
-    for count in (1, 3, 6, 8, 10, 12):
+    # the first time before the store is whole
+    for count in (1, 6, 12):
         with subprocess.Popen([*call, str(store)], stdout=subprocess.PIPE) as process:
             for _ in range(count):
                 process.stdout.readline()
