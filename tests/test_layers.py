@@ -1,3 +1,5 @@
+"""Modules stand on floors: imports point downwards, without circles; the code keeps a few rules of style."""
+
 import ast
 from pathlib import Path
 

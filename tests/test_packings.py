@@ -6,6 +6,7 @@ import pytest
 from cases import ended
 
 import granjax as gx
+from granjax import linear, scenes
 
 AXES = np.array([[0, 1, 1], [1, 0, 1], [1, 1, 0]]) / 2**0.5
 OFFSETS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, -1, 0], [0, 1, -1], [1, 0, -1]])
@@ -19,30 +20,30 @@ def by_hand(k):
 
 
 def test_bands_of_the_face_centred_packing():
-    packing = gx.scenes.fcc(4, boundary="periodic")
+    packing = scenes.fcc(4, boundary="periodic")
     ks = np.random.default_rng(0).uniform(-np.pi, np.pi, (20, 3))
-    found = gx.linear.dispersion(packing, ks).omega_squared
+    found = linear.dispersion(packing, ks).omega_squared
     assert np.abs(found - np.array([by_hand(k) for k in ks])).max() < 1e-13
-    path = gx.linear.path(packing, "GXWLK", count=20)
+    path = linear.path(packing, "GXWLK", count=20)
     known = [[0, 0, 0], [4, 4, 8], [4, 6, 6], [2, 2, 8], [2 + 2**0.5, 4 + 2**0.5, 4 + 2 * 2**0.5]]
     np.testing.assert_allclose(path.omega_squared[path.marks], known, rtol=0, atol=1e-13)
     # along a cube's edge q = (q, 0, 0)
-    slow = gx.linear.dispersion(packing, AXES @ [1e-3, 0, 0]).omega_squared / 1e-6
+    slow = linear.dispersion(packing, AXES @ [1e-3, 0, 0]).omega_squared / 1e-6
     np.testing.assert_allclose(slow, [0.5, 0.5, 1], rtol=1e-6)
 
 
 def test_long_waves_of_the_hexagonal_packing_and_what_holds_no_shear():
-    hexagonal = gx.scenes.hcp(4, boundary="periodic")
-    along = gx.linear.dispersion(hexagonal, [0, 0, 1e-3]).omega_squared[:3] / (3e-6 / 8)
+    hexagonal = scenes.hcp(4, boundary="periodic")
+    along = linear.dispersion(hexagonal, [0, 0, 1e-3]).omega_squared[:3] / (3e-6 / 8)
     np.testing.assert_allclose(along, [1 / 3, 1 / 3, 4 / 3], rtol=1e-5)
-    cubic = gx.linear.path(gx.scenes.cubic((3, 4, 5), boundary="periodic"), "GXMR", count=9)
+    cubic = linear.path(scenes.cubic((3, 4, 5), boundary="periodic"), "GXMR", count=9)
     np.testing.assert_allclose(cubic.omega_squared[cubic.marks[1]], [0, 0, 4], atol=1e-13)
 
 
 @pytest.mark.slow
 def test_an_impact_on_a_face_centred_packing_is_scipys():
     shape, F0 = (3, 3, 2), 0.1
-    packing = gx.scenes.fcc(shape, exponent=1.5, precompression=F0, boundary="free")
+    packing = scenes.fcc(shape, exponent=1.5, precompression=F0, boundary="free")
     u = jnp.zeros((*shape, 3))
     start = gx.State(u, u.at[0, 0, 0].set(jnp.array([0.3, 0.2, 0.1])))
     d0, places = F0 ** (2 / 3), np.stack(np.indices(shape), -1).reshape(-1, 3)
