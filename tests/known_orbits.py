@@ -13,13 +13,17 @@ method in 80-bit numbers, whose size is the stated error. All contacts have A = 
 | forced_opening | 6 beads, the left wall shaken by 0.9 cos 1.2 t, damping 0.1, contacts open | |
 | forced_branch | 3 beads, both walls by 0.03 in antiphase at 1.68, damping 0.02: the lower, stable orbit | |
 | forced_branch_upper | the same on the upper fold, unstable, contacts open | |
+
+Below them are driven oscillators that several files use, with their orbits by SciPy.
 """
 
 import json
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import solve_ivp
 
 import granjax as gx
 
@@ -40,10 +44,24 @@ class Reference(NamedTuple):
     multiplier_errors: np.ndarray
     opened: bool
 
+    @property
+    def state(self):
+        return gx.State(jnp.asarray(self.u), jnp.asarray(self.v))
 
-def dimer(sites):
-    """The review's: light mass 1 in the middle, heavy 2.957949; Theocharis et al., Phys. Rev. E 82, 056604 (2010)."""
-    light = (np.arange(sites) - sites // 2) % 2 == 0
+    @property
+    def period(self):
+        return 2 * np.pi / self.omega
+
+    def ask(self, **how):
+        """The orbit by granjax, beginning at this one."""
+        if self.lattice.reads_time:
+            return gx.forced.forced_orbit(self.lattice, self.period, self.state, **how)
+        return gx.breathers.breather(self.lattice, self.omega, self.state, check=False, **how)
+
+
+def dimer(sites, centre="light"):
+    """The review's: masses 1 and 2.957949, A = d0 = 1; Theocharis et al., Phys. Rev. E 82, 056604 (2010)."""
+    light = (np.arange(sites) - sites // 2) % 2 == (centre == "heavy")
     return gx.Lattice(
         np.where(light, 1.0, HEAVY), (gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 1.0)),)
     )
@@ -82,3 +100,70 @@ def reference(name):
         data[key] = np.array(data[key])
     data["multipliers"] = np.array(data["multipliers"]) @ [1, 1j]
     return Reference(LATTICES[name](), **data)
+
+
+def covers(orbit, known):
+    """Every displacement, velocity and the energy lie within the stated error of the truth."""
+    for x, error, truth in zip(orbit.state, orbit.error.state, (known.u, known.v)):
+        assert np.all(np.abs(x - truth) <= error + 2 * known.error)
+    assert abs(orbit.energy - known.energy) <= orbit.error.energy + known.energy_error
+
+
+# driven oscillators ---------------------------------------------------------------------------------------------------
+
+
+def duffing(force, omega=1.2, K2=-1.0, K4=1.0, damping=0.3):
+    """x'' + gamma x' + K2 x + K4 x^3 = f cos(omega t) on site 0, unforced on site 1.
+
+    By default between two wells, with the textbook cascade of period doublings (Jordan and Smith, Nonlinear Ordinary
+    Differential Equations, 2007).
+    """
+    law = gx.Polynomial(K2, 0.0, K4)
+    terms = gx.OnSite(law), gx.Damping(damping), gx.Drive(gx.Harmonic(force, omega), 0)
+    return gx.Lattice(jnp.ones(2), terms)
+
+
+def flowed(y, periods, force, omega=1.2, K2=-1.0, K4=1.0, damping=0.3):
+    """Site 0 of `duffing` by SciPy, with the derivative in the start (columns)."""
+
+    def field(t, x):
+        u, v, M = x[0], x[1], x[2:].reshape(2, 2)
+        slope = np.array([[0.0, 1.0], [-K2 - 3 * K4 * u**2, -damping]])
+        push = force * np.cos(omega * t) - damping * v - K2 * u - K4 * u**3
+        return [v, push, *(slope @ M).ravel()]
+
+    span = 0.0, periods * 2 * np.pi / omega
+    end = solve_ivp(field, span, [*y, 1, 0, 0, 1], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return end[:2], end[2:].reshape(2, 2)
+
+
+def shooting(y, periods, force, **others):
+    """The orbit of site 0 of `duffing` by SciPy and Newton's method, and its multipliers."""
+    for _ in range(8):
+        end, M = flowed(y, periods, force, **others)
+        y = y - np.linalg.solve(M - np.eye(2), end - y)
+    return y, np.linalg.eigvals(M)
+
+
+def pair(omega, force=0.1, damping=0.05):
+    """Two sites that move alike: x'' + gamma x' + x + x^3/10 = f cos(omega t)."""
+    drive = gx.Harmonic(force, omega)
+    law, bond = gx.Polynomial(1.0, 0.0, 0.1), gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3))
+    terms = bond, gx.OnSite(law), gx.Damping(damping), gx.Drive(drive, 0), gx.Drive(drive, 1)
+    return gx.Lattice(jnp.ones(2), terms)
+
+
+def shaken_bond(strength, omega, damping=0.02):
+    """Masses 1 and 2.3 on springs, at rest whatever is the strength at which the bond between them is modulated."""
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0))
+    bond = gx.Modulated(bond, gx.Harmonic(strength, omega, mean=1.0))
+    return gx.Lattice(jnp.array([1.0, 2.3]), (bond, gx.OnSite(gx.Linear(1.0)), gx.Damping(damping)))
+
+
+# the stiffness of `shaken_bond` over its masses, and its two frequencies
+STIFFNESS = np.array([[2.0, -1.0], [-1.0 / 2.3, 2.0 / 2.3]])
+MODES = np.sqrt(np.sort(np.linalg.eigvals(STIFFNESS)))
+
+
+def period_of(omega, *_):
+    return 2 * jnp.pi / omega

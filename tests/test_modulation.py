@@ -8,16 +8,17 @@ from granjax.theory import toda
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("m", [0.2, 0.5, 0.8])
+@pytest.mark.parametrize("m", [0.2, 0.8])
 def test_speeds_are_those_of_toda_s_modulation_equations(m):
     there = toda.modulation(m, 0.5)
     E = np.array([float(getattr(there, f"E{i}")) for i in range(1, 5)])
-    E = E - float(toda.periodic_numbers(*E).mean_velocity) / 2
-    numbers = toda.periodic_numbers(*E)
-    length, speed, mean = (
-        float(x) for x in (numbers.wavelength, numbers.speed, numbers.mean_strain)
+    numbers = toda.periodic_numbers(*(E - float(toda.periodic_numbers(*E).mean_velocity) / 2))
+    wave = gx.travelling.periodic_wave(
+        gx.Toda(),
+        float(numbers.wavelength),
+        speed=float(numbers.speed),
+        mean=float(numbers.mean_strain),
     )
-    wave = gx.travelling.periodic_wave(gx.Toda(), length, speed=speed, mean=mean)
     found = gx.travelling.modulation(wave, [0.4, 1.3, 2.9])
     off = np.abs(found.speeds - float(there.speed))
     assert off.min() < 1e-8 and off.min() <= found.speed_errors[off.argmin()]
