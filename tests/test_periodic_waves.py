@@ -5,16 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from refusals import refused
 
 import granjax as gx
 from granjax.theory import toda
+from granjax.travelling import periodic_wave
 
 HERTZ = gx.Hertz(precompression=1.0)
 
 
 def expansion(k, a, K2, K3, K4, m=1.0):
-    """The strain y(theta), frequency, what the lattice adds to it, and mean force, to the third order in a.
+    """The strain y(theta), frequency, what the amplitude adds to it, and third harmonic, to the third order in a.
 
     G. B. Whitham, Linear and Nonlinear Waves (Wiley, 1974), chapter 13; for chains Y. A. Kosevich,
     Phys. Rev. B 47, 3138 (1993). F = K2 y + K3 y^2 + K4 y^3, no mean strain, a of the first harmonic.
@@ -24,24 +24,19 @@ def expansion(k, a, K2, K3, K4, m=1.0):
     third = (K3 * a * second + K4 * a**3 / 4) * (3 - D) ** 2 / (K2 * D * (6 - D))
     omega = np.sqrt(D / m * (K2 + K3 * second + 0.75 * K4 * a**2))
     strain = lambda x: a * np.cos(x) + second * np.cos(2 * x) + third * np.cos(3 * x)
-    return strain, omega, omega - np.sqrt(D * K2 / m), K3 * a**2 / 2, third
+    return strain, omega, omega - np.sqrt(D * K2 / m), third
 
 
-@pytest.mark.parametrize("k", [np.pi, 2.0, 0.8])
+@pytest.mark.parametrize("k", [np.pi, 0.8])
 def test_what_the_expansion_leaves_out_falls_with_the_fourth_power(k):
     mean, mass = 0.2, 0.7
     K = np.array(gx.laws.taylor(HERTZ, mean))
     theta, gaps = np.linspace(0, 2 * np.pi, 17), []
     for a in (0.04, 0.02):
-        strain, omega, shift, _, third = expansion(k, a, *K, mass)
+        strain, omega, shift, third = expansion(k, a, *K, mass)
         # half of crest less trough is the first harmonic with the third
-        own = gx.travelling.periodic_wave(
-            HERTZ,
-            2 * np.pi / k * (1 + 1e-12),
-            amplitude=float(a + third),
-            mean=mean,
-            mass=mass,
-        )
+        length, crest = 2 * np.pi / k * (1 + 1e-12), float(a + third)
+        own = periodic_wave(HERTZ, length, amplitude=crest, mean=mean, mass=mass)
         left = np.abs(own.strain(theta / k) - mean - strain(theta)).max()
         gaps.append((k * float(own.speed) - omega, left))
         assert abs(gaps[-1][0]) < 0.1 * abs(shift)
@@ -50,58 +45,58 @@ def test_what_the_expansion_leaves_out_falls_with_the_fourth_power(k):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("E", [(-1.2, 0.2, 0.7, 1.5), (-1.3, 0.3, 1.0, 1.25)])
+@pytest.mark.parametrize("E", [(-1.2, 0.2, 0.7, 1.5), (-1.0, 0.5, 1.29, 1.3)])
 def test_the_periodic_family_of_toda_is_that_of_the_closed_form(E):
     # a number added to all four takes the mean velocity away
     E = np.array(E) - float(toda.periodic_numbers(*E).mean_velocity) / 2
     numbers = toda.periodic_numbers(*E)
-    length, speed, mean = (
-        float(x) for x in (numbers.wavelength, numbers.speed, numbers.mean_strain)
-    )
-    wave = gx.travelling.periodic_wave(gx.Toda(), length, speed=speed, mean=mean)
+    length, speed, mean = map(float, (numbers.wavelength, numbers.speed, numbers.mean_strain))
+    wave = periodic_wave(gx.Toda(), length, speed=speed, mean=mean)
     x = length / 64 * np.arange(64)
     exact = toda.periodic_wave(x, 0.0, *E)
-    assert_allclose(wave.strain(x), exact.strain, atol=1e-10)
+    assert_allclose(wave.strain(x), exact.strain, atol=1e-12)
     assert_allclose(wave.velocity(x), exact.velocity, atol=1e-10)
-    found = wave.averages()
-    assert found.mean_force == pytest.approx(float(jnp.expm1(exact.strain).mean()), abs=1e-10)
-    assert found.kinetic == pytest.approx(float((exact.velocity**2).mean() / 2), abs=1e-10)
-    assert found.mean_strain == pytest.approx(mean, abs=1e-12)
+    assert float(wave.error) < 1e-10
+    again = periodic_wave(gx.Toda(), length, amplitude=wave.amplitude, mean=mean)
+    assert_allclose(again.speed, speed, rtol=1e-12)
+    state, there = wave.state(9, 3.3), toda.periodic_wave(np.arange(9) - 3.3, 0.0, *E)
+    assert_allclose(-np.diff(state.u), there.strain[:8], atol=1e-12)
+    found, force = wave.averages(), jnp.expm1(exact.strain)
+    kinetic, potential = (exact.velocity**2).mean() / 2, (force - exact.strain).mean()
+    assert_allclose(found.mean_force, force.mean(), atol=1e-10)
+    assert_allclose(found.kinetic, kinetic, atol=1e-10)
+    assert_allclose(found.energy, kinetic + potential, atol=1e-10)
+    assert_allclose(found.mean_strain, mean, atol=1e-12)
 
 
+@pytest.mark.slow
+def test_a_periodic_wave_runs_around_a_ring():
+    wave, n = periodic_wave(gx.Hertz(), 9.0, amplitude=0.3, mean=0.5), np.arange(18)
+    u, v = wave.state(18)
+    law = gx.laws.Strained(wave.law, wave.mean)
+    ring = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "periodic"), law), sites=18)
+    end = 18 / float(wave.speed)
+    run = gx.simulate(ring, (u + wave.mean * n, v), end, tolerance=1e-12)
+    assert_allclose(run.final.v, v, atol=1e-8)
+
+
+@pytest.mark.slow
 def test_averages_are_derivatives_of_the_lagrangian():
     """dL/d omega is the action, dL/dk less its flux, dL/dy less the mean force."""
 
-    def at(x):
-        omega, k, mean = x
-        return gx.travelling.periodic_wave(
-            HERTZ, 2 * np.pi / k, speed=omega / k, mean=mean, mass=0.7
-        ).averages()
+    def lagrangian(omega, k, mean):
+        wave = periodic_wave(HERTZ, 2 * np.pi / k, speed=omega / k, mean=mean, mass=0.7)
+        return float(wave.averages().lagrangian)
 
-    found = gx.travelling.periodic_wave(HERTZ, 7.0, amplitude=0.4, mean=0.1, mass=0.7).averages()
+    found = periodic_wave(HERTZ, 7.0, amplitude=0.4, mean=0.1, mass=0.7).averages()
     x, h = np.array([float(found.omega), float(found.wavenumber), 0.1]), 1e-4
     wanted = found.action, -found.energy_flux / found.omega, -found.mean_force
     for e, value in zip(np.eye(3), wanted):
-        L = [float(at(x + s * h * e).lagrangian) for s in (1, -1, 2, -2)]
-        assert (8 * (L[0] - L[1]) - (L[2] - L[3])) / (12 * h) == pytest.approx(
-            float(value), rel=1e-9
-        )
-    assert (
-        found.action == pytest.approx(float(2 * found.kinetic / found.omega))
-        and found.error < 1e-12
-    )
-
-
-def test_averages_of_small_waves_are_those_of_the_expansion():
-    a, k = 1e-3, 1.0
-    found = gx.travelling.periodic_wave(HERTZ, 2 * np.pi / k, amplitude=a).averages()
-    # energy a^2 K2/2, in equal halves, which runs with the group velocity
-    assert found.energy == pytest.approx(0.75e-6, rel=1e-5) and found.kinetic == pytest.approx(
-        0.375e-6, rel=1e-5
-    )
-    assert found.energy_flux / found.energy == pytest.approx(1.5**0.5 * np.cos(k / 2), rel=1e-5)
-    _, _, _, mean_force, _ = expansion(k, a, *np.array(gx.laws.taylor(HERTZ)))
-    assert found.mean_force == pytest.approx(mean_force, rel=1e-5)
+        L = [lagrangian(*(x + s * h * e)) for s in (1, -1, 2, -2)]
+        slope = (8 * (L[0] - L[1]) - (L[2] - L[3])) / (12 * h)
+        assert_allclose(slope, value, rtol=1e-9)
+    assert_allclose(found.action, 2 * found.kinetic / found.omega, rtol=1e-12)
+    assert found.error < 1e-12
 
 
 @pytest.mark.slow
@@ -112,7 +107,7 @@ def test_derivatives_of_periodic_waves_in_both_modes():
     def found(p):
         law = gx.Hertz(p["A"], p["F"])
         own = {name: p[name] for name in ("amplitude", "mean", "mass")}
-        wave = gx.travelling.periodic_wave(law, p["length"], **own)
+        wave = periodic_wave(law, p["length"], **own)
         means = wave.averages()
         places = wave.strain(1.3), wave.velocity(0.7), wave.displacement(2.1)
         return jnp.stack([wave.speed, wave.energy, *places, means.action, means.energy_flux])
@@ -120,10 +115,8 @@ def test_derivatives_of_periodic_waves_in_both_modes():
     forward, reverse = jax.jacfwd(found)(where), jax.jacrev(found)(where)
     for name, x in where.items():
         either = [np.asarray(found({**where, name: x + h})) for h in (1e-4, -1e-4)]
-        np.testing.assert_allclose(forward[name], (either[0] - either[1]) / 2e-4, atol=1e-6)
-        np.testing.assert_allclose(reverse[name], forward[name], atol=1e-11)
-    by_speed = lambda c: gx.travelling.periodic_wave(gx.Toda(), 6.0, speed=c).amplitude
+        assert_allclose(forward[name], (either[0] - either[1]) / 2e-4, atol=1e-6)
+        assert_allclose(reverse[name], forward[name], atol=1e-11)
+    by_speed = lambda c: periodic_wave(gx.Toda(), 6.0, speed=c).amplitude
     slope = (by_speed(0.9701) - by_speed(0.9699)) / 2e-4
-    assert jax.grad(by_speed)(0.97) == pytest.approx(float(slope), rel=1e-4)
-    with refused("jax.jit"):
-        jax.jit(by_speed)(0.97)
+    assert_allclose(jax.grad(by_speed)(0.97), slope, rtol=1e-4)

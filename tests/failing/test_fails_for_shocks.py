@@ -17,7 +17,7 @@ def shock():
     return run, problem, gx.theory.toda.velocity_shock(C)
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_the_largest_strain_on_the_lattice_is_below_the_crest(shock):
     run, problem, theory = shock
     # of the leading wave alone, which is the last one on the right
