@@ -61,12 +61,6 @@ class Mirrored(gx.Law):
         return self.law.energy(-e)
 
 
-def few(values, *kept):
-    """Those of the values of a parameter whose places are `kept`."""
-    chosen = {i % len(values) for i in kept}
-    return [x for i, x in enumerate(values) if i in chosen]
-
-
 def over(cases):
     """Parametrise a test over cases, each under its name."""
     return pytest.mark.parametrize("case", cases, ids=lambda case: case.name)
