@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 
 import granjax as gx
@@ -17,99 +17,60 @@ plots = gx.plots
 # ---------------------------------------------------------------------------------------------------------------- names
 
 
-@pytest.mark.parametrize(
-    "word, size, dimension",
-    [
-        ("us", 1e-6, (0, 0, 1, 0, 0)),
-        ("µs", 1e-6, (0, 0, 1, 0, 0)),
-        ("mm/s", 1e-3, (0, 1, -1, 0, 0)),
-        ("N/m^{3/2}", 1.0, (1, -1.5, 0, 0, 0)),
-        ("kg", 1.0, (1, -1, 2, 0, 0)),
-        ("kHz", 2e3 * np.pi, (0, 0, -1, 1, 0)),
-        ("rad/s", 1.0, (0, 0, -1, 1, 0)),
-        ("1/ms", 1e3, (0, 0, -1, 0, 0)),
-        ("m s^-1", 1.0, (0, 1, -1, 0, 0)),
-        ("mV", 1e-3, (0, 0, 0, 0, 1)),
-        ("GPa", 1e9, (1, -2, 0, 0, 0)),
-        ("rad^2/s^2", 1.0, (0, 0, -2, 2, 0)),
-    ],
-)
-def test_a_unit_is_read_by_its_name(word, size, dimension):
-    unit = known_unit(word)
-    assert (
-        unit.size == pytest.approx(size, rel=1e-15)
-        and tuple(map(float, unit.dimension)) == dimension
-    )
+def test_a_unit_is_read_by_its_name():
+    """Its size in SI, and its dimension, that of a product of the base units."""
+    for place, base in enumerate(("N", "m", "s", "rad", "V")):
+        assert known_unit(base) == (base, 1.0, tuple(i == place for i in range(5)))
+    assert known_unit("N/m^{3/2}")[1:] == (1.0, (1, -1.5, 0, 0, 0))
+    for word, size, product in (
+        ("µs", 1e-6, "s"),
+        ("mm/s", 1e-3, "m s^-1"),
+        ("kg", 1.0, "N s^2/m"),
+        ("kHz", 2e3 * np.pi, "rad/s"),
+        ("1/ms", 1e3, "s^-1"),
+        ("mV", 1e-3, "V"),
+        ("GPa", 1e9, "N/m^2"),
+        ("rad²/s^2", 1.0, "rad^2 s^-2"),
+    ):
+        unit = known_unit(word)
+        assert unit.size == pytest.approx(size, rel=1e-15), word
+        assert unit.dimension == known_unit(product).dimension, word
+    for word in ("", "sec", "/s", "m^x", "site", "m^{1/0}", "a.u.", "km^9999"):
+        assert known_unit(word) is None, word
 
 
-@pytest.mark.parametrize(
-    "word",
-    [
-        "",
-        "sec",
-        "/s",
-        "m^x",
-        "site",
-        "m^{1/0}",
-        "a.u.",
-        "km^9999",
-    ],
-)
-def test_what_is_no_unit_is_none(word):
-    assert known_unit(word) is None
-
-
-@pytest.mark.parametrize(
-    "largest, name",
-    [
-        (3e-5, "us"),
-        (1.0, "s"),
-        (1e-6, "us"),
-        (999e-6, "us"),
-        (2e4, "s"),
-        (1e-15, "ns"),
-        (0.0, "s"),
-        (np.nan, "s"),
-    ],
-)
-def test_the_prefix_makes_numbers_from_1_to_1000(largest, name):
-    assert readable(known_unit("s"), largest).name == name
+def test_the_prefix_makes_numbers_from_1_to_1000():
+    for largest, name in ((3e-5, "us"), (1e-6, "us"), (999e-6, "us"), (1.0, "s"), (2e4, "s")):
+        assert readable(known_unit("s"), largest).name == name
+    for largest, name in ((1e-15, "ns"), (0.0, "s"), (np.nan, "s")):
+        assert readable(known_unit("s"), largest).name == name
 
 
 # ------------------------------------------------------------------------------------------------ lattices and results
 
 
-def steel(**options):
-    return gx.scenes.beads("steel 316", 9.53e-3, 10.0, cells=8, **options)
+def steel(F0=10.0, **options):
+    return gx.scenes.beads("steel 316", 9.53e-3, F0, cells=8, **options)
 
 
 def test_a_lattice_knows_what_it_is_counted_in():
     chain = steel()
-    scaled, units = gx.scenes.scaled(chain)
-    own = gx.Lattice(1.0, chain.terms, sites=8, units="SI")
-    driven = gx.driven.driven_chain(chain, 1e-7, 3e4, damping=10.0)
-    batch = jax.vmap(lambda F0: gx.scenes.beads("steel 316", 9.53e-3, F0, cells=8), out_axes=-1)(
-        jnp.ones(3)
+    si = (
+        chain,
+        gx.driven.driven_chain(chain, 1e-7, 3e4, damping=10.0),
+        gx.Lattice(1.0, chain.terms, sites=8, units="SI"),
+        jax.vmap(steel, out_axes=-1)(jnp.ones(3)),
+        chain.astype(np.float32),
+        jax.jit(lambda F0: steel().counted_in("SI"))(1.0),
     )
-    said = [
-        x.units
-        for x in (
-            chain,
-            driven,
-            own,
-            batch,
-            chain.astype(np.float32),
-            jax.jit(lambda F0: steel().counted_in("SI"))(1.0),
-        )
-    ]
-    assert said == ["SI"] * 6
-    assert [x.units for x in (scaled, gx.scenes.monomer(5), chain.counted_in("scaled"))] == [
-        "scaled"
-    ] * 3
+    assert {x.units for x in si} == {"SI"}
+    without = chain.counted_in("scaled")
+    scaled = gx.scenes.scaled(chain).lattice, gx.scenes.monomer(5), without
+    assert {x.units for x in scaled} == {"scaled"}
     with refused("units: expected one of"):
         gx.Lattice(1.0, chain.terms, sites=8, units="cgs")
     # one program serves both
-    assert jax.tree.structure(chain) == jax.tree.structure(chain.counted_in("scaled"))
+    assert jax.tree.structure(chain) == jax.tree.structure(without)
 
 
 @pytest.fixture(scope="module")
@@ -118,10 +79,13 @@ def runs():
     chain = steel(boundary="free")
     scaled, units = gx.scenes.scaled(chain)
     ts = jnp.linspace(0.0, 1e-4, 12)
-    si = gx.simulate(chain, gx.states.impact(chain, velocity=0.05), ts[-1], save_at=ts, step=2e-6)
-    state = gx.states.impact(scaled, velocity=0.05 / units.velocity)
-    ts = ts / units.time
-    return si, gx.simulate(scaled, state, ts[-1], save_at=ts, step=2e-6 / units.time), units
+
+    def run(chain, velocity, time):
+        state = gx.states.impact(chain, velocity=0.05 / velocity)
+        how = dict(solver=gx.VelocityVerlet(), save_at=ts / time, step=2e-6 / time)
+        return gx.simulate(chain, state, ts[-1] / time, **how)
+
+    return run(chain, 1.0, 1.0), run(scaled, units.velocity, units.time), units
 
 
 def test_a_run_counted_in_other_units(runs):
@@ -130,124 +94,91 @@ def test_a_run_counted_in_other_units(runs):
     data = si.in_units("us", "mm/s")
     assert_allclose(data.time, 1e6 * si.ts, rtol=1e-15)
     assert_allclose(data.v, 1e3 * si.vs, rtol=1e-15)
-    np.testing.assert_array_equal(data.u, si.us)
+    assert_array_equal(data.u, si.us)
     assert [data[name].attrs["units"] for name in ("time", "v", "u")] == ["us", "mm/s", "m"]
     size = float(np.abs(data.v).max())
     assert_allclose(scaled.in_units(units, "us", "mm/s").v, data.v, atol=1e-9 * size)
     assert_allclose(scaled.in_units(units).time, si.ts, rtol=1e-12)
     back = si.in_units(units)
     assert_allclose(back.v, scaled.vs, atol=1e-9 * float(np.abs(scaled.vs).max()))
-    assert (
-        back.attrs["units"] == back.v.attrs["units"] == "scaled"
-        and back.v.attrs["si_units"] == "m/s"
-    )
+    assert back.attrs["units"] == back.v.attrs["units"] == "scaled"
+    assert back.v.attrs["si_units"] == "m/s"
 
 
 def test_units_of_what_nobody_has_said_are_refused_or_said():
-    spectrum = gx.measures.spectrum(np.eye(8), 0.1)
-    for asked in (("kHz",), (gx.Units(time=1e-3),), (gx.Units(time=1e-3), "kHz")):
+    spectrum, to_ms = gx.measures.spectrum(np.eye(8), 0.1), gx.Units(time=1e-3)
+    assert spectrum.units is None and "units" not in spectrum.to_xarray().omega.attrs
+    for asked in (("kHz",), (to_ms,), (to_ms, "kHz")):
         with refused(r"units: expected units of a result that says .*units=run.units"):
             spectrum.in_units(*asked)
-    data = spectrum.in_units("SI", "kHz")
-    assert_allclose(data.omega, np.asarray(spectrum.omega) / 2e3 / np.pi, rtol=1e-15)
-    assert (data.attrs["units"], data.omega.attrs["units"]) == ("SI", "kHz")
-    data = spectrum.in_units("scaled", gx.Units(time=1e-3))
-    assert_allclose(data.omega, 1e3 * np.asarray(spectrum.omega), rtol=1e-15)
-    assert (data.attrs["units"], data.omega.attrs["units"]) == ("SI", "rad/s")
+    for asked, size, word in (
+        (("SI", "kHz"), 5e-4 / np.pi, "kHz"),
+        (("scaled", to_ms), 1e3, "rad/s"),
+    ):
+        data = spectrum.in_units(*asked)
+        assert_allclose(data.omega, size * np.asarray(spectrum.omega), rtol=1e-15)
+        assert (data.attrs["units"], data.omega.attrs["units"]) == ("SI", word)
 
 
 @pytest.mark.slow
 def test_what_a_transformation_returns_knows_it_too():
     chain = steel()
-    run = lambda v: gx.simulate(
-        chain, gx.states.impact(chain, velocity=v), 1e-5, solver=gx.VelocityVerlet(), step=2e-6
-    )
-    assert [jax.jit(run)(0.1).units, jax.vmap(run)(jnp.ones(2)).units] == ["SI", "SI"]
+    start = lambda v: gx.states.impact(chain, velocity=v)
+    run = lambda v: gx.simulate(chain, start(v), 1e-5, solver=gx.VelocityVerlet(), step=2e-6)
+    assert jax.jit(jax.vmap(run))(jnp.ones(2)).units == "SI"
 
 
-@pytest.mark.parametrize(
-    "units, message",
-    [
+def test_units_that_a_run_has_not_are_refused(runs):
+    for units, message in (
         (("kHz",), "units of m, m/s, s, got 'kHz'"),
         (("usec",), "name of a unit, got 'usec'. Did you mean 'us"),
         (("s", "ms"), "one word for each dimension"),
         (("scaled",), "units of numbers in SI"),
         ((gx.Units(), "us"), "words, or a Units"),
-    ],
-)
-def test_units_that_a_run_has_not_are_refused(runs, units, message):
-    with refused(f"units.*: expected .*({message})"):
-        runs[0].in_units(*units)
+    ):
+        with refused(f"units.*: expected .*({message})"):
+            runs[0].in_units(*units)
     with refused(r"scaled numbers, got .*Give the Units .*gx.Units\(\).*counted_in\('SI'\)"):
         runs[1].in_units("us")
 
 
 def test_files_and_prints_say_what_numbers_are_counted_in(tmp_path):
-    orbit = (
-        gx.linear.normal_modes(steel()),
-        gx.linear.normal_modes(gx.scenes.monomer(4, precompression=1.0)),
-    )
-    pair = steel(), gx.scenes.dimer(8, precompression=1.0)
-    waves = [gx.linear.dispersion(x, np.linspace(0, np.pi, 5)) for x in pair]
-    for si, scaled in (orbit, waves):
-        data, other = (
-            xr.load_dataset(x.save(tmp_path / f"{i}.nc")) for i, x in enumerate((si, scaled))
-        )
+    modes, waves = gx.linear.normal_modes, lambda x: gx.linear.dispersion(x, np.ones(5))
+    for k, of in enumerate((modes, waves)):
+        si, scaled = of(steel()), of(gx.scenes.dimer(8, precompression=1.0))
+        files = [x.save(tmp_path / f"{k}{x.units}.nc") for x in (si, scaled)]
+        data, other = map(xr.load_dataset, files)
         assert (data.units, data.omega.attrs["units"]) == ("SI", "rad/s")
-        assert (other.units, other.omega.attrs["units"], other.omega.attrs["si_units"]) == (
-            "scaled",
-            "scaled",
-            "rad/s",
-        )
+        assert other.units == other.omega.attrs["units"] == "scaled"
+        assert other.omega.attrs["si_units"] == "rad/s"
         assert_allclose(si.in_units("kHz").omega, np.asarray(si.omega) / 2e3 / np.pi, rtol=1e-15)
-    spectrum = (
-        gx.measures.spectrum(np.eye(8), 0.1),
-        gx.measures.spectrum(np.eye(8), 0.1, units="SI"),
-    )
-    assert [x.units for x in spectrum] == [None, "SI"] and "units" not in spectrum[
-        0
-    ].to_xarray().omega.attrs
-
-
-@pytest.mark.slow
-def test_numbers_of_scaled_lattices_are_called_so():
-    family = gx.breathers.family(gx.scenes.fput(4, beta=1.0), points=3, stability=False)
-    orbit = family.orbit(1)
-    assert [x.units for x in (family, orbit, orbit.error)] == ["scaled"] * 3
-    assert orbit.error.to_xarray().attrs["period_units"] == "scaled"
-    event = gx.orbits.Bifurcation("fold", 1.0, 0, orbit.state, **orbit.lattice.origin).to_xarray()
-    assert (event.state_u.attrs["si_units"], event.state_v.attrs["si_units"]) == ("m", "m/s")
-    modes, waves = (
-        gx.linear.normal_modes(gx.scenes.fput(4)),
-        gx.linear.dispersion(gx.scenes.fput(4), np.ones(3)),
-    )
-    spectra = [gx.measures.spectrum(np.eye(8), 0.1, units=x) for x in (None, "scaled", "SI")]
-    assert (
-        not any("rad/s" in x.outcome for x in (modes, waves, *spectra[:2]))
-        and "rad/s" in spectra[2].outcome
-    )
-    assert all(
-        "rad/s" in x.outcome
-        for x in (gx.linear.normal_modes(steel()), gx.linear.dispersion(steel(), 1.0))
-    )
+        assert "rad/s" in si.outcome and "rad/s" not in scaled.outcome
+    for units in (None, "scaled", "SI"):
+        spectrum = gx.measures.spectrum(np.eye(8), 0.1, units=units)
+        assert spectrum.units == units and ("rad/s" in spectrum.outcome) == (units == "SI")
     assert " s\n" not in repr(gx.Traces([0.0, 1.0], velocity=[0.0, 1.0], sites=0))
     root = gx.newton.newton(lambda x, _: x**2 - 2, jnp.ones(1))
     assert root.units is None and "units" not in root.to_xarray().attrs
 
 
 @pytest.mark.slow
+def test_an_orbit_and_its_bifurcation_are_counted_as_their_lattice():
+    family = gx.breathers.family(gx.scenes.fput(4, beta=1.0), points=3, stability=False)
+    orbit = family.orbit(1)
+    assert {x.units for x in (family, orbit, orbit.error)} == {"scaled"}
+    assert orbit.error.to_xarray().attrs["period_units"] == "scaled"
+    event = gx.orbits.Bifurcation("fold", 1.0, 0, orbit.state, **orbit.lattice.origin).to_xarray()
+    assert (event.state_u.attrs["si_units"], event.state_v.attrs["si_units"]) == ("m", "m/s")
+
+
+@pytest.mark.slow
 def test_what_has_no_unit_says_that_it_stays(runs):
     units = runs[2]
     chain = gx.scenes.scaled(steel(boundary="free"))[0]
-    parts = gx.Peak(lambda t, y, lattice: y.v), gx.Peak(lambda t, y, lattice: (y.u, y.v[:2]))
-    run = gx.simulate(
-        chain,
-        gx.states.impact(chain, velocity=1e-3),
-        1.0,
-        step=0.1,
-        record=dict(zip(("both", "pair"), parts)),
-    )
-    data = run.in_units(units, "us")
+    parts = lambda t, y, lattice: (y.u, y.v[:2])
+    record = {"both": gx.Peak(lambda t, y, lattice: y.v), "pair": gx.Peak(parts)}
+    state = gx.states.impact(chain, velocity=1e-3)
+    data = gx.simulate(chain, state, 1.0, step=0.1, record=record).in_units(units, "us")
     assert data.attrs["units"] == "SI" and data.both.attrs["units"] == "scaled"
     assert data.attrs["stats_step"] == pytest.approx(0.1e6 * float(units.time))
     assert data.attrs["stats_step_units"] == "us"
@@ -263,8 +194,7 @@ def labels(ax):
 
 def test_a_map_in_si(runs):
     si, scaled, units = runs
-    ax = plots.space_time(si)
-    assert labels(ax) == ["site", "time (µs)", "velocity (mm/s)"]
+    assert labels(plots.space_time(si)) == ["site", "time (µs)", "velocity (mm/s)"]
     assert labels(plots.traces(si, offset=0))[:2] == ["time (µs)", "velocity (mm/s)"]
     assert labels(plots.space_time(scaled)) == ["site", "time (scaled)", "velocity (scaled)"]
     asked = plots.space_time(si.in_units("ms", "um/s"))
@@ -276,14 +206,11 @@ def test_frequency_in_cycles():
     waves = gx.linear.dispersion(steel(), np.linspace(0, np.pi, 9))
     ax = plots.dispersion(waves)
     assert ax.get_ylabel() == "frequency (kHz)"
-    assert_allclose(
-        ax.lines[0].get_ydata(), np.asarray(waves.omega)[:, 0] / (2e3 * np.pi), rtol=1e-12
-    )
-    with refused("all in SI or all scaled"):
-        plots.dispersion(waves, spectrum=gx.measures.spectrum(np.eye(8), 0.1, units="scaled"))
+    cycles = np.asarray(waves.omega)[:, 0] / (2e3 * np.pi)
+    assert_allclose(ax.lines[0].get_ydata(), cycles, rtol=1e-12)
 
 
 def test_sites_and_frames_have_whole_ticks():
     ax = plots.space_time(np.ones((4, 5)))
     ticks = np.concatenate([ax.get_xticks(), ax.get_yticks()])
-    np.testing.assert_array_equal(ticks, np.round(ticks))
+    assert_array_equal(ticks, np.round(ticks))
