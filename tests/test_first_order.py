@@ -249,7 +249,7 @@ def test_float32_stays():
     "call, said",
     [
         (lambda: soliton(DNLS(41), 1.0), r"omega: .*outside of the band \[0, 3.99"),
-        (lambda: soliton(DNLS(41), 5.0), "a site by itself"),
+        (lambda: soliton(DNLS(41), 5.0), "a single uncoupled site"),
         (
             lambda: soliton(DNLS(41, boundary="free"), -1.0, guess="bond", centre=-1),
             "centre: expected one of the first 40 sites",

@@ -53,7 +53,7 @@ def test_the_folds_are_those_of_harmonic_balance(hump):
         assert fold == pytest.approx(sign * turn.fun, rel=1e-8)
     assert hump.outcome == "p reached 1.4."
     assert repr(hump.bifurcations[0]) == f"Bifurcation(Fold at p = {hump.folds[0]:.9g})"
-    with refused("Its own are branch.bifurcations"):
+    with refused("Use branch.bifurcations"):
         gx.breathers.bifurcations(hump)
 
 

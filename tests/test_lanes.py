@@ -171,7 +171,7 @@ def test_what_holds_lanes_itself_is_refused():
     scene, held = batch(dimer, RATIOS[:3]), jnp.array([1.0, 2.0, 3.0])
     first = lambda t, y, lattice: y.u[:, 0]
     for lanes, within in ((scene, lambda t, y, lattice: held * y.u), (scene, first), (ONE, first)):
-        with refused(r"record\['x'\]: expected a quantity of each lane"):
+        with refused(r"record\['x'\]: expected a quantity of a single lane"):
             gx.simulate(*lanes, 1.0, record={"x": gx.Peak(within)}, **HOW)
     lattice, state = scene
     with refused("save_at: expected times, where each lane has steps of its own"):
@@ -182,7 +182,7 @@ def test_what_holds_lanes_itself_is_refused():
             return -held * u
 
     outer = eqx.tree_at(lambda x: x.terms, lattice, (*lattice.terms, Held()))
-    with refused("lattice: expected terms that work on one lane"):
+    with refused("lattice: expected terms that work on a single lane"):
         gx.simulate(outer, state, 1.0, **HOW)
     assert gx.simulate(outer, state, 0.1, step=0.1).final.u.shape == (SITES, 3)
 

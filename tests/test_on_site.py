@@ -155,7 +155,7 @@ def test_what_has_no_such_limit_is_refused():
     for scene, coupling, omega, words in (
         (hard, 0.1, 0.9, "omega"),
         (hard, 0.0, OMEGA, "coupling"),
-        (lambda c: hard(0.1 + c), 0.1, OMEGA, "do not feel each other"),
+        (lambda c: hard(0.1 + c), 0.1, OMEGA, "on which no neighbour acts"),
         (soft, 0.1, 1.0, "omega"),
     ):
         with refused(words):

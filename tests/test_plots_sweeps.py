@@ -90,7 +90,10 @@ BAD = [
         lambda: gx.plots.sweep(one(), "peak_forc"),
         "name: expected one of .* Did you mean 'peak_force'",
     ),
-    (lambda: gx.plots.sweep(one(), lines="ratio"), "lines: expected None, but for a grid of two"),
+    (
+        lambda: gx.plots.sweep(one(), lines="ratio"),
+        "lines: expected None, except for a grid of two",
+    ),
     (lambda: gx.plots.sweep(two(), bands="verdict"), "bands: expected None"),
     (lambda: gx.plots.sweep(two().expand_dims(mass=[1.0, 2.0])), "data: expected one or two"),
 ]

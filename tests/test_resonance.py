@@ -257,7 +257,7 @@ def seen(*transmissions):
         (lambda: refine(seen(0.5, 1.0)), "sweep: expected at least three"),
         (lambda: refine(seen(0.5, np.nan, 1.0)), "1 that are NaN"),
         (lambda: decay_rate([0.5], (600, 200)), "contacts: expected two contacts"),
-        (lambda: oscillations([0.5], bead=40), "bead: expected a light one"),
+        (lambda: oscillations([0.5], bead=40), "bead: expected a light bead"),
         (
             lambda: resonance_map("2:1", [0.5], [1.0], cells=(5, 5)),
             "cells: expected two cells",
