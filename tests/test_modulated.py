@@ -214,7 +214,7 @@ def test_derivatives_and_lanes():
         (lambda s: gx.linear.dispersion(s, K), "floquet_bands"),
         (
             lambda s: jax.jit(lambda k: floquet_bands(s, k, PERIOD).growth)(1.0),
-            "steps: expected so many",
+            "steps: expected the number of steps",
         ),
         (
             lambda s: gx.breathers.k_gap_breather(s, PERIOD, np.pi / 4),

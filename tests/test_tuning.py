@@ -81,11 +81,12 @@ print(json.dumps([os.environ.get("XLA_FLAGS", ""), str(jnp.zeros(()).dtype)]))
 
 
 def test_flags_of_the_user_stay_and_too_late_is_said(monkeypatch):
+    # XLA reads its flags here, and none of those below
+    jnp.zeros(()).block_until_ready()
     own = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7"
     monkeypatch.setenv("XLA_FLAGS", own)
     assert gx.tune()[:2] == (own, True)
     monkeypatch.setenv("XLA_FLAGS", "bare_word=1")
-    jnp.zeros(()).block_until_ready()
     late = gx.tune()
     assert late[:2] == ("bare_word=1", False) and "before its first computation" in late.outcome
     # XLA reads nothing after a bare word

@@ -231,8 +231,9 @@ def clear() -> None:
     import equinox
     import jax
 
+    package = __package__.partition(".")[0]
     for name, module in list(sys.modules.items()):
-        if name.partition(".")[0] == __package__:
+        if name.partition(".")[0] == package:
             for kept in list(vars(module).values()):
                 if hasattr(kept, "cache_clear"):
                     kept.cache_clear()
