@@ -15,7 +15,7 @@ import granjax as gx
 from granjax.breathers import bifurcations, family
 from granjax.driven import driven_chain
 from granjax.forced import forced_branch, forced_orbit
-from granjax.orbits import torus
+from granjax.orbits import leaving, torus
 
 pytestmark = pytest.mark.slow
 
@@ -350,3 +350,36 @@ def test_a_krein_collision_stays_where_scaling_says():
     assert_allclose(found.angle, found.angle[0], rtol=1e-8)
     amplitude = np.abs(found.states.u).max(1) * np.sqrt(found.other)
     assert_allclose(amplitude, amplitude[0], rtol=1e-7)
+
+
+# normal forms of maps -------------------------------------------------------------------------------------------------
+
+
+def test_the_neimark_sacker_coefficient_of_the_delayed_logistic_map_is_how_its_radius_decays(
+    monkeypatch,
+):
+    """x' = 2 x (1 - y), y' = x about (1/2, 1/2), with multipliers exp(+-i pi/3): c = -1 for a unit eigenvector.
+
+    Kuznetsov, Elements of Applied Bifurcation Theory, example 4.2.
+    """
+    of = lambda x: jnp.array([x[0] - x[1] - 2 * x[0] * x[1], x[0]])
+
+    def derivative(family, z, steps, along):
+        mapped = of
+        for direction in along:
+            mapped = leaving._slope(mapped, direction)
+        return mapped(z) if along else jax.jacfwd(of)(z)
+
+    monkeypatch.setattr(leaving, "_derivative", derivative)
+    turn = np.exp(1j * np.pi / 3)
+    _, found = leaving._coefficients(None, np.zeros(2), turn, 1)
+    _, p, q = leaving._eigenvectors(np.array([[1.0, -1.0], [1.0, 0.0]]), turn)
+    p = p / np.vdot(p, q).conj()
+    count, radii, x = 60_000, [], 2 * np.real(0.01 * q)
+    for _ in range(count + 6):
+        radii.append(abs(np.vdot(p, x)))
+        x = np.array([x[0] - x[1] - 2 * x[0] * x[1], x[0]])
+    # r' = r + c r^3, over whole turns
+    first, last = np.mean(radii[:6]), np.mean(radii[-6:])
+    assert found == pytest.approx((first**-2 - last**-2) / (2 * count), rel=1e-3)
+    assert found == pytest.approx(-1, rel=1e-12)
