@@ -11,8 +11,10 @@ from cases import by_dop853
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from scipy.integrate import solve_ivp
+from scipy.stats import chi2
 
 import granjax as gx
+from granjax.fit.fitted import _ljung_box
 from granjax.fit.parameters import Coordinates
 from granjax.fit.problem import prepared
 from granjax.fit.solve import STALLED, least_squares
@@ -563,3 +565,10 @@ def test_a_drive_is_designed_for_the_information_that_it_brings():
     slope = 0.2 * np.diff(ends)[0] / 2e-4
     assert_allclose(np.abs(found.start_gradient[0]), np.abs(slope), rtol=1e-5)
     assert found.value > found.start_value + 1
+
+
+def test_the_whiteness_of_residuals_is_that_of_ljung_and_box_by_hand():
+    """Five residuals and one lag: r_1 = -3/4 of 1, -1, 1, -1, 0, and n (n + 2) r_1^2/(n - 1) of chi^2_1."""
+    x = np.array([1.0, -1.0, 1.0, -1.0, 0.0])
+    r = -3 / 4
+    assert _ljung_box(x) == pytest.approx(chi2.sf(5 * 7 * r**2 / 4, 1), rel=1e-12)

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import granjax as gx
+from granjax.flow.within import crossing, guesses, lobatto, mean, series, tops
 
 pytestmark = pytest.mark.slow
 
@@ -158,3 +159,39 @@ def test_a_run_with_records_is_pickled(site):
     run = gx.simulate(*site, 2.0, step=0.5, record={"peak": gx.Peak(place)}, confirm=True)
     back = pickle.loads(pickle.dumps(run))
     assert back.recorded == run.recorded and back.error.records == run.error.records
+
+
+def test_samples_of_a_step_give_tops_crossings_and_a_mean():
+    x = lobatto(14).x
+    waves = [
+        lambda x: np.sin(3 * x + 0.3),
+        lambda x: np.exp(x) * np.cos(3 * x),
+        lambda x: -((x + 0.97) ** 2),
+    ]
+    q = jnp.asarray(np.stack([wave(x) for wave in waves], 1))
+    fine = np.linspace(-1, 1, 200001)
+    found = tops(q, guesses(q, 2))
+    height = np.maximum(*(np.asarray(top.height) for top in found))
+    true = np.array([wave(fine).max() for wave in waves])
+    assert_allclose(np.maximum(height, q.max(0)), true, atol=2e-9)
+    # of three, two are tops and the last lies between the end and the sample beside it
+    assert_allclose(found[0].place[2], -0.97, atol=1e-9)
+    there = jnp.array([True, True, False])
+    ends = jnp.array([-0.5, -0.5, 0.0]), jnp.array([0.3, 0.05, 0.0])
+    at = crossing(series(q), jnp.array([0.5, 0.8, 9.0]), *ends, there)
+    assert_allclose([waves[0](at[0]), waves[1](at[1])], [0.5, 0.8], atol=1e-9)
+    assert_allclose(mean(q)[0], np.sin(0.3) * np.sin(3) / 3, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "edge",
+    [
+        lambda x: np.sign(x - 0.3),
+        lambda x: np.maximum(x - 0.1, 0) ** 1.5,
+        lambda x: -(np.maximum(0.1 - x, 0) ** 1.5),
+    ],
+)
+@pytest.mark.parametrize("count", [6, 8, 14])
+def test_a_jump_or_a_kink_has_no_top_above_its_samples(edge, count):
+    q = jnp.asarray(edge(lobatto(count).x))[:, None]
+    assert all(top.height[0] <= q.max() for top in tops(q, guesses(q, 2)))
