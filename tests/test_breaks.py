@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from refusals import refused
 from scipy.linalg import expm
 
@@ -235,3 +236,11 @@ def test_what_is_at_rest_does_not_step_over_what_is_to_come():
     omega, area = np.sqrt(squared), width * np.sqrt(np.pi)
     swings = area * np.exp(-squared * width**2 / 4) * np.sin(omega * (t1 - when)) / omega
     assert np.abs(run.final.u - modes @ (modes[1] * swings)).max() < 1e-7
+
+
+def test_the_jumps_of_a_square_wave_are_where_it_jumps():
+    # high while (4 t + pi/2)/(2 pi) is within a quarter of a whole number: from -pi/8 to 0
+    wave = gx.Square(1.0, 4.0, phase=np.pi / 2, share=0.25)
+    assert_allclose(wave.breaks.times, [-np.pi / 8, 0], atol=1e-15)
+    assert_allclose(wave.breaks.period, np.pi / 2, rtol=1e-15)
+    assert [float(wave(t)) for t in (-0.4, -0.38, -0.01, 0.01)] == [-1, 1, 1, -1]
