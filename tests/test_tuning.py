@@ -148,6 +148,12 @@ print(json.dumps([*found, kept()]))
     assert own == [str(tmp_path / "own")] * 2
 
 
+def test_scenes_and_states_of_rest_are_imported_without_scipy():
+    """SciPy's optimisers take half a second to import, and neither needs them."""
+    code = "import json, sys; import granjax as gx; gx.scenes, gx.newton, gx.equilibrium"
+    assert said(f"{code}; print(json.dumps('scipy.optimize' in sys.modules))") is False
+
+
 @pytest.mark.slow
 def test_the_next_process_finds_what_was_compiled(tmp_path):
     code = """

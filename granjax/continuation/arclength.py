@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import brentq
 
 from ..base.checks import one_of, positive, refuse
 from ..base.printing import told
@@ -349,6 +348,9 @@ class System:
         at the first point. `accuracy`: relative to the length along it. `share`: of the tolerance,
         to which Newton's method goes on if it can.
         """
+        # Scenes import this folder for states of rest, and this import takes half a second.
+        from scipy.optimize import brentq
+
         direction = here.tangent if direction is None else direction
         length = float((there.z - here.z) @ direction)
         known = {0.0: here, length: there}
