@@ -268,6 +268,18 @@ def test_edges_of_the_plane_stay_and_loads_move_the_inner_sites():
     assert_array_equal(found.loads[1:3, 1:3], loads[1:3, 1:3])
 
 
+@pytest.mark.parametrize("components", [2, 3])
+def test_positions_move_with_the_sites_whatever_space_they_are_in(components):
+    places = np.stack([np.arange(4.0), *np.zeros((components - 1, 4))], -1)
+    bond = gx.Bond(gx.Stretch(gx.Shift(1, "fixed"), (1.0, 0.0)), gx.Hertz(1.0, 0.3))
+    lattice = gx.Lattice(1.0, bond, sites=4, dimension=2, positions=places)
+    found = gx.equilibrium(lattice, loads=np.array([[0, 0], [0.1, 0], [-0.1, 0], [0, 0]]))
+    moved = np.asarray(found.lattice.positions) - places
+    assert np.abs(found.state.u).max() > 0.01
+    assert_allclose(moved[:, :2], found.state.u, rtol=0, atol=1e-15)
+    assert not moved[:, 2:].any()
+
+
 @pytest.mark.slow
 def test_loads_move_all_sites_of_a_ring_in_the_plane():
     # no site of a ring is an end that is held: the displacements are those of the dense stiffness

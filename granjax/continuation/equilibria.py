@@ -464,7 +464,9 @@ def _places(lattice, u):
     # The positions of the sites at rest, where displacements have components along them.
     if lattice.positions is None or lattice.dimension is None:
         return lattice.positions
-    return jax.tree.map(lambda x, u: x + u[..., : x.shape[-1]], lattice.positions, u)
+    shared = min(lattice.dimension, jax.tree.leaves(lattice.positions)[0].shape[-1])
+    moved = lambda x, u: x.at[..., :shared].add(u[..., :shared])
+    return jax.tree.map(moved, lattice.positions, u)
 
 
 def _wall_loads(term, u):
