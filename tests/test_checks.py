@@ -259,6 +259,26 @@ def test_no_other_traceback_is_printed_above_a_refusal(make):
     assert caught.value.__suppress_context__ or caught.value.__context__ is None
 
 
+class Branching(gx.Law):
+    """A law that branches on its strain, or only raises."""
+
+    raises: bool = False
+
+    def force(self, e):
+        if self.raises:
+            raise ValueError
+        return e if e > 0 else 0 * e
+
+    def energy(self, e):
+        return e**2 / 2
+
+
+def test_a_law_that_branches_on_its_strain_is_told_of_where():
+    for raises, said in ((False, r"truth value.*write jnp\.where\(e > 0"), (True, "an error: ")):
+        with refused(said):
+            chain(gx.Bond(gx.Shift(1, "fixed"), Branching(raises)))
+
+
 def test_sentences():
     with refused(r"^stiffness: expected numbers above zero, got -1\.0\. The contact"):
         gx.Hertz(-1.0)

@@ -192,10 +192,12 @@ class Lattice(eqx.Module):
                 )
             except (TypeError, ValueError, IndexError, AttributeError) as error:
                 wanted = f"parameters that fit a lattice of shape {self.shape}"
-                said = str(error).splitlines()[0].rstrip(".")
-                branches = isinstance(error, jax.errors.ConcretizationTypeError)
-                remedy = _NO_BRANCH if branches or "truth value" in said else ""
-                refuse(name, wanted, f"an error: {said}", remedy)
+                said, remedy = str(error), ""
+                tracing = isinstance(error, jax.errors.ConcretizationTypeError)
+                if tracing or "truth value" in said:
+                    # JAX goes on for a page
+                    said, remedy = said.partition("\n")[0], _NO_BRANCH
+                refuse(name, wanted, f"an error: {said.rstrip('.')}", remedy)
             wanted = (
                 u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
             )
