@@ -8,4 +8,5 @@ from pathlib import Path
 
 import granjax  # noqa: F401
 
-sys.path.append(str(Path(__file__).parents[2] / "tests"))
+ROOT = Path(__file__).parents[2]
+sys.path += [str(ROOT / folder) for folder in ("tests", "benchmarks", "docs/gallery", "docs")]

@@ -2,21 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from test_cell_waves import optical
 
 import granjax as gx
 from granjax.travelling import cell_wave
-
-
-def optical(masses, speed, stiffness):
-    """k of the wave with omega(k) = c k in the optical band of a dimer, from its closed form."""
-    total, product = sum(masses), np.prod(masses)
-
-    def excess(k):
-        root = np.sqrt(total**2 - 4 * product * np.sin(k) ** 2)
-        return np.sqrt(stiffness * (total + root) / product) - speed * k
-
-    return brentq(excess, 1e-3, 20.0, xtol=1e-14)
 
 
 @pytest.mark.parametrize(

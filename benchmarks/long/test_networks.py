@@ -1,21 +1,10 @@
-"""Pulses in ordered networks of guides; run by hand: pytest -n 0 benchmarks/long."""
+"""Pulses in ordered networks of guides; run by hand: pytest benchmarks/long."""
 
 import numpy as np
+from test_plane import turned_tree
 
 import granjax as gx
 from granjax import scenes
-
-
-def turned_tree(depth, beads, angle):
-    """Nodes and edges of a binary tree whose branches leave at +-angle of their stem."""
-    nodes, edges, ways = [(0.0, 0.0), (beads, 0.0)], [(0, 1)], {1: 0.0}
-    for level in range(1, depth + 1):
-        for node in range(2 ** (level - 1), 2**level):
-            for way in (ways[node] + angle, ways[node] - angle):
-                ways[len(nodes)] = way
-                edges.append((node, len(nodes)))
-                nodes.append(nodes[node] + beads * np.array([np.cos(way), np.sin(way)]))
-    return np.array(nodes), edges
 
 
 def exponential(amplitude):

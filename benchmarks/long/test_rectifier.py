@@ -3,18 +3,13 @@
 Run by hand: pytest benchmarks/long
 """
 
-import sys
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gallery import left_by
 
 import granjax as gx
-
-sys.path.append(str(Path(__file__).parents[2] / "tests"))
-from gallery import left_by  # noqa: E402
 
 DAMPING = 1 / 1.75e-3
 

@@ -3,15 +3,10 @@
 That of the impact fails today: its floor is 5.5e-11, and 5e-11 is asked.
 """
 
-import sys
-from pathlib import Path
-
 import pytest
+import scenes
 
 from granjax.work_precision import distance, find_reference
-
-sys.path.append(str(Path(__file__).parents[1]))
-import scenes  # noqa: E402
 
 
 @pytest.mark.parametrize("name", ["impact", "driven"])

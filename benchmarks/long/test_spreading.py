@@ -1,15 +1,9 @@
 """How energy spreads in a disordered chain, from a thousand samples: by hand, pytest benchmarks/long."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
+from gallery import left_by
 
 import granjax as gx
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-
-from gallery import left_by  # noqa: E402
 
 disordered = gx.scenes.disordered
 

@@ -1,17 +1,9 @@
 """A dispersive shock of Toda's chain comes to Whitham's theory like 1/t."""
 
 import numpy as np
+from test_shocks import piston, theory_of
 
 import granjax as gx
-
-
-def piston(law, c, sites):
-    chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=sites)
-    return gx.shocks.piston(chain, 2 * c)
-
-
-def theory_of(c):
-    return gx.theory.toda.ShockEdges(*map(float, gx.theory.toda.velocity_shock(c)))
 
 
 def test_toda_shocks_converge_to_the_theory():
